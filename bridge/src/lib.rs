@@ -1,0 +1,1 @@
+//! msg to ROS bytes and back; the ros_tcp protocol on TCP

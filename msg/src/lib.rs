@@ -1,0 +1,46 @@
+//! The nouns on the arrows: what one process says to another.
+//!
+//! Every message is plain data ([`bytemuck::Pod`]): `repr(C)`, no padding, no pointer, and any
+//! bit pattern is a value, so that a reader can never be made to misbehave by what a writer left
+//! in shared memory. Fields that mean an enumeration are stored as codes and read by a checked
+//! accessor. Lengths are read through accessors that clamp them.
+//!
+//! Units are SI and radians; f32 in measurements, f64 in poses. Frames and time: see [`pose`],
+//! [`time`]; who writes which message to whom: the table in the binary's `channel.rs`.
+
+mod health;
+mod id;
+mod motion;
+pub mod pose;
+mod scan;
+mod stats;
+pub mod time;
+
+pub mod grid;
+mod slam;
+
+pub use grid::{Grid, GridHeader, GridView};
+pub use health::{Beat, Role};
+pub use id::{ROBOTS_MAX, RobotId};
+pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, Truth};
+pub use pose::Pose2;
+pub use scan::{BEAMS_MAX, Scan};
+pub use slam::{Anchor, Anchors, Correction, TrackingState};
+pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
+pub use time::{Monotonic, Stamp};
+
+use bytemuck::{Pod, Zeroable};
+
+/// What every message begins with.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Header {
+    /// When the content was true, on the run's clock. The algorithms' only time.
+    pub stamp: Stamp,
+    /// When the message left its writer, on the machine's clock. For latency only.
+    pub sent: Monotonic,
+    /// Counts the writer's messages on this channel from 0 without gaps: a gap is a loss.
+    pub seq: u64,
+    /// The writer's incarnation: a restarted writer has another, and starts at `seq` 0.
+    pub run: u64,
+}

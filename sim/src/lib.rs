@@ -1,0 +1,1 @@
+//! One robot in a room: commands in, scans, odometry and truth out

@@ -1,0 +1,1 @@
+//! Scans in, one robot's poses and map out

@@ -1,0 +1,1 @@
+//! CARMEN logs: the text format of the public 2D LiDAR data sets.

@@ -1,0 +1,6 @@
+//! The shell around the rooms: launcher, channels, one main loop per process, operator, replay, lockstep.
+
+pub mod carmen;
+pub mod map_file;
+pub mod operator;
+pub mod replay;
