@@ -68,4 +68,6 @@ macro_rules! messages {
         }
     )*};
 }
-messages!(Scan, Odometry, Transforms, Command, Truth, Clock, GridHeader, Correction, Anchors, Beat, FleetStats);
+messages!(
+    Scan, Odometry, Transforms, Command, Truth, Clock, GridHeader, Correction, Anchors, Beat, FleetStats
+);
