@@ -7,6 +7,7 @@ use msg::{Pose2, RobotId, Stamp};
 use sim::{Room, Simulator};
 use std::io::Read;
 use std::path::Path;
+use std::time::Duration;
 
 /// Why a world cannot be built.
 #[derive(Debug, thiserror::Error)]
@@ -62,23 +63,20 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
     }
 }
 
-/// The first tick of a robot's simulator after `now`. The robots' ticks are spread over the tick,
-/// as real robots' clocks are, so that a fleet does not wake all at once.
-pub fn first_tick(robot: RobotId, robots: usize, now: Stamp) -> Stamp {
-    let tick = Simulator::TICK.as_nanos() as i64;
-    let phase = tick * robot.index() as i64 / robots.max(1) as i64;
-    Stamp((now.0 - phase).div_euclid(tick) * tick + tick + phase)
+/// How long after a tick's stamp a robot's simulator takes it: the robots are spread over the tick, so
+/// that a fleet does not wake all at once. The same for every tick, so that it is no jitter.
+pub fn tick_lag(robot: RobotId, robots: usize) -> Duration {
+    Simulator::TICK * robot.index() as u32 / robots.max(1) as u32
 }
 
-/// A robot in its room, about to take its first tick.
+/// A robot in its room.
 pub fn simulator(
     config: &FleetConfig,
     room: &Room,
     robot: RobotId,
     world_from_start: Pose2,
-    first_tick: Stamp,
 ) -> Result<Simulator, FleetError> {
-    Simulator::new(room, &config.sim, robot, world_from_start, first_tick, config.fleet.seed)
+    Simulator::new(room, &config.sim, robot, world_from_start, config.fleet.seed)
         .map_err(|why| FleetError::Start { robot, why: why.to_string() })
 }
 
@@ -87,7 +85,7 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
     let room = room(config)?;
     let starts = starts(config, &room)?;
     for (robot, start) in RobotId::first(config.fleet.robots).zip(starts) {
-        simulator(config, &room, robot, start, Stamp(0))?;
+        simulator(config, &room, robot, start)?;
     }
     Ok(())
 }

@@ -3,13 +3,16 @@
 use crate::channel;
 use crate::map_file;
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, GridReader, Node, Reader};
-use msg::{FleetStats, Grid, RobotId};
+use crate::clock::now;
+use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
+use msg::{FleetStats, Grid, Monotonic, RobotId};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Reads the fleet's figures and maps.
 pub struct Observer {
     stats: Reader<FleetStats>,
+    bell: Bell,
     newest: Option<Box<FleetStats>>,
     merged_map: MapWatch,
     maps: Vec<MapWatch>,
@@ -33,6 +36,7 @@ impl Observer {
             |robot: RobotId| Ok(watch(format!("{robot}_map"), node.grid_reader(&channel::map(robot))?));
         Ok(Self {
             stats: node.reader(&channel::stats())?,
+            bell: node.bell(&channel::stats())?,
             newest: None,
             merged_map: watch("merged_map".into(), node.grid_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
@@ -53,6 +57,13 @@ impl Observer {
             self.newest = Some(Box::new(*stats));
         }
         new
+    }
+
+    /// As [`Observer::look`], but waits for new figures, `patience` at most.
+    pub fn wait(&mut self, patience: Duration) -> bool {
+        let until = Monotonic(now().0 + patience.as_nanos() as u64);
+        wait(&[&self.bell], until);
+        self.look()
     }
 
     /// The newest figures.

@@ -12,6 +12,12 @@ use crate::run::{Run, RunError};
 use crate::stop::Stop;
 use msg::{Role, RobotId};
 use std::path::PathBuf;
+use std::time::Duration;
+
+/// The shortest time between two maps of a robot.
+pub const MAP_PERIOD: Duration = Duration::from_millis(500);
+/// Side of a cell of the room's plan, metres: the maps'.
+pub const PLAN_RESOLUTION_M: f64 = 0.05;
 
 /// What the launcher tells each child.
 #[derive(Clone, Debug, clap::Args)]

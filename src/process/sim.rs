@@ -7,7 +7,7 @@ use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, Node, Reader, Writer, wait};
 use crate::stop::Stop;
-use msg::{Clock, Command, Odometry, Role, RobotId, Scan, Stamp, Transforms, Truth};
+use msg::{Clock, Command, Odometry, Role, RobotId, Scan, Transforms, Truth};
 use sim::Simulator;
 
 /// A simulator further behind than this lets the time go instead of hurrying after it: the
@@ -31,10 +31,11 @@ pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
     let room = fleet::room(&run.config)?;
     let start = fleet::starts(&run.config, &room)?[robot.index()];
 
-    let mut stamp = fleet::first_tick(robot, run.config.fleet.robots, fleet::stamp_now(run.epoch));
-    let mut simulator = fleet::simulator(&run.config, &room, robot, start, stamp)?;
+    let lag = fleet::tick_lag(robot, run.config.fleet.robots);
+    let mut simulator = fleet::simulator(&run.config, &room, robot, start)?;
+    simulator.join_at(fleet::stamp_now(run.epoch));
     while !stop.requested() {
-        let due = run.epoch.moment(stamp);
+        let due = run.epoch.moment(simulator.now() + Simulator::TICK + lag);
         while wait(&[&command_bell], due) {
             obey(&mut commands, &mut simulator);
         }
@@ -48,13 +49,10 @@ pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
             }
             outputs.tick(&mut simulator);
         });
-        pulse.beat(|| Account {
-            gaps: commands.gaps(),
-            refused: simulator.refused_commands(),
-            ..Account::default()
-        });
-        stamp = stamp + Simulator::TICK;
-        stamp = let_go_if_far_behind(run, robot, &mut simulator, stamp);
+        pulse.beat(|| Account { gaps: commands.gaps(), refused: simulator.refused(), ..Account::default() });
+        if fleet::stamp_now(run.epoch) - simulator.now() > BEHIND_MAX_S {
+            simulator.join_at(fleet::stamp_now(run.epoch));
+        }
     }
     Ok(())
 }
@@ -63,16 +61,6 @@ fn obey(commands: &mut Reader<Command>, simulator: &mut Simulator) {
     while let Some(command) = commands.receive() {
         simulator.command(&command);
     }
-}
-
-fn let_go_if_far_behind(run: &Run, robot: RobotId, simulator: &mut Simulator, stamp: Stamp) -> Stamp {
-    let now = fleet::stamp_now(run.epoch);
-    if now - stamp < BEHIND_MAX_S {
-        return stamp;
-    }
-    let stamp = fleet::first_tick(robot, run.config.fleet.robots, now);
-    simulator.skip_to(stamp);
-    stamp
 }
 
 /// What a simulator writes.

@@ -1,6 +1,6 @@
 //! The fleet's figures: listens to everything, says once a second how it goes.
 
-use super::Error;
+use super::{Error, PLAN_RESOLUTION_M};
 use super::pulse::{Account, Pulse};
 use crate::channel;
 use crate::clock::now;
@@ -13,8 +13,6 @@ use msg::{Anchors, Beat, Correction, Monotonic, Role, RobotId, Transforms, Truth
 
 /// How often the figures are sent.
 const PERIOD_NS: u64 = 1_000_000_000;
-/// Side of a cell of the room's plan, metres: the maps'.
-const PLAN_RESOLUTION_M: f64 = 0.05;
 
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
