@@ -1,7 +1,7 @@
 //! Reading a map's image: PGM (binary and plain) and PNG, checked before anything is allocated.
 
 use super::{CELLS_MAX, File, MapFileError, Path, Read};
-use std::io::{BufReader, Seek};
+use std::io::{BufRead, BufReader, Seek};
 
 /// The longest PGM header that is read, comments included, bytes.
 const HEADER_BYTES_MAX: u64 = 16 * 1024;
@@ -40,7 +40,7 @@ fn check_size(path: &Path, width: u64, height: u64) -> Result<(u32, u32), MapFil
     Err(MapFileError::content(path, format!("{width} x {height} cells"), expected))
 }
 
-fn read_pgm(path: &Path, mut file: impl Read) -> Result<Pixels, MapFileError> {
+fn read_pgm(path: &Path, mut file: impl BufRead) -> Result<Pixels, MapFileError> {
     let mut header = file.by_ref().take(HEADER_BYTES_MAX).bytes();
     let mut next = || header.next().and_then(Result::ok);
     let plain = (next(), next()).1 == Some(b'2');
@@ -103,7 +103,7 @@ fn plain_pixels(text: &[u8], size: usize) -> Vec<u8> {
     numbers.take(size).collect()
 }
 
-fn read_png(path: &Path, file: impl std::io::BufRead + Seek) -> Result<Pixels, MapFileError> {
+fn read_png(path: &Path, file: impl BufRead + Seek) -> Result<Pixels, MapFileError> {
     let refuse = |error: png::DecodingError| MapFileError::content(path, error.to_string(), "a sound PNG");
     let mut decoder = png::Decoder::new_with_limits(file, png::Limits { bytes: 8 * CELLS_MAX });
     decoder.set_transformations(png::Transformations::normalize_to_color8());
