@@ -120,7 +120,7 @@ pub struct LinkConfig {
     /// In the last ones.
     pub gate_narrow_m: f32,
     /// Scale of the robust weight, metres.
-    pub cauchy_m: f32,
+    pub cauchy_m: f64,
     /// Standard deviation of a matched point's distance from its surface, metres.
     pub point_sigma_m: f64,
     /// No link is better than this, metres: what the sensor's and the surfaces' biases leave.
