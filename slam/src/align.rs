@@ -9,6 +9,8 @@ use nalgebra::{Matrix3, Vector3};
 /// Iterations with the wide gate, then with the narrow one.
 const WIDE: usize = 4;
 const NARROW: usize = 6;
+/// Weight of a point without a surface direction, against a point on a line.
+const POINT_SHARE: f64 = 0.2;
 /// Steps smaller than this end an alignment, metres or radians.
 const STEP_MIN: f64 = 2e-5;
 
@@ -53,6 +55,28 @@ struct Normal {
     compared: usize,
 }
 
+impl Normal {
+    /// Adds the distance `away` (in the reference's frame) along `axis` (the same in the common frame).
+    fn add(
+        &mut self,
+        lever: &[f64; 2],
+        axis: [f32; 2],
+        local: [f32; 2],
+        away: [f64; 2],
+        share: f64,
+        cauchy_m: f64,
+    ) {
+        let r = f64::from(local[0]) * away[0] + f64::from(local[1]) * away[1];
+        let w = 1.0 / (1.0 + (r / cauchy_m).powi(2));
+        let [nx, ny] = axis.map(f64::from);
+        let j = Vector3::new(nx, ny, nx * lever[0] + ny * lever[1]);
+        self.hessian += j * j.transpose() * (w * share);
+        self.gradient += j * (w * share * r);
+        self.squared += w * r * r;
+        self.weight += w;
+    }
+}
+
 /// Moves `cloud` from `guess` until its points lie on the references' surfaces.
 /// A point counts against every reference that has a surface there, divided by their number.
 pub fn align(
@@ -80,11 +104,14 @@ pub fn align(
             break;
         }
     }
+    // A noisy sensor, or surfaces that are no lines, leave more than point_sigma.
+    let mean_square = sums.squared / sums.weight.max(1e-9);
+    let scatter = 1.0 / (config.point_sigma_m.powi(2)).max(mean_square);
     Alignment {
         frame_from_cloud: Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose },
-        information: sums.hessian * weight,
+        information: sums.hessian * scatter,
         overlap: sums.matched as f32 / sums.compared.max(1) as f32,
-        rms_m: (sums.squared / sums.weight.max(1e-9)).sqrt() as f32,
+        rms_m: mean_square.sqrt() as f32,
     }
 }
 
@@ -99,7 +126,7 @@ fn normal_equations(
     pose: Pose2,
     references: &[Reference<'_>],
     gate_m: f32,
-    cauchy_m: f32,
+    cauchy_m: f64,
 ) -> Normal {
     let mut sums = Normal {
         hessian: Matrix3::zeros(),
@@ -124,17 +151,16 @@ fn normal_equations(
                 continue;
             };
             found[i.min(4095)] = 1;
-            let [nx, ny] = surface.normal;
-            let r = nx * (at[0] - surface.at[0]) + ny * (at[1] - surface.at[1]);
-            let w = f64::from(1.0 / (1.0 + (r / cauchy_m).powi(2)));
-            let r = f64::from(r);
-            let [nx, ny] = turn.direction(surface.normal).map(f64::from);
             let [px, py] = p.at.map(f64::from);
-            let j = Vector3::new(nx, ny, nx * (-sin * px - cos * py) + ny * (cos * px - sin * py));
-            sums.hessian += j * j.transpose() * (w * share);
-            sums.gradient += j * (w * share * r);
-            sums.squared += w * r * r;
-            sums.weight += w;
+            let lever = [-sin * px - cos * py, cos * px - sin * py];
+            let away = [at[0] - surface.at[0], at[1] - surface.at[1]].map(f64::from);
+            if surface.is_flat() {
+                sums.add(&lever, turn.direction(surface.normal), surface.normal, away, share, cauchy_m);
+            } else {
+                for axis in [[1.0, 0.0], [0.0, 1.0]] {
+                    sums.add(&lever, turn.direction(axis), axis, away, share * POINT_SHARE, cauchy_m);
+                }
+            }
         }
     }
     sums.compared = points.len();

@@ -130,7 +130,7 @@ impl Back {
         let measured = node.previous_from_this.unwrap_or(moved);
         let information = self.odometry_information(measured, node.previous_from_this.is_some());
         self.nodes.push(node);
-        self.graph.add_edge(a, b, measured, information, EdgeKind::Odometry);
+        self.graph.add_edge([a, b], measured, information, EdgeKind::Odometry, [0.0; 2]);
     }
 
     fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
@@ -204,8 +204,14 @@ impl Back {
             return false;
         }
         let information = self.floored(fit.information);
-        self.graph.add_edge(a, b, fit.frame_from_cloud, information, EdgeKind::Link);
+        let drift = self.drift(fit.frame_from_cloud);
+        self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::Link, drift);
         true
+    }
+
+    fn drift(&self, a_from_b: Pose2) -> [f64; 2] {
+        let way = a_from_b.x_m.hypot(a_from_b.y_m);
+        [self.config.links.drift_m_per_m * way, self.config.links.drift_rad_per_m * way]
     }
 
     fn linked(&self, a: u32, b: u32) -> bool {
@@ -227,7 +233,8 @@ impl Back {
         for find in finds {
             let information = self.floored(find.information);
             let (a, b) = (find.candidate, find.node);
-            self.graph.add_edge(a, b, find.candidate_from_node, information, EdgeKind::Closure);
+            let drift = self.drift(find.candidate_from_node);
+            self.graph.add_edge([a, b], find.candidate_from_node, information, EdgeKind::Closure, drift);
         }
         self.solve(true);
         let newest = self.nodes.len();

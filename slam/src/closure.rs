@@ -223,11 +223,17 @@ impl Detector {
         let limits = Limits { score_min: c.response_min, evaluations_max: c.evaluations_max, except: None };
         let Some(peak) = self.field.search(&points, &window, &limits, &mut self.scratch) else {
             self.counts.no_response += 1;
+            if std::env::var_os("SLAM_DEBUG2").is_some() {
+                eprintln!("D q {newest} c {candidate} no response, window {:.2} {:.3}", window.half_m, window.half_rad);
+            }
             return None;
         };
         let rival =
             Limits { score_min: peak.score * c.rival_max, except: Some((peak.pose, 0.6, 0.2)), ..limits };
         let other = self.field.search(&points, &window, &rival, &mut self.scratch);
+        if std::env::var_os("SLAM_DEBUG2").is_some() {
+            eprintln!("D q {newest} c {candidate} peak {:.3} at {:.2} {:.2} {:.3} rival {:?} window {:.2} {:.3} dist {:.2} {}", peak.score, peak.pose.x_m, peak.pose.y_m, peak.pose.yaw_rad, other.map(|o| o.score), window.half_m, window.half_rad, window.centre.distance_m(peak.pose), if peak.given_up {"GIVEN UP"} else {""});
+        }
         if peak.given_up || other.is_some() {
             self.counts.ambiguous += 1;
             return None;
@@ -252,6 +258,15 @@ impl Detector {
         let merged =
             Cloud::merged(query.iter().map(|(n, pose)| (&*n.cloud, *pose)), 4 * self.config.lidar.points_max);
         let fit = align(&merged, peak.pose, &references, None, &self.config.links);
+        if std::env::var_os("SLAM_DEBUG2").is_some() {
+            let (agree, contradict) = judge(near.iter().copied(), query, fit.frame_from_cloud);
+            eprintln!(
+                "D q {} c {} resp {:.3} overlap {:.3} agree {} contra {} ratio {:.3} rms {:.3} moved {:.2} pose {:.2} {:.2} {:.3}",
+                query.last().unwrap().0.id, chain[chain.len()/2].0.id, peak.score, fit.overlap, agree, contradict,
+                agree as f32 / (agree + contradict).max(1) as f32, fit.rms_m,
+                fit.frame_from_cloud.distance_m(peak.pose), fit.frame_from_cloud.x_m, fit.frame_from_cloud.y_m, fit.frame_from_cloud.yaw_rad
+            );
+        }
         let strayed = fit.frame_from_cloud.distance_m(peak.pose) > 0.5;
         let (agree, contradict) = judge(near.iter().copied(), query, fit.frame_from_cloud);
         let sound = agree as f32 >= c.agreement_min * (agree + contradict) as f32;

@@ -8,12 +8,17 @@ use msg::{Pose2, Scan};
 const INDEX_CELL_M: f32 = 0.5;
 /// Farthest correspondence the index can find, metres.
 pub const SEARCH_MAX_M: f32 = INDEX_CELL_M / 2.0;
-/// Beams to each side that take part in a normal.
-const NORMAL_BEAMS: usize = 4;
+/// A normal is fitted to the surface up to here on each side, metres: far enough to average out
+/// the noise of close beams,
+const NORMAL_REACH_M: f32 = 0.25;
+/// but always to the next beams, however far apart, and never to more than these.
+const NORMAL_BEAMS: core::ops::RangeInclusive<usize> = 2..=16;
 /// Neighbours on the same surface are not farther apart than this, plus twice the beams' spacing, metres.
 const SURFACE_GAP_M: f32 = 0.25;
 /// Points that scatter more than this around their line have no normal, metres.
-const FLATNESS_M: f32 = 0.03;
+const FLATNESS_M: f32 = 0.04;
+/// Cosine of the largest angle between normals of the same surface.
+const FACING: f32 = 0.7;
 /// Bearings of [`Cloud::sees_through`].
 const BEARINGS: usize = 360;
 
@@ -101,8 +106,8 @@ impl Cloud {
         &self.points
     }
 
-    /// The flat surface point nearest to `at` whose normal is within about 45° of `normal`
-    /// (any, if that is zero), not farther than `gate_m` (at most [`SEARCH_MAX_M`]).
+    /// The point nearest to `at`, not farther than `gate_m` (at most [`SEARCH_MAX_M`]), whose normal
+    /// is within about 45° of `normal`, if both are known.
     pub fn nearest(&self, at: [f32; 2], normal: [f32; 2], gate_m: f32) -> Option<&SurfacePoint> {
         let buckets = self.heads.len() - 1;
         let corner = at.map(|v| (v / INDEX_CELL_M - 0.5).floor() as i32);
@@ -114,7 +119,7 @@ impl Cloud {
                 let (x, y) = (p.at[0] - at[0], p.at[1] - at[1]);
                 let squared = x * x + y * y;
                 let faces = normal[0] * p.normal[0] + normal[1] * p.normal[1];
-                let compatible = p.is_flat() && (normal == [0.0; 2] || faces > 0.7);
+                let compatible = faces > FACING || !p.is_flat() || normal == [0.0; 2];
                 if squared < best && compatible {
                     best = squared;
                     found = Some(p);
@@ -248,12 +253,16 @@ fn surface_point(hits: &[Hit], i: usize, gap_per_m: f32, sensor: [f32; 2]) -> Su
     let same = |a: usize, b: usize| {
         distance(hits[a].at, hits[b].at) < SURFACE_GAP_M + gap_per_m * hits[a].range.max(hits[b].range)
     };
+    let wanted = |j: usize| {
+        let (beams, way) = (j.abs_diff(i), distance(hits[i].at, hits[j].at));
+        beams <= *NORMAL_BEAMS.start() || (beams <= *NORMAL_BEAMS.end() && way < NORMAL_REACH_M)
+    };
     let mut first = i;
-    while first > 0 && i - first < NORMAL_BEAMS && same(first - 1, first) {
+    while first > 0 && wanted(first - 1) && same(first - 1, first) {
         first -= 1;
     }
     let mut last = i;
-    while last + 1 < hits.len() && last - i < NORMAL_BEAMS && same(last, last + 1) {
+    while last + 1 < hits.len() && wanted(last + 1) && same(last, last + 1) {
         last += 1;
     }
     let at = hits[i].at;

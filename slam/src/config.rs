@@ -120,13 +120,18 @@ pub struct LinkConfig {
     /// In the last ones.
     pub gate_narrow_m: f32,
     /// Scale of the robust weight, metres.
-    pub cauchy_m: f32,
+    pub cauchy_m: f64,
     /// Standard deviation of a matched point's distance from its surface, metres.
     pub point_sigma_m: f64,
     /// No link is better than this, metres: what the sensor's and the surfaces' biases leave.
     pub floor_m: f64,
     /// Nor better than this, radians.
     pub floor_rad: f64,
+    /// What chains of links are trusted with, when uncertainty is added up along them: a link adds
+    /// so many metres a metre between its nodes,
+    pub drift_m_per_m: f64,
+    /// and so many radians a metre. Links of a chain err alike, so this is more than the floor.
+    pub drift_rad_per_m: f64,
 }
 
 /// See [`SlamConfig::closures`].
@@ -224,8 +229,8 @@ impl Default for OdometryConfig {
             sigma_m: 0.02,
             sigma_m_per_m: 0.1,
             sigma_rad: 0.02,
-            sigma_rad_per_rad: 0.1,
-            sigma_rad_per_m: 0.04,
+            sigma_rad_per_rad: 0.2,
+            sigma_rad_per_m: 0.06,
             speed_max_m_s: 1.0,
             turn_max_rad_s: 1.0,
         }
@@ -269,6 +274,8 @@ impl Default for LinkConfig {
             point_sigma_m: 0.03,
             floor_m: 0.01,
             floor_rad: 0.003,
+            drift_m_per_m: 0.01,
+            drift_rad_per_m: 0.003,
         }
     }
 }

@@ -90,13 +90,22 @@ impl Graph {
         self.around.push(Vec::new());
     }
 
-    /// Adds a measurement; its variance is that of its information helped by `known`.
-    pub fn add_edge(&mut self, a: u32, b: u32, a_from_b: Pose2, information: Matrix3<f64>, kind: EdgeKind) {
+    /// Adds a measurement. `drift` (metres, radians, one standard deviation) is added to its
+    /// uncertainty when that is propagated, see [`Graph::relative_to`]; not when the graph is solved.
+    pub fn add_edge(
+        &mut self,
+        [a, b]: [u32; 2],
+        a_from_b: Pose2,
+        information: Matrix3<f64>,
+        kind: EdgeKind,
+        drift: [f64; 2],
+    ) {
         let known = self.information_between(a, b);
         let covariance =
             (information + known + Matrix3::identity() * 1e-4).try_inverse().unwrap_or(Matrix3::identity());
         let plane = covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let variance = [plane.symmetric_eigenvalues().max().max(1e-8), covariance[(2, 2)].max(1e-10)];
+        let position = plane.symmetric_eigenvalues().max().max(1e-8) + drift[0].powi(2);
+        let variance = [position, covariance[(2, 2)].max(1e-10) + drift[1].powi(2)];
         let index = self.edges.len() as u32;
         self.edges.push(Edge { a, b, a_from_b, information, kind, in_force: true, variance });
         self.around[a as usize].push(index);
