@@ -12,6 +12,8 @@ use msg::{GridView, Pose2};
 const NULL_SHIFT_M: core::ops::Range<f64> = 2.0..8.0;
 /// And turns by this much either way, radians: 20° to 180°.
 const NULL_TURN_RAD: core::ops::Range<f64> = 0.349..core::f64::consts::PI;
+/// Cells of two maps may differ this much in length.
+const RATIO_MAX: f64 = 64.0;
 /// It must leave this share of the overlap.
 const NULL_OVERLAP_MIN: f64 = 0.5;
 /// Random transforms tried for each one wanted.
@@ -34,8 +36,13 @@ pub struct Consistency {
     pub overlap_share: f64,
 }
 
-/// Compares two maps, `a` from `b` known. `None` if there is nothing that both know.
+/// Compares two maps, `a` from `b` known. `None` if there is nothing that both know, or one's cells
+/// are more than 64 times as long as the other's.
 pub fn compare(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Consistency> {
+    let ratio = a.header.resolution_m / b.header.resolution_m;
+    if !(1.0 / RATIO_MAX..=RATIO_MAX).contains(&ratio) {
+        return None;
+    }
     let a_in_b = one_way(a, b, a_from_b.inverse());
     let b_in_a = one_way(b, a, a_from_b);
     if a_in_b.both_known == 0 || b_in_a.both_known == 0 {
@@ -140,18 +147,28 @@ pub(crate) fn for_known(
     let (per_x, per_y) = ([cos * step, sin * step], [-sin * step, cos * step]);
     let start =
         [to_grid_from_grid.x_m, to_grid_from_grid.y_m].map(|m| m / to.header.resolution_m + BORDER_BIAS);
-    let width = (from.header.width as usize).max(1);
-    for (y, row) in from.cells.chunks_exact(width).enumerate() {
+    let [du, dv] = per_x.map(fixed);
+    for (y, row) in from.cells.chunks_exact((from.header.width as usize).max(1)).enumerate() {
         let y = y as f64 + 0.5;
-        for (x, cell) in row.iter().enumerate() {
+        let [mut u, mut v] = [0, 1].map(|k| fixed(start[k] + 0.5 * per_x[k] + y * per_y[k]));
+        for cell in row {
             let here = occupancy(*cell);
             if here != Occupancy::Unknown {
-                let x = x as f64 + 0.5;
-                let place = [0, 1].map(|k| (start[k] + per_x[k] * x + per_y[k] * y).floor() as i64);
-                each(here, place[0], place[1]);
+                each(here, u >> FRACTION_BITS, v >> FRACTION_BITS);
             }
+            u = u.wrapping_add(du);
+            v = v.wrapping_add(dv);
         }
     }
+}
+
+/// Places are counted in 2^-32 of a cell.
+const FRACTION_BITS: u32 = 32;
+
+/// Beyond 2^30 cells no grid reaches.
+fn fixed(cells: f64) -> i64 {
+    let limit = f64::from(1 << 30);
+    (cells.clamp(-limit, limit) * (1_u64 << FRACTION_BITS) as f64) as i64
 }
 
 /// The middle, in `a`'s frame, of what both know.

@@ -6,7 +6,7 @@ use msg::{Grid, Pose2, ROBOTS_MAX};
 /// Pairs in the largest fleet.
 const PAIRS_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
 /// Cells compared in one call, after which the rest waits for the next: about 20 ms of work.
-const CELLS_PER_CALL: usize = 4_000_000;
+const CELLS_PER_CALL: usize = 6_000_000;
 
 /// A robot's newest map and its place; `version` tells contents apart.
 pub(crate) struct PlacedMap<'a> {
