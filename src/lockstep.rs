@@ -80,7 +80,7 @@ impl Lockstep {
         let tour = TourConfig { seed: config.fleet.seed, ..TourConfig::default() };
         Ok(Self {
             members: robots.clone().zip(&starts).map(member).collect::<Result<_, FleetError>>()?,
-            merger: Merger::new(config.merge.clone(), &known),
+            merger: Merger::new(&config.merge, &known),
             telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &known),
             tour: Tour::new(tour, robots),
             together,

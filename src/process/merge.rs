@@ -23,7 +23,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let mut anchors = node.writer(&channel::anchors())?;
     let starts = fleet::starts(&run.config, &fleet::room(&run.config)?)?;
 
-    let mut merger = Merger::new(run.config.merge.clone(), &starts.into_iter().map(Some).collect::<Vec<_>>());
+    let mut merger = Merger::new(&run.config.merge, &starts.into_iter().map(Some).collect::<Vec<_>>());
     let mut refused = 0;
     while !stop.requested() {
         wait(&bells, pulse.due());
