@@ -18,6 +18,8 @@ use msg::{Grid, GridHeader, GridView, Header, Message, Monotonic, ROBOTS_MAX};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, RawFd};
 use std::path::{Path as FsPath, PathBuf};
+use tokio::io::Interest;
+use tokio::io::unix::AsyncFd;
 
 /// Samples that one reader may hold at a time.
 const BORROWED_MAX: usize = 2;
@@ -448,6 +450,13 @@ impl Bell {
     pub fn silence(&self) {
         // One call takes all rings that have come, whatever their number.
         let _ = self.listener.try_wait(|_| {});
+    }
+
+    /// For a tokio task to wait for. Inside a runtime only.
+    pub fn into_async(self) -> std::io::Result<AsyncFd<Self>> {
+        // SAFETY: the bell owns its descriptor, always gives the same one, and keeps it open as
+        // long as it lives; the `AsyncFd` owns the bell.
+        unsafe { AsyncFd::register_with_interest(self, Interest::READABLE) }.map_err(std::io::Error::from)
     }
 }
 

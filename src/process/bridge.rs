@@ -12,8 +12,6 @@ use msg::{Command, Message, Odometry, Role, RobotId, Transforms};
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Duration;
-use tokio::io::Interest;
-use tokio::io::unix::AsyncFd;
 use tokio::net::TcpListener;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 
@@ -158,7 +156,7 @@ fn grids(
 
 /// Calls `act` now, and whenever the bell rings.
 fn on_ring(bell: Bell, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
-    let bell = AsyncFd::register_with_interest(bell, Interest::READABLE).map_err(|why| format!("cannot watch a bell: {why}"))?;
+    let bell = bell.into_async().map_err(|why| format!("cannot watch a bell: {why}"))?;
     Ok(spawn_local(async move {
         loop {
             act();
