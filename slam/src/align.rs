@@ -6,13 +6,15 @@ use crate::config::LinkConfig;
 use msg::Pose2;
 use nalgebra::{Matrix3, Vector3};
 
-/// Iterations with the wide gate, then with the narrow one.
+/// Iterations with the wide gate, at most, and with the narrow one.
 const WIDE: usize = 4;
-const NARROW: usize = 6;
+const NARROW: usize = 5;
+/// A step smaller than this ends the wide iterations, metres or radians.
+const STEP_WIDE: f64 = 5e-3;
 /// Weight of a point without a surface direction, against a point on a line.
 const POINT_SHARE: f64 = 0.2;
 /// Steps smaller than this end an alignment, metres or radians.
-const STEP_MIN: f64 = 2e-5;
+const STEP_MIN: f64 = 2e-4;
 
 /// A scan that stays where it is.
 #[derive(Clone, Copy)]
@@ -89,7 +91,8 @@ pub fn align(
     let mut pose = guess;
     let weight = 1.0 / (config.point_sigma_m * config.point_sigma_m);
     let mut sums = normal_equations(cloud, pose, references, config.gate_wide_m, config.cauchy_m);
-    for iteration in 0..WIDE + NARROW {
+    let (mut wide, mut narrow) = (0, 0);
+    while narrow < NARROW {
         let (mut hessian, mut gradient) = (sums.hessian * weight, sums.gradient * weight);
         if let Some(prior) = prior {
             hessian += prior.information;
@@ -98,9 +101,14 @@ pub fn align(
         hessian += Matrix3::identity() * 1e-3;
         let Some(step) = hessian.cholesky().map(|c| c.solve(&gradient)) else { break };
         pose = Pose2::new(pose.x_m - step.x, pose.y_m - step.y, pose.yaw_rad - step.z);
-        let gate = if iteration + 1 < WIDE { config.gate_wide_m } else { config.gate_narrow_m };
+        let done = narrow > 0 && step.amax() < STEP_MIN;
+        wide += 1;
+        if narrow > 0 || wide == WIDE || step.amax() < STEP_WIDE {
+            narrow += 1;
+        }
+        let gate = if narrow > 0 { config.gate_narrow_m } else { config.gate_wide_m };
         sums = normal_equations(cloud, pose, references, gate, config.cauchy_m);
-        if step.amax() < STEP_MIN && iteration >= WIDE {
+        if done {
             break;
         }
     }

@@ -4,15 +4,18 @@
 
 use crate::align::{Reference, align};
 use crate::canvas::Canvas;
-use crate::closure::{Detector, Find, SearchCounts};
+use crate::closure::{Detector, Find, Search, SearchCounts, View};
 use crate::config::SlamConfig;
 use crate::graph::{EdgeKind, Graph, Relative};
 use crate::node::{Node, Revision};
 use msg::{GridView, Pose2, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
+use std::collections::VecDeque;
 
-/// Newest nodes that are linked again after a closure.
-const RELINK_NODES: usize = 12;
+/// Nodes up to so many before and after a closure are linked again.
+const RELINK_NODES: u32 = 10;
+/// Nodes not found that are remembered, to be looked for again after a closure.
+const NOT_FOUND_MAX: usize = 256;
 /// Near links are spread: not two to nodes this close in order.
 const NEAR_SPREAD: u32 = 3;
 
@@ -24,6 +27,10 @@ pub struct Back {
     detector: Detector,
     canvas: Canvas,
     travelled_m: f64,
+    /// Nodes looked for and not found since the last closure,
+    not_found: VecDeque<u32>,
+    /// and those from before it, to be looked for once more.
+    again: VecDeque<u32>,
     /// Nodes with links to older parts of the map since the last solution.
     unsolved: usize,
     closures: u32,
@@ -57,6 +64,8 @@ impl Back {
             detector: Detector::new(config.clone()),
             canvas: Canvas::new(config.map.clone()),
             travelled_m: 0.0,
+            not_found: VecDeque::with_capacity(NOT_FOUND_MAX),
+            again: VecDeque::with_capacity(NOT_FOUND_MAX),
             unsolved: 0,
             closures: 0,
             solutions: 0,
@@ -72,19 +81,56 @@ impl Back {
         self.link_sequential(id);
         let relative = self.relative_to(id);
         let linked = self.link_near(id, &relative);
-        let finds = self.detector.search(&self.nodes, &self.graph, &relative, self.travelled_m);
         self.unsolved += usize::from(linked > 0);
-        if !finds.is_empty() {
-            self.close(&finds);
-        } else if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
+        if self.detector.due(self.travelled_m) {
+            self.search(id, &relative);
+        } else {
+            self.search_again();
+        }
+        if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
         }
         self.revision()
     }
 
-    /// The last word: solves with all that is known.
+    /// The last word: looks again where nothing was found, solves with all that is known.
     pub fn finish(&mut self) {
         self.solve(false);
+        while self.search_again() {}
+        self.solve(false);
+    }
+
+    /// Looks for a node among places seen before. Where nothing was found, a better map may help:
+    /// the node is noted, to be tried once more after the next closure.
+    fn search(&mut self, id: u32, relative: &[Option<Relative>]) -> bool {
+        let view = View { nodes: &self.nodes, graph: &self.graph };
+        match self.detector.search(&view, id, relative, self.travelled_m) {
+            Search::NoCandidate => return false,
+            Search::Nothing | Search::Waits => {
+                if self.not_found.len() == NOT_FOUND_MAX {
+                    self.not_found.pop_front();
+                }
+                self.not_found.push_back(id);
+            }
+            Search::Believed(finds) => self.close(&finds),
+        }
+        true
+    }
+
+    /// Tries one node once more that was not found before the last closure; false if there is none.
+    fn search_again(&mut self) -> bool {
+        while let Some(id) = self.again.pop_front() {
+            let relative = self.relative_to(id);
+            self.unsolved += usize::from(self.link_near(id, &relative) > 0);
+            let view = View { nodes: &self.nodes, graph: &self.graph };
+            match self.detector.search(&view, id, &relative, self.travelled_m) {
+                Search::NoCandidate => continue,
+                Search::Nothing | Search::Waits => {}
+                Search::Believed(finds) => self.close(&finds),
+            }
+            return true;
+        }
+        false
     }
 
     /// What has been done.
@@ -237,12 +283,26 @@ impl Back {
             self.graph.add_edge([a, b], find.candidate_from_node, information, EdgeKind::Closure, drift);
         }
         self.solve(true);
-        let newest = self.nodes.len();
-        for id in newest.saturating_sub(RELINK_NODES)..newest {
-            let relative = self.relative_to(id as u32);
-            self.link_near(id as u32, &relative);
+        for id in self.around(finds) {
+            let relative = self.relative_to(id);
+            self.link_near(id, &relative);
+        }
+        while let Some(id) = self.not_found.pop_front() {
+            if self.again.len() < NOT_FOUND_MAX {
+                self.again.push_back(id);
+            }
         }
         self.solve(false);
+    }
+
+    /// Nodes around both ends of closures, without doubles, in order.
+    fn around(&self, finds: &[Find]) -> Vec<u32> {
+        let newest = self.nodes.len() as u32 - 1;
+        let span = |id: u32| id.saturating_sub(RELINK_NODES)..=(id + RELINK_NODES).min(newest);
+        let mut ids: Vec<u32> = finds.iter().flat_map(|f| span(f.node)).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
     }
 
     fn solve(&mut self, shock: bool) {

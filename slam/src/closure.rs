@@ -58,6 +58,36 @@ pub struct SearchCounts {
     pub believed: u64,
 }
 
+/// A node and its pose in some other node's frame.
+type Placed<'a> = (&'a Node, Pose2);
+
+/// What a search looks at.
+pub struct View<'a> {
+    /// All nodes, by id.
+    pub nodes: &'a [Node],
+    /// Their poses.
+    pub graph: &'a Graph,
+}
+
+impl<'a> View<'a> {
+    fn placed(&self, from: u32, id: u32) -> Placed<'a> {
+        let poses = self.graph.poses();
+        (&self.nodes[id as usize], poses[from as usize].between(poses[id as usize]))
+    }
+}
+
+/// How a search ended.
+pub enum Search {
+    /// No place seen before can be here, or it is known already.
+    NoCandidate,
+    /// Looked for and not found.
+    Nothing,
+    /// Found, but not yet believed.
+    Waits,
+    /// Found and believed, with its witnesses.
+    Believed(Vec<Find>),
+}
+
 /// See the module.
 pub struct Detector {
     config: SlamConfig,
@@ -65,7 +95,7 @@ pub struct Detector {
     scratch: Scratch,
     pending: VecDeque<Find>,
     counts: SearchCounts,
-    last_search: Option<(u32, f64)>,
+    last_search_m: Option<f64>,
 }
 
 impl Detector {
@@ -77,7 +107,7 @@ impl Detector {
             scratch: Scratch::default(),
             pending: VecDeque::with_capacity(PENDING_MAX),
             counts: SearchCounts::default(),
-            last_search: None,
+            last_search_m: None,
             config,
         }
     }
@@ -87,49 +117,51 @@ impl Detector {
         self.counts
     }
 
-    /// Looks for the newest node among places seen before. `travelled_m` counts the way driven;
-    /// `relative` says how well every node is known as seen from the newest one.
-    /// Returns the finds that are believed now.
-    pub fn search(
-        &mut self,
-        nodes: &[Node],
-        graph: &Graph,
-        relative: &[Option<Relative>],
-        travelled_m: f64,
-    ) -> Vec<Find> {
-        let newest = nodes.len() as u32 - 1;
-        let due = self.last_search.is_none_or(|(_, at)| travelled_m - at >= self.config.closures.travel_m);
-        if !self.config.closures.enabled || !due {
-            return Vec::new();
-        }
-        self.forget_old(newest);
-        let mut believed = Vec::new();
-        for candidate in self.candidates(graph, relative, newest) {
-            self.last_search = Some((newest, travelled_m));
-            self.counts.searches += 1;
-            if let Some(find) = self.try_candidate(nodes, graph, relative, candidate) {
-                believed = self.witnesses(graph, find);
-                if !believed.is_empty() {
-                    break;
-                }
-            }
-        }
-        believed
+    /// Whether the newest node should be looked for, after `travelled_m` of way.
+    pub fn due(&self, travelled_m: f64) -> bool {
+        let far = self.last_search_m.is_none_or(|at| travelled_m - at >= self.config.closures.travel_m);
+        self.config.closures.enabled && far
     }
 
-    fn forget_old(&mut self, newest: u32) {
-        while self.pending.front().is_some_and(|f| f.node + PENDING_NODES < newest) {
-            self.pending.pop_front();
-            self.counts.unconfirmed += 1;
+    /// Looks for a node among places seen before (or since); `relative` says how well every node is
+    /// known as seen from it. Returns the finds that are believed now.
+    pub fn search(
+        &mut self,
+        view: &View<'_>,
+        node: u32,
+        relative: &[Option<Relative>],
+        travelled_m: f64,
+    ) -> Search {
+        self.forget_old(node);
+        let candidates = self.candidates(view.graph, relative, node);
+        if candidates.is_empty() {
+            return Search::NoCandidate;
         }
+        self.last_search_m = Some(travelled_m);
+        for candidate in candidates {
+            self.counts.searches += 1;
+            let window = self.window(view.graph, relative[candidate as usize], candidate, node);
+            if let Some(find) = self.try_candidate(view, window, candidate, node) {
+                let believed = self.witnesses(view.graph, find);
+                return if believed.is_empty() { Search::Waits } else { Search::Believed(believed) };
+            }
+        }
+        Search::Nothing
+    }
+
+    fn forget_old(&mut self, node: u32) {
+        let before = self.pending.len();
+        self.pending.retain(|f| f.node.abs_diff(node) <= PENDING_NODES);
+        self.counts.unconfirmed += (before - self.pending.len()) as u64;
     }
 
     /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
-    fn candidates(&self, graph: &Graph, relative: &[Option<Relative>], newest: u32) -> Vec<u32> {
+    fn candidates(&self, graph: &Graph, relative: &[Option<Relative>], node: u32) -> Vec<u32> {
         let (c, l) = (&self.config.closures, &self.config.links);
-        let here = graph.poses()[newest as usize];
+        let here = graph.poses()[node as usize];
         let known = |r: &Relative| r.position < l.sigma_max_m.powi(2) && r.heading < l.sigma_max_rad.powi(2);
-        let mut near: Vec<(f64, u32)> = (0..newest.saturating_sub(AGO_NODES))
+        let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
+            .filter(|id| id.abs_diff(node) > AGO_NODES)
             .filter_map(|id| {
                 if relative[id as usize].as_ref().is_some_and(known) {
                     return None;
@@ -153,87 +185,67 @@ impl Detector {
         chosen
     }
 
-    fn try_candidate(
-        &mut self,
-        nodes: &[Node],
-        graph: &Graph,
-        relative: &[Option<Relative>],
-        candidate: u32,
-    ) -> Option<Find> {
-        let newest = nodes.len() as u32 - 1;
-        let chain = self.chain(nodes, graph, candidate);
-        let query = self.query(nodes, graph);
-        let peak = self.correlate(&chain, &query, graph, relative[candidate as usize], candidate, newest)?;
+    fn try_candidate(&mut self, view: &View<'_>, window: Window, candidate: u32, node: u32) -> Option<Find> {
+        let query = self.query(view, node);
+        let chain = self.chain(view, candidate, &query);
+        let peak = self.correlate(&query, &window)?;
         let fit = self.settle(&chain, &query, peak)?;
-        Some(Find {
-            node: newest,
-            candidate,
-            candidate_from_node: fit.frame_from_cloud,
-            information: fit.information,
-        })
+        let (candidate_from_node, information) = (fit.frame_from_cloud, fit.information);
+        Some(Find { node, candidate, candidate_from_node, information })
     }
 
     /// The pass around the candidate, as seen from it.
-    fn chain<'a>(&mut self, nodes: &'a [Node], graph: &Graph, candidate: u32) -> Vec<(&'a Node, Pose2)> {
+    fn chain<'a>(&mut self, view: &View<'a>, candidate: u32, query: &[Placed<'a>]) -> Vec<Placed<'a>> {
         let half = self.config.closures.chain_nodes as u32 / 2;
-        let last = (candidate + half).min(nodes.len() as u32 - 1 - self.config.closures.query_nodes as u32);
-        let middle = graph.poses()[candidate as usize];
+        let last = (candidate + half).min(view.nodes.len() as u32 - 1);
+        let (from, to) = (query[0].0.id, query[query.len() - 1].0.id);
         self.field.clear([0.0; 2]);
         let mut chain = Vec::with_capacity(2 * half as usize + 1);
-        for id in candidate.saturating_sub(half)..=last {
-            let candidate_from_node = middle.between(graph.poses()[id as usize]);
-            self.field.insert(&nodes[id as usize].cloud, candidate_from_node);
-            chain.push((&nodes[id as usize], candidate_from_node));
+        for id in (candidate.saturating_sub(half)..=last).filter(|id| !(from..=to).contains(id)) {
+            let (node, candidate_from_node) = view.placed(candidate, id);
+            self.field.insert(&node.cloud, candidate_from_node);
+            chain.push((node, candidate_from_node));
         }
         chain
     }
 
-    /// The newest nodes, as seen from the newest.
-    fn query<'a>(&self, nodes: &'a [Node], graph: &Graph) -> Vec<(&'a Node, Pose2)> {
-        let first = nodes.len().saturating_sub(self.config.closures.query_nodes);
-        let newest = graph.poses()[nodes.len() - 1];
-        let seen = |n: &'a Node| (n, newest.between(graph.poses()[n.id as usize]));
-        nodes[first..].iter().map(seen).collect()
+    /// The nodes around `node`, as seen from it: those before it, or both sides of an older one.
+    fn query<'a>(&self, view: &View<'a>, node: u32) -> Vec<Placed<'a>> {
+        let count = self.config.closures.query_nodes as u32;
+        let newest = view.nodes.len() as u32 - 1;
+        let last = (node + count / 2).min(newest);
+        let first = (last + 1).saturating_sub(count);
+        (first..=last).map(|id| view.placed(node, id)).collect()
     }
 
-    fn correlate(
-        &mut self,
-        _chain: &[(&Node, Pose2)],
-        query: &[(&Node, Pose2)],
-        graph: &Graph,
-        relative: Option<Relative>,
-        candidate: u32,
-        newest: u32,
-    ) -> Option<Peak> {
+    fn window(&self, graph: &Graph, relative: Option<Relative>, candidate: u32, node: u32) -> Window {
         let c = &self.config.closures;
-        let total: usize = query.iter().map(|(n, _)| n.cloud.points().len()).sum();
-        let stride = total.div_ceil(c.query_points_max).max(1);
-        let mut points = Vec::with_capacity(c.query_points_max + 8);
-        for (node, newest_from_node) in query {
-            let place = crate::cloud::Placement::new(*newest_from_node);
-            points.extend(node.cloud.points().iter().step_by(stride).map(|p| place.point(p.at)));
-        }
         let sigmas = relative.unwrap_or(Relative { position: 1e6, heading: 1e6 });
-        let window = Window {
-            centre: graph.poses()[candidate as usize].between(graph.poses()[newest as usize]),
+        Window {
+            centre: graph.poses()[candidate as usize].between(graph.poses()[node as usize]),
             half_m: (c.window_sigmas * sigmas.position.sqrt()).clamp(0.5, c.window_max_m),
             half_rad: (c.window_sigmas * sigmas.heading.sqrt()).clamp(0.1, c.window_max_rad),
             pull: 0.0,
-        };
+        }
+    }
+
+    fn correlate(&mut self, query: &[Placed<'_>], window: &Window) -> Option<Peak> {
+        let c = &self.config.closures;
+        let total: usize = query.iter().map(|(n, _)| n.cloud.points().len()).sum();
+        let stride = total.div_ceil(c.query_points_max).max(1);
+        let mut points = Vec::with_capacity(c.query_points_max + query.len());
+        for (node, query_from_node) in query {
+            let place = crate::cloud::Placement::new(*query_from_node);
+            points.extend(node.cloud.points().iter().step_by(stride).map(|p| place.point(p.at)));
+        }
         let limits = Limits { score_min: c.response_min, evaluations_max: c.evaluations_max, except: None };
-        let Some(peak) = self.field.search(&points, &window, &limits, &mut self.scratch) else {
+        let Some(peak) = self.field.search(&points, window, &limits, &mut self.scratch) else {
             self.counts.no_response += 1;
-            if std::env::var_os("SLAM_DEBUG2").is_some() {
-                eprintln!("D q {newest} c {candidate} no response, window {:.2} {:.3}", window.half_m, window.half_rad);
-            }
             return None;
         };
         let rival =
             Limits { score_min: peak.score * c.rival_max, except: Some((peak.pose, 0.6, 0.2)), ..limits };
-        let other = self.field.search(&points, &window, &rival, &mut self.scratch);
-        if std::env::var_os("SLAM_DEBUG2").is_some() {
-            eprintln!("D q {newest} c {candidate} peak {:.3} at {:.2} {:.2} {:.3} rival {:?} window {:.2} {:.3} dist {:.2} {}", peak.score, peak.pose.x_m, peak.pose.y_m, peak.pose.yaw_rad, other.map(|o| o.score), window.half_m, window.half_rad, window.centre.distance_m(peak.pose), if peak.given_up {"GIVEN UP"} else {""});
-        }
+        let other = self.field.search(&points, window, &rival, &mut self.scratch);
         if peak.given_up || other.is_some() {
             self.counts.ambiguous += 1;
             return None;
@@ -242,14 +254,9 @@ impl Detector {
     }
 
     /// Aligns the newest scan at the peak and asks the scans of both passes whether they agree.
-    fn settle(
-        &mut self,
-        chain: &[(&Node, Pose2)],
-        query: &[(&Node, Pose2)],
-        peak: Peak,
-    ) -> Option<Alignment> {
+    fn settle(&mut self, chain: &[Placed<'_>], query: &[Placed<'_>], peak: Peak) -> Option<Alignment> {
         let c = &self.config.closures;
-        let mut near: Vec<&(&Node, Pose2)> = chain.iter().collect();
+        let mut near: Vec<&Placed<'_>> = chain.iter().collect();
         let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
         near.sort_by(|a, b| away(&a.1).total_cmp(&away(&b.1)).then(a.0.id.cmp(&b.0.id)));
         near.truncate(JUDGES);
@@ -258,15 +265,6 @@ impl Detector {
         let merged =
             Cloud::merged(query.iter().map(|(n, pose)| (&*n.cloud, *pose)), 4 * self.config.lidar.points_max);
         let fit = align(&merged, peak.pose, &references, None, &self.config.links);
-        if std::env::var_os("SLAM_DEBUG2").is_some() {
-            let (agree, contradict) = judge(near.iter().copied(), query, fit.frame_from_cloud);
-            eprintln!(
-                "D q {} c {} resp {:.3} overlap {:.3} agree {} contra {} ratio {:.3} rms {:.3} moved {:.2} pose {:.2} {:.2} {:.3}",
-                query.last().unwrap().0.id, chain[chain.len()/2].0.id, peak.score, fit.overlap, agree, contradict,
-                agree as f32 / (agree + contradict).max(1) as f32, fit.rms_m,
-                fit.frame_from_cloud.distance_m(peak.pose), fit.frame_from_cloud.x_m, fit.frame_from_cloud.y_m, fit.frame_from_cloud.yaw_rad
-            );
-        }
         let strayed = fit.frame_from_cloud.distance_m(peak.pose) > 0.5;
         let (agree, contradict) = judge(near.iter().copied(), query, fit.frame_from_cloud);
         let sound = agree as f32 >= c.agreement_min * (agree + contradict) as f32;
@@ -305,8 +303,8 @@ impl Detector {
 
 /// Points of each pass against the other's: (on a surface, where the other saw through).
 fn judge<'a>(
-    chain: impl Iterator<Item = &'a (&'a Node, Pose2)>,
-    query: &[(&Node, Pose2)],
+    chain: impl Iterator<Item = &'a Placed<'a>>,
+    query: &[Placed<'_>],
     chain_from_query: Pose2,
 ) -> (usize, usize) {
     let (mut agree, mut contradict) = (0, 0);

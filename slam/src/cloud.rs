@@ -110,7 +110,7 @@ impl Cloud {
     /// is within about 45° of `normal`, if both are known.
     pub fn nearest(&self, at: [f32; 2], normal: [f32; 2], gate_m: f32) -> Option<&SurfacePoint> {
         let buckets = self.heads.len() - 1;
-        let corner = at.map(|v| (v / INDEX_CELL_M - 0.5).floor() as i32);
+        let corner = at.map(|v| floor_i32(v * (1.0 / INDEX_CELL_M) - 0.5));
         let mut best = gate_m.min(SEARCH_MAX_M).powi(2);
         let mut found = None;
         for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
@@ -132,7 +132,7 @@ impl Cloud {
     /// Whether this scan saw something clearly (by `margin_m`) behind `at`: nothing can stand there.
     pub fn sees_through(&self, at: [f32; 2], margin_m: f32) -> bool {
         let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
-        let reach_cm = (x.hypot(y) + margin_m) * 100.0;
+        let reach_cm = ((x * x + y * y).sqrt() + margin_m) * 100.0;
         let middle = bearing(x, y);
         let around = [middle + BEARINGS - 1, middle, middle + 1];
         around.iter().all(|b| f32::from(self.seen_cm[b % BEARINGS]) > reach_cm)
@@ -183,7 +183,13 @@ impl Placement {
 }
 
 fn cell(at: [f32; 2]) -> [i32; 2] {
-    at.map(|v| (v / INDEX_CELL_M).floor() as i32)
+    at.map(|v| floor_i32(v * (1.0 / INDEX_CELL_M)))
+}
+
+/// The largest integer not above `v`: without SSE 4.1 the library's floor is a call.
+pub fn floor_i32(v: f32) -> i32 {
+    let whole = v as i32;
+    whole - i32::from(v < whole as f32)
 }
 
 fn bucket([x, y]: [i32; 2], buckets: usize) -> usize {
@@ -225,7 +231,7 @@ fn seen(hits: &[Hit], sensor: [f32; 2]) -> Box<[u16; BEARINGS]> {
 }
 
 fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
+    ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sqrt()
 }
 
 /// Indices of hits at least `spacing_m` apart along the scan; wider if they would be too many.

@@ -3,7 +3,7 @@
 //! found by branch and bound (Olson, "Real-time correlative scan matching", ICRA 2009;
 //! Hess et al., "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, section V-B).
 
-use crate::cloud::{Cloud, Placement};
+use crate::cloud::{Cloud, Placement, floor_i32};
 use msg::Pose2;
 
 /// Levels of the pyramid: a cell of the last one is 2^5 = 32 fine cells wide.
@@ -104,9 +104,9 @@ impl Field {
     pub fn insert(&mut self, cloud: &Cloud, frame_from_cloud: Pose2) {
         let place = Placement::new(frame_from_cloud);
         for p in cloud.points() {
-            let [x, y] = place.point(p.at).map(|v| v / self.cell_m);
-            let x = (x - self.corner[0] / self.cell_m).floor() as i32;
-            let y = (y - self.corner[1] / self.cell_m).floor() as i32;
+            let [x, y] = place.point(p.at);
+            let x = floor_i32((x - self.corner[0]) / self.cell_m);
+            let y = floor_i32((y - self.corner[1]) / self.cell_m);
             self.stamp(x, y);
         }
     }
@@ -234,7 +234,8 @@ impl Scratch {
                 centre.y_m - f64::from(field.corner[1]),
                 yaw,
             ));
-            let to_cell = |v: f32| (v / field.cell_m).floor().clamp(-8000.0, 16000.0) as i16;
+            let per_m = 1.0 / field.cell_m;
+            let to_cell = |v: f32| floor_i32(v * per_m).clamp(-8000, 16000) as i16;
             self.cells.extend(points.iter().map(|p| place.point(*p).map(to_cell)));
         }
     }

@@ -139,9 +139,9 @@ impl Graph {
             }
             for edge in self.edges_of(node) {
                 let next = if edge.a == node { edge.b } else { edge.a };
-                let lever = self.poses[node as usize].distance_m(self.poses[next as usize]);
+                let lever_squared = edge.a_from_b.x_m.powi(2) + edge.a_from_b.y_m.powi(2);
                 let there = Relative {
-                    position: here.position + here.heading * lever * lever + edge.variance[0],
+                    position: here.position + here.heading * lever_squared + edge.variance[0],
                     heading: here.heading + edge.variance[1],
                 };
                 let better = known[next as usize].is_none_or(|k| there.position < k.position);
