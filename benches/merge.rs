@@ -1,7 +1,13 @@
-//! Merging: time to merge known maps (`cargo bench --bench merge`).
+//! Merging: time to merge known maps, and the alignment of unknown ones.
+//!
+//! `cargo bench --bench merge [-- PAIRS_DIR [RESULTS.jsonl]]`: PAIRS_DIR holds a folder a pair with
+//! `a.yaml`, `b.yaml`; RESULTS gets one JSON object a line.
 
-use merge::{MergeConfig, Merger};
+use merge::{AlignConfig, MergeConfig, Merger, align};
+use mr_slam::map_file::read_map;
 use msg::{Anchor, Anchors, Grid, GridHeader, Monotonic, Pose2, RobotId, Stamp};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use telemetry::Telemetry;
 
@@ -9,6 +15,12 @@ use telemetry::Telemetry;
 const ROUNDS: usize = 15;
 
 fn main() {
+    let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let paths: Vec<&PathBuf> = arguments.iter().filter(|path| !path.starts_with("--bench")).collect();
+    if let Some(pairs) = paths.first() {
+        align_pairs(pairs, paths.get(1).copied());
+        return;
+    }
     println!("{:<44} {:>9} {:>9}", "known start poses", "min ms", "median ms");
     compose("8 x 1000 x 1000 rotated, all new", 8, 1000, 0.2, Changed::All);
     compose("8 x 1000 x 1000 rotated, one new", 8, 1000, 0.2, Changed::One);
@@ -106,4 +118,33 @@ fn statistics(name: &str, side: u32) {
         .collect();
     milliseconds.sort_by(f64::total_cmp);
     println!("{name:<44} {:>9.2} {:>9.2}", milliseconds[0], milliseconds[ROUNDS / 2]);
+}
+
+/// Aligns every pair, and says what was found.
+fn align_pairs(folder: &Path, results: Option<&PathBuf>) {
+    let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    names.sort();
+    let mut lines = String::new();
+    for pair in names {
+        let [a, b] = ["a.yaml", "b.yaml"].map(|name| read_map(&pair.join(name)).unwrap());
+        let start = Instant::now();
+        let found = align(a.view(), b.view(), &AlignConfig::default());
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        let name = pair.file_name().unwrap().to_string_lossy().into_owned();
+        let line = match found {
+            Some(found) => serde_json::json!({
+                "pair": name, "accepted": found.accepted, "ms": ms,
+                "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
+                "inliers": found.inliers, "score": found.score, "strict": found.strict,
+                "overlap_m2": found.overlap_m2, "overlap_share": found.overlap_share,
+                "residual_m": found.residual_m, "margin": found.margin, "firmness": found.firmness,
+            }),
+            None => serde_json::json!({"pair": name, "accepted": false, "ms": ms}),
+        };
+        println!("{line}");
+        writeln!(lines, "{line}").unwrap();
+    }
+    if let Some(path) = results {
+        std::fs::write(path, lines).unwrap();
+    }
 }

@@ -2,7 +2,7 @@
 
 use crate::rect::{Rect, Tiles};
 use msg::grid::UNKNOWN;
-use msg::{GridView, Pose2};
+use msg::{GridHeader, GridView, Pose2};
 
 /// Fractional bits of a place in the robot's grid: 2^-32 of a cell a step, so that over a lattice
 /// of 2^24 cells the sum is off by less than a hundredth of a cell.
@@ -67,6 +67,15 @@ impl Lookup {
         Rect { x0: first(hull[0]), y0: first(hull[1]), x1: end(hull[2]), y1: end(hull[3]) }
     }
 
+    /// All of `part` of the lattice is looked up well inside a grid.
+    fn is_inside(&self, part: Rect, header: &GridHeader) -> bool {
+        let corners = [(part.x0, part.y0), (part.x1, part.y0), (part.x0, part.y1), (part.x1, part.y1)];
+        corners.into_iter().all(|(x, y)| {
+            let [u, v] = self.grid_place(x as f64, y as f64);
+            u >= 1.0 && v >= 1.0 && u <= f64::from(header.width) - 1.0 && v <= f64::from(header.height) - 1.0
+        })
+    }
+
     fn is_shift(&self) -> bool {
         self.per_x == [1.0, 0.0] && self.per_y == [0.0, 1.0]
     }
@@ -113,14 +122,15 @@ impl Layer {
     pub fn redraw(&mut self, tiles: &Tiles, lookup: &Lookup, grid: GridView<'_>) {
         for tile in tiles.marked() {
             let part = tile.intersect(self.window);
+            let inside = lookup.is_inside(part, grid.header);
             for y in part.y0..part.y1 {
                 let row = self.row_mut(part.x0, part.x1, y);
-                match (lookup.is_shift(), lookup.samples) {
-                    (true, _) => shift_row(row, part.x0, y, lookup, grid),
-                    (false, 1) => {
-                        sample_row(row, lookup.grid_place(part.x0 as f64 + 0.5, y as f64 + 0.5), lookup, grid)
-                    }
-                    (false, _) => supersample_row(row, part.x0, y, lookup, grid),
+                let place = || lookup.grid_place(part.x0 as f64 + 0.5, y as f64 + 0.5);
+                match lookup.samples {
+                    1 if lookup.is_shift() => shift_row(row, place(), grid),
+                    1 if inside => sample_row_inside(row, place(), lookup, grid),
+                    1 => sample_row(row, place(), lookup, grid),
+                    _ => supersample_row(row, part.x0, y, lookup, grid),
                 }
             }
         }
@@ -128,8 +138,7 @@ impl Layer {
 }
 
 /// The grid has the lattice's orientation and cells: rows are copied.
-fn shift_row(row: &mut [i8], x0: i64, y: i64, lookup: &Lookup, grid: GridView<'_>) {
-    let place = lookup.grid_place(x0 as f64 + 0.5, y as f64 + 0.5);
+fn shift_row(row: &mut [i8], place: [f64; 2], grid: GridView<'_>) {
     let [from_x, from_y] = place.map(|p| p.floor() as i64);
     let (width, height) = (i64::from(grid.header.width), i64::from(grid.header.height));
     row.fill(UNKNOWN);
@@ -143,21 +152,31 @@ fn shift_row(row: &mut [i8], x0: i64, y: i64, lookup: &Lookup, grid: GridView<'_
 
 /// Nearest cell under every output centre: no holes, whatever the rotation.
 fn sample_row(row: &mut [i8], place: [f64; 2], lookup: &Lookup, grid: GridView<'_>) {
-    let fixed = |value: f64| (value * (1_u64 << FRACTION_BITS) as f64).round() as i64;
-    let [mut u, mut v] = place.map(fixed);
-    let [du, dv] = lookup.per_x.map(fixed);
+    let ([mut u, mut v], [du, dv]) = (place.map(fixed), lookup.per_x.map(fixed));
     let (width, height) = (grid.header.width, grid.header.height);
     for cell in row {
         // Left of or below the grid wraps to far beyond its size.
         let (x, y) = ((u >> FRACTION_BITS) as u32, (v >> FRACTION_BITS) as u32);
-        *cell = if x < width && y < height {
-            grid.cells[y as usize * width as usize + x as usize]
-        } else {
-            UNKNOWN
-        };
+        let inside = x < width && y < height;
+        *cell = if inside { grid.cells[y as usize * width as usize + x as usize] } else { UNKNOWN };
         u += du;
         v += dv;
     }
+}
+
+/// The same where the whole row is known to lie inside the grid: most of a large map.
+fn sample_row_inside(row: &mut [i8], place: [f64; 2], lookup: &Lookup, grid: GridView<'_>) {
+    let ([mut u, mut v], [du, dv]) = (place.map(fixed), lookup.per_x.map(fixed));
+    let width = grid.header.width as usize;
+    for cell in row {
+        *cell = grid.cells[(v >> FRACTION_BITS) as usize * width + (u >> FRACTION_BITS) as usize];
+        u += du;
+        v += dv;
+    }
+}
+
+fn fixed(cells: f64) -> i64 {
+    (cells * (1_u64 << FRACTION_BITS) as f64) as i64
 }
 
 /// The robot's cells are finer: the strongest obstacle under an output cell, or else the weakest

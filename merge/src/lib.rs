@@ -9,9 +9,11 @@
 //! The lattice never moves: cell (i, j) of `map` covers `[i, i+1) x [j, j+1)` times the resolution,
 //! whatever the robots' maps look like. The merged map is a window on it that grows as needed.
 
+mod align;
 mod layer;
 mod merger;
 mod rect;
 mod source;
 
+pub use align::{AlignConfig, Alignment, align};
 pub use merger::{MergeConfig, Merger, Refused};
