@@ -17,15 +17,16 @@ const PERIOD_NS: u64 = 1_000_000_000;
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
     let mut pulse = Pulse::new(&node, run, Role::Telemetry, None)?;
-    let mut inputs = Inputs::open(&node, run)?;
-    let bells = Inputs::bells(&node, run)?;
-    let bells: Vec<&Bell> = bells.iter().collect();
-    let mut stats = node.writer(&channel::stats())?;
     let room = fleet::room(&run.config)?;
     let starts = fleet::starts(&run.config, &room)?.into_iter().map(Some).collect::<Vec<_>>();
 
     let mut telemetry =
         Telemetry::new(run.config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &starts);
+    // Only now, so that nothing waits unread while the room is built.
+    let mut inputs = Inputs::open(&node, run)?;
+    let bells = Inputs::bells(&node, run)?;
+    let bells: Vec<&Bell> = bells.iter().collect();
+    let mut stats = node.writer(&channel::stats())?;
     let mut due = Monotonic(now().0 + PERIOD_NS);
     while !stop.requested() {
         wait(&bells, due);
