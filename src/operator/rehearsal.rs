@@ -5,7 +5,8 @@ use super::joystick::{Joystick, Twist};
 use super::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView, Sight};
 use super::tour::{Tour, TourConfig};
 use msg::grid::{Occupancy, occupancy};
-use msg::{Grid, GridHeader, Pose2, RobotId, Stamp};
+use msg::pose::wrap_angle;
+use msg::{Command, Grid, GridHeader, Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms};
 use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -18,14 +19,14 @@ const CELL_M: f64 = 0.05;
 
 type Segment = [[f64; 2]; 2];
 
-pub struct Room {
+pub(super) struct Room {
     segments: Vec<Segment>,
     size_m: [f64; 2],
 }
 
 impl Room {
     /// 6 m x 8 m: tables by their legs, shelves, a sofa, a partition with a door, a column off the grid's axes.
-    pub fn lab() -> Self {
+    fn lab() -> Self {
         let mut room = Self { segments: Vec::new(), size_m: [6.0, 8.0] };
         room.block([3.0, 4.0], [6.0, 8.0], 0.0);
         room.block([0.9, 7.7], [1.6, 0.4], 0.0);
@@ -106,16 +107,17 @@ fn ray_disc_m(o: [f64; 2], d: [f64; 2], centre: [f64; 2]) -> Option<f64> {
     (half.is_finite() && along - half > 0.0).then_some(along - half)
 }
 
-struct Body {
+pub(super) struct Body {
     pose: Pose2,
     twist: Twist,
     ranges_m: Vec<f32>,
     track: Vec<[f64; 2]>,
+    first_yaw_rad: f64,
 }
 
 /// How one rehearsal goes.
 #[derive(Clone, Copy)]
-pub struct Script {
+pub(super) struct Script {
     pub robots: usize,
     pub seed: u64,
     pub seconds: f64,
@@ -140,7 +142,7 @@ impl Default for Script {
 }
 
 /// What came of it.
-pub struct Outcome {
+pub(super) struct Outcome {
     /// Share of the room's floor in the map, by 10 s.
     pub coverage: Vec<f64>,
     /// Steps in which a robot was stopped by a wall or another robot.
@@ -150,7 +152,7 @@ pub struct Outcome {
     pub tour: Tour,
 }
 
-struct World {
+pub(super) struct World {
     room: Room,
     bodies: Vec<Body>,
     grid: Grid,
@@ -161,7 +163,7 @@ struct World {
 }
 
 impl World {
-    fn new(robots: usize, seed: u64) -> Self {
+    pub(super) fn new(robots: usize, seed: u64) -> Self {
         let room = Room::lab();
         // The fleet starts side by side, at another place for each seed.
         let corners = [
@@ -172,8 +174,13 @@ impl World {
         ];
         let first = corners[(seed % 4) as usize];
         let starts = [0.0, 0.45, -0.45].map(|y_m| first * Pose2::new(0.0, y_m, 0.0));
-        let body =
-            |pose: &Pose2| Body { pose: *pose, twist: Twist::STOP, ranges_m: Vec::new(), track: Vec::new() };
+        let body = |pose: &Pose2| Body {
+            pose: *pose,
+            twist: Twist::STOP,
+            ranges_m: Vec::new(),
+            track: Vec::new(),
+            first_yaw_rad: pose.yaw_rad,
+        };
         let (width, height) = room.grid_size();
         // Half a metre of margin, so that the outer walls lie in the grid.
         let (width, height) = (width as u32 + 20, height as u32 + 20);
@@ -187,6 +194,45 @@ impl World {
         let grid = Grid { header, cells: vec![msg::grid::UNKNOWN; (width * height) as usize] };
         let bodies = starts[..robots].iter().map(body).collect();
         Self { room, bodies, grid, post: VecDeque::new(), map_from_world: Pose2::IDENTITY, bumps: 0 }
+    }
+
+    /// What a robot is told.
+    pub(super) fn obey(&mut self, robot: RobotId, command: &Command) {
+        let Command { linear_m_s, angular_rad_s, .. } = *command;
+        self.bodies[robot.index()].twist = Twist { linear_m_s, angular_rad_s };
+    }
+
+    /// One step of [`STEP_S`].
+    pub(super) fn step(&mut self, step: u64) {
+        self.move_bodies();
+        if step % 2 == 0 {
+            self.scan_and_map();
+        }
+    }
+
+    /// How far a robot has turned from how it stood at first.
+    pub(super) fn turned_rad(&self, index: usize) -> f64 {
+        wrap_angle(self.bodies[index].pose.yaw_rad - self.bodies[index].first_yaw_rad)
+    }
+
+    /// What simulators, SLAM and merging would send at this step. Odometry is perfect, all frames are one.
+    pub(super) fn tell(&self, bridge: &bridge::Bridge, step: u64, now: Stamp) {
+        let header = msg::Header { stamp: now, ..Default::default() };
+        let mut anchors = msg::Anchors { header, ..Default::default() };
+        bridge.clock(&msg::Clock { header });
+        for (i, body) in self.bodies.iter().enumerate() {
+            let robot = RobotId::new(i + 1).unwrap();
+            anchors.robots[i].known = 1;
+            bridge.transforms(robot, &transforms(header, body.pose));
+            if step % 2 == 0 {
+                bridge.scan(robot, &scan_message(header, &body.ranges_m));
+                bridge.correction(robot, &msg::Correction { header, ..Default::default() });
+            }
+        }
+        bridge.anchors(&anchors);
+        if step % 20 == 0 {
+            bridge.merged_map(self.grid.view());
+        }
     }
 
     fn move_bodies(&mut self) {
@@ -257,6 +303,31 @@ impl World {
     }
 }
 
+fn transforms(header: msg::Header, odom_from_base: Pose2) -> Transforms {
+    let (translation_m, rotation_xyzw) = bridge::ros::write::spatial(odom_from_base);
+    let mut message = Transforms { header, len: 1, ..Default::default() };
+    let (parent, child) = (Link::Odom as u32, Link::BaseFootprint as u32);
+    message.links[0] = LinkTransform { parent, child, translation_m, rotation_xyzw };
+    message
+}
+
+fn scan_message(header: msg::Header, ranges_m: &[f32]) -> Scan {
+    let mut scan = Scan {
+        header,
+        angle_min_rad: beam_angle_rad(0) as f32,
+        angle_increment_rad: (beam_angle_rad(1) - beam_angle_rad(0)) as f32,
+        time_increment_s: 0.0,
+        scan_time_s: 0.1,
+        range_min_m: 0.12,
+        range_max_m: RANGE_MAX_M as f32,
+        len: ranges_m.len() as u32,
+        reserved: 0,
+        ranges_m: [f32::NAN; msg::BEAMS_MAX],
+    };
+    scan.ranges_m[..ranges_m.len()].copy_from_slice(ranges_m);
+    scan
+}
+
 fn beam_angle_rad(beam: usize) -> f64 {
     ((beam as f64 + 0.5) / BEAMS as f64 - 0.5) * core::f64::consts::FRAC_PI_2
 }
@@ -267,7 +338,7 @@ fn add(cell: &mut i8, evidence: i8) {
 }
 
 /// Runs a tour in the lab.
-pub fn rehearse(script: Script) -> Outcome {
+pub(super) fn rehearse(script: Script) -> Outcome {
     let mut world = World::new(script.robots, script.seed);
     let config = TourConfig { seed: script.seed, ..Default::default() };
     let mut tour = Tour::new(config, RobotId::first(script.robots)).unwrap();

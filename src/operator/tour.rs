@@ -53,22 +53,30 @@ pub struct Tour {
 impl Tour {
     /// A tour with these robots, in this order. `None` without any.
     pub fn new(config: TourConfig, robots: impl IntoIterator<Item = RobotId>) -> Option<Self> {
-        let mut drivers: Vec<Driver> = Vec::new();
-        for robot in robots {
-            if drivers.iter().all(|driver| driver.robot() != robot) {
-                drivers.push(Driver::new(robot, config.joystick, config.seed));
-            }
-        }
-        (!drivers.is_empty()).then(|| Self {
+        let mut tour = Self {
             config,
             planner: Planner::default(),
-            drivers,
+            drivers: Vec::new(),
             in_hand: 0,
             turn_began: None,
             turns: [0; ROBOTS_MAX],
             held_s: [0.0; ROBOTS_MAX],
             last: None,
-        })
+        };
+        robots.into_iter().for_each(|robot| tour.add(robot));
+        (!tour.drivers.is_empty()).then_some(tour)
+    }
+
+    /// A robot joins: its turn comes after all others'. Nothing changes if it is there already.
+    pub fn add(&mut self, robot: RobotId) {
+        if self.drivers.iter().all(|driver| driver.robot() != robot) {
+            self.drivers.push(Driver::new(robot, self.config.joystick, self.config.seed));
+        }
+    }
+
+    /// From now on a robot stays in the hand this long, seconds.
+    pub fn set_turn_s(&mut self, turn_s: f64) {
+        self.config.turn_s = turn_s;
     }
 
     /// The robots in turn: one moment of the operator's. When the turn ends, the stick is centred for the robot in
