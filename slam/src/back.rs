@@ -16,6 +16,9 @@ use std::collections::VecDeque;
 const RELINK_NODES: u32 = 10;
 /// Nodes not found that are remembered, to be looked for again after a closure.
 const NOT_FOUND_MAX: usize = 256;
+/// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre
+/// between what is looked at.
+const VIEWPOINT: f64 = 0.5;
 /// Near links are spread: not two to nodes this close in order.
 const NEAR_SPREAD: u32 = 3;
 
@@ -204,15 +207,16 @@ impl Back {
     fn link_near(&mut self, id: u32, relative: &[Option<Relative>]) -> usize {
         let l = &self.config.links;
         let here = self.graph.poses()[id as usize];
+        let seen = here.apply(self.nodes[id as usize].cloud.middle());
         let mut near: Vec<(f64, u32)> = (0..self.nodes.len() as u32)
             .filter(|other| other.abs_diff(id) > l.sequential as u32)
             .filter_map(|other| {
                 let known = relative.get(other as usize).copied().flatten()?;
                 let sure = known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2);
                 let pose = self.graph.poses()[other as usize];
-                let distance = here.distance_m(pose);
-                let turned = wrap_angle(here.yaw_rad - pose.yaw_rad).abs();
-                (sure && distance < l.distance_max_m).then_some((distance + turned, other))
+                let [x, y] = pose.apply(self.nodes[other as usize].cloud.middle());
+                let apart = (x - seen[0]).hypot(y - seen[1]);
+                (sure && apart < l.distance_max_m).then_some((apart + VIEWPOINT * here.distance_m(pose), other))
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

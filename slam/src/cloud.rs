@@ -46,6 +46,8 @@ pub struct Cloud {
     /// `heads[b]..heads[b + 1]` are bucket b's points. The number of buckets is a power of two.
     heads: Vec<u16>,
     sensor: [f32; 2],
+    /// Mean of the points: about what the scan looks at.
+    middle: [f32; 2],
     /// Nearest return by bearing around the sensor, centimetres; 0: none.
     seen_cm: Box<[u16; BEARINGS]>,
 }
@@ -85,6 +87,8 @@ impl Cloud {
     fn indexed(points: Vec<SurfacePoint>, sensor: [f32; 2]) -> Self {
         let buckets = (points.len() / 2).next_power_of_two().max(1);
         let mut heads = vec![0_u16; buckets + 1];
+        let share = 1.0 / points.len().max(1) as f32;
+        let middle = points.iter().fold([0.0; 2], |m, p| [m[0] + share * p.at[0], m[1] + share * p.at[1]]);
         for p in &points {
             heads[bucket(cell(p.at), buckets) + 1] += 1;
         }
@@ -98,12 +102,17 @@ impl Cloud {
             sorted[*slot as usize] = p;
             *slot += 1;
         }
-        Self { points: sorted, heads, sensor, seen_cm: Box::new([0; BEARINGS]) }
+        Self { points: sorted, heads, sensor, middle, seen_cm: Box::new([0; BEARINGS]) }
     }
 
     /// The points, in no particular order.
     pub fn points(&self) -> &[SurfacePoint] {
         &self.points
+    }
+
+    /// Mean of the points: about what the scan looks at, in `base_footprint`.
+    pub fn middle(&self) -> [f64; 2] {
+        self.middle.map(f64::from)
     }
 
     /// The point nearest to `at`, not farther than `gate_m` (at most [`SEARCH_MAX_M`]), whose normal

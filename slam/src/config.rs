@@ -105,7 +105,7 @@ pub struct LinkConfig {
     pub sequential: usize,
     /// Links to so many other nodes near by.
     pub near: usize,
-    /// Only between nodes this close, metres.
+    /// Only where the middles of what they see are this close, metres.
     pub distance_max_m: f64,
     /// Only where the relative position is known at least this well (one standard deviation), metres.
     pub sigma_max_m: f64,

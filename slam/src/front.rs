@@ -192,7 +192,7 @@ impl Front {
         let expected = self.expect(scan.header.stamp, odom_from_base);
         let cloud = Arc::new(Cloud::new(scan, &self.config.lidar));
         let found = self.locate(&cloud, &expected);
-        let node = self.node_due(&found).then(|| self.make_node(scan, &found, odom_from_base, cloud));
+        let node = self.node_due(&found, &cloud).then(|| self.make_node(scan, &found, odom_from_base, cloud));
         self.remember(scan.header.stamp, &found, odom_from_base);
         let correction = self.correction(scan, &found, odom_from_base);
         Step { correction, refused: None, made_node: node.as_ref().map(|n| n.id), node }
@@ -326,12 +326,14 @@ impl Front {
         Some(Found { local_from_base: fit.frame_from_cloud, covariance, state })
     }
 
-    fn node_due(&mut self, found: &Found) -> bool {
+    fn node_due(&mut self, found: &Found, cloud: &Cloud) -> bool {
         let t = &self.config.tracking;
         if found.state == TrackingState::Lost {
             self.counts.lost += 1;
-            self.lost_in_row += 1;
-            if self.lost_in_row < t.lost_scans_max {
+            // A scan that sees nothing is no reason to give up the local map.
+            let blind = cloud.points().len() < t.points_min;
+            self.lost_in_row += u32::from(!blind);
+            if blind || self.lost_in_row < t.lost_scans_max {
                 return false;
             }
         } else {

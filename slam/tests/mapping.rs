@@ -77,6 +77,13 @@ fn laboratory_start() -> Pose2 {
 fn holds_a_map_with_90_degrees() {
     let done = drive(&laboratory(), &NARROW, laboratory_start(), &round(), true);
     let (mean, most, turned) = done.errors();
+    if std::env::var_os("DBG").is_some() {
+        println!("{:?} {:?}", done.slam.back_counts(), done.slam.counts());
+        for (i, (truth, (_, pose))) in done.truth.iter().zip(done.slam.trajectory()).enumerate() {
+            let wanted = done.world_from_map.between(*truth);
+            if i % 40 == 0 { println!("{i} at {:.2} {:.2} {:.2} err {:.3} {:.3} yaw {:.3} {:?}", truth.x_m, truth.y_m, truth.yaw_rad, pose.x_m-wanted.x_m, pose.y_m-wanted.y_m, msg::pose::wrap_angle(pose.yaw_rad-wanted.yaw_rad), done.states[i]); }
+        }
+    }
     assert!(done.odometry_error_m > 0.3, "odometry alone is off by {} m", done.odometry_error_m);
     assert!(mean < 0.03 && most < 0.1 && turned < 0.05, "{mean} {most} {turned}");
     let lost = done.states.iter().filter(|s| **s == TrackingState::Lost).count();
