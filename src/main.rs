@@ -1,9 +1,8 @@
 //! The one binary of MR-SLAM.
 
 use clap::{Parser, Subcommand};
-use mr_slam::process::{ProcessArgs, RobotArgs};
+use mr_slam::process::{Process, ProcessArgs, RobotArgs, SimArgs};
 use mr_slam::{demo, lockstep, operator, process, replay, status, stop::Stop, up};
-use msg::Role;
 use std::process::ExitCode;
 
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2.
@@ -30,7 +29,7 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// One process of a fleet, started by `up`: a robot in its room
     #[command(display_order = 100)]
-    Sim(RobotArgs),
+    Sim(SimArgs),
     /// One process of a fleet, started by `up`: a robot's SLAM
     #[command(display_order = 100)]
     Slam(RobotArgs),
@@ -69,11 +68,11 @@ fn run(command: Command) -> Result<(), process::Error> {
         }
         Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
         Command::Replay(args) => replay::run(&args)?,
-        Command::Sim(args) => process::run(Role::Sim, Some(args.robot), &args.process)?,
-        Command::Slam(args) => process::run(Role::Slam, Some(args.robot), &args.process)?,
-        Command::Merge(args) => process::run(Role::Merge, None, &args)?,
-        Command::Telemetry(args) => process::run(Role::Telemetry, None, &args)?,
-        Command::Bridge(args) => process::run(Role::Bridge, None, &args)?,
+        Command::Sim(args) => process::run(&Process::Sim(args))?,
+        Command::Slam(args) => process::run(&Process::Slam(args))?,
+        Command::Merge(args) => process::run(&Process::Merge(args))?,
+        Command::Telemetry(args) => process::run(&Process::Telemetry(args))?,
+        Command::Bridge(args) => process::run(&Process::Bridge(args))?,
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use crate::clock::now;
 use crate::map_file;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
-use msg::{FleetStats, Grid, Monotonic, RobotId};
+use msg::{FleetStats, Grid, Monotonic, Pose2, RobotId, Truth};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -16,6 +16,8 @@ pub struct Observer {
     newest: Option<Box<FleetStats>>,
     merged_map: MapWatch,
     maps: Vec<MapWatch>,
+    truths: Vec<Reader<Truth>>,
+    last_seen: Vec<Option<Pose2>>,
     // The readers' presence in the run; dropped after them.
     _node: Node,
 }
@@ -40,6 +42,11 @@ impl Observer {
             newest: None,
             merged_map: watch("merged_map".into(), node.grid_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
+            truths: run
+                .robots()
+                .map(|robot| node.reader(&channel::truth(robot)))
+                .collect::<Result<_, _>>()?,
+            last_seen: vec![None; run.config.fleet.robots],
             _node: node,
         })
     }
@@ -50,6 +57,9 @@ impl Observer {
             if let Some(map) = watch.reader.newest().and_then(|map| map.to_owned()) {
                 watch.newest = Some(map);
             }
+        }
+        for (truths, last_seen) in self.truths.iter_mut().zip(&mut self.last_seen) {
+            *last_seen = truths.newest().map(|truth| truth.world_from_base).or(*last_seen);
         }
         let stats = self.stats.newest();
         let new = stats.is_some();
@@ -69,6 +79,11 @@ impl Observer {
     /// The newest figures.
     pub fn stats(&self) -> Option<&FleetStats> {
         self.newest.as_deref()
+    }
+
+    /// Where a simulated robot was last seen: its pose in `world`.
+    pub fn last_seen(&self, robot: RobotId) -> Option<Pose2> {
+        *self.last_seen.get(robot.index())?
     }
 
     /// Writes every map that was seen: PGM with YAML, and PNG. Returns the files' stems.

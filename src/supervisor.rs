@@ -2,7 +2,7 @@
 //! started again, and its peers notice nothing but its silence.
 
 use crate::run::Run;
-use msg::{RobotId, Role};
+use msg::{Pose2, RobotId, Role};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io;
 use std::net::TcpListener;
@@ -47,6 +47,9 @@ impl Member {
     }
 }
 
+/// Where a simulated robot was last seen: its pose in `world`.
+pub type LastSeen<'a> = &'a dyn Fn(RobotId) -> Option<Pose2>;
+
 /// The fleet's processes.
 pub struct Supervisor {
     run: Run,
@@ -69,15 +72,16 @@ impl Supervisor {
             members.push(member(Role::Sim, Some(robot)));
         }
         let mut supervisor = Self { run: run.clone(), listener, members };
-        supervisor.tend(&mut |_| {});
+        supervisor.tend(&|_| None, &mut |_| {});
         match supervisor.members.iter().find(|member| !matches!(member.state, State::Running { .. })) {
             Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
             None => Ok(supervisor),
         }
     }
 
-    /// Notices deaths, and starts again what is due. Never blocks. `tell` hears what happened.
-    pub fn tend(&mut self, tell: &mut dyn FnMut(String)) {
+    /// Notices deaths, and starts again what is due. Never blocks. A robot is put back where it was
+    /// `last_seen`, in `world`. `tell` hears what happened.
+    pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         let mut died = false;
         for member in &mut self.members {
             died |= notice_death(member, tell);
@@ -86,16 +90,17 @@ impl Supervisor {
             self.run.domain.clean_up_after_the_dead();
         }
         for index in 0..self.members.len() {
-            self.start_if_due(index, tell);
+            self.start_if_due(index, last_seen, tell);
         }
     }
 
-    fn start_if_due(&mut self, index: usize, tell: &mut dyn FnMut(String)) {
+    fn start_if_due(&mut self, index: usize, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         let Member { role, robot, state: State::Waiting { until }, .. } = self.members[index] else { return };
         if Instant::now() < until {
             return;
         }
-        let started = self.spawn(role, robot);
+        let place = robot.filter(|_| role == Role::Sim).and_then(last_seen);
+        let started = self.spawn(role, robot, place);
         let member = &mut self.members[index];
         member.state = match started {
             Ok(child) => State::Running { child, since: Instant::now() },
@@ -106,11 +111,14 @@ impl Supervisor {
         };
     }
 
-    fn spawn(&self, role: Role, robot: Option<RobotId>) -> io::Result<Child> {
+    fn spawn(&self, role: Role, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
         let mut command = Command::new(std::env::current_exe()?);
         command.arg(role.name());
         if let Some(robot) = robot {
             command.arg("--robot").arg(robot.number().to_string());
+        }
+        if let Some(Pose2 { x_m, y_m, yaw_rad }) = place {
+            command.arg(format!("--at={x_m},{y_m},{yaw_rad}"));
         }
         command.arg("--run-dir").arg(&self.run.dir);
         let stdin = match role {

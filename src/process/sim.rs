@@ -7,7 +7,7 @@ use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, Node, Reader, Writer, wait};
 use crate::stop::Stop;
-use msg::{Clock, Command, Odometry, RobotId, Role, Scan, Transforms, Truth};
+use msg::{Clock, Command, Odometry, Pose2, RobotId, Role, Scan, Transforms, Truth};
 use sim::Simulator;
 
 /// A simulator further behind than this lets the time go instead of hurrying after it: the
@@ -17,7 +17,7 @@ const BEHIND_MAX_S: f64 = 1.0;
 /// The robot whose simulator keeps the fleet's clock.
 const TIMEKEEPER: usize = 1;
 
-pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
+pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Sim, Some(robot))?;
     let mut pulse = Pulse::new(&node, run, Role::Sim, Some(robot))?;
     let mut commands = node.reader(&channel::command(robot))?;
@@ -32,7 +32,12 @@ pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
     let start = fleet::starts(&run.config, &room)?[robot.index()];
 
     let lag = fleet::tick_lag(robot, run.config.fleet.robots);
-    let mut simulator = fleet::simulator(&run.config, &room, robot, start)?;
+    let at_start = || fleet::simulator(&run.config, &room, robot, start);
+    // Where it was may have been against a table; then it begins anew.
+    let mut simulator = match at {
+        Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|_| at_start())?,
+        None => at_start()?,
+    };
     simulator.join_at(fleet::stamp_now(run.epoch));
     while !stop.requested() {
         let due = run.epoch.moment(simulator.now() + Simulator::TICK + lag);
