@@ -57,10 +57,15 @@ impl Raster {
         })
     }
 
-    /// Marks the cells under a segment.
+    /// Marks the cells under a segment, but for corners cut by less than an eighth of a cell.
     pub(crate) fn draw_segment(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2]) {
+        self.draw_points(cells, from, to, 8.0);
+    }
+
+    /// Marks the cells under points of a segment, so many in a cell.
+    pub(crate) fn draw_points(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2], in_a_cell: f64) {
         let length_m = (to[0] - from[0]).hypot(to[1] - from[1]);
-        let steps = (length_m / self.resolution_m * 8.0).ceil().max(1.0) as usize;
+        let steps = (length_m / self.resolution_m * in_a_cell).ceil().max(1.0) as usize;
         for step in 0..=steps {
             let t = step as f64 / steps as f64;
             let point = [from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])];

@@ -26,7 +26,7 @@ const FLOOR_BAND_M: f32 = 0.05;
 
 impl Mesh {
     /// y up (x right, z towards the viewer) to z up: a quarter turn about x.
-    pub(crate) fn from_y_up(mut self) -> Self {
+    pub(crate) fn with_z_up(mut self) -> Self {
         self.vertices.iter_mut().for_each(|v| *v = Vec3::new(v.x, -v.z, v.y));
         self
     }
@@ -149,6 +149,6 @@ mod tests {
     #[test]
     fn y_up_becomes_z_up() {
         let mesh = Mesh { vertices: vec![Vec3::new(1.0, 2.0, 3.0)], triangles: vec![] };
-        assert_eq!(mesh.from_y_up().vertices[0], Vec3::new(1.0, -3.0, 2.0));
+        assert_eq!(mesh.with_z_up().vertices[0], Vec3::new(1.0, -3.0, 2.0));
     }
 }

@@ -28,7 +28,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Mesh, RoomError> {
         mesh.triangles.extend(triangles.map(|t| [t[0], t[1], t[2]].map(|i| i.saturating_add(first))));
     }
     mesh.check()?;
-    let y_up = mesh.clone().from_y_up();
+    let y_up = mesh.clone().with_z_up();
     let floor_m2 = |mesh: &Mesh| mesh.find_floor(None).map_or(0.0, |(_, area)| area);
     let is_y_up = stated_up(bytes).map_or_else(|| floor_m2(&y_up) > floor_m2(&mesh), |up| up == "y");
     Ok(if is_y_up { y_up } else { mesh })

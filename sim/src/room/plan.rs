@@ -24,13 +24,19 @@ const START_CLEARANCES_M: [f32; 3] = [0.4, 0.25, 0.15];
 const START_DISTANCE_MIN_M: f64 = 0.5;
 /// A robot starts in the direction in which it sees most, within this range, metres.
 const VIEW_M: f32 = 3.5;
+/// A plan is drawn from rays of so many places at most, at best every so many cells of the ground (0.2 m).
+const VIEWPOINTS_MAX: usize = 1000;
+const VIEWPOINT_STRIDE: usize = 4;
+/// Rays from each of them, and their range, metres.
+const PLAN_RAYS: usize = 360;
+const PLAN_RANGE_M: f32 = 12.0;
 /// Directions tried, and how many of them a forward LiDAR of 90° sees.
 const VIEW_RAYS: usize = 72;
 const VIEW_WIDTH: usize = VIEW_RAYS / 4;
 
 impl Room {
     /// The truth as the LiDAR's plane sees it, frame `world`: cells with a visible surface at the
-    /// LiDAR's height are occupied, floor that its rays reach from where robots drive is free, the rest
+    /// LiDAR's height are occupied, floor that its rays cross from where robots drive is free, the rest
     /// is unknown. `resolution_m` is kept within 0.01 to 1 m and coarse enough for [`CELLS_MAX`].
     pub fn floor_plan(&self, resolution_m: f64) -> Grid {
         let raster = self.plan_raster(resolution_m);
@@ -38,16 +44,13 @@ impl Room {
         for (from, to) in self.lidar_slice() {
             raster.draw_segment(&mut walls, from, to);
         }
-        let ground_cell = |cell: usize| self.ground.raster.index(raster.centre_m(cell));
-        let is_floor = |cell: usize| ground_cell(cell).is_some_and(|i| self.ground.floor[i]);
-        let is_seed =
-            |cell: &usize| !walls[*cell] && ground_cell(*cell).is_some_and(|i| self.ground.drivable[i]);
-        let mut reached = vec![0; raster.len()];
-        let seeds = (0..raster.len()).filter(is_seed);
-        raster.flood(&mut reached, 1, seeds, |cell| !walls[cell] && is_floor(cell));
-
+        // Cells between two rays count as seen, those behind a wall do not: no wall opens over an edge.
+        let seen = self.seen_floor(&raster);
+        let is_seen = |cell: usize| seen[cell] && !walls[cell];
+        let beside = |cell: usize| raster.around(cell).any(|(near, over_edge)| over_edge && is_seen(near));
+        let is_free = |cell: usize| !walls[cell] && (is_seen(cell) || beside(cell));
         let mut cells = vec![UNKNOWN; raster.len()];
-        for cell in (0..raster.len()).filter(|cell| reached[*cell] != 0) {
+        for cell in (0..raster.len()).filter(|cell| is_free(*cell)) {
             cells[cell] = -LOG_ODDS_MAX;
             for (near, _) in raster.around(cell).filter(|(near, _)| walls[*near]) {
                 cells[near] = LOG_ODDS_MAX;
@@ -61,6 +64,43 @@ impl Room {
             ..GridHeader::default()
         };
         Grid { header, cells }
+    }
+
+    /// Cells of floor that a ray of the LiDAR crosses, from one of many places where robots drive.
+    fn seen_floor(&self, raster: &Raster) -> Vec<bool> {
+        let ground = &self.ground;
+        let places = ground.drivable.iter().filter(|drivable| **drivable).count();
+        // Every so many rows and columns.
+        let mut stride = VIEWPOINT_STRIDE;
+        while places / (stride * stride) > VIEWPOINTS_MAX {
+            stride += 1;
+        }
+        let on_lattice = |cell: &usize| {
+            let (column, row) = (cell % ground.raster.width, cell / ground.raster.width);
+            column % stride == 0 && row % stride == 0
+        };
+        let mut crossed = vec![false; raster.len()];
+        for place in (0..ground.raster.len()).filter(|cell| ground.drivable[*cell]).filter(on_lattice) {
+            let from = ground.raster.centre_m(place);
+            for ray in 0..PLAN_RAYS {
+                let (sin, cos) = (TAU * ray as f64 / PLAN_RAYS as f64).sin_cos();
+                // Short of the wall, which may lie on the edge of the next cell.
+                let range_m =
+                    f64::from(self.view_m(from, [cos, sin], PLAN_RANGE_M)) - raster.resolution_m / 2.0;
+                let to = [from[0] + range_m * cos, from[1] + range_m * sin];
+                raster.draw_points(&mut crossed, from, to, 1.5);
+            }
+        }
+        let is_floor =
+            |cell: usize| ground.raster.index(raster.centre_m(cell)).is_some_and(|i| ground.floor[i]);
+        crossed.into_iter().enumerate().map(|(cell, crossed)| crossed && is_floor(cell)).collect()
+    }
+
+    /// How far the LiDAR sees from a point in a unit direction, metres.
+    fn view_m(&self, [x, y]: [f64; 2], [cos, sin]: [f64; 2], max_m: f32) -> f32 {
+        let origin = Vec3::new(x as f32, y as f32, burger::SCAN_HEIGHT_M as f32);
+        let ray = Ray::new(origin, Vec3::new(cos as f32, sin as f32, 0.0));
+        self.mesh().cast_local_ray(&ray, max_m, false).unwrap_or(max_m)
     }
 
     fn plan_raster(&self, resolution_m: f64) -> Raster {
@@ -141,12 +181,10 @@ impl Room {
 
     /// A pose at a point, turned to where 90° hold most free view.
     fn look_around(&self, [x, y]: [f64; 2]) -> Pose2 {
-        let origin = Vec3::new(x as f32, y as f32, burger::SCAN_HEIGHT_M as f32);
         let angle = |ray: usize| TAU * ray as f64 / VIEW_RAYS as f64;
         let view = |ray: usize| {
             let (sin, cos) = angle(ray).sin_cos();
-            let ray = Ray::new(origin, Vec3::new(cos as f32, sin as f32, 0.0));
-            self.mesh().cast_local_ray(&ray, VIEW_M, false).unwrap_or(VIEW_M)
+            self.view_m([x, y], [cos, sin], VIEW_M)
         };
         let views: Vec<f32> = (0..VIEW_RAYS).map(view).collect();
         let within = |middle: usize| -> f32 {

@@ -6,7 +6,8 @@ use std::io::Read;
 
 impl Room {
     /// Reads a room: scene JSON as WebXR's emulators record it (y up; `.json`), glTF with its buffers
-    /// inside (y up; `.glb`, `.gltf`), or Wavefront OBJ (`.obj`; y or z up, see the README); any of
+    /// inside (y up; `.glb`, `.gltf`), or Wavefront OBJ (`.obj`; y or z up: a line `# up y` or `# up z` near its
+    /// head says which, else the axis is taken on whose side the larger floor lies); any of
     /// them gzipped. What it is, its content says; `name` helps to tell OBJ and is the room's name.
     ///
     /// Floors of scans are not flat: the floor's height is found, robots drive on a plane there, and

@@ -69,7 +69,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Mesh, Option<f32>), RoomError> {
     }
     let floor = scene.entities.iter().find(|entity| entity.label.as_deref() == Some("FLOOR"));
     let floor_m = floor.and_then(|entity| entity.place.as_ref()).map(|place| place.position.y);
-    Ok((mesh.from_y_up(), floor_m.filter(|height| height.is_finite())))
+    Ok((mesh.with_z_up(), floor_m.filter(|height| height.is_finite())))
 }
 
 fn malformed(reason: String) -> RoomError {
