@@ -31,6 +31,11 @@ impl Canvas {
         Self { config, header, cells: Vec::new(), corner: [0; 2], drawn: Vec::new(), clipped: 0 }
     }
 
+    /// Nodes that were not drawn because the grid would have become too large.
+    pub fn clipped(&self) -> u64 {
+        self.clipped
+    }
+
     /// The grid of these nodes at these poses. New nodes are added; if old ones have moved, all is
     /// drawn again.
     pub fn draw(&mut self, nodes: &[Node], poses: &[Pose2]) -> GridView<'_> {
