@@ -341,7 +341,8 @@ mod tests {
         assert_eq!(line.stamp, Stamp(12_500_000_000));
         assert!((line.angle_min_rad + 2.0 * line.angle_increment_rad - FRAC_PI_2).abs() < 1e-12);
 
-        let (records, errors, skipped) = read("# a comment\n\nPARAM x y\nODOM 1 2 3 0.4 0.5 0 -2.884230 h 0\n");
+        let (records, errors, skipped) =
+            read("# a comment\n\nPARAM x y\nODOM 1 2 3 0.4 0.5 0 -2.884230 h 0\n");
         assert!(errors.is_empty());
         assert_eq!(skipped, 3);
         let stamp = Stamp(-2_884_230_000);
@@ -376,7 +377,10 @@ mod tests {
         for (line, field, found) in cases {
             let (records, errors, _) = read(&format!("# first\n{line}\n{ROBOTLASER}"));
             assert_eq!(errors.len(), 1, "{line}");
-            assert_eq!((errors[0].line, errors[0].field.as_str(), errors[0].found.as_str()), (2, field, found));
+            assert_eq!(
+                (errors[0].line, errors[0].field.as_str(), errors[0].found.as_str()),
+                (2, field, found)
+            );
             assert_eq!(records.len(), 1, "{line}");
         }
     }

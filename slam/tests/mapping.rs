@@ -112,7 +112,9 @@ fn ring_log(lidar: &Lidar) -> (Vec<(msg::Odometry, Box<msg::Scan>)>, Vec<Pose2>)
     let (mut log, mut truth) = (Vec::new(), Vec::new());
     for _ in 0..2 {
         for side_m in [15.6, 11.6, 15.6, 11.6] {
-            let legs = (0..(side_m / 0.4) as usize).map(|_| (0.4, 0.0)).chain((0..4).map(|_| (0.0, core::f64::consts::FRAC_PI_8)));
+            let legs = (0..(side_m / 0.4) as usize)
+                .map(|_| (0.4, 0.0))
+                .chain((0..4).map(|_| (0.0, core::f64::consts::FRAC_PI_8)));
             for (way, turn) in legs {
                 robot.drive(way, turn, 1.0, &mut noise);
                 let scan = cast(&walls, lidar, robot.world_from_base, robot.stamp(), &mut noise);
