@@ -54,6 +54,8 @@ pub struct BackCounts {
     pub retracted: u64,
     /// Solutions of the whole graph.
     pub solutions: u64,
+    /// Nodes not drawn because the map would have become larger than a grid may be.
+    pub not_drawn: u64,
     /// How closure searches ended.
     pub searches: SearchCounts,
 }
@@ -145,6 +147,7 @@ impl Back {
             closures: count(EdgeKind::Closure),
             retracted: self.retracted,
             solutions: self.solutions,
+            not_drawn: self.canvas.clipped(),
             searches: self.detector.counts(),
         }
     }

@@ -23,6 +23,8 @@ const PENDING_NODES: u32 = 40;
 const REACH_M: f32 = 20.0;
 /// References and query nodes that take part in alignment and contradiction tests.
 const JUDGES: usize = 6;
+/// Nodes before the newest that are looked for with it, at least.
+const QUERY_NODES_MIN: u32 = 5;
 /// Candidate passes tried in one search.
 const TRIES: usize = 2;
 /// Nodes must be this far apart in the graph's order to be a place seen before.
@@ -73,6 +75,24 @@ impl<'a> View<'a> {
     fn placed(&self, from: u32, id: u32) -> Placed<'a> {
         let poses = self.graph.poses();
         (&self.nodes[id as usize], poses[from as usize].between(poses[id as usize]))
+    }
+
+    /// Nodes before and after `middle`, each side up to `half_m` of way and `half_nodes`: first and last.
+    fn pass(&self, middle: u32, half_m: f64, half_nodes: u32) -> (u32, u32) {
+        let poses = self.graph.poses();
+        let reach = |step: i64| {
+            let (mut id, mut way) = (i64::from(middle), 0.0);
+            while (id - i64::from(middle)).unsigned_abs() < u64::from(half_nodes) {
+                let Some(next) = poses.get((id + step) as usize) else { break };
+                way += poses[id as usize].distance_m(*next);
+                if way > half_m {
+                    break;
+                }
+                id += step;
+            }
+            id as u32
+        };
+        (reach(-1), reach(1))
     }
 }
 
@@ -175,7 +195,7 @@ impl Detector {
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut chosen: Vec<u32> = Vec::new();
         for (_, id) in near {
-            if chosen.iter().all(|other| other.abs_diff(id) > c.chain_nodes as u32) {
+            if chosen.iter().all(|other| !self.same_pass(graph, *other, id)) {
                 chosen.push(id);
             }
             if chosen.len() == TRIES {
@@ -183,6 +203,14 @@ impl Detector {
             }
         }
         chosen
+    }
+
+    /// Whether the pass around one node covers the other one.
+    fn same_pass(&self, graph: &Graph, a: u32, b: u32) -> bool {
+        let c = &self.config.closures;
+        let poses = &graph.poses()[a.min(b) as usize..=a.max(b) as usize];
+        let way: f64 = poses.windows(2).map(|p| p[0].distance_m(p[1])).sum();
+        way < c.chain_m && poses.len() <= c.chain_nodes
     }
 
     fn try_candidate(&mut self, view: &View<'_>, window: Window, candidate: u32, node: u32) -> Option<Find> {
@@ -196,12 +224,12 @@ impl Detector {
 
     /// The pass around the candidate, as seen from it.
     fn chain<'a>(&mut self, view: &View<'a>, candidate: u32, query: &[Placed<'a>]) -> Vec<Placed<'a>> {
-        let half = self.config.closures.chain_nodes as u32 / 2;
-        let last = (candidate + half).min(view.nodes.len() as u32 - 1);
+        let c = &self.config.closures;
+        let (first, last) = view.pass(candidate, c.chain_m / 2.0, c.chain_nodes as u32 / 2);
         let (from, to) = (query[0].0.id, query[query.len() - 1].0.id);
         self.field.clear([0.0; 2]);
-        let mut chain = Vec::with_capacity(2 * half as usize + 1);
-        for id in (candidate.saturating_sub(half)..=last).filter(|id| !(from..=to).contains(id)) {
+        let mut chain = Vec::with_capacity(c.chain_nodes + 1);
+        for id in (first..=last).filter(|id| !(from..=to).contains(id)) {
             let (node, candidate_from_node) = view.placed(candidate, id);
             self.field.insert(&node.cloud, candidate_from_node);
             chain.push((node, candidate_from_node));
@@ -211,10 +239,16 @@ impl Detector {
 
     /// The nodes around `node`, as seen from it: those before it, or both sides of an older one.
     fn query<'a>(&self, view: &View<'a>, node: u32) -> Vec<Placed<'a>> {
-        let count = self.config.closures.query_nodes as u32;
-        let newest = view.nodes.len() as u32 - 1;
-        let last = (node + count / 2).min(newest);
-        let first = (last + 1).saturating_sub(count);
+        let c = &self.config.closures;
+        let most = c.query_nodes as u32;
+        let (mut first, last) = view.pass(node, c.query_m / 2.0, most / 2);
+        // A new node has nothing after it: what is missing there is taken from before.
+        let newest = last + 1 == view.nodes.len() as u32;
+        if newest {
+            first = view.pass(node, c.query_m, most).0.max((last + 1).saturating_sub(most));
+        }
+        // However dense the nodes, a few more than one scan.
+        first = first.min(last.saturating_sub(QUERY_NODES_MIN));
         (first..=last).map(|id| view.placed(node, id)).collect()
     }
 

@@ -85,7 +85,7 @@ impl Cloud {
     }
 
     fn indexed(points: Vec<SurfacePoint>, sensor: [f32; 2]) -> Self {
-        let buckets = (points.len() / 2).next_power_of_two().max(1);
+        let buckets = (2 * points.len()).next_power_of_two();
         let mut heads = vec![0_u16; buckets + 1];
         let share = 1.0 / points.len().max(1) as f32;
         let middle = points.iter().fold([0.0; 2], |m, p| [m[0] + share * p.at[0], m[1] + share * p.at[1]]);
@@ -127,9 +127,7 @@ impl Cloud {
             for p in &self.points[self.heads[b] as usize..self.heads[b + 1] as usize] {
                 let (x, y) = (p.at[0] - at[0], p.at[1] - at[1]);
                 let squared = x * x + y * y;
-                let faces = normal[0] * p.normal[0] + normal[1] * p.normal[1];
-                let compatible = faces > FACING || !p.is_flat() || normal == [0.0; 2];
-                if squared < best && compatible {
+                if squared < best && compatible(normal, p.normal) {
                     best = squared;
                     found = Some(p);
                 }
@@ -189,6 +187,11 @@ impl Placement {
     pub fn direction(&self, [x, y]: [f32; 2]) -> [f32; 2] {
         [self.cos * x - self.sin * y, self.sin * x + self.cos * y]
     }
+}
+
+fn compatible(a: [f32; 2], b: [f32; 2]) -> bool {
+    let faces = a[0] * b[0] + a[1] * b[1];
+    faces > FACING || a == [0.0; 2] || b == [0.0; 2]
 }
 
 fn cell(at: [f32; 2]) -> [i32; 2] {

@@ -150,9 +150,13 @@ pub struct ClosureConfig {
     pub window_sigmas: f64,
     /// Travel between two searches, metres.
     pub travel_m: f64,
-    /// Nodes around the candidate that form the map searched in.
+    /// Way around the candidate that forms the map searched in, metres,
+    pub chain_m: f64,
+    /// and its most nodes.
     pub chain_nodes: usize,
-    /// Newest nodes that form what is searched for.
+    /// Way around the node that is searched for with it, metres,
+    pub query_m: f64,
+    /// and its most nodes.
     pub query_nodes: usize,
     /// Points of the query.
     pub query_points_max: usize,
@@ -289,8 +293,10 @@ impl Default for ClosureConfig {
             window_max_rad: 0.5,
             window_sigmas: 3.0,
             travel_m: 0.8,
-            chain_nodes: 20,
-            query_nodes: 8,
+            chain_m: 14.0,
+            chain_nodes: 48,
+            query_m: 5.0,
+            query_nodes: 16,
             query_points_max: 350,
             response_min: 0.5,
             rival_max: 0.9,

@@ -116,6 +116,8 @@ pub struct Front {
     config: SlamConfig,
     odometry: OdometryBuffer,
     last: Option<Last>,
+    /// Odometry at the newest node, if it has not jumped since.
+    node_odom_from_base: Option<Pose2>,
     /// Newest nodes, newest at the back.
     recent: VecDeque<Node>,
     next_node: u32,
@@ -144,6 +146,7 @@ impl Front {
         Self {
             odometry: OdometryBuffer::new(config.odometry.clone()),
             last: None,
+            node_odom_from_base: None,
             recent: VecDeque::with_capacity(t.references + 1),
             next_node: 0,
             local_maps: [local_map(), local_map()],
@@ -233,22 +236,27 @@ impl Front {
     }
 
     /// Where the robot should be by odometry, or by its last motion, and how sure that is.
-    fn expect(&self, stamp: Stamp, odom_from_base: Option<Pose2>) -> Expected {
+    fn expect(&mut self, stamp: Stamp, odom_from_base: Option<Pose2>) -> Expected {
         let Some(last) = &self.last else {
             return Expected { pose: Pose2::IDENTITY, sigma_m: 0.0, sigma_rad: 0.0 };
         };
         let c = &self.config.odometry;
         let interval_s = stamp - last.stamp;
         if let (Some(before), Some(now)) = (last.odom_from_base, odom_from_base) {
+            // Wheels that claim more than the robot can have driven were reset.
+            if before.distance_m(now) > 3.0 * (c.speed_max_m_s * interval_s + 1.0) {
+                self.node_odom_from_base = None;
+            }
+        }
+        // From the newest node, not from the scan before: many small steps would add up to more
+        // doubt than one long one.
+        let from_node = self.recent.back().zip(self.node_odom_from_base).zip(odom_from_base);
+        if let Some(((node, before), now)) = from_node {
             let moved = before.between(now);
             let (way, turn) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
-            // The next scan cannot be farther off than the robot can have driven.
-            let plausible = way <= 3.0 * (c.speed_max_m_s * interval_s + 1.0);
-            if plausible {
-                let sigma_m = c.sigma_m + c.sigma_m_per_m * way;
-                let sigma_rad = c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way;
-                return Expected { pose: last.local_from_base * moved, sigma_m, sigma_rad };
-            }
+            let sigma_m = c.sigma_m + c.sigma_m_per_m * way;
+            let sigma_rad = c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way;
+            return Expected { pose: node.local_from_base * moved, sigma_m, sigma_rad };
         }
         let carried = last.velocity.filter(|_| interval_s < 0.5).unwrap_or(Pose2::IDENTITY);
         Expected {
@@ -349,12 +357,8 @@ impl Front {
 
     fn make_node(&mut self, scan: &Scan, found: &Found, odom: Option<Pose2>, cloud: Arc<Cloud>) -> Node {
         let fits = found.state != TrackingState::Lost;
-        let newest = self.rides.last().filter(|_| !self.recent.is_empty());
-        // Odometry from node to node: through the ride of the scan before.
-        let previous_from_this = newest.zip(self.last).and_then(|(ride, last)| {
-            let step = last.odom_from_base?.between(odom?);
-            Some(ride.node_from_base * step)
-        });
+        let previous_from_this = self.node_odom_from_base.zip(odom).map(|(before, now)| before.between(now));
+        self.node_odom_from_base = odom;
         let node = Node {
             id: self.next_node,
             header: scan.header,
