@@ -22,6 +22,10 @@ pub struct ClientId {
     pub serial: u64,
 }
 
+/// There is no such client any more, or its connection must end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ended;
+
 /// A service frame that must come next on a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Expected {
@@ -83,8 +87,8 @@ pub struct Client {
     /// Its task waits for room in the socket and goes on writing then.
     waiting: bool,
     told: Vec<(Refusal, Option<TopicId>, Instant)>,
-    /// Why its connection must end.
-    fault: Option<String>,
+    /// Its connection must end: it is broken, or the client does not read the answers it asked for.
+    lost: bool,
 }
 
 impl Client {
@@ -104,7 +108,7 @@ impl Client {
             self.flush(pool);
         }
         if self.outbox.push(lane, bytes, pool).is_err() {
-            self.fault("it does not read the answers it asked for".into());
+            self.lose();
         }
     }
 
@@ -119,7 +123,7 @@ impl Client {
                 self.waiting = true;
                 self.wake.notify_one();
             }
-            Err(error) => self.fault(error.to_string()),
+            Err(_) => self.lose(),
         }
     }
 
@@ -128,8 +132,8 @@ impl Client {
         self.outbox.flush(|slices| stream.try_write_vectored(slices), pool)
     }
 
-    fn fault(&mut self, why: String) {
-        self.fault.get_or_insert(why);
+    fn lose(&mut self) {
+        self.lost = true;
         self.wake.notify_one();
     }
 
@@ -211,7 +215,7 @@ impl Board {
             dirty: false,
             waiting: false,
             told: Vec::new(),
-            fault: None,
+            lost: false,
         });
         id
     }
@@ -446,19 +450,21 @@ impl Board {
         }
     }
 
-    /// Writes on for one client whose socket has room again; whether more waits, or why it must end.
-    pub fn flush_one(&mut self, id: ClientId) -> Result<bool, String> {
+    /// Whether a client's frames wait for room in its socket.
+    pub fn waits(&self, id: ClientId) -> Result<bool, Ended> {
+        let client = self.client(id).filter(|client| !client.lost).ok_or(Ended)?;
+        Ok(client.waiting)
+    }
+
+    /// Writes on for one client whose socket has room again; whether more waits.
+    pub fn flush_one(&mut self, id: ClientId) -> bool {
         let Some(client) = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|c| c.id == id)
         else {
-            return Err("it is gone".into());
+            return false;
         };
-        let flushed = client.write(&mut self.pool);
-        client.waiting = !matches!(flushed, Ok(Flushed::All));
-        match (flushed, &client.fault) {
-            (_, Some(why)) => Err(why.clone()),
-            (Err(error), None) => Err(error.to_string()),
-            (Ok(flushed), None) => Ok(flushed != Flushed::All),
-        }
+        client.waiting = false;
+        client.flush(&mut self.pool);
+        client.waiting
     }
 }
 

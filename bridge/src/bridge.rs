@@ -1,7 +1,7 @@
 //! The bridge as its process sees it: messages of the fleet in, commands for robots out.
 
 use crate::access::Access;
-use crate::board::{Board, ClientId, Counters};
+use crate::board::{Board, ClientId, Counters, Ended};
 use crate::command::{HANDSHAKE, name};
 use crate::config::{BridgeConfig, ConfigError};
 use crate::drive::Drive;
@@ -461,8 +461,13 @@ impl Bridge {
         self.hub.borrow_mut().board.flush();
     }
 
-    /// Writes on for one client; whether more waits, or why it must end.
-    pub(crate) fn flush_one(&self, id: ClientId) -> Result<bool, String> {
+    /// Whether a client's frames wait for room in its socket; an error if it must end.
+    pub(crate) fn waits(&self, id: ClientId) -> Result<bool, Ended> {
+        self.hub.borrow().board.waits(id)
+    }
+
+    /// Writes on for one client whose socket has room again; whether more waits.
+    pub(crate) fn flush_one(&self, id: ClientId) -> bool {
         self.hub.borrow_mut().board.flush_one(id)
     }
 

@@ -105,33 +105,25 @@ enum End {
 /// Reads and writes until the connection ends.
 async fn converse(bridge: &Bridge, id: ClientId, stream: &TcpStream, wake: &Notify) -> End {
     let mut parser = Parser::new(bridge.frame_bytes_max());
-    let mut waiting = true;
-    loop {
+    // Ends when there is no such client any more, or it takes nothing that it asked for.
+    while let Ok(waiting) = bridge.waits(id) {
         let interest = if waiting { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
         let ready = tokio::select! {
             biased;
-            ready = stream.ready(interest) => Some(ready),
-            () = wake.notified() => None,
+            ready = stream.ready(interest) => ready,
+            () = wake.notified() => continue,
         };
-        match ready {
-            Some(Err(_)) => return End::Gone,
-            Some(Ok(ready)) if ready.is_readable() || ready.is_read_closed() => {
-                if let Some(end) = read_turn(bridge, id, stream, &mut parser).await {
-                    return end;
-                }
-            }
-            _ => {}
+        let Ok(ready) = ready else { break };
+        if (ready.is_readable() || ready.is_read_closed())
+            && let Some(end) = read_turn(bridge, id, stream, &mut parser).await
+        {
+            return end;
         }
-        if ready.is_none() || waiting {
-            waiting = match bridge.flush_one(id) {
-                Ok(more) => more,
-                Err(_) => return End::Gone,
-            };
-            if waiting {
-                yield_now().await;
-            }
+        if ready.is_writable() && waiting && bridge.flush_one(id) {
+            yield_now().await;
         }
     }
+    End::Gone
 }
 
 /// One read and the frames it has brought. `Some` at the end of the connection.
