@@ -1,7 +1,7 @@
 //! ros_tcp on a listening socket: one task a client, all on one thread.
 
-use crate::board::ClientId;
 use crate::bridge::Bridge;
+use crate::client::ClientId;
 use crate::command::{HANDSHAKE, name};
 use crate::frame::{Parser, Side};
 use crate::outbox::{Flushed, Outbox};
@@ -26,8 +26,8 @@ const TICK: Duration = Duration::from_millis(250);
 const KEEPALIVE_IDLE: Duration = Duration::from_secs(5);
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(2);
 const KEEPALIVE_RETRIES: u32 = 3;
-/// A peer that acknowledges nothing for so long is gone.
-const UNACKNOWLEDGED_MAX: Duration = Duration::from_secs(20);
+/// A peer that takes nothing for so long is gone. A headset that is put down for a moment is not.
+const UNACKNOWLEDGED_MAX: Duration = Duration::from_secs(60);
 /// How long a connection that is being closed may take to read why.
 const FAREWELL: Duration = Duration::from_secs(1);
 /// Bytes read and thrown away meanwhile, so that the close does not look like a reset.
