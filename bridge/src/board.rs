@@ -1,147 +1,18 @@
 //! The switchboard: topics on one side, clients on the other, frames from one to many without a copy each.
 
 use crate::cdr::Writer;
+use crate::client::{Client, ClientId, Ended, Publication, Refusal};
 use crate::command::{Notice, name};
 use crate::frame::Side;
-use crate::outbox::{Flushed, Lane, Outbox};
+use crate::outbox::{Lane, Outbox};
 use crate::pool::{Bytes, Pool};
 use crate::topics::{Source, Subscriber, Topic, TopicId, Topics};
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::rc::Rc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::net::TcpStream;
 use tokio::sync::Notify;
-
-/// One connection, never confused with a later one in its place.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct ClientId {
-    /// Where it is kept.
-    pub slot: usize,
-    /// Counts connections.
-    pub serial: u64,
-}
-
-/// A service frame that must come next on a connection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Expected {
-    /// The request of the client's call with this number.
-    Request(i64),
-    /// The client's response to our call with this number.
-    Response(i64),
-}
-
-/// Why a data frame was refused; the same reason is told once a second.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refusal {
-    /// The topic was not registered for publication.
-    Unregistered,
-    /// The payload is not the message.
-    Payload,
-    /// The address may not.
-    Permission,
-    /// Another client drives.
-    Held,
-    /// The emergency stop is set.
-    Stopped,
-    /// The message says what it may not say.
-    Content,
-}
-
-/// How often the same refusal of a data frame is told again.
-const TOLD_AGAIN: Duration = Duration::from_secs(1);
-/// Refusals remembered per client.
-const TOLD_MAX: usize = 16;
-
-/// A topic a client has registered to publish.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Publication {
-    /// Which.
-    pub topic: TopicId,
-    /// It publishes TwistStamped where the topic is Twist.
-    pub stamped: bool,
-    /// It asked for latching.
-    pub latch: bool,
-}
-
-/// One connected client.
-pub struct Client {
-    /// Which.
-    pub id: ClientId,
-    /// Its address.
-    pub peer: SocketAddr,
-    /// What it is sent.
-    pub subscriptions: Vec<TopicId>,
-    /// What it may send.
-    pub publications: Vec<Publication>,
-    /// The service frame that must come next.
-    pub expected: Option<Expected>,
-    stream: Rc<TcpStream>,
-    wake: Rc<Notify>,
-    outbox: Outbox,
-    dirty: bool,
-    /// Its task waits for room in the socket and goes on writing then.
-    waiting: bool,
-    told: Vec<(Refusal, Option<TopicId>, Instant)>,
-    /// Why its connection must end.
-    fault: Option<String>,
-}
-
-impl Client {
-    /// Bytes that wait for it.
-    pub fn waiting_bytes(&self) -> usize {
-        self.outbox.bytes()
-    }
-
-    /// Messages dropped or replaced because it was slow.
-    pub fn dropped(&self) -> u64 {
-        self.outbox.dropped()
-    }
-
-    fn push(&mut self, lane: Lane, bytes: Bytes, pool: &mut Pool) {
-        if self.outbox.is_full(lane, bytes.len()) {
-            // Perhaps only because this turn's frames have not been written yet.
-            self.flush(pool);
-        }
-        if self.outbox.push(lane, bytes, pool).is_err() {
-            self.fault("it does not read the answers it asked for".into());
-        }
-    }
-
-    /// Straight to the socket, unless the client's task already waits for room in it.
-    fn flush(&mut self, pool: &mut Pool) {
-        if self.waiting {
-            return;
-        }
-        match self.write(pool) {
-            Ok(Flushed::All) => {}
-            Ok(Flushed::Blocked | Flushed::TurnOver) => {
-                self.waiting = true;
-                self.wake.notify_one();
-            }
-            Err(error) => self.fault(error.to_string()),
-        }
-    }
-
-    fn write(&mut self, pool: &mut Pool) -> std::io::Result<Flushed> {
-        let stream = &self.stream;
-        self.outbox.flush(|slices| stream.try_write_vectored(slices), pool)
-    }
-
-    fn fault(&mut self, why: String) {
-        self.fault.get_or_insert(why);
-        self.wake.notify_one();
-    }
-
-    fn should_tell(&mut self, refusal: Refusal, topic: Option<TopicId>, now: Instant) -> bool {
-        self.told.retain(|(.., at)| now.duration_since(*at) < TOLD_AGAIN);
-        let told = self.told.iter().any(|(kind, of, _)| (*kind, *of) == (refusal, topic));
-        if !told && self.told.len() < TOLD_MAX {
-            self.told.push((refusal, topic, now));
-        }
-        !told
-    }
-}
 
 /// What the bridge has counted since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -199,20 +70,8 @@ impl Board {
             self.clients.len() - 1
         });
         let id = ClientId { slot, serial: self.counted.accepted };
-        self.clients[slot] = Some(Client {
-            id,
-            peer,
-            subscriptions: Vec::new(),
-            publications: Vec::new(),
-            expected: None,
-            stream,
-            wake,
-            outbox: Outbox::new(self.outbox_bytes_max),
-            dirty: false,
-            waiting: false,
-            told: Vec::new(),
-            fault: None,
-        });
+        let outbox = Outbox::new(self.outbox_bytes_max);
+        self.clients[slot] = Some(Client::new(id, peer, stream, wake, outbox));
         id
     }
 
@@ -446,19 +305,21 @@ impl Board {
         }
     }
 
-    /// Writes on for one client whose socket has room again; whether more waits, or why it must end.
-    pub fn flush_one(&mut self, id: ClientId) -> Result<bool, String> {
+    /// Whether a client's frames wait for room in its socket.
+    pub fn waits(&self, id: ClientId) -> Result<bool, Ended> {
+        let client = self.client(id).filter(|client| !client.lost).ok_or(Ended)?;
+        Ok(client.waiting)
+    }
+
+    /// Writes on for one client whose socket has room again; whether more waits.
+    pub fn flush_one(&mut self, id: ClientId) -> bool {
         let Some(client) = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|c| c.id == id)
         else {
-            return Err("it is gone".into());
+            return false;
         };
-        let flushed = client.write(&mut self.pool);
-        client.waiting = !matches!(flushed, Ok(Flushed::All));
-        match (flushed, &client.fault) {
-            (_, Some(why)) => Err(why.clone()),
-            (Err(error), None) => Err(error.to_string()),
-            (Ok(flushed), None) => Ok(flushed != Flushed::All),
-        }
+        client.waiting = false;
+        client.flush(&mut self.pool);
+        client.waiting
     }
 }
 

@@ -1,172 +1,23 @@
 //! The bridge as its process sees it: messages of the fleet in, commands for robots out.
 
-use crate::access::Access;
-use crate::board::{Board, ClientId, Counters};
+use crate::board::Counters;
+use crate::client::{Client, ClientId, Ended};
 use crate::command::{HANDSHAKE, name};
 use crate::config::{BridgeConfig, ConfigError};
-use crate::drive::Drive;
 use crate::frame::{Frame, Side};
+use crate::hub::Hub;
 use crate::outbox::{Lane, Outbox};
-use crate::ros::{Bool, FrameNames, Int32, Message, names, write};
-use crate::services::Services;
-use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
+use crate::ros::{names, write};
 use msg::{
-    Anchors, Clock, Command, Correction, FleetStats, GridView, Header, Link, Odometry, ROBOTS_MAX, RobotId,
-    Scan, Stamp, Transforms,
+    Anchors, Clock, Command, Correction, FleetStats, GridView, Link, Odometry, ROBOTS_MAX, RobotId, Scan,
+    Transforms,
 };
 use std::cell::RefCell;
-use std::collections::VecDeque;
 use std::net::{IpAddr, SocketAddr};
 use std::rc::Rc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::net::TcpStream;
 use tokio::sync::Notify;
-
-/// Where each robot's map lies in the merged one is told again this often, for whoever has just come.
-const ANCHORS_PERIOD: Duration = Duration::from_secs(1);
-/// Transforms that wait for a slow client, per robot: about a second of them.
-const TRANSFORMS_DEPTH: usize = 32;
-/// Commands that wait to be taken; each frame's are taken before the next frame is read.
-const COMMANDS_MAX: usize = 4 * ROBOTS_MAX;
-/// Selected at start.
-const FIRST: RobotId = RobotId::new(1).unwrap();
-
-/// The fleet's topics.
-pub(crate) struct FleetTopics {
-    scan: Vec<TopicId>,
-    map: Vec<TopicId>,
-    stats: Vec<TopicId>,
-    odometry: Vec<TopicId>,
-    pub(crate) transforms: TopicId,
-    clock: TopicId,
-    merged_map: TopicId,
-    pub(crate) selected: TopicId,
-    pub(crate) stop: TopicId,
-}
-
-impl FleetTopics {
-    fn new(topics: &mut Topics, robots: usize) -> Self {
-        let depth = TRANSFORMS_DEPTH * robots;
-        let mut input = |name: String, class: &str, input: Input| {
-            topics.add(name, class, Source::Input(input), DEPTH_USUAL, false);
-        };
-        input("/cmd_vel".into(), "geometry_msgs/Twist", Input::SelectedCommand);
-        for robot in RobotId::first(robots) {
-            input(format!("/cmd_vel_{}", robot.number()), "geometry_msgs/Twist", Input::Command(robot));
-            input(format!("/{robot}/cmd_vel"), "geometry_msgs/Twist", Input::Command(robot));
-        }
-        input("/take_control".into(), Int32::TYPE, Input::Take);
-        input("/emergency_stop_release".into(), "std_msgs/Empty", Input::Release);
-        let mut each = |topic: &str, class: &str, depth: usize, latch: bool| {
-            let name = |robot: RobotId| format!("/{robot}/{topic}");
-            let add = |robot| topics.add(name(robot), class, Source::Fleet, depth, latch);
-            RobotId::first(robots).map(add).collect()
-        };
-        Self {
-            scan: each("scan", "sensor_msgs/LaserScan", DEPTH_USUAL, false),
-            map: each("map", "nav_msgs/OccupancyGrid", 1, true),
-            stats: each("slam_stats", "std_msgs/Float32MultiArray", 1, true),
-            odometry: each("odom", "nav_msgs/Odometry", DEPTH_USUAL, false),
-            transforms: topics.add(
-                "/tf".into(),
-                "tf2_msgs/TFMessage",
-                Source::Input(Input::Transforms),
-                depth,
-                false,
-            ),
-            clock: topics.add("/clock".into(), "rosgraph_msgs/Clock", Source::Fleet, 1, false),
-            merged_map: topics.add("/merged_map".into(), "nav_msgs/OccupancyGrid", Source::Fleet, 1, true),
-            selected: topics.add(
-                "/selected_robot".into(),
-                Int32::TYPE,
-                Source::Input(Input::Select),
-                1,
-                true,
-            ),
-            stop: topics.add("/emergency_stop".into(), Bool::TYPE, Source::Input(Input::Stop), 1, true),
-        }
-    }
-}
-
-/// All that the bridge knows.
-pub(crate) struct Hub {
-    pub(crate) config: BridgeConfig,
-    pub(crate) robot_count: usize,
-    pub(crate) board: Board,
-    pub(crate) fleet: FleetTopics,
-    pub(crate) names: FrameNames,
-    pub(crate) drive: Drive,
-    pub(crate) access: Access,
-    pub(crate) services: Services,
-    percent: [i8; 256],
-    now: Stamp,
-    anchors: Option<Anchors>,
-    anchors_due: Option<Instant>,
-    commands: VecDeque<(RobotId, Command)>,
-}
-
-impl Hub {
-    fn robots(&self) -> impl Iterator<Item = RobotId> + use<> {
-        RobotId::first(self.robot_count)
-    }
-
-    /// A velocity for a robot: m/s forward, rad/s counter-clockwise.
-    pub(crate) fn command(&mut self, robot: RobotId, linear_m_s: f64, angular_rad_s: f64) {
-        if self.commands.len() == COMMANDS_MAX {
-            self.commands.pop_front();
-        }
-        let header = Header { stamp: self.now, ..Header::default() };
-        self.commands.push_back((robot, Command { header, linear_m_s, angular_rad_s }));
-    }
-
-    pub(crate) fn halt(&mut self, robots: impl Iterator<Item = RobotId>) {
-        robots.for_each(|robot| self.command(robot, 0.0, 0.0));
-    }
-
-    /// Tells everybody which robot is selected.
-    pub(crate) fn tell_selected(&mut self) {
-        let selected = Int32(self.drive.selected().number() as i32);
-        self.board.send(self.fleet.selected, |to| selected.write(to));
-    }
-
-    /// Tells everybody whether the emergency stop is set.
-    pub(crate) fn tell_stop(&mut self) {
-        let stopped = Bool(self.drive.stopped());
-        self.board.send(self.fleet.stop, |to| stopped.write(to));
-    }
-
-    /// Stops every robot until released.
-    pub(crate) fn stop(&mut self) {
-        self.drive.set_stopped(true);
-        self.halt(self.robots());
-        self.tell_stop();
-    }
-
-    /// Lets the robots go again.
-    pub(crate) fn release(&mut self) {
-        self.drive.set_stopped(false);
-        self.tell_stop();
-    }
-
-    /// /tf: where the robots' maps lie in the merged one, as of now.
-    pub(crate) fn tell_anchors(&mut self, at: Instant) {
-        let Some(anchors) = self.anchors.filter(|anchors| anchors.robots.iter().any(|a| a.known == 1)) else {
-            return;
-        };
-        let stamp = Stamp(self.now.0.max(anchors.header.stamp.0));
-        self.board.send(self.fleet.transforms, |to| write::anchors(to, &self.names, stamp, &anchors));
-        self.anchors_due = Some(at + ANCHORS_PERIOD);
-    }
-
-    fn leave(&mut self, id: ClientId) -> Option<Outbox> {
-        let rest = self.board.detach(id)?;
-        let driven = self.drive.leave(id);
-        self.halt(driven.into_iter());
-        let failed = self.services.leave(id);
-        failed.into_iter().for_each(|call| self.fail(&call, "the client that offered it has left"));
-        Some(rest)
-    }
-}
 
 /// One connection, for the fleet's table.
 #[derive(Clone, Debug, PartialEq)]
@@ -207,24 +58,7 @@ impl Bridge {
         on_command: impl FnMut(RobotId, Command) + 'static,
     ) -> Result<Self, ConfigError> {
         config.validate()?;
-        let robot_count = robot_count.clamp(1, ROBOTS_MAX);
-        let mut topics = Topics::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, robot_count);
-        let mut hub = Hub {
-            robot_count,
-            board: Board::new(topics, config.outbox_bytes_max, config.latched_bytes_max),
-            fleet,
-            names: FrameNames::new(config.frame_names),
-            drive: Drive::new(robot_count, FIRST, config.lease()),
-            access: Access::new(&config),
-            services: Services::new(config.client_topics_max, config.service_timeout()),
-            config,
-            percent: msg::grid::percent_table(),
-            now: Stamp(0),
-            anchors: None,
-            anchors_due: None,
-            commands: VecDeque::with_capacity(COMMANDS_MAX),
-        };
+        let mut hub = Hub::new(config, robot_count.clamp(1, ROBOTS_MAX));
         hub.tell_selected();
         hub.tell_stop();
         Ok(Self { hub: RefCell::new(hub), sink: RefCell::new(Box::new(on_command)) })
@@ -246,9 +80,8 @@ impl Bridge {
     fn pass_commands(&self) {
         let Ok(mut sink) = self.sink.try_borrow_mut() else { return };
         loop {
-            let next = self.hub.borrow_mut().commands.pop_front();
+            let next = self.hub.borrow_mut().next_command();
             let Some((robot, command)) = next else { return };
-            self.hub.borrow_mut().board.counted.commands += 1;
             sink(robot, command);
         }
     }
@@ -287,8 +120,7 @@ impl Bridge {
     /// runs.
     pub fn anchors(&self, anchors: &Anchors) {
         self.with(|hub| {
-            let changed = hub.anchors.is_none_or(|before| before.robots != anchors.robots);
-            hub.anchors = Some(*anchors);
+            let changed = hub.set_anchors(anchors);
             if changed {
                 hub.tell_anchors(Instant::now());
             }
@@ -298,7 +130,7 @@ impl Bridge {
     /// `/clock`.
     pub fn clock(&self, clock: &Clock) {
         self.with(|hub| {
-            hub.now = clock.header.stamp;
+            hub.set_now(clock.header.stamp);
             hub.board.send(hub.fleet.clock, |to| write::stamp(to, clock.header.stamp));
         });
     }
@@ -397,12 +229,12 @@ impl Bridge {
         let hub = self.hub.borrow();
         let now = Instant::now();
         let drives = |id| hub.robots().filter(|robot| hub.drive.holder(*robot, now) == Some(id)).collect();
-        let status = |client: &crate::board::Client| ClientStatus {
+        let status = |client: &Client| ClientStatus {
             peer: client.peer,
             subscriptions: client.subscriptions.len(),
             publications: client.publications.len(),
-            waiting_bytes: client.waiting_bytes(),
-            dropped: client.dropped(),
+            waiting_bytes: client.outbox.bytes(),
+            dropped: client.outbox.dropped(),
             drives: drives(client.id),
         };
         hub.board.clients().map(status).collect()
@@ -425,7 +257,7 @@ impl Bridge {
         self.with(|hub| {
             let late = hub.services.expired(now);
             late.into_iter().for_each(|call| hub.fail(&call, "no answer came in time"));
-            if hub.anchors_due.is_some_and(|due| now >= due) {
+            if hub.anchors_due(now) {
                 hub.tell_anchors(now);
             }
         });
@@ -461,8 +293,13 @@ impl Bridge {
         self.hub.borrow_mut().board.flush();
     }
 
-    /// Writes on for one client; whether more waits, or why it must end.
-    pub(crate) fn flush_one(&self, id: ClientId) -> Result<bool, String> {
+    /// Whether a client's frames wait for room in its socket; an error if it must end.
+    pub(crate) fn waits(&self, id: ClientId) -> Result<bool, Ended> {
+        self.hub.borrow().board.waits(id)
+    }
+
+    /// Writes on for one client whose socket has room again; whether more waits.
+    pub(crate) fn flush_one(&self, id: ClientId) -> bool {
         self.hub.borrow_mut().board.flush_one(id)
     }
 

@@ -1,6 +1,6 @@
 //! Whose commands a robot obeys: the selected robot, one lease a robot, the emergency stop.
 
-use crate::board::ClientId;
+use crate::client::ClientId;
 use msg::{ROBOTS_MAX, RobotId};
 use std::time::{Duration, Instant};
 

@@ -13,7 +13,7 @@ const REST_BYTES: usize = 64 * 1024;
 /// At most this much is asked of one read while a long frame arrives.
 const GROWTH_MAX: usize = 4 * 1024 * 1024;
 /// A buffer that has grown beyond this is given back once it is empty.
-const KEPT_BYTES: usize = 1024 * 1024;
+const KEPT_BYTES: usize = 64 * 1024 * 1024;
 
 /// The stream can no longer be told apart into frames: it must be closed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -84,12 +84,19 @@ pub struct Parser {
     begin: usize,
     end: usize,
     payload_max: usize,
+    kept_bytes: usize,
 }
 
 impl Parser {
     /// Refuses payloads longer than `payload_max` bytes.
     pub fn new(payload_max: usize) -> Self {
-        Self { buffer: vec![0; REST_BYTES], begin: 0, end: 0, payload_max }
+        Self { buffer: vec![0; REST_BYTES], begin: 0, end: 0, payload_max, kept_bytes: KEPT_BYTES }
+    }
+
+    /// Keeps up to `bytes` of a buffer that has grown. For one who reads large frames again and again: fresh
+    /// memory for a 16 MB map costs more time than the map.
+    pub fn keep(self, bytes: usize) -> Self {
+        Self { kept_bytes: bytes, ..self }
     }
 
     /// Where to read the stream's next bytes to; never empty. Tell by [`Parser::filled`] how many came.
@@ -97,7 +104,7 @@ impl Parser {
     pub fn space(&mut self) -> &mut [u8] {
         if self.begin == self.end {
             (self.begin, self.end) = (0, 0);
-            if self.buffer.len() > KEPT_BYTES {
+            if self.buffer.len() > self.kept_bytes {
                 self.buffer.truncate(REST_BYTES);
                 self.buffer.shrink_to_fit();
             }

@@ -1,11 +1,11 @@
 //! What a client sends, and what becomes of it.
 
-use crate::board::{ClientId, Expected, Publication, Refusal};
-use crate::bridge::Hub;
 use crate::cdr::{DecodeError, Reader};
+use crate::client::{ClientId, Expected, Publication, Refusal};
 use crate::command::{Call as CallBody, Registration, TopicList, name};
 use crate::drive::Verdict;
 use crate::frame::{Frame, Side};
+use crate::hub::Hub;
 use crate::interfaces::{self, Kind};
 use crate::outbox::Lane;
 use crate::ros::{Bool, Empty, Int32, Message, TfMessage, Twist, TwistStamped, decode};

@@ -1,7 +1,7 @@
 //! ros_tcp on a listening socket: one task a client, all on one thread.
 
-use crate::board::ClientId;
 use crate::bridge::Bridge;
+use crate::client::ClientId;
 use crate::command::{HANDSHAKE, name};
 use crate::frame::{Parser, Side};
 use crate::outbox::{Flushed, Outbox};
@@ -26,8 +26,8 @@ const TICK: Duration = Duration::from_millis(250);
 const KEEPALIVE_IDLE: Duration = Duration::from_secs(5);
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(2);
 const KEEPALIVE_RETRIES: u32 = 3;
-/// A peer that acknowledges nothing for so long is gone.
-const UNACKNOWLEDGED_MAX: Duration = Duration::from_secs(20);
+/// A peer that takes nothing for so long is gone. A headset that is put down for a moment is not.
+const UNACKNOWLEDGED_MAX: Duration = Duration::from_secs(60);
 /// How long a connection that is being closed may take to read why.
 const FAREWELL: Duration = Duration::from_secs(1);
 /// Bytes read and thrown away meanwhile, so that the close does not look like a reset.
@@ -105,33 +105,25 @@ enum End {
 /// Reads and writes until the connection ends.
 async fn converse(bridge: &Bridge, id: ClientId, stream: &TcpStream, wake: &Notify) -> End {
     let mut parser = Parser::new(bridge.frame_bytes_max());
-    let mut waiting = true;
-    loop {
+    // Ends when there is no such client any more, or it takes nothing that it asked for.
+    while let Ok(waiting) = bridge.waits(id) {
         let interest = if waiting { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
         let ready = tokio::select! {
             biased;
-            ready = stream.ready(interest) => Some(ready),
-            () = wake.notified() => None,
+            ready = stream.ready(interest) => ready,
+            () = wake.notified() => continue,
         };
-        match ready {
-            Some(Err(_)) => return End::Gone,
-            Some(Ok(ready)) if ready.is_readable() || ready.is_read_closed() => {
-                if let Some(end) = read_turn(bridge, id, stream, &mut parser).await {
-                    return end;
-                }
-            }
-            _ => {}
+        let Ok(ready) = ready else { break };
+        if (ready.is_readable() || ready.is_read_closed())
+            && let Some(end) = read_turn(bridge, id, stream, &mut parser).await
+        {
+            return end;
         }
-        if ready.is_none() || waiting {
-            waiting = match bridge.flush_one(id) {
-                Ok(more) => more,
-                Err(_) => return End::Gone,
-            };
-            if waiting {
-                yield_now().await;
-            }
+        if ready.is_writable() && waiting && bridge.flush_one(id) {
+            yield_now().await;
         }
     }
+    End::Gone
 }
 
 /// One read and the frames it has brought. `Some` at the end of the connection.

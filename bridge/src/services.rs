@@ -1,6 +1,6 @@
 //! Services between clients: who offers, who may call, which calls are under way.
 
-use crate::board::ClientId;
+use crate::client::ClientId;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
