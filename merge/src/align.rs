@@ -17,13 +17,13 @@ mod verify;
 
 use evidence::Evidence;
 use msg::{GridView, Pose2};
-use refine::{Field, Fit, coarse_stages, fine_stages};
+use refine::{Field, Fit, coarse_stages, fine_stages, refine};
 use serde::{Deserialize, Serialize};
 use translate::{COARSE_M, Candidate, Translator};
 use verify::{Agreement, agreement};
 
 /// Rotations tried, each with half a turn more.
-const ROTATIONS: usize = 8;
+const ROTATIONS: usize = 12;
 /// Places that are refined, best coarse score first.
 const REFINED: usize = 24;
 /// Wall points used while there are many places to refine.
@@ -99,16 +99,37 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
         return None;
     }
     let candidates = coarse(&in_a, &in_b);
-    let field = Field::of(&in_a, a);
-    let fits = refined(&field, &in_b, &candidates);
-    let best = fits.iter().take(VERIFIED).map(|fit| finish(&field, &in_a, &in_b, a, b, fit));
-    let best = best.max_by(|x, y| walls_agreeing(x).total_cmp(&walls_agreeing(y)))?;
+    let fields = [Field::of(&in_a, a), Field::of(&in_b, b)];
+    let fits = refined(&fields, &in_a, &in_b, &candidates);
+    if let Ok(t) = std::env::var("TRUTH") {
+        let v: Vec<f64> = t.split(',').map(|x| x.parse().unwrap()).collect();
+        let truth =
+            in_a.grid_from_middle().inverse() * Pose2::new(v[0], v[1], v[2]) * in_b.grid_from_middle();
+        eprintln!("truth {truth:?}");
+        for (i, c) in candidates.iter().enumerate() {
+            eprintln!(
+                "cand {i} score {} d {:.2} rot {:.2}",
+                c.score,
+                c.a_from_b.distance_m(truth),
+                msg::pose::wrap_angle(c.a_from_b.yaw_rad - truth.yaw_rad).to_degrees()
+            );
+        }
+        for f in fits.iter().take(6) {
+            eprintln!("fit {:?} ev {} d {:.2}", f, f.evidence(), f.a_from_b.distance_m(truth));
+        }
+        eprintln!("at truth {:?}", fit_both(&fields, &in_a, &in_b, truth, [1, 1]));
+    }
+    let best = fits.iter().take(VERIFIED).map(|fit| finish(&fields, &in_a, &in_b, a, b, fit));
+    let best = best.max_by(|x, y| x.fit.evidence().total_cmp(&y.fit.evidence()))?;
     Some(judge(best, &fits, config, &in_a, &in_b))
 }
 
 /// Rotations, and for each the best translations; best first.
 fn coarse(a: &Evidence, b: &Evidence) -> Vec<Candidate> {
     let turns = spectrum::rotations(&spectrum::spectrum(a), &spectrum::spectrum(b), ROTATIONS);
+    if std::env::var("TRUTH").is_ok() {
+        eprintln!("turns {:?}", turns.iter().map(|t| t.to_degrees()).collect::<Vec<_>>());
+    }
     let mut translator = Translator::new(a, b);
     let mut candidates: Vec<Candidate> =
         turns.into_iter().flat_map(|turn| translator.candidates(turn)).collect();
@@ -118,12 +139,12 @@ fn coarse(a: &Evidence, b: &Evidence) -> Vec<Candidate> {
 }
 
 /// The candidates drawn to the nearest walls, without doubles, most evidence first.
-fn refined(field: &Field, b: &Evidence, candidates: &[Candidate]) -> Vec<Fit> {
-    let keep = b.walls_m.len().div_ceil(COARSE_POINTS).max(1);
+fn refined(fields: &[Field; 2], a: &Evidence, b: &Evidence, candidates: &[Candidate]) -> Vec<Fit> {
+    let keep = thinned(a, b, COARSE_POINTS);
     let mut fits: Vec<Fit> = Vec::new();
     for candidate in candidates {
-        let pose = field.refine(b, candidate.a_from_b, keep, coarse_stages());
-        let fit = field.fit(b, pose, keep);
+        let pose = refine([&fields[0], &fields[1]], [a, b], candidate.a_from_b, keep, coarse_stages());
+        let fit = fit_both(fields, a, b, pose, keep);
         match fits.iter_mut().find(|other| same_place(other.a_from_b, pose)) {
             Some(other) if other.evidence() < fit.evidence() => *other = fit,
             Some(_) => {}
@@ -146,28 +167,38 @@ struct Finished {
     agreement: Agreement,
 }
 
-fn walls_agreeing(one: &Finished) -> f64 {
-    one.agreement.occupied_f1 * f64::from(one.agreement.walls_found)
+/// Every how many wall points of either map, to use about so many.
+fn thinned(a: &Evidence, b: &Evidence, points: usize) -> [usize; 2] {
+    [a, b].map(|evidence| evidence.walls_m.len().div_ceil(points).max(1))
+}
+
+fn fit_both(fields: &[Field; 2], a: &Evidence, b: &Evidence, a_from_b: Pose2, keep: [usize; 2]) -> Fit {
+    let forth = fields[0].fit(b, &fields[1], a_from_b, keep[1]);
+    forth.plus(fields[1].fit(a, &fields[0], a_from_b.inverse(), keep[0]))
 }
 
 fn finish(
-    field: &Field,
+    fields: &[Field; 2],
     in_a: &Evidence,
     in_b: &Evidence,
     a: GridView<'_>,
     b: GridView<'_>,
     fit: &Fit,
 ) -> Finished {
-    let keep = in_b.walls_m.len().div_ceil(FINE_POINTS).max(1);
-    let pose = field.refine(in_b, fit.a_from_b, keep, fine_stages());
+    let keep = thinned(in_a, in_b, FINE_POINTS);
+    let pose = refine([&fields[0], &fields[1]], [in_a, in_b], fit.a_from_b, keep, fine_stages());
     let a_from_b = in_a.grid_from_middle() * pose * in_b.grid_from_middle().inverse();
-    Finished { fit: field.fit(in_b, pose, keep), coarse: fit.a_from_b, agreement: agreement(a, b, a_from_b) }
+    Finished {
+        fit: fit_both(fields, in_a, in_b, pose, keep),
+        coarse: fit.a_from_b,
+        agreement: agreement(a, b, a_from_b),
+    }
 }
 
 fn judge(best: Finished, fits: &[Fit], config: &AlignConfig, in_a: &Evidence, in_b: &Evidence) -> Alignment {
     let others = fits.iter().filter(|other| !same_place(other.a_from_b, best.coarse));
     let other = others.map(Fit::evidence).fold(0.0, f64::max);
-    let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found } = best.agreement;
+    let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found, .. } = best.agreement;
     let margin = best.fit.evidence() / other.max(1e-9);
     let firmness = best.fit.firmness;
     let accepted = strict >= config.strict_min
