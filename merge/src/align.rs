@@ -94,17 +94,20 @@ pub struct Alignment {
 /// Finds where `b` lies in `a`. `None` if one of them has no walls or nothing fits at all; else the
 /// best place, which only counts if it is `accepted`.
 pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<Alignment> {
+    let t0 = std::time::Instant::now();
     let (in_a, in_b) = (Evidence::of(a, COARSE_M), Evidence::of(b, COARSE_M));
     if in_a.walls_m.is_empty() || in_b.walls_m.is_empty() {
         return None;
     }
+    let t1 = std::time::Instant::now();
     let candidates = coarse(&in_a, &in_b);
+    let t2 = std::time::Instant::now();
     let fields = [Field::of(&in_a, a), Field::of(&in_b, b)];
+    let t3 = std::time::Instant::now();
     let fits = refined(&fields, &in_a, &in_b, &candidates);
     if let Ok(t) = std::env::var("TRUTH") {
         let v: Vec<f64> = t.split(',').map(|x| x.parse().unwrap()).collect();
-        let truth =
-            in_a.grid_from_middle().inverse() * Pose2::new(v[0], v[1], v[2]) * in_b.grid_from_middle();
+        let truth = in_a.frame_from_middle.inverse() * Pose2::new(v[0], v[1], v[2]) * in_b.frame_from_middle;
         eprintln!("truth {truth:?}");
         for (i, c) in candidates.iter().enumerate() {
             eprintln!(
@@ -119,8 +122,20 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
         }
         eprintln!("at truth {:?}", fit_both(&fields, &in_a, &in_b, truth, [1, 1]));
     }
+    let t4 = std::time::Instant::now();
     let best = fits.iter().take(VERIFIED).map(|fit| finish(&fields, &in_a, &in_b, a, b, fit));
     let best = best.max_by(|x, y| x.fit.evidence().total_cmp(&y.fit.evidence()))?;
+    let t5 = std::time::Instant::now();
+    if std::env::var("TRUTH").is_ok() {
+        eprintln!(
+            "evidence {:?} coarse {:?} fields {:?} refine {:?} finish {:?}",
+            t1 - t0,
+            t2 - t1,
+            t3 - t2,
+            t4 - t3,
+            t5 - t4
+        );
+    }
     Some(judge(best, &fits, config, &in_a, &in_b))
 }
 
@@ -187,7 +202,7 @@ fn finish(
 ) -> Finished {
     let keep = thinned(in_a, in_b, FINE_POINTS);
     let pose = refine([&fields[0], &fields[1]], [in_a, in_b], fit.a_from_b, keep, fine_stages());
-    let a_from_b = in_a.grid_from_middle() * pose * in_b.grid_from_middle().inverse();
+    let a_from_b = in_a.frame_from_middle * pose * in_b.frame_from_middle.inverse();
     Finished {
         fit: fit_both(fields, in_a, in_b, pose, keep),
         coarse: fit.a_from_b,
@@ -208,7 +223,7 @@ fn judge(best: Finished, fits: &[Fit], config: &AlignConfig, in_a: &Evidence, in
         && margin >= config.margin_min
         && firmness >= config.firmness_min;
     Alignment {
-        a_from_b: in_a.grid_from_middle() * best.fit.a_from_b * in_b.grid_from_middle().inverse(),
+        a_from_b: in_a.frame_from_middle * best.fit.a_from_b * in_b.frame_from_middle.inverse(),
         accepted,
         inliers: walls_found,
         score: occupied_f1,

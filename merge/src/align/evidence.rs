@@ -6,10 +6,10 @@ use msg::{GridView, Pose2};
 /// The most occupied cells that are matched: more are thinned evenly.
 pub(crate) const WALL_POINTS_MAX: usize = 60_000;
 
-/// A grid's content relative to a point in its middle, metres, in the axes of its frame.
+/// A grid's content relative to a cell's corner in its middle, metres, along the grid's own axes.
 pub(crate) struct Evidence {
-    /// Where the points are counted from, in the grid's frame.
-    pub middle_m: [f64; 2],
+    /// The grid's frame from the points'.
+    pub frame_from_middle: Pose2,
     /// Centres of occupied cells.
     pub walls_m: Vec<[f32; 2]>,
     /// Centres of squares of [`Evidence::floor_square_m`] with nothing but floor.
@@ -49,36 +49,28 @@ impl Evidence {
                 blocked.fill(false);
             }
         }
-        Self::about_middle(walls, floor, |cells| grid.header.origin.apply(cells.map(|c| c * resolution)))
+        Self::about_middle(walls, floor, grid)
     }
 
-    fn about_middle(
-        walls: Vec<[f64; 2]>,
-        floor: Vec<[f64; 2]>,
-        place: impl Fn([f64; 2]) -> [f64; 2],
-    ) -> Self {
-        let keep = walls.len().div_ceil(WALL_POINTS_MAX).max(1);
-        let walls: Vec<_> = walls.into_iter().step_by(keep).map(&place).collect();
-        let floor: Vec<_> = floor.into_iter().map(&place).collect();
+    /// From places in cells.
+    fn about_middle(walls: Vec<[f64; 2]>, floor: Vec<[f64; 2]>, grid: GridView<'_>) -> Self {
         let mut hull = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for [x, y] in walls.iter().chain(&floor) {
             hull = [hull[0].min(*x), hull[1].min(*y), hull[2].max(*x), hull[3].max(*y)];
         }
-        let middle_m = if hull[0] <= hull[2] {
-            [(hull[0] + hull[2]) / 2.0, (hull[1] + hull[3]) / 2.0]
-        } else {
-            [0.0; 2]
+        let known = hull[0] <= hull[2];
+        // The corner of a cell: points are at half cells from it.
+        let middle = if known { [0, 1].map(|k| ((hull[k] + hull[k + 2]) / 2.0).round()) } else { [0.0; 2] };
+        let resolution = grid.header.resolution_m;
+        let about = |[x, y]: &[f64; 2]| {
+            [(x - middle[0]) * resolution, (y - middle[1]) * resolution].map(|m| m as f32)
         };
-        let about = |[x, y]: &[f64; 2]| [(x - middle_m[0]) as f32, (y - middle_m[1]) as f32];
-        let (walls_m, floor_m) =
-            (walls.iter().map(about).collect::<Vec<_>>(), floor.iter().map(about).collect::<Vec<_>>());
+        let keep = walls.len().div_ceil(WALL_POINTS_MAX).max(1);
+        let walls_m: Vec<_> = walls.iter().step_by(keep).map(about).collect();
+        let floor_m: Vec<_> = floor.iter().map(about).collect();
         let radius = |points: &[[f32; 2]]| points.iter().fold(0.0_f32, |r, [x, y]| r.max(x.hypot(*y)));
         let radius_m = radius(&walls_m).max(radius(&floor_m)).into();
-        Self { middle_m, walls_m, floor_m, radius_m }
-    }
-
-    /// From the points' frame to the grid's.
-    pub fn grid_from_middle(&self) -> Pose2 {
-        Pose2::new(self.middle_m[0], self.middle_m[1], 0.0)
+        let to_middle = Pose2::new(middle[0] * resolution, middle[1] * resolution, 0.0);
+        Self { frame_from_middle: grid.header.origin * to_middle, walls_m, floor_m, radius_m }
     }
 }

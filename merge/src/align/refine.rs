@@ -12,14 +12,14 @@ const CELLS_MAX: usize = 2048 * 2048;
 /// How far a wall may be off and still pull, metres, one stage after the other: first what the
 /// coarse search leaves (a cell of 0.2 m and half a degree), at last a cell of the map.
 const STAGES_M: [f64; 3] = [0.25, 0.12, 0.05];
-/// Steps in a stage; a stage ends before if a step is shorter than [`STEP_MIN`].
+/// Steps in a stage; see [`SETTLED`].
 const STEPS_MAX: usize = 8;
-/// Pulls weaker than this are left out.
-const WEIGHT_MIN: f64 = 1e-3;
+/// Walls farther than so many widths of a stage do not pull: their weight is below 0.002.
+const WIDTHS_MAX: f64 = 3.5;
 /// Of the equations' trace.
 const DAMPING: f64 = 1e-4;
-/// Metres; a tenth of it in radians.
-const STEP_MIN: f64 = 2e-4;
+/// A stage has settled if a step is this part of its width; a tenth of it in radians.
+const SETTLED: f64 = 0.01;
 /// A wall's floor is looked for this far to each side, cells.
 const SIDE_CELLS: usize = 3;
 /// Two walls seen from opposite sides, both clearly, are the two faces of a wall at best: below
@@ -91,8 +91,9 @@ impl Field {
         let span_m = 2.0 * (evidence.radius_m + margin_m);
         let cell_m = grid.header.resolution_m.max(span_m / (CELLS_MAX as f64).sqrt());
         let hull = hull_m(&evidence.walls_m);
-        let corner_m = [hull[0] - margin_m, hull[1] - margin_m];
-        let size = |k: usize| ((hull[k + 2] - hull[k] + 2.0 * margin_m) / cell_m).ceil() as usize + 1;
+        // On the grid's own lattice, so that its cells are the field's and nothing shifts by part of one.
+        let corner_m = [hull[0] - margin_m, hull[1] - margin_m].map(|m| (m / cell_m).floor() * cell_m);
+        let size = |k: usize| ((hull[k + 2] - corner_m[k] + margin_m) / cell_m).ceil() as usize + 1;
         let (width, height) = (size(0), size(1));
         let reach = (REACH_M / cell_m) as f32;
         let mut field = Self {
@@ -170,7 +171,7 @@ impl Field {
     fn mark_floor(&mut self, evidence: &Evidence, grid: GridView<'_>) {
         let width = (grid.header.width as usize).max(1);
         let r = grid.header.resolution_m;
-        let middle_from_grid = evidence.grid_from_middle().inverse() * grid.header.origin;
+        let middle_from_grid = evidence.frame_from_middle.inverse() * grid.header.origin;
         for (y, row) in grid.cells.chunks_exact(width).enumerate() {
             for (x, cell) in row.iter().enumerate() {
                 if occupancy(*cell) == Occupancy::Free {
@@ -311,8 +312,8 @@ struct Normal {
 impl Normal {
     /// A residual in widths of the stage and in metres, and its slope.
     fn add(&mut self, in_widths: f64, metres: f64, j: Vector3<f64>) {
-        let weight = (-0.5 * in_widths * in_widths).exp();
-        if weight > WEIGHT_MIN {
+        if in_widths < WIDTHS_MAX {
+            let weight = (-0.5 * in_widths * in_widths).exp();
             self.h += weight * j * j.transpose();
             self.g += weight * metres * j;
         }
@@ -343,7 +344,8 @@ pub(crate) fn refine(
             of_b.pull_of_a(a, pose, keep[0], stage_m / of_b.cell_m, &mut sums);
             let Some(step) = sums.step() else { return pose };
             pose = Pose2::new(pose.x_m + step[0], pose.y_m + step[1], pose.yaw_rad + step[2]);
-            if step[0].abs().max(step[1].abs()) < STEP_MIN && step[2].abs() < STEP_MIN / 10.0 {
+            let settled = SETTLED * stage_m;
+            if step[0].abs().max(step[1].abs()) < settled && step[2].abs() < settled / 10.0 {
                 break;
             }
         }
