@@ -27,7 +27,7 @@ const ROTATIONS: usize = 12;
 /// Places that are refined, best coarse score first.
 const REFINED: usize = 24;
 /// Wall points used while there are many places to refine.
-const COARSE_POINTS: usize = 3_000;
+const COARSE_POINTS: usize = 2_000;
 /// Wall points used for the last stage.
 const FINE_POINTS: usize = 20_000;
 /// Places compared cell by cell.

@@ -14,6 +14,8 @@ pub(crate) struct Evidence {
     pub walls_m: Vec<[f32; 2]>,
     /// Centres of squares of [`Evidence::floor_square_m`] with nothing but floor.
     pub floor_m: Vec<[f32; 2]>,
+    /// Least and greatest x and y of the points, metres.
+    pub hull_m: [[f64; 2]; 2],
     /// Distance of the farthest point from the middle, metres.
     pub radius_m: f64,
 }
@@ -71,6 +73,9 @@ impl Evidence {
         let radius = |points: &[[f32; 2]]| points.iter().fold(0.0_f32, |r, [x, y]| r.max(x.hypot(*y)));
         let radius_m = radius(&walls_m).max(radius(&floor_m)).into();
         let to_middle = Pose2::new(middle[0] * resolution, middle[1] * resolution, 0.0);
-        Self { frame_from_middle: grid.header.origin * to_middle, walls_m, floor_m, radius_m }
+        let hull_m = [0, 1].map(|end| {
+            [0, 1].map(|k| if known { (hull[2 * end + k] - middle[k]) * resolution } else { 0.0 })
+        });
+        Self { frame_from_middle: grid.header.origin * to_middle, hull_m, walls_m, floor_m, radius_m }
     }
 }

@@ -169,17 +169,25 @@ impl Field {
     }
 
     fn mark_floor(&mut self, evidence: &Evidence, grid: GridView<'_>) {
-        let width = (grid.header.width as usize).max(1);
         let r = grid.header.resolution_m;
-        let middle_from_grid = evidence.frame_from_middle.inverse() * grid.header.origin;
-        for (y, row) in grid.cells.chunks_exact(width).enumerate() {
-            for (x, cell) in row.iter().enumerate() {
-                if occupancy(*cell) == Occupancy::Free {
-                    let point = middle_from_grid.apply([(x as f64 + 0.5) * r, (y as f64 + 0.5) * r]);
-                    let [u, v] = self.place(point);
-                    if u >= 0.0 && v >= 0.0 && (u as usize) < self.width && (v as usize) < self.height {
-                        self.free[v as usize * self.width + u as usize] = true;
-                    }
+        // The points' axes are the grid's: only shifted.
+        let from_corner = evidence.frame_from_middle.inverse() * grid.header.origin;
+        let start = self.place([from_corner.x_m + 0.5 * r, from_corner.y_m + 0.5 * r]);
+        let step = r / self.cell_m;
+        let column = |x: u32| {
+            let u = start[0] + step * f64::from(x);
+            if u < 0.0 { usize::MAX } else { u as usize }
+        };
+        let columns: Vec<usize> = (0..grid.header.width).map(column).collect();
+        for (y, row) in grid.cells.chunks_exact(columns.len().max(1)).enumerate() {
+            let v = start[1] + step * y as f64;
+            if v < 0.0 || v as usize >= self.height {
+                continue;
+            }
+            let free = &mut self.free[v as usize * self.width..][..self.width];
+            for (u, cell) in columns.iter().zip(row) {
+                if let Some(free) = free.get_mut(*u) {
+                    *free |= occupancy(*cell) == Occupancy::Free;
                 }
             }
         }
