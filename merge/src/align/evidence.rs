@@ -4,7 +4,9 @@ use msg::grid::{Occupancy, occupancy};
 use msg::{GridView, Pose2};
 
 /// The most occupied cells that are matched: more are thinned evenly.
-pub(crate) const WALL_POINTS_MAX: usize = 60_000;
+const WALL_POINTS_MAX: usize = 60_000;
+/// The most squares of floor: more, and the squares are larger.
+const FLOOR_POINTS_MAX: usize = 1 << 20;
 
 /// A grid's content relative to a cell's corner in its middle, metres, along the grid's own axes.
 pub(crate) struct Evidence {
@@ -24,7 +26,11 @@ impl Evidence {
     /// Reads a grid; floor in squares of about `floor_square_m`.
     pub fn of(grid: GridView<'_>, floor_square_m: f64) -> Self {
         let resolution = grid.header.resolution_m;
-        let block = ((floor_square_m / resolution).round() as usize).max(1);
+        let least = (grid.cells.len() as f64 / FLOOR_POINTS_MAX as f64).sqrt().ceil() as usize;
+        let block = ((floor_square_m / resolution).round() as usize).max(least).max(1);
+        let total = grid.cells.iter().filter(|cell| occupancy(**cell) == Occupancy::Occupied).count();
+        let keep = total.div_ceil(WALL_POINTS_MAX).max(1);
+        let mut seen = 0;
         let (width, height) = (grid.header.width as usize, grid.header.height as usize);
         let mut walls = Vec::new();
         let mut floor = Vec::new();
@@ -36,7 +42,10 @@ impl Evidence {
                     Occupancy::Free => free[x / block] += 1,
                     Occupancy::Occupied => {
                         blocked[x / block] = true;
-                        walls.push([x as f64 + 0.5, y as f64 + 0.5]);
+                        if seen % keep == 0 {
+                            walls.push([x as f64 + 0.5, y as f64 + 0.5]);
+                        }
+                        seen += 1;
                     }
                     Occupancy::Unknown => {}
                 }
@@ -67,8 +76,7 @@ impl Evidence {
         let about = |[x, y]: &[f64; 2]| {
             [(x - middle[0]) * resolution, (y - middle[1]) * resolution].map(|m| m as f32)
         };
-        let keep = walls.len().div_ceil(WALL_POINTS_MAX).max(1);
-        let walls_m: Vec<_> = walls.iter().step_by(keep).map(about).collect();
+        let walls_m: Vec<_> = walls.iter().map(about).collect();
         let floor_m: Vec<_> = floor.iter().map(about).collect();
         let radius = |points: &[[f32; 2]]| points.iter().fold(0.0_f32, |r, [x, y]| r.max(x.hypot(*y)));
         let radius_m = radius(&walls_m).max(radius(&floor_m)).into();

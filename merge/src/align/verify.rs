@@ -14,9 +14,7 @@ pub(crate) struct Agreement {
     pub overlap_m2: f64,
     /// The same over what the map that knows less knows.
     pub overlap_share: f64,
-    /// Occupied cells where both know, of both maps.
-    pub walls: u32,
-    /// Those that were found again.
+    /// Occupied cells found again, of both maps.
     pub walls_found: u32,
 }
 
@@ -46,7 +44,6 @@ pub(crate) fn agreement(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Ag
         },
         overlap_m2,
         overlap_share: if least_m2 > 0.0 { overlap_m2 / least_m2 } else { 0.0 },
-        walls: (ab.walls + ba.walls) as u32,
         walls_found: (ab.walls_found + ba.walls_found) as u32,
     }
 }
