@@ -10,28 +10,35 @@
 
 mod evidence;
 mod fft2;
+mod field;
+mod fit;
 mod refine;
 mod spectrum;
 mod translate;
 mod verify;
 
+use crate::merger::{RESOLUTION_M, is_near};
 use evidence::Evidence;
+use field::Field;
+use fit::{Fit, fit};
 use msg::{GridView, Pose2};
-use refine::{Field, Fit, coarse_stages, fine_stages};
+use refine::{coarse_stages, fine_stages, refine};
 use serde::{Deserialize, Serialize};
 use translate::{COARSE_M, Candidate, Translator};
 use verify::{Agreement, agreement};
 
 /// Rotations tried, each with half a turn more.
-const ROTATIONS: usize = 8;
+const ROTATIONS: usize = 12;
 /// Places that are refined, best coarse score first.
 const REFINED: usize = 24;
 /// Wall points used while there are many places to refine.
-const COARSE_POINTS: usize = 3_000;
+const COARSE_POINTS: usize = 2_000;
 /// Wall points used for the last stage.
 const FINE_POINTS: usize = 20_000;
 /// Places compared cell by cell.
-const VERIFIED: usize = 3;
+const VERIFIED: usize = 2;
+/// Walls by which a place must be ahead of nothing: what chance finds anywhere.
+const LEAST_EVIDENCE: f64 = 50.0;
 /// Two places nearer than this are the same, metres and radians.
 const SAME_PLACE: [f64; 2] = [0.5, 0.1];
 
@@ -58,9 +65,9 @@ impl Default for AlignConfig {
         Self {
             strict_min: 0.94,
             occupied_f1_min: 0.80,
-            overlap_min_m2: 5.0,
+            overlap_min_m2: 10.0,
             inliers_min: 200,
-            margin_min: 1.2,
+            margin_min: 1.5,
             firmness_min: 0.03,
         }
     }
@@ -85,25 +92,41 @@ pub struct Alignment {
     pub overlap_share: f64,
     /// Mean distance of walls found again, metres.
     pub residual_m: f64,
-    /// Evidence over that of the best other place; infinite if there is no other.
+    /// Evidence (walls found less walls missed) over that of the best other place, or over
+    /// [`LEAST_EVIDENCE`] walls if no other has as much.
     pub margin: f64,
     /// 0: the map can slide along itself; 0.5: held alike in all directions.
     pub firmness: f64,
 }
 
-/// Finds where `b` lies in `a`. `None` if one of them has no walls or nothing fits at all; else the
-/// best place, which only counts if it is `accepted`.
+/// Finds where `b` lies in `a`. `None` if one of them makes no sense, has no walls, or nothing fits
+/// at all; else the best place, which only counts if it is `accepted`.
 pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<Alignment> {
-    let (in_a, in_b) = (Evidence::of(a, COARSE_M), Evidence::of(b, COARSE_M));
-    if in_a.walls_m.is_empty() || in_b.walls_m.is_empty() {
+    if !is_usable(a) || !is_usable(b) {
         return None;
     }
-    let candidates = coarse(&in_a, &in_b);
-    let field = Field::of(&in_a, a);
-    let fits = refined(&field, &in_b, &candidates);
-    let best = fits.iter().take(VERIFIED).map(|fit| finish(&field, &in_a, &in_b, a, b, fit));
-    let best = best.max_by(|x, y| walls_agreeing(x).total_cmp(&walls_agreeing(y)))?;
-    Some(judge(best, &fits, config, &in_a, &in_b))
+    let walls = [Evidence::of(a, COARSE_M), Evidence::of(b, COARSE_M)];
+    if walls.iter().any(|map| map.walls_m.is_empty()) {
+        return None;
+    }
+    let candidates = coarse(&walls[0], &walls[1]);
+    let [of_a, of_b] = walls;
+    let (field_a, field_b) = (Field::of(of_a, a), Field::of(of_b, b));
+    let fields = [&field_a, &field_b];
+    let fits = refined(fields, &candidates);
+    let exact = fits.iter().take(VERIFIED).map(|coarse| (coarse, finished(fields, coarse)));
+    let (coarse, best) = exact.max_by(|x, y| x.1.evidence().total_cmp(&y.1.evidence()))?;
+    let others = fits.iter().filter(|other| !same_place(other.a_from_b, coarse.a_from_b));
+    let margin = best.evidence() / others.map(Fit::evidence).fold(LEAST_EVIDENCE, f64::max);
+    let a_from_b =
+        field_a.evidence.frame_from_middle * best.a_from_b * field_b.evidence.frame_from_middle.inverse();
+    Some(judge(a_from_b, &best, margin, &agreement(a, b, a_from_b), config))
+}
+
+fn is_usable(map: GridView<'_>) -> bool {
+    GridView::new(map.header, map.cells).is_some()
+        && RESOLUTION_M.contains(&map.header.resolution_m)
+        && is_near(map.header.origin)
 }
 
 /// Rotations, and for each the best translations; best first.
@@ -118,20 +141,30 @@ fn coarse(a: &Evidence, b: &Evidence) -> Vec<Candidate> {
 }
 
 /// The candidates drawn to the nearest walls, without doubles, most evidence first.
-fn refined(field: &Field, b: &Evidence, candidates: &[Candidate]) -> Vec<Fit> {
-    let keep = b.walls_m.len().div_ceil(COARSE_POINTS).max(1);
+fn refined(fields: [&Field; 2], candidates: &[Candidate]) -> Vec<Fit> {
+    let keep = thinned(fields, COARSE_POINTS);
     let mut fits: Vec<Fit> = Vec::new();
     for candidate in candidates {
-        let pose = field.refine(b, candidate.a_from_b, keep, coarse_stages());
-        let fit = field.fit(b, pose, keep);
-        match fits.iter_mut().find(|other| same_place(other.a_from_b, pose)) {
-            Some(other) if other.evidence() < fit.evidence() => *other = fit,
+        let found = fit(fields, refine(fields, candidate.a_from_b, keep, coarse_stages()), keep);
+        match fits.iter_mut().find(|other| same_place(other.a_from_b, found.a_from_b)) {
+            Some(other) if other.evidence() < found.evidence() => *other = found,
             Some(_) => {}
-            None => fits.push(fit),
+            None => fits.push(found),
         }
     }
     fits.sort_by(|x, y| y.evidence().total_cmp(&x.evidence()));
     fits
+}
+
+/// A refined place once more, by many points.
+fn finished(fields: [&Field; 2], coarse: &Fit) -> Fit {
+    let keep = thinned(fields, FINE_POINTS);
+    fit(fields, refine(fields, coarse.a_from_b, keep, fine_stages()), keep)
+}
+
+/// Every how many wall points of either map, to use about so many.
+fn thinned(fields: [&Field; 2], points: usize) -> [usize; 2] {
+    fields.map(|field| field.evidence.walls_m.len().div_ceil(points).max(1))
 }
 
 fn same_place(x: Pose2, y: Pose2) -> bool {
@@ -139,53 +172,27 @@ fn same_place(x: Pose2, y: Pose2) -> bool {
     x.distance_m(y) < SAME_PLACE[0] && turn < SAME_PLACE[1]
 }
 
-/// A place with its exact pose and its agreement.
-struct Finished {
-    fit: Fit,
-    coarse: Pose2,
-    agreement: Agreement,
-}
-
-fn walls_agreeing(one: &Finished) -> f64 {
-    one.agreement.occupied_f1 * f64::from(one.agreement.walls_found)
-}
-
-fn finish(
-    field: &Field,
-    in_a: &Evidence,
-    in_b: &Evidence,
-    a: GridView<'_>,
-    b: GridView<'_>,
-    fit: &Fit,
-) -> Finished {
-    let keep = in_b.walls_m.len().div_ceil(FINE_POINTS).max(1);
-    let pose = field.refine(in_b, fit.a_from_b, keep, fine_stages());
-    let a_from_b = in_a.grid_from_middle() * pose * in_b.grid_from_middle().inverse();
-    Finished { fit: field.fit(in_b, pose, keep), coarse: fit.a_from_b, agreement: agreement(a, b, a_from_b) }
-}
-
-fn judge(best: Finished, fits: &[Fit], config: &AlignConfig, in_a: &Evidence, in_b: &Evidence) -> Alignment {
-    let others = fits.iter().filter(|other| !same_place(other.a_from_b, best.coarse));
-    let other = others.map(Fit::evidence).fold(0.0, f64::max);
-    let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found } = best.agreement;
-    let margin = best.fit.evidence() / other.max(1e-9);
-    let firmness = best.fit.firmness;
+fn judge(a_from_b: Pose2, fit: &Fit, margin: f64, agreement: &Agreement, config: &AlignConfig) -> Alignment {
+    let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found } = *agreement;
     let accepted = strict >= config.strict_min
         && occupied_f1 >= config.occupied_f1_min
         && overlap_m2 >= config.overlap_min_m2
         && walls_found >= config.inliers_min
         && margin >= config.margin_min
-        && firmness >= config.firmness_min;
+        && fit.firmness >= config.firmness_min;
     Alignment {
-        a_from_b: in_a.grid_from_middle() * best.fit.a_from_b * in_b.grid_from_middle().inverse(),
+        a_from_b,
         accepted,
         inliers: walls_found,
         score: occupied_f1,
         strict,
         overlap_m2,
         overlap_share,
-        residual_m: best.fit.residual_m,
+        residual_m: fit.residual_m,
         margin,
-        firmness,
+        firmness: fit.firmness,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -8,7 +8,7 @@ use msg::{Anchor, Anchors, GridHeader, GridView, Header, Monotonic, Pose2, ROBOT
 use serde::{Deserialize, Serialize};
 
 /// Sides of a cell that make sense, metres.
-const RESOLUTION_M: core::ops::RangeInclusive<f64> = 0.005..=1.0;
+pub(crate) const RESOLUTION_M: core::ops::RangeInclusive<f64> = 0.005..=1.0;
 /// The farthest that a map may lie from the origin of `map`, metres.
 const DISTANCE_M_MAX: f64 = 100_000.0;
 
@@ -254,7 +254,7 @@ impl Merger {
     }
 }
 
-fn is_near(pose: Pose2) -> bool {
+pub(crate) fn is_near(pose: Pose2) -> bool {
     pose.is_finite() && pose.x_m.abs() <= DISTANCE_M_MAX && pose.y_m.abs() <= DISTANCE_M_MAX
 }
 

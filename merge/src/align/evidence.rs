@@ -4,16 +4,20 @@ use msg::grid::{Occupancy, occupancy};
 use msg::{GridView, Pose2};
 
 /// The most occupied cells that are matched: more are thinned evenly.
-pub(crate) const WALL_POINTS_MAX: usize = 60_000;
+const WALL_POINTS_MAX: usize = 60_000;
+/// The most squares of floor: more, and the squares are larger.
+const FLOOR_POINTS_MAX: usize = 1 << 20;
 
-/// A grid's content relative to a point in its middle, metres, in the axes of its frame.
+/// A grid's content relative to a cell's corner in its middle, metres, along the grid's own axes.
 pub(crate) struct Evidence {
-    /// Where the points are counted from, in the grid's frame.
-    pub middle_m: [f64; 2],
+    /// The grid's frame from the points'.
+    pub frame_from_middle: Pose2,
     /// Centres of occupied cells.
     pub walls_m: Vec<[f32; 2]>,
     /// Centres of squares of [`Evidence::floor_square_m`] with nothing but floor.
     pub floor_m: Vec<[f32; 2]>,
+    /// Least and greatest x and y of the points, metres.
+    pub hull_m: [[f64; 2]; 2],
     /// Distance of the farthest point from the middle, metres.
     pub radius_m: f64,
 }
@@ -22,7 +26,11 @@ impl Evidence {
     /// Reads a grid; floor in squares of about `floor_square_m`.
     pub fn of(grid: GridView<'_>, floor_square_m: f64) -> Self {
         let resolution = grid.header.resolution_m;
-        let block = ((floor_square_m / resolution).round() as usize).max(1);
+        let least = (grid.cells.len() as f64 / FLOOR_POINTS_MAX as f64).sqrt().ceil() as usize;
+        let block = ((floor_square_m / resolution).round() as usize).max(least).max(1);
+        let total = grid.cells.iter().filter(|cell| occupancy(**cell) == Occupancy::Occupied).count();
+        let keep = total.div_ceil(WALL_POINTS_MAX).max(1);
+        let mut seen = 0;
         let (width, height) = (grid.header.width as usize, grid.header.height as usize);
         let mut walls = Vec::new();
         let mut floor = Vec::new();
@@ -34,7 +42,10 @@ impl Evidence {
                     Occupancy::Free => free[x / block] += 1,
                     Occupancy::Occupied => {
                         blocked[x / block] = true;
-                        walls.push([x as f64 + 0.5, y as f64 + 0.5]);
+                        if seen % keep == 0 {
+                            walls.push([x as f64 + 0.5, y as f64 + 0.5]);
+                        }
+                        seen += 1;
                     }
                     Occupancy::Unknown => {}
                 }
@@ -49,36 +60,30 @@ impl Evidence {
                 blocked.fill(false);
             }
         }
-        Self::about_middle(walls, floor, |cells| grid.header.origin.apply(cells.map(|c| c * resolution)))
+        Self::about_middle(walls, floor, grid)
     }
 
-    fn about_middle(
-        walls: Vec<[f64; 2]>,
-        floor: Vec<[f64; 2]>,
-        place: impl Fn([f64; 2]) -> [f64; 2],
-    ) -> Self {
-        let keep = walls.len().div_ceil(WALL_POINTS_MAX).max(1);
-        let walls: Vec<_> = walls.into_iter().step_by(keep).map(&place).collect();
-        let floor: Vec<_> = floor.into_iter().map(&place).collect();
+    /// From places in cells.
+    fn about_middle(walls: Vec<[f64; 2]>, floor: Vec<[f64; 2]>, grid: GridView<'_>) -> Self {
         let mut hull = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
         for [x, y] in walls.iter().chain(&floor) {
             hull = [hull[0].min(*x), hull[1].min(*y), hull[2].max(*x), hull[3].max(*y)];
         }
-        let middle_m = if hull[0] <= hull[2] {
-            [(hull[0] + hull[2]) / 2.0, (hull[1] + hull[3]) / 2.0]
-        } else {
-            [0.0; 2]
+        let known = hull[0] <= hull[2];
+        // The corner of a cell: points are at half cells from it.
+        let middle = if known { [0, 1].map(|k| ((hull[k] + hull[k + 2]) / 2.0).round()) } else { [0.0; 2] };
+        let resolution = grid.header.resolution_m;
+        let about = |[x, y]: &[f64; 2]| {
+            [(x - middle[0]) * resolution, (y - middle[1]) * resolution].map(|m| m as f32)
         };
-        let about = |[x, y]: &[f64; 2]| [(x - middle_m[0]) as f32, (y - middle_m[1]) as f32];
-        let (walls_m, floor_m) =
-            (walls.iter().map(about).collect::<Vec<_>>(), floor.iter().map(about).collect::<Vec<_>>());
+        let walls_m: Vec<_> = walls.iter().map(about).collect();
+        let floor_m: Vec<_> = floor.iter().map(about).collect();
         let radius = |points: &[[f32; 2]]| points.iter().fold(0.0_f32, |r, [x, y]| r.max(x.hypot(*y)));
         let radius_m = radius(&walls_m).max(radius(&floor_m)).into();
-        Self { middle_m, walls_m, floor_m, radius_m }
-    }
-
-    /// From the points' frame to the grid's.
-    pub fn grid_from_middle(&self) -> Pose2 {
-        Pose2::new(self.middle_m[0], self.middle_m[1], 0.0)
+        let to_middle = Pose2::new(middle[0] * resolution, middle[1] * resolution, 0.0);
+        let hull_m = [0, 1].map(|end| {
+            [0, 1].map(|k| if known { (hull[2 * end + k] - middle[k]) * resolution } else { 0.0 })
+        });
+        Self { frame_from_middle: grid.header.origin * to_middle, hull_m, walls_m, floor_m, radius_m }
     }
 }

@@ -12,11 +12,14 @@ const STRIPE_M: f32 = 0.1;
 const STRIPES_MAX: usize = 8192;
 /// Wall points used: more do not sharpen the peaks.
 const POINTS: usize = 12_000;
+/// Half the width of a neighbourhood, in directions.
+const LOBE: usize = 12;
 /// Peaks nearer to a better one than this are the same, in directions.
-const PEAK_APART: usize = 4;
+const PEAK_APART: usize = 3;
 
 /// For each direction, the sum over parallel stripes of the squared number of wall points in them:
-/// large where walls run along the stripes. Mean removed, so that correlations compare.
+/// large where walls run along the stripes. Sharpened, so that
+/// correlations have peaks.
 pub(crate) fn spectrum(evidence: &Evidence) -> Vec<f64> {
     let keep = evidence.walls_m.len().div_ceil(POINTS).max(1);
     let reach_m = evidence.radius_m as f32 + 1.0;
@@ -34,9 +37,17 @@ pub(crate) fn spectrum(evidence: &Evidence) -> Vec<f64> {
             stripes.iter().map(|count| f64::from(*count).powi(2)).sum()
         })
         .collect();
-    let mean = spectrum.iter().sum::<f64>() / DIRECTIONS as f64;
-    spectrum.iter_mut().for_each(|value| *value -= mean);
+    sharpen(&mut spectrum);
     spectrum
+}
+
+/// Takes the mean of the neighbourhood away: one long corridor else makes a single broad lobe, and
+/// hides what the short walls say.
+fn sharpen(spectrum: &mut [f64]) {
+    let smooth: Vec<f64> = (0..DIRECTIONS)
+        .map(|k| (0..=2 * LOBE).map(|j| spectrum[(k + DIRECTIONS + j - LOBE) % DIRECTIONS]).sum::<f64>())
+        .collect();
+    spectrum.iter_mut().zip(smooth).for_each(|(value, sum)| *value -= sum / (2 * LOBE + 1) as f64);
 }
 
 /// Rotations of b, radians in [0, pi), that lay its walls' directions over a's: the `count` best
