@@ -112,7 +112,11 @@ impl FleetConfig {
             return Err(ConfigError::Value { field: "fleet.robots", why });
         }
         if !fleet.starts.is_empty() && fleet.starts.len() != fleet.robots {
-            let why = format!("{} poses for {} robots; give one for each, or none", fleet.starts.len(), fleet.robots);
+            let why = format!(
+                "{} poses for {} robots; give one for each, or none",
+                fleet.starts.len(),
+                fleet.robots
+            );
             return Err(ConfigError::Value { field: "fleet.starts", why });
         }
         if let Some(start) = fleet.starts.iter().find(|start| start.iter().any(|v| !v.is_finite())) {
@@ -129,7 +133,9 @@ impl FleetConfig {
             ("merge", self.merge.validate().map_err(|error| error.to_string())),
             ("bridge", self.bridge.validate().map_err(|error| error.to_string())),
         ];
-        rooms.into_iter().try_for_each(|(field, checked)| checked.map_err(|why| ConfigError::Value { field, why }))
+        rooms
+            .into_iter()
+            .try_for_each(|(field, checked)| checked.map_err(|why| ConfigError::Value { field, why }))
     }
 
     /// The configured start poses, `world` from each robot's start; `None`: to be chosen.

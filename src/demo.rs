@@ -11,9 +11,16 @@ use std::time::{Duration, Instant};
 const FAREWELL: Duration = Duration::from_secs(1);
 
 /// The operator's process.
-#[derive(Default)]
 pub struct Operator {
+    seconds: Option<f64>,
     child: Option<Child>,
+}
+
+impl Operator {
+    /// Who knows how long there is plans the robots' turns by it.
+    pub fn new(seconds: Option<f64>) -> Self {
+        Self { seconds, child: None }
+    }
 }
 
 impl Passenger for Operator {
@@ -22,6 +29,9 @@ impl Passenger for Operator {
         command.args(["operator", "tour", "--json", "--port", &run.port.to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
         command.args(["--seed", &run.config.fleet.seed.to_string()]);
+        if let Some(seconds) = self.seconds {
+            command.args(["--seconds", &seconds.to_string()]);
+        }
         use std::os::unix::process::CommandExt;
         self.child = Some(command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0).spawn()?);
         Ok(())

@@ -56,10 +56,9 @@ pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
 pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetError> {
     match config.configured_starts() {
         Some(starts) => Ok(starts),
-        None => room.starts(config.fleet.robots).map_err(|why| FleetError::Room {
-            path: config.fleet.room.clone(),
-            why: why.to_string(),
-        }),
+        None => room
+            .starts(config.fleet.robots)
+            .map_err(|why| FleetError::Room { path: config.fleet.room.clone(), why: why.to_string() }),
     }
 }
 

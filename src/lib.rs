@@ -1,27 +1,27 @@
 //! The shell around the rooms: launcher, channels, one main loop per process, operator, replay, lockstep.
 
 // A fleet and its parts, outermost first.
-pub mod demo;
-pub mod up;
-pub mod supervisor;
-pub mod process;
-pub mod lockstep;
-pub mod fleet;
 pub mod config;
+pub mod demo;
+pub mod fleet;
+pub mod lockstep;
+pub mod process;
 pub mod run;
+pub mod supervisor;
+pub mod up;
 // Between the processes.
 pub mod channel;
-pub mod shared_memory;
 pub mod clock;
+pub mod shared_memory;
 pub mod stop;
 // What people see.
-pub mod observer;
-pub mod view;
-pub mod screen;
-pub mod report;
-pub mod status;
 pub mod map_file;
+pub mod observer;
+pub mod report;
+pub mod screen;
+pub mod status;
+pub mod view;
 // Robots and data from elsewhere.
+pub mod carmen;
 pub mod operator;
 pub mod replay;
-pub mod carmen;

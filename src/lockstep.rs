@@ -3,6 +3,10 @@
 //!
 //! It drives the very rooms that the processes drive; only the shell differs.
 
+mod command;
+
+pub use command::{LockstepArgs, run};
+
 use crate::channel::{self, Channel};
 use crate::config::FleetConfig;
 use crate::fleet::{self, FleetError};
@@ -12,8 +16,8 @@ use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
 use bytemuck::Zeroable;
 use merge::Merger;
 use msg::{
-    Anchors, Clock, Command, Correction, FleetStats, Grid, GridView, Message, Monotonic, Pose2, RobotId, Scan,
-    Stamp, Truth,
+    Anchors, Clock, Command, Correction, FleetStats, Grid, GridView, Message, Monotonic, Pose2, RobotId,
+    Scan, Stamp, Truth,
 };
 use sim::{Simulator, Tick};
 use slam::Slam;
@@ -121,7 +125,8 @@ impl Lockstep {
 
     /// Every map so far: a name and the map.
     pub fn maps(&self) -> impl Iterator<Item = (String, GridView<'_>)> {
-        let of_robots = self.members.iter().filter_map(|m| Some((format!("{}_map", m.robot), m.map.as_ref()?.view())));
+        let of_robots =
+            self.members.iter().filter_map(|m| Some((format!("{}_map", m.robot), m.map.as_ref()?.view())));
         of_robots.chain(self.merged_map.as_ref().map(|map| ("merged_map".into(), map.view())))
     }
 
@@ -157,7 +162,9 @@ impl Lockstep {
         let mut changed = false;
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
-            for (peer, truth) in truths.iter().enumerate().filter(|(peer, _)| *peer != index && self.ticks > 0) {
+            for (peer, truth) in
+                truths.iter().enumerate().filter(|(peer, _)| *peer != index && self.ticks > 0)
+            {
                 if let Some(peer) = RobotId::new(peer + 1) {
                     member.simulator.see(peer, truth);
                 }

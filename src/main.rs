@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 use mr_slam::process::{ProcessArgs, RobotArgs};
-use mr_slam::{demo, operator, process, replay, status, stop::Stop, up};
+use mr_slam::{demo, lockstep, operator, process, replay, status, stop::Stop, up};
 use msg::Role;
 use std::process::ExitCode;
 
@@ -24,6 +24,8 @@ enum Command {
     Status(status::StatusArgs),
     /// Drive a running fleet over TCP, as a headset does
     Operator(operator::OperatorArgs),
+    /// The same fleet in one process on virtual time: the same seed, the same bytes
+    Lockstep(lockstep::LockstepArgs),
     /// Map a recorded CARMEN log, as fast as it goes
     Replay(replay::ReplayArgs),
     /// One process of a fleet, started by `up`: a robot in its room
@@ -55,10 +57,17 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> Result<(), process::Error> {
     match command {
-        Command::Demo(args) => drop(up::up(&args, &mut demo::Operator::default(), &Stop::on_signals()?)?),
+        Command::Demo(args) => {
+            drop(up::up(&args, &mut demo::Operator::new(args.seconds), &Stop::on_signals()?)?)
+        }
         Command::Up(args) => drop(up::up(&args, &mut up::Alone, &Stop::on_signals()?)?),
         Command::Status(args) => status::status(&args)?,
-        Command::Operator(args) => operator::main(&args, &Stop::on_signals()?)?,
+        Command::Operator(args) => {
+            let report = operator::run(&args, Stop::on_signals()?.flag())?;
+            let json = args.json.then(|| serde_json::to_string_pretty(&report)).transpose()?;
+            println!("{}", json.unwrap_or_else(|| report.to_string()));
+        }
+        Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
         Command::Replay(args) => replay::run(&args)?,
         Command::Sim(args) => process::run(Role::Sim, Some(args.robot), &args.process)?,
         Command::Slam(args) => process::run(Role::Slam, Some(args.robot), &args.process)?,

@@ -1,9 +1,9 @@
 //! What the launcher sees of its fleet: figures and maps, for the live table and the run's folder.
 
 use crate::channel;
+use crate::clock::now;
 use crate::map_file;
 use crate::run::Run;
-use crate::clock::now;
 use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
 use msg::{FleetStats, Grid, Monotonic, RobotId};
 use std::path::{Path, PathBuf};

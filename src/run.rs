@@ -6,7 +6,7 @@
 use crate::clock::Epoch;
 use crate::config::FleetConfig;
 use crate::shared_memory::{ChannelError, Domain, Node};
-use msg::{Monotonic, Role, RobotId};
+use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io;
@@ -105,7 +105,9 @@ impl Run {
         let mut found = Vec::new();
         for entry in fs::read_dir(std::env::temp_dir()).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
-            let Some(pid) = name.strip_prefix("mrslam-").and_then(|pid| pid.parse::<u32>().ok()) else { continue };
+            let Some(pid) = name.strip_prefix("mrslam-").and_then(|pid| pid.parse::<u32>().ok()) else {
+                continue;
+            };
             let Ok(dir) = fs::read_to_string(entry.path().join("run-dir")) else { continue };
             if Path::new(&format!("/proc/{pid}")).exists() {
                 found.push((pid, PathBuf::from(dir)));

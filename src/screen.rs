@@ -42,7 +42,11 @@ impl Screen {
         let clock = seconds.map_or(format!("{elapsed:.0} s"), |s| format!("{elapsed:.0} of {s:.0} s"));
         if self.live {
             let text = format!("{clock}; Ctrl-C ends\n{}", fleet.table());
-            let up = if self.lines_shown > 0 { format!("\x1b[{}A\x1b[J", self.lines_shown) } else { String::new() };
+            let up = if self.lines_shown > 0 {
+                format!("\x1b[{}A\x1b[J", self.lines_shown)
+            } else {
+                String::new()
+            };
             let _ = write!(stderr(), "{up}{text}");
             self.lines_shown = text.lines().count();
         } else if self.logged.is_none_or(|logged| logged.elapsed() >= LOG_PERIOD) {

@@ -2,7 +2,7 @@
 //! started again, and its peers notice nothing but its silence.
 
 use crate::run::Run;
-use msg::{Role, RobotId};
+use msg::{RobotId, Role};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io;
 use std::net::TcpListener;

@@ -18,9 +18,9 @@ const TEND_PERIOD: Duration = Duration::from_millis(50);
 /// How long after the last figures the final maps may still come.
 const LAST_LOOK: Duration = Duration::from_millis(200);
 
-/// Launch a fleet: for each robot a simulator and SLAM, then merging, telemetry and the bridge.
+/// Which fleet.
 #[derive(Clone, Debug, clap::Args)]
-pub struct UpArgs {
+pub struct FleetArgs {
     /// Fleet file; the options below override it
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -33,15 +33,27 @@ pub struct UpArgs {
     /// The room: `laboratory`, or a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
     #[arg(long, value_name = "FILE")]
     pub room: Option<String>,
+}
+
+/// Launch a fleet: for each robot a simulator and SLAM, then merging, telemetry and the bridge.
+#[derive(Clone, Debug, clap::Args)]
+pub struct UpArgs {
+    /// Which fleet.
+    #[command(flatten)]
+    pub fleet: FleetArgs,
     /// TCP port for headsets; 0: any that is free [default: 10000]
     #[arg(long, value_name = "P")]
     pub port: Option<u16>,
     /// End after this many seconds; without it, Ctrl-C ends the fleet
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", value_parser = seconds)]
     pub seconds: Option<f64>,
     /// Folder for the maps and the report [default: runs/TIME]
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or("expected a number above 0".into())
 }
 
 /// Why a fleet did not come up.
@@ -74,9 +86,9 @@ pub enum UpError {
     Map(#[from] crate::map_file::MapFileError),
 }
 
-impl UpArgs {
+impl FleetArgs {
     /// The configuration in force: the file's, or the default, with the options on top.
-    pub fn fleet_config(&self) -> Result<FleetConfig, ConfigError> {
+    pub fn config(&self) -> Result<FleetConfig, ConfigError> {
         let mut config = match &self.config {
             Some(path) => FleetConfig::from_file(path)?,
             None => FleetConfig::default(),
@@ -91,11 +103,15 @@ impl UpArgs {
         }
         fleet.seed = self.seed.unwrap_or(fleet.seed);
         fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
-        fleet.port = self.port.unwrap_or(fleet.port);
-        if self.seconds.is_some_and(|s| !(s.is_finite() && s > 0.0)) {
-            return Err(ConfigError::Value { field: "--seconds", why: "expected a number above 0".into() });
-        }
         config.check()?;
+        Ok(config)
+    }
+}
+
+impl UpArgs {
+    fn config(&self) -> Result<FleetConfig, ConfigError> {
+        let mut config = self.fleet.config()?;
+        config.fleet.port = self.port.unwrap_or(config.fleet.port);
         Ok(config)
     }
 
@@ -131,11 +147,14 @@ impl Passenger for Alone {
 
 /// Runs a fleet from start to end.
 pub fn up(args: &UpArgs, passenger: &mut dyn Passenger, stop: &Stop) -> Result<Report, UpError> {
-    let config = args.fleet_config()?;
+    let config = args.config()?;
     fleet::check(&config)?;
     let (address, port) = (config.fleet.address.clone(), config.fleet.port);
-    let listener = TcpListener::bind((address.as_str(), port))
-        .map_err(|why| UpError::Port { address: address.clone(), port, why })?;
+    let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
+        address: address.clone(),
+        port,
+        why,
+    })?;
     let port = listener.local_addr()?.port();
     let run = Run::create(&args.folder(), config, port)?;
     let mut screen = Screen::new(&run);

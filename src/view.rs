@@ -1,6 +1,6 @@
 //! The fleet's figures as people and programs read them: a table, and JSON.
 
-use msg::{Distribution, FleetStats, Pose2, ProcessHealth, Role, RobotId, RobotStats, TrackingState};
+use msg::{Distribution, FleetStats, Pose2, ProcessHealth, RobotId, RobotStats, Role, TrackingState};
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -130,7 +130,9 @@ impl FleetView {
         let of_pairs = |value: f64| (pairs && value.is_finite()).then_some(value);
         Self {
             time_s: stats.header.stamp.seconds(),
-            robots: RobotId::first(count).map(|robot| RobotView::new(robot, &stats.robots[robot.index()])).collect(),
+            robots: RobotId::first(count)
+                .map(|robot| RobotView::new(robot, &stats.robots[robot.index()]))
+                .collect(),
             merged_map: MapView::new(&stats.merged),
             room_coverage: finite(stats.room_coverage),
             pairs: stats.pair_count,
@@ -150,7 +152,11 @@ impl FleetView {
             "{:<8} {:<10} {:>7} {:>6} {:>9} {:>16} {:>16} {:>9}",
             "robot", "state", "scan Hz", "lost", "coverage", "TF jitter ms", "scan→pose ms", "error m"
         );
-        let _ = writeln!(text, "{:<8} {:<10} {:>7} {:>6} {:>9} {:>16} {:>16}", "", "", "", "", "", "p50 / p99", "p50 / p99");
+        let _ = writeln!(
+            text,
+            "{:<8} {:<10} {:>7} {:>6} {:>9} {:>16} {:>16}",
+            "", "", "", "", "", "p50 / p99", "p50 / p99"
+        );
         for robot in &self.robots {
             let _ = writeln!(
                 text,
@@ -181,7 +187,16 @@ impl FleetView {
     pub fn process_table(&self) -> String {
         let mut text = format!(
             "{:<16} {:>8} {:<7} {:>8} {:>9} {:>6} {:>8} {:>11} {:>9} {:>8}\n",
-            "process", "pid", "state", "restarts", "received", "lost", "dropped", "work us", "memory MB", "cpu s"
+            "process",
+            "pid",
+            "state",
+            "restarts",
+            "received",
+            "lost",
+            "dropped",
+            "work us",
+            "memory MB",
+            "cpu s"
         );
         for p in &self.processes {
             let _ = writeln!(
@@ -229,7 +244,8 @@ impl MapView {
     fn new(stats: &RobotStats) -> Self {
         let cells = |count: u32| f64::from(count);
         let (width, height) = (cells(stats.width), cells(stats.height));
-        let [free, occupied, unknown] = [stats.free_cells, stats.occupied_cells, stats.unknown_cells].map(cells);
+        let [free, occupied, unknown] =
+            [stats.free_cells, stats.occupied_cells, stats.unknown_cells].map(cells);
         let slam_stats = [free, occupied, unknown, width * height, width, height, stats.resolution_m];
         Self { slam_stats, coverage: stats.coverage }
     }

@@ -159,7 +159,9 @@ impl Ears {
                 let Ok(message) = ros::decode::<ros::TfMessage>(frame.payload) else { return };
                 for transform in &message.transforms {
                     // What SLAM and merging say has other rates than the robots' links.
-                    if !transform.child_frame_id.starts_with("odom") && !transform.child_frame_id.starts_with("map") {
+                    if !transform.child_frame_id.starts_with("odom")
+                        && !transform.child_frame_id.starts_with("map")
+                    {
                         self.tf.note(&transform.child_frame_id, transform.header.stamp.0, received_ns);
                     }
                 }

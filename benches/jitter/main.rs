@@ -89,7 +89,9 @@ fn print(measured: &Figures, bare: &Spread, processes: &[fleet::Cpu]) {
     println!("TF median over bare: {:.2}", measured.tf.p50_ms / bare.p50_ms.max(1e-6));
     println!("the paper: 6.3 ms median; the Python endpoint: 1.4 to 4.8 ms mean, 0.2 to 8 % lost");
     for cpu in processes {
-        println!("{:<16} {:>5.1} % of a core, ticks late by {:.3} ms (median), {:.3} (max of the last second)",
-            cpu.process, cpu.percent, cpu.late_p50_ms, cpu.late_max_ms);
+        println!(
+            "{:<16} {:>5.1} % of a core, ticks late by {:.3} ms (median), {:.3} (max of the last second)",
+            cpu.process, cpu.percent, cpu.late_p50_ms, cpu.late_max_ms
+        );
     }
 }

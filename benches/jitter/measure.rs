@@ -62,7 +62,9 @@ impl Streams {
             let mean = delays.iter().map(|(_, delay)| *delay as f64).sum::<f64>() / delays.len() as f64;
             deviations_ms.extend(delays.iter().map(|(_, delay)| (*delay as f64 - mean).abs() * 1e-6));
             let steps = delays.windows(2).map(|pair| pair[1].0 - pair[0].0);
-            lost += steps.map(|step| (step as f64 / self.period_ns as f64 - 1.0).round().abs() as u64).sum::<u64>();
+            lost += steps
+                .map(|step| (step as f64 / self.period_ns as f64 - 1.0).round().abs() as u64)
+                .sum::<u64>();
             let (first, last) = (delays[0], delays[delays.len() - 1]);
             let received_s = ((last.0 + last.1) - (first.0 + first.1)) as f64 * 1e-9;
             hz = hz.min((delays.len() - 1) as f64 / received_s.max(1e-9));

@@ -216,7 +216,8 @@ impl Back {
                 let pose = self.graph.poses()[other as usize];
                 let [x, y] = pose.apply(self.nodes[other as usize].cloud.middle());
                 let apart = (x - seen[0]).hypot(y - seen[1]);
-                (sure && apart < l.distance_max_m).then_some((apart + VIEWPOINT * here.distance_m(pose), other))
+                (sure && apart < l.distance_max_m)
+                    .then_some((apart + VIEWPOINT * here.distance_m(pose), other))
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

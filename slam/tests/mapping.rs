@@ -81,7 +81,18 @@ fn holds_a_map_with_90_degrees() {
         println!("{:?} {:?}", done.slam.back_counts(), done.slam.counts());
         for (i, (truth, (_, pose))) in done.truth.iter().zip(done.slam.trajectory()).enumerate() {
             let wanted = done.world_from_map.between(*truth);
-            if i % 40 == 0 { println!("{i} at {:.2} {:.2} {:.2} err {:.3} {:.3} yaw {:.3} {:?}", truth.x_m, truth.y_m, truth.yaw_rad, pose.x_m-wanted.x_m, pose.y_m-wanted.y_m, msg::pose::wrap_angle(pose.yaw_rad-wanted.yaw_rad), done.states[i]); }
+            if i % 40 == 0 {
+                println!(
+                    "{i} at {:.2} {:.2} {:.2} err {:.3} {:.3} yaw {:.3} {:?}",
+                    truth.x_m,
+                    truth.y_m,
+                    truth.yaw_rad,
+                    pose.x_m - wanted.x_m,
+                    pose.y_m - wanted.y_m,
+                    msg::pose::wrap_angle(pose.yaw_rad - wanted.yaw_rad),
+                    done.states[i]
+                );
+            }
         }
     }
     assert!(done.odometry_error_m > 0.3, "odometry alone is off by {} m", done.odometry_error_m);
@@ -118,7 +129,8 @@ fn ring_log(lidar: &Lidar) -> (Vec<(msg::Odometry, Box<msg::Scan>)>, Vec<Pose2>)
     let (mut log, mut truth) = (Vec::new(), Vec::new());
     for _ in 0..2 {
         for side_m in [15.6, 11.6, 15.6, 11.6] {
-            let legs = (0..(side_m / 0.4) as usize).map(|_| (0.4, 0.0)).chain((0..4).map(|_| (0.0, 0.392_699)));
+            let legs =
+                (0..(side_m / 0.4) as usize).map(|_| (0.4, 0.0)).chain((0..4).map(|_| (0.0, 0.392_699)));
             for (way, turn) in legs {
                 robot.drive(way, turn, 1.0, &mut noise);
                 let scan = cast(&walls, lidar, robot.world_from_base, robot.stamp(), &mut noise);

@@ -8,7 +8,7 @@ use crate::run::Run;
 use crate::shared_memory::{Bell, GridReader, Node, Reader, Writer};
 use crate::stop::Stop;
 use ::bridge::{Bridge, serve};
-use msg::{Command, Message, Odometry, Role, RobotId, Transforms};
+use msg::{Command, Message, Odometry, RobotId, Role, Transforms};
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Duration;
@@ -37,7 +37,9 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 fn inherited_listener() -> std::io::Result<TcpListener> {
     let listener = std::net::TcpListener::from(std::io::stdin().as_fd().try_clone_to_owned()?);
     listener.local_addr().map_err(|why| {
-        std::io::Error::other(format!("standard input is no listening socket ({why}); `mr-slam up` starts the bridge"))
+        std::io::Error::other(format!(
+            "standard input is no listening socket ({why}); `mr-slam up` starts the bridge"
+        ))
     })?;
     listener.set_nonblocking(true)?;
     TcpListener::from_std(listener)
@@ -83,12 +85,16 @@ fn fleet_tasks(node: &Node, run: &Run, bridge: &Rc<Bridge>) -> Result<Vec<JoinHa
     ];
     for robot in run.robots() {
         tasks.push(robot_motion(node, bridge, robot)?);
-        tasks.push(forward(node, bridge, &channel::scan(robot), move |bridge, scan| bridge.scan(robot, scan))?);
+        tasks.push(forward(node, bridge, &channel::scan(robot), move |bridge, scan| {
+            bridge.scan(robot, scan)
+        })?);
         tasks.push(forward(node, bridge, &channel::correction(robot), move |bridge, correction| {
             bridge.correction(robot, correction);
         })?);
         let maps = node.grid_reader(&channel::map(robot))?;
-        tasks.push(grids(node, bridge, &channel::map(robot), maps, move |bridge, map| bridge.map(robot, map))?);
+        tasks.push(grids(node, bridge, &channel::map(robot), maps, move |bridge, map| {
+            bridge.map(robot, map)
+        })?);
     }
     Ok(tasks)
 }

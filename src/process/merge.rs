@@ -8,7 +8,7 @@ use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, Gaps, GridReader, wait};
 use crate::stop::Stop;
 use ::merge::Merger;
-use msg::{Role, RobotId};
+use msg::{RobotId, Role};
 
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Merge, None)?;

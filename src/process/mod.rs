@@ -10,7 +10,7 @@ mod telemetry;
 
 use crate::run::{Run, RunError};
 use crate::stop::Stop;
-use msg::{Role, RobotId};
+use msg::{RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
 

@@ -4,7 +4,7 @@ use crate::channel;
 use crate::clock::{cpu_ns, memory_bytes, now};
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, Gaps, Node, Writer};
-use msg::{Beat, Monotonic, Role, RobotId};
+use msg::{Beat, Monotonic, RobotId, Role};
 
 /// How often.
 const PERIOD_NS: u64 = 1_000_000_000;

@@ -7,7 +7,7 @@ use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, Node, Reader, Writer, wait};
 use crate::stop::Stop;
-use msg::{Clock, Command, Odometry, Role, RobotId, Scan, Transforms, Truth};
+use msg::{Clock, Command, Odometry, RobotId, Role, Scan, Transforms, Truth};
 use sim::Simulator;
 
 /// A simulator further behind than this lets the time go instead of hurrying after it: the

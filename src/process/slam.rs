@@ -8,7 +8,7 @@ use crate::run::Run;
 use crate::shared_memory::{ChannelError, wait};
 use crate::stop::Stop;
 use ::slam::{Back, Node, Revision, Slam};
-use msg::{Role, RobotId};
+use msg::{RobotId, Role};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Instant;
 

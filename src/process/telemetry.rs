@@ -1,7 +1,7 @@
 //! The fleet's figures: listens to everything, says once a second how it goes.
 
-use super::{Error, PLAN_RESOLUTION_M};
 use super::pulse::{Account, Pulse};
+use super::{Error, PLAN_RESOLUTION_M};
 use crate::channel;
 use crate::clock::now;
 use crate::fleet;
@@ -9,7 +9,7 @@ use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
-use msg::{Anchors, Beat, Correction, Monotonic, Role, RobotId, Transforms, Truth};
+use msg::{Anchors, Beat, Correction, Monotonic, RobotId, Role, Transforms, Truth};
 
 /// How often the figures are sent.
 const PERIOD_NS: u64 = 1_000_000_000;

@@ -98,8 +98,13 @@ fn unsafe_lives_in_one_file() {
 fn every_file_says_what_it_is() {
     for room in [".", "msg", "sim", "slam", "merge", "telemetry", "bridge"] {
         for (path, text) in sources(room) {
-            let tests = path.components().any(|part| part.as_os_str() == "tests.rs" || part.as_os_str() == "tests");
-            assert!(tests || text.starts_with("//!"), "{} begins without a word about itself", path.display());
+            let tests =
+                path.components().any(|part| part.as_os_str() == "tests.rs" || part.as_os_str() == "tests");
+            assert!(
+                tests || text.starts_with("//!"),
+                "{} begins without a word about itself",
+                path.display()
+            );
         }
     }
 }

@@ -7,7 +7,8 @@ use flate2::{Compression, write::GzEncoder};
 use std::io::{Read, Write};
 use std::net::TcpStream;
 
-const LASER: &str = "ROBOTLASER1 0 0.0 3.14159 1.570796 10.0 0.01 0 3 1.0 1.0 1.0 0 0 0 0 0 0 0 0 0 0 0 5.0 host 5.0\n";
+const LASER: &str =
+    "ROBOTLASER1 0 0.0 3.14159 1.570796 10.0 0.01 0 3 1.0 1.0 1.0 0 0 0 0 0 0 0 0 0 0 0 5.0 host 5.0\n";
 
 fn replay(log: &[u8]) -> (bool, String) {
     let folder = Folder::new();
@@ -74,7 +75,8 @@ fn frames_that_make_no_sense_are_answered_and_cost_the_fleet_nothing() {
     let mut bad_json = Vec::new();
     Side::Client.write(&mut bad_json, name::SUBSCRIBE, b"{\"topic\": \0");
     assert!(error_for(port, &bad_json).unwrap().contains(name::SUBSCRIBE));
-    let oversize = [4_u32.to_le_bytes().to_vec(), b"/a\0\0".to_vec(), u32::MAX.to_le_bytes().to_vec()].concat();
+    let oversize =
+        [4_u32.to_le_bytes().to_vec(), b"/a\0\0".to_vec(), u32::MAX.to_le_bytes().to_vec()].concat();
     let _ = error_for(port, &oversize);
     let _ = error_for(port, b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n");
     let view = fleet.until("scans after the garbage", |view| view.robots[0].scans > 30);

@@ -12,7 +12,9 @@ fn process<'a>(view: &'a FleetView, name: &str) -> Option<&'a ProcessView> {
 fn kill_and_recover(name: &str) {
     let mut fleet = Fleet::start("up", &["--robots", "3"]);
     let before = fleet.until("scans of all robots", |view| {
-        view.robots.len() == 3 && view.robots.iter().all(|robot| robot.scans >= 20) && process(view, name).is_some()
+        view.robots.len() == 3
+            && view.robots.iter().all(|robot| robot.scans >= 20)
+            && process(view, name).is_some()
     });
     let killed = process(&before, name).unwrap().pid;
     send(killed, Signal::KILL);

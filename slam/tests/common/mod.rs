@@ -101,7 +101,13 @@ pub const HALF: Lidar =
     Lidar { beams: 181, fov_rad: core::f64::consts::PI, range_max_m: 20.0, sigma_m: 0.01 };
 
 /// One turn of the LiDAR.
-pub fn cast(walls: &[Wall], lidar: &Lidar, world_from_scan: Pose2, stamp: Stamp, noise: &mut Noise) -> Box<Scan> {
+pub fn cast(
+    walls: &[Wall],
+    lidar: &Lidar,
+    world_from_scan: Pose2,
+    stamp: Stamp,
+    noise: &mut Noise,
+) -> Box<Scan> {
     let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let increment = lidar.fov_rad / lidar.beams as f64;
     scan.header = Header { stamp, ..Default::default() };
@@ -142,7 +148,13 @@ pub struct Robot {
 
 impl Robot {
     pub fn new(world_from_base: Pose2) -> Self {
-        Self { world_from_base, odom_from_base: Pose2::IDENTITY, time_s: 10.0, slip: 0.03, veer_rad_per_m: 0.02 }
+        Self {
+            world_from_base,
+            odom_from_base: Pose2::IDENTITY,
+            time_s: 10.0,
+            slip: 0.03,
+            veer_rad_per_m: 0.02,
+        }
     }
 
     /// Drives on for `seconds`.
