@@ -205,7 +205,7 @@ impl World {
     /// One step of [`STEP_S`].
     pub(super) fn step(&mut self, step: u64) {
         self.move_bodies();
-        if step % 2 == 0 {
+        if step.is_multiple_of(2) {
             self.scan_and_map();
         }
     }
@@ -224,13 +224,13 @@ impl World {
             let robot = RobotId::new(i + 1).unwrap();
             anchors.robots[i].known = 1;
             bridge.transforms(robot, &transforms(header, body.pose));
-            if step % 2 == 0 {
+            if step.is_multiple_of(2) {
                 bridge.scan(robot, &scan_message(header, &body.ranges_m));
                 bridge.correction(robot, &msg::Correction { header, ..Default::default() });
             }
         }
         bridge.anchors(&anchors);
-        if step % 20 == 0 {
+        if step.is_multiple_of(20) {
             bridge.merged_map(self.grid.view());
         }
     }
@@ -350,10 +350,10 @@ pub(super) fn rehearse(script: Script) -> Outcome {
         if (now_s - script.shift_at_s).abs() < STEP_S / 2.0 {
             world.map_from_world = Pose2::new(0.4, -0.3, 0.12);
         }
-        if step % 2 == 0 {
+        if step.is_multiple_of(2) {
             world.scan_and_map();
         }
-        if step % 20 == 0 {
+        if step.is_multiple_of(20) {
             let mut grid = world.grid.clone();
             grid.header.origin = world.map_from_world * grid.header.origin;
             world.post.push_back(grid);
@@ -361,7 +361,7 @@ pub(super) fn rehearse(script: Script) -> Outcome {
                 world.post.pop_front();
             }
         }
-        if step % 200 == 0 {
+        if step.is_multiple_of(200) {
             outcome.0.push(world.coverage(&floor));
         }
         one_step(&mut world, &mut tour, &script, now_s, &mut hands);

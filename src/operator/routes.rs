@@ -138,7 +138,7 @@ impl Routes {
 
 /// Four times as dear without room to spare as with comfort, linearly between.
 fn step_cost(direction: usize, clearance_m: f64, open_clearance_m: f64) -> u32 {
-    let length = if direction % 2 == 0 { STRAIGHT / 4 } else { STRAIGHT / 4 * 14 / 10 };
+    let length = if direction.is_multiple_of(2) { STRAIGHT / 4 } else { STRAIGHT / 4 * 14 / 10 };
     let lack = ((COMFORT_M - clearance_m) / (COMFORT_M - open_clearance_m).max(0.01)).clamp(0.0, 1.0);
     length * (4 + (lack * 12.0) as u32)
 }
