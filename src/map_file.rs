@@ -1,1 +1,285 @@
 //! Maps as files: PGM with YAML as map_server reads them, and PNG for people.
+//!
+//! The format is that of ROS's map_server and Nav2's nav2_map_server: an image whose first row is
+//! the highest y, and a YAML file that says what its greys mean and where its lower left corner
+//! lies. A file holds readings, not evidence: what is read back has [`CERTAIN`] steps of evidence
+//! in every occupied cell and minus as many in every free one.
+
+mod image;
+mod picture;
+
+pub use picture::{Picture, Rgb};
+
+use image::read_image;
+use msg::grid::{self, CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, Occupancy, UNKNOWN, occupancy};
+use msg::{Grid, GridHeader, GridView, Pose2};
+use serde::Deserialize;
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+/// Log-odds steps in a cell read from a file: a probability of 0.95, so that a second map of the
+/// same place can still outvote the first.
+pub const CERTAIN: i8 = 60;
+/// The longest YAML file that is read, bytes. A map's has about 150.
+const YAML_BYTES_MAX: u64 = 64 * 1024;
+/// Above this probability a cell is occupied: map_server's.
+const OCCUPIED_THRESH: f64 = 0.65;
+/// Below this probability a cell is free. Unknown is written as grey 205, a probability of 0.1961:
+/// with the 0.25 that Nav2's map_saver writes, its own map_server reads unknown as free.
+const FREE_THRESH: f64 = 0.196;
+/// Sides of a cell that make sense, metres.
+const RESOLUTION_M: core::ops::RangeInclusive<f64> = 1e-3..=100.0;
+/// The farthest corner that makes sense, metres: f64 still resolves micrometres there.
+const ORIGIN_M_MAX: f64 = 1e7;
+
+/// Greys of map_saver.
+const GREY_OCCUPIED: u8 = 0;
+const GREY_FREE: u8 = 254;
+const GREY_UNKNOWN: u8 = 205;
+
+/// Why a map was not read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum MapFileError {
+    /// The system refused.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// Which file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The content makes no sense.
+    #[error("{}: {what}; expected {expected}", file.display())]
+    Content {
+        /// Which file.
+        file: PathBuf,
+        /// What was found, and where.
+        what: String,
+        /// What was expected instead.
+        expected: String,
+    },
+}
+
+impl MapFileError {
+    fn content(file: &Path, what: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::Content { file: file.to_owned(), what: what.into(), expected: expected.into() }
+    }
+
+    fn io(file: &Path) -> impl FnOnce(std::io::Error) -> Self + '_ {
+        move |source| Self::Io { file: file.to_owned(), source }
+    }
+}
+
+/// Writes `STEM.pgm` and `STEM.yaml` for map_server, and the same picture as `STEM.png`.
+/// Each file appears whole or not at all; the YAML last, so that it never names a missing image.
+pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
+    let [pgm, yaml, png] = ["pgm", "yaml", "png"].map(|extension| with_extension(stem, extension));
+    let name = pgm.file_name().and_then(|name| name.to_str());
+    let Some(name) = name.filter(|name| !name.contains(['"', '\\', '\n', '\r'])) else {
+        return Err(MapFileError::content(
+            stem,
+            "a name that YAML cannot hold",
+            "plain UTF-8 without quotes",
+        ));
+    };
+    let (width, height) = (grid.header.width, grid.header.height);
+    if width == 0 || height == 0 {
+        return Err(MapFileError::content(
+            stem,
+            format!("a map of {width} x {height} cells"),
+            "at least one cell",
+        ));
+    }
+    let greys = greys_top_down(grid);
+    write_whole(&pgm, |file| {
+        write!(file, "P5\n{width} {height}\n255\n")?;
+        file.write_all(&greys)
+    })?;
+    write_whole(&png, |file| picture::encode(file, width, height, png::ColorType::Grayscale, &greys))?;
+    write_whole(&yaml, |file| file.write_all(describe(name, grid.header).as_bytes()))
+}
+
+/// Reads a map by its YAML file. The image is a PGM (P5 or P2) or a PNG, beside the YAML or at an
+/// absolute path. Nothing is allocated for an image before its size was found sound.
+pub fn read_map(yaml: &Path) -> Result<Grid, MapFileError> {
+    let meta = read_description(yaml)?;
+    let image = yaml.parent().unwrap_or(Path::new("")).join(&meta.image);
+    let pixels = read_image(&image)?;
+    let table = meta.cell_table();
+    let (width, height) = (pixels.width as usize, pixels.height as usize);
+    let mut cells = Vec::with_capacity(width * height);
+    for row in (0..height).rev() {
+        let row = row * width..(row + 1) * width;
+        cells.extend(pixels.greys[row].iter().map(|grey| grey.map_or(UNKNOWN, |g| table[usize::from(g)])));
+    }
+    let [x_m, y_m, yaw_rad] = meta.origin;
+    let header = GridHeader {
+        origin: Pose2::new(x_m, y_m, yaw_rad),
+        resolution_m: meta.resolution,
+        width: pixels.width,
+        height: pixels.height,
+        ..Default::default()
+    };
+    Ok(Grid { header, cells })
+}
+
+/// What the YAML says. Other fields are other programs' business.
+#[derive(Debug, Deserialize)]
+struct Description {
+    image: PathBuf,
+    resolution: f64,
+    origin: [f64; 3],
+    negate: Flag,
+    occupied_thresh: f64,
+    free_thresh: f64,
+    #[serde(default)]
+    mode: Mode,
+}
+
+/// map_server's `negate` is written as 0 and 1 by some, as a boolean by others.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
+#[serde(untagged)]
+enum Flag {
+    Number(u8),
+    Truth(bool),
+}
+
+/// How greys become cells.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq)]
+#[serde(rename_all = "lowercase")]
+enum Mode {
+    #[default]
+    Trinary,
+    Scale,
+    Raw,
+}
+
+fn read_description(yaml: &Path) -> Result<Description, MapFileError> {
+    let mut text = String::new();
+    let file = File::open(yaml).map_err(MapFileError::io(yaml))?;
+    file.take(YAML_BYTES_MAX + 1).read_to_string(&mut text).map_err(MapFileError::io(yaml))?;
+    if text.len() as u64 > YAML_BYTES_MAX {
+        return Err(MapFileError::content(
+            yaml,
+            "too long",
+            format!("at most {YAML_BYTES_MAX} bytes of YAML"),
+        ));
+    }
+    let fields = "image, resolution, origin: [x, y, yaw], negate, occupied_thresh, free_thresh as map_saver writes them";
+    let meta: Description = serde_saphyr::from_str(&text)
+        .map_err(|error| MapFileError::content(yaml, error.to_string().trim_end().to_owned(), fields))?;
+    meta.check(yaml)?;
+    Ok(meta)
+}
+
+impl Description {
+    fn check(&self, yaml: &Path) -> Result<(), MapFileError> {
+        let refuse = |what: String, expected: &str| Err(MapFileError::content(yaml, what, expected));
+        if self.image.as_os_str().is_empty() {
+            return refuse("`image` is empty".into(), "the name of a PGM or PNG file");
+        }
+        if !RESOLUTION_M.contains(&self.resolution) {
+            return refuse(format!("`resolution` is {}", self.resolution), "0.001 to 100 metres a cell");
+        }
+        if !self.origin.iter().all(|value| value.abs() <= ORIGIN_M_MAX) {
+            return refuse(format!("`origin` is {:?}", self.origin), "finite metres, metres, radians");
+        }
+        if matches!(self.negate, Flag::Number(2..)) {
+            return refuse(format!("`negate` is {:?}", self.negate), "0 or 1");
+        }
+        let (free, occupied) = (self.free_thresh, self.occupied_thresh);
+        let sound = (0.0..=1.0).contains(&free) && (0.0..=1.0).contains(&occupied) && free <= occupied;
+        if !sound {
+            let what = format!("`free_thresh` is {free} and `occupied_thresh` is {occupied}");
+            return refuse(what, "0 <= free_thresh <= occupied_thresh <= 1");
+        }
+        Ok(())
+    }
+
+    /// The cell of each grey, as nav2_map_server's three modes read it.
+    fn cell_table(&self) -> [i8; 256] {
+        core::array::from_fn(|grey| {
+            let shade = grey as f64 / 255.0;
+            let negated = matches!(self.negate, Flag::Number(1) | Flag::Truth(true));
+            let p = if negated { shade } else { 1.0 - shade };
+            match self.mode {
+                Mode::Raw if grey <= 100 => cell_of_probability(grey as f64 / 100.0),
+                Mode::Raw => UNKNOWN,
+                _ if p > self.occupied_thresh => CERTAIN,
+                _ if p < self.free_thresh => -CERTAIN,
+                Mode::Trinary => UNKNOWN,
+                Mode::Scale => {
+                    let span = (self.occupied_thresh - self.free_thresh).max(f64::MIN_POSITIVE);
+                    cell_of_probability(((p - self.free_thresh) / span).clamp(0.01, 0.99))
+                }
+            }
+        })
+    }
+}
+
+/// Log-odds of a probability, at most [`CERTAIN`] either way.
+fn cell_of_probability(p: f64) -> i8 {
+    let steps = (p / (1.0 - p)).ln() / LOG_ODDS_PER_STEP;
+    steps.clamp(-f64::from(CERTAIN), f64::from(CERTAIN)).round() as i8
+}
+
+fn describe(image: &str, header: &GridHeader) -> String {
+    let Pose2 { x_m, y_m, yaw_rad } = header.origin;
+    format!(
+        "image: \"{image}\"\nmode: trinary\nresolution: {:?}\norigin: [{x_m:?}, {y_m:?}, {yaw_rad:?}]\n\
+         negate: 0\noccupied_thresh: {OCCUPIED_THRESH}\nfree_thresh: {FREE_THRESH}\n",
+        header.resolution_m
+    )
+}
+
+/// map_saver's grey of every cell, first row the highest y.
+fn greys_top_down(grid: GridView<'_>) -> Vec<u8> {
+    let table: [u8; 256] = core::array::from_fn(|bits| match occupancy(bits as u8 as i8) {
+        Occupancy::Occupied => GREY_OCCUPIED,
+        Occupancy::Free => GREY_FREE,
+        Occupancy::Unknown => GREY_UNKNOWN,
+    });
+    let rows = grid.cells.chunks_exact(grid.header.width as usize).rev();
+    rows.flatten().map(|cell| table[usize::from(*cell as u8)]).collect()
+}
+
+/// `a/map.v1` becomes `a/map.v1.pgm`: a dot in the stem is not an extension.
+fn with_extension(stem: &Path, extension: &str) -> PathBuf {
+    let mut path = stem.as_os_str().to_owned();
+    path.push(".");
+    path.push(extension);
+    path.into()
+}
+
+/// Writes beside the place and renames, so that a reader never sees half a file.
+fn write_whole(
+    path: &Path,
+    write: impl FnOnce(&mut std::io::BufWriter<&File>) -> std::io::Result<()>,
+) -> Result<(), MapFileError> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut temporary = readable_by_all().tempfile_in(folder).map_err(MapFileError::io(path))?;
+    let mut buffered = std::io::BufWriter::new(&*temporary.as_file_mut());
+    write(&mut buffered).and_then(|()| buffered.flush()).map_err(MapFileError::io(path))?;
+    drop(buffered);
+    temporary
+        .persist(path)
+        .map_err(|error| MapFileError::Io { file: path.to_owned(), source: error.error })?;
+    Ok(())
+}
+
+/// Temporary files are private by default; a map is not.
+fn readable_by_all() -> tempfile::Builder<'static, 'static> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder
+}
+
+const _: () = assert!(CERTAIN < LOG_ODDS_MAX && CERTAIN >= grid::OCCUPIED_MIN && -CERTAIN <= grid::FREE_MAX);
+
+#[cfg(test)]
+mod tests;

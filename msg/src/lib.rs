@@ -44,3 +44,30 @@ pub struct Header {
     /// The writer's incarnation: a restarted writer has another, and starts at `seq` 0.
     pub run: u64,
 }
+
+/// A message with a header, as one channel carries it.
+pub trait Message: Pod {
+    /// Its name between processes: tells two layouts apart, even when they are equally large.
+    const NAME: &'static str;
+    /// The header.
+    fn header(&self) -> &Header;
+    /// The header, for the channel to number and time.
+    fn header_mut(&mut self) -> &mut Header;
+}
+
+macro_rules! messages {
+    ($($message:ident),*) => {$(
+        impl Message for $message {
+            const NAME: &'static str = concat!("msg::", stringify!($message));
+            fn header(&self) -> &Header {
+                &self.header
+            }
+            fn header_mut(&mut self) -> &mut Header {
+                &mut self.header
+            }
+        }
+    )*};
+}
+messages!(
+    Scan, Odometry, Transforms, Command, Truth, Clock, GridHeader, Correction, Anchors, Beat, FleetStats
+);

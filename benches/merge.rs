@@ -1,0 +1,158 @@
+//! Merging: time to merge known maps, and the alignment of unknown ones.
+//!
+//! `cargo bench --bench merge [-- PAIRS_DIR [RESULTS.jsonl]]`: PAIRS_DIR holds a folder a pair with
+//! `a.yaml`, `b.yaml`; RESULTS gets one JSON object a line.
+
+use merge::{AlignConfig, MergeConfig, Merger, align};
+use mr_slam::map_file::read_map;
+use msg::{Anchor, Anchors, Grid, GridHeader, Monotonic, Pose2, RobotId, Stamp};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use telemetry::Telemetry;
+
+/// Rounds of each case; the table shows the fastest and the median.
+const ROUNDS: usize = 15;
+
+fn main() {
+    let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let paths: Vec<&PathBuf> = arguments.iter().filter(|path| !path.starts_with("--bench")).collect();
+    if let Some(pairs) = paths.first() {
+        align_pairs(pairs, paths.get(1).copied());
+        return;
+    }
+    println!("{:<44} {:>9} {:>9}", "known start poses", "min ms", "median ms");
+    compose("8 x 1000 x 1000 rotated, all new", 8, 1000, 0.2, Changed::All);
+    compose("8 x 1000 x 1000 rotated, one new", 8, 1000, 0.2, Changed::One);
+    compose("8 x 1000 x 1000 rotated, 1 % changed", 8, 1000, 0.2, Changed::Hundredth);
+    compose("3 x 4000 x 4000, 1 % changed", 3, 4000, 0.0, Changed::Hundredth);
+    compose("3 x 200 x 200 rotated, all new", 3, 200, 0.2, Changed::All);
+    println!("{:<44} {:>9} {:>9}", "fleet statistics of maps that all overlap", "min ms", "median ms");
+    statistics("3 x 200 x 200, all new", 200);
+    statistics("3 x 1000 x 1000, all new", 1000);
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Changed {
+    All,
+    One,
+    Hundredth,
+}
+
+fn compose(name: &str, robots: usize, side: u32, yaw_step_rad: f64, changed: Changed) {
+    let starts: Vec<_> = (0..robots)
+        .map(|k| Some(Pose2::new(0.37 * k as f64, -0.21 * k as f64, yaw_step_rad * k as f64)))
+        .collect();
+    let mut merger = Merger::new(&MergeConfig::default(), &starts);
+    let mut maps: Vec<Grid> = (0..robots).map(|k| rooms(side, k)).collect();
+    let mut milliseconds = Vec::new();
+    for round in 0..=ROUNDS {
+        for (index, map) in maps.iter_mut().enumerate() {
+            match changed {
+                Changed::Hundredth => scribble(map, side / 10, round),
+                Changed::One if index > 0 => {}
+                _ => map
+                    .cells
+                    .iter_mut()
+                    .for_each(|c| *c = c.wrapping_add(i8::from(*c != i8::MIN && *c < 100))),
+            }
+        }
+        let start = Instant::now();
+        for (robot, map) in RobotId::first(robots).zip(&maps) {
+            if changed != Changed::One || round == 0 || robot.index() == 0 {
+                merger.update(robot, map.view()).unwrap();
+            }
+        }
+        assert!(!merger.merged().cells.is_empty());
+        if round > 0 {
+            milliseconds.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+    }
+    milliseconds.sort_by(f64::total_cmp);
+    println!("{name:<44} {:>9.2} {:>9.2}", milliseconds[0], milliseconds[ROUNDS / 2]);
+}
+
+/// Rooms of 6 m with walls: everything known.
+fn rooms(side: u32, seed: usize) -> Grid {
+    let header = GridHeader {
+        origin: Pose2::new(-0.025 * f64::from(side), -0.025 * f64::from(side), 0.0),
+        resolution_m: 0.05,
+        width: side,
+        height: side,
+        ..Default::default()
+    };
+    let wall = |x: u32, y: u32| x % 120 == 7 || y % 120 == 11 || (x + seed as u32).is_multiple_of(977);
+    let cells = (0..side).flat_map(|y| (0..side).map(move |x| if wall(x, y) { 80 } else { -80 })).collect();
+    Grid { header, cells }
+}
+
+/// Changes a square of `size` cells, another place each round.
+fn scribble(map: &mut Grid, size: u32, round: usize) {
+    let side = map.header.width;
+    let (x0, y0) = ((round as u32 * 331) % (side - size), (round as u32 * 577) % (side - size));
+    for y in y0..y0 + size {
+        for cell in &mut map.cells[(y * side + x0) as usize..][..size as usize] {
+            *cell = cell.wrapping_add(3).max(-127);
+        }
+    }
+}
+
+/// Three maps come, and their figures are taken.
+fn statistics(name: &str, side: u32) {
+    let mut telemetry = Telemetry::new(3, None, &[]);
+    let mut anchors = Anchors::default();
+    for (k, anchor) in anchors.robots.iter_mut().take(3).enumerate() {
+        *anchor = Anchor { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
+    }
+    telemetry.anchors(&anchors);
+    let maps: Vec<Grid> = (0..3).map(|k| rooms(side, k)).collect();
+    let mut milliseconds: Vec<f64> = (0..ROUNDS)
+        .map(|_| {
+            let start = Instant::now();
+            for (robot, map) in RobotId::first(3).zip(&maps) {
+                telemetry.map(robot, map.view(), Monotonic(0));
+            }
+            assert_eq!(telemetry.stats(Stamp(0), Monotonic(0)).pair_count, 3);
+            start.elapsed().as_secs_f64() * 1e3
+        })
+        .collect();
+    milliseconds.sort_by(f64::total_cmp);
+    println!("{name:<44} {:>9.2} {:>9.2}", milliseconds[0], milliseconds[ROUNDS / 2]);
+}
+
+/// Aligns every pair, and says what was found.
+fn align_pairs(folder: &Path, results: Option<&PathBuf>) {
+    let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    names.sort();
+    let mut lines = String::new();
+    for pair in names {
+        let [a, b] = ["a.yaml", "b.yaml"].map(|name| read_map(&pair.join(name)).unwrap());
+        let start = Instant::now();
+        let cpu_start = cpu_s();
+        let found = align(a.view(), b.view(), &AlignConfig::default());
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        let cpu_ms = (cpu_s() - cpu_start) * 1e3;
+        let name = pair.file_name().unwrap().to_string_lossy().into_owned();
+        let line = match found {
+            Some(found) => serde_json::json!({
+                "pair": name, "accepted": found.accepted, "ms": ms, "cpu_ms": cpu_ms,
+                "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
+                "inliers": found.inliers, "score": found.score, "strict": found.strict,
+                "overlap_m2": found.overlap_m2, "overlap_share": found.overlap_share,
+                "residual_m": found.residual_m, "margin": found.margin, "firmness": found.firmness,
+            }),
+            None => serde_json::json!({"pair": name, "accepted": false, "ms": ms}),
+        };
+        println!("{line}");
+        writeln!(lines, "{line}").unwrap();
+    }
+    if let Some(path) = results {
+        std::fs::write(path, lines).unwrap();
+    }
+}
+
+/// Processor time of this thread, seconds: what a busy machine does not change much.
+fn cpu_s() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}

@@ -1,0 +1,198 @@
+//! Unknown start poses: where does one map lie in another?
+//!
+//! ```text
+//! walls, floor ─▶ rotation spectra ─▶ every translation (FFT) ─▶ refined on a's walls ─▶ gate
+//!                 8 turns, and half a turn more     4 places each    the best few
+//! ```
+//!
+//! Places are ranked by their walls alone: floor agrees with floor almost anywhere. Carpin's
+//! acceptance index, which counts floor too, is one of the conditions of the gate.
+
+mod evidence;
+mod fft2;
+mod field;
+mod fit;
+mod refine;
+mod spectrum;
+mod translate;
+mod verify;
+
+use crate::merger::{RESOLUTION_M, is_near};
+use evidence::Evidence;
+use field::Field;
+use fit::{Fit, fit};
+use msg::{GridView, Pose2};
+use refine::{coarse_stages, fine_stages, refine};
+use serde::{Deserialize, Serialize};
+use translate::{COARSE_M, Candidate, Translator};
+use verify::{Agreement, agreement};
+
+/// Rotations tried, each with half a turn more.
+const ROTATIONS: usize = 12;
+/// Places that are refined, best coarse score first.
+const REFINED: usize = 24;
+/// Wall points used while there are many places to refine.
+const COARSE_POINTS: usize = 2_000;
+/// Wall points used for the last stage.
+const FINE_POINTS: usize = 20_000;
+/// Places compared cell by cell.
+const VERIFIED: usize = 2;
+/// Walls by which a place must be ahead of nothing: what chance finds anywhere.
+const LEAST_EVIDENCE: f64 = 50.0;
+/// Two places nearer than this are the same, metres and radians.
+const SAME_PLACE: [f64; 2] = [0.5, 0.1];
+
+/// When to believe an alignment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlignConfig {
+    /// Of the cells both maps know, at least this share agrees.
+    pub strict_min: f64,
+    /// F1 of occupied cells at one cell's tolerance, at least.
+    pub occupied_f1_min: f64,
+    /// Floor and walls both know, square metres, at least.
+    pub overlap_min_m2: f64,
+    /// Occupied cells found again, of both maps together, at least.
+    pub inliers_min: u32,
+    /// The best place's evidence over that of the best other place, at least.
+    pub margin_min: f64,
+    /// Least share of the walls' pull in any direction: below it a map can slide along itself.
+    pub firmness_min: f64,
+}
+
+impl Default for AlignConfig {
+    fn default() -> Self {
+        Self {
+            strict_min: 0.94,
+            occupied_f1_min: 0.80,
+            overlap_min_m2: 10.0,
+            inliers_min: 200,
+            margin_min: 1.5,
+            firmness_min: 0.03,
+        }
+    }
+}
+
+/// The best place found for one map in another, with what speaks for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment {
+    /// Frame of the second map to that of the first.
+    pub a_from_b: Pose2,
+    /// It passed every condition of the gate.
+    pub accepted: bool,
+    /// Occupied cells found again, of both maps together.
+    pub inliers: u32,
+    /// F1 of occupied cells at one cell's tolerance, 0 to 1.
+    pub score: f64,
+    /// Share of the cells both know on which they agree, 0 to 1.
+    pub strict: f64,
+    /// What both know, square metres.
+    pub overlap_m2: f64,
+    /// The same over what the map that knows less knows, 0 to 1.
+    pub overlap_share: f64,
+    /// Mean distance of walls found again, metres.
+    pub residual_m: f64,
+    /// Evidence (walls found less walls missed) over that of the best other place, or over
+    /// [`LEAST_EVIDENCE`] walls if no other has as much.
+    pub margin: f64,
+    /// 0: the map can slide along itself; 0.5: held alike in all directions.
+    pub firmness: f64,
+}
+
+/// Finds where `b` lies in `a`. `None` if one of them makes no sense, has no walls, or nothing fits
+/// at all; else the best place, which only counts if it is `accepted`.
+pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<Alignment> {
+    if !is_usable(a) || !is_usable(b) {
+        return None;
+    }
+    let walls = [Evidence::of(a, COARSE_M), Evidence::of(b, COARSE_M)];
+    if walls.iter().any(|map| map.walls_m.is_empty()) {
+        return None;
+    }
+    let candidates = coarse(&walls[0], &walls[1]);
+    let [of_a, of_b] = walls;
+    let (field_a, field_b) = (Field::of(of_a, a), Field::of(of_b, b));
+    let fields = [&field_a, &field_b];
+    let fits = refined(fields, &candidates);
+    let exact = fits.iter().take(VERIFIED).map(|coarse| (coarse, finished(fields, coarse)));
+    let (coarse, best) = exact.max_by(|x, y| x.1.evidence().total_cmp(&y.1.evidence()))?;
+    let others = fits.iter().filter(|other| !same_place(other.a_from_b, coarse.a_from_b));
+    let margin = best.evidence() / others.map(Fit::evidence).fold(LEAST_EVIDENCE, f64::max);
+    let a_from_b =
+        field_a.evidence.frame_from_middle * best.a_from_b * field_b.evidence.frame_from_middle.inverse();
+    Some(judge(a_from_b, &best, margin, &agreement(a, b, a_from_b), config))
+}
+
+fn is_usable(map: GridView<'_>) -> bool {
+    GridView::new(map.header, map.cells).is_some()
+        && RESOLUTION_M.contains(&map.header.resolution_m)
+        && is_near(map.header.origin)
+}
+
+/// Rotations, and for each the best translations; best first.
+fn coarse(a: &Evidence, b: &Evidence) -> Vec<Candidate> {
+    let turns = spectrum::rotations(&spectrum::spectrum(a), &spectrum::spectrum(b), ROTATIONS);
+    let mut translator = Translator::new(a, b);
+    let mut candidates: Vec<Candidate> =
+        turns.into_iter().flat_map(|turn| translator.candidates(turn)).collect();
+    candidates.sort_by(|x, y| y.score.total_cmp(&x.score));
+    candidates.truncate(REFINED);
+    candidates
+}
+
+/// The candidates drawn to the nearest walls, without doubles, most evidence first.
+fn refined(fields: [&Field; 2], candidates: &[Candidate]) -> Vec<Fit> {
+    let keep = thinned(fields, COARSE_POINTS);
+    let mut fits: Vec<Fit> = Vec::new();
+    for candidate in candidates {
+        let found = fit(fields, refine(fields, candidate.a_from_b, keep, coarse_stages()), keep);
+        match fits.iter_mut().find(|other| same_place(other.a_from_b, found.a_from_b)) {
+            Some(other) if other.evidence() < found.evidence() => *other = found,
+            Some(_) => {}
+            None => fits.push(found),
+        }
+    }
+    fits.sort_by(|x, y| y.evidence().total_cmp(&x.evidence()));
+    fits
+}
+
+/// A refined place once more, by many points.
+fn finished(fields: [&Field; 2], coarse: &Fit) -> Fit {
+    let keep = thinned(fields, FINE_POINTS);
+    fit(fields, refine(fields, coarse.a_from_b, keep, fine_stages()), keep)
+}
+
+/// Every how many wall points of either map, to use about so many.
+fn thinned(fields: [&Field; 2], points: usize) -> [usize; 2] {
+    fields.map(|field| field.evidence.walls_m.len().div_ceil(points).max(1))
+}
+
+fn same_place(x: Pose2, y: Pose2) -> bool {
+    let turn = msg::pose::wrap_angle(x.yaw_rad - y.yaw_rad).abs();
+    x.distance_m(y) < SAME_PLACE[0] && turn < SAME_PLACE[1]
+}
+
+fn judge(a_from_b: Pose2, fit: &Fit, margin: f64, agreement: &Agreement, config: &AlignConfig) -> Alignment {
+    let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found } = *agreement;
+    let accepted = strict >= config.strict_min
+        && occupied_f1 >= config.occupied_f1_min
+        && overlap_m2 >= config.overlap_min_m2
+        && walls_found >= config.inliers_min
+        && margin >= config.margin_min
+        && fit.firmness >= config.firmness_min;
+    Alignment {
+        a_from_b,
+        accepted,
+        inliers: walls_found,
+        score: occupied_f1,
+        strict,
+        overlap_m2,
+        overlap_share,
+        residual_m: fit.residual_m,
+        margin,
+        firmness: fit.firmness,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,124 @@
+//! Two-dimensional Fourier transforms of real images.
+
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+use std::sync::Arc;
+
+/// Plans for one size. A spectrum is stored transposed: `height` values for each of the
+/// `width / 2 + 1` horizontal frequencies.
+pub(crate) struct Fft2 {
+    width: usize,
+    height: usize,
+    along: Arc<dyn RealToComplex<f32>>,
+    along_back: Arc<dyn ComplexToReal<f32>>,
+    across: Arc<dyn Fft<f32>>,
+    across_back: Arc<dyn Fft<f32>>,
+    rows: Vec<Complex<f32>>,
+    scratch: Vec<Complex<f32>>,
+}
+
+/// The next size that factors into 2, 3 and 5, and is even: these are fast.
+pub(crate) fn fast_size(least: usize) -> usize {
+    let smooth = |mut n: usize| {
+        for factor in [2, 3, 5] {
+            while n.is_multiple_of(factor) {
+                n /= factor;
+            }
+        }
+        n == 1
+    };
+    (least.max(2)..).find(|n| n.is_multiple_of(2) && smooth(*n)).unwrap_or(least)
+}
+
+impl Fft2 {
+    /// Plans for images of `width` x `height`; the width is even.
+    pub fn new(width: usize, height: usize) -> Self {
+        let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
+        let (along, along_back) = (real.plan_fft_forward(width), real.plan_fft_inverse(width));
+        let (across, across_back) = (complex.plan_fft_forward(height), complex.plan_fft_inverse(height));
+        let longest = [
+            along.get_scratch_len(),
+            along_back.get_scratch_len(),
+            across.get_inplace_scratch_len(),
+            across_back.get_inplace_scratch_len(),
+        ];
+        let scratch = vec![Complex::default(); longest.into_iter().max().unwrap_or(0)];
+        let rows = vec![Complex::default(); (width / 2 + 1) * height];
+        Self { width, height, along, along_back, across, across_back, rows, scratch }
+    }
+
+    /// Values in a spectrum.
+    pub fn spectrum_len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// The spectrum of an image, which is used up.
+    pub fn forward(&mut self, image: &mut [f32], spectrum: &mut Vec<Complex<f32>>) {
+        let half = self.width / 2 + 1;
+        for (row, out) in image.chunks_exact_mut(self.width).zip(self.rows.chunks_exact_mut(half)) {
+            let done =
+                self.along.process_with_scratch(row, out, &mut self.scratch[..self.along.get_scratch_len()]);
+            debug_assert!(done.is_ok());
+        }
+        spectrum.clear();
+        spectrum.resize(self.rows.len(), Complex::default());
+        transpose(&self.rows, half, spectrum);
+        self.across.process_with_scratch(spectrum, &mut self.scratch);
+    }
+
+    /// The image of a spectrum, which is used up; `width * height` times as large.
+    pub fn inverse(&mut self, spectrum: &mut [Complex<f32>], image: &mut Vec<f32>) {
+        let half = self.width / 2 + 1;
+        self.across_back.process_with_scratch(spectrum, &mut self.scratch);
+        transpose(spectrum, self.height, &mut self.rows);
+        image.clear();
+        image.resize(self.width * self.height, 0.0);
+        for (row, out) in self.rows.chunks_exact_mut(half).zip(image.chunks_exact_mut(self.width)) {
+            // A real image's spectrum is real there; rounding made it almost so.
+            row[0].im = 0.0;
+            row[half - 1].im = 0.0;
+            let scratch = &mut self.scratch[..self.along_back.get_scratch_len()];
+            let done = self.along_back.process_with_scratch(row, out, scratch);
+            debug_assert!(done.is_ok());
+        }
+    }
+}
+
+/// Rows of `width` become columns; in blocks, so that both sides stay in the cache.
+fn transpose(from: &[Complex<f32>], width: usize, to: &mut [Complex<f32>]) {
+    const BLOCK: usize = 16;
+    let height = from.len() / width;
+    for y0 in (0..height).step_by(BLOCK) {
+        for x0 in (0..width).step_by(BLOCK) {
+            for y in y0..(y0 + BLOCK).min(height) {
+                for x in x0..(x0 + BLOCK).min(width) {
+                    to[x * height + y] = from[y * width + x];
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_and_back() {
+        let (width, height) = (12, 10);
+        let image: Vec<f32> = (0..width * height).map(|i| ((i * 37) % 11) as f32).collect();
+        let mut fft = Fft2::new(width, height);
+        let (mut spectrum, mut back) = (Vec::new(), Vec::new());
+        fft.forward(&mut image.clone(), &mut spectrum);
+        fft.inverse(&mut spectrum, &mut back);
+        for (before, after) in image.iter().zip(&back) {
+            assert!((before - after / (width * height) as f32).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn sizes() {
+        assert_eq!([1, 7, 121, 640].map(fast_size), [2, 8, 128, 640]);
+    }
+}

@@ -1,0 +1,147 @@
+//! Places that must be found, and maps that must be refused.
+
+use super::*;
+use crate::{MergeConfig, Merger};
+use msg::grid::UNKNOWN;
+use msg::{Grid, GridHeader, RobotId};
+use proptest::prelude::*;
+
+const RESOLUTION_M: f64 = 0.05;
+
+/// Cells of a floor plan: `None` beyond it, else whether something stands there.
+type Plan = fn(i64, i64) -> Option<bool>;
+
+/// 16 m x 11 m: rooms, doors, furniture, and nothing alike.
+fn house(x: i64, y: i64) -> Option<bool> {
+    let (x, y) = (x + 160, y + 110);
+    let inside = (0..320).contains(&x) && (0..220).contains(&y);
+    let outer = x == 0 || x == 319 || y == 0 || y == 219;
+    let inner = (x == 110 && !(60..78).contains(&y) && y < 150)
+        || (y == 120 && x > 110 && !(190..208).contains(&x))
+        || (x == 230 && y > 120 && !(150..168).contains(&y));
+    let furniture = [
+        (20..52, 30..44),
+        (70..80, 100..140),
+        (150..190, 20..38),
+        (260..275, 60..90),
+        (130..150, 180..205),
+        (280..300, 170..178),
+    ];
+    let stands = furniture.iter().any(|(across, along)| across.contains(&x) && along.contains(&y));
+    inside.then_some(outer || inner || stands)
+}
+
+/// Another one.
+fn workshop(x: i64, y: i64) -> Option<bool> {
+    let (x, y) = (x + 130, y + 130);
+    let inside = (0..260).contains(&x) && (0..260).contains(&y);
+    let outer = x < 2 || x > 257 || y < 2 || y > 257;
+    let pillars = (x % 65 < 6) && (y % 52 < 6) && x > 30 && y > 30;
+    let bench = (y == x / 2 + 60 && x < 120) || ((200..204).contains(&x) && y > 90 && y < 200);
+    inside.then_some(outer || pillars || bench)
+}
+
+/// 10 m x 6 m and empty: half a turn changes nothing.
+fn hall(x: i64, y: i64) -> Option<bool> {
+    (x.abs() <= 100 && y.abs() <= 60).then_some(x.abs() == 100 || y.abs() == 60)
+}
+
+/// Two walls of 30 m.
+fn corridor(x: i64, y: i64) -> Option<bool> {
+    (x.abs() <= 300 && y.abs() <= 20).then_some(y.abs() == 20)
+}
+
+/// What a robot would map of a plan between columns `from` and `to`.
+fn map(plan: Plan, from: i64, to: i64) -> Grid {
+    let side = 320_u32;
+    let corner = -i64::from(side) / 2;
+    let cell = |x: i64, y: i64| match plan(x, y) {
+        Some(true) if (from..to).contains(&x) => 90,
+        Some(false) if (from..to).contains(&x) => -90,
+        _ => UNKNOWN,
+    };
+    let cells =
+        (0..i64::from(side)).flat_map(|y| (0..i64::from(side)).map(move |x| cell(x + corner, y + corner)));
+    let header = GridHeader {
+        origin: Pose2::new(corner as f64 * RESOLUTION_M, corner as f64 * RESOLUTION_M, 0.0),
+        resolution_m: RESOLUTION_M,
+        width: side,
+        height: side,
+        ..Default::default()
+    };
+    Grid { header, cells: cells.collect() }
+}
+
+/// The same map drawn in another frame.
+fn redrawn(map: &Grid, frame_from_map: Pose2) -> Grid {
+    let mut merger = Merger::new(&MergeConfig::default(), &[Some(frame_from_map)]);
+    merger.update(RobotId::new(1).unwrap(), map.view()).unwrap();
+    merger.merged().to_owned()
+}
+
+fn apart(x: Pose2, y: Pose2) -> (f64, f64) {
+    (x.distance_m(y), msg::pose::wrap_angle(x.yaw_rad - y.yaw_rad).abs())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(6))]
+
+    #[test]
+    fn halves_that_overlap_are_put_together(x in -20.0..20.0, y in -20.0..20.0, yaw in -3.1..3.1) {
+        let b_from_a = Pose2::new(x, y, yaw);
+        let (a, b) = (map(house, -160, 60), redrawn(&map(house, -60, 160), b_from_a));
+        let found = align(a.view(), b.view(), &AlignConfig::default()).unwrap();
+        let (metres, radians) = apart(found.a_from_b, b_from_a.inverse());
+        // Errors of yaw show at b's distance from its origin.
+        prop_assert!(found.accepted, "{found:?}");
+        prop_assert!(radians < 0.01, "{found:?}");
+        prop_assert!(metres < 0.05 + 0.01 * b_from_a.inverse().distance_m(Pose2::IDENTITY), "{found:?}");
+    }
+}
+
+#[test]
+fn the_same_bytes_again() {
+    let (a, b) = (map(house, -160, 60), redrawn(&map(house, -60, 160), Pose2::new(1.0, 2.0, 0.7)));
+    let twice = [0, 1].map(|_| align(a.view(), b.view(), &AlignConfig::default()));
+    assert!(twice[0].is_some());
+    assert_eq!(twice[0], twice[1]);
+}
+
+#[test]
+fn maps_of_different_places_are_refused() {
+    let pairs =
+        [(map(house, -160, 160), map(workshop, -160, 160)), (map(house, -160, -60), map(house, 60, 160))];
+    for (a, b) in pairs {
+        let found = align(a.view(), redrawn(&b, Pose2::new(0.3, 0.1, 1.1)).view(), &AlignConfig::default());
+        assert!(found.is_none_or(|found| !found.accepted), "{found:?}");
+    }
+}
+
+#[test]
+fn what_is_ambiguous_is_refused() {
+    for plan in [hall as Plan, corridor] {
+        let (a, b) = (map(plan, -160, 160), redrawn(&map(plan, -160, 160), Pose2::new(0.4, -0.2, 0.5)));
+        let found = align(a.view(), b.view(), &AlignConfig::default()).unwrap();
+        assert!(!found.accepted, "{found:?}");
+    }
+}
+
+#[test]
+fn nothing_comes_of_nothing() {
+    let house = map(house, -160, 160);
+    let empty = map(|_, _| None, 0, 0);
+    let floor = map(|_, _| Some(false), -100, 100);
+    let mut wild = house.clone();
+    wild.header.resolution_m = 1e300;
+    let lone = Grid {
+        header: GridHeader { width: 1, height: 1, resolution_m: 0.05, ..Default::default() },
+        cells: vec![100],
+    };
+    for other in [&empty, &floor, &Grid::default(), &wild] {
+        assert_eq!(align(house.view(), other.view(), &AlignConfig::default()), None);
+        assert_eq!(align(other.view(), house.view(), &AlignConfig::default()), None);
+    }
+    for (a, b) in [(&house, &lone), (&lone, &house), (&lone, &lone)] {
+        assert!(align(a.view(), b.view(), &AlignConfig::default()).is_none_or(|found| !found.accepted));
+    }
+}

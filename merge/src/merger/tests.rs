@@ -1,0 +1,286 @@
+//! What must hold whatever the robots' maps look like.
+
+use super::*;
+use core::f64::consts::FRAC_PI_2;
+use msg::Grid;
+use msg::grid::{Occupancy, occupancy};
+use proptest::prelude::*;
+
+const RESOLUTION_M: f64 = 0.05;
+
+fn robot(number: usize) -> RobotId {
+    RobotId::new(number).unwrap()
+}
+
+fn grid(origin: Pose2, resolution_m: f64, width: u32, cells: Vec<i8>) -> Grid {
+    let height = cells.len() as u32 / width;
+    Grid { header: GridHeader { origin, resolution_m, width, height, ..Default::default() }, cells }
+}
+
+fn merger(starts: &[Pose2]) -> Merger {
+    Merger::new(&MergeConfig::default(), &starts.iter().map(|start| Some(*start)).collect::<Vec<_>>())
+}
+
+/// The merged evidence at a cell of the lattice.
+fn at(merger: &mut Merger, x: i64, y: i64) -> i8 {
+    let view = merger.merged();
+    let corner = [view.header.origin.x_m, view.header.origin.y_m].map(|m| (m / RESOLUTION_M).round() as i64);
+    view.cell(x - corner[0], y - corner[1])
+}
+
+/// All merged evidence on a fixed window.
+fn window(merger: &mut Merger, half: i64) -> Vec<i8> {
+    let cells = Rect { x0: -half, y0: -half, x1: half, y1: half };
+    let view = merger.merged().to_owned();
+    let corner = [view.header.origin.x_m, view.header.origin.y_m].map(|m| (m / RESOLUTION_M).round() as i64);
+    let merged = Rect::of_size(view.header.width, view.header.height);
+    let outside = view.cells.iter().zip(merged.points()).filter(|(cell, (x, y))| {
+        let (x, y) = (x + corner[0], y + corner[1]);
+        **cell != UNKNOWN && !(x >= -half && x < half && y >= -half && y < half)
+    });
+    assert_eq!(outside.count(), 0, "known cells beyond the test's window");
+    cells.points().map(|(x, y)| view.view().cell(x - corner[0], y - corner[1])).collect()
+}
+
+fn evidence() -> impl Strategy<Value = i8> {
+    prop_oneof![2 => Just(UNKNOWN), 1 => -127_i8..=127]
+}
+
+fn map(side: u32) -> impl Strategy<Value = Grid> {
+    let shape = (1..=side, 1..=side, -40..40_i32, -40..40_i32);
+    shape.prop_flat_map(|(width, height, x, y)| {
+        let cells = proptest::collection::vec(evidence(), (width * height) as usize);
+        let origin = Pose2::new(f64::from(x) * RESOLUTION_M, f64::from(y) * RESOLUTION_M, 0.0);
+        cells.prop_map(move |cells| grid(origin, RESOLUTION_M, width, cells))
+    })
+}
+
+fn pose() -> impl Strategy<Value = Pose2> {
+    (-2.0..2.0, -2.0..2.0, -3.2..3.2).prop_map(|(x, y, yaw)| Pose2::new(x, y, yaw))
+}
+
+/// The same content in a window that is `margin` cells larger on the given sides.
+fn grown(map: &Grid, [left, below, right, above]: [u32; 4]) -> Grid {
+    let (width, height) = (map.header.width + left + right, map.header.height + below + above);
+    let r = map.header.resolution_m;
+    let shift = Pose2::new(-f64::from(left) * r, -f64::from(below) * r, 0.0);
+    let cells = Rect::of_size(width, height).points();
+    let cells = cells.map(|(x, y)| map.view().cell(x - i64::from(left), y - i64::from(below))).collect();
+    Grid { header: GridHeader { width, height, origin: map.header.origin * shift, ..map.header }, cells }
+}
+
+#[test]
+fn one_robot_at_the_origin_is_copied() {
+    let cells: Vec<i8> = (0..200 * 100).map(|i| (i % 256) as u8 as i8).collect();
+    let map = grid(Pose2::new(-1.0, 2.0, 0.0), RESOLUTION_M, 200, cells);
+    let mut merger = merger(&[Pose2::IDENTITY]);
+    merger.update(robot(1), map.view()).unwrap();
+    let merged = merger.merged().to_owned();
+    assert_eq!((merged.header.width, merged.header.height), (200, 100));
+    assert!(merged.header.origin.distance_m(map.header.origin) < 1e-9);
+    assert_eq!(merged.cells, map.cells);
+}
+
+#[test]
+fn a_ghost_is_cleared_by_those_who_saw_the_floor() {
+    let one = |cell| grid(Pose2::IDENTITY, RESOLUTION_M, 1, vec![cell]);
+    let mut merger = merger(&[Pose2::IDENTITY; 3]);
+    merger.update(robot(1), one(60).view()).unwrap();
+    assert_eq!(occupancy(at(&mut merger, 0, 0)), Occupancy::Occupied);
+    merger.update(robot(2), one(-60).view()).unwrap();
+    merger.update(robot(3), one(-60).view()).unwrap();
+    assert_eq!(at(&mut merger, 0, 0), -60);
+    // Unknown is not evidence; and a robot that leaves takes its own away.
+    merger.update(robot(2), one(UNKNOWN).view()).unwrap();
+    assert_eq!(at(&mut merger, 0, 0), 0);
+    merger.forget(robot(1));
+    assert_eq!(at(&mut merger, 0, 0), -60);
+    merger.forget(robot(3));
+    assert_eq!(at(&mut merger, 0, 0), UNKNOWN);
+    let certain = one(127);
+    for number in 1..=3 {
+        merger.update(robot(number), certain.view()).unwrap();
+    }
+    assert_eq!(at(&mut merger, 0, 0), 127);
+}
+
+#[test]
+fn thin_walls_survive_finer_cells_and_coarse_cells_leave_no_holes() {
+    // A wall one cell of 1.25 cm thick, at some angle.
+    let mut cells = vec![-100_i8; 400 * 400];
+    (0..400).for_each(|x| cells[200 * 400 + x] = 100);
+    let fine = grid(Pose2::new(-2.5, -2.5, 0.0), 0.0125, 400, cells);
+    let mut merger = merger(&[Pose2::new(0.0, 0.0, 0.3), Pose2::IDENTITY]);
+    merger.update(robot(1), fine.view()).unwrap();
+    for step in -30..30 {
+        let [x, y] = Pose2::new(0.0, 0.0, 0.3).apply([f64::from(step) * RESOLUTION_M, 0.006]);
+        let cell = at(&mut merger, (x / RESOLUTION_M).floor() as i64, (y / RESOLUTION_M).floor() as i64);
+        assert_eq!(occupancy(cell), Occupancy::Occupied, "hole at step {step}");
+    }
+    merger.forget(robot(1));
+    let coarse = grid(Pose2::new(-1.0, -1.0, 0.4), 0.2, 10, vec![-50; 100]);
+    merger.update(robot(2), coarse.view()).unwrap();
+    let known = merger.merged().cells.iter().filter(|cell| **cell != UNKNOWN).count();
+    assert!((1590..1610).contains(&known), "4 square metres are 1600 cells, not {known}");
+}
+
+#[test]
+fn nonsense_is_refused_and_nothing_is_lost() {
+    let good = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![50; 4]);
+    let mut merger = merger(&[Pose2::IDENTITY, Pose2::new(90_000.0, 90_000.0, 0.0)]);
+    merger.update(robot(1), good.view()).unwrap();
+    let before = merger.merged().to_owned();
+    let header = good.header;
+    for bad in [
+        GridHeader { width: 3, ..header },
+        GridHeader { width: u32::MAX, height: u32::MAX, ..header },
+        GridHeader { resolution_m: f64::NAN, ..header },
+        GridHeader { resolution_m: 1e-9, ..header },
+        GridHeader { origin: Pose2::new(f64::INFINITY, 0.0, 0.0), ..header },
+        GridHeader { origin: Pose2::new(1e9, 0.0, 0.0), ..header },
+    ] {
+        let refused = merger.update(robot(1), GridView { header: &bad, cells: &good.cells });
+        assert!(matches!(refused, Err(Refused::Malformed { .. })), "{bad:?}: {refused:?}");
+    }
+    let far = merger.update(robot(2), good.view());
+    assert!(matches!(far, Err(Refused::TooLarge { .. })), "{far:?}");
+    let stranger = merger.update(robot(3), good.view());
+    assert!(matches!(stranger, Err(Refused::Stranger { .. })), "{stranger:?}");
+    assert_eq!(merger.merged().to_owned(), before);
+}
+
+#[test]
+fn an_older_map_is_refused_unless_the_robot_restarted() {
+    let stamped = |seconds, run, cell| {
+        let mut map = grid(Pose2::IDENTITY, RESOLUTION_M, 1, vec![cell]);
+        map.header.header = Header { stamp: Stamp::from_seconds(seconds), run, ..Default::default() };
+        map.header.scan_sent = Monotonic(seconds as u64 + 1);
+        map
+    };
+    let mut merger = merger(&[Pose2::IDENTITY; 2]);
+    merger.update(robot(1), stamped(5.0, 1, 50).view()).unwrap();
+    merger.update(robot(2), stamped(3.0, 1, 20).view()).unwrap();
+    assert_eq!(
+        (merger.merged().header.scan_sent, merger.anchors().header.stamp),
+        (Monotonic(6), Stamp::from_seconds(5.0))
+    );
+    let refused = merger.update(robot(1), stamped(4.0, 1, -50).view());
+    assert!(matches!(refused, Err(Refused::Stale { .. })), "{refused:?}");
+    merger.update(robot(1), stamped(4.0, 2, -50).view()).unwrap();
+    assert_eq!(at(&mut merger, 0, 0), -30);
+}
+
+#[test]
+fn a_robot_without_a_start_waits_for_its_anchor() {
+    let map = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![50; 4]);
+    let mut merger = Merger::new(&MergeConfig::default(), &[None]);
+    merger.update(robot(1), map.view()).unwrap();
+    assert!(merger.merged().cells.is_empty());
+    assert_eq!(merger.anchors().robots[0].known, 0);
+    merger.set_anchor(robot(1), Some(Pose2::new(1.0, 0.0, 0.0))).unwrap();
+    assert_eq!(
+        (at(&mut merger, 20, 0), at(&mut merger, 0, 0), merger.anchors().robots[0].known),
+        (50, UNKNOWN, 1)
+    );
+    merger.set_anchor(robot(1), None).unwrap();
+    assert_eq!(at(&mut merger, 20, 0), UNKNOWN);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn order_of_robots_does_not_matter(
+        maps in proptest::collection::vec((map(90), pose()), 2..5),
+    ) {
+        let starts: Vec<_> = maps.iter().map(|(_, start)| *start).collect();
+        let (mut one, mut other) = (merger(&starts), merger(&starts));
+        for (index, (map, _)) in maps.iter().enumerate() {
+            one.update(robot(index + 1), map.view()).unwrap();
+        }
+        for (index, (map, _)) in maps.iter().enumerate().rev() {
+            other.update(robot(index + 1), map.view()).unwrap();
+            other.merged();
+        }
+        prop_assert_eq!(one.merged().to_owned(), other.merged().to_owned());
+    }
+
+    #[test]
+    fn a_map_merged_with_itself_reads_the_same(map in map(70), start in pose()) {
+        let (mut once, mut twice) = (merger(&[start]), merger(&[start, start]));
+        once.update(robot(1), map.view()).unwrap();
+        twice.update(robot(1), map.view()).unwrap();
+        twice.update(robot(2), map.view()).unwrap();
+        for (a, b) in once.merged().cells.iter().zip(twice.merged().cells) {
+            let undecided = occupancy(*a) == Occupancy::Unknown && *a != UNKNOWN;
+            prop_assert!(undecided || occupancy(*a) == occupancy(*b), "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_shifted_origin_changes_nothing(
+        map in map(70), start in pose(), margins in proptest::array::uniform4(0_u32..80),
+    ) {
+        let (mut plain, mut shifted) = (merger(&[start]), merger(&[start]));
+        plain.update(robot(1), map.view()).unwrap();
+        shifted.update(robot(1), grown(&map, margins).view()).unwrap();
+        prop_assert_eq!(window(&mut plain, 240), window(&mut shifted, 240));
+    }
+
+    #[test]
+    fn growing_piece_by_piece_is_the_same_as_at_once(
+        map in map(70), start in pose(),
+        growth in proptest::collection::vec(proptest::array::uniform4(0_u32..20), 1..4),
+        edits in proptest::collection::vec((0.0..1.0, evidence()), 1..4),
+        resolution_m in prop_oneof![3 => Just(RESOLUTION_M), 1 => 0.02..0.12],
+    ) {
+        let mut map = Grid { header: GridHeader { resolution_m, ..map.header }, ..map };
+        let (mut stepwise, mut at_once) = (merger(&[start]), merger(&[start]));
+        stepwise.update(robot(1), map.view()).unwrap();
+        for (margins, (place, cell)) in growth.iter().zip(edits.iter().cycle()) {
+            map = grown(&map, *margins);
+            let index = (place * map.cells.len() as f64) as usize;
+            map.cells[index] = *cell;
+            stepwise.merged();
+            stepwise.update(robot(1), map.view()).unwrap();
+        }
+        at_once.update(robot(1), map.view()).unwrap();
+        prop_assert_eq!(window(&mut stepwise, 400), window(&mut at_once, 400));
+    }
+
+    #[test]
+    fn a_quarter_turn_is_exact(map in map(70), turns in 1..4_i32) {
+        // The same content, stored in a grid whose own axes are turned.
+        let (width, height) = (i64::from(map.header.width), i64::from(map.header.height));
+        let (turned_width, turned_height) = if turns % 2 == 1 { (height, width) } else { (width, height) };
+        let source = |x: i64, y: i64| match turns {
+            1 => (width - 1 - y, x),
+            2 => (width - 1 - x, height - 1 - y),
+            _ => (y, height - 1 - x),
+        };
+        let corner = match turns {
+            1 => [width, 0],
+            2 => [width, height],
+            _ => [0, height],
+        };
+        let corner = corner.map(|cells| cells as f64 * RESOLUTION_M);
+        let turn = Pose2::new(corner[0], corner[1], f64::from(turns) * FRAC_PI_2);
+        let cells = Rect::of_size(turned_width as u32, turned_height as u32).points();
+        let cells = cells.map(|(x, y)| { let (x, y) = source(x, y); map.view().cell(x, y) }).collect();
+        let turned = grid(map.header.origin * turn, RESOLUTION_M, turned_width as u32, cells);
+        let (mut plain, mut rotated) = (merger(&[Pose2::IDENTITY]), merger(&[Pose2::IDENTITY]));
+        plain.update(robot(1), map.view()).unwrap();
+        rotated.update(robot(1), turned.view()).unwrap();
+        prop_assert_eq!(window(&mut plain, 120), window(&mut rotated, 120));
+    }
+
+    #[test]
+    fn moving_an_anchor_is_the_same_as_starting_there(map in map(70), a in pose(), b in pose()) {
+        let (mut moved, mut there) = (merger(&[a]), merger(&[b]));
+        moved.update(robot(1), map.view()).unwrap();
+        moved.merged();
+        moved.set_anchor(robot(1), Some(b)).unwrap();
+        there.update(robot(1), map.view()).unwrap();
+        prop_assert_eq!(window(&mut moved, 240), window(&mut there, 240));
+    }
+}

@@ -1,0 +1,116 @@
+//! Maps as pictures for people: paths and robots drawn in colour over the map.
+
+use super::{MapFileError, Path, greys_top_down, write_whole};
+use msg::{GridView, Pose2};
+use std::io::Write;
+
+/// Red, green, blue.
+pub type Rgb = [u8; 3];
+
+/// A line's points beyond this are not drawn, pixels: a wild pose must not cost a second.
+const LINE_PIXELS_MAX: f64 = 20_000.0;
+
+/// A map in colour, to be drawn upon in the map's own frame.
+pub struct Picture<'a> {
+    grid: GridView<'a>,
+    /// Red, green, blue of every pixel, rows from the top.
+    pub(super) pixels: Vec<u8>,
+}
+
+impl<'a> Picture<'a> {
+    /// One colour for each robot, by [`msg::RobotId::index`], told apart by most eyes.
+    pub const ROBOT_COLOURS: [Rgb; 8] = [
+        [230, 60, 50],
+        [40, 120, 220],
+        [30, 160, 70],
+        [240, 150, 20],
+        [150, 70, 190],
+        [0, 170, 180],
+        [200, 90, 140],
+        [120, 100, 60],
+    ];
+
+    /// The map in map_saver's greys.
+    pub fn new(grid: GridView<'a>) -> Self {
+        let greys = if grid.cells.is_empty() { Vec::new() } else { greys_top_down(grid) };
+        Self { grid, pixels: greys.into_iter().flat_map(|grey| [grey; 3]).collect() }
+    }
+
+    /// The colour of the robot with this index.
+    pub fn robot_colour(index: usize) -> Rgb {
+        Self::ROBOT_COLOURS[index % Self::ROBOT_COLOURS.len()]
+    }
+
+    /// Joins points of the grid's frame, [x, y] in metres.
+    pub fn path(&mut self, points_m: impl IntoIterator<Item = [f64; 2]>, colour: Rgb) {
+        let mut last = None;
+        for point in points_m {
+            self.line(last.unwrap_or(point), point, colour);
+            last = Some(point);
+        }
+    }
+
+    /// A disc of `radius_m` with a line to where the robot looks, in the grid's frame.
+    pub fn robot(&mut self, pose: Pose2, radius_m: f64, colour: Rgb) {
+        let [x, y] = self.pixel([pose.x_m, pose.y_m]);
+        let radius = (radius_m / self.grid.header.resolution_m).clamp(1.5, 100.0);
+        let reach = radius.ceil() as i64;
+        for (dx, dy) in (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy))) {
+            if (dx as f64).hypot(dy as f64) <= radius {
+                self.set((x as i64).saturating_add(dx), (y as i64).saturating_add(dy), colour);
+            }
+        }
+        self.line([pose.x_m, pose.y_m], pose.apply([2.5 * radius_m, 0.0]), colour);
+    }
+
+    /// Writes a PNG, whole or not at all.
+    pub fn write_png(&self, path: &Path) -> Result<(), MapFileError> {
+        let (width, height) = (self.grid.header.width, self.grid.header.height);
+        write_whole(path, |file| encode(file, width, height, png::ColorType::Rgb, &self.pixels))
+    }
+
+    fn line(&mut self, from_m: [f64; 2], to_m: [f64; 2], colour: Rgb) {
+        let ([x0, y0], [x1, y1]) = (self.pixel(from_m), self.pixel(to_m));
+        let steps = (x1 - x0).abs().max((y1 - y0).abs()).ceil().max(1.0);
+        if steps > LINE_PIXELS_MAX || !steps.is_finite() {
+            return;
+        }
+        for step in 0..=steps as u32 {
+            let t = f64::from(step) / steps;
+            self.set((x0 + t * (x1 - x0)).floor() as i64, (y0 + t * (y1 - y0)).floor() as i64, colour);
+        }
+    }
+
+    /// Column and row from the top.
+    fn pixel(&self, point_m: [f64; 2]) -> [f64; 2] {
+        let [x, y] = self.grid.header.origin.inverse().apply(point_m);
+        let resolution = self.grid.header.resolution_m;
+        [x / resolution, f64::from(self.grid.header.height) - y / resolution]
+    }
+
+    fn set(&mut self, x: i64, y: i64, colour: Rgb) {
+        let (width, height) = (i64::from(self.grid.header.width), i64::from(self.grid.header.height));
+        if (0..width).contains(&x) && (0..height).contains(&y) {
+            let at = 3 * (y * width + x) as usize;
+            self.pixels[at..at + 3].copy_from_slice(&colour);
+        }
+    }
+}
+
+/// 8 bits a sample, rows from the top.
+pub(super) fn encode(
+    file: impl Write,
+    width: u32,
+    height: u32,
+    colours: png::ColorType,
+    samples: &[u8],
+) -> std::io::Result<()> {
+    let mut encoder = png::Encoder::new(file, width, height);
+    encoder.set_color(colours);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(samples)?;
+    writer.finish()?;
+    Ok(())
+}

@@ -1,0 +1,171 @@
+//! Round trips, and files that must be refused.
+
+use super::*;
+use proptest::prelude::*;
+use std::fs;
+
+const YAML: &str = "image: m.pgm\nmode: trinary\nresolution: 0.050000\norigin: [-1.5, 2.0, 0.25]\n\
+                    negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
+
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+/// Reads a map of this YAML and this image `m.pgm`.
+fn read(yaml: &str, image: &[u8]) -> Result<Grid, MapFileError> {
+    let folder = folder();
+    fs::write(folder.path().join("m.pgm"), image).unwrap();
+    fs::write(folder.path().join("m.yaml"), yaml).unwrap();
+    read_map(&folder.path().join("m.yaml"))
+}
+
+fn refusal(yaml: &str, image: &[u8]) -> String {
+    read(yaml, image).expect_err("must be refused").to_string()
+}
+
+#[test]
+fn reads_what_map_saver_writes() {
+    let grid = read(YAML, b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n2 2\n255\n\x00\xfe\xcd\xfe").unwrap();
+    assert_eq!(grid.header.origin, Pose2::new(-1.5, 2.0, 0.25));
+    assert_eq!((grid.header.width, grid.header.height, grid.header.resolution_m), (2, 2, 0.05));
+    // The image's last row is the grid's first.
+    assert_eq!(grid.cells, [UNKNOWN, -CERTAIN, CERTAIN, -CERTAIN]);
+    let plain = read(YAML, b"P2 2 2 255\n0 254\n205 254\n").unwrap();
+    assert_eq!(plain, grid);
+}
+
+#[test]
+fn modes_and_negation() {
+    let image = b"P5 4 1 255\n\x00\x32\x7f\xfe";
+    let cells = |yaml: &str| read(yaml, image).unwrap().cells;
+    assert_eq!(cells(&YAML.replace("negate: 0", "negate: true")), [-CERTAIN, UNKNOWN, UNKNOWN, CERTAIN]);
+    let scale = cells(&YAML.replace("trinary", "scale"));
+    assert_eq!((scale[0], scale[3]), (CERTAIN, -CERTAIN));
+    assert!(scale[2] > 0 && scale[2] < CERTAIN, "{scale:?}");
+    assert_eq!(cells(&YAML.replace("trinary", "raw")), [-CERTAIN, 0, UNKNOWN, UNKNOWN]);
+}
+
+#[test]
+fn refuses_with_file_what_and_expected() {
+    let image = b"P5 2 2 255\n\x00\xfe\xcd\xfe";
+    for (field, found) in [
+        ("image: m.pgm\n", "image"),
+        ("resolution: 0.050000\n", "resolution"),
+        ("origin: [-1.5, 2.0, 0.25]\n", "origin"),
+        ("negate: 0\n", "negate"),
+        ("occupied_thresh: 0.65\n", "occupied_thresh"),
+        ("free_thresh: 0.196\n", "free_thresh"),
+    ] {
+        let error = refusal(&YAML.replace(field, ""), image);
+        assert!(error.contains("m.yaml") && error.contains(found) && error.contains("expected"), "{error}");
+    }
+    for (from, to, found) in [
+        ("0.050000", ".nan", "resolution"),
+        ("0.050000", "-0.05", "resolution"),
+        ("[-1.5, 2.0, 0.25]", "[-1.5, 2.0]", "origin"),
+        ("[-1.5, 2.0, 0.25]", "[-1.5, .inf, 0.0]", "origin"),
+        ("negate: 0", "negate: 7", "negate"),
+        ("0.65", "0.1", "occupied_thresh"),
+        ("trinary", "binary", "mode"),
+        ("image: m.pgm", "image: [", "line"),
+    ] {
+        let error = refusal(&YAML.replace(from, to), image);
+        assert!(error.contains(found), "{found}: {error}");
+    }
+    let error = refusal(&YAML.replace("m.pgm", "none.pgm"), image);
+    assert!(error.contains("none.pgm"), "{error}");
+}
+
+#[test]
+fn refuses_broken_images() {
+    for (image, found) in [
+        (&b"P5 2 2 255\n\x00\xfe\xcd"[..], "truncated: 3 pixels; expected 4"),
+        (b"P5 4294967295 4294967295 255\n", "4294967295 x 4294967295"),
+        (b"P5 99999999999999999999999 1 255\n", "no width"),
+        (b"P5 0 2 255\n", "0 x 2 cells"),
+        (b"P5 2 2 65535\n\0\0\0\0\0\0\0\0", "maximum grey 65535"),
+        (b"P5 2", "no height"),
+        (b"P5 2 2 100\n\x00\xfe\xcd\xfe", "pixel 1 is 254"),
+        (b"P2 2 2 255\n0 1 x 3", "truncated: 2 pixels"),
+        (b"BM", "starts with"),
+        (b"", "starts with"),
+        (b"\x89PNG\r\n\x1a\nnothing", "m.pgm"),
+    ] {
+        let error = refusal(YAML, image);
+        assert!(error.contains(found), "{found}: {error}");
+    }
+}
+
+#[test]
+fn a_dot_in_the_stem_is_kept_and_nothing_else_is_left() {
+    let folder = folder();
+    let header = GridHeader { resolution_m: 0.05, width: 1, height: 1, ..Default::default() };
+    let grid = Grid { header, cells: vec![100] };
+    write_map(&folder.path().join("map.v1"), grid.view()).unwrap();
+    let mut names: Vec<_> =
+        fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["map.v1.pgm", "map.v1.png", "map.v1.yaml"]);
+    let error = write_map(&folder.path().join("missing/map"), grid.view()).unwrap_err().to_string();
+    assert!(error.contains("missing/map.pgm"), "{error}");
+}
+
+#[test]
+fn a_robot_is_drawn_where_it_is() {
+    let header = GridHeader {
+        origin: Pose2::new(-1.0, -1.0, 0.0),
+        resolution_m: 0.1,
+        width: 20,
+        height: 20,
+        ..Default::default()
+    };
+    let grid = Grid { header, cells: vec![-100; 400] };
+    let mut picture = Picture::new(grid.view());
+    picture.path([[-0.95, 0.95], [0.95, 0.95], [f64::NAN, 0.0], [1e300, 0.0]], [0, 0, 9]);
+    picture.robot(Pose2::new(0.5, -0.5, 0.0), 0.1, [9, 0, 0]);
+    let pixel = |x: usize, y: usize| &picture.pixels[3 * (y * 20 + x)..][..3];
+    assert_eq!(pixel(0, 0), [0, 0, 9]);
+    assert_eq!(pixel(19, 0), [0, 0, 9]);
+    assert_eq!(pixel(15, 15), [9, 0, 0]);
+    assert_eq!(pixel(15, 5), [GREY_FREE; 3]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn round_trip_keeps_readings(
+        (width, cells) in (1_u32..9, 1_u32..9).prop_flat_map(|(w, h)| {
+            (Just(w), proptest::collection::vec(any::<i8>(), (w * h) as usize))
+        }),
+        origin in (-1e3..1e3, -1e3..1e3, -3.0..3.0),
+        resolution_m in 0.01..1.0,
+    ) {
+        let header = GridHeader {
+            origin: Pose2::new(origin.0, origin.1, origin.2),
+            resolution_m,
+            width,
+            height: cells.len() as u32 / width,
+            ..Default::default()
+        };
+        let grid = Grid { header, cells };
+        let folder = folder();
+        write_map(&folder.path().join("m"), grid.view()).unwrap();
+        let back = read_map(&folder.path().join("m.yaml")).unwrap();
+        prop_assert_eq!(back.header, header);
+        let readings = |grid: &Grid| grid.cells.iter().map(|c| occupancy(*c)).collect::<Vec<_>>();
+        prop_assert_eq!(readings(&back), readings(&grid));
+        // The picture for people says the same.
+        let yaml = fs::read_to_string(folder.path().join("m.yaml")).unwrap();
+        fs::write(folder.path().join("p.yaml"), yaml.replace("m.pgm", "m.png")).unwrap();
+        prop_assert_eq!(read_map(&folder.path().join("p.yaml")).unwrap(), back);
+    }
+
+    #[test]
+    fn never_panics(yaml in "\\PC{0,80}", image in proptest::collection::vec(any::<u8>(), 0..80)) {
+        let _ = read(&yaml, &image);
+        let _ = read(YAML, &image);
+        let _ = read(YAML, &[b"P5 3 3 255\n", &image[..]].concat());
+        let _ = read(YAML, &[b"P2 3 ", &image[..]].concat());
+    }
+}

@@ -1,0 +1,164 @@
+//! The fleet's figures, once a second.
+
+use crate::pairs::{Pairs, PlacedMap};
+use crate::processes::Processes;
+use crate::robot::{Robot, count};
+use crate::truth::Knowable;
+use msg::{
+    Anchors, Beat, Correction, FleetStats, Grid, GridView, Header, Monotonic, Pose2, ROBOTS_MAX, RobotId,
+    RobotStats, Stamp, Transforms, Truth,
+};
+
+/// Takes in what the processes say, and sums it up.
+///
+/// `received` is when the message reached telemetry. A robot that the fleet does not have is
+/// ignored. Transforms and corrections cost a few operations and no allocation; maps are copied
+/// when they come and compared in [`Telemetry::stats`].
+pub struct Telemetry {
+    robots: Vec<Robot>,
+    room: Option<Knowable>,
+    merged: Grid,
+    merged_counts: RobotStats,
+    merged_version: u64,
+    anchors: Anchors,
+    room_coverage: Option<(u64, Pose2, f64)>,
+    pairs: Pairs,
+    processes: Processes,
+    stats: FleetStats,
+}
+
+impl Telemetry {
+    /// `room_plan` is the room, frame `world`, if it is known; `world_from_robot_map` says where
+    /// each robot's map truly lies, by [`RobotId::index`], if that is known.
+    pub fn new(robot_count: usize, room_plan: Option<Grid>, world_from_robot_map: &[Option<Pose2>]) -> Self {
+        let place = |index: usize| world_from_robot_map.get(index).copied().flatten();
+        let robot = |index| Robot::new(place(index));
+        let robot_count = robot_count.min(ROBOTS_MAX);
+        let starts_m = (0..robot_count).filter_map(place).map(|pose| [pose.x_m, pose.y_m]);
+        let sound_plan = room_plan.filter(|plan| GridView::new(&plan.header, &plan.cells).is_some());
+        Self {
+            robots: (0..robot_count).map(robot).collect(),
+            room: sound_plan.map(|plan| Knowable::new(plan, starts_m)),
+            merged: Grid::default(),
+            merged_counts: RobotStats::default(),
+            merged_version: 0,
+            anchors: Anchors::default(),
+            room_coverage: None,
+            pairs: Pairs::new(),
+            processes: Processes::new(robot_count),
+            stats: FleetStats::default(),
+        }
+    }
+
+    /// A robot's part of /tf.
+    pub fn transforms(&mut self, robot: RobotId, transforms: &Transforms, received: Monotonic) {
+        if let Some(robot) = self.robots.get_mut(robot.index()) {
+            robot.jitter.add(transforms, received);
+        }
+    }
+
+    /// SLAM's answer to a scan.
+    pub fn correction(&mut self, robot: RobotId, correction: &Correction, received: Monotonic) {
+        if let Some(robot) = self.robots.get_mut(robot.index()) {
+            robot.correction(correction, received);
+        }
+    }
+
+    /// A robot's map. One that makes no sense is ignored.
+    pub fn map(&mut self, robot: RobotId, map: GridView<'_>, received: Monotonic) {
+        if let Some(robot) = self.robots.get_mut(robot.index()) {
+            robot.map(map, received);
+        }
+    }
+
+    /// The fleet's map. One that makes no sense is ignored.
+    pub fn merged_map(&mut self, map: GridView<'_>, _received: Monotonic) {
+        if GridView::new(map.header, map.cells).is_none() {
+            return;
+        }
+        self.merged.header = *map.header;
+        self.merged.cells.clear();
+        self.merged.cells.extend_from_slice(map.cells);
+        self.merged_counts = count(map);
+        self.merged_version += 1;
+    }
+
+    /// Where the robots' maps lie in the fleet's.
+    pub fn anchors(&mut self, anchors: &Anchors) {
+        self.anchors = *anchors;
+    }
+
+    /// Where a simulated robot really is.
+    pub fn truth(&mut self, robot: RobotId, truth: &Truth) {
+        if let Some(robot) = self.robots.get_mut(robot.index()) {
+            robot.truth(truth);
+        }
+    }
+
+    /// A process's account of itself.
+    pub fn beat(&mut self, beat: &Beat, received: Monotonic) {
+        self.processes.beat(beat, received);
+    }
+
+    /// The figures at `stamp` of the run's clock, which is `now` on the machine's. Compares at most
+    /// a bounded number of cells: with many large maps the pairs take turns.
+    pub fn stats(&mut self, stamp: Stamp, now: Monotonic) -> &FleetStats {
+        let anchor = |index: usize| {
+            let anchor = &self.anchors.robots[index];
+            (anchor.known == 1 && anchor.map_from_robot_map.is_finite()).then_some(anchor.map_from_robot_map)
+        };
+        let maps = self.robots.iter().enumerate();
+        let maps: Vec<_> = maps
+            .map(|(index, robot)| PlacedMap {
+                grid: &robot.grid,
+                version: robot.version,
+                map_from_robot_map: anchor(index),
+            })
+            .collect();
+        self.pairs.refresh(&maps);
+        let pairs = self.pairs.means();
+        self.stats = FleetStats {
+            header: Header { stamp, ..Default::default() },
+            robot_count: self.robots.len() as u32,
+            pair_count: pairs.count,
+            merged: self.merged_counts,
+            room_coverage: self.room_coverage(),
+            consistency: pairs.mean.strict,
+            consistency_one_cell: pairs.mean.one_cell,
+            occupied_f1: pairs.mean.occupied_f1,
+            overlap_m2: pairs.mean.overlap_m2,
+            processes: self.processes.health(now),
+            ..Default::default()
+        };
+        for (stats, robot) in self.stats.robots.iter_mut().zip(&self.robots) {
+            *stats = robot.stats(stamp);
+        }
+        &self.stats
+    }
+
+    /// Computed when the merged map or its place changed; NaN if the room or the place is not known.
+    fn room_coverage(&mut self) -> f64 {
+        let (Some(room), Some(world_from_map)) = (&self.room, self.world_from_map()) else { return f64::NAN };
+        match self.room_coverage {
+            Some((version, place, coverage)) if version == self.merged_version && place == world_from_map => {
+                coverage
+            }
+            _ => {
+                let coverage = room.coverage(self.merged.view(), world_from_map);
+                self.room_coverage = Some((self.merged_version, world_from_map, coverage));
+                coverage
+            }
+        }
+    }
+
+    /// By the first robot whose map's place is known both in the world and in the merged map.
+    fn world_from_map(&self) -> Option<Pose2> {
+        self.robots.iter().zip(&self.anchors.robots).find_map(|(robot, anchor)| {
+            let world_from_robot_map = robot.world_from_robot_map?;
+            (anchor.known == 1).then(|| world_from_robot_map * anchor.map_from_robot_map.inverse())
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests;

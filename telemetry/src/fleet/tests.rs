@@ -1,0 +1,89 @@
+//! A small fleet's messages, and what must come out.
+
+use super::*;
+use crate::testing::{house, within};
+use msg::{Anchor, Link, LinkTransform, Role, TrackingState};
+
+const MS: u64 = 1_000_000;
+
+fn robot(number: usize) -> RobotId {
+    RobotId::new(number).unwrap()
+}
+
+fn anchors(known: usize) -> Anchors {
+    let mut anchors = Anchors::default();
+    anchors.robots[..known].fill(Anchor { map_from_robot_map: Pose2::IDENTITY, known: 1, reserved: 0 });
+    anchors
+}
+
+#[test]
+fn one_second_of_one_robot() {
+    let start = Pose2::new(1.0, 0.5, 0.0);
+    let mut telemetry = Telemetry::new(1, None, &[Some(start)]);
+    for n in 0..60_u64 {
+        let stamp = Stamp((n * 100 * MS) as i64);
+        let sent = Monotonic(1 << 40 | (n * 100 * MS));
+        let header = Header { stamp, seq: n, run: 3, ..Default::default() };
+        let x_m = 0.01 * n as f64;
+        telemetry.truth(
+            robot(1),
+            &Truth { header, world_from_base: Pose2::new(1.0 + x_m, 0.5, 0.0), ..Default::default() },
+        );
+        let correction = Correction {
+            header,
+            scan_seq: n,
+            scan_sent: sent,
+            map_from_base: Pose2::new(x_m, 0.03, 0.0),
+            state: TrackingState::Tracking as u32,
+            nodes: 4,
+            ..Default::default()
+        };
+        telemetry.correction(robot(1), &correction, Monotonic(sent.0 + 12 * MS));
+        let mut transforms = Transforms { header, len: 1, ..Default::default() };
+        transforms.links[0] = LinkTransform { child: Link::BaseFootprint as u32, ..Default::default() };
+        telemetry.transforms(robot(1), &transforms, Monotonic(sent.0 + MS));
+        let mut map = house();
+        map.header.scan_sent = sent;
+        telemetry.map(robot(1), map.view(), Monotonic(sent.0 + 40 * MS));
+    }
+    let stats = *telemetry.stats(Stamp(5_950 * MS as i64), Monotonic(0));
+    let figures = &stats.robots[0];
+    within(figures.scan_hz, 10.0, 1e-9);
+    assert_eq!((figures.scans, figures.scans_lost, figures.nodes), (60, 0, 4));
+    within(figures.pose_error_m, 0.03, 1e-9);
+    within(figures.scan_to_pose_ms.p50.into(), 12.0, 0.1);
+    within(figures.scan_to_map_ms.p99.into(), 40.0, 0.4);
+    assert_eq!((figures.tf_jitter_ms.count, figures.tf_jitter_ms.max), (20, 0.0));
+    assert_eq!(figures.free_cells + figures.occupied_cells + figures.unknown_cells, 260 * 200);
+    within(figures.coverage, f64::from(figures.free_cells + figures.occupied_cells) / 52_000.0, 1e-12);
+    assert!(stats.consistency.is_nan() && stats.room_coverage.is_nan());
+}
+
+#[test]
+fn maps_of_the_fleet() {
+    let mut telemetry = Telemetry::new(3, Some(house()), &[Some(Pose2::IDENTITY), None]);
+    for number in 1..=3 {
+        telemetry.map(robot(number), house().view(), Monotonic(0));
+    }
+    telemetry.anchors(&anchors(2));
+    telemetry.merged_map(house().view(), Monotonic(0));
+    let stats = *telemetry.stats(Stamp(0), Monotonic(0));
+    assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
+    assert_eq!((stats.consistency, stats.occupied_f1, stats.room_coverage), (1.0, 1.0, 1.0));
+    telemetry.anchors(&anchors(3));
+    assert_eq!(telemetry.stats(Stamp(0), Monotonic(0)).pair_count, 3);
+}
+
+#[test]
+fn strangers_and_nonsense_change_nothing() {
+    let mut telemetry = Telemetry::new(1, None, &[]);
+    let empty = *telemetry.stats(Stamp(0), Monotonic(0));
+    telemetry.map(robot(2), house().view(), Monotonic(0));
+    let map = house();
+    telemetry.map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
+    telemetry.merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
+    telemetry.correction(robot(9), &Correction::default(), Monotonic(0));
+    telemetry.beat(&Beat { role: Role::Sim as u32, robot: 5, ..Default::default() }, Monotonic(0));
+    let after = *telemetry.stats(Stamp(0), Monotonic(0));
+    assert_eq!(format!("{empty:?}"), format!("{after:?}"));
+}

@@ -1,0 +1,110 @@
+//! TF jitter, as the paper defines it: |(receive - stamp) - the link's mean of it|.
+
+use crate::Histogram;
+use msg::{Link, Monotonic, Transforms};
+
+/// Transforms of a link that only go into its mean before the first deviation is counted: one
+/// second at 20 Hz. Until then the mean says little.
+const WARM_UP: u64 = 20;
+/// Transforms of a link before those, left out altogether: while a fleet starts, messages wait for
+/// processes that are still loading, and one such wait would bend the mean for minutes.
+const SETTLING: u64 = 20;
+
+/// One robot's links.
+///
+/// `receive` is the machine's clock and `stamp` the run's; their unknown offset is the same for
+/// all, so it cancels in the difference to the mean. The mean runs since the start of the writer:
+/// a deviation is against the mean so far, which differs from the mean of the whole run by about
+/// jitter / sqrt(n).
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Jitter {
+    run: u64,
+    links: [Mean; Link::ALL.len()],
+    deviations: Histogram,
+}
+
+/// A running mean of (receive - stamp), nanoseconds, kept relative to the first: differences are
+/// small whole numbers that f64 holds exactly.
+#[derive(Clone, Copy, Debug, Default)]
+struct Mean {
+    settled: u64,
+    count: u64,
+    first_ns: i64,
+    mean_ns: f64,
+}
+
+impl Mean {
+    /// Takes one in, and says how far it is from the mean.
+    fn deviation_ns(&mut self, age_ns: i64) -> f64 {
+        if self.count == 0 {
+            self.first_ns = age_ns;
+        }
+        self.count += 1;
+        let relative_ns = age_ns.wrapping_sub(self.first_ns) as f64;
+        self.mean_ns += (relative_ns - self.mean_ns) / self.count as f64;
+        (relative_ns - self.mean_ns).abs()
+    }
+}
+
+impl Jitter {
+    pub fn add(&mut self, transforms: &Transforms, received: Monotonic) {
+        if transforms.header.run != self.run {
+            // A restarted writer's clock may begin elsewhere; what was measured stays measured.
+            self.run = transforms.header.run;
+            self.links = Default::default();
+        }
+        let age_ns = (received.0 as i64).wrapping_sub(transforms.header.stamp.0);
+        for link in transforms.links().iter().filter_map(|link| Link::from_code(link.child)) {
+            let mean = &mut self.links[link as usize - 1];
+            if mean.settled < SETTLING {
+                mean.settled += 1;
+                continue;
+            }
+            let deviation_ns = mean.deviation_ns(age_ns);
+            if mean.count > WARM_UP {
+                self.deviations.add(deviation_ns.round() as u64);
+            }
+        }
+    }
+
+    pub fn deviations(&self) -> &Histogram {
+        &self.deviations
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::{Header, LinkTransform, Stamp};
+
+    fn message(stamp_ns: i64, run: u64) -> Transforms {
+        let mut message = Transforms { len: 2, ..Default::default() };
+        message.header = Header { stamp: Stamp(stamp_ns), run, ..Default::default() };
+        message.links[0] = LinkTransform { child: Link::BaseFootprint as u32, ..Default::default() };
+        message.links[1] = LinkTransform { child: 99, ..Default::default() };
+        message
+    }
+
+    #[test]
+    fn alternating_delays_have_half_their_difference() {
+        let mut jitter = Jitter::default();
+        for n in 0..1000_u64 {
+            // 50 ms apart, 1 ms or 3 ms late, and clocks that are years apart.
+            let late = if n % 2 == 0 { 1_000_000 } else { 3_000_000 };
+            jitter.add(&message(n as i64 * 50_000_000, 1), Monotonic((1 << 60) + n * 50_000_000 + late));
+        }
+        let ms = jitter.deviations().distribution_ms();
+        assert_eq!(ms.count, 1000 - WARM_UP - SETTLING);
+        assert!((ms.p50 - 1.0).abs() < 0.02 && (ms.p99 - 1.0).abs() < 0.06, "{ms:?}");
+    }
+
+    #[test]
+    fn a_restart_is_no_jitter() {
+        let mut jitter = Jitter::default();
+        for n in 0..200_i64 {
+            let (run, epoch) = if n < 100 { (1, 0) } else { (2, 5_000_000_000) };
+            jitter.add(&message(n * 50_000_000 - epoch, run), Monotonic(n as u64 * 50_000_000));
+        }
+        assert_eq!(jitter.deviations().distribution_ms().max, 0.0);
+    }
+}

@@ -1,0 +1,131 @@
+//! Consistency of every pair of maps, a bounded amount of work at a time.
+
+use crate::consistency::{Consistency, compare};
+use msg::{Grid, Pose2, ROBOTS_MAX};
+
+/// Pairs in the largest fleet.
+const PAIRS_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
+/// Cells compared in one call, after which the rest waits for the next: about 20 ms of work.
+const CELLS_PER_CALL: usize = 6_000_000;
+
+/// A robot's newest map and its place; `version` tells contents apart.
+pub(crate) struct PlacedMap<'a> {
+    pub grid: &'a Grid,
+    pub version: u64,
+    pub map_from_robot_map: Option<Pose2>,
+}
+
+/// The newest result of each pair.
+pub(crate) struct Pairs {
+    results: Vec<Option<Consistency>>,
+    /// What each result was made from.
+    made_from: Vec<Option<(u64, u64, Pose2)>>,
+    next: usize,
+}
+
+/// Means over the pairs that overlap.
+pub(crate) struct PairMeans {
+    pub count: u32,
+    pub mean: Consistency,
+}
+
+impl Pairs {
+    pub fn new() -> Self {
+        Self { results: vec![None; PAIRS_MAX], made_from: vec![None; PAIRS_MAX], next: 0 }
+    }
+
+    /// Brings the pairs whose maps or places changed up to date, in turns if there are many.
+    pub fn refresh(&mut self, maps: &[PlacedMap<'_>]) {
+        let mut cells = 0;
+        for step in 0..PAIRS_MAX {
+            let slot = (self.next + step) % PAIRS_MAX;
+            if cells >= CELLS_PER_CALL {
+                self.next = slot;
+                return;
+            }
+            let (i, j) = robots_of(slot);
+            let (Some(a), Some(b)) = (maps.get(i), maps.get(j)) else { continue };
+            let a_from_b = match (a.map_from_robot_map, b.map_from_robot_map) {
+                (Some(a), Some(b)) => a.between(b),
+                _ => {
+                    (self.results[slot], self.made_from[slot]) = (None, None);
+                    continue;
+                }
+            };
+            let from = Some((a.version, b.version, a_from_b));
+            if self.made_from[slot] != from {
+                self.results[slot] = compare(a.grid.view(), b.grid.view(), a_from_b);
+                self.made_from[slot] = from;
+                cells += a.grid.cells.len() + b.grid.cells.len();
+            }
+        }
+    }
+
+    /// NaN where no pair overlaps.
+    pub fn means(&self) -> PairMeans {
+        let overlapping = self.results.iter().flatten();
+        let (count, sum) = overlapping.fold((0_u32, Consistency::default()), |(count, sum), one| {
+            let sum = Consistency {
+                strict: sum.strict + one.strict,
+                one_cell: sum.one_cell + one.one_cell,
+                occupied_f1: sum.occupied_f1 + one.occupied_f1,
+                overlap_m2: sum.overlap_m2 + one.overlap_m2,
+                overlap_share: sum.overlap_share + one.overlap_share,
+            };
+            (count + 1, sum)
+        });
+        let n = f64::from(count);
+        let mean = Consistency {
+            strict: sum.strict / n,
+            one_cell: sum.one_cell / n,
+            occupied_f1: sum.occupied_f1 / n,
+            overlap_m2: sum.overlap_m2 / n,
+            overlap_share: sum.overlap_share / n,
+        };
+        PairMeans { count, mean }
+    }
+}
+
+/// (0, 1), (0, 2), (1, 2), (0, 3), ...: a small fleet's pairs come first.
+fn robots_of(slot: usize) -> (usize, usize) {
+    let j = (1..ROBOTS_MAX).rfind(|j| j * (j - 1) / 2 <= slot).unwrap_or(1);
+    (slot - j * (j - 1) / 2, j)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::house;
+
+    #[test]
+    fn slots_are_all_pairs() {
+        let mut pairs: Vec<_> = (0..PAIRS_MAX).map(robots_of).collect();
+        assert!(pairs.iter().all(|(i, j)| i < j && *j < ROBOTS_MAX));
+        pairs.sort_unstable();
+        pairs.dedup();
+        assert_eq!(pairs.len(), PAIRS_MAX);
+    }
+
+    #[test]
+    fn many_pairs_take_turns_and_all_get_done() {
+        let grid = house();
+        let maps: Vec<_> = (0..ROBOTS_MAX)
+            .map(|_| PlacedMap { grid: &grid, version: 1, map_from_robot_map: Some(Pose2::IDENTITY) })
+            .collect();
+        let mut pairs = Pairs::new();
+        pairs.refresh(&maps);
+        let first = pairs.means().count;
+        assert!(first >= 1 && (first as usize) < PAIRS_MAX, "{first}");
+        for _ in 0..PAIRS_MAX {
+            pairs.refresh(&maps);
+        }
+        assert_eq!(pairs.means().count as usize, PAIRS_MAX);
+        assert_eq!(pairs.means().mean.strict, 1.0);
+        let nobody: Vec<_> = maps
+            .iter()
+            .map(|map| PlacedMap { map_from_robot_map: None, grid: map.grid, version: 1 })
+            .collect();
+        pairs.refresh(&nobody);
+        assert!(pairs.means().count == 0 && pairs.means().mean.strict.is_nan());
+    }
+}
