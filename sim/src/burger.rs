@@ -50,22 +50,26 @@ pub(crate) const CASTER_CENTRE_M: Vec3 = Vec3::new(-0.081, 0.0, CASTER_RADIUS_M)
 /// Radius of the caster's ball, metres.
 pub(crate) const CASTER_RADIUS_M: f32 = 0.006;
 
-/// What bumps into things and is seen by the others' LiDAR: the body's box, the box around the
-/// wheels, and the LiDAR's cylinder, which alone reaches the LiDAR's plane.
-pub(crate) fn hull_parts() -> [(Pose, SharedShape); 3] {
-    let body = Pose::from_translation(Vec3::new(-0.032, 0.0, 0.080));
-    let wheels = Pose::from_translation(Vec3::new(0.0, 0.0, WHEEL_RADIUS_M as f32 + 0.006));
-    // parry's cylinders stand along y.
-    let upright = glam::Quat::from_rotation_x(core::f32::consts::FRAC_PI_2);
-    let lidar = Pose::from_parts(Vec3::new(-0.017, 0.0, 0.1755), upright);
-    [
-        (body, SharedShape::cuboid(0.070, 0.070, 0.0715)),
-        (wheels, SharedShape::cuboid(0.033, 0.089, 0.033)),
-        (lidar, SharedShape::cylinder(0.01575, 0.055)),
-    ]
-}
+/// Middle of the LiDAR's housing, an upright cylinder, which alone of the body reaches the LiDAR's plane.
+pub(crate) const HOUSING_CENTRE_M: Vec3 = Vec3::new(-0.017, 0.0, 0.1755);
+/// Radius of the housing, metres.
+pub(crate) const HOUSING_RADIUS_M: f32 = 0.055;
+/// Half the height of the housing, metres.
+pub(crate) const HOUSING_HALF_HEIGHT_M: f32 = 0.015_75;
 
-/// [`hull_parts`] as one shape.
+/// Middles and half sizes of the body's box and the box around the wheels.
+pub(crate) const BOXES_M: [(Vec3, Vec3); 2] = [
+    (Vec3::new(-0.032, 0.0, 0.080), Vec3::new(0.070, 0.070, 0.0715)),
+    (Vec3::new(0.0, 0.0, 0.039), Vec3::new(0.033, 0.089, 0.033)),
+];
+
+/// What bumps into things: the boxes and the housing.
 pub(crate) fn hull() -> SharedShape {
-    SharedShape::new(Compound::new(hull_parts().to_vec()))
+    let boxes = BOXES_M
+        .map(|(centre, half)| (Pose::from_translation(centre), SharedShape::cuboid(half.x, half.y, half.z)));
+    // parry's cylinders stand along y.
+    let upright =
+        Pose::from_parts(HOUSING_CENTRE_M, glam::Quat::from_rotation_x(core::f32::consts::FRAC_PI_2));
+    let housing = SharedShape::cylinder(HOUSING_HALF_HEIGHT_M, HOUSING_RADIUS_M);
+    SharedShape::new(Compound::new([&boxes[..], &[(upright, housing)]].concat()))
 }

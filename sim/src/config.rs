@@ -263,3 +263,71 @@ impl Default for Limits {
         Self { linear_m_s: 0.15, angular_rad_s: 1.5, command_timeout_s: 0.3 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<SimConfig, String> {
+        toml::from_str(text).map_err(|error: toml::de::Error| error.to_string())
+    }
+
+    #[test]
+    fn reads_presets_and_numbers() {
+        assert_eq!(read("").unwrap(), SimConfig::default());
+        assert_eq!(read("lidar = 'lds02'").unwrap().lidar, LidarConfig::LDS_02);
+        let custom =
+            read("[lidar]\nbeams = 720\nfov_deg = 270\nangle_min_deg = -135\nrange_max_m = 30").unwrap();
+        assert_eq!((custom.lidar.beams, custom.lidar.rate_hz), (720, LidarConfig::PAPER.rate_hz));
+        assert_eq!(read("[noise]\nrange_std_m = 0").unwrap().noise.range_std_m, 0.0);
+        assert_eq!(read("[limits]\nlinear_m_s = 0.1").unwrap().limits.linear_m_s, 0.1);
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let text =
+            toml::to_string(&SimConfig { lidar: LidarConfig::LDS_01, ..SimConfig::default() }).unwrap();
+        assert_eq!(read(&text).unwrap().lidar, LidarConfig::LDS_01);
+    }
+
+    #[test]
+    fn unknown_names_are_refused() {
+        for (text, word) in [
+            ("lidar = 'lds03'", "lds01"),
+            ("lidar = 7", "table of numbers"),
+            ("[lidar]\nbeam = 7", "beam"),
+            ("[noise]\nrange = 1", "range"),
+            ("[limits]\nspeed = 1", "speed"),
+            ("sonar = 1", "sonar"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.contains(word), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused_by_name() {
+        let refused = |text: &str| read(text).unwrap().validate().unwrap_err();
+        for (text, field) in [
+            ("[lidar]\nbeams = 0", "lidar.beams"),
+            ("[lidar]\nbeams = 4097", "lidar.beams"),
+            ("[lidar]\nfov_deg = 361", "lidar.fov_deg"),
+            ("[lidar]\nfov_deg = nan", "lidar.fov_deg"),
+            ("[lidar]\nangle_min_deg = inf", "lidar.angle_min_deg"),
+            ("[lidar]\nrange_min_m = -1", "lidar.range_min_m"),
+            ("[lidar]\nrange_max_m = 0.1", "lidar.range_max_m"),
+            ("[lidar]\nrate_hz = 7", "lidar.rate_hz"),
+            ("[noise]\ndropout_probability = 1.5", "noise.dropout_probability"),
+            ("[noise]\nrange_std_m = nan", "noise.range_std_m"),
+            ("[noise]\nwheel_scale_std = 2", "noise.wheel_scale_std"),
+            ("[limits]\nlinear_m_s = 0", "limits.linear_m_s"),
+            ("[limits]\nangular_rad_s = -inf", "limits.angular_rad_s"),
+            ("[limits]\ncommand_timeout_s = 0", "limits.command_timeout_s"),
+        ] {
+            assert_eq!(refused(text).field, field);
+        }
+        let words = refused("[lidar]\nrate_hz = 7").to_string();
+        assert_eq!(words, "lidar.rate_hz is 7, but must be 20, 10, 5, 4, 2 or 1");
+        assert_eq!(SimConfig::default().validate(), Ok(()));
+    }
+}

@@ -1,13 +1,13 @@
 //! A planar LiDAR by ray casting. The room and the peers are seen; the robot itself is not.
 
-use crate::burger;
+use crate::burger::{self, HOUSING_CENTRE_M, HOUSING_HALF_HEIGHT_M, HOUSING_RADIUS_M};
 use crate::config::{LidarConfig, NoiseConfig};
 use crate::noise::Noise;
 use glam::{DVec3, Vec3};
-use msg::Scan;
+use msg::{ROBOTS_MAX, Scan};
 use parry3d::math::Pose;
-use parry3d::query::Ray;
-use parry3d::shape::{Shape, SharedShape};
+use parry3d::query::{Ray, RayCast};
+use parry3d::shape::{Cuboid, Shape};
 
 /// Middle and radius of a ball around all of a peer that a ray can hit, in its `base_footprint`, metres.
 const PEER_BALL_CENTRE: Vec3 = Vec3::new(-0.025, 0.0, 0.096);
@@ -18,7 +18,6 @@ pub(crate) struct Lidar {
     config: LidarConfig,
     /// Unit directions of the rays in `base_scan`.
     directions: Vec<Vec3>,
-    peer_parts: [(Pose, SharedShape); 3],
     errors: RangeErrors,
 }
 
@@ -30,7 +29,7 @@ impl Lidar {
             Vec3::new(cos as f32, sin as f32, 0.0)
         };
         let directions = (0..config.beams).map(direction).collect();
-        Self { config, directions, peer_parts: burger::hull_parts(), errors }
+        Self { config, directions, errors }
     }
 
     /// Writes all of `scan` but its header. All rays are cast at once (`time_increment_s` 0).
@@ -53,13 +52,18 @@ impl Lidar {
 
         let scan_in_base = DVec3::from(burger::BASE_LINK_M) + DVec3::from(burger::SCAN_IN_BASE_LINK_M);
         let world_from_scan = world_from_base * Pose::from_translation(scan_in_base.as_vec3());
+        let mut targets = [Target::default(); ROBOTS_MAX];
+        for (target, world_from_peer) in targets.iter_mut().zip(world_from_peers) {
+            *target = Target::new(*world_from_peer);
+        }
+        let targets = &targets[..world_from_peers.len().min(ROBOTS_MAX)];
         let (beams, unused) = scan.ranges_m.split_at_mut(self.directions.len());
         for (range_m, direction) in beams.iter_mut().zip(&self.directions) {
             let ray = Ray::new(world_from_scan.translation, world_from_scan.rotation * *direction);
             let mut nearest_m = room.cast_local_ray(&ray, scan.range_max_m, false);
-            for world_from_peer in world_from_peers {
+            for target in targets {
                 let far_m = nearest_m.unwrap_or(scan.range_max_m);
-                nearest_m = cast_on_peer(&self.peer_parts, *world_from_peer, &ray, far_m).or(nearest_m);
+                nearest_m = target.cast(&ray, far_m).or(nearest_m);
             }
             *range_m = self.errors.measure(nearest_m, config);
         }
@@ -67,21 +71,53 @@ impl Lidar {
     }
 }
 
-/// Distance to a peer, if it is hit before `far_m`.
-fn cast_on_peer(parts: &[(Pose, SharedShape)], world_from_peer: Pose, ray: &Ray, far_m: f32) -> Option<f32> {
-    let to_peer = world_from_peer.transform_point(PEER_BALL_CENTRE) - ray.origin;
-    let along_m = to_peer.dot(ray.dir);
-    let aside_squared = to_peer.length_squared() - along_m * along_m;
-    if along_m < -PEER_BALL_RADIUS_M
-        || along_m > far_m + PEER_BALL_RADIUS_M
-        || aside_squared > PEER_BALL_RADIUS_M * PEER_BALL_RADIUS_M
-    {
+/// A peer for the rays of one scan. It stands upright, as mirrored peers do.
+#[derive(Clone, Copy, Default)]
+struct Target {
+    peer_from_world: Pose,
+    /// Middle of the ball around it, in `world`.
+    ball_centre: Vec3,
+}
+
+impl Target {
+    fn new(world_from_peer: Pose) -> Self {
+        let ball_centre = world_from_peer.transform_point(PEER_BALL_CENTRE);
+        Self { peer_from_world: world_from_peer.inverse(), ball_centre }
+    }
+
+    /// Distance, if it is hit before `far_m`.
+    fn cast(&self, ray: &Ray, far_m: f32) -> Option<f32> {
+        let to_centre = self.ball_centre - ray.origin;
+        let along_m = to_centre.dot(ray.dir);
+        let aside_squared = to_centre.length_squared() - along_m * along_m;
+        if along_m < -PEER_BALL_RADIUS_M
+            || along_m > far_m + PEER_BALL_RADIUS_M
+            || aside_squared > PEER_BALL_RADIUS_M * PEER_BALL_RADIUS_M
+        {
+            return None;
+        }
+        let ray = ray.transform_by(&self.peer_from_world);
+        let boxes = burger::BOXES_M.iter().filter_map(|(centre, half)| {
+            Cuboid::new(*half).cast_local_ray(&ray.translate_by(-*centre), far_m, false)
+        });
+        boxes.chain(cast_on_housing(&ray, far_m)).min_by(f32::total_cmp)
+    }
+}
+
+/// On the round side of the housing, from outside; ray in the peer's `base_footprint`. In closed form:
+/// parry finds a cylinder by iterating, which takes a microsecond a ray.
+fn cast_on_housing(ray: &Ray, far_m: f32) -> Option<f32> {
+    let (from, direction) = ((ray.origin - HOUSING_CENTRE_M).truncate(), ray.dir.truncate());
+    // |from + t direction| = radius
+    let (a, b) = (direction.length_squared(), from.dot(direction));
+    let c = from.length_squared() - HOUSING_RADIUS_M * HOUSING_RADIUS_M;
+    let discriminant = b * b - a * c;
+    if discriminant < 0.0 || a == 0.0 {
         return None;
     }
-    let hits = parts.iter().filter_map(|(peer_from_part, shape)| {
-        shape.cast_ray(&(world_from_peer * *peer_from_part), ray, far_m, false)
-    });
-    hits.min_by(f32::total_cmp)
+    let t = (-b - discriminant.sqrt()) / a;
+    let above_m = ray.origin.z + t * ray.dir.z - HOUSING_CENTRE_M.z;
+    ((0.0..far_m).contains(&t) && above_m.abs() <= HOUSING_HALF_HEIGHT_M).then_some(t)
 }
 
 /// What comes between a distance and its measurement.

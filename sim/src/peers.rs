@@ -35,6 +35,9 @@ impl Peers {
             world_from_base: truth.world_from_base,
             present: true,
         });
+        if peer.present && truth.header.stamp < peer.truth.header.stamp {
+            return;
+        }
         peer.truth = *truth;
         if !peer.present {
             peer.present = true;

@@ -24,6 +24,9 @@ const ODOMETRY_TICKS: i64 = 5;
 const APART_TICKS: i64 = 20;
 
 /// One robot in its room.
+///
+/// Time advances in ticks of 10 ms. Odometry and transforms come with every fifth, scans with some of
+/// those; robot k's come k - 1 ticks later than robot 1's, so that a fleet's scans do not all come at once.
 pub struct Simulator {
     robot: RobotId,
     limits: Limits,
@@ -155,7 +158,6 @@ impl Simulator {
         self.odometry.advance(self.body.step());
         self.count_contacts();
 
-        // Each robot has its own phase, so that a fleet's scans do not all come at once.
         let phase = self.robot.index() as i64;
         let odometry_due = (self.ticks - phase).rem_euclid(ODOMETRY_TICKS) == 0;
         Tick {

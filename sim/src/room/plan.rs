@@ -230,3 +230,30 @@ pub(crate) fn obstacles_of(mesh: &Mesh, relief_m: f32) -> Mesh {
     let triangles = mesh.triangles.iter().filter(stands_up).copied().collect();
     Mesh { vertices: mesh.vertices.clone(), triangles }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Lanes of 0.6 m lead through the whole laboratory.
+    #[test]
+    fn laboratory_has_wide_lanes() {
+        let ground = &Room::laboratory().ground;
+        let wide: Vec<bool> =
+            ground.clearance_m.iter().zip(&ground.floor).map(|(c, floor)| *floor && *c >= 0.3).collect();
+        let (regions, _) = ground.raster.regions(&wide);
+        let region = |point| regions[ground.raster.index(point).unwrap()];
+        let workshop = region([-1.2, -1.7]);
+        assert_ne!(workshop, 0);
+        for (name, point) in [
+            ("north-west", [-2.8, 1.9]),
+            ("rack", [-2.9, -1.2]),
+            ("door", [-0.4, 2.3]),
+            ("doorway", [0.93, -1.15]),
+            ("office", [2.2, -0.6]),
+            ("meeting corner", [1.2, 1.4]),
+        ] {
+            assert_eq!(region(point), workshop, "{name}");
+        }
+    }
+}
