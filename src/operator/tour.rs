@@ -151,3 +151,132 @@ impl Tour {
         self.drivers[index].step(sight.stamp, own, &company, &mut self.planner, may_think)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::operator::sight::{BURGER_BASE_FROM_SCAN, MapView, ScanView};
+    use msg::Pose2;
+    use proptest::prelude::*;
+
+    const OPEN: [f32; 91] = [3.0; 91];
+
+    fn open_scan(now_s: f64) -> ScanView<'static> {
+        ScanView {
+            seen: Stamp::from_seconds(now_s),
+            base_from_scan: BURGER_BASE_FROM_SCAN,
+            angle_min_rad: -0.8,
+            angle_increment_rad: 1.6 / 90.0,
+            range_min_m: 0.12,
+            range_max_m: 3.5,
+            ranges_m: &OPEN,
+        }
+    }
+
+    fn robot(number: usize) -> RobotId {
+        RobotId::new(number).unwrap()
+    }
+
+    /// The robots in hand over some seconds at 20 Hz; those in `blind` show no scan.
+    fn hands(tour: &mut Tour, seconds: f64, blind: &[usize]) -> Vec<Hand> {
+        let step = |i: u64| {
+            let now_s = i as f64 * 0.05;
+            let seen: Vec<RobotSight> = (1..=3)
+                .map(|number| RobotSight {
+                    robot: robot(number),
+                    map: None,
+                    merged: false,
+                    map_from_base: None,
+                    scan: (!blind.contains(&number)).then(|| open_scan(now_s)),
+                })
+                .collect();
+            tour.step(&Sight { stamp: Stamp::from_seconds(now_s), robots: &seen })
+        };
+        (0..(seconds / 0.05) as u64).map(step).collect()
+    }
+
+    #[test]
+    fn takes_turns_and_lets_go_before_it_changes_hands() {
+        let config = TourConfig { turn_s: 5.0, ..Default::default() };
+        let mut tour = Tour::new(config, RobotId::first(3)).unwrap();
+        let hands = hands(&mut tour, 30.0, &[]);
+        let mut order: Vec<usize> = hands.iter().map(|hand| hand.robot.number()).collect();
+        order.dedup();
+        assert_eq!(&order[..6], [1, 2, 3, 1, 2, 3]);
+        for pair in hands.windows(2).filter(|pair| pair[0].robot != pair[1].robot) {
+            assert_eq!(pair[0].stick, Stick::CENTRED);
+        }
+        assert!(hands.iter().any(|hand| hand.stick.forward > 0.5), "without a map it drives by the scan");
+    }
+
+    #[test]
+    fn passes_over_a_robot_that_shows_nothing() {
+        let config = TourConfig { turn_s: 10.0, ..Default::default() };
+        let mut tour = Tour::new(config, RobotId::first(3)).unwrap();
+        let hands = hands(&mut tour, 60.0, &[2]);
+        let blind: Vec<&Hand> = hands.iter().filter(|hand| hand.robot == robot(2)).collect();
+        assert!(blind.iter().all(|hand| hand.stick == Stick::CENTRED));
+        assert!(blind.len() < 3 * 45, "held for {} steps", blind.len());
+        let turns: Vec<u32> = tour.figures().map(|(_, turns, ..)| turns).collect();
+        assert!(turns.iter().all(|turns| *turns >= 2), "{turns:?}");
+    }
+
+    #[test]
+    fn robots_join_once() {
+        assert!(Tour::new(TourConfig::default(), []).is_none());
+        let mut tour = Tour::new(TourConfig::default(), [robot(1), robot(1)]).unwrap();
+        tour.add(robot(2));
+        tour.add(robot(2));
+        assert_eq!(tour.drivers().len(), 2);
+    }
+
+    fn number() -> impl Strategy<Value = f64> {
+        prop_oneof![6 => -6.0..6.0, 1 => Just(f64::NAN), 1 => Just(f64::INFINITY), 1 => any::<f64>()]
+    }
+
+    fn pose() -> impl Strategy<Value = Pose2> {
+        (number(), number(), number()).prop_map(|(x, y, yaw)| Pose2::new(x, y, yaw))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        /// Whatever it is shown, it does not fall over and the stick stays within its gate.
+        #[test]
+        fn any_sight_gives_a_deflection(
+            cells in prop::collection::vec(any::<i8>(), 900),
+            poses in prop::collection::vec(prop::option::of(pose()), 40),
+            ranges in prop::collection::vec(any::<f32>(), 0..60),
+            angles in (number(), number()),
+            limits in (number(), number()),
+            (merged, at_once) in (any::<bool>(), any::<bool>()),
+        ) {
+            let mut tour = Tour::new(TourConfig { turn_s: 1.0, ..Default::default() }, RobotId::first(2)).unwrap();
+            let map = MapView::percent(Pose2::new(-0.7, -0.7, 0.3), 0.05, (30, 30), &cells);
+            let mut hands = Vec::new();
+            for (i, pair) in poses.chunks(2).enumerate() {
+                let stamp = Stamp::from_seconds(i as f64 * 0.3);
+                let scan = ScanView {
+                    seen: stamp,
+                    angle_min_rad: angles.0,
+                    angle_increment_rad: angles.1,
+                    range_min_m: limits.0,
+                    range_max_m: limits.1,
+                    ranges_m: &ranges,
+                    ..open_scan(0.0)
+                };
+                let see = |k: usize| RobotSight { robot: robot(k + 1), map, merged, map_from_base: pair[k], scan: Some(scan) };
+                let sight = Sight { stamp, robots: &[see(0), see(1)] };
+                if at_once {
+                    tour.step_all(&sight, &mut hands);
+                } else {
+                    hands.clear();
+                    hands.push(tour.step(&sight));
+                }
+                for hand in &hands {
+                    prop_assert!(hand.stick.forward.abs() <= 1.0 && hand.stick.left.abs() <= 1.0, "{hand:?}");
+                }
+            }
+        }
+    }
+}
