@@ -4,9 +4,10 @@
 //! beside it. Unlike the live one, this one waits when the other is far behind: a log has time.
 
 use crate::carmen::{LaserLine, Reader, Record};
+use crate::map_file::{MapFileError, write_map};
 use msg::{Odometry, Pose2, Scan, Stamp};
 use serde::Serialize;
-use slam::{Back, Front, Node, Revision, Slam, SlamConfig};
+use slam::{Back, Front, Node, Revision, SearchCounts, Slam, SlamConfig};
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
@@ -66,6 +67,9 @@ pub enum ReplayError {
         /// Why.
         source: std::io::Error,
     },
+    /// The map cannot be written.
+    #[error(transparent)]
+    Map(#[from] MapFileError),
     /// Nothing to do.
     #[error(
         "{path} has no usable scan: expected FLASER or ROBOTLASER1 lines ({skipped} other lines, {malformed} malformed)"
@@ -110,8 +114,8 @@ pub struct Summary {
     pub closures: usize,
     /// Loop closures taken back.
     pub retracted: u64,
-    /// Closure searches made.
-    pub searches: u64,
+    /// How closure searches ended.
+    pub closure_searches: SearchCounts,
     /// Solutions of the whole graph.
     pub solutions: u64,
     /// Reading to final trajectory, seconds.
@@ -128,6 +132,18 @@ pub struct Summary {
     pub map_height: u32,
     /// Drawing the whole map, milliseconds.
     pub map_ms: f64,
+}
+
+impl Summary {
+    fn count(&mut self, front: &Front, back: &Back) {
+        let (counts, done) = (front.counts(), back.counts());
+        (self.scans, self.lost) = (counts.accepted, counts.lost);
+        (self.stamp_repeated, self.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
+        self.refused_other = counts.beam_count + counts.geometry;
+        (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
+        (self.retracted, self.solutions) = (done.retracted, done.solutions);
+        self.closure_searches = done.searches;
+    }
 }
 
 /// Of times in milliseconds.
@@ -177,8 +193,7 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
     summary.map_ms = drawing.elapsed().as_secs_f64() * 1e3;
     (summary.map_width, summary.map_height) = (grid.header.width, grid.header.height);
     if let Some(path) = &args.map {
-        write_picture(&path.with_extension("png"), grid)
-            .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
+        write_map(&path.with_extension(""), grid)?;
     }
     print(&summary, args.json);
     Ok(())
@@ -223,48 +238,45 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
     let started = first.stamp;
     let mut ended = started;
     std::thread::scope(|scope| {
-        let beside = scope.spawn(|| {
-            let mut times = Vec::new();
-            for node in nodes {
-                let start = Instant::now();
-                let revision = back.add(node);
-                times.push(start.elapsed());
-                let _ = to_front.send(revision);
-            }
-            let start = Instant::now();
-            back.finish();
-            times.push(start.elapsed());
-            times
-        });
+        let back = &mut back;
+        let beside = scope.spawn(move || work_beside(back, nodes, to_front));
         let mut feeder = Feeder::new(&mut front, args);
         let mut next = Some(first);
         while let Some(line) = next {
             ended = line.stamp;
-            while let Ok(revision) = revisions.try_recv() {
-                feeder.front.revise(revision);
-            }
+            revisions.try_iter().for_each(|revision| feeder.front.revise(revision));
             if let Some(node) = feeder.scan(&line) {
                 let _ = to_back.send(node);
             }
             next = records.next_laser();
         }
-        let times = core::mem::take(&mut feeder.times);
         drop(to_back);
-        summary.scan_ms = Percentiles::of(times);
+        summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
         summary.beside_ms = Percentiles::of(beside.join().unwrap_or_default());
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
-    let (counts, done) = (front.counts(), back.counts());
-    (summary.scans, summary.lost) = (counts.accepted, counts.lost);
-    (summary.stamp_repeated, summary.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
-    summary.refused_other = counts.beam_count + counts.geometry;
-    (summary.nodes, summary.links, summary.closures) = (done.nodes, done.links, done.closures);
-    (summary.retracted, summary.solutions) = (done.retracted, done.solutions);
-    summary.searches = done.searches.searches;
-    if std::env::var_os("SLAM_DEBUG").is_some() {
-        eprintln!("{:?}", done);
-    }
+    summary.count(&front, &back);
     Ok(Replayed { front, back, summary, duration_s: ended - started })
+}
+
+/// Works off nodes until there are no more to come. Returns how long each took, and the last word.
+fn work_beside(
+    back: &mut Back,
+    nodes: mpsc::Receiver<Node>,
+    to_front: mpsc::Sender<Revision>,
+) -> Vec<Duration> {
+    let mut times = Vec::new();
+    for node in nodes {
+        let start = Instant::now();
+        let revision = back.add(node);
+        times.push(start.elapsed());
+        // The log may have ended, then nobody listens.
+        let _ = to_front.send(revision);
+    }
+    let start = Instant::now();
+    back.finish();
+    times.push(start.elapsed());
+    times
 }
 
 struct Records<'a> {
@@ -341,23 +353,6 @@ fn write_trajectory(path: &Path, poses: impl Iterator<Item = (Stamp, Pose2)>) ->
     file.flush()
 }
 
-fn write_picture(path: &Path, grid: msg::GridView<'_>) -> std::io::Result<()> {
-    let (width, height) = (grid.header.width, grid.header.height);
-    let file = BufWriter::new(File::create(path)?);
-    let mut encoder = png::Encoder::new(file, width, height);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header().map_err(std::io::Error::other)?;
-    let percent = msg::grid::percent_table();
-    let shade = |cell: &i8| match percent[*cell as u8 as usize] {
-        -1 => 205,
-        p => (254.0 - 2.54 * f64::from(p)) as u8,
-    };
-    let rows = grid.cells.chunks_exact(width.max(1) as usize).rev();
-    let pixels: Vec<u8> = rows.flat_map(|row| row.iter().map(shade)).collect();
-    writer.write_image_data(&pixels).map_err(std::io::Error::other)
-}
-
 fn print(summary: &Summary, json: bool) {
     if json {
         let text = serde_json::to_string_pretty(summary).unwrap_or_default();
@@ -375,5 +370,78 @@ fn print(summary: &Summary, json: bool) {
     println!("  wall      {:.2} s, {:.0} x real time", s.wall_s, s.times_real_time);
     for (what, times) in [("scan path", s.scan_ms), ("beside   ", s.beside_ms)] {
         println!("  {what} p50 {:.2}, p99 {:.2}, max {:.2} ms", times.p50, times.p99, times.max);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A robot that drives 2 m through a box of 8 m x 6 m, one scan each 0.25 m.
+    fn log() -> String {
+        let mut log = String::from("# a box\nPARAM robot none\n");
+        for step in 0..9 {
+            let x = f64::from(step) * 0.25;
+            log += "FLASER 181";
+            for beam in 0..181 {
+                let (sin, cos) = (f64::from(beam) - 90.0).to_radians().sin_cos();
+                let range = ((6.0 - x) / cos.max(1e-9)).min(3.0 / sin.abs().max(1e-9));
+                log += &format!(" {range:.3}");
+            }
+            let odometry = x * 1.02;
+            log += &format!(" 0 0 0 {odometry} 0 0 976052890.24411{step} host 0\n");
+            log += "FLASER 3 1 2 oops\n";
+        }
+        log
+    }
+
+    fn args(log: &Path) -> ReplayArgs {
+        ReplayArgs {
+            log: log.to_owned(),
+            trajectory: None,
+            map: None,
+            json: false,
+            fov_deg: None,
+            no_odometry: false,
+            no_closures: false,
+        }
+    }
+
+    #[test]
+    fn every_scan_gets_a_pose_at_its_own_stamp() {
+        let folder = std::env::temp_dir().join(format!("mr-slam-replay-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let (path, trajectory) = (folder.join("box.log.gz"), folder.join("box.tum"));
+        let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        packed.write_all(log().as_bytes()).unwrap();
+        std::fs::write(&path, packed.finish().unwrap()).unwrap();
+        let map = Some(folder.join("box.yaml"));
+        run(&ReplayArgs { trajectory: Some(trajectory.clone()), map, ..args(&path) }).unwrap();
+
+        let text = std::fs::read_to_string(&trajectory).unwrap();
+        let rows: Vec<Vec<&str>> = text.lines().map(|l| l.split(' ').collect()).collect();
+        assert_eq!(rows.len(), 9);
+        for (step, row) in rows.iter().enumerate() {
+            assert_eq!(row[0], format!("976052890.24411{step}"));
+            let x: f64 = row[1].parse().unwrap();
+            assert!((x - 0.25 * step as f64).abs() < 0.02, "{x} at scan {step}");
+        }
+        assert!(folder.join("box.pgm").exists() && folder.join("box.yaml").exists());
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn malformed_lines_are_counted() {
+        let replayed = feed(log().as_bytes(), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
+        let summary = replayed.summary;
+        assert_eq!((summary.scans, summary.malformed_lines, summary.skipped_lines), (9, 9, 2));
+    }
+
+    #[test]
+    fn a_log_without_scans_says_what_was_expected() {
+        let error = feed(b"ODOM 1 2\nhello\n", SlamConfig::default(), &args(Path::new("x.log")));
+        let message = error.err().unwrap().to_string();
+        assert!(message.contains("x.log") && message.contains("FLASER"), "{message}");
+        assert!(message.contains("1 other lines, 1 malformed"), "{message}");
     }
 }

@@ -19,6 +19,8 @@ const NOT_FOUND_MAX: usize = 256;
 /// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre
 /// between what is looked at.
 const VIEWPOINT: f64 = 0.5;
+/// Nodes that the last word looks for again.
+const LAST_SEARCHES_MAX: usize = 64;
 /// Near links are spread: not two to nodes this close in order.
 const NEAR_SPREAD: u32 = 3;
 
@@ -101,7 +103,10 @@ impl Back {
     /// The last word: looks again where nothing was found, solves with all that is known.
     pub fn finish(&mut self) {
         self.solve(false);
-        while self.search_again() {}
+        let mut left = LAST_SEARCHES_MAX;
+        while left > 0 && self.search_again() {
+            left -= 1;
+        }
         self.solve(false);
     }
 

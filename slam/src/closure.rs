@@ -44,7 +44,7 @@ pub struct Find {
 }
 
 /// How searches ended.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct SearchCounts {
     /// Searches made.
     pub searches: u64,
