@@ -1,8 +1,9 @@
 //! The switchboard: topics on one side, clients on the other, frames from one to many without a copy each.
 
-use crate::cdr::Writer;
+use crate::cdr::{Dialect, Writer};
 use crate::client::{Client, ClientId, Ended, Publication, Refusal};
 use crate::command::{Notice, name};
+use crate::config::BridgeConfig;
 use crate::frame::Side;
 use crate::outbox::{Lane, Outbox};
 use crate::pool::{Bytes, Pool};
@@ -42,6 +43,7 @@ pub struct Board {
     clients: Vec<Option<Client>>,
     dirty: Vec<usize>,
     pool: Pool,
+    dialect: Dialect,
     outbox_bytes_max: usize,
     latched_bytes: usize,
     latched_bytes_max: usize,
@@ -49,16 +51,17 @@ pub struct Board {
 
 impl Board {
     /// Nobody there yet.
-    pub fn new(topics: Topics, outbox_bytes_max: usize, latched_bytes_max: usize) -> Self {
+    pub fn new(topics: Topics, config: &BridgeConfig) -> Self {
         Self {
             topics,
             counted: Counters::default(),
             clients: Vec::new(),
             dirty: Vec::new(),
             pool: Pool::default(),
-            outbox_bytes_max,
+            dialect: config.payloads,
+            outbox_bytes_max: config.outbox_bytes_max,
             latched_bytes: 0,
-            latched_bytes_max,
+            latched_bytes_max: config.latched_bytes_max,
         }
     }
 
@@ -186,7 +189,8 @@ impl Board {
 
     /// Encodes a message once, if anybody wants it, and puts it on its way to all who do.
     pub fn send(&mut self, topic: TopicId, message: impl FnOnce(&mut Writer<'_>)) {
-        self.send_with(topic, |out| message(&mut Writer::new(out)));
+        let dialect = self.dialect;
+        self.send_with(topic, |out| message(&mut Writer::with(dialect, out)));
     }
 
     /// The same with a payload that is there already.

@@ -1,8 +1,9 @@
 //! The bridge as its process sees it: messages of the fleet in, commands for robots out.
 
 use crate::board::Counters;
+use crate::cdr::Dialect;
 use crate::client::{Client, ClientId, Ended};
-use crate::command::{HANDSHAKE, name};
+use crate::command::{handshake, name};
 use crate::config::{BridgeConfig, ConfigError};
 use crate::frame::{Frame, Side};
 use crate::hub::Hub;
@@ -244,6 +245,10 @@ impl Bridge {
         self.hub.borrow().config.clients_max
     }
 
+    pub(crate) fn dialect(&self) -> Dialect {
+        self.hub.borrow().config.payloads
+    }
+
     pub(crate) fn frame_bytes_max(&self) -> usize {
         self.hub.borrow().config.frame_bytes_max
     }
@@ -276,7 +281,9 @@ impl Bridge {
                 return None;
             }
             let id = hub.board.attach(stream.clone(), peer, wake.clone());
-            hub.board.answer(id, Lane::Answer, |out| Side::Server.write(out, name::HANDSHAKE, HANDSHAKE));
+            let dialect = hub.config.payloads;
+            hub.board
+                .answer(id, Lane::Answer, |out| Side::Server.write(out, name::HANDSHAKE, handshake(dialect)));
             Some(id)
         })
     }

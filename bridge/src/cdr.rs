@@ -1,11 +1,25 @@
 //! CDR as ROS 2 puts it on the wire: XCDR1, little-endian, behind a 4-byte encapsulation header
 //! (OMG DDS-XTypes 1.3, 7.4.1 and 7.6.2.1.2). Primitives of 2, 4 and 8 bytes are aligned to their size,
 //! counted from the first byte after that header.
+//!
+//! ROS 1's serialisation differs in little ([`Dialect::Ros1`]): no header, no alignment, strings without NUL.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Representation "CDR, little-endian", no options.
 pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+
+/// Which ROS the clients were built for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Dialect {
+    /// CDR behind its encapsulation header.
+    #[default]
+    Ros2,
+    /// Packed; std_msgs/Header begins with `seq`.
+    Ros1,
+}
 
 /// Why bytes are not the message they should be.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -51,17 +65,33 @@ pub enum DecodeError {
 pub struct Writer<'a> {
     out: &'a mut Vec<u8>,
     origin: usize,
+    dialect: Dialect,
 }
 
 impl<'a> Writer<'a> {
     /// Writes the encapsulation header; what follows is aligned to the byte after it.
     pub fn new(out: &'a mut Vec<u8>) -> Self {
-        out.extend_from_slice(&ENCAPSULATION);
+        Self::with(Dialect::Ros2, out)
+    }
+
+    /// The same in either dialect; ROS 1 has no such header.
+    pub fn with(dialect: Dialect, out: &'a mut Vec<u8>) -> Self {
+        if dialect == Dialect::Ros2 {
+            out.extend_from_slice(&ENCAPSULATION);
+        }
         let origin = out.len();
-        Self { out, origin }
+        Self { out, origin, dialect }
+    }
+
+    /// For the few messages whose fields differ.
+    pub fn dialect(&self) -> Dialect {
+        self.dialect
     }
 
     fn align(&mut self, size: usize) {
+        if self.dialect == Dialect::Ros1 {
+            return;
+        }
         let past = (self.out.len() - self.origin) % size;
         if past != 0 {
             self.out.resize(self.out.len() + size - past, 0);
@@ -107,12 +137,13 @@ impl<'a> Writer<'a> {
         values.iter().for_each(|value| self.f64(*value));
     }
 
-    /// Length with the NUL, bytes, NUL. A NUL inside ends the string, as in C.
+    /// Length with the NUL, bytes, NUL (ROS 1: without). A NUL inside ends the string, as in C.
     pub fn string(&mut self, text: &str) {
         let text = text.split('\0').next().unwrap_or_default();
-        self.count(text.len() + 1);
+        let nul: &[u8] = if self.dialect == Dialect::Ros2 { b"\0" } else { b"" };
+        self.count(text.len() + nul.len());
         self.out.extend_from_slice(text.as_bytes());
-        self.out.push(0);
+        self.out.extend_from_slice(nul);
     }
 
     /// The element count of a sequence. All of ours are bounded far below `u32::MAX`.
@@ -144,6 +175,7 @@ impl<'a> Writer<'a> {
 pub struct Reader<'a> {
     body: &'a [u8],
     at: usize,
+    dialect: Dialect,
 }
 
 impl<'a> Reader<'a> {
@@ -151,9 +183,22 @@ impl<'a> Reader<'a> {
     pub fn new(payload: &'a [u8]) -> Result<Self, DecodeError> {
         match payload {
             // The options (last two bytes) tell of padding at the end; there is nothing to obey.
-            [0, 1, _, _, body @ ..] => Ok(Self { body, at: 0 }),
+            [0, 1, _, _, body @ ..] => Ok(Self { body, at: 0, dialect: Dialect::Ros2 }),
             _ => Err(DecodeError::Encapsulation(payload[..payload.len().min(4)].to_vec())),
         }
+    }
+
+    /// The same in either dialect; ROS 1 has no header to check.
+    pub fn with(dialect: Dialect, payload: &'a [u8]) -> Result<Self, DecodeError> {
+        match dialect {
+            Dialect::Ros2 => Self::new(payload),
+            Dialect::Ros1 => Ok(Self { body: payload, at: 0, dialect }),
+        }
+    }
+
+    /// For the few messages whose fields differ.
+    pub fn dialect(&self) -> Dialect {
+        self.dialect
     }
 
     /// Bytes not read yet. Up to 3 may remain behind a whole message: padding.
@@ -162,7 +207,7 @@ impl<'a> Reader<'a> {
     }
 
     fn take(&mut self, field: &'static str, align: usize, size: u64) -> Result<&'a [u8], DecodeError> {
-        let begin = self.at.next_multiple_of(align);
+        let begin = if self.dialect == Dialect::Ros2 { self.at.next_multiple_of(align) } else { self.at };
         let rest = self.body.get(begin..).unwrap_or_default();
         let short = DecodeError::Short { field, at: begin, need: size, left: rest.len() };
         let size = usize::try_from(size).map_err(|_| short.clone())?;
@@ -230,9 +275,9 @@ impl<'a> Reader<'a> {
     pub fn string(&mut self, field: &'static str) -> Result<&'a str, DecodeError> {
         let length = self.u32(field)?;
         let bytes = self.take(field, 1, u64::from(length))?;
-        let text = match bytes {
-            [] => bytes,
-            [text @ .., 0] => text,
+        let text = match (self.dialect, bytes) {
+            (Dialect::Ros1, _) | (_, []) => bytes,
+            (_, [text @ .., 0]) => text,
             _ => return Err(DecodeError::Text { field }),
         };
         core::str::from_utf8(text).map_err(|_| DecodeError::Text { field })

@@ -3,6 +3,7 @@
 use crate::outbox::{Flushed, Lane, Outbox};
 use crate::pool::{Bytes, Pool};
 use crate::topics::TopicId;
+use msg::RobotId;
 use std::net::SocketAddr;
 use std::rc::Rc;
 use std::time::{Duration, Instant};
@@ -76,6 +77,8 @@ pub struct Client {
     pub publications: Vec<Publication>,
     /// The service frame that must come next.
     pub expected: Option<Expected>,
+    /// The robot its thumb stick moves while its grip is held.
+    pub gripped: Option<RobotId>,
     stream: Rc<TcpStream>,
     wake: Rc<Notify>,
     /// What waits for it.
@@ -104,6 +107,7 @@ impl Client {
             subscriptions: Vec::new(),
             publications: Vec::new(),
             expected: None,
+            gripped: None,
             stream,
             wake,
             outbox,

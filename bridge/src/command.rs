@@ -1,11 +1,22 @@
 //! The JSON bodies of ros_tcp's `__` commands, both ways. Unknown fields are ignored, as Unity's reader does.
 
+use crate::cdr::Dialect;
 use serde::{Deserialize, Serialize};
 
 /// The endpoint's version Unity's connector checks for (`v0.7.`).
 pub const VERSION: &str = "v0.7.0";
 /// The handshake's payload, byte for byte as the reference endpoint writes it: `metadata` is JSON in a string.
 pub const HANDSHAKE: &[u8] = br#"{"version": "v0.7.0", "metadata": "{\"protocol\": \"ROS2\"}"}"#;
+/// The same toward clients built for ROS 1.
+pub const HANDSHAKE_ROS1: &[u8] = br#"{"version": "v0.7.0", "metadata": "{\"protocol\": \"ROS1\"}"}"#;
+
+/// The handshake for clients of one ROS.
+pub fn handshake(dialect: Dialect) -> &'static [u8] {
+    match dialect {
+        Dialect::Ros2 => HANDSHAKE,
+        Dialect::Ros1 => HANDSHAKE_ROS1,
+    }
+}
 
 /// Names of the commands.
 pub mod name {

@@ -1,6 +1,6 @@
 //! What the bridge may be told at start.
 
-use crate::ros::NameStyle;
+use crate::ros::{Dialect, NameStyle};
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use std::time::Duration;
@@ -33,6 +33,8 @@ pub struct BridgeConfig {
     pub client_topics_max: usize,
     /// Bytes of latched messages on clients' topics, all together.
     pub latched_bytes_max: usize,
+    /// Which ROS the clients were built for. One for all of them.
+    pub payloads: Dialect,
     /// How robots are told apart in frame names.
     pub frame_names: NameStyle,
     /// ROS packages of your own whose types clients may use.
@@ -47,6 +49,10 @@ pub struct BridgeConfig {
     pub trust_loopback: bool,
     /// How long after its last moving command a client keeps a robot to itself, seconds.
     pub lease_s: f64,
+    /// Forward speed of a fully pushed thumb stick, m/s.
+    pub stick_linear_m_s: f64,
+    /// Turning speed of a fully pushed thumb stick, rad/s.
+    pub stick_angular_rad_s: f64,
     /// How long a service call may take before its caller is told that it failed, seconds.
     pub service_timeout_s: f64,
 }
@@ -60,6 +66,7 @@ impl Default for BridgeConfig {
             clients_max: 64,
             client_topics_max: 1024,
             latched_bytes_max: 64 << 20,
+            payloads: Dialect::Ros2,
             frame_names: NameStyle::Flat,
             message_packages: Vec::new(),
             watch: Permission::Anyone,
@@ -67,6 +74,8 @@ impl Default for BridgeConfig {
             allow: Vec::new(),
             trust_loopback: true,
             lease_s: 1.0,
+            stick_linear_m_s: 0.15,
+            stick_angular_rad_s: 1.5,
             service_timeout_s: 10.0,
         }
     }

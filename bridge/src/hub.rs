@@ -6,7 +6,7 @@ use crate::client::ClientId;
 use crate::config::BridgeConfig;
 use crate::drive::Drive;
 use crate::outbox::Outbox;
-use crate::ros::{Bool, FrameNames, Int32, Message, write};
+use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, write};
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
 use msg::{Anchors, Command, Header, ROBOTS_MAX, RobotId, Stamp};
@@ -46,6 +46,8 @@ impl FleetTopics {
             input(format!("/cmd_vel_{}", robot.number()), "geometry_msgs/Twist", Input::Command(robot));
             input(format!("/{robot}/cmd_vel"), "geometry_msgs/Twist", Input::Command(robot));
         }
+        input("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
+        input("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
         input("/take_control".into(), Int32::TYPE, Input::Take);
         input("/emergency_stop_release".into(), "std_msgs/Empty", Input::Release);
         let mut each = |topic: &str, class: &str, depth: usize, latch: bool| {
@@ -103,7 +105,7 @@ impl Hub {
         let fleet = FleetTopics::new(&mut topics, robot_count);
         Self {
             robot_count,
-            board: Board::new(topics, config.outbox_bytes_max, config.latched_bytes_max),
+            board: Board::new(topics, &config),
             fleet,
             names: FrameNames::new(config.frame_names),
             percent: msg::grid::percent_table(),

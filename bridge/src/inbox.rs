@@ -1,32 +1,17 @@
-//! What a client sends, and what becomes of it.
+//! What a client sends: registrations, services, lists. What its messages mean is in `inputs`.
 
-use crate::cdr::{DecodeError, Reader};
-use crate::client::{ClientId, Expected, Publication, Refusal};
+use crate::cdr::{Dialect, ENCAPSULATION};
+use crate::client::{ClientId, Expected, Publication};
 use crate::command::{Call as CallBody, Registration, TopicList, name};
-use crate::drive::Verdict;
 use crate::frame::{Frame, Side};
 use crate::hub::Hub;
 use crate::interfaces::{self, Kind};
 use crate::outbox::Lane;
-use crate::ros::{Bool, Empty, Int32, Message, TfMessage, Twist, TwistStamped, decode};
+use crate::ros::{Message, Twist, TwistStamped};
 use crate::services::Call;
 use crate::topics::{Input, Source, TopicError, TopicId};
-use msg::RobotId;
 use serde::de::DeserializeOwned;
 use std::time::Instant;
-
-/// What a service's caller gets instead of a response: nothing behind the encapsulation header, so that its
-/// reader fails and whoever waits for it goes on.
-const NO_RESPONSE: &[u8] = &crate::cdr::ENCAPSULATION;
-
-/// Why a data frame goes no further.
-struct Refused(Refusal, String);
-
-impl From<DecodeError> for Refused {
-    fn from(error: DecodeError) -> Self {
-        Self(Refusal::Payload, error.to_string())
-    }
-}
 
 impl Hub {
     /// One frame from a client.
@@ -194,154 +179,6 @@ impl Hub {
         self.board.command(id, name::TOPIC_LIST, &TopicList { topics, types });
     }
 
-    /// A message on a topic.
-    fn data(&mut self, id: ClientId, name: &str, payload: &[u8]) {
-        let now = Instant::now();
-        let topic = self.board.topics.find(name);
-        let Some(client) = self.board.client(id) else { return };
-        let publication = client.publications.iter().find(|known| Some(known.topic) == topic).copied();
-        let Some(publication) = publication else {
-            let text = format!("'{name}' is not registered for publication here: send __publish first");
-            return self.board.refuse_data(id, Refusal::Unregistered, topic, now, text);
-        };
-        if let Err(Refused(kind, why)) = self.accept(id, publication, payload, now) {
-            self.board.refuse_data(id, kind, topic, now, format!("'{name}': {why}"));
-        }
-    }
-
-    fn accept(
-        &mut self,
-        id: ClientId,
-        from: Publication,
-        payload: &[u8],
-        now: Instant,
-    ) -> Result<(), Refused> {
-        Reader::new(payload)?;
-        let Some(topic) = self.board.topics.get(from.topic) else { return Ok(()) };
-        if let Source::Input(input) = topic.source {
-            return self.input(id, input, from, payload, now);
-        }
-        self.board.relay(from.topic, payload);
-        Ok(())
-    }
-
-    /// A message the fleet listens to.
-    fn input(
-        &mut self,
-        id: ClientId,
-        input: Input,
-        from: Publication,
-        payload: &[u8],
-        now: Instant,
-    ) -> Result<(), Refused> {
-        if input != Input::Stop {
-            self.check_drive(id)?;
-        }
-        match input {
-            Input::SelectedCommand => self.drive(id, self.drive.selected(), from, payload, now),
-            Input::Command(robot) => self.drive(id, robot, from, payload, now),
-            Input::Transforms => self.foreign_transforms(from.topic, payload),
-            Input::Select => {
-                let robot = self.robot_of(decode::<Int32>(payload)?)?;
-                self.drive.select(robot);
-                self.tell_selected();
-                Ok(())
-            }
-            Input::Take => self.take_over(id, decode::<Int32>(payload)?, now),
-            Input::Stop => {
-                // `false` is what a button sends when it is let go: no release.
-                if decode::<Bool>(payload)?.0 {
-                    self.stop();
-                }
-                Ok(())
-            }
-            Input::Release => {
-                decode::<Empty>(payload)?;
-                self.release();
-                Ok(())
-            }
-        }
-    }
-
-    fn check_drive(&mut self, id: ClientId) -> Result<(), Refused> {
-        let Some(address) = self.board.client(id).map(|client| client.peer.ip()) else { return Ok(()) };
-        if self.access.may_drive(address) {
-            return Ok(());
-        }
-        self.access.ask(address);
-        let text = format!("{address} may not drive yet; at the laptop, run: mr-slam allow {address}");
-        Err(Refused(Refusal::Permission, text))
-    }
-
-    fn robot_of(&self, Int32(number): Int32) -> Result<RobotId, Refused> {
-        let count = self.robot_count;
-        let text = || format!("there is no robot {number}: the fleet has 1 to {count}");
-        self.drive.robot(number).ok_or_else(|| Refused(Refusal::Content, text()))
-    }
-
-    fn drive(
-        &mut self,
-        id: ClientId,
-        robot: RobotId,
-        from: Publication,
-        payload: &[u8],
-        now: Instant,
-    ) -> Result<(), Refused> {
-        let twist =
-            if from.stamped { decode::<TwistStamped>(payload)?.twist } else { decode::<Twist>(payload)? };
-        let (forward, turn) = (twist.linear[0], twist.angular[2]);
-        match self.drive.command(id, robot, (forward, turn) != (0.0, 0.0), now) {
-            Verdict::Pass => {
-                self.command(robot, forward, turn);
-                self.board.send(from.topic, |to| twist.write(to));
-                Ok(())
-            }
-            Verdict::Ignore => Ok(()),
-            Verdict::Stopped => {
-                let text = "the emergency stop is set; publish std_msgs/Empty on /emergency_stop_release to drive on";
-                Err(Refused(Refusal::Stopped, text.into()))
-            }
-            Verdict::Held(holder) => {
-                let by =
-                    self.board.client(holder).map_or("another client".into(), |other| other.peer.to_string());
-                let number = robot.number();
-                let text =
-                    format!("{robot} is driven by {by}; publish {number} on /take_control to take over");
-                Err(Refused(Refusal::Held, text))
-            }
-        }
-    }
-
-    /// Number 0 is every robot.
-    fn take_over(&mut self, id: ClientId, number: Int32, now: Instant) -> Result<(), Refused> {
-        let robots = match number {
-            Int32(0) => RobotId::first(self.robot_count).collect(),
-            number => vec![self.robot_of(number)?],
-        };
-        for robot in robots {
-            let Some(before) = self.drive.take(id, robot, now) else { continue };
-            self.halt(core::iter::once(robot));
-            let by = self.board.client(id).map_or("another client".into(), |client| client.peer.to_string());
-            self.board.notice(before, name::WARN, format!("{by} has taken over {robot}"));
-        }
-        Ok(())
-    }
-
-    /// Transforms of a client's own are passed on; those of the fleet's frames belong to SLAM and the robots.
-    fn foreign_transforms(&mut self, topic: TopicId, payload: &[u8]) -> Result<(), Refused> {
-        let message: TfMessage = decode(payload)?;
-        let owned =
-            message.transforms.iter().find(|transform| self.names.owner(&transform.child_frame_id).is_some());
-        if let Some(transform) = owned {
-            let (parent, child) = (&transform.frame_id, &transform.child_frame_id);
-            let text =
-                format!("{parent} -> {child} is the fleet's to publish: SLAM owns map -> odom (REP-105)");
-            return Err(Refused(Refusal::Content, text));
-        }
-        self.board.relay(topic, payload);
-        Ok(())
-    }
-
     /// A client calls a service.
     fn request(&mut self, id: ClientId, number: i64, spelled: &str, payload: &[u8]) {
         let resolved = interfaces::resolve_name(spelled);
@@ -354,7 +191,7 @@ impl Hub {
             }),
             Err(why) => {
                 self.board.refuse(id, format!("__request {number}: {why}"));
-                self.respond(id, number, spelled, NO_RESPONSE);
+                self.respond(id, number, spelled, self.no_response());
             }
         }
     }
@@ -374,10 +211,19 @@ impl Hub {
         });
     }
 
+    /// What a service's caller gets instead of a response: nothing behind the encapsulation header, so that its
+    /// reader fails and whoever waits for it goes on.
+    fn no_response(&self) -> &'static [u8] {
+        match self.config.payloads {
+            Dialect::Ros2 => &ENCAPSULATION,
+            Dialect::Ros1 => &[],
+        }
+    }
+
     /// A call gets no answer: its caller is told, so that it does not wait for ever.
     pub(crate) fn fail(&mut self, call: &Call, why: &str) {
         self.board.refuse(call.caller, format!("service '{}': {why}", call.service));
-        self.respond(call.caller, call.caller_number, &call.service, NO_RESPONSE);
+        self.respond(call.caller, call.caller_number, &call.service, self.no_response());
     }
 }
 

@@ -17,12 +17,14 @@ mod drive;
 pub mod frame;
 mod hub;
 mod inbox;
+mod inputs;
 mod interfaces;
 mod outbox;
 mod pool;
 pub mod ros;
 mod server;
 mod services;
+mod teleop;
 mod topics;
 
 pub use board::Counters;

@@ -2,7 +2,7 @@
 
 use crate::bridge::Bridge;
 use crate::client::ClientId;
-use crate::command::{HANDSHAKE, name};
+use crate::command::{handshake, name};
 use crate::frame::{Parser, Side};
 use crate::outbox::{Flushed, Outbox};
 use crate::pool::Pool;
@@ -82,7 +82,7 @@ async fn client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr) {
     let stream = Rc::new(stream);
     let wake = Rc::new(Notify::new());
     let Some(id) = bridge.attach(&stream, peer, &wake) else {
-        return farewell(&stream, &mut Pool::default(), refusal(bridge.clients_max())).await;
+        return farewell(&stream, &mut Pool::default(), refusal(&bridge)).await;
     };
     let attached = Attached { bridge: &bridge, id };
     let end = converse(&bridge, id, &stream, &wake).await;
@@ -188,10 +188,10 @@ fn tune(stream: &TcpStream, unsent_bytes_max: u32) -> io::Result<()> {
 }
 
 /// What one client too many is told.
-fn refusal(clients_max: usize) -> Outbox {
+fn refusal(bridge: &Bridge) -> Outbox {
     let mut frames = Vec::new();
-    let text = format!("the bridge has {clients_max} clients, its limit (clients_max)");
-    Side::Server.write(&mut frames, name::HANDSHAKE, HANDSHAKE);
+    let text = format!("the bridge has {} clients, its limit (clients_max)", bridge.clients_max());
+    Side::Server.write(&mut frames, name::HANDSHAKE, handshake(bridge.dialect()));
     Side::Server.write_command(&mut frames, name::ERROR, &crate::command::Notice { text });
     Outbox::holding(Rc::new(frames))
 }

@@ -19,6 +19,10 @@ pub enum Input {
     SelectedCommand,
     /// A velocity for one robot.
     Command(RobotId),
+    /// A thumb stick and a grip, for the selected robot: sensor_msgs/Joy.
+    Joystick,
+    /// The same as Quest2ROS sends it.
+    HandInputs,
     /// The number of the robot to select.
     Select,
     /// The number of the robot to take over; 0 for all.

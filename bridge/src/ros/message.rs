@@ -1,6 +1,6 @@
 //! ROS 2 messages, owned, with the fields of their definitions (common_interfaces, Jazzy), units SI.
 
-use crate::cdr::{DecodeError, Reader, Writer};
+use crate::cdr::{DecodeError, Dialect, Reader, Writer};
 use crate::ros::write;
 use msg::Stamp;
 
@@ -22,6 +22,24 @@ pub fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
 /// Appends one message's payload, encapsulation header included.
 pub fn encode<M: Message>(message: &M, out: &mut Vec<u8>) {
     message.write(&mut Writer::new(out));
+}
+
+/// [`decode`] in either dialect.
+pub fn decode_as<M: Message>(dialect: Dialect, payload: &[u8]) -> Result<M, DecodeError> {
+    M::read(&mut Reader::with(dialect, payload)?)
+}
+
+/// [`encode`] in either dialect.
+pub fn encode_as<M: Message>(dialect: Dialect, message: &M, out: &mut Vec<u8>) {
+    message.write(&mut Writer::with(dialect, out));
+}
+
+/// std_msgs/Header: stamp and frame.
+pub(super) fn read_header(from: &mut Reader<'_>) -> Result<(Stamp, String), DecodeError> {
+    if from.dialect() == Dialect::Ros1 {
+        from.u32("header.seq")?;
+    }
+    Ok((read_stamp(from, "header.stamp")?, from.string("header.frame_id")?.to_owned()))
 }
 
 fn read_stamp(from: &mut Reader<'_>, field: &'static str) -> Result<Stamp, DecodeError> {
@@ -70,8 +88,7 @@ pub struct TwistStamped {
 impl Message for TwistStamped {
     const TYPE: &'static str = "geometry_msgs/TwistStamped";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let stamp = read_stamp(from, "header.stamp")?;
-        let frame_id = from.string("header.frame_id")?.to_owned();
+        let (stamp, frame_id) = read_header(from)?;
         Ok(Self { stamp, frame_id, twist: Twist::read(from)? })
     }
     fn write(&self, to: &mut Writer<'_>) {
@@ -108,7 +125,7 @@ impl Message for Bool {
     }
 }
 
-/// std_msgs/Empty. ROS 2 puts one zero byte where nothing is; Unity's connector puts none.
+/// std_msgs/Empty. ROS 2 puts one zero byte where nothing is; Unity's connector and ROS 1 put none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Empty;
 
@@ -118,7 +135,9 @@ impl Message for Empty {
         Ok(Self)
     }
     fn write(&self, to: &mut Writer<'_>) {
-        to.u8(0);
+        if to.dialect() == Dialect::Ros2 {
+            to.u8(0);
+        }
     }
 }
 
@@ -206,9 +225,10 @@ pub struct LaserScan {
 impl Message for LaserScan {
     const TYPE: &'static str = "sensor_msgs/LaserScan";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let (stamp, frame_id) = read_header(from)?;
         Ok(Self {
-            stamp: read_stamp(from, "header.stamp")?,
-            frame_id: from.string("header.frame_id")?.to_owned(),
+            stamp,
+            frame_id,
             angle_min: from.f32("angle_min")?,
             angle_max: from.f32("angle_max")?,
             angle_increment: from.f32("angle_increment")?,
@@ -249,9 +269,10 @@ pub struct TransformStamped {
 impl Message for TransformStamped {
     const TYPE: &'static str = "geometry_msgs/TransformStamped";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let (stamp, frame_id) = read_header(from)?;
         Ok(Self {
-            stamp: read_stamp(from, "header.stamp")?,
-            frame_id: from.string("header.frame_id")?.to_owned(),
+            stamp,
+            frame_id,
             child_frame_id: from.string("child_frame_id")?.to_owned(),
             translation: from.f64s("transform.translation")?,
             rotation: from.f64s("transform.rotation")?,
@@ -304,8 +325,7 @@ pub struct Odometry {
 impl Message for Odometry {
     const TYPE: &'static str = "nav_msgs/Odometry";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let stamp = read_stamp(from, "header.stamp")?;
-        let frame_id = from.string("header.frame_id")?.to_owned();
+        let (stamp, frame_id) = read_header(from)?;
         let child_frame_id = from.string("child_frame_id")?.to_owned();
         let (position, orientation) = read_pose(from)?;
         from.f64s::<36>("pose.covariance")?;
@@ -347,8 +367,7 @@ pub struct OccupancyGrid {
 impl Message for OccupancyGrid {
     const TYPE: &'static str = "nav_msgs/OccupancyGrid";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let stamp = read_stamp(from, "header.stamp")?;
-        let frame_id = from.string("header.frame_id")?.to_owned();
+        let (stamp, frame_id) = read_header(from)?;
         read_stamp(from, "info.map_load_time")?;
         let resolution = from.f32("info.resolution")?;
         let (width, height) = (from.u32("info.width")?, from.u32("info.height")?);

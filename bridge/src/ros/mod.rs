@@ -4,14 +4,16 @@
 //! bridge's own inputs). [`write`] goes from the fleet's nouns straight into a buffer, for the hot path out.
 //! [`names`] says what frames are called on the wire.
 
+pub mod joystick;
 pub mod message;
 pub mod names;
 pub mod write;
 
-pub use crate::cdr::DecodeError;
+pub use crate::cdr::{DecodeError, Dialect};
+pub use joystick::{HandInputs, Joy};
 pub use message::{
     Bool, Clock, Empty, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, Odometry, Text,
-    TfMessage, TransformStamped, Twist, TwistStamped, decode, encode,
+    TfMessage, TransformStamped, Twist, TwistStamped, decode, decode_as, encode, encode_as,
 };
 pub use names::{FrameNames, NameStyle};
 

@@ -9,11 +9,15 @@ use msg::{
 use proptest::prelude::*;
 use std::fmt::Debug;
 
-/// Encodes behind `before` other bytes, as a frame does, and decodes.
-fn round<M: Message>(message: &M, before: usize) -> M {
+/// Encodes behind `before` other bytes, as a frame does, and decodes; ROS 1 must say the same.
+fn round<M: Message + PartialEq + Debug>(message: &M, before: usize) -> M {
     let mut out = vec![9; before];
     encode(message, &mut out);
-    decode(&out[before..]).unwrap()
+    let decoded = decode(&out[before..]).unwrap();
+    out.truncate(before);
+    encode_as(Dialect::Ros1, message, &mut out);
+    assert_eq!(decode_as::<M>(Dialect::Ros1, &out[before..]).unwrap(), decoded);
+    decoded
 }
 
 /// Every shortening of a payload is refused or still whole (padding cut), never a panic.
@@ -84,6 +88,16 @@ proptest! {
     }
 
     #[test]
+    fn sticks(stamp in stamp(), frame_id in text(), axes in floats(), buttons in prop::collection::vec(any::<i32>(), 0..20),
+              (upper, lower) in any::<(bool, bool)>(), before in 0_usize..9) {
+        let joy = Joy { stamp, frame_id, axes, buttons };
+        prop_assert_eq!(&round(&joy, before), &joy);
+        survives_cuts(&joy);
+        let hand = HandInputs { button_upper: upper, button_lower: lower, press_middle: 0.5, ..Default::default() };
+        prop_assert_eq!(round(&hand, before), hand);
+    }
+
+    #[test]
     fn trees(transforms in prop::collection::vec(transform(), 0..5), before in 0_usize..9) {
         let message = TfMessage { transforms };
         prop_assert_eq!(&round(&message, before), &message);
@@ -118,6 +132,8 @@ proptest! {
         let _ = (decode::<LaserScan>(&bytes), decode::<TfMessage>(&bytes), decode::<OccupancyGrid>(&bytes));
         let _ = (decode::<Odometry>(&bytes), decode::<Float32MultiArray>(&bytes), decode::<Clock>(&bytes));
         let _ = (decode::<Int32>(&bytes), decode::<Bool>(&bytes), decode::<Empty>(&bytes));
+        let _ = (decode::<Joy>(&bytes), decode::<HandInputs>(&bytes));
+        let _ = (decode_as::<LaserScan>(Dialect::Ros1, &bytes), decode_as::<TfMessage>(Dialect::Ros1, &bytes));
     }
 
     #[test]

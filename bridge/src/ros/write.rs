@@ -1,6 +1,6 @@
 //! From the fleet's nouns straight into CDR: no message in between, nothing allocated but the buffer's growth.
 
-use crate::cdr::Writer;
+use crate::cdr::{Dialect, Writer};
 use crate::ros::names::{FrameNames, MAP};
 use msg::{
     Anchors, Correction, GridView, Link, LinkTransform, Odometry, Pose2, RobotId, RobotStats, Scan, Stamp,
@@ -14,8 +14,11 @@ pub fn stamp(to: &mut Writer<'_>, stamp: Stamp) {
     to.u32(nanosec);
 }
 
-/// std_msgs/Header.
+/// std_msgs/Header. ROS 1's `seq`, which its publishers count for themselves, is 0.
 pub fn header(to: &mut Writer<'_>, at: Stamp, frame_id: &str) {
+    if to.dialect() == Dialect::Ros1 {
+        to.u32(0);
+    }
     stamp(to, at);
     to.string(frame_id);
 }

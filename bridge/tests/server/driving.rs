@@ -4,7 +4,7 @@ use crate::client::Client;
 use crate::with_bridge;
 use bridge::command::name;
 use bridge::frame::Side;
-use bridge::ros::{Bool, Empty, Int32, Message, Twist, TwistStamped, encode};
+use bridge::ros::{Bool, Empty, HandInputs, Int32, Joy, Message, Twist, TwistStamped, encode};
 use bridge::{BridgeConfig, Permission};
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -205,5 +205,60 @@ fn watching_can_need_a_yes_too() {
         client.settle().await;
         served.bridge.clock(&msg::Clock::default());
         client.message::<bridge::ros::Clock>("/clock").await;
+    });
+}
+
+#[test]
+fn a_thumb_stick_drives_while_its_grip_is_held() {
+    with_bridge(Default::default(), async |served| {
+        let mut client = Client::connect(served.address).await;
+        client.publish("/quest/joystick", Joy::TYPE).await;
+        client.subscribe("/quest/joystick", Joy::TYPE).await;
+        client.publish("/selected_robot", Int32::TYPE).await;
+        let joy = |y: f32, grip: f32| Joy {
+            axes: vec![0.0, y, 0.0, 0.0, 0.0, 0.0, 0.0, grip],
+            ..Default::default()
+        };
+        client.send("/quest/joystick", &joy(1.0, 0.0)).await;
+        client.settle().await;
+        assert_eq!(*served.commands.borrow(), [], "an idle joystick says nothing");
+        client.send("/quest/joystick", &joy(1.0, 1.0)).await;
+        client.send("/selected_robot", &Int32(2)).await;
+        client.send("/quest/joystick", &joy(-1.0, 1.0)).await;
+        client.send("/quest/joystick", &joy(-1.0, 0.0)).await;
+        client.send("/quest/joystick", &joy(-1.0, 0.0)).await;
+        client.settle().await;
+        let want = [(1, 0.15, 0.0), (1, 0.0, 0.0), (2, -0.15, 0.0), (2, 0.0, 0.0)];
+        assert_eq!(*served.commands.borrow(), want);
+        client.send("/quest/joystick", &joy(f32::NAN, 1.0)).await;
+        assert!(client.error().await.contains("axis"));
+    });
+}
+
+#[test]
+fn quest2ros_drives_too() {
+    with_bridge(Default::default(), async |served| {
+        let mut client = Client::connect(served.address).await;
+        // As that application does: without the slash.
+        client.publish("q2r_right_hand_inputs", HandInputs::TYPE).await;
+        let hand = HandInputs { thumb_stick_horizontal: -1.0, press_middle: 1.0, ..Default::default() };
+        client.send("q2r_right_hand_inputs", &hand).await;
+        client.settle().await;
+        assert_eq!(*served.commands.borrow(), [(1, 0.0, 1.5)]);
+    });
+}
+
+#[test]
+fn a_strangers_idle_stick_asks_for_nothing() {
+    with_bridge(BridgeConfig { trust_loopback: false, ..Default::default() }, async |served| {
+        let mut client = Client::connect(served.address).await;
+        client.publish("q2r_right_hand_inputs", HandInputs::TYPE).await;
+        client.send("q2r_right_hand_inputs", &HandInputs::default()).await;
+        client.settle().await;
+        assert!(served.bridge.waiting().is_empty());
+        let hand = HandInputs { thumb_stick_vertical: 1.0, press_middle: 1.0, ..Default::default() };
+        client.send("q2r_right_hand_inputs", &hand).await;
+        assert!(client.error().await.contains("may not drive yet"));
+        assert_eq!(*served.commands.borrow(), []);
     });
 }

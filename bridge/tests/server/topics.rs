@@ -2,10 +2,12 @@
 
 use crate::client::Client;
 use crate::{header, robot, with_bridge};
+use bridge::BridgeConfig;
 use bridge::command::{HANDSHAKE, Registration, name};
+use bridge::frame::Side;
 use bridge::ros::{
-    Clock, Float32MultiArray, LaserScan, Message, OccupancyGrid, Odometry, Text, TfMessage, TransformStamped,
-    Twist,
+    Clock, Dialect, Float32MultiArray, LaserScan, Message, OccupancyGrid, Odometry, Text, TfMessage,
+    TransformStamped, Twist, decode_as, encode_as,
 };
 use bytemuck::Zeroable;
 use msg::{Anchor, Anchors, Correction, FleetStats, GridHeader, GridView, Pose2, Stamp, Transforms};
@@ -263,5 +265,37 @@ fn slams_transforms_are_slams() {
         client.send("/tf", &tree(edge("map", "headset"))).await;
         let tf: TfMessage = client.message("/tf").await;
         assert_eq!(tf.transforms[0].child_frame_id, "headset");
+    });
+}
+
+#[test]
+fn clients_built_for_ros_1_are_spoken_to_in_ros_1() {
+    let config = BridgeConfig { payloads: Dialect::Ros1, ..Default::default() };
+    with_bridge(config, async |served| {
+        let mut client = Client::connect_raw(served.address).await;
+        let (_, payload) = client.next().await.unwrap();
+        assert!(String::from_utf8(payload).unwrap().contains("ROS1"));
+        client.subscribe("/robot1/scan", LaserScan::TYPE).await;
+        client.publish("/cmd_vel", Twist::TYPE).await;
+        client.settle().await;
+        let mut scan = msg::Scan::zeroed();
+        (scan.header, scan.len, scan.ranges_m[0]) = (header(3_000_000_007), 1, 2.5);
+        served.bridge.scan(robot(1), &scan);
+        let (_, payload) = client.next().await.unwrap();
+        // seq, secs, nsecs, frame, 7 floats, one range, no intensities.
+        assert_eq!(payload.len(), 4 + 8 + 4 + "base_scan_1".len() + 28 + 8 + 4);
+        assert_eq!(payload[..16], [0, 0, 0, 0, 3, 0, 0, 0, 7, 0, 0, 0, 11, 0, 0, 0]);
+        let scan: LaserScan = decode_as(Dialect::Ros1, &payload).unwrap();
+        assert_eq!((scan.frame_id.as_str(), scan.ranges.as_slice()), ("base_scan_1", &[2.5][..]));
+
+        let mut twist = Vec::new();
+        encode_as(Dialect::Ros1, &Twist { linear: [0.1, 0.0, 0.0], ..Default::default() }, &mut twist);
+        assert_eq!(twist.len(), 48);
+        let mut frame = Vec::new();
+        // The ROS 1 connector ends nothing in NUL.
+        Side::Server.write(&mut frame, "/cmd_vel", &twist);
+        client.raw(&frame).await;
+        client.settle().await;
+        assert_eq!(*served.commands.borrow(), [(1, 0.1, 0.0)]);
     });
 }

@@ -1,0 +1,222 @@
+//! What clients' messages mean to the fleet: velocities, selection, the emergency stop, transforms.
+
+use crate::cdr::{DecodeError, Reader};
+use crate::client::{ClientId, Publication, Refusal};
+use crate::command::name;
+use crate::drive::Verdict;
+use crate::hub::Hub;
+use crate::ros::{Bool, Empty, Int32, Message, TfMessage, Twist, TwistStamped, decode_as};
+use crate::teleop::Stick;
+use crate::topics::{Input, Source, TopicId};
+use msg::RobotId;
+use std::time::Instant;
+
+/// Why a data frame goes no further.
+struct Refused(Refusal, String);
+
+impl From<DecodeError> for Refused {
+    fn from(error: DecodeError) -> Self {
+        Self(Refusal::Payload, error.to_string())
+    }
+}
+
+impl Hub {
+    /// A message on a topic.
+    pub(crate) fn data(&mut self, id: ClientId, name: &str, payload: &[u8]) {
+        let now = Instant::now();
+        let topic = self.board.topics.find(name);
+        let Some(client) = self.board.client(id) else { return };
+        let publication = client.publications.iter().find(|known| Some(known.topic) == topic).copied();
+        let Some(publication) = publication else {
+            let text = format!("'{name}' is not registered for publication here: send __publish first");
+            return self.board.refuse_data(id, Refusal::Unregistered, topic, now, text);
+        };
+        if let Err(Refused(kind, why)) = self.accept(id, publication, payload, now) {
+            self.board.refuse_data(id, kind, topic, now, format!("'{name}': {why}"));
+        }
+    }
+
+    fn accept(
+        &mut self,
+        id: ClientId,
+        from: Publication,
+        payload: &[u8],
+        now: Instant,
+    ) -> Result<(), Refused> {
+        Reader::with(self.config.payloads, payload)?;
+        let Some(topic) = self.board.topics.get(from.topic) else { return Ok(()) };
+        if let Source::Input(input) = topic.source {
+            return self.input(id, input, from, payload, now);
+        }
+        self.board.relay(from.topic, payload);
+        Ok(())
+    }
+
+    /// A message the fleet listens to.
+    fn input(
+        &mut self,
+        id: ClientId,
+        input: Input,
+        from: Publication,
+        payload: &[u8],
+        now: Instant,
+    ) -> Result<(), Refused> {
+        // Anyone may stop; a stick in nobody's hand asks for nothing.
+        if !matches!(input, Input::Stop | Input::Joystick | Input::HandInputs) {
+            self.check_drive(id)?;
+        }
+        match input {
+            Input::SelectedCommand => self.drive(id, self.drive.selected(), from, payload, now),
+            Input::Command(robot) => self.drive(id, robot, from, payload, now),
+            Input::Joystick => {
+                let stick = Stick::from_joy(&self.decode(payload)?);
+                self.board.relay(from.topic, payload);
+                self.stick(id, stick, now)
+            }
+            Input::HandInputs => {
+                let stick = Stick::from_hand(&self.decode(payload)?);
+                self.board.relay(from.topic, payload);
+                self.stick(id, stick, now)
+            }
+            Input::Transforms => self.foreign_transforms(from.topic, payload),
+            Input::Select => {
+                let robot = self.robot_of(self.decode::<Int32>(payload)?)?;
+                self.drive.select(robot);
+                self.tell_selected();
+                Ok(())
+            }
+            Input::Take => self.take_over(id, self.decode::<Int32>(payload)?, now),
+            Input::Stop => {
+                // `false` is what a button sends when it is let go: no release.
+                if self.decode::<Bool>(payload)?.0 {
+                    self.stop();
+                }
+                Ok(())
+            }
+            Input::Release => {
+                self.decode::<Empty>(payload)?;
+                self.release();
+                Ok(())
+            }
+        }
+    }
+
+    fn decode<M: Message>(&self, payload: &[u8]) -> Result<M, DecodeError> {
+        decode_as(self.config.payloads, payload)
+    }
+
+    fn check_drive(&mut self, id: ClientId) -> Result<(), Refused> {
+        let Some(address) = self.board.client(id).map(|client| client.peer.ip()) else { return Ok(()) };
+        if self.access.may_drive(address) {
+            return Ok(());
+        }
+        self.access.ask(address);
+        let text = format!("{address} may not drive yet; at the laptop, run: mr-slam allow {address}");
+        Err(Refused(Refusal::Permission, text))
+    }
+
+    fn robot_of(&self, Int32(number): Int32) -> Result<RobotId, Refused> {
+        let count = self.robot_count;
+        let text = || format!("there is no robot {number}: the fleet has 1 to {count}");
+        self.drive.robot(number).ok_or_else(|| Refused(Refusal::Content, text()))
+    }
+
+    fn drive(
+        &mut self,
+        id: ClientId,
+        robot: RobotId,
+        from: Publication,
+        payload: &[u8],
+        now: Instant,
+    ) -> Result<(), Refused> {
+        let twist = if from.stamped {
+            self.decode::<TwistStamped>(payload)?.twist
+        } else {
+            self.decode::<Twist>(payload)?
+        };
+        if self.obey(id, robot, twist.linear[0], twist.angular[2], now)? {
+            self.board.send(from.topic, |to| twist.write(to));
+        }
+        Ok(())
+    }
+
+    /// A velocity for a robot: whether it went there.
+    fn obey(
+        &mut self,
+        id: ClientId,
+        robot: RobotId,
+        forward_m_s: f64,
+        turn_rad_s: f64,
+        now: Instant,
+    ) -> Result<bool, Refused> {
+        match self.drive.command(id, robot, (forward_m_s, turn_rad_s) != (0.0, 0.0), now) {
+            Verdict::Pass => {
+                self.command(robot, forward_m_s, turn_rad_s);
+                Ok(true)
+            }
+            Verdict::Ignore => Ok(false),
+            Verdict::Stopped => {
+                let text = "the emergency stop is set; publish std_msgs/Empty on /emergency_stop_release to drive on";
+                Err(Refused(Refusal::Stopped, text.into()))
+            }
+            Verdict::Held(holder) => {
+                let by =
+                    self.board.client(holder).map_or("another client".into(), |other| other.peer.to_string());
+                let number = robot.number();
+                let text =
+                    format!("{robot} is driven by {by}; publish {number} on /take_control to take over");
+                Err(Refused(Refusal::Held, text))
+            }
+        }
+    }
+
+    /// A thumb stick: drives the selected robot while the grip is held. When the grip is let go, the selection
+    /// changes or an axis makes no sense, the robot it drove stands.
+    fn stick(&mut self, id: ClientId, stick: Option<Stick>, now: Instant) -> Result<(), Refused> {
+        let held = stick.filter(|stick| stick.held);
+        let target = held.map(|_| self.drive.selected());
+        let before =
+            self.board.client_mut(id).and_then(|client| std::mem::replace(&mut client.gripped, target));
+        if let Some(robot) = before.filter(|robot| Some(*robot) != target) {
+            self.obey(id, robot, 0.0, 0.0, now)?;
+        }
+        if let (Some(stick), Some(robot)) = (held, target) {
+            self.check_drive(id)?;
+            let (forward, turn) = stick.velocity(&self.config);
+            self.obey(id, robot, forward, turn, now)?;
+        }
+        let unsound =
+            || Refused(Refusal::Payload, "an axis of the stick or the grip is missing or no number".into());
+        stick.map(|_| ()).ok_or_else(unsound)
+    }
+
+    /// Number 0 is every robot.
+    fn take_over(&mut self, id: ClientId, number: Int32, now: Instant) -> Result<(), Refused> {
+        let robots = match number {
+            Int32(0) => RobotId::first(self.robot_count).collect(),
+            number => vec![self.robot_of(number)?],
+        };
+        for robot in robots {
+            let Some(before) = self.drive.take(id, robot, now) else { continue };
+            self.halt(core::iter::once(robot));
+            let by = self.board.client(id).map_or("another client".into(), |client| client.peer.to_string());
+            self.board.notice(before, name::WARN, format!("{by} has taken over {robot}"));
+        }
+        Ok(())
+    }
+
+    /// Transforms of a client's own are passed on; those of the fleet's frames belong to SLAM and the robots.
+    fn foreign_transforms(&mut self, topic: TopicId, payload: &[u8]) -> Result<(), Refused> {
+        let message: TfMessage = self.decode(payload)?;
+        let owned =
+            message.transforms.iter().find(|transform| self.names.owner(&transform.child_frame_id).is_some());
+        if let Some(transform) = owned {
+            let (parent, child) = (&transform.frame_id, &transform.child_frame_id);
+            let text =
+                format!("{parent} -> {child} is the fleet's to publish: SLAM owns map -> odom (REP-105)");
+            return Err(Refused(Refusal::Content, text));
+        }
+        self.board.relay(topic, payload);
+        Ok(())
+    }
+}
