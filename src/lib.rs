@@ -1,6 +1,27 @@
 //! The shell around the rooms: launcher, channels, one main loop per process, operator, replay, lockstep.
 
-pub mod carmen;
+// A fleet and its parts, outermost first.
+pub mod config;
+pub mod demo;
+pub mod fleet;
+pub mod lockstep;
+pub mod process;
+pub mod run;
+pub mod supervisor;
+pub mod up;
+// Between the processes.
+pub mod channel;
+pub mod clock;
+pub mod shared_memory;
+pub mod stop;
+// What people see.
 pub mod map_file;
+pub mod observer;
+pub mod report;
+pub mod screen;
+pub mod status;
+pub mod view;
+// Robots and data from elsewhere.
+pub mod carmen;
 pub mod operator;
 pub mod replay;

@@ -1,2 +1,78 @@
 //! The one binary of MR-SLAM.
-fn main() {}
+
+use clap::{Parser, Subcommand};
+use mr_slam::process::{Process, ProcessArgs, RobotArgs, SimArgs};
+use mr_slam::{demo, lockstep, operator, process, replay, status, stop::Stop, up};
+use std::process::ExitCode;
+
+/// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2.
+#[derive(Parser)]
+#[command(version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Launch a fleet with an operator who drives it, and report: the place to begin
+    Demo(up::UpArgs),
+    /// Launch a fleet and wait for a headset
+    Up(up::UpArgs),
+    /// Describe a running fleet
+    Status(status::StatusArgs),
+    /// Drive a running fleet over TCP, as a headset does
+    Operator(operator::OperatorArgs),
+    /// The same fleet in one process on virtual time: the same seed, the same bytes
+    Lockstep(lockstep::LockstepArgs),
+    /// Map a recorded CARMEN log, as fast as it goes
+    Replay(replay::ReplayArgs),
+    /// One process of a fleet, started by `up`: a robot in its room
+    #[command(display_order = 100)]
+    Sim(SimArgs),
+    /// One process of a fleet, started by `up`: a robot's SLAM
+    #[command(display_order = 100)]
+    Slam(RobotArgs),
+    /// One process of a fleet, started by `up`: the fleet's map
+    #[command(display_order = 100)]
+    Merge(ProcessArgs),
+    /// One process of a fleet, started by `up`: the fleet's figures
+    #[command(display_order = 100)]
+    Telemetry(ProcessArgs),
+    /// One process of a fleet, started by `up`: the door for headsets
+    #[command(display_order = 100)]
+    Bridge(ProcessArgs),
+}
+
+fn main() -> ExitCode {
+    match run(Cli::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("mr-slam: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(command: Command) -> Result<(), process::Error> {
+    match command {
+        Command::Demo(args) => {
+            drop(up::up(&args, &mut demo::Operator::new(args.seconds), &Stop::on_signals()?)?)
+        }
+        Command::Up(args) => drop(up::up(&args, &mut up::Alone, &Stop::on_signals()?)?),
+        Command::Status(args) => status::status(&args)?,
+        Command::Operator(args) => {
+            let report = operator::run(&args, Stop::on_signals()?.flag())?;
+            let json = args.json.then(|| serde_json::to_string_pretty(&report)).transpose()?;
+            println!("{}", json.unwrap_or_else(|| report.to_string()));
+        }
+        Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
+        Command::Replay(args) => replay::run(&args)?,
+        Command::Sim(args) => process::run(&Process::Sim(args))?,
+        Command::Slam(args) => process::run(&Process::Slam(args))?,
+        Command::Merge(args) => process::run(&Process::Merge(args))?,
+        Command::Telemetry(args) => process::run(&Process::Telemetry(args))?,
+        Command::Bridge(args) => process::run(&Process::Bridge(args))?,
+    }
+    Ok(())
+}

@@ -1,1 +1,379 @@
-//! `mr-slam replay`: a recorded log through the same SLAM worker, as fast as it goes.
+//! `mr-slam replay`: a recorded log through the same SLAM, as fast as it goes.
+//!
+//! Two threads as in the live process: this one is the scan path, the other one does the work
+//! beside it. Unlike the live one, this one waits when the other is far behind: a log has time.
+
+use crate::carmen::{LaserLine, Reader, Record};
+use msg::{Odometry, Pose2, Scan, Stamp};
+use serde::Serialize;
+use slam::{Back, Front, Node, Revision, Slam, SlamConfig};
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+/// A log may be this large when unpacked, bytes.
+const LOG_MAX: u64 = 1 << 30;
+/// Malformed lines that are shown; the others are counted.
+const ERRORS_SHOWN: usize = 5;
+/// Nodes that may wait for the back end.
+const WAITING_MAX: usize = 64;
+/// Between two lines of progress.
+const PROGRESS: Duration = Duration::from_secs(1);
+
+/// `mr-slam replay LOG`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// A CARMEN log, plain or gzip
+    pub log: PathBuf,
+    /// Write the final trajectory: one line a scan, `t x y z qx qy qz qw`
+    #[arg(long, value_name = "FILE")]
+    pub trajectory: Option<PathBuf>,
+    /// Write the map: FILE.yaml with its PGM, and a PNG
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Keep only the central beams of every scan, degrees
+    #[arg(long, value_name = "DEGREES")]
+    pub fov_deg: Option<f64>,
+    /// Use the scans alone
+    #[arg(long)]
+    pub no_odometry: bool,
+    /// Never close a loop
+    #[arg(long)]
+    pub no_closures: bool,
+}
+
+/// What stops a replay.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// The log cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A result cannot be written.
+    #[error("cannot write {path}: {source}")]
+    Write {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Nothing to do.
+    #[error(
+        "{path} has no usable scan: expected FLASER or ROBOTLASER1 lines ({skipped} other lines, {malformed} malformed)"
+    )]
+    NoScan {
+        /// Which file.
+        path: PathBuf,
+        /// Lines of other kinds.
+        skipped: u64,
+        /// Malformed lines.
+        malformed: u64,
+    },
+    /// An option makes no sense.
+    #[error("--fov-deg is {0}, expected 1 to 360")]
+    FieldOfView(f64),
+}
+
+/// What a replay did.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Summary {
+    /// The log.
+    pub log: String,
+    /// Scans that got a pose.
+    pub scans: u64,
+    /// Scans that were refused, by reason.
+    pub stamp_repeated: u64,
+    /// See [`Summary::stamp_repeated`].
+    pub stamp_went_back: u64,
+    /// See [`Summary::stamp_repeated`].
+    pub refused_other: u64,
+    /// Scans that did not fit the map.
+    pub lost: u64,
+    /// Malformed lines.
+    pub malformed_lines: u64,
+    /// Lines of other kinds.
+    pub skipped_lines: u64,
+    /// Nodes in the pose graph.
+    pub nodes: usize,
+    /// Scan to scan constraints.
+    pub links: usize,
+    /// Loop closures in force.
+    pub closures: usize,
+    /// Loop closures taken back.
+    pub retracted: u64,
+    /// Closure searches made.
+    pub searches: u64,
+    /// Solutions of the whole graph.
+    pub solutions: u64,
+    /// Reading to final trajectory, seconds.
+    pub wall_s: f64,
+    /// The log's duration over it.
+    pub times_real_time: f64,
+    /// Scan path, milliseconds a scan.
+    pub scan_ms: Percentiles,
+    /// Work beside it, milliseconds a node.
+    pub beside_ms: Percentiles,
+    /// Cells of the map.
+    pub map_width: u32,
+    /// See [`Summary::map_width`].
+    pub map_height: u32,
+    /// Drawing the whole map, milliseconds.
+    pub map_ms: f64,
+}
+
+/// Of times in milliseconds.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Percentiles {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Percentiles {
+    fn of(mut times: Vec<Duration>) -> Self {
+        times.sort_unstable();
+        let Some(last) = times.len().checked_sub(1) else { return Self::default() };
+        let at = |share: f64| times[(share * last as f64).ceil() as usize].as_secs_f64() * 1e3;
+        Self { p50: at(0.5), p99: at(0.99), max: at(1.0) }
+    }
+}
+
+/// Replays a log, writes what was asked for, prints the summary.
+pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
+    if let Some(fov) = args.fov_deg.filter(|fov| !(1.0..=360.0).contains(fov)) {
+        return Err(ReplayError::FieldOfView(fov));
+    }
+    let start = Instant::now();
+    let log = read_log(&args.log)?;
+    let mut config = SlamConfig::default();
+    config.odometry.used = !args.no_odometry;
+    config.closures.enabled = !args.no_closures;
+    let mut replayed = feed(&log, config, args)?;
+    replayed.summary.wall_s = start.elapsed().as_secs_f64();
+    replayed.summary.times_real_time = replayed.duration_s / replayed.summary.wall_s;
+    finish(args, replayed)
+}
+
+fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
+    let Replayed { front, mut back, mut summary, .. } = replayed;
+    if let Some(path) = &args.trajectory {
+        write_trajectory(path, slam::trajectory(&front, &back))
+            .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
+    }
+    let drawing = Instant::now();
+    let grid = back.map();
+    summary.map_ms = drawing.elapsed().as_secs_f64() * 1e3;
+    (summary.map_width, summary.map_height) = (grid.header.width, grid.header.height);
+    if let Some(path) = &args.map {
+        write_picture(&path.with_extension("png"), grid)
+            .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
+    }
+    print(&summary, args.json);
+    Ok(())
+}
+
+/// The log's bytes, unpacked if they are gzip.
+fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
+    let fail = |source| ReplayError::Read { path: path.to_owned(), source };
+    let packed = std::fs::read(path).map_err(fail)?;
+    if !packed.starts_with(&[0x1f, 0x8b]) {
+        return Ok(packed);
+    }
+    let mut log = Vec::new();
+    let mut unpack = flate2::read::MultiGzDecoder::new(packed.as_slice()).take(LOG_MAX + 1);
+    unpack.read_to_end(&mut log).map_err(fail)?;
+    if log.len() as u64 > LOG_MAX {
+        return Err(fail(std::io::Error::other("more than 1 GiB when unpacked")));
+    }
+    Ok(log)
+}
+
+/// A log gone through.
+struct Replayed {
+    front: Front,
+    back: Back,
+    summary: Summary,
+    duration_s: f64,
+}
+
+fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed, ReplayError> {
+    let mut records = Records { reader: Reader::new(log), malformed: 0 };
+    let Some(first) = records.next_laser() else {
+        let (skipped, malformed) = (records.reader.skipped(), records.malformed);
+        return Err(ReplayError::NoScan { path: args.log.clone(), skipped, malformed });
+    };
+    let on_robot = first.base_from_scan;
+    config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
+    let (mut front, mut back) = Slam::new(config).split();
+    let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
+    let (to_front, revisions) = mpsc::channel::<Revision>();
+    let mut summary = Summary { log: args.log.display().to_string(), ..Default::default() };
+    let started = first.stamp;
+    let mut ended = started;
+    std::thread::scope(|scope| {
+        let beside = scope.spawn(|| {
+            let mut times = Vec::new();
+            for node in nodes {
+                let start = Instant::now();
+                let revision = back.add(node);
+                times.push(start.elapsed());
+                let _ = to_front.send(revision);
+            }
+            let start = Instant::now();
+            back.finish();
+            times.push(start.elapsed());
+            times
+        });
+        let mut feeder = Feeder::new(&mut front, args);
+        let mut next = Some(first);
+        while let Some(line) = next {
+            ended = line.stamp;
+            while let Ok(revision) = revisions.try_recv() {
+                feeder.front.revise(revision);
+            }
+            if let Some(node) = feeder.scan(&line) {
+                let _ = to_back.send(node);
+            }
+            next = records.next_laser();
+        }
+        let times = core::mem::take(&mut feeder.times);
+        drop(to_back);
+        summary.scan_ms = Percentiles::of(times);
+        summary.beside_ms = Percentiles::of(beside.join().unwrap_or_default());
+    });
+    (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
+    let (counts, done) = (front.counts(), back.counts());
+    (summary.scans, summary.lost) = (counts.accepted, counts.lost);
+    (summary.stamp_repeated, summary.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
+    summary.refused_other = counts.beam_count + counts.geometry;
+    (summary.nodes, summary.links, summary.closures) = (done.nodes, done.links, done.closures);
+    (summary.retracted, summary.solutions) = (done.retracted, done.solutions);
+    summary.searches = done.searches.searches;
+    if std::env::var_os("SLAM_DEBUG").is_some() {
+        eprintln!("{:?}", done);
+    }
+    Ok(Replayed { front, back, summary, duration_s: ended - started })
+}
+
+struct Records<'a> {
+    reader: Reader<'a>,
+    malformed: u64,
+}
+
+impl Records<'_> {
+    /// Scan lines carry the odometry they were taken at, so ODOM lines add nothing.
+    fn next_laser(&mut self) -> Option<LaserLine> {
+        loop {
+            match self.reader.next()? {
+                Ok(Record::Laser(line)) => return Some(line),
+                Ok(Record::Odometry(_)) => {}
+                Err(error) => {
+                    self.malformed += 1;
+                    if self.malformed as usize <= ERRORS_SHOWN {
+                        eprintln!("{error}; line skipped");
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Log lines to messages.
+struct Feeder<'a> {
+    front: &'a mut Front,
+    scan: Box<Scan>,
+    seq: u64,
+    fov_rad: Option<f64>,
+    times: Vec<Duration>,
+    told: Instant,
+}
+
+impl<'a> Feeder<'a> {
+    fn new(front: &'a mut Front, args: &ReplayArgs) -> Self {
+        let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+        let fov_rad = args.fov_deg.map(f64::to_radians);
+        Self { front, scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now() }
+    }
+
+    fn scan(&mut self, line: &LaserLine) -> Option<Node> {
+        line.write_to(&mut self.scan, self.seq, self.fov_rad);
+        self.seq += 1;
+        let header = msg::Header { stamp: line.stamp, ..Default::default() };
+        let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
+        self.front.odometry(&odometry);
+        let start = Instant::now();
+        let step = self.front.process(&self.scan);
+        self.times.push(start.elapsed());
+        if self.told.elapsed() > PROGRESS {
+            self.told = Instant::now();
+            eprintln!("{} scans, {} nodes", self.seq, step.correction.nodes);
+        }
+        step.node
+    }
+}
+
+/// `t x y z qx qy qz qw`, one line a scan.
+fn write_trajectory(path: &Path, poses: impl Iterator<Item = (Stamp, Pose2)>) -> std::io::Result<()> {
+    let mut file = BufWriter::new(File::create(path)?);
+    for (stamp, pose) in poses {
+        let microseconds = stamp.0.div_euclid(1000) + i64::from(stamp.0.rem_euclid(1000) >= 500);
+        let sign = if microseconds < 0 { "-" } else { "" };
+        let (seconds, fraction) = (microseconds.abs() / 1_000_000, microseconds.abs() % 1_000_000);
+        let (sin, cos) = (pose.yaw_rad / 2.0).sin_cos();
+        writeln!(
+            file,
+            "{sign}{seconds}.{fraction:06} {:.6} {:.6} 0 0 0 {sin:.9} {cos:.9}",
+            pose.x_m, pose.y_m
+        )?;
+    }
+    file.flush()
+}
+
+fn write_picture(path: &Path, grid: msg::GridView<'_>) -> std::io::Result<()> {
+    let (width, height) = (grid.header.width, grid.header.height);
+    let file = BufWriter::new(File::create(path)?);
+    let mut encoder = png::Encoder::new(file, width, height);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().map_err(std::io::Error::other)?;
+    let percent = msg::grid::percent_table();
+    let shade = |cell: &i8| match percent[*cell as u8 as usize] {
+        -1 => 205,
+        p => (254.0 - 2.54 * f64::from(p)) as u8,
+    };
+    let rows = grid.cells.chunks_exact(width.max(1) as usize).rev();
+    let pixels: Vec<u8> = rows.flat_map(|row| row.iter().map(shade)).collect();
+    writer.write_image_data(&pixels).map_err(std::io::Error::other)
+}
+
+fn print(summary: &Summary, json: bool) {
+    if json {
+        let text = serde_json::to_string_pretty(summary).unwrap_or_default();
+        println!("{text}");
+        return;
+    }
+    let s = summary;
+    println!("{}", s.log);
+    println!("  scans     {} ({} lost, {} malformed lines)", s.scans, s.lost, s.malformed_lines);
+    println!(
+        "  graph     {} nodes, {} links, {} closures ({} taken back)",
+        s.nodes, s.links, s.closures, s.retracted
+    );
+    println!("  map       {} x {} cells, drawn in {:.1} ms", s.map_width, s.map_height, s.map_ms);
+    println!("  wall      {:.2} s, {:.0} x real time", s.wall_s, s.times_real_time);
+    for (what, times) in [("scan path", s.scan_ms), ("beside   ", s.beside_ms)] {
+        println!("  {what} p50 {:.2}, p99 {:.2}, max {:.2} ms", times.p50, times.p99, times.max);
+    }
+}

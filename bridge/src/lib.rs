@@ -1,1 +1,31 @@
-//! msg to ROS bytes and back; the ros_tcp protocol on TCP
+//! msg to ROS bytes and back; the ros_tcp protocol on TCP.
+//!
+//! ```text
+//!   fleet ── scan(), transforms(), map() ... ──▶ Bridge ──▶ one outbox a client ──▶ sockets
+//!   robots ◀── on_command(robot, Command) ─────── Bridge ◀── frames ◀── serve(): one task a client
+//! ```
+//! [`Bridge`] is the hub, [`serve`] its TCP side; [`frame`], [`command`] and [`ros`] are the wire, for clients too.
+
+mod access;
+mod board;
+mod bridge;
+pub mod cdr;
+mod client;
+pub mod command;
+mod config;
+mod drive;
+pub mod frame;
+mod hub;
+mod inbox;
+mod interfaces;
+mod outbox;
+mod pool;
+pub mod ros;
+mod server;
+mod services;
+mod topics;
+
+pub use board::Counters;
+pub use bridge::{Bridge, ClientStatus};
+pub use config::{BridgeConfig, ConfigError, Permission};
+pub use server::serve;

@@ -28,7 +28,7 @@ impl Default for MergeConfig {
 
 impl MergeConfig {
     /// What is wrong with it, if anything.
-    pub fn check(&self) -> Result<(), String> {
+    pub fn validate(&self) -> Result<(), String> {
         if RESOLUTION_M.contains(&self.resolution_m) {
             return Ok(());
         }
@@ -100,7 +100,7 @@ impl Merger {
     /// A config that [`MergeConfig::check`] refuses is brought into its limits.
     pub fn new(config: &MergeConfig, starts: &[Option<Pose2>]) -> Self {
         let [least, most] = [*RESOLUTION_M.start(), *RESOLUTION_M.end()];
-        let resolution_m = if config.check().is_ok() {
+        let resolution_m = if config.validate().is_ok() {
             config.resolution_m
         } else {
             least.max(config.resolution_m.min(most))

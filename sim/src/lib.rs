@@ -1,1 +1,25 @@
-//! One robot in a room: commands in, scans, odometry and truth out
+//! One robot in a room: commands in; scans, odometry, transforms and truth out.
+//!
+//! ```text
+//!   Command ─▶ Limits ─▶ Body (rapier3d) ─┬─▶ Truth
+//!   peers' Truth ─▶ Peers ──────▲         ├─▶ WheelOdometry ─▶ Odometry, Transforms
+//!   Room ───────────────────────┘─────────┴─▶ Lidar (parry3d) ─▶ Scan
+//! ```
+//!
+//! The robot is a TurtleBot3 Burger with ROBOTIS's published dimensions ([`burger`]). One
+//! [`Simulator`] holds one robot; the other robots of the fleet are mirrored from their [`msg::Truth`].
+//! Pure: no clock, file, thread or socket. The same inputs and seed give the same bytes.
+
+mod body;
+pub mod burger;
+mod config;
+mod lidar;
+mod noise;
+mod odometry;
+mod peers;
+mod room;
+mod simulator;
+
+pub use config::{ConfigError, LidarConfig, Limits, NoiseConfig, SimConfig};
+pub use room::{Room, RoomError, StartError};
+pub use simulator::{Simulator, Tick};

@@ -20,7 +20,7 @@ fn anchors(known: usize) -> Anchors {
 fn one_second_of_one_robot() {
     let start = Pose2::new(1.0, 0.5, 0.0);
     let mut telemetry = Telemetry::new(1, None, &[Some(start)]);
-    for n in 0..30_u64 {
+    for n in 0..60_u64 {
         let stamp = Stamp((n * 100 * MS) as i64);
         let sent = Monotonic(1 << 40 | (n * 100 * MS));
         let header = Header { stamp, seq: n, run: 3, ..Default::default() };
@@ -46,14 +46,14 @@ fn one_second_of_one_robot() {
         map.header.scan_sent = sent;
         telemetry.map(robot(1), map.view(), Monotonic(sent.0 + 40 * MS));
     }
-    let stats = *telemetry.stats(Stamp(2_950 * MS as i64), Monotonic(0));
+    let stats = *telemetry.stats(Stamp(5_950 * MS as i64), Monotonic(0));
     let figures = &stats.robots[0];
     within(figures.scan_hz, 10.0, 1e-9);
-    assert_eq!((figures.scans, figures.scans_lost, figures.nodes), (30, 0, 4));
+    assert_eq!((figures.scans, figures.scans_lost, figures.nodes), (60, 0, 4));
     within(figures.pose_error_m, 0.03, 1e-9);
     within(figures.scan_to_pose_ms.p50.into(), 12.0, 0.1);
     within(figures.scan_to_map_ms.p99.into(), 40.0, 0.4);
-    assert_eq!((figures.tf_jitter_ms.count, figures.tf_jitter_ms.max), (10, 0.0));
+    assert_eq!((figures.tf_jitter_ms.count, figures.tf_jitter_ms.max), (20, 0.0));
     assert_eq!(figures.free_cells + figures.occupied_cells + figures.unknown_cells, 260 * 200);
     within(figures.coverage, f64::from(figures.free_cells + figures.occupied_cells) / 52_000.0, 1e-12);
     assert!(stats.consistency.is_nan() && stats.room_coverage.is_nan());

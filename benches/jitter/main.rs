@@ -1,0 +1,97 @@
+//! The TF jitter of a running fleet, where a headset would feel it: at a TCP client over loopback,
+//! beside the bare cost of the same hops on the same machine at the same time.
+//!
+//! `cargo bench --bench jitter [-- --seconds 60 --robots 3 --json FILE]`
+//!
+//! Jitter is the paper's: |(receive - stamp) - its mean|, for each link, pooled over the links.
+//! The bare hops are a timer process, a relay process it wakes through a socket, and TCP to a
+//! client: what any fleet of processes must pay on this machine.
+
+mod bare;
+mod fleet;
+mod measure;
+
+use measure::{Figures, Spread};
+use serde_json::json;
+use std::time::Duration;
+
+/// Until processes have started and SLAM has its first maps.
+const WARM_UP: Duration = Duration::from_secs(3);
+
+struct Args {
+    seconds: f64,
+    robots: usize,
+    json: Option<String>,
+}
+
+fn args() -> Result<Args, String> {
+    let mut args = Args { seconds: 60.0, robots: 3, json: None };
+    let mut given = std::env::args().skip(1);
+    while let Some(name) = given.next() {
+        let mut value = || given.next().ok_or(format!("{name} wants a value"));
+        match name.as_str() {
+            "--seconds" => args.seconds = value()?.parse().map_err(|why| format!("--seconds: {why}"))?,
+            "--robots" => args.robots = value()?.parse().map_err(|why| format!("--robots: {why}"))?,
+            "--json" => args.json = Some(value()?),
+            // cargo bench says this to every bench.
+            "--bench" => {}
+            other => return Err(format!("{other}: expected --seconds S, --robots N or --json FILE")),
+        }
+    }
+    Ok(args)
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    // This program is also the two processes of the bare hops.
+    let words: Vec<String> = std::env::args().collect();
+    match words.get(1).map(String::as_str) {
+        Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
+        Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
+        _ => {}
+    }
+    let args = args()?;
+    eprintln!("{} robots for {} s, after {} s to warm up", args.robots, args.seconds, WARM_UP.as_secs());
+    let bare = bare::Bare::start(args.robots)?;
+    let mut fleet = fleet::Fleet::start(args.robots)?;
+    let for_client = Duration::from_secs_f64(args.seconds);
+    let bare = std::thread::spawn(move || bare.measure(WARM_UP, for_client));
+    let measured = fleet.measure(WARM_UP, for_client)?;
+    let processes = fleet.processes();
+    let bare = bare.join().map_err(|_| "the bare hops' client failed")??;
+    drop(fleet);
+    print(&measured, &bare, &processes);
+    if let Some(path) = args.json {
+        let report = json!({
+            "robots": args.robots, "seconds": args.seconds,
+            "tf": measured.tf, "clock": measured.clock, "scans": measured.scans,
+            "bare": bare, "processes": processes,
+        });
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
+    }
+    Ok(())
+}
+
+fn print(measured: &Figures, bare: &Spread, processes: &[fleet::Cpu]) {
+    println!(
+        "{:<34} {:>8} {:>8} {:>8} {:>8} {:>8} {:>6} {:>7}",
+        "jitter, ms", "median", "P95", "P99", "max", "Hz", "lost", "n"
+    );
+    let row = |name: &str, spread: &Spread| {
+        println!(
+            "{name:<34} {:>8.3} {:>8.3} {:>8.3} {:>8.3} {:>8.2} {:>6} {:>7}",
+            spread.p50_ms, spread.p95_ms, spread.p99_ms, spread.max_ms, spread.hz, spread.lost, spread.count
+        );
+    };
+    row("TF, each link", &measured.tf);
+    row("clock", &measured.clock);
+    row("scans, each robot", &measured.scans);
+    row("bare: timer, socket, relay, TCP", bare);
+    println!("TF median over bare: {:.2}", measured.tf.p50_ms / bare.p50_ms.max(1e-6));
+    println!("the paper: 6.3 ms median; the Python endpoint: 1.4 to 4.8 ms mean, 0.2 to 8 % lost");
+    for cpu in processes {
+        println!(
+            "{:<16} {:>5.1} % of a core, ticks late by {:.3} ms (median), {:.3} (max of the last second)",
+            cpu.process, cpu.percent, cpu.late_p50_ms, cpu.late_max_ms
+        );
+    }
+}

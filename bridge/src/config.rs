@@ -1,0 +1,174 @@
+//! What the bridge may be told at start.
+
+use crate::ros::NameStyle;
+use serde::{Deserialize, Serialize};
+use std::net::IpAddr;
+use std::time::Duration;
+use thiserror::Error;
+
+/// What anyone who reaches the port may do without being on the allow list. Loopback may do everything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Permission {
+    /// Whoever reaches the port.
+    Anyone,
+    /// Loopback, the allow list, and whom the person at the laptop has let in.
+    Allowed,
+}
+
+/// The bridge's table of the fleet file. Every bound has its name here.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BridgeConfig {
+    /// The longest payload a client may send, bytes. A 4096 x 4096 map has 16.8 million.
+    pub frame_bytes_max: usize,
+    /// What may wait for one slow client, bytes, beside the newest map and the frame being written.
+    pub outbox_bytes_max: usize,
+    /// Unsent bytes the kernel may hold for one client. Small: what waits with us can still be replaced by
+    /// something newer, what waits in the kernel cannot.
+    pub unsent_bytes_max: u32,
+    /// Clients at one time.
+    pub clients_max: usize,
+    /// Topics and services that clients may bring into being, all together.
+    pub client_topics_max: usize,
+    /// Bytes of latched messages on clients' topics, all together.
+    pub latched_bytes_max: usize,
+    /// How robots are told apart in frame names.
+    pub frame_names: NameStyle,
+    /// ROS packages of your own whose types clients may use.
+    pub message_packages: Vec<String>,
+    /// Who may subscribe.
+    pub watch: Permission,
+    /// Who may publish to the fleet: commands, selection. The emergency stop is anyone's.
+    pub drive: Permission,
+    /// Addresses that may watch and drive.
+    pub allow: Vec<IpAddr>,
+    /// Whether 127.0.0.1 and ::1 may do everything. Off only to rehearse permissions on one machine.
+    pub trust_loopback: bool,
+    /// How long after its last moving command a client keeps a robot to itself, seconds.
+    pub lease_s: f64,
+    /// How long a service call may take before its caller is told that it failed, seconds.
+    pub service_timeout_s: f64,
+}
+
+impl Default for BridgeConfig {
+    fn default() -> Self {
+        Self {
+            frame_bytes_max: 64 << 20,
+            outbox_bytes_max: 8 << 20,
+            unsent_bytes_max: 256 << 10,
+            clients_max: 64,
+            client_topics_max: 1024,
+            latched_bytes_max: 64 << 20,
+            frame_names: NameStyle::Flat,
+            message_packages: Vec::new(),
+            watch: Permission::Anyone,
+            drive: Permission::Allowed,
+            allow: Vec::new(),
+            trust_loopback: true,
+            lease_s: 1.0,
+            service_timeout_s: 10.0,
+        }
+    }
+}
+
+/// Why a configuration is refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error("bridge.{field} is {value}: {expected}")]
+pub struct ConfigError {
+    field: &'static str,
+    value: String,
+    expected: &'static str,
+}
+
+impl BridgeConfig {
+    /// Refuses values that cannot work, by name.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let refuse = |field, value: String, expected| Err(ConfigError { field, value, expected });
+        let within = |value: usize, low: usize, high: usize| (low..=high).contains(&value);
+        if !within(self.frame_bytes_max, 64 << 10, 1 << 30) {
+            return refuse(
+                "frame_bytes_max",
+                self.frame_bytes_max.to_string(),
+                "65536 to 1073741824 bytes work",
+            );
+        }
+        if !within(self.outbox_bytes_max, 64 << 10, 64 << 20) {
+            return refuse(
+                "outbox_bytes_max",
+                self.outbox_bytes_max.to_string(),
+                "65536 to 67108864 bytes work",
+            );
+        }
+        if !within(self.unsent_bytes_max as usize, 16 << 10, 16 << 20) {
+            return refuse(
+                "unsent_bytes_max",
+                self.unsent_bytes_max.to_string(),
+                "16384 to 16777216 bytes work",
+            );
+        }
+        if !within(self.clients_max, 1, 1024) {
+            return refuse("clients_max", self.clients_max.to_string(), "1 to 1024 clients work");
+        }
+        if !within(self.client_topics_max, 0, 65_536) {
+            return refuse(
+                "client_topics_max",
+                self.client_topics_max.to_string(),
+                "at most 65536 topics work",
+            );
+        }
+        let seconds = |value: f64| value.is_finite() && (0.1..=3600.0).contains(&value);
+        if !seconds(self.lease_s) {
+            return refuse("lease_s", self.lease_s.to_string(), "0.1 to 3600 seconds work");
+        }
+        if !seconds(self.service_timeout_s) {
+            return refuse(
+                "service_timeout_s",
+                self.service_timeout_s.to_string(),
+                "0.1 to 3600 seconds work",
+            );
+        }
+        if let Some(package) =
+            self.message_packages.iter().find(|name| !crate::interfaces::is_package_name(name))
+        {
+            return refuse(
+                "message_packages",
+                format!("'{package}'"),
+                "a ROS package is named like my_robot_msgs",
+            );
+        }
+        Ok(())
+    }
+
+    /// [`Self::lease_s`].
+    pub fn lease(&self) -> Duration {
+        Duration::from_secs_f64(self.lease_s)
+    }
+
+    /// [`Self::service_timeout_s`].
+    pub fn service_timeout(&self) -> Duration {
+        Duration::from_secs_f64(self.service_timeout_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_is_sound_and_nonsense_is_named() {
+        let sound = BridgeConfig::default();
+        assert_eq!(sound.validate(), Ok(()));
+        let text = |config: BridgeConfig| config.validate().unwrap_err().to_string();
+        assert!(
+            text(BridgeConfig { frame_bytes_max: 3, ..sound.clone() })
+                .contains("bridge.frame_bytes_max is 3")
+        );
+        assert!(text(BridgeConfig { lease_s: f64::NAN, ..sound.clone() }).contains("bridge.lease_s is NaN"));
+        let packages = vec!["my-msgs".to_owned()];
+        assert!(text(BridgeConfig { message_packages: packages, ..sound }).contains("'my-msgs'"));
+        assert!(serde_json::from_str::<BridgeConfig>(r#"{"lease_seconds": 3}"#).is_err());
+        let partial: BridgeConfig = serde_json::from_str(r#"{"frame_names": "slash"}"#).unwrap();
+        assert_eq!(partial.frame_names, NameStyle::Slash);
+    }
+}

@@ -1,0 +1,230 @@
+//! ros_tcp framing: `u32 name length, name, u32 payload length, payload`, little-endian, one stream each way.
+//! A name that begins with `__` is a command with JSON as payload, an empty one a keepalive, any other a topic.
+//! Names and JSON from a client end in one NUL that counts; those from the server have none.
+
+use thiserror::Error;
+
+/// The longest topic or command name.
+pub const NAME_MAX: usize = 1024;
+/// What a client writes when it has nothing to say: no name, no payload.
+pub const KEEPALIVE: [u8; 8] = [0; 8];
+/// Bytes a parser holds at rest: what one read can bring.
+const REST_BYTES: usize = 64 * 1024;
+/// At most this much is asked of one read while a long frame arrives.
+const GROWTH_MAX: usize = 4 * 1024 * 1024;
+/// A buffer that has grown beyond this is given back once it is empty.
+const KEPT_BYTES: usize = 64 * 1024 * 1024;
+
+/// The stream can no longer be told apart into frames: it must be closed.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum FrameError {
+    /// A name longer than [`NAME_MAX`]: most often a peer that speaks another protocol.
+    #[error(
+        "a frame announces a name of {announced} bytes, the limit is {NAME_MAX}: this port speaks ros_tcp"
+    )]
+    Name {
+        /// Announced length in bytes.
+        announced: u32,
+    },
+    /// A payload longer than allowed.
+    #[error("a frame for '{name}' announces {announced} bytes, the limit is {limit}")]
+    Payload {
+        /// The frame's name.
+        name: String,
+        /// Announced length in bytes.
+        announced: u32,
+        /// The limit in bytes.
+        limit: usize,
+    },
+}
+
+/// One frame, borrowed from its parser.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// Without trailing NULs. Perhaps not UTF-8.
+    pub name: &'a [u8],
+    /// As sent.
+    pub payload: &'a [u8],
+}
+
+impl<'a> Frame<'a> {
+    /// No name: sent to show that the link lives. (A payload would be a mistake, and harmless.)
+    pub fn is_keepalive(&self) -> bool {
+        self.name.is_empty()
+    }
+
+    /// The payload without trailing NULs: a command's JSON.
+    pub fn json(&self) -> &'a [u8] {
+        without_nuls(self.payload)
+    }
+}
+
+fn without_nuls(bytes: &[u8]) -> &[u8] {
+    let end = bytes.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    &bytes[..end]
+}
+
+/// Cuts a byte stream into frames, however it was cut before.
+///
+/// Memory grows with bytes that have arrived, never with a length that was announced: to the longest
+/// frame allowed at most.
+/// ```
+/// # use bridge::frame::{Parser, Side};
+/// let mut sent = Vec::new();
+/// Side::Client.write(&mut sent, "/a", b"hello");
+/// let mut parser = Parser::new(1024);
+/// parser.space()[..sent.len()].copy_from_slice(&sent);
+/// parser.filled(sent.len());
+/// let frame = parser.next_frame().unwrap().unwrap();
+/// assert_eq!((frame.name, frame.payload), (&b"/a"[..], &b"hello"[..]));
+/// ```
+#[derive(Debug)]
+pub struct Parser {
+    buffer: Vec<u8>,
+    begin: usize,
+    end: usize,
+    payload_max: usize,
+    kept_bytes: usize,
+}
+
+impl Parser {
+    /// Refuses payloads longer than `payload_max` bytes.
+    pub fn new(payload_max: usize) -> Self {
+        Self { buffer: vec![0; REST_BYTES], begin: 0, end: 0, payload_max, kept_bytes: KEPT_BYTES }
+    }
+
+    /// Keeps up to `bytes` of a buffer that has grown. For one who reads large frames again and again: fresh
+    /// memory for a 16 MB map costs more time than the map.
+    pub fn keep(self, bytes: usize) -> Self {
+        Self { kept_bytes: bytes, ..self }
+    }
+
+    /// Where to read the stream's next bytes to; never empty. Tell by [`Parser::filled`] how many came.
+    /// Take all frames out before asking for more space, or it grows.
+    pub fn space(&mut self) -> &mut [u8] {
+        if self.begin == self.end {
+            (self.begin, self.end) = (0, 0);
+            if self.buffer.len() > self.kept_bytes {
+                self.buffer.truncate(REST_BYTES);
+                self.buffer.shrink_to_fit();
+            }
+        } else {
+            self.make_room();
+        }
+        &mut self.buffer[self.end..]
+    }
+
+    /// A frame is under way: see that its rest, or a good part of it, fits behind what is there.
+    fn make_room(&mut self) {
+        let have = self.end - self.begin;
+        let rest = self.announced().unwrap_or(0).saturating_sub(have).max(1);
+        let want = rest.min(have.max(REST_BYTES)).min(GROWTH_MAX);
+        if self.buffer.len() - self.end >= want {
+            return;
+        }
+        self.buffer.copy_within(self.begin..self.end, 0);
+        (self.begin, self.end) = (0, have);
+        if self.buffer.len() < have + want {
+            self.buffer.reserve_exact(have + want - self.buffer.len());
+            self.buffer.resize(have + want, 0);
+        }
+    }
+
+    /// `count` bytes of [`Parser::space`] now hold the stream's next bytes.
+    pub fn filled(&mut self, count: usize) {
+        self.end = (self.end + count).min(self.buffer.len());
+    }
+
+    /// Bytes taken from the stream and not yet given out as frames.
+    pub fn pending(&self) -> usize {
+        self.end - self.begin
+    }
+
+    /// Bytes this parser occupies.
+    pub fn capacity(&self) -> usize {
+        self.buffer.capacity()
+    }
+
+    fn length_at(&self, offset: usize) -> Option<u32> {
+        let bytes = self.buffer[self.begin..self.end].get(offset..offset + 4)?;
+        bytes.try_into().ok().map(u32::from_le_bytes)
+    }
+
+    /// The whole length of the frame under way, once it is known.
+    fn announced(&self) -> Option<usize> {
+        let name = self.length_at(0)? as usize;
+        if name > NAME_MAX {
+            return None;
+        }
+        let payload = self.length_at(4 + name)? as usize;
+        Some(8 + name + payload)
+    }
+
+    /// The next whole frame; `None` if more bytes are needed first.
+    pub fn next_frame(&mut self) -> Result<Option<Frame<'_>>, FrameError> {
+        let Some(name_announced) = self.length_at(0) else { return Ok(None) };
+        let name_length = name_announced as usize;
+        if name_length > NAME_MAX {
+            return Err(FrameError::Name { announced: name_announced });
+        }
+        let Some(announced) = self.length_at(4 + name_length) else { return Ok(None) };
+        let name = self.begin + 4..self.begin + 4 + name_length;
+        if announced as usize > self.payload_max {
+            let name = String::from_utf8_lossy(without_nuls(&self.buffer[name])).into_owned();
+            return Err(FrameError::Payload { name, announced, limit: self.payload_max });
+        }
+        let payload = name.end + 4..name.end + 4 + announced as usize;
+        if payload.end > self.end {
+            return Ok(None);
+        }
+        self.begin = payload.end;
+        Ok(Some(Frame { name: without_nuls(&self.buffer[name]), payload: &self.buffer[payload] }))
+    }
+}
+
+/// Who writes: clients end names and JSON with a NUL, the server must not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// A headset, an operator, a test.
+    Client,
+    /// The bridge.
+    Server,
+}
+
+impl Side {
+    /// Appends a frame for a topic.
+    pub fn write(self, out: &mut Vec<u8>, name: &str, payload: &[u8]) {
+        self.write_with(out, name, |out| out.extend_from_slice(payload));
+    }
+
+    /// Appends a frame whose payload `fill` appends.
+    pub fn write_with(self, out: &mut Vec<u8>, name: &str, fill: impl FnOnce(&mut Vec<u8>)) {
+        let nul: &[u8] = if self == Self::Client { b"\0" } else { b"" };
+        out.extend_from_slice(&length(name.len() + nul.len()));
+        out.extend_from_slice(name.as_bytes());
+        out.extend_from_slice(nul);
+        let place = out.len();
+        out.extend_from_slice(&[0; 4]);
+        fill(out);
+        let payload = length(out.len() - place - 4);
+        out[place..place + 4].copy_from_slice(&payload);
+    }
+
+    /// Appends a command (`__subscribe`, `__error`, ...) with its JSON.
+    pub fn write_command(self, out: &mut Vec<u8>, name: &str, body: &impl serde::Serialize) {
+        self.write_with(out, name, |out| {
+            // Our bodies are plain structs of strings and numbers, for which JSON cannot fail.
+            if serde_json::to_writer(&mut *out, body).is_ok() && self == Self::Client {
+                out.push(0);
+            }
+        });
+    }
+}
+
+/// Payloads are bounded by configuration far below `u32::MAX`.
+fn length(bytes: usize) -> [u8; 4] {
+    u32::try_from(bytes).unwrap_or(u32::MAX).to_le_bytes()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,208 @@
+//! All that the bridge knows, and what it does of its own accord.
+
+use crate::access::Access;
+use crate::board::Board;
+use crate::client::ClientId;
+use crate::config::BridgeConfig;
+use crate::drive::Drive;
+use crate::outbox::Outbox;
+use crate::ros::{Bool, FrameNames, Int32, Message, write};
+use crate::services::Services;
+use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
+use msg::{Anchors, Command, Header, ROBOTS_MAX, RobotId, Stamp};
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// Where each robot's map lies in the merged one is told again this often, for whoever has just come.
+const ANCHORS_PERIOD: Duration = Duration::from_secs(1);
+/// Transforms that wait for a slow client, per robot: about a second of them.
+const TRANSFORMS_DEPTH: usize = 32;
+/// Commands that wait to be taken; each frame's are taken before the next frame is read.
+const COMMANDS_MAX: usize = 4 * ROBOTS_MAX;
+/// Selected at start.
+const FIRST: RobotId = RobotId::new(1).unwrap();
+
+/// The fleet's topics.
+pub struct FleetTopics {
+    pub scan: Vec<TopicId>,
+    pub map: Vec<TopicId>,
+    pub stats: Vec<TopicId>,
+    pub odometry: Vec<TopicId>,
+    pub transforms: TopicId,
+    pub clock: TopicId,
+    pub merged_map: TopicId,
+    pub selected: TopicId,
+    pub stop: TopicId,
+}
+
+impl FleetTopics {
+    fn new(topics: &mut Topics, robots: usize) -> Self {
+        let depth = TRANSFORMS_DEPTH * robots;
+        let mut input = |name: String, class: &str, input: Input| {
+            topics.add(name, class, Source::Input(input), DEPTH_USUAL, false);
+        };
+        input("/cmd_vel".into(), "geometry_msgs/Twist", Input::SelectedCommand);
+        for robot in RobotId::first(robots) {
+            input(format!("/cmd_vel_{}", robot.number()), "geometry_msgs/Twist", Input::Command(robot));
+            input(format!("/{robot}/cmd_vel"), "geometry_msgs/Twist", Input::Command(robot));
+        }
+        input("/take_control".into(), Int32::TYPE, Input::Take);
+        input("/emergency_stop_release".into(), "std_msgs/Empty", Input::Release);
+        let mut each = |topic: &str, class: &str, depth: usize, latch: bool| {
+            let name = |robot: RobotId| format!("/{robot}/{topic}");
+            let add = |robot| topics.add(name(robot), class, Source::Fleet, depth, latch);
+            RobotId::first(robots).map(add).collect()
+        };
+        Self {
+            scan: each("scan", "sensor_msgs/LaserScan", DEPTH_USUAL, false),
+            map: each("map", "nav_msgs/OccupancyGrid", 1, true),
+            stats: each("slam_stats", "std_msgs/Float32MultiArray", 1, true),
+            odometry: each("odom", "nav_msgs/Odometry", DEPTH_USUAL, false),
+            transforms: topics.add(
+                "/tf".into(),
+                "tf2_msgs/TFMessage",
+                Source::Input(Input::Transforms),
+                depth,
+                false,
+            ),
+            clock: topics.add("/clock".into(), "rosgraph_msgs/Clock", Source::Fleet, 1, false),
+            merged_map: topics.add("/merged_map".into(), "nav_msgs/OccupancyGrid", Source::Fleet, 1, true),
+            selected: topics.add(
+                "/selected_robot".into(),
+                Int32::TYPE,
+                Source::Input(Input::Select),
+                1,
+                true,
+            ),
+            stop: topics.add("/emergency_stop".into(), Bool::TYPE, Source::Input(Input::Stop), 1, true),
+        }
+    }
+}
+
+/// All that the bridge knows.
+pub struct Hub {
+    pub config: BridgeConfig,
+    pub robot_count: usize,
+    pub board: Board,
+    pub fleet: FleetTopics,
+    pub names: FrameNames,
+    pub drive: Drive,
+    pub access: Access,
+    pub services: Services,
+    pub percent: [i8; 256],
+    now: Stamp,
+    anchors: Option<Anchors>,
+    anchors_due: Option<Instant>,
+    commands: VecDeque<(RobotId, Command)>,
+}
+
+impl Hub {
+    /// A sound configuration and 1 to [`ROBOTS_MAX`] robots.
+    pub fn new(config: BridgeConfig, robot_count: usize) -> Self {
+        let mut topics = Topics::new(config.client_topics_max);
+        let fleet = FleetTopics::new(&mut topics, robot_count);
+        Self {
+            robot_count,
+            board: Board::new(topics, config.outbox_bytes_max, config.latched_bytes_max),
+            fleet,
+            names: FrameNames::new(config.frame_names),
+            percent: msg::grid::percent_table(),
+            drive: Drive::new(robot_count, FIRST, config.lease()),
+            access: Access::new(&config),
+            services: Services::new(config.client_topics_max, config.service_timeout()),
+            config,
+            now: Stamp(0),
+            anchors: None,
+            anchors_due: None,
+            commands: VecDeque::with_capacity(COMMANDS_MAX),
+        }
+    }
+
+    /// The fleet's robots.
+    pub fn robots(&self) -> impl Iterator<Item = RobotId> + use<> {
+        RobotId::first(self.robot_count)
+    }
+
+    /// A velocity for a robot: m/s forward, rad/s counter-clockwise.
+    pub fn command(&mut self, robot: RobotId, linear_m_s: f64, angular_rad_s: f64) {
+        if self.commands.len() == COMMANDS_MAX {
+            self.commands.pop_front();
+        }
+        let header = Header { stamp: self.now, ..Header::default() };
+        self.commands.push_back((robot, Command { header, linear_m_s, angular_rad_s }));
+    }
+
+    /// The next command to hand to its robot.
+    pub fn next_command(&mut self) -> Option<(RobotId, Command)> {
+        let next = self.commands.pop_front()?;
+        self.board.counted.commands += 1;
+        Some(next)
+    }
+
+    /// The fleet's newest clock.
+    pub fn set_now(&mut self, now: Stamp) {
+        self.now = now;
+    }
+
+    /// Where the robots' maps lie; whether that is news.
+    pub fn set_anchors(&mut self, anchors: &Anchors) -> bool {
+        let changed = self.anchors.is_none_or(|before| before.robots != anchors.robots);
+        self.anchors = Some(*anchors);
+        changed
+    }
+
+    /// Whether it is time to tell where the maps lie again.
+    pub fn anchors_due(&self, now: Instant) -> bool {
+        self.anchors_due.is_some_and(|due| now >= due)
+    }
+
+    /// Tells robots to stand still.
+    pub fn halt(&mut self, robots: impl Iterator<Item = RobotId>) {
+        robots.for_each(|robot| self.command(robot, 0.0, 0.0));
+    }
+
+    /// Tells everybody which robot is selected.
+    pub fn tell_selected(&mut self) {
+        let selected = Int32(self.drive.selected().number() as i32);
+        self.board.send(self.fleet.selected, |to| selected.write(to));
+    }
+
+    /// Tells everybody whether the emergency stop is set.
+    pub fn tell_stop(&mut self) {
+        let stopped = Bool(self.drive.stopped());
+        self.board.send(self.fleet.stop, |to| stopped.write(to));
+    }
+
+    /// Stops every robot until released.
+    pub fn stop(&mut self) {
+        self.drive.set_stopped(true);
+        self.halt(self.robots());
+        self.tell_stop();
+    }
+
+    /// Lets the robots go again.
+    pub fn release(&mut self) {
+        self.drive.set_stopped(false);
+        self.tell_stop();
+    }
+
+    /// /tf: where the robots' maps lie in the merged one, as of now.
+    pub fn tell_anchors(&mut self, at: Instant) {
+        let Some(anchors) = self.anchors.filter(|anchors| anchors.robots.iter().any(|a| a.known == 1)) else {
+            return;
+        };
+        let stamp = Stamp(self.now.0.max(anchors.header.stamp.0));
+        self.board.send(self.fleet.transforms, |to| write::anchors(to, &self.names, stamp, &anchors));
+        self.anchors_due = Some(at + ANCHORS_PERIOD);
+    }
+
+    /// A client is gone: what it drove stops, what it should have answered fails. What it has not been sent.
+    pub fn leave(&mut self, id: ClientId) -> Option<Outbox> {
+        let rest = self.board.detach(id)?;
+        let driven = self.drive.leave(id);
+        self.halt(driven.into_iter());
+        let failed = self.services.leave(id);
+        failed.into_iter().for_each(|call| self.fail(&call, "the client that offered it has left"));
+        Some(rest)
+    }
+}

@@ -1,0 +1,229 @@
+//! Which message and service types exist, so that a typing mistake is answered and not waited for.
+//!
+//! Of ROS 2's own packages (Jazzy) the types are known one by one; of other well-known packages only the name,
+//! and any well-formed type passes. A laboratory's own packages are named in the configuration.
+
+/// Messages of ROS 2's own packages.
+const MESSAGES: &[(&str, &str)] = &[
+    ("action_msgs", "GoalInfo GoalStatus GoalStatusArray"),
+    ("actionlib_msgs", "GoalID GoalStatus GoalStatusArray"),
+    ("builtin_interfaces", "Duration Time"),
+    ("diagnostic_msgs", "DiagnosticArray DiagnosticStatus KeyValue"),
+    (
+        "geometry_msgs",
+        "Accel AccelStamped AccelWithCovariance AccelWithCovarianceStamped Inertia InertiaStamped Point Point32 \
+         PointStamped Polygon PolygonInstance PolygonInstanceStamped PolygonStamped Pose Pose2D PoseArray \
+         PoseStamped PoseWithCovariance PoseWithCovarianceStamped Quaternion QuaternionStamped Transform \
+         TransformStamped Twist TwistStamped TwistWithCovariance TwistWithCovarianceStamped Vector3 \
+         Vector3Stamped VelocityStamped Wrench WrenchStamped",
+    ),
+    ("lifecycle_msgs", "State Transition TransitionDescription TransitionEvent"),
+    ("map_msgs", "OccupancyGridUpdate PointCloud2Update ProjectedMap ProjectedMapInfo"),
+    ("nav_msgs", "Goals GridCells MapMetaData OccupancyGrid Odometry Path"),
+    (
+        "rcl_interfaces",
+        "FloatingPointRange IntegerRange ListParametersResult Log LoggerLevel Parameter ParameterDescriptor \
+         ParameterEvent ParameterEventDescriptors ParameterType ParameterValue SetLoggerLevelsResult \
+         SetParametersResult",
+    ),
+    ("rosgraph_msgs", "Clock"),
+    (
+        "sensor_msgs",
+        "BatteryState CameraInfo ChannelFloat32 CompressedImage FluidPressure Illuminance Image Imu JointState \
+         Joy JoyFeedback JoyFeedbackArray LaserEcho LaserScan MagneticField MultiDOFJointState \
+         MultiEchoLaserScan NavSatFix NavSatStatus PointCloud PointCloud2 PointField Range RegionOfInterest \
+         RelativeHumidity Temperature TimeReference",
+    ),
+    ("shape_msgs", "Mesh MeshTriangle Plane SolidPrimitive"),
+    (
+        "std_msgs",
+        "Bool Byte ByteMultiArray Char ColorRGBA Empty Float32 Float32MultiArray Float64 Float64MultiArray \
+         Header Int16 Int16MultiArray Int32 Int32MultiArray Int64 Int64MultiArray Int8 Int8MultiArray \
+         MultiArrayDimension MultiArrayLayout String UInt16 UInt16MultiArray UInt32 UInt32MultiArray UInt64 \
+         UInt64MultiArray UInt8 UInt8MultiArray",
+    ),
+    ("stereo_msgs", "DisparityImage"),
+    ("tf2_msgs", "TF2Error TFMessage"),
+    (
+        "trajectory_msgs",
+        "JointTrajectory JointTrajectoryPoint MultiDOFJointTrajectory MultiDOFJointTrajectoryPoint",
+    ),
+    ("unique_identifier_msgs", "UUID"),
+    (
+        "visualization_msgs",
+        "ImageMarker InteractiveMarker InteractiveMarkerControl InteractiveMarkerFeedback InteractiveMarkerInit \
+         InteractiveMarkerPose InteractiveMarkerUpdate Marker MarkerArray MenuEntry MeshFile UVCoordinate",
+    ),
+];
+
+/// Services of ROS 2's own packages.
+const SERVICES: &[(&str, &str)] = &[
+    ("action_msgs", "CancelGoal"),
+    ("composition_interfaces", "ListNodes LoadNode UnloadNode"),
+    ("diagnostic_msgs", "AddDiagnostics SelfTest"),
+    ("lifecycle_msgs", "ChangeState GetAvailableStates GetAvailableTransitions GetState"),
+    ("map_msgs", "GetMapROI GetPointMap GetPointMapROI ProjectedMapsInfo SaveMap SetMapProjections"),
+    ("nav_msgs", "GetMap GetPlan LoadMap SetMap"),
+    (
+        "rcl_interfaces",
+        "DescribeParameters GetLoggerLevels GetParameterTypes GetParameters ListParameters SetLoggerLevels \
+         SetParameters SetParametersAtomically",
+    ),
+    ("sensor_msgs", "SetCameraInfo"),
+    ("std_srvs", "Empty SetBool Trigger"),
+    ("tf2_msgs", "FrameGraph"),
+    ("visualization_msgs", "GetInteractiveMarkers"),
+];
+
+/// Packages known by name only.
+const OTHERS: &[&str] = &[
+    "ackermann_msgs",
+    "audio_common_msgs",
+    "can_msgs",
+    "cartographer_ros_msgs",
+    "control_msgs",
+    "controller_manager_msgs",
+    "dwb_msgs",
+    "ffmpeg_image_transport_msgs",
+    "foxglove_msgs",
+    "gazebo_msgs",
+    "geographic_msgs",
+    "gps_msgs",
+    "grid_map_msgs",
+    "irobot_create_msgs",
+    "mavros_msgs",
+    "moveit_msgs",
+    "nav2_msgs",
+    "nmea_msgs",
+    "nvblox_msgs",
+    "object_recognition_msgs",
+    "octomap_msgs",
+    "pcl_msgs",
+    "px4_msgs",
+    "quest2ros",
+    "radar_msgs",
+    "robot_localization",
+    "ros_gz_interfaces",
+    "rosapi_msgs",
+    "rtabmap_msgs",
+    "slam_toolbox",
+    "turtlebot3_msgs",
+    "turtlesim",
+    "unity_robotics_demo_msgs",
+    "vision_msgs",
+    "voxblox_msgs",
+];
+
+/// Message or service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Of a topic.
+    Message,
+    /// Of a service.
+    Service,
+}
+
+/// The type as `package/Type` (the middle of `package/msg/Type` is taken out), or why there is none such.
+/// `own` are packages the configuration adds.
+pub fn resolve(kind: Kind, name: &str, own: &[String]) -> Result<String, String> {
+    let mut parts = name.split('/');
+    let (package, class) = match (parts.next(), parts.next(), parts.next(), parts.next()) {
+        (Some(package), Some(class), None, None) => (package, class),
+        (Some(package), Some("msg" | "srv"), Some(class), None) => (package, class),
+        _ => return Err(format!("'{name}' is not a type: write package/Type")),
+    };
+    if !is_package_name(package) || !is_type_name(class) {
+        return Err(format!("'{name}' is not a type: write package/Type, as in geometry_msgs/Twist"));
+    }
+    let (table, what) = match kind {
+        Kind::Message => (MESSAGES, "message"),
+        Kind::Service => (SERVICES, "service"),
+    };
+    let listed = table.iter().find(|(known, _)| *known == package).map(|(_, types)| *types);
+    let own = own.iter().any(|known| known == package);
+    match listed {
+        _ if own => {}
+        Some(types) if types.split(' ').any(|known| known == class) => {}
+        Some(_) => return Err(format!("unknown {what} class '{name}': {package} has no {what} {class}")),
+        None if OTHERS.contains(&package) => {}
+        None => {
+            return Err(format!(
+                "unknown {what} class '{name}': if {package} is your own package, \
+                 add it to message_packages in the fleet file's [bridge]"
+            ));
+        }
+    }
+    Ok(format!("{package}/{class}"))
+}
+
+/// Lower-case letters, digits and single underscores, a letter first (REP-144), 2 characters at least.
+pub fn is_package_name(name: &str) -> bool {
+    let mut bytes = name.bytes();
+    bytes.next().is_some_and(|first| first.is_ascii_lowercase())
+        && (2..=128).contains(&name.len())
+        && bytes.all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
+        && !name.contains("__")
+}
+
+/// Letters and digits, a capital first.
+fn is_type_name(name: &str) -> bool {
+    let mut bytes = name.bytes();
+    bytes.next().is_some_and(|first| first.is_ascii_uppercase())
+        && name.len() <= 128
+        && bytes.all(|b| b.is_ascii_alphanumeric())
+}
+
+/// The longest topic or service name, as DDS has it.
+pub const TOPIC_NAME_MAX: usize = 255;
+
+/// The name with its leading slash, or why it is none: tokens of letters, digits and underscores between
+/// slashes, none beginning with a digit (ROS 2's rule for names).
+pub fn resolve_name(name: &str) -> Result<String, String> {
+    let path = name.strip_prefix('/').unwrap_or(name);
+    let sound = |token: &str| {
+        !token.is_empty()
+            && !token.starts_with(|first: char| first.is_ascii_digit())
+            && token.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
+    };
+    if path.is_empty() {
+        return Err("the topic's name is empty".into());
+    }
+    if path.len() >= TOPIC_NAME_MAX || !path.split('/').all(sound) {
+        return Err(format!("'{name}' is not a topic's name: letters, digits, '_' and '/' make one"));
+    }
+    Ok(format!("/{path}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn types() {
+        let own = ["my_msgs".to_owned()];
+        let message = |name| resolve(Kind::Message, name, &own);
+        assert_eq!(message("geometry_msgs/Twist").unwrap(), "geometry_msgs/Twist");
+        assert_eq!(message("geometry_msgs/msg/Twist").unwrap(), "geometry_msgs/Twist");
+        assert!(message("quest2ros/OVR2ROSInputs").is_ok());
+        assert!(message("my_msgs/Anything").is_ok());
+        assert!(message("geometry_msgs/Twits").unwrap_err().contains("geometry_msgs has no message Twits"));
+        assert!(message("no_such_pkg/Nope").unwrap_err().contains("message_packages"));
+        for name in
+            ["", "Twist", "/", "a/b/c", "geometry_msgs/", "Geometry/Twist", "std_msgs/msg/String/x", "é/É"]
+        {
+            assert!(message(name).is_err(), "{name}");
+        }
+        assert!(resolve(Kind::Service, "std_srvs/Trigger", &[]).is_ok());
+        assert!(resolve(Kind::Service, "geometry_msgs/Twist", &[]).is_err());
+    }
+
+    #[test]
+    fn names() {
+        assert_eq!(resolve_name("pos_rot").unwrap(), "/pos_rot");
+        assert_eq!(resolve_name("/robot1/scan").unwrap(), "/robot1/scan");
+        for name in ["", "/", "//a", "/a/", "/1a", "/a b", "/é", "/a\n"] {
+            assert!(resolve_name(name).is_err(), "{name:?}");
+        }
+        assert!(resolve_name(&"a".repeat(300)).is_err());
+    }
+}

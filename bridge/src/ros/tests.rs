@@ -1,0 +1,274 @@
+//! Codecs: what goes in comes out, golden bytes, and noise.
+
+use super::*;
+use crate::cdr::Writer;
+use bytemuck::Zeroable;
+use msg::{
+    Anchors, Correction, GridHeader, GridView, Header, Link, LinkTransform, Pose2, RobotId, Stamp, Transforms,
+};
+use proptest::prelude::*;
+use std::fmt::Debug;
+
+/// Encodes behind `before` other bytes, as a frame does, and decodes.
+fn round<M: Message>(message: &M, before: usize) -> M {
+    let mut out = vec![9; before];
+    encode(message, &mut out);
+    decode(&out[before..]).unwrap()
+}
+
+/// Every shortening of a payload is refused or still whole (padding cut), never a panic.
+fn survives_cuts<M: Message + Debug>(message: &M) {
+    let mut out = Vec::new();
+    encode(message, &mut out);
+    (0..out.len()).for_each(|end| drop(decode::<M>(&out[..end])));
+}
+
+fn stamp() -> impl Strategy<Value = Stamp> {
+    (i64::from(i32::MIN) * 1_000_000_000..i64::from(i32::MAX) * 1_000_000_000).prop_map(Stamp)
+}
+
+fn text() -> impl Strategy<Value = String> {
+    "[^\0]{0,12}"
+}
+
+fn floats() -> impl Strategy<Value = Vec<f32>> {
+    prop::collection::vec(-1e6_f32..1e6, 0..50)
+}
+
+fn twist() -> impl Strategy<Value = Twist> {
+    (any::<[i32; 3]>(), any::<[i32; 3]>())
+        .prop_map(|(l, a)| Twist { linear: l.map(|v| f64::from(v) * 1e-6), angular: a.map(f64::from) })
+}
+
+fn space() -> impl Strategy<Value = ([f64; 3], [f64; 4])> {
+    (prop::array::uniform3(-1e3..1e3), prop::array::uniform4(-1.0..1.0))
+}
+
+fn transform() -> impl Strategy<Value = TransformStamped> {
+    (stamp(), text(), text(), space()).prop_map(
+        |(stamp, frame_id, child_frame_id, (translation, rotation))| TransformStamped {
+            stamp,
+            frame_id,
+            child_frame_id,
+            translation,
+            rotation,
+        },
+    )
+}
+
+proptest! {
+    #[test]
+    fn small_messages(twist in twist(), at in stamp(), name in text(), number in any::<i32>(), flag in any::<bool>(),
+                      data in floats(), before in 0_usize..9) {
+        prop_assert_eq!(round(&twist, before), twist);
+        let stamped = TwistStamped { stamp: at, frame_id: name.clone(), twist };
+        prop_assert_eq!(&round(&stamped, before), &stamped);
+        survives_cuts(&stamped);
+        prop_assert_eq!(round(&Int32(number), before), Int32(number));
+        prop_assert_eq!(round(&Bool(flag), before), Bool(flag));
+        prop_assert_eq!(round(&Clock { clock: at }, before), Clock { clock: at });
+        prop_assert_eq!(round(&Text(name.clone()), before), Text(name));
+        let array = Float32MultiArray { data };
+        prop_assert_eq!(&round(&array, before), &array);
+        survives_cuts(&array);
+    }
+
+    #[test]
+    fn scans(stamp in stamp(), frame_id in text(), v in any::<[i16; 7]>(), ranges in floats(), intensities in floats(),
+             before in 0_usize..9) {
+        let [angle_min, angle_max, angle_increment, time_increment, scan_time, range_min, range_max] = v.map(f32::from);
+        let scan = LaserScan { stamp, frame_id, angle_min, angle_max, angle_increment, time_increment, scan_time,
+                               range_min, range_max, ranges, intensities };
+        prop_assert_eq!(&round(&scan, before), &scan);
+        survives_cuts(&scan);
+    }
+
+    #[test]
+    fn trees(transforms in prop::collection::vec(transform(), 0..5), before in 0_usize..9) {
+        let message = TfMessage { transforms };
+        prop_assert_eq!(&round(&message, before), &message);
+        survives_cuts(&message);
+    }
+
+    #[test]
+    fn odometries(stamp in stamp(), frame_id in text(), child_frame_id in text(), space in space(), twist in twist()) {
+        let (position, orientation) = space;
+        let message = Odometry { stamp, frame_id, child_frame_id, position, orientation, twist };
+        prop_assert_eq!(&round(&message, 3), &message);
+        survives_cuts(&message);
+    }
+
+    #[test]
+    fn grids(stamp in stamp(), frame_id in text(), width in 0_u32..20, height in 0_u32..20, space in space(), seed in any::<i8>()) {
+        let (position, orientation) = space;
+        let data = (0..width * height).map(|i| seed.wrapping_add(i as i8)).collect();
+        let message = OccupancyGrid { stamp, frame_id, resolution: 0.05, width, height, position, orientation, data };
+        prop_assert_eq!(&round(&message, 5), &message);
+        survives_cuts(&message);
+    }
+
+    #[test]
+    fn noise(mut bytes in prop::collection::vec(any::<u8>(), 0..400), small in any::<bool>()) {
+        if small {
+            // Short lengths get further into a message than random ones.
+            bytes.iter_mut().skip(4).for_each(|byte| *byte = if *byte < 200 { 0 } else { *byte % 8 });
+        }
+        bytes.splice(..bytes.len().min(4), crate::cdr::ENCAPSULATION);
+        let _ = (decode::<Twist>(&bytes), decode::<TwistStamped>(&bytes), decode::<Text>(&bytes));
+        let _ = (decode::<LaserScan>(&bytes), decode::<TfMessage>(&bytes), decode::<OccupancyGrid>(&bytes));
+        let _ = (decode::<Odometry>(&bytes), decode::<Float32MultiArray>(&bytes), decode::<Clock>(&bytes));
+        let _ = (decode::<Int32>(&bytes), decode::<Bool>(&bytes), decode::<Empty>(&bytes));
+    }
+
+    #[test]
+    fn cells_become_percent(cells in prop::collection::vec(any::<i8>(), 0..300), filled in 0_usize..300) {
+        let mut cells = cells;
+        let end = filled.min(cells.len());
+        cells[..end].fill(msg::grid::UNKNOWN);
+        let table = msg::grid::percent_table();
+        let header = GridHeader { width: cells.len() as u32, height: 1, resolution_m: 0.05, ..Default::default() };
+        let mut out = Vec::new();
+        write::occupancy_grid(&mut Writer::new(&mut out), "map", &table, GridView::new(&header, &cells).unwrap());
+        let grid: OccupancyGrid = decode(&out).unwrap();
+        let want: Vec<i8> = cells.iter().map(|cell| table[*cell as u8 as usize]).collect();
+        prop_assert_eq!(grid.data, want);
+    }
+}
+
+fn robot(number: usize) -> RobotId {
+    RobotId::new(number).unwrap()
+}
+
+fn header(stamp: i64) -> Header {
+    Header { stamp: Stamp(stamp), ..Default::default() }
+}
+
+/// Lengths as rclpy and Fast DDS have them for the same content.
+#[test]
+fn golden_lengths() {
+    let length = |fill: &dyn Fn(&mut Writer<'_>)| {
+        let mut out = Vec::new();
+        fill(&mut Writer::new(&mut out));
+        out.len()
+    };
+    assert_eq!(length(&|to| Twist::default().write(to)), 52);
+    assert_eq!(length(&|to| Clock::default().write(to)), 12);
+    assert_eq!(length(&|to| Bool(true).write(to)), 5);
+    assert_eq!(length(&|to| Empty.write(to)), 5);
+    let mut scan = msg::Scan::zeroed();
+    scan.len = 180;
+    assert_eq!(length(&|to| write::laser_scan(to, "robot1/laser", &scan)), 788);
+    assert_eq!(length(&|to| write::slam_stats(to, &Default::default())), 16 + 4 * 7);
+}
+
+#[test]
+fn golden_bytes_of_a_transform() {
+    let transform = TransformStamped {
+        stamp: Stamp(1_000_000_002),
+        frame_id: "map".into(),
+        child_frame_id: "ab".into(),
+        translation: [1.0, 0.0, 0.0],
+        rotation: [0.0, 0.0, 0.0, 1.0],
+    };
+    let mut out = Vec::new();
+    encode(&transform, &mut out);
+    let mut want = vec![0, 1, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0];
+    want.extend_from_slice(b"\x04\0\0\0map\0\x03\0\0\0ab\0\0");
+    // Doubles begin at the next multiple of 8 behind the encapsulation header: 24 is one.
+    assert_eq!(want.len(), 28);
+    for value in [1.0_f64, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0] {
+        want.extend_from_slice(&value.to_le_bytes());
+    }
+    assert_eq!(out, want);
+}
+
+#[test]
+fn a_scan_keeps_its_meaning() {
+    let mut scan = msg::Scan::zeroed();
+    scan.header = header(-1);
+    scan.len = 3;
+    (scan.angle_min_rad, scan.angle_increment_rad) = (-0.5, 0.25);
+    (scan.range_min_m, scan.range_max_m) = (0.12, 3.5);
+    scan.ranges_m[..3].copy_from_slice(&[1.0, f32::INFINITY, 2.0]);
+    let mut out = Vec::new();
+    write::laser_scan(&mut Writer::new(&mut out), "base_scan_1", &scan);
+    let ros: LaserScan = decode(&out).unwrap();
+    assert_eq!((ros.stamp, ros.frame_id.as_str()), (Stamp(-1), "base_scan_1"));
+    assert_eq!((ros.angle_min, ros.angle_max, ros.angle_increment), (-0.5, 0.0, 0.25));
+    assert_eq!(ros.ranges, [1.0, f32::INFINITY, 2.0]);
+    assert!(ros.intensities.is_empty());
+}
+
+#[test]
+fn the_tree_is_named_and_whole() {
+    let names = FrameNames::new(NameStyle::Flat);
+    let mut links = Transforms { header: header(7), len: 3, ..Default::default() };
+    let link = |parent: u32, child: u32| LinkTransform { parent, child, ..Default::default() };
+    links.links[0] = link(Link::Odom as u32, Link::BaseFootprint as u32);
+    links.links[1] = link(99, Link::BaseLink as u32);
+    links.links[2] = link(Link::BaseLink as u32, Link::BaseScan as u32);
+    let mut out = Vec::new();
+    write::transforms(&mut Writer::new(&mut out), &names, robot(2), &links);
+    let tree: TfMessage = decode(&out).unwrap();
+    let edges: Vec<_> =
+        tree.transforms.iter().map(|t| (t.frame_id.as_str(), t.child_frame_id.as_str())).collect();
+    assert_eq!(edges, [("odom_2", "base_footprint_2"), ("base_link_2", "base_scan_2")]);
+
+    let correction =
+        Correction { map_from_odom: Pose2::new(1.0, 2.0, 0.6), header: header(9), ..Default::default() };
+    out.clear();
+    let slash = FrameNames::new(NameStyle::Slash);
+    write::correction(&mut Writer::new(&mut out), &slash, robot(3), &correction);
+    let tree: TfMessage = decode(&out).unwrap();
+    assert_eq!(tree.transforms[0].frame_id, "robot3/map");
+    assert_eq!(tree.transforms[0].child_frame_id, "robot3/odom");
+    assert_eq!(tree.transforms[0].translation, [1.0, 2.0, 0.0]);
+    assert!((2.0 * tree.transforms[0].rotation[2].asin() - 0.6).abs() < 1e-12);
+
+    let mut anchors = Anchors::default();
+    anchors.robots[1] = msg::Anchor { map_from_robot_map: Pose2::new(3.0, 0.0, 0.0), known: 1, reserved: 0 };
+    out.clear();
+    write::anchors(&mut Writer::new(&mut out), &names, Stamp(5), &anchors);
+    let tree: TfMessage = decode(&out).unwrap();
+    assert_eq!(tree.transforms.len(), 1);
+    assert_eq!(
+        (tree.transforms[0].frame_id.as_str(), tree.transforms[0].child_frame_id.as_str()),
+        ("map", "map_2")
+    );
+    assert_eq!(names.owner("map_2"), Some(robot(2)));
+    assert_eq!(names.owner("/odom_3"), Some(robot(3)));
+    assert_eq!(names.owner("vr_origin"), None);
+}
+
+#[test]
+fn odometry_keeps_its_meaning() {
+    let about = msg::Odometry {
+        header: header(11),
+        odom_from_base: Pose2::new(1.0, -2.0, 0.0),
+        linear_m_s: 0.1,
+        angular_rad_s: -0.5,
+    };
+    let mut out = Vec::new();
+    write::odometry(&mut Writer::new(&mut out), "odom_1", "base_footprint_1", &about);
+    let ros: Odometry = decode(&out).unwrap();
+    assert_eq!(ros.position, [1.0, -2.0, 0.0]);
+    assert_eq!(ros.orientation, [0.0, 0.0, 0.0, 1.0]);
+    assert_eq!((ros.twist.linear[0], ros.twist.angular[2]), (0.1, -0.5));
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_by_name() {
+    let mut out = Vec::new();
+    encode(&Twist { linear: [0.1, 0.0, 0.0], angular: [0.0, 0.0, f64::NAN] }, &mut out);
+    let error = decode::<Twist>(&out).unwrap_err().to_string();
+    assert!(error.contains("angular.z is NaN"), "{error}");
+    let error = decode::<Twist>(&out[..30]).unwrap_err().to_string();
+    assert_eq!(error, "angular.x needs 8 bytes at offset 24, 2 are left");
+    let error = decode::<Twist>(&[0, 0, 0, 0, 1]).unwrap_err().to_string();
+    assert!(error.contains("00 01 00 00") && error.contains("[00, 00, 00, 00]"), "{error}");
+    let error = decode::<Text>(&[0, 1, 0, 0, 255, 255, 255, 255, 65]).unwrap_err().to_string();
+    assert!(error.contains("data needs 4294967295 bytes"), "{error}");
+    let error =
+        decode::<LaserScan>(&[&[0, 1, 0, 0], &[0; 12][..], &[0; 28], &[255; 4]].concat()).unwrap_err();
+    assert!(error.to_string().contains("ranges needs 17179869180 bytes"), "{error}");
+}

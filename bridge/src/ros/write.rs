@@ -1,0 +1,176 @@
+//! From the fleet's nouns straight into CDR: no message in between, nothing allocated but the buffer's growth.
+
+use crate::cdr::Writer;
+use crate::ros::names::{FrameNames, MAP};
+use msg::{
+    Anchors, Correction, GridView, Link, LinkTransform, Odometry, Pose2, RobotId, RobotStats, Scan, Stamp,
+    Transforms,
+};
+
+/// builtin_interfaces/Time.
+pub fn stamp(to: &mut Writer<'_>, stamp: Stamp) {
+    let (sec, nanosec) = stamp.sec_nanosec();
+    to.i32(sec);
+    to.u32(nanosec);
+}
+
+/// std_msgs/Header.
+pub fn header(to: &mut Writer<'_>, at: Stamp, frame_id: &str) {
+    stamp(to, at);
+    to.string(frame_id);
+}
+
+/// geometry_msgs/Pose, and geometry_msgs/Transform, which looks the same: metres; x, y, z, w.
+pub fn pose(to: &mut Writer<'_>, position: [f64; 3], orientation: [f64; 4]) {
+    to.f64s(&position);
+    to.f64s(&orientation);
+}
+
+/// geometry_msgs/TransformStamped.
+pub fn transform(
+    to: &mut Writer<'_>,
+    at: Stamp,
+    frame: &str,
+    child: &str,
+    translation: [f64; 3],
+    rotation: [f64; 4],
+) {
+    header(to, at, frame);
+    to.string(child);
+    pose(to, translation, rotation);
+}
+
+/// nav_msgs/MapMetaData; `loaded` is when the content was new.
+pub fn map_info(
+    to: &mut Writer<'_>,
+    loaded: Stamp,
+    resolution_m: f32,
+    (width, height): (u32, u32),
+    position: [f64; 3],
+    orientation: [f64; 4],
+) {
+    stamp(to, loaded);
+    to.f32(resolution_m);
+    to.u32(width);
+    to.u32(height);
+    pose(to, position, orientation);
+}
+
+/// std_msgs/Float32MultiArray without dimensions.
+pub fn float_array(to: &mut Writer<'_>, data: &[f32]) {
+    to.count(0);
+    to.u32(0);
+    to.f32_seq(data);
+}
+
+/// A planar pose in space: position, quaternion.
+pub fn spatial(planar: Pose2) -> ([f64; 3], [f64; 4]) {
+    let (sin, cos) = (0.5 * planar.yaw_rad).sin_cos();
+    ([planar.x_m, planar.y_m, 0.0], [0.0, 0.0, sin, cos])
+}
+
+fn planar_transform(to: &mut Writer<'_>, at: Stamp, frame: &str, child: &str, frame_from_child: Pose2) {
+    let (translation, rotation) = spatial(frame_from_child);
+    transform(to, at, frame, child, translation, rotation);
+}
+
+/// sensor_msgs/LaserScan.
+pub fn laser_scan(to: &mut Writer<'_>, frame_id: &str, scan: &Scan) {
+    let ranges = scan.ranges_m();
+    let angle_max = scan.angle_rad(ranges.len().saturating_sub(1));
+    header(to, scan.header.stamp, frame_id);
+    to.f32(scan.angle_min_rad);
+    to.f32(angle_max);
+    to.f32(scan.angle_increment_rad);
+    to.f32(scan.time_increment_s);
+    to.f32(scan.scan_time_s);
+    to.f32(scan.range_min_m);
+    to.f32(scan.range_max_m);
+    to.f32_seq(ranges);
+    to.count(0);
+}
+
+/// tf2_msgs/TFMessage with one robot's links. A link whose code nobody knows is left out.
+pub fn transforms(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Transforms) {
+    let known = |link: &LinkTransform| {
+        Some((
+            Link::from_code(link.parent)?,
+            Link::from_code(link.child)?,
+            link.translation_m,
+            link.rotation_xyzw,
+        ))
+    };
+    to.count(message.links().iter().filter_map(known).count());
+    for (parent, child, translation, rotation) in message.links().iter().filter_map(known) {
+        let (parent, child) = (names.link(robot, parent), names.link(robot, child));
+        transform(to, message.header.stamp, parent, child, translation, rotation);
+    }
+}
+
+/// tf2_msgs/TFMessage with the one transform SLAM owns: the robot's map from its odometry (REP-105).
+pub fn correction(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Correction) {
+    to.count(1);
+    let (map, odom) = (names.map(robot), names.link(robot, Link::Odom));
+    planar_transform(to, message.header.stamp, map, odom, message.map_from_odom);
+}
+
+/// tf2_msgs/TFMessage: the merged map from each robot's map, where known.
+pub fn anchors(to: &mut Writer<'_>, names: &FrameNames, at: Stamp, message: &Anchors) {
+    let placed =
+        || RobotId::first(message.robots.len()).filter(|robot| message.robots[robot.index()].known == 1);
+    to.count(placed().count());
+    for robot in placed() {
+        let map_from_robot_map = message.robots[robot.index()].map_from_robot_map;
+        planar_transform(to, at, MAP, names.map(robot), map_from_robot_map);
+    }
+}
+
+/// nav_msgs/Odometry. What the wheels' covariance is, nobody says: zero.
+pub fn odometry(to: &mut Writer<'_>, frame_id: &str, child_frame_id: &str, message: &Odometry) {
+    header(to, message.header.stamp, frame_id);
+    to.string(child_frame_id);
+    let (position, orientation) = spatial(message.odom_from_base);
+    pose(to, position, orientation);
+    to.f64s(&[0.0; 36]);
+    to.f64s(&[message.linear_m_s, 0.0, 0.0, 0.0, 0.0, message.angular_rad_s]);
+    to.f64s(&[0.0; 36]);
+}
+
+/// std_msgs/Float32MultiArray as the paper's `slam_stats`:
+/// [free, occupied, unknown, total, width, height, resolution], cells and metres.
+pub fn slam_stats(to: &mut Writer<'_>, stats: &RobotStats) {
+    let total =
+        [stats.free_cells, stats.occupied_cells, stats.unknown_cells].map(u64::from).iter().sum::<u64>();
+    let (free, occupied, unknown) =
+        (stats.free_cells as f32, stats.occupied_cells as f32, stats.unknown_cells as f32);
+    let size = [stats.width as f32, stats.height as f32, stats.resolution_m as f32];
+    float_array(to, &[free, occupied, unknown, total as f32, size[0], size[1], size[2]]);
+}
+
+/// nav_msgs/OccupancyGrid. `percent` is [`msg::grid::percent_table`].
+pub fn occupancy_grid(to: &mut Writer<'_>, frame_id: &str, percent: &[i8; 256], grid: GridView<'_>) {
+    let GridView { header: about, cells } = grid;
+    let (position, orientation) = spatial(about.origin);
+    let size = (about.width, about.height);
+    header(to, about.header.stamp, frame_id);
+    map_info(to, about.header.stamp, about.resolution_m as f32, size, position, orientation);
+    to.byte_seq_with(cells.len(), |bytes| percents(bytes, cells, percent));
+}
+
+/// Cells looked at together: most of a map is blocks of one value, and these are filled without looking up.
+const BLOCK: usize = 64;
+
+fn percents(bytes: &mut [u8], cells: &[i8], percent: &[i8; 256]) {
+    let of = |cell: i8| percent[cell as u8 as usize] as u8;
+    let (blocks, rest) = cells.as_chunks::<BLOCK>();
+    let (places, rest_places) = bytes.as_chunks_mut::<BLOCK>();
+    for (place, block) in places.iter_mut().zip(blocks) {
+        let differing = block.iter().fold(0, |bits, cell| bits | (cell ^ block[0]));
+        if differing == 0 {
+            place.fill(of(block[0]));
+        } else {
+            place.iter_mut().zip(block).for_each(|(byte, cell)| *byte = of(*cell));
+        }
+    }
+    rest_places.iter_mut().zip(rest).for_each(|(byte, cell)| *byte = of(*cell));
+}

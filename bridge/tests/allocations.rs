@@ -1,0 +1,115 @@
+//! In steady state a message costs no allocation: not when it is encoded, not on its way to two clients,
+//! not on its way in from one.
+
+use bridge::command::{Registration, name};
+use bridge::frame::{Parser, Side};
+use bridge::ros::{Message, Twist, encode};
+use bridge::{Bridge, BridgeConfig, serve};
+use bytemuck::Zeroable;
+use msg::{Clock, Correction, FleetStats, GridHeader, GridView, Odometry, RobotId, Scan, Transforms};
+use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use std::alloc::System;
+use std::cell::Cell;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::rc::Rc;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::LocalSet;
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+const TOPICS: [(&str, &str); 7] = [
+    ("/robot1/scan", "sensor_msgs/LaserScan"),
+    ("/robot1/odom", "nav_msgs/Odometry"),
+    ("/robot1/map", "nav_msgs/OccupancyGrid"),
+    ("/robot1/slam_stats", "std_msgs/Float32MultiArray"),
+    ("/tf", "tf2_msgs/TFMessage"),
+    ("/clock", "rosgraph_msgs/Clock"),
+    ("/cmd_vel", Twist::TYPE),
+];
+/// Frames of one round: one of each topic, /tf has two.
+const FRAMES: usize = TOPICS.len() + 1;
+
+struct Reader {
+    stream: TcpStream,
+    parser: Parser,
+}
+
+impl Reader {
+    async fn connect(address: SocketAddr) -> Self {
+        let mut stream = TcpStream::connect(address).await.unwrap();
+        stream.set_nodelay(true).unwrap();
+        let mut out = Vec::new();
+        for (topic, class) in TOPICS {
+            let about =
+                Registration { topic: topic.into(), message_name: class.into(), ..Default::default() };
+            Side::Client.write_command(&mut out, name::SUBSCRIBE, &about);
+        }
+        let about =
+            Registration { topic: "/cmd_vel".into(), message_name: Twist::TYPE.into(), ..Default::default() };
+        Side::Client.write_command(&mut out, name::PUBLISH, &about);
+        Side::Client.write_command(&mut out, name::TOPIC_LIST, &serde_json::json!({}));
+        stream.write_all(&out).await.unwrap();
+        let mut reader = Self { stream, parser: Parser::new(1 << 20) };
+        while !reader.next_is(b"__topic_list").await {}
+        reader
+    }
+
+    async fn next_is(&mut self, name: &[u8]) -> bool {
+        loop {
+            if let Some(frame) = self.parser.next_frame().unwrap() {
+                return frame.name == name;
+            }
+            let count = self.stream.read(self.parser.space()).await.unwrap();
+            assert!(count > 0);
+            self.parser.filled(count);
+        }
+    }
+}
+
+#[test]
+fn a_message_in_steady_state_allocates_nothing() {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    LocalSet::new().block_on(&runtime, async {
+        let commands = Rc::new(Cell::new(0));
+        let told = commands.clone();
+        let on_command = move |_, _| told.set(told.get() + 1);
+        let bridge = Rc::new(Bridge::new(BridgeConfig::default(), 3, on_command).unwrap());
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+        let address = listener.local_addr().unwrap();
+        tokio::task::spawn_local(serve(bridge.clone(), listener, std::future::pending()));
+        let mut readers = [Reader::connect(address).await, Reader::connect(address).await];
+
+        let mut twist = Vec::new();
+        Side::Client.write_with(&mut twist, "/cmd_vel", |out| encode(&Twist::default(), out));
+        let scan = Box::new(Scan { len: 180, ..Scan::zeroed() });
+        let cells = vec![0; 200 * 200];
+        let robot = RobotId::new(1).unwrap();
+        let stats = Box::new(FleetStats::default());
+        let mut round = async |count: usize| {
+            for _ in 0..count {
+                bridge.scan(robot, &scan);
+                bridge.odometry(robot, &Odometry::default());
+                let shape = GridHeader { width: 200, height: 200, resolution_m: 0.05, ..Default::default() };
+                bridge.map(robot, GridView::new(&shape, &cells).unwrap());
+                bridge.stats(&stats);
+                bridge.transforms(robot, &Transforms::default());
+                bridge.correction(robot, &Correction::default());
+                bridge.clock(&Clock::default());
+                readers[0].stream.write_all(&twist).await.unwrap();
+                for reader in &mut readers {
+                    for _ in 0..FRAMES {
+                        reader.next_is(b"").await;
+                    }
+                }
+            }
+        };
+        round(50).await;
+        let region = Region::new(ALLOCATOR);
+        round(500).await;
+        let change = region.change();
+        assert_eq!((change.allocations, change.reallocations), (0, 0), "in 500 rounds of {FRAMES} messages");
+        assert_eq!(commands.get(), 550);
+    });
+}

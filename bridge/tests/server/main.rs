@@ -1,0 +1,53 @@
+//! The server from outside: real sockets on free ports, clients that behave and clients that do not.
+
+mod client;
+mod driving;
+mod noise;
+mod robustness;
+mod services;
+mod slow;
+mod topics;
+
+use bridge::{Bridge, BridgeConfig, serve};
+use msg::{Command, Header, RobotId, Stamp};
+use std::cell::RefCell;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::rc::Rc;
+use tokio::net::TcpListener;
+use tokio::task::LocalSet;
+
+/// A bridge that serves, and what it told the robots.
+pub(crate) struct Served {
+    pub(crate) bridge: Rc<Bridge>,
+    pub(crate) address: SocketAddr,
+    pub(crate) commands: Rc<RefCell<Vec<(usize, f64, f64)>>>,
+}
+
+/// Runs a test against a bridge of two robots.
+pub(crate) fn with_bridge(config: BridgeConfig, test: impl AsyncFnOnce(&Served)) {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    LocalSet::new().block_on(&runtime, async {
+        let commands = Rc::new(RefCell::new(Vec::new()));
+        let told = commands.clone();
+        let on_command = move |robot: RobotId, command: Command| {
+            told.borrow_mut().push((robot.number(), command.linear_m_s, command.angular_rad_s));
+        };
+        let bridge = Rc::new(Bridge::new(config, 2, on_command).unwrap());
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+        let stopped = async move { drop(stopped.await) };
+        let server = tokio::task::spawn_local(serve(bridge.clone(), listener, stopped));
+        test(&Served { bridge, address, commands }).await;
+        drop(stop);
+        server.await.unwrap();
+    });
+}
+
+pub(crate) fn robot(number: usize) -> RobotId {
+    RobotId::new(number).unwrap()
+}
+
+pub(crate) fn header(stamp: i64) -> Header {
+    Header { stamp: Stamp(stamp), ..Default::default() }
+}

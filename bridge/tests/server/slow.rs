@@ -1,0 +1,105 @@
+//! A client that does not read: bounded, the newest for it, and no delay for others.
+
+use crate::client::Client;
+use crate::{header, robot, with_bridge};
+use bridge::BridgeConfig;
+use bridge::command::{Registration, name};
+use bridge::ros::{Clock, Message, OccupancyGrid, Text};
+use msg::{GridHeader, GridView, Stamp};
+
+const WIDTH: u32 = 1000;
+
+fn map(served: &crate::Served, stamp: i64, cells: &[i8]) {
+    let (width, height) = (WIDTH, cells.len() as u32 / WIDTH);
+    let shape = GridHeader { header: header(stamp), width, height, resolution_m: 0.05, ..Default::default() };
+    served.bridge.map(robot(1), GridView::new(&shape, cells).unwrap());
+}
+
+#[test]
+fn a_stalled_client_gets_the_newest_map_and_delays_nobody() {
+    with_bridge(Default::default(), async |served| {
+        let mut slow = Client::connect(served.address).await;
+        let mut quick = Client::connect(served.address).await;
+        for client in [&mut slow, &mut quick] {
+            client.subscribe("/robot1/map", OccupancyGrid::TYPE).await;
+            client.settle().await;
+        }
+        let cells = vec![50; 2_000 * WIDTH as usize];
+        for stamp in 1..=20 {
+            map(served, stamp, &cells);
+            let got: OccupancyGrid = quick.message("/robot1/map").await;
+            assert_eq!(got.stamp, Stamp(stamp), "the quick one gets every map");
+        }
+        let statuses = served.bridge.clients();
+        assert!(statuses[0].dropped > 0 && statuses[1].dropped == 0);
+        assert!(
+            statuses[0].waiting_bytes <= 2 * (cells.len() + 1000),
+            "one being written, the newest waiting"
+        );
+        let mut last = Stamp(0);
+        while last < Stamp(20) {
+            let got: OccupancyGrid = slow.message("/robot1/map").await;
+            assert!(got.stamp > last);
+            last = got.stamp;
+        }
+        assert_eq!(served.bridge.counters().dropped, statuses[0].dropped);
+    });
+}
+
+#[test]
+fn what_waits_for_a_stalled_client_is_bounded_and_in_order() {
+    let outbox_bytes_max = 1 << 20;
+    with_bridge(BridgeConfig { outbox_bytes_max, ..Default::default() }, async |served| {
+        let mut slow = Client::connect(served.address).await;
+        slow.subscribe("/clock", Clock::TYPE).await;
+        slow.subscribe("/log", Text::TYPE).await;
+        slow.settle().await;
+        let mut talker = Client::connect(served.address).await;
+        let message_name = Text::TYPE.to_owned();
+        let about = Registration { topic: "/log".into(), message_name, queue_size: 100_000, latch: false };
+        talker.command(name::PUBLISH, &about).await;
+        let mut sent = 0;
+        while served.bridge.counters().dropped < 100 {
+            for _ in 0..10 {
+                talker.send("/log", &Text(format!("{sent:09}{}", "x".repeat(30_000)))).await;
+                sent += 1;
+            }
+            talker.settle().await;
+            served.bridge.clock(&msg::Clock { header: header(sent) });
+            let waiting = served.bridge.clients()[0].waiting_bytes;
+            assert!(waiting <= outbox_bytes_max + 40_000, "{waiting}");
+        }
+        let (mut previous, mut last_clock) = (-1, Stamp(0));
+        while previous < sent - 1 {
+            let (name, payload) = slow.next().await.unwrap();
+            if name == "/clock" {
+                let clock: Clock = bridge::ros::decode(&payload).unwrap();
+                assert!(clock.clock > last_clock);
+                last_clock = clock.clock;
+            } else {
+                let text: Text = bridge::ros::decode(&payload).unwrap();
+                let number: i64 = text.0[..9].parse().unwrap();
+                assert!(number > previous, "oldest lost, order kept");
+                previous = number;
+            }
+        }
+    });
+}
+
+#[test]
+fn a_client_that_reads_no_answers_is_let_go() {
+    with_bridge(Default::default(), async |served| {
+        let mut witness = Client::connect(served.address).await;
+        let rude = Client::connect(served.address).await;
+        let many = b"\x0d\0\0\0__topic_list\0\x03\0\0\0{}\0".repeat(1000);
+        // It asks until the server has had enough: then its writes fail.
+        let mut rest = many.as_slice();
+        while served.bridge.counters().clients > 1 {
+            let taken = rude.stream.try_write(rest).unwrap_or(0);
+            rest = if taken == rest.len() { &many } else { &rest[taken..] };
+            witness.settle().await;
+        }
+        assert_eq!(served.bridge.counters().refused, 0, "its frames were sound");
+        witness.settle().await;
+    });
+}

@@ -1,0 +1,67 @@
+//! Prints what a tick and a scan cost: microseconds, median, 99th percentile, largest.
+//!
+//! `cargo run --release -p sim --example cost -- [ROOM_FILE]...`
+
+use bytemuck::Zeroable;
+use msg::{Command, RobotId, Scan, Truth};
+use sim::{LidarConfig, Room, SimConfig, Simulator};
+use std::time::Instant;
+
+const TICKS: usize = 10_000;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    println!("{:<28}{:>7}{:>7}{:>20}{:>22}", "room", "peers", "rays", "tick p50/p99/max", "scan p50/p99/max");
+    let mut rooms = vec![Room::laboratory()];
+    for path in std::env::args().skip(1) {
+        rooms.push(Room::from_bytes(&path, &std::fs::read(&path)?)?);
+    }
+    for room in &rooms {
+        for (peers, lidar) in [
+            (0, LidarConfig::PAPER),
+            (2, LidarConfig::PAPER),
+            (2, LidarConfig::LDS_01),
+            (2, LidarConfig::LDS_02),
+        ] {
+            measure(room, peers, lidar)?;
+        }
+    }
+    measure(&rooms[0], 15, LidarConfig::PAPER)
+}
+
+fn measure(room: &Room, peers: usize, lidar: LidarConfig) -> Result<(), Box<dyn std::error::Error>> {
+    let config = SimConfig { lidar, ..SimConfig::default() };
+    let starts = room.starts(peers + 1)?;
+    let mut robots = RobotId::first(peers + 1).zip(starts);
+    let (robot, start) = robots.next().ok_or("no robot")?;
+    let others: Vec<_> = robots.collect();
+    let mut simulator = Simulator::new(room, &config, robot, start, 1)?;
+    let mut scan = Box::new(Scan::zeroed());
+    let (mut ticks, mut scans) = (Vec::with_capacity(TICKS), Vec::with_capacity(TICKS));
+    for tick in 0..TICKS {
+        if tick % 5 == 0 {
+            for (peer, at) in &others {
+                let mut truth = Truth { world_from_base: *at, ..Truth::default() };
+                truth.header.stamp = simulator.now();
+                simulator.see(*peer, &truth);
+            }
+        }
+        let angular_rad_s = if tick % 1000 < 300 { 1.0 } else { -0.1 };
+        simulator.command(&Command { linear_m_s: 0.15, angular_rad_s, ..Command::default() });
+        let before = Instant::now();
+        let due = simulator.step().scan_due;
+        ticks.push(before.elapsed());
+        if due {
+            let before = Instant::now();
+            simulator.scan_into(&mut scan);
+            scans.push(before.elapsed());
+        }
+    }
+    let row = |times: &mut Vec<std::time::Duration>| {
+        times.sort();
+        let at = |share: f64| times[((times.len() - 1) as f64 * share) as usize].as_secs_f64() * 1e6;
+        format!("{:.0}/{:.0}/{:.0}", at(0.5), at(0.99), at(1.0))
+    };
+    let name = room.name().rsplit('/').next().unwrap_or_default();
+    println!("{name:<28}{peers:>7}{:>7}{:>20}{:>22}", lidar.beams, row(&mut ticks), row(&mut scans));
+    Ok(())
+}

@@ -1,0 +1,260 @@
+//! The robot's body: an articulated differential drive on an ideal floor.
+//!
+//! Three rigid bodies (chassis, two wheels) and two revolute joints with velocity motors. The
+//! wheels and the caster touch the floor alone, a plane at z = 0; the hull touches the room, the
+//! peers, and the floor once the robot lies on its side.
+
+use crate::burger::{
+    self, CASTER_CENTRE_M, CASTER_RADIUS_M, CHASSIS_CENTRE_M, CHASSIS_INERTIA, CHASSIS_MASS_KG,
+    WHEEL_INERTIA, WHEEL_MASS_KG, WHEEL_RADIUS_M, WHEEL_SEPARATION_M,
+};
+use core::f64::consts::{PI, TAU};
+use glam::{Quat, Vec3};
+use msg::Pose2;
+use rapier3d::prelude::*;
+
+/// Seconds in one physics step.
+const STEP_S: f32 = 0.01;
+/// Torque per error of a wheel's speed, N m s: 0.2 % of a speed is lost under the load of driving.
+const MOTOR_GAIN: f32 = 0.5;
+/// Torque of a wheel's motor, N m: 1.4 m/s² for the whole robot, half of what would make it slip. The
+/// real motors are stronger and held back by their firmware; at an obstacle ours stall, where those may
+/// slip or climb.
+const MOTOR_TORQUE_MAX: f32 = 0.025;
+/// Rubber on a floor.
+const WHEEL_FRICTION: f32 = 1.0;
+/// Plastic on furniture.
+const HULL_FRICTION: f32 = 0.3;
+
+const FLOOR: Group = Group::GROUP_1;
+const ROOM: Group = Group::GROUP_2;
+const PEER: Group = Group::GROUP_3;
+const ROLLING: Group = Group::GROUP_4;
+const HULL: Group = Group::GROUP_5;
+
+fn groups(member: Group, touches: Group) -> InteractionGroups {
+    InteractionGroups::new(member, touches, InteractionTestMode::And)
+}
+
+/// One robot among a room's obstacles and its peers.
+pub(crate) struct Body {
+    world: PhysicsWorld,
+    chassis: RigidBodyHandle,
+    hull: ColliderHandle,
+    floor: ColliderHandle,
+    /// Left, right.
+    wheels: [Wheel; 2],
+    /// Of the three bodies when they were last all finite: chassis, left, right wheel.
+    sound: [Pose; 3],
+}
+
+#[derive(Clone, Copy)]
+struct Wheel {
+    body: RigidBodyHandle,
+    joint: ImpulseJointHandle,
+    /// How far it has turned since the start, radians; unbounded.
+    angle_rad: f64,
+}
+
+impl Body {
+    pub(crate) fn new(obstacles: SharedShape, world_from_base: Pose2) -> Self {
+        let mut world = PhysicsWorld::new();
+        world.gravity = Vec3::new(0.0, 0.0, -9.81);
+        world.integration_parameters = solver();
+
+        let floor = ColliderBuilder::new(SharedShape::halfspace(Vec3::Z))
+            .friction(WHEEL_FRICTION)
+            .collision_groups(groups(FLOOR, ROLLING | HULL));
+        let floor = world.insert_collider(floor, None);
+        let room = ColliderBuilder::new(obstacles).collision_groups(groups(ROOM, HULL));
+        world.insert_collider(room, None);
+
+        let world_from_chassis = upright(world_from_base);
+        let (chassis, hull) = insert_chassis(&mut world, world_from_chassis);
+        let wheels = [1.0, -1.0].map(|side| insert_wheel(&mut world, chassis, world_from_chassis, side));
+        let sound = [Pose::IDENTITY; 3];
+        let mut body = Self { world, chassis, hull, floor, wheels, sound };
+        body.remember();
+        body
+    }
+
+    /// Wished velocity of `base_footprint`, turned into wheel speeds.
+    pub(crate) fn drive(&mut self, linear_m_s: f64, angular_rad_s: f64) {
+        for (wheel, side) in self.wheels.iter().zip([-1.0, 1.0]) {
+            let rim_m_s = linear_m_s + side * angular_rad_s * WHEEL_SEPARATION_M / 2.0;
+            let joint = self.world.impulse_joints.get_mut(wheel.joint, false);
+            if let Some(revolute) = joint.and_then(|joint| joint.data.as_revolute_mut()) {
+                revolute.set_motor_velocity((rim_m_s / WHEEL_RADIUS_M) as f32, MOTOR_GAIN);
+            }
+        }
+    }
+
+    /// One physics step of 10 ms. Returns how far the wheels turned: left, right; radians.
+    pub(crate) fn step(&mut self) -> [f64; 2] {
+        self.world.step();
+        if !self.remember() {
+            self.restore();
+        }
+        let chassis = self.world_from_chassis().rotation;
+        let mut deltas_rad = [0.0; 2];
+        for (wheel, delta_rad) in self.wheels.iter_mut().zip(&mut deltas_rad) {
+            let turned = chassis.inverse() * self.world.bodies[wheel.body].position().rotation;
+            let angle_rad = 2.0 * f64::from(turned.y).atan2(f64::from(turned.w));
+            *delta_rad = (angle_rad - wheel.angle_rad + PI).rem_euclid(TAU) - PI;
+            wheel.angle_rad += *delta_rad;
+        }
+        deltas_rad
+    }
+
+    /// `world` from `base_footprint`, in three dimensions.
+    pub(crate) fn world_from_chassis(&self) -> Pose {
+        *self.world.bodies[self.chassis].position()
+    }
+
+    /// The chassis's pose on the floor.
+    pub(crate) fn world_from_base(&self) -> Pose2 {
+        let pose = self.world_from_chassis();
+        let forward = pose.rotation * Vec3::X;
+        let yaw_rad = f64::from(forward.y).atan2(f64::from(forward.x));
+        Pose2::new(pose.translation.x.into(), pose.translation.y.into(), yaw_rad)
+    }
+
+    /// Velocity of `base_footprint` forward and about z: m/s, rad/s.
+    pub(crate) fn velocity(&self) -> (f64, f64) {
+        let chassis = &self.world.bodies[self.chassis];
+        let pose = chassis.position();
+        let forward = pose.rotation * Vec3::X;
+        (chassis.velocity_at_point(pose.translation).dot(forward).into(), chassis.angvel().z.into())
+    }
+
+    /// Angles of the wheels, left and right, radians.
+    pub(crate) fn wheel_angles_rad(&self) -> [f64; 2] {
+        self.wheels.map(|wheel| wheel.angle_rad)
+    }
+
+    /// Does the hull touch something other than the floor?
+    pub(crate) fn touches(&self) -> bool {
+        let mut pairs = self.world.contact_pairs_with(self.hull);
+        pairs.any(|pair| {
+            pair.collider1 != self.floor && pair.collider2 != self.floor && pair.has_any_active_contact()
+        })
+    }
+
+    /// Puts a peer's body into the world.
+    pub(crate) fn insert_peer(&mut self, world_from_base: Pose2) -> RigidBodyHandle {
+        let body = RigidBodyBuilder::kinematic_position_based().pose(upright(world_from_base));
+        let hull =
+            ColliderBuilder::new(burger::hull()).friction(HULL_FRICTION).collision_groups(groups(PEER, HULL));
+        self.world.insert(body, hull).0
+    }
+
+    /// Makes a peer's body be somewhere at once.
+    pub(crate) fn place_peer(&mut self, peer: RigidBodyHandle, world_from_base: Pose2) {
+        let body = &mut self.world.bodies[peer];
+        body.set_enabled(true);
+        body.set_position(upright(world_from_base), true);
+    }
+
+    /// Makes a peer's body move to a pose in the next physics step, and push what is in its way.
+    pub(crate) fn move_peer(&mut self, peer: RigidBodyHandle, world_from_base: Pose2) {
+        self.world.bodies[peer].set_next_kinematic_position(upright(world_from_base));
+    }
+
+    /// Takes a peer's body away until it is placed again.
+    pub(crate) fn hide_peer(&mut self, peer: RigidBodyHandle) {
+        self.world.bodies[peer].set_enabled(false);
+    }
+
+    fn handles(&self) -> [RigidBodyHandle; 3] {
+        [self.chassis, self.wheels[0].body, self.wheels[1].body]
+    }
+
+    /// Keeps the poses if all are finite; says whether they are.
+    fn remember(&mut self) -> bool {
+        let poses = self.handles().map(|handle| *self.world.bodies[handle].position());
+        let finite = poses.iter().all(Pose::is_finite);
+        if finite {
+            self.sound = poses;
+        }
+        finite
+    }
+
+    /// Back to the last finite poses, at rest.
+    fn restore(&mut self) {
+        for (handle, pose) in self.handles().into_iter().zip(self.sound) {
+            let body = &mut self.world.bodies[handle];
+            body.set_position(pose, true);
+            body.set_linvel(Vec3::ZERO, true);
+            body.set_angvel(Vec3::ZERO, true);
+        }
+    }
+}
+
+/// A robot standing on the floor.
+pub(crate) fn upright(world_from_base: Pose2) -> Pose {
+    let Pose2 { x_m, y_m, yaw_rad } = world_from_base;
+    Pose::from_parts(Vec3::new(x_m as f32, y_m as f32, 0.0), Quat::from_rotation_z(yaw_rad as f32))
+}
+
+/// rapier's settings for wheels of 28 g that carry 1 kg. With the defaults they sink in by 0.8 mm, roll
+/// 1.2 % short, and creep while the robot stands: soft contacts yield by their own body's mass, and one
+/// sweep of the solver does not carry the load over the joints.
+fn solver() -> IntegrationParameters {
+    let mut parameters = IntegrationParameters {
+        dt: STEP_S,
+        // Tolerances are meant for things of 1 m.
+        length_unit: 0.02,
+        num_solver_iterations: 2,
+        num_internal_pgs_iterations: 8,
+        num_internal_stabilization_iterations: 4,
+        ..IntegrationParameters::default()
+    };
+    parameters.static_contact_softness.natural_frequency = 300.0;
+    parameters
+}
+
+fn insert_chassis(world: &mut PhysicsWorld, pose: Pose) -> (RigidBodyHandle, ColliderHandle) {
+    let mass = MassProperties::new(CHASSIS_CENTRE_M, CHASSIS_MASS_KG, CHASSIS_INERTIA);
+    let chassis = RigidBodyBuilder::dynamic().pose(pose).can_sleep(false).additional_mass_properties(mass);
+    let chassis = world.insert_body(chassis);
+    let hull = ColliderBuilder::new(burger::hull())
+        .density(0.0)
+        .friction(HULL_FRICTION)
+        .collision_groups(groups(HULL, ROOM | PEER | FLOOR));
+    // Without friction, and Min: by default the floor's would be averaged in.
+    let caster = ColliderBuilder::ball(CASTER_RADIUS_M)
+        .translation(CASTER_CENTRE_M)
+        .density(0.0)
+        .friction(0.0)
+        .friction_combine_rule(CoefficientCombineRule::Min)
+        .collision_groups(groups(ROLLING, FLOOR));
+    world.insert_collider(caster, Some(chassis));
+    (chassis, world.insert_collider(hull, Some(chassis)))
+}
+
+/// `side` is 1 for the left wheel, -1 for the right. The tyre is a ball: it touches the floor in one
+/// point, right under the middle of the wheel, where the kinematic model wants it.
+fn insert_wheel(world: &mut PhysicsWorld, chassis: RigidBodyHandle, at: Pose, side: f32) -> Wheel {
+    let radius_m = WHEEL_RADIUS_M as f32;
+    let hub = Vec3::new(0.0, side * WHEEL_SEPARATION_M as f32 / 2.0, radius_m);
+    let mass = MassProperties::new(Vec3::ZERO, WHEEL_MASS_KG, WHEEL_INERTIA);
+    let body = RigidBodyBuilder::dynamic()
+        .pose(at * Pose::from_translation(hub))
+        .can_sleep(false)
+        .additional_mass_properties(mass);
+    let tyre = ColliderBuilder::ball(radius_m)
+        .density(0.0)
+        .friction(WHEEL_FRICTION)
+        .collision_groups(groups(ROLLING, FLOOR));
+    let (body, _) = world.insert(body, tyre);
+    // rapier's default motor scales with inertia and would hardly move a wheel this light.
+    let joint = RevoluteJointBuilder::new(Vec3::Y)
+        .local_anchor1(hub)
+        .local_anchor2(Vec3::ZERO)
+        .contacts_enabled(false)
+        .motor_model(MotorModel::ForceBased)
+        .motor_velocity(0.0, MOTOR_GAIN)
+        .motor_max_force(MOTOR_TORQUE_MAX);
+    let joint = world.insert_impulse_joint(chassis, body, joint);
+    Wheel { body, joint, angle_rad: 0.0 }
+}

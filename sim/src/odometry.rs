@@ -1,0 +1,61 @@
+//! Where the robot believes it is, from what its wheels measured: dead reckoning of a differential
+//! drive (Siegwart, Nourbakhsh, Scaramuzza, "Autonomous Mobile Robots", 2nd ed., eq. 5.7), with the
+//! errors of real ones.
+
+use crate::burger::{WHEEL_RADIUS_M, WHEEL_SEPARATION_M};
+use crate::config::NoiseConfig;
+use crate::noise::Noise;
+use msg::Pose2;
+
+/// Integrates wheel angles; starts at the identity of `odom`.
+pub(crate) struct WheelOdometry {
+    odom_from_base: Pose2,
+    /// Way and turn since [`WheelOdometry::take_way`], metres and radians.
+    way: (f64, f64),
+    /// Metres that odometry believes a wheel rolls per radian: left, right.
+    radii_m: [f64; 2],
+    separation_m: f64,
+    walk_m_per_sqrt_m: f64,
+    noise: Noise,
+}
+
+impl WheelOdometry {
+    pub(crate) fn new(config: &NoiseConfig, mut noise: Noise) -> Self {
+        let mut drawn = |std: f64| 1.0 + (std * noise.gaussian()).clamp(-0.5, 0.5);
+        let radii_m = [(); 2].map(|()| WHEEL_RADIUS_M * drawn(config.wheel_scale_std));
+        let separation_m = WHEEL_SEPARATION_M * drawn(config.wheel_separation_std);
+        let walk_m_per_sqrt_m = config.wheel_walk_m_per_sqrt_m;
+        Self {
+            odom_from_base: Pose2::IDENTITY,
+            way: (0.0, 0.0),
+            radii_m,
+            separation_m,
+            walk_m_per_sqrt_m,
+            noise,
+        }
+    }
+
+    /// The wheels, left and right, turned on by `delta_rad`.
+    pub(crate) fn advance(&mut self, delta_rad: [f64; 2]) {
+        let mut measured_m = [0.0; 2];
+        for ((way_m, delta_rad), radius_m) in measured_m.iter_mut().zip(delta_rad).zip(self.radii_m) {
+            let rolled_m = radius_m * delta_rad;
+            *way_m = rolled_m + self.walk_m_per_sqrt_m * rolled_m.abs().sqrt() * self.noise.gaussian();
+        }
+        let [left_m, right_m] = measured_m;
+        let (way_m, turn_rad) = ((left_m + right_m) / 2.0, (right_m - left_m) / self.separation_m);
+        // To second order: along the chord, whose direction is half the turn.
+        let (sin, cos) = (turn_rad / 2.0).sin_cos();
+        self.odom_from_base = self.odom_from_base * Pose2::new(way_m * cos, way_m * sin, turn_rad);
+        self.way = (self.way.0 + way_m, self.way.1 + turn_rad);
+    }
+
+    pub(crate) fn odom_from_base(&self) -> Pose2 {
+        self.odom_from_base
+    }
+
+    /// Metres and radians measured since this was last asked.
+    pub(crate) fn take_way(&mut self) -> (f64, f64) {
+        core::mem::take(&mut self.way)
+    }
+}

@@ -1,0 +1,78 @@
+//! The other robots as this one meets them: kinematic bodies, moved by what their simulators say.
+
+use crate::body::Body;
+use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp, Truth};
+use rapier3d::dynamics::RigidBodyHandle;
+
+/// A peer silent for so long is no longer there, seconds.
+pub(crate) const SILENT_MAX_S: f64 = 1.0;
+/// A peer's last velocity is believed for so long, seconds: two of its truths may be lost.
+const EXTRAPOLATE_MAX_S: f64 = 0.15;
+/// A peer that is farther from where it was expected is placed there instead of moved, metres:
+/// a body that sweeps through the room would push everything away.
+const JUMP_MIN_M: f64 = 0.1;
+
+/// One peer.
+#[derive(Clone, Copy)]
+struct Peer {
+    body: RigidBodyHandle,
+    truth: Truth,
+    /// Where its body is now.
+    world_from_base: Pose2,
+    present: bool,
+}
+
+/// All peers, by [`RobotId::index`].
+#[derive(Default)]
+pub(crate) struct Peers([Option<Peer>; ROBOTS_MAX]);
+
+impl Peers {
+    /// The caller has checked that `truth` is finite.
+    pub(crate) fn see(&mut self, body: &mut Body, robot: RobotId, truth: &Truth) {
+        let peer = self.0[robot.index()].get_or_insert_with(|| Peer {
+            body: body.insert_peer(truth.world_from_base),
+            truth: *truth,
+            world_from_base: truth.world_from_base,
+            present: true,
+        });
+        peer.truth = *truth;
+        if !peer.present {
+            peer.present = true;
+            peer.world_from_base = truth.world_from_base;
+            body.place_peer(peer.body, truth.world_from_base);
+        }
+    }
+
+    /// Sends every peer's body to where it is at `now`, the end of the next physics step.
+    pub(crate) fn advance(&mut self, body: &mut Body, now: Stamp) {
+        for peer in self.0.iter_mut().flatten().filter(|peer| peer.present) {
+            let age_s = now - peer.truth.header.stamp;
+            if age_s > SILENT_MAX_S {
+                peer.present = false;
+                body.hide_peer(peer.body);
+                continue;
+            }
+            let next = extrapolate(&peer.truth, age_s);
+            if next.distance_m(peer.world_from_base) > JUMP_MIN_M {
+                body.place_peer(peer.body, next);
+            } else {
+                body.move_peer(peer.body, next);
+            }
+            peer.world_from_base = next;
+        }
+    }
+
+    /// Where the present peers are.
+    pub(crate) fn poses(&self) -> impl Iterator<Item = Pose2> + '_ {
+        self.0.iter().flatten().filter(|peer| peer.present).map(|peer| peer.world_from_base)
+    }
+}
+
+/// Along an arc, at the velocity the peer had.
+fn extrapolate(truth: &Truth, age_s: f64) -> Pose2 {
+    let ahead_s = age_s.clamp(-EXTRAPOLATE_MAX_S, EXTRAPOLATE_MAX_S);
+    let turn_rad = truth.angular_rad_s * ahead_s;
+    let (sin, cos) = (turn_rad / 2.0).sin_cos();
+    let way_m = truth.linear_m_s * ahead_s;
+    truth.world_from_base * Pose2::new(way_m * cos, way_m * sin, turn_rad)
+}

@@ -1,0 +1,154 @@
+//! Triangles, z up: checked, and their floor found.
+
+use super::{EXTENT_MAX_M, RoomError, TRIANGLES_MAX, VERTICES_MAX};
+use glam::Vec3;
+
+/// Triangles in a frame with z up; not yet checked.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Mesh {
+    pub(crate) vertices: Vec<Vec3>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+}
+
+/// Steeper than this is not a floor: the normal's z of 26°.
+const LEVEL_MIN: f32 = 0.9;
+/// A height is looked for in bins of this size, metres.
+const BIN_M: f32 = 0.02;
+/// A floor is the lowest level with this part of the largest level's area: lower than the ceiling
+/// and the tables, larger than a cellar seen through a hole.
+const FLOOR_SHARE: f64 = 0.4;
+/// The smallest floor, square metres.
+const FLOOR_MIN_M2: f64 = 0.5;
+/// How far a floor that a scene states may be from that of its mesh, metres.
+const STATED_FLOOR_M: f32 = 0.2;
+/// A scanned floor is this thick to either side, metres.
+const FLOOR_BAND_M: f32 = 0.05;
+
+impl Mesh {
+    /// y up (x right, z towards the viewer) to z up: a quarter turn about x.
+    pub(crate) fn with_z_up(mut self) -> Self {
+        self.vertices.iter_mut().for_each(|v| *v = Vec3::new(v.x, -v.z, v.y));
+        self
+    }
+
+    pub(crate) fn corners(&self, triangle: [u32; 3]) -> [Vec3; 3] {
+        triangle.map(|i| self.vertices[i as usize])
+    }
+
+    /// Numbers are numbers, indices point to vertices, sizes are those of a room.
+    pub(crate) fn check(&self) -> Result<(), RoomError> {
+        let count = |what, count: usize, max| {
+            if count > max { Err(RoomError::TooMany { what, count, max }) } else { Ok(()) }
+        };
+        count("vertices", self.vertices.len(), VERTICES_MAX)?;
+        count("triangles", self.triangles.len(), TRIANGLES_MAX)?;
+        if self.triangles.is_empty() {
+            return Err(RoomError::Empty);
+        }
+        if let Some(vertex) = self.vertices.iter().position(|v| !v.is_finite()) {
+            return Err(RoomError::NotFinite { vertex });
+        }
+        let vertices = self.vertices.len();
+        let wrong = self.triangles.iter().enumerate().find_map(|(triangle, corners)| {
+            corners.iter().find(|i| **i as usize >= vertices).map(|index| (triangle, *index))
+        });
+        if let Some((triangle, index)) = wrong {
+            return Err(RoomError::BadIndex { triangle, index, vertices });
+        }
+        let (min, max) = self.bounds();
+        let extent_m = (max - min).max_element();
+        let off_m = min.abs().max(max.abs()).max_element();
+        if extent_m.max(off_m) > EXTENT_MAX_M {
+            return Err(RoomError::TooLarge { extent_m: extent_m.max(off_m) });
+        }
+        Ok(())
+    }
+
+    /// Corners of the box around all vertices that a triangle uses.
+    pub(crate) fn bounds(&self) -> (Vec3, Vec3) {
+        let used = self.triangles.iter().flat_map(|t| self.corners(*t));
+        let nothing = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        used.fold(nothing, |(min, max), v| (min.min(v), max.max(v)))
+    }
+
+    /// Middle height and area of every triangle that lies level, whichever side is up.
+    fn level_triangles(&self) -> impl Iterator<Item = (f32, f64)> + '_ {
+        self.triangles.iter().filter_map(|triangle| {
+            let [a, b, c] = self.corners(*triangle);
+            let normal = (b - a).cross(c - a);
+            let area = normal.length() / 2.0;
+            let level = normal.z.abs() > LEVEL_MIN * normal.length();
+            level.then_some(((a.z + b.z + c.z) / 3.0, f64::from(area)))
+        })
+    }
+
+    /// Height of the floor; with a stated one, that of the mesh near it. Also the floor's area,
+    /// square metres.
+    pub(crate) fn find_floor(&self, stated_m: Option<f32>) -> Result<(f32, f64), RoomError> {
+        let (min, max) = self.bounds();
+        let bins = ((max.z - min.z) / BIN_M) as usize + 1;
+        let mut areas = vec![0.0; bins];
+        for (height_m, area) in self.level_triangles() {
+            areas[(((height_m - min.z) / BIN_M) as usize).min(bins - 1)] += area;
+        }
+        let half = (FLOOR_BAND_M / BIN_M) as usize;
+        let thick =
+            |bin: usize| areas[bin.saturating_sub(half)..(bin + half + 1).min(bins)].iter().sum::<f64>();
+        let height_m = |bin: usize| min.z + (bin as f32 + 0.5) * BIN_M;
+        let near =
+            |bin: usize| stated_m.is_none_or(|stated| (height_m(bin) - stated).abs() <= STATED_FLOOR_M);
+        let candidates = || (0..bins).filter(|bin| near(*bin));
+        let most = candidates().map(thick).fold(0.0, f64::max);
+        if most < FLOOR_MIN_M2 {
+            return Err(RoomError::NoFloor { area_m2: most });
+        }
+        let lowest = candidates().find(|bin| thick(*bin) >= FLOOR_SHARE * most).unwrap_or(0);
+        // Up from the lower edge of the floor to where it is densest.
+        let end = (lowest + 2 * half + 1).min(bins);
+        let densest = (lowest..end).max_by(|a, b| thick(*a).total_cmp(&thick(*b)).then(b.cmp(a)));
+        let centre_m = height_m(densest.unwrap_or(lowest));
+        let within = self.level_triangles().filter(|(height, _)| (height - centre_m).abs() <= FLOOR_BAND_M);
+        let (weighted, area) = within
+            .fold((0.0, 0.0), |(sum, total), (height, area)| (sum + f64::from(height) * area, total + area));
+        Ok(((weighted / area) as f32, area))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(side: f32, z: f32) -> Mesh {
+        let vertices = [[0.0, 0.0], [side, 0.0], [side, side], [0.0, side]];
+        Mesh {
+            vertices: vertices.map(|[x, y]| Vec3::new(x, y, z)).to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+        }
+    }
+
+    fn join(meshes: &[Mesh]) -> Mesh {
+        meshes.iter().fold(Mesh::default(), |mut all, mesh| {
+            let first = all.vertices.len() as u32;
+            all.vertices.extend(&mesh.vertices);
+            all.triangles.extend(mesh.triangles.iter().map(|t| t.map(|i| i + first)));
+            all
+        })
+    }
+
+    #[test]
+    fn floor_is_below_tables_and_ceiling() {
+        let room = join(&[square(5.0, 2.9), square(4.0, 0.31), square(2.0, 1.1), square(0.9, -0.6)]);
+        let (height, area) = room.find_floor(None).unwrap();
+        assert!((height - 0.31).abs() < 1e-3, "{height}");
+        assert!((area - 16.0).abs() < 1e-3, "{area}");
+        let (height, _) = room.find_floor(Some(1.0)).unwrap();
+        assert!((height - 1.1).abs() < 1e-3, "{height}");
+        assert!(matches!(room.find_floor(Some(2.0)), Err(RoomError::NoFloor { .. })));
+    }
+
+    #[test]
+    fn y_up_becomes_z_up() {
+        let mesh = Mesh { vertices: vec![Vec3::new(1.0, 2.0, 3.0)], triangles: vec![] };
+        assert_eq!(mesh.with_z_up().vertices[0], Vec3::new(1.0, -3.0, 2.0));
+    }
+}

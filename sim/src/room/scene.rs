@@ -1,0 +1,119 @@
+//! Scanned rooms: scene JSON with spatial entities, as Quest headsets and WebXR's emulators record
+//! them. Right-handed, y up, metres.
+
+use super::mesh::Mesh;
+use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use glam::{Quat, Vec3};
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+struct Scene {
+    #[serde(rename = "spatialEntities")]
+    entities: Vec<Entity>,
+}
+
+#[derive(Deserialize)]
+struct Entity {
+    #[serde(rename = "semanticLabel_META")]
+    label: Option<String>,
+    #[serde(rename = "locatable_META")]
+    place: Option<Place>,
+    #[serde(rename = "triangleMesh_META")]
+    mesh: Option<Triangles>,
+}
+
+#[derive(Deserialize)]
+struct Place {
+    position: Xyz,
+    orientation: Xyzw,
+}
+
+#[derive(Deserialize)]
+struct Xyz {
+    x: f32,
+    y: f32,
+    z: f32,
+}
+
+#[derive(Deserialize)]
+struct Xyzw {
+    x: f32,
+    y: f32,
+    z: f32,
+    w: f32,
+}
+
+/// Base64 of little-endian numbers: f32 x, y, z, and u32.
+#[derive(Deserialize)]
+struct Triangles {
+    vertices: String,
+    indices: String,
+}
+
+/// All entities' triangle meshes, whatever their labels; and the floor's height, if a `FLOOR` says it.
+pub(crate) fn read(bytes: &[u8]) -> Result<(Mesh, Option<f32>), RoomError> {
+    let scene: Scene = serde_json::from_slice(bytes).map_err(|error| malformed(error.to_string()))?;
+    let mut mesh = Mesh::default();
+    for (number, entity) in scene.entities.iter().enumerate() {
+        if let Some(triangles) = &entity.mesh {
+            append(&mut mesh, entity, triangles)
+                .map_err(|reason| malformed(format!("spatialEntities[{number}]: {reason}")))?;
+        }
+    }
+    if mesh.triangles.is_empty() {
+        return Err(malformed(
+            "no entity has a triangleMesh_META: scan the room's mesh, not its walls alone".into(),
+        ));
+    }
+    let floor = scene.entities.iter().find(|entity| entity.label.as_deref() == Some("FLOOR"));
+    let floor_m = floor.and_then(|entity| entity.place.as_ref()).map(|place| place.position.y);
+    Ok((mesh.with_z_up(), floor_m.filter(|height| height.is_finite())))
+}
+
+fn malformed(reason: String) -> RoomError {
+    RoomError::Malformed { format: "scene JSON", reason }
+}
+
+fn append(mesh: &mut Mesh, entity: &Entity, triangles: &Triangles) -> Result<(), String> {
+    let vertices = decode::<12>("vertices", &triangles.vertices, VERTICES_MAX)?;
+    let indices = decode::<12>("indices", &triangles.indices, TRIANGLES_MAX)?;
+    let (rotation, position) = match &entity.place {
+        Some(Place { position: p, orientation: q }) => {
+            (Quat::from_xyzw(q.x, q.y, q.z, q.w), Vec3::new(p.x, p.y, p.z))
+        }
+        None => (Quat::IDENTITY, Vec3::ZERO),
+    };
+    let norm = rotation.length();
+    if !(0.9..=1.1).contains(&norm) || !position.is_finite() {
+        return Err(format!("locatable_META is no pose (its orientation has length {norm})"));
+    }
+    let rotation = rotation.normalize();
+    let first = mesh.vertices.len();
+    let count = vertices.len();
+    mesh.vertices.extend(vertices.iter().map(|v| {
+        let number = |i: usize| f32::from_le_bytes([v[i], v[i + 1], v[i + 2], v[i + 3]]);
+        rotation * Vec3::new(number(0), number(4), number(8)) + position
+    }));
+    for (number, t) in indices.iter().enumerate() {
+        let corner = |i: usize| u32::from_le_bytes([t[i], t[i + 1], t[i + 2], t[i + 3]]);
+        let corners = [corner(0), corner(4), corner(8)];
+        if let Some(wrong) = corners.iter().find(|i| **i as usize >= count) {
+            return Err(format!("triangle {number} uses vertex {wrong}, but there are {count}"));
+        }
+        mesh.triangles.push(corners.map(|i| i + first as u32));
+    }
+    Ok(())
+}
+
+/// Records of `N` bytes out of base64.
+fn decode<const N: usize>(what: &str, text: &str, max: usize) -> Result<Vec<[u8; N]>, String> {
+    let bytes = STANDARD.decode(text).map_err(|error| format!("{what}: {error}"))?;
+    let (records, rest) = bytes.as_chunks::<N>();
+    match rest.len() {
+        0 if records.len() <= max => Ok(records.to_vec()),
+        0 => Err(format!("{what}: {} records, at most {max} are supported", records.len())),
+        _ => Err(format!("{what}: {} bytes are no multiple of {N}", bytes.len())),
+    }
+}

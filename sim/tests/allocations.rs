@@ -1,0 +1,39 @@
+//! Nothing is allocated per scan, and a robot under way keeps its size.
+
+mod common;
+
+use bytemuck::Zeroable;
+use common::{drive, robot};
+use msg::{Header, Pose2, Scan, Truth};
+use sim::{Room, SimConfig, Simulator};
+
+/// Allocations in one tick. All are rapier's: it collects contacts and islands in short-lived vectors
+/// in every step, and has no way to keep them.
+const IN_A_TICK_MAX: u64 = 16;
+
+#[test]
+fn scans_allocate_nothing_and_ticks_grow_nothing() {
+    let start = Pose2::new(-1.2, -1.7, 0.6);
+    let mut simulator =
+        Simulator::new(&Room::laboratory(), &SimConfig::default(), robot(1), start, 1).unwrap();
+    let mut scan = Box::new(Scan::zeroed());
+    let mut drive_about = |ticks: u32| {
+        for tick in 0..ticks {
+            if tick % 5 == 0 {
+                let header = Header { stamp: simulator.now(), ..Header::default() };
+                let world_from_base = Pose2::new(-2.0, 1.3, 0.1);
+                simulator.see(robot(2), &Truth { header, world_from_base, ..Truth::default() });
+            }
+            simulator.command(&drive(0.15, if tick % 500 < 250 { 0.6 } else { -0.4 }));
+            simulator.step();
+        }
+        allocation_counter::measure(|| simulator.scan_into(&mut scan))
+    };
+    // The peer's body, and rapier's buffers for what is near, are made once.
+    drive_about(1000);
+    let mut scanned = None;
+    let ticks = allocation_counter::measure(|| scanned = Some(drive_about(1000)));
+    assert_eq!(scanned.unwrap().count_total, 0);
+    assert!(ticks.count_total <= 1000 * IN_A_TICK_MAX, "{ticks:?}");
+    assert!(ticks.bytes_current < 16 << 10, "{ticks:?}");
+}

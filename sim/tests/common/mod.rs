@@ -1,0 +1,51 @@
+//! What the tests share.
+#![allow(dead_code)]
+
+use bytemuck::Zeroable;
+use core::ops::Range;
+use msg::pose::wrap_angle;
+use msg::{Command, Odometry, RobotId, Scan, Truth};
+use sim::{NoiseConfig, SimConfig, Simulator};
+
+pub fn robot(number: usize) -> RobotId {
+    RobotId::new(number).unwrap()
+}
+
+/// Perfect sensors.
+pub fn quiet() -> SimConfig {
+    SimConfig { noise: NoiseConfig::OFF, ..SimConfig::default() }
+}
+
+pub fn drive(linear_m_s: f64, angular_rad_s: f64) -> Command {
+    Command { linear_m_s, angular_rad_s, ..Command::default() }
+}
+
+pub fn scan(simulator: &mut Simulator) -> Box<Scan> {
+    let mut scan = Box::new(Scan::zeroed());
+    simulator.scan_into(&mut scan);
+    scan
+}
+
+/// What a simulator said while it was told the same again and again.
+pub struct Run {
+    pub truths: Vec<Truth>,
+    pub odometry: Vec<Odometry>,
+}
+
+impl Run {
+    pub fn of(simulator: &mut Simulator, linear_m_s: f64, angular_rad_s: f64, ticks: usize) -> Self {
+        let mut run = Self { truths: Vec::new(), odometry: Vec::new() };
+        for _ in 0..ticks {
+            simulator.command(&drive(linear_m_s, angular_rad_s));
+            let tick = simulator.step();
+            run.truths.push(tick.truth);
+            run.odometry.extend(tick.odometry);
+        }
+        run
+    }
+
+    pub fn turned_rad(&self, ticks: Range<usize>) -> f64 {
+        let yaw = |i: usize| self.truths[i].world_from_base.yaw_rad;
+        ticks.map(|i| wrap_angle(yaw(i) - yaw(i - 1))).sum()
+    }
+}

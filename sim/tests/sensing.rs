@@ -1,0 +1,283 @@
+//! What the robot sees, and that all of it can be repeated.
+
+mod common;
+
+use bytemuck::Zeroable;
+use common::{Run, drive, quiet, robot, scan};
+use core::f64::consts::FRAC_PI_2;
+use glam::DQuat;
+use msg::pose::wrap_angle;
+use msg::{Header, Link, Pose2, RobotId, Scan, Stamp, Truth};
+use sim::{LidarConfig, NoiseConfig, Room, SimConfig, Simulator};
+
+const OPEN: Pose2 = Pose2::new(-1.2, -1.7, 0.6);
+
+/// A closed box: 4 m along x, 3 m along y, the origin in the middle of its floor, z up.
+fn box_room() -> Room {
+    let obj = "# up z\n\
+        v -2 -1.5 0\nv 2 -1.5 0\nv 2 1.5 0\nv -2 1.5 0\n\
+        v -2 -1.5 2\nv 2 -1.5 2\nv 2 1.5 2\nv -2 1.5 2\n\
+        f 1 2 3 4\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+    Room::from_bytes("box.obj", obj.as_bytes()).unwrap()
+}
+
+/// Distance to the walls of [`box_room`] from a point in a direction.
+fn box_distance_m(from: [f64; 2], angle_rad: f64) -> f64 {
+    let (sin, cos) = angle_rad.sin_cos();
+    let along = |half: f64, at: f64, step: f64| ((half * step.signum() - at) / step).abs();
+    along(2.0, from[0], cos).min(along(1.5, from[1], sin))
+}
+
+fn with(lidar: LidarConfig) -> SimConfig {
+    SimConfig { lidar, ..quiet() }
+}
+
+#[test]
+fn ranges_are_those_of_geometry() {
+    let room = box_room();
+    for (_, lidar) in LidarConfig::PRESETS {
+        let start = Pose2::new(0.4, -0.3, 0.8);
+        let mut simulator = Simulator::new(&room, &with(lidar), robot(1), start, 1).unwrap();
+        let truth = (0..50).map(|_| simulator.step().truth).last().unwrap();
+        let scan = scan(&mut simulator);
+        assert_eq!(scan.ranges_m().len(), lidar.beams);
+        assert_eq!(scan.header.stamp, Stamp(500_000_000));
+        let world_from_scan = truth.world_from_base * Pose2::new(-0.032, 0.0, 0.0);
+        for (i, range) in scan.ranges_m().iter().enumerate() {
+            let angle = world_from_scan.yaw_rad + f64::from(scan.angle_rad(i));
+            let expected = box_distance_m([world_from_scan.x_m, world_from_scan.y_m], angle);
+            assert!((f64::from(*range) - expected).abs() < 0.003, "beam {i}: {range} {expected}");
+        }
+    }
+}
+
+#[test]
+fn preset_geometry() {
+    let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let paper = scan(&mut simulator);
+    assert_eq!((paper.len, paper.scan_time_s, paper.time_increment_s), (180, 0.1, 0.0));
+    let quarter = core::f32::consts::FRAC_PI_4;
+    assert!((paper.angle_min_rad + quarter).abs() < 1e-6 && (paper.angle_rad(179) - quarter).abs() < 1e-5);
+    let config = with(LidarConfig::LDS_01);
+    let mut simulator = Simulator::new(&box_room(), &config, robot(1), Pose2::IDENTITY, 1).unwrap();
+    let lds = scan(&mut simulator);
+    assert_eq!((lds.len, lds.angle_min_rad), (360, 0.0));
+    assert!((lds.angle_increment_rad - 1f32.to_radians()).abs() < 1e-7, "no beam doubles");
+}
+
+#[test]
+fn beyond_range_is_infinite_and_too_near_is_none() {
+    let near = LidarConfig { range_max_m: 1.0, ..LidarConfig::LDS_01 };
+    let mut simulator = Simulator::new(&box_room(), &with(near), robot(1), Pose2::IDENTITY, 1).unwrap();
+    assert!(scan(&mut simulator).ranges_m().iter().all(|range| *range == f32::INFINITY));
+    let far = LidarConfig { range_min_m: 1.8, ..LidarConfig::LDS_02 };
+    let mut simulator = Simulator::new(&box_room(), &with(far), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let scan = scan(&mut simulator);
+    assert!(scan.ranges_m()[90].is_nan(), "the wall is 1.5 m away");
+    assert!((scan.ranges_m()[0] - 2.032).abs() < 0.002);
+}
+
+#[test]
+fn noise_has_the_configured_size() {
+    let noise = NoiseConfig { range_std_m: 0.02, dropout_probability: 0.1, ..NoiseConfig::OFF };
+    let config = SimConfig { noise, ..with(LidarConfig { beams: 4096, ..LidarConfig::LDS_01 }) };
+    let clean = with(config.lidar);
+    let measure = |config: &SimConfig| {
+        scan(&mut Simulator::new(&box_room(), config, robot(1), Pose2::IDENTITY, 5).unwrap())
+    };
+    let (noisy, clean) = (measure(&config), measure(&clean));
+    let errors: Vec<f64> = noisy
+        .ranges_m()
+        .iter()
+        .zip(clean.ranges_m())
+        .filter(|(noisy, _)| !noisy.is_nan())
+        .map(|(noisy, clean)| f64::from(noisy - clean))
+        .collect();
+    let dropped = 1.0 - errors.len() as f64 / 4096.0;
+    assert!((dropped - 0.1).abs() < 0.02, "{dropped}");
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    let std = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / errors.len() as f64).sqrt();
+    assert!(mean.abs() < 0.002 && (std - 0.02).abs() < 0.001, "{mean} {std}");
+}
+
+#[test]
+fn scan_writes_everything_but_what_the_channel_owns() {
+    let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    simulator.step();
+    let mut dirty = Box::new(Scan::zeroed());
+    bytemuck::bytes_of_mut(&mut *dirty).fill(0xA5);
+    let header = dirty.header;
+    simulator.scan_into(&mut dirty);
+    let mut clean = scan(&mut simulator);
+    clean.header = Header { stamp: clean.header.stamp, ..header };
+    assert!(bytemuck::bytes_of(&*dirty) == bytemuck::bytes_of(&*clean));
+}
+
+/// Everything a robot says in 10 s of driving about, as bytes.
+fn record(seed: u64, robot: RobotId) -> Vec<u8> {
+    let room = Room::laboratory();
+    let mut simulator = Simulator::new(&room, &SimConfig::default(), robot, OPEN, seed).unwrap();
+    let mut bytes = Vec::new();
+    for tick in 0..1000 {
+        simulator.command(&drive(0.15, if tick % 300 < 150 { 0.7 } else { -0.4 }));
+        let tick = simulator.step();
+        bytes.extend_from_slice(bytemuck::bytes_of(&tick.truth));
+        tick.odometry.iter().for_each(|odometry| bytes.extend_from_slice(bytemuck::bytes_of(odometry)));
+        tick.transforms.iter().for_each(|tf| bytes.extend_from_slice(bytemuck::bytes_of(tf)));
+        if tick.scan_due {
+            bytes.extend_from_slice(bytemuck::bytes_of(&*scan(&mut simulator)));
+        }
+    }
+    bytes
+}
+
+#[test]
+fn a_seed_repeats_to_the_byte() {
+    let first = record(7, robot(1));
+    assert!(first == record(7, robot(1)));
+    assert!(first != record(8, robot(1)));
+    assert!(first != record(7, robot(2)));
+}
+
+#[test]
+fn transforms_are_the_turtlebots() {
+    let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let mut last = None;
+    for _ in 0..100 {
+        simulator.command(&drive(0.15, 0.2));
+        let tick = simulator.step();
+        last = tick.transforms.zip(tick.odometry).or(last);
+    }
+    let (transforms, odometry) = last.unwrap();
+    let edges: Vec<_> = transforms.links().iter().map(|l| (l.parent, l.child)).collect();
+    let edge = |parent: Link, child: Link| (parent as u32, child as u32);
+    assert_eq!(
+        edges,
+        [
+            edge(Link::Odom, Link::BaseFootprint),
+            edge(Link::BaseFootprint, Link::BaseLink),
+            edge(Link::BaseLink, Link::BaseScan),
+            edge(Link::BaseLink, Link::WheelLeft),
+            edge(Link::BaseLink, Link::WheelRight),
+            edge(Link::BaseLink, Link::Imu),
+        ]
+    );
+    let base = transforms.links()[0];
+    assert_eq!(base.translation_m, [odometry.odom_from_base.x_m, odometry.odom_from_base.y_m, 0.0]);
+    let half_yaw = odometry.odom_from_base.yaw_rad / 2.0;
+    assert!((base.rotation_xyzw[2] - half_yaw.sin()).abs() < 1e-12);
+    for link in transforms.links() {
+        let norm: f64 = link.rotation_xyzw.iter().map(|c| c * c).sum();
+        assert!((norm - 1.0).abs() < 1e-9);
+    }
+    // Out of a wheel's lying frame: its turn about its axle. Forward is positive on both sides.
+    let turned_rad = |i: usize| {
+        let upright =
+            DQuat::from_rotation_x(FRAC_PI_2) * DQuat::from_array(transforms.links()[i].rotation_xyzw);
+        wrap_angle(2.0 * upright.z.atan2(upright.w))
+    };
+    let expected_rad = odometry.odom_from_base.yaw_rad * 0.160 / 0.033;
+    assert!((turned_rad(4) - turned_rad(3) - expected_rad).abs() < 1e-6);
+    assert!(expected_rad > 0.1, "the right wheel turned farther: the robot turned left");
+}
+
+fn truth(simulator: &Simulator, world_from_base: Pose2, linear_m_s: f64) -> Truth {
+    let header = Header { stamp: simulator.now(), ..Header::default() };
+    Truth { header, world_from_base, linear_m_s, ..Truth::default() }
+}
+
+#[test]
+fn peers_are_seen_and_vanish_when_silent() {
+    let room = box_room();
+    let mut simulator =
+        Simulator::new(&room, &with(LidarConfig::LDS_01), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let ahead = |simulator: &mut Simulator| scan(simulator).ranges_m()[0];
+    assert!((ahead(&mut simulator) - 2.032).abs() < 0.002);
+    for _ in 0..20 {
+        let peer = truth(&simulator, Pose2::new(1.0, 0.0, 2.0), 0.0);
+        simulator.see(robot(2), &peer);
+        simulator.step();
+    }
+    // The LiDAR's housing, 0.055 m in radius, sits 0.017 m behind the peer's middle.
+    let housing = Pose2::new(1.0, 0.0, 2.0).apply([-0.017, 0.0]);
+    let expected = 0.032 + housing[0] - (0.055f64.powi(2) - housing[1].powi(2)).sqrt();
+    let seen = f64::from(ahead(&mut simulator));
+    assert!((seen - expected).abs() < 0.003, "{seen} {expected}");
+    for _ in 0..110 {
+        simulator.step();
+    }
+    assert!((ahead(&mut simulator) - 2.032).abs() < 0.002, "silent for a second");
+    let peer = truth(&simulator, Pose2::new(0.5, 0.0, 0.0), 0.0);
+    simulator.see(robot(2), &peer);
+    simulator.step();
+    assert!(ahead(&mut simulator) < 0.6, "and back");
+    assert_eq!(simulator.refused(), 0);
+}
+
+#[test]
+fn peers_are_bumped_into() {
+    let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let mut last = Truth::default();
+    for _ in 0..1000 {
+        let peer = truth(&simulator, Pose2::new(0.5, 0.0, 0.0), 0.0);
+        simulator.see(robot(2), &peer);
+        simulator.command(&drive(0.15, 0.0));
+        last = simulator.step().truth;
+    }
+    // Front of the one at x + 0.038, rear of the other at 0.5 - 0.102.
+    assert!((last.world_from_base.x_m - 0.36).abs() < 0.01, "{last:?}");
+    assert_eq!(last.contacts, 1);
+}
+
+#[test]
+fn a_moving_peer_pushes() {
+    let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let mut last = Truth::default();
+    let mut peer = truth(&simulator, Pose2::new(-0.6, 0.0, 0.0), 0.15);
+    for tick in 0..600 {
+        let x_m = -0.6 + 0.0015 * f64::from(tick);
+        // Heard at 20 Hz: in between its motion is carried on.
+        if tick % 5 == 0 {
+            peer = truth(&simulator, Pose2::new(x_m, 0.0, 0.0), 0.15);
+            simulator.see(robot(2), &peer);
+        }
+        last = simulator.step().truth;
+    }
+    assert!(last.contacts >= 1);
+    assert!(last.world_from_base.x_m > 0.3, "{last:?} pushed ahead of {peer:?}");
+    assert!(last.world_from_base.is_finite());
+}
+
+#[test]
+fn impossible_peers_are_refused() {
+    let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let sound = truth(&simulator, Pose2::new(1.0, 0.0, 0.0), 0.0);
+    simulator.see(robot(1), &sound);
+    simulator.see(robot(2), &Truth { world_from_base: Pose2::new(f64::NAN, 0.0, 0.0), ..sound });
+    simulator.see(robot(2), &Truth { linear_m_s: f64::INFINITY, ..sound });
+    let late = Header { stamp: Stamp(60_000_000_000), ..Header::default() };
+    simulator.see(robot(2), &Truth { header: late, ..sound });
+    assert_eq!(simulator.refused(), 4);
+}
+
+/// A peer that jumps onto the robot, over and over, from everywhere, and flings it about.
+#[test]
+fn abuse_yields_no_nan() {
+    let mut simulator =
+        Simulator::new(&box_room(), &SimConfig::default(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    for k in 0..2000 {
+        let angle = f64::from(k) * 0.7;
+        let at = simulator_pose(&mut simulator).apply([0.09 * angle.cos(), 0.09 * angle.sin()]);
+        let mut peer = truth(&simulator, Pose2::new(at[0], at[1], angle), 1e3);
+        peer.angular_rad_s = -1e3;
+        simulator.see(robot(2 + k as usize % 3), &peer);
+        let run = Run::of(&mut simulator, 0.15, 1.5, 1);
+        assert!(run.truths[0].world_from_base.is_finite() && run.truths[0].linear_m_s.is_finite());
+        assert!(run.odometry.iter().all(|odometry| odometry.odom_from_base.is_finite()));
+        assert!(scan(&mut simulator).ranges_m().iter().all(|range| range.is_nan() || *range > 0.0));
+    }
+}
+
+fn simulator_pose(simulator: &mut Simulator) -> Pose2 {
+    simulator.step().truth.world_from_base
+}

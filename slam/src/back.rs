@@ -1,0 +1,350 @@
+//! The back end: node by node it builds the pose graph, links scans that see the same surfaces,
+//! looks for places seen before, solves, and draws. It runs beside the scan path, on any thread;
+//! what comes out depends on the nodes alone.
+
+use crate::align::{Reference, align};
+use crate::canvas::Canvas;
+use crate::closure::{Detector, Find, Search, SearchCounts, View};
+use crate::config::SlamConfig;
+use crate::graph::{EdgeKind, Graph, Relative};
+use crate::node::{Node, Revision};
+use msg::{GridView, Pose2, pose::wrap_angle};
+use nalgebra::{Matrix3, Vector3};
+use std::collections::VecDeque;
+
+/// Nodes up to so many before and after a closure are linked again.
+const RELINK_NODES: u32 = 10;
+/// Nodes not found that are remembered, to be looked for again after a closure.
+const NOT_FOUND_MAX: usize = 256;
+/// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre
+/// between what is looked at.
+const VIEWPOINT: f64 = 0.5;
+/// Near links are spread: not two to nodes this close in order.
+const NEAR_SPREAD: u32 = 3;
+
+/// See the module.
+pub struct Back {
+    config: SlamConfig,
+    nodes: Vec<Node>,
+    graph: Graph,
+    detector: Detector,
+    canvas: Canvas,
+    travelled_m: f64,
+    /// Nodes looked for and not found since the last closure,
+    not_found: VecDeque<u32>,
+    /// and those from before it, to be looked for once more.
+    again: VecDeque<u32>,
+    /// Nodes with links to older parts of the map since the last solution.
+    unsolved: usize,
+    closures: u32,
+    solutions: u64,
+    retracted: u64,
+}
+
+/// What the back end has done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BackCounts {
+    /// Nodes in the graph.
+    pub nodes: usize,
+    /// Links in force.
+    pub links: usize,
+    /// Closures in force.
+    pub closures: usize,
+    /// Closures taken back.
+    pub retracted: u64,
+    /// Solutions of the whole graph.
+    pub solutions: u64,
+    /// Nodes not drawn because the map would have become larger than a grid may be.
+    pub not_drawn: u64,
+    /// How closure searches ended.
+    pub searches: SearchCounts,
+}
+
+impl Back {
+    /// Without nodes.
+    pub fn new(config: SlamConfig) -> Self {
+        Self {
+            nodes: Vec::new(),
+            graph: Graph::new(config.graph.clone()),
+            detector: Detector::new(config.clone()),
+            canvas: Canvas::new(config.map.clone()),
+            travelled_m: 0.0,
+            not_found: VecDeque::with_capacity(NOT_FOUND_MAX),
+            again: VecDeque::with_capacity(NOT_FOUND_MAX),
+            unsolved: 0,
+            closures: 0,
+            solutions: 0,
+            retracted: 0,
+            config,
+        }
+    }
+
+    /// Takes the next node: place it, link it, look for a closure, solve if that is due.
+    pub fn add(&mut self, node: Node) -> Revision {
+        let id = node.id;
+        self.place(node);
+        self.link_sequential(id);
+        let relative = self.relative_to(id);
+        let linked = self.link_near(id, &relative);
+        self.unsolved += usize::from(linked > 0);
+        if self.detector.due(self.travelled_m) {
+            self.search(id, &relative);
+        } else {
+            self.search_again();
+        }
+        if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
+            self.solve(false);
+        }
+        self.revision()
+    }
+
+    /// The last word: looks again where nothing was found, solves with all that is known.
+    pub fn finish(&mut self) {
+        self.solve(false);
+        while self.search_again() {}
+        self.solve(false);
+    }
+
+    /// Looks for a node among places seen before. Where nothing was found, a better map may help:
+    /// the node is noted, to be tried once more after the next closure.
+    fn search(&mut self, id: u32, relative: &[Option<Relative>]) -> bool {
+        let view = View { nodes: &self.nodes, graph: &self.graph };
+        match self.detector.search(&view, id, relative, self.travelled_m) {
+            Search::NoCandidate => return false,
+            Search::Nothing | Search::Waits => {
+                if self.not_found.len() == NOT_FOUND_MAX {
+                    self.not_found.pop_front();
+                }
+                self.not_found.push_back(id);
+            }
+            Search::Believed(finds) => self.close(&finds),
+        }
+        true
+    }
+
+    /// Tries one node once more that was not found before the last closure; false if there is none.
+    fn search_again(&mut self) -> bool {
+        while let Some(id) = self.again.pop_front() {
+            let relative = self.relative_to(id);
+            self.unsolved += usize::from(self.link_near(id, &relative) > 0);
+            let view = View { nodes: &self.nodes, graph: &self.graph };
+            match self.detector.search(&view, id, &relative, self.travelled_m) {
+                Search::NoCandidate => continue,
+                Search::Nothing | Search::Waits => {}
+                Search::Believed(finds) => self.close(&finds),
+            }
+            return true;
+        }
+        false
+    }
+
+    /// What has been done.
+    pub fn counts(&self) -> BackCounts {
+        let count = |kind| self.graph.edges().iter().filter(|e| e.in_force && e.kind == kind).count();
+        BackCounts {
+            nodes: self.nodes.len(),
+            links: count(EdgeKind::Link),
+            closures: count(EdgeKind::Closure),
+            retracted: self.retracted,
+            solutions: self.solutions,
+            not_drawn: self.canvas.clipped(),
+            searches: self.detector.counts(),
+        }
+    }
+
+    /// The pose graph.
+    pub fn graph(&self) -> &Graph {
+        &self.graph
+    }
+
+    /// The nodes, by id.
+    pub fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    /// The map of all nodes.
+    pub fn map(&mut self) -> GridView<'_> {
+        self.canvas.draw(&self.nodes, self.graph.poses())
+    }
+
+    /// Puts a node where the scan path says, as seen from the node before, with odometry's edge.
+    fn place(&mut self, node: Node) {
+        let Some(previous) = self.nodes.last() else {
+            self.graph.add_node(node.local_from_base);
+            self.nodes.push(node);
+            return;
+        };
+        let moved = previous.local_from_base.between(node.local_from_base);
+        let (a, b) = (previous.id, node.id);
+        let map_from_node = self.graph.poses()[a as usize] * moved;
+        self.travelled_m += moved.x_m.hypot(moved.y_m);
+        self.graph.add_node(map_from_node);
+        let measured = node.previous_from_this.unwrap_or(moved);
+        let information = self.odometry_information(measured, node.previous_from_this.is_some());
+        self.nodes.push(node);
+        self.graph.add_edge([a, b], measured, information, EdgeKind::Odometry, [0.0; 2]);
+    }
+
+    fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
+        let c = &self.config.odometry;
+        let (way, turn) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
+        let doubt = if measured { 1.0 } else { 5.0 };
+        let m = doubt * (c.sigma_m + c.sigma_m_per_m * way);
+        let rad = doubt * (c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way);
+        Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
+    }
+
+    fn link_sequential(&mut self, id: u32) {
+        for back in 1..=self.config.links.sequential as u32 {
+            if let Some(older) = id.checked_sub(back) {
+                self.link(older, id, Relative { position: 0.01, heading: 0.003 });
+            }
+        }
+    }
+
+    fn relative_to(&self, id: u32) -> Vec<Option<Relative>> {
+        self.graph.relative_to(id, self.config.closures.window_max_m.powi(2))
+    }
+
+    /// Links a node to nearby nodes whose relative pose is well known. Returns how many.
+    fn link_near(&mut self, id: u32, relative: &[Option<Relative>]) -> usize {
+        let l = &self.config.links;
+        let here = self.graph.poses()[id as usize];
+        let seen = here.apply(self.nodes[id as usize].cloud.middle());
+        let mut near: Vec<(f64, u32)> = (0..self.nodes.len() as u32)
+            .filter(|other| other.abs_diff(id) > l.sequential as u32)
+            .filter_map(|other| {
+                let known = relative.get(other as usize).copied().flatten()?;
+                let sure = known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2);
+                let pose = self.graph.poses()[other as usize];
+                let [x, y] = pose.apply(self.nodes[other as usize].cloud.middle());
+                let apart = (x - seen[0]).hypot(y - seen[1]);
+                (sure && apart < l.distance_max_m)
+                    .then_some((apart + VIEWPOINT * here.distance_m(pose), other))
+            })
+            .collect();
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut chosen: Vec<u32> = Vec::with_capacity(l.near);
+        for (_, other) in near {
+            if chosen.len() < l.near && chosen.iter().all(|c| c.abs_diff(other) >= NEAR_SPREAD) {
+                chosen.push(other);
+            }
+        }
+        let known = |other: u32| relative[other as usize].unwrap_or(Relative { position: 0.0, heading: 0.0 });
+        chosen.iter().filter(|&&other| self.link(other.min(id), other.max(id), known(other))).count()
+    }
+
+    /// Aligns b's scan with a's and keeps the measurement if the scans agree.
+    fn link(&mut self, a: u32, b: u32, known: Relative) -> bool {
+        let l = &self.config.links;
+        let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
+        let enough = older.cloud.points().len().min(newer.cloud.points().len());
+        if !newer.fits || enough < self.config.tracking.points_min || self.linked(a, b) {
+            return false;
+        }
+        let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);
+        let reference = Reference { cloud: &older.cloud, frame_from_cloud: Pose2::IDENTITY };
+        let fit = align(&newer.cloud, guess, &[reference], None, l);
+        if fit.overlap < l.overlap_min {
+            return false;
+        }
+        let moved = fit.frame_from_cloud.distance_m(guess);
+        let turned = wrap_angle(fit.frame_from_cloud.yaw_rad - guess.yaw_rad).abs();
+        if moved > 3.0 * known.position.sqrt() + 0.05 || turned > 3.0 * known.heading.sqrt() + 0.02 {
+            return false;
+        }
+        let (agree, contradict) = older.cloud.judge(&newer.cloud, fit.frame_from_cloud, 0.15, 0.4);
+        if (agree as f32) < l.agreement_min * (agree + contradict) as f32 {
+            return false;
+        }
+        let information = self.floored(fit.information);
+        let drift = self.drift(fit.frame_from_cloud);
+        self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::Link, drift);
+        true
+    }
+
+    fn drift(&self, a_from_b: Pose2) -> [f64; 2] {
+        let way = a_from_b.x_m.hypot(a_from_b.y_m);
+        [self.config.links.drift_m_per_m * way, self.config.links.drift_rad_per_m * way]
+    }
+
+    fn linked(&self, a: u32, b: u32) -> bool {
+        self.graph.edges_of(b).any(|e| e.kind == EdgeKind::Link && e.a == a && e.b == b)
+    }
+
+    /// Information that claims no more than the floor allows, and nothing where nothing was seen.
+    fn floored(&self, information: Matrix3<f64>) -> Matrix3<f64> {
+        let l = &self.config.links;
+        let floor = Vector3::new(l.floor_m.powi(2), l.floor_m.powi(2), l.floor_rad.powi(2));
+        let seen = (information + Matrix3::identity() * 1e-2).try_inverse();
+        let total = seen.map(|s| s + Matrix3::from_diagonal(&floor));
+        let inverse = total.and_then(|t| t.try_inverse()).unwrap_or(Matrix3::zeros());
+        (inverse + inverse.transpose()) * 0.5
+    }
+
+    /// Brings believed finds into the graph, solves, and links the newest nodes to what they now see.
+    fn close(&mut self, finds: &[Find]) {
+        for find in finds {
+            let information = self.floored(find.information);
+            let (a, b) = (find.candidate, find.node);
+            let drift = self.drift(find.candidate_from_node);
+            self.graph.add_edge([a, b], find.candidate_from_node, information, EdgeKind::Closure, drift);
+        }
+        self.solve(true);
+        for id in self.around(finds) {
+            let relative = self.relative_to(id);
+            self.link_near(id, &relative);
+        }
+        while let Some(id) = self.not_found.pop_front() {
+            if self.again.len() < NOT_FOUND_MAX {
+                self.again.push_back(id);
+            }
+        }
+        self.solve(false);
+    }
+
+    /// Nodes around both ends of closures, without doubles, in order.
+    fn around(&self, finds: &[Find]) -> Vec<u32> {
+        let newest = self.nodes.len() as u32 - 1;
+        let span = |id: u32| id.saturating_sub(RELINK_NODES)..=(id + RELINK_NODES).min(newest);
+        let mut ids: Vec<u32> = finds.iter().flat_map(|f| span(f.node)).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
+    }
+
+    fn solve(&mut self, shock: bool) {
+        self.graph.solve(shock);
+        self.solutions += 1;
+        self.unsolved = 0;
+        self.retract_contradicted();
+    }
+
+    /// Takes back closures that the solved graph contradicts.
+    fn retract_contradicted(&mut self) {
+        let limit = self.config.graph.retract_sigmas.powi(2);
+        let contradicted: Vec<usize> = (0..self.graph.edges().len())
+            .filter(|&i| {
+                let edge = &self.graph.edges()[i];
+                edge.in_force && edge.kind == EdgeKind::Closure && self.graph.chi_squared(edge) > limit
+            })
+            .collect();
+        for &index in &contradicted {
+            self.graph.edge_mut(index).in_force = false;
+            self.retracted += 1;
+        }
+        let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
+        self.closures = self.graph.edges().iter().filter(in_force).count() as u32;
+    }
+
+    fn revision(&self) -> Revision {
+        let newest = self.nodes.len() - 1;
+        let local_from_node = self.nodes[newest].local_from_base;
+        Revision {
+            cause: newest as u32,
+            effective_from: newest as u32 + self.config.graph.revision_lag_nodes,
+            map_from_local: self.graph.poses()[newest] * local_from_node.inverse(),
+            closures: self.closures,
+        }
+    }
+}

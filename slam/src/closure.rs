@@ -1,0 +1,358 @@
+//! Places seen before: which to try, how to look for them, and what a find must stand up to.
+//!
+//! A find is believed when (1) its response is high, (2) no other place in the window comes near
+//! it, (3) the scans of both passes do not contradict each other (no surface where the other saw
+//! through), and (4) finds from different places on the way agree with each other (pairwise
+//! consistency, Olson 2009, "Recognizing places using spectrally clustered local matches").
+
+use crate::align::{Alignment, Reference, align};
+use crate::cloud::Cloud;
+use crate::config::SlamConfig;
+use crate::field::{Field, Limits, Peak, Scratch, Window};
+use crate::graph::{Graph, Relative};
+use crate::node::Node;
+use msg::{Pose2, pose::wrap_angle};
+use nalgebra::Matrix3;
+use std::collections::VecDeque;
+
+/// Finds that wait for a witness.
+const PENDING_MAX: usize = 64;
+/// A find waits for witnesses over so many nodes.
+const PENDING_NODES: u32 = 40;
+/// Half side of the field searched in, metres.
+const REACH_M: f32 = 20.0;
+/// References and query nodes that take part in alignment and contradiction tests.
+const JUDGES: usize = 6;
+/// Nodes before the newest that are looked for with it, at least.
+const QUERY_NODES_MIN: u32 = 5;
+/// Candidate passes tried in one search.
+const TRIES: usize = 2;
+/// Nodes must be this far apart in the graph's order to be a place seen before.
+const AGO_NODES: u32 = 12;
+
+/// A node found from a later one.
+#[derive(Clone, Copy, Debug)]
+pub struct Find {
+    /// The later node.
+    pub node: u32,
+    /// The place seen before.
+    pub candidate: u32,
+    /// The later node as seen from it.
+    pub candidate_from_node: Pose2,
+    /// Inverse covariance in the candidate's frame.
+    pub information: Matrix3<f64>,
+}
+
+/// How searches ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SearchCounts {
+    /// Searches made.
+    pub searches: u64,
+    /// Without a pose that scores enough.
+    pub no_response: u64,
+    /// Two places looked alike, or the search was given up.
+    pub ambiguous: u64,
+    /// Too little found a surface, or too much was contradicted.
+    pub contradicted: u64,
+    /// Finds that waited for a witness in vain.
+    pub unconfirmed: u64,
+    /// Finds believed.
+    pub believed: u64,
+}
+
+/// A node and its pose in some other node's frame.
+type Placed<'a> = (&'a Node, Pose2);
+
+/// What a search looks at.
+pub struct View<'a> {
+    /// All nodes, by id.
+    pub nodes: &'a [Node],
+    /// Their poses.
+    pub graph: &'a Graph,
+}
+
+impl<'a> View<'a> {
+    fn placed(&self, from: u32, id: u32) -> Placed<'a> {
+        let poses = self.graph.poses();
+        (&self.nodes[id as usize], poses[from as usize].between(poses[id as usize]))
+    }
+
+    /// Nodes before and after `middle`, each side up to `half_m` of way and `half_nodes`: first and last.
+    fn pass(&self, middle: u32, half_m: f64, half_nodes: u32) -> (u32, u32) {
+        let poses = self.graph.poses();
+        let reach = |step: i64| {
+            let (mut id, mut way) = (i64::from(middle), 0.0);
+            while (id - i64::from(middle)).unsigned_abs() < u64::from(half_nodes) {
+                let Some(next) = poses.get((id + step) as usize) else { break };
+                way += poses[id as usize].distance_m(*next);
+                if way > half_m {
+                    break;
+                }
+                id += step;
+            }
+            id as u32
+        };
+        (reach(-1), reach(1))
+    }
+}
+
+/// How a search ended.
+pub enum Search {
+    /// No place seen before can be here, or it is known already.
+    NoCandidate,
+    /// Looked for and not found.
+    Nothing,
+    /// Found, but not yet believed.
+    Waits,
+    /// Found and believed, with its witnesses.
+    Believed(Vec<Find>),
+}
+
+/// See the module.
+pub struct Detector {
+    config: SlamConfig,
+    field: Field,
+    scratch: Scratch,
+    pending: VecDeque<Find>,
+    counts: SearchCounts,
+    last_search_m: Option<f64>,
+}
+
+impl Detector {
+    /// Nothing found yet.
+    pub fn new(config: SlamConfig) -> Self {
+        let t = &config.tracking;
+        Self {
+            field: Field::new(t.cell_m, REACH_M, t.blur_m),
+            scratch: Scratch::default(),
+            pending: VecDeque::with_capacity(PENDING_MAX),
+            counts: SearchCounts::default(),
+            last_search_m: None,
+            config,
+        }
+    }
+
+    /// How searches ended.
+    pub fn counts(&self) -> SearchCounts {
+        self.counts
+    }
+
+    /// Whether the newest node should be looked for, after `travelled_m` of way.
+    pub fn due(&self, travelled_m: f64) -> bool {
+        let far = self.last_search_m.is_none_or(|at| travelled_m - at >= self.config.closures.travel_m);
+        self.config.closures.enabled && far
+    }
+
+    /// Looks for a node among places seen before (or since); `relative` says how well every node is
+    /// known as seen from it. Returns the finds that are believed now.
+    pub fn search(
+        &mut self,
+        view: &View<'_>,
+        node: u32,
+        relative: &[Option<Relative>],
+        travelled_m: f64,
+    ) -> Search {
+        self.forget_old(node);
+        let candidates = self.candidates(view.graph, relative, node);
+        if candidates.is_empty() {
+            return Search::NoCandidate;
+        }
+        self.last_search_m = Some(travelled_m);
+        for candidate in candidates {
+            self.counts.searches += 1;
+            let window = self.window(view.graph, relative[candidate as usize], candidate, node);
+            if let Some(find) = self.try_candidate(view, window, candidate, node) {
+                let believed = self.witnesses(view.graph, find);
+                return if believed.is_empty() { Search::Waits } else { Search::Believed(believed) };
+            }
+        }
+        Search::Nothing
+    }
+
+    fn forget_old(&mut self, node: u32) {
+        let before = self.pending.len();
+        self.pending.retain(|f| f.node.abs_diff(node) <= PENDING_NODES);
+        self.counts.unconfirmed += (before - self.pending.len()) as u64;
+    }
+
+    /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
+    fn candidates(&self, graph: &Graph, relative: &[Option<Relative>], node: u32) -> Vec<u32> {
+        let (c, l) = (&self.config.closures, &self.config.links);
+        let here = graph.poses()[node as usize];
+        let known = |r: &Relative| r.position < l.sigma_max_m.powi(2) && r.heading < l.sigma_max_rad.powi(2);
+        let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
+            .filter(|id| id.abs_diff(node) > AGO_NODES)
+            .filter_map(|id| {
+                if relative[id as usize].as_ref().is_some_and(known) {
+                    return None;
+                }
+                let sigma = relative[id as usize].map_or(f64::INFINITY, |r| r.position.sqrt());
+                let reach = c.radius_m + (c.window_sigmas * sigma).min(c.window_max_m);
+                let distance = here.distance_m(graph.poses()[id as usize]);
+                (distance < reach).then_some((distance, id))
+            })
+            .collect();
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut chosen: Vec<u32> = Vec::new();
+        for (_, id) in near {
+            if chosen.iter().all(|other| !self.same_pass(graph, *other, id)) {
+                chosen.push(id);
+            }
+            if chosen.len() == TRIES {
+                break;
+            }
+        }
+        chosen
+    }
+
+    /// Whether the pass around one node covers the other one.
+    fn same_pass(&self, graph: &Graph, a: u32, b: u32) -> bool {
+        let c = &self.config.closures;
+        let poses = &graph.poses()[a.min(b) as usize..=a.max(b) as usize];
+        let way: f64 = poses.windows(2).map(|p| p[0].distance_m(p[1])).sum();
+        way < c.chain_m && poses.len() <= c.chain_nodes
+    }
+
+    fn try_candidate(&mut self, view: &View<'_>, window: Window, candidate: u32, node: u32) -> Option<Find> {
+        let query = self.query(view, node);
+        let chain = self.chain(view, candidate, &query);
+        let peak = self.correlate(&query, &window)?;
+        let fit = self.settle(&chain, &query, peak)?;
+        let (candidate_from_node, information) = (fit.frame_from_cloud, fit.information);
+        Some(Find { node, candidate, candidate_from_node, information })
+    }
+
+    /// The pass around the candidate, as seen from it.
+    fn chain<'a>(&mut self, view: &View<'a>, candidate: u32, query: &[Placed<'a>]) -> Vec<Placed<'a>> {
+        let c = &self.config.closures;
+        let (first, last) = view.pass(candidate, c.chain_m / 2.0, c.chain_nodes as u32 / 2);
+        let (from, to) = (query[0].0.id, query[query.len() - 1].0.id);
+        self.field.clear([0.0; 2]);
+        let mut chain = Vec::with_capacity(c.chain_nodes + 1);
+        for id in (first..=last).filter(|id| !(from..=to).contains(id)) {
+            let (node, candidate_from_node) = view.placed(candidate, id);
+            self.field.insert(&node.cloud, candidate_from_node);
+            chain.push((node, candidate_from_node));
+        }
+        chain
+    }
+
+    /// The nodes around `node`, as seen from it: those before it, or both sides of an older one.
+    fn query<'a>(&self, view: &View<'a>, node: u32) -> Vec<Placed<'a>> {
+        let c = &self.config.closures;
+        let most = c.query_nodes as u32;
+        let (mut first, last) = view.pass(node, c.query_m / 2.0, most / 2);
+        // A new node has nothing after it: what is missing there is taken from before.
+        let newest = last + 1 == view.nodes.len() as u32;
+        if newest {
+            first = view.pass(node, c.query_m, most).0.max((last + 1).saturating_sub(most));
+        }
+        // However dense the nodes, a few more than one scan.
+        first = first.min(last.saturating_sub(QUERY_NODES_MIN));
+        (first..=last).map(|id| view.placed(node, id)).collect()
+    }
+
+    fn window(&self, graph: &Graph, relative: Option<Relative>, candidate: u32, node: u32) -> Window {
+        let c = &self.config.closures;
+        let sigmas = relative.unwrap_or(Relative { position: 1e6, heading: 1e6 });
+        Window {
+            centre: graph.poses()[candidate as usize].between(graph.poses()[node as usize]),
+            half_m: (c.window_sigmas * sigmas.position.sqrt()).clamp(0.5, c.window_max_m),
+            half_rad: (c.window_sigmas * sigmas.heading.sqrt()).clamp(0.1, c.window_max_rad),
+            pull: 0.0,
+        }
+    }
+
+    fn correlate(&mut self, query: &[Placed<'_>], window: &Window) -> Option<Peak> {
+        let c = &self.config.closures;
+        let total: usize = query.iter().map(|(n, _)| n.cloud.points().len()).sum();
+        let stride = total.div_ceil(c.query_points_max).max(1);
+        let mut points = Vec::with_capacity(c.query_points_max + query.len());
+        for (node, query_from_node) in query {
+            let place = crate::cloud::Placement::new(*query_from_node);
+            points.extend(node.cloud.points().iter().step_by(stride).map(|p| place.point(p.at)));
+        }
+        let limits = Limits { score_min: c.response_min, evaluations_max: c.evaluations_max, except: None };
+        let Some(peak) = self.field.search(&points, window, &limits, &mut self.scratch) else {
+            self.counts.no_response += 1;
+            return None;
+        };
+        let rival =
+            Limits { score_min: peak.score * c.rival_max, except: Some((peak.pose, 0.6, 0.2)), ..limits };
+        let other = self.field.search(&points, window, &rival, &mut self.scratch);
+        if peak.given_up || other.is_some() {
+            self.counts.ambiguous += 1;
+            return None;
+        }
+        Some(peak)
+    }
+
+    /// Aligns the newest scan at the peak and asks the scans of both passes whether they agree.
+    fn settle(&mut self, chain: &[Placed<'_>], query: &[Placed<'_>], peak: Peak) -> Option<Alignment> {
+        let c = &self.config.closures;
+        let mut near: Vec<&Placed<'_>> = chain.iter().collect();
+        let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
+        near.sort_by(|a, b| away(&a.1).total_cmp(&away(&b.1)).then(a.0.id.cmp(&b.0.id)));
+        near.truncate(JUDGES);
+        let references: Vec<Reference<'_>> =
+            near.iter().map(|(n, pose)| Reference { cloud: &n.cloud, frame_from_cloud: *pose }).collect();
+        let merged =
+            Cloud::merged(query.iter().map(|(n, pose)| (&*n.cloud, *pose)), 4 * self.config.lidar.points_max);
+        let fit = align(&merged, peak.pose, &references, None, &self.config.links);
+        let strayed = fit.frame_from_cloud.distance_m(peak.pose) > 0.5;
+        let (agree, contradict) = judge(near.iter().copied(), query, fit.frame_from_cloud);
+        let sound = agree as f32 >= c.agreement_min * (agree + contradict) as f32;
+        if strayed || fit.overlap < c.overlap_min || !sound {
+            self.counts.contradicted += 1;
+            return None;
+        }
+        Some(fit)
+    }
+
+    /// Finds that agree with this one, and this one, if they are enough; else it waits.
+    fn witnesses(&mut self, graph: &Graph, find: Find) -> Vec<Find> {
+        let c = &self.config.closures;
+        let agrees = |other: &Find| {
+            let poses = graph.poses();
+            let to = poses[find.candidate as usize].between(poses[other.candidate as usize]);
+            let back = poses[other.node as usize].between(poses[find.node as usize]);
+            let implied = to * other.candidate_from_node * back;
+            let turned = wrap_angle(implied.yaw_rad - find.candidate_from_node.yaw_rad).abs();
+            implied.distance_m(find.candidate_from_node) < c.agree_m && turned < c.agree_rad
+        };
+        let mut together: Vec<Find> = self.pending.iter().filter(|f| agrees(f)).copied().collect();
+        together.push(find);
+        if together.len() < c.witnesses {
+            if self.pending.len() == PENDING_MAX {
+                self.pending.pop_front();
+            }
+            self.pending.push_back(find);
+            return Vec::new();
+        }
+        self.pending.retain(|f| together.iter().all(|t| t.node != f.node || t.candidate != f.candidate));
+        self.counts.believed += together.len() as u64;
+        together
+    }
+}
+
+/// Points of each pass against the other's: (on a surface, where the other saw through).
+fn judge<'a>(
+    chain: impl Iterator<Item = &'a Placed<'a>>,
+    query: &[Placed<'_>],
+    chain_from_query: Pose2,
+) -> (usize, usize) {
+    let (mut agree, mut contradict) = (0, 0);
+    for (old, chain_from_old) in chain {
+        for (new, query_from_new) in query.iter().rev().take(JUDGES) {
+            let old_from_new = chain_from_old.inverse() * chain_from_query * *query_from_new;
+            for (a, c) in [
+                old.cloud.judge(&new.cloud, old_from_new, 0.15, 0.4),
+                new.cloud.judge(&old.cloud, old_from_new.inverse(), 0.15, 0.4),
+            ] {
+                agree += a;
+                contradict += c;
+            }
+        }
+    }
+    (agree, contradict)
+}

@@ -1,0 +1,314 @@
+//! One scan as surface points: thinned to an even spacing, with normals, and a small index that
+//! finds the surface nearest to a point. All in `base_footprint`.
+
+use crate::config::LidarConfig;
+use msg::{Pose2, Scan};
+
+/// Side of an index cell, metres. A search covers half of it in every direction.
+const INDEX_CELL_M: f32 = 0.5;
+/// Farthest correspondence the index can find, metres.
+pub const SEARCH_MAX_M: f32 = INDEX_CELL_M / 2.0;
+/// A normal is fitted to the surface up to here on each side, metres: far enough to average out
+/// the noise of close beams,
+const NORMAL_REACH_M: f32 = 0.25;
+/// but always to the next beams, however far apart, and never to more than these.
+const NORMAL_BEAMS: core::ops::RangeInclusive<usize> = 2..=16;
+/// Neighbours on the same surface are not farther apart than this, plus twice the beams' spacing, metres.
+const SURFACE_GAP_M: f32 = 0.25;
+/// Points that scatter more than this around their line have no normal, metres.
+const FLATNESS_M: f32 = 0.04;
+/// Cosine of the largest angle between normals of the same surface.
+const FACING: f32 = 0.7;
+/// Bearings of [`Cloud::sees_through`].
+const BEARINGS: usize = 360;
+
+/// A point of a surface, metres, and the surface's unit normal towards the sensor (zero: unknown).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SurfacePoint {
+    /// Position.
+    pub at: [f32; 2],
+    /// Unit normal or zero.
+    pub normal: [f32; 2],
+}
+
+impl SurfacePoint {
+    /// Whether the surface's direction is known.
+    pub fn is_flat(&self) -> bool {
+        self.normal != [0.0; 2]
+    }
+}
+
+/// A scan's surfaces.
+#[derive(Clone, Debug)]
+pub struct Cloud {
+    /// Grouped by the index's buckets.
+    points: Vec<SurfacePoint>,
+    /// `heads[b]..heads[b + 1]` are bucket b's points. The number of buckets is a power of two.
+    heads: Vec<u16>,
+    sensor: [f32; 2],
+    /// Mean of the points: about what the scan looks at.
+    middle: [f32; 2],
+    /// Nearest return by bearing around the sensor, centimetres; 0: none.
+    seen_cm: Box<[u16; BEARINGS]>,
+}
+
+impl Cloud {
+    /// The surfaces of a scan.
+    pub fn new(scan: &Scan, config: &LidarConfig) -> Self {
+        let [x, y, yaw] = config.base_from_scan;
+        let base_from_scan = Pose2::new(x, y, yaw);
+        let hits = hits(scan, base_from_scan, config.range_use_max_m);
+        let gap_per_m = 2.0 * scan.angle_increment_rad.abs();
+        let sensor = [x as f32, y as f32];
+        let kept = thin(&hits, config.spacing_m, config.points_max);
+        let points = kept.iter().map(|&i| surface_point(&hits, i, gap_per_m, sensor)).collect();
+        Self { seen_cm: seen(&hits, sensor), ..Self::indexed(points, sensor) }
+    }
+
+    /// Several clouds as one, each at its place; every so many-th point if they are more than `points_max`.
+    /// It remembers nothing of what was seen through.
+    pub fn merged<'a>(clouds: impl Iterator<Item = (&'a Cloud, Pose2)> + Clone, points_max: usize) -> Self {
+        let total: usize = clouds.clone().map(|(c, _)| c.points.len()).sum();
+        let stride = total.div_ceil(points_max.max(1)).max(1);
+        let mut points = Vec::with_capacity(total / stride + 1);
+        for (cloud, pose) in clouds {
+            let place = Placement::new(pose);
+            points.extend(
+                cloud
+                    .points
+                    .iter()
+                    .step_by(stride)
+                    .map(|p| SurfacePoint { at: place.point(p.at), normal: place.direction(p.normal) }),
+            );
+        }
+        Self::indexed(points, [0.0; 2])
+    }
+
+    fn indexed(points: Vec<SurfacePoint>, sensor: [f32; 2]) -> Self {
+        let buckets = (2 * points.len()).next_power_of_two();
+        let mut heads = vec![0_u16; buckets + 1];
+        let share = 1.0 / points.len().max(1) as f32;
+        let middle = points.iter().fold([0.0; 2], |m, p| [m[0] + share * p.at[0], m[1] + share * p.at[1]]);
+        for p in &points {
+            heads[bucket(cell(p.at), buckets) + 1] += 1;
+        }
+        for b in 0..buckets {
+            heads[b + 1] += heads[b];
+        }
+        let mut next = heads.clone();
+        let mut sorted = vec![SurfacePoint::default(); points.len()];
+        for p in points {
+            let slot = &mut next[bucket(cell(p.at), buckets)];
+            sorted[*slot as usize] = p;
+            *slot += 1;
+        }
+        Self { points: sorted, heads, sensor, middle, seen_cm: Box::new([0; BEARINGS]) }
+    }
+
+    /// The points, in no particular order.
+    pub fn points(&self) -> &[SurfacePoint] {
+        &self.points
+    }
+
+    /// Mean of the points: about what the scan looks at, in `base_footprint`.
+    pub fn middle(&self) -> [f64; 2] {
+        self.middle.map(f64::from)
+    }
+
+    /// The point nearest to `at`, not farther than `gate_m` (at most [`SEARCH_MAX_M`]), whose normal
+    /// is within about 45° of `normal`, if both are known.
+    pub fn nearest(&self, at: [f32; 2], normal: [f32; 2], gate_m: f32) -> Option<&SurfacePoint> {
+        let buckets = self.heads.len() - 1;
+        let corner = at.map(|v| floor_i32(v * (1.0 / INDEX_CELL_M) - 0.5));
+        let mut best = gate_m.min(SEARCH_MAX_M).powi(2);
+        let mut found = None;
+        for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let b = bucket([corner[0] + dx, corner[1] + dy], buckets);
+            for p in &self.points[self.heads[b] as usize..self.heads[b + 1] as usize] {
+                let (x, y) = (p.at[0] - at[0], p.at[1] - at[1]);
+                let squared = x * x + y * y;
+                if squared < best && compatible(normal, p.normal) {
+                    best = squared;
+                    found = Some(p);
+                }
+            }
+        }
+        found
+    }
+
+    /// Whether this scan saw something clearly (by `margin_m`) behind `at`: nothing can stand there.
+    pub fn sees_through(&self, at: [f32; 2], margin_m: f32) -> bool {
+        let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
+        let reach_cm = ((x * x + y * y).sqrt() + margin_m) * 100.0;
+        let middle = bearing(x, y);
+        let around = [middle + BEARINGS - 1, middle, middle + 1];
+        around.iter().all(|b| f32::from(self.seen_cm[b % BEARINGS]) > reach_cm)
+    }
+
+    /// How a cloud placed at `self_from_other` agrees with this one: (points that lie on a surface
+    /// of this scan, points where this scan saw through).
+    pub fn judge(&self, other: &Cloud, self_from_other: Pose2, near_m: f32, margin_m: f32) -> (usize, usize) {
+        let place = Placement::new(self_from_other);
+        let (mut agree, mut contradict) = (0, 0);
+        for p in &other.points {
+            let at = place.point(p.at);
+            if self.nearest(at, place.direction(p.normal), near_m).is_some() {
+                agree += 1;
+            } else if self.sees_through(at, margin_m) {
+                contradict += 1;
+            }
+        }
+        (agree, contradict)
+    }
+}
+
+/// A pose ready to move single precision points.
+#[derive(Clone, Copy, Debug)]
+pub struct Placement {
+    x: f32,
+    y: f32,
+    sin: f32,
+    cos: f32,
+}
+
+impl Placement {
+    /// From a pose.
+    pub fn new(pose: Pose2) -> Self {
+        let (sin, cos) = pose.yaw_rad.sin_cos();
+        Self { x: pose.x_m as f32, y: pose.y_m as f32, sin: sin as f32, cos: cos as f32 }
+    }
+
+    /// The moved point.
+    pub fn point(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+        [self.cos * x - self.sin * y + self.x, self.sin * x + self.cos * y + self.y]
+    }
+
+    /// The turned direction.
+    pub fn direction(&self, [x, y]: [f32; 2]) -> [f32; 2] {
+        [self.cos * x - self.sin * y, self.sin * x + self.cos * y]
+    }
+}
+
+fn compatible(a: [f32; 2], b: [f32; 2]) -> bool {
+    let faces = a[0] * b[0] + a[1] * b[1];
+    faces > FACING || a == [0.0; 2] || b == [0.0; 2]
+}
+
+fn cell(at: [f32; 2]) -> [i32; 2] {
+    at.map(|v| floor_i32(v * (1.0 / INDEX_CELL_M)))
+}
+
+/// The largest integer not above `v`: without SSE 4.1 the library's floor is a call.
+pub fn floor_i32(v: f32) -> i32 {
+    let whole = v as i32;
+    whole - i32::from(v < whole as f32)
+}
+
+fn bucket([x, y]: [i32; 2], buckets: usize) -> usize {
+    let hash = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77);
+    (hash ^ (hash >> 15)) as usize & (buckets - 1)
+}
+
+fn bearing(x: f32, y: f32) -> usize {
+    let turns = y.atan2(x) / core::f32::consts::TAU + 0.5;
+    ((turns * BEARINGS as f32) as usize).min(BEARINGS - 1)
+}
+
+/// A return: place, range and beam number.
+#[derive(Clone, Copy)]
+struct Hit {
+    at: [f32; 2],
+    range: f32,
+}
+
+fn hits(scan: &Scan, base_from_scan: Pose2, range_use_max_m: f32) -> Vec<Hit> {
+    let place = Placement::new(base_from_scan);
+    let useful = scan.hits().filter(|(_, range)| *range <= range_use_max_m && *range > 0.0);
+    useful
+        .map(|(angle, range)| {
+            let (sin, cos) = angle.sin_cos();
+            Hit { at: place.point([range * cos, range * sin]), range }
+        })
+        .collect()
+}
+
+fn seen(hits: &[Hit], sensor: [f32; 2]) -> Box<[u16; BEARINGS]> {
+    let mut seen = Box::new([0_u16; BEARINGS]);
+    for hit in hits {
+        let slot = &mut seen[bearing(hit.at[0] - sensor[0], hit.at[1] - sensor[1])];
+        let range_cm = (hit.range * 100.0).clamp(1.0, 65_535.0) as u16;
+        *slot = if *slot == 0 { range_cm } else { range_cm.min(*slot) };
+    }
+    seen
+}
+
+fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
+    ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sqrt()
+}
+
+/// Indices of hits at least `spacing_m` apart along the scan; wider if they would be too many.
+fn thin(hits: &[Hit], spacing_m: f32, points_max: usize) -> Vec<usize> {
+    let mut spacing = spacing_m;
+    loop {
+        let mut kept: Vec<usize> = Vec::with_capacity(points_max + 1);
+        for (i, hit) in hits.iter().enumerate() {
+            if kept.last().is_none_or(|&last| distance(hits[last].at, hit.at) >= spacing) {
+                kept.push(i);
+            }
+            if kept.len() > points_max {
+                break;
+            }
+        }
+        if kept.len() <= points_max {
+            return kept;
+        }
+        spacing *= 1.5;
+    }
+}
+
+/// Fits a line to the neighbours of hit `i` along the scan (total least squares).
+fn surface_point(hits: &[Hit], i: usize, gap_per_m: f32, sensor: [f32; 2]) -> SurfacePoint {
+    let same = |a: usize, b: usize| {
+        distance(hits[a].at, hits[b].at) < SURFACE_GAP_M + gap_per_m * hits[a].range.max(hits[b].range)
+    };
+    let wanted = |j: usize| {
+        let (beams, way) = (j.abs_diff(i), distance(hits[i].at, hits[j].at));
+        beams <= *NORMAL_BEAMS.start() || (beams <= *NORMAL_BEAMS.end() && way < NORMAL_REACH_M)
+    };
+    let mut first = i;
+    while first > 0 && wanted(first - 1) && same(first - 1, first) {
+        first -= 1;
+    }
+    let mut last = i;
+    while last + 1 < hits.len() && wanted(last + 1) && same(last, last + 1) {
+        last += 1;
+    }
+    let at = hits[i].at;
+    let normal = if last - first >= 2 { line_normal(&hits[first..=last]) } else { None };
+    let towards = |n: [f32; 2]| {
+        let out = n[0] * (sensor[0] - at[0]) + n[1] * (sensor[1] - at[1]);
+        if out < 0.0 { [-n[0], -n[1]] } else { n }
+    };
+    SurfacePoint { at, normal: normal.map_or([0.0; 2], towards) }
+}
+
+fn line_normal(hits: &[Hit]) -> Option<[f32; 2]> {
+    let n = hits.len() as f32;
+    let mean = hits.iter().fold([0.0; 2], |m, h| [m[0] + h.at[0] / n, m[1] + h.at[1] / n]);
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for h in hits {
+        let (x, y) = (h.at[0] - mean[0], h.at[1] - mean[1]);
+        xx += x * x / n;
+        xy += x * y / n;
+        yy += y * y / n;
+    }
+    // Eigenvalues of the 2x2 scatter; the normal belongs to the small one.
+    let (middle, half) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
+    let (small, large) = ((middle - half).max(0.0), middle + half);
+    let flat = small.sqrt() < FLATNESS_M && small < 0.1 * large;
+    if !flat {
+        return None;
+    }
+    let along = 0.5 * (2.0 * xy).atan2(xx - yy);
+    Some([-along.sin(), along.cos()])
+}

@@ -1,0 +1,455 @@
+//! The scan path: one scan in, one pose out, in bounded time. It matches against local maps of
+//! the newest nodes in a frame of its own that never jumps; what the back end finds out about the
+//! past only moves that frame in the map.
+
+use crate::align::{Prior, Reference, align};
+use crate::cloud::Cloud;
+use crate::config::SlamConfig;
+use crate::field::{Field, Limits, Scratch, Window};
+use crate::node::{Node, Rays, Revision};
+use crate::odometry::OdometryBuffer;
+use msg::{Correction, Odometry, Pose2, Scan, Stamp, TrackingState};
+use nalgebra::{Matrix3, Vector3};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Revisions that wait for their node.
+const REVISIONS_MAX: usize = 64;
+/// A window smaller than this needs no search: the alignment finds the way.
+const SEARCH_MIN_M: f64 = 0.12;
+const SEARCH_MIN_RAD: f64 = 0.06;
+/// Field values under a good match; less is not worth aligning.
+const RESPONSE_MIN: f32 = 0.25;
+/// Evaluations one search of the scan path may cost.
+const EVALUATIONS_MAX: usize = 12_000;
+/// How strongly the search prefers what odometry says.
+const PULL: f32 = 0.1;
+
+/// Why a scan was not used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    /// Its stamp is that of the scan before.
+    #[error("the scan has the stamp of the one before")]
+    StampRepeated,
+    /// Its stamp is before that of the scan before.
+    #[error("the scan is stamped before the one before it")]
+    StampWentBack,
+    /// It has no beam, or more than [`msg::BEAMS_MAX`].
+    #[error("the scan has no beams or too many")]
+    BeamCount,
+    /// Its angles or range limits are not usable numbers.
+    #[error("the scan's angles or range limits are not usable numbers")]
+    Geometry,
+}
+
+/// How many scans went which way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Scans that got a pose.
+    pub accepted: u64,
+    /// See [`Refusal::StampRepeated`].
+    pub stamp_repeated: u64,
+    /// See [`Refusal::StampWentBack`].
+    pub stamp_went_back: u64,
+    /// See [`Refusal::BeamCount`].
+    pub beam_count: u64,
+    /// See [`Refusal::Geometry`].
+    pub geometry: u64,
+    /// Scans that did not fit the map, or saw too little to tell.
+    pub lost: u64,
+    /// Odometry messages that were no numbers or not newer than the last.
+    pub odometry_refused: u64,
+    /// Poses not remembered because the trajectory was full.
+    pub trajectory_dropped: u64,
+}
+
+/// The answer to one scan.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// Where the robot is. Of a refused scan: the last pose.
+    pub correction: Correction,
+    /// Set if the scan was not used.
+    pub refused: Option<Refusal>,
+    /// Set if the scan entered the pose graph: for the back end. ([`crate::Slam`] keeps it.)
+    pub node: Option<Node>,
+    /// The id of the node that the scan became.
+    pub made_node: Option<u32>,
+}
+
+/// An accepted scan rides on the newest node.
+#[derive(Clone, Copy, Debug)]
+pub struct Ride {
+    /// The scan's.
+    pub stamp: Stamp,
+    /// Which node.
+    pub node: u32,
+    /// The robot as seen from its node.
+    pub node_from_base: Pose2,
+}
+
+/// The scan before.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    stamp: Stamp,
+    local_from_base: Pose2,
+    odom_from_base: Option<Pose2>,
+    /// Motion over the last interval and its length, for logs without odometry.
+    velocity: Option<Pose2>,
+    covariance: Matrix3<f64>,
+}
+
+/// What the scan path knows before it looks at a scan.
+struct Expected {
+    pose: Pose2,
+    sigma_m: f64,
+    sigma_rad: f64,
+}
+
+struct Found {
+    local_from_base: Pose2,
+    covariance: Matrix3<f64>,
+    state: TrackingState,
+}
+
+/// See the module.
+pub struct Front {
+    config: SlamConfig,
+    odometry: OdometryBuffer,
+    last: Option<Last>,
+    /// Odometry at the newest node, if it has not jumped since.
+    node_odom_from_base: Option<Pose2>,
+    /// Newest nodes, newest at the back.
+    recent: VecDeque<Node>,
+    next_node: u32,
+    local_maps: [LocalMap; 2],
+    lost_in_row: u32,
+    scratch: Scratch,
+    points: Vec<[f32; 2]>,
+    map_from_local: Pose2,
+    closures: u32,
+    waiting: VecDeque<Revision>,
+    rides: Vec<Ride>,
+    counts: Counts,
+}
+
+/// Surfaces of some newest nodes as a field to search in.
+struct LocalMap {
+    field: Field,
+    nodes: usize,
+}
+
+impl Front {
+    /// Ready for the first scan.
+    pub fn new(config: SlamConfig) -> Self {
+        let t = &config.tracking;
+        let local_map = || LocalMap { field: Field::new(t.cell_m, t.local_map_reach_m, t.blur_m), nodes: 0 };
+        Self {
+            odometry: OdometryBuffer::new(config.odometry.clone()),
+            last: None,
+            node_odom_from_base: None,
+            recent: VecDeque::with_capacity(t.references + 1),
+            next_node: 0,
+            local_maps: [local_map(), local_map()],
+            lost_in_row: 0,
+            scratch: Scratch::default(),
+            points: Vec::with_capacity(t.search_points_max),
+            map_from_local: Pose2::IDENTITY,
+            closures: 0,
+            waiting: VecDeque::with_capacity(REVISIONS_MAX),
+            rides: Vec::new(),
+            counts: Counts::default(),
+            config,
+        }
+    }
+
+    /// Takes one odometry message.
+    pub fn odometry(&mut self, odometry: &Odometry) {
+        self.odometry.push(odometry);
+        self.counts.odometry_refused = self.odometry.refused();
+    }
+
+    /// Takes the back end's answer to an earlier node.
+    pub fn revise(&mut self, revision: Revision) {
+        if self.waiting.len() == REVISIONS_MAX {
+            self.waiting.pop_front();
+        }
+        self.waiting.push_back(revision);
+    }
+
+    /// Every accepted scan, in order.
+    pub fn rides(&self) -> &[Ride] {
+        &self.rides
+    }
+
+    /// How many scans went which way.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// One scan in, one pose out.
+    pub fn process(&mut self, scan: &Scan) -> Step {
+        if let Some(refusal) = self.refuse(scan) {
+            return self.refused(scan, refusal);
+        }
+        let odom_from_base = self.odometry.at(scan.header.stamp);
+        let expected = self.expect(scan.header.stamp, odom_from_base);
+        let cloud = Arc::new(Cloud::new(scan, &self.config.lidar));
+        let found = self.locate(&cloud, &expected);
+        let node = self.node_due(&found, &cloud).then(|| self.make_node(scan, &found, odom_from_base, cloud));
+        self.remember(scan.header.stamp, &found, odom_from_base);
+        let correction = self.correction(scan, &found, odom_from_base);
+        Step { correction, refused: None, made_node: node.as_ref().map(|n| n.id), node }
+    }
+
+    fn refuse(&self, scan: &Scan) -> Option<Refusal> {
+        let len = scan.len as usize;
+        let usable = scan.angle_min_rad.is_finite()
+            && scan.angle_increment_rad.is_finite()
+            && scan.angle_increment_rad.abs() <= 7.0
+            && scan.angle_min_rad.abs() <= 100.0
+            && scan.range_min_m >= 0.0
+            && scan.range_max_m > scan.range_min_m;
+        match self.last {
+            _ if len == 0 || len > msg::BEAMS_MAX => Some(Refusal::BeamCount),
+            _ if !usable => Some(Refusal::Geometry),
+            Some(last) if scan.header.stamp == last.stamp => Some(Refusal::StampRepeated),
+            Some(last) if scan.header.stamp < last.stamp => Some(Refusal::StampWentBack),
+            _ => None,
+        }
+    }
+
+    fn refused(&mut self, scan: &Scan, refusal: Refusal) -> Step {
+        *match refusal {
+            Refusal::StampRepeated => &mut self.counts.stamp_repeated,
+            Refusal::StampWentBack => &mut self.counts.stamp_went_back,
+            Refusal::BeamCount => &mut self.counts.beam_count,
+            Refusal::Geometry => &mut self.counts.geometry,
+        } += 1;
+        let last = self.last;
+        let found = Found {
+            local_from_base: last.map_or(Pose2::IDENTITY, |l| l.local_from_base),
+            covariance: last.map_or(Matrix3::zeros(), |l| l.covariance),
+            state: if last.is_some() { TrackingState::Lost } else { TrackingState::Starting },
+        };
+        let correction = self.correction(scan, &found, last.and_then(|l| l.odom_from_base));
+        Step { correction, refused: Some(refusal), node: None, made_node: None }
+    }
+
+    /// Where the robot should be by odometry, or by its last motion, and how sure that is.
+    fn expect(&mut self, stamp: Stamp, odom_from_base: Option<Pose2>) -> Expected {
+        let Some(last) = &self.last else {
+            return Expected { pose: Pose2::IDENTITY, sigma_m: 0.0, sigma_rad: 0.0 };
+        };
+        let c = &self.config.odometry;
+        let interval_s = stamp - last.stamp;
+        if let (Some(before), Some(now)) = (last.odom_from_base, odom_from_base) {
+            // Wheels that claim more than the robot can have driven were reset.
+            if before.distance_m(now) > 3.0 * (c.speed_max_m_s * interval_s + 1.0) {
+                self.node_odom_from_base = None;
+            }
+        }
+        // From the newest node, not from the scan before: many small steps would add up to more
+        // doubt than one long one.
+        let from_node = self.recent.back().zip(self.node_odom_from_base).zip(odom_from_base);
+        if let Some(((node, before), now)) = from_node {
+            let moved = before.between(now);
+            let (way, turn) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
+            let sigma_m = c.sigma_m + c.sigma_m_per_m * way;
+            let sigma_rad = c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way;
+            return Expected { pose: node.local_from_base * moved, sigma_m, sigma_rad };
+        }
+        let carried = last.velocity.filter(|_| interval_s < 0.5).unwrap_or(Pose2::IDENTITY);
+        Expected {
+            pose: last.local_from_base * carried,
+            sigma_m: 0.3 * c.speed_max_m_s * interval_s + c.sigma_m,
+            sigma_rad: 0.3 * c.turn_max_rad_s * interval_s + c.sigma_rad,
+        }
+    }
+
+    /// Matches the scan against the local map: search, then alignment.
+    fn locate(&mut self, cloud: &Cloud, expected: &Expected) -> Found {
+        let t = &self.config.tracking;
+        let believed = Matrix3::from_diagonal(&Vector3::new(
+            expected.sigma_m.powi(2),
+            expected.sigma_m.powi(2),
+            expected.sigma_rad.powi(2),
+        ));
+        let dead_reckoned = Found {
+            local_from_base: expected.pose,
+            covariance: self.last.map_or(Matrix3::zeros(), |l| l.covariance) + believed,
+            state: TrackingState::Lost,
+        };
+        if self.recent.is_empty() {
+            return Found { state: TrackingState::Starting, ..dead_reckoned };
+        }
+        if cloud.points().len() < t.points_min {
+            return dead_reckoned;
+        }
+        let (half_m, half_rad) = (3.0 * expected.sigma_m, 3.0 * expected.sigma_rad);
+        let narrow = half_m <= SEARCH_MIN_M && half_rad <= SEARCH_MIN_RAD;
+        let direct = if narrow { self.refine(cloud, expected.pose, expected) } else { None };
+        let found = direct.or_else(|| {
+            let guess = self.search(cloud, expected, half_m, half_rad)?;
+            self.refine(cloud, guess, expected)
+        });
+        found.unwrap_or(dead_reckoned)
+    }
+
+    fn search(&mut self, cloud: &Cloud, expected: &Expected, half_m: f64, half_rad: f64) -> Option<Pose2> {
+        let t = &self.config.tracking;
+        let stride = cloud.points().len().div_ceil(t.search_points_max).max(1);
+        self.points.clear();
+        self.points.extend(cloud.points().iter().step_by(stride).map(|p| p.at));
+        let window = Window {
+            centre: expected.pose,
+            half_m: half_m.clamp(SEARCH_MIN_M, t.window_max_m),
+            half_rad: half_rad.clamp(SEARCH_MIN_RAD, t.window_max_rad),
+            pull: PULL,
+        };
+        let limits = Limits { score_min: RESPONSE_MIN, evaluations_max: EVALUATIONS_MAX, except: None };
+        let older = &self.local_maps[0].field;
+        older.search(&self.points, &window, &limits, &mut self.scratch).map(|peak| peak.pose)
+    }
+
+    fn refine(&self, cloud: &Cloud, guess: Pose2, expected: &Expected) -> Option<Found> {
+        let references: Vec<Reference<'_>> = self
+            .recent
+            .iter()
+            .map(|n| Reference { cloud: &n.cloud, frame_from_cloud: n.local_from_base })
+            .collect();
+        let inverse = |sigma: f64| 1.0 / (sigma * sigma);
+        let (m, rad) = (inverse(expected.sigma_m), inverse(expected.sigma_rad));
+        let believed = Matrix3::from_diagonal(&Vector3::new(m, m, rad));
+        let prior = Prior { pose: expected.pose, information: believed };
+        let fit = align(cloud, guess, &references, Some(prior), &self.config.links);
+        if fit.overlap < self.config.tracking.overlap_min {
+            return None;
+        }
+        let floor = Matrix3::from_diagonal(&Vector3::new(1e-4, 1e-4, 1e-5));
+        let covariance = (fit.information + believed).try_inverse()? + floor;
+        let seen = (fit.information + Matrix3::identity() * 1e-3).try_inverse()?;
+        let widest = seen.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max().sqrt();
+        let degenerate = widest > self.config.tracking.degenerate_sigma_m;
+        let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
+        Some(Found { local_from_base: fit.frame_from_cloud, covariance, state })
+    }
+
+    fn node_due(&mut self, found: &Found, cloud: &Cloud) -> bool {
+        let t = &self.config.tracking;
+        if found.state == TrackingState::Lost {
+            self.counts.lost += 1;
+            // A scan that sees nothing is no reason to give up the local map.
+            let blind = cloud.points().len() < t.points_min;
+            self.lost_in_row += u32::from(!blind);
+            if blind || self.lost_in_row < t.lost_scans_max {
+                return false;
+            }
+        } else {
+            self.lost_in_row = 0;
+        }
+        if self.next_node as usize >= self.config.graph.nodes_max {
+            return false;
+        }
+        let Some(newest) = self.recent.back() else { return true };
+        let moved = newest.local_from_base.between(found.local_from_base);
+        moved.x_m.hypot(moved.y_m) >= t.node_distance_m || moved.yaw_rad.abs() >= t.node_turn_rad
+    }
+
+    fn make_node(&mut self, scan: &Scan, found: &Found, odom: Option<Pose2>, cloud: Arc<Cloud>) -> Node {
+        let fits = found.state != TrackingState::Lost;
+        let previous_from_this = self.node_odom_from_base.zip(odom).map(|(before, now)| before.between(now));
+        self.node_odom_from_base = odom;
+        let node = Node {
+            id: self.next_node,
+            header: scan.header,
+            local_from_base: found.local_from_base,
+            previous_from_this,
+            fits,
+            cloud,
+            rays: Arc::new(Rays::new(scan, &self.config)),
+        };
+        self.next_node += 1;
+        if !fits {
+            self.recent.clear();
+            self.lost_in_row = 0;
+        }
+        self.extend_local_maps(&node, !fits);
+        if self.recent.len() == self.config.tracking.references {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(node.clone());
+        self.apply_revisions(node.id);
+        node
+    }
+
+    /// Two local maps overlap: the older one is matched against, the younger one grows to replace it.
+    fn extend_local_maps(&mut self, node: &Node, anew: bool) {
+        let size = self.config.tracking.local_map_nodes;
+        let centre = [node.local_from_base.x_m, node.local_from_base.y_m];
+        let [older, younger] = &mut self.local_maps;
+        if older.nodes == 0 || anew {
+            older.field.clear(centre);
+            older.nodes = 0;
+            younger.nodes = 0;
+        } else if older.nodes >= size {
+            core::mem::swap(older, younger);
+            younger.nodes = 0;
+        }
+        older.field.insert(&node.cloud, node.local_from_base);
+        older.nodes += 1;
+        if older.nodes > size / 2 {
+            if younger.nodes == 0 {
+                younger.field.clear(centre);
+            }
+            younger.field.insert(&node.cloud, node.local_from_base);
+            younger.nodes += 1;
+        }
+    }
+
+    fn apply_revisions(&mut self, node: u32) {
+        while let Some(revision) = self.waiting.front().filter(|r| r.effective_from <= node) {
+            self.map_from_local = revision.map_from_local;
+            self.closures = revision.closures;
+            self.waiting.pop_front();
+        }
+    }
+
+    fn remember(&mut self, stamp: Stamp, found: &Found, odom_from_base: Option<Pose2>) {
+        self.counts.accepted += 1;
+        if let Some(node) = self.recent.back() {
+            let node_from_base = node.local_from_base.between(found.local_from_base);
+            if self.rides.len() < self.config.graph.trajectory_max {
+                self.rides.push(Ride { stamp, node: node.id, node_from_base });
+            } else {
+                self.counts.trajectory_dropped += 1;
+            }
+        }
+        let velocity = self.last.map(|l| l.local_from_base.between(found.local_from_base));
+        self.last = Some(Last {
+            stamp,
+            local_from_base: found.local_from_base,
+            odom_from_base,
+            velocity,
+            covariance: found.covariance,
+        });
+    }
+
+    fn correction(&self, scan: &Scan, found: &Found, odom_from_base: Option<Pose2>) -> Correction {
+        let map_from_base = self.map_from_local * found.local_from_base;
+        let (sin, cos) = self.map_from_local.yaw_rad.sin_cos();
+        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        let c = turn * found.covariance * turn.transpose();
+        Correction {
+            header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
+            scan_seq: scan.header.seq,
+            scan_sent: scan.header.sent,
+            map_from_odom: map_from_base * odom_from_base.unwrap_or(Pose2::IDENTITY).inverse(),
+            map_from_base,
+            covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
+            state: found.state as u32,
+            nodes: self.next_node,
+            closures: self.closures,
+            reserved: 0,
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! What the wheels said lately: a bounded buffer, read at any stamp.
+
+use crate::config::OdometryConfig;
+use msg::{Odometry, Pose2, Stamp, pose::wrap_angle};
+use std::collections::VecDeque;
+
+/// The newest odometry, in order of time.
+#[derive(Clone, Debug)]
+pub struct OdometryBuffer {
+    poses: VecDeque<Odometry>,
+    config: OdometryConfig,
+    refused: u64,
+}
+
+impl OdometryBuffer {
+    /// Empty, with room for all it will ever hold.
+    pub fn new(config: OdometryConfig) -> Self {
+        Self { poses: VecDeque::with_capacity(config.buffer_len + 1), config, refused: 0 }
+    }
+
+    /// Takes one message; refuses (and counts) those that are not numbers or not newer than the last.
+    pub fn push(&mut self, odometry: &Odometry) {
+        let newer = self.poses.back().is_none_or(|last| odometry.header.stamp > last.header.stamp);
+        if !newer || !odometry.odom_from_base.is_finite() {
+            self.refused += 1;
+            return;
+        }
+        if self.poses.len() == self.config.buffer_len {
+            self.poses.pop_front();
+        }
+        self.poses.push_back(*odometry);
+    }
+
+    /// How many messages were refused.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// `odom_from_base` at a stamp: interpolated, or carried on a little way with the last speed.
+    /// `None` where nothing is known.
+    pub fn at(&self, stamp: Stamp) -> Option<Pose2> {
+        if !self.config.used {
+            return None;
+        }
+        let after = self.poses.partition_point(|o| o.header.stamp < stamp);
+        match (after.checked_sub(1).map(|i| &self.poses[i]), self.poses.get(after)) {
+            (_, Some(b)) if b.header.stamp == stamp => Some(b.odom_from_base),
+            (Some(a), Some(b)) => Some(interpolate(a, b, stamp)),
+            (Some(a), None) => extrapolate(a, stamp - a.header.stamp, self.config.extrapolation_max_s),
+            (None, _) => None,
+        }
+    }
+}
+
+fn interpolate(a: &Odometry, b: &Odometry, stamp: Stamp) -> Pose2 {
+    let share = (stamp - a.header.stamp) / (b.header.stamp - a.header.stamp);
+    let (from, to) = (a.odom_from_base, b.odom_from_base);
+    Pose2 {
+        x_m: from.x_m + share * (to.x_m - from.x_m),
+        y_m: from.y_m + share * (to.y_m - from.y_m),
+        yaw_rad: wrap_angle(from.yaw_rad + share * wrap_angle(to.yaw_rad - from.yaw_rad)),
+    }
+}
+
+fn extrapolate(last: &Odometry, ahead_s: f64, max_s: f64) -> Option<Pose2> {
+    if ahead_s > max_s {
+        return None;
+    }
+    let moving = last.linear_m_s.is_finite() && last.angular_rad_s.is_finite();
+    let turn = if moving { last.angular_rad_s * ahead_s } else { 0.0 };
+    let way = if moving { last.linear_m_s * ahead_s } else { 0.0 };
+    let step = Pose2::new(way * (turn / 2.0).cos(), way * (turn / 2.0).sin(), turn);
+    Some(last.odom_from_base * step)
+}

@@ -1,0 +1,142 @@
+//! Input that makes no sense, or little: named, counted, and nothing else is lost.
+
+mod common;
+
+use common::{FULL, NARROW, Noise, Robot, cast, laboratory};
+use msg::{Pose2, Scan, Stamp, TrackingState};
+use proptest::prelude::*;
+use slam::{Refusal, Slam, SlamConfig};
+
+fn scan_at(seconds: f64) -> Box<Scan> {
+    cast(&laboratory(), &FULL, Pose2::new(0.0, -0.5, 0.3), Stamp::from_seconds(seconds), &mut Noise::new(1))
+}
+
+#[test]
+fn stamps_that_repeat_or_go_back_are_refused_and_counted() {
+    let mut slam = Slam::new(SlamConfig::default());
+    assert_eq!(slam.process(&scan_at(5.0)).refused, None);
+    assert_eq!(slam.process(&scan_at(5.0)).refused, Some(Refusal::StampRepeated));
+    assert_eq!(slam.process(&scan_at(4.0)).refused, Some(Refusal::StampWentBack));
+    assert_eq!(slam.process(&scan_at(6.0)).refused, None);
+    let counts = slam.counts();
+    assert_eq!((counts.accepted, counts.stamp_repeated, counts.stamp_went_back), (2, 1, 1));
+    slam.finish();
+    assert_eq!(slam.trajectory().count(), 2);
+}
+
+#[test]
+fn a_scan_without_beams_or_sense_is_refused() {
+    let mut slam = Slam::new(SlamConfig::default());
+    let mut scan = scan_at(1.0);
+    scan.len = 0;
+    assert_eq!(slam.process(&scan).refused, Some(Refusal::BeamCount));
+    scan.len = u32::MAX;
+    assert_eq!(slam.process(&scan).refused, Some(Refusal::BeamCount));
+    for broken in [
+        |s: &mut Scan| s.angle_min_rad = f32::NAN,
+        |s: &mut Scan| s.angle_increment_rad = f32::INFINITY,
+        |s: &mut Scan| s.range_max_m = f32::NAN,
+        |s: &mut Scan| s.range_min_m = -1.0,
+    ] {
+        let mut scan = scan_at(1.0);
+        broken(&mut scan);
+        assert_eq!(slam.process(&scan).refused, Some(Refusal::Geometry));
+    }
+}
+
+#[test]
+fn the_answer_names_its_scan() {
+    let mut slam = Slam::new(SlamConfig::default());
+    let mut scan = scan_at(1.0);
+    scan.header.seq = 42;
+    scan.header.sent = msg::Monotonic(99);
+    let correction = slam.process(&scan).correction;
+    assert_eq!(correction.header.stamp, scan.header.stamp);
+    assert_eq!((correction.scan_seq, correction.scan_sent), (42, msg::Monotonic(99)));
+}
+
+#[test]
+fn the_number_of_beams_may_change() {
+    let walls = laboratory();
+    let mut noise = Noise::new(2);
+    let mut robot = Robot::new(Pose2::new(-1.0, -1.4, 0.0));
+    let mut slam = Slam::new(SlamConfig::default());
+    let start = robot.world_from_base;
+    for i in 0..60 {
+        robot.drive(0.15, 0.05, 0.1, &mut noise);
+        slam.odometry(&robot.odometry());
+        let lidar = if i % 2 == 0 { FULL } else { common::Lidar { beams: 97, ..NARROW } };
+        let step = slam.process(&cast(&walls, &lidar, robot.world_from_base, robot.stamp(), &mut noise));
+        assert_eq!(step.refused, None);
+        let wanted = start.between(robot.world_from_base);
+        assert!(step.correction.map_from_base.distance_m(wanted) < 0.1);
+    }
+}
+
+#[test]
+fn a_scan_that_sees_nothing_rides_on_odometry() {
+    let mut slam = Slam::new(SlamConfig::default());
+    let mut noise = Noise::new(2);
+    let mut robot = Robot::new(Pose2::new(-1.0, -1.4, 0.0));
+    slam.odometry(&robot.odometry());
+    slam.process(&cast(&laboratory(), &FULL, robot.world_from_base, robot.stamp(), &mut noise));
+    robot.drive(0.15, 0.0, 0.2, &mut noise);
+    slam.odometry(&robot.odometry());
+    for (i, empty) in [f32::INFINITY, f32::NAN, 0.0, 0.05, 99.0].into_iter().enumerate() {
+        let mut scan = scan_at(10.3 + i as f64);
+        scan.header.stamp = Stamp(robot.stamp().0 + i as i64);
+        scan.ranges_m.fill(empty);
+        let step = slam.process(&scan);
+        assert_eq!(step.correction.state(), TrackingState::Lost, "{empty}");
+        assert!(step.correction.map_from_base.distance_m(robot.odom_from_base) < 0.02, "{empty}");
+    }
+    assert_eq!(slam.counts().lost, 5);
+}
+
+#[test]
+fn the_default_configuration_is_valid_and_unknown_fields_are_not() {
+    let config = SlamConfig::default();
+    config.validate().unwrap();
+    let text = serde_json::to_string(&config).unwrap();
+    assert_eq!(serde_json::from_str::<SlamConfig>(&text).unwrap(), config);
+    assert!(serde_json::from_str::<SlamConfig>(r#"{"tracking": {"nodes": 3}}"#).is_err());
+    let mut broken = config;
+    broken.map.resolution_m = f64::NAN;
+    let message = broken.validate().unwrap_err().to_string();
+    assert!(message.contains("map.resolution_m"), "{message}");
+}
+
+fn any_range() -> impl Strategy<Value = f32> {
+    prop_oneof![4 => 0.0_f32..30.0, 1 => any::<f32>(), 1 => Just(f32::NAN), 1 => Just(f32::INFINITY)]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn nothing_makes_it_panic(
+        scans in prop::collection::vec(
+            (prop::collection::vec(any_range(), 1..200), any::<f32>(), any::<f32>(), 0_i64..3_000_000_000, -1e9..1e9),
+            1..12,
+        )
+    ) {
+        let mut slam = Slam::new(SlamConfig::default());
+        let mut stamp = 0;
+        for (ranges, angle_min, increment, wait, x) in scans {
+            stamp += wait;
+            let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+            scan.header.stamp = Stamp(stamp);
+            scan.len = ranges.len() as u32;
+            scan.ranges_m[..ranges.len()].copy_from_slice(&ranges);
+            (scan.angle_min_rad, scan.angle_increment_rad) = (angle_min, increment % 0.1);
+            (scan.range_min_m, scan.range_max_m) = (0.1, 25.0);
+            let odom_from_base = Pose2::new(x, -x, x);
+            slam.odometry(&msg::Odometry { header: scan.header, odom_from_base, ..Default::default() });
+            let step = slam.process(&scan);
+            prop_assert!(step.correction.map_from_base.is_finite());
+            slam.work();
+        }
+        slam.finish();
+        let grid = slam.map();
+        prop_assert!(grid.cells.len() <= msg::grid::CELLS_MAX);
+    }
+}

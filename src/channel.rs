@@ -1,0 +1,119 @@
+//! The channels: who writes what to whom. One writer each; a reader that falls behind loses the
+//! oldest. Both ends open a channel through this table, so they cannot disagree.
+//!
+//! | channel | writer | readers |
+//! |---|---|---|
+//! | `robotK/command` | bridge | sim(k) |
+//! | `robotK/scan` | sim(k) | slam(k), bridge |
+//! | `robotK/odometry` | sim(k) | slam(k), bridge |
+//! | `robotK/transforms` | sim(k) | bridge, telemetry |
+//! | `robotK/truth` | sim(k) | telemetry, the other sims |
+//! | `clock` | sim(1) | bridge |
+//! | `robotK/correction` | slam(k) | bridge, telemetry |
+//! | `robotK/map` | slam(k) | merge, bridge, telemetry, launcher |
+//! | `merged_map`, `anchors` | merge | bridge, telemetry, launcher |
+//! | `stats` | telemetry | bridge, launcher, `status` |
+//! | `NAME/beat` | each process | telemetry |
+
+use msg::{
+    Anchors, Beat, Clock, Command, Correction, FleetStats, GridHeader, Message, Odometry, ROBOTS_MAX,
+    RobotId, Role, Scan, Transforms, Truth,
+};
+use std::marker::PhantomData;
+
+/// One row of the table.
+#[derive(Clone, Debug)]
+pub struct Channel<T> {
+    /// Unique in a run.
+    pub name: String,
+    /// Messages a reader may fall behind before it loses the oldest.
+    pub depth: usize,
+    /// Messages kept for a reader that comes late: 1 for what is state, 0 for what is a stream.
+    pub history: usize,
+    /// The most readers at a time.
+    pub readers: usize,
+    /// Whether a message wakes its readers, or waits until they look.
+    pub wakes: bool,
+    message: PhantomData<T>,
+}
+
+/// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
+const READERS: usize = 8;
+
+impl<T: Message> Channel<T> {
+    fn stream(name: String, depth: usize) -> Self {
+        Self { name, depth, history: 0, readers: READERS, wakes: true, message: PhantomData }
+    }
+
+    fn state(name: &str) -> Self {
+        Self { history: 1, ..Self::stream(name.into(), 2) }
+    }
+
+    fn silent(self) -> Self {
+        Self { wakes: false, ..self }
+    }
+}
+
+/// Wished velocities. A second of a headset's 20 Hz fits twice.
+pub fn command(robot: RobotId) -> Channel<Command> {
+    Channel::stream(format!("{robot}/command"), 32)
+}
+
+/// 10 Hz: 1.6 s of scans fit while SLAM is restarted or descheduled.
+pub fn scan(robot: RobotId) -> Channel<Scan> {
+    Channel::stream(format!("{robot}/scan"), 16)
+}
+
+/// 20 Hz; written before the scan of the same stamp, which is what wakes the reader.
+pub fn odometry(robot: RobotId) -> Channel<Odometry> {
+    Channel::stream(format!("{robot}/odometry"), 64).silent()
+}
+
+/// 20 Hz.
+pub fn transforms(robot: RobotId) -> Channel<Transforms> {
+    Channel::stream(format!("{robot}/transforms"), 32)
+}
+
+/// 100 Hz; readers look once per tick of their own.
+pub fn truth(robot: RobotId) -> Channel<Truth> {
+    Channel { readers: READERS + ROBOTS_MAX, ..Channel::stream(format!("{robot}/truth"), 4).silent() }
+}
+
+/// 100 Hz.
+pub fn clock() -> Channel<Clock> {
+    Channel::stream("clock".into(), 32)
+}
+
+/// One for each scan.
+pub fn correction(robot: RobotId) -> Channel<Correction> {
+    Channel::stream(format!("{robot}/correction"), 32)
+}
+
+/// 1 Hz.
+pub fn map(robot: RobotId) -> Channel<GridHeader> {
+    Channel::state(&format!("{robot}/map"))
+}
+
+/// 1 Hz while something changes.
+pub fn merged_map() -> Channel<GridHeader> {
+    Channel::state("merged_map")
+}
+
+/// 1 Hz.
+pub fn anchors() -> Channel<Anchors> {
+    Channel::state("anchors").silent()
+}
+
+/// 1 Hz.
+pub fn stats() -> Channel<FleetStats> {
+    Channel::state("stats")
+}
+
+/// 1 Hz.
+pub fn beat(role: Role, robot: Option<RobotId>) -> Channel<Beat> {
+    let name = match robot {
+        Some(robot) => format!("{robot}/{}/beat", role.name()),
+        None => format!("{}/beat", role.name()),
+    };
+    Channel::stream(name, 4).silent()
+}

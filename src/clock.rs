@@ -1,0 +1,40 @@
+//! The machine's clock, and the run's.
+
+use msg::{Monotonic, Stamp};
+use rustix::time::{ClockId, clock_gettime};
+
+/// CLOCK_MONOTONIC now. It is the same clock in every process of the machine.
+pub fn now() -> Monotonic {
+    let t = clock_gettime(ClockId::Monotonic);
+    Monotonic(t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64)
+}
+
+/// Where a run's stamps count from. Every process of the run has the same.
+#[derive(Clone, Copy, Debug)]
+pub struct Epoch(pub Monotonic);
+
+impl Epoch {
+    /// The stamp of a moment; before the epoch it is negative.
+    pub fn stamp(self, at: Monotonic) -> Stamp {
+        Stamp(at.0 as i64 - self.0.0 as i64)
+    }
+
+    /// The moment of a stamp.
+    pub fn moment(self, stamp: Stamp) -> Monotonic {
+        Monotonic((self.0.0 as i64 + stamp.0).max(0) as u64)
+    }
+}
+
+/// Processor time this process has used, nanoseconds.
+pub fn cpu_ns() -> u64 {
+    let t = clock_gettime(ClockId::ProcessCPUTime);
+    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
+}
+
+/// Resident memory of a process, bytes; 0 if the system does not say.
+pub fn memory_bytes() -> u64 {
+    let pages = std::fs::read_to_string("/proc/self/statm")
+        .ok()
+        .and_then(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok());
+    pages.unwrap_or(0) * rustix::param::page_size() as u64
+}

@@ -1,0 +1,169 @@
+//! One file describes one whole fleet; the default is built in.
+//!
+//! Whatever is wrong with a file is refused with the file, the line and the reason: a name that
+//! nobody knows, a number out of range, a room that is not there.
+
+use msg::{Pose2, ROBOTS_MAX};
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Why a fleet file was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// It cannot be read.
+    #[error("{path}: {why}")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        why: std::io::Error,
+    },
+    /// It is not what it should be.
+    #[error("{path}:{line}: {why}")]
+    Wrong {
+        /// The file.
+        path: PathBuf,
+        /// From 1.
+        line: usize,
+        /// What is wrong, and what was expected.
+        why: String,
+    },
+    /// The value of an option or a field is out of its range.
+    #[error("{field}: {why}")]
+    Value {
+        /// Which, as the file calls it.
+        field: &'static str,
+        /// What was expected.
+        why: String,
+    },
+}
+
+/// A whole fleet.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FleetConfig {
+    /// How many, and where.
+    pub fleet: Fleet,
+    /// The simulated robot.
+    pub sim: sim::SimConfig,
+    /// Each robot's mapping.
+    pub slam: slam::SlamConfig,
+    /// The fleet's map.
+    pub merge: merge::MergeConfig,
+    /// The doors.
+    pub bridge: bridge::BridgeConfig,
+}
+
+/// How many robots, and where.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Fleet {
+    /// 1 to 16.
+    pub robots: usize,
+    /// Seed of all noise.
+    pub seed: u64,
+    /// `laboratory`, or a file: a scanned room (.json, .json.gz), .glb, .gltf or .obj.
+    pub room: String,
+    /// Where robots start in the room: `[x, y, yaw]` in metres and radians, one for each robot;
+    /// none: places are chosen.
+    pub starts: Vec<[f64; 3]>,
+    /// TCP port for headsets; 0: any that is free.
+    pub port: u16,
+    /// Address to listen on. `127.0.0.1` keeps others out.
+    pub address: String,
+}
+
+impl Default for Fleet {
+    fn default() -> Self {
+        Self {
+            robots: 3,
+            seed: 1,
+            room: LABORATORY.into(),
+            starts: Vec::new(),
+            port: 10_000,
+            address: "0.0.0.0".into(),
+        }
+    }
+}
+
+/// The room that is built in.
+pub const LABORATORY: &str = "laboratory";
+
+impl FleetConfig {
+    /// Reads and checks a fleet file.
+    pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
+        let text =
+            fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
+        let config: Self = toml::from_str(&text).map_err(|error| ConfigError::Wrong {
+            path: path.into(),
+            line: line_of(&text, error.span().map_or(0, |span| span.start)),
+            why: error.message().to_string(),
+        })?;
+        config.check().map_err(|error| locate(path, &text, error))?;
+        Ok(config)
+    }
+
+    /// Checks what the types cannot say.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let fleet = &self.fleet;
+        if !(1..=ROBOTS_MAX).contains(&fleet.robots) {
+            let why = format!("{} robots; a fleet has 1 to {ROBOTS_MAX}", fleet.robots);
+            return Err(ConfigError::Value { field: "fleet.robots", why });
+        }
+        if !fleet.starts.is_empty() && fleet.starts.len() != fleet.robots {
+            let why = format!(
+                "{} poses for {} robots; give one for each, or none",
+                fleet.starts.len(),
+                fleet.robots
+            );
+            return Err(ConfigError::Value { field: "fleet.starts", why });
+        }
+        if let Some(start) = fleet.starts.iter().find(|start| start.iter().any(|v| !v.is_finite())) {
+            let why = format!("{start:?} is not a pose; expected [x, y, yaw], finite");
+            return Err(ConfigError::Value { field: "fleet.starts", why });
+        }
+        if fleet.address.parse::<std::net::IpAddr>().is_err() {
+            let why = format!("`{}` is not an IP address, such as 0.0.0.0 or 127.0.0.1", fleet.address);
+            return Err(ConfigError::Value { field: "fleet.address", why });
+        }
+        let rooms = [
+            ("sim", self.sim.validate().map_err(|error| error.to_string())),
+            ("slam", self.slam.validate().map_err(|error| error.to_string())),
+            ("merge", self.merge.validate().map_err(|error| error.to_string())),
+            ("bridge", self.bridge.validate().map_err(|error| error.to_string())),
+        ];
+        rooms
+            .into_iter()
+            .try_for_each(|(field, checked)| checked.map_err(|why| ConfigError::Value { field, why }))
+    }
+
+    /// The configured start poses, `world` from each robot's start; `None`: to be chosen.
+    pub fn configured_starts(&self) -> Option<Vec<Pose2>> {
+        let starts = &self.fleet.starts;
+        (!starts.is_empty()).then(|| starts.iter().map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw)).collect())
+    }
+
+    /// The file that would say the same.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).unwrap_or_else(|why| format!("# cannot be written: {why}\n"))
+    }
+}
+
+/// The line, from 1, on which a byte of the text lies.
+fn line_of(text: &str, byte: usize) -> usize {
+    1 + text.as_bytes()[..byte.min(text.len())].iter().filter(|b| **b == b'\n').count()
+}
+
+/// Gives a value's error the line on which the file sets it, or its section begins.
+fn locate(path: &Path, text: &str, error: ConfigError) -> ConfigError {
+    let ConfigError::Value { field, why } = error else { return error };
+    let (section, key) = field.split_once('.').unwrap_or((field, ""));
+    let header = text.lines().position(|line| line.trim().starts_with(&format!("[{section}")));
+    let key_line = header.and_then(|start| {
+        let sets = |line: &str| !key.is_empty() && line.trim_start().starts_with(key);
+        Some(start + text.lines().skip(start).position(sets)?)
+    });
+    let line = key_line.or(header).map_or(1, |index| index + 1);
+    ConfigError::Wrong { path: path.into(), line, why: format!("{field}: {why}") }
+}

@@ -1,0 +1,285 @@
+//! The same fleet in one process on virtual time: no clock, no shared memory, one fixed order. The
+//! same configuration gives the same messages, byte for byte, as fast as the machine goes.
+//!
+//! It drives the very rooms that the processes drive; only the shell differs.
+
+mod command;
+
+pub use command::{LockstepArgs, run};
+
+use crate::channel::{self, Channel};
+use crate::config::FleetConfig;
+use crate::fleet::{self, FleetError};
+use crate::operator::sight::{MapView, RobotSight, ScanView, Sight};
+use crate::operator::tour::{Hand, Tour, TourConfig};
+use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
+use bytemuck::Zeroable;
+use merge::Merger;
+use msg::{
+    Anchors, Clock, Command, Correction, FleetStats, Grid, GridView, Message, Monotonic, Pose2, RobotId,
+    Scan, Stamp, Truth,
+};
+use sim::{Simulator, Tick};
+use slam::Slam;
+use std::collections::BTreeMap;
+use telemetry::Telemetry;
+
+/// The operator acts at 20 Hz, as a headset's stick is read.
+const HAND_TICKS: u64 = 5;
+/// Figures once a second.
+const STATS_TICKS: u64 = 100;
+
+/// A fleet in lockstep.
+pub struct Lockstep {
+    members: Vec<Member>,
+    merger: Merger,
+    telemetry: Telemetry,
+    tour: Option<Tour>,
+    together: bool,
+    merged_map: Option<Grid>,
+    anchors: Anchors,
+    stats: Box<FleetStats>,
+    voice: Voice,
+    ticks: u64,
+}
+
+/// One robot: its simulator and its SLAM.
+struct Member {
+    robot: RobotId,
+    simulator: Simulator,
+    slam: Slam,
+    scan: Box<Scan>,
+    scanned: bool,
+    truth: Truth,
+    correction: Option<Correction>,
+    odom_from_base: Pose2,
+    map: Option<Grid>,
+    map_due: Stamp,
+}
+
+/// Hears every message: the channel's name and the message's bytes.
+pub type Listener<'a> = &'a mut dyn FnMut(&str, &[u8]);
+
+impl Lockstep {
+    /// Builds the fleet. `together`: the operator drives all robots at once, not one after the other.
+    pub fn new(config: &FleetConfig, together: bool) -> Result<Self, FleetError> {
+        let room = fleet::room(config)?;
+        let starts = fleet::starts(config, &room)?;
+        let robots = RobotId::first(config.fleet.robots);
+        let member = |(robot, start): (RobotId, &Pose2)| {
+            Ok(Member {
+                robot,
+                simulator: fleet::simulator(config, &room, robot, *start)?,
+                slam: Slam::new(config.slam.clone()),
+                scan: Box::new(Scan::zeroed()),
+                scanned: false,
+                truth: Truth::default(),
+                correction: None,
+                odom_from_base: Pose2::IDENTITY,
+                map: None,
+                map_due: Stamp(i64::MIN),
+            })
+        };
+        let known: Vec<Option<Pose2>> = starts.iter().copied().map(Some).collect();
+        let tour = TourConfig { seed: config.fleet.seed, ..TourConfig::default() };
+        Ok(Self {
+            members: robots.clone().zip(&starts).map(member).collect::<Result<_, FleetError>>()?,
+            merger: Merger::new(&config.merge, &known),
+            telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &known),
+            tour: Tour::new(tour, robots),
+            together,
+            merged_map: None,
+            anchors: Anchors::default(),
+            stats: Box::default(),
+            voice: Voice::default(),
+            ticks: 0,
+        })
+    }
+
+    /// One tick of the whole fleet, in the order of the data: hand, robots, SLAM, merging, figures.
+    pub fn tick(&mut self, listener: Listener<'_>) {
+        if self.ticks.is_multiple_of(HAND_TICKS) {
+            self.drive(listener);
+        }
+        let changed = self.robots(listener);
+        if changed {
+            self.merge(listener);
+        }
+        self.ticks += 1;
+        if self.ticks.is_multiple_of(STATS_TICKS) {
+            let stamp = self.now();
+            *self.stats = *self.telemetry.stats(stamp, moment(stamp));
+            self.voice.say(&channel::stats(), self.stats.as_mut(), listener);
+        }
+    }
+
+    /// The run's time.
+    pub fn now(&self) -> Stamp {
+        Stamp(self.ticks as i64 * Simulator::TICK.as_nanos() as i64)
+    }
+
+    /// The newest figures.
+    pub fn stats(&self) -> &FleetStats {
+        &self.stats
+    }
+
+    /// Every map so far: a name and the map.
+    pub fn maps(&self) -> impl Iterator<Item = (String, GridView<'_>)> {
+        let of_robots =
+            self.members.iter().filter_map(|m| Some((format!("{}_map", m.robot), m.map.as_ref()?.view())));
+        of_robots.chain(self.merged_map.as_ref().map(|map| ("merged_map".into(), map.view())))
+    }
+
+    /// The operator looks and moves the stick.
+    fn drive(&mut self, listener: Listener<'_>) {
+        let Some(tour) = &mut self.tour else { return };
+        let stamp = Stamp(self.ticks as i64 * Simulator::TICK.as_nanos() as i64);
+        let map = self.merged_map.as_ref().and_then(|map| MapView::log_odds(map.view()));
+        let sights: Vec<RobotSight<'_>> = self.members.iter().map(|m| m.sight(map, &self.anchors)).collect();
+        let sight = Sight { stamp, robots: &sights };
+        let mut hands = Vec::new();
+        if self.together {
+            tour.step_all(&sight, &mut hands);
+        } else {
+            hands.push(tour.step(&sight));
+        }
+        for Hand { robot, stick } in hands {
+            let twist = TourConfig::default().joystick.twist(stick);
+            let mut command = Command {
+                linear_m_s: twist.linear_m_s,
+                angular_rad_s: twist.angular_rad_s,
+                ..Command::default()
+            };
+            command.header.stamp = stamp;
+            self.voice.say(&channel::command(robot), &mut command, listener);
+            self.members[robot.index()].simulator.command(&command);
+        }
+    }
+
+    /// Every robot moves, measures and maps. True if a map changed.
+    fn robots(&mut self, listener: Listener<'_>) -> bool {
+        let truths: Vec<Truth> = self.members.iter().map(|member| member.truth).collect();
+        let mut changed = false;
+        for index in 0..self.members.len() {
+            let member = &mut self.members[index];
+            for (peer, truth) in
+                truths.iter().enumerate().filter(|(peer, _)| *peer != index && self.ticks > 0)
+            {
+                if let Some(peer) = RobotId::new(peer + 1) {
+                    member.simulator.see(peer, truth);
+                }
+            }
+            let tick = member.simulator.step();
+            member.sense(&tick, &mut self.voice, &mut self.telemetry, listener);
+            changed |= tick.scan_due && member.map(&mut self.voice, &mut self.telemetry, listener);
+            if let Some(map) = member.map.as_ref().filter(|_| changed) {
+                // Refusals are counted where processes run; here a refused map would show in the figures.
+                let _ = self.merger.update(member.robot, map.view());
+            }
+        }
+        changed
+    }
+
+    fn merge(&mut self, listener: Listener<'_>) {
+        let mut merged = self.merger.merged().to_owned();
+        self.voice.say_grid(&channel::merged_map(), &mut merged, listener);
+        self.anchors = self.merger.anchors();
+        self.voice.say(&channel::anchors(), &mut self.anchors, listener);
+        self.telemetry.anchors(&self.anchors);
+        self.telemetry.merged_map(merged.view(), moment(merged.header.header.stamp));
+        self.merged_map = Some(merged);
+    }
+}
+
+impl Member {
+    /// What the simulator says in a tick.
+    fn sense(&mut self, tick: &Tick, voice: &mut Voice, telemetry: &mut Telemetry, listener: Listener<'_>) {
+        let robot = self.robot;
+        if robot.index() == 0 {
+            let mut clock = Clock::default();
+            clock.header.stamp = tick.stamp;
+            voice.say(&channel::clock(), &mut clock, listener);
+        }
+        self.truth = tick.truth;
+        voice.say(&channel::truth(robot), &mut self.truth, listener);
+        telemetry.truth(robot, &self.truth);
+        if let Some(mut odometry) = tick.odometry {
+            voice.say(&channel::odometry(robot), &mut odometry, listener);
+            self.odom_from_base = odometry.odom_from_base;
+            self.slam.odometry(&odometry);
+        }
+        if let Some(mut transforms) = tick.transforms {
+            voice.say(&channel::transforms(robot), &mut transforms, listener);
+            telemetry.transforms(robot, &transforms, moment(tick.stamp));
+        }
+    }
+
+    /// A scan through SLAM. True if there is a new map.
+    fn map(&mut self, voice: &mut Voice, telemetry: &mut Telemetry, listener: Listener<'_>) -> bool {
+        let robot = self.robot;
+        self.simulator.scan_into(&mut self.scan);
+        voice.say(&channel::scan(robot), self.scan.as_mut(), listener);
+        self.scanned = true;
+        let mut correction = self.slam.process(&self.scan).correction;
+        self.slam.work();
+        voice.say(&channel::correction(robot), &mut correction, listener);
+        telemetry.correction(robot, &correction, moment(correction.header.stamp));
+        self.correction = Some(correction);
+        let stamp = self.scan.header.stamp;
+        if stamp < self.map_due {
+            return false;
+        }
+        self.map_due = stamp + MAP_PERIOD;
+        let mut map = self.slam.map().to_owned();
+        voice.say_grid(&channel::map(robot), &mut map, listener);
+        telemetry.map(robot, map.view(), moment(stamp));
+        self.map = Some(map);
+        true
+    }
+
+    /// The robot as the operator sees it.
+    fn sight<'a>(&'a self, merged: Option<MapView<'a>>, anchors: &Anchors) -> RobotSight<'a> {
+        let anchor = anchors.robots[self.robot.index()];
+        let in_map = self
+            .correction
+            .filter(|_| anchor.known != 0)
+            .map(|correction| anchor.map_from_robot_map * correction.map_from_odom * self.odom_from_base);
+        RobotSight {
+            robot: self.robot,
+            map: merged,
+            merged: true,
+            map_from_base: in_map,
+            scan: self.scanned.then(|| ScanView::of_burger(&self.scan)),
+        }
+    }
+}
+
+/// On virtual time a message is sent and received at its stamp.
+fn moment(stamp: Stamp) -> Monotonic {
+    Monotonic(stamp.0.max(0) as u64)
+}
+
+/// Numbers the messages of each channel, as the channels in shared memory do.
+#[derive(Default)]
+struct Voice {
+    seqs: BTreeMap<String, u64>,
+}
+
+impl Voice {
+    fn say<T: Message>(&mut self, channel: &Channel<T>, message: &mut T, listener: Listener<'_>) {
+        self.mark(&channel.name, message.header_mut());
+        listener(&channel.name, bytemuck::bytes_of(message));
+    }
+
+    fn say_grid(&mut self, channel: &Channel<msg::GridHeader>, grid: &mut Grid, listener: Listener<'_>) {
+        self.mark(&channel.name, &mut grid.header.header);
+        listener(&channel.name, bytemuck::bytes_of(&grid.header));
+        listener(&channel.name, bytemuck::cast_slice(&grid.cells));
+    }
+
+    fn mark(&mut self, name: &str, header: &mut msg::Header) {
+        let seq = self.seqs.entry(name.to_string()).or_default();
+        (header.seq, header.run, header.sent) = (*seq, 0, moment(header.stamp));
+        *seq += 1;
+    }
+}

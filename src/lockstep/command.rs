@@ -1,0 +1,69 @@
+//! `mr-slam lockstep`: a fleet on virtual time, from the command line.
+
+use super::Lockstep;
+use crate::map_file;
+use crate::process::Error;
+use crate::stop::Stop;
+use crate::up::FleetArgs;
+use crate::view::FleetView;
+use sha2::{Digest, Sha256};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Run a fleet in one process on virtual time
+#[derive(Clone, Debug, clap::Args)]
+pub struct LockstepArgs {
+    /// Which fleet.
+    #[command(flatten)]
+    pub fleet: FleetArgs,
+    /// Virtual seconds
+    #[arg(long, value_name = "S", default_value_t = 60)]
+    pub seconds: u32,
+    /// Drive the robots one after the other, as one operator would, and not all at once
+    #[arg(long)]
+    pub in_turn: bool,
+    /// Folder for the maps
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs it, and says how the fleet did and what all its messages hash to.
+pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
+    let mut fleet = Lockstep::new(&args.fleet.config()?, !args.in_turn)?;
+    let mut hash = Sha256::new();
+    let begun = Instant::now();
+    for second in 0..args.seconds {
+        for _ in 0..100 {
+            fleet.tick(&mut |channel, message| {
+                hash.update(channel);
+                hash.update(message);
+            });
+        }
+        if second % 10 == 9 {
+            eprintln!("{} of {} s", second + 1, args.seconds);
+        }
+        if stop.requested() {
+            break;
+        }
+    }
+    let hash = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+    let faster = fleet.now().seconds() / begun.elapsed().as_secs_f64().max(1e-9);
+    if let Some(dir) = &args.run_dir {
+        std::fs::create_dir_all(dir)?;
+        for (name, map) in fleet.maps() {
+            map_file::write_map(&dir.join(name), map)?;
+        }
+    }
+    let view = FleetView::new(fleet.stats());
+    if args.json {
+        let report = serde_json::json!({ "sha256": hash, "times_real_time": faster, "fleet": view });
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print!("{}", view.table());
+        println!("{faster:.0} times real time; all messages: sha256 {hash}");
+    }
+    Ok(())
+}

@@ -1,0 +1,95 @@
+//! What the launcher sees of its fleet: figures and maps, for the live table and the run's folder.
+
+use crate::channel;
+use crate::clock::now;
+use crate::map_file;
+use crate::run::Run;
+use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
+use msg::{FleetStats, Grid, Monotonic, Pose2, RobotId, Truth};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Reads the fleet's figures and maps.
+pub struct Observer {
+    stats: Reader<FleetStats>,
+    bell: Bell,
+    newest: Option<Box<FleetStats>>,
+    merged_map: MapWatch,
+    maps: Vec<MapWatch>,
+    truths: Vec<Reader<Truth>>,
+    last_seen: Vec<Option<Pose2>>,
+    // The readers' presence in the run; dropped after them.
+    _node: Node,
+}
+
+/// One map's channel and its newest map.
+struct MapWatch {
+    name: String,
+    reader: GridReader,
+    newest: Option<Grid>,
+}
+
+impl Observer {
+    /// Attaches to a run. `name` is for people who look at the run.
+    pub fn attach(run: &Run, name: &str) -> Result<Self, ChannelError> {
+        let node = Node::open(&run.domain, name)?;
+        let watch = |name: String, reader| MapWatch { name, reader, newest: None };
+        let robot_map =
+            |robot: RobotId| Ok(watch(format!("{robot}_map"), node.grid_reader(&channel::map(robot))?));
+        Ok(Self {
+            stats: node.reader(&channel::stats())?,
+            bell: node.bell(&channel::stats())?,
+            newest: None,
+            merged_map: watch("merged_map".into(), node.grid_reader(&channel::merged_map())?),
+            maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
+            truths: run
+                .robots()
+                .map(|robot| node.reader(&channel::truth(robot)))
+                .collect::<Result<_, _>>()?,
+            last_seen: vec![None; run.config.fleet.robots],
+            _node: node,
+        })
+    }
+
+    /// Takes in what has come. True if there are new figures.
+    pub fn look(&mut self) -> bool {
+        for watch in self.maps.iter_mut().chain([&mut self.merged_map]) {
+            if let Some(map) = watch.reader.newest().and_then(|map| map.to_owned()) {
+                watch.newest = Some(map);
+            }
+        }
+        for (truths, last_seen) in self.truths.iter_mut().zip(&mut self.last_seen) {
+            *last_seen = truths.newest().map(|truth| truth.world_from_base).or(*last_seen);
+        }
+        let stats = self.stats.newest();
+        let new = stats.is_some();
+        if let Some(stats) = stats {
+            self.newest = Some(Box::new(*stats));
+        }
+        new
+    }
+
+    /// As [`Observer::look`], but waits for new figures, `patience` at most.
+    pub fn wait(&mut self, patience: Duration) -> bool {
+        let until = Monotonic(now().0 + patience.as_nanos() as u64);
+        wait(&[&self.bell], until);
+        self.look()
+    }
+
+    /// The newest figures.
+    pub fn stats(&self) -> Option<&FleetStats> {
+        self.newest.as_deref()
+    }
+
+    /// Where a simulated robot was last seen: its pose in `world`.
+    pub fn last_seen(&self, robot: RobotId) -> Option<Pose2> {
+        *self.last_seen.get(robot.index())?
+    }
+
+    /// Writes every map that was seen: PGM with YAML, and PNG. Returns the files' stems.
+    pub fn write_maps(&self, dir: &Path) -> Result<Vec<PathBuf>, map_file::MapFileError> {
+        let seen = self.maps.iter().chain([&self.merged_map]);
+        let seen = seen.filter_map(|watch| Some((dir.join(&watch.name), watch.newest.as_ref()?)));
+        seen.map(|(stem, map)| map_file::write_map(&stem, map.view()).map(|()| stem)).collect()
+    }
+}

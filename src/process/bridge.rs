@@ -1,0 +1,174 @@
+//! The doors. One thread: a message wakes it through the channel's descriptor, is encoded and
+//! written to the sockets, and that was all the way.
+
+use super::Error;
+use super::pulse::{Account, Pulse};
+use crate::channel::{self, Channel};
+use crate::run::Run;
+use crate::shared_memory::{Bell, GridReader, Node, Reader, Writer};
+use crate::stop::Stop;
+use ::bridge::{Bridge, serve};
+use msg::{Command, Message, Odometry, RobotId, Role, Transforms};
+use std::os::fd::AsFd;
+use std::rc::Rc;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio::task::{JoinHandle, LocalSet, spawn_local};
+
+/// How often the process looks whether it is to end, and whether its account is due.
+const LOOK_PERIOD: Duration = Duration::from_millis(100);
+
+pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
+    let node = run.attach(Role::Bridge, None)?;
+    let pulse = Pulse::new(&node, run, Role::Bridge, None)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    LocalSet::new().block_on(&runtime, async {
+        let bridge = open_bridge(&node, run)?;
+        let mut tasks = fleet_tasks(&node, run, &bridge)?;
+        let beats = bridge.clone();
+        tasks.push(spawn_local(beat(pulse, beats)));
+        serve(bridge, inherited_listener()?, stopped(stop.clone())).await;
+        tasks.iter().for_each(JoinHandle::abort);
+        Ok(())
+    })
+}
+
+/// The launcher listens already, and hands its socket down as standard input.
+fn inherited_listener() -> std::io::Result<TcpListener> {
+    let listener = std::net::TcpListener::from(std::io::stdin().as_fd().try_clone_to_owned()?);
+    listener.local_addr().map_err(|why| {
+        std::io::Error::other(format!(
+            "standard input is no listening socket ({why}); `mr-slam up` starts the bridge"
+        ))
+    })?;
+    listener.set_nonblocking(true)?;
+    TcpListener::from_std(listener)
+}
+
+async fn stopped(stop: Stop) {
+    while !stop.requested() {
+        tokio::time::sleep(LOOK_PERIOD).await;
+    }
+}
+
+async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>) {
+    loop {
+        tokio::time::sleep(LOOK_PERIOD).await;
+        pulse.beat(|| {
+            let counters = bridge.counters();
+            let mut account = Account { clients: counters.clients, ..Account::default() };
+            (account.dropped, account.refused) = (counters.dropped, counters.refused);
+            account.gaps.received = counters.received;
+            account
+        });
+    }
+}
+
+/// The hub, with a channel for each robot's commands.
+fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
+    let writers = run.robots().map(|robot| node.writer(&channel::command(robot)));
+    let mut writers = writers.collect::<Result<Vec<Writer<Command>>, _>>()?;
+    let send = move |robot: RobotId, command: Command| {
+        if let Some(writer) = writers.get_mut(robot.index()) {
+            writer.send(&command);
+        }
+    };
+    Ok(Rc::new(Bridge::new(run.config.bridge.clone(), run.config.fleet.robots, send)?))
+}
+
+/// A task for each channel that wakes.
+fn fleet_tasks(node: &Node, run: &Run, bridge: &Rc<Bridge>) -> Result<Vec<JoinHandle<()>>, Error> {
+    let mut tasks = vec![
+        forward(node, bridge, &channel::clock(), |bridge, clock| bridge.clock(clock))?,
+        forward(node, bridge, &channel::stats(), |bridge, stats| bridge.stats(stats))?,
+        merged_maps(node, bridge)?,
+    ];
+    for robot in run.robots() {
+        tasks.push(robot_motion(node, bridge, robot)?);
+        tasks.push(forward(node, bridge, &channel::scan(robot), move |bridge, scan| {
+            bridge.scan(robot, scan)
+        })?);
+        tasks.push(forward(node, bridge, &channel::correction(robot), move |bridge, correction| {
+            bridge.correction(robot, correction);
+        })?);
+        let maps = node.grid_reader(&channel::map(robot))?;
+        tasks.push(grids(node, bridge, &channel::map(robot), maps, move |bridge, map| {
+            bridge.map(robot, map)
+        })?);
+    }
+    Ok(tasks)
+}
+
+/// Passes a channel on, message by message.
+fn forward<T: Message>(
+    node: &Node,
+    bridge: &Rc<Bridge>,
+    channel: &Channel<T>,
+    pass: impl Fn(&Bridge, &T) + 'static,
+) -> Result<JoinHandle<()>, Error> {
+    let mut reader = node.reader(channel)?;
+    let bridge = bridge.clone();
+    on_ring(node.bell(channel)?, move || {
+        while let Some(message) = reader.receive() {
+            pass(&bridge, &message);
+        }
+    })
+}
+
+/// Odometry comes with the transforms of the same stamp, which ring.
+fn robot_motion(node: &Node, bridge: &Rc<Bridge>, robot: RobotId) -> Result<JoinHandle<()>, Error> {
+    let mut transforms: Reader<Transforms> = node.reader(&channel::transforms(robot))?;
+    let mut odometry: Reader<Odometry> = node.reader(&channel::odometry(robot))?;
+    let bridge = bridge.clone();
+    on_ring(node.bell(&channel::transforms(robot))?, move || {
+        while let Some(transforms) = transforms.receive() {
+            bridge.transforms(robot, &transforms);
+        }
+        while let Some(odometry) = odometry.receive() {
+            bridge.odometry(robot, &odometry);
+        }
+    })
+}
+
+/// The anchors come with the merged map, which rings.
+fn merged_maps(node: &Node, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
+    let maps = node.grid_reader(&channel::merged_map())?;
+    let mut anchors = node.reader(&channel::anchors())?;
+    grids(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
+        if let Some(anchors) = anchors.newest() {
+            bridge.anchors(&anchors);
+        }
+        bridge.merged_map(map);
+    })
+}
+
+/// Passes the newest grid of a channel on.
+fn grids(
+    node: &Node,
+    bridge: &Rc<Bridge>,
+    channel: &Channel<msg::GridHeader>,
+    mut reader: GridReader,
+    mut pass: impl FnMut(&Bridge, msg::GridView<'_>) + 'static,
+) -> Result<JoinHandle<()>, Error> {
+    let bridge = bridge.clone();
+    on_ring(node.bell(channel)?, move || {
+        if let Some(map) = reader.newest()
+            && let Some(map) = map.view()
+        {
+            pass(&bridge, map);
+        }
+    })
+}
+
+/// Calls `act` now, and whenever the bell rings.
+fn on_ring(bell: Bell, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
+    let bell = bell.into_async().map_err(|why| format!("cannot watch a bell: {why}"))?;
+    Ok(spawn_local(async move {
+        loop {
+            act();
+            let Ok(mut rung) = bell.readable().await else { return };
+            bell.get_ref().silence();
+            rung.clear_ready();
+        }
+    }))
+}

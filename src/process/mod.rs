@@ -1,0 +1,111 @@
+//! One main loop for each process of the fleet: read the channels, call the room, write the channels.
+//! The rooms do the work; nothing here decides anything about robots or maps.
+
+mod bridge;
+mod merge;
+mod pulse;
+mod sim;
+mod slam;
+mod telemetry;
+
+use crate::run::{Run, RunError};
+use crate::stop::Stop;
+use msg::{Pose2, RobotId};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The shortest time between two maps of a robot.
+pub const MAP_PERIOD: Duration = Duration::from_millis(500);
+/// Side of a cell of the room's plan, metres: the maps'.
+pub const PLAN_RESOLUTION_M: f64 = 0.05;
+
+/// What the launcher tells each child.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ProcessArgs {
+    /// The folder of the run to take part in.
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: PathBuf,
+}
+
+/// What the launcher tells a simulator.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SimArgs {
+    /// What a robot's processes are told.
+    #[command(flatten)]
+    pub robot: RobotArgs,
+    /// Where the robot stands in `world`, metres and radians, when its simulator is started again
+    #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
+    pub at: Option<Pose2>,
+}
+
+fn pose(text: &str) -> Result<Pose2, String> {
+    let numbers =
+        text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
+    match numbers.as_deref() {
+        Some([x_m, y_m, yaw_rad]) if [x_m, y_m, yaw_rad].iter().all(|v| v.is_finite()) => {
+            Ok(Pose2::new(*x_m, *y_m, *yaw_rad))
+        }
+        _ => Err("expected X,Y,YAW in metres and radians".into()),
+    }
+}
+
+/// What the launcher tells a child that belongs to one robot.
+#[derive(Clone, Debug, clap::Args)]
+pub struct RobotArgs {
+    /// Which robot: 1 is robot1.
+    #[arg(long, value_name = "K")]
+    pub robot: usize,
+    /// What every child is told.
+    #[command(flatten)]
+    pub process: ProcessArgs,
+}
+
+/// Anything that ends a process.
+pub type Error = Box<dyn std::error::Error>;
+
+/// Which process to be.
+#[derive(Clone, Debug)]
+pub enum Process {
+    /// A robot in its room.
+    Sim(SimArgs),
+    /// A robot's SLAM.
+    Slam(RobotArgs),
+    /// The fleet's map.
+    Merge(ProcessArgs),
+    /// The fleet's figures.
+    Telemetry(ProcessArgs),
+    /// The doors.
+    Bridge(ProcessArgs),
+}
+
+/// Runs one process of the fleet until it is asked to stop.
+pub fn run(process: &Process) -> Result<(), Error> {
+    match process {
+        Process::Sim(args) => {
+            let (run, stop) = join(&args.robot.process)?;
+            sim::run(&run, member(&run, args.robot.robot)?, args.at, &stop)
+        }
+        Process::Slam(args) => {
+            let (run, stop) = join(&args.process)?;
+            slam::run(&run, member(&run, args.robot)?, &stop)
+        }
+        Process::Merge(args) => join(args).and_then(|(run, stop)| merge::run(&run, &stop)),
+        Process::Telemetry(args) => join(args).and_then(|(run, stop)| telemetry::run(&run, &stop)),
+        Process::Bridge(args) => join(args).and_then(|(run, stop)| bridge::run(&run, &stop)),
+    }
+}
+
+fn join(args: &ProcessArgs) -> Result<(Run, Stop), Error> {
+    let run = Run::open(&args.run_dir)?;
+    let stop = Stop::for_child(run.pid)?;
+    // Timers fire when they are due, not up to 50 us later to save power.
+    let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+    Ok((run, stop))
+}
+
+fn member(run: &Run, number: usize) -> Result<RobotId, RunError> {
+    run.robots().find(|robot| robot.number() == number).ok_or(RunError::File {
+        path: run.dir.join("fleet.toml"),
+        why: format!("this fleet has robots 1 to {}, not {number}", run.config.fleet.robots),
+    })
+}

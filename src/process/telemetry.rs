@@ -1,0 +1,134 @@
+//! The fleet's figures: listens to everything, says once a second how it goes.
+
+use super::pulse::{Account, Pulse};
+use super::{Error, PLAN_RESOLUTION_M};
+use crate::channel;
+use crate::clock::now;
+use crate::fleet;
+use crate::run::Run;
+use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
+use crate::stop::Stop;
+use ::telemetry::Telemetry;
+use msg::{Anchors, Beat, Correction, Monotonic, RobotId, Role, Transforms, Truth};
+
+/// How often the figures are sent.
+const PERIOD_NS: u64 = 1_000_000_000;
+
+pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
+    let node = run.attach(Role::Telemetry, None)?;
+    let mut pulse = Pulse::new(&node, run, Role::Telemetry, None)?;
+    let room = fleet::room(&run.config)?;
+    let starts = fleet::starts(&run.config, &room)?.into_iter().map(Some).collect::<Vec<_>>();
+
+    let mut telemetry =
+        Telemetry::new(run.config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &starts);
+    // Only now, so that nothing waits unread while the room is built.
+    let mut inputs = Inputs::open(&node, run)?;
+    let bells = Inputs::bells(&node, run)?;
+    let bells: Vec<&Bell> = bells.iter().collect();
+    let mut stats = node.writer(&channel::stats())?;
+    let mut due = Monotonic(now().0 + PERIOD_NS);
+    while !stop.requested() {
+        wait(&bells, due);
+        let received = now();
+        inputs.streams(&mut telemetry, received);
+        if received >= due {
+            inputs.states(&mut telemetry, received);
+            let stamp = run.epoch.stamp(received);
+            stats.send(pulse.work(|| telemetry.stats(stamp, received)));
+            due = Monotonic((due.0 + PERIOD_NS).max(received.0));
+        }
+        pulse.beat(Account::default);
+    }
+    Ok(())
+}
+
+/// What telemetry reads of one robot.
+struct RobotInputs {
+    robot: RobotId,
+    transforms: Reader<Transforms>,
+    corrections: Reader<Correction>,
+    truths: Reader<Truth>,
+    maps: GridReader,
+}
+
+/// What telemetry reads.
+struct Inputs {
+    robots: Vec<RobotInputs>,
+    merged_map: GridReader,
+    anchors: Reader<Anchors>,
+    beats: Vec<Reader<Beat>>,
+}
+
+impl Inputs {
+    fn open(node: &Node, run: &Run) -> Result<Self, ChannelError> {
+        let robot_inputs = |robot| {
+            Ok(RobotInputs {
+                robot,
+                transforms: node.reader(&channel::transforms(robot))?,
+                corrections: node.reader(&channel::correction(robot))?,
+                truths: node.reader(&channel::truth(robot))?,
+                maps: node.grid_reader(&channel::map(robot))?,
+            })
+        };
+        let beats = members(run).map(|(role, robot)| node.reader(&channel::beat(role, robot)));
+        Ok(Self {
+            robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
+            merged_map: node.grid_reader(&channel::merged_map())?,
+            anchors: node.reader(&channel::anchors())?,
+            beats: beats.collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// Whatever must be noted the moment it comes.
+    fn bells(node: &Node, run: &Run) -> Result<Vec<Bell>, ChannelError> {
+        let mut bells = Vec::new();
+        for robot in run.robots() {
+            bells.push(node.bell(&channel::transforms(robot))?);
+            bells.push(node.bell(&channel::correction(robot))?);
+            bells.push(node.bell(&channel::map(robot))?);
+        }
+        Ok(bells)
+    }
+
+    fn streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
+        for RobotInputs { robot, transforms, corrections, truths, maps } in &mut self.robots {
+            while let Some(truth) = truths.receive() {
+                telemetry.truth(*robot, &truth);
+            }
+            while let Some(transforms) = transforms.receive() {
+                telemetry.transforms(*robot, &transforms, received);
+            }
+            while let Some(correction) = corrections.receive() {
+                telemetry.correction(*robot, &correction, received);
+            }
+            if let Some(map) = maps.newest()
+                && let Some(map) = map.view()
+            {
+                telemetry.map(*robot, map, received);
+            }
+        }
+    }
+
+    fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
+        if let Some(anchors) = self.anchors.newest() {
+            telemetry.anchors(&anchors);
+        }
+        if let Some(map) = self.merged_map.newest()
+            && let Some(map) = map.view()
+        {
+            telemetry.merged_map(map, received);
+        }
+        for beats in &mut self.beats {
+            while let Some(beat) = beats.receive() {
+                telemetry.beat(&beat, received);
+            }
+        }
+    }
+}
+
+/// Every process of the fleet.
+pub fn members(run: &Run) -> impl Iterator<Item = (Role, Option<RobotId>)> {
+    let of_robots = run.robots().flat_map(|robot| [(Role::Sim, Some(robot)), (Role::Slam, Some(robot))]);
+    of_robots.chain([Role::Merge, Role::Telemetry, Role::Bridge].map(|role| (role, None)))
+}

@@ -1,0 +1,123 @@
+//! What a run leaves behind for people and programs: `report.json`, and a summary.
+
+use crate::run::{Run, RunError};
+use crate::view::{DistributionView, FleetView, RobotView};
+use msg::FleetStats;
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// `report.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// How long the fleet ran, seconds.
+    pub seconds: f64,
+    /// Which room.
+    pub room: String,
+    /// The noise's seed.
+    pub seed: u64,
+    /// The five figures of the paper; `None` if no figures came.
+    pub paper: Option<Paper>,
+    /// All figures at the end of the run.
+    pub fleet: Option<FleetView>,
+    /// What the operator measured at its end of TCP.
+    pub operator: Option<serde_json::Value>,
+    /// The maps' files, without their endings (.pgm, .yaml, .png).
+    pub maps: Vec<PathBuf>,
+    /// Deaths and restarts.
+    pub events: Vec<String>,
+}
+
+/// The paper's five figures over the whole fleet, worst robot first where there are several.
+#[derive(Clone, Debug, Serialize)]
+pub struct Paper {
+    /// Scans that reach SLAM, a second: the slowest robot's mean over the run (paper: 8.83).
+    pub scan_hz: f64,
+    /// Scans sent and not received by SLAM, all robots.
+    pub scans_lost: u64,
+    /// Known over all cells, mean over the robots' maps, 0 to 1.
+    pub coverage: f64,
+    /// Cross-instance consistency, 0 to 1 (paper: 0.947).
+    pub consistency: Option<f64>,
+    /// TF jitter, median in milliseconds, the worst robot's (paper: 6.3).
+    pub tf_jitter_ms: f32,
+    /// From a scan's leaving the simulator to the map that contains it, median in milliseconds,
+    /// the worst robot's.
+    pub scan_to_map_ms: f32,
+}
+
+impl Paper {
+    fn new(fleet: &FleetView) -> Self {
+        let robots = &fleet.robots;
+        let slowest = robots.iter().map(|robot| robot.scan_hz).fold(f64::INFINITY, f64::min);
+        let worst = |of: fn(&RobotView) -> &DistributionView| {
+            robots.iter().map(|robot| of(robot).p50).fold(0.0, f32::max)
+        };
+        Self {
+            scan_hz: if slowest.is_finite() { slowest } else { 0.0 },
+            scans_lost: robots.iter().map(|robot| robot.scans_lost).sum(),
+            coverage: robots.iter().map(|robot| robot.map.coverage).sum::<f64>() / robots.len().max(1) as f64,
+            consistency: fleet.consistency,
+            tf_jitter_ms: worst(|robot| &robot.tf_jitter_ms),
+            scan_to_map_ms: worst(|robot| &robot.scan_to_map_ms),
+        }
+    }
+}
+
+impl Report {
+    /// Collects what is known at the end of a run.
+    pub fn new(
+        run: &Run,
+        elapsed: Duration,
+        stats: Option<&FleetStats>,
+        operator: Option<serde_json::Value>,
+        maps: Vec<PathBuf>,
+        events: Vec<String>,
+    ) -> Self {
+        let fleet = stats.map(FleetView::new);
+        Self {
+            seconds: elapsed.as_secs_f64(),
+            room: run.config.fleet.room.clone(),
+            seed: run.config.fleet.seed,
+            paper: fleet.as_ref().map(Paper::new),
+            fleet,
+            operator,
+            maps,
+            events,
+        }
+    }
+
+    /// Writes `report.json`.
+    pub fn write(&self, dir: &Path) -> Result<(), RunError> {
+        let path = dir.join("report.json");
+        let json = serde_json::to_string_pretty(self).unwrap_or_default();
+        std::fs::write(&path, json).map_err(|why| RunError::File { path, why: why.to_string() })
+    }
+
+    /// A screenful for people.
+    pub fn summary(&self) -> String {
+        let mut text = format!("\n{:.0} s in {}\n", self.seconds, self.room);
+        if let Some(fleet) = &self.fleet {
+            text += &fleet.table();
+        }
+        if let Some(paper) = &self.paper {
+            let consistency = paper.consistency.map_or("-".into(), |c| format!("{:.1} %", 100.0 * c));
+            let rows = [
+                ("scan rate", format!("{:.2} Hz, {} lost", paper.scan_hz, paper.scans_lost), "8.83 Hz"),
+                ("map coverage", format!("{:.1} %", 100.0 * paper.coverage), ""),
+                ("consistency", consistency, "94.7 %"),
+                ("TF jitter, median", format!("{:.3} ms", paper.tf_jitter_ms), "6.3 ms"),
+                ("scan to map, median", format!("{:.2} ms", paper.scan_to_map_ms), ""),
+            ];
+            let _ = writeln!(text, "\n{:<22} {:<22} the paper", "", "this run");
+            for (name, here, there) in rows {
+                let _ = writeln!(text, "{name:<22} {here:<22} {there}");
+            }
+        }
+        for map in &self.maps {
+            let _ = writeln!(text, "{}.png", map.display());
+        }
+        text
+    }
+}

@@ -1,0 +1,192 @@
+//! Keeps the fleet's processes running, each by itself: a child that ends is cleaned up after and
+//! started again, and its peers notice nothing but its silence.
+
+use crate::run::Run;
+use msg::{Pose2, RobotId, Role};
+use rustix::process::{Pid, Signal, kill_process};
+use std::io;
+use std::net::TcpListener;
+use std::os::fd::OwnedFd;
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+/// The shortest time between a death and the next start: leaves a moment to be seen in the table,
+/// and keeps a child that cannot start from taking a core.
+const RESTART_DELAY: Duration = Duration::from_millis(200);
+/// The longest: back-off doubles up to here.
+const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
+/// A child that lived this long has recovered; its next death starts the back-off anew.
+const HEALTHY_AFTER: Duration = Duration::from_secs(10);
+/// After so many deaths in a row it is held: something is wrong that no restart mends.
+const DEATHS_MAX: u32 = 8;
+/// How long a child may take to end when asked, before it is killed. The whole fleet ends within
+/// 5 s, of which the maps' writing takes some.
+const END_GRACE: Duration = Duration::from_secs(2);
+
+/// One process of the fleet.
+struct Member {
+    role: Role,
+    robot: Option<RobotId>,
+    state: State,
+    deaths: u32,
+}
+
+enum State {
+    Running { child: Child, since: Instant },
+    Waiting { until: Instant },
+    Held,
+}
+
+impl Member {
+    fn name(&self) -> String {
+        match self.robot {
+            Some(robot) => format!("{} of {robot}", self.role.name()),
+            None => self.role.name().into(),
+        }
+    }
+}
+
+/// Where a simulated robot was last seen: its pose in `world`.
+pub type LastSeen<'a> = &'a dyn Fn(RobotId) -> Option<Pose2>;
+
+/// The fleet's processes.
+pub struct Supervisor {
+    run: Run,
+    listener: TcpListener,
+    members: Vec<Member>,
+}
+
+impl Supervisor {
+    /// Starts all processes. The bridge inherits `listener`, so that a headset's attempts queue
+    /// while it restarts.
+    pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
+        let now = Instant::now();
+        let member = |role, robot| Member { role, robot, state: State::Waiting { until: now }, deaths: 0 };
+        let mut members = vec![];
+        for role in [Role::Bridge, Role::Telemetry, Role::Merge] {
+            members.push(member(role, None));
+        }
+        for robot in run.robots() {
+            members.push(member(Role::Slam, Some(robot)));
+            members.push(member(Role::Sim, Some(robot)));
+        }
+        let mut supervisor = Self { run: run.clone(), listener, members };
+        supervisor.tend(&|_| None, &mut |_| {});
+        match supervisor.members.iter().find(|member| !matches!(member.state, State::Running { .. })) {
+            Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
+            None => Ok(supervisor),
+        }
+    }
+
+    /// Notices deaths, and starts again what is due. Never blocks. A robot is put back where it was
+    /// `last_seen`, in `world`. `tell` hears what happened.
+    pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
+        let mut died = false;
+        for member in &mut self.members {
+            died |= notice_death(member, tell);
+        }
+        if died {
+            self.run.domain.clean_up_after_the_dead();
+        }
+        for index in 0..self.members.len() {
+            self.start_if_due(index, last_seen, tell);
+        }
+    }
+
+    fn start_if_due(&mut self, index: usize, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
+        let Member { role, robot, state: State::Waiting { until }, .. } = self.members[index] else { return };
+        if Instant::now() < until {
+            return;
+        }
+        let place = robot.filter(|_| role == Role::Sim).and_then(last_seen);
+        let started = self.spawn(role, robot, place);
+        let member = &mut self.members[index];
+        member.state = match started {
+            Ok(child) => State::Running { child, since: Instant::now() },
+            Err(why) => {
+                tell(format!("cannot start the {}: {why}", member.name()));
+                after_death(member, tell)
+            }
+        };
+    }
+
+    fn spawn(&self, role: Role, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
+        let mut command = Command::new(std::env::current_exe()?);
+        command.arg(role.name());
+        if let Some(robot) = robot {
+            command.arg("--robot").arg(robot.number().to_string());
+        }
+        if let Some(Pose2 { x_m, y_m, yaw_rad }) = place {
+            command.arg(format!("--at={x_m},{y_m},{yaw_rad}"));
+        }
+        command.arg("--run-dir").arg(&self.run.dir);
+        let stdin = match role {
+            Role::Bridge => Stdio::from(OwnedFd::from(self.listener.try_clone()?)),
+            _ => Stdio::null(),
+        };
+        // Its own group: Ctrl-C is the launcher's to answer.
+        command.stdin(stdin).process_group(0).spawn()
+    }
+
+    /// How many children run.
+    pub fn running(&self) -> usize {
+        self.members.iter().filter(|member| matches!(member.state, State::Running { .. })).count()
+    }
+
+    /// Asks every child to end, then makes it, and leaves no shared memory behind.
+    pub fn end(&mut self) {
+        for member in &self.members {
+            if let State::Running { child, .. } = &member.state {
+                signal(child, Signal::TERM);
+            }
+        }
+        let deadline = Instant::now() + END_GRACE;
+        for member in &mut self.members {
+            if let State::Running { child, .. } = &mut member.state {
+                while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                let _ = child.kill();
+                let _ = child.wait();
+            }
+        }
+        self.run.domain.remove();
+    }
+}
+
+fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {
+    let State::Running { child, since } = &mut member.state else { return false };
+    let Ok(Some(status)) = child.try_wait() else { return false };
+    if since.elapsed() >= HEALTHY_AFTER {
+        member.deaths = 0;
+    }
+    tell(format!("the {} ended ({})", member.name(), describe(status)));
+    member.state = after_death(member, tell);
+    true
+}
+
+fn after_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> State {
+    member.deaths += 1;
+    if member.deaths > DEATHS_MAX {
+        tell(format!("the {} died {DEATHS_MAX} times in a row and is not started again", member.name()));
+        return State::Held;
+    }
+    let delay = RESTART_DELAY.saturating_mul(1 << (member.deaths - 1)).min(RESTART_DELAY_MAX);
+    State::Waiting { until: Instant::now() + delay }
+}
+
+fn describe(status: ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("exit code {code}"),
+        (None, Some(signal)) => format!("signal {signal}"),
+        (None, None) => "no reason given".into(),
+    }
+}
+
+fn signal(child: &Child, signal: Signal) {
+    if let Some(pid) = Pid::from_raw(child.id() as i32) {
+        let _ = kill_process(pid, signal);
+    }
+}

@@ -1,0 +1,206 @@
+//! `mr-slam up`: launches the fleet, shows how it does, and leaves its maps and a report behind.
+
+use crate::config::{ConfigError, FleetConfig};
+use crate::fleet::{self, FleetError};
+use crate::observer::Observer;
+use crate::report::Report;
+use crate::run::{Run, RunError};
+use crate::screen::Screen;
+use crate::stop::Stop;
+use crate::supervisor::Supervisor;
+use crate::view::FleetView;
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// How often children are looked after: a dead one is noticed within this.
+const TEND_PERIOD: Duration = Duration::from_millis(50);
+/// How long after the last figures the final maps may still come.
+const LAST_LOOK: Duration = Duration::from_millis(200);
+
+/// Which fleet.
+#[derive(Clone, Debug, clap::Args)]
+pub struct FleetArgs {
+    /// Fleet file; the options below override it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// How many robots, 1 to 16 [default: 3]
+    #[arg(long, value_name = "N")]
+    pub robots: Option<usize>,
+    /// Seed of all noise [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// The room: `laboratory`, or a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
+    #[arg(long, value_name = "FILE")]
+    pub room: Option<String>,
+}
+
+/// Launch a fleet: for each robot a simulator and SLAM, then merging, telemetry and the bridge.
+#[derive(Clone, Debug, clap::Args)]
+pub struct UpArgs {
+    /// Which fleet.
+    #[command(flatten)]
+    pub fleet: FleetArgs,
+    /// TCP port for headsets; 0: any that is free [default: 10000]
+    #[arg(long, value_name = "P")]
+    pub port: Option<u16>,
+    /// End after this many seconds; without it, Ctrl-C ends the fleet
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Folder for the maps and the report [default: runs/TIME]
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or("expected a number above 0".into())
+}
+
+/// Why a fleet did not come up.
+#[derive(Debug, thiserror::Error)]
+pub enum UpError {
+    /// The fleet file or an option.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The room or the starts.
+    #[error(transparent)]
+    Fleet(#[from] FleetError),
+    /// The folder or shared memory.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The port.
+    #[error("cannot listen on {address}:{port}: {why}; choose another with --port, or 0 for any")]
+    Port {
+        /// Where.
+        address: String,
+        /// Which.
+        port: u16,
+        /// What the system says.
+        why: std::io::Error,
+    },
+    /// A process.
+    #[error("cannot start the fleet: {0}")]
+    Start(#[from] std::io::Error),
+    /// The maps.
+    #[error(transparent)]
+    Map(#[from] crate::map_file::MapFileError),
+}
+
+impl FleetArgs {
+    /// The configuration in force: the file's, or the default, with the options on top.
+    pub fn config(&self) -> Result<FleetConfig, ConfigError> {
+        let mut config = match &self.config {
+            Some(path) => FleetConfig::from_file(path)?,
+            None => FleetConfig::default(),
+        };
+        let fleet = &mut config.fleet;
+        if let Some(robots) = self.robots {
+            if robots != fleet.robots {
+                // Poses for another number of robots mean nothing.
+                fleet.starts.clear();
+            }
+            fleet.robots = robots;
+        }
+        fleet.seed = self.seed.unwrap_or(fleet.seed);
+        fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
+        config.check()?;
+        Ok(config)
+    }
+}
+
+impl UpArgs {
+    fn config(&self) -> Result<FleetConfig, ConfigError> {
+        let mut config = self.fleet.config()?;
+        config.fleet.port = self.port.unwrap_or(config.fleet.port);
+        Ok(config)
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.run_dir.clone().unwrap_or_else(|| PathBuf::from("runs").join(time_of_day()))
+    }
+}
+
+/// What rides along with a fleet: nothing for `up`, the operator for `demo`.
+pub trait Passenger {
+    /// The fleet is up.
+    fn board(&mut self, run: &Run) -> std::io::Result<()>;
+    /// Called often; must not block. False ends the fleet.
+    fn ride(&mut self) -> bool;
+    /// The fleet is about to end; what the passenger has to say goes into the report.
+    fn alight(&mut self) -> Option<serde_json::Value>;
+}
+
+/// A fleet without passenger.
+pub struct Alone;
+
+impl Passenger for Alone {
+    fn board(&mut self, _: &Run) -> std::io::Result<()> {
+        Ok(())
+    }
+    fn ride(&mut self) -> bool {
+        true
+    }
+    fn alight(&mut self) -> Option<serde_json::Value> {
+        None
+    }
+}
+
+/// Runs a fleet from start to end.
+pub fn up(args: &UpArgs, passenger: &mut dyn Passenger, stop: &Stop) -> Result<Report, UpError> {
+    let config = args.config()?;
+    fleet::check(&config)?;
+    let (address, port) = (config.fleet.address.clone(), config.fleet.port);
+    let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
+        address: address.clone(),
+        port,
+        why,
+    })?;
+    let port = listener.local_addr()?.port();
+    let run = Run::create(&args.folder(), config, port)?;
+    let mut screen = Screen::new(&run);
+    let mut supervisor = Supervisor::start(&run, listener)?;
+    let result = watch(&run, args.seconds, &mut supervisor, passenger, &mut screen, stop);
+    supervisor.end();
+    let report = result?;
+    report.write(&run.dir)?;
+    screen.end(&report);
+    Ok(report)
+}
+
+/// From the start of the fleet to the moment it is to end.
+fn watch(
+    run: &Run,
+    seconds: Option<f64>,
+    supervisor: &mut Supervisor,
+    passenger: &mut dyn Passenger,
+    screen: &mut Screen,
+    stop: &Stop,
+) -> Result<Report, UpError> {
+    let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
+    passenger.board(run)?;
+    let begun = Instant::now();
+    let over = |begun: Instant| seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
+    let mut events = Vec::new();
+    while !stop.requested() && !over(begun) && passenger.ride() {
+        supervisor.tend(&|robot| observer.last_seen(robot), &mut |event| {
+            screen.tell(&event);
+            events.push(event);
+        });
+        if observer.look()
+            && let Some(stats) = observer.stats()
+        {
+            screen.show(&FleetView::new(stats), begun.elapsed(), seconds);
+        }
+        std::thread::sleep(TEND_PERIOD);
+    }
+    let passenger_says = passenger.alight();
+    std::thread::sleep(LAST_LOOK);
+    observer.look();
+    let maps = observer.write_maps(&run.dir)?;
+    Ok(Report::new(run, begun.elapsed(), observer.stats(), passenger_says, maps, events))
+}
+
+/// A name for a folder that sorts by time, UTC.
+fn time_of_day() -> String {
+    jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string()
+}

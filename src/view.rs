@@ -1,0 +1,295 @@
+//! The fleet's figures as people and programs read them: a table, and JSON.
+
+use msg::{Distribution, FleetStats, Pose2, ProcessHealth, RobotId, RobotStats, Role, TrackingState};
+use serde::Serialize;
+use std::fmt::Write;
+
+/// A fleet's figures with names and units.
+#[derive(Clone, Debug, Serialize)]
+pub struct FleetView {
+    /// Seconds since the run began.
+    pub time_s: f64,
+    /// Each robot's.
+    pub robots: Vec<RobotView>,
+    /// The merged map's.
+    pub merged_map: MapView,
+    /// Known cells of the merged map over those that can be known in the room; `None`: not a simulation.
+    pub room_coverage: Option<f64>,
+    /// How many pairs of maps overlap.
+    pub pairs: u32,
+    /// The paper's cross-instance consistency, mean over pairs, 0 to 1.
+    pub consistency: Option<f64>,
+    /// The same, tolerant of one cell.
+    pub consistency_one_cell: Option<f64>,
+    /// F1 of occupied cells at one cell's tolerance.
+    pub occupied_f1: Option<f64>,
+    /// Mean floor two maps share, square metres.
+    pub overlap_m2: Option<f64>,
+    /// Each process's health.
+    pub processes: Vec<ProcessView>,
+}
+
+/// One robot's figures.
+#[derive(Clone, Debug, Serialize)]
+pub struct RobotView {
+    /// `robot1`.
+    pub robot: String,
+    /// `tracking`, `lost` ...
+    pub state: &'static str,
+    /// Scans that reach SLAM, a second.
+    pub scan_hz: f64,
+    /// Since the start.
+    pub scans: u64,
+    /// Since the start.
+    pub scans_lost: u64,
+    /// Its own map.
+    pub map: MapView,
+    /// |(receive - stamp) - its mean|, pooled over the robot's links.
+    pub tf_jitter_ms: DistributionView,
+    /// From the simulator to SLAM's pose.
+    pub scan_to_pose_ms: DistributionView,
+    /// From the simulator to the map that contains the scan.
+    pub scan_to_map_ms: DistributionView,
+    /// `robotK/map` from `base_footprint`: x, y in metres, yaw in radians.
+    pub pose: [f64; 3],
+    /// Distance of SLAM's pose from the truth; `None`: not a simulation.
+    pub pose_error_m: Option<f64>,
+    /// Nodes in the pose graph.
+    pub nodes: u32,
+    /// Loop closures in force.
+    pub closures: u32,
+}
+
+/// A map's figures.
+#[derive(Clone, Debug, Serialize)]
+pub struct MapView {
+    /// The paper's seven: free, occupied, unknown, total, width, height, resolution.
+    pub slam_stats: [f64; 7],
+    /// Known over all cells, 0 to 1.
+    pub coverage: f64,
+}
+
+/// Median and tail.
+#[derive(Clone, Debug, Serialize)]
+pub struct DistributionView {
+    /// How many values.
+    pub count: u64,
+    /// Median.
+    pub p50: f32,
+    /// 95th percentile.
+    pub p95: f32,
+    /// 99th percentile.
+    pub p99: f32,
+    /// Largest.
+    pub max: f32,
+}
+
+/// One process's health.
+#[derive(Clone, Debug, Serialize)]
+pub struct ProcessView {
+    /// `sim of robot2`, `merge` ...
+    pub process: String,
+    /// Its process id.
+    pub pid: u32,
+    /// `up`, or `silent` if it has not been heard of for two seconds.
+    pub state: &'static str,
+    /// Incarnations before this one.
+    pub restarts: u64,
+    /// Messages of its main input received.
+    pub received: u64,
+    /// Messages of its main input lost.
+    pub lost: u64,
+    /// Messages dropped for slow readers.
+    pub dropped: u64,
+    /// Messages refused.
+    pub refused: u64,
+    /// Clients attached (bridge).
+    pub clients: u32,
+    /// Time per unit of work, median of the last second.
+    pub work_p50_us: f32,
+    /// The slowest of the last second.
+    pub work_max_us: f32,
+    /// How late periodic work began, median of the last second.
+    pub late_p50_us: f32,
+    /// The latest of the last second.
+    pub late_max_us: f32,
+    /// Resident memory.
+    pub memory_mb: f64,
+    /// Processor time since its start.
+    pub cpu_s: f64,
+}
+
+/// A process is silent after missing one beat.
+const SILENT_AFTER_S: f64 = 2.5;
+
+impl FleetView {
+    /// Names the figures.
+    pub fn new(stats: &FleetStats) -> Self {
+        let count = (stats.robot_count as usize).min(stats.robots.len());
+        let pairs = stats.pair_count > 0;
+        let of_pairs = |value: f64| (pairs && value.is_finite()).then_some(value);
+        Self {
+            time_s: stats.header.stamp.seconds(),
+            robots: RobotId::first(count)
+                .map(|robot| RobotView::new(robot, &stats.robots[robot.index()]))
+                .collect(),
+            merged_map: MapView::new(&stats.merged),
+            room_coverage: finite(stats.room_coverage),
+            pairs: stats.pair_count,
+            consistency: of_pairs(stats.consistency),
+            consistency_one_cell: of_pairs(stats.consistency_one_cell),
+            occupied_f1: of_pairs(stats.occupied_f1),
+            overlap_m2: of_pairs(stats.overlap_m2),
+            processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
+        }
+    }
+
+    /// A table for a terminal.
+    pub fn table(&self) -> String {
+        let mut text = String::new();
+        let _ = writeln!(
+            text,
+            "{:<8} {:<10} {:>7} {:>6} {:>9} {:>16} {:>16} {:>9}",
+            "robot", "state", "scan Hz", "lost", "coverage", "TF jitter ms", "scan→pose ms", "error m"
+        );
+        let _ = writeln!(
+            text,
+            "{:<8} {:<10} {:>7} {:>6} {:>9} {:>16} {:>16}",
+            "", "", "", "", "", "p50 / p99", "p50 / p99"
+        );
+        for robot in &self.robots {
+            let _ = writeln!(
+                text,
+                "{:<8} {:<10} {:>7.2} {:>6} {:>8.1}% {:>16} {:>16} {:>9}",
+                robot.robot,
+                robot.state,
+                robot.scan_hz,
+                robot.scans_lost,
+                100.0 * robot.map.coverage,
+                robot.tf_jitter_ms.short(),
+                robot.scan_to_pose_ms.short(),
+                robot.pose_error_m.map_or_else(|| "-".into(), |error| format!("{error:.3}")),
+            );
+        }
+        let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
+        let _ = writeln!(
+            text,
+            "merged   room {}   consistency {} ({} within a cell)   occupied F1 {}",
+            percent(self.room_coverage),
+            percent(self.consistency),
+            percent(self.consistency_one_cell),
+            percent(self.occupied_f1),
+        );
+        text
+    }
+
+    /// The processes' table.
+    pub fn process_table(&self) -> String {
+        let mut text = format!(
+            "{:<16} {:>8} {:<7} {:>8} {:>9} {:>6} {:>8} {:>11} {:>9} {:>8}\n",
+            "process",
+            "pid",
+            "state",
+            "restarts",
+            "received",
+            "lost",
+            "dropped",
+            "work us",
+            "memory MB",
+            "cpu s"
+        );
+        for p in &self.processes {
+            let _ = writeln!(
+                text,
+                "{:<16} {:>8} {:<7} {:>8} {:>9} {:>6} {:>8} {:>5.0}/{:<5.0} {:>9.1} {:>8.1}",
+                p.process,
+                p.pid,
+                p.state,
+                p.restarts,
+                p.received,
+                p.lost,
+                p.dropped,
+                p.work_p50_us,
+                p.work_max_us,
+                p.memory_mb,
+                p.cpu_s
+            );
+        }
+        text
+    }
+}
+
+impl RobotView {
+    fn new(robot: RobotId, stats: &RobotStats) -> Self {
+        let Pose2 { x_m, y_m, yaw_rad } = stats.map_from_base;
+        Self {
+            robot: robot.to_string(),
+            state: TrackingState::from_code(stats.state).map_or("?", TrackingState::name),
+            scan_hz: stats.scan_hz,
+            scans: stats.scans,
+            scans_lost: stats.scans_lost,
+            map: MapView::new(stats),
+            tf_jitter_ms: DistributionView::new(&stats.tf_jitter_ms),
+            scan_to_pose_ms: DistributionView::new(&stats.scan_to_pose_ms),
+            scan_to_map_ms: DistributionView::new(&stats.scan_to_map_ms),
+            pose: [x_m, y_m, yaw_rad],
+            pose_error_m: finite(stats.pose_error_m),
+            nodes: stats.nodes,
+            closures: stats.closures,
+        }
+    }
+}
+
+impl MapView {
+    fn new(stats: &RobotStats) -> Self {
+        let cells = |count: u32| f64::from(count);
+        let (width, height) = (cells(stats.width), cells(stats.height));
+        let [free, occupied, unknown] =
+            [stats.free_cells, stats.occupied_cells, stats.unknown_cells].map(cells);
+        let slam_stats = [free, occupied, unknown, width * height, width, height, stats.resolution_m];
+        Self { slam_stats, coverage: stats.coverage }
+    }
+}
+
+impl DistributionView {
+    fn new(distribution: &Distribution) -> Self {
+        let Distribution { count, p50, p95, p99, max } = *distribution;
+        Self { count, p50, p95, p99, max }
+    }
+
+    fn short(&self) -> String {
+        if self.count == 0 { "-".into() } else { format!("{:.3} / {:.3}", self.p50, self.p99) }
+    }
+}
+
+impl ProcessView {
+    fn new(health: &ProcessHealth) -> Option<Self> {
+        let beat = &health.beat;
+        let role = Role::from_code(beat.role)?;
+        let process = match RobotId::new(beat.robot as usize) {
+            Some(robot) => format!("{} of {robot}", role.name()),
+            None => role.name().into(),
+        };
+        Some(Self {
+            process,
+            pid: beat.pid,
+            state: if health.age_s < SILENT_AFTER_S { "up" } else { "silent" },
+            restarts: health.restarts,
+            received: beat.received,
+            lost: beat.lost,
+            dropped: beat.dropped,
+            refused: beat.refused,
+            clients: beat.clients,
+            work_p50_us: beat.work_p50_us,
+            work_max_us: beat.work_max_us,
+            late_p50_us: beat.late_p50_us,
+            late_max_us: beat.late_max_us,
+            memory_mb: beat.memory_bytes as f64 / 1e6,
+            cpu_s: beat.cpu_ns as f64 * 1e-9,
+        })
+    }
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}

@@ -1,0 +1,90 @@
+//! A whole fleet of real processes: it comes up, maps, answers, and ends without a trace.
+
+use crate::harness::{Fleet, output};
+use rustix::process::Signal;
+use std::time::Duration;
+
+/// Asked to end, a fleet has this long.
+const END_MAX: Duration = Duration::from_secs(5);
+
+#[test]
+fn maps_and_ends_without_a_trace() {
+    let mut fleet = Fleet::start("up", &["--robots", "2", "--seed", "7"]);
+    let view = fleet.until("maps of both robots, merged", |view| {
+        view.robots.len() == 2
+            && view.robots.iter().all(|robot| robot.scans >= 20 && robot.map.slam_stats[0] > 0.0)
+            && view.merged_map.slam_stats[0] > 0.0
+            && view.processes.len() == 7
+    });
+    for robot in &view.robots {
+        assert_eq!(robot.scans_lost, 0, "{robot:?}");
+        assert_eq!(robot.state, "tracking", "{robot:?}");
+        assert!(robot.pose_error_m.is_some_and(|error| error < 0.05), "a robot at rest: {robot:?}");
+    }
+    assert!(view.processes.iter().all(|process| process.state == "up" && process.restarts == 0), "{view:?}");
+
+    let dir = fleet.folder.path().to_str().unwrap().to_string();
+    let status = output(&["status", "--json", "--run-dir", &dir]);
+    let status: serde_json::Value = serde_json::from_slice(&status.stdout).unwrap();
+    assert_eq!(status["robots"].as_array().unwrap().len(), 2);
+
+    let children = view.processes.iter().map(|process| process.pid).collect::<Vec<_>>();
+    let ended = fleet.end(Signal::TERM);
+    assert!(ended.success);
+    assert!(ended.took <= END_MAX, "{:?}", ended.took);
+    for pid in children {
+        assert!(!std::path::Path::new(&format!("/proc/{pid}")).exists(), "process {pid} survived");
+    }
+    assert!(!ended.run.domain.root().exists());
+    let prefix = format!("mrslam_{}_", ended.run.pid);
+    let left = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let left: Vec<_> = left.filter(|file| file.file_name().to_string_lossy().starts_with(&prefix)).collect();
+    assert!(left.is_empty(), "{left:?}");
+    for file in ["robot1_map.pgm", "robot1_map.yaml", "merged_map.png", "report.json", "fleet.toml"] {
+        assert!(ended.folder.path().join(file).exists(), "no {file}");
+    }
+}
+
+#[test]
+fn an_operator_drives_it_over_tcp() {
+    let mut fleet = Fleet::start("demo", &["--robots", "1"]);
+    let moved = |pose: [f64; 3]| pose[0].hypot(pose[1]);
+    let view = fleet.until("a robot half a metre away", |view| {
+        view.robots.first().is_some_and(|robot| moved(robot.pose) > 0.5)
+    });
+    assert_eq!(view.robots[0].scans_lost, 0);
+    let ended = fleet.end(Signal::INT);
+    assert!(ended.success);
+    assert!(ended.took <= END_MAX, "{:?}", ended.took);
+    let report = std::fs::read_to_string(ended.folder.path().join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert!(report["paper"]["scan_hz"].as_f64().unwrap() > 9.0, "{report:#}");
+    assert!(report["operator"].is_object(), "{report:#}");
+}
+
+#[test]
+fn ends_by_itself_when_told_how_long() {
+    let ended = Fleet::start("up", &["--robots", "1", "--seconds", "1.5"]).wait();
+    assert!(ended.success);
+    assert!(ended.folder.path().join("report.json").exists());
+}
+
+#[test]
+fn status_without_a_fleet_says_what_to_do() {
+    let nowhere = crate::harness::Folder::new();
+    let status = output(&["status", "--run-dir", nowhere.path().to_str().unwrap()]);
+    assert!(!status.status.success());
+    let said = String::from_utf8_lossy(&status.stderr).into_owned();
+    assert!(said.contains("run.json"), "{said}");
+}
+
+#[test]
+fn a_taken_port_is_named() {
+    let taken = std::net::TcpListener::bind("0.0.0.0:0").unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let folder = crate::harness::Folder::new();
+    let up = output(&["up", "--port", &port, "--run-dir", folder.path().to_str().unwrap()]);
+    assert!(!up.status.success());
+    let said = String::from_utf8_lossy(&up.stderr).into_owned();
+    assert!(said.contains(&port) && said.contains("--port"), "{said}");
+}

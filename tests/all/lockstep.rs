@@ -1,0 +1,73 @@
+//! The whole fleet from a seed: the same messages, byte for byte.
+
+use mr_slam::config::FleetConfig;
+use mr_slam::lockstep::Lockstep;
+use mr_slam::view::FleetView;
+use msg::{Odometry, Scan};
+use std::collections::BTreeMap;
+
+/// Every message a fleet says in so many seconds, by channel.
+fn messages(config: &FleetConfig, seconds: usize) -> BTreeMap<String, Vec<u8>> {
+    let mut said: BTreeMap<String, Vec<u8>> = BTreeMap::new();
+    let mut fleet = Lockstep::new(config, true).unwrap();
+    for _ in 0..seconds * 100 {
+        fleet.tick(&mut |channel, bytes| said.entry(channel.into()).or_default().extend_from_slice(bytes));
+    }
+    said
+}
+
+fn config(robots: usize, seed: u64) -> FleetConfig {
+    let mut config = FleetConfig::default();
+    (config.fleet.robots, config.fleet.seed) = (robots, seed);
+    config
+}
+
+#[test]
+fn a_seed_is_a_run() {
+    let (once, again) = (messages(&config(3, 5), 20), messages(&config(3, 5), 20));
+    assert_eq!(once.keys().collect::<Vec<_>>(), again.keys().collect::<Vec<_>>());
+    for (channel, bytes) in &once {
+        assert!(bytes == &again[channel], "two runs differ on {channel}");
+    }
+    let other = messages(&config(3, 6), 20);
+    for channel in ["robot1/scan", "robot2/odometry", "robot3/correction", "merged_map"] {
+        assert!(once[channel] != other[channel], "another seed says the same on {channel}");
+    }
+}
+
+#[test]
+fn a_recording_replays_to_the_same_corrections() {
+    let config = config(1, 9);
+    let said = messages(&config, 20);
+    let odometry = said["robot1/odometry"].chunks_exact(size_of::<Odometry>());
+    let mut odometry = odometry.map(bytemuck::pod_read_unaligned::<Odometry>).peekable();
+    let mut slam = slam::Slam::new(config.slam.clone());
+    let mut replayed = Vec::new();
+    for (seq, scan) in said["robot1/scan"].chunks_exact(size_of::<Scan>()).enumerate() {
+        let scan: Box<Scan> = Box::new(bytemuck::pod_read_unaligned(scan));
+        while let Some(odometry) = odometry.next_if(|odometry| odometry.header.stamp <= scan.header.stamp) {
+            slam.odometry(&odometry);
+        }
+        let mut correction = slam.process(&scan).correction;
+        slam.work();
+        (correction.header.seq, correction.header.sent.0) = (seq as u64, correction.header.stamp.0 as u64);
+        replayed.extend_from_slice(bytemuck::bytes_of(&correction));
+    }
+    assert!(said["robot1/correction"] == replayed, "the recording replays to other corrections");
+}
+
+#[test]
+fn three_robots_map_the_laboratory() {
+    let mut fleet = Lockstep::new(&config(3, 1), true).unwrap();
+    for _ in 0..60 * 100 {
+        fleet.tick(&mut |_, _| {});
+    }
+    let view = FleetView::new(fleet.stats());
+    for robot in &view.robots {
+        assert_eq!((robot.state, robot.scans_lost), ("tracking", 0), "{robot:?}");
+        assert!(robot.pose_error_m.is_some_and(|error| error < 0.10), "{robot:?}");
+    }
+    assert!(view.room_coverage.is_some_and(|coverage| coverage > 0.8), "{view:?}");
+    assert!(view.consistency.is_some_and(|consistency| consistency > 0.9), "{view:?}");
+    assert!(view.occupied_f1.is_some_and(|f1| f1 > 0.6), "{view:?}");
+}

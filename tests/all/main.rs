@@ -1,0 +1,12 @@
+//! The real binary and the whole fleet, from outside. One target, so that it links once.
+//!
+//! Every test has its own names in shared memory and its own port, so that tests run beside each
+//! other and beside another run of the same tests.
+
+mod config;
+mod fleet;
+mod harness;
+mod layering;
+mod lockstep;
+mod malformed;
+mod restart;

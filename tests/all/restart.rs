@@ -1,0 +1,47 @@
+//! A process that is killed comes back, and its peers notice nothing.
+
+use crate::harness::{Fleet, send};
+use mr_slam::view::{FleetView, ProcessView};
+use rustix::process::Signal;
+
+fn process<'a>(view: &'a FleetView, name: &str) -> Option<&'a ProcessView> {
+    view.processes.iter().find(|process| process.process == name)
+}
+
+/// Kills one process of a running fleet of three, waits for its return, and checks the others.
+fn kill_and_recover(name: &str) {
+    let mut fleet = Fleet::start("up", &["--robots", "3"]);
+    let before = fleet.until("scans of all robots", |view| {
+        view.robots.len() == 3
+            && view.robots.iter().all(|robot| robot.scans >= 20)
+            && process(view, name).is_some()
+    });
+    let killed = process(&before, name).unwrap().pid;
+    send(killed, Signal::KILL);
+    let after = fleet.until("the process's return", |view| {
+        let back = process(view, name).is_some_and(|p| p.pid != killed && p.state == "up" && p.restarts == 1);
+        back && view.robots.iter().zip(&before.robots).all(|(now, then)| now.scans >= then.scans + 30)
+    });
+    for peer in after.processes.iter().filter(|peer| peer.process != name) {
+        assert_eq!(peer.restarts, 0, "{peer:?}");
+    }
+    for robot in after.robots.iter().filter(|robot| !name.ends_with(&robot.robot)) {
+        assert_eq!(robot.scans_lost, 0, "{robot:?}");
+        assert_eq!(robot.state, "tracking", "{robot:?}");
+    }
+}
+
+#[test]
+fn slam_killed() {
+    kill_and_recover("slam of robot2");
+}
+
+#[test]
+fn bridge_killed() {
+    kill_and_recover("bridge");
+}
+
+#[test]
+fn sim_killed() {
+    kill_and_recover("sim of robot3");
+}
