@@ -172,3 +172,70 @@ fn as_text(name: &str, place: &Place) -> String {
     let verdict = if found.accepted { "lies at" } else { "refused; the best place would be" };
     format!("{name}: {verdict} x {x_m:.3} m, y {y_m:.3} m, {:.2} degrees ({evidence})", yaw_rad.to_degrees())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::{Grid, GridHeader};
+
+    /// Rooms of one house between columns `from` and `to`, in a frame of its own.
+    fn part(from: i64, to: i64, origin: Pose2) -> Grid {
+        let stands = |x: i64, y: i64| {
+            let outer = x == 0 || x == 299 || y == 0 || y == 199;
+            let inner =
+                (x == 110 && !(60..78).contains(&y)) || (y == 120 && x > 110 && !(190..208).contains(&x));
+            let furniture = [
+                (20..52, 30..44),
+                (150..190, 20..38),
+                (230..245, 60..90),
+                (130..150, 160..185),
+                (60..66, 130..170),
+            ];
+            outer
+                || inner
+                || furniture.iter().any(|(across, along)| across.contains(&x) && along.contains(&y))
+        };
+        let cells =
+            (0..200).flat_map(|y| (from..to).map(move |x| if stands(x, y) { 60 } else { -60 })).collect();
+        let header = GridHeader {
+            origin,
+            resolution_m: 0.05,
+            width: (to - from) as u32,
+            height: 200,
+            ..Default::default()
+        };
+        Grid { header, cells }
+    }
+
+    #[test]
+    fn two_halves_of_a_house_become_one_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        write_map(&path("a"), part(0, 200, Pose2::new(-2.0, 1.0, 0.0)).view()).unwrap();
+        write_map(&path("b"), part(80, 300, Pose2::new(5.0, -3.0, 0.9)).view()).unwrap();
+        let args = MergeArgs {
+            maps: vec![path("a.yaml"), path("b.yaml")],
+            out: Some(path("whole.yaml")),
+            json: true,
+            run_dir: None,
+        };
+        merge_files(&args).unwrap();
+        let whole = read_map(&path("whole.yaml")).unwrap();
+        // 15 m x 10 m, give or take the border cells of the turned half.
+        assert!((298..=304).contains(&whole.header.width), "{:?}", whole.header);
+        assert!((198..=204).contains(&whole.header.height), "{:?}", whole.header);
+        let known = whole.cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count();
+        assert!((58_000..62_000).contains(&known), "{known}");
+    }
+
+    #[test]
+    fn says_which_map_is_missing() {
+        let args = MergeArgs {
+            maps: vec![PathBuf::from("nowhere/a.yaml"), PathBuf::from("nowhere/b.yaml")],
+            out: None,
+            json: false,
+            run_dir: None,
+        };
+        assert!(merge_files(&args).unwrap_err().to_string().contains("nowhere/a.yaml"));
+    }
+}
