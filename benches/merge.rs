@@ -139,7 +139,7 @@ fn align_pairs(folder: &Path, results: Option<&PathBuf>) {
                 "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
                 "inliers": found.inliers, "score": found.score, "strict": found.strict,
                 "overlap_m2": found.overlap_m2, "overlap_share": found.overlap_share,
-                "residual_m": found.residual_m, "margin": found.margin, "firmness": found.firmness,
+                "residual_m": found.residual_m, "conflict": found.conflict, "margin": found.margin, "firmness": found.firmness,
             }),
             None => serde_json::json!({"pair": name, "accepted": false, "ms": ms}),
         };

@@ -23,5 +23,6 @@ pub mod status;
 pub mod view;
 // Robots and data from elsewhere.
 pub mod carmen;
+pub mod merge_maps;
 pub mod operator;
 pub mod replay;

@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 use mr_slam::process::{Process, ProcessArgs, RobotArgs, SimArgs};
-use mr_slam::{demo, lockstep, operator, process, replay, status, stop::Stop, up};
+use mr_slam::{demo, lockstep, merge_maps, operator, process, replay, status, stop::Stop, up};
 use std::process::ExitCode;
 
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2.
@@ -33,9 +33,8 @@ enum Command {
     /// One process of a fleet, started by `up`: a robot's SLAM
     #[command(display_order = 100)]
     Slam(RobotArgs),
-    /// One process of a fleet, started by `up`: the fleet's map
-    #[command(display_order = 100)]
-    Merge(ProcessArgs),
+    /// Put map files together whose robots started anywhere; or, started by `up`, be the fleet's map
+    Merge(merge_maps::MergeArgs),
     /// One process of a fleet, started by `up`: the fleet's figures
     #[command(display_order = 100)]
     Telemetry(ProcessArgs),
@@ -70,7 +69,7 @@ fn run(command: Command) -> Result<(), process::Error> {
         Command::Replay(args) => replay::run(&args)?,
         Command::Sim(args) => process::run(&Process::Sim(args))?,
         Command::Slam(args) => process::run(&Process::Slam(args))?,
-        Command::Merge(args) => process::run(&Process::Merge(args))?,
+        Command::Merge(args) => merge_maps::run(&args)?,
         Command::Telemetry(args) => process::run(&Process::Telemetry(args))?,
         Command::Bridge(args) => process::run(&Process::Bridge(args))?,
     }

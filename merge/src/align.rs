@@ -50,6 +50,9 @@ pub struct AlignConfig {
     pub strict_min: f64,
     /// F1 of occupied cells at one cell's tolerance, at least.
     pub occupied_f1_min: f64,
+    /// Walls of one map in the middle of the other's floor, over those and the walls found, at most:
+    /// what tells the best place in the wrong building from a right one most clearly.
+    pub conflict_max: f64,
     /// Floor and walls both know, square metres, at least.
     pub overlap_min_m2: f64,
     /// Occupied cells found again, of both maps together, at least.
@@ -65,6 +68,7 @@ impl Default for AlignConfig {
         Self {
             strict_min: 0.94,
             occupied_f1_min: 0.80,
+            conflict_max: 0.11,
             overlap_min_m2: 10.0,
             inliers_min: 200,
             margin_min: 1.5,
@@ -90,6 +94,8 @@ pub struct Alignment {
     pub overlap_m2: f64,
     /// The same over what the map that knows less knows, 0 to 1.
     pub overlap_share: f64,
+    /// Walls of one map in the middle of the other's floor, over those and the walls found, 0 to 1.
+    pub conflict: f64,
     /// Mean distance of walls found again, metres.
     pub residual_m: f64,
     /// Evidence (walls found less walls missed) over that of the best other place, or over
@@ -176,6 +182,7 @@ fn judge(a_from_b: Pose2, fit: &Fit, margin: f64, agreement: &Agreement, config:
     let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found } = *agreement;
     let accepted = strict >= config.strict_min
         && occupied_f1 >= config.occupied_f1_min
+        && fit.conflict() <= config.conflict_max
         && overlap_m2 >= config.overlap_min_m2
         && walls_found >= config.inliers_min
         && margin >= config.margin_min
@@ -188,6 +195,7 @@ fn judge(a_from_b: Pose2, fit: &Fit, margin: f64, agreement: &Agreement, config:
         strict,
         overlap_m2,
         overlap_share,
+        conflict: fit.conflict(),
         residual_m: fit.residual_m,
         margin,
         firmness: fit.firmness,

@@ -36,6 +36,11 @@ impl Fit {
         self.found - MISSED_WEIGHT * self.missed
     }
 
+    /// Share of the walls missed.
+    pub fn conflict(&self) -> f64 {
+        self.missed / (self.found + self.missed).max(1.0)
+    }
+
     /// Both directions together.
     fn plus(self, other: Self) -> Self {
         let found = self.found + other.found;

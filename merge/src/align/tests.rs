@@ -35,7 +35,7 @@ fn house(x: i64, y: i64) -> Option<bool> {
 fn workshop(x: i64, y: i64) -> Option<bool> {
     let (x, y) = (x + 130, y + 130);
     let inside = (0..260).contains(&x) && (0..260).contains(&y);
-    let outer = x < 2 || x > 257 || y < 2 || y > 257;
+    let outer = !(2..=257).contains(&x) || !(2..=257).contains(&y);
     let pillars = (x % 65 < 6) && (y % 52 < 6) && x > 30 && y > 30;
     let bench = (y == x / 2 + 60 && x < 120) || ((200..204).contains(&x) && y > 90 && y < 200);
     inside.then_some(outer || pillars || bench)

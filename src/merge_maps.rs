@@ -1,0 +1,241 @@
+//! `mr-slam merge A.yaml B.yaml ...`: maps of robots that started anywhere, put together.
+
+use crate::map_file::{MapFileError, read_map, write_map};
+use crate::process::{self, Process, ProcessArgs};
+use merge::{AlignConfig, Alignment, MergeConfig, Merger, Refused, align};
+use msg::{Grid, Pose2, ROBOTS_MAX, RobotId};
+use serde_json::json;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// `mr-slam merge`: map files, or (started by `up`) the fleet's process.
+#[derive(clap::Args, Clone, Debug)]
+pub struct MergeArgs {
+    /// Maps to put together, as map_server reads them; the first one's frame is the result's
+    #[arg(value_name = "MAP.yaml", required_unless_present = "run_dir", num_args = 2..)]
+    pub maps: Vec<PathBuf>,
+    /// Write the merged map: FILE.yaml with its PGM, and a PNG
+    #[arg(long, value_name = "FILE", conflicts_with = "run_dir")]
+    pub out: Option<PathBuf>,
+    /// Print one JSON object a line for each further map
+    #[arg(long, conflicts_with = "run_dir")]
+    pub json: bool,
+    /// Be the fleet's process: the folder of the run to take part in
+    #[arg(long, value_name = "DIR", conflicts_with = "maps")]
+    pub run_dir: Option<PathBuf>,
+}
+
+/// What stops it.
+#[derive(Debug, thiserror::Error)]
+pub enum MergeMapsError {
+    /// A map cannot be read or written.
+    #[error(transparent)]
+    File(#[from] MapFileError),
+    /// A map cannot be drawn.
+    #[error("{}: {why}", file.display())]
+    Refused {
+        /// Which.
+        file: PathBuf,
+        /// Why.
+        why: Refused,
+    },
+    /// More than a fleet has.
+    #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
+    TooMany(usize),
+}
+
+/// Where a further map lies, or would lie best if that could be believed.
+struct Place {
+    alignment: Option<Alignment>,
+    /// Of the newest attempt.
+    ms: f64,
+}
+
+impl Place {
+    fn accepted(&self) -> Option<&Alignment> {
+        self.alignment.as_ref().filter(|alignment| alignment.accepted)
+    }
+}
+
+/// Runs the subcommand, whichever of the two it is.
+pub fn run(args: &MergeArgs) -> Result<(), process::Error> {
+    if let Some(run_dir) = &args.run_dir {
+        return process::run(&Process::Merge(ProcessArgs { run_dir: run_dir.clone() }));
+    }
+    Ok(merge_files(args)?)
+}
+
+fn merge_files(args: &MergeArgs) -> Result<(), MergeMapsError> {
+    if args.maps.len() > ROBOTS_MAX {
+        return Err(MergeMapsError::TooMany(args.maps.len()));
+    }
+    let maps = args.maps.iter().map(|yaml| read_map(yaml)).collect::<Result<Vec<Grid>, _>>()?;
+    let mut merger = start(args, &maps)?;
+    let places = place_all(args, &maps, &mut merger)?;
+    for (yaml, place) in args.maps.iter().zip(&places).skip(1) {
+        let Some(place) = place else { continue };
+        let name = yaml.display().to_string();
+        println!("{}", if args.json { as_json(&name, place).to_string() } else { as_text(&name, place) });
+    }
+    if let Some(out) = &args.out {
+        let stem =
+            if out.extension().is_some_and(|e| e == "yaml") { out.with_extension("") } else { out.clone() };
+        write_map(&stem, merger.merged())?;
+    }
+    Ok(())
+}
+
+/// All maps in, the first one placed.
+fn start(args: &MergeArgs, maps: &[Grid]) -> Result<Merger, MergeMapsError> {
+    let config = MergeConfig { resolution_m: maps[0].header.resolution_m };
+    let mut starts = vec![None; maps.len()];
+    starts[0] = Some(Pose2::IDENTITY);
+    let mut merger = Merger::new(&config, &starts);
+    for ((robot, map), yaml) in RobotId::first(maps.len()).zip(maps).zip(&args.maps) {
+        merger
+            .update(robot, map.view())
+            .map_err(|why| MergeMapsError::Refused { file: yaml.clone(), why })?;
+    }
+    Ok(merger)
+}
+
+/// Each further map against what is merged so far; those refused again whenever that has grown.
+fn place_all(
+    args: &MergeArgs,
+    maps: &[Grid],
+    merger: &mut Merger,
+) -> Result<Vec<Option<Place>>, MergeMapsError> {
+    let mut places: Vec<Option<Place>> = maps.iter().map(|_| None).collect();
+    loop {
+        let mut grown = false;
+        for (robot, map) in RobotId::first(maps.len()).zip(maps).skip(1) {
+            if places[robot.index()].as_ref().is_some_and(|place| place.accepted().is_some()) {
+                continue;
+            }
+            let began = Instant::now();
+            let alignment = align(merger.merged(), map.view(), &AlignConfig::default());
+            let place = Place { alignment, ms: began.elapsed().as_secs_f64() * 1e3 };
+            if let Some(found) = place.accepted() {
+                let file = || args.maps[robot.index()].clone();
+                merger
+                    .set_anchor(robot, Some(found.a_from_b))
+                    .map_err(|why| MergeMapsError::Refused { file: file(), why })?;
+                grown = true;
+            }
+            places[robot.index()] = Some(place);
+        }
+        if !grown {
+            return Ok(places);
+        }
+    }
+}
+
+/// p_a = R(theta) p_b + (x, y), metres and radians; null where nothing was found.
+fn as_json(name: &str, place: &Place) -> serde_json::Value {
+    let Some(found) = &place.alignment else {
+        return json!({"map": name, "accepted": false, "inliers": 0, "score": 0.0, "ms": place.ms});
+    };
+    json!({
+        "map": name,
+        "accepted": found.accepted,
+        "x": found.a_from_b.x_m,
+        "y": found.a_from_b.y_m,
+        "theta": found.a_from_b.yaw_rad,
+        "inliers": found.inliers,
+        "score": found.score,
+        "ms": place.ms,
+        "strict": found.strict,
+        "conflict": found.conflict,
+        "overlap_m2": found.overlap_m2,
+        "overlap_share": found.overlap_share,
+        "residual_m": found.residual_m,
+        "margin": found.margin,
+        "firmness": found.firmness,
+    })
+}
+
+fn as_text(name: &str, place: &Place) -> String {
+    let Some(found) = &place.alignment else {
+        return format!("{name}: refused: no walls in common anywhere ({:.0} ms)", place.ms);
+    };
+    let Pose2 { x_m, y_m, yaw_rad } = found.a_from_b;
+    let evidence = format!(
+        "{} walls found again, F1 {:.2}, agreement {:.1} %, conflict {:.1} %, {:.0} m2 shared, {:.1} times the next best place, {:.0} ms",
+        found.inliers,
+        found.score,
+        100.0 * found.strict,
+        100.0 * found.conflict,
+        found.overlap_m2,
+        found.margin,
+        place.ms
+    );
+    let verdict = if found.accepted { "lies at" } else { "refused; the best place would be" };
+    format!("{name}: {verdict} x {x_m:.3} m, y {y_m:.3} m, {:.2} degrees ({evidence})", yaw_rad.to_degrees())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::{Grid, GridHeader};
+
+    /// Rooms of one house between columns `from` and `to`, in a frame of its own.
+    fn part(from: i64, to: i64, origin: Pose2) -> Grid {
+        let stands = |x: i64, y: i64| {
+            let outer = x == 0 || x == 299 || y == 0 || y == 199;
+            let inner =
+                (x == 110 && !(60..78).contains(&y)) || (y == 120 && x > 110 && !(190..208).contains(&x));
+            let furniture = [
+                (20..52, 30..44),
+                (150..190, 20..38),
+                (230..245, 60..90),
+                (130..150, 160..185),
+                (60..66, 130..170),
+            ];
+            outer
+                || inner
+                || furniture.iter().any(|(across, along)| across.contains(&x) && along.contains(&y))
+        };
+        let cells =
+            (0..200).flat_map(|y| (from..to).map(move |x| if stands(x, y) { 60 } else { -60 })).collect();
+        let header = GridHeader {
+            origin,
+            resolution_m: 0.05,
+            width: (to - from) as u32,
+            height: 200,
+            ..Default::default()
+        };
+        Grid { header, cells }
+    }
+
+    #[test]
+    fn two_halves_of_a_house_become_one_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        write_map(&path("a"), part(0, 200, Pose2::new(-2.0, 1.0, 0.0)).view()).unwrap();
+        write_map(&path("b"), part(80, 300, Pose2::new(5.0, -3.0, 0.9)).view()).unwrap();
+        let args = MergeArgs {
+            maps: vec![path("a.yaml"), path("b.yaml")],
+            out: Some(path("whole.yaml")),
+            json: true,
+            run_dir: None,
+        };
+        merge_files(&args).unwrap();
+        let whole = read_map(&path("whole.yaml")).unwrap();
+        // 15 m x 10 m, give or take the border cells of the turned half.
+        assert!((298..=304).contains(&whole.header.width), "{:?}", whole.header);
+        assert!((198..=204).contains(&whole.header.height), "{:?}", whole.header);
+        let known = whole.cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count();
+        assert!((58_000..62_000).contains(&known), "{known}");
+    }
+
+    #[test]
+    fn says_which_map_is_missing() {
+        let args = MergeArgs {
+            maps: vec![PathBuf::from("nowhere/a.yaml"), PathBuf::from("nowhere/b.yaml")],
+            out: None,
+            json: false,
+            run_dir: None,
+        };
+        assert!(merge_files(&args).unwrap_err().to_string().contains("nowhere/a.yaml"));
+    }
+}
