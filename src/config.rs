@@ -39,8 +39,8 @@ pub enum ConfigError {
     },
 }
 
-/// A whole fleet.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// A whole fleet. A file need not say all: what it leaves out is as in the default.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FleetConfig {
     /// How many, and where.
@@ -53,6 +53,38 @@ pub struct FleetConfig {
     pub merge: merge::MergeConfig,
     /// The doors.
     pub bridge: bridge::BridgeConfig,
+}
+
+impl Default for FleetConfig {
+    /// Three TurtleBot3 Burgers.
+    fn default() -> Self {
+        Self {
+            fleet: Fleet::default(),
+            sim: sim::SimConfig::default(),
+            slam: burger_slam(),
+            merge: merge::MergeConfig::default(),
+            bridge: bridge::BridgeConfig::default(),
+        }
+    }
+}
+
+/// SLAM for a robot that is known: where its LiDAR sits, and what its wheels are worth. SLAM's own
+/// default is for the unknown robots of recorded logs, whose odometry may be four times worse.
+fn burger_slam() -> slam::SlamConfig {
+    let [x_m, y_m, _] = sim::burger::SCAN_IN_BASE_LINK_M;
+    let mut config = slam::SlamConfig::default();
+    config.lidar.base_from_scan = [x_m, y_m, 0.0];
+    config.odometry = slam::OdometryConfig {
+        sigma_m: 0.01,
+        sigma_m_per_m: 0.05,
+        sigma_rad: 0.005,
+        sigma_rad_per_rad: 0.05,
+        sigma_rad_per_m: 0.03,
+        speed_max_m_s: 0.3,
+        turn_max_rad_s: 2.0,
+        ..config.odometry
+    };
+    config
 }
 
 /// How many robots, and where.
@@ -95,11 +127,16 @@ impl FleetConfig {
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
         let text =
             fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
-        let config: Self = toml::from_str(&text).map_err(|error| ConfigError::Wrong {
+        let wrong = |error: toml::de::Error| ConfigError::Wrong {
             path: path.into(),
             line: line_of(&text, error.span().map_or(0, |span| span.start)),
             why: error.message().to_string(),
-        })?;
+        };
+        // By itself first: its errors have lines. Then over the default, table by table.
+        toml::from_str::<Self>(&text).map_err(wrong)?;
+        let mut whole = toml::Table::try_from(Self::default()).unwrap_or_default();
+        overlay(&mut whole, text.parse().map_err(wrong)?);
+        let config: Self = whole.try_into().map_err(wrong)?;
         config.check().map_err(|error| locate(path, &text, error))?;
         Ok(config)
     }
@@ -147,6 +184,16 @@ impl FleetConfig {
     /// The file that would say the same.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).unwrap_or_else(|why| format!("# cannot be written: {why}\n"))
+    }
+}
+
+/// Puts what `over` says in place of what `base` says; tables are gone into.
+fn overlay(base: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => overlay(below, above),
+            (_, value) => drop(base.insert(key, value)),
+        }
     }
 }
 

@@ -23,14 +23,11 @@ pub struct SlamConfig {
     pub map: MapConfig,
 }
 
-/// Where ROBOTIS mounts the Burger's LiDAR (URDF of turtlebot3_burger): 32 mm behind the wheels' axle.
-const BURGER_BASE_FROM_SCAN: [f64; 3] = [-0.032, 0.0, 0.0];
-
 /// See [`SlamConfig::lidar`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LidarConfig {
-    /// Pose of `base_scan` in `base_footprint`: x m, y m, yaw rad. Default: a TurtleBot3 Burger's.
+    /// Pose of `base_scan` in `base_footprint`: x m, y m, yaw rad.
     pub base_from_scan: [f64; 3],
     /// Returns beyond it are not used for matching, metres.
     pub range_use_max_m: f32,
@@ -223,7 +220,7 @@ pub struct MapConfig {
 
 impl Default for LidarConfig {
     fn default() -> Self {
-        Self { base_from_scan: BURGER_BASE_FROM_SCAN, range_use_max_m: 30.0, spacing_m: 0.05, points_max: 400 }
+        Self { base_from_scan: [0.0; 3], range_use_max_m: 30.0, spacing_m: 0.05, points_max: 400 }
     }
 }
 

@@ -58,3 +58,13 @@ fn the_default_written_out_is_the_default() {
     let shipped = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.toml");
     assert_eq!(mr_slam::config::FleetConfig::from_file(&shipped).unwrap(), config);
 }
+
+#[test]
+fn what_a_file_leaves_out_is_as_in_the_default() {
+    let folder = Folder::new();
+    let file = folder.file("fleet.toml", "[slam.tracking]\nreferences = 5\n");
+    let config = mr_slam::config::FleetConfig::from_file(&file).unwrap();
+    let mut expected = mr_slam::config::FleetConfig::default();
+    expected.slam.tracking.references = 5;
+    assert_eq!(config, expected);
+}
