@@ -162,7 +162,7 @@ impl Ears {
                     if !transform.child_frame_id.starts_with("odom")
                         && !transform.child_frame_id.starts_with("map")
                     {
-                        self.tf.note(&transform.child_frame_id, transform.header.stamp.0, received_ns);
+                        self.tf.note(&transform.child_frame_id, transform.stamp.0, received_ns);
                     }
                 }
             }
@@ -172,7 +172,7 @@ impl Ears {
             }
             topic if topic.ends_with(b"/scan") => {
                 let Ok(message) = ros::decode::<ros::LaserScan>(frame.payload) else { return };
-                self.scans.note(&String::from_utf8_lossy(topic), message.header.stamp.0, received_ns);
+                self.scans.note(&String::from_utf8_lossy(topic), message.stamp.0, received_ns);
             }
             _ => {}
         }

@@ -36,7 +36,7 @@ pub fn occupancy(cell: i8) -> Occupancy {
     match cell {
         UNKNOWN => Occupancy::Unknown,
         OCCUPIED_MIN.. => Occupancy::Occupied,
-        ..=FREE_MAX => Occupancy::Free,
+        -127..=FREE_MAX => Occupancy::Free,
         _ => Occupancy::Unknown,
     }
 }

@@ -61,6 +61,8 @@ impl Pose2 {
 
 impl Mul for Pose2 {
     type Output = Self;
+    // Angles of a product add.
+    #[expect(clippy::suspicious_arithmetic_impl)]
     fn mul(self, inner: Self) -> Self {
         let [x_m, y_m] = self.apply([inner.x_m, inner.y_m]);
         Self { x_m, y_m, yaw_rad: wrap_angle(self.yaw_rad + inner.yaw_rad) }

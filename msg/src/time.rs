@@ -35,6 +35,8 @@ impl Stamp {
 impl Sub for Stamp {
     type Output = f64;
     /// Seconds from `earlier` to `self`.
+    // Nanoseconds to seconds.
+    #[expect(clippy::suspicious_arithmetic_impl)]
     fn sub(self, earlier: Self) -> f64 {
         self.0.wrapping_sub(earlier.0) as f64 * 1e-9
     }
