@@ -1,7 +1,7 @@
 //! The one binary of MR-SLAM.
 
 use clap::{Parser, Subcommand};
-use mr_slam::process::{Process, ProcessArgs, RobotArgs, SimArgs};
+use mr_slam::process::{Process, ProcessArgs, RobotArgs};
 use mr_slam::{demo, lockstep, merge_maps, operator, process, replay, status, stop::Stop, up};
 use std::process::ExitCode;
 
@@ -29,7 +29,7 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// One process of a fleet, started by `up`: a robot in its room
     #[command(display_order = 100)]
-    Sim(SimArgs),
+    Sim(RobotArgs),
     /// One process of a fleet, started by `up`: a robot's SLAM
     #[command(display_order = 100)]
     Slam(RobotArgs),

@@ -5,7 +5,7 @@ use crate::clock::now;
 use crate::map_file;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
-use msg::{FleetStats, Grid, Monotonic, Pose2, RobotId, Truth};
+use msg::{Correction, FleetStats, Grid, Monotonic, Pose2, RobotId, Role, Truth};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -16,8 +16,7 @@ pub struct Observer {
     newest: Option<Box<FleetStats>>,
     merged_map: MapWatch,
     maps: Vec<MapWatch>,
-    truths: Vec<Reader<Truth>>,
-    last_seen: Vec<Option<Pose2>>,
+    robots: Vec<RobotWatch>,
     // The readers' presence in the run; dropped after them.
     _node: Node,
 }
@@ -27,6 +26,31 @@ struct MapWatch {
     name: String,
     reader: GridReader,
     newest: Option<Grid>,
+}
+
+/// Where one robot is.
+struct RobotWatch {
+    truths: Reader<Truth>,
+    corrections: Reader<Correction>,
+    world_from_base: Option<Pose2>,
+    map_from_odom: Option<Pose2>,
+}
+
+impl RobotWatch {
+    fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
+        let (truths, corrections) =
+            (node.reader(&channel::truth(robot))?, node.reader(&channel::correction(robot))?);
+        Ok(Self { truths, corrections, world_from_base: None, map_from_odom: None })
+    }
+
+    fn look(&mut self) {
+        if let Some(truth) = self.truths.newest() {
+            self.world_from_base = Some(truth.world_from_base);
+        }
+        if let Some(correction) = self.corrections.newest() {
+            self.map_from_odom = Some(correction.map_from_odom);
+        }
+    }
 }
 
 impl Observer {
@@ -42,11 +66,7 @@ impl Observer {
             newest: None,
             merged_map: watch("merged_map".into(), node.grid_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
-            truths: run
-                .robots()
-                .map(|robot| node.reader(&channel::truth(robot)))
-                .collect::<Result<_, _>>()?,
-            last_seen: vec![None; run.config.fleet.robots],
+            robots: run.robots().map(|robot| RobotWatch::open(&node, robot)).collect::<Result<_, _>>()?,
             _node: node,
         })
     }
@@ -58,9 +78,7 @@ impl Observer {
                 watch.newest = Some(map);
             }
         }
-        for (truths, last_seen) in self.truths.iter_mut().zip(&mut self.last_seen) {
-            *last_seen = truths.newest().map(|truth| truth.world_from_base).or(*last_seen);
-        }
+        self.robots.iter_mut().for_each(RobotWatch::look);
         let stats = self.stats.newest();
         let new = stats.is_some();
         if let Some(stats) = stats {
@@ -81,9 +99,15 @@ impl Observer {
         self.newest.as_deref()
     }
 
-    /// Where a simulated robot was last seen: its pose in `world`.
-    pub fn last_seen(&self, robot: RobotId) -> Option<Pose2> {
-        *self.last_seen.get(robot.index())?
+    /// What a robot's process must know when it is started again: the simulator where the robot
+    /// stands in `world`, SLAM where `odom` lies in `robotK/map`.
+    pub fn last_seen(&self, role: Role, robot: RobotId) -> Option<Pose2> {
+        let watch = self.robots.get(robot.index())?;
+        match role {
+            Role::Sim => watch.world_from_base,
+            Role::Slam => watch.map_from_odom,
+            _ => None,
+        }
     }
 
     /// Writes every map that was seen: PGM with YAML, and PNG. Returns the files' stems.

@@ -47,8 +47,8 @@ impl Member {
     }
 }
 
-/// Where a simulated robot was last seen: its pose in `world`.
-pub type LastSeen<'a> = &'a dyn Fn(RobotId) -> Option<Pose2>;
+/// What a process that is started again must know of its robot: see `--at`.
+pub type LastSeen<'a> = &'a dyn Fn(Role, RobotId) -> Option<Pose2>;
 
 /// The fleet's processes.
 pub struct Supervisor {
@@ -72,15 +72,15 @@ impl Supervisor {
             members.push(member(Role::Sim, Some(robot)));
         }
         let mut supervisor = Self { run: run.clone(), listener, members };
-        supervisor.tend(&|_| None, &mut |_| {});
+        supervisor.tend(&|_, _| None, &mut |_| {});
         match supervisor.members.iter().find(|member| !matches!(member.state, State::Running { .. })) {
             Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
             None => Ok(supervisor),
         }
     }
 
-    /// Notices deaths, and starts again what is due. Never blocks. A robot is put back where it was
-    /// `last_seen`, in `world`. `tell` hears what happened.
+    /// Notices deaths, and starts again what is due. Never blocks. A robot's process is told where
+    /// it was `last_seen`. `tell` hears what happened.
     pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         let mut died = false;
         for member in &mut self.members {
@@ -99,7 +99,7 @@ impl Supervisor {
         if Instant::now() < until {
             return;
         }
-        let place = robot.filter(|_| role == Role::Sim).and_then(last_seen);
+        let place = robot.and_then(|robot| last_seen(role, robot));
         let started = self.spawn(role, robot, place);
         let member = &mut self.members[index];
         member.state = match started {

@@ -182,7 +182,7 @@ fn watch(
     let over = |begun: Instant| seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
     let mut events = Vec::new();
     while !stop.requested() && !over(begun) && passenger.ride() {
-        supervisor.tend(&|robot| observer.last_seen(robot), &mut |event| {
+        supervisor.tend(&|role, robot| observer.last_seen(role, robot), &mut |event| {
             screen.tell(&event);
             events.push(event);
         });

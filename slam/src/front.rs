@@ -439,11 +439,13 @@ impl Front {
         let (sin, cos) = self.map_from_local.yaw_rad.sin_cos();
         let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
         let c = turn * found.covariance * turn.transpose();
+        let base_from_odom =
+            odom_from_base.unwrap_or(Pose2::IDENTITY).inverse() * self.odometry.continuous_from_odom();
         Correction {
             header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
             scan_sent: scan.header.sent,
-            map_from_odom: map_from_base * odom_from_base.unwrap_or(Pose2::IDENTITY).inverse(),
+            map_from_odom: map_from_base * base_from_odom,
             map_from_base,
             covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
             state: found.state as u32,

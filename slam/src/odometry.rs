@@ -7,7 +7,9 @@ use std::collections::VecDeque;
 /// The newest odometry, in order of time.
 #[derive(Clone, Debug)]
 pub struct OdometryBuffer {
+    /// Continuous, see [`OdometryBuffer::continuous_from_odom`].
     poses: VecDeque<Odometry>,
+    continuous_from_odom: Pose2,
     config: OdometryConfig,
     refused: u64,
 }
@@ -15,7 +17,8 @@ pub struct OdometryBuffer {
 impl OdometryBuffer {
     /// Empty, with room for all it will ever hold.
     pub fn new(config: OdometryConfig) -> Self {
-        Self { poses: VecDeque::with_capacity(config.buffer_len + 1), config, refused: 0 }
+        let poses = VecDeque::with_capacity(config.buffer_len + 1);
+        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, refused: 0 }
     }
 
     /// Takes one message; refuses (and counts) those that are not numbers or not newer than the last.
@@ -28,7 +31,18 @@ impl OdometryBuffer {
         if self.poses.len() == self.config.buffer_len {
             self.poses.pop_front();
         }
-        self.poses.push_back(*odometry);
+        if let Some(last) = self.poses.back().filter(|last| last.header.run != odometry.header.run) {
+            // The robot's driver was started again and counts from elsewhere; meanwhile it stood.
+            self.continuous_from_odom = last.odom_from_base * odometry.odom_from_base.inverse();
+        }
+        let odom_from_base = self.continuous_from_odom * odometry.odom_from_base;
+        self.poses.push_back(Odometry { odom_from_base, ..*odometry });
+    }
+
+    /// Poses given out are in a frame that does not jump when the writer is started again. This is
+    /// its pose: identity until then.
+    pub fn continuous_from_odom(&self) -> Pose2 {
+        self.continuous_from_odom
     }
 
     /// How many messages were refused.

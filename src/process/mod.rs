@@ -27,17 +27,6 @@ pub struct ProcessArgs {
     pub run_dir: PathBuf,
 }
 
-/// What the launcher tells a simulator.
-#[derive(Clone, Debug, clap::Args)]
-pub struct SimArgs {
-    /// What a robot's processes are told.
-    #[command(flatten)]
-    pub robot: RobotArgs,
-    /// Where the robot stands in `world`, metres and radians, when its simulator is started again
-    #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
-    pub at: Option<Pose2>,
-}
-
 fn pose(text: &str) -> Result<Pose2, String> {
     let numbers =
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
@@ -55,6 +44,10 @@ pub struct RobotArgs {
     /// Which robot: 1 is robot1.
     #[arg(long, value_name = "K")]
     pub robot: usize,
+    /// Where the robot was, when its process is started again: for sim, the robot's pose in `world`;
+    /// for slam, that of `odom` in its map; metres and radians
+    #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
+    pub at: Option<Pose2>,
     /// What every child is told.
     #[command(flatten)]
     pub process: ProcessArgs,
@@ -67,7 +60,7 @@ pub type Error = Box<dyn std::error::Error>;
 #[derive(Clone, Debug)]
 pub enum Process {
     /// A robot in its room.
-    Sim(SimArgs),
+    Sim(RobotArgs),
     /// A robot's SLAM.
     Slam(RobotArgs),
     /// The fleet's map.
@@ -82,12 +75,12 @@ pub enum Process {
 pub fn run(process: &Process) -> Result<(), Error> {
     match process {
         Process::Sim(args) => {
-            let (run, stop) = join(&args.robot.process)?;
-            sim::run(&run, member(&run, args.robot.robot)?, args.at, &stop)
+            let (run, stop) = join(&args.process)?;
+            sim::run(&run, member(&run, args.robot)?, args.at, &stop)
         }
         Process::Slam(args) => {
             let (run, stop) = join(&args.process)?;
-            slam::run(&run, member(&run, args.robot)?, &stop)
+            slam::run(&run, member(&run, args.robot)?, args.at, &stop)
         }
         Process::Merge(args) => join(args).and_then(|(run, stop)| merge::run(&run, &stop)),
         Process::Telemetry(args) => join(args).and_then(|(run, stop)| telemetry::run(&run, &stop)),

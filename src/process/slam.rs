@@ -8,14 +8,15 @@ use crate::run::Run;
 use crate::shared_memory::{ChannelError, wait};
 use crate::stop::Stop;
 use ::slam::{Back, Node, Revision, Slam};
-use msg::{RobotId, Role};
+use msg::{Correction, GridHeader, GridView, Pose2, RobotId, Role};
+use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Instant;
 
 /// Nodes the work beside may fall behind the scans: at a node each half metre or so, minutes of driving.
 const NODES_WAITING_MAX: usize = 256;
 
-pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
+pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let (mut front, back) = Slam::new(run.config.slam.clone()).split();
     let (nodes, nodes_in) = sync_channel::<Node>(NODES_WAITING_MAX);
     let (revisions, revisions_in) = sync_channel::<Revision>(NODES_WAITING_MAX);
@@ -27,8 +28,9 @@ pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
     let mut odometry = node.reader(&channel::odometry(robot))?;
     let mut corrections = node.writer(&channel::correction(robot))?;
     let mut refused = 0;
+    let shift = Shift::new(at);
     std::thread::scope(|scope| {
-        let beside = scope.spawn(|| beside(run, robot, back, nodes_in, revisions));
+        let beside = scope.spawn(|| beside(run, robot, &shift, back, nodes_in, revisions));
         while !stop.requested() && !beside.is_finished() {
             wait(&[&scan_bell], pulse.due());
             while let Some(scan) = scans.receive() {
@@ -37,7 +39,7 @@ pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
                 }
                 revisions_in.try_iter().for_each(|revision| front.revise(revision));
                 let step = pulse.work(|| front.process(&scan));
-                corrections.send(&step.correction);
+                corrections.send(&shift.correction(&step.correction));
                 refused += u64::from(step.refused.is_some());
                 // The scan's own map never waits; only a graph minutes behind would hold it up here.
                 step.node.into_iter().for_each(|node| drop(nodes.send(node)));
@@ -53,6 +55,7 @@ pub fn run(run: &Run, robot: RobotId, stop: &Stop) -> Result<(), Error> {
 fn beside(
     run: &Run,
     robot: RobotId,
+    shift: &Shift,
     mut back: Back,
     nodes: Receiver<Node>,
     revisions: SyncSender<Revision>,
@@ -70,9 +73,40 @@ fn beside(
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
         if news && sent.is_none_or(|sent| sent.elapsed() >= MAP_PERIOD) {
-            maps.send(back.map());
+            let map = back.map();
+            maps.send(GridView { header: &shift.header(map.header), ..map });
             (news, sent) = (false, Some(Instant::now()));
         }
         maps.refresh();
+    }
+}
+
+/// SLAM begins its map where the robot then stands. A worker that is started again goes on in its
+/// predecessor's frame instead, so that the fleet's map need not move: `map_from_odom` continues.
+struct Shift {
+    before_from_odom: Option<Pose2>,
+    before_from_map: OnceLock<Pose2>,
+}
+
+impl Shift {
+    fn new(before_from_odom: Option<Pose2>) -> Self {
+        Self { before_from_odom, before_from_map: OnceLock::new() }
+    }
+
+    /// The first correction settles where the new map lies in the old one.
+    fn correction(&self, correction: &Correction) -> Correction {
+        let settle =
+            || self.before_from_odom.map_or(Pose2::IDENTITY, |at| at * correction.map_from_odom.inverse());
+        let shift = *self.before_from_map.get_or_init(settle);
+        Correction {
+            map_from_odom: shift * correction.map_from_odom,
+            map_from_base: shift * correction.map_from_base,
+            ..*correction
+        }
+    }
+
+    fn header(&self, header: &GridHeader) -> GridHeader {
+        let shift = self.before_from_map.get().copied().unwrap_or(Pose2::IDENTITY);
+        GridHeader { origin: shift * header.origin, ..*header }
     }
 }

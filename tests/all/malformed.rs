@@ -8,7 +8,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 
 const LASER: &str =
-    "ROBOTLASER1 0 0.0 3.14159 1.570796 10.0 0.01 0 3 1.0 1.0 1.0 0 0 0 0 0 0 0 0 0 0 0 5.0 host 5.0\n";
+    "ROBOTLASER1 0 0.0 3.14159 1.570796 10.0 0.01 0 3 1.0 1.0 1.0 0 0 0 0 0 0 0 0 0 0 0 0 5.0 host 5.0\n";
 
 fn replay(log: &[u8]) -> (bool, String) {
     let folder = Folder::new();

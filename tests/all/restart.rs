@@ -25,6 +25,10 @@ fn kill_and_recover(name: &str) {
     for peer in after.processes.iter().filter(|peer| peer.process != name) {
         assert_eq!(peer.restarts, 0, "{peer:?}");
     }
+    // Nobody lost its place, not even the robot whose process died.
+    for robot in &after.robots {
+        assert!(robot.pose_error_m.is_some_and(|error| error < 0.10), "{robot:?}");
+    }
     for robot in after.robots.iter().filter(|robot| !name.ends_with(&robot.robot)) {
         assert_eq!(robot.scans_lost, 0, "{robot:?}");
         assert_eq!(robot.state, "tracking", "{robot:?}");
