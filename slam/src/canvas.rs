@@ -6,7 +6,7 @@ use crate::cloud::Placement;
 use crate::config::MapConfig;
 use crate::node::Node;
 use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, UNKNOWN};
-use msg::{GridHeader, GridView, Pose2, pose::wrap_angle};
+use msg::{Grid, GridHeader, GridView, Pose2, pose::wrap_angle};
 
 /// The grid grows by whole tiles of so many cells.
 const TILE: i64 = 64;
@@ -22,13 +22,16 @@ pub struct Canvas {
     drawn: Vec<Pose2>,
     /// Nodes that did not fit into the largest grid.
     clipped: u64,
+    /// What is given out: the grid without the unknown margins of its tiles.
+    trimmed: Grid,
 }
 
 impl Canvas {
     /// Nothing drawn.
     pub fn new(config: MapConfig) -> Self {
         let header = GridHeader { resolution_m: config.resolution_m, ..Default::default() };
-        Self { config, header, cells: Vec::new(), corner: [0; 2], drawn: Vec::new(), clipped: 0 }
+        let (cells, drawn) = (Vec::new(), Vec::new());
+        Self { config, header, cells, corner: [0; 2], drawn, clipped: 0, trimmed: Grid::default() }
     }
 
     /// Nodes that were not drawn because the grid would have become too large.
@@ -36,8 +39,8 @@ impl Canvas {
         self.clipped
     }
 
-    /// The grid of these nodes at these poses. New nodes are added; if old ones have moved, all is
-    /// drawn again.
+    /// The grid of these nodes at these poses, as large as what is known. New nodes are added; if
+    /// old ones have moved, all is drawn again.
     pub fn draw(&mut self, nodes: &[Node], poses: &[Pose2]) -> GridView<'_> {
         if self.drawn.iter().zip(poses).any(|(was, is)| self.moved(*was, *is)) {
             self.cells.fill(UNKNOWN);
@@ -52,7 +55,32 @@ impl Canvas {
             self.header.header = node.header;
             self.header.scan_sent = node.header.sent;
         }
-        GridView { header: &self.header, cells: &self.cells }
+        self.trim();
+        self.trimmed.view()
+    }
+
+    /// Copies the known part, so that what a map says of its size does not depend on tiles.
+    fn trim(&mut self) {
+        let width = self.header.width as usize;
+        let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+        for (y, row) in self.cells.chunks_exact(width.max(1)).enumerate() {
+            let Some(first) = row.iter().position(|cell| *cell != UNKNOWN) else { continue };
+            let last = row.iter().rposition(|cell| *cell != UNKNOWN).unwrap_or(first);
+            (low[0], high[0]) = (low[0].min(first), high[0].max(last + 1));
+            (low[1], high[1]) = (low[1].min(y), y + 1);
+        }
+        self.trimmed.cells.clear();
+        self.trimmed.header = GridHeader { width: 0, height: 0, ..self.header };
+        if high[1] == 0 {
+            return;
+        }
+        for row in self.cells.chunks_exact(width).take(high[1]).skip(low[1]) {
+            self.trimmed.cells.extend_from_slice(&row[low[0]..high[0]]);
+        }
+        let header = &mut self.trimmed.header;
+        (header.width, header.height) = ((high[0] - low[0]) as u32, (high[1] - low[1]) as u32);
+        let corner_m = [0, 1].map(|k| (self.corner[k] + low[k] as i64) as f64 * self.config.resolution_m);
+        header.origin = Pose2::new(corner_m[0], corner_m[1], 0.0);
     }
 
     fn moved(&self, was: Pose2, is: Pose2) -> bool {
@@ -111,8 +139,6 @@ impl Canvas {
         }
         self.cells = grown;
         self.corner = low;
-        let corner_m = low.map(|v| v as f64 * self.config.resolution_m);
-        self.header.origin = Pose2::new(corner_m[0], corner_m[1], 0.0);
         (self.header.width, self.header.height) = (size[0] as u32, size[1] as u32);
         true
     }
