@@ -2,7 +2,7 @@
 //! the newest nodes in a frame of its own that never jumps; what the back end finds out about the
 //! past only moves that frame in the map.
 
-use crate::align::{Prior, Reference, align};
+use crate::align::{Alignment, Prior, Reference, align};
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::field::{Field, Limits, Scratch, Window};
@@ -59,8 +59,23 @@ pub struct Counts {
     pub lost: u64,
     /// Odometry messages that were no numbers or not newer than the last.
     pub odometry_refused: u64,
+    /// Scans that contradicted odometry so clearly that they were believed alone.
+    pub slips: u64,
     /// Poses not remembered because the trajectory was full.
     pub trajectory_dropped: u64,
+}
+
+/// A pose this many standard deviations from where odometry has it is strained.
+const SLIP_SIGMAS: f64 = 3.0;
+/// To be believed against odometry, so much of a scan must fit ...
+const SLIP_OVERLAP_MIN: f32 = 0.7;
+/// ... and leave no direction more unsure than this by itself, metres.
+const SLIP_WIDEST_M: f64 = 0.03;
+
+fn strained(fit: &Alignment, expected: &Expected) -> bool {
+    let off = expected.pose.between(fit.frame_from_cloud);
+    off.x_m.hypot(off.y_m) > SLIP_SIGMAS * expected.sigma_m
+        || off.yaw_rad.abs() > SLIP_SIGMAS * expected.sigma_rad
 }
 
 /// The answer to one scan.
@@ -109,6 +124,8 @@ struct Found {
     local_from_base: Pose2,
     covariance: Matrix3<f64>,
     state: TrackingState,
+    /// The scan says, clearly, that the wheels did not do what they counted.
+    slipped: bool,
 }
 
 /// See the module.
@@ -195,6 +212,7 @@ impl Front {
         let expected = self.expect(scan.header.stamp, odom_from_base);
         let cloud = Arc::new(Cloud::new(scan, &self.config.lidar));
         let found = self.locate(&cloud, &expected);
+        self.forget_slip(&found, odom_from_base);
         let node = self.node_due(&found, &cloud).then(|| self.make_node(scan, &found, odom_from_base, cloud));
         self.remember(scan.header.stamp, &found, odom_from_base);
         let correction = self.correction(scan, &found, odom_from_base);
@@ -230,6 +248,7 @@ impl Front {
             local_from_base: last.map_or(Pose2::IDENTITY, |l| l.local_from_base),
             covariance: last.map_or(Matrix3::zeros(), |l| l.covariance),
             state: if last.is_some() { TrackingState::Lost } else { TrackingState::Starting },
+            slipped: false,
         };
         let correction = self.correction(scan, &found, last.and_then(|l| l.odom_from_base));
         Step { correction, refused: Some(refusal), node: None, made_node: None }
@@ -278,6 +297,7 @@ impl Front {
             local_from_base: expected.pose,
             covariance: self.last.map_or(Matrix3::zeros(), |l| l.covariance) + believed,
             state: TrackingState::Lost,
+            slipped: false,
         };
         if self.recent.is_empty() {
             return Found { state: TrackingState::Starting, ..dead_reckoned };
@@ -322,16 +342,38 @@ impl Front {
         let believed = Matrix3::from_diagonal(&Vector3::new(m, m, rad));
         let prior = Prior { pose: expected.pose, information: believed };
         let fit = align(cloud, guess, &references, Some(prior), &self.config.links);
+        let free = strained(&fit, expected)
+            .then(|| align(cloud, fit.frame_from_cloud, &references, None, &self.config.links))
+            .filter(|free| {
+                free.overlap >= SLIP_OVERLAP_MIN && self.widest_m(free).is_some_and(|m| m < SLIP_WIDEST_M)
+            });
+        let slipped = free.is_some();
+        let fit = free.unwrap_or(fit);
         if fit.overlap < self.config.tracking.overlap_min {
             return None;
         }
         let floor = Matrix3::from_diagonal(&Vector3::new(1e-4, 1e-4, 1e-5));
         let covariance = (fit.information + believed).try_inverse()? + floor;
-        let seen = (fit.information + Matrix3::identity() * 1e-3).try_inverse()?;
-        let widest = seen.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max().sqrt();
-        let degenerate = widest > self.config.tracking.degenerate_sigma_m;
+        let degenerate = self.widest_m(&fit)? > self.config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
-        Some(Found { local_from_base: fit.frame_from_cloud, covariance, state })
+        Some(Found { local_from_base: fit.frame_from_cloud, covariance, state, slipped })
+    }
+
+    /// How unsure the scan alone leaves the worst known direction, one standard deviation, metres.
+    fn widest_m(&self, fit: &Alignment) -> Option<f64> {
+        let seen = (fit.information + Matrix3::identity() * 1e-3).try_inverse()?;
+        Some(seen.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max().sqrt())
+    }
+
+    /// After wheels have slipped, odometry counts from where the scan says the robot is: what they
+    /// counted in vain pulls no longer.
+    fn forget_slip(&mut self, found: &Found, odom_from_base: Option<Pose2>) {
+        let (true, Some(node), Some(now)) = (found.slipped, self.recent.back(), odom_from_base) else {
+            return;
+        };
+        let moved = node.local_from_base.between(found.local_from_base);
+        self.node_odom_from_base = Some(now * moved.inverse());
+        self.counts.slips += 1;
     }
 
     fn node_due(&mut self, found: &Found, cloud: &Cloud) -> bool {
