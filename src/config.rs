@@ -68,8 +68,9 @@ impl Default for FleetConfig {
     }
 }
 
-/// SLAM for a robot that is known: where its LiDAR sits, and what its wheels are worth. SLAM's own
-/// default is for the unknown robots of recorded logs, whose odometry may be four times worse.
+/// SLAM for a robot that is known: where its LiDAR sits, and what its odometry, with a gyroscope's
+/// heading, is worth. SLAM's own default is for the unknown robots of recorded logs, whose heading
+/// may be ten times worse.
 fn burger_slam() -> slam::SlamConfig {
     let [x_m, y_m, _] = sim::burger::SCAN_IN_BASE_LINK_M;
     let mut config = slam::SlamConfig::default();
@@ -77,9 +78,9 @@ fn burger_slam() -> slam::SlamConfig {
     config.odometry = slam::OdometryConfig {
         sigma_m: 0.01,
         sigma_m_per_m: 0.05,
-        sigma_rad: 0.005,
-        sigma_rad_per_rad: 0.05,
-        sigma_rad_per_m: 0.03,
+        sigma_rad: 0.003,
+        sigma_rad_per_rad: 0.02,
+        sigma_rad_per_m: 0.01,
         speed_max_m_s: 0.3,
         turn_max_rad_s: 2.0,
         ..config.odometry

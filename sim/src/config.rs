@@ -181,6 +181,23 @@ pub struct NoiseConfig {
     /// Of each wheel's measured way, metres after one metre: a random walk, which grows with the
     /// square root of the way.
     pub wheel_walk_m_per_sqrt_m: f64,
+    /// What odometry takes the heading from.
+    pub heading: Heading,
+    /// Of the gyroscope's scale; drawn once a run.
+    pub gyro_scale_std: f64,
+    /// Of the gyroscope's heading, radians after one radian turned: a random walk.
+    pub gyro_walk_rad_per_sqrt_rad: f64,
+}
+
+/// What odometry takes the heading from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Heading {
+    /// The gyroscope, as TurtleBot3's own driver does by default.
+    #[default]
+    Gyro,
+    /// The wheels: their slip turns the robot's belief.
+    Wheels,
 }
 
 impl NoiseConfig {
@@ -192,6 +209,9 @@ impl NoiseConfig {
         wheel_scale_std: 0.0,
         wheel_separation_std: 0.0,
         wheel_walk_m_per_sqrt_m: 0.0,
+        heading: Heading::Gyro,
+        gyro_scale_std: 0.0,
+        gyro_walk_rad_per_sqrt_rad: 0.0,
     };
 
     /// The first value that makes no sense, by name.
@@ -200,6 +220,7 @@ impl NoiseConfig {
             ("noise.range_std_m", self.range_std_m),
             ("noise.range_std_ratio", self.range_std_ratio),
             ("noise.wheel_walk_m_per_sqrt_m", self.wheel_walk_m_per_sqrt_m),
+            ("noise.gyro_walk_rad_per_sqrt_rad", self.gyro_walk_rad_per_sqrt_rad),
         ];
         for (field, value) in deviations {
             check(field, value, (0.0..=1.0).contains(&value), "0 to 1")?;
@@ -210,6 +231,7 @@ impl NoiseConfig {
         let scales = [
             ("noise.wheel_scale_std", self.wheel_scale_std),
             ("noise.wheel_separation_std", self.wheel_separation_std),
+            ("noise.gyro_scale_std", self.gyro_scale_std),
         ];
         for (field, value) in scales {
             check(field, value, (0.0..=0.1).contains(&value), "0 to 0.1")?;
@@ -219,7 +241,7 @@ impl NoiseConfig {
 }
 
 impl Default for NoiseConfig {
-    /// A robot as one buys it: about 1° of heading and 1 % of way lost per metre.
+    /// A robot as one buys it: about 0.3° of heading lost per radian turned, and some way per metre.
     fn default() -> Self {
         Self {
             range_std_m: 0.01,
@@ -228,6 +250,9 @@ impl Default for NoiseConfig {
             wheel_scale_std: 0.002,
             wheel_separation_std: 0.01,
             wheel_walk_m_per_sqrt_m: 0.001,
+            heading: Heading::Gyro,
+            gyro_scale_std: 0.005,
+            gyro_walk_rad_per_sqrt_rad: 0.005,
         }
     }
 }

@@ -20,6 +20,6 @@ mod peers;
 mod room;
 mod simulator;
 
-pub use config::{ConfigError, LidarConfig, Limits, NoiseConfig, SimConfig};
+pub use config::{ConfigError, Heading, LidarConfig, Limits, NoiseConfig, SimConfig};
 pub use room::{Room, RoomError, StartError};
 pub use simulator::{Simulator, Tick};

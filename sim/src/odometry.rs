@@ -1,13 +1,15 @@
-//! Where the robot believes it is, from what its wheels measured: dead reckoning of a differential
-//! drive (Siegwart, Nourbakhsh, Scaramuzza, "Autonomous Mobile Robots", 2nd ed., eq. 5.7), with the
-//! errors of real ones.
+//! Where the robot believes it is: dead reckoning of a differential drive (Siegwart, Nourbakhsh,
+//! Scaramuzza, "Autonomous Mobile Robots", 2nd ed., eq. 5.7), with the errors of real ones. As on a
+//! TurtleBot3 the way is the wheels' and the heading the gyroscope's (turtlebot3_node, parameter
+//! `odometry.use_imu`), so that wheels that spin against a table leg do not turn the map; by
+//! configuration the heading is the wheels' too.
 
 use crate::burger::{WHEEL_RADIUS_M, WHEEL_SEPARATION_M};
-use crate::config::NoiseConfig;
+use crate::config::{Heading, NoiseConfig};
 use crate::noise::Noise;
 use msg::Pose2;
 
-/// Integrates wheel angles; starts at the identity of `odom`.
+/// Integrates wheel angles and turns; starts at the identity of `odom`.
 pub(crate) struct WheelOdometry {
     odom_from_base: Pose2,
     /// Way and turn since [`WheelOdometry::take_way`], metres and radians.
@@ -16,6 +18,10 @@ pub(crate) struct WheelOdometry {
     radii_m: [f64; 2],
     separation_m: f64,
     walk_m_per_sqrt_m: f64,
+    heading: Heading,
+    /// Radians that the gyroscope reports per radian turned.
+    gyro_scale: f64,
+    gyro_walk_rad_per_sqrt_rad: f64,
     noise: Noise,
 }
 
@@ -24,26 +30,34 @@ impl WheelOdometry {
         let mut drawn = |std: f64| 1.0 + (std * noise.gaussian()).clamp(-0.5, 0.5);
         let radii_m = [(); 2].map(|()| WHEEL_RADIUS_M * drawn(config.wheel_scale_std));
         let separation_m = WHEEL_SEPARATION_M * drawn(config.wheel_separation_std);
-        let walk_m_per_sqrt_m = config.wheel_walk_m_per_sqrt_m;
+        let gyro_scale = drawn(config.gyro_scale_std);
         Self {
             odom_from_base: Pose2::IDENTITY,
             way: (0.0, 0.0),
             radii_m,
             separation_m,
-            walk_m_per_sqrt_m,
+            walk_m_per_sqrt_m: config.wheel_walk_m_per_sqrt_m,
+            heading: config.heading,
+            gyro_scale,
+            gyro_walk_rad_per_sqrt_rad: config.gyro_walk_rad_per_sqrt_rad,
             noise,
         }
     }
 
-    /// The wheels, left and right, turned on by `delta_rad`.
-    pub(crate) fn advance(&mut self, delta_rad: [f64; 2]) {
+    /// The wheels, left and right, turned on by `delta_rad`, and the body by `yaw_rad`.
+    pub(crate) fn advance(&mut self, delta_rad: [f64; 2], yaw_rad: f64) {
         let mut measured_m = [0.0; 2];
         for ((way_m, delta_rad), radius_m) in measured_m.iter_mut().zip(delta_rad).zip(self.radii_m) {
             let rolled_m = radius_m * delta_rad;
             *way_m = rolled_m + self.walk_m_per_sqrt_m * rolled_m.abs().sqrt() * self.noise.gaussian();
         }
         let [left_m, right_m] = measured_m;
-        let (way_m, turn_rad) = ((left_m + right_m) / 2.0, (right_m - left_m) / self.separation_m);
+        let way_m = (left_m + right_m) / 2.0;
+        let walk_rad = self.gyro_walk_rad_per_sqrt_rad * yaw_rad.abs().sqrt() * self.noise.gaussian();
+        let turn_rad = match self.heading {
+            Heading::Gyro => self.gyro_scale * yaw_rad + walk_rad,
+            Heading::Wheels => (right_m - left_m) / self.separation_m,
+        };
         // To second order: along the chord, whose direction is half the turn.
         let (sin, cos) = (turn_rad / 2.0).sin_cos();
         self.odom_from_base = self.odom_from_base * Pose2::new(way_m * cos, way_m * sin, turn_rad);

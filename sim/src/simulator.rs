@@ -11,6 +11,7 @@ use crate::room::{Room, StartError};
 use core::f64::consts::FRAC_PI_2;
 use core::time::Duration;
 use glam::DQuat;
+use msg::pose::wrap_angle;
 use msg::{
     Command, Header, Link, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotId, Scan, Stamp, Transforms,
     Truth,
@@ -155,7 +156,10 @@ impl Simulator {
         self.ticks += 1;
         let now = self.now();
         self.peers.advance(&mut self.body, now);
-        self.odometry.advance(self.body.step());
+        let before_rad = self.body.world_from_base().yaw_rad;
+        let wheels_rad = self.body.step();
+        let turned_rad = wrap_angle(self.body.world_from_base().yaw_rad - before_rad);
+        self.odometry.advance(wheels_rad, turned_rad);
         self.count_contacts();
 
         let phase = self.robot.index() as i64;
