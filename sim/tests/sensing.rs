@@ -141,7 +141,9 @@ fn a_seed_repeats_to_the_byte() {
 
 #[test]
 fn transforms_are_the_turtlebots() {
-    let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
+    let mut config = quiet();
+    config.noise.heading = sim::Heading::Wheels;
+    let mut simulator = Simulator::new(&box_room(), &config, robot(1), Pose2::IDENTITY, 1).unwrap();
     let mut last = None;
     for _ in 0..100 {
         simulator.command(&drive(0.15, 0.2));
