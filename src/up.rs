@@ -9,7 +9,7 @@ use crate::screen::Screen;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
 use crate::view::FleetView;
-use std::net::TcpListener;
+use std::net::{IpAddr, TcpListener};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -44,6 +44,12 @@ pub struct UpArgs {
     /// TCP port for headsets; 0: any that is free [default: 10000]
     #[arg(long, value_name = "P")]
     pub port: Option<u16>,
+    /// Let this address drive, such as the headset's; may be given several times
+    #[arg(long, value_name = "ADDRESS")]
+    pub allow: Vec<IpAddr>,
+    /// Let everybody who reaches the port drive
+    #[arg(long)]
+    pub trust_lan: bool,
     /// End after this many seconds; without it, Ctrl-C ends the fleet
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub seconds: Option<f64>,
@@ -112,6 +118,10 @@ impl UpArgs {
     fn config(&self) -> Result<FleetConfig, ConfigError> {
         let mut config = self.fleet.config()?;
         config.fleet.port = self.port.unwrap_or(config.fleet.port);
+        config.bridge.allow.extend(&self.allow);
+        if self.trust_lan {
+            config.bridge.drive = bridge::Permission::Anyone;
+        }
         Ok(config)
     }
 

@@ -136,7 +136,7 @@ impl Hub {
             return Ok(());
         }
         self.access.ask(address);
-        Err(format!("{address} may not watch; at the laptop, run: mr-slam allow {address}"))
+        Err(format!("{address} may not watch; start the fleet with --allow {address}"))
     }
 
     fn publish(&mut self, id: ClientId, name: String, about: &Registration) -> Result<(), String> {

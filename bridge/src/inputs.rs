@@ -111,7 +111,8 @@ impl Hub {
             return Ok(());
         }
         self.access.ask(address);
-        let text = format!("{address} may not drive yet; at the laptop, run: mr-slam allow {address}");
+        let text =
+            format!("{address} may not drive yet; start the fleet with --allow {address}, or --trust-lan");
         Err(Refused(Refusal::Permission, text))
     }
 
