@@ -122,19 +122,8 @@ impl Node {
 
     /// The channel's one writer.
     pub fn writer<T: Message>(&self, channel: &Channel<T>) -> Result<Writer<T>, ChannelError> {
-        let service = self
-            .node
-            .service_builder(&service_name(&channel.name)?)
-            .publish_subscribe::<Shared<T>>()
-            .max_publishers(1)
-            .max_subscribers(channel.readers)
-            .max_nodes(NODES_MAX)
-            .history_size(channel.history)
-            .subscriber_max_buffer_size(channel.depth)
-            .subscriber_max_borrowed_samples(BORROWED_MAX)
-            .open_or_create()
-            .map_err(failed("cannot open channel", &channel.name))?;
-        let publisher = service
+        let publisher = self
+            .service(channel)?
             .publisher_builder()
             .max_loaned_samples(1)
             .backpressure_strategy(BackpressureStrategy::DiscardData)
@@ -145,8 +134,18 @@ impl Node {
 
     /// A reader of the channel.
     pub fn reader<T: Message>(&self, channel: &Channel<T>) -> Result<Reader<T>, ChannelError> {
-        let service = self
-            .node
+        let subscriber = self
+            .service(channel)?
+            .subscriber_builder()
+            .buffer_size(channel.depth)
+            .create()
+            .map_err(failed("cannot read channel", &channel.name))?;
+        Ok(Reader { subscriber, gaps: Gaps::default() })
+    }
+
+    /// Both ends open a channel with the same settings, whoever comes first.
+    fn service<T: Message>(&self, channel: &Channel<T>) -> Result<Service<T>, ChannelError> {
+        self.node
             .service_builder(&service_name(&channel.name)?)
             .publish_subscribe::<Shared<T>>()
             .max_publishers(1)
@@ -156,13 +155,7 @@ impl Node {
             .subscriber_max_buffer_size(channel.depth)
             .subscriber_max_borrowed_samples(BORROWED_MAX)
             .open_or_create()
-            .map_err(failed("cannot open channel", &channel.name))?;
-        let subscriber = service
-            .subscriber_builder()
-            .buffer_size(channel.depth)
-            .create()
-            .map_err(failed("cannot read channel", &channel.name))?;
-        Ok(Reader { subscriber, gaps: Gaps::default() })
+            .map_err(failed("cannot open channel", &channel.name))
     }
 
     fn grid_service(&self, channel: &Channel<GridHeader>) -> Result<GridService, ChannelError> {
@@ -239,6 +232,8 @@ impl Node {
     }
 }
 
+type Service<T> =
+    iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, Shared<T>, ()>;
 type GridService =
     iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [i8], Shared<GridHeader>>;
 type EventService = iceoryx2::service::port_factory::event::PortFactory<ipc::Service>;
