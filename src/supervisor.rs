@@ -129,11 +129,6 @@ impl Supervisor {
         command.stdin(stdin).process_group(0).spawn()
     }
 
-    /// How many children run.
-    pub fn running(&self) -> usize {
-        self.members.iter().filter(|member| matches!(member.state, State::Running { .. })).count()
-    }
-
     /// Asks every child to end, then makes it, and leaves no shared memory behind.
     pub fn end(&mut self) {
         for member in &self.members {
