@@ -16,6 +16,7 @@ pub mod shared_memory;
 pub mod stop;
 // What people see.
 pub mod map_file;
+pub mod merge_edges;
 pub mod observer;
 pub mod report;
 pub mod screen;

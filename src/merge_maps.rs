@@ -87,7 +87,7 @@ fn merge_files(args: &MergeArgs) -> Result<(), MergeMapsError> {
 
 /// All maps in, the first one placed.
 fn start(args: &MergeArgs, maps: &[Grid]) -> Result<Merger, MergeMapsError> {
-    let config = MergeConfig { resolution_m: maps[0].header.resolution_m };
+    let config = MergeConfig { resolution_m: maps[0].header.resolution_m, ..MergeConfig::default() };
     let mut starts = vec![None; maps.len()];
     starts[0] = Some(Pose2::IDENTITY);
     let mut merger = Merger::new(&config, &starts);

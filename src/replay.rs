@@ -3,6 +3,10 @@
 //! Two threads as in the live process: this one is the scan path, the other one does the work
 //! beside it. Unlike the live one, this one waits when the other is far behind: a log has time.
 
+mod fleet;
+
+pub use fleet::Starts;
+
 use crate::carmen::{LaserLine, Reader, Record};
 use crate::map_file::{MapFileError, write_map};
 use msg::{Odometry, Pose2, Scan, Stamp};
@@ -26,9 +30,13 @@ const PROGRESS: Duration = Duration::from_secs(1);
 /// `mr-slam replay LOG`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ReplayArgs {
-    /// A CARMEN log, plain or gzip
-    pub log: PathBuf,
-    /// Write the final trajectory: one line a scan, `t x y z qx qy qz qw`
+    /// CARMEN logs, plain or gzip; more than one: a fleet, see --merge
+    #[arg(value_name = "LOG", required = true)]
+    pub logs: Vec<PathBuf>,
+    /// Merge the robots of several logs: `known:FILE` (a line each robot: index, time, x, y, theta) or `unknown`
+    #[arg(long, value_name = "STARTS")]
+    pub merge: Option<Starts>,
+    /// Write the final trajectory: one line a scan, `t x y z qx qy qz qw`; of several logs, a folder of them
     #[arg(long, value_name = "FILE")]
     pub trajectory: Option<PathBuf>,
     /// Write the map: FILE.yaml with its PGM, and a PNG
@@ -85,6 +93,21 @@ pub enum ReplayError {
     /// An option makes no sense.
     #[error("--fov-deg is {0}, expected 1 to 360")]
     FieldOfView(f64),
+    /// Several logs, and nobody said what to do with them; or too many.
+    #[error("{0} logs: expected one, or 2 to {max} with --merge", max = msg::ROBOTS_MAX)]
+    Logs(usize),
+    /// A line of the file with the starts.
+    #[error(
+        "{path}:{line}: `{found}`: expected `index time x y theta`, a robot of the fleet and finite numbers"
+    )]
+    Starts {
+        /// The file.
+        path: PathBuf,
+        /// From 1.
+        line: usize,
+        /// What it says.
+        found: String,
+    },
 }
 
 /// What a replay did.
@@ -171,11 +194,18 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     if let Some(fov) = args.fov_deg.filter(|fov| !(1.0..=360.0).contains(fov)) {
         return Err(ReplayError::FieldOfView(fov));
     }
-    let start = Instant::now();
-    let log = read_log(&args.log)?;
     let mut config = SlamConfig::default();
     config.odometry.used = !args.no_odometry;
     config.closures.enabled = !args.no_closures;
+    let log = match (args.logs.as_slice(), &args.merge) {
+        ([log], None) => log,
+        (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
+            return fleet::run(args, starts, &config);
+        }
+        (logs, _) => return Err(ReplayError::Logs(logs.len())),
+    };
+    let start = Instant::now();
+    let log = read_log(log)?;
     let mut replayed = feed(&log, config, args)?;
     replayed.summary.wall_s = start.elapsed().as_secs_f64();
     replayed.summary.times_real_time = replayed.duration_s / replayed.summary.wall_s;
@@ -227,25 +257,26 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
     let mut records = Records { reader: Reader::new(log), malformed: 0 };
     let Some(first) = records.next_laser() else {
         let (skipped, malformed) = (records.reader.skipped(), records.malformed);
-        return Err(ReplayError::NoScan { path: args.log.clone(), skipped, malformed });
+        return Err(ReplayError::NoScan { path: args.logs[0].clone(), skipped, malformed });
     };
     let on_robot = first.base_from_scan;
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
     let (mut front, mut back) = Slam::new(config).split();
     let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
     let (to_front, revisions) = mpsc::channel::<Revision>();
-    let mut summary = Summary { log: args.log.display().to_string(), ..Default::default() };
+    let mut summary = Summary { log: args.logs[0].display().to_string(), ..Default::default() };
     let started = first.stamp;
     let mut ended = started;
     std::thread::scope(|scope| {
         let back = &mut back;
         let beside = scope.spawn(move || work_beside(back, nodes, to_front));
-        let mut feeder = Feeder::new(&mut front, args);
+        let mut feeder = Feeder::new(args);
+        let front = &mut front;
         let mut next = Some(first);
         while let Some(line) = next {
             ended = line.stamp;
-            revisions.try_iter().for_each(|revision| feeder.front.revise(revision));
-            if let Some(node) = feeder.scan(&line) {
+            revisions.try_iter().for_each(|revision| front.revise(revision));
+            if let Some(node) = feeder.scan(front, &line) {
                 let _ = to_back.send(node);
             }
             next = records.next_laser();
@@ -303,8 +334,7 @@ impl Records<'_> {
 }
 
 /// Log lines to messages.
-struct Feeder<'a> {
-    front: &'a mut Front,
+struct Feeder {
     scan: Box<Scan>,
     seq: u64,
     fov_rad: Option<f64>,
@@ -312,21 +342,21 @@ struct Feeder<'a> {
     told: Instant,
 }
 
-impl<'a> Feeder<'a> {
-    fn new(front: &'a mut Front, args: &ReplayArgs) -> Self {
+impl Feeder {
+    fn new(args: &ReplayArgs) -> Self {
         let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
         let fov_rad = args.fov_deg.map(f64::to_radians);
-        Self { front, scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now() }
+        Self { scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now() }
     }
 
-    fn scan(&mut self, line: &LaserLine) -> Option<Node> {
+    fn scan(&mut self, front: &mut Front, line: &LaserLine) -> Option<Node> {
         line.write_to(&mut self.scan, self.seq, self.fov_rad);
         self.seq += 1;
         let header = msg::Header { stamp: line.stamp, ..Default::default() };
         let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
-        self.front.odometry(&odometry);
+        front.odometry(&odometry);
         let start = Instant::now();
-        let step = self.front.process(&self.scan);
+        let step = front.process(&self.scan);
         self.times.push(start.elapsed());
         if self.told.elapsed() > PROGRESS {
             self.told = Instant::now();
@@ -397,7 +427,8 @@ mod tests {
 
     fn args(log: &Path) -> ReplayArgs {
         ReplayArgs {
-            log: log.to_owned(),
+            logs: vec![log.to_owned()],
+            merge: None,
             trajectory: None,
             map: None,
             json: false,

@@ -18,14 +18,15 @@ mod translate;
 mod verify;
 
 use crate::merger::{RESOLUTION_M, is_near};
-use evidence::Evidence;
-use field::Field;
-use fit::{Fit, fit};
+pub(crate) use evidence::Evidence;
+pub(crate) use field::Field;
+pub(crate) use fit::{Fit, fit};
 use msg::{GridView, Pose2};
-use refine::{coarse_stages, fine_stages, refine};
+use refine::{coarse_stages, fine_stages};
+pub(crate) use refine::{pull, refine};
 use serde::{Deserialize, Serialize};
 use translate::{COARSE_M, Candidate, Translator};
-use verify::{Agreement, agreement};
+pub(crate) use verify::{Agreement, agreement};
 
 /// Rotations tried, each with half a turn more.
 const ROTATIONS: usize = 12;
@@ -39,6 +40,9 @@ const FINE_POINTS: usize = 20_000;
 const VERIFIED: usize = 2;
 /// Walls by which a place must be ahead of nothing: what chance finds anywhere.
 const LEAST_EVIDENCE: f64 = 50.0;
+/// Wrong transforms that say what chance gives, and how many are tried to find them.
+const NULL_TRANSFORMS: usize = 20;
+const NULL_TRIES: usize = 60;
 /// Two places nearer than this are the same, metres and radians.
 const SAME_PLACE: [f64; 2] = [0.5, 0.1];
 
@@ -74,6 +78,26 @@ impl Default for AlignConfig {
             margin_min: 1.5,
             firmness_min: 0.03,
         }
+    }
+}
+
+impl AlignConfig {
+    /// What is wrong with it, if anything.
+    pub fn validate(&self) -> Result<(), String> {
+        let shares = [
+            ("strict_min", self.strict_min),
+            ("occupied_f1_min", self.occupied_f1_min),
+            ("conflict_max", self.conflict_max),
+            ("firmness_min", self.firmness_min),
+        ];
+        if let Some((name, value)) = shares.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
+            return Err(format!("merge.align.{name} is {value}; expected a share, 0 to 1"));
+        }
+        let amounts = [("overlap_min_m2", self.overlap_min_m2), ("margin_min", self.margin_min)];
+        if let Some((name, value)) = amounts.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
+            return Err(format!("merge.align.{name} is {value}; expected a number from 0"));
+        }
+        Ok(())
     }
 }
 
@@ -127,6 +151,49 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let a_from_b =
         field_a.evidence.frame_from_middle * best.a_from_b * field_b.evidence.frame_from_middle.inverse();
     Some(judge(a_from_b, &best, margin, &agreement(a, b, a_from_b), config))
+}
+
+/// The same figures for a place that is already known. `accepted` is whether they pass the gate but
+/// for `margin`, which is 0: no other place is looked at.
+pub(crate) fn assess(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Alignment> {
+    if !is_usable(a) || !is_usable(b) {
+        return None;
+    }
+    let [of_a, of_b] = [Evidence::of(a, COARSE_M), Evidence::of(b, COARSE_M)];
+    let (field_a, field_b) = (Field::of(of_a, a), Field::of(of_b, b));
+    let fields = [&field_a, &field_b];
+    let [from_a, from_b] = fields.map(|field| field.evidence.frame_from_middle);
+    let fit = fit(fields, from_a.inverse() * a_from_b * from_b, thinned(fields, FINE_POINTS));
+    let config = AlignConfig { margin_min: 0.0, ..AlignConfig::default() };
+    Some(judge(a_from_b, &fit, 0.0, &agreement(a, b, a_from_b), &config))
+}
+
+/// What chance gives: the largest F1 of occupied cells (one cell's tolerance) under
+/// [`NULL_TRANSFORMS`] wrong transforms, 2 to 8 m and 20° to 180° off, that leave at least half the
+/// overlap. The same maps give the same figure.
+pub(crate) fn null_f1(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> f64 {
+    let right = agreement(a, b, a_from_b);
+    // The middle of b's walls: turning about it keeps most of the overlap.
+    let middle = Evidence::of(b, COARSE_M).frame_from_middle;
+    let [x, y] = a_from_b.apply([middle.x_m, middle.y_m]);
+    let (mut most, mut left): (f64, usize) = (0.0, NULL_TRANSFORMS);
+    for k in 0..NULL_TRIES {
+        // Low-discrepancy instead of random: even over all directions, turns and distances.
+        let share = |prime: f64| (k as f64 * prime.sqrt()).fract();
+        let turn = (0.35 + 2.79 * share(2.0)) * if k % 2 == 0 { 1.0 } else { -1.0 };
+        let (shift, towards) = (2.0 + 6.0 * share(3.0), core::f64::consts::TAU * share(5.0));
+        let about = Pose2::new(x, y, turn) * Pose2::new(-x, -y, 0.0);
+        let wrong = Pose2::new(shift * towards.cos(), shift * towards.sin(), 0.0) * about * a_from_b;
+        let found = agreement(a, b, wrong);
+        if found.overlap_m2 >= 0.5 * right.overlap_m2 {
+            most = most.max(found.occupied_f1);
+            left -= 1;
+            if left == 0 {
+                break;
+            }
+        }
+    }
+    most
 }
 
 fn is_usable(map: GridView<'_>) -> bool {

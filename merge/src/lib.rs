@@ -10,10 +10,12 @@
 //! whatever the robots' maps look like. The merged map is a window on it that grows as needed.
 
 mod align;
+mod fleet;
 mod layer;
 mod merger;
 mod rect;
 mod source;
 
 pub use align::{AlignConfig, Alignment, align};
+pub use fleet::{Fleet, FleetRefused, Outcome, Task};
 pub use merger::{MergeConfig, Merger, Refused};

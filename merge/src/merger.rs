@@ -1,5 +1,6 @@
 //! Known start poses: every robot's map on one lattice, evidence added.
 
+use crate::align::AlignConfig;
 use crate::layer::Layer;
 use crate::rect::{Rect, TILE, Tiles};
 use crate::source::Source;
@@ -18,11 +19,13 @@ const DISTANCE_M_MAX: f64 = 100_000.0;
 pub struct MergeConfig {
     /// Side of a cell of the merged map, metres, 0.005 to 1. Best that of the robots' maps.
     pub resolution_m: f64,
+    /// When to believe where a robot's map lies that started anywhere.
+    pub align: AlignConfig,
 }
 
 impl Default for MergeConfig {
     fn default() -> Self {
-        Self { resolution_m: 0.05 }
+        Self { resolution_m: 0.05, align: AlignConfig::default() }
     }
 }
 
@@ -30,7 +33,7 @@ impl MergeConfig {
     /// What is wrong with it, if anything.
     pub fn validate(&self) -> Result<(), String> {
         if RESOLUTION_M.contains(&self.resolution_m) {
-            return Ok(());
+            return self.align.validate();
         }
         Err(format!("merge.resolution_m is {}; expected 0.005 to 1 metre a cell", self.resolution_m))
     }
@@ -100,7 +103,7 @@ impl Merger {
     /// A config that [`MergeConfig::check`] refuses is brought into its limits.
     pub fn new(config: &MergeConfig, starts: &[Option<Pose2>]) -> Self {
         let [least, most] = [*RESOLUTION_M.start(), *RESOLUTION_M.end()];
-        let resolution_m = if config.validate().is_ok() {
+        let resolution_m = if RESOLUTION_M.contains(&config.resolution_m) {
             config.resolution_m
         } else {
             least.max(config.resolution_m.min(most))

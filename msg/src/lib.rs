@@ -8,6 +8,7 @@
 //! Units are SI and radians; f32 in measurements, f64 in poses. Frames and time: see [`pose`],
 //! [`time`]; who writes which message to whom: the table in the binary's `channel.rs`.
 
+mod edges;
 mod health;
 mod id;
 mod motion;
@@ -18,7 +19,9 @@ pub mod time;
 
 pub mod grid;
 mod slam;
+mod submap;
 
+pub use edges::{EdgeAction, EdgeCommand, EdgeState, MERGE_EDGES_MAX, MergeEdge, MergeEdges};
 pub use grid::{Grid, GridHeader, GridView};
 pub use health::{Beat, Role};
 pub use id::{ROBOTS_MAX, RobotId};
@@ -27,6 +30,9 @@ pub use pose::Pose2;
 pub use scan::{BEAMS_MAX, Scan};
 pub use slam::{Anchor, Anchors, Correction, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
+pub use submap::{
+    SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses,
+};
 pub use time::{Monotonic, Stamp};
 
 use bytemuck::{Pod, Zeroable};
@@ -69,5 +75,17 @@ macro_rules! messages {
     )*};
 }
 messages!(
-    Scan, Odometry, Transforms, Command, Truth, Clock, GridHeader, Correction, Anchors, Beat, FleetStats
+    Scan,
+    Odometry,
+    Transforms,
+    Command,
+    Truth,
+    Clock,
+    GridHeader,
+    Correction,
+    Anchors,
+    Beat,
+    FleetStats,
+    MergeEdges,
+    EdgeCommand
 );

@@ -25,6 +25,7 @@ mod front;
 mod graph;
 mod node;
 mod odometry;
+mod submap;
 
 pub use back::{Back, BackCounts};
 pub use closure::SearchCounts;
@@ -33,6 +34,7 @@ pub use config::*;
 pub use front::{Counts, Front, Refusal, Ride, Step};
 pub use graph::{Edge, EdgeKind, Graph, Relative};
 pub use node::{Node, Rays, Revision};
+pub use submap::Submaps;
 
 use msg::{GridView, Odometry, Pose2, Scan, Stamp};
 use std::collections::VecDeque;
@@ -106,6 +108,11 @@ impl Slam {
     /// What the work beside the scan path has done.
     pub fn back_counts(&self) -> BackCounts {
         self.back.counts()
+    }
+
+    /// The work beside the scan path, to be looked at.
+    pub fn back(&self) -> &Back {
+        &self.back
     }
 
     /// The two halves, to be run on different threads.

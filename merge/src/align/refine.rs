@@ -91,6 +91,15 @@ pub(crate) fn refine([a, b]: [&Field; 2], start: Pose2, keep: [usize; 2], stages
     Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose }
 }
 
+/// The walls' pull on (x, y, yaw) of `a_from_b` at a place, both ways added: Gauss-Newton's matrix
+/// for distances in metres, weights as in a stage of this width.
+pub(crate) fn pull([a, b]: [&Field; 2], a_from_b: Pose2, keep: [usize; 2], stage_m: f64) -> Matrix3<f64> {
+    let mut sums = Normal::default();
+    a.pull_of_b(b, a_from_b, keep[1], stage_m / a.cell_m, &mut sums);
+    b.pull_of_a(a, a_from_b, keep[0], stage_m / b.cell_m, &mut sums);
+    sums.h
+}
+
 /// The stages for a candidate of the coarse search.
 pub(crate) fn coarse_stages() -> &'static [f64] {
     &STAGES_M

@@ -1,0 +1,139 @@
+//! Submaps put together as one grid, each at its pose.
+
+use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, UNKNOWN};
+use msg::{Grid, GridHeader, GridView, Pose2};
+use std::sync::Arc;
+
+/// A submap at its place.
+#[derive(Clone, Debug)]
+pub(crate) struct Placed {
+    pub grid: Arc<Grid>,
+    /// The frame of the whole from the submap's.
+    pub frame_from_submap: Pose2,
+}
+
+/// Log-odds of all submaps added, cells on whole multiples of the resolution of the first one. `None`
+/// if there is nothing, or more than a grid may have.
+pub(crate) fn compose(placed: &[Placed]) -> Option<Grid> {
+    let resolution_m = placed.first()?.grid.header.resolution_m;
+    let mut hull = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    for one in placed {
+        for [x, y] in corners(&one.grid.header, one.frame_from_submap) {
+            hull = [hull[0].min(x), hull[1].min(y), hull[2].max(x), hull[3].max(y)];
+        }
+    }
+    let low = [0, 1].map(|k| (hull[k] / resolution_m).floor());
+    let size = [0, 1].map(|k| ((hull[k + 2] / resolution_m).ceil() - low[k]).max(0.0));
+    if size[0] * size[1] > CELLS_MAX as f64 || size.iter().any(|s| *s < 1.0) {
+        return None;
+    }
+    let (width, height) = (size[0] as usize, size[1] as usize);
+    let mut sums = vec![i16::MIN; width * height];
+    let frame_from_grid = Pose2::new(low[0] * resolution_m, low[1] * resolution_m, 0.0);
+    for one in placed {
+        add(one.grid.view(), frame_from_grid.between(one.frame_from_submap), resolution_m, &mut sums, width);
+    }
+    let most = i16::from(LOG_ODDS_MAX);
+    let cell = |sum: &i16| if *sum == i16::MIN { UNKNOWN } else { (*sum).clamp(-most, most) as i8 };
+    let newest = placed.iter().map(|one| &one.grid.header).max_by_key(|header| header.header.stamp)?;
+    let header = GridHeader {
+        origin: frame_from_grid,
+        resolution_m,
+        width: width as u32,
+        height: height as u32,
+        header: newest.header,
+        scan_sent: newest.scan_sent,
+    };
+    Some(Grid { header, cells: sums.iter().map(cell).collect() })
+}
+
+/// A grid's corners in the frame of the whole.
+fn corners(header: &GridHeader, frame_from_submap: Pose2) -> [[f64; 2]; 4] {
+    let (w, h) =
+        (f64::from(header.width) * header.resolution_m, f64::from(header.height) * header.resolution_m);
+    [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]].map(|corner| (frame_from_submap * header.origin).apply(corner))
+}
+
+/// Adds a submap: under every output cell's centre its nearest cell.
+fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &mut [i16], width: usize) {
+    let header = submap.header;
+    let to_cells = (grid_from_submap * header.origin).inverse();
+    let (sin, cos) = to_cells.yaw_rad.sin_cos();
+    let step = resolution_m / header.resolution_m;
+    let at = corners(header, grid_from_submap);
+    let range = |k: usize, most: usize| {
+        let low = at.iter().fold(f64::INFINITY, |low, c| low.min(c[k])) / resolution_m;
+        let high = at.iter().fold(f64::NEG_INFINITY, |high, c| high.max(c[k])) / resolution_m;
+        (low.floor().max(0.0) as usize).min(most)..(high.ceil().max(0.0) as usize).min(most)
+    };
+    let (columns, rows) = (range(0, width), range(1, sums.len() / width.max(1)));
+    for y in rows {
+        let v = (y as f64 + 0.5) * resolution_m;
+        let start = [-sin * v + to_cells.x_m, cos * v + to_cells.y_m].map(|m| m / header.resolution_m + 1e-6);
+        for x in columns.clone() {
+            let u = (x as f64 + 0.5) * step;
+            let (i, j) = ((start[0] + cos * u).floor() as i64, (start[1] + sin * u).floor() as i64);
+            let cell = submap.cell(i, j);
+            if cell != UNKNOWN {
+                let sum = &mut sums[y * width + x];
+                *sum = if *sum == i16::MIN { 0 } else { *sum }.saturating_add(i16::from(cell));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn submap(seed: u64, width: u32, height: u32) -> Arc<Grid> {
+        let value = |i: u64| ((i.wrapping_mul(seed | 1).wrapping_mul(0x9e37_79b9)) >> 7) as i8;
+        let cells =
+            (0..u64::from(width * height)).map(|i| if value(i) > 100 { UNKNOWN } else { value(i) }).collect();
+        let header = GridHeader {
+            resolution_m: 0.05,
+            width,
+            height,
+            origin: Pose2::new(-0.3, 0.2, 0.0),
+            ..Default::default()
+        };
+        Arc::new(Grid { header, cells })
+    }
+
+    proptest! {
+        #[test]
+        fn the_order_of_submaps_does_not_matter(
+            poses in prop::collection::vec((-3.0..3.0, -3.0..3.0, -3.0..3.0_f64, any::<u64>()), 1..5),
+        ) {
+            let mut placed: Vec<_> = poses
+                .iter()
+                .map(|(x, y, yaw, seed)| Placed { grid: submap(*seed, 9, 13), frame_from_submap: Pose2::new(*x, *y, *yaw) })
+                .collect();
+            let forward = compose(&placed).unwrap();
+            placed.reverse();
+            prop_assert_eq!(compose(&placed).unwrap().cells, forward.cells);
+        }
+    }
+
+    #[test]
+    fn one_submap_in_place_is_itself() {
+        let grid = submap(7, 20, 11);
+        let whole = compose(&[Placed { grid: grid.clone(), frame_from_submap: Pose2::IDENTITY }]).unwrap();
+        for y in 0..11 {
+            for x in 0..20 {
+                let [px, py] = grid.view().centre_m(x, y);
+                let (i, j) = whole.view().cell_of([px, py]);
+                let (there, here) = (whole.view().cell(i, j), grid.view().cell(x, y));
+                assert_eq!(there, if here == UNKNOWN { UNKNOWN } else { here.max(-LOG_ODDS_MAX) });
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_and_too_much_give_none() {
+        assert!(compose(&[]).is_none());
+        let far = |x| Placed { grid: submap(1, 5, 5), frame_from_submap: Pose2::new(x, x, 0.0) };
+        assert!(compose(&[far(0.0), far(1e4)]).is_none());
+    }
+}

@@ -1,0 +1,292 @@
+//! Groups of consecutive nodes drawn as small grids of their own: rigid pieces of the map that a
+//! fleet's joint pose graph can move one by one. They follow this robot's graph: a submap's pose is
+//! its first node's, and it is drawn again when the graph has bent it.
+
+use crate::back::Back;
+use crate::canvas::Canvas;
+use crate::config::{LinkConfig, MapConfig, SlamConfig};
+use crate::graph::Graph;
+use msg::{Pose2, SUBMAP_EDGES_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses, pose::wrap_angle};
+use nalgebra::{Matrix3, Vector3};
+use std::collections::BTreeMap;
+
+/// A submap is finished when it has so many nodes
+const NODES_MAX: u32 = 20;
+/// or so much way, metres: drift within a submap stays below what two submaps can be aligned to.
+const WAY_MAX_M: f64 = 10.0;
+/// A scan that fits nothing begins a submap of its own, unless the one before is still this short.
+const NODES_MIN: u32 = 4;
+/// A growing submap is given out each time it has got so many nodes more.
+const GROWN_NODES: u32 = 5;
+/// Links of a chain err alike: what they say together is not better than this part of
+/// [`LinkConfig::drift_m_per_m`] and [`LinkConfig::drift_rad_per_m`], which are for the worst case.
+const DRIFT_SHARE: f64 = 0.3;
+
+/// The submaps of one robot.
+pub struct Submaps {
+    map: MapConfig,
+    links: LinkConfig,
+    groups: Vec<Group>,
+    /// Nodes that are in a group.
+    nodes: u32,
+    way_m: f64,
+    /// Draws the newest group.
+    canvas: Canvas,
+    /// Nodes after the last submap that there may be.
+    not_kept: u64,
+    out: Box<Submap>,
+}
+
+/// Consecutive nodes.
+struct Group {
+    first: u32,
+    nodes: u32,
+    finished: bool,
+    /// Each node as seen from the first, as it was given out; empty before.
+    given: Vec<Pose2>,
+    given_finished: bool,
+}
+
+impl Submaps {
+    /// Without submaps.
+    pub fn new(config: &SlamConfig) -> Self {
+        Self {
+            map: config.map.clone(),
+            links: config.links.clone(),
+            groups: Vec::new(),
+            nodes: 0,
+            way_m: 0.0,
+            canvas: Canvas::new(config.map.clone()),
+            not_kept: 0,
+            out: bytemuck::allocation::zeroed_box(),
+        }
+    }
+
+    /// Takes in the nodes that the back end has got since the last call.
+    pub fn update(&mut self, back: &Back) {
+        let poses = back.graph().poses();
+        for node in &back.nodes()[(self.nodes as usize).min(back.nodes().len())..] {
+            let step_m = if node.id == 0 {
+                0.0
+            } else {
+                poses[node.id as usize - 1].distance_m(poses[node.id as usize])
+            };
+            self.way_m += step_m;
+            let full = self.groups.last().is_none_or(|group| {
+                group.nodes >= NODES_MAX || self.way_m > WAY_MAX_M || (!node.fits && group.nodes >= NODES_MIN)
+            });
+            if full {
+                if let Some(group) = self.groups.last_mut() {
+                    group.finished = true;
+                }
+                if self.groups.len() == SUBMAPS_MAX {
+                    self.not_kept += 1;
+                    self.nodes += 1;
+                    continue;
+                }
+                let first = node.id;
+                self.groups.push(Group {
+                    first,
+                    nodes: 0,
+                    finished: false,
+                    given: Vec::new(),
+                    given_finished: false,
+                });
+                self.way_m = 0.0;
+            }
+            if let Some(group) = self.groups.last_mut() {
+                group.nodes += 1;
+            }
+            self.nodes += 1;
+        }
+    }
+
+    /// The last word: the newest submap is complete.
+    pub fn finish(&mut self) {
+        if let Some(group) = self.groups.last_mut() {
+            group.finished = true;
+        }
+    }
+
+    /// Nodes that belong to no submap because there are [`SUBMAPS_MAX`].
+    pub fn not_kept(&self) -> u64 {
+        self.not_kept
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// No node has come yet.
+    pub fn is_empty(&self) -> bool {
+        self.groups.is_empty()
+    }
+
+    /// The submap that a node belongs to: its id and its first node.
+    pub fn submap_of(&self, node: u32) -> Option<(u32, u32)> {
+        let after = self.groups.partition_point(|group| group.first <= node);
+        let group = self.groups.get(after.checked_sub(1)?)?;
+        (node < group.first + group.nodes).then_some((after as u32 - 1, group.first))
+    }
+
+    /// A submap that is new, has grown, was finished or bent since it was given out; call it until
+    /// there is none. `header.run` and `seq` are left to the channel.
+    pub fn next_changed(&mut self, back: &Back) -> Option<&Submap> {
+        let poses = back.graph().poses();
+        let newest = self.groups.len().checked_sub(1)?;
+        let id = (0..=newest).find(|id| self.is_due(&self.groups[*id], poses))?;
+        let group = &mut self.groups[id];
+        let fresh = group.given.is_empty();
+        let range = group.first as usize..(group.first + group.nodes) as usize;
+        group.given = relative(&poses[range.clone()]);
+        group.given_finished = group.finished;
+        // The newest is drawn on as it grows; the others are rarely drawn at all.
+        if fresh || id != newest {
+            self.canvas = Canvas::new(self.map.clone());
+        }
+        self.out.set_grid(self.canvas.draw(&back.nodes()[range], &group.given));
+        let out = &mut self.out;
+        (out.id, out.first_node, out.nodes) = (id as u32, group.first, group.nodes);
+        out.finished = u32::from(group.finished);
+        if id != newest {
+            self.canvas = Canvas::new(self.map.clone());
+        }
+        Some(&self.out)
+    }
+
+    fn is_due(&self, group: &Group, poses: &[Pose2]) -> bool {
+        let given = group.given.len();
+        if given == 0 || group.nodes >= given as u32 + GROWN_NODES || group.finished != group.given_finished {
+            return true;
+        }
+        let first = poses[group.first as usize];
+        let now = poses[group.first as usize..].iter().map(|pose| first.between(*pose));
+        group.given.iter().zip(now).any(|(was, is)| {
+            let turned = wrap_angle(was.yaw_rad - is.yaw_rad).abs();
+            was.distance_m(is) > self.map.redraw_m || turned * 5.0 > self.map.redraw_m
+        })
+    }
+
+    /// Where the submaps lie, and what the graph's links say of pairs of them.
+    pub fn poses(&self, back: &Back, out: &mut SubmapPoses) {
+        let poses = back.graph().poses();
+        for (pose, group) in out.robot_map_from_submap.iter_mut().zip(&self.groups) {
+            *pose = poses[group.first as usize];
+        }
+        out.len = self.groups.len() as u32;
+        if let Some(newest) = back.nodes().last() {
+            out.header.stamp = newest.header.stamp;
+        }
+        let mut edges: Vec<_> = self.pooled(back.graph()).into_iter().collect();
+        // When there are too many: neighbours first, then those that are known best.
+        if edges.len() > SUBMAP_EDGES_MAX {
+            edges.sort_by(|((a, b), x), ((c, d), y)| {
+                (b - a).min(2).cmp(&(d - c).min(2)).then(y[(0, 0)].total_cmp(&x[(0, 0)]))
+            });
+        }
+        out.edges_len = edges.len().min(SUBMAP_EDGES_MAX) as u32;
+        for (slot, ((a, b), sum)) in out.edges.iter_mut().zip(edges) {
+            let a_from_b =
+                out.robot_map_from_submap[a as usize].between(out.robot_map_from_submap[b as usize]);
+            let i = self.with_drift(sum, a_from_b);
+            let information = [i[(0, 0)], i[(0, 1)], i[(0, 2)], i[(1, 1)], i[(1, 2)], i[(2, 2)]];
+            *slot = SubmapEdge { a, b, information };
+        }
+    }
+
+    /// The information of all links between two submaps, as said of their frames (condensed
+    /// measurements: Grisetti, Kümmerle, Ni, "Robust optimization of factor graphs by using
+    /// condensed measurements", IROS 2012).
+    fn pooled(&self, graph: &Graph) -> BTreeMap<(u32, u32), Matrix3<f64>> {
+        let poses = graph.poses();
+        let mut sums = BTreeMap::new();
+        for edge in graph.edges().iter().filter(|edge| edge.in_force) {
+            let (a, b, information) = if edge.a < edge.b {
+                (edge.a, edge.b, edge.information)
+            } else {
+                (edge.b, edge.a, inverted(edge.information, edge.a_from_b))
+            };
+            let (Some((i, first_i)), Some((j, first_j))) = (self.submap_of(a), self.submap_of(b)) else {
+                continue;
+            };
+            if i == j {
+                continue;
+            }
+            let i_from_a = poses[first_i as usize].between(poses[a as usize]);
+            let b_from_j = poses[b as usize].between(poses[first_j as usize]);
+            let a_from_b = poses[a as usize].between(poses[b as usize]);
+            let moved = transported(information, i_from_a, a_from_b, b_from_j);
+            *sums.entry((i, j)).or_insert_with(Matrix3::zeros) += moved;
+        }
+        sums
+    }
+
+    fn with_drift(&self, information: Matrix3<f64>, a_from_b: Pose2) -> Matrix3<f64> {
+        let way = a_from_b.x_m.hypot(a_from_b.y_m);
+        let m = self.links.floor_m + DRIFT_SHARE * self.links.drift_m_per_m * way;
+        let rad = self.links.floor_rad + DRIFT_SHARE * self.links.drift_rad_per_m * way;
+        let floor = Matrix3::from_diagonal(&Vector3::new(m * m, m * m, rad * rad));
+        let covariance = (information + Matrix3::identity() * 1e-4).try_inverse().map(|c| c + floor);
+        let inverse = covariance.and_then(|c| c.try_inverse()).unwrap_or(Matrix3::zeros());
+        (inverse + inverse.transpose()) * 0.5
+    }
+}
+
+fn relative(poses: &[Pose2]) -> Vec<Pose2> {
+    poses.iter().map(|pose| poses[0].between(*pose)).collect()
+}
+
+/// What is known of `a_from_b`, as said of `i_from_a * a_from_b * b_from_j`.
+fn transported(information: Matrix3<f64>, i_from_a: Pose2, a_from_b: Pose2, b_from_j: Pose2) -> Matrix3<f64> {
+    let (sin, cos) = i_from_a.yaw_rad.sin_cos();
+    let (turned_sin, turned_cos) = a_from_b.yaw_rad.sin_cos();
+    // The arm from b to j, in a's axes: an error in heading moves j across it.
+    let arm = [
+        turned_cos * b_from_j.x_m - turned_sin * b_from_j.y_m,
+        turned_sin * b_from_j.x_m + turned_cos * b_from_j.y_m,
+    ];
+    // The inverse of [[R, R * across], [0, 1]].
+    let back = Matrix3::new(cos, sin, arm[1], -sin, cos, -arm[0], 0.0, 0.0, 1.0);
+    back.transpose() * information * back
+}
+
+/// What is known of `a_from_b`, as said of `b_from_a`.
+fn inverted(information: Matrix3<f64>, a_from_b: Pose2) -> Matrix3<f64> {
+    let (sin, cos) = a_from_b.yaw_rad.sin_cos();
+    let back = Matrix3::new(-cos, sin, a_from_b.y_m, -sin, -cos, -a_from_b.x_m, 0.0, 0.0, -1.0);
+    back.transpose() * information * back
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numerically: how the outer pose moves when the inner one does.
+    fn jacobian(outer: impl Fn(Pose2) -> Pose2, at: Pose2) -> Matrix3<f64> {
+        let step = 1e-6;
+        Matrix3::from_fn(|row, column| {
+            let mut moved = at;
+            match column {
+                0 => moved.x_m += step,
+                1 => moved.y_m += step,
+                _ => moved.yaw_rad += step,
+            }
+            let (a, b) = (outer(at), outer(moved));
+            [b.x_m - a.x_m, b.y_m - a.y_m, wrap_angle(b.yaw_rad - a.yaw_rad)][row] / step
+        })
+    }
+
+    #[test]
+    fn information_moves_with_the_frames_it_is_said_in() {
+        let (i_from_a, z, b_from_j) =
+            (Pose2::new(1.0, -2.0, 0.7), Pose2::new(3.0, 0.5, -1.1), Pose2::new(-2.0, 1.5, 2.0));
+        let information = Matrix3::new(4.0, 1.0, 0.2, 1.0, 3.0, -0.3, 0.2, -0.3, 9.0);
+        let j = jacobian(|z| i_from_a * z * b_from_j, z).try_inverse().unwrap();
+        let expected = j.transpose() * information * j;
+        assert!((transported(information, i_from_a, z, b_from_j) - expected).amax() < 1e-4);
+        let j = jacobian(|z| z.inverse(), z).try_inverse().unwrap();
+        let expected = j.transpose() * information * j;
+        assert!((inverted(information, z) - expected).amax() < 1e-4);
+    }
+}

@@ -1,0 +1,338 @@
+//! `mr-slam replay A B ... --merge`: the logs of several robots, merged as if they were live.
+//!
+//! Scans are taken in the order of their stamps; each robot has its SLAM, and the fleet's joint
+//! graph gets each submap when it would get it live. One thread: the same logs give the same maps.
+
+use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, write_trajectory};
+use crate::carmen::{LaserLine, Reader};
+use crate::map_file::write_map;
+use crate::merge_edges::EdgeView;
+use merge::{Fleet, MergeConfig, Merger};
+use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
+use serde::Serialize;
+use slam::{Back, Front, Slam, SlamConfig, Submaps};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+/// Work done after one scan: what is left over waits for the next.
+const TASKS_PER_SCAN: usize = 16;
+/// Work done when all logs have ended.
+const LAST_TASKS_MAX: usize = 20_000;
+
+/// What is known of where the robots started.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Starts {
+    /// A file: a line each robot, `index time x y theta`, metres and radians.
+    Known(PathBuf),
+    /// Anywhere.
+    Unknown,
+}
+
+impl FromStr for Starts {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "unknown" => Ok(Self::Unknown),
+            Some(("known", file)) if !file.is_empty() => Ok(Self::Known(file.into())),
+            _ => Err("expected `unknown`, or `known:FILE` with lines `index time x y theta`".into()),
+        }
+    }
+}
+
+/// What came of it.
+#[derive(Debug, Serialize)]
+pub struct FleetSummary {
+    /// Each log's robot.
+    pub robots: Vec<RobotSummary>,
+    /// What is believed of each pair of robots, and why.
+    pub edges: Vec<EdgeView>,
+    /// Cells of the merged map.
+    pub map_width: u32,
+    /// See [`FleetSummary::map_width`].
+    pub map_height: u32,
+    /// Solutions of the joint graph.
+    pub solutions: u64,
+    /// Reading to merged map, seconds.
+    pub wall_s: f64,
+    /// Of which merging, seconds.
+    pub merge_s: f64,
+    /// The longest piece of work for the thread beside merging, milliseconds.
+    pub task_max_ms: f64,
+    /// The longest time that merging itself was busy with one message, milliseconds.
+    pub update_max_ms: f64,
+}
+
+/// One robot of it.
+#[derive(Debug, Serialize)]
+pub struct RobotSummary {
+    /// Whether its map is in the merged one.
+    pub merged: bool,
+    /// The merged map's frame from the robot's map's, where the robot was last: x, y in metres, yaw in radians.
+    pub map_from_robot_map: Option<[f64; 3]>,
+    /// Whether its map was redrawn from its submaps, since no rigid transform puts all of it right.
+    pub straightened: bool,
+    /// How many submaps it has.
+    pub submaps: usize,
+    /// Its own SLAM's account.
+    pub slam: Summary,
+}
+
+/// A robot on its log.
+struct Robot<'a> {
+    id: RobotId,
+    records: Records<'a>,
+    next: Option<LaserLine>,
+    front: Front,
+    back: Back,
+    submaps: Submaps,
+    feeder: Feeder,
+    summary: Summary,
+}
+
+/// Replays all logs, writes what was asked for, prints the summary.
+pub fn run(args: &ReplayArgs, starts: &Starts, config: &SlamConfig) -> Result<(), ReplayError> {
+    let began = Instant::now();
+    let logs = args.logs.iter().map(|path| read_log(path)).collect::<Result<Vec<_>, _>>()?;
+    let known = match starts {
+        Starts::Known(file) => read_starts(file, logs.len())?,
+        Starts::Unknown => vec![None; logs.len()],
+    };
+    let robots = RobotId::first(logs.len()).zip(&logs).zip(&args.logs);
+    let robots = robots
+        .map(|((id, log), path)| Robot::new(id, log, path, args, config))
+        .collect::<Result<Vec<_>, _>>()?;
+    let merging = MergeConfig::default();
+    let mut merged = Merged {
+        fleet: Fleet::new(&merging.align, &known),
+        poses: bytemuck::allocation::zeroed_box(),
+        merge_s: 0.0,
+        task_max_ms: 0.0,
+        update_max_ms: 0.0,
+    };
+    let mut robots = merged.replay(robots);
+    let map = merged.map(&merging, &mut robots);
+    if let Some(path) = &args.map {
+        write_map(&path.with_extension(""), map.view())?;
+    }
+    if let Some(folder) = &args.trajectory {
+        write_trajectories(folder, &robots, &merged.fleet)?;
+    }
+    let summary = merged.summary(robots, &map, began);
+    print(&summary, args.json);
+    Ok(())
+}
+
+impl<'a> Robot<'a> {
+    fn new(
+        id: RobotId,
+        log: &'a [u8],
+        path: &Path,
+        args: &ReplayArgs,
+        config: &SlamConfig,
+    ) -> Result<Self, ReplayError> {
+        let mut records = Records { reader: Reader::new(log), malformed: 0 };
+        let Some(first) = records.next_laser() else {
+            let (skipped, malformed) = (records.reader.skipped(), records.malformed);
+            return Err(ReplayError::NoScan { path: path.to_owned(), skipped, malformed });
+        };
+        let mut config = config.clone();
+        let on_robot = first.base_from_scan;
+        config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
+        let (front, back) = Slam::new(config.clone()).split();
+        let summary = Summary { log: path.display().to_string(), ..Summary::default() };
+        let (submaps, feeder) = (Submaps::new(&config), Feeder::new(args));
+        Ok(Self { id, records, next: Some(first), front, back, submaps, feeder, summary })
+    }
+
+    /// The next scan through SLAM. True if it made a node.
+    fn scan(&mut self) -> bool {
+        let Some(line) = self.next.take() else { return false };
+        let node = self.feeder.scan(&mut self.front, &line);
+        self.next = self.records.next_laser();
+        let made = node.is_some();
+        if let Some(node) = node {
+            let revision = self.back.add(node);
+            self.front.revise(revision);
+            self.submaps.update(&self.back);
+        }
+        made
+    }
+}
+
+struct Merged {
+    fleet: Fleet,
+    poses: Box<SubmapPoses>,
+    merge_s: f64,
+    task_max_ms: f64,
+    update_max_ms: f64,
+}
+
+impl Merged {
+    /// All scans in the order of their stamps.
+    fn replay<'a>(&mut self, mut robots: Vec<Robot<'a>>) -> Vec<Robot<'a>> {
+        let due = |robot: &&mut Robot<'a>| robot.next.as_ref().map(|line| (line.stamp, robot.id.index()));
+        while let Some(robot) = robots.iter_mut().filter(|r| r.next.is_some()).min_by_key(due) {
+            if robot.scan() {
+                self.send(robot);
+                self.work(TASKS_PER_SCAN);
+            }
+        }
+        for robot in &mut robots {
+            robot.back.finish();
+            robot.submaps.finish();
+            self.send(robot);
+        }
+        self.fleet.finish();
+        self.work(LAST_TASKS_MAX);
+        robots
+    }
+
+    /// What a robot's SLAM has new for the fleet.
+    fn send(&mut self, robot: &mut Robot<'_>) {
+        robot.submaps.poses(&robot.back, &mut self.poses);
+        let began = Instant::now();
+        // A robot's own submaps are sound; a refused one would be missing in the map.
+        let _ = self.fleet.poses(robot.id, &self.poses);
+        while let Some(submap) = robot.submaps.next_changed(&robot.back) {
+            let _ = self.fleet.submap(robot.id, submap);
+        }
+        self.note_update(began);
+    }
+
+    fn work(&mut self, tasks: usize) {
+        for _ in 0..tasks {
+            let began = Instant::now();
+            let Some(task) = self.fleet.next_task() else { return };
+            self.note_update(began);
+            let began = Instant::now();
+            let outcome = task.run();
+            let spent_s = began.elapsed().as_secs_f64();
+            self.merge_s += spent_s;
+            self.task_max_ms = self.task_max_ms.max(1e3 * spent_s);
+            let began = Instant::now();
+            self.fleet.take(outcome);
+            self.note_update(began);
+        }
+    }
+
+    fn note_update(&mut self, began: Instant) {
+        let spent_s = began.elapsed().as_secs_f64();
+        self.merge_s += spent_s;
+        self.update_max_ms = self.update_max_ms.max(1e3 * spent_s);
+    }
+
+    /// Every robot that has a place, straightened where need be.
+    fn map(&self, config: &MergeConfig, robots: &mut [Robot<'_>]) -> Grid {
+        let anchors: Vec<_> = robots.iter().map(|robot| self.fleet.anchor(robot.id)).collect();
+        let mut merger = Merger::new(config, &anchors);
+        for robot in robots.iter_mut() {
+            // A map that is refused is missing in the merged one, which shows.
+            let _ = match self.fleet.straightened(robot.id) {
+                Some(map) => merger.update(robot.id, map.view()),
+                None => merger.update(robot.id, robot.back.map()),
+            };
+        }
+        merger.merged().to_owned()
+    }
+
+    fn summary(&self, robots: Vec<Robot<'_>>, map: &Grid, began: Instant) -> FleetSummary {
+        let mut edges = MergeEdges::default();
+        self.fleet.edges(&mut edges);
+        let robots = robots.into_iter().map(|mut robot| {
+            robot.summary.count(&robot.front, &robot.back);
+            (robot.summary.malformed_lines, robot.summary.skipped_lines) =
+                (robot.records.malformed, robot.records.reader.skipped());
+            let place = self.fleet.anchor(robot.id);
+            RobotSummary {
+                merged: place.is_some(),
+                map_from_robot_map: place.map(|p| [p.x_m, p.y_m, p.yaw_rad]),
+                straightened: self.fleet.straightened(robot.id).is_some(),
+                submaps: robot.submaps.len(),
+                slam: robot.summary,
+            }
+        });
+        FleetSummary {
+            robots: robots.collect(),
+            edges: edges.edges().iter().map(EdgeView::new).collect(),
+            map_width: map.header.width,
+            map_height: map.header.height,
+            solutions: self.fleet.solutions(),
+            wall_s: began.elapsed().as_secs_f64(),
+            merge_s: self.merge_s,
+            task_max_ms: self.task_max_ms,
+            update_max_ms: self.update_max_ms,
+        }
+    }
+}
+
+/// A file for each robot, `robotK.tum`: in the merged map's frame if the robot has a place there, else in its own.
+fn write_trajectories(folder: &Path, robots: &[Robot<'_>], fleet: &Fleet) -> Result<(), ReplayError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|source| ReplayError::Write { path: folder.to_owned(), source })?;
+    for robot in robots {
+        let path = folder.join(format!("{}.tum", robot.id));
+        let poses = robot.back.graph().poses();
+        let known = robot.front.rides().iter().filter(|ride| (ride.node as usize) < poses.len());
+        let trajectory = known.map(|ride| {
+            let in_robot_map = poses[ride.node as usize] * ride.node_from_base;
+            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map)
+        });
+        write_trajectory(&path, trajectory).map_err(|source| ReplayError::Write { path, source })?;
+    }
+    Ok(())
+}
+
+/// `map` from `robotK/map` at a node.
+fn correction(robot: &Robot<'_>, fleet: &Fleet, node: u32) -> Pose2 {
+    let at = |id: u32| fleet.correction(robot.id, id);
+    let place = robot.submaps.submap_of(node).and_then(|(id, _)| at(id));
+    place.or(fleet.anchor(robot.id)).unwrap_or(Pose2::IDENTITY)
+}
+
+/// Lines `index time x y theta`; `#` begins a comment.
+fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayError> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| ReplayError::Read { path: path.to_owned(), source })?;
+    let mut starts = vec![None; count];
+    for (line, text) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        if text.trim_start().starts_with('#') {
+            continue;
+        }
+        let wrong = || ReplayError::Starts { path: path.to_owned(), line: line + 1, found: text.into() };
+        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+        let Some([index, _, x_m, y_m, yaw_rad]) = numbers.as_deref() else { return Err(wrong()) };
+        let slot = starts.get_mut(*index as usize).ok_or_else(wrong)?;
+        *slot = Some(Pose2::new(*x_m, *y_m, *yaw_rad)).filter(|pose| pose.is_finite());
+        if slot.is_none() {
+            return Err(wrong());
+        }
+    }
+    Ok(starts)
+}
+
+fn print(summary: &FleetSummary, json: bool) {
+    if json {
+        println!("{}", serde_json::to_string_pretty(summary).unwrap_or_default());
+        return;
+    }
+    for robot in &summary.robots {
+        let place = match robot.map_from_robot_map {
+            Some([x, y, yaw]) => format!("x {x:.3} m, y {y:.3} m, {:.2} degrees", yaw.to_degrees()),
+            None => "not merged".into(),
+        };
+        let bent = if robot.straightened { ", straightened" } else { "" };
+        println!("{}: {} scans, {} submaps, {place}{bent}", robot.slam.log, robot.slam.scans, robot.submaps);
+    }
+    print!("{}", crate::merge_edges::table(&summary.edges));
+    println!(
+        "merged map {} x {} cells; {:.2} s, merging {:.2} s ({} solutions; longest task {:.0} ms, update {:.2} ms)",
+        summary.map_width,
+        summary.map_height,
+        summary.wall_s,
+        summary.merge_s,
+        summary.solutions,
+        summary.task_max_ms,
+        summary.update_max_ms
+    );
+}
