@@ -11,4 +11,5 @@ mod headset;
 mod layering;
 mod lockstep;
 mod malformed;
+mod relation_metric;
 mod restart;
