@@ -239,6 +239,11 @@ impl Bridge {
         self.hub.borrow().access.waiting().to_vec()
     }
 
+    /// Addresses that may watch and drive, loopback aside.
+    pub fn allowed(&self) -> Vec<IpAddr> {
+        self.hub.borrow().access.allowed().collect()
+    }
+
     /// Lets an address watch and drive from now on.
     pub fn allow(&self, address: IpAddr) {
         self.with(|hub| {

@@ -46,6 +46,8 @@ pub struct BridgeConfig {
     pub drive: Permission,
     /// Addresses that may watch and drive.
     pub allow: Vec<IpAddr>,
+    /// Whether an address that the person at the laptop let in may drive in later runs, too.
+    pub remember: bool,
     /// Whether 127.0.0.1 and ::1 may do everything. Off only to rehearse permissions on one machine.
     pub trust_loopback: bool,
     /// How long after its last moving command a client keeps a robot to itself, seconds.
@@ -75,6 +77,7 @@ impl Default for BridgeConfig {
             watch: Permission::Anyone,
             drive: Permission::Allowed,
             allow: Vec::new(),
+            remember: true,
             trust_loopback: true,
             lease_s: 1.0,
             stick_linear_m_s: 0.15,

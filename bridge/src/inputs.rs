@@ -120,8 +120,9 @@ impl Hub {
             return Ok(());
         }
         self.access.ask(address);
-        let text =
-            format!("{address} may not drive yet; start the fleet with --allow {address}, or --trust-lan");
+        let text = format!(
+            "{address} may not drive yet: somebody at the laptop must press `a` there, or say `mr-slam allow {address}`"
+        );
         Err(Refused(Refusal::Permission, text))
     }
 
