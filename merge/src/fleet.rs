@@ -34,8 +34,10 @@ use task::{Answer, Job, Problem, ProblemPair, Solution};
 /// Robots with fewer nodes are not aligned.
 const ALIGN_NODES: u32 = 8;
 /// A pair is tried again when the two have so many times the nodes, and so many more.
-const GROWN: f64 = 1.1;
+const GROWN: f64 = 1.15;
 const GROWN_NODES: u32 = 4;
+/// Attempts at the end, when nothing grows any more: each kind twice.
+const LAST_TRIES: u32 = 6;
 /// While a find waits for its second look, so many more are enough.
 const GROWN_NODES_AGAIN: u32 = 2;
 /// What two maps agree on must be ahead of chance by this much F1.
@@ -220,7 +222,7 @@ impl Fleet {
         self.last_round = true;
         self.unsolved = true;
         for pair in &mut self.pairs {
-            (pair.tried_at, pair.assessed_at) = (0, 0);
+            (pair.last_tries, pair.assessed_at) = (LAST_TRIES, 0);
         }
     }
 
@@ -488,7 +490,7 @@ impl Fleet {
             } else {
                 GROWN_NODES.max(((GROWN - 1.0) * f64::from(pair.tried_at)) as u32)
             };
-            let fresh = pair.tried_at == 0 || m + n >= pair.tried_at + more;
+            let fresh = pair.tried_at == 0 || m + n >= pair.tried_at + more || pair.last_tries > 0;
             !together
                 && fresh
                 && m >= ALIGN_NODES
@@ -517,10 +519,8 @@ impl Fleet {
         };
         let (of_a, of_b) = (a.placed(from_a..a.poses.len()), b.placed(from_b..b.poses.len()));
         pair.tries += 1;
-        let windows = a.poses.len().max(b.poses.len()) >= 2 * WINDOW;
-        if !windows || pair.tries.is_multiple_of(3) {
-            pair.tried_at = nodes[0] + nodes[1];
-        }
+        pair.last_tries = pair.last_tries.saturating_sub(1);
+        pair.tried_at = nodes[0] + nodes[1];
         self.task(Job::Align { pair: index, nodes, a: of_a, b: of_b, config: self.align.clone() })
     }
 

@@ -31,6 +31,8 @@ pub(crate) struct Member {
     pub version: u64,
     /// `robotK/map` from each submap, as its own graph has it.
     pub poses: Vec<Pose2>,
+    /// Metres driven up to each submap.
+    pub ways_m: Vec<f64>,
     pub edges: Vec<(usize, usize, Matrix3<f64>)>,
     /// `map` from `robotK/map`, if it was given.
     pub start: Option<Pose2>,
@@ -94,6 +96,7 @@ impl Member {
             return Some(false);
         }
         self.poses = poses.to_vec();
+        self.ways_m = ways_m(poses);
         let matrix = |[xx, xy, xt, yy, yt, tt]: [f64; 6]| Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
         let edges = message.edges().iter();
         self.edges = edges.map(|e| (e.a as usize, e.b as usize, matrix(e.information))).collect();
@@ -129,7 +132,8 @@ impl Member {
 
     /// Metres that the robot drove from one submap to another.
     pub fn way_m(&self, i: usize, k: usize) -> f64 {
-        way_m(&self.poses, i, k)
+        let at = |id: usize| self.ways_m.get(id).or(self.ways_m.last()).copied().unwrap_or(0.0);
+        (at(i) - at(k)).abs()
     }
 
     /// The submaps of a range in the robot's own frame.
@@ -233,8 +237,14 @@ impl Member {
     }
 }
 
-/// Metres along a chain of poses from one to another.
-pub(crate) fn way_m(poses: &[Pose2], i: usize, k: usize) -> f64 {
-    let (low, high) = (i.min(k), (i.max(k) + 1).min(poses.len()));
-    poses.get(low..high).map_or(0.0, |part| part.windows(2).map(|p| p[0].distance_m(p[1])).sum())
+/// Metres along a chain of poses up to each.
+pub(crate) fn ways_m(poses: &[Pose2]) -> Vec<f64> {
+    let mut way_m = 0.0;
+    let steps = poses.iter().zip(poses.first().into_iter().chain(poses));
+    steps
+        .map(|(pose, before)| {
+            way_m += before.distance_m(*pose);
+            way_m
+        })
+        .collect()
 }

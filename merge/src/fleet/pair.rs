@@ -17,7 +17,11 @@ const CLOSURES_MAX: usize = 192;
 /// Submaps with fewer nodes are not matched.
 const MATCH_NODES: u32 = 6;
 /// A growing submap is matched again when it has so many nodes more.
-const MATCH_GROWN: u32 = 8;
+const MATCH_GROWN: u32 = 10;
+/// Closures that a submap has with another robot: more say little more.
+const CLOSURES_EACH: usize = 4;
+/// Two submaps are matched if their middles are this near, as a share of their radii.
+const NEAR: f64 = 0.35;
 /// Pairs of submaps looked through for the next to match.
 const LOOKED_THROUGH_MAX: usize = 4096;
 /// What an alignment of whole maps is worth, metres and radians.
@@ -52,6 +56,8 @@ pub(crate) struct Pair {
     pub tries: u32,
     /// Nodes of both at the last attempt to align.
     pub tried_at: u32,
+    /// Attempts left when nothing more will come.
+    pub last_tries: u32,
     pub assessed_at: u32,
     pub contradictions: u32,
 }
@@ -166,6 +172,12 @@ impl Pair {
     pub fn next_match(&self, a: &Member, b: &Member) -> Option<Candidate> {
         let mut best: Option<(f64, [usize; 2], Pose2)> = None;
         let mut looked = 0;
+        let mut have = [vec![0; a.poses.len()], vec![0; b.poses.len()]];
+        for closure in &self.closures {
+            for (have, id) in have.iter_mut().zip(closure.ids) {
+                have.get_mut(id).into_iter().for_each(|count| *count += 1);
+            }
+        }
         for i in 0..a.poses.len() {
             let (Some((of_i, _)), Some(map_from_i)) = (a.piece(i), a.map_from_submap(i)) else { continue };
             for j in 0..b.poses.len() {
@@ -176,13 +188,17 @@ impl Pair {
                 let [x, y] = predicted.apply(of_j.centre_m);
                 let apart = (x - of_i.centre_m[0]).hypot(y - of_i.centre_m[1]);
                 let enough = of_i.nodes.min(of_j.nodes) >= MATCH_NODES || (of_i.finished && of_j.finished);
-                if !enough || apart > 0.5 * (of_i.radius_m + of_j.radius_m) {
+                if !enough || apart > NEAR * (of_i.radius_m + of_j.radius_m) {
                     continue;
                 }
                 let nodes = [of_i.nodes, of_j.nodes];
                 let tried = self.tried.get(&(i, j));
                 let grown = |t: &Tried| (0..2).any(|k| nodes[k] >= t.nodes[k] + MATCH_GROWN);
-                if tried.is_some_and(|t| t.found && !grown(t)) {
+                let known = tried.is_some_and(|t| t.found);
+                if known && !tried.is_some_and(grown) {
+                    continue;
+                }
+                if !known && (have[0][i] >= CLOSURES_EACH || have[1][j] >= CLOSURES_EACH) {
                     continue;
                 }
                 looked += 1;

@@ -5,7 +5,7 @@ use super::clique::largest_consistent;
 use super::closure::{Found, Window, find};
 use super::compose::{Placed, compose};
 use super::graph::{Constraint, solve};
-use super::member::way_m;
+use super::member::ways_m;
 use crate::align::{AlignConfig, Alignment, align, assess, null_f1};
 use msg::{Grid, Pose2, pose::wrap_angle};
 use std::sync::Arc;
@@ -191,11 +191,12 @@ impl Problem {
     /// The largest set of closures that can be true together, given how the robots drove.
     fn consistent(&self, pair: &ProblemPair) -> Vec<usize> {
         let [a, b] = pair.members.map(|member| &self.members[member].2);
+        let [along_a, along_b] = [a, b].map(|poses| ways_m(poses));
         let agree = |k: usize, l: usize| {
             let (one, other) = (&pair.closures[k], &pair.closures[l]);
             let ([i, j], [m, n]) = (one.ids, other.ids);
             let implied = a[m].between(a[i]) * one.found.i_from_j * b[j].between(b[n]);
-            let way_m = way_m(a, i, m) + way_m(b, j, n);
+            let way_m = (along_a[i] - along_a[m]).abs() + (along_b[j] - along_b[n]).abs();
             let within = [0, 1].map(|k| (AGREE[k] + AGREE_PER_M[k] * way_m).min(AGREE_MAX[k]));
             let turned = wrap_angle(implied.yaw_rad - other.found.i_from_j.yaw_rad).abs();
             implied.distance_m(other.found.i_from_j) <= within[0] && turned <= within[1]
