@@ -20,6 +20,8 @@ const MATCH_NODES: u32 = 6;
 const MATCH_GROWN: u32 = 10;
 /// Closures that a submap has with another robot: more say little more.
 const CLOSURES_EACH: usize = 4;
+/// Failed matches after which a submap is left alone.
+const FAILED_EACH: usize = 6;
 /// Two submaps are matched if their middles are this near, as a share of their radii.
 const NEAR: f64 = 0.35;
 /// Pairs of submaps looked through for the next to match.
@@ -178,6 +180,12 @@ impl Pair {
                 have.get_mut(id).into_iter().for_each(|count| *count += 1);
             }
         }
+        let mut failed = [vec![0; a.poses.len()], vec![0; b.poses.len()]];
+        for (i, j) in self.tried.iter().filter(|(_, tried)| !tried.found).map(|(ids, _)| *ids) {
+            for (failed, id) in failed.iter_mut().zip([i, j]) {
+                failed.get_mut(id).into_iter().for_each(|count| *count += 1);
+            }
+        }
         for i in 0..a.poses.len() {
             let (Some((of_i, _)), Some(map_from_i)) = (a.piece(i), a.map_from_submap(i)) else { continue };
             for j in 0..b.poses.len() {
@@ -199,6 +207,9 @@ impl Pair {
                     continue;
                 }
                 if !known && (have[0][i] >= CLOSURES_EACH || have[1][j] >= CLOSURES_EACH) {
+                    continue;
+                }
+                if !known && (failed[0][i] >= FAILED_EACH || failed[1][j] >= FAILED_EACH) {
                     continue;
                 }
                 looked += 1;
