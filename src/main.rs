@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 use mr_slam::process::{Process, ProcessArgs, RobotArgs};
-use mr_slam::{demo, lockstep, merge_maps, operator, process, replay, status, stop::Stop, up};
+use mr_slam::{demo, doctor, lockstep, merge_maps, operator, process, replay, status, stop::Stop, up};
 use std::process::ExitCode;
 
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2.
@@ -21,6 +21,8 @@ enum Command {
     Up(up::UpArgs),
     /// Describe a running fleet
     Status(status::StatusArgs),
+    /// Look at what this machine permits: timers, limits, network
+    Doctor(doctor::DoctorArgs),
     /// Drive a running fleet over TCP, as a headset does
     Operator(operator::OperatorArgs),
     /// The same fleet in one process on virtual time: the same seed, the same bytes
@@ -60,6 +62,7 @@ fn run(command: Command) -> Result<(), process::Error> {
         }
         Command::Up(args) => drop(up::up(&args, &mut up::Alone, &Stop::on_signals()?)?),
         Command::Status(args) => status::status(&args)?,
+        Command::Doctor(args) => doctor::run(&args)?,
         Command::Operator(args) => {
             let report = operator::run(&args, Stop::on_signals()?.flag())?;
             let json = args.json.then(|| serde_json::to_string_pretty(&report)).transpose()?;
