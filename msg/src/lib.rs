@@ -13,6 +13,7 @@ mod id;
 mod motion;
 pub mod pose;
 mod scan;
+mod service;
 mod stats;
 pub mod time;
 
@@ -25,6 +26,10 @@ pub use id::{ROBOTS_MAX, RobotId};
 pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, Truth};
 pub use pose::Pose2;
 pub use scan::{BEAMS_MAX, Scan};
+pub use service::{
+    CLOSURES_MAX, ClosureInfo, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, TEXT_MAX,
+    Text,
+};
 pub use slam::{Anchor, Anchors, Correction, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
 pub use time::{Monotonic, Stamp};
@@ -69,5 +74,17 @@ macro_rules! messages {
     )*};
 }
 messages!(
-    Scan, Odometry, Transforms, Command, Truth, Clock, GridHeader, Correction, Anchors, Beat, FleetStats
+    Scan,
+    Odometry,
+    Transforms,
+    Command,
+    Truth,
+    Clock,
+    GridHeader,
+    Correction,
+    Anchors,
+    Beat,
+    FleetStats,
+    SlamRequest,
+    SlamAnswer
 );
