@@ -16,6 +16,8 @@
 //! | `merged_map`, `anchors` | merge | bridge, telemetry, launcher |
 //! | `stats` | telemetry | bridge, launcher, `status` |
 //! | `NAME/beat` | each process | telemetry |
+//!
+//! Where the world is not simulated here, the bridge writes what the simulators else do, but for the truth.
 
 use msg::{
     Anchors, Beat, Clock, Command, Correction, FleetStats, GridHeader, Message, Odometry, ROBOTS_MAX,

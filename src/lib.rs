@@ -13,9 +13,12 @@ pub mod up;
 // Between the processes.
 pub mod channel;
 pub mod clock;
+pub mod control;
 pub mod shared_memory;
 pub mod stop;
-// What people see.
+// What people see, and say.
+pub mod allowed;
+pub mod keys;
 pub mod map_file;
 pub mod observer;
 pub mod report;

@@ -2,6 +2,7 @@
 
 use crate::dds::DdsConfig;
 use crate::ros::{Dialect, NameStyle};
+use crate::world::ClockOffset;
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use std::time::Duration;
@@ -46,6 +47,8 @@ pub struct BridgeConfig {
     pub drive: Permission,
     /// Addresses that may watch and drive.
     pub allow: Vec<IpAddr>,
+    /// Whether an address that the person at the laptop let in may drive in later runs, too.
+    pub remember: bool,
     /// Whether 127.0.0.1 and ::1 may do everything. Off only to rehearse permissions on one machine.
     pub trust_loopback: bool,
     /// How long after its last moving command a client keeps a robot to itself, seconds.
@@ -54,6 +57,8 @@ pub struct BridgeConfig {
     pub stick_linear_m_s: f64,
     /// Turning speed of a fully pushed thumb stick, rad/s.
     pub stick_angular_rad_s: f64,
+    /// Where the world is a client's or real: how far its clock is ahead of ours, seconds, or `"measured"`.
+    pub clock_offset: ClockOffset,
     /// How long a service call may take before its caller is told that it failed, seconds.
     pub service_timeout_s: f64,
     /// The ROS 2 door.
@@ -75,10 +80,12 @@ impl Default for BridgeConfig {
             watch: Permission::Anyone,
             drive: Permission::Allowed,
             allow: Vec::new(),
+            remember: true,
             trust_loopback: true,
             lease_s: 1.0,
             stick_linear_m_s: 0.15,
             stick_angular_rad_s: 1.5,
+            clock_offset: ClockOffset::Measured,
             service_timeout_s: 10.0,
             dds: DdsConfig::default(),
         }
@@ -154,6 +161,11 @@ impl BridgeConfig {
                 self.service_timeout_s.to_string(),
                 "0.1 to 3600 seconds work",
             );
+        }
+        if let ClockOffset::Fixed(offset_s) = self.clock_offset
+            && !(offset_s.is_finite() && offset_s.abs() <= 4e9)
+        {
+            return refuse("clock_offset", offset_s.to_string(), "\"measured\", or up to 4e9 seconds work");
         }
         if let Some(package) =
             self.message_packages.iter().find(|name| !crate::interfaces::is_package_name(name))

@@ -28,9 +28,10 @@ mod server;
 mod services;
 mod teleop;
 mod topics;
+pub mod world;
 
 pub use board::Counters;
-pub use bridge::{Bridge, ClientStatus};
+pub use bridge::{Bridge, ClientStatus, FIRST_SOURCE};
 pub use config::{BridgeConfig, ConfigError, Permission};
 pub use outlet::Outlet;
 pub use server::serve;

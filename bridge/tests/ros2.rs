@@ -129,7 +129,7 @@ fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
             Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),
         );
         let hearing = bridge.clone();
-        spawn_local(door.clone().serve(move |heard: Heard| hearing.hear(&heard)));
+        spawn_local(door.clone().serve(move |heard: Heard| hearing.hear_ros(&heard)));
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/robot1/cmd_vel").unwrap();

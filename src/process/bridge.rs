@@ -1,15 +1,19 @@
 //! The doors. One thread for headsets: a message wakes it through the channel's descriptor, is encoded and
 //! written to the sockets, and that was all the way. One for ROS 2, which the first never waits for.
 
-use super::Error;
+use super::control::{self, Control};
 use super::pulse::{Account, Pulse};
+use super::{Error, outside};
 use crate::channel::{self, Channel};
+use crate::config::World;
+use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{Bell, GridReader, Node, Reader, Writer};
 use crate::stop::Stop;
 use ::bridge::dds::{Door, Heard};
 use ::bridge::{Bridge, Outlet, serve};
 use msg::{Command, Message, Odometry, RobotId, Role, Transforms};
+use std::cell::RefCell;
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Duration;
@@ -26,12 +30,13 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let bridge = open_bridge(&node, run)?;
+        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run)));
         let mut tasks = fleet_tasks(&node, run, &bridge)?;
         if run.config.bridge.dds.enabled {
             tasks.push(ros_door(run, stop, &bridge)?);
         }
-        let beats = bridge.clone();
-        tasks.push(spawn_local(beat(pulse, beats)));
+        tasks.push(spawn_local(beat(pulse, bridge.clone(), control.clone())));
+        tasks.push(spawn_local(control::serve(control::listen(run)?, control)));
         serve(bridge, inherited_listener()?, stopped(stop.clone())).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
@@ -56,9 +61,10 @@ async fn stopped(stop: Stop) {
     }
 }
 
-async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>) {
+async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>>) {
     loop {
         tokio::time::sleep(LOOK_PERIOD).await;
+        control.borrow_mut().look();
         pulse.beat(|| {
             let counters = bridge.counters();
             let mut account = Account { clients: counters.clients, ..Account::default() };
@@ -78,7 +84,14 @@ fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
             writer.send(&command);
         }
     };
-    Ok(Rc::new(Bridge::new(run.config.bridge.clone(), run.config.fleet.robots, send)?))
+    let config = run.config.bridge.clone();
+    Ok(Rc::new(match run.config.world {
+        World::Simulator => Bridge::new(config, run.config.fleet.robots, send)?,
+        World::Headset | World::Ros => {
+            let epoch = run.epoch;
+            Bridge::outside(config, outside::world(node, run)?, move || fleet::stamp_now(epoch), send)?
+        }
+    }))
 }
 
 /// Messages heard at the ROS 2 door that wait for the bridge; more are dropped there.
@@ -96,7 +109,7 @@ fn ros_door(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()
     let bridge = bridge.clone();
     Ok(spawn_local(async move {
         while let Some(message) = heard.recv().await {
-            bridge.hear(&message);
+            bridge.hear_ros(&message);
         }
     }))
 }

@@ -21,9 +21,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let bells: Vec<&Bell> = bells.iter().collect();
     let mut merged = node.grid_writer(&channel::merged_map())?;
     let mut anchors = node.writer(&channel::anchors())?;
-    let starts = fleet::starts(&run.config, &fleet::room(&run.config)?)?;
-
-    let mut merger = Merger::new(&run.config.merge, &starts.into_iter().map(Some).collect::<Vec<_>>());
+    let mut merger = Merger::new(&run.config.merge, &fleet::known_starts(&run.config)?);
     let mut refused = 0;
     while !stop.requested() {
         wait(&bells, pulse.due());

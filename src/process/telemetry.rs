@@ -4,6 +4,7 @@ use super::pulse::{Account, Pulse};
 use super::{Error, PLAN_RESOLUTION_M};
 use crate::channel;
 use crate::clock::now;
+use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
@@ -17,11 +18,13 @@ const PERIOD_NS: u64 = 1_000_000_000;
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
     let mut pulse = Pulse::new(&node, run, Role::Telemetry, None)?;
-    let room = fleet::room(&run.config)?;
-    let starts = fleet::starts(&run.config, &room)?.into_iter().map(Some).collect::<Vec<_>>();
+    let plan = match run.config.world {
+        World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
+        World::Headset | World::Ros => None,
+    };
+    let starts = fleet::known_starts(&run.config)?;
 
-    let mut telemetry =
-        Telemetry::new(run.config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &starts);
+    let mut telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);
     // Only now, so that nothing waits unread while the room is built.
     let mut inputs = Inputs::open(&node, run)?;
     let bells = Inputs::bells(&node, run)?;
@@ -129,6 +132,10 @@ impl Inputs {
 
 /// Every process of the fleet.
 pub fn members(run: &Run) -> impl Iterator<Item = (Role, Option<RobotId>)> {
-    let of_robots = run.robots().flat_map(|robot| [(Role::Sim, Some(robot)), (Role::Slam, Some(robot))]);
+    let simulated = !run.config.world.is_outside();
+    let of_robots = run.robots().flat_map(move |robot| {
+        let sim = simulated.then_some((Role::Sim, Some(robot)));
+        sim.into_iter().chain([(Role::Slam, Some(robot))])
+    });
     of_robots.chain([Role::Merge, Role::Telemetry, Role::Bridge].map(|role| (role, None)))
 }

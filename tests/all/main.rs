@@ -4,9 +4,12 @@
 //! other and beside another run of the same tests.
 
 mod config;
+mod doors;
 mod fleet;
 mod harness;
+mod headset;
 mod layering;
 mod lockstep;
 mod malformed;
+mod relation_metric;
 mod restart;

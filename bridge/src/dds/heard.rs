@@ -4,7 +4,7 @@ use crate::ros::{Bool, Empty, Int32, Message, Twist, TwistStamped};
 use crate::topics::Input;
 use msg::RobotId;
 
-/// A message that was heard, not decoded yet; for [`crate::Bridge::hear`].
+/// A message that was heard, not decoded yet; for [`crate::Bridge::hear_ros`].
 #[derive(Clone, Debug)]
 pub struct Heard {
     pub(crate) what: Input,
