@@ -101,6 +101,7 @@ impl Shift {
         Correction {
             map_from_odom: shift * correction.map_from_odom,
             map_from_base: shift * correction.map_from_base,
+            covariance: turned(correction.covariance, shift.yaw_rad),
             ..*correction
         }
     }
@@ -108,5 +109,38 @@ impl Shift {
     fn header(&self, header: &GridHeader) -> GridHeader {
         let shift = self.before_from_map.get().copied().unwrap_or(Pose2::IDENTITY);
         GridHeader { origin: shift * header.origin, ..*header }
+    }
+}
+
+/// A pose's covariance (row-major upper triangle over x, y, yaw) as seen from a frame turned by `yaw_rad`.
+fn turned([xx, xy, xa, yy, ya, aa]: [f64; 6], yaw_rad: f64) -> [f64; 6] {
+    let (s, c) = yaw_rad.sin_cos();
+    let across = s * c * (xx - yy) + (c * c - s * s) * xy;
+    [
+        c * c * xx - 2.0 * s * c * xy + s * s * yy,
+        across,
+        c * xa - s * ya,
+        s * s * xx + 2.0 * s * c * xy + c * c * yy,
+        s * xa + c * ya,
+        aa,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn a_worker_started_again_tells_its_doubt_in_the_old_frame() {
+        // Sure along x, unsure along y; the new map lies a quarter turn to the left in the old one.
+        let shift = Shift::new(Some(Pose2::new(1.0, 2.0, FRAC_PI_2)));
+        let covariance = [0.01, 0.002, 0.003, 0.25, -0.004, 0.05];
+        let found = shift.correction(&Correction { covariance, ..Correction::default() });
+        let wanted = [0.25, -0.002, 0.004, 0.01, 0.003, 0.05];
+        for (found, wanted) in found.covariance.iter().zip(wanted) {
+            assert!((found - wanted).abs() < 1e-12, "{:?}", found);
+        }
+        assert_eq!(found.map_from_base, Pose2::new(1.0, 2.0, FRAC_PI_2));
     }
 }
