@@ -7,19 +7,19 @@ use crate::channel;
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, wait};
 use crate::stop::Stop;
-use ::slam::{Back, Node, Revision, Slam};
+use ::slam::{Back, NODES_UNDER_WAY_MAX, Node, Revision, Slam};
 use msg::{Correction, GridHeader, GridView, Pose2, RobotId, Role};
 use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Instant;
 
-/// Nodes the work beside may fall behind the scans: at a node each half metre or so, minutes of driving.
-const NODES_WAITING_MAX: usize = 256;
+/// Revisions the scan path may fall behind; at each scan it takes all there are.
+const REVISIONS_WAITING_MAX: usize = 256;
 
 pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let (mut front, back) = Slam::new(run.config.slam.clone()).split();
-    let (nodes, nodes_in) = sync_channel::<Node>(NODES_WAITING_MAX);
-    let (revisions, revisions_in) = sync_channel::<Revision>(NODES_WAITING_MAX);
+    let (nodes, nodes_in) = sync_channel::<Node>(NODES_UNDER_WAY_MAX);
+    let (revisions, revisions_in) = sync_channel::<Revision>(REVISIONS_WAITING_MAX);
 
     let node = run.attach(Role::Slam, Some(robot))?;
     let mut pulse = Pulse::new(&node, run, Role::Slam, Some(robot))?;
@@ -41,8 +41,8 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
                 let step = pulse.work(|| front.process(&scan));
                 corrections.send(&shift.correction(&step.correction));
                 refused += u64::from(step.refused.is_some());
-                // The scan's own map never waits; only a graph minutes behind would hold it up here.
-                step.node.into_iter().for_each(|node| drop(nodes.send(node)));
+                // There is room for all that the scan path hands over: it never waits here.
+                let _ = step.node.map(|node| nodes.try_send(node));
             }
             pulse.beat(|| Account { gaps: scans.gaps(), refused, ..Account::default() });
         }
