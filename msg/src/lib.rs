@@ -17,16 +17,20 @@ mod stats;
 pub mod time;
 
 pub mod grid;
+pub mod rect;
 mod slam;
+pub mod tiles;
 
 pub use grid::{Grid, GridHeader, GridView};
 pub use health::{Beat, Role};
 pub use id::{ROBOTS_MAX, RobotId};
 pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, Truth};
 pub use pose::Pose2;
+pub use rect::Rect;
 pub use scan::{BEAMS_MAX, Scan};
 pub use slam::{Anchor, Anchors, Correction, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
+pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 
 use bytemuck::{Pod, Zeroable};
@@ -68,6 +72,4 @@ macro_rules! messages {
         }
     )*};
 }
-messages!(
-    Scan, Odometry, Transforms, Command, Truth, Clock, GridHeader, Correction, Anchors, Beat, FleetStats
-);
+messages!(Scan, Odometry, Transforms, Command, Truth, Clock, Correction, Anchors, Beat, FleetStats);

@@ -8,7 +8,7 @@ use crate::closure::{Detector, Find, Search, SearchCounts, View};
 use crate::config::SlamConfig;
 use crate::graph::{EdgeKind, Graph, Relative};
 use crate::node::{Node, Revision};
-use msg::{GridView, Pose2, pose::wrap_angle};
+use msg::{GridView, Pose2, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -167,9 +167,20 @@ impl Back {
         &self.nodes
     }
 
-    /// The map of all nodes.
+    /// The map of all nodes, each exactly where it is, as one grid.
     pub fn map(&mut self) -> GridView<'_> {
-        self.canvas.draw(&self.nodes, self.graph.poses())
+        self.canvas.finish(&self.nodes, self.graph.poses())
+    }
+
+    /// Brings [`Back::tiles`] closer to what is known, by about so many cells of beams: new nodes
+    /// first, then what solutions have moved visibly. True if there is more to do.
+    pub fn draw(&mut self, cells_max: usize) -> bool {
+        self.canvas.work(&self.nodes, self.graph.poses(), cells_max)
+    }
+
+    /// The map as drawn so far. Nodes that moved are drawn elsewhere all at once.
+    pub fn tiles(&self) -> &TileMap {
+        self.canvas.tiles()
     }
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge.

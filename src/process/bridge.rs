@@ -5,10 +5,10 @@ use super::Error;
 use super::pulse::{Account, Pulse};
 use crate::channel::{self, Channel};
 use crate::run::Run;
-use crate::shared_memory::{Bell, GridReader, Node, Reader, Writer};
+use crate::shared_memory::{Bell, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
 use ::bridge::{Bridge, serve};
-use msg::{Command, Message, Odometry, RobotId, Role, Transforms};
+use msg::{Command, Dense, GridView, Message, Odometry, PatchHeader, RobotId, Role, Transforms};
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Duration;
@@ -91,8 +91,8 @@ fn fleet_tasks(node: &Node, run: &Run, bridge: &Rc<Bridge>) -> Result<Vec<JoinHa
         tasks.push(forward(node, bridge, &channel::correction(robot), move |bridge, correction| {
             bridge.correction(robot, correction);
         })?);
-        let maps = node.grid_reader(&channel::map(robot))?;
-        tasks.push(grids(node, bridge, &channel::map(robot), maps, move |bridge, map| {
+        let maps = node.map_reader(&channel::map(robot))?;
+        tasks.push(whole_maps(node, bridge, &channel::map(robot), maps, move |bridge, map| {
             bridge.map(robot, map)
         })?);
     }
@@ -132,9 +132,9 @@ fn robot_motion(node: &Node, bridge: &Rc<Bridge>, robot: RobotId) -> Result<Join
 
 /// The anchors come with the merged map, which rings.
 fn merged_maps(node: &Node, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
-    let maps = node.grid_reader(&channel::merged_map())?;
+    let maps = node.map_reader(&channel::merged_map())?;
     let mut anchors = node.reader(&channel::anchors())?;
-    grids(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
+    whole_maps(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
         if let Some(anchors) = anchors.newest() {
             bridge.anchors(&anchors);
         }
@@ -142,20 +142,19 @@ fn merged_maps(node: &Node, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error
     })
 }
 
-/// Passes the newest grid of a channel on.
-fn grids(
+/// Passes the newest version of a channel's map on, as the one grid that ROS knows.
+fn whole_maps(
     node: &Node,
     bridge: &Rc<Bridge>,
-    channel: &Channel<msg::GridHeader>,
-    mut reader: GridReader,
-    mut pass: impl FnMut(&Bridge, msg::GridView<'_>) + 'static,
+    channel: &Channel<PatchHeader>,
+    mut reader: MapReader,
+    mut pass: impl FnMut(&Bridge, GridView<'_>) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
     let bridge = bridge.clone();
+    let mut grid = Dense::default();
     on_ring(node.bell(channel)?, move || {
-        if let Some(map) = reader.newest()
-            && let Some(map) = map.view()
-        {
-            pass(&bridge, map);
+        if reader.look() {
+            pass(&bridge, grid.update(reader.map()));
         }
     })
 }

@@ -1,0 +1,112 @@
+//! Rectangles of whole squares: cells, or tiles.
+
+use crate::tiles::TILE;
+
+/// Squares `x0..x1` by `y0..y1` of whatever lattice the context says. Empty unless `x0 < x1 && y0 < y1`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rect {
+    /// First column.
+    pub x0: i64,
+    /// First row.
+    pub y0: i64,
+    /// Behind the last column.
+    pub x1: i64,
+    /// Behind the last row.
+    pub y1: i64,
+}
+
+impl Rect {
+    /// `width` x `height` squares from (0, 0).
+    pub fn of_size(width: u32, height: u32) -> Self {
+        Self { x0: 0, y0: 0, x1: width.into(), y1: height.into() }
+    }
+
+    /// One square.
+    pub fn of_one(x: i64, y: i64) -> Self {
+        Self { x0: x, y0: y, x1: x + 1, y1: y + 1 }
+    }
+
+    /// The cells of tile (x, y).
+    pub fn of_tile(x: i64, y: i64) -> Self {
+        Self { x0: x * TILE, y0: y * TILE, x1: (x + 1) * TILE, y1: (y + 1) * TILE }
+    }
+
+    /// Without squares.
+    pub fn is_empty(self) -> bool {
+        self.x0 >= self.x1 || self.y0 >= self.y1
+    }
+
+    /// Columns.
+    pub fn width(self) -> usize {
+        (self.x1 - self.x0).max(0) as usize
+    }
+
+    /// Rows.
+    pub fn height(self) -> usize {
+        (self.y1 - self.y0).max(0) as usize
+    }
+
+    /// Squares inside; `None` if a machine cannot count them.
+    pub fn area(self) -> Option<usize> {
+        self.width().checked_mul(self.height())
+    }
+
+    /// What both cover.
+    pub fn intersect(self, other: Self) -> Self {
+        Self {
+            x0: self.x0.max(other.x0),
+            y0: self.y0.max(other.y0),
+            x1: self.x1.min(other.x1),
+            y1: self.y1.min(other.y1),
+        }
+    }
+
+    /// The smallest that holds both.
+    pub fn unite(self, other: Self) -> Self {
+        if self.is_empty() {
+            return other;
+        }
+        if other.is_empty() {
+            return self;
+        }
+        Self {
+            x0: self.x0.min(other.x0),
+            y0: self.y0.min(other.y0),
+            x1: self.x1.max(other.x1),
+            y1: self.y1.max(other.y1),
+        }
+    }
+
+    /// All of `other` lies in it.
+    pub fn holds(self, other: Self) -> bool {
+        other.is_empty() || self.intersect(other) == other
+    }
+
+    /// The same, elsewhere.
+    pub fn moved(self, dx: i64, dy: i64) -> Self {
+        Self { x0: self.x0 + dx, y0: self.y0 + dy, x1: self.x1 + dx, y1: self.y1 + dy }
+    }
+
+    /// Where square (x, y), which lies in it, comes when they are counted row by row.
+    pub fn index(self, x: i64, y: i64) -> usize {
+        (y - self.y0) as usize * self.width() + (x - self.x0) as usize
+    }
+
+    /// The tiles that touch these cells.
+    pub fn tiles(self) -> Self {
+        if self.is_empty() {
+            return Self::default();
+        }
+        Self {
+            x0: self.x0.div_euclid(TILE),
+            y0: self.y0.div_euclid(TILE),
+            x1: (self.x1 - 1).div_euclid(TILE) + 1,
+            y1: (self.y1 - 1).div_euclid(TILE) + 1,
+        }
+    }
+
+    /// Its squares, row by row.
+    pub fn points(self) -> impl Iterator<Item = (i64, i64)> {
+        (self.y0..self.y1).flat_map(move |y| (self.x0..self.x1).map(move |x| (x, y)))
+    }
+}
