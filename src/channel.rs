@@ -1,4 +1,4 @@
-//! The channels: who writes what to whom. One writer each; a reader that falls behind loses the
+//! The channels: who writes what to whom. One writer each, but for requests; a reader that falls behind loses the
 //! oldest. Both ends open a channel through this table, so they cannot disagree.
 //!
 //! | channel | writer | readers |
@@ -10,6 +10,8 @@
 //! | `robotK/truth` | sim(k) | telemetry, the other sims |
 //! | `clock` | sim(1) | bridge |
 //! | `robotK/correction` | slam(k) | bridge, telemetry |
+//! | `robotK/slam_request` | bridge, `mr-slam slam` | slam(k) |
+//! | `robotK/slam_answer` | slam(k) | bridge, `mr-slam slam` |
 //! | `robotK/map` | slam(k) | merge, bridge, telemetry, launcher |
 //! | `merged_map`, `anchors` | merge | bridge, telemetry, launcher |
 //! | `stats` | telemetry | bridge, launcher, `status` |
@@ -18,7 +20,7 @@
 use crate::shared_memory::MapWriter;
 use msg::{
     Anchors, Beat, Clock, Command, Correction, FleetStats, Message, Odometry, PatchHeader, ROBOTS_MAX,
-    RobotId, Role, Scan, Transforms, Truth,
+    RobotId, Role, Scan, SlamAnswer, SlamRequest, Transforms, Truth,
 };
 use std::marker::PhantomData;
 
@@ -33,6 +35,8 @@ pub struct Channel<T> {
     pub history: usize,
     /// The most readers at a time.
     pub readers: usize,
+    /// The most writers at a time.
+    pub writers: usize,
     /// Whether a message wakes its readers, or waits until they look.
     pub wakes: bool,
     message: PhantomData<T>,
@@ -40,10 +44,12 @@ pub struct Channel<T> {
 
 /// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
 const READERS: usize = 8;
+/// The bridge, and commands of people.
+const ASKERS: usize = 8;
 
 impl<T: Message> Channel<T> {
     fn stream(name: String, depth: usize) -> Self {
-        Self { name, depth, history: 0, readers: READERS, wakes: true, message: PhantomData }
+        Self { name, depth, history: 0, readers: READERS, writers: 1, wakes: true, message: PhantomData }
     }
 
     fn state(name: &str) -> Self {
@@ -88,6 +94,17 @@ pub fn clock() -> Channel<Clock> {
 /// One for each scan.
 pub fn correction(robot: RobotId) -> Channel<Correction> {
     Channel::stream(format!("{robot}/correction"), 32)
+}
+
+/// Now and then. The reader's numbers of lost messages mean nothing where there are several writers:
+/// who asks sees that no answer comes.
+pub fn slam_request(robot: RobotId) -> Channel<SlamRequest> {
+    Channel { writers: ASKERS, ..Channel::stream(format!("{robot}/slam_request"), 16) }
+}
+
+/// One for each request; open it before asking.
+pub fn slam_answer(robot: RobotId) -> Channel<SlamAnswer> {
+    Channel::stream(format!("{robot}/slam_answer"), 16)
 }
 
 /// What changed, when it did; whoever comes late asks for the whole.

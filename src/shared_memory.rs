@@ -124,7 +124,7 @@ impl Node {
         self.run
     }
 
-    /// The channel's one writer.
+    /// The channel's writer: one, where the table does not allow more.
     pub fn writer<T: Message>(&self, channel: &Channel<T>) -> Result<Writer<T>, ChannelError> {
         let publisher = self
             .service(channel)?
@@ -152,7 +152,7 @@ impl Node {
         self.node
             .service_builder(&service_name(&channel.name)?)
             .publish_subscribe::<Shared<T>>()
-            .max_publishers(1)
+            .max_publishers(channel.writers)
             .max_subscribers(channel.readers)
             .max_nodes(NODES_MAX)
             .history_size(channel.history)
@@ -189,7 +189,7 @@ impl Node {
             .service_builder(&service_name(&channel.name)?)
             .event()
             .max_listeners(channel.readers)
-            .max_notifiers(1)
+            .max_notifiers(channel.writers)
             .max_nodes(NODES_MAX)
             .open_or_create()
             .map_err(failed("cannot open the bell of", &channel.name))

@@ -13,6 +13,7 @@ mod id;
 mod motion;
 pub mod pose;
 mod scan;
+mod service;
 mod stats;
 pub mod time;
 
@@ -28,6 +29,10 @@ pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Trans
 pub use pose::Pose2;
 pub use rect::Rect;
 pub use scan::{BEAMS_MAX, Scan};
+pub use service::{
+    CLOSURES_MAX, ClosureInfo, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, TEXT_MAX,
+    Text,
+};
 pub use slam::{Anchor, Anchors, Correction, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
 pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
@@ -72,4 +77,17 @@ macro_rules! messages {
         }
     )*};
 }
-messages!(Scan, Odometry, Transforms, Command, Truth, Clock, Correction, Anchors, Beat, FleetStats);
+messages!(
+    Scan,
+    Odometry,
+    Transforms,
+    Command,
+    Truth,
+    Clock,
+    Correction,
+    Anchors,
+    Beat,
+    FleetStats,
+    SlamRequest,
+    SlamAnswer
+);

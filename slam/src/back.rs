@@ -8,6 +8,7 @@ use crate::closure::{Detector, Find, Search, SearchCounts, View};
 use crate::config::SlamConfig;
 use crate::graph::{EdgeKind, Graph, Relative};
 use crate::node::{Node, Revision};
+use crate::stage::{Stage, StageWatch};
 use msg::{GridView, Pose2, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
@@ -41,6 +42,7 @@ pub struct Back {
     closures: u32,
     solutions: u64,
     retracted: u64,
+    watch: Box<dyn StageWatch>,
 }
 
 /// What the back end has done.
@@ -77,13 +79,20 @@ impl Back {
             closures: 0,
             solutions: 0,
             retracted: 0,
+            watch: Box::new(()),
             config,
         }
+    }
+
+    /// From now on this watch hears of every stage.
+    pub fn watch(&mut self, watch: Box<dyn StageWatch>) {
+        self.watch = watch;
     }
 
     /// Takes the next node: place it, link it, look for a closure, solve if that is due.
     pub fn add(&mut self, node: Node) -> Revision {
         let id = node.id;
+        self.watch.begins(Stage::Link);
         self.place(node);
         self.link_sequential(id);
         let relative = self.relative_to(id);
@@ -97,6 +106,7 @@ impl Back {
         if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
         }
+        self.watch.begins(Stage::Idle);
         self.revision()
     }
 
@@ -108,11 +118,13 @@ impl Back {
             left -= 1;
         }
         self.solve(false);
+        self.watch.begins(Stage::Idle);
     }
 
     /// Looks for a node among places seen before. Where nothing was found, a better map may help:
     /// the node is noted, to be tried once more after the next closure.
     fn search(&mut self, id: u32, relative: &[Option<Relative>]) -> bool {
+        self.watch.begins(Stage::Closure);
         let view = View { nodes: &self.nodes, graph: &self.graph };
         match self.detector.search(&view, id, relative, self.travelled_m) {
             Search::NoCandidate => return false,
@@ -130,8 +142,10 @@ impl Back {
     /// Tries one node once more that was not found before the last closure; false if there is none.
     fn search_again(&mut self) -> bool {
         while let Some(id) = self.again.pop_front() {
+            self.watch.begins(Stage::Link);
             let relative = self.relative_to(id);
             self.unsolved += usize::from(self.link_near(id, &relative) > 0);
+            self.watch.begins(Stage::Closure);
             let view = View { nodes: &self.nodes, graph: &self.graph };
             match self.detector.search(&view, id, &relative, self.travelled_m) {
                 Search::NoCandidate => continue,
@@ -169,13 +183,19 @@ impl Back {
 
     /// The map of all nodes, each exactly where it is, as one grid.
     pub fn map(&mut self) -> GridView<'_> {
-        self.canvas.finish(&self.nodes, self.graph.poses())
+        self.watch.begins(Stage::Draw);
+        let map = self.canvas.finish(&self.nodes, self.graph.poses());
+        self.watch.begins(Stage::Idle);
+        map
     }
 
     /// Brings [`Back::tiles`] closer to what is known, by about so many cells of beams: new nodes
     /// first, then what solutions have moved visibly. True if there is more to do.
     pub fn draw(&mut self, cells_max: usize) -> bool {
-        self.canvas.work(&self.nodes, self.graph.poses(), cells_max)
+        self.watch.begins(Stage::Draw);
+        let more = self.canvas.work(&self.nodes, self.graph.poses(), cells_max);
+        self.watch.begins(Stage::Idle);
+        more
     }
 
     /// The map as drawn so far. Nodes that moved are drawn elsewhere all at once.
@@ -307,6 +327,7 @@ impl Back {
             self.graph.add_edge([a, b], find.candidate_from_node, information, EdgeKind::Closure, drift);
         }
         self.solve(true);
+        self.watch.begins(Stage::Link);
         for id in self.around(finds) {
             let relative = self.relative_to(id);
             self.link_near(id, &relative);
@@ -330,6 +351,7 @@ impl Back {
     }
 
     fn solve(&mut self, shock: bool) {
+        self.watch.begins(Stage::Solve);
         self.graph.solve(shock);
         self.solutions += 1;
         self.unsolved = 0;

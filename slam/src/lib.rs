@@ -25,6 +25,7 @@ mod front;
 mod graph;
 mod node;
 mod odometry;
+mod stage;
 
 pub use back::{Back, BackCounts};
 pub use closure::SearchCounts;
@@ -33,6 +34,7 @@ pub use config::*;
 pub use front::{Counts, Front, Refusal, Ride, Step};
 pub use graph::{Edge, EdgeKind, Graph, Relative};
 pub use node::{Node, Rays, Revision};
+pub use stage::{Stage, StageWatch};
 
 use msg::{GridView, Odometry, Pose2, Scan, Stamp, TileMap};
 use std::collections::VecDeque;
