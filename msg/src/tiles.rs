@@ -125,27 +125,30 @@ impl TileMap {
         Self { header, extent: Rect::default(), tiles: Vec::new() }
     }
 
-    /// A grid's cells, on a lattice that begins at its own cell (0, 0).
-    pub fn from_grid(grid: GridView<'_>) -> Self {
-        let GridHeader { header, scan_sent, origin, resolution_m, width, height } = *grid.header;
-        let mut map = Self::new(MapHeader { header, scan_sent, origin, resolution_m });
-        let whole = Rect::of_size(width, height);
+    /// A grid's cells on a lattice on which its own cell (0, 0) is the one in column and row `corner`;
+    /// `None` if it spans too many tiles or lies absurdly far away.
+    pub fn from_grid(header: MapHeader, corner: [i64; 2], grid: GridView<'_>) -> Option<Self> {
+        let mut map = Self::new(header);
+        let [dx, dy] = corner;
+        let near = corner.iter().all(|c| c.abs() < TILE * TILE_PLACE_MAX);
+        let whole = Rect::of_size(grid.header.width, grid.header.height);
+        let whole = if near { whole.moved(dx, dy) } else { return None };
         if !map.make_room(whole.tiles(), MAP_TILES_MAX) {
-            return map;
+            return None;
         }
         for (x, y) in whole.tiles().points() {
             let mut tile = MapTile::unknown(x, y);
             let part = Rect::of_tile(x, y).intersect(whole);
             for row in part.y0..part.y1 {
                 let start = whole.index(part.x0, row);
-                let to = ((row - y * TILE) * TILE) as usize;
+                let to = ((row - y * TILE) * TILE + part.x0 - x * TILE) as usize;
                 tile.cells[to..to + part.width()].copy_from_slice(&grid.cells[start..start + part.width()]);
             }
             if !tile.is_unknown() {
                 map.set(x, y, Some(Arc::new(tile)));
             }
         }
-        map
+        Some(map)
     }
 
     /// In tiles: all that is known lies within.
