@@ -271,9 +271,9 @@ struct Ends {
 impl Ends {
     fn place(&mut self, node: &Node, map_from_base: Pose2, config: &MapConfig) -> &Self {
         let place = Placement::new(map_from_base);
-        let cell =
-            |p: &[f32; 2]| place.point(*p).map(|v| (f64::from(v) / config.resolution_m).floor() as i64);
-        self.sensor = cell(&node.rays.sensor);
+        let cell_of = |v: f32| (f64::from(v) / config.resolution_m).floor() as i64;
+        let cell = |p: &[f32; 2]| place.point(*p).map(cell_of);
+        self.sensor = place.point(node.rays.sensor).map(cell_of);
         self.hits.clear();
         self.hits.extend(node.rays.hits.iter().map(cell));
         self.misses.clear();
