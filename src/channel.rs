@@ -16,6 +16,8 @@
 //! | `merged_map`, `anchors` | merge | bridge, telemetry, launcher |
 //! | `stats` | telemetry | bridge, launcher, `status` |
 //! | `NAME/beat` | each process | telemetry |
+//!
+//! Where the world is not simulated here, the bridge writes what the simulators else do, but for the truth.
 
 use crate::shared_memory::MapWriter;
 use msg::{

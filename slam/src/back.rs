@@ -91,6 +91,7 @@ impl Back {
 
     /// Takes the next node: place it, link it, look for a closure, solve if that is due.
     pub fn add(&mut self, node: Node) -> Revision {
+        let node = node.kept();
         let id = node.id;
         self.watch.begins(Stage::Link);
         self.place(node);
@@ -280,7 +281,7 @@ impl Back {
         }
         let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);
         let reference = Reference { cloud: &older.cloud, frame_from_cloud: Pose2::IDENTITY };
-        let fit = align(&newer.cloud, guess, &[reference], None, l);
+        let fit = align(&newer.cloud, guess, core::iter::once(reference), None, l);
         if fit.overlap < l.overlap_min {
             return false;
         }

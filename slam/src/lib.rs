@@ -25,22 +25,26 @@ mod front;
 mod graph;
 mod node;
 mod odometry;
+mod pool;
 mod stage;
+mod sweep;
 
 pub use back::{Back, BackCounts};
 pub use closure::SearchCounts;
-pub use cloud::{Cloud, Placement, SurfacePoint};
+pub use cloud::{Cloud, CloudScratch, Placement, SurfacePoint};
 pub use config::*;
 pub use front::{Counts, Front, Refusal, Ride, Step};
 pub use graph::{Edge, EdgeKind, Graph, Relative};
 pub use node::{Node, Rays, Revision};
+pub use pool::NODES_UNDER_WAY_MAX;
 pub use stage::{Stage, StageWatch};
+pub use sweep::Sweep;
 
 use msg::{GridView, Odometry, Pose2, Scan, Stamp, TileMap};
 use std::collections::VecDeque;
 
 /// Nodes that wait for [`Slam::work`]; when they are more, [`Slam::process`] does the work itself.
-const WAITING_MAX: usize = 64;
+const WAITING_MAX: usize = NODES_UNDER_WAY_MAX - 2;
 
 /// One robot's SLAM on one thread: the scan path and, when asked to, the work beside it.
 pub struct Slam {

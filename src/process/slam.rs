@@ -1,29 +1,25 @@
 //! One robot's SLAM. One thread answers scans and waits for nothing else; the other closes loops,
 //! solves, and draws the map beside it.
 
+use super::Error;
+use super::map_out::MapOut;
 use super::pulse::{Account, Pulse};
-use super::{Error, MAP_PERIOD};
 use crate::channel;
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, MapWriter, wait};
+use crate::shared_memory::{ChannelError, wait};
 use crate::stop::Stop;
-use ::slam::{Back, Node, Revision, Slam};
+use ::slam::{Back, NODES_UNDER_WAY_MAX, Node, Revision, Slam};
 use msg::{Correction, Pose2, RobotId, Role, TileMap};
 use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::time::{Duration, Instant};
 
-/// Nodes the work beside may fall behind the scans: at a node each half metre or so, minutes of driving.
-const NODES_WAITING_MAX: usize = 256;
-/// Cells of beams drawn before the next node is looked for: a millisecond or so.
-const SLICE_CELLS: usize = 400_000;
-/// How often a map at rest is looked after: somebody may have come who needs the whole.
-const LOOK_PERIOD: Duration = Duration::from_millis(200);
+/// Revisions the scan path may fall behind; at each scan it takes all there are.
+const REVISIONS_WAITING_MAX: usize = 256;
 
 pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let (mut front, back) = Slam::new(run.config.slam.clone()).split();
-    let (nodes, nodes_in) = sync_channel::<Node>(NODES_WAITING_MAX);
-    let (revisions, revisions_in) = sync_channel::<Revision>(NODES_WAITING_MAX);
+    let (nodes, nodes_in) = sync_channel::<Node>(NODES_UNDER_WAY_MAX);
+    let (revisions, revisions_in) = sync_channel::<Revision>(REVISIONS_WAITING_MAX);
 
     let node = run.attach(Role::Slam, Some(robot))?;
     let mut pulse = Pulse::new(&node, run, Role::Slam, Some(robot))?;
@@ -45,8 +41,8 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
                 let step = pulse.work(|| front.process(&scan));
                 corrections.send(&shift.correction(&step.correction));
                 refused += u64::from(step.refused.is_some());
-                // The scan's own map never waits; only a graph minutes behind would hold it up here.
-                step.node.into_iter().for_each(|node| drop(nodes.send(node)));
+                // There is room for all that the scan path hands over: it never waits here.
+                let _ = step.node.map(|node| nodes.try_send(node));
             }
             pulse.beat(|| Account { gaps: scans.gaps(), refused, ..Account::default() });
         }
@@ -66,30 +62,18 @@ fn beside(
 ) -> Result<(), ChannelError> {
     // A presence of its own: shared memory's ports stay on the thread that made them.
     let presence = crate::shared_memory::Node::open(&run.domain, &format!("{robot}/map"))?;
-    let mut maps = presence.map_writer(&channel::map(robot))?;
-    let mut sent: Option<Instant> = None;
-    let (mut drawing, mut sending) = (false, false);
+    let mut map = MapOut::open(&presence, robot)?;
     loop {
-        let patience = match (drawing, sending) {
-            (true, _) => Duration::ZERO,
-            (false, true) => MapWriter::PAUSE,
-            (false, false) => LOOK_PERIOD,
-        };
-        match nodes.recv_timeout(patience) {
+        match nodes.recv_timeout(map.patience()) {
             Ok(node) => {
                 // The scan path takes revisions at each scan, and has room for one for each node that waits.
                 let _ = revisions.try_send(back.add(node));
-                drawing = true;
+                map.news();
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
-        drawing = drawing && back.draw(SLICE_CELLS);
-        let pause = if sending { MapWriter::PAUSE } else { MAP_PERIOD };
-        if sent.is_none_or(|sent| sent.elapsed() >= pause) {
-            sending = !maps.send(&shift.map(back.tiles()));
-            sent = Some(Instant::now());
-        }
+        map.tend(&mut back, |map| shift.map(map));
     }
 }
 

@@ -4,6 +4,7 @@ use super::pulse::{Account, Pulse};
 use super::{Error, PLAN_RESOLUTION_M};
 use crate::channel;
 use crate::clock::now;
+use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
@@ -17,11 +18,13 @@ const PERIOD_NS: u64 = 1_000_000_000;
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
     let mut pulse = Pulse::new(&node, run, Role::Telemetry, None)?;
-    let room = fleet::room(&run.config)?;
-    let starts = fleet::starts(&run.config, &room)?.into_iter().map(Some).collect::<Vec<_>>();
+    let plan = match run.config.world {
+        World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
+        World::Headset | World::Ros => None,
+    };
+    let starts = fleet::known_starts(&run.config)?;
 
-    let mut telemetry =
-        Telemetry::new(run.config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &starts);
+    let mut telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);
     // Only now, so that nothing waits unread while the room is built.
     let mut inputs = Inputs::open(&node, run)?;
     let bells = Inputs::bells(&node, run)?;
@@ -50,6 +53,8 @@ struct RobotInputs {
     corrections: Reader<Correction>,
     truths: Reader<Truth>,
     maps: MapReader,
+    /// A map has come since the last figures.
+    news: bool,
     grid: Dense,
 }
 
@@ -57,6 +62,7 @@ struct RobotInputs {
 struct Inputs {
     robots: Vec<RobotInputs>,
     merged_map: MapReader,
+    merged_news: bool,
     merged_grid: Dense,
     anchors: Reader<Anchors>,
     beats: Vec<Reader<Beat>>,
@@ -71,6 +77,7 @@ impl Inputs {
                 corrections: node.reader(&channel::correction(robot))?,
                 truths: node.reader(&channel::truth(robot))?,
                 maps: node.map_reader(&channel::map(robot))?,
+                news: false,
                 grid: Dense::default(),
             })
         };
@@ -78,6 +85,7 @@ impl Inputs {
         Ok(Self {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
             merged_map: node.map_reader(&channel::merged_map())?,
+            merged_news: false,
             merged_grid: Dense::default(),
             anchors: node.reader(&channel::anchors())?,
             beats: beats.collect::<Result<_, _>>()?,
@@ -96,7 +104,7 @@ impl Inputs {
     }
 
     fn streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        for RobotInputs { robot, transforms, corrections, truths, maps, grid } in &mut self.robots {
+        for RobotInputs { robot, transforms, corrections, truths, maps, news, .. } in &mut self.robots {
             while let Some(truth) = truths.receive() {
                 telemetry.truth(*robot, &truth);
             }
@@ -107,16 +115,24 @@ impl Inputs {
                 telemetry.correction(*robot, &correction, received);
             }
             if maps.look() {
-                telemetry.map(*robot, grid.update(maps.map()), received);
+                telemetry.map_came(*robot, maps.map().header.scan_sent, received);
+                *news = true;
             }
         }
+        // It has its turn at the figures, but must not fall behind.
+        self.merged_news |= self.merged_map.look();
     }
 
     fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
         if let Some(anchors) = self.anchors.newest() {
             telemetry.anchors(&anchors);
         }
-        if self.merged_map.look() {
+        for RobotInputs { robot, maps, news, grid, .. } in &mut self.robots {
+            if std::mem::take(news) {
+                telemetry.map_is(*robot, grid.update(maps.map()));
+            }
+        }
+        if std::mem::take(&mut self.merged_news) {
             telemetry.merged_map(self.merged_grid.update(self.merged_map.map()), received);
         }
         for beats in &mut self.beats {
@@ -129,6 +145,10 @@ impl Inputs {
 
 /// Every process of the fleet.
 pub fn members(run: &Run) -> impl Iterator<Item = (Role, Option<RobotId>)> {
-    let of_robots = run.robots().flat_map(|robot| [(Role::Sim, Some(robot)), (Role::Slam, Some(robot))]);
+    let simulated = !run.config.world.is_outside();
+    let of_robots = run.robots().flat_map(move |robot| {
+        let sim = simulated.then_some((Role::Sim, Some(robot)));
+        sim.into_iter().chain([(Role::Slam, Some(robot))])
+    });
     of_robots.chain([Role::Merge, Role::Telemetry, Role::Bridge].map(|role| (role, None)))
 }
