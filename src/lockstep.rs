@@ -186,22 +186,22 @@ impl Lockstep {
             let tick = member.simulator.step();
             member.sense(&tick, &mut self.voice, &mut self.telemetry, listener);
             changed |= tick.scan_due && member.map(&mut self.voice, &mut self.telemetry, listener);
-            if let Some(map) = member.map.view().filter(|_| changed) {
+            if changed {
                 // Refusals are counted where processes run; here a refused map would show in the figures.
-                let _ = self.merger.update(member.robot, map);
+                let _ = self.merger.update_tiles(member.robot, member.slam.tiles());
             }
         }
         changed
     }
 
     fn merge(&mut self, listener: Listener<'_>) {
-        let merged = self.merger.merged_tiles().clone();
-        let chart = &mut self.merged_map;
-        self.voice.say_map(&channel::merged_map(), chart, &merged, listener);
+        let merged = self.merger.merged_tiles();
+        let received = moment(merged.header.header.stamp);
+        self.voice.say_map(&channel::merged_map(), &mut self.merged_map, merged, listener);
         self.anchors = self.merger.anchors();
         self.voice.say(&channel::anchors(), &mut self.anchors, listener);
         self.telemetry.anchors(&self.anchors);
-        self.telemetry.merged_map(self.merged_map.grid.view(), moment(merged.header.header.stamp));
+        self.telemetry.merged_map(self.merged_map.grid.view(), received);
     }
 }
 
@@ -244,9 +244,11 @@ impl Member {
             return false;
         }
         self.map_due = stamp + MAP_PERIOD;
-        voice.say_map(&channel::map(robot), &mut self.map, self.slam.tiles(), listener);
-        telemetry.map(robot, self.map.grid.view(), moment(stamp));
-        true
+        let news = voice.say_map(&channel::map(robot), &mut self.map, self.slam.tiles(), listener);
+        if news {
+            telemetry.map(robot, self.map.grid.view(), moment(stamp));
+        }
+        news
     }
 
     /// The robot as the operator sees it.
@@ -283,19 +285,25 @@ impl Voice {
         listener(&channel.name, bytemuck::bytes_of(message));
     }
 
+    /// Says what is new of a map; false if nothing is.
     fn say_map(
         &mut self,
         channel: &Channel<PatchHeader>,
         chart: &mut Chart,
         map: &TileMap,
         listener: Listener<'_>,
-    ) {
+    ) -> bool {
+        let mut news = false;
         while let Some(mut patch) = chart.outgoing.next(map) {
             self.say(channel, &mut patch.header, listener);
             patch.tiles.iter().for_each(|tile| listener(&channel.name, bytemuck::bytes_of(&**tile)));
+            news = true;
         }
-        chart.grid.update(map);
-        chart.drawn = true;
+        if news {
+            chart.grid.update(map);
+            chart.drawn = true;
+        }
+        news
     }
 
     fn mark(&mut self, name: &str, header: &mut msg::Header) {

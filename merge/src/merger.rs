@@ -199,10 +199,8 @@ impl Merger {
         }
     }
 
-    /// The merged map, frame `map`. Its cells are squares of a lattice that never moves; stamp and
-    /// `scan_sent` are those of the newest map in it. Without tiles before the first map. Only tiles
-    /// that may have changed are composed, and those that did not stay the same tiles.
-    pub fn merged_tiles(&mut self) -> &TileMap {
+    /// Composes the tiles that may have changed; those that did not stay the same tiles.
+    pub fn compose(&mut self) {
         let extent = self.merged.extent();
         for ((x, y), dirty) in extent.points().zip(&mut self.dirty) {
             if std::mem::take(dirty) {
@@ -212,12 +210,18 @@ impl Merger {
                 }
             }
         }
+    }
+
+    /// The merged map, frame `map`. Its cells are squares of a lattice that never moves; stamp and
+    /// `scan_sent` are those of the newest map in it. Without tiles before the first map.
+    pub fn merged_tiles(&mut self) -> &TileMap {
+        self.compose();
         &self.merged
     }
 
     /// The same as one grid of what is known; without cells before the first map.
     pub fn merged(&mut self) -> GridView<'_> {
-        self.merged_tiles();
+        self.compose();
         self.grid.update(&self.merged)
     }
 

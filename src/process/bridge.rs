@@ -17,12 +17,20 @@ use std::cell::RefCell;
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Duration;
+use tokio::io::unix::AsyncFd;
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
+use tokio::time::Instant;
 
 /// How often the process looks whether it is to end, and whether its account is due.
 const LOOK_PERIOD: Duration = Duration::from_millis(100);
+/// The shortest time between two grids of one map, for the smallest map,
+const GRID_PERIOD: Duration = Duration::from_millis(200);
+/// and so much more for each of its cells: ROS knows whole grids only, 16 MB of them once a second.
+const GRID_CELL_TIME: Duration = Duration::from_nanos(60);
+/// How often a map's channel is looked at when it does not ring.
+const MAP_LOOK_PERIOD: Duration = Duration::from_millis(500);
 
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Bridge, None)?;
@@ -203,7 +211,8 @@ fn merged_maps<D: Outlet + 'static>(node: &Node, bridge: &Rc<D>) -> Result<JoinH
     })
 }
 
-/// Passes the newest version of a channel's map on, as the one grid that ROS knows.
+/// Passes the newest version of a channel's map on, as the one grid that ROS knows: at once if the
+/// last was sent long enough ago, else when it is.
 fn whole_maps<D: Outlet + 'static>(
     node: &Node,
     bridge: &Rc<D>,
@@ -211,18 +220,38 @@ fn whole_maps<D: Outlet + 'static>(
     mut reader: MapReader,
     mut pass: impl FnMut(&D, GridView<'_>) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
+    let bell = watched(node.bell(channel)?)?;
     let bridge = bridge.clone();
     let mut grid = Dense::default();
-    on_ring(node.bell(channel)?, move || {
-        if reader.look() {
-            pass(&bridge, grid.update(reader.map()));
+    Ok(spawn_local(async move {
+        let (mut waits, mut due) = (false, Instant::now());
+        loop {
+            waits |= reader.look();
+            if waits && Instant::now() >= due {
+                let map = grid.update(reader.map());
+                pass(&bridge, map);
+                (waits, due) =
+                    (false, Instant::now() + GRID_PERIOD + GRID_CELL_TIME * map.cells.len() as u32);
+            }
+            // Without news, too, it is looked now and then: a question for the whole may be due again.
+            let patience = if waits { due } else { Instant::now() + MAP_LOOK_PERIOD };
+            if let Ok(rung) = tokio::time::timeout_at(patience, bell.readable()).await {
+                let Ok(mut rung) = rung else { return };
+                bell.get_ref().silence();
+                rung.clear_ready();
+            }
         }
-    })
+    }))
+}
+
+/// A bell that a task can wait for.
+fn watched(bell: Bell) -> Result<AsyncFd<Bell>, Error> {
+    Ok(bell.into_async().map_err(|why| format!("cannot watch a bell: {why}"))?)
 }
 
 /// Calls `act` now, and whenever the bell rings.
 fn on_ring(bell: Bell, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
-    let bell = bell.into_async().map_err(|why| format!("cannot watch a bell: {why}"))?;
+    let bell = watched(bell)?;
     Ok(spawn_local(async move {
         loop {
             act();

@@ -3,12 +3,13 @@
 use super::Error;
 use super::pulse::{Account, Pulse};
 use crate::channel;
+use crate::clock::now;
 use crate::fleet;
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, Gaps, MapReader, wait};
+use crate::shared_memory::{Bell, ChannelError, Gaps, MapReader, MapWriter, wait};
 use crate::stop::Stop;
 use ::merge::Merger;
-use msg::{RobotId, Role, TileMap};
+use msg::{Monotonic, RobotId, Role};
 
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Merge, None)?;
@@ -18,14 +19,16 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         .map(|robot| Ok((robot, node.map_reader(&channel::map(robot))?)))
         .collect::<Result<Vec<(RobotId, MapReader)>, ChannelError>>()?;
     let bells = run.robots().map(|robot| node.bell(&channel::map(robot))).collect::<Result<Vec<_>, _>>()?;
-    let bells: Vec<&Bell> = bells.iter().collect();
     let mut merged = node.map_writer(&channel::merged_map())?;
+    let asks = merged.asks();
+    let bells: Vec<&Bell> = bells.iter().chain([&*asks]).collect();
     let mut anchors = node.writer(&channel::anchors())?;
     let mut merger = Merger::new(&run.config.merge, &fleet::known_starts(&run.config)?);
     let mut refused = 0;
-    let mut fleet_map = TileMap::default();
+    let mut sending = false;
     while !stop.requested() {
-        wait(&bells, pulse.due());
+        let soon = Monotonic(now().0 + MapWriter::PAUSE.as_nanos() as u64);
+        wait(&bells, if sending { soon.min(pulse.due()) } else { pulse.due() });
         let mut changed = false;
         for (robot, reader) in &mut maps {
             if reader.look() {
@@ -37,9 +40,9 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         if changed {
             // The anchors do not ring; the merged map does, and finds them there.
             anchors.send(&merger.anchors());
-            fleet_map = pulse.work(|| merger.merged_tiles().clone());
+            pulse.work(|| merger.compose());
         }
-        merged.send(&fleet_map);
+        sending = !merged.send(merger.merged_tiles());
         anchors.refresh();
         pulse.beat(|| Account { gaps: sum(&maps), refused, ..Account::default() });
     }

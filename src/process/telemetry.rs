@@ -53,6 +53,8 @@ struct RobotInputs {
     corrections: Reader<Correction>,
     truths: Reader<Truth>,
     maps: MapReader,
+    /// A map has come since the last figures.
+    news: bool,
     grid: Dense,
 }
 
@@ -60,6 +62,7 @@ struct RobotInputs {
 struct Inputs {
     robots: Vec<RobotInputs>,
     merged_map: MapReader,
+    merged_news: bool,
     merged_grid: Dense,
     anchors: Reader<Anchors>,
     beats: Vec<Reader<Beat>>,
@@ -74,6 +77,7 @@ impl Inputs {
                 corrections: node.reader(&channel::correction(robot))?,
                 truths: node.reader(&channel::truth(robot))?,
                 maps: node.map_reader(&channel::map(robot))?,
+                news: false,
                 grid: Dense::default(),
             })
         };
@@ -81,6 +85,7 @@ impl Inputs {
         Ok(Self {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
             merged_map: node.map_reader(&channel::merged_map())?,
+            merged_news: false,
             merged_grid: Dense::default(),
             anchors: node.reader(&channel::anchors())?,
             beats: beats.collect::<Result<_, _>>()?,
@@ -99,7 +104,7 @@ impl Inputs {
     }
 
     fn streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        for RobotInputs { robot, transforms, corrections, truths, maps, grid } in &mut self.robots {
+        for RobotInputs { robot, transforms, corrections, truths, maps, news, .. } in &mut self.robots {
             while let Some(truth) = truths.receive() {
                 telemetry.truth(*robot, &truth);
             }
@@ -110,16 +115,24 @@ impl Inputs {
                 telemetry.correction(*robot, &correction, received);
             }
             if maps.look() {
-                telemetry.map(*robot, grid.update(maps.map()), received);
+                telemetry.map_came(*robot, maps.map().header.scan_sent, received);
+                *news = true;
             }
         }
+        // It has its turn at the figures, but must not fall behind.
+        self.merged_news |= self.merged_map.look();
     }
 
     fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
         if let Some(anchors) = self.anchors.newest() {
             telemetry.anchors(&anchors);
         }
-        if self.merged_map.look() {
+        for RobotInputs { robot, maps, news, grid, .. } in &mut self.robots {
+            if std::mem::take(news) {
+                telemetry.map_is(*robot, grid.update(maps.map()));
+            }
+        }
+        if std::mem::take(&mut self.merged_news) {
             telemetry.merged_map(self.merged_grid.update(self.merged_map.map()), received);
         }
         for beats in &mut self.beats {

@@ -14,6 +14,7 @@ use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use msg::tiles::{Incoming, Outgoing, PATCH_TILES_MAX, Patch};
 use msg::{MapTile, Message, Monotonic, PatchHeader, TileMap};
+use std::rc::Rc;
 use std::time::Duration;
 
 /// Tiles that a message may have before the channel's memory grows: what a scan of 10 m touches.
@@ -34,7 +35,7 @@ impl Node {
             .create()
             .map_err(failed("cannot write channel", &channel.name))?;
         let listener = self.ask_event(channel)?.listener_builder().create();
-        let asks = Bell::new(listener.map_err(failed("cannot be asked on", &channel.name))?);
+        let asks = Rc::new(Bell::new(listener.map_err(failed("cannot be asked on", &channel.name))?));
         let (stamper, bell) = (Stamper::new(self.run), self.notifier(channel)?);
         Ok(MapWriter { publisher, stamper, bell, asks, outgoing: Outgoing::default(), bytes: 0 })
     }
@@ -91,7 +92,7 @@ pub struct MapWriter {
     publisher: Publisher<ipc::Service, [Shared<MapTile>], Shared<PatchHeader>>,
     stamper: Stamper,
     bell: Option<Notifier<ipc::Service>>,
-    asks: Bell,
+    asks: Rc<Bell>,
     outgoing: Outgoing,
     bytes: u64,
 }
@@ -126,8 +127,8 @@ impl MapWriter {
     }
 
     /// Rings when a reader asks for the whole.
-    pub fn asks(&self) -> &Bell {
-        &self.asks
+    pub fn asks(&self) -> Rc<Bell> {
+        self.asks.clone()
     }
 
     /// Bytes written so far.
