@@ -3,6 +3,7 @@
 // A fleet and its parts, outermost first.
 pub mod config;
 pub mod demo;
+pub mod doctor;
 pub mod fleet;
 pub mod lockstep;
 pub mod process;

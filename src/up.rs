@@ -57,6 +57,9 @@ pub struct UpArgs {
     /// Let everybody who reaches the port drive
     #[arg(long)]
     pub trust_lan: bool,
+    /// Open the ROS 2 door on this domain (ROS_DOMAIN_ID), for this machine's ROS 2
+    #[arg(long, value_name = "ID")]
+    pub ros_domain: Option<u16>,
     /// End after this many seconds; without it, Ctrl-C ends the fleet
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub seconds: Option<f64>,
@@ -129,6 +132,10 @@ impl UpArgs {
         config.bridge.allow.extend(&self.allow);
         if self.trust_lan {
             config.bridge.drive = bridge::Permission::Anyone;
+        }
+        if let Some(domain) = self.ros_domain {
+            (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
+            config.check()?;
         }
         Ok(config)
     }

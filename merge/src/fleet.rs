@@ -306,7 +306,7 @@ impl Fleet {
         if self.holder.is_none_or(|(holder, _)| holder != gone) {
             return;
         }
-        let next = (0..self.members.len()).find(|k| self.members[*k].corrections.first().is_some());
+        let next = (0..self.members.len()).find(|k| !self.members[*k].corrections.is_empty());
         self.holder = next.map(|k| (k, self.members[k].corrections[0]));
     }
 

@@ -19,8 +19,10 @@ mod stats;
 pub mod time;
 
 pub mod grid;
+pub mod rect;
 mod slam;
 mod submap;
+pub mod tiles;
 
 pub use edges::{EdgeAction, EdgeCommand, EdgeState, MERGE_EDGES_MAX, MergeEdge, MergeEdges};
 pub use grid::{Grid, GridHeader, GridView};
@@ -28,6 +30,7 @@ pub use health::{Beat, Role};
 pub use id::{ROBOTS_MAX, RobotId};
 pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, Truth};
 pub use pose::Pose2;
+pub use rect::Rect;
 pub use scan::{BEAMS_MAX, Scan};
 pub use service::{
     CLOSURES_MAX, ClosureInfo, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, TEXT_MAX,
@@ -38,6 +41,7 @@ pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotSta
 pub use submap::{
     SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses,
 };
+pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 
 use bytemuck::{Pod, Zeroable};
@@ -86,7 +90,6 @@ messages!(
     Command,
     Truth,
     Clock,
-    GridHeader,
     Correction,
     Anchors,
     Beat,

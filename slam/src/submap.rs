@@ -145,7 +145,7 @@ impl Submaps {
         if fresh || id != newest {
             self.canvas = Canvas::new(self.map.clone());
         }
-        self.out.set_grid(self.canvas.draw(&back.nodes()[range], &group.given));
+        self.out.set_grid(self.canvas.finish(&back.nodes()[range], &group.given));
         let out = &mut self.out;
         (out.id, out.first_node, out.nodes) = (id as u32, group.first, group.nodes);
         out.finished = u32::from(group.finished);

@@ -3,6 +3,7 @@
 
 mod bridge;
 mod control;
+mod map_out;
 mod merge;
 mod outside;
 mod pulse;
@@ -17,7 +18,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// The shortest time between two maps of a robot.
-pub const MAP_PERIOD: Duration = Duration::from_millis(500);
+pub const MAP_PERIOD: Duration = Duration::from_millis(100);
 /// Side of a cell of the room's plan, metres: the maps'.
 pub const PLAN_RESOLUTION_M: f64 = 0.05;
 

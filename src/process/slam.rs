@@ -1,17 +1,17 @@
 //! One robot's SLAM. One thread answers scans and waits for nothing else; the other closes loops,
 //! solves, and draws the map beside it.
 
+use super::Error;
+use super::map_out::MapOut;
 use super::pulse::{Account, Pulse};
-use super::{Error, MAP_PERIOD};
 use crate::channel;
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, wait};
 use crate::stop::Stop;
 use ::slam::{Back, NODES_UNDER_WAY_MAX, Node, Revision, Slam};
-use msg::{Correction, GridHeader, GridView, Pose2, RobotId, Role};
+use msg::{Correction, Pose2, RobotId, Role, TileMap};
 use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::time::Instant;
 
 /// Revisions the scan path may fall behind; at each scan it takes all there are.
 const REVISIONS_WAITING_MAX: usize = 256;
@@ -62,22 +62,18 @@ fn beside(
 ) -> Result<(), ChannelError> {
     // A presence of its own: shared memory's ports stay on the thread that made them.
     let presence = crate::shared_memory::Node::open(&run.domain, &format!("{robot}/map"))?;
-    let mut maps = presence.grid_writer(&channel::map(robot))?;
-    let mut sent: Option<Instant> = None;
-    let mut news = false;
+    let mut map = MapOut::open(&presence, robot)?;
     loop {
-        match nodes.recv_timeout(MAP_PERIOD) {
-            // The scan path takes revisions at each scan, and has room for one for each node that waits.
-            Ok(node) => news |= revisions.try_send(back.add(node)).is_ok(),
+        match nodes.recv_timeout(map.patience()) {
+            Ok(node) => {
+                // The scan path takes revisions at each scan, and has room for one for each node that waits.
+                let _ = revisions.try_send(back.add(node));
+                map.news();
+            }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
-        if news && sent.is_none_or(|sent| sent.elapsed() >= MAP_PERIOD) {
-            let map = back.map();
-            maps.send(GridView { header: &shift.header(map.header), ..map });
-            (news, sent) = (false, Some(Instant::now()));
-        }
-        maps.refresh();
+        map.tend(&mut back, |map| shift.map(map));
     }
 }
 
@@ -105,8 +101,10 @@ impl Shift {
         }
     }
 
-    fn header(&self, header: &GridHeader) -> GridHeader {
+    fn map(&self, map: &TileMap) -> TileMap {
         let shift = self.before_from_map.get().copied().unwrap_or(Pose2::IDENTITY);
-        GridHeader { origin: shift * header.origin, ..*header }
+        let mut map = map.clone();
+        map.header.origin = shift * map.header.origin;
+        map
     }
 }

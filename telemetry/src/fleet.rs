@@ -64,11 +64,24 @@ impl Telemetry {
         }
     }
 
-    /// A robot's map. One that makes no sense is ignored.
-    pub fn map(&mut self, robot: RobotId, map: GridView<'_>, received: Monotonic) {
+    /// A robot's map has come; what is in it need be said only now and then, with [`Telemetry::map_is`].
+    pub fn map_came(&mut self, robot: RobotId, scan_sent: Monotonic, received: Monotonic) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
-            robot.map(map, received);
+            robot.map_came(scan_sent, received);
         }
+    }
+
+    /// A robot's map as it is. One that makes no sense is ignored.
+    pub fn map_is(&mut self, robot: RobotId, map: GridView<'_>) {
+        if let Some(robot) = self.robots.get_mut(robot.index()) {
+            robot.map(map);
+        }
+    }
+
+    /// Both at once.
+    pub fn map(&mut self, robot: RobotId, map: GridView<'_>, received: Monotonic) {
+        self.map_came(robot, map.header.scan_sent, received);
+        self.map_is(robot, map);
     }
 
     /// The fleet's map. One that makes no sense is ignored.

@@ -4,7 +4,7 @@ use crate::Histogram;
 use crate::jitter::Jitter;
 use crate::scans::Scans;
 use heapless::Deque;
-use msg::grid::{CELLS_MAX, Occupancy, UNKNOWN, occupancy};
+use msg::grid::{MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
 use msg::{Correction, Grid, GridView, Monotonic, Pose2, RobotStats, Stamp, Truth};
 
 /// True poses remembered until the correction of that time arrives: more than half a second at 100 Hz.
@@ -42,12 +42,15 @@ impl Robot {
         self.newest = Some(*correction);
     }
 
-    pub fn map(&mut self, map: GridView<'_>, received: Monotonic) {
-        let sound = GridView::new(map.header, map.cells).is_some() && map.cells.len() <= CELLS_MAX;
+    pub fn map_came(&mut self, scan_sent: Monotonic, received: Monotonic) {
+        latency(&mut self.scan_to_map, scan_sent, received);
+    }
+
+    pub fn map(&mut self, map: GridView<'_>) {
+        let sound = GridView::new(map.header, map.cells).is_some() && map.cells.len() <= MAP_CELLS_MAX;
         if !sound {
             return;
         }
-        latency(&mut self.scan_to_map, map.header.scan_sent, received);
         self.grid.header = *map.header;
         self.grid.cells.clear();
         self.grid.cells.extend_from_slice(map.cells);
@@ -104,7 +107,7 @@ pub(crate) fn count(map: GridView<'_>) -> RobotStats {
     let total = map.cells.len();
     debug_assert_eq!(occupancy(UNKNOWN), Occupancy::Unknown);
     RobotStats {
-        free_cells: free as u32, // all at most CELLS_MAX
+        free_cells: free as u32, // all at most MAP_CELLS_MAX
         occupied_cells: occupied as u32,
         unknown_cells: (total - free - occupied) as u32,
         width: map.header.width,

@@ -11,5 +11,6 @@ mod headset;
 mod layering;
 mod lockstep;
 mod malformed;
+mod maps;
 mod relation_metric;
 mod restart;

@@ -1,0 +1,149 @@
+//! Maps through shared memory: readers that come late, sleep, or see their writer die have its map in the end.
+
+use crate::harness::WATCHDOG;
+use mr_slam::channel;
+use mr_slam::shared_memory::{Domain, MapReader, MapWriter, Node};
+use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
+use msg::{MapHeader, Rect, TileMap};
+use std::time::Instant;
+
+/// A run's shared memory, removed in the end.
+struct Memory(Domain);
+
+impl Memory {
+    fn new(name: &str) -> Self {
+        Self(Domain::new(&format!("test{}_{name}", std::process::id())).unwrap())
+    }
+
+    fn node(&self) -> Node {
+        Node::open(&self.0, "test").unwrap()
+    }
+
+    fn writer(&self) -> MapWriter {
+        self.node().map_writer(&channel::merged_map()).unwrap()
+    }
+
+    fn reader(&self) -> MapReader {
+        self.node().map_reader(&channel::merged_map()).unwrap()
+    }
+}
+
+impl Drop for Memory {
+    fn drop(&mut self) {
+        self.0.remove();
+    }
+}
+
+/// A map of so many tiles, each with a cell of its own.
+fn map(columns: i64, rows: i64) -> TileMap {
+    let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..Default::default() });
+    assert!(map.make_room(Rect { x0: 0, y0: 0, x1: columns, y1: rows }, MAP_TILES_MAX));
+    (0..columns * rows).for_each(|i| draw(&mut map, i % columns, i / columns, i as usize));
+    map
+}
+
+fn draw(map: &mut TileMap, x: i64, y: i64, place: usize) {
+    let cell = &mut map.get_mut(x, y).unwrap().cells[place % TILE_CELLS];
+    *cell = if *cell == 100 { -100 } else { 100 };
+    map.header.header.stamp.0 += 1;
+}
+
+fn same(a: &TileMap, b: &TileMap) -> bool {
+    let all = a.extent().unite(b.extent());
+    let tile = |map: &TileMap, (x, y)| map.get(x, y).map(|tile| **tile);
+    a.header.header.stamp == b.header.header.stamp && all.points().all(|at| tile(a, at) == tile(b, at))
+}
+
+/// Writer and readers take turns until all have the map.
+fn settle(writer: &mut MapWriter, map: &TileMap, readers: &mut [&mut MapReader]) {
+    let begun = Instant::now();
+    loop {
+        let all_sent = writer.send(map);
+        readers.iter_mut().for_each(|reader| drop(reader.look()));
+        if all_sent && readers.iter().all(|reader| same(reader.map(), map)) {
+            return;
+        }
+        assert!(begun.elapsed() < WATCHDOG, "the readers never get the map");
+    }
+}
+
+#[test]
+fn only_what_changed_crosses() {
+    let memory = Memory::new("changes");
+    let (mut writer, mut reader, mut map) = (memory.writer(), memory.reader(), map(9, 9));
+    settle(&mut writer, &map, &mut [&mut reader]);
+    let (whole, before) = (writer.bytes(), reader.map().clone());
+    assert!(whole > 81 * TILE_CELLS as u64);
+    draw(&mut map, 3, 4, 7);
+    assert!(writer.send(&map) && reader.look());
+    assert!(writer.bytes() - whole < 2 * TILE_CELLS as u64);
+    assert_eq!(reader.map().changed_since(&before).collect::<Vec<_>>(), [(3, 4)]);
+    assert!(writer.send(&map) && !reader.look(), "nothing is new");
+    assert_eq!(reader.gaps().lost, 0);
+}
+
+#[test]
+fn a_reader_that_comes_late_or_again_gets_the_whole() {
+    let memory = Memory::new("late");
+    let (mut writer, mut early, mut map) = (memory.writer(), memory.reader(), map(20, 20));
+    settle(&mut writer, &map, &mut [&mut early]);
+    for round in 0..3 {
+        draw(&mut map, round, 2, 5);
+        settle(&mut writer, &map, &mut [&mut early]);
+        let before = early.map().clone();
+        let mut late = memory.reader();
+        settle(&mut writer, &map, &mut [&mut early, &mut late]);
+        assert_eq!(early.map().changed_since(&before).count(), 0, "who had it sees no change");
+    }
+    assert_eq!((early.gaps().lost, early.gaps().restarts), (0, 0));
+}
+
+#[test]
+fn a_reader_that_slept_is_lapped_and_catches_up() {
+    let memory = Memory::new("lapped");
+    let (mut writer, mut reader, mut map) = (memory.writer(), memory.reader(), map(12, 12));
+    settle(&mut writer, &map, &mut [&mut reader]);
+    for round in 0..10 * channel::merged_map().depth {
+        draw(&mut map, round as i64 % 12, round as i64 / 12 % 12, round);
+        assert!(writer.send(&map));
+    }
+    let kept = reader.map().clone();
+    reader.look();
+    assert!(reader.gaps().lost > 0);
+    assert!(same(reader.map(), &kept), "nothing shows until the whole has come");
+    settle(&mut writer, &map, &mut [&mut reader]);
+}
+
+#[test]
+fn a_writer_that_is_started_again_replaces_its_map() {
+    let memory = Memory::new("writer");
+    let (old, new) = (map(12, 9), map(2, 17));
+    let mut reader = memory.reader();
+    let mut writer = memory.writer();
+    settle(&mut writer, &old, &mut [&mut reader]);
+    drop(writer);
+    assert!(!reader.look() && same(reader.map(), &old));
+    let mut writer = memory.writer();
+    settle(&mut writer, &new, &mut [&mut reader]);
+    assert_eq!(reader.gaps().restarts, 1);
+    let mut late = memory.reader();
+    settle(&mut writer, &new, &mut [&mut reader, &mut late]);
+}
+
+#[test]
+fn a_map_of_the_largest_size_is_sent_in_bounded_parts() {
+    let memory = Memory::new("large");
+    let (mut writer, mut reader) = (memory.writer(), memory.reader());
+    let map = map(64, 64);
+    let mut lots = 1;
+    let mut sent = writer.bytes();
+    while !writer.send(&map) {
+        assert!(writer.bytes() - sent <= 300_000 * MapWriter::MESSAGES_MAX as u64);
+        sent = writer.bytes();
+        assert!(!reader.look(), "half a map");
+        lots += 1;
+    }
+    assert!(reader.look() && same(reader.map(), &map));
+    assert_eq!(lots, 64 * 64 / 64 / MapWriter::MESSAGES_MAX);
+    assert_eq!(map.extent().area(), Some(TILE as usize * TILE as usize));
+}
