@@ -30,6 +30,7 @@ mod stage;
 mod sweep;
 
 pub use back::{Back, BackCounts};
+pub use canvas::Canvas;
 pub use closure::SearchCounts;
 pub use cloud::{Cloud, CloudScratch, Placement, SurfacePoint};
 pub use config::*;
