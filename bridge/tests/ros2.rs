@@ -34,7 +34,7 @@ struct Grid {
     data: Vec<i8>,
 }
 
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Twist([f64; 6]);
 
 fn run(test: impl Future<Output = ()>) {

@@ -9,7 +9,7 @@ use crate::config::SlamConfig;
 use crate::graph::{EdgeKind, Graph, Relative};
 use crate::node::{Node, Revision};
 use crate::stage::{Stage, StageWatch};
-use msg::{GridView, Pose2, pose::wrap_angle};
+use msg::{GridView, Pose2, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -182,12 +182,26 @@ impl Back {
         &self.nodes
     }
 
-    /// The map of all nodes.
+    /// The map of all nodes, each exactly where it is, as one grid.
     pub fn map(&mut self) -> GridView<'_> {
         self.watch.begins(Stage::Draw);
-        let map = self.canvas.draw(&self.nodes, self.graph.poses());
+        let map = self.canvas.finish(&self.nodes, self.graph.poses());
         self.watch.begins(Stage::Idle);
         map
+    }
+
+    /// Brings [`Back::tiles`] closer to what is known, by about so many cells of beams: new nodes
+    /// first, then what solutions have moved visibly. True if there is more to do.
+    pub fn draw(&mut self, cells_max: usize) -> bool {
+        self.watch.begins(Stage::Draw);
+        let more = self.canvas.work(&self.nodes, self.graph.poses(), cells_max);
+        self.watch.begins(Stage::Idle);
+        more
+    }
+
+    /// The map as drawn so far. Nodes that moved are drawn elsewhere all at once.
+    pub fn tiles(&self) -> &TileMap {
+        self.canvas.tiles()
     }
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge.

@@ -40,7 +40,7 @@ pub use pool::NODES_UNDER_WAY_MAX;
 pub use stage::{Stage, StageWatch};
 pub use sweep::Sweep;
 
-use msg::{GridView, Odometry, Pose2, Scan, Stamp};
+use msg::{GridView, Odometry, Pose2, Scan, Stamp, TileMap};
 use std::collections::VecDeque;
 
 /// Nodes that wait for [`Slam::work`]; when they are more, [`Slam::process`] does the work itself.
@@ -97,6 +97,12 @@ impl Slam {
     /// The map of all nodes that have been worked off, in frame `robotK/map`.
     pub fn map(&mut self) -> GridView<'_> {
         self.back.map()
+    }
+
+    /// The same as tiles; where nodes moved by less than shows, they are not drawn again.
+    pub fn tiles(&mut self) -> &TileMap {
+        while self.back.draw(usize::MAX) {}
+        self.back.tiles()
     }
 
     /// Every accepted scan's stamp and `map_from_base`, as the graph has it now.

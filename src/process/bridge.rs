@@ -8,11 +8,11 @@ use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
-use crate::shared_memory::{Bell, GridReader, Node, Reader, Writer};
+use crate::shared_memory::{Bell, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
 use ::bridge::dds::{Door, Heard};
 use ::bridge::{Bridge, Outlet, serve};
-use msg::{Command, Message, Odometry, RobotId, Role, Transforms};
+use msg::{Command, Dense, GridView, Message, Odometry, PatchHeader, RobotId, Role, Transforms};
 use std::cell::RefCell;
 use std::os::fd::AsFd;
 use std::rc::Rc;
@@ -148,8 +148,8 @@ fn fleet_tasks<D: Outlet + 'static>(
         tasks.push(forward(node, bridge, &channel::correction(robot), move |bridge, correction| {
             bridge.correction(robot, correction);
         })?);
-        let maps = node.grid_reader(&channel::map(robot))?;
-        tasks.push(grids(node, bridge, &channel::map(robot), maps, move |bridge, map| {
+        let maps = node.map_reader(&channel::map(robot))?;
+        tasks.push(whole_maps(node, bridge, &channel::map(robot), maps, move |bridge, map| {
             bridge.map(robot, map)
         })?);
     }
@@ -193,9 +193,9 @@ fn robot_motion<D: Outlet + 'static>(
 
 /// The anchors come with the merged map, which rings.
 fn merged_maps<D: Outlet + 'static>(node: &Node, bridge: &Rc<D>) -> Result<JoinHandle<()>, Error> {
-    let maps = node.grid_reader(&channel::merged_map())?;
+    let maps = node.map_reader(&channel::merged_map())?;
     let mut anchors = node.reader(&channel::anchors())?;
-    grids(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
+    whole_maps(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
         if let Some(anchors) = anchors.newest() {
             bridge.anchors(&anchors);
         }
@@ -203,20 +203,19 @@ fn merged_maps<D: Outlet + 'static>(node: &Node, bridge: &Rc<D>) -> Result<JoinH
     })
 }
 
-/// Passes the newest grid of a channel on.
-fn grids<D: Outlet + 'static>(
+/// Passes the newest version of a channel's map on, as the one grid that ROS knows.
+fn whole_maps<D: Outlet + 'static>(
     node: &Node,
     bridge: &Rc<D>,
-    channel: &Channel<msg::GridHeader>,
-    mut reader: GridReader,
-    mut pass: impl FnMut(&D, msg::GridView<'_>) + 'static,
+    channel: &Channel<PatchHeader>,
+    mut reader: MapReader,
+    mut pass: impl FnMut(&D, GridView<'_>) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
     let bridge = bridge.clone();
+    let mut grid = Dense::default();
     on_ring(node.bell(channel)?, move || {
-        if let Some(map) = reader.newest()
-            && let Some(map) = map.view()
-        {
-            pass(&bridge, map);
+        if reader.look() {
+            pass(&bridge, grid.update(reader.map()));
         }
     })
 }
