@@ -3,6 +3,7 @@
 //! Whatever is wrong with a file is refused with the file, the line and the reason: a name that
 //! nobody knows, a number out of range, a room that is not there.
 
+use crate::realtime::RealtimeConfig;
 use msg::{Pose2, ROBOTS_MAX};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -55,6 +56,8 @@ pub struct FleetConfig {
     pub merge: merge::MergeConfig,
     /// The doors.
     pub bridge: bridge::BridgeConfig,
+    /// What processes ask of the machine.
+    pub realtime: RealtimeConfig,
 }
 
 impl Default for FleetConfig {
@@ -67,6 +70,7 @@ impl Default for FleetConfig {
             slam: burger_slam(),
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
+            realtime: RealtimeConfig::default(),
         }
     }
 }
@@ -193,6 +197,7 @@ impl FleetConfig {
             ("slam", self.slam.validate().map_err(|error| error.to_string())),
             ("merge", self.merge.validate().map_err(|error| error.to_string())),
             ("bridge", self.bridge.validate().map_err(|error| error.to_string())),
+            ("realtime", self.realtime.validate()),
         ];
         rooms
             .into_iter()

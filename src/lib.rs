@@ -7,6 +7,7 @@ pub mod doctor;
 pub mod fleet;
 pub mod lockstep;
 pub mod process;
+pub mod realtime;
 pub mod run;
 pub mod supervisor;
 pub mod up;
