@@ -6,6 +6,7 @@ mod control;
 mod merge;
 mod outside;
 mod pulse;
+mod ros2;
 mod sim;
 mod slam;
 mod telemetry;
