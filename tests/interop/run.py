@@ -32,10 +32,10 @@ def environment(domain):
     }
 
 
-def peer(script, domain, *arguments):
+def peer(script, domain, *arguments, **variables):
     """What a script found out: rows of (what, wanted, measured, ok)."""
     command = [sys.executable, str(HERE / script), *map(str, arguments)]
-    done = subprocess.run(command, env=environment(domain), capture_output=True, text=True, timeout=240)
+    done = subprocess.run(command, env=environment(domain) | variables, capture_output=True, text=True, timeout=240)
     rows = []
     for line in done.stdout.splitlines():
         if line.startswith("{"):
@@ -70,6 +70,8 @@ def main(out):
     with fleet(out, domain, "--robots", "1", "--world", "ros"):
         rows += peer("world_rclpy.py", domain)
     rows += peer("maps_rclpy.py", domain, DOOR, BINARY)
+    profile = str(HERE / "buffers.xml")
+    rows += peer("maps_rclpy.py", domain, DOOR, BINARY, "buffers", FASTRTPS_DEFAULT_PROFILES_FILE=profile)
     (out / "interop.json").write_text(json.dumps(rows, indent=1))
     wide = max(len(row["what"]) for row in rows)
     for row in rows:
