@@ -192,6 +192,10 @@ impl FleetConfig {
             let why = format!("`{}` is not an IP address, such as 0.0.0.0 or 127.0.0.1", fleet.address);
             return Err(ConfigError::Value { field: "fleet.address", why });
         }
+        if self.world == World::Ros && !self.bridge.dds.enabled {
+            let why = "`ros` needs the ROS 2 door: bridge.dds.enabled = true, or --ros-domain ID".into();
+            return Err(ConfigError::Value { field: "world", why });
+        }
         let rooms = [
             ("sim", self.sim.validate().map_err(|error| error.to_string())),
             ("slam", self.slam.validate().map_err(|error| error.to_string())),

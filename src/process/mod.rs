@@ -7,6 +7,7 @@ mod map_out;
 mod merge;
 mod outside;
 mod pulse;
+mod ros2;
 mod sim;
 mod slam;
 mod telemetry;
