@@ -39,13 +39,29 @@ impl Canvas {
         self.clipped
     }
 
+    /// Where each drawn node lay when it was drawn: all that decides how the grid came about.
+    pub fn drawn(&self) -> &[Pose2] {
+        &self.drawn
+    }
+
+    /// Draws nodes where an earlier canvas had them, so that the grid is the same.
+    pub fn restore(&mut self, nodes: &[Node], drawn: &[Pose2]) {
+        self.forget();
+        self.draw(&nodes[..drawn.len().min(nodes.len())], drawn);
+    }
+
+    /// Wipes the grid; it is drawn again from all nodes.
+    pub fn forget(&mut self) {
+        self.cells.fill(UNKNOWN);
+        self.drawn.clear();
+        self.clipped = 0;
+    }
+
     /// The grid of these nodes at these poses, as large as what is known. New nodes are added; if
     /// old ones have moved, all is drawn again.
     pub fn draw(&mut self, nodes: &[Node], poses: &[Pose2]) -> GridView<'_> {
         if self.drawn.iter().zip(poses).any(|(was, is)| self.moved(*was, *is)) {
-            self.cells.fill(UNKNOWN);
-            self.drawn.clear();
-            self.clipped = 0;
+            self.forget();
         }
         for (node, pose) in nodes.iter().zip(poses).skip(self.drawn.len()) {
             if node.fits && !self.trace(node, *pose) {

@@ -20,10 +20,11 @@ const FLATNESS_M: f32 = 0.04;
 /// Cosine of the largest angle between normals of the same surface.
 const FACING: f32 = 0.7;
 /// Bearings of [`Cloud::sees_through`].
-const BEARINGS: usize = 360;
+pub const BEARINGS: usize = 360;
 
 /// A point of a surface, metres, and the surface's unit normal towards the sensor (zero: unknown).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct SurfacePoint {
     /// Position.
     pub at: [f32; 2],
@@ -103,6 +104,23 @@ impl Cloud {
             *slot += 1;
         }
         Self { points: sorted, heads, sensor, middle, seen_cm: Box::new([0; BEARINGS]) }
+    }
+
+    /// What a cloud is made of, to be kept: its points, where the sensor and the points' middle are,
+    /// and the nearest return by bearing, centimetres.
+    pub fn parts(&self) -> (&[SurfacePoint], [f32; 2], [f32; 2], &[u16; BEARINGS]) {
+        (&self.points, self.sensor, self.middle, &self.seen_cm)
+    }
+
+    /// The same cloud from what [`Cloud::parts`] gave; at most 4096 points.
+    pub fn from_parts(
+        points: Vec<SurfacePoint>,
+        sensor: [f32; 2],
+        middle: [f32; 2],
+        seen_cm: Box<[u16; BEARINGS]>,
+    ) -> Self {
+        // Points are grouped already, and grouping keeps the order within a group: nothing moves.
+        Self { middle, seen_cm, ..Self::indexed(points, sensor) }
     }
 
     /// The points, in no particular order.
