@@ -6,12 +6,13 @@ use crate::client::{Client, ClientId, Ended};
 use crate::command::{handshake, name};
 use crate::config::{BridgeConfig, ConfigError};
 use crate::frame::{Frame, Side};
-use crate::hub::Hub;
+use crate::hub::{Hub, Outside};
 use crate::outbox::{Lane, Outbox};
 use crate::ros::{names, write};
+use crate::world::{ClockEstimate, Incoming, SourceClock, SourceId, World, WorldError};
 use msg::{
     Anchors, Clock, Command, Correction, FleetStats, GridView, Link, Odometry, ROBOTS_MAX, RobotId, Scan,
-    Transforms,
+    Stamp, Transforms,
 };
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
@@ -35,7 +36,12 @@ pub struct ClientStatus {
     pub dropped: u64,
     /// Robots it drives now.
     pub drives: Vec<RobotId>,
+    /// Its clock, if it tells of a world of its own.
+    pub clock: Option<ClockEstimate>,
 }
+
+/// Sources from here on are not clients.
+pub const FIRST_SOURCE: SourceId = 1 << 48;
 
 /// What robots are told: by [`Bridge::new`]'s caller.
 type CommandSink = Box<dyn FnMut(RobotId, Command)>;
@@ -58,11 +64,47 @@ impl Bridge {
         robot_count: usize,
         on_command: impl FnMut(RobotId, Command) + 'static,
     ) -> Result<Self, ConfigError> {
+        Self::open(config, robot_count, None, Box::new(on_command))
+    }
+
+    /// The same in a world that is not simulated here: scans, the robots' transforms and the clock come from
+    /// clients, or by [`Bridge::hear`], and go to `world`'s sink. `now` tells the run's time. Commands go out on
+    /// `/cmd_vel_N` and `/robotN/cmd_vel`, too.
+    pub fn outside(
+        config: BridgeConfig,
+        world: World,
+        now: impl Fn() -> Stamp + 'static,
+        on_command: impl FnMut(RobotId, Command) + 'static,
+    ) -> Result<Self, ConfigError> {
+        let robot_count = world.robot_count();
+        Self::open(config, robot_count, Some(Outside { world, now: Box::new(now) }), Box::new(on_command))
+    }
+
+    fn open(
+        config: BridgeConfig,
+        robot_count: usize,
+        outside: Option<Outside>,
+        sink: CommandSink,
+    ) -> Result<Self, ConfigError> {
         config.validate()?;
-        let mut hub = Hub::new(config, robot_count.clamp(1, ROBOTS_MAX));
+        let mut hub = Hub::new(config, robot_count.clamp(1, ROBOTS_MAX), outside);
         hub.tell_selected();
         hub.tell_stop();
-        Ok(Self { hub: RefCell::new(hub), sink: RefCell::new(Box::new(on_command)) })
+        Ok(Self { hub: RefCell::new(hub), sink: RefCell::new(sink) })
+    }
+
+    /// A message of a world outside that came in by another door than TCP. `source` tells machines apart, and is
+    /// none of a client's if it is [`FIRST_SOURCE`] or more; `clock` is that machine's.
+    pub fn hear(
+        &self,
+        source: SourceId,
+        clock: &mut SourceClock,
+        message: Incoming<'_>,
+    ) -> Result<(), WorldError> {
+        let hub = &mut *self.hub.borrow_mut();
+        let Some(Outside { world, now }) = &mut hub.outside else { return Ok(()) };
+        let received = now();
+        world.hear(source, clock, message, received)
     }
 
     /// Changes the hub, then hands to the sockets and the robots what that has brought about.
@@ -237,6 +279,7 @@ impl Bridge {
             waiting_bytes: client.outbox.bytes(),
             dropped: client.outbox.dropped(),
             drives: drives(client.id),
+            clock: client.clock.as_ref().and_then(|clock| clock.estimate()),
         };
         hub.board.clients().map(status).collect()
     }

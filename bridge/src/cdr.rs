@@ -293,11 +293,19 @@ impl<'a> Reader<'a> {
         Ok(count as usize)
     }
 
-    /// A sequence of floats.
-    pub fn f32_seq(&mut self, field: &'static str) -> Result<Vec<f32>, DecodeError> {
+    /// A sequence of floats, read as they are taken.
+    pub fn f32s(
+        &mut self,
+        field: &'static str,
+    ) -> Result<impl ExactSizeIterator<Item = f32> + use<'a>, DecodeError> {
         let count = self.count(field, 4)?;
         let bytes = self.take(field, 1, 4 * count as u64)?;
-        Ok(bytes.as_chunks::<4>().0.iter().map(|chunk| f32::from_le_bytes(*chunk)).collect())
+        Ok(bytes.as_chunks::<4>().0.iter().map(|chunk| f32::from_le_bytes(*chunk)))
+    }
+
+    /// A sequence of floats.
+    pub fn f32_seq(&mut self, field: &'static str) -> Result<Vec<f32>, DecodeError> {
+        self.f32s(field).map(Iterator::collect)
     }
 
     /// A sequence of bytes, borrowed.

@@ -3,6 +3,7 @@
 use crate::outbox::{Flushed, Lane, Outbox};
 use crate::pool::{Bytes, Pool};
 use crate::topics::TopicId;
+use crate::world::SourceClock;
 use msg::RobotId;
 use std::net::SocketAddr;
 use std::rc::Rc;
@@ -79,6 +80,8 @@ pub struct Client {
     pub expected: Option<Expected>,
     /// The robot its thumb stick moves while its grip is held.
     pub gripped: Option<RobotId>,
+    /// Its clock, if it tells of a world of its own.
+    pub clock: Option<Box<SourceClock>>,
     stream: Rc<TcpStream>,
     wake: Rc<Notify>,
     /// What waits for it.
@@ -108,6 +111,7 @@ impl Client {
             publications: Vec::new(),
             expected: None,
             gripped: None,
+            clock: None,
             stream,
             wake,
             outbox,

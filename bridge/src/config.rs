@@ -1,6 +1,7 @@
 //! What the bridge may be told at start.
 
 use crate::ros::{Dialect, NameStyle};
+use crate::world::ClockOffset;
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use std::time::Duration;
@@ -53,6 +54,8 @@ pub struct BridgeConfig {
     pub stick_linear_m_s: f64,
     /// Turning speed of a fully pushed thumb stick, rad/s.
     pub stick_angular_rad_s: f64,
+    /// Where the world is a client's or real: how far its clock is ahead of ours, seconds, or `"measured"`.
+    pub clock_offset: ClockOffset,
     /// How long a service call may take before its caller is told that it failed, seconds.
     pub service_timeout_s: f64,
 }
@@ -76,6 +79,7 @@ impl Default for BridgeConfig {
             lease_s: 1.0,
             stick_linear_m_s: 0.15,
             stick_angular_rad_s: 1.5,
+            clock_offset: ClockOffset::Measured,
             service_timeout_s: 10.0,
         }
     }
@@ -136,6 +140,11 @@ impl BridgeConfig {
                 self.service_timeout_s.to_string(),
                 "0.1 to 3600 seconds work",
             );
+        }
+        if let ClockOffset::Fixed(offset_s) = self.clock_offset
+            && !(offset_s.is_finite() && offset_s.abs() <= 4e9)
+        {
+            return refuse("clock_offset", offset_s.to_string(), "\"measured\", or up to 4e9 seconds work");
         }
         if let Some(package) =
             self.message_packages.iter().find(|name| !crate::interfaces::is_package_name(name))

@@ -6,9 +6,10 @@ use crate::client::ClientId;
 use crate::config::BridgeConfig;
 use crate::drive::Drive;
 use crate::outbox::Outbox;
-use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, write};
+use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, Twist, write};
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
+use crate::world::World;
 use msg::{Anchors, Command, Header, ROBOTS_MAX, RobotId, Stamp};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -33,30 +34,41 @@ pub struct FleetTopics {
     pub merged_map: TopicId,
     pub selected: TopicId,
     pub stop: TopicId,
+    /// Where a robot that is not simulated here hears its commands.
+    pub command: Vec<[TopicId; 2]>,
 }
 
 impl FleetTopics {
-    fn new(topics: &mut Topics, robots: usize) -> Self {
+    /// `outside`: scans and the clock come in instead of going out only.
+    fn new(topics: &mut Topics, robots: usize, outside: bool) -> Self {
         let depth = TRANSFORMS_DEPTH * robots;
         let mut input = |name: String, class: &str, input: Input| {
-            topics.add(name, class, Source::Input(input), DEPTH_USUAL, false);
+            topics.add(name, class, Source::Input(input), DEPTH_USUAL, false)
         };
         input("/cmd_vel".into(), "geometry_msgs/Twist", Input::SelectedCommand);
-        for robot in RobotId::first(robots) {
-            input(format!("/cmd_vel_{}", robot.number()), "geometry_msgs/Twist", Input::Command(robot));
-            input(format!("/{robot}/cmd_vel"), "geometry_msgs/Twist", Input::Command(robot));
-        }
+        let mut command = |robot: RobotId| {
+            let names = [format!("/cmd_vel_{}", robot.number()), format!("/{robot}/cmd_vel")];
+            names.map(|name| input(name, "geometry_msgs/Twist", Input::Command(robot)))
+        };
+        let command = RobotId::first(robots).map(&mut command).collect();
         input("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
         input("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
         input("/take_control".into(), Int32::TYPE, Input::Take);
         input("/emergency_stop_release".into(), "std_msgs/Empty", Input::Release);
+        let from_outside = |input: Input| if outside { Source::Input(input) } else { Source::Fleet };
+        let scan = |robot: RobotId| {
+            let (name, source) = (format!("/{robot}/scan"), from_outside(Input::Scan(robot)));
+            topics.add(name, "sensor_msgs/LaserScan", source, DEPTH_USUAL, false)
+        };
+        let scan = RobotId::first(robots).map(scan).collect();
         let mut each = |topic: &str, class: &str, depth: usize, latch: bool| {
             let name = |robot: RobotId| format!("/{robot}/{topic}");
             let add = |robot| topics.add(name(robot), class, Source::Fleet, depth, latch);
             RobotId::first(robots).map(add).collect()
         };
         Self {
-            scan: each("scan", "sensor_msgs/LaserScan", DEPTH_USUAL, false),
+            scan,
+            command,
             map: each("map", "nav_msgs/OccupancyGrid", 1, true),
             stats: each("slam_stats", "std_msgs/Float32MultiArray", 1, true),
             odometry: each("odom", "nav_msgs/Odometry", DEPTH_USUAL, false),
@@ -67,7 +79,7 @@ impl FleetTopics {
                 depth,
                 false,
             ),
-            clock: topics.add("/clock".into(), "rosgraph_msgs/Clock", Source::Fleet, 1, false),
+            clock: topics.add("/clock".into(), "rosgraph_msgs/Clock", from_outside(Input::Clock), 1, false),
             merged_map: topics.add("/merged_map".into(), "nav_msgs/OccupancyGrid", Source::Fleet, 1, true),
             selected: topics.add(
                 "/selected_robot".into(),
@@ -81,6 +93,13 @@ impl FleetTopics {
     }
 }
 
+/// The world, where it is not simulated here.
+pub struct Outside {
+    pub world: World,
+    /// The run's time.
+    pub now: Box<dyn Fn() -> Stamp>,
+}
+
 /// All that the bridge knows.
 pub struct Hub {
     pub config: BridgeConfig,
@@ -92,6 +111,7 @@ pub struct Hub {
     pub access: Access,
     pub services: Services,
     pub percent: [i8; 256],
+    pub outside: Option<Outside>,
     now: Stamp,
     anchors: Option<Anchors>,
     anchors_due: Option<Instant>,
@@ -100,9 +120,9 @@ pub struct Hub {
 
 impl Hub {
     /// A sound configuration and 1 to [`ROBOTS_MAX`] robots.
-    pub fn new(config: BridgeConfig, robot_count: usize) -> Self {
+    pub fn new(config: BridgeConfig, robot_count: usize, outside: Option<Outside>) -> Self {
         let mut topics = Topics::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, robot_count);
+        let fleet = FleetTopics::new(&mut topics, robot_count, outside.is_some());
         Self {
             robot_count,
             board: Board::new(topics, &config),
@@ -113,6 +133,7 @@ impl Hub {
             access: Access::new(&config),
             services: Services::new(config.client_topics_max, config.service_timeout()),
             config,
+            outside,
             now: Stamp(0),
             anchors: None,
             anchors_due: None,
@@ -132,6 +153,12 @@ impl Hub {
         }
         let header = Header { stamp: self.now, ..Header::default() };
         self.commands.push_back((robot, Command { header, linear_m_s, angular_rad_s }));
+        if self.outside.is_some() {
+            let twist = Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
+            self.fleet.command[robot.index()]
+                .iter()
+                .for_each(|topic| self.board.send(*topic, |to| twist.write(to)));
+        }
     }
 
     /// The next command to hand to its robot.
@@ -201,6 +228,9 @@ impl Hub {
     /// A client is gone: what it drove stops, what it should have answered fails. What it has not been sent.
     pub fn leave(&mut self, id: ClientId) -> Option<Outbox> {
         let rest = self.board.detach(id)?;
+        if let Some(outside) = &mut self.outside {
+            outside.world.leave(id.serial);
+        }
         let driven = self.drive.leave(id);
         self.halt(driven.into_iter());
         let failed = self.services.leave(id);

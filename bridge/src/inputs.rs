@@ -5,9 +5,12 @@ use crate::client::{ClientId, Publication, Refusal};
 use crate::command::name;
 use crate::drive::Verdict;
 use crate::hub::Hub;
-use crate::ros::{Bool, Empty, Int32, Message, TfMessage, Twist, TwistStamped, decode_as};
+use crate::ros::names::{is_correction, meaning};
+use crate::ros::read::{self, Transform};
+use crate::ros::{Bool, Empty, Int32, Message, Twist, TwistStamped, decode_as, write};
 use crate::teleop::Stick;
 use crate::topics::{Input, Source, TopicId};
+use crate::world::{Incoming, SourceClock, WorldError};
 use msg::RobotId;
 use std::time::Instant;
 
@@ -78,7 +81,9 @@ impl Hub {
                 self.board.relay(from.topic, payload);
                 self.stick(id, stick, now)
             }
-            Input::Transforms => self.foreign_transforms(from.topic, payload),
+            Input::Transforms => self.transforms(id, from.topic, payload),
+            Input::Scan(robot) => self.hear(id, Incoming::Scan(robot, self.reader(payload)?)),
+            Input::Clock => self.hear(id, Incoming::Clock(self.reader(payload)?)),
             Input::Select => {
                 let robot = self.robot_of(self.decode::<Int32>(payload)?)?;
                 self.drive.select(robot);
@@ -103,6 +108,10 @@ impl Hub {
 
     fn decode<M: Message>(&self, payload: &[u8]) -> Result<M, DecodeError> {
         decode_as(self.config.payloads, payload)
+    }
+
+    fn reader<'a>(&self, payload: &'a [u8]) -> Result<Reader<'a>, DecodeError> {
+        Reader::with(self.config.payloads, payload)
     }
 
     fn check_drive(&mut self, id: ClientId) -> Result<(), Refused> {
@@ -135,7 +144,10 @@ impl Hub {
         } else {
             self.decode::<Twist>(payload)?
         };
-        if self.obey(id, robot, twist.linear[0], twist.angular[2], now)? {
+        let passed = self.obey(id, robot, twist.linear[0], twist.angular[2], now)?;
+        // A robot that is not simulated here has been sent it already, on its own topics.
+        let told = self.outside.is_some() && self.fleet.command[robot.index()].contains(&from.topic);
+        if passed && !told {
             self.board.send(from.topic, |to| twist.write(to));
         }
         Ok(())
@@ -206,18 +218,66 @@ impl Hub {
         Ok(())
     }
 
-    /// Transforms of a client's own are passed on; those of the fleet's frames belong to SLAM and the robots.
-    fn foreign_transforms(&mut self, topic: TopicId, payload: &[u8]) -> Result<(), Refused> {
-        let message: TfMessage = self.decode(payload)?;
-        let owned =
-            message.transforms.iter().find(|transform| self.names.owner(&transform.child_frame_id).is_some());
-        if let Some(transform) = owned {
-            let (parent, child) = (&transform.frame_id, &transform.child_frame_id);
-            let text =
-                format!("{parent} -> {child} is the fleet's to publish: SLAM owns map -> odom (REP-105)");
-            return Err(Refused(Refusal::Content, text));
-        }
-        self.board.relay(topic, payload);
-        Ok(())
+    /// A client tells of a world of its own: its scans, its robots' transforms, its clock.
+    fn hear(&mut self, id: ClientId, message: Incoming<'_>) -> Result<(), Refused> {
+        let (Some(outside), Some(client)) = (&mut self.outside, self.board.client_mut(id)) else {
+            return Ok(());
+        };
+        let setting = self.config.clock_offset;
+        let clock = client.clock.get_or_insert_with(|| Box::new(SourceClock::new(setting)));
+        let received = (outside.now)();
+        outside.world.hear(id.serial, clock, message, received).map_err(|why| match why {
+            WorldError::Payload(_) => Refused(Refusal::Payload, why.to_string()),
+            WorldError::OtherSource { .. } => Refused(Refusal::Held, why.to_string()),
+            WorldError::Content(_) | WorldError::Correction { .. } => {
+                Refused(Refusal::Content, why.to_string())
+            }
+        })
     }
+
+    /// Transforms of a client's own are passed on; those of the fleet's frames belong to SLAM and the robots. One
+    /// that is refused is left out, and the others are taken.
+    fn transforms(&mut self, id: ClientId, topic: TopicId, payload: &[u8]) -> Result<(), Refused> {
+        let from = Reader::with(self.config.payloads, payload)?;
+        let robots = self.robot_count;
+        let (mut foreign, mut refused) = (0, Ok(()));
+        read::transforms(&mut from.clone(), |transform| {
+            if is_foreign(&transform, robots) {
+                foreign += 1;
+            } else if refused.is_ok() && self.outside.is_none() {
+                let (parent, child) = (transform.frame_id, transform.child_frame_id);
+                let text =
+                    format!("{parent} -> {child} is the fleet's to publish: SLAM owns map -> odom (REP-105)");
+                refused = Err(Refused(Refusal::Content, text));
+            }
+        })?;
+        if self.outside.is_some() {
+            refused = self.hear(id, Incoming::Transforms(from.clone()));
+        }
+        if foreign > 0 {
+            // Out of its place meanwhile, because the board is asked to send.
+            let clock = self.board.client_mut(id).and_then(|client| client.clock.take());
+            self.board.send(topic, |to| {
+                to.count(foreign);
+                let all_sound = read::transforms(&mut from.clone(), |transform| {
+                    if is_foreign(&transform, robots) {
+                        let stamp = clock.as_ref().map_or(transform.stamp, |c| c.translate(transform.stamp));
+                        let (frame, child) = (transform.frame_id, transform.child_frame_id);
+                        write::transform(to, stamp, frame, child, transform.translation, transform.rotation);
+                    }
+                });
+                debug_assert!(all_sound.is_ok(), "read once before");
+            });
+            if let Some(client) = self.board.client_mut(id) {
+                client.clock = clock;
+            }
+        }
+        refused
+    }
+}
+
+/// Not of the fleet's frames.
+fn is_foreign(transform: &Transform<'_>, robot_count: usize) -> bool {
+    let (parent, child) = (transform.frame_id, transform.child_frame_id);
+    meaning(child, robot_count).is_none() && !is_correction(parent, child, robot_count)
 }

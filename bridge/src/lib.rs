@@ -26,8 +26,9 @@ mod server;
 mod services;
 mod teleop;
 mod topics;
+pub mod world;
 
 pub use board::Counters;
-pub use bridge::{Bridge, ClientStatus};
+pub use bridge::{Bridge, ClientStatus, FIRST_SOURCE};
 pub use config::{BridgeConfig, ConfigError, Permission};
 pub use server::serve;

@@ -31,8 +31,12 @@ pub enum Input {
     Stop,
     /// Lets it go again.
     Release,
-    /// Transforms, which must leave the fleet's own frames alone.
+    /// Transforms, which must leave the fleet's own frames alone; in a world of a client's, the robots' are its own.
     Transforms,
+    /// A robot's scan, in a world of a client's.
+    Scan(RobotId),
+    /// The time there.
+    Clock,
 }
 
 /// Who publishes.

@@ -23,6 +23,7 @@ use crate::graph::{EdgeKind, Graph, Relative};
 use crate::localize::{Localizer, LocalizerCounts};
 use crate::node::{Node, Revision};
 use crate::relocalize::{SeekCounts, Seeker};
+use crate::stage::{Stage, StageWatch};
 use modes::Anchor;
 use msg::{GridView, Pose2, SlamMode, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
@@ -79,6 +80,7 @@ pub struct Back {
     contradicted: Vec<u8>,
     retired: u64,
     retiring: Vec<u32>,
+    watch: Box<dyn StageWatch>,
 }
 
 /// What the back end has done.
@@ -134,14 +136,21 @@ impl Back {
             contradicted: Vec::new(),
             retired: 0,
             retiring: Vec::new(),
+            watch: Box::new(()),
             config,
         }
+    }
+
+    /// From now on this watch hears of every stage.
+    pub fn watch(&mut self, watch: Box<dyn StageWatch>) {
+        self.watch = watch;
     }
 
     /// Takes the next node, and does with it what the mode wants.
     pub fn add(&mut self, node: Node) -> Revision {
         self.newest_front = node.id;
         self.take(node);
+        self.watch.begins(Stage::Idle);
         self.revision()
     }
 
@@ -151,6 +160,7 @@ impl Back {
         if id as usize >= self.config.graph.nodes_max {
             return;
         }
+        self.watch.begins(Stage::Link);
         self.place(node);
         self.link_sequential(id);
         let relative = self.relative_to(id);
@@ -174,11 +184,13 @@ impl Back {
             left -= 1;
         }
         self.solve(false);
+        self.watch.begins(Stage::Idle);
     }
 
     /// Looks for a node among places seen before. Where nothing was found, a better map may help:
     /// the node is noted, to be tried once more after the next closure.
     fn search(&mut self, id: u32, relative: &[Option<Relative>]) -> bool {
+        self.watch.begins(Stage::Closure);
         let view = View { nodes: &self.nodes, graph: &self.graph };
         match self.detector.search(&view, id, relative, self.travelled_m) {
             Search::NoCandidate => return false,
@@ -196,8 +208,10 @@ impl Back {
     /// Tries one node once more that was not found before the last closure; false if there is none.
     fn search_again(&mut self) -> bool {
         while let Some(id) = self.again.pop_front() {
+            self.watch.begins(Stage::Link);
             let relative = self.relative_to(id);
             self.unsolved += usize::from(self.link_near(id, &relative) > 0);
+            self.watch.begins(Stage::Closure);
             let view = View { nodes: &self.nodes, graph: &self.graph };
             match self.detector.search(&view, id, &relative, self.travelled_m) {
                 Search::NoCandidate => continue,
@@ -238,7 +252,10 @@ impl Back {
 
     /// The map of all nodes.
     pub fn map(&mut self) -> GridView<'_> {
-        self.canvas.draw(&self.nodes, self.graph.poses())
+        self.watch.begins(Stage::Draw);
+        let map = self.canvas.draw(&self.nodes, self.graph.poses());
+        self.watch.begins(Stage::Idle);
+        map
     }
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or
@@ -378,6 +395,7 @@ impl Back {
             self.graph.edge_mut(newest).response = find.response;
         }
         self.solve(true);
+        self.watch.begins(Stage::Link);
         for id in self.around(&finds) {
             let relative = self.relative_to(id);
             self.link_near(id, &relative);
@@ -401,6 +419,7 @@ impl Back {
     }
 
     fn solve(&mut self, shock: bool) {
+        self.watch.begins(Stage::Solve);
         self.graph.solve(shock);
         self.solutions += 1;
         self.unsolved = 0;

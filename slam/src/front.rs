@@ -8,6 +8,7 @@ use crate::config::SlamConfig;
 use crate::field::{Field, Limits, Scratch, Window};
 use crate::node::{Node, Rays, Revision};
 use crate::odometry::OdometryBuffer;
+use crate::stage::{Stage, StageWatch};
 use msg::{Correction, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
@@ -187,6 +188,7 @@ pub struct Front {
     waiting: VecDeque<Revision>,
     rides: Vec<Ride>,
     counts: Counts,
+    watch: Box<dyn StageWatch>,
 }
 
 /// Surfaces of some newest nodes as a field to search in.
@@ -216,6 +218,7 @@ impl Front {
             waiting: VecDeque::with_capacity(REVISIONS_MAX),
             rides: Vec::new(),
             counts: Counts::default(),
+            watch: Box::new(()),
             config,
         }
     }
@@ -283,6 +286,11 @@ impl Front {
         self.waiting.clear();
     }
 
+    /// From now on this watch hears of every stage.
+    pub fn watch(&mut self, watch: Box<dyn StageWatch>) {
+        self.watch = watch;
+    }
+
     /// Takes one odometry message.
     pub fn odometry(&mut self, odometry: &Odometry) {
         self.odometry.push(odometry);
@@ -314,12 +322,15 @@ impl Front {
         }
         let odom_from_base = self.odometry.at(scan.header.stamp);
         let expected = self.expect(scan.header.stamp, odom_from_base);
+        self.watch.begins(Stage::Cloud);
         let cloud = Arc::new(Cloud::new(scan, &self.config.lidar));
         let found = self.locate(&cloud, &expected);
         self.forget_slip(&found, odom_from_base);
+        self.watch.begins(Stage::Node);
         let node = self.node_due(&found, &cloud).then(|| self.make_node(scan, &found, odom_from_base, cloud));
         self.remember(scan.header.stamp, &found, odom_from_base);
         let correction = self.correction(scan, &found, odom_from_base);
+        self.watch.begins(Stage::Idle);
         Step { correction, refused: None, made_node: node.as_ref().map(|n| n.id), node }
     }
 
@@ -420,6 +431,7 @@ impl Front {
     }
 
     fn search(&mut self, cloud: &Cloud, expected: &Expected, half_m: f64, half_rad: f64) -> Option<Pose2> {
+        self.watch.begins(Stage::Search);
         let t = &self.config.tracking;
         let stride = cloud.points().len().div_ceil(t.search_points_max).max(1);
         self.points.clear();
@@ -435,7 +447,8 @@ impl Front {
         older.search(&self.points, &window, &limits, &mut self.scratch).map(|peak| peak.pose)
     }
 
-    fn refine(&self, cloud: &Cloud, guess: Pose2, expected: &Expected) -> Option<Found> {
+    fn refine(&mut self, cloud: &Cloud, guess: Pose2, expected: &Expected) -> Option<Found> {
+        self.watch.begins(Stage::Align);
         let references: Vec<Reference<'_>> = self
             .recent
             .iter()

@@ -28,6 +28,7 @@ mod node;
 mod odometry;
 mod relocalize;
 pub mod session;
+mod stage;
 
 pub use back::{Back, BackCounts, BackState, ClosureReport, Start};
 pub use closure::SearchCounts;
@@ -39,6 +40,7 @@ pub use localize::LocalizerCounts;
 pub use node::{Node, Rays, Revision};
 pub use relocalize::{Hint, SeekCounts};
 pub use session::{Identity, Session, SessionError};
+pub use stage::{Stage, StageWatch};
 
 use msg::{GridView, Odometry, Pose2, Scan, SlamMode, Stamp};
 use std::collections::VecDeque;

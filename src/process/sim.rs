@@ -35,7 +35,10 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let at_start = || fleet::simulator(&run.config, &room, robot, start);
     // Where it was may have been against a table; then it begins anew.
     let mut simulator = match at {
-        Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|_| at_start())?,
+        Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|why| {
+            eprintln!("{robot} cannot go on from {place:?} and begins anew at its start: {why}");
+            at_start()
+        })?,
         None => at_start()?,
     };
     simulator.join_at(fleet::stamp_now(run.epoch));
@@ -55,8 +58,9 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
             outputs.tick(&mut simulator);
         });
         pulse.beat(|| Account { gaps: commands.gaps(), refused: simulator.refused(), ..Account::default() });
-        if fleet::stamp_now(run.epoch) - simulator.now() > BEHIND_MAX_S {
-            simulator.join_at(fleet::stamp_now(run.epoch));
+        let now = fleet::stamp_now(run.epoch);
+        if now - simulator.now() > BEHIND_MAX_S {
+            simulator.join_at(now);
         }
     }
     Ok(())

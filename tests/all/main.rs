@@ -9,4 +9,5 @@ mod harness;
 mod layering;
 mod lockstep;
 mod malformed;
+mod relation_metric;
 mod restart;

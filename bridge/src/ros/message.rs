@@ -1,7 +1,7 @@
 //! ROS 2 messages, owned, with the fields of their definitions (common_interfaces, Jazzy), units SI.
 
 use crate::cdr::{DecodeError, Dialect, Reader, Writer};
-use crate::ros::write;
+use crate::ros::{read, write};
 use msg::Stamp;
 
 /// Something with a definition in ROS.
@@ -36,16 +36,7 @@ pub fn encode_as<M: Message>(dialect: Dialect, message: &M, out: &mut Vec<u8>) {
 
 /// std_msgs/Header: stamp and frame.
 pub(super) fn read_header(from: &mut Reader<'_>) -> Result<(Stamp, String), DecodeError> {
-    if from.dialect() == Dialect::Ros1 {
-        from.u32("header.seq")?;
-    }
-    Ok((read_stamp(from, "header.stamp")?, from.string("header.frame_id")?.to_owned()))
-}
-
-fn read_stamp(from: &mut Reader<'_>, field: &'static str) -> Result<Stamp, DecodeError> {
-    let sec = i64::from(from.i32(field)?);
-    let nanosec = i64::from(from.u32(field)?);
-    Ok(Stamp(sec * 1_000_000_000 + nanosec))
+    read::header(from).map(|(stamp, frame_id)| (stamp, frame_id.to_owned()))
 }
 
 fn read_pose(from: &mut Reader<'_>) -> Result<([f64; 3], [f64; 4]), DecodeError> {
@@ -165,7 +156,7 @@ pub struct Clock {
 impl Message for Clock {
     const TYPE: &'static str = "rosgraph_msgs/Clock";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        read_stamp(from, "clock").map(|clock| Self { clock })
+        read::stamp(from, "clock").map(|clock| Self { clock })
     }
     fn write(&self, to: &mut Writer<'_>) {
         write::stamp(to, self.clock);
@@ -368,7 +359,7 @@ impl Message for OccupancyGrid {
     const TYPE: &'static str = "nav_msgs/OccupancyGrid";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
         let (stamp, frame_id) = read_header(from)?;
-        read_stamp(from, "info.map_load_time")?;
+        read::stamp(from, "info.map_load_time")?;
         let resolution = from.f32("info.resolution")?;
         let (width, height) = (from.u32("info.width")?, from.u32("info.height")?);
         let (position, orientation) = read_pose(from)?;

@@ -59,12 +59,104 @@ impl FrameNames {
     pub fn link(&self, robot: RobotId, link: Link) -> &str {
         &self.robots[robot.index()].links[link as usize - 1]
     }
+}
 
-    /// Who owns a frame that is a child on /tf: the frames no client may place.
-    pub fn owner(&self, frame: &str) -> Option<RobotId> {
-        let frame = frame.strip_prefix('/').unwrap_or(frame);
-        RobotId::first(ROBOTS_MAX).find(|robot| {
-            self.map(*robot) == frame || self.robots[robot.index()].links.iter().any(|n| n == frame)
-        })
+/// What a frame is to its robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FleetFrame {
+    /// The robot's own map.
+    Map,
+    /// A part of its body, or where its odometry began.
+    Link(Link),
+}
+
+/// Which robot's frame a name means, in whatever style it is written: `odom_2` and `robot2/odom`, and plain `odom`
+/// in a fleet of one. `None`: not a frame of the fleet's. Robots beyond the fleet are understood, too.
+pub fn meaning(name: &str, robot_count: usize) -> Option<(RobotId, FleetFrame)> {
+    let name = name.strip_prefix('/').unwrap_or(name);
+    let number = |digits: &str| {
+        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+        RobotId::new(digits.parse().ok().filter(|_| plain)?)
+    };
+    let slash = || {
+        let (robot, frame) = name.strip_prefix("robot")?.split_once('/')?;
+        Some((number(robot)?, frame_called(frame)?))
+    };
+    let flat = || {
+        let (frame, robot) = name.rsplit_once('_')?;
+        Some((number(robot)?, frame_called(frame)?))
+    };
+    // Plain `map` is the merged map's.
+    let alone = || Some((RobotId::new(1)?, frame_called(name).filter(|frame| *frame != FleetFrame::Map)?));
+    slash().or_else(flat).or_else(|| alone().filter(|_| robot_count == 1))
+}
+
+fn frame_called(name: &str) -> Option<FleetFrame> {
+    if name == MAP {
+        return Some(FleetFrame::Map);
+    }
+    Link::ALL.into_iter().find(|link| link.name() == name).map(FleetFrame::Link)
+}
+
+/// Whether a transform is `map` -> `odom`, which SLAM alone publishes (REP-105), or the place of a robot's map,
+/// which is merging's, by any name.
+pub fn is_correction(parent: &str, child: &str, robot_count: usize) -> bool {
+    let is_plain = |name: &str, plain: &str| name.strip_prefix('/').unwrap_or(name) == plain;
+    match meaning(child, robot_count) {
+        Some((_, frame)) => matches!(frame, FleetFrame::Map | FleetFrame::Link(Link::Odom)),
+        None => {
+            let under_a_map =
+                is_plain(parent, MAP) || matches!(meaning(parent, robot_count), Some((_, FleetFrame::Map)));
+            is_plain(child, Link::Odom.name()) && under_a_map
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_spelling_of_a_frame_is_understood_and_nothing_else() {
+        let robot = |number| RobotId::new(number).unwrap();
+        for style in [NameStyle::Flat, NameStyle::Slash] {
+            for id in RobotId::first(ROBOTS_MAX) {
+                for link in Link::ALL {
+                    let meant = Some((id, FleetFrame::Link(link)));
+                    let name = style.frame(id, link.name());
+                    assert_eq!(meaning(&name, 3), meant, "{name}");
+                    assert_eq!(meaning(&format!("/{name}"), 3), meant, "{name}");
+                }
+                assert_eq!(meaning(&style.frame(id, MAP), 3), Some((id, FleetFrame::Map)));
+            }
+        }
+        assert_eq!(meaning("odom", 1), Some((robot(1), FleetFrame::Link(Link::Odom))));
+        for stranger in
+            ["odom", "map", "base_link", "base_link_0", "base_link_17", "robot1", "robot/odom", "odom_+1"]
+        {
+            assert_eq!(meaning(stranger, 3), None, "{stranger}");
+        }
+        assert_eq!(meaning("map", 1), None, "the merged map's");
+    }
+
+    #[test]
+    fn slams_transform_is_known_by_any_name() {
+        for (parent, child) in [
+            ("map", "odom"),
+            ("/map", "/odom"),
+            ("map", "odom_2"),
+            ("map_2", "odom_2"),
+            ("robot2/map", "robot2/odom"),
+            ("map_2", "odom"),
+            ("anything", "odom_1"),
+            ("map", "map_1"),
+        ] {
+            assert!(is_correction(parent, child, 3), "{parent} -> {child}");
+        }
+        for (parent, child) in
+            [("odom_1", "base_link_1"), ("world", "odom"), ("world", "map"), ("map", "table")]
+        {
+            assert!(!is_correction(parent, child, 3), "{parent} -> {child}");
+        }
     }
 }

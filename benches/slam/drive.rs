@@ -1,0 +1,337 @@
+//! One log through SLAM, in a process of its own: two threads as in the live worker, each measuring itself.
+
+use crate::relations::{self, Errors, Trajectory, Which};
+use allocation_counter::measure;
+use bytemuck::Zeroable;
+use mr_slam::carmen::{LaserLine, Reader, Record};
+use msg::{Odometry, Scan};
+use rustix::time::{ClockId, clock_gettime};
+use serde::{Deserialize, Serialize};
+use slam::{Back, Front, Node, Revision, Slam, SlamConfig, Stage, StageWatch, Step};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Instant;
+
+/// Nodes that may wait for the back end; the log waits then.
+const WAITING_MAX: usize = 64;
+/// Nodes until the scan path is in its steady state.
+const WARM_UP_NODES: u32 = 100;
+/// Nodes at either end that are compared.
+const ENDS_NODES: u32 = 100;
+
+/// What to run.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Task {
+    /// A CARMEN log.
+    pub log: PathBuf,
+    /// Only the central beams.
+    pub fov_deg: Option<f64>,
+    /// What the trajectory is compared with.
+    pub relations: PathBuf,
+    /// Odometry between the scans.
+    pub odometry: Option<PathBuf>,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Outcome {
+    /// Errors of all relations.
+    pub all: Errors,
+    /// Of those that come back to a place.
+    pub revisit: Errors,
+    /// Of those between scans of the log.
+    pub both_kept: Errors,
+    /// Scans that got a pose.
+    pub scans: u64,
+    /// Of them, scans that did not fit.
+    pub lost: u64,
+    /// Nodes of the graph.
+    pub nodes: usize,
+    /// Links between them.
+    pub links: usize,
+    /// Closures in force.
+    pub closures: usize,
+    /// Closures taken back.
+    pub retracted: u64,
+    /// Reading to final trajectory, seconds.
+    pub wall_s: f64,
+    /// Processor time of the process for it, seconds.
+    pub cpu_s: f64,
+    /// The process's largest resident memory at that moment, MB.
+    pub memory_mb: f64,
+    /// Scan path a scan, milliseconds: wall time.
+    pub scan_wall_ms: Spread,
+    /// The same: processor time of its thread.
+    pub scan_cpu_ms: Spread,
+    /// The scans of the first nodes, processor time.
+    pub first_nodes_cpu_ms: Spread,
+    /// The scans of the last nodes.
+    pub last_nodes_cpu_ms: Spread,
+    /// Work beside, milliseconds a node: wall time.
+    pub beside_wall_ms: Spread,
+    /// The same: processor time of its thread.
+    pub beside_cpu_ms: Spread,
+    /// Allocations on the scan path in its steady state.
+    pub allocations: u64,
+    /// The scans they were counted over.
+    pub allocations_scans: u64,
+    /// Processor time by stage.
+    pub stages: Vec<StageTimes>,
+}
+
+/// Of times.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Spread {
+    /// How many.
+    pub count: usize,
+    /// Mean.
+    pub mean: f64,
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Spread {
+    fn of(times_ns: impl Iterator<Item = u64>) -> Self {
+        let mut times: Vec<u64> = times_ns.collect();
+        times.sort_unstable();
+        let Some(last) = times.len().checked_sub(1) else { return Self::default() };
+        let at = |share: f64| times[(share * last as f64).ceil() as usize] as f64 * 1e-6;
+        let mean = times.iter().sum::<u64>() as f64 * 1e-6 / times.len() as f64;
+        Self { count: times.len(), mean, p50: at(0.5), p99: at(0.99), max: at(1.0) }
+    }
+}
+
+/// Processor time of one stage.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StageTimes {
+    /// Its name.
+    pub stage: String,
+    /// How often it was entered.
+    pub count: u64,
+    /// Milliseconds in all.
+    pub total_ms: f64,
+    /// The longest single one, milliseconds.
+    pub max_ms: f64,
+}
+
+/// Sums and maxima by stage, shared by the two threads' stopwatches.
+#[derive(Default)]
+struct StageSums([[AtomicU64; 3]; Stage::ALL.len()]);
+
+impl StageSums {
+    fn times(&self) -> Vec<StageTimes> {
+        let of = |stage: &Stage| {
+            let [count, total, max] = self.0[*stage as usize].each_ref().map(|v| v.load(Ordering::Relaxed));
+            let (total_ms, max_ms) = (total as f64 * 1e-6, max as f64 * 1e-6);
+            StageTimes { stage: stage.name().into(), count, total_ms, max_ms }
+        };
+        Stage::ALL.iter().filter(|stage| **stage != Stage::Idle).map(of).collect()
+    }
+}
+
+/// One thread's.
+struct Stopwatch {
+    sums: Arc<StageSums>,
+    stage: Stage,
+    since_ns: u64,
+}
+
+impl Stopwatch {
+    fn new(sums: &Arc<StageSums>) -> Box<Self> {
+        Box::new(Self { sums: sums.clone(), stage: Stage::Idle, since_ns: 0 })
+    }
+}
+
+impl StageWatch for Stopwatch {
+    fn begins(&mut self, stage: Stage) {
+        let now = thread_cpu_ns();
+        if self.stage != Stage::Idle {
+            let took = now - self.since_ns;
+            let [count, total, max] = &self.sums.0[self.stage as usize];
+            count.fetch_add(1, Ordering::Relaxed);
+            total.fetch_add(took, Ordering::Relaxed);
+            max.fetch_max(took, Ordering::Relaxed);
+        }
+        (self.stage, self.since_ns) = (stage, now);
+    }
+}
+
+fn thread_cpu_ns() -> u64 {
+    let t = clock_gettime(ClockId::ThreadCPUTime);
+    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
+}
+
+/// One unit of work.
+#[derive(Clone, Copy)]
+struct Took {
+    wall_ns: u64,
+    cpu_ns: u64,
+    /// The newest node afterwards.
+    nodes: u32,
+    allocations: u64,
+}
+
+/// Does a task: what a child process of the bench is for.
+pub fn drive(task: &Task) -> Result<Outcome, String> {
+    let start = Instant::now();
+    let log = unpack(&task.log)?;
+    let sums = Arc::new(StageSums::default());
+    let Replayed { front, mut back, scans, besides } = replay(&log, task, &sums)?;
+    let wall_s = start.elapsed().as_secs_f64();
+    let cpu_s = mr_slam::clock::cpu_ns() as f64 * 1e-9;
+    back.map();
+    let memory_mb = memory_peak_mb()?;
+    let mut outcome = Outcome { wall_s, cpu_s, memory_mb, stages: sums.times(), ..Outcome::default() };
+    outcome.measure(&scans, &besides);
+    outcome.count(&front, &back);
+    outcome.score(task, &front, &back)?;
+    Ok(outcome)
+}
+
+impl Outcome {
+    fn measure(&mut self, scans: &[Took], besides: &[Took]) {
+        let nodes = scans.last().map_or(0, |took| took.nodes);
+        let first = |took: &&Took| took.nodes <= ENDS_NODES;
+        let last = |took: &&Took| took.nodes + ENDS_NODES > nodes;
+        self.scan_wall_ms = Spread::of(scans.iter().map(|took| took.wall_ns));
+        self.scan_cpu_ms = Spread::of(scans.iter().map(|took| took.cpu_ns));
+        self.first_nodes_cpu_ms = Spread::of(scans.iter().filter(first).map(|took| took.cpu_ns));
+        self.last_nodes_cpu_ms = Spread::of(scans.iter().filter(last).map(|took| took.cpu_ns));
+        self.beside_wall_ms = Spread::of(besides.iter().map(|took| took.wall_ns));
+        self.beside_cpu_ms = Spread::of(besides.iter().map(|took| took.cpu_ns));
+        let steady = scans.iter().filter(|took| took.nodes > WARM_UP_NODES);
+        (self.allocations, self.allocations_scans) =
+            steady.fold((0, 0), |(sum, count), took| (sum + took.allocations, count + 1));
+    }
+
+    fn count(&mut self, front: &Front, back: &Back) {
+        let (counts, done) = (front.counts(), back.counts());
+        (self.scans, self.lost) = (counts.accepted, counts.lost);
+        (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
+        self.retracted = done.retracted;
+    }
+
+    fn score(&mut self, task: &Task, front: &Front, back: &Back) -> Result<(), String> {
+        let poses = slam::trajectory(front, back).map(|(stamp, pose)| (stamp.0 as f64 * 1e-9, pose));
+        let estimate = Trajectory::new(poses.collect());
+        let odometry = task.odometry.as_deref().map(|path| text(path, Trajectory::parse)).transpose()?;
+        let relations = text(&task.relations, relations::parse)?;
+        let errors = |which| relations::errors(&estimate, odometry.as_ref(), &relations, which);
+        (self.all, self.revisit) = (errors(Which::All), errors(Which::Revisits));
+        self.both_kept = errors(Which::BothKept);
+        Ok(())
+    }
+}
+
+fn unpack(path: &Path) -> Result<Vec<u8>, String> {
+    let fail = |why: std::io::Error| format!("{}: {why}", path.display());
+    let packed = std::fs::read(path).map_err(fail)?;
+    if !packed.starts_with(&[0x1f, 0x8b]) {
+        return Ok(packed);
+    }
+    let mut log = Vec::new();
+    flate2::read::MultiGzDecoder::new(packed.as_slice()).read_to_end(&mut log).map_err(fail)?;
+    Ok(log)
+}
+
+fn text<T>(path: &Path, parse: impl Fn(&str) -> Result<T, String>) -> Result<T, String> {
+    let text = String::from_utf8(unpack(path)?).map_err(|why| format!("{}: {why}", path.display()))?;
+    parse(&text).map_err(|why| format!("{}: {why}", path.display()))
+}
+
+/// The kernel's account of the largest resident memory this process ever had.
+fn memory_peak_mb() -> Result<f64, String> {
+    let status = std::fs::read_to_string("/proc/self/status").map_err(|why| why.to_string())?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).ok_or("no VmHWM in status")?;
+    let kib: f64 = line.trim().trim_end_matches("kB").trim().parse().map_err(|_| "VmHWM is no number")?;
+    Ok(kib * 1024.0 / 1e6)
+}
+
+struct Replayed {
+    front: Front,
+    back: Back,
+    scans: Vec<Took>,
+    besides: Vec<Took>,
+}
+
+fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, String> {
+    let mut lines = Reader::new(log).filter_map(|record| match record {
+        Ok(Record::Laser(line)) => Some(line),
+        _ => None,
+    });
+    let first = lines.next().ok_or_else(|| format!("{}: no scan", task.log.display()))?;
+    let mut config = SlamConfig::default();
+    let on_robot = first.base_from_scan;
+    config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
+    let (mut front, mut back) = Slam::new(config).split();
+    front.watch(Stopwatch::new(sums));
+    back.watch(Stopwatch::new(sums));
+    let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
+    let (to_front, revisions) = mpsc::channel::<Revision>();
+    let mut scans = Vec::new();
+    let besides = std::thread::scope(|scope| {
+        let back = &mut back;
+        let beside = scope.spawn(move || work_beside(back, nodes, to_front));
+        let mut message = Box::new(Scan::zeroed());
+        for (seq, line) in std::iter::once(first).chain(lines).enumerate() {
+            line.write_to(&mut message, seq as u64, task.fov_deg.map(f64::to_radians));
+            let (took, step) = scan(&mut front, &line, &message, &revisions);
+            scans.push(took);
+            if let Some(node) = step.node {
+                let _ = to_back.send(node);
+            }
+        }
+        drop(to_back);
+        beside.join()
+    });
+    let besides = besides.map_err(|_| "the work beside the scans failed")?;
+    Ok(Replayed { front, back, scans, besides })
+}
+
+/// All that the live worker does on its scan path.
+fn scan(
+    front: &mut Front,
+    line: &LaserLine,
+    message: &Scan,
+    revisions: &mpsc::Receiver<Revision>,
+) -> (Took, Step) {
+    let header = msg::Header { stamp: line.stamp, ..Default::default() };
+    let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
+    let mut step = None;
+    let (wall, cpu) = (Instant::now(), thread_cpu_ns());
+    let counted = measure(|| {
+        front.odometry(&odometry);
+        revisions.try_iter().for_each(|revision| front.revise(revision));
+        step = Some(front.process(message));
+    });
+    let (wall_ns, cpu_ns) = (wall.elapsed().as_nanos() as u64, thread_cpu_ns() - cpu);
+    let step = step.expect("the scan was processed");
+    let nodes = step.correction.nodes;
+    (Took { wall_ns, cpu_ns, nodes, allocations: counted.count_total }, step)
+}
+
+fn work_beside(back: &mut Back, nodes: mpsc::Receiver<Node>, to_front: mpsc::Sender<Revision>) -> Vec<Took> {
+    let mut besides = Vec::new();
+    let mut timed = |work: &mut dyn FnMut()| {
+        let (wall, cpu) = (Instant::now(), thread_cpu_ns());
+        work();
+        let (wall_ns, cpu_ns) = (wall.elapsed().as_nanos() as u64, thread_cpu_ns() - cpu);
+        besides.push(Took { wall_ns, cpu_ns, nodes: 0, allocations: 0 });
+    };
+    for node in nodes {
+        let mut node = Some(node);
+        timed(&mut || {
+            let revision = node.take().map(|node| back.add(node));
+            // The log may have ended, then nobody listens.
+            let _ = revision.map(|revision| to_front.send(revision));
+        });
+    }
+    timed(&mut || back.finish());
+    besides
+}

@@ -1,0 +1,129 @@
+//! SLAM on real logs: accuracy, time and memory of each, in one table, with one configuration.
+//!
+//! `cargo bench --bench slam [-- --data DIR] [--logs intel,csail@90] [--json FILE] [--check]`
+//!
+//! DIR (default `../shared/data/lidar`) holds a folder a log: `NAME.log.gz` (CARMEN),
+//! `official.relations` or `substitute.relations`, and `dense_odom.traj.gz` where there is one.
+//! `name@90` crops the scans to their central 90°. Every log runs in a process of its own.
+//! Errors are mean translation errors of the relation metric (Kümmerle et al. 2009). `--check`
+//! fails if an error is above its limit.
+
+mod drive;
+mod relations;
+mod table;
+
+use drive::{Outcome, Task};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// A log and what others, and we, want of it.
+pub struct Row {
+    /// The folder's name, and `@` with the field of view where it is cropped.
+    pub name: &'static str,
+    /// SLAM Toolbox's core on it, metres: all relations, revisits (where known).
+    pub toolbox_m: [Option<f64>; 2],
+    /// What must be reached: all, revisits, both kept.
+    pub limits_m: [Option<f64>; 3],
+}
+
+const fn row(name: &'static str, toolbox_m: [Option<f64>; 2], limits_m: [Option<f64>; 3]) -> Row {
+    Row { name, toolbox_m, limits_m }
+}
+
+const ROWS: [Row; 11] = [
+    row("intel", [Some(0.173), Some(0.324)], [Some(0.072), Some(0.072), Some(0.041)]),
+    row("csail", [Some(0.175), Some(1.97)], [Some(0.05), Some(0.10), None]),
+    row("aces", [Some(0.047), Some(0.076)], [Some(0.047), Some(0.076), None]),
+    row("freiburg-101", [Some(0.060), Some(0.125)], [Some(0.055), Some(0.10), None]),
+    row("edmonton", [Some(0.094), Some(0.487)], [Some(0.06), Some(0.12), None]),
+    row("acapulco", [Some(0.151), Some(5.65)], [Some(0.07), Some(0.20), None]),
+    row("belgioioso", [Some(0.033), Some(0.055)], [Some(0.033), Some(0.055), None]),
+    row("intel@90", [Some(0.546), None], [Some(0.15), None, None]),
+    row("aces@90", [Some(0.282), None], [None; 3]),
+    row("freiburg-101@90", [Some(0.089), None], [None; 3]),
+    row("csail@90", [Some(0.265), None], [None; 3]),
+];
+
+struct Args {
+    data: PathBuf,
+    json: Option<PathBuf>,
+    logs: Option<Vec<String>>,
+    check: bool,
+}
+
+fn args() -> Result<Args, String> {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/lidar");
+    let mut args = Args { data, json: None, logs: None, check: false };
+    let mut given = std::env::args().skip(1);
+    while let Some(name) = given.next() {
+        let mut value = || given.next().ok_or(format!("{name} wants a value"));
+        match name.as_str() {
+            "--data" => args.data = value()?.into(),
+            "--json" => args.json = Some(value()?.into()),
+            "--logs" => args.logs = Some(value()?.split(',').map(str::to_owned).collect()),
+            "--check" => args.check = true,
+            // cargo bench says this to every bench.
+            "--bench" => {}
+            other => return Err(format!("{other}: expected --data DIR, --logs A,B, --json FILE or --check")),
+        }
+    }
+    let known = |log: &String| ROWS.iter().any(|row| row.name == log);
+    match args.logs.iter().flatten().find(|log| !known(log)) {
+        Some(log) => Err(format!("--logs: {log} is none of {}", ROWS.map(|row| row.name).join(", "))),
+        None => Ok(args),
+    }
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    // This program is also the process that one log runs in.
+    let words: Vec<String> = std::env::args().collect();
+    if words.get(1).is_some_and(|word| word == "drive") {
+        println!("{}", serde_json::to_string(&drive::drive(&serde_json::from_str(&words[2])?)?)?);
+        return Ok(());
+    }
+    let args = args()?;
+    if !args.data.is_dir() {
+        println!("{}: no such folder; no logs, no table", args.data.display());
+        return Ok(());
+    }
+    let wanted = |row: &&Row| args.logs.as_ref().is_none_or(|logs| logs.iter().any(|log| log == row.name));
+    let mut done: Vec<(&Row, Outcome)> = Vec::new();
+    for row in ROWS.iter().filter(wanted) {
+        match task(&args.data, row.name) {
+            Some(task) => done.push((row, in_a_process(&task)?)),
+            None => println!("{}: not in {}", row.name, args.data.display()),
+        }
+    }
+    table::print(&done);
+    if let Some(path) = args.json {
+        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done))?)?;
+    }
+    let missed = done.iter().any(|(row, outcome)| !table::met(row, outcome));
+    if args.check && missed { Err("an error is above its limit".into()) } else { Ok(()) }
+}
+
+/// Where the log's files are, if they are there.
+fn task(data: &Path, name: &str) -> Option<Task> {
+    let (name, fov_deg) = match name.split_once('@') {
+        Some((name, degrees)) => (name, degrees.parse().ok()),
+        None => (name, None),
+    };
+    let folder = data.join(name);
+    let present = |file: &str| Some(folder.join(file)).filter(|path| path.is_file());
+    Some(Task {
+        log: present(&format!("{name}.log.gz"))?,
+        fov_deg,
+        relations: present("official.relations").or_else(|| present("substitute.relations"))?,
+        odometry: present("dense_odom.traj.gz"),
+    })
+}
+
+fn in_a_process(task: &Task) -> Result<Outcome, Box<dyn std::error::Error>> {
+    let output =
+        Command::new(std::env::current_exe()?).arg("drive").arg(serde_json::to_string(task)?).output()?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        return Err(format!("{}: {said}", task.log.display()).into());
+    }
+    Ok(serde_json::from_slice(&output.stdout)?)
+}

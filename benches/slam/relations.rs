@@ -1,0 +1,155 @@
+//! How far a trajectory is from relative poses known otherwise: the relation metric (Kümmerle et
+//! al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 2009).
+
+use msg::{Pose2, pose::wrap_angle};
+use serde::{Deserialize, Serialize};
+
+/// A relation's stamp is a trajectory's if they are this close, seconds.
+const NEAR_S: f64 = 0.05;
+/// The same, if only relations between scans of the log shall count.
+const SAME_S: f64 = 0.002;
+/// Without odometry, stamps between scans are interpolated over gaps up to this, seconds.
+const GAP_MAX_S: f64 = 3.0;
+/// Odometry at a stamp may be this far from it, seconds.
+const ODOMETRY_NEAR_S: f64 = 0.1;
+/// Relations over more than this are revisits, seconds: they can tell systems apart.
+const REVISIT_S: f64 = 30.0;
+
+/// Poses by time, seconds; no time twice.
+pub struct Trajectory(Vec<(f64, Pose2)>);
+
+/// The pose of the robot at `to_s` as seen from where it was at `from_s`.
+pub struct Relation {
+    from_s: f64,
+    to_s: f64,
+    from_from_to: Pose2,
+}
+
+/// Errors of the relations that could be compared.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Errors {
+    /// How many.
+    pub count: usize,
+    /// Mean error of the translation, metres.
+    pub mean_m: f64,
+    /// The largest.
+    pub max_m: f64,
+    /// Mean error of the rotation, degrees.
+    pub mean_deg: f64,
+}
+
+/// Which relations count.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Which {
+    /// All that can be reached.
+    All,
+    /// Those over more than 30 s.
+    Revisits,
+    /// Those between scans of the log, nothing interpolated.
+    BothKept,
+}
+
+impl Trajectory {
+    /// Sorts by time and drops doubles.
+    pub fn new(mut poses: Vec<(f64, Pose2)>) -> Self {
+        poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+        poses.dedup_by(|later, kept| later.0 <= kept.0);
+        Self(poses)
+    }
+
+    /// From text: `t x y yaw` or `t x y z qx qy qz qw` a line.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let pose = |row: &[f64]| match *row {
+            [t, x, y, yaw] => Some((t, Pose2::new(x, y, yaw))),
+            [t, x, y, _, _, _, qz, qw] => Some((t, Pose2::new(x, y, wrap_angle(2.0 * qz.atan2(qw))))),
+            _ => None,
+        };
+        Ok(Self::new(rows(text, pose, "t x y yaw")?))
+    }
+
+    /// Index of the pose nearest in time; of two as near, the earlier.
+    fn nearest(&self, at_s: f64) -> usize {
+        let last = self.0.len() - 1;
+        let after = self.0.partition_point(|(t, _)| *t < at_s).clamp(1.min(last), last);
+        let before = after.saturating_sub(1);
+        if (self.0[before].0 - at_s).abs() <= (self.0[after].0 - at_s).abs() { before } else { after }
+    }
+
+    /// The pose at a time, if it can be told; between scans with odometry's help where there is some.
+    fn at(&self, at_s: f64, odometry: Option<&Self>, near_s: f64) -> Option<Pose2> {
+        let (scan_s, pose) = self.0[self.nearest(at_s)];
+        if (scan_s - at_s).abs() <= near_s {
+            return Some(pose);
+        }
+        if let Some(odometry) = odometry {
+            let (from, to) = (odometry.0[odometry.nearest(scan_s)], odometry.0[odometry.nearest(at_s)]);
+            let known = (from.0 - scan_s).abs() <= ODOMETRY_NEAR_S && (to.0 - at_s).abs() <= ODOMETRY_NEAR_S;
+            return known.then(|| pose * from.1.between(to.1));
+        }
+        let after = self.0.partition_point(|(t, _)| *t < at_s);
+        let ((from_s, from), (to_s, to)) = (self.0.get(after.checked_sub(1)?)?, self.0.get(after)?);
+        let share = (at_s - from_s) / (to_s - from_s);
+        let yaw_rad = wrap_angle(from.yaw_rad + share * wrap_angle(to.yaw_rad - from.yaw_rad));
+        let between = Pose2::new(
+            from.x_m + share * (to.x_m - from.x_m),
+            from.y_m + share * (to.y_m - from.y_m),
+            yaw_rad,
+        );
+        (near_s > SAME_S && to_s - from_s <= GAP_MAX_S).then_some(between)
+    }
+}
+
+/// Relations from text: `t1 t2 x y z roll pitch yaw` a line.
+pub fn parse(text: &str) -> Result<Vec<Relation>, String> {
+    let relation = |row: &[f64]| match *row {
+        [from_s, to_s, x, y, _, _, _, yaw] => {
+            Some(Relation { from_s, to_s, from_from_to: Pose2::new(x, y, yaw) })
+        }
+        _ => None,
+    };
+    rows(text, relation, "t1 t2 x y z roll pitch yaw")
+}
+
+/// What the trajectory gets wrong.
+pub fn errors(
+    estimate: &Trajectory,
+    odometry: Option<&Trajectory>,
+    relations: &[Relation],
+    which: Which,
+) -> Errors {
+    if estimate.0.is_empty() {
+        return Errors::default();
+    }
+    let (odometry, near_s) = if which == Which::BothKept { (None, SAME_S) } else { (odometry, NEAR_S) };
+    let mut errors = Errors::default();
+    for relation in relations {
+        let short = (relation.to_s - relation.from_s).abs() <= REVISIT_S;
+        if which == Which::Revisits && short {
+            continue;
+        }
+        let from = estimate.at(relation.from_s, odometry, near_s);
+        let to = estimate.at(relation.to_s, odometry, near_s);
+        let Some((from, to)) = from.zip(to) else { continue };
+        let error = relation.from_from_to.between(from.between(to));
+        let away_m = error.x_m.hypot(error.y_m);
+        errors.count += 1;
+        errors.mean_m += away_m;
+        errors.max_m = errors.max_m.max(away_m);
+        errors.mean_deg += wrap_angle(error.yaw_rad).abs().to_degrees();
+    }
+    let count = errors.count.max(1) as f64;
+    Errors { mean_m: errors.mean_m / count, mean_deg: errors.mean_deg / count, ..errors }
+}
+
+/// The numbers of every line that is no comment.
+fn rows<T>(text: &str, row: impl Fn(&[f64]) -> Option<T>, expected: &str) -> Result<Vec<T>, String> {
+    let lines =
+        text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+    lines
+        .map(|(index, line)| {
+            let numbers: Option<Vec<f64>> = line.split_whitespace().map(|word| word.parse().ok()).collect();
+            let found = numbers.and_then(|numbers| row(&numbers));
+            found.ok_or_else(|| format!("line {}: expected {expected}", index + 1))
+        })
+        .collect()
+}

@@ -1,0 +1,161 @@
+//! The tables, and the same as JSON.
+
+use crate::Row;
+use crate::drive::{Outcome, Spread};
+use serde_json::{Value, json};
+
+/// Bounds on the Intel log: scan path p99 and max, ms; whole log, s; memory, MB.
+const SCAN_P99_MS: f64 = 3.0;
+const SCAN_MAX_MS: f64 = 10.0;
+const LOG_S: f64 = 1.5;
+const MEMORY_MB: f64 = 45.0;
+
+/// Prints all tables.
+pub fn print(done: &[(&Row, Outcome)]) {
+    accuracy(done);
+    times(done);
+    stages(done);
+    intel(done);
+}
+
+/// Whether all errors are within their limits.
+pub fn met(row: &Row, outcome: &Outcome) -> bool {
+    let found = [outcome.all, outcome.revisit, outcome.both_kept];
+    row.limits_m
+        .iter()
+        .zip(found)
+        .all(|(limit, found)| limit.is_none_or(|limit| found.count > 0 && found.mean_m <= limit))
+}
+
+fn accuracy(done: &[(&Row, Outcome)]) {
+    println!(
+        "mean translation error, m      all  revisit  (limits)          kept  SLAM Toolbox's   max  deg   n"
+    );
+    for (row, o) in done {
+        let limit = |limit: Option<f64>| limit.map_or("    -".into(), |limit| format!("{limit:.3}"));
+        let [all, revisit, kept] = row.limits_m.map(limit);
+        let toolbox = row.toolbox_m.map(limit);
+        let verdict = match (row.limits_m[0], met(row, o)) {
+            (None, _) => "",
+            (_, true) => "met",
+            (_, false) => "MISSED",
+        };
+        println!(
+            "{:<24} {:>9.4} {:>8.4}  {all} / {revisit}  {:>9} {:>7} / {} {:>6.3} {:>4.2} {:>4}  {verdict}",
+            row.name,
+            o.all.mean_m,
+            o.revisit.mean_m,
+            if row.limits_m[2].is_some() { format!("{:.3}<={kept}", o.both_kept.mean_m) } else { "-".into() },
+            toolbox[0],
+            toolbox[1],
+            o.all.max_m,
+            o.all.mean_deg,
+            o.all.count,
+        );
+    }
+}
+
+fn times(done: &[(&Row, Outcome)]) {
+    println!();
+    println!(
+        "{:<18} {:>5} {:>5} {:>4} {:>8}  {:>17}  {:>17}  {:>17}  {:>11}  {:>10} {:>5} {:>6}",
+        "",
+        "scans",
+        "nodes",
+        "lost",
+        "closures",
+        "scan wall, ms",
+        "scan cpu, ms",
+        "beside cpu, ms",
+        "growth, ms",
+        "wall, cpu s",
+        "MB",
+        "allocs"
+    );
+    println!(
+        "{:<18} {:>5} {:>5} {:>4} {:>8}  {:>17}  {:>17}  {:>17}  {:>11}",
+        "", "", "", "", "- undone", "p50 / p99 / max", "p50 / p99 / max", "p50 / p99 / max", "first  last"
+    );
+    let spread = |s: &Spread| format!("{:.2} {:.2} {:.2}", s.p50, s.p99, s.max);
+    for (row, o) in done {
+        println!(
+            "{:<18} {:>5} {:>5} {:>4} {:>8}  {:>17}  {:>17}  {:>17}  {:>5.2} {:>5.2}  {:>5.2} {:>4.2} {:>5.1} {:>6.1}",
+            row.name,
+            o.scans,
+            o.nodes,
+            o.lost,
+            format!("{}-{}", o.closures, o.retracted),
+            spread(&o.scan_wall_ms),
+            spread(&o.scan_cpu_ms),
+            spread(&o.beside_cpu_ms),
+            o.first_nodes_cpu_ms.p50,
+            o.last_nodes_cpu_ms.p50,
+            o.wall_s,
+            o.cpu_s,
+            o.memory_mb,
+            o.allocations as f64 / o.allocations_scans.max(1) as f64,
+        );
+    }
+    println!("load of this machine now: {}", load());
+    println!(
+        "growth: median of the scans of the first and the last 100 nodes; allocs: a scan, after 100 nodes"
+    );
+}
+
+fn stages(done: &[(&Row, Outcome)]) {
+    println!();
+    print!("{:<18}", "processor time, ms");
+    for times in done.first().map(|(_, o)| o.stages.as_slice()).unwrap_or_default() {
+        print!(" {:>15}", times.stage);
+    }
+    println!();
+    for (row, o) in done {
+        print!("{:<18}", row.name);
+        for times in &o.stages {
+            print!(
+                " {:>15}",
+                format!("{:.3} ({:.1})", times.total_ms / times.count.max(1) as f64, times.max_ms)
+            );
+        }
+        println!();
+    }
+    println!("mean and, in brackets, the longest; drawing: the whole map, once, at the end");
+}
+
+/// The bounds that were set for the Intel log.
+fn intel(done: &[(&Row, Outcome)]) {
+    let Some((_, o)) = done.iter().find(|(row, _)| row.name == "intel") else { return };
+    println!();
+    let line = |what: &str, found: f64, limit: f64, unit: &str| {
+        let verdict = if found <= limit { "met" } else { "MISSED" };
+        println!("intel, {what:<28} {found:>8.2} {unit:<2} (limit {limit})  {verdict}");
+    };
+    line("scan path p99, wall", o.scan_wall_ms.p99, SCAN_P99_MS, "ms");
+    line("scan path max, wall", o.scan_wall_ms.max, SCAN_MAX_MS, "ms");
+    line(
+        "last 100 nodes over first 100",
+        o.last_nodes_cpu_ms.p50 / o.first_nodes_cpu_ms.p50.max(1e-9),
+        1.1,
+        "",
+    );
+    line("allocations in steady state", o.allocations as f64, 0.0, "");
+    line("whole log, wall", o.wall_s, LOG_S, "s");
+    line("largest resident memory", o.memory_mb, MEMORY_MB, "MB");
+}
+
+/// Everything, by log.
+pub fn json(done: &[(&Row, Outcome)]) -> Value {
+    let rows = done.iter().map(|(row, outcome)| {
+        json!({
+            "log": row.name, "limits_m": row.limits_m, "slam_toolbox_m": row.toolbox_m,
+            "met": met(row, outcome), "outcome": outcome,
+        })
+    });
+    json!({ "rows": rows.collect::<Vec<Value>>() })
+}
+
+/// Wall times mean little on a loaded machine.
+fn load() -> String {
+    let words = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    words.split(' ').take(3).collect::<Vec<&str>>().join(" ")
+}
