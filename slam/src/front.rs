@@ -279,6 +279,11 @@ impl Front {
         self.last.map_or(Pose2::IDENTITY, |last| last.local_from_base)
     }
 
+    /// Whether it is known where the robot is in its map.
+    pub fn located(&self) -> bool {
+        self.located
+    }
+
     /// Says where the scan path's frame lies in the map, or that it is not known; revisions say it later.
     pub fn place(&mut self, map_from_local: Option<Pose2>) {
         self.located = map_from_local.is_some();

@@ -11,3 +11,4 @@ mod lockstep;
 mod malformed;
 mod relation_metric;
 mod restart;
+mod sessions;

@@ -77,6 +77,11 @@ impl Back {
         back
     }
 
+    /// How it was configured.
+    pub fn config(&self) -> &SlamConfig {
+        &self.config
+    }
+
     /// What is done with the map from now on.
     pub fn mode(&self) -> SlamMode {
         self.mode
