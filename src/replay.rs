@@ -317,12 +317,13 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
         }
         drop(to_back);
         summary.not_located = feeder.not_located;
-        summary.ends_at = feeder.ends_at;
         summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
         summary.beside_ms = Percentiles::of(beside.join().unwrap_or_default());
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
     summary.count(&front, &back);
+    let Pose2 { x_m, y_m, yaw_rad } = back.newest_revision().map_from_local * front.local_from_base();
+    summary.ends_at = [x_m, y_m, yaw_rad];
     Ok(Replayed { front, back, summary, duration_s: ended - started })
 }
 
@@ -396,23 +397,13 @@ struct Feeder<'a> {
     times: Vec<Duration>,
     told: Instant,
     not_located: u64,
-    ends_at: [f64; 3],
 }
 
 impl<'a> Feeder<'a> {
     fn new(front: &'a mut Front, args: &ReplayArgs) -> Self {
         let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
         let fov_rad = args.fov_deg.map(f64::to_radians);
-        Self {
-            front,
-            scan,
-            seq: 0,
-            fov_rad,
-            times: Vec::new(),
-            told: Instant::now(),
-            not_located: 0,
-            ends_at: [0.0; 3],
-        }
+        Self { front, scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now(), not_located: 0 }
     }
 
     fn scan(&mut self, line: &LaserLine) -> Option<Node> {
@@ -425,8 +416,6 @@ impl<'a> Feeder<'a> {
         let step = self.front.process(&self.scan);
         self.times.push(start.elapsed());
         self.not_located += u64::from(!self.front.located());
-        let Pose2 { x_m, y_m, yaw_rad } = step.correction.map_from_base;
-        self.ends_at = [x_m, y_m, yaw_rad];
         if self.told.elapsed() > PROGRESS {
             self.told = Instant::now();
             eprintln!("{} scans, {} nodes", self.seq, step.correction.nodes);
