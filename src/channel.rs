@@ -16,9 +16,12 @@
 //! | `merged_map`, `anchors` | merge | bridge, telemetry, launcher |
 //! | `stats` | telemetry | bridge, launcher, `status` |
 //! | `NAME/beat` | each process | telemetry |
+//!
+//! Where the world is not simulated here, the bridge writes what the simulators else do, but for the truth.
 
+use crate::shared_memory::MapWriter;
 use msg::{
-    Anchors, Beat, Clock, Command, Correction, FleetStats, GridHeader, Message, Odometry, ROBOTS_MAX,
+    Anchors, Beat, Clock, Command, Correction, FleetStats, Message, Odometry, PatchHeader, ROBOTS_MAX,
     RobotId, Role, Scan, SlamAnswer, SlamRequest, Transforms, Truth,
 };
 use std::marker::PhantomData;
@@ -106,14 +109,19 @@ pub fn slam_answer(robot: RobotId) -> Channel<SlamAnswer> {
     Channel::stream(format!("{robot}/slam_answer"), 16)
 }
 
-/// 1 Hz.
-pub fn map(robot: RobotId) -> Channel<GridHeader> {
-    Channel::state(&format!("{robot}/map"))
+/// What changed, when it did; whoever comes late asks for the whole.
+pub fn map(robot: RobotId) -> Channel<PatchHeader> {
+    patches(format!("{robot}/map"))
 }
 
-/// 1 Hz while something changes.
-pub fn merged_map() -> Channel<GridHeader> {
-    Channel::state("merged_map")
+/// The same of the fleet's map.
+pub fn merged_map() -> Channel<PatchHeader> {
+    patches("merged_map".into())
+}
+
+/// Messages of a map's channel: four of [`MapWriter::MESSAGES_MAX`] that a reader may fall behind.
+fn patches(name: String) -> Channel<PatchHeader> {
+    Channel { history: 1, ..Channel::stream(name, 4 * MapWriter::MESSAGES_MAX) }
 }
 
 /// 1 Hz.

@@ -11,17 +11,31 @@ pub fn now() -> Monotonic {
 
 /// Where a run's stamps count from. Every process of the run has the same.
 #[derive(Clone, Copy, Debug)]
-pub struct Epoch(pub Monotonic);
+pub struct Epoch {
+    /// CLOCK_MONOTONIC at stamp 0, nanoseconds; negative if that was before the machine started.
+    pub monotonic_ns: i64,
+}
 
 impl Epoch {
+    /// Stamps count from now.
+    pub fn now() -> Self {
+        Self { monotonic_ns: now().0 as i64 }
+    }
+
+    /// Stamps are the time of day, as real robots' are: since 1970, as the machine's clock has it now.
+    pub fn unix() -> Self {
+        let t = clock_gettime(ClockId::Realtime);
+        Self { monotonic_ns: now().0 as i64 - (t.tv_sec * 1_000_000_000 + t.tv_nsec) }
+    }
+
     /// The stamp of a moment; before the epoch it is negative.
     pub fn stamp(self, at: Monotonic) -> Stamp {
-        Stamp(at.0 as i64 - self.0.0 as i64)
+        Stamp((at.0 as i64).saturating_sub(self.monotonic_ns))
     }
 
     /// The moment of a stamp.
     pub fn moment(self, stamp: Stamp) -> Monotonic {
-        Monotonic((self.0.0 as i64 + stamp.0).max(0) as u64)
+        Monotonic(self.monotonic_ns.saturating_add(stamp.0).max(0) as u64)
     }
 }
 

@@ -43,6 +43,8 @@ pub enum ConfigError {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FleetConfig {
+    /// Where robots, scans and time come from.
+    pub world: World,
     /// How many, and where.
     pub fleet: Fleet,
     /// The simulated robot.
@@ -59,12 +61,33 @@ impl Default for FleetConfig {
     /// Three TurtleBot3 Burgers.
     fn default() -> Self {
         Self {
+            world: World::Simulator,
             fleet: Fleet::default(),
             sim: sim::SimConfig::default(),
             slam: burger_slam(),
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
         }
+    }
+}
+
+/// Where robots, scans and time come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum World {
+    /// Simulators of ours.
+    #[default]
+    Simulator,
+    /// A headset's application: over TCP it publishes its robots' scans and transforms, and the clock.
+    Headset,
+    /// Real robots, or a simulator of theirs: over DDS.
+    Ros,
+}
+
+impl World {
+    /// Not simulated here.
+    pub fn is_outside(self) -> bool {
+        self != Self::Simulator
     }
 }
 
@@ -96,10 +119,10 @@ pub struct Fleet {
     pub robots: usize,
     /// Seed of all noise.
     pub seed: u64,
-    /// `laboratory`, or a file: a scanned room (.json, .json.gz), .glb, .gltf or .obj.
+    /// `laboratory`, or a file: a scanned room (.json, .json.gz), .glb, .gltf or .obj. For simulators.
     pub room: String,
-    /// Where robots start in the room: `[x, y, yaw]` in metres and radians, one for each robot;
-    /// none: places are chosen.
+    /// Where robots start in the room, or in `map` where the world is not simulated: `[x, y, yaw]` in metres
+    /// and radians, one for each robot; none: places are chosen, or unknown but for the first.
     pub starts: Vec<[f64; 3]>,
     /// TCP port for headsets; 0: any that is free.
     pub port: u16,
@@ -179,6 +202,15 @@ impl FleetConfig {
         rooms
             .into_iter()
             .try_for_each(|(field, checked)| checked.map_err(|why| ConfigError::Value { field, why }))
+    }
+
+    /// The room, or whose world it is, for people.
+    pub fn world_name(&self) -> &str {
+        match self.world {
+            World::Simulator => &self.fleet.room,
+            World::Headset => "a headset's world",
+            World::Ros => "a world of ROS's",
+        }
     }
 
     /// The configured start poses, `world` from each robot's start; `None`: to be chosen.

@@ -62,6 +62,20 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
     }
 }
 
+/// Where each robot's map lies in the fleet's from the start, if that is known. A world outside shows no room to
+/// choose places in: unless they are configured, the fleet's map is the first robot's, and the others' places are
+/// to be found.
+pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
+    if config.world.is_outside() {
+        let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
+        let found = || RobotId::first(config.fleet.robots).map(first).collect();
+        return Ok(config
+            .configured_starts()
+            .map_or_else(found, |starts| starts.into_iter().map(Some).collect()));
+    }
+    Ok(starts(config, &room(config)?)?.into_iter().map(Some).collect())
+}
+
 /// How long after a tick's stamp a robot's simulator takes it: the robots are spread over the tick, so
 /// that a fleet does not wake all at once. The same for every tick, so that it is no jitter.
 pub fn tick_lag(robot: RobotId, robots: usize) -> Duration {
@@ -81,6 +95,9 @@ pub fn simulator(
 
 /// Checks that the whole fleet can be built, before anything is started.
 pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
+    if config.world.is_outside() {
+        return Ok(());
+    }
     let room = room(config)?;
     let starts = starts(config, &room)?;
     for (robot, start) in RobotId::first(config.fleet.robots).zip(starts) {

@@ -3,6 +3,7 @@
 // A fleet and its parts, outermost first.
 pub mod config;
 pub mod demo;
+pub mod doctor;
 pub mod fleet;
 pub mod lockstep;
 pub mod process;
@@ -12,9 +13,12 @@ pub mod up;
 // Between the processes.
 pub mod channel;
 pub mod clock;
+pub mod control;
 pub mod shared_memory;
 pub mod stop;
-// What people see.
+// What people see, and say.
+pub mod allowed;
+pub mod keys;
 pub mod map_file;
 pub mod observer;
 pub mod report;

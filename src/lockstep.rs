@@ -15,9 +15,10 @@ use crate::operator::tour::{Hand, Tour, TourConfig};
 use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
 use bytemuck::Zeroable;
 use merge::Merger;
+use msg::tiles::Outgoing;
 use msg::{
-    Anchors, Clock, Command, Correction, FleetStats, Grid, GridView, Message, Monotonic, Pose2, RobotId,
-    Scan, Stamp, Truth,
+    Anchors, Clock, Command, Correction, Dense, FleetStats, GridView, Message, Monotonic, PatchHeader, Pose2,
+    RobotId, Scan, Stamp, TileMap, Truth,
 };
 use sim::{Simulator, Tick};
 use slam::Slam;
@@ -36,7 +37,7 @@ pub struct Lockstep {
     telemetry: Telemetry,
     tour: Option<Tour>,
     together: bool,
-    merged_map: Option<Grid>,
+    merged_map: Chart,
     anchors: Anchors,
     stats: Box<FleetStats>,
     voice: Voice,
@@ -53,8 +54,22 @@ struct Member {
     truth: Truth,
     correction: Option<Correction>,
     odom_from_base: Pose2,
-    map: Option<Grid>,
+    map: Chart,
     map_due: Stamp,
+}
+
+/// A map on its way through the fleet: what has been said of it, and the grid of what is known.
+#[derive(Default)]
+struct Chart {
+    outgoing: Outgoing,
+    grid: Dense,
+    drawn: bool,
+}
+
+impl Chart {
+    fn view(&self) -> Option<GridView<'_>> {
+        self.drawn.then(|| self.grid.view())
+    }
 }
 
 /// Hears every message: the channel's name and the message's bytes.
@@ -76,7 +91,7 @@ impl Lockstep {
                 truth: Truth::default(),
                 correction: None,
                 odom_from_base: Pose2::IDENTITY,
-                map: None,
+                map: Chart::default(),
                 map_due: Stamp(i64::MIN),
             })
         };
@@ -88,7 +103,7 @@ impl Lockstep {
             telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &known),
             tour: Tour::new(tour, robots),
             together,
-            merged_map: None,
+            merged_map: Chart::default(),
             anchors: Anchors::default(),
             stats: Box::default(),
             voice: Voice::default(),
@@ -125,16 +140,15 @@ impl Lockstep {
 
     /// Every map so far: a name and the map.
     pub fn maps(&self) -> impl Iterator<Item = (String, GridView<'_>)> {
-        let of_robots =
-            self.members.iter().filter_map(|m| Some((format!("{}_map", m.robot), m.map.as_ref()?.view())));
-        of_robots.chain(self.merged_map.as_ref().map(|map| ("merged_map".into(), map.view())))
+        let of_robots = self.members.iter().filter_map(|m| Some((format!("{}_map", m.robot), m.map.view()?)));
+        of_robots.chain(self.merged_map.view().map(|map| ("merged_map".into(), map)))
     }
 
     /// The operator looks and moves the stick.
     fn drive(&mut self, listener: Listener<'_>) {
         let Some(tour) = &mut self.tour else { return };
         let stamp = Stamp(self.ticks as i64 * Simulator::TICK.as_nanos() as i64);
-        let map = self.merged_map.as_ref().and_then(|map| MapView::log_odds(map.view()));
+        let map = self.merged_map.view().and_then(MapView::log_odds);
         let sights: Vec<RobotSight<'_>> = self.members.iter().map(|m| m.sight(map, &self.anchors)).collect();
         let sight = Sight { stamp, robots: &sights };
         let mut hands = Vec::new();
@@ -172,22 +186,22 @@ impl Lockstep {
             let tick = member.simulator.step();
             member.sense(&tick, &mut self.voice, &mut self.telemetry, listener);
             changed |= tick.scan_due && member.map(&mut self.voice, &mut self.telemetry, listener);
-            if let Some(map) = member.map.as_ref().filter(|_| changed) {
+            if let Some(map) = member.map.view().filter(|_| changed) {
                 // Refusals are counted where processes run; here a refused map would show in the figures.
-                let _ = self.merger.update(member.robot, map.view());
+                let _ = self.merger.update(member.robot, map);
             }
         }
         changed
     }
 
     fn merge(&mut self, listener: Listener<'_>) {
-        let mut merged = self.merger.merged().to_owned();
-        self.voice.say_grid(&channel::merged_map(), &mut merged, listener);
+        let merged = self.merger.merged_tiles().clone();
+        let chart = &mut self.merged_map;
+        self.voice.say_map(&channel::merged_map(), chart, &merged, listener);
         self.anchors = self.merger.anchors();
         self.voice.say(&channel::anchors(), &mut self.anchors, listener);
         self.telemetry.anchors(&self.anchors);
-        self.telemetry.merged_map(merged.view(), moment(merged.header.header.stamp));
-        self.merged_map = Some(merged);
+        self.telemetry.merged_map(self.merged_map.grid.view(), moment(merged.header.header.stamp));
     }
 }
 
@@ -230,10 +244,8 @@ impl Member {
             return false;
         }
         self.map_due = stamp + MAP_PERIOD;
-        let mut map = self.slam.map().to_owned();
-        voice.say_grid(&channel::map(robot), &mut map, listener);
-        telemetry.map(robot, map.view(), moment(stamp));
-        self.map = Some(map);
+        voice.say_map(&channel::map(robot), &mut self.map, self.slam.tiles(), listener);
+        telemetry.map(robot, self.map.grid.view(), moment(stamp));
         true
     }
 
@@ -271,10 +283,19 @@ impl Voice {
         listener(&channel.name, bytemuck::bytes_of(message));
     }
 
-    fn say_grid(&mut self, channel: &Channel<msg::GridHeader>, grid: &mut Grid, listener: Listener<'_>) {
-        self.mark(&channel.name, &mut grid.header.header);
-        listener(&channel.name, bytemuck::bytes_of(&grid.header));
-        listener(&channel.name, bytemuck::cast_slice(&grid.cells));
+    fn say_map(
+        &mut self,
+        channel: &Channel<PatchHeader>,
+        chart: &mut Chart,
+        map: &TileMap,
+        listener: Listener<'_>,
+    ) {
+        while let Some(mut patch) = chart.outgoing.next(map) {
+            self.say(channel, &mut patch.header, listener);
+            patch.tiles.iter().for_each(|tile| listener(&channel.name, bytemuck::bytes_of(&**tile)));
+        }
+        chart.grid.update(map);
+        chart.drawn = true;
     }
 
     fn mark(&mut self, name: &str, header: &mut msg::Header) {

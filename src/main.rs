@@ -1,8 +1,9 @@
 //! The one binary of MR-SLAM.
 
 use clap::{Parser, Subcommand};
+use mr_slam::control::{self, Request};
 use mr_slam::process::{Process, ProcessArgs, RobotArgs};
-use mr_slam::{demo, lockstep, merge_maps, operator, process, replay, status, stop::Stop, up};
+use mr_slam::{demo, doctor, lockstep, merge_maps, operator, process, replay, status, stop::Stop, up};
 use std::process::ExitCode;
 
 /// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2.
@@ -21,6 +22,16 @@ enum Command {
     Up(up::UpArgs),
     /// Describe a running fleet
     Status(status::StatusArgs),
+    /// Look at what this machine permits: timers, limits, network
+    Doctor(doctor::DoctorArgs),
+    /// Let an address drive a running fleet, now and in later runs; without one, show who may and who waits
+    Allow(control::AllowArgs),
+    /// Let an address drive no longer
+    Deny(control::DenyArgs),
+    /// Stop every robot of a running fleet until `release`: the emergency stop
+    Stop(control::RunArgs),
+    /// Release the emergency stop
+    Release(control::RunArgs),
     /// Drive a running fleet over TCP, as a headset does
     Operator(operator::OperatorArgs),
     /// The same fleet in one process on virtual time: the same seed, the same bytes
@@ -60,6 +71,11 @@ fn run(command: Command) -> Result<(), process::Error> {
         }
         Command::Up(args) => drop(up::up(&args, &mut up::Alone, &Stop::on_signals()?)?),
         Command::Status(args) => status::status(&args)?,
+        Command::Doctor(args) => doctor::run(&args)?,
+        Command::Allow(args) => args.run.tell(args.address.map_or(Request::State, Request::Allow))?,
+        Command::Deny(args) => args.run.tell(Request::Deny(args.address))?,
+        Command::Stop(args) => args.tell(Request::Stop)?,
+        Command::Release(args) => args.tell(Request::Release)?,
         Command::Operator(args) => {
             let report = operator::run(&args, Stop::on_signals()?.flag())?;
             let json = args.json.then(|| serde_json::to_string_pretty(&report)).transpose()?;

@@ -4,8 +4,8 @@ use crate::channel;
 use crate::clock::now;
 use crate::map_file;
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
-use msg::{Correction, FleetStats, Grid, Monotonic, Pose2, RobotId, Role, Truth};
+use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
+use msg::{Correction, Dense, FleetStats, Monotonic, Pose2, RobotId, Role, Truth};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -21,11 +21,10 @@ pub struct Observer {
     _node: Node,
 }
 
-/// One map's channel and its newest map.
+/// One map's channel, which has its newest map.
 struct MapWatch {
     name: String,
-    reader: GridReader,
-    newest: Option<Grid>,
+    reader: MapReader,
 }
 
 /// Where one robot is.
@@ -57,14 +56,14 @@ impl Observer {
     /// Attaches to a run. `name` is for people who look at the run.
     pub fn attach(run: &Run, name: &str) -> Result<Self, ChannelError> {
         let node = Node::open(&run.domain, name)?;
-        let watch = |name: String, reader| MapWatch { name, reader, newest: None };
+        let watch = |name: String, reader| MapWatch { name, reader };
         let robot_map =
-            |robot: RobotId| Ok(watch(format!("{robot}_map"), node.grid_reader(&channel::map(robot))?));
+            |robot: RobotId| Ok(watch(format!("{robot}_map"), node.map_reader(&channel::map(robot))?));
         Ok(Self {
             stats: node.reader(&channel::stats())?,
             bell: node.bell(&channel::stats())?,
             newest: None,
-            merged_map: watch("merged_map".into(), node.grid_reader(&channel::merged_map())?),
+            merged_map: watch("merged_map".into(), node.map_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
             robots: run.robots().map(|robot| RobotWatch::open(&node, robot)).collect::<Result<_, _>>()?,
             _node: node,
@@ -74,9 +73,7 @@ impl Observer {
     /// Takes in what has come. True if there are new figures.
     pub fn look(&mut self) -> bool {
         for watch in self.maps.iter_mut().chain([&mut self.merged_map]) {
-            if let Some(map) = watch.reader.newest().and_then(|map| map.to_owned()) {
-                watch.newest = Some(map);
-            }
+            watch.reader.look();
         }
         self.robots.iter_mut().for_each(RobotWatch::look);
         let stats = self.stats.newest();
@@ -113,7 +110,11 @@ impl Observer {
     /// Writes every map that was seen: PGM with YAML, and PNG. Returns the files' stems.
     pub fn write_maps(&self, dir: &Path) -> Result<Vec<PathBuf>, map_file::MapFileError> {
         let seen = self.maps.iter().chain([&self.merged_map]);
-        let seen = seen.filter_map(|watch| Some((dir.join(&watch.name), watch.newest.as_ref()?)));
-        seen.map(|(stem, map)| map_file::write_map(&stem, map.view()).map(|()| stem)).collect()
+        let seen = seen.filter(|watch| watch.reader.map().tiles().next().is_some());
+        seen.map(|watch| {
+            let stem = dir.join(&watch.name);
+            map_file::write_map(&stem, Dense::default().update(watch.reader.map())).map(|()| stem)
+        })
+        .collect()
     }
 }

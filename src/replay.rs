@@ -19,8 +19,8 @@ use std::time::{Duration, Instant};
 const LOG_MAX: u64 = 1 << 30;
 /// Malformed lines that are shown; the others are counted.
 const ERRORS_SHOWN: usize = 5;
-/// Nodes that may wait for the back end.
-const WAITING_MAX: usize = 64;
+/// Nodes that may wait for the back end: the log waits then, and no node is held back.
+const WAITING_MAX: usize = slam::NODES_UNDER_WAY_MAX - 2;
 /// Between two lines of progress.
 const PROGRESS: Duration = Duration::from_secs(1);
 

@@ -1,5 +1,6 @@
 //! What a run leaves behind for people and programs: `report.json`, and a summary.
 
+use crate::control::Doors;
 use crate::run::{Run, RunError};
 use crate::view::{DistributionView, FleetView, RobotView};
 use msg::FleetStats;
@@ -13,7 +14,7 @@ use std::time::Duration;
 pub struct Report {
     /// How long the fleet ran, seconds.
     pub seconds: f64,
-    /// Which room.
+    /// Which room, or whose world.
     pub room: String,
     /// The noise's seed.
     pub seed: u64,
@@ -71,14 +72,15 @@ impl Report {
         run: &Run,
         elapsed: Duration,
         stats: Option<&FleetStats>,
+        doors: Option<Doors>,
         operator: Option<serde_json::Value>,
         maps: Vec<PathBuf>,
         events: Vec<String>,
     ) -> Self {
-        let fleet = stats.map(FleetView::new);
+        let fleet = stats.map(|stats| FleetView { doors, ..FleetView::new(stats) });
         Self {
             seconds: elapsed.as_secs_f64(),
-            room: run.config.fleet.room.clone(),
+            room: run.config.world_name().into(),
             seed: run.config.fleet.seed,
             paper: fleet.as_ref().map(Paper::new),
             fleet,

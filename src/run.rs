@@ -48,7 +48,9 @@ struct RunFile {
     /// The name in shared memory.
     domain: String,
     /// CLOCK_MONOTONIC at stamp 0, nanoseconds.
-    epoch_ns: u64,
+    epoch_ns: i64,
+    /// CLOCK_MONOTONIC at the start, nanoseconds.
+    begun_ns: u64,
     /// Where headsets attach.
     port: u16,
 }
@@ -64,6 +66,8 @@ pub struct Run {
     pub domain: Domain,
     /// Where its stamps count from.
     pub epoch: Epoch,
+    /// When it began.
+    pub begun: Monotonic,
     /// Where headsets attach.
     pub port: u16,
     /// The configuration in force.
@@ -76,7 +80,9 @@ impl Run {
         fs::create_dir_all(dir).map_err(RunError::file(dir))?;
         let dir = fs::canonicalize(dir).map_err(RunError::file(dir))?;
         let pid = std::process::id();
-        let file = RunFile { pid, domain: pid.to_string(), epoch_ns: crate::clock::now().0, port };
+        let epoch = if config.world.is_outside() { Epoch::unix() } else { Epoch::now() };
+        let (epoch_ns, begun_ns) = (epoch.monotonic_ns, crate::clock::now().0);
+        let file = RunFile { pid, domain: pid.to_string(), epoch_ns, begun_ns, port };
         let run = Self::from_file(dir, file.clone(), config)?;
         let toml_path = run.dir.join("fleet.toml");
         fs::write(&toml_path, run.config.to_toml()).map_err(RunError::file(&toml_path))?;
@@ -118,9 +124,9 @@ impl Run {
     }
 
     fn from_file(dir: PathBuf, file: RunFile, config: FleetConfig) -> Result<Self, RunError> {
-        let RunFile { pid, domain, epoch_ns, port } = file;
-        let epoch = Epoch(Monotonic(epoch_ns));
-        Ok(Self { dir, pid, domain: Domain::new(&domain)?, epoch, port, config })
+        let RunFile { pid, domain, epoch_ns, begun_ns, port } = file;
+        let (epoch, begun) = (Epoch { monotonic_ns: epoch_ns }, Monotonic(begun_ns));
+        Ok(Self { dir, pid, domain: Domain::new(&domain)?, epoch, begun, port, config })
     }
 
     /// Attaches one of the run's processes to shared memory.

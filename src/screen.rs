@@ -24,7 +24,7 @@ impl Screen {
         eprintln!(
             "fleet of {} in {}: headsets attach on port {port}; maps and report go to {}",
             config.fleet.robots,
-            config.fleet.room,
+            config.world_name(),
             dir.display()
         );
         Self { live: stderr().is_terminal(), lines_shown: 0, logged: None }
@@ -36,12 +36,12 @@ impl Screen {
         eprintln!("! {event}");
     }
 
-    /// The newest figures.
-    pub fn show(&mut self, fleet: &FleetView, elapsed: Duration, seconds: Option<f64>) {
+    /// The newest figures. `help` says which keys work.
+    pub fn show(&mut self, fleet: &FleetView, help: &str, elapsed: Duration, seconds: Option<f64>) {
         let elapsed = elapsed.as_secs_f64();
         let clock = seconds.map_or(format!("{elapsed:.0} s"), |s| format!("{elapsed:.0} of {s:.0} s"));
         if self.live {
-            let text = format!("{clock}; Ctrl-C ends\n{}", fleet.table());
+            let text = format!("{clock}; {help}\n{}", fleet.table());
             let up = if self.lines_shown > 0 {
                 format!("\x1b[{}A\x1b[J", self.lines_shown)
             } else {

@@ -1,12 +1,17 @@
-//! The channels in shared memory: iceoryx2 lives here and nowhere else, and so does unsafe code.
+//! The channels in shared memory: iceoryx2 lives here (and for maps in `maps.rs` below) and nowhere
+//! else, and so does unsafe code.
 //!
 //! A message is written in place into memory that every reader maps; nothing is copied on the
 //! way. What a reader finds there is untrusted, which costs nothing: any bits are a value of a
 //! `Pod` type, and lengths are read through accessors that clamp them.
 
+mod maps;
+
+pub use maps::{MapReader, MapWriter};
+
 use crate::channel::Channel;
 use crate::clock::now;
-use bytemuck::Pod;
+use bytemuck::{Pod, TransparentWrapper};
 use iceoryx2::node::NodeView;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -14,8 +19,9 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
-use msg::{Grid, GridHeader, GridView, Header, Message, Monotonic, ROBOTS_MAX};
+use msg::{Header, Message, Monotonic, ROBOTS_MAX};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use std::cell::Cell;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, RawFd};
 use std::path::{Path as FsPath, PathBuf};
 use tokio::io::Interest;
@@ -27,8 +33,6 @@ const BORROWED_MAX: usize = 2;
 const NODES_MAX: usize = 64;
 /// Bells that one process may listen to: merge and telemetry have a few for each robot.
 const BELLS_MAX: usize = 4 * ROBOTS_MAX;
-/// Cells that a map's channel holds before its memory grows: 256 x 256.
-const GRID_CELLS_START: usize = 256 * 256;
 
 /// What went wrong between processes, and on which channel.
 #[derive(Debug, thiserror::Error)]
@@ -158,46 +162,6 @@ impl Node {
             .map_err(failed("cannot open channel", &channel.name))
     }
 
-    fn grid_service(&self, channel: &Channel<GridHeader>) -> Result<GridService, ChannelError> {
-        self.node
-            .service_builder(&service_name(&channel.name)?)
-            .publish_subscribe::<[i8]>()
-            .user_header::<Shared<GridHeader>>()
-            .max_publishers(1)
-            .max_subscribers(channel.readers)
-            .max_nodes(NODES_MAX)
-            .history_size(channel.history)
-            .subscriber_max_buffer_size(channel.depth)
-            .subscriber_max_borrowed_samples(BORROWED_MAX)
-            .open_or_create()
-            .map_err(failed("cannot open channel", &channel.name))
-    }
-
-    /// The one writer of a channel of grids.
-    pub fn grid_writer(&self, channel: &Channel<GridHeader>) -> Result<GridWriter, ChannelError> {
-        let publisher = self
-            .grid_service(channel)?
-            .publisher_builder()
-            .max_loaned_samples(1)
-            .initial_max_slice_len(GRID_CELLS_START)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(failed("cannot write channel", &channel.name))?;
-        Ok(GridWriter { publisher, stamper: Stamper::new(self.run), bell: self.notifier(channel)? })
-    }
-
-    /// A reader of a channel of grids.
-    pub fn grid_reader(&self, channel: &Channel<GridHeader>) -> Result<GridReader, ChannelError> {
-        let subscriber = self
-            .grid_service(channel)?
-            .subscriber_builder()
-            .buffer_size(channel.depth)
-            .create()
-            .map_err(failed("cannot read channel", &channel.name))?;
-        Ok(GridReader { subscriber, gaps: Gaps::default() })
-    }
-
     /// Rings when the channel is written. Only for channels that wake.
     pub fn bell<T: Message>(&self, channel: &Channel<T>) -> Result<Bell, ChannelError> {
         assert!(channel.wakes, "{} does not wake its readers", channel.name);
@@ -206,7 +170,7 @@ impl Node {
             .listener_builder()
             .create()
             .map_err(failed("cannot listen to", &channel.name))?;
-        Ok(Bell { listener })
+        Ok(Bell::new(listener))
     }
 
     fn notifier<T: Message>(
@@ -234,8 +198,6 @@ impl Node {
 
 type Service<T> =
     iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, Shared<T>, ()>;
-type GridService =
-    iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [i8], Shared<GridHeader>>;
 type EventService = iceoryx2::service::port_factory::event::PortFactory<ipc::Service>;
 
 fn service_name(name: &str) -> Result<ServiceName, ChannelError> {
@@ -371,80 +333,27 @@ impl<T: Message> std::ops::Deref for Received<T> {
     }
 }
 
-/// Writes one channel of grids.
-pub struct GridWriter {
-    publisher: Publisher<ipc::Service, [i8], Shared<GridHeader>>,
-    stamper: Stamper,
-    bell: Option<Notifier<ipc::Service>>,
-}
-
-impl GridWriter {
-    /// Sends a copy of the grid: one copy, into shared memory.
-    pub fn send(&mut self, grid: GridView<'_>) {
-        let mut header = *grid.header;
-        self.stamper.mark(&mut header.header);
-        let Ok(mut sample) = self.publisher.loan_slice_uninit(grid.cells.len()) else { return };
-        sample.user_header_mut().0 = header;
-        let _ = sample.write_from_slice(grid.cells).send();
-        if let Some(bell) = &self.bell {
-            let _ = bell.notify();
-        }
-    }
-
-    /// Lets late readers have the newest grid.
-    pub fn refresh(&self) {
-        let _ = self.publisher.update_connections();
-    }
-}
-
-/// Reads one channel of grids.
-pub struct GridReader {
-    subscriber: Subscriber<ipc::Service, [i8], Shared<GridHeader>>,
-    gaps: Gaps,
-}
-
-impl GridReader {
-    /// The newest grid not yet read.
-    pub fn newest(&mut self) -> Option<ReceivedGrid> {
-        let mut newest = None;
-        while let Ok(Some(sample)) = self.subscriber.receive() {
-            self.gaps.count(&sample.user_header().0.header);
-            newest = Some(ReceivedGrid(sample));
-        }
-        newest
-    }
-
-    /// What was received and missed so far.
-    pub fn gaps(&self) -> Gaps {
-        self.gaps
-    }
-}
-
-/// A grid in shared memory.
-pub struct ReceivedGrid(iceoryx2::sample::Sample<ipc::Service, [i8], Shared<GridHeader>>);
-
-impl ReceivedGrid {
-    /// `None` if the header does not fit the cells.
-    pub fn view(&self) -> Option<GridView<'_>> {
-        GridView::new(&self.0.user_header().0, self.0.payload())
-    }
-
-    /// A copy to keep.
-    pub fn to_owned(&self) -> Option<Grid> {
-        Some(self.view()?.to_owned())
-    }
-}
-
 /// Rings when a channel is written.
 pub struct Bell {
     listener: Listener<ipc::Service>,
+    rang: Cell<bool>,
 }
 
 impl Bell {
+    fn new(listener: Listener<ipc::Service>) -> Self {
+        Self { listener, rang: Cell::new(false) }
+    }
+
     /// Makes it silent until the next ring. Do it before reading the channel.
     pub fn silence(&self) {
         // One call takes all rings that have come, whatever their number.
-        let _ = self.listener.try_wait(|_| {});
+        let _ = self.listener.try_wait(|_| self.rang.set(true));
+    }
+
+    /// Silences it. True if it has rung since the last time, or been silenced by [`wait`] for it.
+    pub fn take(&self) -> bool {
+        self.silence();
+        self.rang.take()
     }
 
     /// For a tokio task to wait for. Inside a runtime only.
@@ -492,9 +401,9 @@ pub fn wait(bells: &[&Bell], until: Monotonic) -> bool {
 #[derive(Clone, Copy)]
 struct Shared<T>(T);
 
-impl<T: Message> std::fmt::Debug for Shared<T> {
+impl<T> std::fmt::Debug for Shared<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(T::NAME)
+        f.write_str(std::any::type_name::<T>())
     }
 }
 
@@ -504,6 +413,9 @@ impl<T: Pod> Default for Shared<T> {
     }
 }
 
+// SAFETY: `Shared` is `repr(transparent)` over its one field.
+unsafe impl<T> TransparentWrapper<T> for Shared<T> {}
+
 // SAFETY: `Pod` types hold no pointer, reference or handle, have no padding and one layout
 // (`repr(C)`); both ends run the same binary.
-unsafe impl<T: Message> ZeroCopySend for Shared<T> {}
+unsafe impl<T: Pod> ZeroCopySend for Shared<T> {}

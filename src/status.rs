@@ -1,17 +1,17 @@
 //! `mr-slam status`: describes a running fleet.
 
+use crate::control::{self, Request, RunArgs};
 use crate::observer::Observer;
-use crate::run::{Run, RunError};
+use crate::run::RunError;
 use crate::view::FleetView;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Describe a running fleet
 #[derive(Clone, Debug, clap::Args)]
 pub struct StatusArgs {
-    /// The run's folder; without it, the fleet started last
-    #[arg(long, value_name = "DIR")]
-    pub run_dir: Option<PathBuf>,
+    /// Which fleet.
+    #[command(flatten)]
+    pub run: RunArgs,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -22,28 +22,24 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Prints the newest figures of a running fleet.
 pub fn status(args: &StatusArgs) -> Result<(), RunError> {
-    let dir = match &args.run_dir {
-        Some(dir) => dir.clone(),
-        None => Run::living().pop().ok_or(RunError::NoneRunning)?,
-    };
-    let run = Run::open(&dir)?;
-    if !std::path::Path::new(&format!("/proc/{}", run.pid)).exists() {
-        return Err(RunError::NoneRunning);
-    }
+    let run = args.run.open()?;
     let mut observer = Observer::attach(&run, "status")?;
     let begun = Instant::now();
     while !observer.look() && !observer.wait(PATIENCE) {
         if begun.elapsed() > PATIENCE {
             let why = format!("no figures came within {} s; is telemetry up?", PATIENCE.as_secs());
-            return Err(RunError::File { path: dir, why });
+            return Err(RunError::File { path: run.dir, why });
         }
     }
     let Some(stats) = observer.stats() else { return Err(RunError::NoneRunning) };
-    let fleet = FleetView::new(stats);
+    let mut fleet = FleetView::new(stats);
+    // Figures without the bridge's account are still worth having: it may just be starting again.
+    fleet.doors = control::ask(&run, Request::State, PATIENCE).ok();
     if args.json {
         println!("{}", serde_json::to_string_pretty(&fleet).unwrap_or_default());
     } else {
-        println!("run {} on port {}, {:.0} s", dir.display(), run.port, fleet.time_s);
+        let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
+        println!("run {} on port {}, {age_s:.0} s", run.dir.display(), run.port);
         print!("{}\n{}", fleet.table(), fleet.process_table());
     }
     Ok(())

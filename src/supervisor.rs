@@ -69,7 +69,9 @@ impl Supervisor {
         }
         for robot in run.robots() {
             members.push(member(Role::Slam, Some(robot)));
-            members.push(member(Role::Sim, Some(robot)));
+            if !run.config.world.is_outside() {
+                members.push(member(Role::Sim, Some(robot)));
+            }
         }
         let mut supervisor = Self { run: run.clone(), listener, members };
         supervisor.tend(&|_, _| None, &mut |_| {});

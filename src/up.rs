@@ -1,7 +1,9 @@
 //! `mr-slam up`: launches the fleet, shows how it does, and leaves its maps and a report behind.
 
-use crate::config::{ConfigError, FleetConfig};
+use crate::config::{ConfigError, FleetConfig, World};
+use crate::control::{self, Doors, Request};
 use crate::fleet::{self, FleetError};
+use crate::keys::Keys;
 use crate::observer::Observer;
 use crate::report::Report;
 use crate::run::{Run, RunError};
@@ -15,6 +17,8 @@ use std::time::{Duration, Instant};
 
 /// How often children are looked after: a dead one is noticed within this.
 const TEND_PERIOD: Duration = Duration::from_millis(50);
+/// How long the launcher waits for the bridge's answer, once a second and at a key; it has children to look after.
+const DESK_PATIENCE: Duration = Duration::from_millis(200);
 /// How long after the last figures the final maps may still come.
 const LAST_LOOK: Duration = Duration::from_millis(200);
 
@@ -33,6 +37,9 @@ pub struct FleetArgs {
     /// The room: `laboratory`, or a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
     #[arg(long, value_name = "FILE")]
     pub room: Option<String>,
+    /// Where robots, scans and time come from [default: simulator]
+    #[arg(long, value_name = "WORLD", value_enum)]
+    pub world: Option<World>,
 }
 
 /// Launch a fleet: for each robot a simulator and SLAM, then merging, telemetry and the bridge.
@@ -50,6 +57,9 @@ pub struct UpArgs {
     /// Let everybody who reaches the port drive
     #[arg(long)]
     pub trust_lan: bool,
+    /// Open the ROS 2 door on this domain (ROS_DOMAIN_ID), for this machine's ROS 2
+    #[arg(long, value_name = "ID")]
+    pub ros_domain: Option<u16>,
     /// End after this many seconds; without it, Ctrl-C ends the fleet
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub seconds: Option<f64>,
@@ -107,6 +117,7 @@ impl FleetArgs {
             }
             fleet.robots = robots;
         }
+        config.world = self.world.unwrap_or(config.world);
         fleet.seed = self.seed.unwrap_or(fleet.seed);
         fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
         config.check()?;
@@ -121,6 +132,10 @@ impl UpArgs {
         config.bridge.allow.extend(&self.allow);
         if self.trust_lan {
             config.bridge.drive = bridge::Permission::Anyone;
+        }
+        if let Some(domain) = self.ros_domain {
+            (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
+            config.check()?;
         }
         Ok(config)
     }
@@ -187,6 +202,7 @@ fn watch(
     stop: &Stop,
 ) -> Result<Report, UpError> {
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
+    let mut desk = Desk::new(run);
     passenger.board(run)?;
     let begun = Instant::now();
     let over = |begun: Instant| seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
@@ -199,7 +215,12 @@ fn watch(
         if observer.look()
             && let Some(stats) = observer.stats()
         {
-            screen.show(&FleetView::new(stats), begun.elapsed(), seconds);
+            let mut fleet = FleetView::new(stats);
+            fleet.doors = desk.doors();
+            screen.show(&fleet, desk.help(), begun.elapsed(), seconds);
+        }
+        if let Some(done) = desk.pressed() {
+            screen.tell(&done);
         }
         std::thread::sleep(TEND_PERIOD);
     }
@@ -207,7 +228,54 @@ fn watch(
     std::thread::sleep(LAST_LOOK);
     observer.look();
     let maps = observer.write_maps(&run.dir)?;
-    Ok(Report::new(run, begun.elapsed(), observer.stats(), passenger_says, maps, events))
+    Ok(Report::new(run, begun.elapsed(), observer.stats(), desk.last, passenger_says, maps, events))
+}
+
+/// The person at the laptop: what they see of the doors, and their keys.
+struct Desk<'a> {
+    run: &'a Run,
+    keys: Keys,
+    last: Option<Doors>,
+}
+
+impl<'a> Desk<'a> {
+    fn new(run: &'a Run) -> Self {
+        Self { run, keys: Keys::new(), last: None }
+    }
+
+    /// Who is at the doors now; what was known last, if the bridge does not say.
+    fn doors(&mut self) -> Option<Doors> {
+        if let Ok(doors) = control::ask(self.run, Request::State, DESK_PATIENCE) {
+            self.last = Some(doors);
+        }
+        self.last.clone()
+    }
+
+    fn help(&self) -> &'static str {
+        match self.keys.work() {
+            true => "a lets in who asks, d refuses; s stops all robots, r releases; Ctrl-C ends",
+            false => "Ctrl-C ends",
+        }
+    }
+
+    /// What a key has done, if one was pressed that means something.
+    fn pressed(&mut self) -> Option<String> {
+        let who = || self.last.as_ref().and_then(|doors| doors.waiting.first().copied());
+        let (request, done) = match self.keys.pressed()? {
+            'a' => (Request::Allow(who()?), format!("{} may drive, now and in later runs", who()?)),
+            'd' => (Request::Deny(who()?), format!("{} may not drive", who()?)),
+            's' => (Request::Stop, "every robot stands until r is pressed".into()),
+            'r' => (Request::Release, "the robots may be driven again".into()),
+            _ => return None,
+        };
+        Some(match control::ask(self.run, request, DESK_PATIENCE) {
+            Ok(doors) => {
+                self.last = Some(doors);
+                done
+            }
+            Err(why) => why,
+        })
+    }
 }
 
 /// A name for a folder that sorts by time, UTC.

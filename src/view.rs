@@ -1,5 +1,6 @@
 //! The fleet's figures as people and programs read them: a table, and JSON.
 
+use crate::control::Doors;
 use msg::{Distribution, FleetStats, Pose2, ProcessHealth, RobotId, RobotStats, Role, TrackingState};
 use serde::Serialize;
 use std::fmt::Write;
@@ -7,7 +8,7 @@ use std::fmt::Write;
 /// A fleet's figures with names and units.
 #[derive(Clone, Debug, Serialize)]
 pub struct FleetView {
-    /// Seconds since the run began.
+    /// The run's time: seconds since it began, or since 1970 where the world is not simulated here.
     pub time_s: f64,
     /// Each robot's.
     pub robots: Vec<RobotView>,
@@ -27,6 +28,8 @@ pub struct FleetView {
     pub overlap_m2: Option<f64>,
     /// Each process's health.
     pub processes: Vec<ProcessView>,
+    /// Who is at the doors, by the bridge's account; `None`: it was not asked, or did not answer.
+    pub doors: Option<Doors>,
 }
 
 /// One robot's figures.
@@ -141,6 +144,7 @@ impl FleetView {
             occupied_f1: of_pairs(stats.occupied_f1),
             overlap_m2: of_pairs(stats.overlap_m2),
             processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
+            doors: None,
         }
     }
 
@@ -180,6 +184,9 @@ impl FleetView {
             percent(self.consistency_one_cell),
             percent(self.occupied_f1),
         );
+        if let Some(doors) = &self.doors {
+            text += &doors.table();
+        }
         text
     }
 

@@ -94,3 +94,30 @@ pub fn relay(socket: &str, port: u16) -> io::Result<()> {
         client.write_all(&message)?;
     }
 }
+
+/// Milliseconds that `size` bytes take over a plain socket to another thread, `count` times, sorted.
+#[allow(dead_code, reason = "the jitter bench has no bulk")]
+pub fn bulk(size: usize, count: usize) -> io::Result<Vec<f64>> {
+    let listener = TcpListener::bind("127.0.0.1:0")?;
+    let port = listener.local_addr()?.port();
+    let writer = std::thread::spawn(move || -> io::Result<()> {
+        let (mut stream, _) = listener.accept()?;
+        let (data, mut go) = (vec![1; size], [0]);
+        while stream.read_exact(&mut go).is_ok() {
+            stream.write_all(&data)?;
+        }
+        Ok(())
+    });
+    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+    let (mut data, mut times) = (vec![0; size], Vec::new());
+    for _ in 0..count {
+        let begun = now();
+        stream.write_all(&[1])?;
+        stream.read_exact(&mut data)?;
+        times.push(now().since(begun) as f64 * 1e-6);
+    }
+    drop(stream);
+    let _ = writer.join();
+    times.sort_by(f64::total_cmp);
+    Ok(times)
+}

@@ -45,7 +45,7 @@ pub struct Fleet {
 impl Fleet {
     /// Launches it.
     pub fn start(robots: usize) -> Result<Self, Box<dyn Error>> {
-        let dir = std::env::temp_dir().join(format!("mr-slam-jitter-{}", std::process::id()));
+        let dir = std::env::temp_dir().join(format!("mr-slam-bench-{}", std::process::id()));
         let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
             .args(["up", "--port", "0", "--robots", &robots.to_string(), "--run-dir"])
             .arg(&dir)
@@ -63,6 +63,7 @@ impl Fleet {
 
     /// Attaches, subscribes, and reads.
     pub fn measure(&mut self, warm_up: Duration, length: Duration) -> Result<Figures, Box<dyn Error>> {
+        (self.before, self.after) = (None, None);
         let mut stream = TcpStream::connect(("127.0.0.1", self.run.port))?;
         stream.set_nodelay(true)?;
         stream.write_all(&registrations(&self.run))?;
@@ -84,6 +85,20 @@ impl Fleet {
             self.observe(begun.elapsed() >= warm_up);
         }
         Ok(Figures { tf: ears.tf.spread(), clock: ears.clock.spread(), scans: ears.scans.spread() })
+    }
+
+    /// The run.
+    #[allow(dead_code, reason = "other benches attach to it")]
+    pub fn run(&self) -> &Run {
+        &self.run
+    }
+
+    /// A process's id, by the newest figures.
+    #[allow(dead_code, reason = "other benches look at its memory")]
+    pub fn pid(&mut self, process: &str) -> Option<u32> {
+        self.observer.wait(Duration::from_secs(3));
+        let view = FleetView::new(self.observer.stats()?);
+        view.processes.iter().find(|known| known.process == process).map(|known| known.pid)
     }
 
     fn observe(&mut self, measuring: bool) {

@@ -14,8 +14,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Instant;
 
-/// Nodes that may wait for the back end; the log waits then.
-const WAITING_MAX: usize = 64;
+/// Nodes that may wait for the back end: the log waits then, and no node is held back.
+const WAITING_MAX: usize = slam::NODES_UNDER_WAY_MAX - 2;
 /// Nodes until the scan path is in its steady state.
 const WARM_UP_NODES: u32 = 100;
 /// Nodes at either end that are compared.

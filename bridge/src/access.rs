@@ -7,6 +7,9 @@ use std::net::IpAddr;
 /// Addresses that may wait for an answer at one time; more are told to come again.
 const WAITING_MAX: usize = 32;
 
+/// Addresses whose no is remembered; more would be asked about again.
+const DENIED_MAX: usize = 1024;
+
 /// What an address may do, and who has asked.
 #[derive(Debug)]
 pub struct Access {
@@ -14,6 +17,8 @@ pub struct Access {
     drive: Permission,
     trust_loopback: bool,
     allowed: BTreeSet<IpAddr>,
+    /// Who has got a no, and is not shown again.
+    denied: BTreeSet<IpAddr>,
     waiting: Vec<IpAddr>,
 }
 
@@ -25,6 +30,7 @@ impl Access {
             drive: config.drive,
             trust_loopback: config.trust_loopback,
             allowed: config.allow.iter().map(IpAddr::to_canonical).collect(),
+            denied: BTreeSet::new(),
             waiting: Vec::new(),
         }
     }
@@ -47,7 +53,8 @@ impl Access {
     /// Notes that an address wants what it may not, for the person at the laptop to see.
     pub fn ask(&mut self, address: IpAddr) {
         let address = address.to_canonical();
-        if !self.waiting.contains(&address) && self.waiting.len() < WAITING_MAX {
+        let asked = self.waiting.contains(&address) || self.denied.contains(&address);
+        if !asked && self.waiting.len() < WAITING_MAX {
             self.waiting.push(address);
         }
     }
@@ -57,10 +64,16 @@ impl Access {
         &self.waiting
     }
 
+    /// Who has got a yes.
+    pub fn allowed(&self) -> impl Iterator<Item = IpAddr> + '_ {
+        self.allowed.iter().copied()
+    }
+
     /// The person's yes.
     pub fn allow(&mut self, address: IpAddr) {
         let address = address.to_canonical();
         self.waiting.retain(|waiting| *waiting != address);
+        self.denied.remove(&address);
         self.allowed.insert(address);
     }
 
@@ -69,5 +82,8 @@ impl Access {
         let address = address.to_canonical();
         self.waiting.retain(|waiting| *waiting != address);
         self.allowed.remove(&address);
+        if self.denied.len() < DENIED_MAX {
+            self.denied.insert(address);
+        }
     }
 }

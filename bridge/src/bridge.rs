@@ -5,6 +5,7 @@ use crate::cdr::Dialect;
 use crate::client::{Client, ClientId, Ended};
 use crate::command::{handshake, name};
 use crate::config::{BridgeConfig, ConfigError};
+use crate::dds::Heard;
 use crate::frame::{Frame, Side};
 use crate::hub::{Hub, Outside};
 use crate::outbox::{Lane, Outbox};
@@ -152,9 +153,11 @@ impl Bridge {
         });
     }
 
-    /// `/tf`: the robot's map from its odometry.
+    /// `/tf`: the robot's map from its odometry. `/robotN/pose`: where it is in its map.
     pub fn correction(&self, robot: RobotId, correction: &Correction) {
         self.of_robot(robot, |hub| {
+            let (frame, pose) = (hub.names.map(robot), hub.fleet.pose[robot.index()]);
+            hub.board.send(pose, |to| write::pose_estimate(to, frame, correction));
             hub.board.send(hub.fleet.transforms, |to| write::correction(to, &hub.names, robot, correction));
         });
     }
@@ -214,6 +217,11 @@ impl Bridge {
         });
     }
 
+    /// What was heard at the ROS 2 door: as if a client on loopback had sent it.
+    pub fn hear_ros(&self, heard: &Heard) {
+        self.with(|hub| hub.hear_ros(heard));
+    }
+
     /// Stops every robot until [`Bridge::release`]: as `/emergency_stop`.
     pub fn stop(&self) {
         self.with(Hub::stop);
@@ -237,6 +245,11 @@ impl Bridge {
     /// Addresses that have asked to drive and wait for an answer.
     pub fn waiting(&self) -> Vec<IpAddr> {
         self.hub.borrow().access.waiting().to_vec()
+    }
+
+    /// Addresses that may watch and drive, loopback aside.
+    pub fn allowed(&self) -> Vec<IpAddr> {
+        self.hub.borrow().access.allowed().collect()
     }
 
     /// Lets an address watch and drive from now on.

@@ -20,6 +20,11 @@ pub struct ClientId {
     pub serial: u64,
 }
 
+impl ClientId {
+    /// All who drive over DDS: one driver among the clients, as one topic is in ROS whoever publishes on it.
+    pub const DDS: Self = Self { slot: usize::MAX, serial: u64::MAX };
+}
+
 /// There is no such client any more, or its connection must end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended;

@@ -1,5 +1,6 @@
 //! What the bridge may be told at start.
 
+use crate::dds::DdsConfig;
 use crate::ros::{Dialect, NameStyle};
 use crate::world::ClockOffset;
 use serde::{Deserialize, Serialize};
@@ -46,6 +47,8 @@ pub struct BridgeConfig {
     pub drive: Permission,
     /// Addresses that may watch and drive.
     pub allow: Vec<IpAddr>,
+    /// Whether an address that the person at the laptop let in may drive in later runs, too.
+    pub remember: bool,
     /// Whether 127.0.0.1 and ::1 may do everything. Off only to rehearse permissions on one machine.
     pub trust_loopback: bool,
     /// How long after its last moving command a client keeps a robot to itself, seconds.
@@ -58,6 +61,8 @@ pub struct BridgeConfig {
     pub clock_offset: ClockOffset,
     /// How long a service call may take before its caller is told that it failed, seconds.
     pub service_timeout_s: f64,
+    /// The ROS 2 door.
+    pub dds: DdsConfig,
 }
 
 impl Default for BridgeConfig {
@@ -75,12 +80,14 @@ impl Default for BridgeConfig {
             watch: Permission::Anyone,
             drive: Permission::Allowed,
             allow: Vec::new(),
+            remember: true,
             trust_loopback: true,
             lease_s: 1.0,
             stick_linear_m_s: 0.15,
             stick_angular_rad_s: 1.5,
             clock_offset: ClockOffset::Measured,
             service_timeout_s: 10.0,
+            dds: DdsConfig::default(),
         }
     }
 }
@@ -94,9 +101,23 @@ pub struct ConfigError {
     expected: &'static str,
 }
 
+impl ConfigError {
+    pub(crate) fn new(field: &'static str, value: String, expected: &'static str) -> Self {
+        Self { field, value, expected }
+    }
+}
+
 impl BridgeConfig {
     /// Refuses values that cannot work, by name.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        self.dds.validate()?;
+        if self.dds.enabled && self.payloads != Dialect::Ros2 {
+            return Err(ConfigError::new("payloads", "ros1".into(), "the ROS 2 door needs ros2"));
+        }
+        if self.dds.enabled && !self.dds.loopback_only && self.watch != Permission::Anyone {
+            let expected = "DDS does not say who listens: watch = \"anyone\", or loopback_only = true";
+            return Err(ConfigError::new("watch", "allowed".into(), expected));
+        }
         let refuse = |field, value: String, expected| Err(ConfigError { field, value, expected });
         let within = |value: usize, low: usize, high: usize| (low..=high).contains(&value);
         if !within(self.frame_bytes_max, 64 << 10, 1 << 30) {

@@ -29,6 +29,7 @@ pub struct FleetTopics {
     pub map: Vec<TopicId>,
     pub stats: Vec<TopicId>,
     pub odometry: Vec<TopicId>,
+    pub pose: Vec<TopicId>,
     pub transforms: TopicId,
     pub clock: TopicId,
     pub merged_map: TopicId,
@@ -72,6 +73,7 @@ impl FleetTopics {
             map: each("map", "nav_msgs/OccupancyGrid", 1, true),
             stats: each("slam_stats", "std_msgs/Float32MultiArray", 1, true),
             odometry: each("odom", "nav_msgs/Odometry", DEPTH_USUAL, false),
+            pose: each("pose", "geometry_msgs/PoseWithCovarianceStamped", DEPTH_USUAL, false),
             transforms: topics.add(
                 "/tf".into(),
                 "tf2_msgs/TFMessage",

@@ -136,7 +136,9 @@ impl Hub {
             return Ok(());
         }
         self.access.ask(address);
-        Err(format!("{address} may not watch; start the fleet with --allow {address}"))
+        Err(format!(
+            "{address} may not watch yet: somebody at the laptop must press `a` there, or say `mr-slam allow {address}`"
+        ))
     }
 
     fn publish(&mut self, id: ClientId, name: String, about: &Registration) -> Result<(), String> {

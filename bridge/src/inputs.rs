@@ -3,6 +3,7 @@
 use crate::cdr::{DecodeError, Reader};
 use crate::client::{ClientId, Publication, Refusal};
 use crate::command::name;
+use crate::dds::Heard;
 use crate::drive::Verdict;
 use crate::hub::Hub;
 use crate::ros::names::{is_correction, meaning};
@@ -24,6 +25,17 @@ impl From<DecodeError> for Refused {
 }
 
 impl Hub {
+    /// A message on DDS, where there is nobody to answer: what is refused is counted.
+    pub(crate) fn hear_ros(&mut self, heard: &Heard) {
+        let now = Instant::now();
+        self.board.counted.received += 1;
+        let Some(topic) = self.board.topics.find(&heard.topic) else { return };
+        let from = Publication { topic, stamped: heard.stamped, latch: false };
+        if self.input(ClientId::DDS, heard.what, from, &heard.payload, now).is_err() {
+            self.board.counted.refused += 1;
+        }
+    }
+
     /// A message on a topic.
     pub(crate) fn data(&mut self, id: ClientId, name: &str, payload: &[u8]) {
         let now = Instant::now();
@@ -120,8 +132,9 @@ impl Hub {
             return Ok(());
         }
         self.access.ask(address);
-        let text =
-            format!("{address} may not drive yet; start the fleet with --allow {address}, or --trust-lan");
+        let text = format!(
+            "{address} may not drive yet: somebody at the laptop must press `a` there, or say `mr-slam allow {address}`"
+        );
         Err(Refused(Refusal::Permission, text))
     }
 
@@ -173,8 +186,7 @@ impl Hub {
                 Err(Refused(Refusal::Stopped, text.into()))
             }
             Verdict::Held(holder) => {
-                let by =
-                    self.board.client(holder).map_or("another client".into(), |other| other.peer.to_string());
+                let by = self.client_name(holder);
                 let number = robot.number();
                 let text =
                     format!("{robot} is driven by {by}; publish {number} on /take_control to take over");
@@ -203,6 +215,13 @@ impl Hub {
         stick.map(|_| ()).ok_or_else(unsound)
     }
 
+    fn client_name(&self, id: ClientId) -> String {
+        if id == ClientId::DDS {
+            return "ROS 2".into();
+        }
+        self.board.client(id).map_or("another client".into(), |client| client.peer.to_string())
+    }
+
     /// Number 0 is every robot.
     fn take_over(&mut self, id: ClientId, number: Int32, now: Instant) -> Result<(), Refused> {
         let robots = match number {
@@ -212,7 +231,7 @@ impl Hub {
         for robot in robots {
             let Some(before) = self.drive.take(id, robot, now) else { continue };
             self.halt(core::iter::once(robot));
-            let by = self.board.client(id).map_or("another client".into(), |client| client.peer.to_string());
+            let by = self.client_name(id);
             self.board.notice(before, name::WARN, format!("{by} has taken over {robot}"));
         }
         Ok(())

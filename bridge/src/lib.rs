@@ -4,7 +4,7 @@
 //!   fleet ── scan(), transforms(), map() ... ──▶ Bridge ──▶ one outbox a client ──▶ sockets
 //!   robots ◀── on_command(robot, Command) ─────── Bridge ◀── frames ◀── serve(): one task a client
 //! ```
-//! [`Bridge`] is the hub, [`serve`] its TCP side; [`frame`], [`command`] and [`ros`] are the wire, for clients too.
+//! [`Bridge`] is the hub, [`serve`] its TCP side, [`dds`] the door for ROS 2; [`frame`], [`command`] and [`ros`] are the wire, for clients too.
 
 mod access;
 mod board;
@@ -13,6 +13,7 @@ pub mod cdr;
 mod client;
 pub mod command;
 mod config;
+pub mod dds;
 mod drive;
 pub mod frame;
 mod hub;
@@ -20,6 +21,7 @@ mod inbox;
 mod inputs;
 mod interfaces;
 mod outbox;
+mod outlet;
 mod pool;
 pub mod ros;
 mod server;
@@ -31,4 +33,5 @@ pub mod world;
 pub use board::Counters;
 pub use bridge::{Bridge, ClientStatus, FIRST_SOURCE};
 pub use config::{BridgeConfig, ConfigError, Permission};
+pub use outlet::Outlet;
 pub use server::serve;

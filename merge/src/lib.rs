@@ -1,18 +1,18 @@
 //! The maps of all robots in, one map and where each robot's map lies out.
 //!
 //! ```text
-//! robotK/map ──▶ source: what changed? ──▶ layer: redrawn on the lattice of `map` ──┐
-//!                                          (changed tiles only)                     ├─▶ fuse: evidence added
-//! robotJ/map ──▶ source ─────────────────▶ layer ───────────────────────────────────┘   (changed tiles only)
+//! robotK/map ──▶ source: which tiles changed? ──▶ tiles of `map` that they touch ──┐
+//! robotJ/map ──▶ source ─────────────────────────────────────────────────────────▶ ├─▶ each composed anew:
+//!                                                   lookup: every robot's cells    ┘   evidence added
+//!                                                   under a tile, turned
 //! ```
 //!
 //! The lattice never moves: cell (i, j) of `map` covers `[i, i+1) x [j, j+1)` times the resolution,
-//! whatever the robots' maps look like. The merged map is a window on it that grows as needed.
+//! whatever the robots' maps look like.
 
 mod align;
-mod layer;
+mod lookup;
 mod merger;
-mod rect;
 mod source;
 
 pub use align::{AlignConfig, Alignment, align};

@@ -1,11 +1,15 @@
 //! Known start poses: every robot's map on one lattice, evidence added.
 
-use crate::layer::Layer;
-use crate::rect::{Rect, TILE, Tiles};
-use crate::source::Source;
-use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, UNKNOWN};
-use msg::{Anchor, Anchors, GridHeader, GridView, Header, Monotonic, Pose2, ROBOTS_MAX, RobotId, Stamp};
+use crate::lookup::Bench;
+use crate::source::{Source, reach};
+use msg::grid::{LOG_ODDS_MAX, MAP_CELLS_MAX, UNKNOWN};
+use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
+use msg::{
+    Anchor, Anchors, Dense, GridHeader, GridView, Header, MapHeader, MapTile, Monotonic, Pose2, ROBOTS_MAX,
+    Rect, RobotId, Stamp, TileMap,
+};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Sides of a cell that make sense, metres.
 pub(crate) const RESOLUTION_M: core::ops::RangeInclusive<f64> = 0.005..=1.0;
@@ -72,9 +76,9 @@ pub enum Refused {
         /// Of the map in force.
         newest: Stamp,
     },
-    /// The merged map would have more than [`CELLS_MAX`] cells.
+    /// The merged map would have more than [`MAP_CELLS_MAX`] cells.
     #[error(
-        "the merged map would be {width} x {height} cells, more than {CELLS_MAX}: is a start pose wrong?"
+        "the merged map would be {width} x {height} cells, more than {MAP_CELLS_MAX}: is a start pose wrong?"
     )]
     TooLarge {
         /// Cells along x.
@@ -89,9 +93,11 @@ pub struct Merger {
     resolution_m: f64,
     sources: Vec<Source>,
     /// The merged map, up to date but for `dirty`.
-    merged: Layer,
-    dirty: Tiles,
-    header: GridHeader,
+    merged: TileMap,
+    /// By their place in the merged map's extent.
+    dirty: Vec<bool>,
+    grid: Dense,
+    bench: Bench,
 }
 
 impl Merger {
@@ -109,37 +115,59 @@ impl Merger {
         let sources = starts.iter().take(ROBOTS_MAX);
         let sources =
             sources.map(|start| Source { map_from_robot_map: place(start), ..Default::default() }).collect();
-        let header = GridHeader { resolution_m, ..Default::default() };
-        Self { resolution_m, sources, merged: Layer::default(), dirty: Tiles::default(), header }
+        let merged = TileMap::new(MapHeader { resolution_m, ..Default::default() });
+        let (dirty, grid, bench) = (Vec::new(), Dense::default(), Bench::default());
+        Self { resolution_m, sources, merged, dirty, grid, bench }
     }
 
     /// Takes a robot's newest map, in its own frame `robotK/map`: any origin, yaw, size, resolution.
     pub fn update(&mut self, robot: RobotId, map: GridView<'_>) -> Result<(), Refused> {
-        self.check(robot, map)?;
+        let GridHeader { header, scan_sent, origin, resolution_m, width, height } = *map.header;
+        let about = MapHeader { header, scan_sent, origin, resolution_m };
+        let source = self.check(robot, &about, (width, height), map.cells.len())?;
+        if GridView::new(map.header, map.cells).is_none() {
+            return Err(malformed(&about, (width, height), map.cells.len()));
+        }
+        let too_large = Refused::TooLarge { width: width as usize, height: height as usize };
+        let tiles = source.tiles_of(map).ok_or(too_large)?;
+        self.take(robot, tiles)
+    }
+
+    /// The same as tiles, of which those shared with the robot's last map are not even looked at.
+    pub fn update_tiles(&mut self, robot: RobotId, map: &TileMap) -> Result<(), Refused> {
+        let cells = map.extent().area().unwrap_or(0) * TILE_CELLS;
+        let side = |tiles: usize| (tiles * TILE as usize) as u32;
+        let size = (side(map.extent().width()), side(map.extent().height()));
+        self.check(robot, &map.header, size, cells)?;
+        self.take(robot, map.clone())
+    }
+
+    /// Takes a map that has been checked.
+    fn take(&mut self, robot: RobotId, map: TileMap) -> Result<(), Refused> {
         let source = &self.sources[robot.index()];
-        let change = source.compare(map);
-        let lookup = source.lookup(map.header, self.resolution_m);
-        let window = match &lookup {
-            Some(lookup) if change.afresh => lookup.lattice_box(change.known),
-            Some(lookup) => source.layer.window.unite(lookup.lattice_box(change.known)),
-            None => Rect::default(),
-        };
-        let extent = self.extent_with(robot, window)?;
-        self.reframe(extent);
+        let lookup = source.lookup_of(&map.header, self.resolution_m);
+        let reach = reach(&map, lookup.as_ref());
+        self.make_room(robot, reach)?;
+        let source = &self.sources[robot.index()];
+        match &lookup {
+            Some(lookup) if source.lookup.as_ref() == Some(lookup) => {
+                let changed = map.changed_since(&source.map);
+                let changed = changed.filter(|(x, y)| map.get(*x, *y) != source.map.get(*x, *y));
+                for (x, y) in changed {
+                    let tiles = lookup.lattice_box(Rect::of_tile(x, y)).tiles();
+                    mark(&mut self.dirty, self.merged.extent(), tiles);
+                }
+            }
+            _ => {
+                mark(&mut self.dirty, self.merged.extent(), source.reach);
+                mark(&mut self.dirty, self.merged.extent(), reach);
+            }
+        }
+        if lookup.is_some() {
+            self.note_time(&map.header);
+        }
         let source = &mut self.sources[robot.index()];
-        if change.afresh {
-            self.dirty.mark(source.layer.window);
-            source.layer = Layer::default();
-        }
-        source.layer.reframe(window);
-        source.store(map, &change);
-        if let Some(lookup) = lookup {
-            let mut tiles = Tiles::none_of(window);
-            change.tiles.iter().for_each(|tile| tiles.mark(lookup.lattice_box(*tile)));
-            source.layer.redraw(&tiles, &lookup, source.grid.view());
-            tiles.marked().for_each(|tile| self.dirty.mark(tile));
-            self.note_time(map.header);
-        }
+        (source.map, source.lookup, source.reach) = (map, lookup, reach);
         Ok(())
     }
 
@@ -147,57 +175,56 @@ impl Merger {
     pub fn set_anchor(&mut self, robot: RobotId, map_from_robot_map: Option<Pose2>) -> Result<(), Refused> {
         let robot_count = self.sources.len();
         let source = self.sources.get(robot.index()).ok_or(Refused::Stranger { robot, robot_count })?;
-        if let Some(pose) = map_from_robot_map.filter(|pose| !is_near(*pose)) {
-            return Err(malformed(
-                &GridHeader { origin: pose, ..source.grid.header },
-                source.grid.cells.len(),
-            ));
+        if let Some(origin) = map_from_robot_map.filter(|pose| !is_near(*pose)) {
+            return Err(malformed(&MapHeader { origin, ..source.map.header }, (0, 0), 0));
         }
-        let moved = Source { map_from_robot_map, ..Default::default() };
-        let lookup =
-            moved.lookup(&source.grid.header, self.resolution_m).filter(|_| !source.grid.cells.is_empty());
-        let window = lookup.map_or(Rect::default(), |lookup| lookup.lattice_box(source.known));
-        let extent = self.extent_with(robot, window)?;
-        self.reframe(extent);
-        let source = &mut self.sources[robot.index()];
-        self.dirty.mark(source.layer.window);
-        self.dirty.mark(window);
-        source.map_from_robot_map = map_from_robot_map;
-        source.layer = Layer::default();
-        source.layer.reframe(window);
-        if let Some(lookup) = lookup {
-            let mut all = Tiles::none_of(window);
-            all.mark(window);
-            source.layer.redraw(&all, &lookup, source.grid.view());
-            let header = source.grid.header;
-            self.note_time(&header);
+        let moved = Source { map_from_robot_map, ..source.clone() };
+        let lookup = moved.lookup_of(&moved.map.header, self.resolution_m);
+        let reach = reach(&moved.map, lookup.as_ref());
+        self.make_room(robot, reach)?;
+        mark(&mut self.dirty, self.merged.extent(), moved.reach);
+        mark(&mut self.dirty, self.merged.extent(), reach);
+        if lookup.is_some() {
+            self.note_time(&moved.map.header);
         }
+        self.sources[robot.index()] = Source { lookup, reach, ..moved };
         Ok(())
     }
 
     /// Takes a robot's evidence back: it was reset, or it left. Its place stays known.
     pub fn forget(&mut self, robot: RobotId) {
         if let Some(source) = self.sources.get_mut(robot.index()) {
-            self.dirty.mark(source.layer.window);
+            mark(&mut self.dirty, self.merged.extent(), source.reach);
             *source = Source { map_from_robot_map: source.map_from_robot_map, ..Default::default() };
         }
     }
 
     /// The merged map, frame `map`. Its cells are squares of a lattice that never moves; stamp and
-    /// `scan_sent` are those of the newest map in it. Without cells before the first map.
-    pub fn merged(&mut self) -> GridView<'_> {
-        let layers: Vec<&Layer> = self.sources.iter().map(|source| &source.layer).collect();
-        for tile in self.dirty.marked() {
-            fuse(&mut self.merged, tile, &layers);
+    /// `scan_sent` are those of the newest map in it. Without tiles before the first map. Only tiles
+    /// that may have changed are composed, and those that did not stay the same tiles.
+    pub fn merged_tiles(&mut self) -> &TileMap {
+        let extent = self.merged.extent();
+        for ((x, y), dirty) in extent.points().zip(&mut self.dirty) {
+            if std::mem::take(dirty) {
+                let tile = fuse(x, y, &self.sources, &mut self.bench);
+                if tile.as_ref() != self.merged.get(x, y).map(|tile| &**tile) {
+                    self.merged.set(x, y, tile.map(Arc::new));
+                }
+            }
         }
-        self.dirty = Tiles::none_of(self.merged.window);
-        GridView { header: &self.header, cells: &self.merged.cells }
+        &self.merged
+    }
+
+    /// The same as one grid of what is known; without cells before the first map.
+    pub fn merged(&mut self) -> GridView<'_> {
+        self.merged_tiles();
+        self.grid.update(&self.merged)
     }
 
     /// Where each robot's map lies.
     pub fn anchors(&self) -> Anchors {
         let mut anchors = Anchors {
-            header: Header { stamp: self.header.header.stamp, ..Default::default() },
+            header: Header { stamp: self.merged.header.header.stamp, ..Default::default() },
             ..Default::default()
         };
         for (anchor, source) in anchors.robots.iter_mut().zip(&self.sources) {
@@ -208,49 +235,65 @@ impl Merger {
         anchors
     }
 
-    fn check(&self, robot: RobotId, map: GridView<'_>) -> Result<(), Refused> {
+    fn check(
+        &self,
+        robot: RobotId,
+        header: &MapHeader,
+        size: (u32, u32),
+        cells: usize,
+    ) -> Result<&Source, Refused> {
         let robot_count = self.sources.len();
         let source = self.sources.get(robot.index()).ok_or(Refused::Stranger { robot, robot_count })?;
-        let header = map.header;
-        let sound = GridView::new(header, map.cells).is_some()
-            && RESOLUTION_M.contains(&header.resolution_m)
-            && is_near(header.origin);
-        if !sound {
-            return Err(malformed(header, map.cells.len()));
+        if !RESOLUTION_M.contains(&header.resolution_m) || !is_near(header.origin) {
+            return Err(malformed(header, size, cells));
         }
-        let (stamp, newest) = (header.header.stamp, source.grid.header.header.stamp);
-        let same_run = header.header.run == source.grid.header.header.run && !source.grid.cells.is_empty();
-        if same_run && stamp < newest { Err(Refused::Stale { stamp, newest }) } else { Ok(()) }
+        let (old, new) = (&source.map.header.header, &header.header);
+        let same_run = new.run == old.run && source.map.tiles().next().is_some();
+        if same_run && new.stamp < old.stamp {
+            return Err(Refused::Stale { stamp: new.stamp, newest: old.stamp });
+        }
+        Ok(source)
     }
 
-    /// The merged map's window when this robot's layer has `window`. It does not shrink unless the
-    /// limit demands it.
-    fn extent_with(&self, robot: RobotId, window: Rect) -> Result<Rect, Refused> {
+    /// Makes room in the merged map for a robot's map that reaches these tiles. It does not shrink
+    /// unless the limit demands it.
+    fn make_room(&mut self, robot: RobotId, reach: Rect) -> Result<(), Refused> {
         let others = self.sources.iter().enumerate().filter(|(index, _)| *index != robot.index());
-        let needed = others.fold(window, |all, (_, other)| all.unite(other.layer.window));
-        let fits = |rect: &Rect| rect.area().is_some_and(|area| area <= CELLS_MAX);
-        let too_large = Refused::TooLarge { width: needed.width(), height: needed.height() };
-        Some(self.merged.window.unite(needed)).filter(fits).or(Some(needed).filter(fits)).ok_or(too_large)
+        let needed = others.fold(reach, |all, (_, other)| all.unite(other.reach));
+        let before = self.merged.extent();
+        if !self.merged.make_room(needed, MAP_TILES_MAX) {
+            let mut merged = TileMap::new(self.merged.header);
+            if !merged.make_room(needed, MAP_TILES_MAX) {
+                let (width, height) = (needed.width() * TILE as usize, needed.height() * TILE as usize);
+                return Err(Refused::TooLarge { width, height });
+            }
+            for (x, y) in needed.points() {
+                merged.set(x, y, self.merged.get(x, y).cloned());
+            }
+            self.merged = merged;
+        }
+        let extent = self.merged.extent();
+        if extent != before {
+            let mut dirty = vec![false; extent.width() * extent.height()];
+            let marked = before.points().zip(&self.dirty).filter(|(_, dirty)| **dirty);
+            marked.for_each(|((x, y), _)| mark(&mut dirty, extent, Rect::of_one(x, y)));
+            self.dirty = dirty;
+        }
+        Ok(())
     }
 
-    fn reframe(&mut self, extent: Rect) {
-        if extent == self.merged.window {
-            return;
+    fn note_time(&mut self, newest: &MapHeader) {
+        let header = &mut self.merged.header;
+        if newest.header.stamp >= header.header.stamp || header.scan_sent == Monotonic::default() {
+            header.header.stamp = newest.header.stamp;
+            header.scan_sent = newest.scan_sent;
         }
-        let mut dirty = Tiles::none_of(extent);
-        self.dirty.marked().for_each(|tile| dirty.mark(tile));
-        self.dirty = dirty;
-        self.merged.reframe(extent);
-        let corner = |cell: i64| cell as f64 * self.resolution_m;
-        self.header.origin = Pose2::new(corner(extent.x0), corner(extent.y0), 0.0);
-        (self.header.width, self.header.height) = (extent.width() as u32, extent.height() as u32);
     }
+}
 
-    fn note_time(&mut self, newest: &GridHeader) {
-        if newest.header.stamp >= self.header.header.stamp || self.header.scan_sent == Monotonic::default() {
-            self.header.header.stamp = newest.header.stamp;
-            self.header.scan_sent = newest.scan_sent;
-        }
+fn mark(dirty: &mut [bool], extent: Rect, tiles: Rect) {
+    for (x, y) in tiles.intersect(extent).points() {
+        dirty[extent.index(x, y)] = true;
     }
 }
 
@@ -258,37 +301,39 @@ pub(crate) fn is_near(pose: Pose2) -> bool {
     pose.is_finite() && pose.x_m.abs() <= DISTANCE_M_MAX && pose.y_m.abs() <= DISTANCE_M_MAX
 }
 
-fn malformed(header: &GridHeader, cells: usize) -> Refused {
-    let GridHeader { width, height, resolution_m, origin, .. } = *header;
+fn malformed(header: &MapHeader, (width, height): (u32, u32), cells: usize) -> Refused {
+    let MapHeader { resolution_m, origin, .. } = *header;
     Refused::Malformed { width, height, resolution_m, origin, cells }
 }
 
-/// Adds the evidence of all layers in one tile. Log-odds of independent observers add up (msg's
-/// `grid` says why), so an obstacle that one robot imagined is cleared by those who saw the floor.
-fn fuse(merged: &mut Layer, tile: Rect, layers: &[&Layer]) {
-    let tile = tile.intersect(merged.window);
-    for y in tile.y0..tile.y1 {
-        let mut sum = [0_i16; TILE as usize];
-        let mut known = [false; TILE as usize];
-        for layer in layers {
-            let part = tile.intersect(layer.window);
-            if part.is_empty() || !(part.y0..part.y1).contains(&y) {
-                continue;
-            }
-            let places = (part.x0 - tile.x0) as usize..(part.x1 - tile.x0) as usize;
-            let cells = layer.row(part.x0, part.x1, y);
-            for ((sum, known), cell) in sum[places.clone()].iter_mut().zip(&mut known[places]).zip(cells) {
-                let is_known = *cell != UNKNOWN;
-                *sum += if is_known { i16::from(*cell) } else { 0 };
+/// Adds the evidence of all robots in one tile; `None` if there is none. Log-odds of independent
+/// observers add up (msg's `grid` says why), so an obstacle that one robot imagined is cleared by
+/// those who saw the floor.
+fn fuse(x: i64, y: i64, sources: &[Source], bench: &mut Bench) -> Option<MapTile> {
+    let mut sums = [0_i16; TILE_CELLS];
+    let mut known = [0_i8; TILE_CELLS];
+    let mut any = false;
+    for source in sources.iter().filter(|source| source.reach.holds(Rect::of_one(x, y))) {
+        let found = source.lookup.as_ref().is_some_and(|lookup| lookup.find(x, y, &source.map, bench));
+        if found {
+            any = true;
+            for ((sum, known), cell) in sums.iter_mut().zip(&mut known).zip(bench.found.iter()) {
+                let is_known = -i8::from(*cell != UNKNOWN);
+                *sum += i16::from(*cell & is_known);
                 *known |= is_known;
             }
         }
-        let most = i16::from(LOG_ODDS_MAX);
-        for (cell, (sum, known)) in merged.row_mut(tile.x0, tile.x1, y).iter_mut().zip(sum.iter().zip(known))
-        {
-            *cell = if known { (*sum).clamp(-most, most) as i8 } else { UNKNOWN };
-        }
     }
+    if !any || known.iter().all(|known| *known == 0) {
+        return None;
+    }
+    let most = i16::from(LOG_ODDS_MAX);
+    let mut tile = MapTile::unknown(x, y);
+    for ((cell, sum), known) in tile.cells.iter_mut().zip(&sums).zip(&known) {
+        let sum = (*sum).clamp(-most, most) as i8;
+        *cell = (sum & *known) | (UNKNOWN & !*known);
+    }
+    Some(tile)
 }
 
 const _: () = assert!(ROBOTS_MAX * (LOG_ODDS_MAX as usize) < i16::MAX as usize);

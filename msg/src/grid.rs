@@ -11,8 +11,11 @@ pub const UNKNOWN: i8 = i8::MIN;
 pub const LOG_ODDS_MAX: i8 = 127;
 /// Natural log-odds in one step of a cell: 127 steps are 6.35, a probability of 0.998.
 pub const LOG_ODDS_PER_STEP: f64 = 0.05;
-/// The most cells a map may have: 4096 x 4096, 205 m x 205 m at 0.05 m.
+/// The most cells a robot's map may span: 4096 x 4096, 205 m x 205 m at 0.05 m.
 pub const CELLS_MAX: usize = 4096 * 4096;
+/// The most cells any map may span, such as that of a fleet: as a message it still fits into the 64 MiB
+/// that clients of the bridge may expect of a frame.
+pub const MAP_CELLS_MAX: usize = 15 << 22;
 
 /// map_server's thresholds on the probability of occupation: above 0.65 occupied, below 0.25 free.
 /// As log-odds: ln(0.65/0.35) = 0.619, ln(0.25/0.75) = -1.099.
@@ -88,12 +91,12 @@ pub struct GridView<'a> {
 }
 
 impl<'a> GridView<'a> {
-    /// `None` if the header's size is not the cells' or is over [`CELLS_MAX`], or the
+    /// `None` if the header's size is not the cells' or is over [`MAP_CELLS_MAX`], or the
     /// resolution or the origin is not a usable number.
     pub fn new(header: &'a GridHeader, cells: &'a [i8]) -> Option<Self> {
         let size = (header.width as usize).checked_mul(header.height as usize)?;
         let sound = size == cells.len()
-            && size <= CELLS_MAX
+            && size <= MAP_CELLS_MAX
             && header.resolution_m.is_finite()
             && header.resolution_m > 0.0
             && header.origin.is_finite();

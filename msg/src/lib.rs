@@ -18,13 +18,16 @@ mod stats;
 pub mod time;
 
 pub mod grid;
+pub mod rect;
 mod slam;
+pub mod tiles;
 
 pub use grid::{Grid, GridHeader, GridView};
 pub use health::{Beat, Role};
 pub use id::{ROBOTS_MAX, RobotId};
 pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, Truth};
 pub use pose::Pose2;
+pub use rect::Rect;
 pub use scan::{BEAMS_MAX, Scan};
 pub use service::{
     CLOSURES_MAX, ClosureInfo, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, TEXT_MAX,
@@ -32,6 +35,7 @@ pub use service::{
 };
 pub use slam::{Anchor, Anchors, Correction, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
+pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 
 use bytemuck::{Pod, Zeroable};
@@ -80,7 +84,6 @@ messages!(
     Command,
     Truth,
     Clock,
-    GridHeader,
     Correction,
     Anchors,
     Beat,

@@ -94,6 +94,11 @@ impl Link {
         Self::ALL.into_iter().find(|link| *link as u32 == code)
     }
 
+    /// Whether it sits still on its parent.
+    pub fn is_fixed(self) -> bool {
+        matches!(self, Self::BaseLink | Self::BaseScan | Self::Imu)
+    }
+
     /// ROBOTIS's name of the frame.
     pub fn name(self) -> &'static str {
         match self {

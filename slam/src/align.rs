@@ -81,16 +81,16 @@ impl Normal {
 
 /// Moves `cloud` from `guess` until its points lie on the references' surfaces.
 /// A point counts against every reference that has a surface there, divided by their number.
-pub fn align(
+pub fn align<'a>(
     cloud: &Cloud,
     guess: Pose2,
-    references: &[Reference<'_>],
+    references: impl Iterator<Item = Reference<'a>> + Clone,
     prior: Option<Prior>,
     config: &LinkConfig,
 ) -> Alignment {
     let mut pose = guess;
     let weight = 1.0 / (config.point_sigma_m * config.point_sigma_m);
-    let mut sums = normal_equations(cloud, pose, references, config.gate_wide_m, config.cauchy_m);
+    let mut sums = normal_equations(cloud, pose, references.clone(), config.gate_wide_m, config.cauchy_m);
     let (mut wide, mut narrow) = (0, 0);
     while narrow < NARROW {
         let (mut hessian, mut gradient) = (sums.hessian * weight, sums.gradient * weight);
@@ -107,7 +107,7 @@ pub fn align(
             narrow += 1;
         }
         let gate = if narrow > 0 { config.gate_narrow_m } else { config.gate_wide_m };
-        sums = normal_equations(cloud, pose, references, gate, config.cauchy_m);
+        sums = normal_equations(cloud, pose, references.clone(), gate, config.cauchy_m);
         if done {
             break;
         }
@@ -129,10 +129,10 @@ pub fn difference(pose: Pose2, other: Pose2) -> Vector3<f64> {
     Vector3::new(pose.x_m - other.x_m, pose.y_m - other.y_m, yaw)
 }
 
-fn normal_equations(
+fn normal_equations<'a>(
     cloud: &Cloud,
     pose: Pose2,
-    references: &[Reference<'_>],
+    references: impl Iterator<Item = Reference<'a>> + Clone,
     gate_m: f32,
     cauchy_m: f64,
 ) -> Normal {
@@ -144,7 +144,7 @@ fn normal_equations(
         matched: 0,
         compared: 0,
     };
-    let share = 1.0 / references.len().max(1) as f64;
+    let share = 1.0 / references.clone().count().max(1) as f64;
     let points = cloud.points();
     let (sin, cos) = pose.yaw_rad.sin_cos();
     let mut found = [0_u8; 4096];

@@ -25,7 +25,7 @@ use crate::node::{Node, Revision};
 use crate::relocalize::{SeekCounts, Seeker};
 use crate::stage::{Stage, StageWatch};
 use modes::Anchor;
-use msg::{GridView, Pose2, SlamMode, pose::wrap_angle};
+use msg::{GridView, Pose2, SlamMode, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -148,6 +148,7 @@ impl Back {
 
     /// Takes the next node, and does with it what the mode wants.
     pub fn add(&mut self, node: Node) -> Revision {
+        let node = node.kept();
         self.newest_front = node.id;
         self.take(node);
         self.watch.begins(Stage::Idle);
@@ -250,12 +251,26 @@ impl Back {
         &self.nodes
     }
 
-    /// The map of all nodes.
+    /// The map of all nodes, each exactly where it is, as one grid.
     pub fn map(&mut self) -> GridView<'_> {
         self.watch.begins(Stage::Draw);
-        let map = self.canvas.draw(&self.nodes, self.graph.poses());
+        let map = self.canvas.finish(&self.nodes, self.graph.poses());
         self.watch.begins(Stage::Idle);
         map
+    }
+
+    /// Brings [`Back::tiles`] closer to what is known, by about so many cells of beams: new nodes
+    /// first, then what solutions have moved visibly. True if there is more to do.
+    pub fn draw(&mut self, cells_max: usize) -> bool {
+        self.watch.begins(Stage::Draw);
+        let more = self.canvas.work(&self.nodes, self.graph.poses(), cells_max);
+        self.watch.begins(Stage::Idle);
+        more
+    }
+
+    /// The map as drawn so far. Nodes that moved are drawn elsewhere all at once.
+    pub fn tiles(&self) -> &TileMap {
+        self.canvas.tiles()
     }
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or
@@ -342,7 +357,7 @@ impl Back {
         }
         let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);
         let reference = Reference { cloud: &older.cloud, frame_from_cloud: Pose2::IDENTITY };
-        let fit = align(&newer.cloud, guess, &[reference], None, l);
+        let fit = align(&newer.cloud, guess, core::iter::once(reference), None, l);
         if fit.overlap < l.overlap_min {
             return false;
         }

@@ -1,171 +1,333 @@
 //! Draws the occupancy grid: every node's beams, traced cell by cell (Bresenham 1965), add
 //! log-odds where they end and take some away where they pass (Thrun, Burgard, Fox,
 //! "Probabilistic Robotics", 2005, table 9.1).
+//!
+//! Evidence is clamped, so a node cannot be taken out of the map again. When nodes have moved, the
+//! tiles they touched and now touch are drawn anew instead, from all nodes in their order: tile by
+//! tile the same as a map drawn from nothing. That happens beside the map that is shown, in slices
+//! between which new nodes are drawn as ever; when all is done the new tiles take the old ones' place.
 
 use crate::cloud::Placement;
 use crate::config::MapConfig;
 use crate::node::Node;
-use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, UNKNOWN};
-use msg::{Grid, GridHeader, GridView, Pose2, pose::wrap_angle};
+use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_PER_STEP, UNKNOWN};
+use msg::tiles::{OpenTiles, ROBOT_TILES_MAX, TILE};
+use msg::{Dense, GridView, MapHeader, Pose2, Rect, TileMap, pose::wrap_angle};
 
-/// The grid grows by whole tiles of so many cells.
-const TILE: i64 = 64;
+/// Cells that a node costs in a slice at least, whatever it draws: it is looked at.
+const NODE_CELLS: usize = 64;
+/// Rounding of a point's place in single precision, as a share of its distance from the origin.
+const ROUNDING: f64 = 1e-6;
 
 /// See the module.
 pub struct Canvas {
     config: MapConfig,
-    header: GridHeader,
-    cells: Vec<i8>,
-    /// Lower left cell, in cells of the map's lattice, a multiple of [`TILE`].
-    corner: [i64; 2],
-    /// Where each drawn node lay.
-    drawn: Vec<Pose2>,
-    /// Nodes that did not fit into the largest grid.
+    map: TileMap,
+    /// How each node was drawn, by its id.
+    drawn: Vec<Drawn>,
+    redraw: Option<Redraw>,
+    /// Nodes that did not fit into the largest map.
     clipped: u64,
-    /// What is given out: the grid without the unknown margins of its tiles.
-    trimmed: Grid,
+    grid: Dense,
+    ends: Ends,
+}
+
+/// How a node is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Drawn {
+    map_from_base: Pose2,
+    /// A box around its beams in `base_footprint`: low x, low y, high x, high y, metres. Empty (low
+    /// above high) if it has nothing to draw.
+    reach_m: [f32; 4],
+    /// All its beams lie in these tiles; empty if it is not drawn.
+    tiles: Rect,
+}
+
+/// A new version of some tiles.
+struct Redraw {
+    /// The version, as far as it has been drawn,
+    map: TileMap,
+    /// and its tiles.
+    marks: Marks,
+    /// How the nodes will be drawn then.
+    drawn: Vec<Drawn>,
+    /// The next to be drawn.
+    next: usize,
 }
 
 impl Canvas {
     /// Nothing drawn.
     pub fn new(config: MapConfig) -> Self {
-        let header = GridHeader { resolution_m: config.resolution_m, ..Default::default() };
-        let (cells, drawn) = (Vec::new(), Vec::new());
-        Self { config, header, cells, corner: [0; 2], drawn, clipped: 0, trimmed: Grid::default() }
+        let map = TileMap::new(MapHeader { resolution_m: config.resolution_m, ..Default::default() });
+        Self {
+            config,
+            map,
+            drawn: Vec::new(),
+            redraw: None,
+            clipped: 0,
+            grid: Dense::default(),
+            ends: Ends::default(),
+        }
     }
 
-    /// Nodes that were not drawn because the grid would have become too large.
+    /// Nodes that are not drawn because the map would have become too large.
     pub fn clipped(&self) -> u64 {
         self.clipped
     }
 
-    /// Where each drawn node lay when it was drawn: all that decides how the grid came about.
-    pub fn drawn(&self) -> &[Pose2] {
-        &self.drawn
+    /// Where each drawn node lay when it was drawn: all that decides how the map came about.
+    pub fn drawn(&self) -> Vec<Pose2> {
+        self.drawn.iter().map(|node| node.map_from_base).collect()
     }
 
-    /// Draws nodes where an earlier canvas had them, so that the grid is the same.
+    /// Begins anew with nodes where an earlier canvas had them, so that the map is the same.
     pub fn restore(&mut self, nodes: &[Node], drawn: &[Pose2]) {
-        self.forget();
-        self.draw(&nodes[..drawn.len().min(nodes.len())], drawn);
-    }
-
-    /// Wipes the grid; it is drawn again from all nodes.
-    pub fn forget(&mut self) {
-        self.cells.fill(UNKNOWN);
+        self.map = TileMap::new(MapHeader { resolution_m: self.config.resolution_m, ..Default::default() });
         self.drawn.clear();
+        self.redraw = None;
         self.clipped = 0;
+        for (node, pose) in nodes.iter().zip(drawn) {
+            self.add(node, *pose);
+        }
     }
 
-    /// The grid of these nodes at these poses, as large as what is known. New nodes are added; if
-    /// old ones have moved, all is drawn again.
-    pub fn draw(&mut self, nodes: &[Node], poses: &[Pose2]) -> GridView<'_> {
-        if self.drawn.iter().zip(poses).any(|(was, is)| self.moved(*was, *is)) {
-            self.forget();
-        }
+    /// The map as drawn so far, never half a new version.
+    pub fn tiles(&self) -> &TileMap {
+        &self.map
+    }
+
+    /// Draws for about `cells_max` cells of beams, and one node at least: new nodes first, then
+    /// what has moved by more than the configuration lets pass. True if there is more to do.
+    pub fn work(&mut self, nodes: &[Node], poses: &[Pose2], cells_max: usize) -> bool {
+        self.slice(nodes, poses, cells_max, self.config.redraw_m)
+    }
+
+    /// Draws all nodes exactly where they are, and the map as one grid. The result depends on nodes
+    /// and poses alone.
+    pub fn finish(&mut self, nodes: &[Node], poses: &[Pose2]) -> GridView<'_> {
+        while self.slice(nodes, poses, usize::MAX, 0.0) {}
+        self.grid.update(&self.map)
+    }
+
+    fn slice(&mut self, nodes: &[Node], poses: &[Pose2], cells_max: usize, tolerance_m: f64) -> bool {
+        let mut left = cells_max;
         for (node, pose) in nodes.iter().zip(poses).skip(self.drawn.len()) {
-            if node.fits && !self.trace(node, *pose) {
-                self.clipped += 1;
+            if left == 0 {
+                return true;
             }
-            self.drawn.push(*pose);
-            self.header.header = node.header;
-            self.header.scan_sent = node.header.sent;
+            left = left.saturating_sub(self.add(node, *pose));
         }
-        self.trim();
-        self.trimmed.view()
+        if self.redraw.is_none() {
+            self.redraw = self.begin(nodes, poses, tolerance_m);
+        }
+        let Some(redraw) = &mut self.redraw else { return false };
+        // Nodes that came meanwhile are drawn there as they were here.
+        redraw.drawn.extend_from_slice(&self.drawn[redraw.drawn.len()..]);
+        while let Some(drawn) = redraw.drawn.get(redraw.next) {
+            if left == 0 {
+                return true;
+            }
+            let mut cost = NODE_CELLS;
+            if redraw.marks.touches(drawn.tiles) {
+                redraw.map.make_room(drawn.tiles, ROBOT_TILES_MAX);
+                let (marks, node) = (&redraw.marks, &nodes[redraw.next]);
+                let open = redraw.map.open(drawn.tiles, |x, y| marks.holds(x, y));
+                cost += self.ends.place(node, drawn.map_from_base, &self.config).trace(open, &self.config);
+            }
+            redraw.next += 1;
+            left = left.saturating_sub(cost);
+        }
+        self.swap();
+        true
     }
 
-    /// Copies the known part, so that what a map says of its size does not depend on tiles.
-    fn trim(&mut self) {
-        let width = self.header.width as usize;
-        let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
-        for (y, row) in self.cells.chunks_exact(width.max(1)).enumerate() {
-            let Some(first) = row.iter().position(|cell| *cell != UNKNOWN) else { continue };
-            let last = row.iter().rposition(|cell| *cell != UNKNOWN).unwrap_or(first);
-            (low[0], high[0]) = (low[0].min(first), high[0].max(last + 1));
-            (low[1], high[1]) = (low[1].min(y), y + 1);
+    /// Draws a new node. Returns the cells its beams passed.
+    fn add(&mut self, node: &Node, map_from_base: Pose2) -> usize {
+        self.map.header.header = node.header;
+        self.map.header.scan_sent = node.header.sent;
+        let reach_m = if node.fits { reach_m(node) } else { EMPTY };
+        let mut drawn = Drawn { map_from_base, reach_m, tiles: Rect::default() };
+        let tiles = tiles_of(&drawn, self.config.resolution_m);
+        if !tiles.is_empty() && !self.map.make_room(tiles, ROBOT_TILES_MAX) {
+            self.clipped += 1;
+        } else {
+            drawn.tiles = tiles;
         }
-        self.trimmed.cells.clear();
-        self.trimmed.header = GridHeader { width: 0, height: 0, ..self.header };
-        if high[1] == 0 {
+        self.drawn.push(drawn);
+        if drawn.tiles.is_empty() {
+            return NODE_CELLS;
+        }
+        let open = self.map.open(tiles, |_, _| true);
+        NODE_CELLS + self.ends.place(node, map_from_base, &self.config).trace(open, &self.config)
+    }
+
+    /// A new version of the tiles that the nodes that have moved touched and will touch, if any.
+    fn begin(&self, nodes: &[Node], poses: &[Pose2], tolerance_m: f64) -> Option<Redraw> {
+        let moved = |was: &Drawn, is: &Pose2| {
+            let turned = wrap_angle(was.map_from_base.yaw_rad - is.yaw_rad).abs();
+            let moved = was.map_from_base.distance_m(*is);
+            was.reach_m != EMPTY && (moved > tolerance_m || turned * 5.0 > tolerance_m)
+        };
+        // A node that no longer fits is to be seen no more.
+        let gone = |was: &Drawn, node: &Node| was.reach_m != EMPTY && !node.fits;
+        let mut all = self.drawn.iter().zip(nodes).zip(poses);
+        if !all.any(|((was, node), is)| moved(was, is) || gone(was, node)) {
+            return None;
+        }
+        // Who fits into the largest map is found anew, from the first node on.
+        let mut extent = TileMap::new(self.map.header);
+        let mut drawn = self.drawn.clone();
+        for ((place, node), pose) in drawn.iter_mut().zip(nodes).zip(poses) {
+            if gone(place, node) {
+                place.reach_m = EMPTY;
+            }
+            if moved(place, pose) {
+                place.map_from_base = *pose;
+            }
+            let tiles = tiles_of(place, self.config.resolution_m);
+            place.tiles = if extent.make_room(tiles, ROBOT_TILES_MAX) { tiles } else { Rect::default() };
+        }
+        let mut marks = Marks::none_of([self.map.extent(), extent.extent()]);
+        for (was, is) in self.drawn.iter().zip(&drawn).filter(|(was, is)| was != is) {
+            marks.mark(was.tiles);
+            marks.mark(is.tiles);
+        }
+        Some(Redraw { map: TileMap::new(self.map.header), marks, drawn, next: 0 })
+    }
+
+    /// The new version takes the old one's place, tile by tile, all at once.
+    fn swap(&mut self) {
+        let Some(Redraw { map: new, marks, drawn, .. }) = self.redraw.take() else { return };
+        let extent = drawn.iter().fold(Rect::default(), |all, node| all.unite(node.tiles));
+        let mut map = TileMap::new(self.map.header);
+        if !map.make_room(extent, ROBOT_TILES_MAX) {
+            // A node that came meanwhile lies too far from where the others are now: begin anew.
             return;
         }
-        for row in self.cells.chunks_exact(width).take(high[1]).skip(low[1]) {
-            self.trimmed.cells.extend_from_slice(&row[low[0]..high[0]]);
+        for (x, y) in extent.points() {
+            let from = if marks.holds(x, y) { &new } else { &self.map };
+            map.set(x, y, from.get(x, y).cloned());
         }
-        let header = &mut self.trimmed.header;
-        (header.width, header.height) = ((high[0] - low[0]) as u32, (high[1] - low[1]) as u32);
-        let corner_m = [0, 1].map(|k| (self.corner[k] + low[k] as i64) as f64 * self.config.resolution_m);
-        header.origin = Pose2::new(corner_m[0], corner_m[1], 0.0);
+        self.clipped =
+            drawn.iter().filter(|node| node.reach_m != EMPTY && node.tiles.is_empty()).count() as u64;
+        (self.map, self.drawn) = (map, drawn);
+    }
+}
+
+/// Some tiles of two versions' extents, which may lie far apart.
+struct Marks {
+    parts: [(Rect, Vec<bool>); 2],
+}
+
+impl Marks {
+    fn none_of(extents: [Rect; 2]) -> Self {
+        Self { parts: extents.map(|all| (all, vec![false; all.width() * all.height()])) }
     }
 
-    fn moved(&self, was: Pose2, is: Pose2) -> bool {
-        let turned = wrap_angle(was.yaw_rad - is.yaw_rad).abs();
-        was.distance_m(is) > self.config.redraw_m || turned * 5.0 > self.config.redraw_m
-    }
-
-    fn trace(&mut self, node: &Node, map_from_base: Pose2) -> bool {
-        let place = Placement::new(map_from_base);
-        let cell =
-            |p: [f32; 2]| place.point(p).map(|v| (f64::from(v) / self.config.resolution_m).floor() as i64);
-        let rays = &node.rays;
-        let sensor = cell(rays.sensor);
-        let hits: Vec<[i64; 2]> = rays.hits.iter().map(|p| cell(*p)).collect();
-        let misses: Vec<[i64; 2]> = rays.misses.iter().map(|p| cell(*p)).collect();
-        if !self.make_room(hits.iter().chain(&misses).chain([&sensor])) {
-            return false;
-        }
-        let step = |nats: f64| (nats / LOG_ODDS_PER_STEP).round().clamp(1.0, 127.0) as i8;
-        let (hit, miss) = (step(self.config.hit), -step(self.config.miss));
-        // A cell that beams graze and one beam ends in is a surface: ends are drawn last and
-        // make good what this scan's passing beams took.
-        for &end in hits.iter().chain(&misses) {
-            self.pass(sensor, end, miss);
-        }
-        for &end in &hits {
-            self.add(end, hit - miss);
-        }
-        true
-    }
-
-    /// Grows the grid to hold the cells; false if it would be too large.
-    fn make_room<'a>(&mut self, cells: impl Iterator<Item = &'a [i64; 2]>) -> bool {
-        let empty = self.cells.is_empty();
-        let mut low = if empty { [i64::MAX; 2] } else { self.corner };
-        let (width, height) = (i64::from(self.header.width), i64::from(self.header.height));
-        let mut high = if empty { [i64::MIN; 2] } else { [low[0] + width, low[1] + height] };
-        for c in cells {
-            for k in 0..2 {
-                low[k] = low[k].min(c[k].div_euclid(TILE) * TILE);
-                high[k] = high[k].max((c[k].div_euclid(TILE) + 1) * TILE);
+    fn mark(&mut self, tiles: Rect) {
+        for (all, marked) in &mut self.parts {
+            for (x, y) in tiles.intersect(*all).points() {
+                marked[all.index(x, y)] = true;
             }
         }
-        let size = [high[0] - low[0], high[1] - low[1]];
-        if !empty && low == self.corner && size == [width, height] {
-            return true;
-        }
-        if size[0].saturating_mul(size[1]) > CELLS_MAX as i64 {
-            return false;
-        }
-        let mut grown = vec![UNKNOWN; (size[0] * size[1]) as usize];
-        for row in 0..height {
-            let from = (row * width) as usize;
-            let to = ((row + self.corner[1] - low[1]) * size[0] + self.corner[0] - low[0]) as usize;
-            grown[to..to + width as usize].copy_from_slice(&self.cells[from..from + width as usize]);
-        }
-        self.cells = grown;
-        self.corner = low;
-        (self.header.width, self.header.height) = (size[0] as u32, size[1] as u32);
-        true
     }
 
-    /// All cells from `start` up to, but without, `end`.
-    fn pass(&mut self, start: [i64; 2], end: [i64; 2], change: i8) {
-        let (dx, dy) = ((end[0] - start[0]).abs(), -(end[1] - start[1]).abs());
-        let (sx, sy) = ((end[0] - start[0]).signum(), (end[1] - start[1]).signum());
-        let (mut at, mut error) = (start, dx + dy);
-        while at != end {
-            self.add(at, change);
+    fn holds(&self, x: i64, y: i64) -> bool {
+        self.touches(Rect::of_one(x, y))
+    }
+
+    fn touches(&self, tiles: Rect) -> bool {
+        let touches = |(all, marked): &(Rect, Vec<bool>)| {
+            tiles.intersect(*all).points().any(|(x, y)| marked[all.index(x, y)])
+        };
+        self.parts.iter().any(touches)
+    }
+}
+
+/// The reach of a node without beams.
+const EMPTY: [f32; 4] = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
+
+/// A box around a node's beams, in `base_footprint`.
+fn reach_m(node: &Node) -> [f32; 4] {
+    let rays = &node.rays;
+    let ends = rays.hits.iter().chain(&rays.misses);
+    let any = !rays.hits.is_empty() || !rays.misses.is_empty();
+    let points = ends.chain(any.then_some(&rays.sensor));
+    points.fold(EMPTY, |[x0, y0, x1, y1], [x, y]| [x0.min(*x), y0.min(*y), x1.max(*x), y1.max(*y)])
+}
+
+/// The tiles that hold all of a node's beams, wherever the last bit of a rounding falls.
+fn tiles_of(node: &Drawn, resolution_m: f64) -> Rect {
+    if node.reach_m == EMPTY || !node.map_from_base.is_finite() {
+        return Rect::default();
+    }
+    let [x0, y0, x1, y1] = node.reach_m.map(f64::from);
+    let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(|p| node.map_from_base.apply(p));
+    let [mut low, mut high] = [corners[0]; 2];
+    for corner in corners {
+        for k in 0..2 {
+            (low[k], high[k]) = (low[k].min(corner[k]), high[k].max(corner[k]));
+        }
+    }
+    let far = [low, high].as_flattened().iter().fold(0.0_f64, |most, v| most.max(v.abs()));
+    let margin_m = resolution_m + far * ROUNDING;
+    let cell = |metres: f64| (metres / resolution_m).floor().clamp(-1e15, 1e15) as i64;
+    let (low, high) = (low.map(|v| cell(v - margin_m)), high.map(|v| cell(v + margin_m)));
+    Rect { x0: low[0], y0: low[1], x1: high[0] + 1, y1: high[1] + 1 }.tiles()
+}
+
+/// A node's beams as cells of the lattice; the memory is used again.
+#[derive(Default)]
+struct Ends {
+    sensor: [i64; 2],
+    hits: Vec<[i64; 2]>,
+    misses: Vec<[i64; 2]>,
+}
+
+impl Ends {
+    fn place(&mut self, node: &Node, map_from_base: Pose2, config: &MapConfig) -> &Self {
+        let place = Placement::new(map_from_base);
+        let cell =
+            |p: &[f32; 2]| place.point(*p).map(|v| (f64::from(v) / config.resolution_m).floor() as i64);
+        self.hits.clear();
+        self.hits.extend(node.rays.hits.iter().map(cell));
+        self.misses.clear();
+        self.misses.extend(node.rays.misses.iter().map(cell));
+        self.sensor = cell(&node.rays.sensor);
+        self
+    }
+
+    /// Draws into the open tiles. Returns the cells passed, open or not.
+    fn trace(&self, mut tiles: OpenTiles<'_>, config: &MapConfig) -> usize {
+        let step = |nats: f64| (nats / LOG_ODDS_PER_STEP).round().clamp(1.0, 127.0) as i8;
+        let (hit, miss) = (step(config.hit), -step(config.miss));
+        let mut cells = 0;
+        // A cell that beams graze and one beam ends in is a surface: ends are drawn last and
+        // make good what this scan's passing beams took.
+        for &end in self.hits.iter().chain(&self.misses) {
+            cells += pass(&mut tiles, self.sensor, end, miss);
+        }
+        for &[x, y] in &self.hits {
+            if let Some(cells) = tiles.cells(x.div_euclid(TILE), y.div_euclid(TILE)) {
+                add(&mut cells[place_in_tile([x, y])], hit - miss);
+            }
+        }
+        cells
+    }
+}
+
+/// All cells from `start` up to, but without, `end`. Returns how many.
+fn pass(tiles: &mut OpenTiles<'_>, start: [i64; 2], end: [i64; 2], change: i8) -> usize {
+    let (dx, dy) = ((end[0] - start[0]).abs(), -(end[1] - start[1]).abs());
+    let (sx, sy) = ((end[0] - start[0]).signum(), (end[1] - start[1]).signum());
+    let (mut at, mut error) = (start, dx + dy);
+    while at != end {
+        let tile = at.map(|v| v.div_euclid(TILE));
+        let mut cells = tiles.cells(tile[0], tile[1]);
+        while at != end && at.map(|v| v.div_euclid(TILE)) == tile {
+            if let Some(cells) = &mut cells {
+                add(&mut cells[place_in_tile(at)], change);
+            }
             let twice = 2 * error;
             if twice >= dy {
                 error += dy;
@@ -177,11 +339,17 @@ impl Canvas {
             }
         }
     }
-
-    fn add(&mut self, at: [i64; 2], change: i8) {
-        let (x, y) = ((at[0] - self.corner[0]) as usize, (at[1] - self.corner[1]) as usize);
-        let cell = &mut self.cells[y * self.header.width as usize + x];
-        let before = if *cell == UNKNOWN { 0 } else { *cell };
-        *cell = before.saturating_add(change).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX);
-    }
+    dx.max(-dy) as usize
 }
+
+fn place_in_tile([x, y]: [i64; 2]) -> usize {
+    (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize
+}
+
+fn add(cell: &mut i8, change: i8) {
+    let before = if *cell == UNKNOWN { 0 } else { *cell };
+    *cell = before.saturating_add(change).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX);
+}
+
+#[cfg(test)]
+mod tests;

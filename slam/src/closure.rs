@@ -327,11 +327,10 @@ impl Detector {
         let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
         near.sort_by(|a, b| away(&a.1).total_cmp(&away(&b.1)).then(a.0.id.cmp(&b.0.id)));
         near.truncate(JUDGES);
-        let references: Vec<Reference<'_>> =
-            near.iter().map(|(n, pose)| Reference { cloud: &n.cloud, frame_from_cloud: *pose }).collect();
+        let references = near.iter().map(|(n, pose)| Reference { cloud: &n.cloud, frame_from_cloud: *pose });
         let merged =
             Cloud::merged(query.iter().map(|(n, pose)| (&*n.cloud, *pose)), 4 * self.config.lidar.points_max);
-        let fit = align(&merged, peak.pose, &references, None, &self.config.links);
+        let fit = align(&merged, peak.pose, references, None, &self.config.links);
         let strayed = fit.frame_from_cloud.distance_m(peak.pose) > 0.5;
         let (agree, contradict) = judge(near.iter().copied(), query, fit.frame_from_cloud);
         let sound = agree as f32 >= c.agreement_min * (agree + contradict) as f32;

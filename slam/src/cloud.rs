@@ -2,6 +2,7 @@
 //! finds the surface nearest to a point. All in `base_footprint`.
 
 use crate::config::LidarConfig;
+use crate::sweep::Sweep;
 use msg::{Pose2, Scan};
 
 /// Side of an index cell, metres. A search covers half of it in every direction.
@@ -54,16 +55,30 @@ pub struct Cloud {
 }
 
 impl Cloud {
-    /// The surfaces of a scan.
-    pub fn new(scan: &Scan, config: &LidarConfig) -> Self {
-        let [x, y, yaw] = config.base_from_scan;
-        let base_from_scan = Pose2::new(x, y, yaw);
-        let hits = hits(scan, base_from_scan, config.range_use_max_m);
+    /// Without points, with room for so many.
+    pub fn with_room(points_max: usize) -> Self {
+        let mut heads = Vec::with_capacity(buckets(points_max) + 1);
+        heads.resize(2, 0);
+        Self {
+            points: Vec::with_capacity(points_max),
+            heads,
+            sensor: [0.0; 2],
+            middle: [0.0; 2],
+            seen_cm: Box::new([0; BEARINGS]),
+        }
+    }
+
+    /// Becomes the surfaces of a scan. Allocates nothing if there is room.
+    pub fn fill(&mut self, scan: &Scan, sweep: &Sweep, config: &LidarConfig, scratch: &mut CloudScratch) {
+        let CloudScratch { hits, kept, points } = scratch;
+        find_hits(hits, scan, sweep, config.range_use_max_m);
         let gap_per_m = 2.0 * scan.angle_increment_rad.abs();
-        let sensor = [x as f32, y as f32];
-        let kept = thin(&hits, config.spacing_m, config.points_max);
-        let points = kept.iter().map(|&i| surface_point(&hits, i, gap_per_m, sensor)).collect();
-        Self { seen_cm: seen(&hits, sensor), ..Self::indexed(points, sensor) }
+        self.sensor = sweep.middle();
+        thin(kept, hits, config.spacing_m, config.points_max);
+        points.clear();
+        points.extend(kept.iter().map(|&i| surface_point(hits, i, gap_per_m, self.sensor)));
+        see(&mut self.seen_cm, hits, self.sensor);
+        self.index(points);
     }
 
     /// Several clouds as one, each at its place; every so many-th point if they are more than `points_max`.
@@ -82,28 +97,35 @@ impl Cloud {
                     .map(|p| SurfacePoint { at: place.point(p.at), normal: place.direction(p.normal) }),
             );
         }
-        Self::indexed(points, [0.0; 2])
+        let mut cloud = Self::with_room(points.len());
+        cloud.index(&points);
+        cloud
     }
 
-    fn indexed(points: Vec<SurfacePoint>, sensor: [f32; 2]) -> Self {
-        let buckets = (2 * points.len()).next_power_of_two();
-        let mut heads = vec![0_u16; buckets + 1];
+    /// Takes these points, bucket by bucket (counting sort).
+    fn index(&mut self, points: &[SurfacePoint]) {
+        let buckets = buckets(points.len());
+        let heads = &mut self.heads;
+        heads.clear();
+        heads.resize(buckets + 1, 0);
         let share = 1.0 / points.len().max(1) as f32;
-        let middle = points.iter().fold([0.0; 2], |m, p| [m[0] + share * p.at[0], m[1] + share * p.at[1]]);
-        for p in &points {
+        self.middle = points.iter().fold([0.0; 2], |m, p| [m[0] + share * p.at[0], m[1] + share * p.at[1]]);
+        for p in points {
             heads[bucket(cell(p.at), buckets) + 1] += 1;
         }
         for b in 0..buckets {
             heads[b + 1] += heads[b];
         }
-        let mut next = heads.clone();
-        let mut sorted = vec![SurfacePoint::default(); points.len()];
+        self.points.clear();
+        self.points.resize(points.len(), SurfacePoint::default());
         for p in points {
-            let slot = &mut next[bucket(cell(p.at), buckets)];
-            sorted[*slot as usize] = p;
+            let slot = &mut heads[bucket(cell(p.at), buckets)];
+            self.points[*slot as usize] = *p;
             *slot += 1;
         }
-        Self { points: sorted, heads, sensor, middle, seen_cm: Box::new([0; BEARINGS]) }
+        // Every head now is where its bucket ends, which is where the next one begins.
+        heads.rotate_right(1);
+        heads[0] = 0;
     }
 
     /// What a cloud is made of, to be kept: its points, where the sensor and the points' middle are,
@@ -120,7 +142,9 @@ impl Cloud {
         seen_cm: Box<[u16; BEARINGS]>,
     ) -> Self {
         // Points are grouped already, and grouping keeps the order within a group: nothing moves.
-        Self { middle, seen_cm, ..Self::indexed(points, sensor) }
+        let mut cloud = Self::with_room(points.len());
+        cloud.index(&points);
+        Self { sensor, middle, seen_cm, ..cloud }
     }
 
     /// The points, in no particular order.
@@ -222,6 +246,11 @@ pub fn floor_i32(v: f32) -> i32 {
     whole - i32::from(v < whole as f32)
 }
 
+/// How many buckets so many points are sorted into.
+fn buckets(points: usize) -> usize {
+    (2 * points).next_power_of_two()
+}
+
 fn bucket([x, y]: [i32; 2], buckets: usize) -> usize {
     let hash = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77);
     (hash ^ (hash >> 15)) as usize & (buckets - 1)
@@ -233,31 +262,52 @@ fn bearing(x: f32, y: f32) -> usize {
 }
 
 /// A return: place, range and beam number.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Hit {
     at: [f32; 2],
     range: f32,
 }
 
-fn hits(scan: &Scan, base_from_scan: Pose2, range_use_max_m: f32) -> Vec<Hit> {
-    let place = Placement::new(base_from_scan);
-    let useful = scan.hits().filter(|(_, range)| *range <= range_use_max_m && *range > 0.0);
-    useful
-        .map(|(angle, range)| {
-            let (sin, cos) = angle.sin_cos();
-            Hit { at: place.point([range * cos, range * sin]), range }
-        })
-        .collect()
+/// Memory that building clouds reuses.
+#[derive(Clone, Debug, Default)]
+pub struct CloudScratch {
+    hits: Vec<Hit>,
+    kept: Vec<usize>,
+    points: Vec<SurfacePoint>,
 }
 
-fn seen(hits: &[Hit], sensor: [f32; 2]) -> Box<[u16; BEARINGS]> {
-    let mut seen = Box::new([0_u16; BEARINGS]);
+impl CloudScratch {
+    /// Enough for any scan.
+    pub fn with_room(points_max: usize) -> Self {
+        Self {
+            hits: Vec::with_capacity(msg::BEAMS_MAX),
+            kept: Vec::with_capacity(points_max + 1),
+            points: Vec::with_capacity(points_max),
+        }
+    }
+}
+
+fn find_hits(hits: &mut Vec<Hit>, scan: &Scan, sweep: &Sweep, range_use_max_m: f32) {
+    let useful = |range: f32| {
+        (scan.range_min_m..scan.range_max_m).contains(&range) && range > 0.0 && range <= range_use_max_m
+    };
+    let still = sweep.place(0);
+    hits.clear();
+    for (beam, &range) in scan.ranges_m().iter().enumerate().filter(|(_, range)| useful(**range)) {
+        let place = if sweep.moves() { sweep.place(beam) } else { still };
+        let (sin, cos) = scan.angle_rad(beam).sin_cos();
+        hits.push(Hit { at: place.point([range * cos, range * sin]), range });
+    }
+}
+
+/// The nearest return by bearing.
+fn see(seen_cm: &mut [u16; BEARINGS], hits: &[Hit], sensor: [f32; 2]) {
+    seen_cm.fill(0);
     for hit in hits {
-        let slot = &mut seen[bearing(hit.at[0] - sensor[0], hit.at[1] - sensor[1])];
+        let slot = &mut seen_cm[bearing(hit.at[0] - sensor[0], hit.at[1] - sensor[1])];
         let range_cm = (hit.range * 100.0).clamp(1.0, 65_535.0) as u16;
         *slot = if *slot == 0 { range_cm } else { range_cm.min(*slot) };
     }
-    seen
 }
 
 fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
@@ -265,10 +315,10 @@ fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
 }
 
 /// Indices of hits at least `spacing_m` apart along the scan; wider if they would be too many.
-fn thin(hits: &[Hit], spacing_m: f32, points_max: usize) -> Vec<usize> {
+fn thin(kept: &mut Vec<usize>, hits: &[Hit], spacing_m: f32, points_max: usize) {
     let mut spacing = spacing_m;
     loop {
-        let mut kept: Vec<usize> = Vec::with_capacity(points_max + 1);
+        kept.clear();
         for (i, hit) in hits.iter().enumerate() {
             if kept.last().is_none_or(|&last| distance(hits[last].at, hit.at) >= spacing) {
                 kept.push(i);
@@ -278,7 +328,7 @@ fn thin(hits: &[Hit], spacing_m: f32, points_max: usize) -> Vec<usize> {
             }
         }
         if kept.len() <= points_max {
-            return kept;
+            return;
         }
         spacing *= 1.5;
     }

@@ -285,9 +285,9 @@ impl Default for RelocalizeConfig {
             response_min: 0.55,
             rival_share: 0.85,
             places_max: 12,
-            overlap_min: 0.6,
-            agreement_min: 0.9,
-            witnesses: 2,
+            overlap_min: 0.65,
+            agreement_min: 0.93,
+            witnesses: 3,
             apart_m: 1.0,
             travel_m: 0.5,
             agree_m: 0.25,
@@ -472,6 +472,8 @@ impl SlamConfig {
         between("tracking.blur_m", tracking.blur_m.into(), 0.01, 1.0, "0.01 to 1 m")?;
         between("tracking.window_max_m", tracking.window_max_m, 0.05, 10.0, "0.05 to 10 m")?;
         between("tracking.window_max_rad", tracking.window_max_rad, 0.01, 3.2, "0.01 to 3.2 rad")?;
+        let search_points_max = tracking.search_points_max as f64;
+        between("tracking.search_points_max", search_points_max, 1.0, 4096.0, "1 to 4096")?;
         between("tracking.references", tracking.references as f64, 1.0, 64.0, "1 to 64")?;
         between("links.sequential", self.links.sequential as f64, 1.0, 64.0, "1 to 64")?;
         between("links.near", self.links.near as f64, 0.0, 64.0, "0 to 64")?;
@@ -482,6 +484,8 @@ impl SlamConfig {
         between("closures.query_nodes", self.closures.query_nodes as f64, 1.0, 100.0, "1 to 100")?;
         between("closures.chain_nodes", self.closures.chain_nodes as f64, 1.0, 200.0, "1 to 200")?;
         between("graph.nodes_max", self.graph.nodes_max as f64, 2.0, 1e6, "2 to 1 000 000")?;
+        let trajectory_max = self.graph.trajectory_max as f64;
+        between("graph.trajectory_max", trajectory_max, 0.0, 1e7, "0 to 10 000 000")?;
         between("graph.cauchy_sigmas", self.graph.cauchy_sigmas, 0.1, 1e6, "0.1 to 1 000 000")?;
         between("map.resolution_m", map.resolution_m, 0.01, 1.0, "0.01 to 1 m")?;
         between("map.hit", map.hit, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;

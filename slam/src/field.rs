@@ -8,6 +8,8 @@ use msg::Pose2;
 
 /// Levels of the pyramid: a cell of the last one is 2^5 = 32 fine cells wide.
 const LEVELS: usize = 6;
+/// Points farther than this do not make the angles finer, metres.
+const RADIUS_MAX_M: f32 = 10.0;
 /// Largest half side of the blur, cells.
 const KERNEL_MAX: i32 = 8;
 
@@ -140,11 +142,11 @@ impl Field {
         if points.is_empty() {
             return None;
         }
-        let radius = points.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f32::max).clamp(1.0, 10.0);
+        let radius = points.iter().map(|p| p[0].hypot(p[1])).fold(0.0, f32::max).clamp(1.0, RADIUS_MAX_M);
         let step_rad = f64::from(self.cell_m / radius);
         let turns = (window.half_rad / step_rad).ceil() as i32;
         let reach = (window.half_m / f64::from(self.cell_m)).ceil() as i32;
-        let top = (0..LEVELS).rev().find(|h| (1 << h) <= reach.max(1)).unwrap_or(0);
+        let top = top_level(reach);
         scratch.rotate(self, points, window.centre, turns, step_rad);
         let mut hunt = Hunt {
             field: self,
@@ -226,6 +228,15 @@ pub struct Scratch {
 }
 
 impl Scratch {
+    /// Enough for searches for `points` points in windows up to these, in cells of `cell_m`.
+    pub fn with_room(points: usize, half_m: f64, half_rad: f64, cell_m: f32) -> Self {
+        // At the farthest reach that counts, the angles are finest.
+        let turns = 2 * (half_rad / f64::from(cell_m / RADIUS_MAX_M)).ceil() as usize + 1;
+        let reach = (half_m / f64::from(cell_m)).ceil() as i32;
+        let blocks = ((2 * reach as usize) >> top_level(reach)) + 1;
+        Self { cells: Vec::with_capacity(points * turns), queue: Vec::with_capacity(blocks * blocks * turns) }
+    }
+
     fn rotate(&mut self, field: &Field, points: &[[f32; 2]], centre: Pose2, turns: i32, step_rad: f64) {
         self.cells.clear();
         for turn in -turns..=turns {
@@ -240,6 +251,11 @@ impl Scratch {
             self.cells.extend(points.iter().map(|p| place.point(*p).map(to_cell)));
         }
     }
+}
+
+/// The coarsest level whose cells are not wider than the window's half side.
+fn top_level(reach: i32) -> usize {
+    (0..LEVELS).rev().find(|h| (1 << h) <= reach.max(1)).unwrap_or(0)
 }
 
 struct Hunt<'a> {

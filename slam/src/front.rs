@@ -2,13 +2,17 @@
 //! the newest nodes in a frame of its own that never jumps; what the back end finds out about the
 //! past only moves that frame in the map.
 
+mod deskew;
+
 use crate::align::{Alignment, Prior, Reference, align};
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::field::{Field, Limits, Scratch, Window};
-use crate::node::{Node, Rays, Revision};
+use crate::node::{Node, Revision};
 use crate::odometry::OdometryBuffer;
+use crate::pool::Pool;
 use crate::stage::{Stage, StageWatch};
+use crate::sweep::{Sweep, part};
 use msg::{Correction, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
@@ -23,6 +27,10 @@ const SEARCH_MIN_RAD: f64 = 0.06;
 const RESPONSE_MIN: f32 = 0.25;
 /// Evaluations one search of the scan path may cost.
 const EVALUATIONS_MAX: usize = 12_000;
+/// The last motion says nothing after more than this, seconds.
+const CARRIED_MAX_S: f64 = 0.5;
+/// Nor over more than so many times the interval it was seen in.
+const CARRIED_TIMES_MAX: f64 = 3.0;
 /// How strongly the search prefers what odometry says.
 const PULL: f32 = 0.1;
 
@@ -64,6 +72,10 @@ pub struct Counts {
     pub slips: u64,
     /// Poses not remembered because the trajectory was full.
     pub trajectory_dropped: u64,
+    /// Scans that should have become nodes while too many were under way: they served the scan path alone.
+    pub nodes_held_back: u64,
+    /// Scans whose beams' times could not be made good: the times cannot be, or the motion is not known.
+    pub not_deskewed: u64,
 }
 
 /// A pose this many standard deviations from where odometry has it is strained.
@@ -72,6 +84,11 @@ const SLIP_SIGMAS: f64 = 3.0;
 const SLIP_OVERLAP_MIN: f32 = 0.7;
 /// ... and leave no direction more unsure than this by itself, metres.
 const SLIP_WIDEST_M: f64 = 0.03;
+
+/// Goes on for `ahead_s` as in the `motion` that took `before_s`; not far beyond it.
+fn carried(motion: Pose2, before_s: f64, ahead_s: f64) -> Pose2 {
+    part(motion, (ahead_s / before_s).min(CARRIED_TIMES_MAX))
+}
 
 fn strained(fit: &Alignment, expected: &Expected) -> bool {
     let off = expected.pose.between(fit.frame_from_cloud);
@@ -112,8 +129,8 @@ pub struct Last {
     pub local_from_base: Pose2,
     /// Odometry's, if it was known.
     pub odom_from_base: Option<Pose2>,
-    /// Motion over the last interval, for logs without odometry.
-    pub velocity: Option<Pose2>,
+    /// Motion over the last interval, and its length in seconds, for logs without odometry.
+    pub motion: Option<(Pose2, f64)>,
     /// Of the pose.
     pub covariance: Matrix3<f64>,
 }
@@ -136,6 +153,8 @@ pub struct FrontState {
     pub located: bool,
     /// The loop-closed map from the scan path's frame.
     pub map_from_local: Pose2,
+    /// Odometry from the newest node handed over to the newest scan matched against.
+    pub handed_from_recent: Option<Pose2>,
     /// Odometry at the newest node.
     pub node_odom_from_base: Option<Pose2>,
     /// The scan before.
@@ -174,9 +193,14 @@ pub struct Front {
     last: Option<Last>,
     /// Odometry at the newest node, if it has not jumped since.
     node_odom_from_base: Option<Pose2>,
-    /// Newest nodes, newest at the back.
+    /// Newest scans to match against, newest at the back: the newest nodes, and scans held back.
     recent: VecDeque<Node>,
     next_node: u32,
+    /// The newest node handed over, and where it is.
+    handed: Option<(u32, Pose2)>,
+    /// Odometry from it to the newest of `recent`.
+    handed_from_recent: Option<Pose2>,
+    pool: Pool,
     local_maps: [LocalMap; 2],
     lost_in_row: u32,
     scratch: Scratch,
@@ -208,15 +232,19 @@ impl Front {
             node_odom_from_base: None,
             recent: VecDeque::with_capacity(t.references + 1),
             next_node: 0,
+            handed: None,
+            handed_from_recent: Some(Pose2::IDENTITY),
+            pool: Pool::new(&config),
             local_maps: [local_map(), local_map()],
             lost_in_row: 0,
-            scratch: Scratch::default(),
+            scratch: Scratch::with_room(t.search_points_max, t.window_max_m, t.window_max_rad, t.cell_m),
             points: Vec::with_capacity(t.search_points_max),
             map_from_local: Pose2::IDENTITY,
             located: true,
             closures: 0,
             waiting: VecDeque::with_capacity(REVISIONS_MAX),
-            rides: Vec::new(),
+            // The system gives the memory as it is used.
+            rides: Vec::with_capacity(config.graph.trajectory_max),
             counts: Counts::default(),
             watch: Box::new(()),
             config,
@@ -248,6 +276,8 @@ impl Front {
         front.waiting.extend(state.waiting.into_iter().take(REVISIONS_MAX));
         (front.next_node, front.lost_in_row) = (state.next_node, state.lost_in_row);
         (front.map_from_local, front.located) = (state.map_from_local, state.located);
+        front.handed = newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base));
+        front.handed_from_recent = state.handed_from_recent;
         (front.node_odom_from_base, front.last) = (state.node_odom_from_base, state.last);
         (front.counts, front.closures) = (state.counts, state.closures);
         front
@@ -264,6 +294,7 @@ impl Front {
             closures: self.closures,
             located: self.located,
             map_from_local: self.map_from_local,
+            handed_from_recent: self.handed_from_recent,
             node_odom_from_base: self.node_odom_from_base,
             last: self.last,
             counts: self.counts,
@@ -327,12 +358,11 @@ impl Front {
         }
         let odom_from_base = self.odometry.at(scan.header.stamp);
         let expected = self.expect(scan.header.stamp, odom_from_base);
-        self.watch.begins(Stage::Cloud);
-        let cloud = Arc::new(Cloud::new(scan, &self.config.lidar));
-        let found = self.locate(&cloud, &expected);
+        let (sweep, cloud, found) = self.look(scan, &expected, odom_from_base);
         self.forget_slip(&found, odom_from_base);
         self.watch.begins(Stage::Node);
-        let node = self.node_due(&found, &cloud).then(|| self.make_node(scan, &found, odom_from_base, cloud));
+        let due = self.node_due(&found, &cloud);
+        let node = if due { self.make_node((scan, &sweep), &found, odom_from_base, cloud) } else { None };
         self.remember(scan.header.stamp, &found, odom_from_base);
         let correction = self.correction(scan, &found, odom_from_base);
         self.watch.begins(Stage::Idle);
@@ -397,9 +427,10 @@ impl Front {
             let sigma_rad = c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way;
             return Expected { pose: node.local_from_base * moved, sigma_m, sigma_rad };
         }
-        let carried = last.velocity.filter(|_| interval_s < 0.5).unwrap_or(Pose2::IDENTITY);
+        let moving = last.motion.filter(|_| interval_s < CARRIED_MAX_S);
+        let step = moving.map_or(Pose2::IDENTITY, |(motion, before_s)| carried(motion, before_s, interval_s));
         Expected {
-            pose: last.local_from_base * carried,
+            pose: last.local_from_base * step,
             sigma_m: 0.3 * c.speed_max_m_s * interval_s + c.sigma_m,
             sigma_rad: 0.3 * c.turn_max_rad_s * interval_s + c.sigma_rad,
         }
@@ -454,18 +485,15 @@ impl Front {
 
     fn refine(&mut self, cloud: &Cloud, guess: Pose2, expected: &Expected) -> Option<Found> {
         self.watch.begins(Stage::Align);
-        let references: Vec<Reference<'_>> = self
-            .recent
-            .iter()
-            .map(|n| Reference { cloud: &n.cloud, frame_from_cloud: n.local_from_base })
-            .collect();
+        let references =
+            self.recent.iter().map(|n| Reference { cloud: &n.cloud, frame_from_cloud: n.local_from_base });
         let inverse = |sigma: f64| 1.0 / (sigma * sigma);
         let (m, rad) = (inverse(expected.sigma_m), inverse(expected.sigma_rad));
         let believed = Matrix3::from_diagonal(&Vector3::new(m, m, rad));
         let prior = Prior { pose: expected.pose, information: believed };
-        let fit = align(cloud, guess, &references, Some(prior), &self.config.links);
+        let fit = align(cloud, guess, references.clone(), Some(prior), &self.config.links);
         let free = strained(&fit, expected)
-            .then(|| align(cloud, fit.frame_from_cloud, &references, None, &self.config.links))
+            .then(|| align(cloud, fit.frame_from_cloud, references.clone(), None, &self.config.links))
             .filter(|free| {
                 free.overlap >= SLIP_OVERLAP_MIN && self.widest_m(free).is_some_and(|m| m < SLIP_WIDEST_M)
             });
@@ -519,20 +547,27 @@ impl Front {
         moved.x_m.hypot(moved.y_m) >= t.node_distance_m || moved.yaw_rad.abs() >= t.node_turn_rad
     }
 
-    fn make_node(&mut self, scan: &Scan, found: &Found, odom: Option<Pose2>, cloud: Arc<Cloud>) -> Node {
+    /// The scan is matched against from now on, and handed over as a node if there is room.
+    fn make_node(
+        &mut self,
+        (scan, sweep): (&Scan, &Sweep),
+        found: &Found,
+        odom: Option<Pose2>,
+        cloud: Arc<Cloud>,
+    ) -> Option<Node> {
         let fits = found.state != TrackingState::Lost;
-        let previous_from_this = self.node_odom_from_base.zip(odom).map(|(before, now)| before.between(now));
+        let moved = self.node_odom_from_base.zip(odom).map(|(before, now)| before.between(now));
         self.node_odom_from_base = odom;
         let node = Node {
             id: self.next_node,
             header: scan.header,
             local_from_base: found.local_from_base,
-            previous_from_this,
+            previous_from_this: self.handed_from_recent.zip(moved).map(|(a, b)| a * b),
             fits,
             cloud,
-            rays: Arc::new(Rays::new(scan, &self.config)),
+            rays: self.pool.rays(scan, sweep, &self.config),
         };
-        self.next_node += 1;
+        let has_room = self.pool.has_room(self.recent.len() + 1);
         if !fits {
             self.recent.clear();
             self.lost_in_row = 0;
@@ -542,8 +577,16 @@ impl Front {
             self.recent.pop_front();
         }
         self.recent.push_back(node.clone());
+        if !has_room {
+            self.handed_from_recent = node.previous_from_this;
+            self.counts.nodes_held_back += 1;
+            return None;
+        }
+        self.next_node += 1;
+        self.handed = Some((node.id, node.local_from_base));
+        self.handed_from_recent = Some(Pose2::IDENTITY);
         self.apply_revisions(node.id);
-        node
+        Some(node)
     }
 
     /// Two local maps overlap: the older one is matched against, the younger one grows to replace it.
@@ -582,20 +625,20 @@ impl Front {
 
     fn remember(&mut self, stamp: Stamp, found: &Found, odom_from_base: Option<Pose2>) {
         self.counts.accepted += 1;
-        if let Some(node) = self.recent.back() {
-            let node_from_base = node.local_from_base.between(found.local_from_base);
+        if let Some((node, local_from_node)) = self.handed {
+            let node_from_base = local_from_node.between(found.local_from_base);
             if self.rides.len() < self.config.graph.trajectory_max {
-                self.rides.push(Ride { stamp, node: node.id, node_from_base });
+                self.rides.push(Ride { stamp, node, node_from_base });
             } else {
                 self.counts.trajectory_dropped += 1;
             }
         }
-        let velocity = self.last.map(|l| l.local_from_base.between(found.local_from_base));
+        let motion = self.last.map(|l| (l.local_from_base.between(found.local_from_base), stamp - l.stamp));
         self.last = Some(Last {
             stamp,
             local_from_base: found.local_from_base,
             odom_from_base,
-            velocity,
+            motion,
             covariance: found.covariance,
         });
     }

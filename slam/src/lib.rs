@@ -26,27 +26,31 @@ mod graph;
 mod localize;
 mod node;
 mod odometry;
+mod pool;
 mod relocalize;
 pub mod session;
 mod stage;
+mod sweep;
 
 pub use back::{Back, BackCounts, BackState, ClosureReport, Start};
 pub use closure::SearchCounts;
-pub use cloud::{Cloud, Placement, SurfacePoint};
+pub use cloud::{Cloud, CloudScratch, Placement, SurfacePoint};
 pub use config::*;
 pub use front::{Counts, Front, FrontState, Refusal, Ride, Step};
 pub use graph::{Edge, EdgeKind, Graph, Relative};
 pub use localize::LocalizerCounts;
 pub use node::{Node, Rays, Revision};
+pub use pool::NODES_UNDER_WAY_MAX;
 pub use relocalize::{Hint, SeekCounts};
 pub use session::{Identity, Session, SessionError};
 pub use stage::{Stage, StageWatch};
+pub use sweep::Sweep;
 
-use msg::{GridView, Odometry, Pose2, Scan, SlamMode, Stamp};
+use msg::{GridView, Odometry, Pose2, Scan, SlamMode, Stamp, TileMap};
 use std::collections::VecDeque;
 
 /// Nodes that wait for [`Slam::work`]; when they are more, [`Slam::process`] does the work itself.
-const WAITING_MAX: usize = 64;
+const WAITING_MAX: usize = NODES_UNDER_WAY_MAX - 2;
 
 /// One robot's SLAM on one thread: the scan path and, when asked to, the work beside it.
 pub struct Slam {
@@ -111,6 +115,12 @@ impl Slam {
     /// The map of all nodes that have been worked off, in frame `robotK/map`.
     pub fn map(&mut self) -> GridView<'_> {
         self.back.map()
+    }
+
+    /// The same as tiles; where nodes moved by less than shows, they are not drawn again.
+    pub fn tiles(&mut self) -> &TileMap {
+        while self.back.draw(usize::MAX) {}
+        self.back.tiles()
     }
 
     /// Every accepted scan's stamp and `map_from_base`, as the graph has it now.

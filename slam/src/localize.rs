@@ -161,12 +161,10 @@ impl Localizer {
         if near.is_empty() {
             return None;
         }
-        let references: Vec<Reference<'_>> = near
-            .iter()
-            .map(|&i| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] })
-            .collect();
+        let references =
+            near.iter().map(|&i| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });
         let prior = Prior { pose: predicted, information: information(self.sigma) };
-        let fit = align(&node.cloud, predicted, &references, Some(prior), l);
+        let fit = align(&node.cloud, predicted, references, Some(prior), l);
         let chain: Vec<(&Node, Pose2)> = near.iter().map(|&i| (&map.nodes[i], map.poses[i])).collect();
         let (agree, contradict) = judge(chain.iter(), &[(node, Pose2::IDENTITY)], fit.frame_from_cloud);
         // In doubt as much is asked as of a robot that is looked for.

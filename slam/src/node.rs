@@ -1,7 +1,8 @@
 //! What the scan path hands to the back end, and what comes back: plain values.
 
-use crate::cloud::{Cloud, Placement};
+use crate::cloud::Cloud;
 use crate::config::SlamConfig;
+use crate::sweep::Sweep;
 use msg::{Header, Pose2, Scan};
 use std::sync::Arc;
 
@@ -50,22 +51,47 @@ pub struct Rays {
     pub misses: Vec<[f32; 2]>,
 }
 
+impl Node {
+    /// A copy that owns what it needs, and no more: for whoever keeps nodes. The scan path's buffers
+    /// are given back.
+    pub fn kept(self) -> Self {
+        let (cloud, rays) = (Arc::new(Cloud::clone(&self.cloud)), Arc::new(Rays::clone(&self.rays)));
+        Self { cloud, rays, ..self }
+    }
+}
+
 impl Rays {
-    /// The beams worth drawing: REP-117's +inf and ranges beyond the maximum saw nothing, NaN and
-    /// ranges below the minimum say nothing.
-    pub fn new(scan: &Scan, config: &SlamConfig) -> Self {
-        let [x, y, _] = config.lidar.base_from_scan;
-        let place = Placement::new(config.base_from_scan());
-        let clear_m = config.map.clear_without_return_m.min(scan.range_max_m);
-        let mut rays = Self { sensor: [x as f32, y as f32], ..Self::default() };
-        for (i, &range) in scan.ranges_m().iter().enumerate() {
-            let (sin, cos) = scan.angle_rad(i).sin_cos();
-            if range >= scan.range_max_m {
-                rays.misses.push(place.point([clear_m * cos, clear_m * sin]));
-            } else if range >= scan.range_min_m && range > 0.0 && range <= config.map.range_max_m {
-                rays.hits.push(place.point([range * cos, range * sin]));
-            }
-        }
+    /// Without beams, with room for so many.
+    pub fn with_room(beams: usize) -> Self {
+        Self { sensor: [0.0; 2], hits: Vec::with_capacity(beams), misses: Vec::with_capacity(beams) }
+    }
+
+    /// The beams worth drawing, see [`Rays::fill`].
+    pub fn new(scan: &Scan, sweep: &Sweep, config: &SlamConfig) -> Self {
+        let mut rays = Self::default();
+        rays.fill(scan, sweep, config);
         rays
+    }
+
+    /// Becomes the beams of a scan that are worth drawing: REP-117's +inf and ranges beyond the
+    /// maximum saw nothing, NaN and ranges below the minimum say nothing.
+    pub fn fill(&mut self, scan: &Scan, sweep: &Sweep, config: &SlamConfig) {
+        let clear_m = config.map.clear_without_return_m.min(scan.range_max_m);
+        let still = sweep.place(0);
+        self.sensor = sweep.middle();
+        self.hits.clear();
+        self.misses.clear();
+        for (beam, &range) in scan.ranges_m().iter().enumerate() {
+            let (drawn, reach) = if range >= scan.range_max_m {
+                (&mut self.misses, clear_m)
+            } else if range >= scan.range_min_m && range > 0.0 && range <= config.map.range_max_m {
+                (&mut self.hits, range)
+            } else {
+                continue;
+            };
+            let place = if sweep.moves() { sweep.place(beam) } else { still };
+            let (sin, cos) = scan.angle_rad(beam).sin_cos();
+            drawn.push(place.point([reach * cos, reach * sin]));
+        }
     }
 }

@@ -230,11 +230,10 @@ impl Seeker {
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         near.truncate(JUDGES);
-        let references: Vec<Reference<'_>> = near
+        let references = near
             .iter()
-            .map(|&(_, i)| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] })
-            .collect();
-        let fit = align(merged, at, &references, None, &self.config.links);
+            .map(|&(_, i)| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });
+        let fit = align(merged, at, references, None, &self.config.links);
         if fit.frame_from_cloud.distance_m(at) > 0.5 || fit.overlap < r.overlap_min {
             return None;
         }

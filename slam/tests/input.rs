@@ -94,6 +94,39 @@ fn a_scan_that_sees_nothing_rides_on_odometry() {
 }
 
 #[test]
+fn every_range_is_drawn_as_what_it_means() {
+    let mut scan = scan_at(1.0);
+    let ranges = [f32::INFINITY, 99.0, f32::NAN, f32::NEG_INFINITY, 0.0, -1.0, 0.05, 2.0];
+    scan.len = ranges.len() as u32;
+    scan.ranges_m[..ranges.len()].copy_from_slice(&ranges);
+    let config = SlamConfig::default();
+    let rays = slam::Rays::new(&scan, &slam::Sweep::still(Pose2::IDENTITY), &config);
+    // REP-117: +inf and beyond the maximum are free space, up to as far as the sensor sees.
+    assert_eq!(rays.misses.len(), 2);
+    let reach = |p: &[f32; 2]| p[0].hypot(p[1]);
+    assert!(rays.misses.iter().all(|p| (reach(p) - scan.range_max_m).abs() < 1e-4), "{:?}", rays.misses);
+    // NaN, -inf, zero, negative and below the minimum say nothing.
+    assert_eq!(rays.hits.len(), 1);
+    assert!((reach(&rays.hits[0]) - 2.0).abs() < 1e-5);
+}
+
+#[test]
+fn one_beam_and_4096_are_scans() {
+    let mut slam = Slam::new(SlamConfig::default());
+    for (i, beams) in [1, 4096, 1, 2, 4096].into_iter().enumerate() {
+        let lidar = common::Lidar { beams, ..FULL };
+        let stamp = Stamp::from_seconds(1.0 + i as f64);
+        let scan = cast(&laboratory(), &lidar, Pose2::new(0.0, -0.5, 0.3), stamp, &mut Noise::new(1));
+        let step = slam.process(&scan);
+        assert_eq!(step.refused, None);
+        let correction = step.correction;
+        assert!(correction.map_from_base.distance_m(Pose2::IDENTITY) < 0.05, "{beams} beams: {correction:?}");
+        assert!(correction.covariance.iter().all(|v| v.is_finite()));
+        slam.work();
+    }
+}
+
+#[test]
 fn the_default_configuration_is_valid_and_unknown_fields_are_not() {
     let config = SlamConfig::default();
     config.validate().unwrap();

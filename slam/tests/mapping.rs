@@ -174,7 +174,7 @@ fn the_same_log_gives_the_same_bits() {
     assert!(wanted == late);
     // Nor does another thread.
     let (mut front, mut back) = Slam::new(SlamConfig::default()).split();
-    let (send, receive) = std::sync::mpsc::channel();
+    let (send, receive) = std::sync::mpsc::sync_channel(slam::NODES_UNDER_WAY_MAX - 2);
     std::thread::scope(|scope| {
         scope.spawn(|| {
             for node in receive {
@@ -214,4 +214,46 @@ fn scans_alone_are_enough_in_a_room() {
     slam.finish();
     let error = mean_error(&slam, &truth);
     assert!(error < 0.05, "{error} m");
+}
+
+#[test]
+fn a_back_end_that_falls_behind_holds_nothing_up_and_leaves_no_gap() {
+    let walls = laboratory();
+    let mut noise = Noise::new(5);
+    let mut robot = Robot::new(laboratory_start());
+    let mut config = SlamConfig::default();
+    config.tracking.node_distance_m = 0.05;
+    config.tracking.node_turn_rad = 0.1;
+    let (mut front, mut back) = Slam::new(config).split();
+    let mut waiting = Vec::new();
+    let mut truth = Vec::new();
+    for (linear, angular, seconds) in round() {
+        for _ in 0..(seconds * 10.0) as usize {
+            robot.drive(linear, angular, 0.1, &mut noise);
+            front.odometry(&robot.odometry());
+            let scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
+            waiting.extend(front.process(&scan).node);
+            truth.push(robot.world_from_base);
+        }
+        // It wakes up once, half way.
+        if truth.len() > 500 && back.nodes().is_empty() {
+            assert_eq!(waiting.len(), slam::NODES_UNDER_WAY_MAX);
+            for node in waiting.drain(..) {
+                back.add(node);
+            }
+        }
+    }
+    assert!(front.counts().nodes_held_back > 10, "{:?}", front.counts());
+    let count = back.nodes().len() + waiting.len();
+    assert!(count > slam::NODES_UNDER_WAY_MAX, "{count}");
+    for node in waiting.drain(..) {
+        back.add(node);
+    }
+    back.finish();
+    let poses: Vec<Pose2> = slam::trajectory(&front, &back).map(|(_, pose)| pose).collect();
+    assert_eq!(poses.len(), truth.len());
+    for (truth_pose, pose) in truth.iter().zip(poses) {
+        let apart = truth[0].between(*truth_pose).distance_m(pose);
+        assert!(apart < 0.08, "{apart} m");
+    }
 }

@@ -32,7 +32,11 @@ pub struct LockstepArgs {
 
 /// Runs it, and says how the fleet did and what all its messages hash to.
 pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
-    let mut fleet = Lockstep::new(&args.fleet.config()?, !args.in_turn)?;
+    let config = args.fleet.config()?;
+    if config.world.is_outside() {
+        return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
+    }
+    let mut fleet = Lockstep::new(&config, !args.in_turn)?;
     let mut hash = Sha256::new();
     let begun = Instant::now();
     for second in 0..args.seconds {

@@ -1,18 +1,24 @@
-//! The doors. One thread: a message wakes it through the channel's descriptor, is encoded and
-//! written to the sockets, and that was all the way.
+//! The doors. One thread for headsets: a message wakes it through the channel's descriptor, is encoded and
+//! written to the sockets, and that was all the way. One for ROS 2, which the first never waits for.
 
-use super::Error;
+use super::control::{self, Control};
 use super::pulse::{Account, Pulse};
+use super::{Error, outside};
 use crate::channel::{self, Channel};
+use crate::config::World;
+use crate::fleet;
 use crate::run::Run;
-use crate::shared_memory::{Bell, GridReader, Node, Reader, Writer};
+use crate::shared_memory::{Bell, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
-use ::bridge::{Bridge, serve};
-use msg::{Command, Message, Odometry, RobotId, Role, Transforms};
+use ::bridge::dds::{Door, Heard};
+use ::bridge::{Bridge, Outlet, serve};
+use msg::{Command, Dense, GridView, Message, Odometry, PatchHeader, RobotId, Role, Transforms};
+use std::cell::RefCell;
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Duration;
 use tokio::net::TcpListener;
+use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 
 /// How often the process looks whether it is to end, and whether its account is due.
@@ -24,9 +30,13 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let bridge = open_bridge(&node, run)?;
+        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run)));
         let mut tasks = fleet_tasks(&node, run, &bridge)?;
-        let beats = bridge.clone();
-        tasks.push(spawn_local(beat(pulse, beats)));
+        if run.config.bridge.dds.enabled {
+            tasks.push(ros_door(run, stop, &bridge)?);
+        }
+        tasks.push(spawn_local(beat(pulse, bridge.clone(), control.clone())));
+        tasks.push(spawn_local(control::serve(control::listen(run)?, control)));
         serve(bridge, inherited_listener()?, stopped(stop.clone())).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
@@ -51,9 +61,10 @@ async fn stopped(stop: Stop) {
     }
 }
 
-async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>) {
+async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>>) {
     loop {
         tokio::time::sleep(LOOK_PERIOD).await;
+        control.borrow_mut().look();
         pulse.beat(|| {
             let counters = bridge.counters();
             let mut account = Account { clients: counters.clients, ..Account::default() };
@@ -73,11 +84,57 @@ fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
             writer.send(&command);
         }
     };
-    Ok(Rc::new(Bridge::new(run.config.bridge.clone(), run.config.fleet.robots, send)?))
+    let config = run.config.bridge.clone();
+    Ok(Rc::new(match run.config.world {
+        World::Simulator => Bridge::new(config, run.config.fleet.robots, send)?,
+        World::Headset | World::Ros => {
+            let epoch = run.epoch;
+            Bridge::outside(config, outside::world(node, run)?, move || fleet::stamp_now(epoch), send)?
+        }
+    }))
+}
+
+/// Messages heard at the ROS 2 door that wait for the bridge; more are dropped there.
+const HEARD_MAX: usize = 256;
+
+/// Starts the thread of the ROS 2 door, and hears what it hears.
+fn ros_door(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
+    let (hear, mut heard) = mpsc::channel::<Heard>(HEARD_MAX);
+    let (run, stop) = (run.clone(), stop.clone());
+    std::thread::Builder::new().name("ros2".into()).spawn(move || {
+        if let Err(why) = ros_thread(&run, &stop, hear) {
+            eprintln!("bridge: {why}; ROS 2 is not served");
+        }
+    })?;
+    let bridge = bridge.clone();
+    Ok(spawn_local(async move {
+        while let Some(message) = heard.recv().await {
+            bridge.hear_ros(&message);
+        }
+    }))
+}
+
+fn ros_thread(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error> {
+    // A presence of its own: shared memory's ports stay on the thread that made them.
+    let node = Node::open(&run.domain, "ros2")?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    LocalSet::new().block_on(&runtime, async {
+        let door = Rc::new(Door::open(&run.config.bridge, run.config.fleet.robots)?);
+        let tasks = fleet_tasks(&node, run, &door)?;
+        let hearing = spawn_local(door.serve(move |message| drop(hear.try_send(message))));
+        stopped(stop.clone()).await;
+        hearing.abort();
+        tasks.iter().for_each(JoinHandle::abort);
+        Ok(())
+    })
 }
 
 /// A task for each channel that wakes.
-fn fleet_tasks(node: &Node, run: &Run, bridge: &Rc<Bridge>) -> Result<Vec<JoinHandle<()>>, Error> {
+fn fleet_tasks<D: Outlet + 'static>(
+    node: &Node,
+    run: &Run,
+    bridge: &Rc<D>,
+) -> Result<Vec<JoinHandle<()>>, Error> {
     let mut tasks = vec![
         forward(node, bridge, &channel::clock(), |bridge, clock| bridge.clock(clock))?,
         forward(node, bridge, &channel::stats(), |bridge, stats| bridge.stats(stats))?,
@@ -91,8 +148,8 @@ fn fleet_tasks(node: &Node, run: &Run, bridge: &Rc<Bridge>) -> Result<Vec<JoinHa
         tasks.push(forward(node, bridge, &channel::correction(robot), move |bridge, correction| {
             bridge.correction(robot, correction);
         })?);
-        let maps = node.grid_reader(&channel::map(robot))?;
-        tasks.push(grids(node, bridge, &channel::map(robot), maps, move |bridge, map| {
+        let maps = node.map_reader(&channel::map(robot))?;
+        tasks.push(whole_maps(node, bridge, &channel::map(robot), maps, move |bridge, map| {
             bridge.map(robot, map)
         })?);
     }
@@ -100,11 +157,11 @@ fn fleet_tasks(node: &Node, run: &Run, bridge: &Rc<Bridge>) -> Result<Vec<JoinHa
 }
 
 /// Passes a channel on, message by message.
-fn forward<T: Message>(
+fn forward<T: Message, D: Outlet + 'static>(
     node: &Node,
-    bridge: &Rc<Bridge>,
+    bridge: &Rc<D>,
     channel: &Channel<T>,
-    pass: impl Fn(&Bridge, &T) + 'static,
+    pass: impl Fn(&D, &T) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
     let mut reader = node.reader(channel)?;
     let bridge = bridge.clone();
@@ -116,7 +173,11 @@ fn forward<T: Message>(
 }
 
 /// Odometry comes with the transforms of the same stamp, which ring.
-fn robot_motion(node: &Node, bridge: &Rc<Bridge>, robot: RobotId) -> Result<JoinHandle<()>, Error> {
+fn robot_motion<D: Outlet + 'static>(
+    node: &Node,
+    bridge: &Rc<D>,
+    robot: RobotId,
+) -> Result<JoinHandle<()>, Error> {
     let mut transforms: Reader<Transforms> = node.reader(&channel::transforms(robot))?;
     let mut odometry: Reader<Odometry> = node.reader(&channel::odometry(robot))?;
     let bridge = bridge.clone();
@@ -131,10 +192,10 @@ fn robot_motion(node: &Node, bridge: &Rc<Bridge>, robot: RobotId) -> Result<Join
 }
 
 /// The anchors come with the merged map, which rings.
-fn merged_maps(node: &Node, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
-    let maps = node.grid_reader(&channel::merged_map())?;
+fn merged_maps<D: Outlet + 'static>(node: &Node, bridge: &Rc<D>) -> Result<JoinHandle<()>, Error> {
+    let maps = node.map_reader(&channel::merged_map())?;
     let mut anchors = node.reader(&channel::anchors())?;
-    grids(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
+    whole_maps(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
         if let Some(anchors) = anchors.newest() {
             bridge.anchors(&anchors);
         }
@@ -142,20 +203,19 @@ fn merged_maps(node: &Node, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error
     })
 }
 
-/// Passes the newest grid of a channel on.
-fn grids(
+/// Passes the newest version of a channel's map on, as the one grid that ROS knows.
+fn whole_maps<D: Outlet + 'static>(
     node: &Node,
-    bridge: &Rc<Bridge>,
-    channel: &Channel<msg::GridHeader>,
-    mut reader: GridReader,
-    mut pass: impl FnMut(&Bridge, msg::GridView<'_>) + 'static,
+    bridge: &Rc<D>,
+    channel: &Channel<PatchHeader>,
+    mut reader: MapReader,
+    mut pass: impl FnMut(&D, GridView<'_>) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
     let bridge = bridge.clone();
+    let mut grid = Dense::default();
     on_ring(node.bell(channel)?, move || {
-        if let Some(map) = reader.newest()
-            && let Some(map) = map.view()
-        {
-            pass(&bridge, map);
+        if reader.look() {
+            pass(&bridge, grid.update(reader.map()));
         }
     })
 }

@@ -2,7 +2,9 @@
 //! The rooms do the work; nothing here decides anything about robots or maps.
 
 mod bridge;
+mod control;
 mod merge;
+mod outside;
 mod pulse;
 mod sim;
 mod slam;

@@ -5,21 +5,25 @@ use super::pulse::{Account, Pulse};
 use super::{Error, MAP_PERIOD};
 use crate::channel;
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, wait};
+use crate::shared_memory::{ChannelError, MapWriter, wait};
 use crate::stop::Stop;
-use ::slam::{Back, Node, Revision, Slam};
-use msg::{Correction, GridHeader, GridView, Pose2, RobotId, Role};
+use ::slam::{Back, NODES_UNDER_WAY_MAX, Node, Revision, Slam};
+use msg::{Correction, Pose2, RobotId, Role, TileMap};
 use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-/// Nodes the work beside may fall behind the scans: at a node each half metre or so, minutes of driving.
-const NODES_WAITING_MAX: usize = 256;
+/// Revisions the scan path may fall behind; at each scan it takes all there are.
+const REVISIONS_WAITING_MAX: usize = 256;
+/// Cells of beams drawn before the next node is looked for: a millisecond or so.
+const SLICE_CELLS: usize = 400_000;
+/// How often a map at rest is looked after: somebody may have come who needs the whole.
+const LOOK_PERIOD: Duration = Duration::from_millis(200);
 
 pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let (mut front, back) = Slam::new(run.config.slam.clone()).split();
-    let (nodes, nodes_in) = sync_channel::<Node>(NODES_WAITING_MAX);
-    let (revisions, revisions_in) = sync_channel::<Revision>(NODES_WAITING_MAX);
+    let (nodes, nodes_in) = sync_channel::<Node>(NODES_UNDER_WAY_MAX);
+    let (revisions, revisions_in) = sync_channel::<Revision>(REVISIONS_WAITING_MAX);
 
     let node = run.attach(Role::Slam, Some(robot))?;
     let mut pulse = Pulse::new(&node, run, Role::Slam, Some(robot))?;
@@ -41,8 +45,8 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
                 let step = pulse.work(|| front.process(&scan));
                 corrections.send(&shift.correction(&step.correction));
                 refused += u64::from(step.refused.is_some());
-                // The scan's own map never waits; only a graph minutes behind would hold it up here.
-                step.node.into_iter().for_each(|node| drop(nodes.send(node)));
+                // There is room for all that the scan path hands over: it never waits here.
+                let _ = step.node.map(|node| nodes.try_send(node));
             }
             pulse.beat(|| Account { gaps: scans.gaps(), refused, ..Account::default() });
         }
@@ -62,22 +66,30 @@ fn beside(
 ) -> Result<(), ChannelError> {
     // A presence of its own: shared memory's ports stay on the thread that made them.
     let presence = crate::shared_memory::Node::open(&run.domain, &format!("{robot}/map"))?;
-    let mut maps = presence.grid_writer(&channel::map(robot))?;
+    let mut maps = presence.map_writer(&channel::map(robot))?;
     let mut sent: Option<Instant> = None;
-    let mut news = false;
+    let (mut drawing, mut sending) = (false, false);
     loop {
-        match nodes.recv_timeout(MAP_PERIOD) {
-            // The scan path takes revisions at each scan, and has room for one for each node that waits.
-            Ok(node) => news |= revisions.try_send(back.add(node)).is_ok(),
+        let patience = match (drawing, sending) {
+            (true, _) => Duration::ZERO,
+            (false, true) => MapWriter::PAUSE,
+            (false, false) => LOOK_PERIOD,
+        };
+        match nodes.recv_timeout(patience) {
+            Ok(node) => {
+                // The scan path takes revisions at each scan, and has room for one for each node that waits.
+                let _ = revisions.try_send(back.add(node));
+                drawing = true;
+            }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
-        if news && sent.is_none_or(|sent| sent.elapsed() >= MAP_PERIOD) {
-            let map = back.map();
-            maps.send(GridView { header: &shift.header(map.header), ..map });
-            (news, sent) = (false, Some(Instant::now()));
+        drawing = drawing && back.draw(SLICE_CELLS);
+        let pause = if sending { MapWriter::PAUSE } else { MAP_PERIOD };
+        if sent.is_none_or(|sent| sent.elapsed() >= pause) {
+            sending = !maps.send(&shift.map(back.tiles()));
+            sent = Some(Instant::now());
         }
-        maps.refresh();
     }
 }
 
@@ -101,12 +113,48 @@ impl Shift {
         Correction {
             map_from_odom: shift * correction.map_from_odom,
             map_from_base: shift * correction.map_from_base,
+            covariance: turned(correction.covariance, shift.yaw_rad),
             ..*correction
         }
     }
 
-    fn header(&self, header: &GridHeader) -> GridHeader {
+    fn map(&self, map: &TileMap) -> TileMap {
         let shift = self.before_from_map.get().copied().unwrap_or(Pose2::IDENTITY);
-        GridHeader { origin: shift * header.origin, ..*header }
+        let mut map = map.clone();
+        map.header.origin = shift * map.header.origin;
+        map
+    }
+}
+
+/// A pose's covariance (row-major upper triangle over x, y, yaw) as seen from a frame turned by `yaw_rad`.
+fn turned([xx, xy, xa, yy, ya, aa]: [f64; 6], yaw_rad: f64) -> [f64; 6] {
+    let (s, c) = yaw_rad.sin_cos();
+    let across = s * c * (xx - yy) + (c * c - s * s) * xy;
+    [
+        c * c * xx - 2.0 * s * c * xy + s * s * yy,
+        across,
+        c * xa - s * ya,
+        s * s * xx + 2.0 * s * c * xy + c * c * yy,
+        s * xa + c * ya,
+        aa,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn a_worker_started_again_tells_its_doubt_in_the_old_frame() {
+        // Sure along x, unsure along y; the new map lies a quarter turn to the left in the old one.
+        let shift = Shift::new(Some(Pose2::new(1.0, 2.0, FRAC_PI_2)));
+        let covariance = [0.01, 0.002, 0.003, 0.25, -0.004, 0.05];
+        let found = shift.correction(&Correction { covariance, ..Correction::default() });
+        let wanted = [0.25, -0.002, 0.004, 0.01, 0.003, 0.05];
+        for (found, wanted) in found.covariance.iter().zip(wanted) {
+            assert!((found - wanted).abs() < 1e-12, "{:?}", found);
+        }
+        assert_eq!(found.map_from_base, Pose2::new(1.0, 2.0, FRAC_PI_2));
     }
 }

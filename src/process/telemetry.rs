@@ -4,12 +4,13 @@ use super::pulse::{Account, Pulse};
 use super::{Error, PLAN_RESOLUTION_M};
 use crate::channel;
 use crate::clock::now;
+use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, GridReader, Node, Reader, wait};
+use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
-use msg::{Anchors, Beat, Correction, Monotonic, RobotId, Role, Transforms, Truth};
+use msg::{Anchors, Beat, Correction, Dense, Monotonic, RobotId, Role, Transforms, Truth};
 
 /// How often the figures are sent.
 const PERIOD_NS: u64 = 1_000_000_000;
@@ -17,11 +18,13 @@ const PERIOD_NS: u64 = 1_000_000_000;
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
     let mut pulse = Pulse::new(&node, run, Role::Telemetry, None)?;
-    let room = fleet::room(&run.config)?;
-    let starts = fleet::starts(&run.config, &room)?.into_iter().map(Some).collect::<Vec<_>>();
+    let plan = match run.config.world {
+        World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
+        World::Headset | World::Ros => None,
+    };
+    let starts = fleet::known_starts(&run.config)?;
 
-    let mut telemetry =
-        Telemetry::new(run.config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &starts);
+    let mut telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);
     // Only now, so that nothing waits unread while the room is built.
     let mut inputs = Inputs::open(&node, run)?;
     let bells = Inputs::bells(&node, run)?;
@@ -49,13 +52,15 @@ struct RobotInputs {
     transforms: Reader<Transforms>,
     corrections: Reader<Correction>,
     truths: Reader<Truth>,
-    maps: GridReader,
+    maps: MapReader,
+    grid: Dense,
 }
 
 /// What telemetry reads.
 struct Inputs {
     robots: Vec<RobotInputs>,
-    merged_map: GridReader,
+    merged_map: MapReader,
+    merged_grid: Dense,
     anchors: Reader<Anchors>,
     beats: Vec<Reader<Beat>>,
 }
@@ -68,13 +73,15 @@ impl Inputs {
                 transforms: node.reader(&channel::transforms(robot))?,
                 corrections: node.reader(&channel::correction(robot))?,
                 truths: node.reader(&channel::truth(robot))?,
-                maps: node.grid_reader(&channel::map(robot))?,
+                maps: node.map_reader(&channel::map(robot))?,
+                grid: Dense::default(),
             })
         };
         let beats = members(run).map(|(role, robot)| node.reader(&channel::beat(role, robot)));
         Ok(Self {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
-            merged_map: node.grid_reader(&channel::merged_map())?,
+            merged_map: node.map_reader(&channel::merged_map())?,
+            merged_grid: Dense::default(),
             anchors: node.reader(&channel::anchors())?,
             beats: beats.collect::<Result<_, _>>()?,
         })
@@ -92,7 +99,7 @@ impl Inputs {
     }
 
     fn streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        for RobotInputs { robot, transforms, corrections, truths, maps } in &mut self.robots {
+        for RobotInputs { robot, transforms, corrections, truths, maps, grid } in &mut self.robots {
             while let Some(truth) = truths.receive() {
                 telemetry.truth(*robot, &truth);
             }
@@ -102,10 +109,8 @@ impl Inputs {
             while let Some(correction) = corrections.receive() {
                 telemetry.correction(*robot, &correction, received);
             }
-            if let Some(map) = maps.newest()
-                && let Some(map) = map.view()
-            {
-                telemetry.map(*robot, map, received);
+            if maps.look() {
+                telemetry.map(*robot, grid.update(maps.map()), received);
             }
         }
     }
@@ -114,10 +119,8 @@ impl Inputs {
         if let Some(anchors) = self.anchors.newest() {
             telemetry.anchors(&anchors);
         }
-        if let Some(map) = self.merged_map.newest()
-            && let Some(map) = map.view()
-        {
-            telemetry.merged_map(map, received);
+        if self.merged_map.look() {
+            telemetry.merged_map(self.merged_grid.update(self.merged_map.map()), received);
         }
         for beats in &mut self.beats {
             while let Some(beat) = beats.receive() {
@@ -129,6 +132,10 @@ impl Inputs {
 
 /// Every process of the fleet.
 pub fn members(run: &Run) -> impl Iterator<Item = (Role, Option<RobotId>)> {
-    let of_robots = run.robots().flat_map(|robot| [(Role::Sim, Some(robot)), (Role::Slam, Some(robot))]);
+    let simulated = !run.config.world.is_outside();
+    let of_robots = run.robots().flat_map(move |robot| {
+        let sim = simulated.then_some((Role::Sim, Some(robot)));
+        sim.into_iter().chain([(Role::Slam, Some(robot))])
+    });
     of_robots.chain([Role::Merge, Role::Telemetry, Role::Bridge].map(|role| (role, None)))
 }

@@ -81,6 +81,9 @@ impl Fleet {
             .args([command, "--port", "0", "--run-dir"])
             .arg(folder.path())
             .args(args)
+            // Whom these fleets let in is not for the person's own to remember.
+            .env("XDG_STATE_HOME", folder.path().join("state"))
+            .stdin(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();

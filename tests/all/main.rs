@@ -4,8 +4,10 @@
 //! other and beside another run of the same tests.
 
 mod config;
+mod doors;
 mod fleet;
 mod harness;
+mod headset;
 mod layering;
 mod lockstep;
 mod malformed;

@@ -95,18 +95,26 @@ pub fn laser_scan(to: &mut Writer<'_>, frame_id: &str, scan: &Scan) {
 
 /// tf2_msgs/TFMessage with one robot's links. A link whose code nobody knows is left out.
 pub fn transforms(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Transforms) {
+    some_transforms(to, names, &[(robot, message)], |_| true);
+}
+
+/// tf2_msgs/TFMessage with those links of several robots whose child is `wanted`.
+pub fn some_transforms(
+    to: &mut Writer<'_>,
+    names: &FrameNames,
+    robots: &[(RobotId, &Transforms)],
+    wanted: impl Fn(Link) -> bool,
+) {
     let known = |link: &LinkTransform| {
-        Some((
-            Link::from_code(link.parent)?,
-            Link::from_code(link.child)?,
-            link.translation_m,
-            link.rotation_xyzw,
-        ))
+        let child = Link::from_code(link.child).filter(|child| wanted(*child))?;
+        Some((Link::from_code(link.parent)?, child, link.translation_m, link.rotation_xyzw))
     };
-    to.count(message.links().iter().filter_map(known).count());
-    for (parent, child, translation, rotation) in message.links().iter().filter_map(known) {
-        let (parent, child) = (names.link(robot, parent), names.link(robot, child));
-        transform(to, message.header.stamp, parent, child, translation, rotation);
+    to.count(robots.iter().flat_map(|(_, message)| message.links()).filter_map(known).count());
+    for (robot, message) in robots {
+        for (parent, child, translation, rotation) in message.links().iter().filter_map(known) {
+            let (parent, child) = (names.link(*robot, parent), names.link(*robot, child));
+            transform(to, message.header.stamp, parent, child, translation, rotation);
+        }
     }
 }
 
@@ -115,6 +123,21 @@ pub fn correction(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, messa
     to.count(1);
     let (map, odom) = (names.map(robot), names.link(robot, Link::Odom));
     planar_transform(to, message.header.stamp, map, odom, message.map_from_odom);
+}
+
+/// geometry_msgs/PoseWithCovarianceStamped: where SLAM says the robot is in its map. Covariance is row-major over
+/// x, y, z and rotations about them; the plane's own axes are exact.
+pub fn pose_estimate(to: &mut Writer<'_>, frame_id: &str, message: &Correction) {
+    header(to, message.header.stamp, frame_id);
+    let (position, orientation) = spatial(message.map_from_base);
+    pose(to, position, orientation);
+    let [xx, xy, x_yaw, yy, y_yaw, yaw_yaw] = message.covariance;
+    let mut covariance = [0.0; 36];
+    for (place, value) in [(0, xx), (1, xy), (5, x_yaw), (7, yy), (11, y_yaw), (35, yaw_yaw)] {
+        covariance[place] = value;
+        covariance[place % 6 * 6 + place / 6] = value;
+    }
+    to.f64s(&covariance);
 }
 
 /// tf2_msgs/TFMessage: the merged map from each robot's map, where known.

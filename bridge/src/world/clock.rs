@@ -58,7 +58,7 @@ mod measured {
 }
 
 /// What is known of a source's clock.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ClockEstimate {
     /// Seconds that it is ahead of ours, as applied.
     pub offset_s: f64,

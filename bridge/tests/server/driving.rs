@@ -176,7 +176,7 @@ fn a_stranger_waits_for_a_yes_but_may_always_stop() {
         client.publish("/emergency_stop", Bool::TYPE).await;
         client.send("/cmd_vel", &twist(0.1, 0.0)).await;
         let text = client.error().await;
-        assert!(text.contains("--allow 127.0.0.1"), "{text}");
+        assert!(text.contains("mr-slam allow 127.0.0.1"), "{text}");
         assert_eq!(served.bridge.waiting(), [here]);
         client.send("/emergency_stop", &Bool(true)).await;
         client.settle().await;

@@ -7,6 +7,7 @@ mod robustness;
 mod services;
 mod slow;
 mod topics;
+mod world;
 
 use bridge::{Bridge, BridgeConfig, serve};
 use msg::{Command, Header, RobotId, Stamp};
@@ -25,6 +26,14 @@ pub(crate) struct Served {
 
 /// Runs a test against a bridge of two robots.
 pub(crate) fn with_bridge(config: BridgeConfig, test: impl AsyncFnOnce(&Served)) {
+    serve_bridge(|on_command| Bridge::new(config, 2, on_command).unwrap(), test);
+}
+
+/// Hears what robots are told.
+pub(crate) type OnCommand = Box<dyn FnMut(RobotId, Command)>;
+
+/// Runs a test against a bridge.
+pub(crate) fn serve_bridge(make: impl FnOnce(OnCommand) -> Bridge, test: impl AsyncFnOnce(&Served)) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     LocalSet::new().block_on(&runtime, async {
         let commands = Rc::new(RefCell::new(Vec::new()));
@@ -32,7 +41,7 @@ pub(crate) fn with_bridge(config: BridgeConfig, test: impl AsyncFnOnce(&Served))
         let on_command = move |robot: RobotId, command: Command| {
             told.borrow_mut().push((robot.number(), command.linear_m_s, command.angular_rad_s));
         };
-        let bridge = Rc::new(Bridge::new(config, 2, on_command).unwrap());
+        let bridge = Rc::new(make(Box::new(on_command)));
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();

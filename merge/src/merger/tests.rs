@@ -2,8 +2,8 @@
 
 use super::*;
 use core::f64::consts::FRAC_PI_2;
-use msg::Grid;
 use msg::grid::{Occupancy, occupancy};
+use msg::{Grid, GridHeader};
 use proptest::prelude::*;
 
 const RESOLUTION_M: f64 = 0.05;

@@ -132,7 +132,8 @@ impl Back {
         self.retired += gone.len() as u64;
         self.count_closures();
         self.earlier.clear();
-        self.canvas.forget();
+        // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
+        self.canvas.restore(&self.nodes, self.graph.poses());
     }
 }
 

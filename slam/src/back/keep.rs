@@ -46,7 +46,7 @@ impl Back {
             nodes: self.nodes.clone(),
             front_ids: self.front_ids.clone(),
             poses: self.graph.poses().to_vec(),
-            drawn: self.canvas.drawn().to_vec(),
+            drawn: self.canvas.drawn(),
             edges: self.graph.edges().to_vec(),
             travelled_m: self.travelled_m,
             not_found: self.not_found.iter().copied().collect(),

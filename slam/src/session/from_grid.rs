@@ -3,9 +3,10 @@
 
 use super::{Identity, Session};
 use crate::back::BackState;
-use crate::cloud::Cloud;
+use crate::cloud::{Cloud, CloudScratch};
 use crate::config::{LidarConfig, SlamConfig};
 use crate::node::{Node, Rays};
+use crate::sweep::Sweep;
 use bytemuck::Zeroable;
 use msg::grid::{Occupancy, occupancy};
 use msg::{GridView, Header, Pose2, Scan};
@@ -34,9 +35,13 @@ impl Session {
         let lidar = LidarConfig { base_from_scan: [0.0; 3], ..config.lidar.clone() };
         let config = SlamConfig { lidar, ..config.clone() };
         let mut scan = Box::new(Scan::zeroed());
+        let sweep = Sweep::still(Pose2::IDENTITY);
+        let mut scratch = CloudScratch::with_room(config.lidar.points_max);
         let mut back = BackState::default();
         for (id, at) in places.into_iter().enumerate() {
             take_scan(grid, at, &mut scan);
+            let mut cloud = Cloud::with_room(config.lidar.points_max);
+            cloud.fill(&scan, &sweep, &config.lidar, &mut scratch);
             let map_from_base = Pose2::new(at[0], at[1], 0.0);
             back.nodes.push(Node {
                 id: id as u32,
@@ -44,8 +49,8 @@ impl Session {
                 local_from_base: map_from_base,
                 previous_from_this: None,
                 fits: true,
-                cloud: Arc::new(Cloud::new(&scan, &config.lidar)),
-                rays: Arc::new(Rays::new(&scan, &config)),
+                cloud: Arc::new(cloud),
+                rays: Arc::new(Rays::new(&scan, &sweep, &config)),
             });
             back.front_ids.push(id as u32);
             back.poses.push(map_from_base);

@@ -347,10 +347,13 @@ pub fn put_front(out: &mut Out, front: &FrontState) {
         covariance: matrix(&last.covariance),
     }));
     out.maybe(front.last.as_ref().and_then(|last| last.odom_from_base));
-    out.maybe(front.last.as_ref().and_then(|last| last.velocity));
+    let motion = front.last.as_ref().and_then(|last| last.motion);
+    out.maybe(motion.map(|(motion, _)| motion));
+    out.put(&motion.map_or(0.0, |(_, seconds)| seconds));
+    out.maybe(front.handed_from_recent);
     let c = front.counts;
     out.put(&[c.accepted, c.stamp_repeated, c.stamp_went_back, c.beam_count, c.geometry]);
-    out.put(&[c.lost, c.odometry_refused, c.slips, c.trajectory_dropped]);
+    out.put(&[c.lost, c.odometry_refused, c.slips, c.trajectory_dropped, c.nodes_held_back, c.not_deskewed]);
     let waiting = front.waiting.iter().map(|r| RevisionRecord {
         cause: r.cause,
         effective_from: r.effective_from,
@@ -375,18 +378,22 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
     let node_odom_from_base = pose(from.maybe(WHAT)?)?;
     let last: Option<LastRecord> = from.maybe(WHAT)?;
     let odom_from_base = pose(from.maybe(WHAT)?)?;
-    let velocity = pose(from.maybe(WHAT)?)?;
+    let motion = pose(from.maybe(WHAT)?)?;
+    let motion_s: f64 = from.take(WHAT)?;
+    check((0.0..1e9).contains(&motion_s), "duration of the last motion")?;
+    let handed_from_recent = pose(from.maybe(WHAT)?)?;
     let last = last.map(|last| {
         Ok(Last {
             stamp: last.stamp,
             local_from_base: check_pose(last.local_from_base, "last pose")?,
             odom_from_base,
-            velocity,
+            motion: motion.map(|motion| (motion, motion_s)),
             covariance: check_matrix(last.covariance, INFORMATION_MAX, "last pose's covariance")?,
         })
     });
     let [accepted, stamp_repeated, stamp_went_back, beam_count, geometry]: [u64; 5] = from.take(WHAT)?;
-    let [lost, odometry_refused_before, slips, trajectory_dropped]: [u64; 4] = from.take(WHAT)?;
+    let [lost, odometry_refused_before, slips, trajectory_dropped, nodes_held_back, not_deskewed]: [u64; 6] =
+        from.take(WHAT)?;
     let counts = Counts {
         accepted,
         stamp_repeated,
@@ -397,6 +404,8 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
         odometry_refused: odometry_refused_before,
         slips,
         trajectory_dropped,
+        nodes_held_back,
+        not_deskewed,
     };
     let waiting: Vec<RevisionRecord> = from.list(WAITING_MAX, "revisions")?;
     let revision = |r: RevisionRecord| {
@@ -421,6 +430,7 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
         closures,
         located: located != 0,
         map_from_local,
+        handed_from_recent,
         node_odom_from_base,
         last: last.transpose()?,
         counts,

@@ -124,6 +124,32 @@ pub fn cast(
     scan
 }
 
+/// One turn of a LiDAR that needs `seconds` for it, on a robot that meanwhile drives. The beams'
+/// times are in the scan.
+pub fn cast_driving(
+    walls: &[Wall],
+    lidar: &Lidar,
+    robot: &Robot,
+    (linear, angular): (f64, f64),
+    seconds: f64,
+    noise: &mut Noise,
+) -> Box<Scan> {
+    let mut scan = cast(walls, lidar, robot.world_from_base, robot.stamp(), noise);
+    scan.time_increment_s = (seconds / lidar.beams as f64) as f32;
+    for i in 0..lidar.beams {
+        let at = robot.world_from_base * arc(linear, angular, i as f64 * f64::from(scan.time_increment_s));
+        let range = distance(walls, [at.x_m, at.y_m], at.yaw_rad + f64::from(scan.angle_rad(i)));
+        let measured = range + lidar.sigma_m * noise.normal();
+        scan.ranges_m[i] = if measured < lidar.range_max_m { measured as f32 } else { f32::INFINITY };
+    }
+    scan
+}
+
+fn arc(linear: f64, angular: f64, seconds: f64) -> Pose2 {
+    let turn = angular * seconds;
+    Pose2::new(linear * seconds * (turn / 2.0).cos(), linear * seconds * (turn / 2.0).sin(), turn)
+}
+
 fn distance(walls: &[Wall], from: [f64; 2], yaw: f64) -> f64 {
     let (dy, dx) = yaw.sin_cos();
     let hit = |[a, b]: &Wall| {
@@ -159,14 +185,10 @@ impl Robot {
 
     /// Drives on for `seconds`.
     pub fn drive(&mut self, linear: f64, angular: f64, seconds: f64, noise: &mut Noise) {
-        let arc = |v: f64, w: f64| {
-            let turn = w * seconds;
-            Pose2::new(v * seconds * (turn / 2.0).cos(), v * seconds * (turn / 2.0).sin(), turn)
-        };
         let slipped = linear * (1.0 + self.slip * (1.0 + noise.normal()));
         let veered = angular * (1.0 + self.slip * noise.normal()) + self.veer_rad_per_m * linear.abs();
-        self.world_from_base = self.world_from_base * arc(linear, angular);
-        self.odom_from_base = self.odom_from_base * arc(slipped, veered);
+        self.world_from_base = self.world_from_base * arc(linear, angular, seconds);
+        self.odom_from_base = self.odom_from_base * arc(slipped, veered, seconds);
         self.time_s += seconds;
     }
 

@@ -1,36 +1,52 @@
-//! Rectangles of cells, and the tiles they are cut into.
+//! Rectangles of whole squares: cells, or tiles.
 
-/// Cells along a tile's side: a tile is what is compared, redrawn and fused at a time.
-pub(crate) const TILE: i64 = 64;
+use crate::tiles::TILE;
 
-/// Cells `x0..x1` by `y0..y1`, of whatever grid the context says. Empty unless `x0 < x1 && y0 < y1`.
+/// Squares `x0..x1` by `y0..y1` of whatever lattice the context says. Empty unless `x0 < x1 && y0 < y1`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Rect {
+pub struct Rect {
+    /// First column.
     pub x0: i64,
+    /// First row.
     pub y0: i64,
+    /// Behind the last column.
     pub x1: i64,
+    /// Behind the last row.
     pub y1: i64,
 }
 
 impl Rect {
-    /// `width` x `height` cells from (0, 0).
+    /// `width` x `height` squares from (0, 0).
     pub fn of_size(width: u32, height: u32) -> Self {
         Self { x0: 0, y0: 0, x1: width.into(), y1: height.into() }
     }
 
+    /// One square.
+    pub fn of_one(x: i64, y: i64) -> Self {
+        Self { x0: x, y0: y, x1: x + 1, y1: y + 1 }
+    }
+
+    /// The cells of tile (x, y).
+    pub fn of_tile(x: i64, y: i64) -> Self {
+        Self { x0: x * TILE, y0: y * TILE, x1: (x + 1) * TILE, y1: (y + 1) * TILE }
+    }
+
+    /// Without squares.
     pub fn is_empty(self) -> bool {
         self.x0 >= self.x1 || self.y0 >= self.y1
     }
 
+    /// Columns.
     pub fn width(self) -> usize {
         (self.x1 - self.x0).max(0) as usize
     }
 
+    /// Rows.
     pub fn height(self) -> usize {
         (self.y1 - self.y0).max(0) as usize
     }
 
-    /// Cells inside; `None` if a machine cannot count them.
+    /// Squares inside; `None` if a machine cannot count them.
     pub fn area(self) -> Option<usize> {
         self.width().checked_mul(self.height())
     }
@@ -61,16 +77,22 @@ impl Rect {
         }
     }
 
+    /// All of `other` lies in it.
     pub fn holds(self, other: Self) -> bool {
         other.is_empty() || self.intersect(other) == other
     }
 
-    /// Where cell (x, y) of this window lies in its row-major cells.
+    /// The same, elsewhere.
+    pub fn moved(self, dx: i64, dy: i64) -> Self {
+        Self { x0: self.x0 + dx, y0: self.y0 + dy, x1: self.x1 + dx, y1: self.y1 + dy }
+    }
+
+    /// Where square (x, y), which lies in it, comes when they are counted row by row.
     pub fn index(self, x: i64, y: i64) -> usize {
         (y - self.y0) as usize * self.width() + (x - self.x0) as usize
     }
 
-    /// The tiles that touch it, counted on the grid's own lattice (so that they stay when it grows).
+    /// The tiles that touch these cells.
     pub fn tiles(self) -> Self {
         if self.is_empty() {
             return Self::default();
@@ -83,42 +105,8 @@ impl Rect {
         }
     }
 
-    /// The cells of tile (x, y).
-    pub fn of_tile(x: i64, y: i64) -> Self {
-        Self { x0: x * TILE, y0: y * TILE, x1: (x + 1) * TILE, y1: (y + 1) * TILE }
-    }
-
-    /// Its points, row by row.
+    /// Its squares, row by row.
     pub fn points(self) -> impl Iterator<Item = (i64, i64)> {
         (self.y0..self.y1).flat_map(move |y| (self.x0..self.x1).map(move |x| (x, y)))
-    }
-}
-
-/// Some of the tiles that touch a window.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Tiles {
-    /// Which tiles can be in it, in tiles.
-    all: Rect,
-    marked: Vec<bool>,
-}
-
-impl Tiles {
-    /// None of the tiles that touch `window`, which is in cells.
-    pub fn none_of(window: Rect) -> Self {
-        let all = window.tiles();
-        Self { all, marked: vec![false; all.width() * all.height()] }
-    }
-
-    /// Marks the tiles that touch `cells`.
-    pub fn mark(&mut self, cells: Rect) {
-        for (x, y) in cells.tiles().intersect(self.all).points() {
-            self.marked[self.all.index(x, y)] = true;
-        }
-    }
-
-    /// The marked tiles' cells, row by row of tiles.
-    pub fn marked(&self) -> impl Iterator<Item = Rect> + '_ {
-        let marks = self.all.points().zip(&self.marked);
-        marks.filter(|(_, marked)| **marked).map(|((x, y), _)| Rect::of_tile(x, y))
     }
 }

@@ -1,0 +1,177 @@
+//! The bridge as a headset feels it: the whole fleet of three runs on this machine's cores, and everything is done
+//! to its bridge from outside, over TCP. One table, with what the machine itself takes beside it.
+//!
+//! `cargo bench --bench bridge [-- --seconds 30 --json FILE]`
+//!
+//! Two rows need the bridge's inside and run it on a thread of this process, beside the fleet: a map of 16 MB, for
+//! which the laboratory is too small, and the count of allocations.
+
+mod client;
+// The mix, its bare hops and the jitter's definition are the jitter bench's.
+#[path = "../jitter/bare.rs"]
+mod bare;
+#[path = "../jitter/fleet.rs"]
+mod fleet;
+mod inside;
+#[path = "../jitter/measure.rs"]
+mod measure;
+mod scenes;
+
+use client::{Client, EVERYTHING};
+use serde_json::{Value, json};
+use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
+use std::alloc::System;
+use std::error::Error;
+use std::time::Duration;
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+/// Until processes have started and SLAM has its first maps.
+const WARM_UP: Duration = Duration::from_secs(4);
+const ROBOTS: usize = 3;
+const RECONNECTS: usize = 10_000;
+
+/// The table's rows, printed as they come.
+#[derive(Default)]
+struct Table(Vec<Value>);
+
+impl Table {
+    /// `measured` and what is to be reached, in the same unit; `machine` is what the bare machine takes, if known.
+    fn row(&mut self, what: &str, measured: f64, reach: Reach, unit: &str, machine: Option<f64>) {
+        let (holds, bound) = match reach {
+            Reach::AtMost(most) => (measured <= most, format!("<= {most}")),
+            Reach::AtLeast(least) => (measured >= least, format!(">= {least}")),
+        };
+        let machine_text = machine.map_or("-".into(), |machine| format!("{machine:.3}"));
+        let verdict = if holds { "holds" } else { "MISSED" };
+        println!("{what:<58} {measured:>12.3} {bound:>12} {unit:<8} {machine_text:>10} {verdict}");
+        self.0.push(json!({
+            "what": what, "measured": measured, "reach": bound, "unit": unit, "machine": machine, "holds": holds,
+        }));
+    }
+}
+
+enum Reach {
+    AtMost(f64),
+    AtLeast(f64),
+}
+use Reach::{AtLeast, AtMost};
+
+fn at(sorted: &[f64], share: f64) -> f64 {
+    sorted.get(((sorted.len().max(1) - 1) as f64 * share) as usize).copied().unwrap_or(f64::NAN)
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    // This program is also the two processes of the bare hops.
+    let words: Vec<String> = std::env::args().collect();
+    match words.get(1).map(String::as_str) {
+        Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
+        Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
+        _ => {}
+    }
+    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
+    let seconds = value("--seconds").map_or(Ok(30), |text| text.parse::<u64>())?;
+    let mut table = Table::default();
+    println!("{:<58} {:>12} {:>12} {:<8} {:>10}", "", "measured", "reach", "unit", "machine");
+    let mut fleet = fleet::Fleet::start(ROBOTS)?;
+    mix(&mut table, &mut fleet, Duration::from_secs(seconds))?;
+    outside(&mut table, &mut fleet, seconds)?;
+    within(&mut table)?;
+    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    println!("machine's load average: {}", load.trim());
+    if let Some(path) = value("--json") {
+        let report = json!({ "robots": ROBOTS, "seconds": seconds, "load": load.trim(), "rows": table.0 });
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
+    }
+    Ok(())
+}
+
+/// The fleet's own mix at one client.
+fn mix(table: &mut Table, fleet: &mut fleet::Fleet, length: Duration) -> Result<(), Box<dyn Error>> {
+    let bare = bare::Bare::start(ROBOTS)?;
+    let bare = std::thread::spawn(move || bare.measure(WARM_UP, length).map_err(|why| why.to_string()));
+    let figures = fleet.measure(WARM_UP, length)?;
+    let floor = bare.join().map_err(|_| "the bare hops' client failed")??;
+    let tf = &figures.tf;
+    table.row("TF jitter, 18 links at 20 Hz: median", tf.p50_ms, AtMost(0.1), "ms", Some(floor.p50_ms));
+    table.row("  P95", tf.p95_ms, AtMost(0.5), "ms", Some(floor.p95_ms));
+    table.row("  P99", tf.p99_ms, AtMost(2.0), "ms", Some(floor.p99_ms));
+    let lost = tf.lost + figures.clock.lost + figures.scans.lost;
+    table.row(
+        "lost in the mix: TF, clock, scans",
+        lost as f64,
+        AtMost(0.0),
+        "messages",
+        Some(floor.lost as f64),
+    );
+    let bridge = fleet.processes().into_iter().find(|process| process.process == "bridge");
+    let percent = bridge.map_or(f64::NAN, |bridge| bridge.percent);
+    table.row("bridge's processor time in the mix, one client", percent, AtMost(4.0), "% core", None);
+    Ok(())
+}
+
+/// What clients do to it.
+fn outside(table: &mut Table, fleet: &mut fleet::Fleet, seconds: u64) -> Result<(), Box<dyn Error>> {
+    let port = fleet.run().port;
+    let (heard, lost) = scenes::bursts(port, seconds.min(20) as usize)?;
+    table.row(&format!("lost in bursts of 0.4 s, of {heard}"), lost as f64, AtMost(0.0), "messages", None);
+
+    let floor = scenes::bare_commands(300)?;
+    let times = scenes::commands(fleet.run(), 500)?;
+    table.row(
+        "cmd_vel field by field to the simulator: median",
+        at(&times, 0.5),
+        AtMost(0.3),
+        "ms",
+        Some(at(&floor, 0.5)),
+    );
+    table.row("  P95", at(&times, 0.95), AtMost(1.5), "ms", Some(at(&floor, 0.95)));
+
+    let mut lossless = 0.0;
+    for per_second in [50_000, 75_000, 100_000, 150_000, 200_000] {
+        let (_, lost, rate) = scenes::rate(port, per_second, 3)?;
+        if lost > 0 {
+            break;
+        }
+        lossless = rate;
+    }
+    table.row("52-byte messages, client to client, none lost", lossless, AtLeast(50_000.0), "/s", None);
+    let (sent, lost, rate) = scenes::rate(port, 0, 1)?;
+    println!(
+        "  as fast as they go in: {rate:.0}/s arrive, {:.1} % of {sent} dropped, the oldest first",
+        100.0 * lost as f64 / sent as f64
+    );
+
+    let pid = fleet.pid("bridge").ok_or("the bridge has not been heard of")?;
+    let megabytes = |bytes: u64| bytes as f64 / 1e6;
+    let before = scenes::resident_bytes(pid);
+    let slow = (0..3).map(|_| Client::connect_only(port, &EVERYTHING)).collect::<Result<Vec<_>, _>>()?;
+    let beside = fleet.measure(Duration::from_secs(2), Duration::from_secs(seconds.min(20)))?;
+    let each = megabytes(scenes::resident_bytes(pid).saturating_sub(before)) / slow.len() as f64;
+    table.row("memory for each of 3 clients that read nothing", each, AtMost(8.0), "MB", None);
+    table.row("TF jitter beside them: P99", beside.tf.p99_ms, AtMost(2.0), "ms", None);
+    table.row("  lost", beside.tf.lost as f64, AtMost(0.0), "messages", None);
+    drop(slow);
+
+    scenes::reconnects(port, RECONNECTS / 20)?;
+    let before = scenes::resident_bytes(pid);
+    scenes::reconnects(port, RECONNECTS)?;
+    let grown = megabytes(scenes::resident_bytes(pid).saturating_sub(before));
+    let alive = fleet.pid("bridge") == Some(pid);
+    let what = format!("{RECONNECTS} abrupt reconnects, 5 registrations each: memory grown");
+    table.row(&what, if alive { grown } else { f64::INFINITY }, AtMost(1.0), "MB", None);
+    Ok(())
+}
+
+/// What needs the bridge's inside.
+fn within(table: &mut Table) -> Result<(), Box<dyn Error>> {
+    let maps = inside::large_maps(20)?;
+    let floor = bare::bulk(16_000_000, 20)?;
+    table.row("16 MB map to a client: median", at(&maps, 0.5), AtMost(25.0), "ms", Some(at(&floor, 0.5)));
+    table.row("  slowest", at(&maps, 1.0), AtMost(50.0), "ms", Some(at(&floor, 1.0)));
+    let (allocations, messages) = inside::allocations(2000)?;
+    let what = format!("allocations in steady state, {messages} messages");
+    table.row(&what, allocations as f64, AtMost(0.0), "", None);
+    Ok(())
+}

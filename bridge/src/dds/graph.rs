@@ -1,0 +1,50 @@
+//! The node in ROS's graph: which readers and writers it has, on `ros_discovery_info`.
+
+use ros2_client::builtin_topics::ros_discovery;
+use ros2_client::dds::rustdds::dds::CreateResult;
+use ros2_client::dds::rustdds::no_key::DataWriterCdr;
+use ros2_client::dds::rustdds::policy::{Durability, History, ResourceLimits};
+use ros2_client::dds::rustdds::{
+    DomainParticipant, Duration, GUID, Publisher, QosPolicyBuilder, RTPSEntity, TopicKind,
+};
+use ros2_client::entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo};
+use ros2_client::{Gid, NodeName};
+
+/// Announcements kept for those who have not taken them yet.
+const KEPT_MAX: i32 = 8;
+
+/// What `ros2 node list` and `ros2 topic info` are told.
+pub struct Graph {
+    participant: GUID,
+    node: NodeName,
+    writer: DataWriterCdr<ParticipantEntitiesInfo>,
+}
+
+impl Graph {
+    /// For the participant's only node.
+    pub fn new(participant: &DomainParticipant, publisher: &Publisher, node: NodeName) -> CreateResult<Self> {
+        let limits =
+            ResourceLimits { max_samples: KEPT_MAX, max_instances: 1, max_samples_per_instance: KEPT_MAX };
+        let qos = QosPolicyBuilder::new()
+            .reliable(Duration::ZERO)
+            .durability(Durability::TransientLocal)
+            .history(History::KeepLast { depth: 1 })
+            .resource_limits(limits)
+            .build();
+        let (name, class) = (ros_discovery::TOPIC_NAME.into(), ros_discovery::TYPE_NAME.into());
+        let topic = participant.create_topic(name, class, &qos, TopicKind::NoKey)?;
+        let writer = publisher.create_datawriter_no_key_cdr(&topic, None)?;
+        Ok(Self { participant: participant.guid(), node, writer })
+    }
+
+    /// Tells which endpoints there are now.
+    pub fn tell(&self, readers: impl Iterator<Item = GUID>, writers: impl Iterator<Item = GUID>) {
+        let mut info = NodeEntitiesInfo::new(self.node.clone());
+        readers.for_each(|guid| info.add_reader(Gid::from(guid)));
+        writers.for_each(|guid| info.add_writer(Gid::from(guid)));
+        info.add_writer(Gid::from(self.writer.guid()));
+        let message = ParticipantEntitiesInfo::new(Gid::from(self.participant), vec![info]);
+        // Only a full window refuses it: somebody has stopped listening, and the next change tells all again.
+        let _ = self.writer.write(message, None);
+    }
+}

@@ -1,0 +1,60 @@
+//! What is heard on DDS, on its way to the bridge's own thread.
+
+use crate::ros::{Bool, Empty, Int32, Message, Twist, TwistStamped};
+use crate::topics::Input;
+use msg::RobotId;
+
+/// A message that was heard, not decoded yet; for [`crate::Bridge::hear_ros`].
+#[derive(Clone, Debug)]
+pub struct Heard {
+    pub(crate) what: Input,
+    /// Where TCP clients find the same topic.
+    pub(crate) topic: String,
+    /// geometry_msgs/TwistStamped instead of Twist.
+    pub(crate) stamped: bool,
+    /// CDR behind its encapsulation header.
+    pub(crate) payload: Vec<u8>,
+}
+
+/// A topic the door listens to.
+pub(super) struct InputTopic {
+    /// With leading slash, without the namespace.
+    pub name: String,
+    /// `package/Type`.
+    pub class: &'static str,
+    /// What it means, without the payload.
+    pub heard: Heard,
+}
+
+impl InputTopic {
+    fn new<M: Message>(name: String, what: Input) -> Self {
+        let stamped = M::TYPE == TwistStamped::TYPE;
+        let topic = name.strip_suffix("_stamped").unwrap_or(&name).to_owned();
+        Self { name, class: M::TYPE, heard: Heard { what, topic, stamped, payload: Vec::new() } }
+    }
+
+    /// Whether a lost message is soon followed by a better one.
+    pub fn is_stream(&self) -> bool {
+        matches!(self.heard.what, Input::SelectedCommand | Input::Command(_))
+    }
+}
+
+/// All of them. A topic has one type in ROS: velocities with a stamp, as Nav2 may send them, have names of
+/// their own.
+pub(super) fn inputs(robots: usize) -> Vec<InputTopic> {
+    let mut all = vec![
+        InputTopic::new::<Twist>("/cmd_vel".into(), Input::SelectedCommand),
+        InputTopic::new::<TwistStamped>("/cmd_vel_stamped".into(), Input::SelectedCommand),
+        InputTopic::new::<Int32>("/selected_robot".into(), Input::Select),
+        InputTopic::new::<Int32>("/take_control".into(), Input::Take),
+        InputTopic::new::<Bool>("/emergency_stop".into(), Input::Stop),
+        InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::Release),
+    ];
+    for robot in RobotId::first(robots) {
+        let command = Input::Command(robot);
+        all.push(InputTopic::new::<Twist>(format!("/cmd_vel_{}", robot.number()), command));
+        all.push(InputTopic::new::<Twist>(format!("/{robot}/cmd_vel"), command));
+        all.push(InputTopic::new::<TwistStamped>(format!("/{robot}/cmd_vel_stamped"), command));
+    }
+    all
+}

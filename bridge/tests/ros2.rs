@@ -1,0 +1,148 @@
+//! The ROS 2 door against another implementation's node on loopback: ros2-client's own readers and writers.
+//! Against ROS 2 itself: .ci/interop.
+
+use bridge::dds::{DdsConfig, Door, Heard};
+use bridge::{Bridge, BridgeConfig, Outlet};
+use futures::StreamExt;
+use msg::{Command, GridHeader, GridView, Header, Pose2, RobotId, Stamp};
+use ros2_client::dds::rustdds::DomainParticipantBuilder;
+use ros2_client::dds::{Context, Node, Subscription};
+use ros2_client::qos::{Durability, QosProfile};
+use ros2_client::{MessageTypeName, Name, NodeName, NodeOptions};
+use serde::{Deserialize, Serialize};
+use std::cell::RefCell;
+use std::future::Future;
+use std::net::Ipv4Addr;
+use std::rc::Rc;
+use std::time::Duration;
+use tokio::task::{LocalSet, spawn_local};
+
+/// No step takes this long unless it hangs.
+const WATCHDOG: Duration = Duration::from_secs(60);
+/// Enough for whatever else might come to have come.
+const QUIET: Duration = Duration::from_millis(400);
+
+#[derive(Serialize, Deserialize)]
+struct Grid {
+    stamp: (i32, u32),
+    frame_id: String,
+    loaded: (i32, u32),
+    resolution: f32,
+    width: u32,
+    height: u32,
+    origin: [f64; 7],
+    data: Vec<i8>,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Twist([f64; 6]);
+
+fn run(test: impl Future<Output = ()>) {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    LocalSet::new().block_on(&runtime, async {
+        tokio::time::timeout(WATCHDOG, test).await.expect("the test hangs");
+    });
+}
+
+/// A domain of this test's own, as far as that can be had: ports are the machine's.
+fn config(offset: u32) -> BridgeConfig {
+    let domain = (1 + (std::process::id() * 7 + offset) % 100) as u16;
+    BridgeConfig {
+        dds: DdsConfig { enabled: true, domain, ..DdsConfig::default() },
+        ..BridgeConfig::default()
+    }
+}
+
+fn node(config: &BridgeConfig) -> Node {
+    let builder = DomainParticipantBuilder::new(config.dds.domain).with_only_networks([Ipv4Addr::LOCALHOST]);
+    let context = Context::from_domain_participant(builder.build().unwrap()).unwrap();
+    let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
+    context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
+}
+
+fn maps(node: &mut Node) -> Subscription<Grid> {
+    let qos = QosProfile::publisher_default().durability(Durability::TransientLocal);
+    let name = Name::parse("/robot1/map").unwrap();
+    let topic = node.create_topic(&name, MessageTypeName::new("nav_msgs", "OccupancyGrid"), &qos).unwrap();
+    node.create_subscription(&topic, None).unwrap()
+}
+
+fn robot() -> RobotId {
+    RobotId::new(1).unwrap()
+}
+
+fn send_map(door: &Door, second: i64, side: u32) {
+    let header = Header { stamp: Stamp(second * 1_000_000_000), ..Header::default() };
+    let (origin, resolution_m) = (Pose2::IDENTITY, 0.05);
+    let header =
+        GridHeader { header, origin, resolution_m, width: side, height: side, ..GridHeader::default() };
+    let cells = vec![second as i8; (side * side) as usize];
+    door.map(robot(), GridView::new(&header, &cells).unwrap());
+}
+
+/// The stamps that come until it is quiet, the first waited for.
+async fn stamps(subscription: &Subscription<Grid>) -> Vec<i32> {
+    let mut stream = std::pin::pin!(subscription.async_stream());
+    let mut heard = vec![];
+    while let Some(grid) = match heard.is_empty() {
+        true => stream.next().await,
+        false => tokio::time::timeout(QUIET, stream.next()).await.unwrap_or(None),
+    } {
+        let (grid, _) = grid.unwrap();
+        assert_eq!(grid.data.len(), (grid.width * grid.height) as usize);
+        assert_eq!(grid.frame_id, "map_1");
+        heard.push(grid.stamp.0);
+    }
+    heard
+}
+
+#[test]
+fn a_late_joiner_gets_the_newest_map_once() {
+    run(async {
+        let config = config(0);
+        let door = Rc::new(Door::open(&config, 1).unwrap());
+        spawn_local(door.clone().serve(|_| {}));
+        (1..=20).for_each(|second| send_map(&door, second, 50));
+        let mut other = node(&config);
+        let first = maps(&mut other);
+        assert_eq!(stamps(&first).await, [20]);
+        // Somebody is there now, and takes every map, the last of them at least.
+        for second in 21..=24 {
+            send_map(&door, second, 50);
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(stamps(&first).await.last(), Some(&24));
+        let mut another = node(&config);
+        let late = maps(&mut another);
+        assert_eq!(stamps(&late).await, [24]);
+    });
+}
+
+#[test]
+fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
+    run(async {
+        let config = config(50);
+        let door = Rc::new(Door::open(&config, 1).unwrap());
+        let commands = Rc::new(RefCell::new(Vec::<Command>::new()));
+        let taken = commands.clone();
+        let bridge = Rc::new(
+            Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),
+        );
+        let hearing = bridge.clone();
+        spawn_local(door.clone().serve(move |heard: Heard| hearing.hear_ros(&heard)));
+        let mut other = node(&config);
+        let qos = QosProfile::publisher_default();
+        let name = Name::parse("/robot1/cmd_vel").unwrap();
+        let topic = other.create_topic(&name, MessageTypeName::new("geometry_msgs", "Twist"), &qos).unwrap();
+        let short = other.create_publisher::<u32>(&topic, None).unwrap();
+        let sound = other.create_publisher::<Twist>(&topic, None).unwrap();
+        while commands.borrow().len() < 3 || bridge.counters().refused < 3 {
+            short.publish(7).unwrap();
+            sound.publish(Twist([f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
+            sound.publish(Twist([0.1, 0.0, 0.0, 0.0, 0.0, -0.5])).unwrap();
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        let commands = commands.borrow();
+        assert!(commands.iter().all(|c| (c.linear_m_s, c.angular_rad_s) == (0.1, -0.5)), "{commands:?}");
+    });
+}

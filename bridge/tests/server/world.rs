@@ -1,0 +1,153 @@
+//! A headset tells of a world of its own over TCP: what is taken, what is refused, what goes back.
+
+use crate::client::Client;
+use crate::{Served, serve_bridge};
+use bridge::ros::{self, LaserScan, Message, TfMessage, TransformStamped, Twist};
+use bridge::world::{Heard, World};
+use bridge::{Bridge, BridgeConfig};
+use msg::Stamp;
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::Instant;
+
+type Heards = Rc<RefCell<Vec<(String, Stamp)>>>;
+
+/// Runs a test against a bridge of two robots whose world is elsewhere.
+fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &Heards)) {
+    let heards = Heards::default();
+    let tell = heards.clone();
+    let world = World::new(2, move |heard| {
+        tell.borrow_mut().push(match heard {
+            Heard::Scan(robot, scan) => (format!("{robot}/scan"), scan.header.stamp),
+            Heard::Odometry(robot, odometry) => (format!("{robot}/odometry"), odometry.header.stamp),
+            Heard::Transforms(robot, transforms) => (format!("{robot}/transforms"), transforms.header.stamp),
+            Heard::Clock(clock) => ("clock".into(), clock.header.stamp),
+        });
+    });
+    let begun = Instant::now();
+    let now = move || Stamp(begun.elapsed().as_nanos() as i64);
+    serve_bridge(
+        |on_command| Bridge::outside(config, world, now, on_command).unwrap(),
+        async |served: &Served| test(served, &heards).await,
+    );
+}
+
+const AHEAD_S: i64 = 5_000_000_000;
+
+fn scan() -> LaserScan {
+    LaserScan {
+        stamp: Stamp(AHEAD_S),
+        angle_increment: 0.1,
+        range_min: 0.1,
+        range_max: 3.0,
+        ranges: vec![1.0; 8],
+        ..LaserScan::default()
+    }
+}
+
+fn edge(parent: &str, child: &str) -> TransformStamped {
+    TransformStamped {
+        stamp: Stamp(AHEAD_S),
+        frame_id: parent.into(),
+        child_frame_id: child.into(),
+        rotation: [0.0, 0.0, 0.0, 1.0],
+        ..TransformStamped::default()
+    }
+}
+
+#[test]
+fn scans_tree_and_clock_come_in_on_our_time() {
+    with_world(BridgeConfig::default(), async |served, heards| {
+        let mut client = Client::connect(served.address).await;
+        client.publish("/robot2/scan", LaserScan::TYPE).await;
+        client.publish("/tf", TfMessage::TYPE).await;
+        client.publish("/clock", ros::Clock::TYPE).await;
+        client.send("/clock", &ros::Clock { clock: Stamp(AHEAD_S) }).await;
+        client.send("/tf", &TfMessage { transforms: vec![edge("odom_2", "base_footprint_2")] }).await;
+        client.send("/robot2/scan", &scan()).await;
+        client.settle().await;
+        let heards = heards.borrow();
+        let names = heards.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>();
+        assert_eq!(names, ["clock", "robot2/odometry", "robot2/transforms", "robot2/scan"]);
+        let clock = served.bridge.clients()[0].clock.unwrap();
+        assert!((heards[3].1.seconds() - (5.0 - clock.offset_s)).abs() < 1e-6, "{heards:?} {clock:?}");
+        assert!(heards[3].1.seconds() < 5.0 && clock.messages == 3, "{clock:?}");
+        assert_eq!(served.bridge.counters().refused, 0);
+    });
+}
+
+#[test]
+fn slams_transform_is_refused_alone_and_by_name() {
+    with_world(BridgeConfig::default(), async |served, heards| {
+        let mut viewer = Client::connect(served.address).await;
+        viewer.subscribe("/tf", TfMessage::TYPE).await;
+        viewer.settle().await;
+        let mut client = Client::connect(served.address).await;
+        client.publish("/tf", TfMessage::TYPE).await;
+        let transforms = vec![edge("map", "odom_1"), edge("odom_1", "base_link_1"), edge("world", "table")];
+        client.send("/tf", &TfMessage { transforms }).await;
+        let error = client.error().await;
+        assert!(error.contains("map -> odom_1 is refused") && error.contains("SLAM owns"), "{error}");
+        assert_eq!(heards.borrow().len(), 2, "its odometry is taken: {heards:?}");
+        // What is not the fleet's is passed on by the bridge; what is, by the fleet's process.
+        let passed: TfMessage = viewer.message("/tf").await;
+        assert_eq!(passed.transforms.len(), 1);
+        assert_eq!(passed.transforms[0].child_frame_id, "table");
+        assert!(passed.transforms[0].stamp < Stamp(AHEAD_S), "on our time");
+    });
+}
+
+#[test]
+fn whoever_may_not_drive_tells_of_no_world() {
+    let config = BridgeConfig { trust_loopback: false, ..BridgeConfig::default() };
+    with_world(config, async |served, heards| {
+        let mut client = Client::connect(served.address).await;
+        client.publish("/robot1/scan", LaserScan::TYPE).await;
+        client.send("/robot1/scan", &scan()).await;
+        assert!(client.error().await.contains("mr-slam allow 127.0.0.1"));
+        assert!(heards.borrow().is_empty());
+        assert_eq!(served.bridge.waiting(), [std::net::IpAddr::from([127, 0, 0, 1])]);
+        served.bridge.allow(served.bridge.waiting()[0]);
+        client.send("/robot1/scan", &scan()).await;
+        client.settle().await;
+        assert_eq!(heards.borrow().len(), 1);
+    });
+}
+
+#[test]
+fn commands_reach_the_robots_where_they_are() {
+    with_world(BridgeConfig::default(), async |served, _| {
+        let mut robots = Client::connect(served.address).await;
+        robots.subscribe("/robot1/cmd_vel", Twist::TYPE).await;
+        robots.settle().await;
+        let mut driver = Client::connect(served.address).await;
+        driver.publish("/cmd_vel", Twist::TYPE).await;
+        let twist = Twist { linear: [0.1, 0.0, 0.0], angular: [0.0, 0.0, 0.5] };
+        driver.send("/cmd_vel", &twist).await;
+        assert_eq!(robots.message::<Twist>("/robot1/cmd_vel").await, twist);
+        driver.abort();
+        assert_eq!(robots.message::<Twist>("/robot1/cmd_vel").await, Twist::default(), "its driver vanished");
+    });
+}
+
+#[test]
+fn another_client_takes_a_robot_only_when_its_source_has_gone() {
+    with_world(BridgeConfig::default(), async |served, heards| {
+        let mut first = Client::connect(served.address).await;
+        let mut second = Client::connect(served.address).await;
+        for client in [&mut first, &mut second] {
+            client.publish("/robot1/scan", LaserScan::TYPE).await;
+            client.send("/robot1/scan", &scan()).await;
+            client.settle().await;
+        }
+        assert_eq!(heards.borrow().len(), 1);
+        drop(first);
+        while served.bridge.counters().clients > 1 {
+            tokio::task::yield_now().await;
+        }
+        let later = LaserScan { stamp: Stamp(AHEAD_S + 1_000_000_000), ..scan() };
+        second.send("/robot1/scan", &later).await;
+        second.settle().await;
+        assert_eq!(heards.borrow().len(), 2);
+    });
+}

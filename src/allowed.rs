@@ -1,0 +1,87 @@
+//! Addresses that may drive, remembered from one run to the next: a headset is let in once.
+//!
+//! A text file that a person may edit, one address a line, `#` begins a remark:
+//! `$XDG_STATE_HOME/mr-slam/allowed`, else `~/.local/state/mr-slam/allowed`, else in the run's folder.
+
+use crate::run::Run;
+use std::io::{self, Read, Write};
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+/// Addresses that are remembered; the oldest is forgotten first.
+const ADDRESSES_MAX: usize = 256;
+/// As much of the file is read.
+const BYTES_MAX: u64 = 64 << 10;
+
+/// Where addresses are remembered.
+pub fn file(run: &Run) -> PathBuf {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let state = absolute("XDG_STATE_HOME").or_else(|| Some(absolute("HOME")?.join(".local/state")));
+    state.map_or_else(|| run.dir.join("allowed"), |state| state.join("mr-slam/allowed"))
+}
+
+/// The addresses in a file, oldest first, and the lines that are none. No file: nobody.
+pub fn read(path: &Path) -> io::Result<(Vec<IpAddr>, Vec<String>)> {
+    let mut text = String::new();
+    match std::fs::File::open(path) {
+        Ok(file) => file.take(BYTES_MAX).read_to_string(&mut text)?,
+        Err(why) if why.kind() == io::ErrorKind::NotFound => return Ok(Default::default()),
+        Err(why) => return Err(why),
+    };
+    let (mut addresses, mut unsound) = (Vec::new(), Vec::new());
+    for line in text.lines() {
+        let word = line.split('#').next().unwrap_or_default().trim();
+        match word.parse::<IpAddr>() {
+            Ok(address) if addresses.len() < ADDRESSES_MAX => addresses.push(address.to_canonical()),
+            Ok(_) => {}
+            Err(_) if word.is_empty() => {}
+            Err(_) => unsound.push(line.to_owned()),
+        }
+    }
+    Ok((addresses, unsound))
+}
+
+/// Adds an address to a file, or takes it out. The file is whole at every moment.
+pub fn remember(path: &Path, address: IpAddr, may_drive: bool) -> io::Result<()> {
+    let address = address.to_canonical();
+    let (mut addresses, _) = read(path)?;
+    addresses.retain(|known| *known != address);
+    if may_drive {
+        addresses.push(address);
+    }
+    let surplus = addresses.len().saturating_sub(ADDRESSES_MAX);
+    let folder = path.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder)?;
+    let mut file = tempfile::NamedTempFile::new_in(folder)?;
+    writeln!(file, "# Addresses that may drive a fleet of mr-slam's on this machine: mr-slam allow, deny.")?;
+    for address in addresses.drain(surplus..) {
+        writeln!(file, "{address}")?;
+    }
+    file.persist(path).map(drop).map_err(|error| error.error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_are_remembered_and_the_file_may_be_edited() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("deep/allowed");
+        assert_eq!(read(&path).unwrap().0, Vec::<IpAddr>::new());
+        let address = |i: usize| IpAddr::from([10, 0, (i / 256) as u8, (i % 256) as u8]);
+        (0..ADDRESSES_MAX + 10).for_each(|i| remember(&path, address(i), true).unwrap());
+        remember(&path, address(20), true).unwrap();
+        remember(&path, address(30), false).unwrap();
+        remember(&path, "::ffff:10.0.0.40".parse().unwrap(), false).unwrap();
+        let (addresses, _) = read(&path).unwrap();
+        assert_eq!(addresses.len(), ADDRESSES_MAX - 2);
+        assert_eq!((addresses[0], *addresses.last().unwrap()), (address(10), address(20)));
+        assert!(!addresses.contains(&address(30)) && !addresses.contains(&address(40)));
+
+        std::fs::write(&path, "# the lab's\n192.168.1.7  # Ana's headset\nnonsense\n\n").unwrap();
+        let (addresses, unsound) = read(&path).unwrap();
+        assert_eq!(addresses, ["192.168.1.7".parse::<IpAddr>().unwrap()]);
+        assert_eq!(unsound, ["nonsense"]);
+    }
+}

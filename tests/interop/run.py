@@ -1,0 +1,74 @@
+"""Runs the fleet, and ROS 2 against it: see .ci/interop. `run.py OUT`"""
+
+import json
+import os
+import pathlib
+import random
+import subprocess
+import sys
+import tempfile
+
+HERE = pathlib.Path(__file__).parent
+ROOT = HERE.parent.parent
+BINARY = ROOT / "target/release/mr-slam"
+DOOR = ROOT / "target/release/examples/door"
+
+# Cyclone on loopback alone; peers are asked directly, as loopback has no multicast here.
+CYCLONE = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
+<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
+<MaxAutoParticipantIndex>40</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>
+</Domain></CycloneDDS>"""
+
+
+def environment(domain):
+    """This machine alone, a domain of this run's own, stock Fast DDS."""
+    keep = {k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FASTRTPS", "CYCLONE"))}
+    return keep | {
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "CYCLONEDDS_URI": CYCLONE,
+    }
+
+
+def peer(script, domain, *arguments):
+    """What a script found out: rows of (what, wanted, measured, ok)."""
+    command = [sys.executable, str(HERE / script), *map(str, arguments)]
+    done = subprocess.run(command, env=environment(domain), capture_output=True, text=True, timeout=240)
+    rows = []
+    for line in done.stdout.splitlines():
+        if line.startswith("{"):
+            rows.append(json.loads(line))
+    if done.returncode != 0:
+        tail = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+        rows.append({"what": script, "wanted": "to end well", "measured": tail, "ok": False})
+        sys.stderr.write(done.stderr)
+    return rows
+
+
+def main(out):
+    domain = random.randint(102, 215)
+    rows = []
+    with tempfile.TemporaryDirectory() as run_dir:
+        log = open(out / "interop-fleet.log", "w")
+        command = [BINARY, "up", "--robots", "2", "--port", "0", "--ros-domain", str(domain), "--run-dir", run_dir]
+        fleet = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        try:
+            rows += peer("fleet_rclpy.py", domain, run_dir)
+            rows += peer("fleet_cyclone.py", domain)
+        finally:
+            fleet.terminate()
+            fleet.wait(20)
+    rows += peer("maps_rclpy.py", domain, DOOR, BINARY)
+    (out / "interop.json").write_text(json.dumps(rows, indent=1))
+    wide = max(len(row["what"]) for row in rows)
+    for row in rows:
+        mark = "ok  " if row["ok"] else "MISS"
+        print(f"{mark} {row['what']:<{wide}}  {row['measured']}  (wanted: {row['wanted']})")
+    missed = sum(not row["ok"] for row in rows)
+    print(f"interop: {len(rows) - missed} passed, {missed} failed")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(pathlib.Path(sys.argv[1])))
