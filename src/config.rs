@@ -155,17 +155,22 @@ impl FleetConfig {
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
         let text =
             fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
+        Self::from_text(path, &text)
+    }
+
+    /// The same from a file's text; `path` is for errors.
+    pub fn from_text(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let wrong = |error: toml::de::Error| ConfigError::Wrong {
             path: path.into(),
-            line: line_of(&text, error.span().map_or(0, |span| span.start)),
+            line: line_of(text, error.span().map_or(0, |span| span.start)),
             why: error.message().to_string(),
         };
         // By itself first: its errors have lines. Then over the default, table by table.
-        toml::from_str::<Self>(&text).map_err(wrong)?;
+        toml::from_str::<Self>(text).map_err(wrong)?;
         let mut whole = toml::Table::try_from(Self::default()).unwrap_or_default();
         overlay(&mut whole, text.parse().map_err(wrong)?);
         let config: Self = whole.try_into().map_err(wrong)?;
-        config.check().map_err(|error| locate(path, &text, error))?;
+        config.check().map_err(|error| locate(path, text, error))?;
         Ok(config)
     }
 

@@ -31,3 +31,4 @@ pub mod carmen;
 pub mod merge_maps;
 pub mod operator;
 pub mod replay;
+pub mod session_file;

@@ -75,6 +75,22 @@ impl Canvas {
         self.clipped
     }
 
+    /// Where each drawn node lay when it was drawn: all that decides how the map came about.
+    pub fn drawn(&self) -> Vec<Pose2> {
+        self.drawn.iter().map(|node| node.map_from_base).collect()
+    }
+
+    /// Begins anew with nodes where an earlier canvas had them, so that the map is the same.
+    pub fn restore(&mut self, nodes: &[Node], drawn: &[Pose2]) {
+        self.map = TileMap::new(MapHeader { resolution_m: self.config.resolution_m, ..Default::default() });
+        self.drawn.clear();
+        self.redraw = None;
+        self.clipped = 0;
+        for (node, pose) in nodes.iter().zip(drawn) {
+            self.add(node, *pose);
+        }
+    }
+
     /// The map as drawn so far, never half a new version.
     pub fn tiles(&self) -> &TileMap {
         &self.map
@@ -278,6 +294,7 @@ impl Ends {
         self.hits.extend(node.rays.hits.iter().map(cell));
         self.misses.clear();
         self.misses.extend(node.rays.misses.iter().map(cell));
+        self.sensor = cell(&node.rays.sensor);
         self
     }
 

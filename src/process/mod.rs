@@ -31,7 +31,8 @@ pub struct ProcessArgs {
     pub run_dir: PathBuf,
 }
 
-fn pose(text: &str) -> Result<Pose2, String> {
+/// Reads `X,Y,YAW`.
+pub fn pose(text: &str) -> Result<Pose2, String> {
     let numbers =
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
     match numbers.as_deref() {
