@@ -3,6 +3,7 @@
 //! Whatever is wrong with a file is refused with the file, the line and the reason: a name that
 //! nobody knows, a number out of range, a room that is not there.
 
+use crate::realtime::RealtimeConfig;
 use msg::{Pose2, ROBOTS_MAX};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -55,6 +56,8 @@ pub struct FleetConfig {
     pub merge: merge::MergeConfig,
     /// The doors.
     pub bridge: bridge::BridgeConfig,
+    /// What processes ask of the machine.
+    pub realtime: RealtimeConfig,
 }
 
 impl Default for FleetConfig {
@@ -67,6 +70,7 @@ impl Default for FleetConfig {
             slam: burger_slam(),
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
+            realtime: RealtimeConfig::default(),
         }
     }
 }
@@ -151,17 +155,22 @@ impl FleetConfig {
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
         let text =
             fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
+        Self::from_text(path, &text)
+    }
+
+    /// The same from a file's text; `path` is for errors.
+    pub fn from_text(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let wrong = |error: toml::de::Error| ConfigError::Wrong {
             path: path.into(),
-            line: line_of(&text, error.span().map_or(0, |span| span.start)),
+            line: line_of(text, error.span().map_or(0, |span| span.start)),
             why: error.message().to_string(),
         };
         // By itself first: its errors have lines. Then over the default, table by table.
-        toml::from_str::<Self>(&text).map_err(wrong)?;
+        toml::from_str::<Self>(text).map_err(wrong)?;
         let mut whole = toml::Table::try_from(Self::default()).unwrap_or_default();
         overlay(&mut whole, text.parse().map_err(wrong)?);
         let config: Self = whole.try_into().map_err(wrong)?;
-        config.check().map_err(|error| locate(path, &text, error))?;
+        config.check().map_err(|error| locate(path, text, error))?;
         Ok(config)
     }
 
@@ -188,11 +197,16 @@ impl FleetConfig {
             let why = format!("`{}` is not an IP address, such as 0.0.0.0 or 127.0.0.1", fleet.address);
             return Err(ConfigError::Value { field: "fleet.address", why });
         }
+        if self.world == World::Ros && !self.bridge.dds.enabled {
+            let why = "`ros` needs the ROS 2 door: bridge.dds.enabled = true, or --ros-domain ID".into();
+            return Err(ConfigError::Value { field: "world", why });
+        }
         let rooms = [
             ("sim", self.sim.validate().map_err(|error| error.to_string())),
             ("slam", self.slam.validate().map_err(|error| error.to_string())),
             ("merge", self.merge.validate().map_err(|error| error.to_string())),
             ("bridge", self.bridge.validate().map_err(|error| error.to_string())),
+            ("realtime", self.realtime.validate()),
         ];
         rooms
             .into_iter()

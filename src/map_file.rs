@@ -10,7 +10,7 @@ mod picture;
 
 pub use picture::{Picture, Rgb};
 
-use image::read_image;
+use image::{Pixels, decode_image, read_image};
 use msg::grid::{self, CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, GridView, Pose2};
 use serde::Deserialize;
@@ -105,23 +105,13 @@ pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
 pub fn read_map(yaml: &Path) -> Result<Grid, MapFileError> {
     let meta = read_description(yaml)?;
     let image = yaml.parent().unwrap_or(Path::new("")).join(&meta.image);
-    let pixels = read_image(&image)?;
-    let table = meta.cell_table();
-    let (width, height) = (pixels.width as usize, pixels.height as usize);
-    let mut cells = Vec::with_capacity(width * height);
-    for row in (0..height).rev() {
-        let row = row * width..(row + 1) * width;
-        cells.extend(pixels.greys[row].iter().map(|grey| grey.map_or(UNKNOWN, |g| table[usize::from(g)])));
-    }
-    let [x_m, y_m, yaw_rad] = meta.origin;
-    let header = GridHeader {
-        origin: Pose2::new(x_m, y_m, yaw_rad),
-        resolution_m: meta.resolution,
-        width: pixels.width,
-        height: pixels.height,
-        ..Default::default()
-    };
-    Ok(Grid { header, cells })
+    Ok(meta.grid(&read_image(&image)?))
+}
+
+/// The same from memory: the YAML's text and the image's bytes. `name` is for errors.
+pub fn decode_map(name: &Path, yaml: &str, image: &[u8]) -> Result<Grid, MapFileError> {
+    let meta = parse_description(name, yaml)?;
+    Ok(meta.grid(&decode_image(name, std::io::Cursor::new(image))?))
 }
 
 /// What the YAML says. Other fields are other programs' business.
@@ -166,8 +156,12 @@ fn read_description(yaml: &Path) -> Result<Description, MapFileError> {
             format!("at most {YAML_BYTES_MAX} bytes of YAML"),
         ));
     }
+    parse_description(yaml, &text)
+}
+
+fn parse_description(yaml: &Path, text: &str) -> Result<Description, MapFileError> {
     let fields = "image, resolution, origin: [x, y, yaw], negate, occupied_thresh, free_thresh as map_saver writes them";
-    let meta: Description = serde_saphyr::from_str(&text)
+    let meta: Description = serde_saphyr::from_str(text)
         .map_err(|error| MapFileError::content(yaml, error.to_string().trim_end().to_owned(), fields))?;
     meta.check(yaml)?;
     Ok(meta)
@@ -195,6 +189,27 @@ impl Description {
             return refuse(what, "0 <= free_thresh <= occupied_thresh <= 1");
         }
         Ok(())
+    }
+
+    /// The image read as this says.
+    fn grid(&self, pixels: &Pixels) -> Grid {
+        let table = self.cell_table();
+        let (width, height) = (pixels.width as usize, pixels.height as usize);
+        let mut cells = Vec::with_capacity(width * height);
+        for row in (0..height).rev() {
+            let row = row * width..(row + 1) * width;
+            cells
+                .extend(pixels.greys[row].iter().map(|grey| grey.map_or(UNKNOWN, |g| table[usize::from(g)])));
+        }
+        let [x_m, y_m, yaw_rad] = self.origin;
+        let header = GridHeader {
+            origin: Pose2::new(x_m, y_m, yaw_rad),
+            resolution_m: self.resolution,
+            width: pixels.width,
+            height: pixels.height,
+            ..Default::default()
+        };
+        Grid { header, cells }
     }
 
     /// The cell of each grey, as nav2_map_server's three modes read it.

@@ -9,9 +9,10 @@ pub use fleet::Starts;
 
 use crate::carmen::{LaserLine, Reader, Record};
 use crate::map_file::{MapFileError, write_map};
-use msg::{Odometry, Pose2, Scan, Stamp};
+use crate::session_file::{self, SessionFileError};
+use msg::{Odometry, Pose2, Scan, SlamMode, Stamp};
 use serde::Serialize;
-use slam::{Back, Front, Node, Revision, SearchCounts, Slam, SlamConfig};
+use slam::{Back, Front, Hint, Identity, Node, Revision, SearchCounts, SeekCounts, SlamConfig, Start};
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
@@ -54,7 +55,53 @@ pub struct ReplayArgs {
     /// Never close a loop
     #[arg(long)]
     pub no_closures: bool,
+    /// Begin with this session file; or with a map (.yaml), to localize in it
+    #[arg(long, value_name = "FILE")]
+    pub session: Option<PathBuf>,
+    /// Keep the session in this file
+    #[arg(long, value_name = "FILE")]
+    pub save_session: Option<PathBuf>,
+    /// What to do with the map: let it grow, stay as it is, or forget what is no longer so
+    #[arg(long, value_enum, default_value_t)]
+    pub mode: Mode,
+    /// The robot stands here in the session's map, about; without it, it is looked for
+    #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose, allow_hyphen_values = true, requires = "session")]
+    pub at: Option<Pose2>,
+    /// The robot goes on where the session's ended, as if it had never stopped
+    #[arg(long, requires = "session", conflicts_with = "at")]
+    pub go_on: bool,
+    /// Leave out the log's first scans
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub skip: usize,
+    /// End after so many scans
+    #[arg(long, value_name = "N")]
+    pub scans: Option<usize>,
 }
+
+/// `--mode`.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// The map grows
+    #[default]
+    Continue,
+    /// The map stays as it is
+    Localize,
+    /// The map grows, and forgets what is no longer so
+    Lifelong,
+}
+
+impl From<Mode> for SlamMode {
+    fn from(mode: Mode) -> Self {
+        match mode {
+            Mode::Continue => Self::Mapping,
+            Mode::Localize => Self::Localization,
+            Mode::Lifelong => Self::Lifelong,
+        }
+    }
+}
+
+/// How sure `--at` is, one standard deviation: metres, radians.
+const AT_SIGMA: [f64; 2] = [0.3, 0.2];
 
 /// What stops a replay.
 #[derive(Debug, thiserror::Error)]
@@ -90,6 +137,12 @@ pub enum ReplayError {
         /// Malformed lines.
         malformed: u64,
     },
+    /// A session cannot be read or written.
+    #[error(transparent)]
+    Session(#[from] SessionFileError),
+    /// A map has no graph.
+    #[error("--session {0} is a map: nothing but --mode localize can be done with it")]
+    MapOnly(PathBuf),
     /// An option makes no sense.
     #[error("--fov-deg is {0}, expected 1 to 360")]
     FieldOfView(f64),
@@ -125,6 +178,12 @@ pub struct Summary {
     pub refused_other: u64,
     /// Scans that did not fit the map.
     pub lost: u64,
+    /// Scans while it was not known where the robot is in the session's map.
+    pub not_located: u64,
+    /// How searches for the robot ended.
+    pub sought: SeekCounts,
+    /// Where the robot is said to be at the end: x m, y m, yaw rad.
+    pub ends_at: [f64; 3],
     /// Malformed lines.
     pub malformed_lines: u64,
     /// Lines of other kinds.
@@ -166,6 +225,7 @@ impl Summary {
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
         self.closure_searches = done.searches;
+        self.sought = done.sought;
     }
 }
 
@@ -218,6 +278,10 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
         write_trajectory(path, slam::trajectory(&front, &back))
             .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
     }
+    if let Some(path) = &args.save_session {
+        let identity = Identity::new(0, 0, back.config());
+        session_file::write(path, &back.session(identity, Some(front.state()), front.rides()))?;
+    }
     let drawing = Instant::now();
     let grid = back.map();
     summary.map_ms = drawing.elapsed().as_secs_f64() * 1e3;
@@ -255,13 +319,13 @@ struct Replayed {
 
 fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed, ReplayError> {
     let mut records = Records { reader: Reader::new(log), malformed: 0 };
-    let Some(first) = records.next_laser() else {
+    let Some(first) = (0..=args.skip).map_while(|_| records.next_laser()).nth(args.skip) else {
         let (skipped, malformed) = (records.reader.skipped(), records.malformed);
         return Err(ReplayError::NoScan { path: args.logs[0].clone(), skipped, malformed });
     };
     let on_robot = first.base_from_scan;
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
-    let (mut front, mut back) = Slam::new(config).split();
+    let (mut front, mut back) = begin(args, config)?;
     let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
     let (to_front, revisions) = mpsc::channel::<Revision>();
     let mut summary = Summary { log: args.logs[0].display().to_string(), ..Default::default() };
@@ -279,15 +343,37 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
             if let Some(node) = feeder.scan(front, &line) {
                 let _ = to_back.send(node);
             }
-            next = records.next_laser();
+            let enough = args.scans.is_some_and(|scans| feeder.seq as usize >= scans);
+            next = if enough { None } else { records.next_laser() };
         }
         drop(to_back);
+        summary.not_located = feeder.not_located;
         summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
         summary.beside_ms = Percentiles::of(beside.join().unwrap_or_default());
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
     summary.count(&front, &back);
+    let Pose2 { x_m, y_m, yaw_rad } = back.newest_revision().map_from_local * front.local_from_base();
+    summary.ends_at = [x_m, y_m, yaw_rad];
     Ok(Replayed { front, back, summary, duration_s: ended - started })
+}
+
+/// A scan path and a back end, new or from a session.
+fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(Front, Back), ReplayError> {
+    let Some(path) = &args.session else {
+        return Ok(slam::begin(config, None, args.mode.into(), Start::Unknown));
+    };
+    if session_file::is_map(path) && args.mode != Mode::Localize {
+        return Err(ReplayError::MapOnly(path.clone()));
+    }
+    let session = session_file::read_any(path, &Identity::new(0, 0, &config), &config)?;
+    let [sigma_m, sigma_rad] = AT_SIGMA;
+    let start = match args.at {
+        Some(map_from_local) => Start::At(Hint { map_from_local, sigma_m, sigma_rad }),
+        None if args.go_on => Start::GoOn,
+        None => Start::Unknown,
+    };
+    Ok(slam::begin(config, Some(session), args.mode.into(), start))
 }
 
 /// Works off nodes until there are no more to come. Returns how long each took, and the last word.
@@ -340,13 +426,14 @@ struct Feeder {
     fov_rad: Option<f64>,
     times: Vec<Duration>,
     told: Instant,
+    not_located: u64,
 }
 
 impl Feeder {
     fn new(args: &ReplayArgs) -> Self {
         let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
         let fov_rad = args.fov_deg.map(f64::to_radians);
-        Self { scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now() }
+        Self { scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now(), not_located: 0 }
     }
 
     fn scan(&mut self, front: &mut Front, line: &LaserLine) -> Option<Node> {
@@ -358,6 +445,7 @@ impl Feeder {
         let start = Instant::now();
         let step = front.process(&self.scan);
         self.times.push(start.elapsed());
+        self.not_located += u64::from(!front.located());
         if self.told.elapsed() > PROGRESS {
             self.told = Instant::now();
             eprintln!("{} scans, {} nodes", self.seq, step.correction.nodes);
@@ -396,6 +484,12 @@ fn print(summary: &Summary, json: bool) {
         "  graph     {} nodes, {} links, {} closures ({} taken back)",
         s.nodes, s.links, s.closures, s.retracted
     );
+    if s.sought.searches > 0 {
+        println!(
+            "  located   after {} scans; {} searches, {} found, {} ambiguous, {} contradicted",
+            s.not_located, s.sought.searches, s.sought.found, s.sought.ambiguous, s.sought.contradicted
+        );
+    }
     println!("  map       {} x {} cells, drawn in {:.1} ms", s.map_width, s.map_height, s.map_ms);
     println!("  wall      {:.2} s, {:.0} x real time", s.wall_s, s.times_real_time);
     for (what, times) in [("scan path", s.scan_ms), ("beside   ", s.beside_ms)] {
@@ -435,6 +529,13 @@ mod tests {
             fov_deg: None,
             no_odometry: false,
             no_closures: false,
+            session: None,
+            save_session: None,
+            mode: Mode::Continue,
+            at: None,
+            go_on: false,
+            skip: 0,
+            scans: None,
         }
     }
 

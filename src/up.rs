@@ -118,6 +118,8 @@ impl FleetArgs {
             fleet.robots = robots;
         }
         config.world = self.world.unwrap_or(config.world);
+        // Asking for it on the command line opens the door.
+        config.bridge.dds.enabled |= self.world == Some(World::Ros);
         fleet.seed = self.seed.unwrap_or(fleet.seed);
         fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
         config.check()?;

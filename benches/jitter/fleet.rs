@@ -101,6 +101,18 @@ impl Fleet {
         view.processes.iter().find(|known| known.process == process).map(|known| known.pid)
     }
 
+    /// Resident megabytes of the bridge, and of all other processes together.
+    #[allow(dead_code, reason = "the soak looks at it")]
+    pub fn memory_mb(&mut self) -> (f64, f64) {
+        self.observer.wait(Duration::from_secs(3));
+        let view = self.observer.stats().map(FleetView::new);
+        let (mut bridge, mut others) = (0.0, 0.0);
+        for process in view.iter().flat_map(|view| &view.processes) {
+            *if process.process == "bridge" { &mut bridge } else { &mut others } += process.memory_mb;
+        }
+        (bridge, others)
+    }
+
     fn observe(&mut self, measuring: bool) {
         if self.observer.look()
             && let Some(stats) = self.observer.stats()

@@ -26,8 +26,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let door = Rc::new(Door::open(&config, 1)?);
-        spawn_local(door.clone().serve(|_| {}));
+        let door = Rc::new(Door::open(&config, 1, false)?);
+        spawn_local(door.clone().serve(|_| {}, |_, _| {}));
         let side = side as usize;
         // No block of one value: nothing that could be compressed or skipped.
         let cells: Vec<i8> =

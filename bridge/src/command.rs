@@ -100,3 +100,60 @@ pub struct TopicList {
     /// `package/Type` of each.
     pub types: Vec<String>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::interfaces::{self, Kind};
+    use proptest::prelude::*;
+
+    /// What the bridge does with a command's JSON before it believes any of it.
+    fn take(json: &[u8]) {
+        let _ = serde_json::from_slice::<Call>(json);
+        let Ok(about) = serde_json::from_slice::<Registration>(json) else { return };
+        if let Ok(name) = interfaces::resolve_name(&about.topic) {
+            assert!(name.starts_with('/') && name.len() <= about.topic.len() + 1);
+        }
+        for kind in [Kind::Message, Kind::Service] {
+            let _ = interfaces::resolve(kind, &about.message_name, &[]);
+        }
+    }
+
+    fn sound() -> impl Strategy<Value = Vec<u8>> {
+        let text = "(/?[a-z_0-9/]{0,24}|\\PC{0,12})";
+        (text, text, any::<i64>(), any::<bool>()).prop_map(|(topic, message_name, queue_size, latch)| {
+            let about = Registration { topic, message_name, queue_size, latch };
+            serde_json::to_vec(&about).unwrap_or_default()
+        })
+    }
+
+    proptest! {
+        // `PROPTEST_CASES=5000000 cargo test -p bridge --release command` is 10^7 executions.
+        #[test]
+        fn noise_is_no_command(json in proptest::collection::vec(any::<u8>(), 0..96)) {
+            take(&json);
+        }
+
+        #[test]
+        fn a_damaged_command_is_survived(
+            mut json in sound(),
+            damage in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..3_u8), 0..4),
+        ) {
+            for (place, byte, kind) in damage {
+                let place = place.index(json.len().max(1));
+                match kind {
+                    0 if place < json.len() => json[place] = byte,
+                    1 => json.truncate(place),
+                    _ => json.insert(place.min(json.len()), byte),
+                }
+            }
+            take(&json);
+        }
+
+        #[test]
+        fn depth_and_numbers_are_survived(depth in 0..4000_usize, number in "-?[0-9]{1,400}(\\.[0-9]{1,9})?(e-?[0-9]{1,5})?") {
+            take(format!("{{\"topic\":{}", "[".repeat(depth)).as_bytes());
+            take(format!("{{\"queue_size\":{number},\"srv_id\":{number}}}").as_bytes());
+        }
+    }
+}

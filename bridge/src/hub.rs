@@ -9,7 +9,7 @@ use crate::outbox::Outbox;
 use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, Twist, write};
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
-use crate::world::World;
+use crate::world::{ClockOffset, SourceClock, World};
 use msg::{Anchors, Command, Header, ROBOTS_MAX, RobotId, Stamp};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -114,6 +114,8 @@ pub struct Hub {
     pub services: Services,
     pub percent: [i8; 256],
     pub outside: Option<Outside>,
+    /// The clock of what is heard on DDS.
+    pub ros_clock: SourceClock,
     now: Stamp,
     anchors: Option<Anchors>,
     anchors_due: Option<Instant>,
@@ -136,6 +138,7 @@ impl Hub {
             services: Services::new(config.client_topics_max, config.service_timeout()),
             config,
             outside,
+            ros_clock: SourceClock::new(ClockOffset::Fixed(0.0)),
             now: Stamp(0),
             anchors: None,
             anchors_due: None,

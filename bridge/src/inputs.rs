@@ -1,5 +1,6 @@
 //! What clients' messages mean to the fleet: velocities, selection, the emergency stop, transforms.
 
+use crate::bridge::FIRST_SOURCE;
 use crate::cdr::{DecodeError, Reader};
 use crate::client::{ClientId, Publication, Refusal};
 use crate::command::name;
@@ -29,11 +30,26 @@ impl Hub {
     pub(crate) fn hear_ros(&mut self, heard: &Heard) {
         let now = Instant::now();
         self.board.counted.received += 1;
-        let Some(topic) = self.board.topics.find(&heard.topic) else { return };
-        let from = Publication { topic, stamped: heard.stamped, latch: false };
-        if self.input(ClientId::DDS, heard.what, from, &heard.payload, now).is_err() {
-            self.board.counted.refused += 1;
-        }
+        let accepted = match (heard.what, Reader::new(&heard.payload)) {
+            (_, Err(_)) => false,
+            (Input::Scan(robot), Ok(from)) => self.hear_world(Incoming::Scan(robot, from)),
+            (Input::Odometry(robot), Ok(from)) => self.hear_world(Incoming::Odometry(robot, from)),
+            (Input::Transforms, Ok(from)) => self.hear_world(Incoming::Transforms(from)),
+            (Input::Clock, Ok(from)) => self.hear_world(Incoming::Clock(from)),
+            (what, Ok(_)) => {
+                let Some(topic) = self.board.topics.find(&heard.topic) else { return };
+                let from = Publication { topic, stamped: heard.stamped, latch: false };
+                self.input(ClientId::DDS, what, from, &heard.payload, now).is_ok()
+            }
+        };
+        self.board.counted.refused += u64::from(!accepted);
+    }
+
+    /// ROS's stamps are taken as they come: all of ROS goes by one clock.
+    fn hear_world(&mut self, message: Incoming<'_>) -> bool {
+        let Some(outside) = &mut self.outside else { return true };
+        let received = (outside.now)();
+        outside.world.hear(FIRST_SOURCE, &mut self.ros_clock, message, received).is_ok()
     }
 
     /// A message on a topic.
@@ -95,6 +111,7 @@ impl Hub {
             }
             Input::Transforms => self.transforms(id, from.topic, payload),
             Input::Scan(robot) => self.hear(id, Incoming::Scan(robot, self.reader(payload)?)),
+            Input::Odometry(robot) => self.hear(id, Incoming::Odometry(robot, self.reader(payload)?)),
             Input::Clock => self.hear(id, Incoming::Clock(self.reader(payload)?)),
             Input::Select => {
                 let robot = self.robot_of(self.decode::<Int32>(payload)?)?;

@@ -26,6 +26,7 @@ mod pool;
 pub mod ros;
 mod server;
 mod services;
+mod slam_services;
 mod teleop;
 mod topics;
 pub mod world;

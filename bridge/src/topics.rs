@@ -35,6 +35,8 @@ pub enum Input {
     Transforms,
     /// A robot's scan, in a world of a client's.
     Scan(RobotId),
+    /// What its wheels say, in a world of ROS's.
+    Odometry(RobotId),
     /// The time there.
     Clock,
 }

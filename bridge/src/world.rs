@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!   LaserScan  ─▶ checked, bounded ──────────────────────────────▶ robotK/scan
+//!   Odometry   ─▶ checked ───────────────────────────────────────▶ robotK/odometry, robotK/transforms
 //!   TFMessage  ─▶ the fleet's links ─▶ robotK/transforms, odom -> base ─▶ robotK/odometry
 //!   Clock      ─▶ ─────────────────────────────────────────────────▶ clock
 //!                  every stamp: the source's clock -> the run's ([`SourceClock`])
@@ -96,6 +97,8 @@ pub enum Incoming<'a> {
     Scan(RobotId, Reader<'a>),
     /// tf2_msgs/TFMessage.
     Transforms(Reader<'a>),
+    /// nav_msgs/Odometry of a robot, whatever it calls its frames.
+    Odometry(RobotId, Reader<'a>),
     /// rosgraph_msgs/Clock.
     Clock(Reader<'a>),
 }
@@ -148,6 +151,7 @@ impl World {
         match message {
             Incoming::Scan(robot, from) => self.scan(source, clock, robot, from, received),
             Incoming::Transforms(from) => self.transforms(source, clock, &from, received),
+            Incoming::Odometry(robot, from) => self.wheels(source, clock, robot, from, received),
             Incoming::Clock(from) => self.clock(source, clock, from, received),
         }
     }
@@ -198,6 +202,35 @@ impl World {
         })?;
         RobotId::first(self.robot_count).for_each(|robot| self.pass_links(robot));
         refused
+    }
+
+    /// The same as the transform odom -> base_footprint, for robots that do not number their frames.
+    fn wheels(
+        &mut self,
+        source: SourceId,
+        clock: &mut SourceClock,
+        robot: RobotId,
+        mut from: Reader<'_>,
+        received: Stamp,
+    ) -> Result<(), WorldError> {
+        if robot.number() > self.robot_count {
+            return Err(WorldError::Content(format!("the fleet has robots 1 to {}", self.robot_count)));
+        }
+        self.check_source(source, robot, received)?;
+        let transform = read::odometry(&mut from)?;
+        let sound = link(Link::Odom, Link::BaseFootprint, &transform).map_err(WorldError::Content)?;
+        let stamp = clock.take(transform.stamp, received);
+        let state = &mut self.robots[robot.index()];
+        let is_new = state.pose.is_none_or(|(_, before, _)| stamp > before);
+        state.source = Some((source, received));
+        state.has_footprint = true;
+        self.odometry(robot, transform.stamp, stamp, &sound).map_err(WorldError::Content)?;
+        if is_new {
+            let links = &mut self.links[robot.index()];
+            (links.header.stamp, links.len, links.links[0]) = (stamp, 1, sound);
+            self.pass_links(robot);
+        }
+        Ok(())
     }
 
     fn clock(

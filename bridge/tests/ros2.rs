@@ -100,8 +100,8 @@ async fn stamps(subscription: &Subscription<Grid>) -> Vec<i32> {
 fn a_late_joiner_gets_the_newest_map_once() {
     run(async {
         let config = config(0);
-        let door = Rc::new(Door::open(&config, 1).unwrap());
-        spawn_local(door.clone().serve(|_| {}));
+        let door = Rc::new(Door::open(&config, 1, false).unwrap());
+        spawn_local(door.clone().serve(|_| {}, |_, _| {}));
         (1..=20).for_each(|second| send_map(&door, second, 50));
         let mut other = node(&config);
         let first = maps(&mut other);
@@ -122,14 +122,14 @@ fn a_late_joiner_gets_the_newest_map_once() {
 fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
     run(async {
         let config = config(50);
-        let door = Rc::new(Door::open(&config, 1).unwrap());
+        let door = Rc::new(Door::open(&config, 1, false).unwrap());
         let commands = Rc::new(RefCell::new(Vec::<Command>::new()));
         let taken = commands.clone();
         let bridge = Rc::new(
             Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),
         );
         let hearing = bridge.clone();
-        spawn_local(door.clone().serve(move |heard: Heard| hearing.hear_ros(&heard)));
+        spawn_local(door.clone().serve(move |heard: Heard| hearing.hear_ros(&heard), |_, _| {}));
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/robot1/cmd_vel").unwrap();

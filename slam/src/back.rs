@@ -1,15 +1,31 @@
 //! The back end: node by node it builds the pose graph, links scans that see the same surfaces,
 //! looks for places seen before, solves, and draws. It runs beside the scan path, on any thread;
 //! what comes out depends on the nodes alone.
+//!
+//! What it does with a map it has is its mode's business (`modes`); `keep` has what is kept in a
+//! session, `undo` what people may take back, `forget` what a map that is to last forgets.
+
+mod forget;
+mod keep;
+mod modes;
+mod undo;
+
+pub use keep::BackState;
+pub use modes::Start;
+pub use undo::{Ban, ClosureReport};
 
 use crate::align::{Reference, align};
 use crate::canvas::Canvas;
 use crate::closure::{Detector, Find, Search, SearchCounts, View};
 use crate::config::SlamConfig;
+use crate::front::Ride;
 use crate::graph::{EdgeKind, Graph, Relative};
+use crate::localize::{Localizer, LocalizerCounts};
 use crate::node::{Node, Revision};
+use crate::relocalize::{SeekCounts, Seeker};
 use crate::stage::{Stage, StageWatch};
-use msg::{GridView, Pose2, TileMap, pose::wrap_angle};
+use modes::Anchor;
+use msg::{GridView, Pose2, SlamMode, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -42,6 +58,28 @@ pub struct Back {
     closures: u32,
     solutions: u64,
     retracted: u64,
+    mode: SlamMode,
+    /// Scans of earlier scan paths, by this graph's own numbers.
+    earlier: Vec<Ride>,
+    /// The scan path's number of each node.
+    front_ids: Vec<u32>,
+    /// The scan path's number of the newest node, kept or not.
+    newest_front: u32,
+    /// While it is not known where the robot is.
+    seeker: Option<Seeker>,
+    sought: SeekCounts,
+    /// The newest node is the one that found it.
+    just_found: bool,
+    /// Where the next node is, if it does not follow from the one before.
+    anchor: Option<Anchor>,
+    /// In localization, instead of a growing graph.
+    localizer: Option<Localizer>,
+    /// Closures that were undone.
+    bans: Vec<Ban>,
+    /// How often each node was contradicted.
+    contradicted: Vec<u8>,
+    retired: u64,
+    retiring: Vec<u32>,
     watch: Box<dyn StageWatch>,
 }
 
@@ -62,6 +100,12 @@ pub struct BackCounts {
     pub not_drawn: u64,
     /// How closure searches ended.
     pub searches: SearchCounts,
+    /// How searches for the robot ended.
+    pub sought: SeekCounts,
+    /// Localization: which nodes fitted the map.
+    pub localized: LocalizerCounts,
+    /// Nodes forgotten.
+    pub retired: u64,
 }
 
 impl Back {
@@ -79,6 +123,19 @@ impl Back {
             closures: 0,
             solutions: 0,
             retracted: 0,
+            mode: SlamMode::Mapping,
+            earlier: Vec::new(),
+            front_ids: Vec::new(),
+            newest_front: 0,
+            seeker: None,
+            sought: SeekCounts::default(),
+            just_found: false,
+            anchor: None,
+            localizer: None,
+            bans: Vec::new(),
+            contradicted: Vec::new(),
+            retired: 0,
+            retiring: Vec::new(),
             watch: Box::new(()),
             config,
         }
@@ -89,10 +146,21 @@ impl Back {
         self.watch = watch;
     }
 
-    /// Takes the next node: place it, link it, look for a closure, solve if that is due.
+    /// Takes the next node, and does with it what the mode wants.
     pub fn add(&mut self, node: Node) -> Revision {
         let node = node.kept();
-        let id = node.id;
+        self.newest_front = node.id;
+        self.take(node);
+        self.watch.begins(Stage::Idle);
+        self.revision()
+    }
+
+    /// The map grows by a node: place it, link it, look for a closure, solve if that is due.
+    fn extend(&mut self, node: Node) {
+        let id = self.nodes.len() as u32;
+        if id as usize >= self.config.graph.nodes_max {
+            return;
+        }
         self.watch.begins(Stage::Link);
         self.place(node);
         self.link_sequential(id);
@@ -107,8 +175,6 @@ impl Back {
         if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
         }
-        self.watch.begins(Stage::Idle);
-        self.revision()
     }
 
     /// The last word: looks again where nothing was found, solves with all that is known.
@@ -169,6 +235,9 @@ impl Back {
             solutions: self.solutions,
             not_drawn: self.canvas.clipped(),
             searches: self.detector.counts(),
+            sought: self.seeker.as_ref().map_or(self.sought, Seeker::counts),
+            localized: self.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
+            retired: self.retired,
         }
     }
 
@@ -204,8 +273,15 @@ impl Back {
         self.canvas.tiles()
     }
 
-    /// Puts a node where the scan path says, as seen from the node before, with odometry's edge.
-    fn place(&mut self, node: Node) {
+    /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or
+    /// where it was put down.
+    fn place(&mut self, mut node: Node) {
+        self.front_ids.push(node.id);
+        self.contradicted.push(0);
+        node.id = self.nodes.len() as u32;
+        if let Some(anchor) = self.anchor.take() {
+            return self.put_down(node, anchor);
+        }
         let Some(previous) = self.nodes.last() else {
             self.graph.add_node(node.local_from_base);
             self.nodes.push(node);
@@ -321,15 +397,21 @@ impl Back {
 
     /// Brings believed finds into the graph, solves, and links the newest nodes to what they now see.
     fn close(&mut self, finds: &[Find]) {
-        for find in finds {
+        let finds: Vec<Find> = finds.iter().filter(|find| !self.banned(find)).copied().collect();
+        if finds.is_empty() {
+            return;
+        }
+        for find in &finds {
             let information = self.floored(find.information);
             let (a, b) = (find.candidate, find.node);
             let drift = self.drift(find.candidate_from_node);
             self.graph.add_edge([a, b], find.candidate_from_node, information, EdgeKind::Closure, drift);
+            let newest = self.graph.edges().len() - 1;
+            self.graph.edge_mut(newest).response = find.response;
         }
         self.solve(true);
         self.watch.begins(Stage::Link);
-        for id in self.around(finds) {
+        for id in self.around(&finds) {
             let relative = self.relative_to(id);
             self.link_near(id, &relative);
         }
@@ -372,18 +454,11 @@ impl Back {
             self.graph.edge_mut(index).in_force = false;
             self.retracted += 1;
         }
-        let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
-        self.closures = self.graph.edges().iter().filter(in_force).count() as u32;
+        self.count_closures();
     }
 
-    fn revision(&self) -> Revision {
-        let newest = self.nodes.len() - 1;
-        let local_from_node = self.nodes[newest].local_from_base;
-        Revision {
-            cause: newest as u32,
-            effective_from: newest as u32 + self.config.graph.revision_lag_nodes,
-            map_from_local: self.graph.poses()[newest] * local_from_node.inverse(),
-            closures: self.closures,
-        }
+    fn count_closures(&mut self) {
+        let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
+        self.closures = self.graph.edges().iter().filter(in_force).count() as u32;
     }
 }

@@ -30,6 +30,7 @@ pub struct Canvas {
     clipped: u64,
     grid: Dense,
     ends: Ends,
+    pen: Pen,
 }
 
 /// How a node is drawn.
@@ -60,6 +61,7 @@ impl Canvas {
     pub fn new(config: MapConfig) -> Self {
         let map = TileMap::new(MapHeader { resolution_m: config.resolution_m, ..Default::default() });
         Self {
+            pen: Pen::new(&config),
             config,
             map,
             drawn: Vec::new(),
@@ -73,6 +75,22 @@ impl Canvas {
     /// Nodes that are not drawn because the map would have become too large.
     pub fn clipped(&self) -> u64 {
         self.clipped
+    }
+
+    /// Where each drawn node lay when it was drawn: all that decides how the map came about.
+    pub fn drawn(&self) -> Vec<Pose2> {
+        self.drawn.iter().map(|node| node.map_from_base).collect()
+    }
+
+    /// Begins anew with nodes where an earlier canvas had them, so that the map is the same.
+    pub fn restore(&mut self, nodes: &[Node], drawn: &[Pose2]) {
+        self.map = TileMap::new(MapHeader { resolution_m: self.config.resolution_m, ..Default::default() });
+        self.drawn.clear();
+        self.redraw = None;
+        self.clipped = 0;
+        for (node, pose) in nodes.iter().zip(drawn) {
+            self.add(node, *pose);
+        }
     }
 
     /// The map as drawn so far, never half a new version.
@@ -116,7 +134,7 @@ impl Canvas {
                 redraw.map.make_room(drawn.tiles, ROBOT_TILES_MAX);
                 let (marks, node) = (&redraw.marks, &nodes[redraw.next]);
                 let open = redraw.map.open(drawn.tiles, |x, y| marks.holds(x, y));
-                cost += self.ends.place(node, drawn.map_from_base, &self.config).trace(open, &self.config);
+                cost += self.ends.place(node, drawn.map_from_base, &self.config).trace(open, &self.pen);
             }
             redraw.next += 1;
             left = left.saturating_sub(cost);
@@ -142,7 +160,7 @@ impl Canvas {
             return NODE_CELLS;
         }
         let open = self.map.open(tiles, |_, _| true);
-        NODE_CELLS + self.ends.place(node, map_from_base, &self.config).trace(open, &self.config)
+        NODE_CELLS + self.ends.place(node, map_from_base, &self.config).trace(open, &self.pen)
     }
 
     /// A new version of the tiles that the nodes that have moved touched and will touch, if any.
@@ -278,61 +296,75 @@ impl Ends {
         self.hits.extend(node.rays.hits.iter().map(cell));
         self.misses.clear();
         self.misses.extend(node.rays.misses.iter().map(cell));
+        self.sensor = cell(&node.rays.sensor);
         self
     }
 
     /// Draws into the open tiles. Returns the cells passed, open or not.
-    fn trace(&self, mut tiles: OpenTiles<'_>, config: &MapConfig) -> usize {
-        let step = |nats: f64| (nats / LOG_ODDS_PER_STEP).round().clamp(1.0, 127.0) as i8;
-        let (hit, miss) = (step(config.hit), -step(config.miss));
+    fn trace(&self, mut tiles: OpenTiles<'_>, pen: &Pen) -> usize {
         let mut cells = 0;
         // A cell that beams graze and one beam ends in is a surface: ends are drawn last and
         // make good what this scan's passing beams took.
         for &end in self.hits.iter().chain(&self.misses) {
-            cells += pass(&mut tiles, self.sensor, end, miss);
+            cells += pass(&mut tiles, self.sensor, end, &pen.pass);
         }
         for &[x, y] in &self.hits {
             if let Some(cells) = tiles.cells(x.div_euclid(TILE), y.div_euclid(TILE)) {
-                add(&mut cells[place_in_tile([x, y])], hit - miss);
+                let cell = &mut cells[(y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize];
+                *cell = pen.end[usize::from(*cell as u8)];
             }
         }
         cells
     }
 }
 
-/// All cells from `start` up to, but without, `end`. Returns how many.
-fn pass(tiles: &mut OpenTiles<'_>, start: [i64; 2], end: [i64; 2], change: i8) -> usize {
+/// What becomes of a cell, by its bits, when a beam passes or, after that, ends there.
+struct Pen {
+    pass: [i8; 256],
+    end: [i8; 256],
+}
+
+impl Pen {
+    fn new(config: &MapConfig) -> Self {
+        let step = |nats: f64| (nats / LOG_ODDS_PER_STEP).round().clamp(1.0, 127.0) as i8;
+        let (hit, miss) = (step(config.hit), -step(config.miss));
+        let table = |change: i8| {
+            core::array::from_fn(|bits| {
+                let cell = bits as u8 as i8;
+                let before = if cell == UNKNOWN { 0 } else { cell };
+                before.saturating_add(change).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX)
+            })
+        };
+        Self { pass: table(miss), end: table(hit - miss) }
+    }
+}
+
+/// Changes all cells from `start` up to, but without, `end`. Returns how many.
+fn pass(tiles: &mut OpenTiles<'_>, start: [i64; 2], end: [i64; 2], change: &[i8; 256]) -> usize {
     let (dx, dy) = ((end[0] - start[0]).abs(), -(end[1] - start[1]).abs());
     let (sx, sy) = ((end[0] - start[0]).signum(), (end[1] - start[1]).signum());
-    let (mut at, mut error) = (start, dx + dy);
-    while at != end {
+    let count = dx.max(-dy);
+    let (mut at, mut error, mut left) = (start, dx + dy, count);
+    while left > 0 {
         let tile = at.map(|v| v.div_euclid(TILE));
         let mut cells = tiles.cells(tile[0], tile[1]);
-        while at != end && at.map(|v| v.div_euclid(TILE)) == tile {
+        let [mut x, mut y] = at.map(|v| v.rem_euclid(TILE));
+        // Both within the tile: no bit beyond the lowest six is set, nor the sign.
+        while left > 0 && (x | y) as u64 >> TILE.trailing_zeros() == 0 {
             if let Some(cells) = &mut cells {
-                add(&mut cells[place_in_tile(at)], change);
+                let cell = &mut cells[(y * TILE + x) as usize];
+                *cell = change[usize::from(*cell as u8)];
             }
             let twice = 2 * error;
-            if twice >= dy {
-                error += dy;
-                at[0] += sx;
-            }
-            if twice <= dx {
-                error += dx;
-                at[1] += sy;
-            }
+            let (along_x, along_y) = (i64::from(twice >= dy), i64::from(twice <= dx));
+            error += along_x * dy + along_y * dx;
+            x += along_x * sx;
+            y += along_y * sy;
+            left -= 1;
         }
+        at = [tile[0] * TILE + x, tile[1] * TILE + y];
     }
-    dx.max(-dy) as usize
-}
-
-fn place_in_tile([x, y]: [i64; 2]) -> usize {
-    (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize
-}
-
-fn add(cell: &mut i8, change: i8) {
-    let before = if *cell == UNKNOWN { 0 } else { *cell };
-    *cell = before.saturating_add(change).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX);
+    count as usize
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ const PENDING_NODES: u32 = 40;
 /// Half side of the field searched in, metres.
 const REACH_M: f32 = 20.0;
 /// References and query nodes that take part in alignment and contradiction tests.
-const JUDGES: usize = 6;
+pub(crate) const JUDGES: usize = 6;
 /// Nodes before the newest that are looked for with it, at least.
 const QUERY_NODES_MIN: u32 = 5;
 /// Candidate passes tried in one search.
@@ -41,6 +41,19 @@ pub struct Find {
     pub candidate_from_node: Pose2,
     /// Inverse covariance in the candidate's frame.
     pub information: Matrix3<f64>,
+    /// Mean field value under its points, 0 to 1.
+    pub response: f32,
+}
+
+/// A detector's memory, to be kept.
+#[derive(Clone, Debug, Default)]
+pub struct DetectorState {
+    /// Finds that wait for a witness.
+    pub pending: Vec<Find>,
+    /// How searches ended.
+    pub counts: SearchCounts,
+    /// The way at the last search, metres.
+    pub last_search_m: Option<f64>,
 }
 
 /// How searches ended.
@@ -61,7 +74,7 @@ pub struct SearchCounts {
 }
 
 /// A node and its pose in some other node's frame.
-type Placed<'a> = (&'a Node, Pose2);
+pub(crate) type Placed<'a> = (&'a Node, Pose2);
 
 /// What a search looks at.
 pub struct View<'a> {
@@ -130,6 +143,26 @@ impl Detector {
             last_search_m: None,
             config,
         }
+    }
+
+    /// Goes on from another detector's memory.
+    pub fn resume(config: SlamConfig, state: DetectorState) -> Self {
+        let DetectorState { pending, counts, last_search_m } = state;
+        Self { pending: pending.into(), counts, last_search_m, ..Self::new(config) }
+    }
+
+    /// Its memory.
+    pub fn state(&self) -> DetectorState {
+        let pending = self.pending.iter().copied().collect();
+        DetectorState { pending, counts: self.counts, last_search_m: self.last_search_m }
+    }
+
+    /// Nodes got other numbers; finds of nodes that are gone are forgotten.
+    pub fn renumber(&mut self, number: &dyn Fn(u32) -> Option<u32>) {
+        self.pending.retain_mut(|find| match (number(find.node), number(find.candidate)) {
+            (Some(node), Some(candidate)) => ((find.node, find.candidate) = (node, candidate), true).1,
+            _ => false,
+        });
     }
 
     /// How searches ended.
@@ -219,7 +252,7 @@ impl Detector {
         let peak = self.correlate(&query, &window)?;
         let fit = self.settle(&chain, &query, peak)?;
         let (candidate_from_node, information) = (fit.frame_from_cloud, fit.information);
-        Some(Find { node, candidate, candidate_from_node, information })
+        Some(Find { node, candidate, candidate_from_node, information, response: peak.score.clamp(0.0, 1.0) })
     }
 
     /// The pass around the candidate, as seen from it.
@@ -335,7 +368,7 @@ impl Detector {
 }
 
 /// Points of each pass against the other's: (on a surface, where the other saw through).
-fn judge<'a>(
+pub(crate) fn judge<'a>(
     chain: impl Iterator<Item = &'a Placed<'a>>,
     query: &[Placed<'_>],
     chain_from_query: Pose2,

@@ -21,10 +21,11 @@ const FLATNESS_M: f32 = 0.04;
 /// Cosine of the largest angle between normals of the same surface.
 const FACING: f32 = 0.7;
 /// Bearings of [`Cloud::sees_through`].
-const BEARINGS: usize = 360;
+pub const BEARINGS: usize = 360;
 
 /// A point of a surface, metres, and the surface's unit normal towards the sensor (zero: unknown).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct SurfacePoint {
     /// Position.
     pub at: [f32; 2],
@@ -125,6 +126,25 @@ impl Cloud {
         // Every head now is where its bucket ends, which is where the next one begins.
         heads.rotate_right(1);
         heads[0] = 0;
+    }
+
+    /// What a cloud is made of, to be kept: its points, where the sensor and the points' middle are,
+    /// and the nearest return by bearing, centimetres.
+    pub fn parts(&self) -> (&[SurfacePoint], [f32; 2], [f32; 2], &[u16; BEARINGS]) {
+        (&self.points, self.sensor, self.middle, &self.seen_cm)
+    }
+
+    /// The same cloud from what [`Cloud::parts`] gave; at most 4096 points.
+    pub fn from_parts(
+        points: Vec<SurfacePoint>,
+        sensor: [f32; 2],
+        middle: [f32; 2],
+        seen_cm: Box<[u16; BEARINGS]>,
+    ) -> Self {
+        // Points are grouped already, and grouping keeps the order within a group: nothing moves.
+        let mut cloud = Self::with_room(points.len());
+        cloud.index(&points);
+        Self { sensor, middle, seen_cm, ..cloud }
     }
 
     /// The points, in no particular order.

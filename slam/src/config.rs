@@ -21,6 +21,10 @@ pub struct SlamConfig {
     pub graph: GraphConfig,
     /// The drawn grid.
     pub map: MapConfig,
+    /// The search for a robot in a whole map.
+    pub relocalize: RelocalizeConfig,
+    /// What is forgotten when the map is to last.
+    pub lifelong: LifelongConfig,
 }
 
 /// See [`SlamConfig::lidar`].
@@ -218,6 +222,99 @@ pub struct MapConfig {
     pub redraw_m: f64,
 }
 
+/// See [`SlamConfig::relocalize`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RelocalizeConfig {
+    /// Mean field value under the query's points, 0 to 1.
+    pub response_min: f32,
+    /// Places that score above this share of the best are looked at too.
+    pub rival_share: f32,
+    /// The most places looked at closely in one search.
+    pub places_max: usize,
+    /// Share of the query that must find a surface.
+    pub overlap_min: f32,
+    /// Share of compared points that must not contradict what the other scans saw through.
+    pub agreement_min: f32,
+    /// Searches that must agree before the robot is believed to be found, without a hint.
+    pub witnesses: usize,
+    /// Travel between two of them, metres.
+    pub apart_m: f64,
+    /// Travel between two searches, metres; a turn of a radian counts as much.
+    pub travel_m: f64,
+    /// They agree within this, metres.
+    pub agree_m: f64,
+    /// And this, radians.
+    pub agree_rad: f64,
+    /// A robot is looked for within this distance of places where a scan was taken, metres.
+    pub near_node_m: f64,
+    /// Evaluations a search may cost; a search that needs more is given up.
+    pub evaluations_max: usize,
+    /// A robot that was told where it is, and has not been found there after so many nodes, is
+    /// believed to be there all the same, in a part that is not mapped yet.
+    pub hint_nodes: usize,
+    /// Localization: after this way without a scan that fits, the robot is looked for everywhere, metres.
+    pub give_up_m: f64,
+}
+
+/// See [`SlamConfig::lifelong`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LifelongConfig {
+    /// Scans kept of the same view: the newest.
+    pub views: usize,
+    /// Views are the same within this distance, metres,
+    pub view_m: f64,
+    /// and this turn, radians.
+    pub view_rad: f64,
+    /// A scan of which a later one sees through this share is contradicted.
+    pub contradicted_share: f32,
+    /// After so many contradictions it is forgotten, if a later scan has much the same view.
+    pub contradictions: u8,
+    /// Forgotten nodes are taken out of the graph, and the map drawn anew, so many at a time.
+    pub batch: usize,
+    /// The newest so many nodes are not touched.
+    pub newest: usize,
+    /// The most nodes, however large the map.
+    pub nodes_max: usize,
+}
+
+impl Default for RelocalizeConfig {
+    fn default() -> Self {
+        Self {
+            response_min: 0.55,
+            rival_share: 0.85,
+            places_max: 12,
+            overlap_min: 0.65,
+            agreement_min: 0.93,
+            witnesses: 3,
+            apart_m: 1.0,
+            travel_m: 0.5,
+            agree_m: 0.25,
+            agree_rad: 0.08,
+            near_node_m: 3.0,
+            evaluations_max: 2_000_000,
+            hint_nodes: 10,
+            give_up_m: 5.0,
+        }
+    }
+}
+
+impl Default for LifelongConfig {
+    fn default() -> Self {
+        Self {
+            views: 3,
+            view_m: 0.5,
+            view_rad: 0.5,
+            contradicted_share: 0.1,
+            contradictions: 3,
+            batch: 16,
+            newest: 24,
+            nodes_max: 8000,
+        }
+    }
+}
+
 impl Default for LidarConfig {
     fn default() -> Self {
         Self { base_from_scan: [0.0; 3], range_use_max_m: 30.0, spacing_m: 0.05, points_max: 400 }
@@ -393,6 +490,13 @@ impl SlamConfig {
         between("map.resolution_m", map.resolution_m, 0.01, 1.0, "0.01 to 1 m")?;
         between("map.hit", map.hit, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
         between("map.miss", map.miss, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
+        let (r, l) = (&self.relocalize, &self.lifelong);
+        between("relocalize.places_max", r.places_max as f64, 1.0, 100.0, "1 to 100")?;
+        between("relocalize.near_node_m", r.near_node_m, 0.1, 1e3, "0.1 to 1000 m")?;
+        between("relocalize.evaluations_max", r.evaluations_max as f64, 1.0, 1e9, "1 to 10^9")?;
+        between("lifelong.views", l.views as f64, 1.0, 100.0, "1 to 100")?;
+        between("lifelong.batch", l.batch as f64, 1.0, 1000.0, "1 to 1000")?;
+        between("lifelong.nodes_max", l.nodes_max as f64, 100.0, 1e6, "100 to 1 000 000")?;
         between("map.range_max_m", map.range_max_m.into(), 0.1, 200.0, "0.1 to 200 m")
     }
 

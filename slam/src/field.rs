@@ -186,7 +186,8 @@ impl Field {
     }
 }
 
-fn kernel(cell_m: f32, blur_m: f32) -> Vec<(i32, i32, u8)> {
+/// What one point does to the cells around it, strongest first: (x, y, likelihood).
+pub(crate) fn kernel(cell_m: f32, blur_m: f32) -> Vec<(i32, i32, u8)> {
     let half = ((2.5 * blur_m / cell_m).ceil() as i32).min(KERNEL_MAX);
     let mut kernel = Vec::new();
     for y in -half..=half {

@@ -122,13 +122,53 @@ pub struct Ride {
 
 /// The scan before.
 #[derive(Clone, Copy, Debug)]
-struct Last {
-    stamp: Stamp,
-    local_from_base: Pose2,
-    odom_from_base: Option<Pose2>,
+pub struct Last {
+    /// Its stamp.
+    pub stamp: Stamp,
+    /// The robot's pose.
+    pub local_from_base: Pose2,
+    /// Odometry's, if it was known.
+    pub odom_from_base: Option<Pose2>,
     /// Motion over the last interval, and its length in seconds, for logs without odometry.
-    motion: Option<(Pose2, f64)>,
-    covariance: Matrix3<f64>,
+    pub motion: Option<(Pose2, f64)>,
+    /// Of the pose.
+    pub covariance: Matrix3<f64>,
+}
+
+/// Where the scan path is, to be kept. Its local maps are not in it: they are drawn again from the
+/// newest nodes, which the map keeps anyway.
+#[derive(Clone, Debug)]
+pub struct FrontState {
+    /// The next node's number.
+    pub next_node: u32,
+    /// How many of the newest nodes refine poses.
+    pub recent: u32,
+    /// How many of the newest nodes are in the older and in the younger local map.
+    pub local_maps: [u32; 2],
+    /// Scans in a row that did not fit.
+    pub lost_in_row: u32,
+    /// Closures in force, as last heard.
+    pub closures: u32,
+    /// Whether `map_from_local` is known.
+    pub located: bool,
+    /// The loop-closed map from the scan path's frame.
+    pub map_from_local: Pose2,
+    /// Odometry from the newest node handed over to the newest scan matched against.
+    pub handed_from_recent: Option<Pose2>,
+    /// Odometry at the newest node.
+    pub node_odom_from_base: Option<Pose2>,
+    /// The scan before.
+    pub last: Option<Last>,
+    /// How many scans went which way.
+    pub counts: Counts,
+    /// Revisions that wait for their node.
+    pub waiting: Vec<Revision>,
+    /// The newest odometry.
+    pub odometry: Vec<Odometry>,
+    /// Its frame, see [`crate::odometry`].
+    pub continuous_from_odom: Pose2,
+    /// Messages refused.
+    pub odometry_refused: u64,
 }
 
 /// What the scan path knows before it looks at a scan.
@@ -166,6 +206,8 @@ pub struct Front {
     scratch: Scratch,
     points: Vec<[f32; 2]>,
     map_from_local: Pose2,
+    /// Whether `map_from_local` is known: where the robot is in its map.
+    located: bool,
     closures: u32,
     waiting: VecDeque<Revision>,
     rides: Vec<Ride>,
@@ -198,6 +240,7 @@ impl Front {
             scratch: Scratch::with_room(t.search_points_max, t.window_max_m, t.window_max_rad, t.cell_m),
             points: Vec::with_capacity(t.search_points_max),
             map_from_local: Pose2::IDENTITY,
+            located: true,
             closures: 0,
             waiting: VecDeque::with_capacity(REVISIONS_MAX),
             // The system gives the memory as it is used.
@@ -206,6 +249,77 @@ impl Front {
             watch: Box::new(()),
             config,
         }
+    }
+
+    /// Goes on where a scan path was when it gave [`Front::state`]. `newest` are the map's newest
+    /// nodes, in order: as many as the state speaks of.
+    pub fn resume(config: SlamConfig, state: FrontState, newest: &[Node]) -> Self {
+        let mut front = Self::new(config);
+        let last_of = |count: u32| &newest[newest.len().saturating_sub(count as usize)..];
+        for (map, count) in front.local_maps.iter_mut().zip(state.local_maps) {
+            let nodes = last_of(count);
+            if let Some(first) = nodes.first() {
+                map.field.clear([first.local_from_base.x_m, first.local_from_base.y_m]);
+            }
+            nodes.iter().for_each(|node| map.field.insert(&node.cloud, node.local_from_base));
+            map.nodes = nodes.len();
+        }
+        let references = front.config.tracking.references as u32;
+        front.recent.extend(last_of(state.recent.min(references)).iter().cloned());
+        let odometry = front.config.odometry.clone();
+        front.odometry = OdometryBuffer::from_parts(
+            odometry,
+            &state.odometry,
+            state.continuous_from_odom,
+            state.odometry_refused,
+        );
+        front.waiting.extend(state.waiting.into_iter().take(REVISIONS_MAX));
+        (front.next_node, front.lost_in_row) = (state.next_node, state.lost_in_row);
+        (front.map_from_local, front.located) = (state.map_from_local, state.located);
+        front.handed = newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base));
+        front.handed_from_recent = state.handed_from_recent;
+        (front.node_odom_from_base, front.last) = (state.node_odom_from_base, state.last);
+        (front.counts, front.closures) = (state.counts, state.closures);
+        front
+    }
+
+    /// Where the scan path is. It costs a copy of the odometry buffer.
+    pub fn state(&self) -> FrontState {
+        let (odometry, continuous_from_odom, odometry_refused) = self.odometry.parts();
+        FrontState {
+            next_node: self.next_node,
+            recent: self.recent.len() as u32,
+            local_maps: [0, 1].map(|k: usize| self.local_maps[k].nodes as u32),
+            lost_in_row: self.lost_in_row,
+            closures: self.closures,
+            located: self.located,
+            map_from_local: self.map_from_local,
+            handed_from_recent: self.handed_from_recent,
+            node_odom_from_base: self.node_odom_from_base,
+            last: self.last,
+            counts: self.counts,
+            waiting: self.waiting.iter().copied().collect(),
+            odometry,
+            continuous_from_odom,
+            odometry_refused,
+        }
+    }
+
+    /// The robot in the scan path's own frame, at the last scan.
+    pub fn local_from_base(&self) -> Pose2 {
+        self.last.map_or(Pose2::IDENTITY, |last| last.local_from_base)
+    }
+
+    /// Whether it is known where the robot is in its map.
+    pub fn located(&self) -> bool {
+        self.located
+    }
+
+    /// Says where the scan path's frame lies in the map, or that it is not known; revisions say it later.
+    pub fn place(&mut self, map_from_local: Option<Pose2>) {
+        self.located = map_from_local.is_some();
+        self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
+        self.waiting.clear();
     }
 
     /// From now on this watch hears of every stage.
@@ -500,10 +614,12 @@ impl Front {
     }
 
     fn apply_revisions(&mut self, node: u32) {
-        while let Some(revision) = self.waiting.front().filter(|r| r.effective_from <= node) {
+        // The newest that is due; those before it are out of date.
+        let Some(due) = self.waiting.iter().rposition(|r| r.effective_from <= node) else { return };
+        for revision in self.waiting.drain(..=due) {
             self.map_from_local = revision.map_from_local;
+            self.located = revision.located;
             self.closures = revision.closures;
-            self.waiting.pop_front();
         }
     }
 
@@ -541,7 +657,7 @@ impl Front {
             map_from_odom: map_from_base * base_from_odom,
             map_from_base,
             covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
-            state: found.state as u32,
+            state: if self.located { found.state } else { TrackingState::Lost } as u32,
             nodes: self.next_node,
             closures: self.closures,
             reserved: 0,

@@ -19,6 +19,8 @@ pub enum EdgeKind {
     Link,
     /// A place recognised after a long way.
     Closure,
+    /// Where a robot was put down, as it was told or found out.
+    Placed,
 }
 
 /// A measured relative pose.
@@ -38,6 +40,8 @@ pub struct Edge {
     pub in_force: bool,
     /// Variances for the propagation of uncertainty: position (worst direction) and heading.
     pub variance: [f64; 2],
+    /// Of a closure: how well the scans fitted, 0 to 1.
+    pub response: f32,
 }
 
 /// How well a node is known as seen from another one.
@@ -62,6 +66,16 @@ impl Graph {
     /// Without nodes.
     pub fn new(config: GraphConfig) -> Self {
         Self { config, poses: Vec::new(), edges: Vec::new(), around: Vec::new() }
+    }
+
+    /// With these nodes, and edges between them.
+    pub fn from_parts(config: GraphConfig, poses: Vec<Pose2>, edges: Vec<Edge>) -> Self {
+        let mut around = vec![Vec::new(); poses.len()];
+        for (index, edge) in edges.iter().enumerate() {
+            around[edge.a as usize].push(index as u32);
+            around[edge.b as usize].push(index as u32);
+        }
+        Self { config, poses, edges, around }
     }
 
     /// The map from each node.
@@ -107,7 +121,7 @@ impl Graph {
         let position = plane.symmetric_eigenvalues().max().max(1e-8) + drift[0].powi(2);
         let variance = [position, covariance[(2, 2)].max(1e-10) + drift[1].powi(2)];
         let index = self.edges.len() as u32;
-        self.edges.push(Edge { a, b, a_from_b, information, kind, in_force: true, variance });
+        self.edges.push(Edge { a, b, a_from_b, information, kind, in_force: true, variance, response: 0.0 });
         self.around[a as usize].push(index);
         self.around[b as usize].push(index);
     }

@@ -23,26 +23,33 @@ mod config;
 mod field;
 mod front;
 mod graph;
+mod localize;
 mod node;
 mod odometry;
 mod pool;
+mod relocalize;
+pub mod session;
 mod stage;
 mod submap;
 mod sweep;
 
-pub use back::{Back, BackCounts};
+pub use back::{Back, BackCounts, BackState, ClosureReport, Start};
+pub use canvas::Canvas;
 pub use closure::SearchCounts;
 pub use cloud::{Cloud, CloudScratch, Placement, SurfacePoint};
 pub use config::*;
-pub use front::{Counts, Front, Refusal, Ride, Step};
+pub use front::{Counts, Front, FrontState, Refusal, Ride, Step};
 pub use graph::{Edge, EdgeKind, Graph, Relative};
+pub use localize::LocalizerCounts;
 pub use node::{Node, Rays, Revision};
 pub use pool::NODES_UNDER_WAY_MAX;
+pub use relocalize::{Hint, SeekCounts};
+pub use session::{Identity, Session, SessionError};
 pub use stage::{Stage, StageWatch};
 pub use submap::Submaps;
 pub use sweep::Sweep;
 
-use msg::{GridView, Odometry, Pose2, Scan, Stamp, TileMap};
+use msg::{GridView, Odometry, Pose2, Scan, SlamMode, Stamp, TileMap};
 use std::collections::VecDeque;
 
 /// Nodes that wait for [`Slam::work`]; when they are more, [`Slam::process`] does the work itself.
@@ -60,6 +67,18 @@ impl Slam {
     pub fn new(config: SlamConfig) -> Self {
         let waiting = VecDeque::with_capacity(WAITING_MAX);
         Self { front: Front::new(config.clone()), back: Back::new(config), waiting }
+    }
+
+    /// Goes on with what was kept, or begins in a mode.
+    pub fn begin(config: SlamConfig, session: Option<Session>, mode: SlamMode, start: Start) -> Self {
+        let (front, back) = begin(config, session, mode, start);
+        Self { front, back, waiting: VecDeque::with_capacity(WAITING_MAX) }
+    }
+
+    /// All that must be kept to go on later, after working off what waits.
+    pub fn session(&mut self, identity: Identity) -> Session {
+        self.work();
+        self.back.session(identity, Some(self.front.state()), self.front.rides())
     }
 
     /// Takes one odometry message.
@@ -122,9 +141,14 @@ impl Slam {
         self.back.counts()
     }
 
-    /// The work beside the scan path, to be looked at.
+    /// The work beside the scan path.
     pub fn back(&self) -> &Back {
         &self.back
+    }
+
+    /// The same, to undo closures.
+    pub fn back_mut(&mut self) -> &mut Back {
+        &mut self.back
     }
 
     /// The two halves, to be run on different threads.
@@ -135,7 +159,30 @@ impl Slam {
 
 /// Every accepted scan's stamp and `map_from_base`: scans between nodes ride on their node.
 pub fn trajectory<'a>(front: &'a Front, back: &'a Back) -> impl Iterator<Item = (Stamp, Pose2)> + 'a {
-    let poses = back.graph().poses();
-    let known = front.rides().iter().filter(|ride| (ride.node as usize) < poses.len());
-    known.map(|ride| (ride.stamp, poses[ride.node as usize] * ride.node_from_base))
+    back.trajectory(front.rides())
+}
+
+/// A scan path and a back end that begin a map, or go on with one that was kept.
+pub fn begin(config: SlamConfig, session: Option<Session>, mode: SlamMode, start: Start) -> (Front, Back) {
+    let mut tracking = config.clone();
+    if mode != SlamMode::Mapping {
+        // The map is bounded by other means; the scan path need not stop making nodes.
+        tracking.graph.nodes_max = u32::MAX as usize;
+    }
+    let Some(session) = session else {
+        let mut back = Back::new(config);
+        back.set_mode(mode);
+        return (Front::new(tracking), back);
+    };
+    let front = match (start, session.front) {
+        (Start::GoOn, Some(state)) => Front::resume(tracking, state, &session.back.nodes),
+        (start, _) => {
+            let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
+            let mut front = Front::new(tracking);
+            front.place(if let Start::At(hint) = start { Some(hint.map_from_local) } else { empty });
+            let start = if start == Start::GoOn { Start::Unknown } else { start };
+            return (front, Back::resume(config, session.back, session.rides, mode, start));
+        }
+    };
+    (front, Back::resume(config, session.back, session.rides, mode, start))
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// A scan that entered the pose graph.
 #[derive(Clone, Debug)]
 pub struct Node {
-    /// Nodes count from 0 without gaps.
+    /// Nodes count from 0 without gaps: by the scan path as it makes them, by the back end as it keeps them.
     pub id: u32,
     /// The scan's header.
     pub header: Header,
@@ -36,6 +36,8 @@ pub struct Revision {
     pub map_from_local: Pose2,
     /// Closures in force.
     pub closures: u32,
+    /// Whether it is known where the robot is in its map; if not, `map_from_local` means nothing.
+    pub located: bool,
 }
 
 /// A scan's beams as end points in `base_footprint`, metres.

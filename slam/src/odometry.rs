@@ -45,6 +45,24 @@ impl OdometryBuffer {
         self.continuous_from_odom
     }
 
+    /// What it holds, to be kept: the newest messages, the frame they are in, and how many were refused.
+    pub fn parts(&self) -> (Vec<Odometry>, Pose2, u64) {
+        (self.poses.iter().copied().collect(), self.continuous_from_odom, self.refused)
+    }
+
+    /// The same buffer from what [`OdometryBuffer::parts`] gave.
+    pub fn from_parts(
+        config: OdometryConfig,
+        poses: &[Odometry],
+        continuous_from_odom: Pose2,
+        refused: u64,
+    ) -> Self {
+        let mut buffer = Self::new(config);
+        let newest = &poses[poses.len().saturating_sub(buffer.config.buffer_len)..];
+        buffer.poses.extend(newest);
+        Self { continuous_from_odom, refused, ..buffer }
+    }
+
     /// How many messages were refused.
     pub fn refused(&self) -> u64 {
         self.refused

@@ -17,7 +17,11 @@ pub(super) struct Pixels {
 
 /// PNG by its signature, otherwise PGM.
 pub(super) fn read_image(path: &Path) -> Result<Pixels, MapFileError> {
-    let mut file = BufReader::new(File::open(path).map_err(MapFileError::io(path))?);
+    decode_image(path, BufReader::new(File::open(path).map_err(MapFileError::io(path))?))
+}
+
+/// The same from an open file or from memory; `path` is for errors.
+pub(super) fn decode_image(path: &Path, mut file: impl BufRead + Seek) -> Result<Pixels, MapFileError> {
     let mut magic = Vec::with_capacity(8);
     file.by_ref().take(8).read_to_end(&mut magic).map_err(MapFileError::io(path))?;
     file.rewind().map_err(MapFileError::io(path))?;

@@ -3,14 +3,13 @@
 
 use super::control::{self, Control};
 use super::pulse::{Account, Pulse};
-use super::{Error, outside};
+use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{Bell, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
-use ::bridge::dds::{Door, Heard};
 use ::bridge::{Bridge, Outlet, serve};
 use msg::{Command, Dense, GridView, Message, Odometry, PatchHeader, RobotId, Role, Transforms};
 use std::cell::RefCell;
@@ -19,7 +18,6 @@ use std::rc::Rc;
 use std::time::Duration;
 use tokio::io::unix::AsyncFd;
 use tokio::net::TcpListener;
-use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 use tokio::time::Instant;
 
@@ -41,7 +39,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run)));
         let mut tasks = fleet_tasks(&node, run, &bridge)?;
         if run.config.bridge.dds.enabled {
-            tasks.push(ros_door(run, stop, &bridge)?);
+            tasks.push(ros2::open(run, stop, &bridge)?);
         }
         tasks.push(spawn_local(beat(pulse, bridge.clone(), control.clone())));
         tasks.push(spawn_local(control::serve(control::listen(run)?, control)));
@@ -63,7 +61,7 @@ fn inherited_listener() -> std::io::Result<TcpListener> {
     TcpListener::from_std(listener)
 }
 
-async fn stopped(stop: Stop) {
+pub(super) async fn stopped(stop: Stop) {
     while !stop.requested() {
         tokio::time::sleep(LOOK_PERIOD).await;
     }
@@ -102,43 +100,8 @@ fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
     }))
 }
 
-/// Messages heard at the ROS 2 door that wait for the bridge; more are dropped there.
-const HEARD_MAX: usize = 256;
-
-/// Starts the thread of the ROS 2 door, and hears what it hears.
-fn ros_door(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
-    let (hear, mut heard) = mpsc::channel::<Heard>(HEARD_MAX);
-    let (run, stop) = (run.clone(), stop.clone());
-    std::thread::Builder::new().name("ros2".into()).spawn(move || {
-        if let Err(why) = ros_thread(&run, &stop, hear) {
-            eprintln!("bridge: {why}; ROS 2 is not served");
-        }
-    })?;
-    let bridge = bridge.clone();
-    Ok(spawn_local(async move {
-        while let Some(message) = heard.recv().await {
-            bridge.hear_ros(&message);
-        }
-    }))
-}
-
-fn ros_thread(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error> {
-    // A presence of its own: shared memory's ports stay on the thread that made them.
-    let node = Node::open(&run.domain, "ros2")?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    LocalSet::new().block_on(&runtime, async {
-        let door = Rc::new(Door::open(&run.config.bridge, run.config.fleet.robots)?);
-        let tasks = fleet_tasks(&node, run, &door)?;
-        let hearing = spawn_local(door.serve(move |message| drop(hear.try_send(message))));
-        stopped(stop.clone()).await;
-        hearing.abort();
-        tasks.iter().for_each(JoinHandle::abort);
-        Ok(())
-    })
-}
-
 /// A task for each channel that wakes.
-fn fleet_tasks<D: Outlet + 'static>(
+pub(super) fn fleet_tasks<D: Outlet + 'static>(
     node: &Node,
     run: &Run,
     bridge: &Rc<D>,
@@ -165,7 +128,7 @@ fn fleet_tasks<D: Outlet + 'static>(
 }
 
 /// Passes a channel on, message by message.
-fn forward<T: Message, D: Outlet + 'static>(
+pub(super) fn forward<T: Message, D: 'static>(
     node: &Node,
     bridge: &Rc<D>,
     channel: &Channel<T>,
@@ -250,7 +213,7 @@ fn watched(bell: Bell) -> Result<AsyncFd<Bell>, Error> {
 }
 
 /// Calls `act` now, and whenever the bell rings.
-fn on_ring(bell: Bell, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
+pub(super) fn on_ring(bell: Bell, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
     let bell = watched(bell)?;
     Ok(spawn_local(async move {
         loop {

@@ -7,13 +7,14 @@ mod map_out;
 mod merge;
 mod outside;
 mod pulse;
+mod ros2;
 mod sim;
 mod slam;
 mod telemetry;
 
 use crate::run::{Run, RunError};
 use crate::stop::Stop;
-use msg::{Pose2, RobotId};
+use msg::{Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -30,7 +31,8 @@ pub struct ProcessArgs {
     pub run_dir: PathBuf,
 }
 
-fn pose(text: &str) -> Result<Pose2, String> {
+/// Reads `X,Y,YAW`.
+pub fn pose(text: &str) -> Result<Pose2, String> {
     let numbers =
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
     match numbers.as_deref() {
@@ -78,24 +80,31 @@ pub enum Process {
 pub fn run(process: &Process) -> Result<(), Error> {
     match process {
         Process::Sim(args) => {
-            let (run, stop) = join(&args.process)?;
+            let (run, stop) = join(&args.process, Role::Sim)?;
             sim::run(&run, member(&run, args.robot)?, args.at, &stop)
         }
         Process::Slam(args) => {
-            let (run, stop) = join(&args.process)?;
+            let (run, stop) = join(&args.process, Role::Slam)?;
             slam::run(&run, member(&run, args.robot)?, args.at, &stop)
         }
-        Process::Merge(args) => join(args).and_then(|(run, stop)| merge::run(&run, &stop)),
-        Process::Telemetry(args) => join(args).and_then(|(run, stop)| telemetry::run(&run, &stop)),
-        Process::Bridge(args) => join(args).and_then(|(run, stop)| bridge::run(&run, &stop)),
+        Process::Merge(args) => join(args, Role::Merge).and_then(|(run, stop)| merge::run(&run, &stop)),
+        Process::Telemetry(args) => {
+            join(args, Role::Telemetry).and_then(|(run, stop)| telemetry::run(&run, &stop))
+        }
+        Process::Bridge(args) => join(args, Role::Bridge).and_then(|(run, stop)| bridge::run(&run, &stop)),
     }
 }
 
-fn join(args: &ProcessArgs) -> Result<(Run, Stop), Error> {
+fn join(args: &ProcessArgs, role: Role) -> Result<(Run, Stop), Error> {
     let run = Run::open(&args.run_dir)?;
     let stop = Stop::for_child(run.pid)?;
     // Timers fire when they are due, not up to 50 us later to save power.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+    for outcome in run.config.realtime.apply(role) {
+        if let Err(why) = outcome.result {
+            eprintln!("{}: goes on without {}: {why}", role.name(), outcome.wish);
+        }
+    }
     Ok((run, stop))
 }
 

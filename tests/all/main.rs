@@ -14,3 +14,4 @@ mod malformed;
 mod maps;
 mod relation_metric;
 mod restart;
+mod sessions;

@@ -59,7 +59,9 @@ fn settle(writer: &mut MapWriter, map: &TileMap, readers: &mut [&mut MapReader])
     let begun = Instant::now();
     loop {
         let all_sent = writer.send(map);
-        readers.iter_mut().for_each(|reader| drop(reader.look()));
+        for reader in readers.iter_mut() {
+            reader.look();
+        }
         if all_sent && readers.iter().all(|reader| same(reader.map(), map)) {
             return;
         }

@@ -1,5 +1,6 @@
 """A running fleet of two robots as CycloneDDS sees it."""
 
+import os
 import time
 from dataclasses import dataclass
 
@@ -142,7 +143,7 @@ def rate(participant, name, kind, hz, qos=RELIABLE, label="reliable"):
 
 
 def main():
-    participant = DomainParticipant()
+    participant = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
     rate(participant, "/robot1/scan", LaserScan, 10)
     scans = rate(participant, "/robot2/scan", LaserScan, 10, BEST_EFFORT, "best effort")
     row("Cyclone: LaserScan's content", "180 beams, base_scan_2", f"{len(scans[-1].ranges)} beams",

@@ -1,5 +1,6 @@
 """Runs the fleet, and ROS 2 against it: see .ci/interop. `run.py OUT`"""
 
+import contextlib
 import json
 import os
 import pathlib
@@ -31,10 +32,10 @@ def environment(domain):
     }
 
 
-def peer(script, domain, *arguments):
+def peer(script, domain, *arguments, **variables):
     """What a script found out: rows of (what, wanted, measured, ok)."""
     command = [sys.executable, str(HERE / script), *map(str, arguments)]
-    done = subprocess.run(command, env=environment(domain), capture_output=True, text=True, timeout=240)
+    done = subprocess.run(command, env=environment(domain) | variables, capture_output=True, text=True, timeout=240)
     rows = []
     for line in done.stdout.splitlines():
         if line.startswith("{"):
@@ -46,20 +47,31 @@ def peer(script, domain, *arguments):
     return rows
 
 
+@contextlib.contextmanager
+def fleet(out, domain, *arguments):
+    """A fleet with its ROS 2 door open; its folder."""
+    with tempfile.TemporaryDirectory() as run_dir, open(out / "interop-fleet.log", "a") as log:
+        command = [BINARY, "up", "--port", "0", "--ros-domain", str(domain), "--run-dir", run_dir, *arguments]
+        running = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        try:
+            yield run_dir
+        finally:
+            running.terminate()
+            running.wait(20)
+
+
 def main(out):
     domain = random.randint(102, 215)
     rows = []
-    with tempfile.TemporaryDirectory() as run_dir:
-        log = open(out / "interop-fleet.log", "w")
-        command = [BINARY, "up", "--robots", "2", "--port", "0", "--ros-domain", str(domain), "--run-dir", run_dir]
-        fleet = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-        try:
-            rows += peer("fleet_rclpy.py", domain, run_dir)
-            rows += peer("fleet_cyclone.py", domain)
-        finally:
-            fleet.terminate()
-            fleet.wait(20)
+    with fleet(out, domain, "--robots", "2") as run_dir:
+        rows += peer("fleet_rclpy.py", domain, run_dir)
+        rows += peer("fleet_cyclone.py", domain)
+        rows += peer("services.py", domain)
+    with fleet(out, domain, "--robots", "1", "--world", "ros"):
+        rows += peer("world_rclpy.py", domain)
     rows += peer("maps_rclpy.py", domain, DOOR, BINARY)
+    profile = str(HERE / "buffers.xml")
+    rows += peer("maps_rclpy.py", domain, DOOR, BINARY, "buffers", FASTRTPS_DEFAULT_PROFILES_FILE=profile)
     (out / "interop.json").write_text(json.dumps(rows, indent=1))
     wide = max(len(row["what"]) for row in rows)
     for row in rows:

@@ -21,6 +21,9 @@ pub struct DdsConfig {
     pub namespace: String,
     /// The node's name in the ROS graph.
     pub node: String,
+    /// Whether robots that are not simulated here want TwistStamped on `/robotN/cmd_vel`, as TurtleBots do from
+    /// Jazzy on, or Twist.
+    pub stamped_commands: bool,
 }
 
 impl Default for DdsConfig {
@@ -31,6 +34,7 @@ impl Default for DdsConfig {
             loopback_only: true,
             namespace: String::new(),
             node: "mr_slam".into(),
+            stamped_commands: false,
         }
     }
 }

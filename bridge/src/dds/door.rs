@@ -2,19 +2,20 @@
 
 use super::config::DdsConfig;
 use super::graph::Graph;
-use super::heard::{Heard, InputTopic, inputs};
+use super::heard::{self, Heard, InputTopic};
 use super::raw::{Adapter, Raw};
 use super::sender::{Sender, Sent, state_qos, stream_qos};
+use super::servers::Servers;
 use crate::config::{BridgeConfig, Permission};
 use crate::ros::{FrameNames, write};
 use futures::StreamExt;
-use msg::{Anchors, RobotId, Stamp, Transforms};
+use msg::{Anchors, Command, Link, RobotId, SlamAnswer, SlamRequest, Stamp, Transforms};
 use ros2_client::dds::rustdds::dds::CreateResult;
-use ros2_client::dds::rustdds::no_key::SimpleDataReader;
+use ros2_client::dds::rustdds::no_key::{DeserializedCacheChange, SimpleDataReader};
 use ros2_client::dds::rustdds::policy::{Durability, History};
 use ros2_client::dds::rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, Duration, GUID, Publisher,
-    QosPolicies, QosPolicyBuilder, StatusEvented, Topic, TopicKind,
+    QosPolicies, QosPolicyBuilder, RTPSEntity, StatusEvented, Subscriber, Topic, TopicKind,
 };
 use ros2_client::{MessageTypeName, Name, NodeName};
 use std::cell::RefCell;
@@ -55,14 +56,17 @@ pub struct DoorCounters {
 
 /// Places of the fleet's topics in [`Out`].
 pub(super) struct FleetTopics {
+    /// What robots outside say themselves is not told again: these are empty there.
     pub scan: Vec<usize>,
     pub odometry: Vec<usize>,
+    pub fixed_transforms: Option<usize>,
+    pub clock: Option<usize>,
+    /// To robots outside; else empty.
+    pub command: Vec<usize>,
     pub pose: Vec<usize>,
     pub stats: Vec<usize>,
     pub map: Vec<usize>,
     pub transforms: usize,
-    pub fixed_transforms: usize,
-    pub clock: usize,
     pub merged_map: usize,
     pub merged_map_as_map: usize,
 }
@@ -74,6 +78,7 @@ pub struct Door {
     // Before the participant, so that readers and writers go first.
     inner: RefCell<Inner>,
     readers: Vec<(Heard, Rc<Reader>)>,
+    requests: Vec<Rc<Reader>>,
     participant: DomainParticipant,
 }
 
@@ -81,7 +86,10 @@ pub(super) struct Inner {
     pub out: Out,
     pub topics: FleetTopics,
     graph: Graph,
+    pub servers: Servers,
     reader_guids: Vec<GUID>,
+    pub stamped_commands: bool,
+    pub outside: bool,
     pub names: FrameNames,
     pub percent: [i8; 256],
     pub now: Stamp,
@@ -122,11 +130,11 @@ impl Out {
 }
 
 /// Makes topics and what hangs on them.
-struct Maker<'a> {
+pub(super) struct Maker<'a> {
     participant: &'a DomainParticipant,
-    publisher: Publisher,
+    pub publisher: Publisher,
     node: NodeName,
-    namespace: &'a str,
+    pub namespace: &'a str,
     senders: Vec<Sender>,
 }
 
@@ -138,8 +146,13 @@ impl Maker<'_> {
         let dds_name = ros_name.to_dds_name("rt", &self.node, "");
         let (package, kind) = class.split_once('/').unwrap_or(("", class));
         let dds_type = MessageTypeName::new(package, kind).dds_msg_type();
-        let made = self.participant.create_topic(dds_name, dds_type, qos, TopicKind::NoKey);
-        made.map_err(|why| wrong(why.to_string()))
+        self.dds_topic(&dds_name, dds_type, qos)
+    }
+
+    /// By its name and type on DDS.
+    pub fn dds_topic(&self, name: &str, class: String, qos: &QosPolicies) -> Result<Topic, DoorError> {
+        let made = self.participant.create_topic(name.to_owned(), class, qos, TopicKind::NoKey);
+        made.map_err(|why| DoorError(format!("{name}: {why}")))
     }
 
     fn sender(&mut self, name: &str, class: &str, qos: QosPolicies) -> Result<usize, DoorError> {
@@ -163,13 +176,14 @@ impl Maker<'_> {
     }
 }
 
-fn create_error(why: ros2_client::dds::rustdds::dds::CreateError) -> DoorError {
+pub(super) fn create_error(why: ros2_client::dds::rustdds::dds::CreateError) -> DoorError {
     DoorError(why.to_string())
 }
 
 impl Door {
-    /// Joins the domain and makes every topic. Blocks for a moment.
-    pub fn open(config: &BridgeConfig, robot_count: usize) -> Result<Self, DoorError> {
+    /// Joins the domain and makes every topic. Blocks for a moment. `outside`: the robots are ROS's own; their
+    /// scans, odometry and time are heard, and commands told.
+    pub fn open(config: &BridgeConfig, robot_count: usize, outside: bool) -> Result<Self, DoorError> {
         let dds: &DdsConfig = &config.dds;
         let mut builder = DomainParticipantBuilder::new(dds.domain);
         if dds.loopback_only {
@@ -189,12 +203,29 @@ impl Door {
             namespace: &dds.namespace,
             senders: Vec::new(),
         };
-        let topics = FleetTopics::new(&mut maker, robot_count)?;
-        let readers = if may_drive(config) { open_inputs(&maker, robot_count)? } else { Vec::new() };
+        let command = if dds.stamped_commands { "geometry_msgs/TwistStamped" } else { "geometry_msgs/Twist" };
+        let topics = FleetTopics::new(&mut maker, robot_count, outside.then_some(command))?;
+        let subscriber =
+            participant.create_subscriber(&QosPolicyBuilder::new().build()).map_err(create_error)?;
+        let mut heard = if outside { heard::world(robot_count) } else { Vec::new() };
+        let may_drive = may_drive(config);
+        if may_drive {
+            heard.extend(heard::commands(robot_count, outside));
+        }
+        let readers = heard
+            .into_iter()
+            .map(|input| open_input(&maker, &subscriber, input))
+            .collect::<Result<Vec<_>, DoorError>>()?;
+        // Who may not drive may not reset maps either.
+        let servers = Servers::open(&maker, &subscriber, if may_drive { robot_count } else { 0 })?;
+        let requests = servers.all.iter().map(|server| server.requests.clone()).collect();
         let inner = Inner {
             out: Out { senders: maker.senders, counted: DoorCounters::default() },
             topics,
             graph,
+            servers,
+            stamped_commands: dds.stamped_commands,
+            outside,
             reader_guids: readers.iter().map(|(_, reader)| reader.guid()).collect(),
             names: FrameNames::new(config.frame_names),
             percent: msg::grid::percent_table(),
@@ -204,7 +235,7 @@ impl Door {
             fixed: vec![None; robot_count],
         };
         inner.tell_graph();
-        Ok(Self { inner: RefCell::new(inner), readers, participant })
+        Ok(Self { inner: RefCell::new(inner), readers, requests, participant })
     }
 
     /// What has been counted.
@@ -215,10 +246,30 @@ impl Door {
     }
 
     /// Hears, and looks after readers that come and go, until it is dropped. Runs inside a
-    /// [`tokio::task::LocalSet`]. What is heard goes to `hear`.
-    pub async fn serve(self: Rc<Self>, hear: impl Fn(Heard) + 'static) {
+    /// [`tokio::task::LocalSet`]. What is heard goes to `hear`, what is asked of a robot's SLAM to `ask`, whose
+    /// answers come back by [`Door::answered`].
+    pub async fn serve(
+        self: Rc<Self>,
+        hear: impl Fn(Heard) + 'static,
+        ask: impl FnMut(RobotId, SlamRequest) + 'static,
+    ) {
         let hear = Rc::new(hear);
+        let ask = Rc::new(RefCell::new(ask));
+        let own = self.participant.guid().prefix;
         let mut tasks = JoinSet::new();
+        for (index, requests) in self.requests.iter().enumerate() {
+            let (door, requests, ask) = (self.clone(), requests.clone(), ask.clone());
+            tasks.spawn_local(async move {
+                let mut samples = std::pin::pin!(requests.as_async_stream());
+                while let Some(sample) = samples.next().await {
+                    let Ok(sample) = sample else { continue };
+                    let asked = door.inner.borrow_mut().request(index, sample);
+                    if let Some((robot, request)) = asked {
+                        (ask.borrow_mut())(robot, request);
+                    }
+                }
+            });
+        }
         for (heard, reader) in &self.readers {
             let (heard, reader) = (heard.clone(), reader.clone());
             let (door, hear) = (self.clone(), hear.clone());
@@ -226,6 +277,9 @@ impl Door {
                 let mut samples = std::pin::pin!(reader.as_async_stream());
                 while let Some(sample) = samples.next().await {
                     let Ok(sample) = sample else { continue };
+                    if sample.writer_guid().prefix == own {
+                        continue;
+                    }
                     door.inner.borrow_mut().out.counted.received += 1;
                     let payload = sample.into_value().0.to_vec();
                     hear(Heard { payload, ..heard.clone() });
@@ -247,6 +301,25 @@ impl Door {
         }
     }
 
+    /// What a robot's SLAM has answered; `ours` if we have asked. What is to be asked next.
+    pub fn answered(&self, robot: RobotId, answer: &SlamAnswer, ours: bool) -> Option<SlamRequest> {
+        self.inner.borrow_mut().servers.answered(robot, answer, ours)
+    }
+
+    /// A velocity for a robot outside.
+    pub fn command(&self, robot: RobotId, command: &Command) {
+        self.with(|door, now| {
+            let Some(topic) = door.topics.command.get(robot.index()) else { return };
+            let (frame, stamped) = (door.names.link(robot, Link::BaseFootprint), door.stamped_commands);
+            door.out.send(*topic, now, |to| {
+                if stamped {
+                    write::header(to, command.header.stamp, frame);
+                }
+                to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
+            });
+        });
+    }
+
     pub(super) fn with(&self, change: impl FnOnce(&mut Inner, Instant)) {
         change(&mut self.inner.borrow_mut(), Instant::now());
     }
@@ -264,30 +337,38 @@ fn may_drive(config: &BridgeConfig) -> bool {
     config.drive == Permission::Anyone || (config.dds.loopback_only && config.trust_loopback)
 }
 
-fn open_inputs(maker: &Maker<'_>, robots: usize) -> Result<Vec<(Heard, Rc<Reader>)>, DoorError> {
-    let unset = QosPolicyBuilder::new().build();
-    let subscriber = maker.participant.create_subscriber(&unset).map_err(create_error)?;
-    let open = |input: InputTopic| {
-        let history = History::KeepLast { depth: 10 };
-        let qos = QosPolicyBuilder::new().durability(Durability::Volatile).history(history);
-        // Velocities from whoever sends, best-effort senders too; what is said once must arrive.
-        let qos = if input.is_stream() { qos.best_effort() } else { qos.reliable(Duration::ZERO) }.build();
-        let topic = maker.topic(&format!("{}{}", maker.namespace, input.name), input.class, &qos)?;
-        let reader = subscriber.create_simple_datareader_no_key(&topic, Some(qos)).map_err(create_error)?;
-        Ok((input.heard, Rc::new(reader)))
-    };
-    inputs(robots).into_iter().map(open).collect()
+fn open_input(
+    maker: &Maker<'_>,
+    subscriber: &Subscriber,
+    input: InputTopic,
+) -> Result<(Heard, Rc<Reader>), DoorError> {
+    let history = History::KeepLast { depth: 10 };
+    let qos = QosPolicyBuilder::new().durability(Durability::Volatile).history(history);
+    // Streams from whoever sends, best-effort senders too; what is said once must arrive.
+    let qos = if input.is_stream() { qos.best_effort() } else { qos.reliable(Duration::ZERO) }.build();
+    let space = if input.is_global() { "" } else { maker.namespace };
+    let topic = maker.topic(&format!("{space}{}", input.name), input.class, &qos)?;
+    let reader = subscriber.create_simple_datareader_no_key(&topic, Some(qos)).map_err(create_error)?;
+    Ok((input.heard, Rc::new(reader)))
 }
 
 impl FleetTopics {
-    fn new(maker: &mut Maker<'_>, robots: usize) -> Result<Self, DoorError> {
+    /// `command` is the type of robots' commands, if they are outside.
+    fn new(maker: &mut Maker<'_>, robots: usize, command: Option<&str>) -> Result<Self, DoorError> {
+        let outside = command.is_some();
+        let ours = if outside { 0 } else { robots };
+        let motion = stream_qos(WINDOW_MOTION);
         let grid = "nav_msgs/OccupancyGrid";
         let merged = format!("{}/merged_map", maker.namespace);
         let map = format!("{}/map", maker.namespace);
         let pose = "geometry_msgs/PoseWithCovarianceStamped";
         Ok(Self {
-            scan: maker.each(robots, "scan", "sensor_msgs/LaserScan", stream_qos(WINDOW_SCANS))?,
-            odometry: maker.each(robots, "odom", "nav_msgs/Odometry", stream_qos(WINDOW_MOTION))?,
+            scan: maker.each(ours, "scan", "sensor_msgs/LaserScan", stream_qos(WINDOW_SCANS))?,
+            odometry: maker.each(ours, "odom", "nav_msgs/Odometry", motion.clone())?,
+            command: match command {
+                Some(class) => maker.each(robots, "cmd_vel", class, motion)?,
+                None => Vec::new(),
+            },
             pose: maker.each(robots, "pose", pose, stream_qos(WINDOW_SCANS))?,
             stats: maker.each(
                 robots,
@@ -297,8 +378,14 @@ impl FleetTopics {
             )?,
             map: maker.each(robots, "map", grid, state_qos())?,
             transforms: maker.sender("/tf", "tf2_msgs/TFMessage", stream_qos(WINDOW_TRANSFORMS))?,
-            fixed_transforms: maker.sender("/tf_static", "tf2_msgs/TFMessage", state_qos())?,
-            clock: maker.sender("/clock", "rosgraph_msgs/Clock", stream_qos(WINDOW_CLOCK))?,
+            fixed_transforms: match outside {
+                true => None,
+                false => Some(maker.sender("/tf_static", "tf2_msgs/TFMessage", state_qos())?),
+            },
+            clock: match outside {
+                true => None,
+                false => Some(maker.sender("/clock", "rosgraph_msgs/Clock", stream_qos(WINDOW_CLOCK))?),
+            },
             merged_map: maker.sender(&merged, grid, state_qos())?,
             merged_map_as_map: maker.sender(&map, grid, state_qos())?,
         })
@@ -307,7 +394,20 @@ impl FleetTopics {
 
 impl Inner {
     fn tell_graph(&self) {
-        self.graph.tell(self.reader_guids.iter().copied(), self.out.senders.iter().map(Sender::guid));
+        let (requests, replies) = self.servers.guids();
+        let readers = self.reader_guids.iter().copied().chain(requests);
+        self.graph.tell(readers, self.out.senders.iter().map(Sender::guid).chain(replies));
+    }
+
+    /// A service's request.
+    fn request(
+        &mut self,
+        server: usize,
+        sample: DeserializedCacheChange<Raw>,
+    ) -> Option<(RobotId, SlamRequest)> {
+        let robot = self.servers.all.get(server)?.robot;
+        let map = self.topics.map.get(robot.index()).and_then(|topic| self.out.senders[*topic].newest());
+        self.servers.request(server, sample, map, Instant::now())
     }
 
     /// A reader has come or gone.
@@ -337,6 +437,7 @@ impl Inner {
     }
 
     fn tick(&mut self, now: Instant) {
+        self.servers.tick(now);
         let mut renewed = false;
         for sender in &mut self.out.senders {
             renewed |= sender.unstick(now).unwrap_or(false);

@@ -1,6 +1,6 @@
 //! What is heard on DDS, on its way to the bridge's own thread.
 
-use crate::ros::{Bool, Empty, Int32, Message, Twist, TwistStamped};
+use crate::ros::{Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, TfMessage, Twist, TwistStamped};
 use crate::topics::Input;
 use msg::RobotId;
 
@@ -14,6 +14,13 @@ pub struct Heard {
     pub(crate) stamped: bool,
     /// CDR behind its encapsulation header.
     pub(crate) payload: Vec<u8>,
+}
+
+impl Heard {
+    /// Whether it is the time of a world outside.
+    pub fn is_clock(&self) -> bool {
+        self.what == Input::Clock
+    }
 }
 
 /// A topic the door listens to.
@@ -35,13 +42,19 @@ impl InputTopic {
 
     /// Whether a lost message is soon followed by a better one.
     pub fn is_stream(&self) -> bool {
-        matches!(self.heard.what, Input::SelectedCommand | Input::Command(_))
+        use Input::{Clock, Command, Odometry, Scan, SelectedCommand};
+        matches!(self.heard.what, SelectedCommand | Command(_) | Scan(_) | Odometry(_) | Clock)
+    }
+
+    /// Whether the namespace does not apply.
+    pub fn is_global(&self) -> bool {
+        matches!(self.heard.what, Input::Transforms | Input::Clock)
     }
 }
 
-/// All of them. A topic has one type in ROS: velocities with a stamp, as Nav2 may send them, have names of
-/// their own.
-pub(super) fn inputs(robots: usize) -> Vec<InputTopic> {
+/// What people and planners say. A topic has one type in ROS: velocities with a stamp, as Nav2 may send them, have
+/// names of their own. Robots that are `outside` hear `/robotN/cmd_vel` themselves.
+pub(super) fn commands(robots: usize, outside: bool) -> Vec<InputTopic> {
     let mut all = vec![
         InputTopic::new::<Twist>("/cmd_vel".into(), Input::SelectedCommand),
         InputTopic::new::<TwistStamped>("/cmd_vel_stamped".into(), Input::SelectedCommand),
@@ -53,8 +66,23 @@ pub(super) fn inputs(robots: usize) -> Vec<InputTopic> {
     for robot in RobotId::first(robots) {
         let command = Input::Command(robot);
         all.push(InputTopic::new::<Twist>(format!("/cmd_vel_{}", robot.number()), command));
-        all.push(InputTopic::new::<Twist>(format!("/{robot}/cmd_vel"), command));
-        all.push(InputTopic::new::<TwistStamped>(format!("/{robot}/cmd_vel_stamped"), command));
+        if !outside {
+            all.push(InputTopic::new::<Twist>(format!("/{robot}/cmd_vel"), command));
+            all.push(InputTopic::new::<TwistStamped>(format!("/{robot}/cmd_vel_stamped"), command));
+        }
+    }
+    all
+}
+
+/// What robots outside say.
+pub(super) fn world(robots: usize) -> Vec<InputTopic> {
+    let mut all = vec![
+        InputTopic::new::<TfMessage>("/tf".into(), Input::Transforms),
+        InputTopic::new::<Clock>("/clock".into(), Input::Clock),
+    ];
+    for robot in RobotId::first(robots) {
+        all.push(InputTopic::new::<LaserScan>(format!("/{robot}/scan"), Input::Scan(robot)));
+        all.push(InputTopic::new::<Odometry>(format!("/{robot}/odom"), Input::Odometry(robot)));
     }
     all
 }

@@ -18,6 +18,7 @@ mod heard;
 mod outlet;
 mod raw;
 mod sender;
+mod servers;
 
 pub use config::DdsConfig;
 pub use door::{Door, DoorCounters, DoorError};

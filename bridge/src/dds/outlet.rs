@@ -8,14 +8,16 @@ use msg::{Anchors, Clock, Correction, FleetStats, GridView, Link, Odometry, Robo
 impl Outlet for Door {
     fn scan(&self, robot: RobotId, scan: &Scan) {
         self.of_robot(robot, |door, now| {
+            let Some(topic) = door.topics.scan.get(robot.index()) else { return };
             let frame = door.names.link(robot, Link::BaseScan);
-            door.out.send(door.topics.scan[robot.index()], now, |to| write::laser_scan(to, frame, scan));
+            door.out.send(*topic, now, |to| write::laser_scan(to, frame, scan));
         });
     }
 
     /// What moves goes to /tf; the rest once to /tf_static.
     fn transforms(&self, robot: RobotId, transforms: &Transforms) {
         self.of_robot(robot, |door, now| {
+            let Some(fixed_transforms) = door.topics.fixed_transforms else { return };
             let moving = |link: Link| !link.is_fixed();
             door.out.send(door.topics.transforms, now, |to| {
                 write::some_transforms(to, &door.names, &[(robot, transforms)], moving);
@@ -24,7 +26,7 @@ impl Outlet for Door {
                 door.fixed[robot.index()] = Some(*transforms);
                 let all = RobotId::first(door.fixed.len()).zip(&door.fixed);
                 let seen: Vec<_> = all.filter_map(|(robot, seen)| Some((robot, seen.as_ref()?))).collect();
-                door.out.send(door.topics.fixed_transforms, now, |to| {
+                door.out.send(fixed_transforms, now, |to| {
                     write::some_transforms(to, &door.names, &seen, Link::is_fixed);
                 });
             }
@@ -33,6 +35,9 @@ impl Outlet for Door {
 
     fn correction(&self, robot: RobotId, correction: &Correction) {
         self.of_robot(robot, |door, now| {
+            if door.outside {
+                door.now = door.now.max(correction.header.stamp);
+            }
             door.out.send(door.topics.transforms, now, |to| {
                 write::correction(to, &door.names, robot, correction)
             });
@@ -55,15 +60,17 @@ impl Outlet for Door {
     fn clock(&self, clock: &Clock) {
         self.with(|door, now| {
             door.now = clock.header.stamp;
-            door.out.send(door.topics.clock, now, |to| write::stamp(to, clock.header.stamp));
+            let Some(topic) = door.topics.clock else { return };
+            door.out.send(topic, now, |to| write::stamp(to, clock.header.stamp));
         });
     }
 
     fn odometry(&self, robot: RobotId, odometry: &Odometry) {
         self.of_robot(robot, |door, now| {
+            let Some(topic) = door.topics.odometry.get(robot.index()) else { return };
             let (odom, base) =
                 (door.names.link(robot, Link::Odom), door.names.link(robot, Link::BaseFootprint));
-            door.out.send(door.topics.odometry[robot.index()], now, |to| {
+            door.out.send(*topic, now, |to| {
                 write::odometry(to, odom, base, odometry);
             });
         });

@@ -70,3 +70,16 @@ pub fn transforms<'a>(from: &mut Reader<'a>, mut each: impl FnMut(Transform<'a>)
     }
     Ok(())
 }
+
+/// nav_msgs/Odometry's pose as the transform it is: `frame_id` from `child_frame_id`. Covariances and velocities are
+/// not looked at.
+pub fn odometry<'a>(from: &mut Reader<'a>) -> Result<Transform<'a>, DecodeError> {
+    let (stamp, frame_id) = header(from)?;
+    Ok(Transform {
+        stamp,
+        frame_id,
+        child_frame_id: from.string("child_frame_id")?,
+        translation: from.f64s("pose.position")?,
+        rotation: from.f64s("pose.orientation")?,
+    })
+}

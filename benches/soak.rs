@@ -1,0 +1,124 @@
+//! A fleet of three, for as long as one likes, with clients that come, go and stall: memory and jitter, minute by
+//! minute. It passes if neither grows.
+//!
+//! `cargo bench --bench soak [-- --minutes 20 --json FILE]`
+
+#[allow(dead_code, reason = "shared with the bridge bench, which uses more of it")]
+#[path = "bridge/client.rs"]
+mod client;
+#[allow(dead_code, reason = "shared with the jitter bench, which uses all of it")]
+#[path = "jitter/fleet.rs"]
+mod fleet;
+#[allow(dead_code, reason = "shared with the jitter bench, which uses all of it")]
+#[path = "jitter/measure.rs"]
+mod measure;
+
+use client::{Client, EVERYTHING};
+use serde_json::json;
+use std::error::Error;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+const ROBOTS: usize = 3;
+const WARM_UP: Duration = Duration::from_secs(10);
+const MINUTE: Duration = Duration::from_secs(60);
+/// A client comes and goes so often.
+const VISIT: Duration = Duration::from_millis(100);
+/// One that reads nothing stays so long.
+const STALL: Duration = Duration::from_secs(15);
+/// Memory may differ by so much between the first and the last third: pools and parsers find their sizes late.
+const GROWTH_MAX_MB: f64 = 3.0;
+/// Jitter's P95 may be so many times as large, if it is above a tenth of the issue's bound at all.
+const JITTER_RATIO_MAX: f64 = 2.0;
+const JITTER_FLOOR_MS: f64 = 0.5;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let words: Vec<String> = std::env::args().collect();
+    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
+    let minutes = value("--minutes").map_or(Ok(20), |text| text.parse::<usize>())?.max(1);
+    let mut fleet = fleet::Fleet::start(ROBOTS)?;
+    let port = fleet.run().port;
+    fleet.measure(WARM_UP, Duration::from_secs(1))?;
+
+    let (over, visits) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
+    let crowd = [visitor(port, &over, &visits), staller(port, &over), staller(port, &over)];
+    println!(
+        "{:>6} {:>10} {:>10} {:>9} {:>9} {:>9} {:>6} {:>9}",
+        "minute", "bridge MB", "others MB", "TF p50", "P95", "P99 ms", "lost", "visits"
+    );
+    let mut rows = Vec::new();
+    for minute in 1..=minutes {
+        let tf = fleet.measure(Duration::ZERO, MINUTE)?.tf;
+        let (bridge_mb, others_mb) = fleet.memory_mb();
+        let visits = visits.load(Ordering::Relaxed);
+        println!(
+            "{minute:>6} {bridge_mb:>10.1} {others_mb:>10.1} {:>9.3} {:>9.3} {:>9.3} {:>6} {visits:>9}",
+            tf.p50_ms, tf.p95_ms, tf.p99_ms, tf.lost
+        );
+        rows.push((bridge_mb, tf));
+    }
+    over.store(true, Ordering::Relaxed);
+    crowd.into_iter().for_each(|thread| drop(thread.join()));
+
+    let third = rows.len().div_ceil(3);
+    let median = |rows: &[(f64, measure::Spread)], of: fn(&(f64, measure::Spread)) -> f64| {
+        let mut values = rows.iter().map(of).collect::<Vec<_>>();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    let (first, last) = (&rows[..third], &rows[rows.len() - third..]);
+    let grown_mb = median(last, |row| row.0) - median(first, |row| row.0);
+    let jitter = [first, last].map(|rows| median(rows, |row| row.1.p95_ms));
+    let lost = rows.iter().map(|row| row.1.lost).sum::<u64>();
+    let flat = grown_mb <= GROWTH_MAX_MB
+        && (jitter[1] <= JITTER_FLOOR_MS || jitter[1] <= JITTER_RATIO_MAX * jitter[0])
+        && lost == 0;
+    println!(
+        "bridge's memory grew by {grown_mb:.1} MB from the first third to the last, TF's P95 from {:.3} to {:.3} ms, \
+         {lost} lost: {}",
+        jitter[0],
+        jitter[1],
+        if flat { "flat" } else { "NOT FLAT" }
+    );
+    if let Some(path) = value("--json") {
+        let rows = rows.iter().map(|(mb, tf)| json!({ "bridge_mb": mb, "tf": tf })).collect::<Vec<_>>();
+        std::fs::write(path, serde_json::to_string_pretty(&json!({ "flat": flat, "minutes": rows }))?)?;
+    }
+    drop(fleet);
+    if flat { Ok(()) } else { Err("memory or jitter grew".into()) }
+}
+
+type Thread = std::thread::JoinHandle<()>;
+
+/// Comes with ten subscriptions, hears them all begin, and vanishes, ten times a second.
+fn visitor(port: u16, over: &Arc<AtomicBool>, visits: &Arc<AtomicU64>) -> Thread {
+    let (over, visits) = (over.clone(), visits.clone());
+    std::thread::spawn(move || {
+        while !over.load(Ordering::Relaxed) {
+            if let Ok(client) = Client::connect(port, &EVERYTHING) {
+                visits.fetch_add(1, Ordering::Relaxed);
+                // Every second one goes without a word.
+                if visits.load(Ordering::Relaxed).is_multiple_of(2) {
+                    let _ = client.abort();
+                }
+            }
+            std::thread::sleep(VISIT);
+        }
+    })
+}
+
+/// Subscribes to everything and reads nothing, until it is another's turn.
+fn staller(port: u16, over: &Arc<AtomicBool>) -> Thread {
+    let over = over.clone();
+    std::thread::spawn(move || {
+        while !over.load(Ordering::Relaxed) {
+            let client = Client::connect_only(port, &EVERYTHING);
+            let begun = Instant::now();
+            while begun.elapsed() < STALL && !over.load(Ordering::Relaxed) {
+                std::thread::sleep(VISIT);
+            }
+            drop(client);
+        }
+    })
+}

@@ -1,0 +1,467 @@
+//! The parts of a session, one function to write and one to read each; what is read is checked.
+
+use super::bytes::{In, Out};
+use super::{Identity, SessionError};
+use crate::back::{BackState, Ban};
+use crate::closure::{DetectorState, Find, SearchCounts};
+use crate::cloud::{BEARINGS, Cloud, SurfacePoint};
+use crate::front::{Counts, FrontState, Last, Ride};
+use crate::graph::{Edge, EdgeKind};
+use crate::node::{Node, Rays, Revision};
+use bytemuck::{Pod, Zeroable};
+use msg::{BEAMS_MAX, Header, Odometry, Pose2, Stamp};
+use nalgebra::Matrix3;
+use std::sync::Arc;
+
+/// More than any configuration allows (`graph.nodes_max`).
+const NODES_MAX: usize = 1_000_000;
+/// Edges a node has at most, on average.
+const EDGES_PER_NODE_MAX: usize = 64;
+/// Nodes that wait to be looked for, finds that wait, revisions that wait, bans.
+const WAITING_MAX: usize = 4096;
+/// Messages of odometry.
+const ODOMETRY_MAX: usize = 65_536;
+/// Scans whose pose is remembered.
+const RIDES_MAX: usize = 10_000_000;
+/// No building, and no odometry that means anything, is larger, metres.
+const PLACE_M_MAX: f64 = 1e9;
+/// No beam is longer, metres.
+const BEAM_M_MAX: f32 = 1e4;
+/// More is no information but an error.
+const INFORMATION_MAX: f64 = 1e12;
+
+type Result<T> = core::result::Result<T, SessionError>;
+
+fn check(sound: bool, what: &'static str) -> Result<()> {
+    if sound { Ok(()) } else { Err(SessionError::Value { what }) }
+}
+
+fn check_pose(pose: Pose2, what: &'static str) -> Result<Pose2> {
+    let near = pose.x_m.abs() <= PLACE_M_MAX && pose.y_m.abs() <= PLACE_M_MAX;
+    check(near && pose.yaw_rad.abs() <= 7.0, what)?;
+    Ok(pose)
+}
+
+fn check_matrix(values: [f64; 9], most: f64, what: &'static str) -> Result<Matrix3<f64>> {
+    let m = Matrix3::from_column_slice(&values);
+    let sound = values.iter().all(|v| v.abs() <= most) && (0..3).all(|k| m[(k, k)] >= 0.0);
+    check(sound, what)?;
+    Ok(m)
+}
+
+fn matrix(m: &Matrix3<f64>) -> [f64; 9] {
+    core::array::from_fn(|i| m[i])
+}
+
+fn check_points(points: &[[f32; 2]], what: &'static str) -> Result<()> {
+    check(points.iter().flatten().all(|v| v.abs() <= BEAM_M_MAX), what)
+}
+
+pub fn put_identity(out: &mut Out, identity: &Identity) {
+    out.put(&u64::from(identity.robot));
+    out.put(&identity.run);
+    out.put(&identity.base_from_scan);
+    out.put(&identity.range_use_max_m);
+}
+
+pub fn take_identity(from: &mut In<'_>) -> Result<Identity> {
+    const WHAT: &str = "identity";
+    let robot: u64 = from.take(WHAT)?;
+    let identity = Identity {
+        robot: robot.try_into().map_err(|_| SessionError::Value { what: WHAT })?,
+        run: from.take(WHAT)?,
+        base_from_scan: from.take(WHAT)?,
+        range_use_max_m: from.take(WHAT)?,
+    };
+    let finite = identity.base_from_scan.iter().all(|v| v.is_finite());
+    check(finite && identity.range_use_max_m.is_finite(), WHAT)?;
+    Ok(identity)
+}
+
+/// A node but for its points and beams.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct NodeRecord {
+    header: Header,
+    local_from_base: Pose2,
+    previous_from_this: Pose2,
+    /// 1: `previous_from_this` is known; 2: the scan fitted.
+    flags: u32,
+    points: u32,
+    hits: u32,
+    misses: u32,
+    cloud_sensor: [f32; 2],
+    cloud_middle: [f32; 2],
+    rays_sensor: [f32; 2],
+}
+
+fn put_node(out: &mut Out, node: &Node) {
+    let (points, cloud_sensor, cloud_middle, seen_cm) = node.cloud.parts();
+    let rays = &*node.rays;
+    out.put(&NodeRecord {
+        header: node.header,
+        local_from_base: node.local_from_base,
+        previous_from_this: node.previous_from_this.unwrap_or_default(),
+        flags: u32::from(node.previous_from_this.is_some()) | u32::from(node.fits) << 1,
+        points: points.len() as u32,
+        hits: rays.hits.len() as u32,
+        misses: rays.misses.len() as u32,
+        cloud_sensor,
+        cloud_middle,
+        rays_sensor: rays.sensor,
+    });
+    out.bytes.extend_from_slice(bytemuck::cast_slice(points));
+    out.bytes.extend_from_slice(bytemuck::cast_slice(&rays.hits));
+    out.bytes.extend_from_slice(bytemuck::cast_slice(&rays.misses));
+    out.put(seen_cm);
+}
+
+fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
+    const WHAT: &str = "node";
+    let record: NodeRecord = from.take(WHAT)?;
+    let sizes = [record.points, record.hits, record.misses].map(|n| n as usize);
+    let most = *sizes.iter().max().unwrap_or(&0);
+    if most > BEAMS_MAX {
+        return Err(SessionError::TooMany { what: "beams in a node", found: most as u64, most: BEAMS_MAX });
+    }
+    let points: Vec<SurfacePoint> = from.values(sizes[0], WHAT)?;
+    let hits: Vec<[f32; 2]> = from.values(sizes[1], WHAT)?;
+    let misses: Vec<[f32; 2]> = from.values(sizes[2], WHAT)?;
+    let seen_cm: [u16; BEARINGS] = from.take(WHAT)?;
+    for p in &points {
+        check_points(&[p.at], "point of a node")?;
+        check(p.normal.iter().all(|v| v.abs() <= 1.01), "surface's direction")?;
+    }
+    check_points(&hits, "beam of a node")?;
+    check_points(&misses, "beam of a node")?;
+    check_points(&[record.cloud_sensor, record.cloud_middle, record.rays_sensor], "sensor of a node")?;
+    let local_from_base = check_pose(record.local_from_base, "node's pose")?;
+    let previous = check_pose(record.previous_from_this, "node's odometry")?;
+    let cloud = Cloud::from_parts(points, record.cloud_sensor, record.cloud_middle, Box::new(seen_cm));
+    Ok(Node {
+        id,
+        header: record.header,
+        local_from_base,
+        previous_from_this: (record.flags & 1 != 0).then_some(previous),
+        fits: record.flags & 2 != 0,
+        cloud: Arc::new(cloud),
+        rays: Arc::new(Rays { sensor: record.rays_sensor, hits, misses }),
+    })
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct EdgeRecord {
+    a: u32,
+    b: u32,
+    kind: u32,
+    in_force: u32,
+    a_from_b: Pose2,
+    information: [f64; 9],
+    variance: [f64; 2],
+    response: f32,
+    reserved: u32,
+}
+
+const KINDS: [EdgeKind; 4] = [EdgeKind::Odometry, EdgeKind::Link, EdgeKind::Closure, EdgeKind::Placed];
+
+fn edge_record(edge: &Edge) -> EdgeRecord {
+    EdgeRecord {
+        a: edge.a,
+        b: edge.b,
+        kind: KINDS.iter().position(|kind| *kind == edge.kind).unwrap_or(0) as u32,
+        in_force: u32::from(edge.in_force),
+        a_from_b: edge.a_from_b,
+        information: matrix(&edge.information),
+        variance: edge.variance,
+        response: edge.response,
+        reserved: 0,
+    }
+}
+
+fn edge(record: EdgeRecord, nodes: usize) -> Result<Edge> {
+    let there = (record.a as usize) < nodes && (record.b as usize) < nodes && record.a != record.b;
+    check(there, "link between nodes that are not there")?;
+    let kind = KINDS.get(record.kind as usize).copied();
+    check(record.variance.iter().all(|v| (0.0..=1e9).contains(v)), "link's uncertainty")?;
+    check((0.0..=1.0).contains(&record.response), "closure's response")?;
+    Ok(Edge {
+        a: record.a,
+        b: record.b,
+        a_from_b: check_pose(record.a_from_b, "link's measurement")?,
+        information: check_matrix(record.information, INFORMATION_MAX, "link's information")?,
+        kind: kind.ok_or(SessionError::Value { what: "kind of link" })?,
+        in_force: record.in_force != 0,
+        variance: record.variance,
+        response: record.response,
+    })
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct FindRecord {
+    node: u32,
+    candidate: u32,
+    candidate_from_node: Pose2,
+    information: [f64; 9],
+    response: f32,
+    reserved: u32,
+}
+
+fn find_record(find: &Find) -> FindRecord {
+    FindRecord {
+        node: find.node,
+        candidate: find.candidate,
+        candidate_from_node: find.candidate_from_node,
+        information: matrix(&find.information),
+        response: find.response,
+        reserved: 0,
+    }
+}
+
+fn find(record: FindRecord, nodes: usize) -> Result<Find> {
+    let there = (record.node as usize) < nodes && (record.candidate as usize) < nodes;
+    check(there && record.node != record.candidate, "find of a node that is not there")?;
+    check((0.0..=1.0).contains(&record.response), "find's response")?;
+    Ok(Find {
+        node: record.node,
+        candidate: record.candidate,
+        candidate_from_node: check_pose(record.candidate_from_node, "find's measurement")?,
+        information: check_matrix(record.information, INFORMATION_MAX, "find's information")?,
+        response: record.response,
+    })
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct BanRecord {
+    a: u32,
+    b: u32,
+    a_from_b: Pose2,
+}
+
+pub fn put_back(out: &mut Out, back: &BackState) {
+    out.put(&(back.nodes.len() as u64));
+    back.nodes.iter().for_each(|node| put_node(out, node));
+    out.list(&back.front_ids);
+    out.list(&back.poses);
+    out.list(&back.drawn);
+    out.list(&back.edges.iter().map(edge_record).collect::<Vec<_>>());
+    out.put(&back.travelled_m);
+    out.list(&back.not_found);
+    out.list(&back.again);
+    let SearchCounts { searches, no_response, ambiguous, contradicted, unconfirmed, believed } =
+        back.detector.counts;
+    out.put(&[searches, no_response, ambiguous, contradicted, unconfirmed, believed]);
+    out.put(&[back.unsolved as u64, back.solutions, back.retracted, back.retired]);
+    out.list(&back.detector.pending.iter().map(find_record).collect::<Vec<_>>());
+    out.maybe(back.detector.last_search_m);
+    let bans = back.bans.iter().map(|ban| BanRecord { a: ban.a, b: ban.b, a_from_b: ban.a_from_b });
+    out.list(&bans.collect::<Vec<_>>());
+}
+
+pub fn take_back(from: &mut In<'_>) -> Result<BackState> {
+    let count = from.count(NODES_MAX, "nodes")?;
+    let mut nodes = Vec::new();
+    for id in 0..count {
+        nodes.push(take_node(from, id as u32)?);
+    }
+    let front_ids: Vec<u32> = from.list(count, "scan path's numbers")?;
+    check(front_ids.len() == count, "number of the scan path's numbers")?;
+    let poses: Vec<Pose2> = from.list(count, "poses")?;
+    check(poses.len() == count, "number of poses")?;
+    let drawn: Vec<Pose2> = from.list(count, "drawn poses")?;
+    for pose in poses.iter().chain(&drawn) {
+        check_pose(*pose, "pose of a node")?;
+    }
+    let records: Vec<EdgeRecord> = from.list(EDGES_PER_NODE_MAX * count, "links")?;
+    let edges = records.into_iter().map(|record| edge(record, count)).collect::<Result<Vec<_>>>()?;
+    let travelled_m: f64 = from.take("way")?;
+    check((0.0..1e12).contains(&travelled_m), "way")?;
+    let mut ids = |what| -> Result<Vec<u32>> {
+        let ids: Vec<u32> = from.list(WAITING_MAX, what)?;
+        check(ids.iter().all(|id| (*id as usize) < count), what)?;
+        Ok(ids)
+    };
+    let (not_found, again) = (ids("nodes not found")?, ids("nodes to look for again")?);
+    let [searches, no_response, ambiguous, contradicted, unconfirmed, believed]: [u64; 6] =
+        from.take("counts")?;
+    let [unsolved, solutions, retracted, retired]: [u64; 4] = from.take("counts")?;
+    let pending: Vec<FindRecord> = from.list(WAITING_MAX, "finds")?;
+    let pending = pending.into_iter().map(|record| find(record, count)).collect::<Result<Vec<_>>>()?;
+    let last_search_m: Option<f64> = from.maybe("last search")?;
+    check(last_search_m.is_none_or(|m| (0.0..1e12).contains(&m)), "last search")?;
+    let bans: Vec<BanRecord> = from.list(WAITING_MAX, "undone closures")?;
+    let ban = |ban: BanRecord| {
+        check((ban.a as usize) < count && (ban.b as usize) < count, "undone closure")?;
+        Ok(Ban { a: ban.a, b: ban.b, a_from_b: check_pose(ban.a_from_b, "undone closure")? })
+    };
+    let bans = bans.into_iter().map(ban).collect::<Result<Vec<_>>>()?;
+    let counts = SearchCounts { searches, no_response, ambiguous, contradicted, unconfirmed, believed };
+    let detector = DetectorState { pending, counts, last_search_m };
+    let unsolved = unsolved.min(count as u64) as usize;
+    Ok(BackState {
+        nodes,
+        front_ids,
+        poses,
+        drawn,
+        edges,
+        travelled_m,
+        not_found,
+        again,
+        unsolved,
+        solutions,
+        retracted,
+        retired,
+        detector,
+        bans,
+    })
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct RevisionRecord {
+    cause: u32,
+    effective_from: u32,
+    map_from_local: Pose2,
+    closures: u32,
+    located: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct LastRecord {
+    stamp: Stamp,
+    local_from_base: Pose2,
+    covariance: [f64; 9],
+}
+
+pub fn put_front(out: &mut Out, front: &FrontState) {
+    out.put(&[front.next_node, front.recent, front.local_maps[0], front.local_maps[1]]);
+    out.put(&[front.lost_in_row, front.closures, u32::from(front.located), 0]);
+    out.put(&front.map_from_local);
+    out.maybe(front.node_odom_from_base);
+    out.maybe(front.last.as_ref().map(|last| LastRecord {
+        stamp: last.stamp,
+        local_from_base: last.local_from_base,
+        covariance: matrix(&last.covariance),
+    }));
+    out.maybe(front.last.as_ref().and_then(|last| last.odom_from_base));
+    let motion = front.last.as_ref().and_then(|last| last.motion);
+    out.maybe(motion.map(|(motion, _)| motion));
+    out.put(&motion.map_or(0.0, |(_, seconds)| seconds));
+    out.maybe(front.handed_from_recent);
+    let c = front.counts;
+    out.put(&[c.accepted, c.stamp_repeated, c.stamp_went_back, c.beam_count, c.geometry]);
+    out.put(&[c.lost, c.odometry_refused, c.slips, c.trajectory_dropped, c.nodes_held_back, c.not_deskewed]);
+    let waiting = front.waiting.iter().map(|r| RevisionRecord {
+        cause: r.cause,
+        effective_from: r.effective_from,
+        map_from_local: r.map_from_local,
+        closures: r.closures,
+        located: u32::from(r.located),
+    });
+    out.list(&waiting.collect::<Vec<_>>());
+    out.list(&front.odometry);
+    out.put(&front.continuous_from_odom);
+    out.put(&front.odometry_refused);
+}
+
+pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
+    const WHAT: &str = "the scan path";
+    let [next_node, recent, older, younger]: [u32; 4] = from.take(WHAT)?;
+    let fits = [recent, older, younger].iter().all(|n| *n as usize <= nodes.min(4096));
+    check(fits, "number of nodes in the local map")?;
+    let [lost_in_row, closures, located, _]: [u32; 4] = from.take(WHAT)?;
+    let map_from_local = check_pose(from.take(WHAT)?, "scan path's place in the map")?;
+    let pose = |pose: Option<Pose2>| pose.map(|pose| check_pose(pose, "scan path's odometry")).transpose();
+    let node_odom_from_base = pose(from.maybe(WHAT)?)?;
+    let last: Option<LastRecord> = from.maybe(WHAT)?;
+    let odom_from_base = pose(from.maybe(WHAT)?)?;
+    let motion = pose(from.maybe(WHAT)?)?;
+    let motion_s: f64 = from.take(WHAT)?;
+    check((0.0..1e9).contains(&motion_s), "duration of the last motion")?;
+    let handed_from_recent = pose(from.maybe(WHAT)?)?;
+    let last = last.map(|last| {
+        Ok(Last {
+            stamp: last.stamp,
+            local_from_base: check_pose(last.local_from_base, "last pose")?,
+            odom_from_base,
+            motion: motion.map(|motion| (motion, motion_s)),
+            covariance: check_matrix(last.covariance, INFORMATION_MAX, "last pose's covariance")?,
+        })
+    });
+    let [accepted, stamp_repeated, stamp_went_back, beam_count, geometry]: [u64; 5] = from.take(WHAT)?;
+    let [lost, odometry_refused_before, slips, trajectory_dropped, nodes_held_back, not_deskewed]: [u64; 6] =
+        from.take(WHAT)?;
+    let counts = Counts {
+        accepted,
+        stamp_repeated,
+        stamp_went_back,
+        beam_count,
+        geometry,
+        lost,
+        odometry_refused: odometry_refused_before,
+        slips,
+        trajectory_dropped,
+        nodes_held_back,
+        not_deskewed,
+    };
+    let waiting: Vec<RevisionRecord> = from.list(WAITING_MAX, "revisions")?;
+    let revision = |r: RevisionRecord| {
+        Ok(Revision {
+            cause: r.cause,
+            effective_from: r.effective_from,
+            map_from_local: check_pose(r.map_from_local, "revision")?,
+            closures: r.closures,
+            located: r.located != 0,
+        })
+    };
+    let odometry: Vec<Odometry> = from.list(ODOMETRY_MAX, "odometry")?;
+    for o in &odometry {
+        check_pose(o.odom_from_base, "odometry")?;
+    }
+    check(odometry.is_sorted_by(|a, b| a.header.stamp < b.header.stamp), "order of odometry")?;
+    Ok(FrontState {
+        next_node,
+        recent,
+        local_maps: [older, younger],
+        lost_in_row,
+        closures,
+        located: located != 0,
+        map_from_local,
+        handed_from_recent,
+        node_odom_from_base,
+        last: last.transpose()?,
+        counts,
+        waiting: waiting.into_iter().map(revision).collect::<Result<Vec<_>>>()?,
+        odometry,
+        continuous_from_odom: check_pose(from.take(WHAT)?, "odometry's frame")?,
+        odometry_refused: from.take(WHAT)?,
+    })
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct RideRecord {
+    stamp: Stamp,
+    node_from_base: Pose2,
+    node: u32,
+    reserved: u32,
+}
+
+pub fn put_rides(out: &mut Out, rides: &[Ride]) {
+    let record =
+        |r: &Ride| RideRecord { stamp: r.stamp, node_from_base: r.node_from_base, node: r.node, reserved: 0 };
+    out.list(&rides.iter().map(record).collect::<Vec<_>>());
+}
+
+pub fn take_rides(from: &mut In<'_>, nodes: usize) -> Result<Vec<Ride>> {
+    let records: Vec<RideRecord> = from.list(RIDES_MAX, "scans")?;
+    let ride = |r: RideRecord| {
+        check((r.node as usize) < nodes, "scan of a node that is not there")?;
+        let node_from_base = check_pose(r.node_from_base, "scan's pose")?;
+        Ok(Ride { stamp: r.stamp, node: r.node, node_from_base })
+    };
+    records.into_iter().map(ride).collect()
+}

@@ -1,0 +1,36 @@
+"""SLAM's services from ROS 2, on a running fleet of two robots: the types that rclpy has."""
+
+import rclpy
+from nav_msgs.srv import GetMap
+from std_srvs.srv import SetBool, Trigger
+
+from report import row
+
+
+def call(node, kind, name, request):
+    """The response, or none."""
+    client = node.create_client(kind, name)
+    if not client.wait_for_service(timeout_sec=10):
+        return None
+    future = client.call_async(request)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=25)
+    return future.result()
+
+
+def main():
+    rclpy.init()
+    node = rclpy.create_node("interop_services")
+    answer = call(node, GetMap, "/robot1/slam_toolbox/dynamic_map", GetMap.Request())
+    info = answer.map.info if answer else None
+    row("/robot1/slam_toolbox/dynamic_map", "a map", f"{info.width} x {info.height}" if info else "no answer",
+        info and info.width * info.height == len(answer.map.data) > 0)
+    for wished in (True, False):
+        answer = call(node, SetBool, "/robot2/pause", SetBool.Request(data=wished))
+        row(f"/robot2/pause {wished}", "an answer", answer and (answer.success, answer.message), answer is not None)
+    answer = call(node, Trigger, "/robot2/clear_closures", Trigger.Request())
+    row("/robot2/clear_closures", "an answer", answer and (answer.success, answer.message), answer is not None)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+main()
