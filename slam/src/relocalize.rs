@@ -133,8 +133,13 @@ impl Seeker {
             .map_or(Pose2::IDENTITY, |last| last.local_from_base.between(node.local_from_base));
         self.way_m += moved.x_m.hypot(moved.y_m) + moved.yaw_rad.abs();
         if !node.fits {
-            // What was seen before is tied to what is seen now by odometry alone.
+            // What was seen before is tied to what is seen now by odometry alone,
             self.pending.clear();
+        }
+        if node.torn {
+            // or not even by that.
+            self.counts.dropped += self.waiting.len() as u64;
+            self.waiting.clear();
         }
         self.nodes += 1;
         if self.waiting.len() == WAITING_MAX {
@@ -222,7 +227,7 @@ impl Seeker {
     fn settle(&self, map: Placed<'_>, merged: &Cloud, query: &[(Node, Pose2)], at: Pose2) -> Option<Pose2> {
         let r = &self.config.relocalize;
         let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
-            .filter(|&i| map.nodes[i].fits)
+            .filter(|&i| map.nodes[i].in_map())
             .map(|i| {
                 let away = wrap_angle(map.poses[i].yaw_rad - at.yaw_rad).abs();
                 (map.poses[i].distance_m(at) + self.whole.turn_weight_m * away, i)
@@ -300,7 +305,7 @@ struct WholeMap {
 
 impl WholeMap {
     fn new(config: &SlamConfig, map: Placed<'_>) -> Self {
-        let placed = || map.nodes.iter().zip(map.poses).filter(|(node, _)| node.fits);
+        let placed = || map.nodes.iter().zip(map.poses).filter(|(node, _)| node.in_map());
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         for (node, pose) in placed() {
             let place = Placement::new(*pose);

@@ -18,7 +18,7 @@ use bytes::{In, Out};
 use records::*;
 
 /// The format this program reads and writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// What a session file begins with.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
 /// Bytes before the content.
