@@ -383,7 +383,11 @@ impl Back {
         let l = &self.config.links;
         let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
         let enough = older.cloud.points().len().min(newer.cloud.points().len());
-        if !newer.fits || older.adrift != newer.adrift || enough < self.config.tracking.points_min || self.linked(a, b) {
+        if !newer.fits
+            || older.adrift != newer.adrift
+            || enough < self.config.tracking.points_min
+            || self.linked(a, b)
+        {
             return false;
         }
         let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);

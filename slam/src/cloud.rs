@@ -16,8 +16,6 @@ const NORMAL_REACH_M: f32 = 0.25;
 const NORMAL_BEAMS: core::ops::RangeInclusive<usize> = 2..=16;
 /// Neighbours on the same surface are not farther apart than this, plus twice the beams' spacing, metres.
 const SURFACE_GAP_M: f32 = 0.25;
-/// On a surface seen at a flat angle they are so many times as far apart.
-const GRAZED: f32 = 6.0;
 /// Points that scatter more than this around their line have no normal, metres.
 const FLATNESS_M: f32 = 0.04;
 /// Cosine of the largest angle between normals of the same surface.
@@ -354,21 +352,12 @@ fn surface_point(hits: &[Hit], i: usize, gap_per_m: f32, sensor: [f32; 2]) -> Su
         last += 1;
     }
     let at = hits[i].at;
-    let normal = if last - first >= 2 { line_normal(&hits[first..=last]) } else { grazed(hits, i, gap_per_m) };
+    let normal = if last - first >= 2 { line_normal(&hits[first..=last]) } else { None };
     let towards = |n: [f32; 2]| {
         let out = n[0] * (sensor[0] - at[0]) + n[1] * (sensor[1] - at[1]);
         if out < 0.0 { [-n[0], -n[1]] } else { n }
     };
     SurfacePoint { at, normal: normal.map_or([0.0; 2], towards) }
-}
-
-/// The normal of a surface seen at a flat angle, as a corridor's walls far off: its hits lie too far
-/// apart to be neighbours, but the hits to both sides are on one line with this one. Without it they
-/// would count as places that stand still, and hold the robot back.
-fn grazed(hits: &[Hit], i: usize, gap_per_m: f32) -> Option<[f32; 2]> {
-    let sides = hits.get(i.checked_sub(1)?..i + 2)?;
-    let near = |a: &Hit, b: &Hit| distance(a.at, b.at) < GRAZED * gap_per_m * a.range.max(b.range);
-    if near(&sides[0], &sides[1]) && near(&sides[1], &sides[2]) { line_normal(sides) } else { None }
 }
 
 fn line_normal(hits: &[Hit]) -> Option<[f32; 2]> {

@@ -12,7 +12,8 @@ use slam::{Slam, SlamConfig};
 fn two_rooms() -> Vec<Wall> {
     let mut walls = laboratory();
     let shift = |[x, y]: [f64; 2]| [x + 20.0, y];
-    let other = [(-4.0, -3.0, 3.0, 2.5), (-3.5, 1.0, -2.0, 2.0), (0.5, -2.5, 1.0, -0.5), (1.8, 1.2, 2.6, 2.0)];
+    let other =
+        [(-4.0, -3.0, 3.0, 2.5), (-3.5, 1.0, -2.0, 2.0), (0.5, -2.5, 1.0, -0.5), (1.8, 1.2, 2.6, 2.0)];
     let other = other.iter().flat_map(|b| rectangle(b.0, b.1, b.2, b.3));
     walls.extend(other.map(|wall| wall.map(shift)));
     walls
@@ -276,7 +277,8 @@ fn a_blind_robot_is_less_sure_with_every_metre_and_a_standing_one_is_not() {
     drive.robot.drive(0.15, 0.0, 0.1, &mut drive.noise);
     drive.slam.odometry(&drive.robot.odometry());
     let (pose, stamp) = (drive.robot.world_from_base, drive.robot.stamp());
-    let correction = drive.slam.process(&cast(&drive.walls, &drive.lidar, pose, stamp, &mut drive.noise)).correction;
+    let correction =
+        drive.slam.process(&cast(&drive.walls, &drive.lidar, pose, stamp, &mut drive.noise)).correction;
     assert!(correction.state() == TrackingState::Lost && correction.covariance[0] > 100.0, "{correction:?}");
 }
 

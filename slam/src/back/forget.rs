@@ -49,7 +49,9 @@ impl Back {
         let l = &self.config.lifelong;
         let (p, q) = (self.graph.poses()[a], self.graph.poses()[b]);
         let together = self.nodes[a].adrift == self.nodes[b].adrift;
-        together && p.distance_m(q) < scale * l.view_m && wrap_angle(p.yaw_rad - q.yaw_rad).abs() < scale * l.view_rad
+        together
+            && p.distance_m(q) < scale * l.view_m
+            && wrap_angle(p.yaw_rad - q.yaw_rad).abs() < scale * l.view_rad
     }
 
     /// Old nodes linked to the newest one, that it sees through.

@@ -7,8 +7,8 @@
 //! The map is the largest piece, so that a robot that never comes back to where it was carried off
 //! from begins anew in the end.
 
-use super::{Back, TORN_M, TORN_RAD, TORN_VARIANCE};
 use super::modes::{FOUND_M, FOUND_RAD, information};
+use super::{Back, TORN_M, TORN_RAD, TORN_VARIANCE};
 use crate::closure::Find;
 use crate::graph::EdgeKind;
 use crate::relocalize::{Placed, Seeker, Sought};
@@ -117,9 +117,8 @@ impl Back {
             return;
         }
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        let seeker = self
-            .piece_seeker
-            .get_or_insert_with(|| Seeker::new(self.config.clone(), map, None, self.sought));
+        let seeker =
+            self.piece_seeker.get_or_insert_with(|| Seeker::new(self.config.clone(), map, None, self.sought));
         let newest = self.nodes[id as usize].clone();
         let local_from_node = newest.local_from_base;
         let sought = seeker.seek(newest, map);

@@ -38,6 +38,12 @@ fn strained(fit: &Alignment, expected: &Expected) -> bool {
         || off.yaw_rad.abs() > SLIP_SIGMAS * expected.sigma_rad
 }
 
+/// How unsure points alone leave the worst known direction, one standard deviation, metres.
+fn widest_m(information: &Matrix3<f64>) -> Option<f64> {
+    let seen = (information + Matrix3::identity() * 1e-3).try_inverse()?;
+    Some(seen.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max().sqrt())
+}
+
 /// What the scan path knows before it looks at a scan.
 pub(super) struct Expected {
     pose: Pose2,
@@ -161,7 +167,8 @@ impl Front {
         let free = strained(&fit, expected)
             .then(|| align(cloud, fit.frame_from_cloud, references.clone(), None, &self.config.links))
             .filter(|free| {
-                free.overlap >= SLIP_OVERLAP_MIN && self.widest_m(free).is_some_and(|m| m < SLIP_WIDEST_M)
+                free.overlap >= SLIP_OVERLAP_MIN
+                    && widest_m(&free.information).is_some_and(|m| m < SLIP_WIDEST_M)
             });
         let slipped = free.is_some();
         let fit = free.unwrap_or(fit);
@@ -169,16 +176,10 @@ impl Front {
             return None;
         }
         let floor = Matrix3::from_diagonal(&Vector3::new(1e-4, 1e-4, 1e-5));
-        let covariance = (fit.information + believed).try_inverse()? + floor;
-        let degenerate = self.widest_m(&fit)? > self.config.tracking.degenerate_sigma_m;
+        let covariance = (fit.information_of_lines + believed).try_inverse()? + floor;
+        let degenerate = widest_m(&fit.information_of_lines)? > self.config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
         Some(Found { local_from_base: fit.frame_from_cloud, covariance, state, slipped })
-    }
-
-    /// How unsure the scan alone leaves the worst known direction, one standard deviation, metres.
-    fn widest_m(&self, fit: &Alignment) -> Option<f64> {
-        let seen = (fit.information + Matrix3::identity() * 1e-3).try_inverse()?;
-        Some(seen.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max().sqrt())
     }
 
     /// After wheels have slipped, odometry counts from where the scan says the robot is: what they
