@@ -241,6 +241,11 @@ impl Back {
         }
     }
 
+    /// Nodes forgotten so far; the others then have new numbers.
+    pub fn retired(&self) -> u64 {
+        self.retired
+    }
+
     /// The pose graph.
     pub fn graph(&self) -> &Graph {
         &self.graph

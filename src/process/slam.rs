@@ -4,6 +4,7 @@
 use super::Error;
 use super::map_out::MapOut;
 use super::pulse::{Account, Pulse};
+use super::submaps_out::SubmapsOut;
 use crate::channel;
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, wait};
@@ -63,17 +64,20 @@ fn beside(
     // A presence of its own: shared memory's ports stay on the thread that made them.
     let presence = crate::shared_memory::Node::open(&run.domain, &format!("{robot}/map"))?;
     let mut map = MapOut::open(&presence, robot)?;
+    let mut submaps = SubmapsOut::open(&presence, robot, &run.config.slam)?;
     loop {
-        match nodes.recv_timeout(map.patience()) {
+        match nodes.recv_timeout(map.patience().min(submaps.patience())) {
             Ok(node) => {
                 // The scan path takes revisions at each scan, and has room for one for each node that waits.
                 let _ = revisions.try_send(back.add(node));
                 map.news();
+                submaps.news(&back, shift.before_from_map());
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }
         map.tend(&mut back, |map| shift.map(map));
+        submaps.tend(&back);
     }
 }
 
@@ -101,10 +105,13 @@ impl Shift {
         }
     }
 
+    fn before_from_map(&self) -> Pose2 {
+        self.before_from_map.get().copied().unwrap_or(Pose2::IDENTITY)
+    }
+
     fn map(&self, map: &TileMap) -> TileMap {
-        let shift = self.before_from_map.get().copied().unwrap_or(Pose2::IDENTITY);
         let mut map = map.clone();
-        map.header.origin = shift * map.header.origin;
+        map.header.origin = self.before_from_map() * map.header.origin;
         map
     }
 }
