@@ -113,6 +113,10 @@ impl Hub {
             Input::Scan(robot) => self.hear(id, Incoming::Scan(robot, self.reader(payload)?)),
             Input::Odometry(robot) => self.hear(id, Incoming::Odometry(robot, self.reader(payload)?)),
             Input::Clock => self.hear(id, Incoming::Clock(self.reader(payload)?)),
+            Input::InitialPose(robot) => {
+                let message = self.decode(payload)?;
+                self.initial_pose(robot, &message).map_err(|why| Refused(Refusal::Content, why))
+            }
             Input::Select => {
                 let robot = self.robot_of(self.decode::<Int32>(payload)?)?;
                 self.drive.select(robot);

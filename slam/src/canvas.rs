@@ -12,7 +12,7 @@ use crate::config::MapConfig;
 use crate::node::Node;
 use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_PER_STEP, UNKNOWN};
 use msg::tiles::{OpenTiles, ROBOT_TILES_MAX, TILE};
-use msg::{Dense, GridView, MapHeader, Pose2, Rect, TileMap, pose::wrap_angle};
+use msg::{Dense, GridView, Header, MapHeader, Monotonic, Pose2, Rect, TileMap, pose::wrap_angle};
 
 /// Cells that a node costs in a slice at least, whatever it draws: it is looked at.
 const NODE_CELLS: usize = 64;
@@ -90,6 +90,15 @@ impl Canvas {
         self.clipped = 0;
         for (node, pose) in nodes.iter().zip(drawn) {
             self.add(node, *pose);
+        }
+    }
+
+    /// The map is as of this scan, whenever its own were taken.
+    pub fn date(&mut self, header: Header, scan_sent: Monotonic) {
+        for map in
+            [Some(&mut self.map), self.redraw.as_mut().map(|redraw| &mut redraw.map)].into_iter().flatten()
+        {
+            (map.header.header, map.header.scan_sent) = (header, scan_sent);
         }
     }
 

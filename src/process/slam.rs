@@ -20,7 +20,7 @@ use crate::sessions;
 use crate::shared_memory::wait;
 use crate::stop::Stop;
 use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, Start};
-use msg::{Correction, Odometry, Pose2, RobotId, Role, Scan, SlamMode};
+use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan, SlamMode};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// Orders the scan path may fall behind; at each scan it takes all there are.
@@ -125,7 +125,9 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
     let first = sessions::first(&run.config, robot)?;
     // A robot without a map of its own makes one.
     let mode = if first.is_none() && mode == SlamMode::Localization { SlamMode::Mapping } else { mode };
-    let (front, back) = ::slam::begin(config, first, mode, Start::Unknown);
+    let (front, mut back) = ::slam::begin(config, first, mode, Start::Unknown);
+    // No scan of this run is in it yet.
+    back.date_map(Header::default(), Monotonic::default());
     Ok((front, back, at))
 }
 
@@ -207,7 +209,7 @@ impl ScanPath {
     /// Where the wheels say that a robot is whose scans nobody looks at.
     fn dead_reckoned(&self, last: Correction, scan: &Scan) -> Correction {
         Correction {
-            header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
+            header: Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
             scan_sent: scan.header.sent,
             map_from_base: last.map_from_odom * self.odom_from_base,

@@ -42,6 +42,8 @@ NAMED = {
     "/robot2/cmd_vel": "geometry_msgs/msg/Twist",
     "/robot2/cmd_vel_stamped": "geometry_msgs/msg/TwistStamped",
     "/emergency_stop": "std_msgs/msg/Bool",
+    "/initialpose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/robot2/initialpose": "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 
 

@@ -1,7 +1,6 @@
 """SLAM's services from ROS 2, on a running fleet of two robots: the types that rclpy has."""
 
 import rclpy
-from nav_msgs.srv import GetMap
 from std_srvs.srv import SetBool, Trigger
 
 from report import row
@@ -20,10 +19,6 @@ def call(node, kind, name, request):
 def main():
     rclpy.init()
     node = rclpy.create_node("interop_services")
-    answer = call(node, GetMap, "/robot1/slam_toolbox/dynamic_map", GetMap.Request())
-    info = answer.map.info if answer else None
-    row("/robot1/slam_toolbox/dynamic_map", "a map", f"{info.width} x {info.height}" if info else "no answer",
-        info and info.width * info.height == len(answer.map.data) > 0)
     for wished in (True, False):
         answer = call(node, SetBool, "/robot2/pause", SetBool.Request(data=wished))
         row(f"/robot2/pause {wished}", "an answer", answer and (answer.success, answer.message), answer is not None)

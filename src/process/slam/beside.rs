@@ -4,6 +4,7 @@ use super::files::{Done, Job, Loaded, Work};
 use super::services::{Services, Waiting};
 use super::{News, Order};
 use crate::process::map_out::MapOut;
+use crate::process::submaps_out::SubmapsOut;
 use crate::run::Run;
 use crate::sessions;
 use crate::shared_memory::{ChannelError, Node};
@@ -32,6 +33,7 @@ pub fn run(
     // A presence of its own: shared memory's ports stay on the thread that made them.
     let presence = Node::open(&run.domain, &format!("{robot}/map"))?;
     let mut map = MapOut::open(&presence, robot)?;
+    let mut submaps = SubmapsOut::open(&presence, robot, &run.config.slam)?;
     let mut services = Services::open(&presence, run, robot)?;
     let mut beside = Beside {
         identity: sessions::identity(run, robot),
@@ -40,11 +42,13 @@ pub fn run(
         orders,
         jobs,
         replaced: false,
+        anew: false,
         drawing: true,
         waiting: Vec::new(),
     };
     loop {
-        match inbox.recv_timeout(map.patience().min(REQUEST_PERIOD)) {
+        let patience = map.patience().min(submaps.patience()).min(REQUEST_PERIOD);
+        match inbox.recv_timeout(patience) {
             Ok(News::End(state)) => {
                 beside.end(*state);
                 return Ok(());
@@ -55,10 +59,15 @@ pub fn run(
         }
         services.serve(&mut beside);
         beside.keep();
+        if std::mem::take(&mut beside.anew) {
+            submaps.begin_again();
+        }
         if std::mem::take(&mut beside.drawing) {
             map.news();
+            submaps.news(&beside.back);
         }
         map.tend(&mut beside.back);
+        submaps.tend(&beside.back);
     }
 }
 
@@ -71,6 +80,8 @@ pub struct Beside {
     autosave: Autosave,
     /// The scan path was told to be another; until it is, what it says is of the one before.
     replaced: bool,
+    /// The back end is another.
+    anew: bool,
     /// There is something new to draw.
     drawing: bool,
     /// What is to be done when it is known where the scan path is.
@@ -125,8 +136,11 @@ impl Beside {
 
     /// Goes on with another map.
     pub fn begin(&mut self, front: Front, back: Back, in_place: bool) {
+        // Its scans may be of another time; who reads maps wants them in order.
+        let before = self.back.tiles().header;
         self.back = back;
-        self.replaced = true;
+        self.back.date_map(before.header, before.scan_sent);
+        (self.replaced, self.anew) = (true, true);
         self.changed();
         self.order(Order::Begin { front: Box::new(front), in_place });
     }
