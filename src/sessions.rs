@@ -13,7 +13,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// The folder's name below a run's.
-const FOLDER: &str = "sessions";
+pub const FOLDER: &str = "sessions";
 /// Where the robots' maps lie.
 const STARTS: &str = "starts.json";
 /// The longest such file that is read, bytes.
@@ -132,6 +132,14 @@ pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, Se
         Ok(session) => Ok(Some(session)),
         Err(why) if why.is_missing() => Ok(None),
         Err(why) => Err(why),
+    }
+}
+
+/// What a robot then does with its map. A robot without one makes one.
+pub fn first_mode(config: &FleetConfig, has_map: bool) -> SlamMode {
+    match config.sessions.mode {
+        Mode::Localization if !has_map => SlamMode::Mapping,
+        mode => mode.into(),
     }
 }
 

@@ -95,11 +95,7 @@ impl Canvas {
 
     /// The map is as of this scan, whenever its own were taken.
     pub fn date(&mut self, header: Header, scan_sent: Monotonic) {
-        for map in
-            [Some(&mut self.map), self.redraw.as_mut().map(|redraw| &mut redraw.map)].into_iter().flatten()
-        {
-            (map.header.header, map.header.scan_sent) = (header, scan_sent);
-        }
+        (self.map.header.header, self.map.header.scan_sent) = (header, scan_sent);
     }
 
     /// The map as drawn so far, never half a new version.

@@ -20,7 +20,7 @@ use crate::sessions;
 use crate::shared_memory::wait;
 use crate::stop::Stop;
 use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, Start};
-use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan, SlamMode};
+use msg::{Correction, Header, Odometry, Pose2, RobotId, Role, Scan};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// Orders the scan path may fall behind; at each scan it takes all there are.
@@ -121,13 +121,11 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
         // Of another run in the same folder.
         _ => {}
     }
-    let mode = SlamMode::from(run.config.sessions.mode);
     let first = sessions::first(&run.config, robot)?;
-    // A robot without a map of its own makes one.
-    let mode = if first.is_none() && mode == SlamMode::Localization { SlamMode::Mapping } else { mode };
+    let mode = sessions::first_mode(&run.config, first.is_some());
     let (front, mut back) = ::slam::begin(config, first, mode, Start::Unknown);
     // No scan of this run is in it yet.
-    back.date_map(Header::default(), Monotonic::default());
+    back.date_map(Header::default(), crate::clock::now());
     Ok((front, back, at))
 }
 
