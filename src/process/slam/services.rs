@@ -140,8 +140,11 @@ impl Services {
             SlamAsk::ClearClosures => {
                 may_change(beside)?;
                 let count = beside.back.clear_closures();
+                if count == 0 {
+                    return done("there was no closure in force");
+                }
                 bent(beside);
-                done(&format!("{count} closures are taken back, and not believed again"))
+                done(&format!("{count} taken back, and not believed again"))
             }
             SlamAsk::SetMode => {
                 let mode = mode_of(request)?;
