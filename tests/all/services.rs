@@ -65,6 +65,23 @@ fn mapped(folder: &Folder, seconds: u32) -> (PathBuf, u64) {
 }
 
 #[test]
+fn a_seed_and_its_sessions_are_a_run() {
+    let folder = Folder::new();
+    let (sessions, _) = mapped(&folder, 30);
+    let run = |more: &[&str]| {
+        let args = ["lockstep", "--robots", "1", "--seconds", "20", "--json", "--sessions", text(&sessions)];
+        let done = output(&[&args, more].concat());
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        serde_json::from_slice::<Value>(&done.stdout).unwrap()
+    };
+    let (once, again, localized) = (run(&[]), run(&[]), run(&["--localize"]));
+    assert_eq!(once["sha256"], again["sha256"]);
+    assert_ne!(once["sha256"], localized["sha256"]);
+    let error = localized["fleet"]["robots"][0]["pose_error_m"].as_f64().unwrap();
+    assert!(error < 0.10, "it is found: {localized}");
+}
+
+#[test]
 fn a_killed_worker_comes_back_with_its_map() {
     let folder = Folder::new();
     let config = config(&folder, 1.0);
