@@ -75,8 +75,9 @@ def main(out):
         rows += peer("fleet_rclpy.py", domain, run_dir)
         rows += peer("fleet_cyclone.py", domain)
         rows += peer("services.py", domain, run_dir, BINARY)
-    with fleet(out, domain, "--robots", "1", "--world", "ros"):
+    with fleet(out, domain, "--robots", "2", "--world", "ros"):
         rows += peer("world_rclpy.py", domain)
+        rows += peer("world_cyclone.py", domain)
     rows += peer("maps_rclpy.py", domain, DOOR, BINARY)
     profile = str(HERE / "buffers.xml")
     rows += peer("maps_rclpy.py", domain, DOOR, BINARY, "buffers", FASTRTPS_DEFAULT_PROFILES_FILE=profile)

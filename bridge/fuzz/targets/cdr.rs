@@ -4,13 +4,15 @@
 
 use bridge::cdr::{Dialect, Reader};
 use bridge::ros::{
-    Bool, Clock, Empty, Float32MultiArray, HandInputs, Int32, Joy, LaserScan, Message, OccupancyGrid, Odometry,
-    PoseWithCovarianceStamped, Text, TfMessage, TransformStamped, Twist, TwistStamped, decode_as, encode_as,
+    Bool, Clock, Empty, Float32MultiArray, HandInputs, Int32, Joy, LaserScan, Message, OccupancyGrid,
+    Odometry, PoseWithCovarianceStamped, Text, TfMessage, TransformStamped, Twist, TwistStamped, decode_as,
+    encode_as,
 };
 use bridge::slam_services;
 use bridge::world::{ClockOffset, Heard, Incoming, SourceClock, World};
 use libfuzzer_sys::fuzz_target;
 use msg::{RobotId, Stamp};
+use std::path::{Component, Path};
 
 /// Decodes, and if that goes, encodes and decodes again.
 fn read<M: Message>(dialect: Dialect, payload: &[u8]) {
@@ -50,11 +52,13 @@ const READERS: [fn(Dialect, &[u8]); 17] = [
 /// What SLAM is asked over ROS.
 fn services(dialect: Dialect, payload: &[u8]) {
     for service in slam_services::ALL {
-        let asked = Reader::with(dialect, payload).ok().and_then(|mut from| service.service.read(&mut from, false).ok());
+        let asked = Reader::with(dialect, payload)
+            .ok()
+            .and_then(|mut from| service.service.read(&mut from, false).ok());
         if let Some(asked) = asked {
             assert!(asked.first.pose.is_finite());
-            let file = asked.first.text.as_str();
-            assert!(!file.starts_with('/') && !file.contains(".."), "{file}");
+            let file = Path::new(asked.first.text.as_str());
+            assert!(file.components().all(|part| matches!(part, Component::Normal(_))), "{file:?}");
         }
     }
 }

@@ -6,7 +6,7 @@ use bridge::frame::{FrameError, NAME_MAX, Parser, Side};
 use libfuzzer_sys::fuzz_target;
 
 /// Small, so that the limit is met.
-const PAYLOAD_MAX: usize = 4096;
+const PAYLOAD_MAX: usize = 512;
 /// What a parser holds at rest.
 const REST_BYTES: usize = 64 * 1024;
 
