@@ -19,7 +19,7 @@ use crate::session_file;
 use crate::sessions;
 use crate::shared_memory::wait;
 use crate::stop::Stop;
-use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, Start};
+use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, SlamConfig, Start};
 use msg::{Correction, Header, Odometry, Pose2, RobotId, Role, Scan};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -79,7 +79,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let mut refused = 0;
     std::thread::scope(|scope| {
         let done = news.clone();
-        let slam = run.config.slam.clone();
+        let slam = live(run);
         scope.spawn(move || files::serve(&slam, jobs_in, done));
         let beside = scope.spawn(|| beside::run(run, robot, back, inbox, orders, jobs));
         let mut path = ScanPath::new(front, carried, news, orders_in);
@@ -107,7 +107,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
 /// What SLAM begins with: what an earlier worker of this run kept; else the session that the fleet begins with; else
 /// nothing. And, if it is not the scan path itself that goes on, where `odom` lies in the map, as was seen last.
 fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, Option<Pose2>), Error> {
-    let config = run.config.slam.clone();
+    let config = live(run);
     let own = sessions::file(&sessions::folder(run), robot);
     let identity = sessions::identity(run, robot);
     match session_file::read(&own, &identity) {
@@ -127,6 +127,13 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
     // No scan of this run is in it yet.
     back.date_map(Header::default(), crate::clock::now());
     Ok((front, back, at))
+}
+
+/// The fleet's configuration of SLAM, for a process without end: nobody asks it for all poses since it began.
+fn live(run: &Run) -> SlamConfig {
+    let mut config = run.config.slam.clone();
+    config.graph.trajectory_max = 0;
+    config
 }
 
 /// The scan path in its process.

@@ -47,6 +47,16 @@ fn config(folder: &Folder, autosave_s: f64) -> PathBuf {
     folder.file("fleet.toml", format!("[sessions]\nautosave_s = {autosave_s:?}\n"))
 }
 
+/// The process id of one of the fleet.
+fn worker(fleet: &mut Fleet, name: &str) -> u32 {
+    let mut pid = None;
+    fleet.until("its process", |view| {
+        pid = view.processes.iter().find(|p| p.process == name).map(|p| p.pid);
+        pid.is_some()
+    });
+    pid.unwrap()
+}
+
 /// The nodes in a session file; it must be whole.
 fn nodes_in(file: &Path) -> Option<u64> {
     let bytes = std::fs::read(file).ok()?;
@@ -113,6 +123,31 @@ fn a_killed_worker_comes_back_with_its_map() {
     });
     let after = fleet.until("figures", |_| true);
     assert!(after.robots[0].pose_error_m.is_some_and(|error| error < 0.10), "{after:?}");
+}
+
+#[test]
+fn a_worker_whose_session_is_damaged_begins_a_map_in_the_same_frame() {
+    let folder = Folder::new();
+    let config = config(&folder, 0.0);
+    let mut fleet = Fleet::start("demo", &["--robots", "1", "--config", text(&config)]);
+    let dir = fleet.run.dir.clone();
+    fleet.until("a map", |view| view.robots.first().is_some_and(|robot| robot.nodes >= 6));
+    answer(&dir, "robot1", &["save", text(&dir.join(FOLDER).join("robot1"))]);
+    let file = dir.join(FOLDER).join("robot1.slam");
+    let whole = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &whole[..whole.len() - 1]).unwrap();
+    let worker = worker(&mut fleet, "slam of robot1");
+    send(worker, Signal::KILL);
+    fleet.until("its return", |view| {
+        let back = view
+            .processes
+            .iter()
+            .any(|p| p.process == "slam of robot1" && p.pid != worker && p.state == "up");
+        back && (1..6).contains(&view.robots[0].nodes)
+    });
+    let after = fleet.until("its going on", |view| view.robots[0].nodes >= 6);
+    assert!(after.robots[0].pose_error_m.is_some_and(|error| error < 0.10), "{:?}", after.robots);
+    assert_eq!(std::fs::read(&file).unwrap().len(), whole.len() - 1, "it is not to save");
 }
 
 #[test]
