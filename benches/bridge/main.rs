@@ -7,6 +7,7 @@
 //! which the laboratory is too small, and the count of allocations.
 
 mod client;
+mod commands;
 // The mix, its bare hops and the jitter's definition are the jitter bench's.
 #[path = "../jitter/bare.rs"]
 mod bare;
@@ -68,6 +69,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
     match words.get(1).map(String::as_str) {
         Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
+        Some("bare-command") => return Ok(commands::hop(&words[2], words[3].parse()?)?),
         Some("ros-peer") => return peer::listen(words[2].parse()?, Duration::from_secs(words[3].parse()?)),
         Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
         _ => {}
@@ -150,8 +152,7 @@ fn outside(table: &mut Table, fleet: &mut fleet::Fleet, seconds: u64) -> Result<
     let (heard, lost) = scenes::bursts(port, seconds.min(20) as usize)?;
     table.row(&format!("lost in bursts of 0.4 s, of {heard}"), lost as f64, AtMost(0.0), "messages", None);
 
-    let floor = scenes::bare_commands(300)?;
-    let times = scenes::commands(fleet.run(), 500)?;
+    let commands::Times { fleet: times, bare: floor } = commands::measure(fleet.run(), 500)?;
     table.row(
         "cmd_vel field by field to the simulator: median",
         at(&times, 0.5),
