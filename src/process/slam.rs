@@ -20,7 +20,7 @@ use crate::sessions;
 use crate::shared_memory::wait;
 use crate::stop::Stop;
 use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, SlamConfig, Start};
-use msg::{Correction, Header, Odometry, Pose2, RobotId, Role, Scan};
+use msg::{Correction, Header, Odometry, Pose2, RobotId, Role, Scan, SlamMode};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// Orders the scan path may fall behind; at each scan it takes all there are.
@@ -112,8 +112,9 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
     let identity = sessions::identity(run, robot);
     match session_file::read(&own, &identity) {
         Ok(kept) if kept.identity.run == identity.run => {
-            let carried = at.filter(|_| kept.front.is_none());
             let mode = kept.mode;
+            // A robot that was localized is looked for where it was; one that was looked for, everywhere.
+            let carried = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
             let (front, back) = ::slam::begin(config, Some(kept), mode, Start::GoOn);
             return Ok((front, back, carried));
         }
@@ -126,7 +127,9 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
     let (front, mut back) = ::slam::begin(config, first, mode, Start::Unknown);
     // No scan of this run is in it yet.
     back.date_map(Header::default(), crate::clock::now());
-    Ok((front, back, at))
+    // Whether the robot had been found in it is not known.
+    let carried = at.filter(|_| back.nodes().is_empty());
+    Ok((front, back, carried))
 }
 
 /// The fleet's configuration of SLAM, for a process without end: nobody asks it for all poses since it began.

@@ -76,7 +76,10 @@ fn mapped(folder: &Folder, seconds: u32) -> (PathBuf, u64) {
 
 /// A fleet file of one robot that starts elsewhere in the room than the one that mapped it.
 fn elsewhere(folder: &Folder) -> PathBuf {
-    folder.file("elsewhere.toml", "[fleet]\nrobots = 1\nstarts = [[1.2, -1.2, 1.0]]\n")
+    folder.file(
+        "elsewhere.toml",
+        "[fleet]\nrobots = 1\nstarts = [[1.2, -1.2, 1.0]]\n[sessions]\nautosave_s = 1.0\n",
+    )
 }
 
 #[test]
@@ -166,6 +169,20 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     let state = answer(&dir, "robot1", &["state"]);
     assert_eq!((&state["mode"], nodes(&state)), (&"localization".into(), mapped), "{state}");
     assert!(refusal(&dir, "robot1", &["clear"]).contains("localization"));
+    // A worker that dies here comes back in the same mode, and knows where to look.
+    let own = dir.join(FOLDER).join("robot1.slam");
+    fleet.until("its session", |_| own.exists());
+    let killed = worker(&mut fleet, "slam of robot1");
+    send(killed, Signal::KILL);
+    fleet.until("its return", |view| {
+        let back = view
+            .processes
+            .iter()
+            .any(|p| p.process == "slam of robot1" && p.pid != killed && p.state == "up");
+        back && located(&dir) && view.robots[0].pose_error_m.is_some_and(|error| error < 0.10)
+    });
+    let state = answer(&dir, "robot1", &["state"]);
+    assert_eq!((&state["mode"], nodes(&state)), (&"localization".into(), mapped), "{state}");
     // Gone on with: the map grows.
     assert_eq!(answer(&dir, "robot1", &["mode", "mapping"])["mode"], "mapping");
     fleet.until("a map that grows", |view| {
