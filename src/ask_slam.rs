@@ -343,7 +343,9 @@ fn whereabouts(robot: RobotId, answer: &SlamAnswer) -> String {
     let Pose2 { x_m, y_m, yaw_rad } = answer.map_from_base;
     match answer.located {
         1 => format!("{robot} is at {x_m:.2} {y_m:.2} m, {yaw_rad:.2} rad in its map"),
-        _ => format!("{robot} is not found yet: it is looked for while it moves; drive it a metre or two"),
+        _ => {
+            format!("{robot} is not found yet: it is looked for while it moves; drive it two or three metres")
+        }
     }
 }
 

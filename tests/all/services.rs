@@ -64,6 +64,30 @@ fn mapped(folder: &Folder, seconds: u32) -> (PathBuf, u64) {
     (sessions, nodes)
 }
 
+/// A fleet file of one robot that starts elsewhere in the room than the one that mapped it.
+fn elsewhere(folder: &Folder) -> PathBuf {
+    folder.file("elsewhere.toml", "[fleet]\nrobots = 1\nstarts = [[1.2, -1.2, 1.0]]\n")
+}
+
+#[test]
+fn a_seed_and_its_sessions_are_a_run() {
+    let folder = Folder::new();
+    let (sessions, _) = mapped(&folder, 60);
+    let config = elsewhere(&folder);
+    let run = |more: &[&str]| {
+        let args = ["lockstep", "--config", text(&config), "--sessions", text(&sessions)];
+        let args = [&args[..], &["--seconds", "60", "--json"]].concat();
+        let done = output(&[&args, more].concat());
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        serde_json::from_slice::<Value>(&done.stdout).unwrap()
+    };
+    let (once, again, localized) = (run(&[]), run(&[]), run(&["--localize"]));
+    assert_eq!(once["sha256"], again["sha256"]);
+    assert_ne!(once["sha256"], localized["sha256"]);
+    let error = localized["fleet"]["robots"][0]["pose_error_m"].as_f64().unwrap();
+    assert!(error < 0.10, "it is found: {localized}");
+}
+
 #[test]
 fn a_killed_worker_comes_back_with_its_map() {
     let folder = Folder::new();
@@ -96,7 +120,9 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     let folder = Folder::new();
     let (sessions, mapped) = mapped(&folder, 60);
     // The fleet begins in its sessions: the robot is looked for, and found where the truth has it.
-    let mut fleet = Fleet::start("demo", &["--robots", "1", "--sessions", text(&sessions), "--localize"]);
+    let config = elsewhere(&folder);
+    let args = ["--config", text(&config), "--sessions", text(&sessions), "--localize"];
+    let mut fleet = Fleet::start("demo", &args);
     let dir = fleet.run.dir.clone();
     fleet.until("the robot found in its map", |view| {
         let found = located(&dir);

@@ -74,7 +74,7 @@ def main(out):
     with fleet(out, domain, "--robots", "2") as run_dir:
         rows += peer("fleet_rclpy.py", domain, run_dir)
         rows += peer("fleet_cyclone.py", domain)
-        rows += peer("services.py", domain)
+        rows += peer("services.py", domain, run_dir, BINARY)
     with fleet(out, domain, "--robots", "2", "--world", "ros"):
         rows += peer("world_rclpy.py", domain)
         rows += peer("world_cyclone.py", domain)
