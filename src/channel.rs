@@ -13,7 +13,11 @@
 //! | `robotK/slam_request` | bridge, `mr-slam slam` | slam(k) |
 //! | `robotK/slam_answer` | slam(k) | bridge, `mr-slam slam` |
 //! | `robotK/map` | slam(k) | merge, bridge, telemetry, launcher |
+//! | `robotK/submap`, `robotK/submap_poses` | slam(k) | merge |
+//! | `robotK/submap_ask` | merge | slam(k) |
 //! | `merged_map`, `anchors` | merge | bridge, telemetry, launcher |
+//! | `merge_edges` | merge | bridge, launcher, `mr-slam edges` |
+//! | `edge_command` | bridge, `mr-slam edges` | merge |
 //! | `stats` | telemetry | bridge, launcher, `status` |
 //! | `NAME/beat` | each process | telemetry |
 //!
@@ -21,8 +25,9 @@
 
 use crate::shared_memory::MapWriter;
 use msg::{
-    Anchors, Beat, Clock, Command, Correction, FleetStats, Message, Odometry, PatchHeader, ROBOTS_MAX,
-    RobotId, Role, Scan, SlamAnswer, SlamRequest, Transforms, Truth,
+    Anchors, Beat, Clock, Command, Correction, EdgeCommand, FleetStats, MergeEdges, Message, Odometry,
+    PatchHeader, ROBOTS_MAX, RobotId, Role, Scan, SlamAnswer, SlamRequest, Submap, SubmapAsk, SubmapPoses,
+    Transforms, Truth,
 };
 use std::marker::PhantomData;
 
@@ -46,6 +51,8 @@ pub struct Channel<T> {
 
 /// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
 const READERS: usize = 8;
+/// Merge, and somebody who looks.
+const SUBMAP_READERS: usize = 2;
 /// The bridge, and commands of people.
 const ASKERS: usize = 8;
 
@@ -109,6 +116,21 @@ pub fn slam_answer(robot: RobotId) -> Channel<SlamAnswer> {
     Channel::stream(format!("{robot}/slam_answer"), 16)
 }
 
+/// New or changed, one each 100 ms at most. 0.26 MB each, so that few fit: who misses one asks.
+pub fn submap(robot: RobotId) -> Channel<Submap> {
+    Channel { readers: SUBMAP_READERS, ..Channel::stream(format!("{robot}/submap"), 8) }
+}
+
+/// With every node: the newest say all.
+pub fn submap_poses(robot: RobotId) -> Channel<SubmapPoses> {
+    Channel { readers: SUBMAP_READERS, ..Channel::state(&format!("{robot}/submap_poses")) }
+}
+
+/// When somebody lacks submaps.
+pub fn submap_ask(robot: RobotId) -> Channel<SubmapAsk> {
+    Channel::stream(format!("{robot}/submap_ask"), 2).silent()
+}
+
 /// What changed, when it did; whoever comes late asks for the whole.
 pub fn map(robot: RobotId) -> Channel<PatchHeader> {
     patches(format!("{robot}/map"))
@@ -127,6 +149,16 @@ fn patches(name: String) -> Channel<PatchHeader> {
 /// 1 Hz.
 pub fn anchors() -> Channel<Anchors> {
     Channel::state("anchors").silent()
+}
+
+/// On change, and with each command's end.
+pub fn merge_edges() -> Channel<MergeEdges> {
+    Channel::state("merge_edges")
+}
+
+/// Now and then, from people.
+pub fn edge_command() -> Channel<EdgeCommand> {
+    Channel { writers: ASKERS, ..Channel::stream("edge_command".into(), 16) }
 }
 
 /// 1 Hz.

@@ -3,6 +3,7 @@
 
 use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
+use crate::sessions::{self, SessionsError};
 use msg::{Pose2, RobotId, Stamp};
 use sim::{Room, Simulator};
 use std::io::Read;
@@ -28,6 +29,9 @@ pub enum FleetError {
         /// What is in the way.
         why: String,
     },
+    /// What the fleet is to begin with.
+    #[error(transparent)]
+    Sessions(#[from] SessionsError),
 }
 
 /// The largest file that is read as a room.
@@ -64,16 +68,16 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
 
 /// Where each robot's map lies in the fleet's from the start, if that is known. A world outside shows no room to
 /// choose places in: unless they are configured, the fleet's map is the first robot's, and the others' places are
-/// to be found.
+/// to be found. Where the fleet begins with sessions, their maps' places are those from when they were kept.
 pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
-    if config.world.is_outside() {
+    let without_sessions = if config.world.is_outside() {
         let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
         let found = || RobotId::first(config.fleet.robots).map(first).collect();
-        return Ok(config
-            .configured_starts()
-            .map_or_else(found, |starts| starts.into_iter().map(Some).collect()));
-    }
-    Ok(starts(config, &room(config)?)?.into_iter().map(Some).collect())
+        config.configured_starts().map_or_else(found, |starts| starts.into_iter().map(Some).collect())
+    } else {
+        starts(config, &room(config)?)?.into_iter().map(Some).collect()
+    };
+    Ok(sessions::known_starts(config, without_sessions)?)
 }
 
 /// How long after a tick's stamp a robot's simulator takes it: the robots are spread over the tick, so
@@ -95,6 +99,7 @@ pub fn simulator(
 
 /// Checks that the whole fleet can be built, before anything is started.
 pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
+    sessions::check(config)?;
     if config.world.is_outside() {
         return Ok(());
     }

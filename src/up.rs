@@ -8,6 +8,7 @@ use crate::observer::Observer;
 use crate::report::Report;
 use crate::run::{Run, RunError};
 use crate::screen::Screen;
+use crate::sessions::{self, Mode};
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
 use crate::view::FleetView;
@@ -40,6 +41,12 @@ pub struct FleetArgs {
     /// Where robots, scans and time come from [default: simulator]
     #[arg(long, value_name = "WORLD", value_enum)]
     pub world: Option<World>,
+    /// Begin with the robots' sessions in this folder, such as runs/TIME/sessions; each robot is looked for in its map
+    #[arg(long, value_name = "DIR")]
+    pub sessions: Option<PathBuf>,
+    /// Leave the sessions' maps as they are: only the robots' poses in them are wanted
+    #[arg(long)]
+    pub localize: bool,
 }
 
 /// Launch a fleet: for each robot a simulator and SLAM, then merging, telemetry and the bridge.
@@ -122,6 +129,12 @@ impl FleetArgs {
         config.bridge.dds.enabled |= self.world == Some(World::Ros);
         fleet.seed = self.seed.unwrap_or(fleet.seed);
         fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
+        if let Some(folder) = &self.sessions {
+            config.sessions.begin_with = std::path::absolute(folder).unwrap_or(folder.clone());
+        }
+        if self.localize {
+            config.sessions.mode = Mode::Localization;
+        }
         config.check()?;
         Ok(config)
     }
@@ -184,6 +197,8 @@ pub fn up(args: &UpArgs, passenger: &mut dyn Passenger, stop: &Stop) -> Result<R
     })?;
     let port = listener.local_addr()?.port();
     let run = Run::create(&args.folder(), config, port)?;
+    sessions::create_folder(&sessions::folder(&run), &fleet::known_starts(&run.config)?)
+        .map_err(FleetError::from)?;
     let mut screen = Screen::new(&run);
     let mut supervisor = Supervisor::start(&run, listener)?;
     let result = watch(&run, args.seconds, &mut supervisor, passenger, &mut screen, stop);

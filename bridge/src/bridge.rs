@@ -13,7 +13,7 @@ use crate::ros::{names, write};
 use crate::world::{ClockEstimate, Incoming, SourceClock, SourceId, World, WorldError};
 use msg::{
     Anchors, Clock, Command, Correction, FleetStats, GridView, Link, Odometry, ROBOTS_MAX, RobotId, Scan,
-    Stamp, Transforms,
+    SlamRequest, Stamp, Transforms,
 };
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
@@ -46,6 +46,8 @@ pub const FIRST_SOURCE: SourceId = 1 << 48;
 
 /// What robots are told: by [`Bridge::new`]'s caller.
 type CommandSink = Box<dyn FnMut(RobotId, Command)>;
+/// What robots' SLAM is asked: by [`Bridge::on_ask`]'s caller.
+type AskSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 
 /// The hub between the fleet and its clients. One thread; every method returns at once.
 ///
@@ -54,6 +56,7 @@ type CommandSink = Box<dyn FnMut(RobotId, Command)>;
 pub struct Bridge {
     hub: RefCell<Hub>,
     sink: RefCell<CommandSink>,
+    ask: RefCell<AskSink>,
 }
 
 impl Bridge {
@@ -91,7 +94,13 @@ impl Bridge {
         let mut hub = Hub::new(config, robot_count.clamp(1, ROBOTS_MAX), outside);
         hub.tell_selected();
         hub.tell_stop();
-        Ok(Self { hub: RefCell::new(hub), sink: RefCell::new(sink) })
+        Ok(Self { hub: RefCell::new(hub), sink: RefCell::new(sink), ask: RefCell::new(Box::new(|_, _| {})) })
+    }
+
+    /// Calls `ask` from now on with whatever a robot's SLAM is to do; `client` and `id` are the caller's to fill in.
+    /// It must not call the bridge.
+    pub fn on_ask(&self, ask: impl FnMut(RobotId, SlamRequest) + 'static) {
+        *self.ask.borrow_mut() = Box::new(ask);
     }
 
     /// A message of a world outside that came in by another door than TCP. `source` tells machines apart, and is
@@ -125,8 +134,13 @@ impl Bridge {
         let Ok(mut sink) = self.sink.try_borrow_mut() else { return };
         loop {
             let next = self.hub.borrow_mut().next_command();
-            let Some((robot, command)) = next else { return };
+            let Some((robot, command)) = next else { break };
             sink(robot, command);
+        }
+        loop {
+            let next = self.hub.borrow_mut().next_ask();
+            let Some((robot, request)) = next else { return };
+            (self.ask.borrow_mut())(robot, request);
         }
     }
 

@@ -39,7 +39,8 @@ pub use service::{
 pub use slam::{Anchor, Anchors, Correction, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
 pub use submap::{
-    SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses,
+    SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapAsk, SubmapEdge,
+    SubmapPoses,
 };
 pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
@@ -96,6 +97,7 @@ messages!(
     FleetStats,
     MergeEdges,
     EdgeCommand,
+    SubmapAsk,
     SlamRequest,
     SlamAnswer
 );

@@ -27,6 +27,11 @@ pub struct Submap {
     pub nodes: u32,
     /// 1: no more nodes will be added (it may yet be redrawn), 0: it grows.
     pub finished: u32,
+    /// Counts how often this SLAM began its submaps anew: of two with different counts, the ids mean nothing to each
+    /// other.
+    pub generation: u32,
+    /// Zero.
+    pub reserved: u32,
     /// Row-major evidence; read it by [`Submap::view`].
     pub cells: [i8; SUBMAP_CELLS_MAX],
 }
@@ -87,6 +92,10 @@ pub struct SubmapPoses {
     pub len: u32,
     /// How many of `edges` are set. Read them by [`SubmapPoses::edges`].
     pub edges_len: u32,
+    /// As [`Submap::generation`].
+    pub generation: u32,
+    /// Zero.
+    pub reserved: u32,
     /// `robotK/map` from each submap.
     pub robot_map_from_submap: [Pose2; SUBMAPS_MAX],
     /// Relations that the robot's own graph supports.
@@ -113,6 +122,14 @@ impl Message for SubmapPoses {
     fn header_mut(&mut self) -> &mut Header {
         &mut self.header
     }
+}
+
+/// Who lacks a robot's submaps asks for all of them.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct SubmapAsk {
+    /// When it was asked.
+    pub header: Header,
 }
 
 #[cfg(test)]

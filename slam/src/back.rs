@@ -26,7 +26,7 @@ use crate::node::{Node, Revision};
 use crate::relocalize::{SeekCounts, Seeker};
 use crate::stage::{Stage, StageWatch};
 use modes::{Anchor, information};
-use msg::{GridView, Pose2, SlamMode, TileMap, pose::wrap_angle};
+use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -264,6 +264,11 @@ impl Back {
         }
     }
 
+    /// Nodes forgotten so far; the others then have new numbers.
+    pub fn retired(&self) -> u64 {
+        self.retired
+    }
+
     /// The pose graph.
     pub fn graph(&self) -> &Graph {
         &self.graph
@@ -294,6 +299,11 @@ impl Back {
     /// The map as drawn so far. Nodes that moved are drawn elsewhere all at once.
     pub fn tiles(&self) -> &TileMap {
         self.canvas.tiles()
+    }
+
+    /// The map is as of this scan until the next one is drawn: a loaded map's own are of another time.
+    pub fn date_map(&mut self, header: Header, scan_sent: Monotonic) {
+        self.canvas.date(header, scan_sent);
     }
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or

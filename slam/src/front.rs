@@ -130,6 +130,7 @@ pub struct Front {
     lost_in_row: u32,
     /// The scan before did not fit.
     unsure: bool,
+    node_wanted: bool,
     scratch: Scratch,
     points: Vec<[f32; 2]>,
     map_from_local: Pose2,
@@ -164,6 +165,7 @@ impl Front {
             local_maps: [local_map(), local_map()],
             lost_in_row: 0,
             unsure: false,
+            node_wanted: false,
             scratch: Scratch::with_room(t.search_points_max, t.window_max_m, t.window_max_rad, t.cell_m),
             points: Vec::with_capacity(t.search_points_max),
             map_from_local: Pose2::IDENTITY,
@@ -195,6 +197,11 @@ impl Front {
         self.torn_at = None;
         self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
         self.waiting.clear();
+    }
+
+    /// The next scan that fits becomes a node, even if the robot stands: somebody waits for one.
+    pub fn want_node(&mut self) {
+        self.node_wanted = true;
     }
 
     /// From now on this watch hears of every stage.

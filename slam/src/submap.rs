@@ -34,6 +34,9 @@ pub struct Submaps {
     canvas: Canvas,
     /// Nodes after the last submap that there may be.
     not_kept: u64,
+    generation: u32,
+    /// Nodes the back end had forgotten when these groups were begun.
+    retired: u64,
     out: Box<Submap>,
 }
 
@@ -59,12 +62,31 @@ impl Submaps {
             way_m: 0.0,
             canvas: Canvas::new(config.map.clone()),
             not_kept: 0,
+            generation: 0,
+            retired: 0,
             out: bytemuck::allocation::zeroed_box(),
         }
     }
 
-    /// Takes in the nodes that the back end has got since the last call.
+    /// All submaps anew, of a generation of their own: the nodes are others.
+    pub fn begin_again(&mut self) {
+        self.groups.clear();
+        (self.nodes, self.way_m, self.not_kept) = (0, 0.0, 0);
+        self.generation += 1;
+    }
+
+    /// Somebody lacks submaps: all are given out again.
+    pub fn give_again(&mut self) {
+        self.groups.iter_mut().for_each(|group| group.given.clear());
+    }
+
+    /// Takes in the nodes that the back end has got since the last call. If it has forgotten some (those left have
+    /// new numbers then) or began a new map, so do the submaps.
     pub fn update(&mut self, back: &Back) {
+        if back.retired() != self.retired || back.nodes().len() < self.nodes as usize {
+            self.begin_again();
+            self.retired = back.retired();
+        }
         let poses = back.graph().poses();
         for node in &back.nodes()[(self.nodes as usize).min(back.nodes().len())..] {
             let step_m = if node.id == 0 {
@@ -152,7 +174,7 @@ impl Submaps {
         self.out.set_grid(self.canvas.finish(&back.nodes()[range], &group.given));
         let out = &mut self.out;
         (out.id, out.first_node, out.nodes) = (id as u32, group.first, group.nodes);
-        out.finished = u32::from(group.finished);
+        (out.finished, out.generation) = (u32::from(group.finished), self.generation);
         if id != newest {
             self.canvas = Canvas::new(self.map.clone());
         }
@@ -185,7 +207,7 @@ impl Submaps {
         for (pose, group) in out.robot_map_from_submap.iter_mut().zip(&self.groups) {
             *pose = poses[group.first as usize];
         }
-        out.len = self.groups.len() as u32;
+        (out.len, out.generation) = (self.groups.len() as u32, self.generation);
         if let Some(newest) = back.nodes().last() {
             out.header.stamp = newest.header.stamp;
         }

@@ -10,6 +10,7 @@ mod pulse;
 mod ros2;
 mod sim;
 mod slam;
+mod submaps_out;
 mod telemetry;
 
 use crate::run::{Run, RunError};

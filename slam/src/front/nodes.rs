@@ -45,12 +45,10 @@ impl Front {
         } else {
             self.lost_in_row = 0;
         }
-        if self.next_node as usize >= self.config.graph.nodes_max {
-            return false;
-        }
         let Some(newest) = self.recent.back() else { return true };
         let moved = newest.local_from_base.between(found.local_from_base);
-        moved.x_m.hypot(moved.y_m) >= t.node_distance_m || moved.yaw_rad.abs() >= t.node_turn_rad
+        let far = moved.x_m.hypot(moved.y_m) >= t.node_distance_m || moved.yaw_rad.abs() >= t.node_turn_rad;
+        core::mem::take(&mut self.node_wanted) || far
     }
 
     /// The scan is matched against from now on, and handed over as a node if there is room.
