@@ -62,18 +62,26 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
     }
 }
 
-/// Where each robot's map lies in the fleet's from the start, if that is known. A world outside shows no room to
-/// choose places in: unless they are configured, the fleet's map is the first robot's, and the others' places are
-/// to be found.
+/// Where each robot's map lies in the fleet's from the start, as far as merging is told. Where it is told nothing (the
+/// file says so, or a world outside shows no room to choose places in), the fleet's map is the first robot's, and the
+/// others' places are to be found.
 pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
-    if config.world.is_outside() {
-        let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
-        let found = || RobotId::first(config.fleet.robots).map(first).collect();
-        return Ok(config
-            .configured_starts()
-            .map_or_else(found, |starts| starts.into_iter().map(Some).collect()));
+    let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
+    let untold = config.world.is_outside() && config.configured_starts().is_none();
+    if config.fleet.starts_known && !untold {
+        return true_starts(config);
     }
-    Ok(starts(config, &room(config)?)?.into_iter().map(Some).collect())
+    Ok(RobotId::first(config.fleet.robots).map(first).collect())
+}
+
+/// Where each robot's map truly lies, where that is known: in a simulation in `world`, else as configured in `map`.
+pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
+    let starts = match config.configured_starts() {
+        None if config.world.is_outside() => return Ok(vec![None; config.fleet.robots]),
+        None => starts(config, &room(config)?)?,
+        Some(starts) => starts,
+    };
+    Ok(starts.into_iter().map(Some).collect())
 }
 
 /// How long after a tick's stamp a robot's simulator takes it: the robots are spread over the tick, so

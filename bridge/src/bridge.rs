@@ -217,6 +217,11 @@ impl Bridge {
         });
     }
 
+    /// `/merge_edges`: what merging believes of each pair of robots, and why; newest also to whoever comes later.
+    pub fn merge_edges(&self, json: &str) {
+        self.with(|hub| hub.board.send(hub.fleet.merge_edges, |to| to.string(json)));
+    }
+
     /// What was heard at the ROS 2 door: as if a client on loopback had sent it.
     pub fn hear_ros(&self, heard: &Heard) {
         self.with(|hub| hub.hear_ros(heard));

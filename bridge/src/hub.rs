@@ -6,7 +6,7 @@ use crate::client::ClientId;
 use crate::config::BridgeConfig;
 use crate::drive::Drive;
 use crate::outbox::Outbox;
-use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, Twist, write};
+use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, Text, Twist, write};
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
 use crate::world::{ClockOffset, SourceClock, World};
@@ -33,6 +33,7 @@ pub struct FleetTopics {
     pub transforms: TopicId,
     pub clock: TopicId,
     pub merged_map: TopicId,
+    pub merge_edges: TopicId,
     pub selected: TopicId,
     pub stop: TopicId,
     /// Where a robot that is not simulated here hears its commands.
@@ -83,6 +84,7 @@ impl FleetTopics {
             ),
             clock: topics.add("/clock".into(), "rosgraph_msgs/Clock", from_outside(Input::Clock), 1, false),
             merged_map: topics.add("/merged_map".into(), "nav_msgs/OccupancyGrid", Source::Fleet, 1, true),
+            merge_edges: topics.add("/merge_edges".into(), Text::TYPE, Source::Fleet, 1, true),
             selected: topics.add(
                 "/selected_robot".into(),
                 Int32::TYPE,

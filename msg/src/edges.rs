@@ -106,6 +106,10 @@ pub struct MergeEdges {
     pub header: Header,
     /// How many of `edges` are set. Read them by [`MergeEdges::edges`].
     pub len: u32,
+    /// Commands answered so far.
+    pub commands: u32,
+    /// How many of them were refused: no such edge, or nothing known of it.
+    pub refused: u32,
     /// Zero.
     pub reserved: u32,
     /// Pairs of robots; (1, 2), (1, 3), (2, 3), (1, 4) ...
@@ -145,11 +149,13 @@ pub enum EdgeAction {
     Pin = 1,
     /// It is taken back, and the same place is not accepted again.
     Undo = 2,
+    /// No longer pinned: it holds as long as the maps agree.
+    Unpin = 3,
 }
 
 impl EdgeAction {
     /// `None` for a code that no action has.
     pub fn from_code(code: u32) -> Option<Self> {
-        [Self::Pin, Self::Undo].into_iter().find(|action| *action as u32 == code)
+        [Self::Pin, Self::Undo, Self::Unpin].into_iter().find(|action| *action as u32 == code)
     }
 }

@@ -7,6 +7,7 @@ use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::fleet;
+use crate::merge_edges;
 use crate::run::Run;
 use crate::shared_memory::{Bell, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
@@ -109,6 +110,9 @@ pub(super) fn fleet_tasks<D: Outlet + 'static>(
     let mut tasks = vec![
         forward(node, bridge, &channel::clock(), |bridge, clock| bridge.clock(clock))?,
         forward(node, bridge, &channel::stats(), |bridge, stats| bridge.stats(stats))?,
+        forward(node, bridge, &channel::merge_edges(), |bridge, edges| {
+            bridge.merge_edges(&merge_edges::json(edges));
+        })?,
         merged_maps(node, bridge)?,
     ];
     for robot in run.robots() {
