@@ -56,17 +56,6 @@ fn robot(text: &str) -> Result<RobotId, String> {
     number.and_then(RobotId::new).ok_or(format!("`{text}` is no robot; expected its number, from 1"))
 }
 
-impl Pair {
-    /// The pair's number: (1, 2) is 1, (1, 3) 2, (2, 3) 3, (1, 4) 4 ...
-    fn edge(self) -> Result<u32, String> {
-        let (low, high) = (self.a.index().min(self.b.index()), self.a.index().max(self.b.index()));
-        if low == high {
-            return Err(format!("{} and itself are no pair", self.a));
-        }
-        Ok((high * (high - 1) / 2 + low + 1) as u32)
-    }
-}
-
 /// Runs the subcommand.
 pub fn run(args: &EdgesArgs) -> Result<(), Error> {
     let run = args.run.open()?;
@@ -79,7 +68,7 @@ pub fn run(args: &EdgesArgs) -> Result<(), Error> {
     if pair.a.number().max(pair.b.number()) > run.config.fleet.robots {
         return Err(format!("this fleet has robots 1 to {}", run.config.fleet.robots).into());
     }
-    let command = EdgeCommand { edge: pair.edge()?, action: action as u32, ..EdgeCommand::default() };
+    let command = EdgeCommand::of(action, pair.a, pair.b).ok_or("a robot and itself are no pair")?;
     show(&*ask(&run, Some(command))?, args.json)
 }
 

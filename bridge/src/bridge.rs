@@ -12,8 +12,8 @@ use crate::outbox::{Lane, Outbox};
 use crate::ros::{names, write};
 use crate::world::{ClockEstimate, Incoming, SourceClock, SourceId, World, WorldError};
 use msg::{
-    Anchors, Clock, Command, Correction, FleetStats, GridView, Link, Odometry, ROBOTS_MAX, RobotId, Scan,
-    Stamp, Transforms,
+    Anchors, Clock, Command, Correction, EdgeCommand, FleetStats, GridView, Link, Odometry, ROBOTS_MAX,
+    RobotId, Scan, Stamp, Transforms,
 };
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
@@ -46,6 +46,8 @@ pub const FIRST_SOURCE: SourceId = 1 << 48;
 
 /// What robots are told: by [`Bridge::new`]'s caller.
 type CommandSink = Box<dyn FnMut(RobotId, Command)>;
+/// What merging is told: by [`Bridge::on_edge_command`]'s caller.
+type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 
 /// The hub between the fleet and its clients. One thread; every method returns at once.
 ///
@@ -54,6 +56,7 @@ type CommandSink = Box<dyn FnMut(RobotId, Command)>;
 pub struct Bridge {
     hub: RefCell<Hub>,
     sink: RefCell<CommandSink>,
+    edge_sink: RefCell<EdgeCommandSink>,
 }
 
 impl Bridge {
@@ -91,7 +94,16 @@ impl Bridge {
         let mut hub = Hub::new(config, robot_count.clamp(1, ROBOTS_MAX), outside);
         hub.tell_selected();
         hub.tell_stop();
-        Ok(Self { hub: RefCell::new(hub), sink: RefCell::new(sink) })
+        Ok(Self {
+            hub: RefCell::new(hub),
+            sink: RefCell::new(sink),
+            edge_sink: RefCell::new(Box::new(|_| {})),
+        })
+    }
+
+    /// From now on this is called with what people say of merge edges; else nobody hears it.
+    pub fn on_edge_command(&self, sink: impl FnMut(EdgeCommand) + 'static) {
+        *self.edge_sink.borrow_mut() = Box::new(sink);
     }
 
     /// A message of a world outside that came in by another door than TCP. `source` tells machines apart, and is
@@ -122,6 +134,11 @@ impl Bridge {
 
     /// Commands go out while the hub is free, so that whoever takes them may send messages.
     fn pass_commands(&self) {
+        if let Ok(mut sink) = self.edge_sink.try_borrow_mut() {
+            while let Some(command) = { self.hub.borrow_mut().edge_commands.pop_front() } {
+                sink(command);
+            }
+        }
         let Ok(mut sink) = self.sink.try_borrow_mut() else { return };
         loop {
             let next = self.hub.borrow_mut().next_command();

@@ -10,7 +10,7 @@ use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, Text, Twist,
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
 use crate::world::{ClockOffset, SourceClock, World};
-use msg::{Anchors, Command, Header, ROBOTS_MAX, RobotId, Stamp};
+use msg::{Anchors, Command, EdgeCommand, Header, ROBOTS_MAX, RobotId, Stamp};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -20,6 +20,8 @@ const ANCHORS_PERIOD: Duration = Duration::from_secs(1);
 const TRANSFORMS_DEPTH: usize = 32;
 /// Commands that wait to be taken; each frame's are taken before the next frame is read.
 const COMMANDS_MAX: usize = 4 * ROBOTS_MAX;
+/// The same for merging.
+const EDGE_COMMANDS_MAX: usize = 16;
 /// Selected at start.
 const FIRST: RobotId = RobotId::new(1).unwrap();
 
@@ -57,6 +59,7 @@ impl FleetTopics {
         input("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
         input("/take_control".into(), Int32::TYPE, Input::Take);
         input("/emergency_stop_release".into(), "std_msgs/Empty", Input::Release);
+        input("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);
         let from_outside = |input: Input| if outside { Source::Input(input) } else { Source::Fleet };
         let scan = |robot: RobotId| {
             let (name, source) = (format!("/{robot}/scan"), from_outside(Input::Scan(robot)));
@@ -122,6 +125,8 @@ pub struct Hub {
     anchors: Option<Anchors>,
     anchors_due: Option<Instant>,
     commands: VecDeque<(RobotId, Command)>,
+    /// What merging is told.
+    pub edge_commands: VecDeque<EdgeCommand>,
 }
 
 impl Hub {
@@ -145,6 +150,7 @@ impl Hub {
             anchors: None,
             anchors_due: None,
             commands: VecDeque::with_capacity(COMMANDS_MAX),
+            edge_commands: VecDeque::with_capacity(EDGE_COMMANDS_MAX),
         }
     }
 
@@ -166,6 +172,15 @@ impl Hub {
                 .iter()
                 .for_each(|topic| self.board.send(*topic, |to| twist.write(to)));
         }
+    }
+
+    /// A word for merging; false if too many wait.
+    pub fn edge_command(&mut self, command: EdgeCommand) -> bool {
+        let room = self.edge_commands.len() < EDGE_COMMANDS_MAX;
+        if room {
+            self.edge_commands.push_back(command);
+        }
+        room
     }
 
     /// The next command to hand to its robot.

@@ -37,6 +37,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let bridge = open_bridge(&node, run)?;
+        let mut edge_commands = node.writer(&channel::edge_command())?;
+        bridge.on_edge_command(move |command| edge_commands.send(&command));
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run)));
         let mut tasks = fleet_tasks(&node, run, &bridge)?;
         if run.config.bridge.dds.enabled {

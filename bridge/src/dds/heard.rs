@@ -1,6 +1,8 @@
 //! What is heard on DDS, on its way to the bridge's own thread.
 
-use crate::ros::{Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, TfMessage, Twist, TwistStamped};
+use crate::ros::{
+    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, Text, TfMessage, Twist, TwistStamped,
+};
 use crate::topics::Input;
 use msg::RobotId;
 
@@ -62,6 +64,7 @@ pub(super) fn commands(robots: usize, outside: bool) -> Vec<InputTopic> {
         InputTopic::new::<Int32>("/take_control".into(), Input::Take),
         InputTopic::new::<Bool>("/emergency_stop".into(), Input::Stop),
         InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::Release),
+        InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
     ];
     for robot in RobotId::first(robots) {
         let command = Input::Command(robot);
