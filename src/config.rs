@@ -4,6 +4,7 @@
 //! nobody knows, a number out of range, a room that is not there.
 
 use crate::realtime::RealtimeConfig;
+use crate::sessions::SessionsConfig;
 use msg::{Pose2, ROBOTS_MAX};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -52,6 +53,8 @@ pub struct FleetConfig {
     pub sim: sim::SimConfig,
     /// Each robot's mapping.
     pub slam: slam::SlamConfig,
+    /// What is kept of it, and what it begins with.
+    pub sessions: SessionsConfig,
     /// The fleet's map.
     pub merge: merge::MergeConfig,
     /// The doors.
@@ -68,6 +71,7 @@ impl Default for FleetConfig {
             fleet: Fleet::default(),
             sim: sim::SimConfig::default(),
             slam: burger_slam(),
+            sessions: SessionsConfig::default(),
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
             realtime: RealtimeConfig::default(),
@@ -208,6 +212,7 @@ impl FleetConfig {
         let rooms = [
             ("sim", self.sim.validate().map_err(|error| error.to_string())),
             ("slam", self.slam.validate().map_err(|error| error.to_string())),
+            ("sessions", self.sessions.validate()),
             ("merge", self.merge.validate().map_err(|error| error.to_string())),
             ("bridge", self.bridge.validate().map_err(|error| error.to_string())),
             ("realtime", self.realtime.validate()),

@@ -3,6 +3,7 @@
 
 use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
+use crate::sessions::{self, SessionsError};
 use msg::{Pose2, RobotId, Stamp};
 use sim::{Room, Simulator};
 use std::io::Read;
@@ -28,6 +29,9 @@ pub enum FleetError {
         /// What is in the way.
         why: String,
     },
+    /// What the fleet is to begin with.
+    #[error(transparent)]
+    Sessions(#[from] SessionsError),
 }
 
 /// The largest file that is read as a room.
@@ -64,24 +68,28 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
 
 /// Where each robot's map lies in the fleet's from the start, as far as merging is told. Where it is told nothing (the
 /// file says so, or a world outside shows no room to choose places in), the fleet's map is the first robot's, and the
-/// others' places are to be found.
+/// others' places are to be found. Where the fleet begins with sessions, their maps' places are those from when they
+/// were kept.
 pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
     let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
-    let untold = config.world.is_outside() && config.configured_starts().is_none();
-    if config.fleet.starts_known && !untold {
-        return true_starts(config);
+    let alone = || RobotId::first(config.fleet.robots).map(first).collect();
+    if !config.fleet.starts_known {
+        return Ok(alone());
     }
-    Ok(RobotId::first(config.fleet.robots).map(first).collect())
+    if config.world.is_outside() && config.configured_starts().is_none() {
+        return Ok(sessions::known_starts(config, alone())?);
+    }
+    true_starts(config)
 }
 
 /// Where each robot's map truly lies, where that is known: in a simulation in `world`, else as configured in `map`.
 pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
-    let starts = match config.configured_starts() {
-        None if config.world.is_outside() => return Ok(vec![None; config.fleet.robots]),
-        None => starts(config, &room(config)?)?,
-        Some(starts) => starts,
+    let begun = match config.configured_starts() {
+        None if config.world.is_outside() => vec![None; config.fleet.robots],
+        None => starts(config, &room(config)?)?.into_iter().map(Some).collect(),
+        Some(starts) => starts.into_iter().map(Some).collect(),
     };
-    Ok(starts.into_iter().map(Some).collect())
+    Ok(sessions::known_starts(config, begun)?)
 }
 
 /// How long after a tick's stamp a robot's simulator takes it: the robots are spread over the tick, so
@@ -103,6 +111,7 @@ pub fn simulator(
 
 /// Checks that the whole fleet can be built, before anything is started.
 pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
+    sessions::check(config)?;
     if config.world.is_outside() {
         return Ok(());
     }

@@ -19,6 +19,7 @@ pub mod shared_memory;
 pub mod stop;
 // What people see, and say.
 pub mod allowed;
+pub mod ask_slam;
 pub mod keys;
 pub mod map_file;
 pub mod merge_edges;
@@ -33,3 +34,4 @@ pub mod merge_maps;
 pub mod operator;
 pub mod replay;
 pub mod session_file;
+pub mod sessions;

@@ -13,15 +13,16 @@ use crate::fleet::{self, FleetError};
 use crate::operator::sight::{MapView, RobotSight, ScanView, Sight};
 use crate::operator::tour::{Hand, Tour, TourConfig};
 use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
+use crate::sessions::{self, SessionsError};
 use bytemuck::Zeroable;
 use merge::{Fleet, Merger};
 use msg::tiles::Outgoing;
 use msg::{
-    Anchors, Clock, Command, Correction, Dense, FleetStats, GridView, MergeEdges, Message, Monotonic,
+    Anchors, Clock, Command, Correction, Dense, FleetStats, GridView, Header, MergeEdges, Message, Monotonic,
     PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap, Truth,
 };
 use sim::{Simulator, Tick};
-use slam::{Slam, Submaps};
+use slam::{Identity, Session, Slam, Start, Submaps};
 use std::collections::BTreeMap;
 use telemetry::Telemetry;
 
@@ -40,6 +41,7 @@ pub struct Lockstep {
     telemetry: Telemetry,
     tour: Option<Tour>,
     together: bool,
+    known: Vec<Option<Pose2>>,
     merged_map: Chart,
     anchors: Anchors,
     stats: Box<FleetStats>,
@@ -92,7 +94,7 @@ impl Lockstep {
             Ok(Member {
                 robot,
                 simulator: fleet::simulator(config, &room, robot, *start)?,
-                slam: Slam::new(config.slam.clone()),
+                slam: slam(config, robot)?,
                 scan: Box::new(Scan::zeroed()),
                 scanned: false,
                 truth: Truth::default(),
@@ -107,7 +109,7 @@ impl Lockstep {
             })
         };
         let known = fleet::known_starts(config)?;
-        let truth: Vec<Option<Pose2>> = starts.iter().copied().map(Some).collect();
+        let truth = fleet::true_starts(config)?;
         let tour = TourConfig { seed: config.fleet.seed, ..TourConfig::default() };
         Ok(Self {
             members: robots.clone().zip(&starts).map(member).collect::<Result<_, FleetError>>()?,
@@ -117,12 +119,26 @@ impl Lockstep {
             telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &truth),
             tour: Tour::new(tour, robots),
             together,
+            known,
             merged_map: Chart::default(),
             anchors: Anchors::default(),
             stats: Box::default(),
             voice: Voice::default(),
             ticks: 0,
         })
+    }
+
+    /// Every robot's session, and where the robots' maps lie.
+    pub fn sessions(&mut self) -> impl Iterator<Item = (RobotId, Session)> + '_ {
+        self.members.iter_mut().map(|member| {
+            let identity = Identity::new(member.robot.number() as u32, 0, member.slam.back().config());
+            (member.robot, member.slam.session(identity))
+        })
+    }
+
+    /// Where each robot's map lies in the fleet's from the start, if that is known.
+    pub fn known_starts(&self) -> &[Option<Pose2>] {
+        &self.known
     }
 
     /// One tick of the whole fleet, in the order of the data: hand, robots, SLAM, merging, figures.
@@ -239,6 +255,16 @@ impl Lockstep {
         self.telemetry.anchors(&self.anchors);
         self.telemetry.merged_map(self.merged_map.grid.view(), received);
     }
+}
+
+/// A robot's SLAM, with what it is to begin with.
+fn slam(config: &FleetConfig, robot: RobotId) -> Result<Slam, FleetError> {
+    let first = sessions::first(config, robot).map_err(SessionsError::from)?;
+    let mode = sessions::first_mode(config, first.is_some());
+    let mut slam = Slam::begin(config.slam.clone(), first, mode, Start::Unknown);
+    // No scan of this run is in it yet.
+    slam.back_mut().date_map(Header::default(), Monotonic::default());
+    Ok(slam)
 }
 
 impl Member {

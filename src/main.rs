@@ -4,7 +4,8 @@ use clap::{Parser, Subcommand};
 use mr_slam::control::{self, Request};
 use mr_slam::process::{Process, ProcessArgs, RobotArgs};
 use mr_slam::{
-    demo, doctor, lockstep, merge_edges, merge_maps, operator, process, replay, status, stop::Stop, up,
+    ask_slam, demo, doctor, lockstep, merge_edges, merge_maps, operator, process, replay, status, stop::Stop,
+    up,
 };
 use std::process::ExitCode;
 
@@ -36,6 +37,8 @@ enum Command {
     Stop(control::RunArgs),
     /// Release the emergency stop
     Release(control::RunArgs),
+    /// Ask a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
+    Slam(ask_slam::SlamArgs),
     /// Drive a running fleet over TCP, as a headset does
     Operator(operator::OperatorArgs),
     /// The same fleet in one process on virtual time: the same seed, the same bytes
@@ -47,7 +50,7 @@ enum Command {
     Sim(RobotArgs),
     /// One process of a fleet, started by `up`: a robot's SLAM
     #[command(display_order = 100)]
-    Slam(RobotArgs),
+    SlamWorker(RobotArgs),
     /// Put map files together whose robots started anywhere; or, started by `up`, be the fleet's map
     Merge(merge_maps::MergeArgs),
     /// One process of a fleet, started by `up`: the fleet's figures
@@ -89,7 +92,8 @@ fn run(command: Command) -> Result<(), process::Error> {
         Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
         Command::Replay(args) => replay::run(&args)?,
         Command::Sim(args) => process::run(&Process::Sim(args))?,
-        Command::Slam(args) => process::run(&Process::Slam(args))?,
+        Command::Slam(args) => ask_slam::run(&args)?,
+        Command::SlamWorker(args) => process::run(&Process::Slam(args))?,
         Command::Merge(args) => merge_maps::run(&args)?,
         Command::Telemetry(args) => process::run(&Process::Telemetry(args))?,
         Command::Bridge(args) => process::run(&Process::Bridge(args))?,

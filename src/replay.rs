@@ -10,7 +10,8 @@ pub use fleet::Starts;
 use crate::carmen::{LaserLine, Reader, Record};
 use crate::map_file::{MapFileError, write_map};
 use crate::session_file::{self, SessionFileError};
-use msg::{Odometry, Pose2, Scan, SlamMode, Stamp};
+use crate::sessions::{Mode, TOLD_SIGMA};
+use msg::{Odometry, Pose2, Scan, Stamp};
 use serde::Serialize;
 use slam::{Back, Front, Hint, Identity, Node, Revision, SearchCounts, SeekCounts, SlamConfig, Start};
 use std::fs::File;
@@ -77,31 +78,6 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "N")]
     pub scans: Option<usize>,
 }
-
-/// `--mode`.
-#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
-    /// The map grows
-    #[default]
-    Continue,
-    /// The map stays as it is
-    Localize,
-    /// The map grows, and forgets what is no longer so
-    Lifelong,
-}
-
-impl From<Mode> for SlamMode {
-    fn from(mode: Mode) -> Self {
-        match mode {
-            Mode::Continue => Self::Mapping,
-            Mode::Localize => Self::Localization,
-            Mode::Lifelong => Self::Lifelong,
-        }
-    }
-}
-
-/// How sure `--at` is, one standard deviation: metres, radians.
-const AT_SIGMA: [f64; 2] = [0.3, 0.2];
 
 /// What stops a replay.
 #[derive(Debug, thiserror::Error)]
@@ -363,11 +339,11 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(Front, Back), ReplayE
     let Some(path) = &args.session else {
         return Ok(slam::begin(config, None, args.mode.into(), Start::Unknown));
     };
-    if session_file::is_map(path) && args.mode != Mode::Localize {
+    if session_file::is_map(path) && args.mode != Mode::Localization {
         return Err(ReplayError::MapOnly(path.clone()));
     }
     let session = session_file::read_any(path, &Identity::new(0, 0, &config), &config)?;
-    let [sigma_m, sigma_rad] = AT_SIGMA;
+    let [sigma_m, sigma_rad] = TOLD_SIGMA;
     let start = match args.at {
         Some(map_from_local) => Start::At(Hint { map_from_local, sigma_m, sigma_rad }),
         None if args.go_on => Start::GoOn,
@@ -531,7 +507,7 @@ mod tests {
             no_closures: false,
             session: None,
             save_session: None,
-            mode: Mode::Continue,
+            mode: Mode::Mapping,
             at: None,
             go_on: false,
             skip: 0,

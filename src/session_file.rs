@@ -34,6 +34,13 @@ pub enum SessionFileError {
     Map(#[from] MapFileError),
 }
 
+impl SessionFileError {
+    /// There is no such file.
+    pub fn is_missing(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
+    }
+}
+
 /// Writes beside the place, waits until the disk has it, renames, and waits for that too: the file
 /// is the old one or the new one at any moment.
 pub fn write(path: &Path, session: &Session) -> Result<(), SessionFileError> {

@@ -8,6 +8,7 @@ use crate::observer::Observer;
 use crate::report::Report;
 use crate::run::{Run, RunError};
 use crate::screen::Screen;
+use crate::sessions::{self, Mode};
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
 use crate::view::FleetView;
@@ -43,6 +44,12 @@ pub struct FleetArgs {
     /// Whether merging is told where robots start, or has to find out [default: known]
     #[arg(long, value_name = "HOW", value_enum)]
     pub starts: Option<Starts>,
+    /// Begin with the robots' sessions in this folder, such as runs/TIME/sessions; each robot is looked for in its map
+    #[arg(long, value_name = "DIR")]
+    pub sessions: Option<PathBuf>,
+    /// Leave the sessions' maps as they are: only the robots' poses in them are wanted
+    #[arg(long)]
+    pub localize: bool,
 }
 
 /// What merging is told of where robots start.
@@ -135,6 +142,12 @@ impl FleetArgs {
         fleet.seed = self.seed.unwrap_or(fleet.seed);
         fleet.starts_known = self.starts.map_or(fleet.starts_known, |starts| starts == Starts::Known);
         fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
+        if let Some(folder) = &self.sessions {
+            config.sessions.begin_with = std::path::absolute(folder).unwrap_or(folder.clone());
+        }
+        if self.localize {
+            config.sessions.mode = Mode::Localization;
+        }
         config.check()?;
         Ok(config)
     }
@@ -197,6 +210,8 @@ pub fn up(args: &UpArgs, passenger: &mut dyn Passenger, stop: &Stop) -> Result<R
     })?;
     let port = listener.local_addr()?.port();
     let run = Run::create(&args.folder(), config, port)?;
+    sessions::create_folder(&sessions::folder(&run), &fleet::known_starts(&run.config)?)
+        .map_err(FleetError::from)?;
     let mut screen = Screen::new(&run);
     let mut supervisor = Supervisor::start(&run, listener)?;
     let result = watch(&run, args.seconds, &mut supervisor, passenger, &mut screen, stop);

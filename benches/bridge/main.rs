@@ -7,6 +7,7 @@
 //! which the laboratory is too small, and the count of allocations.
 
 mod client;
+mod commands;
 // The mix, its bare hops and the jitter's definition are the jitter bench's.
 #[path = "../jitter/bare.rs"]
 mod bare;
@@ -15,6 +16,7 @@ mod fleet;
 mod inside;
 #[path = "../jitter/measure.rs"]
 mod measure;
+mod peer;
 mod scenes;
 
 use client::{Client, EVERYTHING};
@@ -67,6 +69,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
     match words.get(1).map(String::as_str) {
         Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
+        Some("bare-command") => return Ok(commands::hop(&words[2], words[3].parse()?)?),
+        Some("ros-peer") => return peer::listen(words[2].parse()?, Duration::from_secs(words[3].parse()?)),
         Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
         _ => {}
     }
@@ -77,6 +81,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut fleet = fleet::Fleet::start(ROBOTS)?;
     mix(&mut table, &mut fleet, Duration::from_secs(seconds))?;
     outside(&mut table, &mut fleet, seconds)?;
+    drop(fleet);
+    with_ros(&mut table, Duration::from_secs(seconds))?;
     within(&mut table)?;
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     println!("machine's load average: {}", load.trim());
@@ -105,10 +111,39 @@ fn mix(table: &mut Table, fleet: &mut fleet::Fleet, length: Duration) -> Result<
         "messages",
         Some(floor.lost as f64),
     );
-    let bridge = fleet.processes().into_iter().find(|process| process.process == "bridge");
-    let percent = bridge.map_or(f64::NAN, |bridge| bridge.percent);
+    let percent = percent_of_bridge(fleet);
     table.row("bridge's processor time in the mix, one client", percent, AtMost(4.0), "% core", None);
     Ok(())
+}
+
+/// The same with a ROS 2 peer that has a reader of everything beside the client.
+fn with_ros(table: &mut Table, length: Duration) -> Result<(), Box<dyn Error>> {
+    let domain = peer::domain();
+    let mut fleet = fleet::Fleet::start_with(ROBOTS, &["--ros-domain", &domain.to_string()])?;
+    let peer = peer::Peer::start(domain, WARM_UP + length)?;
+    let bare = bare::Bare::start(ROBOTS)?;
+    let bare = std::thread::spawn(move || bare.measure(WARM_UP, length).map_err(|why| why.to_string()));
+    let figures = fleet.measure(WARM_UP, length)?;
+    let floor = bare.join().map_err(|_| "the bare hops' client failed")??;
+    let heard = peer.heard()? as f64 / (WARM_UP + length).as_secs_f64();
+    let what = format!("bridge's processor time, ROS 2 peer too ({heard:.0} messages/s)");
+    let percent = if heard > 0.0 { percent_of_bridge(&fleet) } else { f64::NAN };
+    table.row(&what, percent, AtMost(8.0), "% core", None);
+    table.row(
+        "TF jitter at the TCP client beside it: P99",
+        figures.tf.p99_ms,
+        AtMost(2.0),
+        "ms",
+        Some(floor.p99_ms),
+    );
+    let lost = figures.tf.lost + figures.clock.lost + figures.scans.lost;
+    table.row("  lost", lost as f64, AtMost(0.0), "messages", Some(floor.lost as f64));
+    Ok(())
+}
+
+fn percent_of_bridge(fleet: &fleet::Fleet) -> f64 {
+    let bridge = fleet.processes().into_iter().find(|process| process.process == "bridge");
+    bridge.map_or(f64::NAN, |bridge| bridge.percent)
 }
 
 /// What clients do to it.
@@ -117,8 +152,7 @@ fn outside(table: &mut Table, fleet: &mut fleet::Fleet, seconds: u64) -> Result<
     let (heard, lost) = scenes::bursts(port, seconds.min(20) as usize)?;
     table.row(&format!("lost in bursts of 0.4 s, of {heard}"), lost as f64, AtMost(0.0), "messages", None);
 
-    let floor = scenes::bare_commands(300)?;
-    let times = scenes::commands(fleet.run(), 500)?;
+    let commands::Times { fleet: times, bare: floor } = commands::measure(fleet.run(), 500)?;
     table.row(
         "cmd_vel field by field to the simulator: median",
         at(&times, 0.5),

@@ -4,93 +4,10 @@ use crate::client::{Client, EVERYTHING, Wish};
 use bridge::command::name;
 use bridge::frame::Side;
 use bridge::ros::{self, Message, Twist, encode};
-use mr_slam::channel;
-use mr_slam::clock::now;
-use mr_slam::run::Run;
-use mr_slam::shared_memory::{Node, wait};
-use msg::{Monotonic, RobotId};
 use std::collections::BTreeMap;
 use std::error::Error;
-use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::io::Write;
 use std::time::{Duration, Instant};
-
-/// A command every so often, as a headset at 50 Hz.
-const COMMAND_PERIOD: Duration = Duration::from_millis(20);
-
-/// A frame cut as Unity's connector writes it: each field by itself.
-fn fields(frame: &[u8], name_length: usize) -> Vec<usize> {
-    let payload = 8 + name_length;
-    let mut cuts = vec![0, 4, 4 + name_length, payload, payload + 4];
-    cuts.extend((payload + 4..=frame.len()).step_by(8).skip(1));
-    cuts
-}
-
-/// Milliseconds from a command's first byte written to the moment who listens on the robot's channel, as its
-/// simulator does, has it. Sorted.
-pub fn commands(run: &Run, count: usize) -> Result<Vec<f64>, Box<dyn Error>> {
-    let node = Node::open(&run.domain, "bench")?;
-    let robot = RobotId::first(3).last().ok_or("no robot")?;
-    let channel = channel::command(robot);
-    let (mut reader, bell) = (node.reader(&channel)?, node.bell(&channel)?);
-    let topic: Wish = (name::PUBLISH, "/cmd_vel_3", Twist::TYPE);
-    let mut client = Client::connect(run.port, &[topic])?;
-    client.stream.set_nodelay(false)?;
-    let mut frame = Vec::new();
-    let turning = Twist { linear: [0.0; 3], angular: [0.0, 0.0, 0.01] };
-    Side::Client.write_with(&mut frame, topic.1, |out| encode(&turning, out));
-    // A name from a client ends in a NUL.
-    let cuts = fields(&frame, topic.1.len() + 1);
-    let mut times = Vec::new();
-    for _ in 0..count {
-        std::thread::sleep(COMMAND_PERIOD);
-        while reader.receive().is_some() {}
-        let begun = now();
-        cuts.windows(2).try_for_each(|cut| client.stream.write_all(&frame[cut[0]..cut[1]]))?;
-        let until = Monotonic(begun.0 + 1_000_000_000);
-        while reader.receive().is_none() {
-            wait(&[&bell], until);
-            if now() >= until {
-                return Err("a command did not arrive".into());
-            }
-        }
-        times.push(now().since(begun) as f64 * 1e-6);
-    }
-    times.sort_by(f64::total_cmp);
-    Ok(times)
-}
-
-/// The same writes over a plain socket to a thread that acknowledges at once: what belongs to the machine.
-pub fn bare_commands(count: usize) -> Result<Vec<f64>, Box<dyn Error>> {
-    let listener = TcpListener::bind("127.0.0.1:0")?;
-    let port = listener.local_addr()?.port();
-    let frame = [0; 71];
-    let cuts = fields(&frame, 11);
-    let (tell, arrived) = std::sync::mpsc::channel();
-    std::thread::spawn(move || -> std::io::Result<()> {
-        let (mut stream, _) = listener.accept()?;
-        let (mut have, mut space) = (0, [0; 4096]);
-        loop {
-            rustix::net::sockopt::set_tcp_quickack(&stream, true)?;
-            have += stream.read(&mut space)?;
-            rustix::net::sockopt::set_tcp_quickack(&stream, true)?;
-            if have >= frame.len() {
-                have -= frame.len();
-                let _ = tell.send(now());
-            }
-        }
-    });
-    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
-    let mut times = Vec::new();
-    for _ in 0..count {
-        std::thread::sleep(COMMAND_PERIOD);
-        let begun = now();
-        cuts.windows(2).try_for_each(|cut| stream.write_all(&frame[cut[0]..cut[1]]))?;
-        times.push(arrived.recv()?.since(begun) as f64 * 1e-6);
-    }
-    times.sort_by(f64::total_cmp);
-    Ok(times)
-}
 
 /// 52-byte messages through the bridge, from one client to another, `per_second` of them for `seconds`; 0: as fast as
 /// they go in. (sent, lost, the rate at which they arrived)

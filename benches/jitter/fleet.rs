@@ -45,10 +45,16 @@ pub struct Fleet {
 impl Fleet {
     /// Launches it.
     pub fn start(robots: usize) -> Result<Self, Box<dyn Error>> {
+        Self::start_with(robots, &[])
+    }
+
+    /// The same with further words on the command line.
+    pub fn start_with(robots: usize, words: &[&str]) -> Result<Self, Box<dyn Error>> {
         let dir = std::env::temp_dir().join(format!("mr-slam-bench-{}", std::process::id()));
         let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
             .args(["up", "--port", "0", "--robots", &robots.to_string(), "--run-dir"])
             .arg(&dir)
+            .args(words)
             .stderr(Stdio::piped())
             .spawn()?;
         let mut said = BufReader::new(launcher.stderr.take().ok_or("no stderr")?);

@@ -13,7 +13,7 @@ use crate::ros::{names, write};
 use crate::world::{ClockEstimate, Incoming, SourceClock, SourceId, World, WorldError};
 use msg::{
     Anchors, Clock, Command, Correction, EdgeCommand, FleetStats, GridView, Link, Odometry, ROBOTS_MAX,
-    RobotId, Scan, Stamp, Transforms,
+    RobotId, Scan, SlamRequest, Stamp, Transforms,
 };
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
@@ -48,6 +48,8 @@ pub const FIRST_SOURCE: SourceId = 1 << 48;
 type CommandSink = Box<dyn FnMut(RobotId, Command)>;
 /// What merging is told: by [`Bridge::on_edge_command`]'s caller.
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
+/// What robots' SLAM is asked: by [`Bridge::on_ask`]'s caller.
+type AskSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 
 /// The hub between the fleet and its clients. One thread; every method returns at once.
 ///
@@ -57,6 +59,7 @@ pub struct Bridge {
     hub: RefCell<Hub>,
     sink: RefCell<CommandSink>,
     edge_sink: RefCell<EdgeCommandSink>,
+    ask: RefCell<AskSink>,
 }
 
 impl Bridge {
@@ -97,6 +100,7 @@ impl Bridge {
         Ok(Self {
             hub: RefCell::new(hub),
             sink: RefCell::new(sink),
+            ask: RefCell::new(Box::new(|_, _| {})),
             edge_sink: RefCell::new(Box::new(|_| {})),
         })
     }
@@ -104,6 +108,12 @@ impl Bridge {
     /// From now on this is called with what people say of merge edges; else nobody hears it.
     pub fn on_edge_command(&self, sink: impl FnMut(EdgeCommand) + 'static) {
         *self.edge_sink.borrow_mut() = Box::new(sink);
+    }
+
+    /// Calls `ask` from now on with whatever a robot's SLAM is to do; `client` and `id` are the caller's to fill in.
+    /// It must not call the bridge.
+    pub fn on_ask(&self, ask: impl FnMut(RobotId, SlamRequest) + 'static) {
+        *self.ask.borrow_mut() = Box::new(ask);
     }
 
     /// A message of a world outside that came in by another door than TCP. `source` tells machines apart, and is
@@ -142,8 +152,13 @@ impl Bridge {
         let Ok(mut sink) = self.sink.try_borrow_mut() else { return };
         loop {
             let next = self.hub.borrow_mut().next_command();
-            let Some((robot, command)) = next else { return };
+            let Some((robot, command)) = next else { break };
             sink(robot, command);
+        }
+        loop {
+            let next = self.hub.borrow_mut().next_ask();
+            let Some((robot, request)) = next else { return };
+            (self.ask.borrow_mut())(robot, request);
         }
     }
 

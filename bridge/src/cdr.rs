@@ -10,6 +10,18 @@ use thiserror::Error;
 /// Representation "CDR, little-endian", no options.
 pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
+/// A message without fields has one byte in ROS 2 all the same.
+const EMPTY_MESSAGE: [u8; 5] = [0, 1, 0, 0, 0];
+
+/// A payload as ROS 2 wants it: Unity's connector writes nothing behind the header of a message without fields, and
+/// Fast CDR refuses that. All other payloads stay as they are.
+pub fn with_dummy_byte(dialect: Dialect, payload: &[u8]) -> &[u8] {
+    match payload {
+        [0, 1, _, _] if dialect == Dialect::Ros2 => &EMPTY_MESSAGE,
+        _ => payload,
+    }
+}
+
 /// Which ROS the clients were built for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -69,7 +69,7 @@ impl Default for BridgeConfig {
     fn default() -> Self {
         Self {
             frame_bytes_max: 64 << 20,
-            outbox_bytes_max: 8 << 20,
+            outbox_bytes_max: 6 << 20,
             unsent_bytes_max: 256 << 10,
             clients_max: 64,
             client_topics_max: 1024,

@@ -6,11 +6,13 @@ use crate::client::ClientId;
 use crate::config::BridgeConfig;
 use crate::drive::Drive;
 use crate::outbox::Outbox;
-use crate::ros::{Bool, FrameNames, HandInputs, Int32, Joy, Message, Text, Twist, write};
+use crate::ros::{
+    Bool, FrameNames, HandInputs, Int32, Joy, Message, PoseWithCovarianceStamped, Text, Twist, write,
+};
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
 use crate::world::{ClockOffset, SourceClock, World};
-use msg::{Anchors, Command, EdgeCommand, Header, ROBOTS_MAX, RobotId, Stamp};
+use msg::{Anchors, Command, EdgeCommand, Header, ROBOTS_MAX, RobotId, SlamRequest, Stamp};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -22,6 +24,8 @@ const TRANSFORMS_DEPTH: usize = 32;
 const COMMANDS_MAX: usize = 4 * ROBOTS_MAX;
 /// The same for merging.
 const EDGE_COMMANDS_MAX: usize = 16;
+/// Requests to SLAM that wait to be taken, likewise.
+const ASKS_MAX: usize = 16;
 /// Selected at start.
 const FIRST: RobotId = RobotId::new(1).unwrap();
 
@@ -55,6 +59,13 @@ impl FleetTopics {
             names.map(|name| input(name, "geometry_msgs/Twist", Input::Command(robot)))
         };
         let command = RobotId::first(robots).map(&mut command).collect();
+        let mut initial_pose = |name: String, robot: Option<RobotId>| {
+            input(name, PoseWithCovarianceStamped::TYPE, Input::InitialPose(robot))
+        };
+        initial_pose("/initialpose".into(), None);
+        for robot in RobotId::first(robots) {
+            initial_pose(format!("/{robot}/initialpose"), Some(robot));
+        }
         input("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
         input("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
         input("/take_control".into(), Int32::TYPE, Input::Take);
@@ -121,8 +132,11 @@ pub struct Hub {
     pub outside: Option<Outside>,
     /// The clock of what is heard on DDS.
     pub ros_clock: SourceClock,
+    /// Where the robots' maps lie in the merged one.
+    pub anchors: Option<Anchors>,
+    /// What robots' SLAM is to be asked, until it is taken.
+    asks: VecDeque<(RobotId, SlamRequest)>,
     now: Stamp,
-    anchors: Option<Anchors>,
     anchors_due: Option<Instant>,
     commands: VecDeque<(RobotId, Command)>,
     /// What merging is told.
@@ -146,8 +160,9 @@ impl Hub {
             config,
             outside,
             ros_clock: SourceClock::new(ClockOffset::Fixed(0.0)),
-            now: Stamp(0),
             anchors: None,
+            asks: VecDeque::with_capacity(ASKS_MAX),
+            now: Stamp(0),
             anchors_due: None,
             commands: VecDeque::with_capacity(COMMANDS_MAX),
             edge_commands: VecDeque::with_capacity(EDGE_COMMANDS_MAX),
@@ -181,6 +196,19 @@ impl Hub {
             self.edge_commands.push_back(command);
         }
         room
+    }
+
+    /// Something a robot's SLAM is to do.
+    pub fn ask(&mut self, robot: RobotId, request: SlamRequest) {
+        if self.asks.len() == ASKS_MAX {
+            self.asks.pop_front();
+        }
+        self.asks.push_back((robot, request));
+    }
+
+    /// The next request to hand to a robot's SLAM.
+    pub fn next_ask(&mut self) -> Option<(RobotId, SlamRequest)> {
+        self.asks.pop_front()
     }
 
     /// The next command to hand to its robot.

@@ -1,6 +1,6 @@
 //! What a client sends: registrations, services, lists. What its messages mean is in `inputs`.
 
-use crate::cdr::{Dialect, ENCAPSULATION};
+use crate::cdr::{Dialect, ENCAPSULATION, with_dummy_byte};
 use crate::client::{ClientId, Expected, Publication};
 use crate::command::{Call as CallBody, Registration, TopicList, name};
 use crate::frame::{Frame, Side};
@@ -183,6 +183,7 @@ impl Hub {
 
     /// A client calls a service.
     fn request(&mut self, id: ClientId, number: i64, spelled: &str, payload: &[u8]) {
+        let payload = with_dummy_byte(self.config.payloads, payload);
         let resolved = interfaces::resolve_name(spelled);
         let call =
             resolved.and_then(|name| self.services.call(id, number, &name, spelled, Instant::now()).cloned());
@@ -200,6 +201,7 @@ impl Hub {
 
     /// A client answers a call.
     fn response(&mut self, id: ClientId, number: i64, payload: &[u8]) {
+        let payload = with_dummy_byte(self.config.payloads, payload);
         match self.services.answered(id, number) {
             Some(call) => self.respond(call.caller, call.caller_number, &call.service, payload),
             None => self.board.refuse(id, format!("__response {number}: no such call waits for you")),

@@ -1,7 +1,7 @@
 //! What clients' messages mean to the fleet: velocities, selection, the emergency stop, transforms.
 
 use crate::bridge::FIRST_SOURCE;
-use crate::cdr::{DecodeError, Reader};
+use crate::cdr::{DecodeError, Reader, with_dummy_byte};
 use crate::client::{ClientId, Publication, Refusal};
 use crate::command::name;
 use crate::dds::Heard;
@@ -79,7 +79,7 @@ impl Hub {
         if let Source::Input(input) = topic.source {
             return self.input(id, input, from, payload, now);
         }
-        self.board.relay(from.topic, payload);
+        self.board.relay(from.topic, with_dummy_byte(self.config.payloads, payload));
         Ok(())
     }
 
@@ -113,6 +113,10 @@ impl Hub {
             Input::Scan(robot) => self.hear(id, Incoming::Scan(robot, self.reader(payload)?)),
             Input::Odometry(robot) => self.hear(id, Incoming::Odometry(robot, self.reader(payload)?)),
             Input::Clock => self.hear(id, Incoming::Clock(self.reader(payload)?)),
+            Input::InitialPose(robot) => {
+                let message = self.decode(payload)?;
+                self.initial_pose(robot, &message).map_err(|why| Refused(Refusal::Content, why))
+            }
             Input::Select => {
                 let robot = self.robot_of(self.decode::<Int32>(payload)?)?;
                 self.drive.select(robot);

@@ -11,8 +11,8 @@ pub const BYTES_PER_TURN: usize = 1 << 20;
 /// Notices (`__error`, `__warn`) that wait; more are counted as dropped.
 const NOTICES_MAX: usize = 64;
 /// Bytes of service frames and lists that may wait. They are never dropped: a client that does not read them
-/// is let go.
-const ANSWERS_BYTES_MAX: usize = 4 << 20;
+/// is let go. One that is longer may wait, alone.
+const ANSWERS_BYTES_MAX: usize = 1 << 20;
 
 /// What kind of frame waits, which says what may happen to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,7 +109,7 @@ impl Outbox {
     /// Whether a further frame of this lane would push one out.
     pub fn is_full(&self, lane: Lane, bytes: usize) -> bool {
         match lane {
-            Lane::Answer => self.answer_bytes + bytes > ANSWERS_BYTES_MAX,
+            Lane::Answer => self.answer_bytes > 0 && self.answer_bytes + bytes > ANSWERS_BYTES_MAX,
             Lane::Notice => self.notices >= NOTICES_MAX,
             Lane::Topic { id, depth, counted } => {
                 let waiting = self.depths.get(id).copied().unwrap_or(0) as usize;

@@ -23,8 +23,6 @@ pub enum Service {
     SaveSession,
     /// slam_toolbox/DeserializePoseGraph.
     LoadSession,
-    /// nav_msgs/GetMap: answered from the newest map.
-    GetMap,
     /// std_srvs/Trigger: one request without arguments.
     Trigger(SlamAsk),
 }
@@ -44,14 +42,14 @@ const fn named(name: &'static str, class: &'static str, service: Service) -> Nam
     Named { name, class, service }
 }
 
-/// All of a robot's services.
-pub const ALL: [Named; 10] = [
+/// All of a robot's services. SLAM Toolbox's dynamic_map is missing: a reply longer than a datagram reaches nobody,
+/// because RustDDS 0.15 writes one byte too many into each fragment that names its request. The map is on `/robotN/map`.
+pub const ALL: [Named; 9] = [
     named("slam_toolbox/pause_new_measurements", "slam_toolbox/Pause", Service::TogglePause),
     named("slam_toolbox/reset", "slam_toolbox/Reset", Service::Reset),
     named("slam_toolbox/save_map", "slam_toolbox/SaveMap", Service::SaveMap),
     named("slam_toolbox/serialize_map", "slam_toolbox/SerializePoseGraph", Service::SaveSession),
     named("slam_toolbox/deserialize_map", "slam_toolbox/DeserializePoseGraph", Service::LoadSession),
-    named("slam_toolbox/dynamic_map", "nav_msgs/GetMap", Service::GetMap),
     named("pause", "std_srvs/SetBool", Service::Pause),
     named("reset", "std_srvs/Trigger", Service::Trigger(SlamAsk::Reset)),
     named("relocalize", "std_srvs/Trigger", Service::Trigger(SlamAsk::Relocalize)),
@@ -103,7 +101,7 @@ fn file(name: &str) -> Result<Text, RequestError> {
 }
 
 impl Service {
-    /// What a request asks of SLAM. `paused` is whether it is now. [`Service::GetMap`] asks how it stands.
+    /// What a request asks of SLAM. `paused` is whether it is now.
     pub fn read(self, from: &mut Reader<'_>, paused: bool) -> Result<Asked, RequestError> {
         let pause = |wished: bool| ask(if wished { SlamAsk::Pause } else { SlamAsk::Resume });
         Ok(match self {
@@ -120,12 +118,11 @@ impl Service {
                 SlamRequest { text: file(from.string("filename")?)?, ..ask(SlamAsk::SaveSession) }.into()
             }
             Self::LoadSession => load(from)?.into(),
-            Self::GetMap => ask(SlamAsk::State).into(),
             Self::Trigger(what) => ask(what).into(),
         })
     }
 
-    /// SLAM's answer, or why there is none. [`Service::GetMap`]'s is not written here: it is the map.
+    /// SLAM's answer, or why there is none.
     pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamAnswer, &str>) {
         let done = answer.is_ok_and(|answer| answer.outcome() == SlamOutcome::Done);
         let text = answer.map_or_else(|why| why, |answer| answer.text.as_str());
@@ -133,7 +130,7 @@ impl Service {
             Self::TogglePause => to.bool(done),
             Self::Reset | Self::SaveMap | Self::SaveSession => to.u8(if done { SUCCESS } else { FAILURE }),
             // An empty response is one byte in ROS 2.
-            Self::LoadSession | Self::GetMap => to.u8(0),
+            Self::LoadSession => to.u8(0),
             Self::Pause | Self::Trigger(_) => {
                 to.bool(done);
                 to.string(text);

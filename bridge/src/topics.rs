@@ -23,6 +23,8 @@ pub enum Input {
     Joystick,
     /// The same as Quest2ROS sends it.
     HandInputs,
+    /// Where a robot is, as a person says: the named robot, or the one its frame or the selection names.
+    InitialPose(Option<RobotId>),
     /// The number of the robot to select.
     Select,
     /// The number of the robot to take over; 0 for all.

@@ -428,6 +428,11 @@ fn link(parent: Link, child: Link, transform: &Transform<'_>) -> Result<LinkTran
     })
 }
 
+/// A robot's pose on the floor, told by a transform.
+pub(crate) fn floor_pose(transform: &Transform<'_>) -> Result<Pose2, String> {
+    planar(&link(Link::Odom, Link::BaseFootprint, transform)?)
+}
+
 /// The pose on the floor. A robot that leans is another convention of axes, such as Unity's own.
 fn planar(link: &LinkTransform) -> Result<Pose2, String> {
     let [x, y, z, w] = link.rotation_xyzw;

@@ -61,8 +61,12 @@ fn node(config: &BridgeConfig) -> Node {
 }
 
 fn maps(node: &mut Node) -> Subscription<Grid> {
+    maps_on(node, "/robot1/map")
+}
+
+fn maps_on(node: &mut Node, name: &str) -> Subscription<Grid> {
     let qos = QosProfile::publisher_default().durability(Durability::TransientLocal);
-    let name = Name::parse("/robot1/map").unwrap();
+    let name = Name::parse(name).unwrap();
     let topic = node.create_topic(&name, MessageTypeName::new("nav_msgs", "OccupancyGrid"), &qos).unwrap();
     node.create_subscription(&topic, None).unwrap()
 }
@@ -115,6 +119,20 @@ fn a_late_joiner_gets_the_newest_map_once() {
         let mut another = node(&config);
         let late = maps(&mut another);
         assert_eq!(stamps(&late).await, [24]);
+    });
+}
+
+#[test]
+fn a_fleet_can_have_a_namespace() {
+    run(async {
+        let mut config = config(25);
+        config.dds.namespace = "/lab/floor_2".into();
+        let door = Rc::new(Door::open(&config, 1, false).unwrap());
+        spawn_local(door.clone().serve(|_| {}, |_, _| {}));
+        send_map(&door, 7, 20);
+        let mut other = node(&config);
+        let there = maps_on(&mut other, "/lab/floor_2/robot1/map");
+        assert_eq!(stamps(&there).await, [7]);
     });
 }
 

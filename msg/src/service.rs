@@ -95,7 +95,7 @@ pub enum SlamAsk {
     Pause = 1,
     /// They are again.
     Resume = 2,
-    /// Forget everything; the map begins anew where the robot stands.
+    /// Forget everything; the map begins anew where the robot is, in the frame in which it was.
     Reset = 3,
     /// Write `text`.pgm, .yaml and .png.
     SaveMap = 4,
@@ -104,7 +104,8 @@ pub enum SlamAsk {
     /// Take the session file `text`, or the map `text` if it ends in .yaml (localization only); `mode`
     /// says what for, `start` where the robot is.
     LoadSession = 6,
-    /// The robot is at `pose`, give or take `sigma_m` and `sigma_rad`.
+    /// The robot is at `pose`, give or take `sigma_m` and `sigma_rad`: it is looked for there, and after some
+    /// way believed to be there.
     SetPose = 7,
     /// The closures from number `number` on.
     ListClosures = 8,
@@ -114,11 +115,13 @@ pub enum SlamAsk {
     ClearClosures = 10,
     /// Look for the robot in the whole map.
     Relocalize = 11,
+    /// Go on with the map in `mode`.
+    SetMode = 12,
 }
 
 impl SlamAsk {
     /// All that can be asked, in the order of their codes.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::State,
         Self::Pause,
         Self::Resume,
@@ -131,6 +134,7 @@ impl SlamAsk {
         Self::UndoClosure,
         Self::ClearClosures,
         Self::Relocalize,
+        Self::SetMode,
     ];
 
     /// `None` for a code that means nothing.
@@ -186,8 +190,8 @@ pub struct SlamRequest {
     pub sigma_m: f64,
     /// And of its heading, radians; 0: as usual.
     pub sigma_rad: f64,
-    /// A path. Relative ones lie below the run's folder and may not leave it. What comes from a
-    /// network must be relative: the bridge sees to that.
+    /// A path; a session's without an ending gets `.slam`. Relative ones lie below the run's folder and may not
+    /// leave it. What comes from a network must be relative: the bridge sees to that.
     pub text: Text,
 }
 

@@ -25,7 +25,7 @@ use crate::node::{Node, Revision};
 use crate::relocalize::{SeekCounts, Seeker};
 use crate::stage::{Stage, StageWatch};
 use modes::Anchor;
-use msg::{GridView, Pose2, SlamMode, TileMap, pose::wrap_angle};
+use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -276,6 +276,11 @@ impl Back {
     /// The map as drawn so far. Nodes that moved are drawn elsewhere all at once.
     pub fn tiles(&self) -> &TileMap {
         self.canvas.tiles()
+    }
+
+    /// The map is as of this scan until the next one is drawn: a loaded map's own are of another time.
+    pub fn date_map(&mut self, header: Header, scan_sent: Monotonic) {
+        self.canvas.date(header, scan_sent);
     }
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or

@@ -12,7 +12,7 @@ use crate::config::MapConfig;
 use crate::node::Node;
 use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_PER_STEP, UNKNOWN};
 use msg::tiles::{OpenTiles, ROBOT_TILES_MAX, TILE};
-use msg::{Dense, GridView, MapHeader, Pose2, Rect, TileMap, pose::wrap_angle};
+use msg::{Dense, GridView, Header, MapHeader, Monotonic, Pose2, Rect, TileMap, pose::wrap_angle};
 
 /// Cells that a node costs in a slice at least, whatever it draws: it is looked at.
 const NODE_CELLS: usize = 64;
@@ -91,6 +91,11 @@ impl Canvas {
         for (node, pose) in nodes.iter().zip(drawn) {
             self.add(node, *pose);
         }
+    }
+
+    /// The map is as of this scan, whenever its own were taken.
+    pub fn date(&mut self, header: Header, scan_sent: Monotonic) {
+        (self.map.header.header, self.map.header.scan_sent) = (header, scan_sent);
     }
 
     /// The map as drawn so far, never half a new version.

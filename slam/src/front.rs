@@ -203,6 +203,7 @@ pub struct Front {
     pool: Pool,
     local_maps: [LocalMap; 2],
     lost_in_row: u32,
+    node_wanted: bool,
     scratch: Scratch,
     points: Vec<[f32; 2]>,
     map_from_local: Pose2,
@@ -237,6 +238,7 @@ impl Front {
             pool: Pool::new(&config),
             local_maps: [local_map(), local_map()],
             lost_in_row: 0,
+            node_wanted: false,
             scratch: Scratch::with_room(t.search_points_max, t.window_max_m, t.window_max_rad, t.cell_m),
             points: Vec::with_capacity(t.search_points_max),
             map_from_local: Pose2::IDENTITY,
@@ -320,6 +322,11 @@ impl Front {
         self.located = map_from_local.is_some();
         self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
         self.waiting.clear();
+    }
+
+    /// The next scan that fits becomes a node, even if the robot stands: somebody waits for one.
+    pub fn want_node(&mut self) {
+        self.node_wanted = true;
     }
 
     /// From now on this watch hears of every stage.
@@ -539,12 +546,10 @@ impl Front {
         } else {
             self.lost_in_row = 0;
         }
-        if self.next_node as usize >= self.config.graph.nodes_max {
-            return false;
-        }
         let Some(newest) = self.recent.back() else { return true };
         let moved = newest.local_from_base.between(found.local_from_base);
-        moved.x_m.hypot(moved.y_m) >= t.node_distance_m || moved.yaw_rad.abs() >= t.node_turn_rad
+        let far = moved.x_m.hypot(moved.y_m) >= t.node_distance_m || moved.yaw_rad.abs() >= t.node_turn_rad;
+        core::mem::take(&mut self.node_wanted) || far
     }
 
     /// The scan is matched against from now on, and handed over as a node if there is room.

@@ -164,21 +164,16 @@ pub fn trajectory<'a>(front: &'a Front, back: &'a Back) -> impl Iterator<Item = 
 
 /// A scan path and a back end that begin a map, or go on with one that was kept.
 pub fn begin(config: SlamConfig, session: Option<Session>, mode: SlamMode, start: Start) -> (Front, Back) {
-    let mut tracking = config.clone();
-    if mode != SlamMode::Mapping {
-        // The map is bounded by other means; the scan path need not stop making nodes.
-        tracking.graph.nodes_max = u32::MAX as usize;
-    }
     let Some(session) = session else {
-        let mut back = Back::new(config);
+        let mut back = Back::new(config.clone());
         back.set_mode(mode);
-        return (Front::new(tracking), back);
+        return (Front::new(config), back);
     };
     let front = match (start, session.front) {
-        (Start::GoOn, Some(state)) => Front::resume(tracking, state, &session.back.nodes),
+        (Start::GoOn, Some(state)) => Front::resume(config.clone(), state, &session.back.nodes),
         (start, _) => {
             let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
-            let mut front = Front::new(tracking);
+            let mut front = Front::new(config.clone());
             front.place(if let Start::At(hint) = start { Some(hint.map_from_local) } else { empty });
             let start = if start == Start::GoOn { Start::Unknown } else { start };
             return (front, Back::resume(config, session.back, session.rides, mode, start));

@@ -15,10 +15,11 @@ use crate::back::BackState;
 use crate::config::SlamConfig;
 use crate::front::{FrontState, Ride};
 use bytes::{In, Out};
+use msg::SlamMode;
 use records::*;
 
 /// The format this program reads and writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// What a session file begins with.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
 /// Bytes before the content.
@@ -129,6 +130,8 @@ impl Identity {
 pub struct Session {
     /// Whose.
     pub identity: Identity,
+    /// What was done with the map.
+    pub mode: SlamMode,
     /// The map: nodes, graph, and how far the work on them is.
     pub back: BackState,
     /// Where the scan path was; without it, a loaded map has no robot in it yet.
@@ -143,6 +146,7 @@ impl Session {
         let mut out = Out::default();
         out.bytes.resize(HEAD, 0);
         put_identity(&mut out, &self.identity);
+        out.put(&u64::from(self.mode as u32));
         put_back(&mut out, &self.back);
         out.put(&u64::from(self.front.is_some()));
         self.front.iter().for_each(|front| put_front(&mut out, front));
@@ -192,6 +196,7 @@ impl Session {
     pub fn decode_content(content: &[u8]) -> Result<Self, SessionError> {
         let mut from = In::new(content);
         let identity = take_identity(&mut from)?;
+        let mode = take_mode(&mut from)?;
         let back = take_back(&mut from)?;
         let front = match from.take::<u64>("the scan path")? {
             0 => None,
@@ -201,6 +206,6 @@ impl Session {
         if !from.is_empty() {
             return Err(SessionError::Value { what: "length (something follows its content)" });
         }
-        Ok(Self { identity, back, front, rides })
+        Ok(Self { identity, mode, back, front, rides })
     }
 }

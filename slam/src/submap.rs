@@ -68,7 +68,7 @@ impl Submaps {
     }
 
     /// All submaps anew, of a generation of their own: the nodes are others.
-    fn begin_again(&mut self) {
+    pub fn begin_again(&mut self) {
         self.groups.clear();
         (self.nodes, self.way_m, self.not_kept) = (0, 0.0, 0);
         self.generation += 1;

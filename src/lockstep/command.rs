@@ -3,6 +3,8 @@
 use super::Lockstep;
 use crate::map_file;
 use crate::process::Error;
+use crate::session_file;
+use crate::sessions;
 use crate::stop::Stop;
 use crate::up::FleetArgs;
 use crate::view::FleetView;
@@ -22,7 +24,7 @@ pub struct LockstepArgs {
     /// Drive the robots one after the other, as one operator would, and not all at once
     #[arg(long)]
     pub in_turn: bool,
-    /// Folder for the maps
+    /// Folder for the maps, and the robots' sessions
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
     /// Print JSON
@@ -59,6 +61,11 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
         std::fs::create_dir_all(dir)?;
         for (name, map) in fleet.maps() {
             map_file::write_map(&dir.join(name), map)?;
+        }
+        let folder = dir.join(sessions::FOLDER);
+        sessions::create_folder(&folder, fleet.known_starts())?;
+        for (robot, session) in fleet.sessions() {
+            session_file::write(&sessions::file(&folder, robot), &session)?;
         }
     }
     let view = FleetView::new(fleet.stats());

@@ -4,7 +4,7 @@ use super::MAP_PERIOD;
 use crate::channel;
 use crate::shared_memory::{ChannelError, MapWriter, Node};
 use ::slam::Back;
-use msg::{RobotId, TileMap};
+use msg::RobotId;
 use std::time::{Duration, Instant};
 
 /// Cells of beams drawn before the next node is looked for: a millisecond or so.
@@ -41,12 +41,12 @@ impl MapOut {
         self.drawing = true;
     }
 
-    /// Draws a slice, and sends what has changed if it is time. `place` puts the map into its frame.
-    pub fn tend(&mut self, back: &mut Back, place: impl FnOnce(&TileMap) -> TileMap) {
+    /// Draws a slice, and sends what has changed if it is time.
+    pub fn tend(&mut self, back: &mut Back) {
         self.drawing = self.drawing && back.draw(SLICE_CELLS);
         let pause = if self.sending { MapWriter::PAUSE } else { MAP_PERIOD };
         if self.sent.is_none_or(|sent| sent.elapsed() >= pause) {
-            self.sending = !self.writer.send(&place(back.tiles()));
+            self.sending = !self.writer.send(back.tiles());
             self.sent = Some(Instant::now());
         }
     }

@@ -1,16 +1,16 @@
 //! The ROS 2 door of the bridge process: a thread of its own, which the headset's door never waits for.
 
 use super::Error;
-use super::bridge::{fleet_tasks, forward, on_ring, stopped};
+use super::bridge::{Asker, fleet_tasks, forward, on_ring, stopped};
 use crate::channel;
 use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, Node, Writer};
+use crate::shared_memory::Node;
 use crate::stop::Stop;
 use ::bridge::Bridge;
 use ::bridge::dds::{Door, Heard};
-use msg::{Clock, RobotId, SlamRequest};
+use msg::{Clock, RobotId};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Duration;
@@ -19,6 +19,8 @@ use tokio::task::{JoinHandle, LocalSet, spawn_local};
 
 /// Messages heard that wait for the bridge; more are dropped there.
 const HEARD_MAX: usize = 256;
+/// What tells this door's questions to SLAM from others'.
+const ASKER_KIND: u64 = 2;
 /// How often the headset is told the time where ROS has none of its own.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
@@ -63,7 +65,7 @@ fn serve(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error>
     LocalSet::new().block_on(&runtime, async {
         let door = Rc::new(Door::open(&run.config.bridge, run.config.fleet.robots, outside)?);
         let mut tasks = fleet_tasks(&node, run, &door)?;
-        let asker = Rc::new(RefCell::new(Asker::open(&node, run)?));
+        let asker = Rc::new(RefCell::new(Asker::open(&node, run, ASKER_KIND)?));
         for robot in run.robots() {
             tasks.push(answers(&node, &door, &asker, robot)?);
             if outside {
@@ -78,27 +80,6 @@ fn serve(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error>
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
     })
-}
-
-/// Asks SLAM in the name of this door.
-struct Asker {
-    client: u64,
-    requests: Vec<Writer<SlamRequest>>,
-}
-
-impl Asker {
-    fn open(node: &Node, run: &Run) -> Result<Self, ChannelError> {
-        // A process id, and a kind of connection above it: the command line's is 0.
-        let client = 2 << 32 | u64::from(std::process::id());
-        let requests = run.robots().map(|robot| node.writer(&channel::slam_request(robot)));
-        Ok(Self { client, requests: requests.collect::<Result<_, _>>()? })
-    }
-
-    fn ask(&mut self, robot: RobotId, request: SlamRequest) {
-        if let Some(writer) = self.requests.get_mut(robot.index()) {
-            writer.send(&SlamRequest { client: self.client, ..request });
-        }
-    }
 }
 
 /// Passes a robot's answers to the door.

@@ -3,7 +3,7 @@
 use crate::channel;
 use crate::shared_memory::{ChannelError, Node, Reader, Writer};
 use ::slam::{Back, SlamConfig, Submaps};
-use msg::{Pose2, RobotId, Submap, SubmapAsk, SubmapPoses};
+use msg::{RobotId, Submap, SubmapAsk, SubmapPoses};
 use std::time::{Duration, Instant};
 
 /// The shortest time between two submaps: readers have room for eight.
@@ -38,17 +38,16 @@ impl SubmapsOut {
         })
     }
 
-    /// The back end has new nodes. `map_from_graph` takes its graph's frame to the one that maps are published in.
-    pub fn news(&mut self, back: &Back, map_from_graph: Pose2) {
+    /// The back end is another: none of its nodes has been looked at.
+    pub fn begin_again(&mut self) {
+        self.submaps.begin_again();
+    }
+
+    /// The back end has new nodes, or its graph was bent.
+    pub fn news(&mut self, back: &Back) {
         self.submaps.update(back);
         let submaps = &self.submaps;
-        self.poses.send_with(|poses| {
-            submaps.poses(back, poses);
-            let len = poses.poses().len();
-            for pose in &mut poses.robot_map_from_submap[..len] {
-                *pose = map_from_graph * *pose;
-            }
-        });
+        self.poses.send_with(|poses| submaps.poses(back, poses));
         self.sending = true;
     }
 

@@ -14,4 +14,5 @@ mod malformed;
 mod maps;
 mod relation_metric;
 mod restart;
+mod services;
 mod sessions;

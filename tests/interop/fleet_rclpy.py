@@ -9,7 +9,7 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import LaserScan
-from std_msgs.msg import Bool, Empty, Float32MultiArray
+from std_msgs.msg import Bool, Empty, Float32MultiArray, Int32
 
 from report import row
 
@@ -42,6 +42,8 @@ NAMED = {
     "/robot2/cmd_vel": "geometry_msgs/msg/Twist",
     "/robot2/cmd_vel_stamped": "geometry_msgs/msg/TwistStamped",
     "/emergency_stop": "std_msgs/msg/Bool",
+    "/initialpose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/robot2/initialpose": "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 
 
@@ -121,10 +123,16 @@ def contents(heard, maps):
 
 
 def commands(node):
+    chosen = node.create_publisher(Int32, "/selected_robot", 10)
+    spin(node, 5, chosen.get_subscription_count)
+    chosen.publish(Int32(data=2))
+    spin(node, 0.5)
     for topic, kind, robot in (
+        ("/cmd_vel", Twist, 2),
         ("/cmd_vel_1", Twist, 1),
         ("/robot1/cmd_vel", Twist, 1),
         ("/robot2/cmd_vel_stamped", TwistStamped, 2),
+        ("/cmd_vel_stamped", TwistStamped, 2),
     ):
         odom = Listener(node, f"/robot{robot}/odom", Odometry, RELIABLE)
         publisher = node.create_publisher(kind, topic, 10)

@@ -1,7 +1,11 @@
-"""SLAM's services from ROS 2, on a running fleet of two robots: the types that rclpy has."""
+"""SLAM's services from ROS 2, on a running fleet of two robots: the types that rclpy has. What they did is asked for
+at the command line. `services.py RUN_DIR BINARY`"""
+
+import json
+import subprocess
+import sys
 
 import rclpy
-from nav_msgs.srv import GetMap
 from std_srvs.srv import SetBool, Trigger
 
 from report import row
@@ -17,20 +21,31 @@ def call(node, kind, name, request):
     return future.result()
 
 
-def main():
+def state(binary, run_dir):
+    """How robot2's SLAM stands."""
+    command = [binary, "slam", "robot2", "state", "--json", "--run-dir", run_dir]
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+def main(run_dir, binary):
     rclpy.init()
     node = rclpy.create_node("interop_services")
-    answer = call(node, GetMap, "/robot1/slam_toolbox/dynamic_map", GetMap.Request())
-    info = answer.map.info if answer else None
-    row("/robot1/slam_toolbox/dynamic_map", "a map", f"{info.width} x {info.height}" if info else "no answer",
-        info and info.width * info.height == len(answer.map.data) > 0)
-    for wished in (True, False):
-        answer = call(node, SetBool, "/robot2/pause", SetBool.Request(data=wished))
-        row(f"/robot2/pause {wished}", "an answer", answer and (answer.success, answer.message), answer is not None)
-    answer = call(node, Trigger, "/robot2/clear_closures", Trigger.Request())
-    row("/robot2/clear_closures", "an answer", answer and (answer.success, answer.message), answer is not None)
+
+    def ask(name, kind, request, expected):
+        """`expected`: what must then be so."""
+        answer = call(node, kind, f"/robot2/{name}", request)
+        said = answer and (answer.success, answer.message)
+        is_so = {key: state(binary, run_dir)[key] for key in expected}
+        row(f"/robot2/{name}", f"success, {expected}", f"{said}, {is_so}", answer and answer.success and is_so == expected)
+
+    ask("pause", SetBool, SetBool.Request(data=True), {"paused": True})
+    ask("pause", SetBool, SetBool.Request(data=False), {"paused": False})
+    ask("clear_closures", Trigger, Trigger.Request(), {"closures": 0})
+    # It stands: one look is not enough to be believed.
+    ask("relocalize", Trigger, Trigger.Request(), {"located": False})
+    ask("reset", Trigger, Trigger.Request(), {"mode": "mapping"})
     node.destroy_node()
     rclpy.shutdown()
 
 
-main()
+main(*sys.argv[1:])

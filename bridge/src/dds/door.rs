@@ -408,9 +408,7 @@ impl Inner {
         server: usize,
         sample: DeserializedCacheChange<Raw>,
     ) -> Option<(RobotId, SlamRequest)> {
-        let robot = self.servers.all.get(server)?.robot;
-        let map = self.topics.map.get(robot.index()).and_then(|topic| self.out.senders[*topic].newest());
-        self.servers.request(server, sample, map, Instant::now())
+        self.servers.request(server, sample, Instant::now())
     }
 
     /// A reader has come or gone.

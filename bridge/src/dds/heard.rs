@@ -1,7 +1,8 @@
 //! What is heard on DDS, on its way to the bridge's own thread.
 
 use crate::ros::{
-    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, Text, TfMessage, Twist, TwistStamped,
+    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, Text, TfMessage,
+    Twist, TwistStamped,
 };
 use crate::topics::Input;
 use msg::RobotId;
@@ -65,10 +66,13 @@ pub(super) fn commands(robots: usize, outside: bool) -> Vec<InputTopic> {
         InputTopic::new::<Bool>("/emergency_stop".into(), Input::Stop),
         InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::Release),
         InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
+        InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
     ];
     for robot in RobotId::first(robots) {
         let command = Input::Command(robot);
         all.push(InputTopic::new::<Twist>(format!("/cmd_vel_{}", robot.number()), command));
+        let (name, input) = (format!("/{robot}/initialpose"), Input::InitialPose(Some(robot)));
+        all.push(InputTopic::new::<PoseWithCovarianceStamped>(name, input));
         if !outside {
             all.push(InputTopic::new::<Twist>(format!("/{robot}/cmd_vel"), command));
             all.push(InputTopic::new::<TwistStamped>(format!("/{robot}/cmd_vel_stamped"), command));

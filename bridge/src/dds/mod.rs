@@ -23,3 +23,4 @@ mod servers;
 pub use config::DdsConfig;
 pub use door::{Door, DoorCounters, DoorError};
 pub use heard::Heard;
+pub use raw::{Adapter, Raw};

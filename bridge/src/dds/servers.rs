@@ -8,7 +8,6 @@ use crate::cdr::{Reader as CdrReader, Writer};
 use crate::slam_services::{self, Asked, Service};
 use msg::{RobotId, SlamAnswer, SlamRequest};
 use ros2_client::MessageInfo;
-use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::no_key::{DataWriter, DeserializedCacheChange, SimpleDataReader};
 use ros2_client::dds::rustdds::{
     GUID, RTPSEntity, SampleIdentity, SequenceNumber, Subscriber, Timestamp, WriteOptionsBuilder,
@@ -66,21 +65,15 @@ impl Servers {
         self.all.iter().map(|server| (server.requests.guid(), server.replies.guid())).unzip()
     }
 
-    /// A request has come: what is to be asked of whose SLAM. Anything wrong is answered at once. `map` is the
-    /// robot's newest map, encoded.
+    /// A request has come: what is to be asked of whose SLAM. Anything wrong is answered at once.
     pub fn request(
         &mut self,
         server: usize,
         sample: DeserializedCacheChange<Raw>,
-        map: Option<Bytes>,
         now: Instant,
     ) -> Option<(RobotId, SlamRequest)> {
         let Server { robot, service, .. } = *self.all.get(server)?;
         let caller = identity(&MessageInfo::from(&sample));
-        if service == Service::GetMap {
-            self.reply_bytes(server, caller, map?);
-            return None;
-        }
         let paused = self.paused.get(robot.index()).copied().unwrap_or_default();
         let Raw(payload) = sample.into_value();
         let asked = CdrReader::new(&payload)
@@ -132,14 +125,10 @@ impl Servers {
     fn reply(&self, server: usize, caller: SampleIdentity, answer: Result<&SlamAnswer, &str>) {
         let mut bytes = Vec::new();
         self.all[server].service.write(&mut Writer::new(&mut bytes), answer);
-        self.reply_bytes(server, caller, bytes.into());
-    }
-
-    /// A client that takes no replies has itself to blame.
-    fn reply_bytes(&self, server: usize, caller: SampleIdentity, bytes: Bytes) {
         let options =
             WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).related_sample_identity(caller);
-        let _ = self.all[server].replies.write_with_options(Raw(bytes), options.build());
+        // A client that takes no replies has itself to blame.
+        let _ = self.all[server].replies.write_with_options(Raw(bytes.into()), options.build());
     }
 }
 

@@ -296,6 +296,35 @@ impl Message for TfMessage {
     }
 }
 
+/// geometry_msgs/PoseWithCovarianceStamped.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseWithCovarianceStamped {
+    /// When it held.
+    pub stamp: Stamp,
+    /// The frame of the pose.
+    pub frame_id: String,
+    /// Metres.
+    pub position: [f64; 3],
+    /// Unit quaternion x, y, z, w.
+    pub orientation: [f64; 4],
+    /// Row-major over x, y, z (metres) and rotations about them (radians).
+    pub covariance: [f64; 36],
+}
+
+impl Message for PoseWithCovarianceStamped {
+    const TYPE: &'static str = "geometry_msgs/PoseWithCovarianceStamped";
+    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let (stamp, frame_id) = read_header(from)?;
+        let (position, orientation) = read_pose(from)?;
+        Ok(Self { stamp, frame_id, position, orientation, covariance: from.f64s("covariance")? })
+    }
+    fn write(&self, to: &mut Writer<'_>) {
+        write::header(to, self.stamp, &self.frame_id);
+        write::pose(to, self.position, self.orientation);
+        to.f64s(&self.covariance);
+    }
+}
+
 /// nav_msgs/Odometry; covariances, which our robots leave zero, are passed over.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Odometry {

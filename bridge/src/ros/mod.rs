@@ -14,8 +14,9 @@ pub mod write;
 pub use crate::cdr::{DecodeError, Dialect};
 pub use joystick::{HandInputs, Joy};
 pub use message::{
-    Bool, Clock, Empty, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, Odometry, Text,
-    TfMessage, TransformStamped, Twist, TwistStamped, decode, decode_as, encode, encode_as,
+    Bool, Clock, Empty, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, Odometry,
+    PoseWithCovarianceStamped, Text, TfMessage, TransformStamped, Twist, TwistStamped, decode, decode_as,
+    encode, encode_as,
 };
 pub use names::{FrameNames, NameStyle};
 

@@ -2,6 +2,7 @@
 
 mod client;
 mod driving;
+mod initial_pose;
 mod noise;
 mod robustness;
 mod services;

@@ -87,6 +87,36 @@ fn what_waits_for_a_stalled_client_is_bounded_and_in_order() {
 }
 
 #[test]
+fn a_stalled_client_costs_8_mb_by_default_whatever_it_asked_for() {
+    with_bridge(Default::default(), async |served| {
+        let mut slow = Client::connect(served.address).await;
+        slow.subscribe("/robot1/map", OccupancyGrid::TYPE).await;
+        slow.subscribe("/log", Text::TYPE).await;
+        slow.settle().await;
+        let mut talker = Client::connect(served.address).await;
+        let message_name = Text::TYPE.to_owned();
+        let about = Registration { topic: "/log".into(), message_name, queue_size: 100_000, latch: false };
+        talker.command(name::PUBLISH, &about).await;
+        talker.settle().await;
+        let cells = vec![50; 500 * WIDTH as usize];
+        let line = Text("x".repeat(30_000));
+        let mut stamp = 0;
+        while served.bridge.counters().dropped < 200 {
+            for _ in 0..10 {
+                talker.send("/log", &line).await;
+            }
+            // It asks on, too, and reads nothing.
+            let _ = slow.stream.try_write(b"\x0d\0\0\0__topic_list\0\x03\0\0\0{}\0");
+            talker.settle().await;
+            stamp += 1;
+            map(served, stamp, &cells);
+            let waiting = served.bridge.clients()[0].waiting_bytes;
+            assert!(waiting <= 8_000_000, "{waiting}");
+        }
+    });
+}
+
+#[test]
 fn a_client_that_reads_no_answers_is_let_go() {
     with_bridge(Default::default(), async |served| {
         let mut witness = Client::connect(served.address).await;

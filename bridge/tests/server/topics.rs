@@ -6,7 +6,7 @@ use bridge::BridgeConfig;
 use bridge::command::{HANDSHAKE, Registration, name};
 use bridge::frame::Side;
 use bridge::ros::{
-    Clock, Dialect, Float32MultiArray, LaserScan, Message, OccupancyGrid, Odometry, Text, TfMessage,
+    Clock, Dialect, Empty, Float32MultiArray, LaserScan, Message, OccupancyGrid, Odometry, Text, TfMessage,
     TransformStamped, Twist, decode_as, encode_as,
 };
 use bytemuck::Zeroable;
@@ -158,6 +158,19 @@ fn clients_hear_each_other_and_themselves() {
         assert_eq!(one.message::<Text>("/chat").await.0, "still here");
         let (after, list) = one.settle().await;
         assert!(after.is_empty() && list.topics.contains(&"/chat".to_owned()));
+    });
+}
+
+#[test]
+fn a_message_without_fields_gets_its_dummy_byte() {
+    with_bridge(Default::default(), async |served| {
+        let mut client = Client::connect(served.address).await;
+        client.publish("/bell", Empty::TYPE).await;
+        client.subscribe("/bell", Empty::TYPE).await;
+        // As Unity's connector writes it: the encapsulation header alone.
+        client.send_bytes("/bell", &[0, 1, 0, 0]).await;
+        let (name, payload) = client.next().await.unwrap();
+        assert_eq!((name.as_str(), payload.as_slice()), ("/bell", &[0, 1, 0, 0, 0][..]));
     });
 }
 

@@ -58,19 +58,7 @@ impl Back {
         back.count_closures();
         back.set_mode(mode);
         match start {
-            // Nothing to be found in.
-            _ if back.nodes.is_empty() => {}
-            Start::GoOn => {
-                if let (Some(localizer), Some(last)) = (&mut back.localizer, back.nodes.last()) {
-                    let map_from_newest = back.graph.poses()[last.id as usize];
-                    localizer.begin();
-                    back.anchor = Some(Anchor {
-                        map_from_local: map_from_newest * last.local_from_base.inverse(),
-                        sigma_m: FOUND_M,
-                        sigma_rad: FOUND_RAD,
-                    });
-                }
-            }
+            Start::GoOn => {}
             Start::At(hint) => back.seek(Some(hint)),
             Start::Unknown => back.seek(None),
         }
@@ -87,14 +75,36 @@ impl Back {
         self.mode
     }
 
-    pub(crate) fn set_mode(&mut self, mode: SlamMode) {
+    /// From now on the map is gone on with in this mode; the robot stays where it is believed to be.
+    pub fn set_mode(&mut self, mode: SlamMode) {
+        let was_fixed = self.localizer.is_some();
+        let is_fixed = mode == SlamMode::Localization;
         self.mode = mode;
-        self.localizer = (mode == SlamMode::Localization).then(|| Localizer::new(self.config.clone()));
+        if was_fixed == is_fixed {
+            return;
+        }
+        // The graph does not have the newest nodes where the map is fixed, nor the localizer those from before.
+        let newest = match &self.localizer {
+            Some(localizer) => localizer.newest().map(|(_, map_from_local)| map_from_local),
+            None => {
+                self.nodes.last().map(|n| self.graph.poses()[n.id as usize] * n.local_from_base.inverse())
+            }
+        };
+        if let (Some(map_from_local), None) = (newest, &self.seeker) {
+            self.anchor = Some(Anchor { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
+        }
+        self.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
     }
 
-    /// From now on the robot is looked for, near a hint or everywhere. The map must have nodes.
+    /// From now on the robot is looked for, near a hint or everywhere. In a map without nodes there is
+    /// nothing to be found: there the map begins at the hint.
     pub fn seek(&mut self, hint: Option<Hint>) {
         if self.nodes.is_empty() {
+            self.anchor = hint.map(|Hint { map_from_local, sigma_m, sigma_rad }| Anchor {
+                map_from_local,
+                sigma_m,
+                sigma_rad,
+            });
             return;
         }
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
@@ -235,9 +245,13 @@ impl Back {
     }
 
     /// All that must be kept to go on later. `front`: where the scan path is, after exactly the nodes
-    /// that were added here; `rides`: its scans, if they are to be kept.
+    /// that were added here; it is kept if its newest nodes are the map's. `rides`: its scans, if they are to
+    /// be kept.
     pub fn session(&self, identity: Identity, front: Option<FrontState>, rides: &[Ride]) -> Session {
-        Session { identity, back: self.state(), front, rides: self.rides(rides).collect() }
+        let grows = self.seeker.is_none() && self.localizer.is_none();
+        let same = |front: &FrontState| front.next_node.checked_sub(1) == self.front_ids.last().copied();
+        let front = front.filter(|front| grows && same(front));
+        Session { identity, mode: self.mode, back: self.state(), front, rides: self.rides(rides).collect() }
     }
 
     /// How searches for the robot ended.

@@ -9,7 +9,7 @@ use crate::node::{Node, Rays};
 use crate::sweep::Sweep;
 use bytemuck::Zeroable;
 use msg::grid::{Occupancy, occupancy};
-use msg::{GridView, Header, Pose2, Scan};
+use msg::{GridView, Header, Pose2, Scan, SlamMode};
 use std::sync::Arc;
 
 /// Between places where scans are taken, metres.
@@ -55,7 +55,7 @@ impl Session {
             back.front_ids.push(id as u32);
             back.poses.push(map_from_base);
         }
-        Self { identity, back, front: None, rides: Vec::new() }
+        Self { identity, mode: SlamMode::Localization, back, front: None, rides: Vec::new() }
     }
 }
 

@@ -9,7 +9,7 @@ use crate::front::{Counts, FrontState, Last, Ride};
 use crate::graph::{Edge, EdgeKind};
 use crate::node::{Node, Rays, Revision};
 use bytemuck::{Pod, Zeroable};
-use msg::{BEAMS_MAX, Header, Odometry, Pose2, Stamp};
+use msg::{BEAMS_MAX, Header, Odometry, Pose2, SlamMode, Stamp};
 use nalgebra::Matrix3;
 use std::sync::Arc;
 
@@ -76,6 +76,12 @@ pub fn take_identity(from: &mut In<'_>) -> Result<Identity> {
     let finite = identity.base_from_scan.iter().all(|v| v.is_finite());
     check(finite && identity.range_use_max_m.is_finite(), WHAT)?;
     Ok(identity)
+}
+
+pub fn take_mode(from: &mut In<'_>) -> Result<SlamMode> {
+    const WHAT: &str = "mode";
+    let code: u64 = from.take(WHAT)?;
+    u32::try_from(code).ok().and_then(SlamMode::from_code).ok_or(SessionError::Value { what: WHAT })
 }
 
 /// A node but for its points and beams.

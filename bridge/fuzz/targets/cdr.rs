@@ -1,0 +1,103 @@
+//! Every reader of ROS messages: any bytes are a message or refused with the field's name; a message that was read is
+//! written and read again to the same bytes. The same bytes as a world of a client's: what is taken is numbers.
+#![no_main]
+
+use bridge::cdr::{Dialect, Reader};
+use bridge::ros::{
+    Bool, Clock, Empty, Float32MultiArray, HandInputs, Int32, Joy, LaserScan, Message, OccupancyGrid,
+    Odometry, PoseWithCovarianceStamped, Text, TfMessage, TransformStamped, Twist, TwistStamped, decode_as,
+    encode_as,
+};
+use bridge::slam_services;
+use bridge::world::{ClockOffset, Heard, Incoming, SourceClock, World};
+use libfuzzer_sys::fuzz_target;
+use msg::{RobotId, Stamp};
+use std::path::{Component, Path};
+
+/// Decodes, and if that goes, encodes and decodes again.
+fn read<M: Message>(dialect: Dialect, payload: &[u8]) {
+    match decode_as::<M>(dialect, payload) {
+        Ok(message) => {
+            let mut once = Vec::new();
+            encode_as(dialect, &message, &mut once);
+            let again = decode_as::<M>(dialect, &once);
+            let mut twice = Vec::new();
+            again.iter().for_each(|message| encode_as(dialect, message, &mut twice));
+            assert_eq!(once, twice, "{}", M::TYPE);
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+const READERS: [fn(Dialect, &[u8]); 17] = [
+    read::<Bool>,
+    read::<Clock>,
+    read::<Empty>,
+    read::<Float32MultiArray>,
+    read::<HandInputs>,
+    read::<Int32>,
+    read::<Joy>,
+    read::<LaserScan>,
+    read::<OccupancyGrid>,
+    read::<Odometry>,
+    read::<PoseWithCovarianceStamped>,
+    read::<Text>,
+    read::<TfMessage>,
+    read::<TransformStamped>,
+    read::<Twist>,
+    read::<TwistStamped>,
+    services,
+];
+
+/// What SLAM is asked over ROS.
+fn services(dialect: Dialect, payload: &[u8]) {
+    for service in slam_services::ALL {
+        let asked = Reader::with(dialect, payload)
+            .ok()
+            .and_then(|mut from| service.service.read(&mut from, false).ok());
+        if let Some(asked) = asked {
+            assert!(asked.first.pose.is_finite());
+            let file = Path::new(asked.first.text.as_str());
+            assert!(file.components().all(|part| matches!(part, Component::Normal(_))), "{file:?}");
+        }
+    }
+}
+
+/// Takes what it hears for a world's; all of it must be numbers.
+fn hear(dialect: Dialect, payload: &[u8]) {
+    let Some(robot) = RobotId::new(1) else { return };
+    let mut world = World::new(2, |heard| match heard {
+        Heard::Odometry(_, odometry) => {
+            assert!(odometry.odom_from_base.is_finite());
+            assert!(odometry.linear_m_s.is_finite() && odometry.angular_rad_s.is_finite());
+        }
+        Heard::Transforms(_, transforms) => {
+            let sound = |values: &[f64]| values.iter().all(|value| value.is_finite());
+            assert!(transforms.links().iter().all(|l| sound(&l.translation_m) && sound(&l.rotation_xyzw)));
+        }
+        Heard::Scan(_, scan) => assert!(scan.ranges_m().len() >= 2 && scan.angle_increment_rad.is_finite()),
+        Heard::Clock(_) => {}
+    });
+    let mut clock = SourceClock::new(ClockOffset::Measured);
+    let Ok(from) = Reader::with(dialect, payload) else { return };
+    let all = [
+        Incoming::Scan(robot, from.clone()),
+        Incoming::Transforms(from.clone()),
+        Incoming::Odometry(robot, from.clone()),
+        Incoming::Clock(from),
+    ];
+    for (message, received_ns) in all.into_iter().zip(0..) {
+        if let Err(error) = world.hear(1, &mut clock, message, Stamp(received_ns)) {
+            assert!(!error.to_string().is_empty());
+        }
+    }
+}
+
+fuzz_target!(|bytes: &[u8]| {
+    let Some((which, payload)) = bytes.split_first() else { return };
+    let dialect = if *which < 64 { Dialect::Ros1 } else { Dialect::Ros2 };
+    match READERS.get(usize::from(*which % 32)) {
+        Some(reader) => reader(dialect, payload),
+        None => hear(dialect, payload),
+    }
+});

@@ -1,0 +1,126 @@
+//! A person says where a robot is.
+
+use crate::client::Client;
+use crate::{Served, with_bridge};
+use bridge::BridgeConfig;
+use bridge::ros::{Message, PoseWithCovarianceStamped};
+use msg::{Anchor, Anchors, Pose2, SlamAsk, SlamRequest, Stamp};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+type Asked = Rc<RefCell<Vec<(usize, SlamRequest)>>>;
+
+fn listen(served: &Served) -> Asked {
+    let asked = Asked::default();
+    let told = asked.clone();
+    served.bridge.on_ask(move |robot, request| told.borrow_mut().push((robot.number(), request)));
+    asked
+}
+
+/// At (1, 2), a quarter turn to the left, as RViz writes it.
+fn message(frame_id: &str) -> PoseWithCovarianceStamped {
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let mut covariance = [0.0; 36];
+    (covariance[0], covariance[7], covariance[35]) = (0.25, 0.16, 0.04);
+    let (position, orientation) = ([1.0, 2.0, 0.0], [0.0, 0.0, half, half]);
+    PoseWithCovarianceStamped {
+        stamp: Stamp(0),
+        frame_id: frame_id.into(),
+        position,
+        orientation,
+        covariance,
+    }
+}
+
+async fn person(served: &Served) -> Client {
+    let mut person = Client::connect(served.address).await;
+    for topic in ["/initialpose", "/robot1/initialpose", "/robot2/initialpose"] {
+        person.publish(topic, PoseWithCovarianceStamped::TYPE).await;
+    }
+    person.settle().await;
+    person
+}
+
+fn is_near(pose: Pose2, [x_m, y_m, yaw_rad]: [f64; 3]) -> bool {
+    let away = Pose2::new(x_m, y_m, yaw_rad).inverse() * pose;
+    away.x_m.hypot(away.y_m) < 1e-9 && away.yaw_rad.abs() < 1e-9
+}
+
+#[test]
+fn the_frame_or_the_topic_says_whose_pose_it_is() {
+    with_bridge(Default::default(), async |served| {
+        let asked = listen(served);
+        let mut person = person(served).await;
+        person.send("/initialpose", &message("map_2")).await;
+        person.send("/robot1/initialpose", &message("robot1/map")).await;
+        person.settle().await;
+        let asked = asked.borrow();
+        assert_eq!(asked.iter().map(|(robot, _)| *robot).collect::<Vec<_>>(), [2, 1]);
+        for (_, request) in asked.iter() {
+            assert_eq!(request.ask, SlamAsk::SetPose as u32);
+            assert!(is_near(request.pose, [1.0, 2.0, std::f64::consts::FRAC_PI_2]), "{:?}", request.pose);
+            assert!((request.sigma_m - 0.5).abs() < 1e-12 && (request.sigma_rad - 0.2).abs() < 1e-12);
+        }
+    });
+}
+
+#[test]
+fn a_pose_in_the_merged_map_is_the_selected_robots_once_its_place_is_known() {
+    with_bridge(Default::default(), async |served| {
+        let asked = listen(served);
+        let mut person = person(served).await;
+        person.send("/initialpose", &message("map")).await;
+        assert!(person.error().await.contains("not known yet"));
+        let mut anchors = Anchors::default();
+        anchors.robots[0] =
+            Anchor { map_from_robot_map: Pose2::new(1.0, 0.0, 0.0), known: 1, ..Default::default() };
+        served.bridge.anchors(&anchors);
+        person.send("/initialpose", &message("/map")).await;
+        person.settle().await;
+        let asked = asked.borrow();
+        assert!(
+            asked.len() == 1
+                && asked[0].0 == 1
+                && is_near(asked[0].1.pose, [0.0, 2.0, std::f64::consts::FRAC_PI_2])
+        );
+    });
+}
+
+#[test]
+fn what_makes_no_sense_is_named_and_asks_nothing() {
+    with_bridge(Default::default(), async |served| {
+        let asked = listen(served);
+        for (topic, change, why) in [
+            (
+                "/robot1/initialpose",
+                (|m| m.frame_id = "map_2".into()) as fn(&mut PoseWithCovarianceStamped),
+                "robot1's",
+            ),
+            ("/initialpose", |m| m.frame_id = "odom_1".into(), "expected 'map'"),
+            ("/initialpose", |m| m.frame_id = "map_3".into(), "expected 'map'"),
+            ("/initialpose", |m| m.position[0] = f64::NAN, "NaN"),
+            ("/initialpose", |m| m.orientation = [0.0; 4], "quaternion"),
+            ("/initialpose", |m| m.covariance[35] = -1.0, "variance"),
+        ] {
+            // A new one each time: the same refusal is told once a second.
+            let mut person = person(served).await;
+            let mut wild = message("map_1");
+            change(&mut wild);
+            person.send(topic, &wild).await;
+            let error = person.error().await;
+            assert!(error.contains(why), "{error}");
+        }
+        assert_eq!(asked.borrow().len(), 0);
+    });
+}
+
+#[test]
+fn a_stranger_places_nobody() {
+    with_bridge(BridgeConfig { trust_loopback: false, ..Default::default() }, async |served| {
+        let asked = listen(served);
+        let mut stranger = person(served).await;
+        stranger.send("/initialpose", &message("map_1")).await;
+        assert!(stranger.error().await.contains("may not drive"));
+        assert_eq!(asked.borrow().len(), 0);
+    });
+}

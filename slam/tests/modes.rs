@@ -1,0 +1,101 @@
+//! What people change while SLAM runs: the mode, where the robot is, when the next node is made.
+
+mod common;
+
+use common::{FULL, Noise, Robot, cast, laboratory};
+use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
+use slam::{Back, Front, Hint, Identity, Slam, SlamConfig};
+
+type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
+
+/// Twice around the middle of the laboratory, at 10 scans a second.
+fn log(robot: &mut Robot, seconds: usize, seed: u64) -> Log {
+    let (walls, mut noise) = (laboratory(), Noise::new(seed));
+    let mut one = || {
+        robot.drive(0.15, 0.2, 0.1, &mut noise);
+        let scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
+        (robot.odometry(), scan, robot.world_from_base)
+    };
+    (0..10 * seconds).map(|_| one()).collect()
+}
+
+/// The largest error of the poses said at once; none may be of a lost robot.
+fn error_m(slam: &mut Slam, log: &Log, world_from_map: Pose2) -> f64 {
+    let mut worst = 0.0_f64;
+    for (odometry, scan, truth) in log {
+        slam.odometry(odometry);
+        let correction = slam.process(scan).correction;
+        slam.work();
+        assert_ne!(correction.state(), TrackingState::Lost);
+        worst = worst.max((world_from_map * correction.map_from_base).distance_m(*truth));
+    }
+    worst
+}
+
+#[test]
+fn a_robot_keeps_its_place_when_the_mode_changes() {
+    let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
+    let first = log(&mut robot, 32, 1);
+    let world_from_map = first[0].2;
+    let mut slam = Slam::new(SlamConfig::default());
+    assert!(error_m(&mut slam, &first, world_from_map) < 0.1);
+    let identity = Identity::new(1, 7, &SlamConfig::default());
+    let has_front = |slam: &mut Slam| slam.session(identity).front.is_some();
+    assert!(has_front(&mut slam));
+
+    slam.back_mut().set_mode(SlamMode::Localization);
+    let (map, nodes) = (slam.map().to_owned(), slam.back_counts().nodes);
+    assert!(error_m(&mut slam, &log(&mut robot, 16, 2), world_from_map) < 0.1);
+    assert_eq!(slam.back_counts().nodes, nodes);
+    assert!(map == slam.map().to_owned(), "the map stays as it is");
+    assert!(slam.back_counts().localized.fitted > 5);
+    // The scan path's newest scans are not in the map: who goes on later must look for the robot.
+    assert!(!has_front(&mut slam));
+
+    slam.back_mut().set_mode(SlamMode::Mapping);
+    assert!(error_m(&mut slam, &log(&mut robot, 16, 3), world_from_map) < 0.1);
+    assert!(slam.back_counts().nodes > nodes + 5);
+    assert!(has_front(&mut slam));
+    // Every node since lies where the robot was, not where the graph left it half a round before.
+    let (_, last) = slam.trajectory().last().unwrap();
+    assert!((world_from_map * last).distance_m(robot.world_from_base) < 0.1);
+
+    slam.back_mut().seek(None);
+    assert!(!has_front(&mut slam), "nor while it is looked for");
+}
+
+#[test]
+fn a_map_begins_where_it_is_told_to() {
+    let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
+    let log = log(&mut robot, 16, 4);
+    let (mut front, mut back) = (Front::new(SlamConfig::default()), Back::new(SlamConfig::default()));
+    let told = Pose2::new(5.0, -3.0, 2.0);
+    back.seek(Some(Hint { map_from_local: told, sigma_m: 0.1, sigma_rad: 0.05 }));
+    front.place(Some(told));
+    let world_from_map = log[0].2 * told.inverse();
+    for (odometry, scan, truth) in &log {
+        front.odometry(odometry);
+        let step = front.process(scan);
+        let at = world_from_map * step.correction.map_from_base;
+        assert!(at.distance_m(*truth) < 0.1, "{at:?} instead of {truth:?}");
+        step.node.into_iter().for_each(|node| front.revise(back.add(node)));
+    }
+    assert!(back.located() && back.nodes().len() > 10);
+    assert_eq!(back.graph().poses()[0], told);
+}
+
+#[test]
+fn a_standing_robot_makes_a_node_when_somebody_waits_for_one() {
+    let (walls, mut noise) = (laboratory(), Noise::new(5));
+    let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
+    let mut front = Front::new(SlamConfig::default());
+    let mut made = |front: &mut Front| {
+        robot.drive(0.0, 0.0, 0.1, &mut noise);
+        front.odometry(&robot.odometry());
+        let scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
+        front.process(&scan).made_node
+    };
+    assert_eq!([0; 4].map(|_| made(&mut front)), [Some(0), None, None, None]);
+    front.want_node();
+    assert_eq!([0; 3].map(|_| made(&mut front)), [Some(1), None, None]);
+}

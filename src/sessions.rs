@@ -1,0 +1,242 @@
+//! A fleet's sessions: a folder with one file for each robot, and where the robots' maps lie in the fleet's. Each
+//! SLAM process saves its own beside the run; a process that is started again goes on with it, and a later fleet
+//! may begin with the whole folder.
+
+use crate::config::FleetConfig;
+use crate::run::Run;
+use crate::session_file::{self, SessionFileError};
+use msg::{Pose2, RobotId, SlamMode};
+use serde::{Deserialize, Serialize};
+use slam::{Identity, Session};
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// The folder's name below a run's.
+pub const FOLDER: &str = "sessions";
+/// Where the robots' maps lie.
+const STARTS: &str = "starts.json";
+/// The longest such file that is read, bytes.
+const STARTS_BYTES_MAX: u64 = 64 << 10;
+/// How sure a place is that a person gives, one standard deviation: metres, radians.
+pub const TOLD_SIGMA: [f64; 2] = [0.3, 0.2];
+/// Autosaves are not closer than this, seconds.
+const AUTOSAVE_MIN_S: f64 = 1.0;
+
+/// What is done with a map.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// The map grows
+    #[default]
+    #[value(alias = "continue")]
+    Mapping,
+    /// The map stays as it is
+    #[value(alias = "localize")]
+    Localization,
+    /// The map grows, and forgets what is no longer so
+    Lifelong,
+}
+
+impl From<Mode> for SlamMode {
+    fn from(mode: Mode) -> Self {
+        match mode {
+            Mode::Mapping => Self::Mapping,
+            Mode::Localization => Self::Localization,
+            Mode::Lifelong => Self::Lifelong,
+        }
+    }
+}
+
+/// `[sessions]` of the fleet file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SessionsConfig {
+    /// What is done with the map at the start.
+    pub mode: Mode,
+    /// A folder of sessions to begin with, such as `runs/TIME/sessions`; empty: with nothing. Robots without a file
+    /// in it begin a map of their own.
+    pub begin_with: PathBuf,
+    /// How often each SLAM process saves what has changed, seconds; 0: never.
+    pub autosave_s: f64,
+}
+
+impl Default for SessionsConfig {
+    fn default() -> Self {
+        Self { mode: Mode::Mapping, begin_with: PathBuf::new(), autosave_s: 30.0 }
+    }
+}
+
+impl SessionsConfig {
+    /// Checks what the types cannot say.
+    pub fn validate(&self) -> Result<(), String> {
+        if self.autosave_s != 0.0 && !(AUTOSAVE_MIN_S..=86_400.0).contains(&self.autosave_s) {
+            return Err(format!(
+                "autosave_s is {}; expected seconds from {AUTOSAVE_MIN_S} on, or 0 for never",
+                self.autosave_s
+            ));
+        }
+        if self.mode == Mode::Localization && self.folder().is_none() {
+            return Err("localization needs maps: begin_with = \"DIR\", or --sessions DIR".into());
+        }
+        Ok(())
+    }
+
+    /// The folder to begin with, if any.
+    pub fn folder(&self) -> Option<&Path> {
+        (!self.begin_with.as_os_str().is_empty()).then_some(self.begin_with.as_path())
+    }
+}
+
+/// Why a fleet cannot begin with a folder of sessions.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionsError {
+    /// A robot's file.
+    #[error(transparent)]
+    Session(#[from] SessionFileError),
+    /// None of the fleet's robots has one.
+    #[error("{}: no session of this fleet's robots; expected robot1.slam ..., as a run leaves them in its `{FOLDER}`", folder.display())]
+    Nothing {
+        /// Where they should be.
+        folder: PathBuf,
+    },
+    /// Where the maps lie.
+    #[error("{}: {why}", file.display())]
+    Starts {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+}
+
+/// A robot's file in a folder of sessions.
+pub fn file(folder: &Path, robot: RobotId) -> PathBuf {
+    folder.join(format!("{robot}.slam"))
+}
+
+/// Where a run's own sessions are.
+pub fn folder(run: &Run) -> PathBuf {
+    run.dir.join(FOLDER)
+}
+
+/// Who a robot of a run is.
+pub fn identity(run: &Run, robot: RobotId) -> Identity {
+    Identity::new(robot.number() as u32, run.begun.0, &run.config.slam)
+}
+
+/// What a robot of a fleet begins with, if there is anything.
+pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, SessionFileError> {
+    let Some(path) = config.sessions.folder().map(|folder| file(folder, robot)) else { return Ok(None) };
+    match session_file::read(&path, &Identity::new(robot.number() as u32, 0, &config.slam)) {
+        Ok(session) => Ok(Some(session)),
+        Err(why) if why.is_missing() => Ok(None),
+        Err(why) => Err(why),
+    }
+}
+
+/// What a robot then does with its map. A robot without one makes one.
+pub fn first_mode(config: &FleetConfig, has_map: bool) -> SlamMode {
+    match config.sessions.mode {
+        Mode::Localization if !has_map => SlamMode::Mapping,
+        mode => mode.into(),
+    }
+}
+
+/// Checks all that a fleet is to begin with, before anything is started.
+pub fn check(config: &FleetConfig) -> Result<(), SessionsError> {
+    let Some(folder) = config.sessions.folder() else { return Ok(()) };
+    let mut found = 0;
+    for robot in RobotId::first(config.fleet.robots) {
+        found += usize::from(first(config, robot)?.is_some());
+    }
+    if found == 0 {
+        return Err(SessionsError::Nothing { folder: folder.into() });
+    }
+    known_starts(config, Vec::new()).map(drop)
+}
+
+/// Where each robot's map lies in the fleet's: of robots that begin with a session, where it lay when that was kept,
+/// if it was known then; of the others, as without sessions.
+pub fn known_starts(
+    config: &FleetConfig,
+    mut otherwise: Vec<Option<Pose2>>,
+) -> Result<Vec<Option<Pose2>>, SessionsError> {
+    let Some(folder) = config.sessions.folder() else { return Ok(otherwise) };
+    let kept = read_starts(&folder.join(STARTS))?;
+    for (robot, start) in RobotId::first(config.fleet.robots).zip(&mut otherwise) {
+        if file(folder, robot).exists() {
+            *start = kept.get(&robot.to_string()).map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw));
+        }
+    }
+    Ok(otherwise)
+}
+
+type Starts = BTreeMap<String, [f64; 3]>;
+
+/// What is not there is not known.
+fn read_starts(path: &Path) -> Result<Starts, SessionsError> {
+    let wrong = |why: String| SessionsError::Starts { file: path.into(), why };
+    let mut text = String::new();
+    match std::fs::File::open(path) {
+        Err(why) if why.kind() == std::io::ErrorKind::NotFound => return Ok(Starts::new()),
+        opened => opened
+            .and_then(|file| file.take(STARTS_BYTES_MAX).read_to_string(&mut text))
+            .map_err(|why| wrong(why.to_string()))?,
+    };
+    let starts: Starts = serde_json::from_str(&text).map_err(|why| wrong(why.to_string()))?;
+    match starts.iter().find(|(_, pose)| pose.iter().any(|v| !v.is_finite() || v.abs() > 1e6)) {
+        Some((robot, pose)) => Err(wrong(format!("{robot} at {pose:?}; expected [x m, y m, yaw rad]"))),
+        None => Ok(starts),
+    }
+}
+
+/// Makes a folder for sessions that says where the robots' maps lie.
+pub fn create_folder(folder: &Path, known: &[Option<Pose2>]) -> Result<(), SessionsError> {
+    let path = folder.join(STARTS);
+    let named = RobotId::first(known.len()).zip(known);
+    let starts: Starts = named
+        .filter_map(|(robot, start)| {
+            start.map(|Pose2 { x_m, y_m, yaw_rad }| (robot.to_string(), [x_m, y_m, yaw_rad]))
+        })
+        .collect();
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::write(&path, serde_json::to_string_pretty(&starts)? + "\n"))
+        .map_err(|why| SessionsError::Starts { file: path.clone(), why: why.to_string() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_of_maps_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let known = [Some(Pose2::new(1.0, 2.0, 0.5)), None, Some(Pose2::IDENTITY)];
+        create_folder(folder.path(), &known).unwrap();
+        let mut config = FleetConfig::default();
+        config.sessions.begin_with = folder.path().into();
+        let elsewhere = vec![Some(Pose2::new(9.0, 9.0, 0.0)); 3];
+        // Only of robots whose map is there.
+        assert_eq!(known_starts(&config, elsewhere.clone()).unwrap(), elsewhere);
+        for robot in RobotId::first(3) {
+            std::fs::write(file(folder.path(), robot), "").unwrap();
+        }
+        assert_eq!(known_starts(&config, elsewhere).unwrap(), known);
+    }
+
+    #[test]
+    fn nonsense_is_refused_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = FleetConfig::default();
+        config.sessions.begin_with = folder.path().into();
+        let said = check(&config).unwrap_err().to_string();
+        assert!(said.contains("robot1.slam"), "{said}");
+        std::fs::write(file(folder.path(), RobotId::new(1).unwrap()), "no session").unwrap();
+        let said = check(&config).unwrap_err().to_string();
+        assert!(said.contains("robot1.slam") && said.contains("not a session"), "{said}");
+        std::fs::write(folder.path().join(STARTS), r#"{"robot1": [1e300, 0, 0]}"#).unwrap();
+        let said = known_starts(&config, vec![None]).unwrap_err().to_string();
+        assert!(said.contains("starts.json") && said.contains("robot1"), "{said}");
+    }
+}

@@ -1,0 +1,253 @@
+//! SLAM's modes and services in a running fleet, from the command line: asked, saved, killed, loaded, found, gone on
+//! with; and what is refused.
+
+use crate::harness::{Fleet, Folder, mr_slam, output, send};
+use mr_slam::sessions::FOLDER;
+use rustix::process::Signal;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+/// `mr-slam slam ROBOT ARGS` in a run.
+fn ask(run_dir: &Path, robot: &str, args: &[&str]) -> Output {
+    let mut command = mr_slam();
+    command.args(["slam", robot]).args(args).arg("--json").arg("--run-dir").arg(run_dir);
+    command.output().unwrap()
+}
+
+/// What it answered.
+fn answer(run_dir: &Path, robot: &str, args: &[&str]) -> Value {
+    let done = ask(run_dir, robot, args);
+    assert!(done.status.success(), "{args:?}: {}", String::from_utf8_lossy(&done.stderr));
+    serde_json::from_slice(&done.stdout).unwrap()
+}
+
+/// Why it refused.
+fn refusal(run_dir: &Path, robot: &str, args: &[&str]) -> String {
+    let done = ask(run_dir, robot, args);
+    assert!(!done.status.success(), "{args:?} was done");
+    String::from_utf8(done.stderr).unwrap()
+}
+
+/// Whether it knows where its robot is.
+fn located(run_dir: &Path) -> bool {
+    answer(run_dir, "robot1", &["state"])["located"] == true
+}
+
+fn nodes(answer: &Value) -> u64 {
+    answer["nodes"].as_u64().unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A fleet file below a folder.
+fn config(folder: &Folder, autosave_s: f64) -> PathBuf {
+    folder.file("fleet.toml", format!("[sessions]\nautosave_s = {autosave_s:?}\n"))
+}
+
+/// The nodes in a session file; it must be whole.
+fn nodes_in(file: &Path) -> Option<u64> {
+    let bytes = std::fs::read(file).ok()?;
+    Some(slam::Session::decode_any(&bytes).unwrap().back.nodes.len() as u64)
+}
+
+/// A room mapped by one robot, on virtual time: its folder of sessions, and how many nodes there are.
+fn mapped(folder: &Folder, seconds: u32) -> (PathBuf, u64) {
+    let dir = folder.path().join("mapped");
+    let seconds = seconds.to_string();
+    let done = output(&["lockstep", "--robots", "1", "--seconds", &seconds, "--run-dir", text(&dir)]);
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let sessions = dir.join(FOLDER);
+    let nodes = nodes_in(&sessions.join("robot1.slam")).unwrap();
+    (sessions, nodes)
+}
+
+/// A fleet file of one robot that starts elsewhere in the room than the one that mapped it.
+fn elsewhere(folder: &Folder) -> PathBuf {
+    folder.file("elsewhere.toml", "[fleet]\nrobots = 1\nstarts = [[1.2, -1.2, 1.0]]\n")
+}
+
+#[test]
+fn a_seed_and_its_sessions_are_a_run() {
+    let folder = Folder::new();
+    let (sessions, _) = mapped(&folder, 60);
+    let config = elsewhere(&folder);
+    let run = |more: &[&str]| {
+        let args = ["lockstep", "--config", text(&config), "--sessions", text(&sessions)];
+        let args = [&args[..], &["--seconds", "60", "--json"]].concat();
+        let done = output(&[&args, more].concat());
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        serde_json::from_slice::<Value>(&done.stdout).unwrap()
+    };
+    let (once, again, localized) = (run(&[]), run(&[]), run(&["--localize"]));
+    assert_eq!(once["sha256"], again["sha256"]);
+    assert_ne!(once["sha256"], localized["sha256"]);
+    let error = localized["fleet"]["robots"][0]["pose_error_m"].as_f64().unwrap();
+    assert!(error < 0.10, "it is found: {localized}");
+}
+
+#[test]
+fn a_killed_worker_comes_back_with_its_map() {
+    let folder = Folder::new();
+    let config = config(&folder, 1.0);
+    let mut fleet = Fleet::start("demo", &["--robots", "1", "--config", text(&config)]);
+    let dir = fleet.run.dir.clone();
+    let file = dir.join(FOLDER).join("robot1.slam");
+    fleet.until("a map that was saved", |_| nodes_in(&file).is_some_and(|nodes| nodes >= 12));
+    let saved = nodes_in(&file).unwrap();
+    let before =
+        fleet.until("its process", |view| view.processes.iter().any(|p| p.process == "slam of robot1"));
+    let worker = before.processes.iter().find(|p| p.process == "slam of robot1").unwrap().pid;
+    send(worker, Signal::KILL);
+    fleet.until("its return", |view| {
+        view.processes.iter().any(|p| p.process == "slam of robot1" && p.pid != worker && p.state == "up")
+    });
+    let state = answer(&dir, "1", &["state"]);
+    assert!(nodes(&state) >= saved, "{state} after {saved} nodes were saved");
+    // It goes on, in the same frame.
+    let more = nodes(&state) + 5;
+    fleet.until("its going on", |view| {
+        view.robots[0].state == "tracking" && nodes(&answer(&dir, "1", &["state"])) >= more
+    });
+    let after = fleet.until("figures", |_| true);
+    assert!(after.robots[0].pose_error_m.is_some_and(|error| error < 0.10), "{after:?}");
+}
+
+#[test]
+fn saved_killed_loaded_found_and_gone_on_with() {
+    let folder = Folder::new();
+    let (sessions, mapped) = mapped(&folder, 60);
+    // The fleet begins in its sessions: the robot is looked for, and found where the truth has it.
+    let config = elsewhere(&folder);
+    let args = ["--config", text(&config), "--sessions", text(&sessions), "--localize"];
+    let mut fleet = Fleet::start("demo", &args);
+    let dir = fleet.run.dir.clone();
+    fleet.until("the robot found in its map", |view| {
+        let found = located(&dir);
+        found && view.robots[0].pose_error_m.is_some_and(|error| error < 0.10)
+    });
+    let state = answer(&dir, "robot1", &["state"]);
+    assert_eq!((&state["mode"], nodes(&state)), (&"localization".into(), mapped), "{state}");
+    assert!(refusal(&dir, "robot1", &["clear"]).contains("localization"));
+    // Gone on with: the map grows.
+    assert_eq!(answer(&dir, "robot1", &["mode", "mapping"])["mode"], "mapping");
+    fleet.until("a map that grows", |view| {
+        let grown = nodes(&answer(&dir, "robot1", &["state"])) > mapped + 3;
+        grown && view.robots[0].pose_error_m.is_some_and(|error| error < 0.10)
+    });
+    let closures = answer(&dir, "robot1", &["closures"]);
+    let listed = closures["list"].as_array().unwrap();
+    let in_force = listed.iter().filter(|closure| closure["in_force"] == true).count() as u64;
+    assert_eq!(closures["closures"].as_u64().unwrap(), in_force, "{closures}");
+    let cleared = answer(&dir, "robot1", &["clear"]);
+    assert_eq!(cleared["closures"], 0, "{cleared}");
+    // Saved, by a name without ending; and drawn.
+    let kept = folder.path().join("kept");
+    answer(&dir, "robot1", &["save", text(&kept)]);
+    let kept = kept.with_extension("slam");
+    assert!(nodes_in(&kept).unwrap() > mapped);
+    let map = folder.path().join("room.yaml");
+    answer(&dir, "robot1", &["map", text(&map)]);
+    assert!(map.exists() && map.with_extension("pgm").exists() && map.with_extension("png").exists());
+    // Killed, launcher and all.
+    let pid = fleet.run.pid;
+    send(pid, Signal::KILL);
+    fleet.wait();
+
+    // Another fleet maps anew, then loads what was kept: as session, and as a picture.
+    let mut fleet = Fleet::start("demo", &["--robots", "1"]);
+    let dir = fleet.run.dir.clone();
+    fleet.until("scans", |view| view.robots.first().is_some_and(|robot| robot.scans > 20));
+    for (file, args, mode) in [
+        (&map, vec!["--localize"], "localization"),
+        (&kept, vec!["--localize"], "localization"),
+        (&kept, vec![], "mapping"),
+    ] {
+        let loaded = answer(&dir, "robot1", &[vec!["load", text(file)], args].concat());
+        assert_eq!(loaded["mode"], mode, "{loaded}");
+        fleet.until("the robot found in what was loaded", |view| {
+            let found = located(&dir);
+            found && view.robots[0].pose_error_m.is_some_and(|error| error < 0.15)
+        });
+    }
+    // Told where it is, and looked for again.
+    let at = answer(&dir, "robot1", &["state"])["map_from_base"].to_string();
+    let at = at.trim_matches(['[', ']']).to_owned();
+    answer(&dir, "robot1", &["pose", &at]);
+    answer(&dir, "robot1", &["relocalize"]);
+    fleet.until("the robot found again", |view| {
+        let found = located(&dir);
+        found && view.robots[0].pose_error_m.is_some_and(|error| error < 0.15)
+    });
+    // Reset, the map begins anew in the same frame.
+    let reset = answer(&dir, "robot1", &["reset"]);
+    assert!(nodes(&reset) <= 1, "{reset}");
+    fleet.until("a new map", |view| {
+        let grown = (2..mapped).contains(&nodes(&answer(&dir, "robot1", &["state"])));
+        grown && view.robots[0].pose_error_m.is_some_and(|error| error < 0.20)
+    });
+    assert!(fleet.end(Signal::TERM).success);
+}
+
+#[test]
+fn what_cannot_be_is_refused_with_the_reason() {
+    let folder = Folder::new();
+    let mut fleet = Fleet::start("up", &["--robots", "2"]);
+    let dir = fleet.run.dir.clone();
+    fleet.until("scans", |view| view.robots.len() == 2 && view.robots.iter().all(|robot| robot.scans > 10));
+    let good = folder.path().join("good.slam");
+    answer(&dir, "robot1", &["save", text(&good)]);
+    let bytes = std::fs::read(&good).unwrap();
+    let mut flipped = bytes.clone();
+    flipped[200] ^= 1;
+    let mut version = bytes.clone();
+    version[8] = 77;
+    for (name, content, reason) in [
+        ("cut.slam", &bytes[..bytes.len() - 9], "truncated"),
+        ("flipped.slam", &flipped, "checksum"),
+        ("new.slam", &version, "version 77"),
+        ("picture.slam", b"P5\n1 1\n255\nx", "not a session"),
+    ] {
+        let file = folder.file(name, content);
+        let said = refusal(&dir, "robot1", &["load", text(&file)]);
+        assert!(said.contains(name) && said.contains(reason), "{name}: {said}");
+    }
+    let said = refusal(&dir, "robot2", &["load", text(&good)]);
+    assert!(said.contains("another robot's") && said.contains("good.slam"), "{said}");
+    let said = refusal(&dir, "robot1", &["load", text(&folder.path().join("nothing.slam"))]);
+    assert!(said.contains("nothing.slam"), "{said}");
+    let map = folder.path().join("room.yaml");
+    answer(&dir, "robot1", &["map", text(&map)]);
+    let said = refusal(&dir, "robot1", &["load", text(&map)]);
+    assert!(said.contains("--localize"), "{said}");
+    let said = refusal(&dir, "robot1", &["save", "/proc/nowhere/a.slam"]);
+    assert!(said.contains("/proc/nowhere"), "{said}");
+    assert!(refusal(&dir, "robot1", &["undo", "3"]).contains("no closure 3"));
+    assert!(refusal(&dir, "robot3", &["state"]).contains("robots 1 to 2"));
+    // None of it has cost it its map, and it can be paused.
+    assert_eq!(answer(&dir, "robot1", &["pause"])["paused"], true);
+    let paused = answer(&dir, "robot1", &["state"]);
+    assert_eq!((&paused["paused"], nodes(&paused) >= 1), (&true.into(), true), "{paused}");
+    assert_eq!(answer(&dir, "robot1", &["resume"])["paused"], false);
+
+    // One that is silent is said to be.
+    let view =
+        fleet.until("its process", |view| view.processes.iter().any(|p| p.process == "slam of robot2"));
+    let worker = view.processes.iter().find(|p| p.process == "slam of robot2").unwrap().pid;
+    send(worker, Signal::STOP);
+    let said = refusal(&dir, "robot2", &["state"]);
+    send(worker, Signal::CONT);
+    assert!(said.contains("robot2's SLAM does not answer") && said.contains("mr-slam status"), "{said}");
+    assert_eq!(answer(&dir, "robot2", &["state"])["robot"], "robot2");
+
+    // A fleet that is to begin with such files is not started.
+    folder.file("robot1.slam", &bytes[..bytes.len() / 2]);
+    let up = output(&["up", "--port", "0", "--robots", "1", "--sessions", text(folder.path())]);
+    let said = String::from_utf8_lossy(&up.stderr).into_owned();
+    assert!(!up.status.success() && said.contains("robot1.slam") && said.contains("truncated"), "{said}");
+    let up = output(&["up", "--port", "0", "--localize"]);
+    let said = String::from_utf8_lossy(&up.stderr).into_owned();
+    assert!(!up.status.success() && said.contains("--sessions"), "{said}");
+}
