@@ -9,6 +9,8 @@ const PAIRS_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
 const CELLS_PER_CALL: usize = 6_000_000;
 /// Wrong transforms of each pair that its null is made of: the newest.
 const NULL_TRANSFORMS: usize = 20;
+/// Cells looked up for it in one call: about 5 ms of work.
+const NULL_CELLS_PER_CALL: usize = 1_500_000;
 
 /// A robot's newest map and its place; `version` tells contents apart.
 pub(crate) struct PlacedMap<'a> {
@@ -51,19 +53,26 @@ impl Pairs {
         }
     }
 
-    /// What chance gives: one wrong transform of one pair, in turns.
+    /// What chance gives: wrong transforms of one pair, in turns, until one leaves enough of the overlap or
+    /// [`NULL_CELLS_PER_CALL`] have been looked at. Most do not in a small room.
     pub fn draw_null(&mut self, maps: &[PlacedMap<'_>]) {
         let overlapping = |slot: &usize| self.results[*slot].is_some();
         let Some(slot) = (self.next_null..PAIRS_MAX).chain(0..self.next_null).find(overlapping) else {
             return;
         };
         self.next_null = (slot + 1) % PAIRS_MAX;
-        self.draws += 1;
         let (i, j) = robots_of(slot);
         let (Some(right), Some((.., a_from_b))) = (&self.results[slot], self.made_from[slot]) else { return };
         let (a, b) = (maps[i].grid.view(), maps[j].grid.view());
-        if let Some(wrong) = one_wrong(a, b, a_from_b, right.overlap_m2, self.draws) {
-            self.nulls[slot].write([wrong.strict, wrong.occupied_f1]);
+        let mut cells = 0;
+        while cells < NULL_CELLS_PER_CALL {
+            self.draws += 1;
+            // Looked up three times: for the middle of the overlap, and both ways.
+            cells += 1 + 2 * a.cells.len() + 2 * b.cells.len();
+            if let Some(wrong) = one_wrong(a, b, a_from_b, right.overlap_m2, self.draws) {
+                self.nulls[slot].write([wrong.strict, wrong.occupied_f1]);
+                return;
+            }
         }
     }
 
