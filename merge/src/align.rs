@@ -23,7 +23,7 @@ pub(crate) use field::Field;
 pub(crate) use fit::{Fit, fit};
 use msg::{GridView, Pose2};
 use refine::{coarse_stages, fine_stages};
-pub(crate) use refine::{pull, refine};
+pub(crate) use refine::{nearness, pull, refine};
 use serde::{Deserialize, Serialize};
 use translate::{COARSE_M, Candidate, Translator};
 pub(crate) use verify::{Agreement, agreement};
