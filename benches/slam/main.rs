@@ -50,12 +50,12 @@ const ROWS: [Row; 11] = [
 
 /// Looked for in the first half of intel's map: the log it drives in, its field of view, how often.
 const SOUGHT: [(&str, Option<f64>, usize); 6] = [
-    ("intel", None, 24),
-    ("intel", Some(90.0), 24),
-    ("csail", None, 8),
-    ("aces", None, 8),
-    ("freiburg-101", None, 8),
-    ("csail", Some(90.0), 8),
+    ("intel", None, 16),
+    ("intel", Some(90.0), 16),
+    ("csail", None, 6),
+    ("aces", None, 6),
+    ("freiburg-101", None, 6),
+    ("csail", Some(90.0), 6),
 ];
 
 struct Args {

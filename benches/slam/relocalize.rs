@@ -13,7 +13,7 @@ use slam::{Identity, Session, Slam, SlamConfig, Start};
 use std::path::PathBuf;
 
 /// Scans after which a robot counts as not found.
-const SCANS: usize = 50;
+const SCANS: usize = 24;
 /// An answer this far off is wrong: metres, radians.
 const RIGHT_M: f64 = 0.5;
 const RIGHT_RAD: f64 = 0.15;

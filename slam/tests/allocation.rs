@@ -30,7 +30,9 @@ fn allocations(walls: &[Wall], lidar: impl Fn(usize) -> Lidar, odometry: bool) -
             answers.try_iter().for_each(|revision| front.revise(revision));
             let step = front.process(&scan);
             nodes += usize::from(steady && step.node.is_some());
-            let _ = step.node.map(|node| send.try_send(node));
+            if let Some(node) = step.node {
+                let _ = send.try_send(node);
+            }
         });
         counted += if steady { allocated.count_total } else { 0 };
         // The back end falls behind now and then.
