@@ -1,8 +1,11 @@
 //! A fleet of three, for as long as one likes, with clients that come, go and stall: memory and jitter, minute by
-//! minute. It passes if neither grows.
+//! minute, and beside them the same wake-ups without a fleet: what the machine's other load does to both. It passes if
+//! neither grows.
 //!
 //! `cargo bench --bench soak [-- --minutes 20 --json FILE]`
 
+#[path = "jitter/bare.rs"]
+mod bare;
 #[allow(dead_code, reason = "shared with the bridge bench, which uses more of it")]
 #[path = "bridge/client.rs"]
 mod client;
@@ -29,12 +32,18 @@ const VISIT: Duration = Duration::from_millis(100);
 const STALL: Duration = Duration::from_secs(15);
 /// Memory may differ by so much between the first and the last third: pools and parsers find their sizes late.
 const GROWTH_MAX_MB: f64 = 3.0;
-/// Jitter's P95 may be so many times as large, if it is above a tenth of the issue's bound at all.
+/// Jitter's P95, in that of the bare hops, may become so many times as large, if it is above a bound at all.
 const JITTER_RATIO_MAX: f64 = 2.0;
 const JITTER_FLOOR_MS: f64 = 0.5;
 
 fn main() -> Result<(), Box<dyn Error>> {
+    // This program is also the two processes of the bare hops.
     let words: Vec<String> = std::env::args().collect();
+    match words.get(1).map(String::as_str) {
+        Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
+        Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
+        _ => {}
+    }
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let minutes = value("--minutes").map_or(Ok(20), |text| text.parse::<usize>())?.max(1);
     let mut fleet = fleet::Fleet::start(ROBOTS)?;
@@ -44,49 +53,64 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (over, visits) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let crowd = [visitor(port, &over, &visits), staller(port, &over), staller(port, &over)];
     println!(
-        "{:>6} {:>10} {:>10} {:>9} {:>9} {:>9} {:>6} {:>9}",
-        "minute", "bridge MB", "others MB", "TF p50", "P95", "P99 ms", "lost", "visits"
+        "{:>6} {:>10} {:>10} {:>9} {:>9} {:>9} {:>6} {:>9} {:>9} {:>9}",
+        "minute", "bridge MB", "others MB", "TF p50", "P95", "P99 ms", "lost", "bare p50", "P95 ms", "visits"
     );
     let mut rows = Vec::new();
     for minute in 1..=minutes {
+        let bare = bare::Bare::start(ROBOTS)?;
+        let bare =
+            std::thread::spawn(move || bare.measure(Duration::ZERO, MINUTE).map_err(|why| why.to_string()));
         let tf = fleet.measure(Duration::ZERO, MINUTE)?.tf;
+        let floor = bare.join().map_err(|_| "the bare hops' client failed")??;
         let (bridge_mb, others_mb) = fleet.memory_mb();
         let visits = visits.load(Ordering::Relaxed);
         println!(
-            "{minute:>6} {bridge_mb:>10.1} {others_mb:>10.1} {:>9.3} {:>9.3} {:>9.3} {:>6} {visits:>9}",
-            tf.p50_ms, tf.p95_ms, tf.p99_ms, tf.lost
+            "{minute:>6} {bridge_mb:>10.1} {others_mb:>10.1} {:>9.3} {:>9.3} {:>9.3} {:>6} {:>9.3} {:>9.3} {visits:>9}",
+            tf.p50_ms, tf.p95_ms, tf.p99_ms, tf.lost, floor.p50_ms, floor.p95_ms
         );
-        rows.push((bridge_mb, tf));
+        rows.push(Minute { bridge_mb, tf, floor });
     }
     over.store(true, Ordering::Relaxed);
     crowd.into_iter().for_each(|thread| drop(thread.join()));
 
     let third = rows.len().div_ceil(3);
-    let median = |rows: &[(f64, measure::Spread)], of: fn(&(f64, measure::Spread)) -> f64| {
+    let median = |rows: &[Minute], of: fn(&Minute) -> f64| {
         let mut values = rows.iter().map(of).collect::<Vec<_>>();
         values.sort_by(f64::total_cmp);
         values[values.len() / 2]
     };
     let (first, last) = (&rows[..third], &rows[rows.len() - third..]);
-    let grown_mb = median(last, |row| row.0) - median(first, |row| row.0);
-    let jitter = [first, last].map(|rows| median(rows, |row| row.1.p95_ms));
-    let lost = rows.iter().map(|row| row.1.lost).sum::<u64>();
+    let grown_mb = median(last, |row| row.bridge_mb) - median(first, |row| row.bridge_mb);
+    let jitter_ms = [first, last].map(|rows| median(rows, |row| row.tf.p95_ms));
+    let ratio = [first, last].map(|rows| median(rows, |row| row.tf.p95_ms / row.floor.p95_ms.max(1e-3)));
+    let lost = rows.iter().map(|row| row.tf.lost).sum::<u64>();
     let flat = grown_mb <= GROWTH_MAX_MB
-        && (jitter[1] <= JITTER_FLOOR_MS || jitter[1] <= JITTER_RATIO_MAX * jitter[0])
+        && (jitter_ms[1] <= JITTER_FLOOR_MS || ratio[1] <= JITTER_RATIO_MAX * ratio[0])
         && lost == 0;
     println!(
         "bridge's memory grew by {grown_mb:.1} MB from the first third to the last, TF's P95 from {:.3} to {:.3} ms, \
-         {lost} lost: {}",
-        jitter[0],
-        jitter[1],
+         {:.1} to {:.1} times that of the bare hops, {lost} lost: {}",
+        jitter_ms[0],
+        jitter_ms[1],
+        ratio[0],
+        ratio[1],
         if flat { "flat" } else { "NOT FLAT" }
     );
     if let Some(path) = value("--json") {
-        let rows = rows.iter().map(|(mb, tf)| json!({ "bridge_mb": mb, "tf": tf })).collect::<Vec<_>>();
+        let minute = |row: &Minute| json!({ "bridge_mb": row.bridge_mb, "tf": row.tf, "bare": row.floor });
+        let rows = rows.iter().map(minute).collect::<Vec<_>>();
         std::fs::write(path, serde_json::to_string_pretty(&json!({ "flat": flat, "minutes": rows }))?)?;
     }
     drop(fleet);
     if flat { Ok(()) } else { Err("memory or jitter grew".into()) }
+}
+
+/// What one minute was like.
+struct Minute {
+    bridge_mb: f64,
+    tf: measure::Spread,
+    floor: measure::Spread,
 }
 
 type Thread = std::thread::JoinHandle<()>;

@@ -97,7 +97,8 @@ pub struct Spread {
 }
 
 impl Spread {
-    fn of(times_ns: impl Iterator<Item = u64>) -> Self {
+    /// Of times in nanoseconds, as milliseconds.
+    pub fn of(times_ns: impl Iterator<Item = u64>) -> Self {
         let mut times: Vec<u64> = times_ns.collect();
         times.sort_unstable();
         let Some(last) = times.len().checked_sub(1) else { return Self::default() };
@@ -162,7 +163,8 @@ impl StageWatch for Stopwatch {
     }
 }
 
-fn thread_cpu_ns() -> u64 {
+/// Processor time of this thread.
+pub fn thread_cpu_ns() -> u64 {
     let t = clock_gettime(ClockId::ThreadCPUTime);
     t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
 }
@@ -229,7 +231,8 @@ impl Outcome {
     }
 }
 
-fn unpack(path: &Path) -> Result<Vec<u8>, String> {
+/// A file's bytes, unpacked if they are gzip.
+pub fn unpack(path: &Path) -> Result<Vec<u8>, String> {
     let fail = |why: std::io::Error| format!("{}: {why}", path.display());
     let packed = std::fs::read(path).map_err(fail)?;
     if !packed.starts_with(&[0x1f, 0x8b]) {

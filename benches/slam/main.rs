@@ -6,10 +6,14 @@
 //! `official.relations` or `substitute.relations`, and `dense_odom.traj.gz` where there is one.
 //! `name@90` crops the scans to their central 90°. Every log runs in a process of its own.
 //! Errors are mean translation errors of the relation metric (Kümmerle et al. 2009). `--check`
-//! fails if an error is above its limit.
+//! fails if an error is above its limit, or a robot was found where it is not.
+//!
+//! `relocalize` among the logs (or no `--logs`): a robot is looked for without a guess in the map of the first
+//! half of intel, put down in its second half, and in other buildings, where it must not be found.
 
 mod drive;
 mod relations;
+mod relocalize;
 mod table;
 
 use drive::{Outcome, Task};
@@ -44,6 +48,16 @@ const ROWS: [Row; 11] = [
     row("csail@90", [Some(0.265), None], [None; 3]),
 ];
 
+/// Looked for in the first half of intel's map: the log it drives in, its field of view, how often.
+const SOUGHT: [(&str, Option<f64>, usize); 6] = [
+    ("intel", None, 24),
+    ("intel", Some(90.0), 24),
+    ("csail", None, 8),
+    ("aces", None, 8),
+    ("freiburg-101", None, 8),
+    ("csail", Some(90.0), 8),
+];
+
 struct Args {
     data: PathBuf,
     json: Option<PathBuf>,
@@ -67,7 +81,7 @@ fn args() -> Result<Args, String> {
             other => return Err(format!("{other}: expected --data DIR, --logs A,B, --json FILE or --check")),
         }
     }
-    let known = |log: &String| ROWS.iter().any(|row| row.name == log);
+    let known = |log: &String| log == "relocalize" || ROWS.iter().any(|row| row.name == log);
     match args.logs.iter().flatten().find(|log| !known(log)) {
         Some(log) => Err(format!("--logs: {log} is none of {}", ROWS.map(|row| row.name).join(", "))),
         None => Ok(args),
@@ -81,6 +95,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{}", serde_json::to_string(&drive::drive(&serde_json::from_str(&words[2])?)?)?);
         return Ok(());
     }
+    if words.get(1).is_some_and(|word| word == "relocalize") {
+        println!("{}", serde_json::to_string(&relocalize::drive(&serde_json::from_str(&words[2])?)?)?);
+        return Ok(());
+    }
     let args = args()?;
     if !args.data.is_dir() {
         println!("{}: no such folder; no logs, no table", args.data.display());
@@ -90,16 +108,28 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut done: Vec<(&Row, Outcome)> = Vec::new();
     for row in ROWS.iter().filter(wanted) {
         match task(&args.data, row.name) {
-            Some(task) => done.push((row, in_a_process(&task)?)),
+            Some(task) => done.push((row, in_a_process("drive", &task, &task.log)?)),
             None => println!("{}: not in {}", row.name, args.data.display()),
         }
     }
-    table::print(&done);
-    if let Some(path) = args.json {
-        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done))?)?;
+    let mut sought = Vec::new();
+    let all = |name: &str| args.data.join(name).join(format!("{name}.log.gz"));
+    if args.logs.as_ref().is_none_or(|logs| logs.iter().any(|log| log == "relocalize")) {
+        for (name, fov_deg, places) in SOUGHT {
+            let task = relocalize::Task { map: all("intel"), robot: all(name), fov_deg, places };
+            if task.map.is_file() && task.robot.is_file() {
+                sought.push((task.clone(), in_a_process("relocalize", &task, &task.robot)?));
+            }
+        }
     }
-    let missed = done.iter().any(|(row, outcome)| !table::met(row, outcome));
-    if args.check && missed { Err("an error is above its limit".into()) } else { Ok(()) }
+    table::print(&done);
+    table::relocalized(&sought);
+    if let Some(path) = args.json {
+        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done, &sought))?)?;
+    }
+    let wrong = |(_, outcome): &(relocalize::Task, relocalize::Outcome)| outcome.wrong > 0;
+    let missed = done.iter().any(|(row, outcome)| !table::met(row, outcome)) || sought.iter().any(wrong);
+    if args.check && missed { Err("an error is above its limit, or a place is wrong".into()) } else { Ok(()) }
 }
 
 /// Where the log's files are, if they are there.
@@ -118,12 +148,16 @@ fn task(data: &Path, name: &str) -> Option<Task> {
     })
 }
 
-fn in_a_process(task: &Task) -> Result<Outcome, Box<dyn std::error::Error>> {
+fn in_a_process<O: serde::de::DeserializeOwned>(
+    what: &str,
+    task: &impl serde::Serialize,
+    log: &Path,
+) -> Result<O, Box<dyn std::error::Error>> {
     let output =
-        Command::new(std::env::current_exe()?).arg("drive").arg(serde_json::to_string(task)?).output()?;
+        Command::new(std::env::current_exe()?).arg(what).arg(serde_json::to_string(task)?).output()?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr);
-        return Err(format!("{}: {said}", task.log.display()).into());
+        return Err(format!("{}: {said}", log.display()).into());
     }
     Ok(serde_json::from_slice(&output.stdout)?)
 }

@@ -1,7 +1,7 @@
 //! The tables, and the same as JSON.
 
-use crate::Row;
 use crate::drive::{Outcome, Spread};
+use crate::{Row, relocalize};
 use serde_json::{Value, json};
 
 /// Bounds on the Intel log: scan path p99 and max, ms; whole log, s; memory, MB.
@@ -143,15 +143,53 @@ fn intel(done: &[(&Row, Outcome)]) {
     line("largest resident memory", o.memory_mb, MEMORY_MB, "MB");
 }
 
+/// Robots looked for in the first half of a log's map without a guess.
+pub fn relocalized(sought: &[(relocalize::Task, relocalize::Outcome)]) {
+    if sought.is_empty() {
+        return;
+    }
+    println!();
+    println!(
+        "{:<24} places  in map  right (of these)  wrong  refused  search cpu p50 / max, ms  prepare, ms  way p50 / max, m",
+        "looked for, no guess"
+    );
+    for (task, o) in sought {
+        let name =
+            |path: &std::path::Path| path.file_stem().map(|name| name.to_string_lossy().replace(".log", ""));
+        let robot = name(&task.robot).unwrap_or_default();
+        let mut way = o.way_m.clone();
+        way.sort_by(f64::total_cmp);
+        let way = |share: f64| {
+            way.get((share * way.len().saturating_sub(1) as f64) as usize).copied().unwrap_or(0.0)
+        };
+        println!(
+            "{:<24} {:>6}  {:>6}  {:>5} {:>10}  {:>5}  {:>7}  {:>12.0} {:>11.0}  {:>11.0}  {:>8.1} {:>7.1}",
+            format!("{robot}{} in intel", task.fov_deg.map_or(String::new(), |fov| format!("@{fov}"))),
+            o.places,
+            o.known,
+            o.right,
+            format!("({})", o.right_of_known),
+            o.wrong,
+            o.refused,
+            o.search_ms.p50,
+            o.search_ms.max,
+            o.prepare_ms.max,
+            way(0.5),
+            way(1.0),
+        );
+    }
+}
+
 /// Everything, by log.
-pub fn json(done: &[(&Row, Outcome)]) -> Value {
+pub fn json(done: &[(&Row, Outcome)], sought: &[(relocalize::Task, relocalize::Outcome)]) -> Value {
     let rows = done.iter().map(|(row, outcome)| {
         json!({
             "log": row.name, "limits_m": row.limits_m, "slam_toolbox_m": row.toolbox_m,
             "met": met(row, outcome), "outcome": outcome,
         })
     });
-    json!({ "rows": rows.collect::<Vec<Value>>() })
+    let sought = sought.iter().map(|(task, outcome)| json!({ "task": task, "outcome": outcome }));
+    json!({ "rows": rows.collect::<Vec<Value>>(), "relocalized": sought.collect::<Vec<Value>>() })
 }
 
 /// Wall times mean little on a loaded machine.

@@ -129,7 +129,7 @@ impl Client {
 
     /// Puts a frame on its way.
     pub fn push(&mut self, lane: Lane, bytes: Bytes, pool: &mut Pool) {
-        if self.outbox.is_full(lane, bytes.len()) {
+        if self.outbox.is_full(lane, &bytes) {
             // Perhaps only because this turn's frames have not been written yet.
             self.flush(pool);
         }

@@ -14,6 +14,9 @@ const NOTICES_MAX: usize = 64;
 /// is let go. One that is longer may wait, alone.
 const ANSWERS_BYTES_MAX: usize = 1 << 20;
 
+/// What the system gives memory by.
+const PAGE_BYTES: usize = 4096;
+
 /// What kind of frame waits, which says what may happen to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lane {
@@ -31,6 +34,11 @@ pub enum Lane {
         /// Whether it counts against the byte limit. The fleet's own maps do not: all clients share them.
         counted: bool,
     },
+}
+
+/// The memory that a frame takes: buffers are larger than what is in them, but only pages that were written count.
+fn cost(bytes: &Bytes) -> usize {
+    bytes.len().next_multiple_of(PAGE_BYTES).min(bytes.capacity())
 }
 
 struct Waiting {
@@ -107,7 +115,8 @@ impl Outbox {
     }
 
     /// Whether a further frame of this lane would push one out.
-    pub fn is_full(&self, lane: Lane, bytes: usize) -> bool {
+    pub fn is_full(&self, lane: Lane, bytes: &Bytes) -> bool {
+        let bytes = cost(bytes);
         match lane {
             Lane::Answer => self.answer_bytes > 0 && self.answer_bytes + bytes > ANSWERS_BYTES_MAX,
             Lane::Notice => self.notices >= NOTICES_MAX,
@@ -121,8 +130,8 @@ impl Outbox {
     /// Puts a frame at the end, or in the place of an older one.
     pub fn push(&mut self, lane: Lane, bytes: Bytes, pool: &mut Pool) -> Result<(), Overflow> {
         match lane {
-            Lane::Answer if self.is_full(lane, bytes.len()) => return Err(Overflow),
-            Lane::Notice if self.is_full(lane, bytes.len()) => {
+            Lane::Answer if self.is_full(lane, &bytes) => return Err(Overflow),
+            Lane::Notice if self.is_full(lane, &bytes) => {
                 self.dropped += 1;
                 pool.give_back(bytes);
                 return Ok(());
@@ -137,7 +146,7 @@ impl Outbox {
             }
             _ => {}
         }
-        self.account(lane, bytes.len(), 1);
+        self.account(lane, cost(&bytes), 1);
         self.queue.push_back(Waiting { lane, bytes });
         self.trim(pool);
         Ok(())
@@ -180,9 +189,9 @@ impl Outbox {
         let place =
             self.queue.iter().position(|w| matches!(w.lane, Lane::Topic { id: other, .. } if other == id));
         let Some(place) = place else { return };
-        let (old_lane, old_length) = (self.queue[place].lane, self.queue[place].bytes.len());
-        self.account(old_lane, old_length, -1);
-        self.account(lane, bytes.len(), 1);
+        let (old_lane, old_cost) = (self.queue[place].lane, cost(&self.queue[place].bytes));
+        self.account(old_lane, old_cost, -1);
+        self.account(lane, cost(&bytes), 1);
         let old = std::mem::replace(&mut self.queue[place], Waiting { lane, bytes });
         pool.give_back(old.bytes);
         self.dropped += 1;
@@ -191,7 +200,7 @@ impl Outbox {
     fn drop_oldest(&mut self, which: impl Fn(Lane) -> bool, pool: &mut Pool) {
         let place = self.queue.iter().position(|waiting| which(waiting.lane));
         if let Some(old) = place.and_then(|place| self.queue.remove(place)) {
-            self.account(old.lane, old.bytes.len(), -1);
+            self.account(old.lane, cost(&old.bytes), -1);
             pool.give_back(old.bytes);
             self.dropped += 1;
         }
@@ -202,7 +211,7 @@ impl Outbox {
         let of_topic = |lane: Lane| matches!(lane, Lane::Topic { id, .. } if id == topic);
         while let Some(place) = self.queue.iter().position(|waiting| of_topic(waiting.lane)) {
             if let Some(old) = self.queue.remove(place) {
-                self.account(old.lane, old.bytes.len(), -1);
+                self.account(old.lane, cost(&old.bytes), -1);
                 pool.give_back(old.bytes);
             }
         }
@@ -256,7 +265,7 @@ impl Outbox {
         while sent > 0 {
             if self.writing.is_none() {
                 let Some(next) = self.queue.pop_front() else { return };
-                self.account(next.lane, next.bytes.len(), -1);
+                self.account(next.lane, cost(&next.bytes), -1);
                 self.writing = Some((next.bytes, 0));
             }
             let Some((bytes, begun)) = &mut self.writing else { return };

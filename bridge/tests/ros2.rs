@@ -4,11 +4,15 @@
 use bridge::dds::{DdsConfig, Door, Heard};
 use bridge::{Bridge, BridgeConfig, Outlet};
 use futures::StreamExt;
-use msg::{Command, GridHeader, GridView, Header, Pose2, RobotId, Stamp};
+
+use msg::{
+    Command, GridHeader, GridView, Header, Pose2, RobotId, SlamAnswer, SlamAsk, SlamOutcome, SlamRequest,
+    Stamp,
+};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::{Context, Node, Subscription};
 use ros2_client::qos::{Durability, QosProfile};
-use ros2_client::{MessageTypeName, Name, NodeName, NodeOptions};
+use ros2_client::{Message, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
 use std::future::Future;
@@ -133,6 +137,61 @@ fn a_fleet_can_have_a_namespace() {
         let mut other = node(&config);
         let there = maps_on(&mut other, "/lab/floor_2/robot1/map");
         assert_eq!(stamps(&there).await, [7]);
+    });
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct SaveMapRequest {
+    /// A std_msgs/String.
+    name: (String,),
+}
+impl Message for SaveMapRequest {}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct SaveMapResponse {
+    result: u8,
+}
+impl Message for SaveMapResponse {}
+
+#[test]
+fn slam_toolboxs_save_map_is_asked_and_answered() {
+    run(async {
+        let config = config(75);
+        let door = Rc::new(Door::open(&config, 1, false).unwrap());
+        // SLAM, which saves whatever is named `monday`.
+        let answering = Rc::downgrade(&door);
+        let ask = move |robot: RobotId, request: SlamRequest| {
+            assert_eq!(request.ask, SlamAsk::SaveMap as u32);
+            let done = request.text.as_str() == "monday";
+            let outcome = if done { SlamOutcome::Done } else { SlamOutcome::Refused } as u32;
+            let answer = SlamAnswer { id: request.id, outcome, ..SlamAnswer::default() };
+            let answering = answering.clone();
+            spawn_local(async move { answering.upgrade().map(|door| door.answered(robot, &answer, true)) });
+        };
+        spawn_local(door.clone().serve(|_| {}, ask));
+        let mut other = node(&config);
+        let client = other
+            .create_client::<SaveMapRequest, SaveMapResponse>(
+                ServiceMapping::Enhanced,
+                &Name::parse("/robot1/slam_toolbox/save_map").unwrap(),
+                &ServiceTypeName::new("slam_toolbox", "SaveMap"),
+                QosProfile::publisher_default(),
+                QosProfile::subscription_default(),
+            )
+            .unwrap();
+        for (name, result) in [("monday", 0), ("sunday", 255), ("../monday", 255)] {
+            // Until the two have found each other, what is asked is lost.
+            let answer = loop {
+                client.send_request(SaveMapRequest { name: (name.into(),) }).unwrap();
+                tokio::time::sleep(Duration::from_millis(100)).await;
+                if let Ok(Some((_, answer))) = client.receive_response() {
+                    break answer;
+                }
+            };
+            assert_eq!(answer.result, result, "{name}");
+            tokio::time::sleep(QUIET).await;
+            while let Ok(Some(_)) = client.receive_response() {}
+        }
     });
 }
 

@@ -41,6 +41,9 @@ pub struct Alignment {
     pub frame_from_cloud: Pose2,
     /// Inverse covariance that the points give over (x, y, yaw) in the frame, without the prior.
     pub information: Matrix3<f64>,
+    /// The same of points on lines alone. Hits far apart on a wall seen at a flat angle have no
+    /// direction and count as places that stand still; how sure a pose is should not rest on them.
+    pub information_of_lines: Matrix3<f64>,
     /// Share of the points that found their surface, averaged over the references... of the best one.
     pub overlap: f32,
     /// Robust root mean square distance of matched points from their surfaces, metres.
@@ -50,6 +53,7 @@ pub struct Alignment {
 /// Sums of one pass over the points.
 struct Normal {
     hessian: Matrix3<f64>,
+    of_lines: Matrix3<f64>,
     gradient: Vector3<f64>,
     squared: f64,
     weight: f64,
@@ -67,15 +71,17 @@ impl Normal {
         away: [f64; 2],
         share: f64,
         cauchy_m: f64,
-    ) {
+    ) -> Matrix3<f64> {
         let r = f64::from(local[0]) * away[0] + f64::from(local[1]) * away[1];
         let w = 1.0 / (1.0 + (r / cauchy_m).powi(2));
         let [nx, ny] = axis.map(f64::from);
         let j = Vector3::new(nx, ny, nx * lever[0] + ny * lever[1]);
-        self.hessian += j * j.transpose() * (w * share);
+        let information = j * j.transpose() * (w * share);
+        self.hessian += information;
         self.gradient += j * (w * share * r);
         self.squared += w * r * r;
         self.weight += w;
+        information
     }
 }
 
@@ -118,6 +124,7 @@ pub fn align<'a>(
     Alignment {
         frame_from_cloud: Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose },
         information: sums.hessian * scatter,
+        information_of_lines: sums.of_lines * scatter,
         overlap: sums.matched as f32 / sums.compared.max(1) as f32,
         rms_m: mean_square.sqrt() as f32,
     }
@@ -138,6 +145,7 @@ fn normal_equations<'a>(
 ) -> Normal {
     let mut sums = Normal {
         hessian: Matrix3::zeros(),
+        of_lines: Matrix3::zeros(),
         gradient: Vector3::zeros(),
         squared: 0.0,
         weight: 0.0,
@@ -163,7 +171,9 @@ fn normal_equations<'a>(
             let lever = [-sin * px - cos * py, cos * px - sin * py];
             let away = [at[0] - surface.at[0], at[1] - surface.at[1]].map(f64::from);
             if surface.is_flat() {
-                sums.add(&lever, turn.direction(surface.normal), surface.normal, away, share, cauchy_m);
+                let axis = turn.direction(surface.normal);
+                let of_line = sums.add(&lever, axis, surface.normal, away, share, cauchy_m);
+                sums.of_lines += of_line;
             } else {
                 for axis in [[1.0, 0.0], [0.0, 1.0]] {
                     sums.add(&lever, turn.direction(axis), axis, away, share * POINT_SHARE, cauchy_m);

@@ -8,6 +8,7 @@
 mod forget;
 mod keep;
 mod modes;
+mod pieces;
 mod undo;
 
 pub use keep::BackState;
@@ -24,7 +25,7 @@ use crate::localize::{Localizer, LocalizerCounts};
 use crate::node::{Node, Revision};
 use crate::relocalize::{SeekCounts, Seeker};
 use crate::stage::{Stage, StageWatch};
-use modes::Anchor;
+use modes::{Anchor, information};
 use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
@@ -38,6 +39,11 @@ const NOT_FOUND_MAX: usize = 256;
 const VIEWPOINT: f64 = 0.5;
 /// Nodes that the last word looks for again.
 const LAST_SEARCHES_MAX: usize = 64;
+/// An odometry edge that scans contradict, one standard deviation: metres and radians.
+const TORN_M: f64 = 100.0;
+const TORN_RAD: f64 = 3.0;
+/// Nothing is known along it.
+const TORN_VARIANCE: [f64; 2] = [TORN_M * TORN_M, TORN_RAD * TORN_RAD];
 /// Near links are spread: not two to nodes this close in order.
 const NEAR_SPREAD: u32 = 3;
 
@@ -68,6 +74,10 @@ pub struct Back {
     /// While it is not known where the robot is.
     seeker: Option<Seeker>,
     sought: SeekCounts,
+    /// While the newest node's piece is not tied to the map.
+    piece_seeker: Option<Seeker>,
+    /// The newest node that odometry alone joins to the ones before.
+    joint: Option<u32>,
     /// The newest node is the one that found it.
     just_found: bool,
     /// Where the next node is, if it does not follow from the one before.
@@ -106,6 +116,8 @@ pub struct BackCounts {
     pub localized: LocalizerCounts,
     /// Nodes forgotten.
     pub retired: u64,
+    /// Nodes that are not tied to the map.
+    pub adrift: usize,
 }
 
 impl Back {
@@ -128,6 +140,8 @@ impl Back {
             front_ids: Vec::new(),
             newest_front: 0,
             seeker: None,
+            piece_seeker: None,
+            joint: None,
             sought: SeekCounts::default(),
             just_found: false,
             anchor: None,
@@ -166,6 +180,8 @@ impl Back {
         self.link_sequential(id);
         let relative = self.relative_to(id);
         let linked = self.link_near(id, &relative);
+        self.probation(id);
+        let adrift = !self.newest_in_map();
         self.unsolved += usize::from(linked > 0);
         if self.detector.due(self.travelled_m) {
             self.search(id, &relative);
@@ -174,6 +190,12 @@ impl Back {
         }
         if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
+        }
+        if adrift {
+            self.watch.begins(Stage::Closure);
+            self.seek_piece(id);
+            self.sort_pieces();
+            self.just_found = self.newest_in_map();
         }
     }
 
@@ -238,6 +260,7 @@ impl Back {
             sought: self.seeker.as_ref().map_or(self.sought, Seeker::counts),
             localized: self.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             retired: self.retired,
+            adrift: self.nodes.iter().filter(|node| node.adrift.is_some()).count(),
         }
     }
 
@@ -303,9 +326,17 @@ impl Back {
         self.travelled_m += moved.x_m.hypot(moved.y_m);
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
-        let information = self.odometry_information(measured, node.previous_from_this.is_some());
+        let (kind, information) = if node.torn {
+            self.detector.tear();
+            self.piece_seeker = None;
+            (EdgeKind::Torn, information([TORN_M, TORN_RAD]))
+        } else {
+            let known = node.previous_from_this.is_some();
+            (EdgeKind::Odometry, self.odometry_information(measured, known))
+        };
+        node.adrift = if node.torn { Some(b) } else { previous.adrift };
         self.nodes.push(node);
-        self.graph.add_edge([a, b], measured, information, EdgeKind::Odometry, [0.0; 2]);
+        self.graph.add_edge([a, b], measured, information, kind, [0.0; 2]);
     }
 
     fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
@@ -362,7 +393,11 @@ impl Back {
         let l = &self.config.links;
         let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
         let enough = older.cloud.points().len().min(newer.cloud.points().len());
-        if !newer.fits || enough < self.config.tracking.points_min || self.linked(a, b) {
+        if !newer.fits
+            || older.adrift != newer.adrift
+            || enough < self.config.tracking.points_min
+            || self.linked(a, b)
+        {
             return false;
         }
         let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);
@@ -411,6 +446,7 @@ impl Back {
         if finds.is_empty() {
             return;
         }
+        self.bring_together(&finds[finds.len() - 1]);
         for find in &finds {
             let information = self.floored(find.information);
             let (a, b) = (find.candidate, find.node);
@@ -467,7 +503,9 @@ impl Back {
         self.count_closures();
     }
 
+    /// After edges came into force or no longer are.
     fn count_closures(&mut self) {
+        self.sort_pieces();
         let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
         self.closures = self.graph.edges().iter().filter(in_force).count() as u32;
     }

@@ -152,7 +152,7 @@ impl Canvas {
     fn add(&mut self, node: &Node, map_from_base: Pose2) -> usize {
         self.map.header.header = node.header;
         self.map.header.scan_sent = node.header.sent;
-        let reach_m = if node.fits { reach_m(node) } else { EMPTY };
+        let reach_m = if node.in_map() { reach_m(node) } else { EMPTY };
         let mut drawn = Drawn { map_from_base, reach_m, tiles: Rect::default() };
         let tiles = tiles_of(&drawn, self.config.resolution_m);
         if !tiles.is_empty() && !self.map.make_room(tiles, ROBOT_TILES_MAX) {
@@ -175,10 +175,12 @@ impl Canvas {
             let moved = was.map_from_base.distance_m(*is);
             was.reach_m != EMPTY && (moved > tolerance_m || turned * 5.0 > tolerance_m)
         };
-        // A node that no longer fits is to be seen no more.
-        let gone = |was: &Drawn, node: &Node| was.reach_m != EMPTY && !node.fits;
+        // A node that is no longer part of the map is to be seen no more, and one that has become part
+        // of it is to be seen.
+        let gone = |was: &Drawn, node: &Node| was.reach_m != EMPTY && !node.in_map();
+        let came = |was: &Drawn, node: &Node| was.reach_m == EMPTY && node.in_map() && reach_m(node) != EMPTY;
         let mut all = self.drawn.iter().zip(nodes).zip(poses);
-        if !all.any(|((was, node), is)| moved(was, is) || gone(was, node)) {
+        if !all.any(|((was, node), is)| moved(was, is) || gone(was, node) || came(was, node)) {
             return None;
         }
         // Who fits into the largest map is found anew, from the first node on.
@@ -187,6 +189,9 @@ impl Canvas {
         for ((place, node), pose) in drawn.iter_mut().zip(nodes).zip(poses) {
             if gone(place, node) {
                 place.reach_m = EMPTY;
+            }
+            if came(place, node) {
+                (place.reach_m, place.map_from_base) = (reach_m(node), *pose);
             }
             if moved(place, pose) {
                 place.map_from_base = *pose;

@@ -90,13 +90,17 @@ impl<'a> View<'a> {
         (&self.nodes[id as usize], poses[from as usize].between(poses[id as usize]))
     }
 
-    /// Nodes before and after `middle`, each side up to `half_m` of way and `half_nodes`: first and last.
+    /// Nodes before and after `middle` in its piece, each side up to `half_m` of way and `half_nodes`:
+    /// first and last.
     fn pass(&self, middle: u32, half_m: f64, half_nodes: u32) -> (u32, u32) {
         let poses = self.graph.poses();
         let reach = |step: i64| {
             let (mut id, mut way) = (i64::from(middle), 0.0);
             while (id - i64::from(middle)).unsigned_abs() < u64::from(half_nodes) {
                 let Some(next) = poses.get((id + step) as usize) else { break };
+                if self.nodes[(id + step) as usize].adrift != self.nodes[middle as usize].adrift {
+                    break;
+                }
                 way += poses[id as usize].distance_m(*next);
                 if way > half_m {
                     break;
@@ -157,6 +161,12 @@ impl Detector {
         DetectorState { pending, counts: self.counts, last_search_m: self.last_search_m }
     }
 
+    /// The next node does not follow from the ones before: finds wait for no witness any more.
+    pub fn tear(&mut self) {
+        self.counts.unconfirmed += self.pending.len() as u64;
+        self.pending.clear();
+    }
+
     /// Nodes got other numbers; finds of nodes that are gone are forgotten.
     pub fn renumber(&mut self, number: &dyn Fn(u32) -> Option<u32>) {
         self.pending.retain_mut(|find| match (number(find.node), number(find.candidate)) {
@@ -186,7 +196,7 @@ impl Detector {
         travelled_m: f64,
     ) -> Search {
         self.forget_old(node);
-        let candidates = self.candidates(view.graph, relative, node);
+        let candidates = self.candidates(view, relative, node);
         if candidates.is_empty() {
             return Search::NoCandidate;
         }
@@ -209,12 +219,14 @@ impl Detector {
     }
 
     /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
-    fn candidates(&self, graph: &Graph, relative: &[Option<Relative>], node: u32) -> Vec<u32> {
+    /// A piece that is adrift may be anywhere: it is not to be found by looking around where it is not.
+    fn candidates(&self, view: &View<'_>, relative: &[Option<Relative>], node: u32) -> Vec<u32> {
+        let (graph, piece) = (view.graph, view.nodes[node as usize].adrift);
         let (c, l) = (&self.config.closures, &self.config.links);
         let here = graph.poses()[node as usize];
         let known = |r: &Relative| r.position < l.sigma_max_m.powi(2) && r.heading < l.sigma_max_rad.powi(2);
         let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
-            .filter(|id| id.abs_diff(node) > AGO_NODES)
+            .filter(|id| id.abs_diff(node) > AGO_NODES && view.nodes[*id as usize].adrift == piece)
             .filter_map(|id| {
                 if relative[id as usize].as_ref().is_some_and(known) {
                     return None;

@@ -240,9 +240,10 @@ fn cell(at: [f32; 2]) -> [i32; 2] {
     at.map(|v| floor_i32(v * (1.0 / INDEX_CELL_M)))
 }
 
-/// The largest integer not above `v`: without SSE 4.1 the library's floor is a call.
+/// The largest integer not above `v`: without SSE 4.1 the library's floor is a call. Beyond a billion it
+/// stays there, so that neighbours can be counted from it.
 pub fn floor_i32(v: f32) -> i32 {
-    let whole = v as i32;
+    let whole = v.clamp(-1e9, 1e9) as i32;
     whole - i32::from(v < whole as f32)
 }
 

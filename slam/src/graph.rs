@@ -21,6 +21,8 @@ pub enum EdgeKind {
     Closure,
     /// Where a robot was put down, as it was told or found out.
     Placed,
+    /// Wheels, where the scans contradict them: no more than the order.
+    Torn,
 }
 
 /// A measured relative pose.
@@ -96,6 +98,12 @@ impl Graph {
     /// Edges in force at a node.
     pub fn edges_of(&self, node: u32) -> impl Iterator<Item = &Edge> {
         self.around[node as usize].iter().map(|&e| &self.edges[e as usize]).filter(|e| e.in_force)
+    }
+
+    /// Moves a node: `shift` takes its old pose's frame to the new one's.
+    pub fn move_node(&mut self, node: u32, shift: Pose2) {
+        let pose = &mut self.poses[node as usize];
+        *pose = shift * *pose;
     }
 
     /// Appends a node.

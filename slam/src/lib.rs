@@ -16,6 +16,7 @@
 
 pub mod align;
 mod back;
+mod backward;
 mod canvas;
 mod closure;
 mod cloud;

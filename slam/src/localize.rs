@@ -217,7 +217,7 @@ fn information([m, rad]: [f64; 2]) -> Matrix3<f64> {
 fn nearest(map: Placed<'_>, node: &Node, map_from_node: Pose2, distance_max_m: f64) -> Vec<usize> {
     let [x, y] = map_from_node.apply(node.cloud.middle());
     let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
-        .filter(|&i| map.nodes[i].fits)
+        .filter(|&i| map.nodes[i].in_map())
         .filter_map(|i| {
             let seen = map.poses[i].apply(map.nodes[i].cloud.middle());
             let apart = (seen[0] - x).hypot(seen[1] - y);

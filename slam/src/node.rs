@@ -19,6 +19,11 @@ pub struct Node {
     pub previous_from_this: Option<Pose2>,
     /// Whether the scan fitted the local map; if not, only odometry ties it to the others.
     pub fits: bool,
+    /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
+    /// ties this node to the ones before until its place is found.
+    pub torn: bool,
+    /// The back end's: set while the node is in a piece that is not tied to the map; the piece's first node.
+    pub adrift: Option<u32>,
     /// Surfaces, for matching.
     pub cloud: Arc<Cloud>,
     /// Beams, for drawing.
@@ -52,6 +57,11 @@ pub struct Rays {
 }
 
 impl Node {
+    /// Whether the node is part of the map: drawn, matched against, given out.
+    pub fn in_map(&self) -> bool {
+        self.fits && self.adrift.is_none()
+    }
+
     /// A copy that owns what it needs, and no more: for whoever keeps nodes. The scan path's buffers
     /// are given back.
     pub fn kept(self) -> Self {

@@ -1,5 +1,6 @@
 //! What the wheels said lately: a bounded buffer, read at any stamp.
 
+use crate::backward::Backward;
 use crate::config::OdometryConfig;
 use msg::{Odometry, Pose2, Stamp, pose::wrap_angle};
 use std::collections::VecDeque;
@@ -12,26 +13,35 @@ pub struct OdometryBuffer {
     continuous_from_odom: Pose2,
     config: OdometryConfig,
     refused: u64,
+    backward: Backward,
 }
 
 impl OdometryBuffer {
     /// Empty, with room for all it will ever hold.
     pub fn new(config: OdometryConfig) -> Self {
         let poses = VecDeque::with_capacity(config.buffer_len + 1);
-        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, refused: 0 }
+        let backward = Backward::default();
+        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, refused: 0, backward }
     }
 
-    /// Takes one message; refuses (and counts) those that are not numbers or not newer than the last.
+    /// Takes one message; refuses (and counts) those that are not numbers or not newer than the last,
+    /// until it is clear that the clock was set back.
     pub fn push(&mut self, odometry: &Odometry) {
-        let newer = self.poses.back().is_none_or(|last| odometry.header.stamp > last.header.stamp);
-        if !newer || !odometry.odom_from_base.is_finite() {
+        let (last, stamp) = (self.poses.back().copied(), odometry.header.stamp);
+        let back = last.is_some_and(|last| stamp < last.header.stamp);
+        let repeated = last.is_some_and(|last| stamp == last.header.stamp);
+        if repeated || !odometry.odom_from_base.is_finite() || (back && self.backward.note(stamp).is_none()) {
             self.refused += 1;
             return;
+        }
+        self.backward = Backward::default();
+        if back {
+            self.poses.clear();
         }
         if self.poses.len() == self.config.buffer_len {
             self.poses.pop_front();
         }
-        if let Some(last) = self.poses.back().filter(|last| last.header.run != odometry.header.run) {
+        if let Some(last) = last.filter(|last| last.header.run != odometry.header.run) {
             // The robot's driver was started again and counts from elsewhere; meanwhile it stood.
             self.continuous_from_odom = last.odom_from_base * odometry.odom_from_base.inverse();
         }

@@ -26,6 +26,11 @@ const WAITING_MAX: usize = 128;
 /// Places nearer to each other than this are one.
 const SAME_M: f64 = 0.6;
 const SAME_RAD: f64 = 0.2;
+/// After so many searches in vain the way between two of them is twice as long, after so many more
+/// three times, ...
+const SEARCHES_OFTEN: f64 = 12.0;
+/// ... up to so many times.
+const RARELY_MAX: f64 = 6.0;
 /// Searches whose outcome is remembered.
 const PENDING_MAX: usize = 16;
 
@@ -78,6 +83,7 @@ pub struct Seeker {
     nodes: usize,
     way_m: f64,
     searched_m: Option<f64>,
+    searched: u32,
     /// Finds that wait for a witness: the map from the scan path's frame, and the way when found.
     pending: VecDeque<(Pose2, f64)>,
     counts: SeekCounts,
@@ -104,6 +110,7 @@ impl Seeker {
             nodes: 0,
             way_m: 0.0,
             searched_m: None,
+            searched: 0,
             pending: VecDeque::with_capacity(PENDING_MAX),
             counts,
             config,
@@ -133,8 +140,13 @@ impl Seeker {
             .map_or(Pose2::IDENTITY, |last| last.local_from_base.between(node.local_from_base));
         self.way_m += moved.x_m.hypot(moved.y_m) + moved.yaw_rad.abs();
         if !node.fits {
-            // What was seen before is tied to what is seen now by odometry alone.
+            // What was seen before is tied to what is seen now by odometry alone,
             self.pending.clear();
+        }
+        if node.torn {
+            // or not even by that.
+            self.counts.dropped += self.waiting.len() as u64;
+            self.waiting.clear();
         }
         self.nodes += 1;
         if self.waiting.len() == WAITING_MAX {
@@ -143,7 +155,10 @@ impl Seeker {
         }
         self.waiting.push_back(node);
         let r = &self.config.relocalize;
-        if self.searched_m.is_none_or(|at| self.way_m - at >= r.travel_m) {
+        // A robot that is long not found is more rarely looked for.
+        let rarely = 1.0 + (self.searched as f64 / SEARCHES_OFTEN).min(RARELY_MAX - 1.0).floor();
+        if self.searched_m.is_none_or(|at| self.way_m - at >= rarely * r.travel_m) {
+            self.searched += 1;
             self.searched_m = Some(self.way_m);
             if let Some(map_from_local) = self.search(map)
                 && self.witnessed(map_from_local)
@@ -222,7 +237,7 @@ impl Seeker {
     fn settle(&self, map: Placed<'_>, merged: &Cloud, query: &[(Node, Pose2)], at: Pose2) -> Option<Pose2> {
         let r = &self.config.relocalize;
         let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
-            .filter(|&i| map.nodes[i].fits)
+            .filter(|&i| map.nodes[i].in_map())
             .map(|i| {
                 let away = wrap_angle(map.poses[i].yaw_rad - at.yaw_rad).abs();
                 (map.poses[i].distance_m(at) + self.whole.turn_weight_m * away, i)
@@ -300,7 +315,7 @@ struct WholeMap {
 
 impl WholeMap {
     fn new(config: &SlamConfig, map: Placed<'_>) -> Self {
-        let placed = || map.nodes.iter().zip(map.poses).filter(|(node, _)| node.fits);
+        let placed = || map.nodes.iter().zip(map.poses).filter(|(node, _)| node.in_map());
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         for (node, pose) in placed() {
             let place = Placement::new(*pose);

@@ -19,7 +19,7 @@ use msg::SlamMode;
 use records::*;
 
 /// The format this program reads and writes.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 /// What a session file begins with.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
 /// Bytes before the content.

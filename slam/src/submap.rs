@@ -48,6 +48,7 @@ struct Group {
     /// Each node as seen from the first, as it was given out; empty before.
     given: Vec<Pose2>,
     given_finished: bool,
+    given_in_map: bool,
 }
 
 impl Submaps {
@@ -95,7 +96,8 @@ impl Submaps {
             };
             self.way_m += step_m;
             let full = self.groups.last().is_none_or(|group| {
-                group.nodes >= NODES_MAX || self.way_m > WAY_MAX_M || (!node.fits && group.nodes >= NODES_MIN)
+                let full = group.nodes >= NODES_MAX || self.way_m > WAY_MAX_M;
+                full || node.torn || (!node.fits && group.nodes >= NODES_MIN)
             });
             if full {
                 if let Some(group) = self.groups.last_mut() {
@@ -113,6 +115,7 @@ impl Submaps {
                     finished: false,
                     given: Vec::new(),
                     given_finished: false,
+                    given_in_map: false,
                 });
                 self.way_m = 0.0;
             }
@@ -157,12 +160,13 @@ impl Submaps {
     pub fn next_changed(&mut self, back: &Back) -> Option<&Submap> {
         let poses = back.graph().poses();
         let newest = self.groups.len().checked_sub(1)?;
-        let id = (0..=newest).find(|id| self.is_due(&self.groups[*id], poses))?;
+        let id = (0..=newest).find(|id| self.is_due(&self.groups[*id], back))?;
         let group = &mut self.groups[id];
         let fresh = group.given.is_empty();
         let range = group.first as usize..(group.first + group.nodes) as usize;
         group.given = relative(&poses[range.clone()]);
         group.given_finished = group.finished;
+        group.given_in_map = in_map(group, back);
         // The newest is drawn on as it grows; the others are rarely drawn at all.
         if fresh || id != newest {
             self.canvas = Canvas::new(self.map.clone());
@@ -177,8 +181,15 @@ impl Submaps {
         Some(&self.out)
     }
 
-    fn is_due(&self, group: &Group, poses: &[Pose2]) -> bool {
-        let given = group.given.len();
+    fn is_due(&self, group: &Group, back: &Back) -> bool {
+        let (given, poses) = (group.given.len(), back.graph().poses());
+        if in_map(group, back) != group.given_in_map {
+            return true;
+        }
+        if !group.given_in_map {
+            // Nothing of it is shown.
+            return false;
+        }
         if given == 0 || group.nodes >= given as u32 + GROWN_NODES || group.finished != group.given_finished {
             return true;
         }
@@ -253,6 +264,11 @@ impl Submaps {
         let inverse = covariance.and_then(|c| c.try_inverse()).unwrap_or(Matrix3::zeros());
         (inverse + inverse.transpose()) * 0.5
     }
+}
+
+/// Whether a submap is part of the map: no submap is in two pieces.
+fn in_map(group: &Group, back: &Back) -> bool {
+    back.nodes().get(group.first as usize).is_some_and(|node| node.adrift.is_none())
 }
 
 fn relative(poses: &[Pose2]) -> Vec<Pose2> {

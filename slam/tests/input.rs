@@ -93,6 +93,28 @@ fn a_scan_that_sees_nothing_rides_on_odometry() {
     assert_eq!(slam.counts().lost, 5);
 }
 
+/// Found by fuzzing: the cells of points beyond a billion metres overflowed.
+#[test]
+fn wheels_that_leap_while_the_beams_turn_break_nothing() {
+    for leap_m in [1e8, 3e9, -3e9, 1e30, -1e30] {
+        let mut slam = Slam::new(SlamConfig::default());
+        for (i, x) in [0.0, leap_m, 0.0, leap_m].into_iter().enumerate() {
+            let mut scan = scan_at(1.0 + 0.1 * i as f64);
+            scan.time_increment_s = 0.1 / 360.0;
+            for after in [0.0, 0.05] {
+                let mut odometry = msg::Odometry {
+                    odom_from_base: Pose2::new(x * (1.0 + after), x, 0.1),
+                    ..Default::default()
+                };
+                odometry.header.stamp = Stamp::from_seconds(1.0 + 0.1 * i as f64 + after);
+                slam.odometry(&odometry);
+            }
+            assert!(slam.process(&scan).correction.map_from_base.is_finite());
+            slam.work();
+        }
+    }
+}
+
 #[test]
 fn every_range_is_drawn_as_what_it_means() {
     let mut scan = scan_at(1.0);

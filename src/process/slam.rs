@@ -19,8 +19,8 @@ use crate::session_file;
 use crate::sessions;
 use crate::shared_memory::wait;
 use crate::stop::Stop;
-use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, Start};
-use msg::{Correction, Header, Odometry, Pose2, RobotId, Role, Scan};
+use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, SlamConfig, Start};
+use msg::{Correction, Header, Odometry, Pose2, RobotId, Role, Scan, SlamMode};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// Orders the scan path may fall behind; at each scan it takes all there are.
@@ -79,7 +79,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let mut refused = 0;
     std::thread::scope(|scope| {
         let done = news.clone();
-        let slam = run.config.slam.clone();
+        let slam = live(run);
         scope.spawn(move || files::serve(&slam, jobs_in, done));
         let beside = scope.spawn(|| beside::run(run, robot, back, inbox, orders, jobs));
         let mut path = ScanPath::new(front, carried, news, orders_in);
@@ -107,13 +107,14 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
 /// What SLAM begins with: what an earlier worker of this run kept; else the session that the fleet begins with; else
 /// nothing. And, if it is not the scan path itself that goes on, where `odom` lies in the map, as was seen last.
 fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, Option<Pose2>), Error> {
-    let config = run.config.slam.clone();
+    let config = live(run);
     let own = sessions::file(&sessions::folder(run), robot);
     let identity = sessions::identity(run, robot);
     match session_file::read(&own, &identity) {
         Ok(kept) if kept.identity.run == identity.run => {
-            let carried = at.filter(|_| kept.front.is_none());
             let mode = kept.mode;
+            // A robot that was localized is looked for where it was; one that was looked for, everywhere.
+            let carried = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
             let (front, back) = ::slam::begin(config, Some(kept), mode, Start::GoOn);
             return Ok((front, back, carried));
         }
@@ -126,7 +127,16 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
     let (front, mut back) = ::slam::begin(config, first, mode, Start::Unknown);
     // No scan of this run is in it yet.
     back.date_map(Header::default(), crate::clock::now());
-    Ok((front, back, at))
+    // Whether the robot had been found in it is not known.
+    let carried = at.filter(|_| back.nodes().is_empty());
+    Ok((front, back, carried))
+}
+
+/// The fleet's configuration of SLAM, for a process without end: nobody asks it for all poses since it began.
+fn live(run: &Run) -> SlamConfig {
+    let mut config = run.config.slam.clone();
+    config.graph.trajectory_max = 0;
+    config
 }
 
 /// The scan path in its process.

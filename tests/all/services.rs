@@ -47,6 +47,16 @@ fn config(folder: &Folder, autosave_s: f64) -> PathBuf {
     folder.file("fleet.toml", format!("[sessions]\nautosave_s = {autosave_s:?}\n"))
 }
 
+/// The process id of one of the fleet.
+fn worker(fleet: &mut Fleet, name: &str) -> u32 {
+    let mut pid = None;
+    fleet.until("its process", |view| {
+        pid = view.processes.iter().find(|p| p.process == name).map(|p| p.pid);
+        pid.is_some()
+    });
+    pid.unwrap()
+}
+
 /// The nodes in a session file; it must be whole.
 fn nodes_in(file: &Path) -> Option<u64> {
     let bytes = std::fs::read(file).ok()?;
@@ -66,7 +76,10 @@ fn mapped(folder: &Folder, seconds: u32) -> (PathBuf, u64) {
 
 /// A fleet file of one robot that starts elsewhere in the room than the one that mapped it.
 fn elsewhere(folder: &Folder) -> PathBuf {
-    folder.file("elsewhere.toml", "[fleet]\nrobots = 1\nstarts = [[1.2, -1.2, 1.0]]\n")
+    folder.file(
+        "elsewhere.toml",
+        "[fleet]\nrobots = 1\nstarts = [[1.2, -1.2, 1.0]]\n[sessions]\nautosave_s = 1.0\n",
+    )
 }
 
 #[test]
@@ -116,6 +129,31 @@ fn a_killed_worker_comes_back_with_its_map() {
 }
 
 #[test]
+fn a_worker_whose_session_is_damaged_begins_a_map_in_the_same_frame() {
+    let folder = Folder::new();
+    let config = config(&folder, 0.0);
+    let mut fleet = Fleet::start("demo", &["--robots", "1", "--config", text(&config)]);
+    let dir = fleet.run.dir.clone();
+    fleet.until("a map", |view| view.robots.first().is_some_and(|robot| robot.nodes >= 6));
+    answer(&dir, "robot1", &["save", text(&dir.join(FOLDER).join("robot1"))]);
+    let file = dir.join(FOLDER).join("robot1.slam");
+    let whole = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &whole[..whole.len() - 1]).unwrap();
+    let worker = worker(&mut fleet, "slam of robot1");
+    send(worker, Signal::KILL);
+    fleet.until("its return", |view| {
+        let back = view
+            .processes
+            .iter()
+            .any(|p| p.process == "slam of robot1" && p.pid != worker && p.state == "up");
+        back && (1..6).contains(&view.robots[0].nodes)
+    });
+    let after = fleet.until("its going on", |view| view.robots[0].nodes >= 6);
+    assert!(after.robots[0].pose_error_m.is_some_and(|error| error < 0.10), "{:?}", after.robots);
+    assert_eq!(std::fs::read(&file).unwrap().len(), whole.len() - 1, "it is not to save");
+}
+
+#[test]
 fn saved_killed_loaded_found_and_gone_on_with() {
     let folder = Folder::new();
     let (sessions, mapped) = mapped(&folder, 60);
@@ -131,6 +169,20 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     let state = answer(&dir, "robot1", &["state"]);
     assert_eq!((&state["mode"], nodes(&state)), (&"localization".into(), mapped), "{state}");
     assert!(refusal(&dir, "robot1", &["clear"]).contains("localization"));
+    // A worker that dies here comes back in the same mode, and knows where to look.
+    let own = dir.join(FOLDER).join("robot1.slam");
+    fleet.until("its session", |_| own.exists());
+    let killed = worker(&mut fleet, "slam of robot1");
+    send(killed, Signal::KILL);
+    fleet.until("its return", |view| {
+        let back = view
+            .processes
+            .iter()
+            .any(|p| p.process == "slam of robot1" && p.pid != killed && p.state == "up");
+        back && located(&dir) && view.robots[0].pose_error_m.is_some_and(|error| error < 0.10)
+    });
+    let state = answer(&dir, "robot1", &["state"]);
+    assert_eq!((&state["mode"], nodes(&state)), (&"localization".into(), mapped), "{state}");
     // Gone on with: the map grows.
     assert_eq!(answer(&dir, "robot1", &["mode", "mapping"])["mode"], "mapping");
     fleet.until("a map that grows", |view| {

@@ -157,20 +157,26 @@ def turn(publisher, kind, rad_s):
     publisher.publish(message)
 
 
+def repeat(node, publisher, message):
+    """Says it for a while, then waits: one who has just been discovered may hear the first late."""
+    for _ in range(15):
+        publisher.publish(message)
+        spin(node, 0.1)
+    spin(node, 1.5)
+
+
 def stop(node, publisher, odom):
     halt = node.create_publisher(Bool, "/emergency_stop", 10)
     release = node.create_publisher(Empty, "/emergency_stop_release", 10)
     spin(node, 5, lambda: halt.get_subscription_count() and release.get_subscription_count())
-    halt.publish(Bool(data=True))
-    spin(node, 0.5)
+    repeat(node, halt, Bool(data=True))
     start = odom.newest.pose.pose.orientation.z
     for _ in range(10):
         turn(publisher, Twist, 0.8)
         spin(node, 0.05)
     turned = abs(odom.newest.pose.pose.orientation.z - start)
     row("/emergency_stop holds", "< 0.02", f"{turned:.3f}", turned < 0.02)
-    release.publish(Empty())
-    spin(node, 0.3)
+    repeat(node, release, Empty())
     for _ in range(10):
         turn(publisher, Twist, 0.8)
         spin(node, 0.05)

@@ -45,6 +45,20 @@ fn a_full_topic_loses_its_oldest_and_no_other_topic_does() {
 }
 
 #[test]
+fn small_frames_count_with_the_memory_they_take() {
+    let (mut pool, limit) = (Pool::default(), 64 << 10);
+    let mut outbox = Outbox::new(limit);
+    for _ in 0..2000 {
+        let mut frame = pool.take(52);
+        Rc::make_mut(&mut frame).extend([7; 52]);
+        let room = frame.capacity();
+        outbox.push(topic(0, 4096), frame, &mut pool).unwrap();
+        assert!(outbox.queue.len() * room <= limit);
+    }
+    assert!(outbox.dropped() > 1700 && outbox.queue.len() > 200);
+}
+
+#[test]
 fn what_is_begun_goes_out_whole() {
     let (mut outbox, mut pool) = (Outbox::new(1000), Pool::default());
     outbox.push(topic(0, 1), bytes(1, 10), &mut pool).unwrap();

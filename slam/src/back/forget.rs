@@ -22,7 +22,7 @@ const INHERITED_MAX: usize = 16;
 impl Back {
     /// Called after each node of a map that is to last.
     pub(super) fn forget(&mut self) {
-        let Some(newest) = self.nodes.len().checked_sub(1) else { return };
+        let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_in_map()) else { return };
         self.note_contradictions(newest);
         self.note_views(newest);
         let full = self.nodes.len() >= self.config.lifelong.nodes_max.min(self.config.graph.nodes_max);
@@ -48,7 +48,10 @@ impl Back {
     fn same_view(&self, a: usize, b: usize, scale: f64) -> bool {
         let l = &self.config.lifelong;
         let (p, q) = (self.graph.poses()[a], self.graph.poses()[b]);
-        p.distance_m(q) < scale * l.view_m && wrap_angle(p.yaw_rad - q.yaw_rad).abs() < scale * l.view_rad
+        let together = self.nodes[a].adrift == self.nodes[b].adrift;
+        together
+            && p.distance_m(q) < scale * l.view_m
+            && wrap_angle(p.yaw_rad - q.yaw_rad).abs() < scale * l.view_rad
     }
 
     /// Old nodes linked to the newest one, that it sees through.
@@ -146,7 +149,10 @@ fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     let mut neighbours: Vec<(u32, Matrix3<f64>, [f64; 2], EdgeKind)> = Vec::new();
     for e in mine.iter().map(|&i| &edges[i]) {
         match neighbours.iter_mut().find(|n| n.0 == other(e)) {
-            Some(n) => n.1 += e.information,
+            Some(n) => {
+                n.1 += e.information;
+                n.3 = if n.3 == EdgeKind::Torn { e.kind } else { n.3 };
+            }
             None => neighbours.push((other(e), e.information, e.variance, e.kind)),
         }
     }
@@ -158,7 +164,8 @@ fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     for &(to, information, variance, kind) in neighbours.iter().skip(1).take(INHERITED_MAX) {
         let linked = |e: &Edge| e.in_force && ((e.a == heir && e.b == to) || (e.a == to && e.b == heir));
         // The order along the way is held by odometry's edges: they are always handed on.
-        if kind != EdgeKind::Odometry && edges.iter().any(linked) {
+        let along = matches!(kind, EdgeKind::Odometry | EdgeKind::Torn);
+        if !along && edges.iter().any(linked) {
             continue;
         }
         let (a, b) = (heir.min(to), heir.max(to));
@@ -169,7 +176,7 @@ fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
             b,
             a_from_b: poses[a as usize].between(poses[b as usize]),
             information: (information + information.transpose()) * 0.5,
-            kind: if kind == EdgeKind::Odometry { EdgeKind::Odometry } else { EdgeKind::Link },
+            kind: if along { kind } else { EdgeKind::Link },
             in_force: true,
             variance: [variance[0] + heir_variance[0], variance[1] + heir_variance[1]],
             response: 0.0,

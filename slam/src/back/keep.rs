@@ -33,6 +33,8 @@ pub struct BackState {
     pub retracted: u64,
     /// Nodes forgotten.
     pub retired: u64,
+    /// The newest node that odometry alone joins to the ones before.
+    pub joint: Option<u32>,
     /// Finds that wait.
     pub detector: DetectorState,
     /// Closures that were undone.
@@ -55,6 +57,7 @@ impl Back {
             solutions: self.solutions,
             retracted: self.retracted,
             retired: self.retired,
+            joint: self.joint,
             detector: self.detector.state(),
             bans: self.bans.clone(),
         }

@@ -13,8 +13,8 @@ use msg::{Pose2, SlamMode, Stamp};
 use nalgebra::{Matrix3, Vector3};
 
 /// A robot that was found is known this well: links to what it sees may then be sought.
-const FOUND_M: f64 = 0.08;
-const FOUND_RAD: f64 = 0.03;
+pub(super) const FOUND_M: f64 = 0.08;
+pub(super) const FOUND_RAD: f64 = 0.03;
 
 /// Where a node is that does not follow from the one before.
 #[derive(Clone, Copy, Debug)]
@@ -35,6 +35,11 @@ pub enum Start {
     Unknown,
 }
 
+/// Of a pose known this well: metres, radians.
+pub(super) fn information([m, rad]: [f64; 2]) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
+}
+
 impl Back {
     /// Goes on with a map that was kept.
     pub fn resume(
@@ -45,13 +50,15 @@ impl Back {
         start: Start,
     ) -> Self {
         let mut back = Self::new(config.clone());
-        back.canvas.restore(&state.nodes, &state.drawn);
         back.graph = Graph::from_parts(config.graph.clone(), state.poses, state.edges);
         back.detector = Detector::resume(config, state.detector);
         back.earlier = rides;
         back.contradicted = vec![0; state.nodes.len()];
+        back.joint = state.joint;
         back.newest_front = state.front_ids.last().copied().unwrap_or(0);
         (back.nodes, back.front_ids) = (state.nodes, state.front_ids);
+        back.sort_pieces();
+        back.canvas.restore(&back.nodes, &state.drawn);
         (back.not_found, back.again) = (state.not_found.into(), state.again.into());
         (back.travelled_m, back.unsolved, back.bans) = (state.travelled_m, state.unsolved, state.bans);
         (back.solutions, back.retracted, back.retired) = (state.solutions, state.retracted, state.retired);
@@ -87,13 +94,17 @@ impl Back {
         let newest = match &self.localizer {
             Some(localizer) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             None => {
-                self.nodes.last().map(|n| self.graph.poses()[n.id as usize] * n.local_from_base.inverse())
+                let newest = self.nodes.last().filter(|n| n.adrift.is_none());
+                newest.map(|n| self.graph.poses()[n.id as usize] * n.local_from_base.inverse())
             }
         };
         if let (Some(map_from_local), None) = (newest, &self.seeker) {
             self.anchor = Some(Anchor { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
         }
         self.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
+        if is_fixed && self.seeker.is_none() && !self.newest_in_map() {
+            self.seek(None);
+        }
     }
 
     /// From now on the robot is looked for, near a hint or everywhere. In a map without nodes there is
@@ -113,7 +124,7 @@ impl Back {
 
     /// Whether it is known where the robot is.
     pub fn located(&self) -> bool {
-        let sure = self.localizer.as_ref().is_none_or(Localizer::sure);
+        let sure = self.localizer.as_ref().map_or(self.newest_in_map(), Localizer::sure);
         self.seeker.as_ref().map_or(sure, |seeker| seeker.hint().is_some())
     }
 
@@ -122,7 +133,7 @@ impl Back {
         match (&self.seeker, &self.localizer) {
             (Some(_), _) => None,
             (None, Some(localizer)) => Some(localizer.newest()?.0),
-            (None, None) => self.graph.poses().last().copied(),
+            (None, None) => self.graph.poses().last().copied().filter(|_| self.newest_in_map()),
         }
     }
 
@@ -173,19 +184,13 @@ impl Back {
     /// The first node of a pass: tied to the nearest node of the map, as well as its place is known.
     pub(super) fn put_down(&mut self, node: Node, anchor: Anchor) {
         let map_from_node = anchor.map_from_local * node.local_from_base;
-        let nearest = |a: &&Node, b: &&Node| {
-            let away = |n: &&Node| self.graph.poses()[n.id as usize].distance_m(map_from_node);
-            away(a).total_cmp(&away(b))
-        };
-        let nearest = self.nodes.iter().min_by(nearest).map(|n| n.id);
+        let nearest = self.nearest_in_map(map_from_node);
         let id = node.id;
         self.graph.add_node(map_from_node);
         self.nodes.push(node);
         if let Some(nearest) = nearest {
             let measured = self.graph.poses()[nearest as usize].between(map_from_node);
-            let (m, rad) = (anchor.sigma_m.max(1e-3), anchor.sigma_rad.max(1e-3));
-            let information = Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad));
-            let information = Matrix3::from_diagonal(&information);
+            let information = information([anchor.sigma_m.max(1e-3), anchor.sigma_rad.max(1e-3)]);
             self.graph.add_edge([nearest, id], measured, information, EdgeKind::Placed, [0.0; 2]);
         }
     }

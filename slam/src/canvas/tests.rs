@@ -19,6 +19,8 @@ fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
     let mut header = msg::Header::default();
     header.stamp.0 = i64::from(id);
     Node {
+        torn: false,
+        adrift: None,
         id,
         header,
         local_from_base: Pose2::IDENTITY,

@@ -44,6 +44,8 @@ impl Session {
             cloud.fill(&scan, &sweep, &config.lidar, &mut scratch);
             let map_from_base = Pose2::new(at[0], at[1], 0.0);
             back.nodes.push(Node {
+                torn: false,
+                adrift: None,
                 id: id as u32,
                 header: Header::default(),
                 local_from_base: map_from_base,

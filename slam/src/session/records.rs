@@ -91,7 +91,7 @@ struct NodeRecord {
     header: Header,
     local_from_base: Pose2,
     previous_from_this: Pose2,
-    /// 1: `previous_from_this` is known; 2: the scan fitted.
+    /// 1: `previous_from_this` is known; 2: the scan fitted; 4: it is torn from the nodes before.
     flags: u32,
     points: u32,
     hits: u32,
@@ -108,7 +108,9 @@ fn put_node(out: &mut Out, node: &Node) {
         header: node.header,
         local_from_base: node.local_from_base,
         previous_from_this: node.previous_from_this.unwrap_or_default(),
-        flags: u32::from(node.previous_from_this.is_some()) | u32::from(node.fits) << 1,
+        flags: u32::from(node.previous_from_this.is_some())
+            | u32::from(node.fits) << 1
+            | u32::from(node.torn) << 2,
         points: points.len() as u32,
         hits: rays.hits.len() as u32,
         misses: rays.misses.len() as u32,
@@ -150,6 +152,8 @@ fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
         local_from_base,
         previous_from_this: (record.flags & 1 != 0).then_some(previous),
         fits: record.flags & 2 != 0,
+        torn: record.flags & 4 != 0,
+        adrift: None,
         cloud: Arc::new(cloud),
         rays: Arc::new(Rays { sensor: record.rays_sensor, hits, misses }),
     })
@@ -169,7 +173,8 @@ struct EdgeRecord {
     reserved: u32,
 }
 
-const KINDS: [EdgeKind; 4] = [EdgeKind::Odometry, EdgeKind::Link, EdgeKind::Closure, EdgeKind::Placed];
+const KINDS: [EdgeKind; 5] =
+    [EdgeKind::Odometry, EdgeKind::Link, EdgeKind::Closure, EdgeKind::Placed, EdgeKind::Torn];
 
 fn edge_record(edge: &Edge) -> EdgeRecord {
     EdgeRecord {
@@ -260,6 +265,7 @@ pub fn put_back(out: &mut Out, back: &BackState) {
         back.detector.counts;
     out.put(&[searches, no_response, ambiguous, contradicted, unconfirmed, believed]);
     out.put(&[back.unsolved as u64, back.solutions, back.retracted, back.retired]);
+    out.maybe(back.joint.map(u64::from));
     out.list(&back.detector.pending.iter().map(find_record).collect::<Vec<_>>());
     out.maybe(back.detector.last_search_m);
     let bans = back.bans.iter().map(|ban| BanRecord { a: ban.a, b: ban.b, a_from_b: ban.a_from_b });
@@ -293,6 +299,8 @@ pub fn take_back(from: &mut In<'_>) -> Result<BackState> {
     let [searches, no_response, ambiguous, contradicted, unconfirmed, believed]: [u64; 6] =
         from.take("counts")?;
     let [unsolved, solutions, retracted, retired]: [u64; 4] = from.take("counts")?;
+    let joint: Option<u64> = from.maybe("joint")?;
+    check(joint.is_none_or(|id| id < count as u64), "joint")?;
     let pending: Vec<FindRecord> = from.list(WAITING_MAX, "finds")?;
     let pending = pending.into_iter().map(|record| find(record, count)).collect::<Result<Vec<_>>>()?;
     let last_search_m: Option<f64> = from.maybe("last search")?;
@@ -319,6 +327,7 @@ pub fn take_back(from: &mut In<'_>) -> Result<BackState> {
         solutions,
         retracted,
         retired,
+        joint: joint.map(|id| id as u32),
         detector,
         bans,
     })
@@ -344,9 +353,11 @@ struct LastRecord {
 
 pub fn put_front(out: &mut Out, front: &FrontState) {
     out.put(&[front.next_node, front.recent, front.local_maps[0], front.local_maps[1]]);
-    out.put(&[front.lost_in_row, front.closures, u32::from(front.located), 0]);
+    out.put(&[front.lost_in_row, front.closures, u32::from(front.located), u32::from(front.unsure)]);
     out.put(&front.map_from_local);
     out.maybe(front.node_odom_from_base);
+    out.put(&matrix(&front.node_covariance));
+    out.maybe(front.torn_at.map(u64::from));
     out.maybe(front.last.as_ref().map(|last| LastRecord {
         stamp: last.stamp,
         local_from_base: last.local_from_base,
@@ -360,6 +371,7 @@ pub fn put_front(out: &mut Out, front: &FrontState) {
     let c = front.counts;
     out.put(&[c.accepted, c.stamp_repeated, c.stamp_went_back, c.beam_count, c.geometry]);
     out.put(&[c.lost, c.odometry_refused, c.slips, c.trajectory_dropped, c.nodes_held_back, c.not_deskewed]);
+    out.put(&[c.clock_set_back, c.torn]);
     let waiting = front.waiting.iter().map(|r| RevisionRecord {
         cause: r.cause,
         effective_from: r.effective_from,
@@ -378,10 +390,12 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
     let [next_node, recent, older, younger]: [u32; 4] = from.take(WHAT)?;
     let fits = [recent, older, younger].iter().all(|n| *n as usize <= nodes.min(4096));
     check(fits, "number of nodes in the local map")?;
-    let [lost_in_row, closures, located, _]: [u32; 4] = from.take(WHAT)?;
+    let [lost_in_row, closures, located, unsure]: [u32; 4] = from.take(WHAT)?;
     let map_from_local = check_pose(from.take(WHAT)?, "scan path's place in the map")?;
     let pose = |pose: Option<Pose2>| pose.map(|pose| check_pose(pose, "scan path's odometry")).transpose();
     let node_odom_from_base = pose(from.maybe(WHAT)?)?;
+    let node_covariance = check_matrix(from.take(WHAT)?, INFORMATION_MAX, "newest node's covariance")?;
+    let torn_at: Option<u64> = from.maybe(WHAT)?;
     let last: Option<LastRecord> = from.maybe(WHAT)?;
     let odom_from_base = pose(from.maybe(WHAT)?)?;
     let motion = pose(from.maybe(WHAT)?)?;
@@ -400,7 +414,10 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
     let [accepted, stamp_repeated, stamp_went_back, beam_count, geometry]: [u64; 5] = from.take(WHAT)?;
     let [lost, odometry_refused_before, slips, trajectory_dropped, nodes_held_back, not_deskewed]: [u64; 6] =
         from.take(WHAT)?;
+    let [clock_set_back, torn]: [u64; 2] = from.take(WHAT)?;
     let counts = Counts {
+        clock_set_back,
+        torn,
         accepted,
         stamp_repeated,
         stamp_went_back,
@@ -433,11 +450,14 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
         recent,
         local_maps: [older, younger],
         lost_in_row,
+        unsure: unsure != 0,
         closures,
         located: located != 0,
         map_from_local,
         handed_from_recent,
         node_odom_from_base,
+        node_covariance,
+        torn_at: torn_at.map(|id| u32::try_from(id).unwrap_or(u32::MAX)),
         last: last.transpose()?,
         counts,
         waiting: waiting.into_iter().map(revision).collect::<Result<Vec<_>>>()?,

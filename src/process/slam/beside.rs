@@ -41,7 +41,7 @@ pub fn run(
         back,
         orders,
         jobs,
-        replaced: false,
+        replaced: 0,
         anew: false,
         drawing: true,
         waiting: Vec::new(),
@@ -78,8 +78,9 @@ pub struct Beside {
     orders: SyncSender<Order>,
     jobs: SyncSender<Job>,
     autosave: Autosave,
-    /// The scan path was told to be another; until it is, what it says is of the one before.
-    replaced: bool,
+    /// How often the scan path was told to be another and has not said so yet: until then, what it says is of
+    /// one before.
+    replaced: u32,
     /// The back end is another.
     anew: bool,
     /// There is something new to draw.
@@ -91,14 +92,17 @@ pub struct Beside {
 impl Beside {
     fn hear(&mut self, news: News, services: &mut Services) {
         match news {
-            News::Node(_) | News::Began(_) | News::State(_) if self.replaced => {}
+            News::Node(_) | News::Began(_) | News::State(_) if self.replaced > 0 => {}
             News::Node(node) => {
+                let was_found = self.back.map_from_base().is_some();
                 let revision = self.back.add(node);
                 // The scan path takes orders at each scan, and has room for one for each node that waits.
                 let _ = self.orders.try_send(Order::Revise(revision));
                 if self.back.mode() != SlamMode::Localization {
                     self.changed();
                 }
+                // That it was found is worth keeping, even where the map stays as it is.
+                self.autosave.changed |= !was_found && self.back.map_from_base().is_some();
             }
             News::Began(map_from_local) => {
                 let [sigma_m, sigma_rad] = CARRIED_SIGMA;
@@ -111,8 +115,8 @@ impl Beside {
             }
             News::Old(front) => {
                 drop(front);
-                self.replaced = false;
-                if !self.waiting.is_empty() {
+                self.replaced = self.replaced.saturating_sub(1);
+                if self.replaced == 0 && !self.waiting.is_empty() {
                     self.order(Order::Tell);
                 }
             }
@@ -140,7 +144,7 @@ impl Beside {
         let before = self.back.tiles().header;
         self.back = back;
         self.back.date_map(before.header, before.scan_sent);
-        (self.replaced, self.anew) = (true, true);
+        (self.replaced, self.anew) = (self.replaced + 1, true);
         self.changed();
         self.order(Order::Begin { front: Box::new(front), in_place });
     }
@@ -158,7 +162,7 @@ impl Beside {
     /// Does it when it is known where the scan path is.
     pub fn wait_for_state(&mut self, waiting: Waiting) {
         self.waiting.push(waiting);
-        if !self.replaced {
+        if self.replaced == 0 {
             self.order(Order::Tell);
         }
     }
@@ -192,7 +196,7 @@ impl Beside {
 
     /// The last word.
     fn end(&mut self, state: FrontState) {
-        if self.autosave.wanted() && !self.replaced && !self.back.nodes().is_empty() {
+        if self.autosave.wanted() && self.replaced == 0 && !self.back.nodes().is_empty() {
             let work = Work::Save(Box::new(self.session(&state)));
             // After what is being saved now, or the older would take the newer one's place.
             let _ = self.jobs.send(Job { request: None, path: self.autosave.path.clone(), work });

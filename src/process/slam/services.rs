@@ -88,7 +88,7 @@ impl Services {
             }
             SlamAsk::SaveMap => {
                 has_map(beside)?;
-                let stem = self.path(request, None)?;
+                let stem = file_path(&self.dir, request.text.as_str(), None)?;
                 let stem = match stem.extension().and_then(|ending| ending.to_str()) {
                     Some("yaml" | "yml" | "pgm" | "png") => stem.with_extension(""),
                     _ => stem,
@@ -98,7 +98,7 @@ impl Services {
             }
             SlamAsk::SaveSession => {
                 has_map(beside)?;
-                let path = self.path(request, Some(SESSION_ENDING))?;
+                let path = self.session_path(request)?;
                 wait_for_state(beside, Waiting::Save(Box::new(*request), path))
             }
             SlamAsk::LoadSession => {
@@ -109,7 +109,7 @@ impl Services {
                 if SlamStart::from_code(request.start) == Some(SlamStart::Pose) {
                     pose_of(request)?;
                 }
-                let path = self.path(request, Some(SESSION_ENDING))?;
+                let path = self.session_path(request)?;
                 let given = give(beside, request, path, Work::Load(beside.identity, mode));
                 self.loading = given.is_ok();
                 given
@@ -208,6 +208,10 @@ impl Services {
         self.answer(&request, outcome, beside);
     }
 
+    fn session_path(&self, request: &SlamRequest) -> Result<PathBuf, String> {
+        file_path(&self.dir, request.text.as_str(), Some(SESSION_ENDING))
+    }
+
     fn answer(&mut self, request: &SlamRequest, outcome: Outcome, beside: &Beside) {
         let (outcome, text) = match outcome {
             Ok(None) => return,
@@ -241,23 +245,23 @@ impl Services {
         }
         self.answers.send(&answer);
     }
+}
 
-    /// The file that is meant.
-    fn path(&self, request: &SlamRequest, ending: Option<&str>) -> Result<PathBuf, String> {
-        let named = Path::new(request.text.as_str());
-        if named.file_name().is_none() || named.to_string_lossy().contains(char::is_control) {
-            return Err(format!("'{}' names no file", named.display()));
-        }
-        let inside = named.components().all(|part| matches!(part, Component::Normal(_)));
-        if !named.is_absolute() && !inside {
-            return Err(format!("'{}' leads out of the run's folder", named.display()));
-        }
-        let mut path = self.dir.join(named);
-        if let (Some(ending), None) = (ending, path.extension()) {
-            path.set_extension(ending);
-        }
-        Ok(path)
+/// The file that is meant: relative names lie below the run's folder.
+fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, String> {
+    let named = Path::new(name);
+    if named.file_name().is_none() || name.contains(char::is_control) {
+        return Err(format!("'{}' names no file", name.escape_debug()));
     }
+    let inside = named.components().all(|part| matches!(part, Component::Normal(_)));
+    if !named.is_absolute() && !inside {
+        return Err(format!("'{name}' leads out of the run's folder"));
+    }
+    let mut path = dir.join(named);
+    if let (Some(ending), None) = (ending, path.extension()) {
+        path.set_extension(ending);
+    }
+    Ok(path)
 }
 
 fn give(beside: &Beside, request: &SlamRequest, path: PathBuf, work: Work) -> Outcome {
@@ -317,5 +321,38 @@ fn info(closure: &ClosureReport) -> ClosureInfo {
         map_from_newer: closure.poses[1],
         response: closure.response,
         chi_squared: closure.chi_squared as f32,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn files_lie_where_they_are_said_to() {
+        let dir = Path::new("/run");
+        let path = |name| file_path(dir, name, Some("slam")).map(|path| path.display().to_string());
+        assert_eq!(path("monday").unwrap(), "/run/monday.slam");
+        assert_eq!(path("maps/monday.yaml").unwrap(), "/run/maps/monday.yaml");
+        assert_eq!(path("/elsewhere/a.slam").unwrap(), "/elsewhere/a.slam");
+        for (name, reason) in
+            [("../a", "leads out"), ("a/../../b", "leads out"), ("", "no file"), ("a\n", "no file")]
+        {
+            assert!(path(name).unwrap_err().contains(reason), "{name}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_relative_name_leads_out(name in "[a./\\\\-]{0,12}") {
+            let dir = Path::new("/run");
+            if let Ok(path) = file_path(dir, &name, None)
+                && !name.starts_with('/')
+            {
+                prop_assert!(path.starts_with(dir) && path != dir);
+                prop_assert!(!path.components().any(|part| part == Component::ParentDir));
+            }
+        }
     }
 }

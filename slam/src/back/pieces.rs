@@ -1,0 +1,164 @@
+//! Pieces of the way that are not tied to the map: a robot that was carried off, or whose odometry
+//! failed while it saw nothing known. From a node that contradicts those before it on, odometry's edge
+//! says no more than the order. The piece is held back (not drawn, not given out, the robot reads as
+//! lost) until a closure, or a search through the whole map, ties it to the rest; then it is part of
+//! the map like any other, and if the closure is taken back, no longer.
+//!
+//! The map is the largest piece, so that a robot that never comes back to where it was carried off
+//! from begins anew in the end.
+
+use super::modes::{FOUND_M, FOUND_RAD, information};
+use super::{Back, TORN_M, TORN_RAD, TORN_VARIANCE};
+use crate::closure::Find;
+use crate::graph::EdgeKind;
+use crate::relocalize::{Placed, Seeker, Sought};
+use msg::Pose2;
+
+/// A piece so long is looked for in the whole map; something passing by is over sooner.
+const NODES_MIN: u32 = 5;
+
+/// Nodes of the map that a node on probation is held against, no two next to each other.
+const WITNESSES: usize = 8;
+/// If this share of what they can compare is contradicted, and it is so many points, the joint is none.
+const TORN_SHARE: f32 = 0.3;
+const TORN_POINTS_MIN: usize = 60;
+
+impl Back {
+    /// A node that did not fit is joined to the ones before by odometry alone. Whether that is right
+    /// shows when it, or one after it, sees what older nodes saw: if they agree, a link says so; if
+    /// they contradict each other, the joint is taken back.
+    pub(super) fn probation(&mut self, id: u32) {
+        let node = &self.nodes[id as usize];
+        if !node.fits {
+            self.joint = Some(id).filter(|_| !node.torn);
+        }
+        let Some(joint) = self.joint else { return };
+        let across = |e: &crate::graph::Edge| e.kind == EdgeKind::Link && e.a.min(e.b) < joint;
+        if self.graph.edges_of(id).any(across) {
+            self.joint = None;
+            return;
+        }
+        let poses = self.graph.poses();
+        let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.middle());
+        let [x, y] = looks_at(id);
+        let mut near: Vec<(f64, u32)> = (0..joint)
+            .filter(|old| self.nodes[*old as usize].fits && self.nodes[*old as usize].adrift == node.adrift)
+            .map(|old| (looks_at(old), old))
+            .map(|([u, v], old)| ((u - x).hypot(v - y), old))
+            .filter(|(apart, _)| *apart < self.config.links.distance_max_m)
+            .collect();
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (mut agree, mut contradict) = (0, 0);
+        for (_, old) in near.into_iter().take(WITNESSES) {
+            let old_from_new = poses[old as usize].between(poses[id as usize]);
+            let old = &self.nodes[old as usize].cloud;
+            for (a, c) in [
+                old.judge(&node.cloud, old_from_new, 0.15, 0.4),
+                node.cloud.judge(old, old_from_new.inverse(), 0.15, 0.4),
+            ] {
+                agree += a;
+                contradict += c;
+            }
+        }
+        if contradict < TORN_POINTS_MIN || contradict as f32 <= TORN_SHARE * (agree + contradict) as f32 {
+            return;
+        }
+        let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == joint;
+        let Some(index) = self.graph.edges().iter().position(before) else { return };
+        let edge = self.graph.edge_mut(index);
+        (edge.kind, edge.information) = (EdgeKind::Torn, information([TORN_M, TORN_RAD]));
+        edge.variance = TORN_VARIANCE;
+        self.nodes[joint as usize].torn = true;
+        self.joint = None;
+        self.detector.tear();
+        self.piece_seeker = None;
+        self.sort_pieces();
+    }
+
+    /// Whether the newest node is part of the map.
+    pub(super) fn newest_in_map(&self) -> bool {
+        self.nodes.last().is_none_or(|node| node.adrift.is_none())
+    }
+
+    /// Which node is in which piece, from the edges in force.
+    pub(super) fn sort_pieces(&mut self) {
+        let torn = |e: &crate::graph::Edge| e.kind == EdgeKind::Torn;
+        if !self.graph.edges().iter().any(torn) {
+            return;
+        }
+        // Union-find; a piece is called by its first node.
+        let mut up: Vec<u32> = (0..self.nodes.len() as u32).collect();
+        let first = |up: &mut [u32], mut id: u32| {
+            while up[id as usize] != id {
+                up[id as usize] = up[up[id as usize] as usize];
+                id = up[id as usize];
+            }
+            id
+        };
+        for edge in self.graph.edges().iter().filter(|e| e.in_force && !torn(e)) {
+            let (a, b) = (first(&mut up, edge.a), first(&mut up, edge.b));
+            up[a.max(b) as usize] = a.min(b);
+        }
+        let mut sizes = vec![0_usize; up.len()];
+        for id in 0..up.len() as u32 {
+            up[id as usize] = first(&mut up, id);
+            sizes[up[id as usize] as usize] += 1;
+        }
+        let largest = (0..sizes.len()).max_by_key(|&id| (sizes[id], core::cmp::Reverse(id)));
+        for (node, piece) in self.nodes.iter_mut().zip(up) {
+            node.adrift = Some(piece).filter(|piece| Some(*piece as usize) != largest);
+        }
+    }
+
+    /// Looks for the newest node's piece in the whole map.
+    pub(super) fn seek_piece(&mut self, id: u32) {
+        let Some(first) = self.nodes[id as usize].adrift else { return };
+        if id - first < NODES_MIN {
+            return;
+        }
+        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let seeker =
+            self.piece_seeker.get_or_insert_with(|| Seeker::new(self.config.clone(), map, None, self.sought));
+        let newest = self.nodes[id as usize].clone();
+        let local_from_node = newest.local_from_base;
+        let sought = seeker.seek(newest, map);
+        self.sought = seeker.counts();
+        let Sought::Found(map_from_local) = sought else { return };
+        self.piece_seeker = None;
+        let map_from_node = map_from_local * local_from_node;
+        let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
+        self.close(&[Find {
+            node: id,
+            candidate,
+            candidate_from_node: self.graph.poses()[candidate as usize].between(map_from_node),
+            information: information([FOUND_M, FOUND_RAD]),
+            response: self.config.relocalize.response_min,
+        }]);
+    }
+
+    /// The node of the map nearest to a place.
+    pub(super) fn nearest_in_map(&self, at: Pose2) -> Option<u32> {
+        let poses = self.graph.poses();
+        let away = |id: u32| poses[id as usize].distance_m(at);
+        let in_map = self.nodes.iter().filter(|node| node.in_map()).map(|node| node.id);
+        in_map.min_by(|a, b| away(*a).total_cmp(&away(*b)))
+    }
+
+    /// Before a find ties two pieces together, one of them is moved to where the find has it: a solver
+    /// finds small movements, not half a turn.
+    pub(super) fn bring_together(&mut self, find: &Find) {
+        let [old, new] = [find.candidate, find.node].map(|id| self.nodes[id as usize].adrift);
+        if old == new {
+            return;
+        }
+        let poses = self.graph.poses();
+        let (a, b) = (poses[find.candidate as usize], poses[find.node as usize]);
+        let (moves, shift) = match new {
+            Some(_) => (new, a * find.candidate_from_node * b.inverse()),
+            None => (old, b * find.candidate_from_node.inverse() * a.inverse()),
+        };
+        for node in self.nodes.iter().filter(|node| node.adrift == moves) {
+            self.graph.move_node(node.id, shift);
+        }
+    }
+}
