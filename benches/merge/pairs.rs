@@ -62,13 +62,15 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Aligns.
-    pub fn of(maps: [&Grid; 2], a_from_b: Option<Pose2>) -> Self {
+    /// Aligns. `straight` takes a point of the second map, as it is drawn, to where it is in the one that the truth is of.
+    pub fn of(maps: [&Grid; 2], a_from_b: Option<Pose2>, straight: impl Fn([f64; 2]) -> [f64; 2]) -> Self {
         let began_s = cpu_s();
         let found = align(maps[0].view(), maps[1].view(), &AlignConfig::default());
         let ms = 1e3 * (cpu_s() - began_s);
         let accepted = found.filter(|found| found.accepted);
-        let error = accepted.zip(a_from_b).map(|(found, truth)| displacement(maps, truth, found.a_from_b));
+        let error = accepted.zip(a_from_b).map(|(found, truth)| {
+            displacement(maps, |place| truth.apply(straight(place)), truth, found.a_from_b)
+        });
         Self { found, ms, error }
     }
 
@@ -84,7 +86,12 @@ impl Outcome {
 }
 
 /// RMS displacement of b's walls where a knows something, metres; rotation, degrees.
-fn displacement([a, b]: [&Grid; 2], truth: Pose2, estimate: Pose2) -> [f64; 2] {
+fn displacement(
+    [a, b]: [&Grid; 2],
+    truly: impl Fn([f64; 2]) -> [f64; 2],
+    truth: Pose2,
+    estimate: Pose2,
+) -> [f64; 2] {
     let (mut sum, mut count) = (0.0, 0.0);
     for y in 0..i64::from(b.header.height) {
         for x in 0..i64::from(b.header.width) {
@@ -92,7 +99,7 @@ fn displacement([a, b]: [&Grid; 2], truth: Pose2, estimate: Pose2) -> [f64; 2] {
                 continue;
             }
             let place = b.view().centre_m(x, y);
-            let (there, here) = (truth.apply(place), estimate.apply(place));
+            let (there, here) = (truly(place), estimate.apply(place));
             let (i, j) = a.view().cell_of(there);
             if occupancy(a.view().cell(i, j)) != Occupancy::Unknown {
                 sum += (there[0] - here[0]).powi(2) + (there[1] - here[1]).powi(2);
@@ -108,8 +115,10 @@ fn displacement([a, b]: [&Grid; 2], truth: Pose2, estimate: Pose2) -> [f64; 2] {
 pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::io::Result<()> {
     table.begin("pairs of maps, unknown starts", "", "of");
     let began = Instant::now();
-    let outcomes: Vec<Outcome> =
-        pairs.iter().map(|pair| Outcome::of([&pair.maps[0], &pair.maps[1]], pair.a_from_b)).collect();
+    let outcomes: Vec<Outcome> = pairs
+        .iter()
+        .map(|pair| Outcome::of([&pair.maps[0], &pair.maps[1]], pair.a_from_b, |place| place))
+        .collect();
     let wall_s = began.elapsed().as_secs_f64();
     let both = || pairs.iter().zip(&outcomes);
     let band = |low: f64, high: f64| {
