@@ -132,6 +132,9 @@ pub struct Fleet {
     /// Where robots start in the room, or in `map` where the world is not simulated: `[x, y, yaw]` in metres
     /// and radians, one for each robot; none: places are chosen, or unknown but for the first.
     pub starts: Vec<[f64; 3]>,
+    /// Whether merging is told where robots start. If not, `map` is the first robot's map, and the others join it when
+    /// their maps show where they lie.
+    pub starts_known: bool,
     /// TCP port for headsets; 0: any that is free.
     pub port: u16,
     /// Address to listen on. `127.0.0.1` keeps others out.
@@ -145,6 +148,7 @@ impl Default for Fleet {
             seed: 1,
             room: LABORATORY.into(),
             starts: Vec::new(),
+            starts_known: true,
             port: 10_000,
             address: "0.0.0.0".into(),
         }

@@ -66,18 +66,30 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
     }
 }
 
-/// Where each robot's map lies in the fleet's from the start, if that is known. A world outside shows no room to
-/// choose places in: unless they are configured, the fleet's map is the first robot's, and the others' places are
-/// to be found. Where the fleet begins with sessions, their maps' places are those from when they were kept.
+/// Where each robot's map lies in the fleet's from the start, as far as merging is told. Where it is told nothing (the
+/// file says so, or a world outside shows no room to choose places in), the fleet's map is the first robot's, and the
+/// others' places are to be found. Where the fleet begins with sessions, their maps' places are those from when they
+/// were kept.
 pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
-    let without_sessions = if config.world.is_outside() {
-        let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
-        let found = || RobotId::first(config.fleet.robots).map(first).collect();
-        config.configured_starts().map_or_else(found, |starts| starts.into_iter().map(Some).collect())
-    } else {
-        starts(config, &room(config)?)?.into_iter().map(Some).collect()
+    let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
+    let alone = || RobotId::first(config.fleet.robots).map(first).collect();
+    if !config.fleet.starts_known {
+        return Ok(alone());
+    }
+    if config.world.is_outside() && config.configured_starts().is_none() {
+        return Ok(sessions::known_starts(config, alone())?);
+    }
+    true_starts(config)
+}
+
+/// Where each robot's map truly lies, where that is known: in a simulation in `world`, else as configured in `map`.
+pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
+    let begun = match config.configured_starts() {
+        None if config.world.is_outside() => vec![None; config.fleet.robots],
+        None => starts(config, &room(config)?)?.into_iter().map(Some).collect(),
+        Some(starts) => starts.into_iter().map(Some).collect(),
     };
-    Ok(sessions::known_starts(config, without_sessions)?)
+    Ok(sessions::known_starts(config, begun)?)
 }
 
 /// How long after a tick's stamp a robot's simulator takes it: the robots are spread over the tick, so

@@ -15,14 +15,14 @@ use crate::operator::tour::{Hand, Tour, TourConfig};
 use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
 use crate::sessions::{self, SessionsError};
 use bytemuck::Zeroable;
-use merge::Merger;
+use merge::{Fleet, Merger};
 use msg::tiles::Outgoing;
 use msg::{
-    Anchors, Clock, Command, Correction, Dense, FleetStats, GridView, Header, Message, Monotonic,
-    PatchHeader, Pose2, RobotId, Scan, Stamp, TileMap, Truth,
+    Anchors, Clock, Command, Correction, Dense, FleetStats, GridView, Header, MergeEdges, Message, Monotonic,
+    PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap, Truth,
 };
 use sim::{Simulator, Tick};
-use slam::{Identity, Session, Slam, Start};
+use slam::{Identity, Session, Slam, Start, Submaps};
 use std::collections::BTreeMap;
 use telemetry::Telemetry;
 
@@ -35,6 +35,9 @@ const STATS_TICKS: u64 = 100;
 pub struct Lockstep {
     members: Vec<Member>,
     merger: Merger,
+    /// The joint graph: one piece of its work each tick.
+    joint: Fleet,
+    edges: Box<MergeEdges>,
     telemetry: Telemetry,
     tour: Option<Tour>,
     together: bool,
@@ -58,6 +61,10 @@ struct Member {
     odom_from_base: Pose2,
     map: Chart,
     map_due: Stamp,
+    submaps: Submaps,
+    submap: Box<Submap>,
+    submap_poses: Box<SubmapPoses>,
+    nodes: usize,
 }
 
 /// A map on its way through the fleet: what has been said of it, and the grid of what is known.
@@ -95,14 +102,21 @@ impl Lockstep {
                 odom_from_base: Pose2::IDENTITY,
                 map: Chart::default(),
                 map_due: Stamp(i64::MIN),
+                submaps: Submaps::new(&config.slam),
+                submap: bytemuck::allocation::zeroed_box(),
+                submap_poses: bytemuck::allocation::zeroed_box(),
+                nodes: 0,
             })
         };
-        let known = sessions::known_starts(config, starts.iter().copied().map(Some).collect())?;
+        let known = fleet::known_starts(config)?;
+        let truth = fleet::true_starts(config)?;
         let tour = TourConfig { seed: config.fleet.seed, ..TourConfig::default() };
         Ok(Self {
             members: robots.clone().zip(&starts).map(member).collect::<Result<_, FleetError>>()?,
             merger: Merger::new(&config.merge, &known),
-            telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &known),
+            joint: Fleet::new(&config.merge.align, &known),
+            edges: Box::default(),
+            telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &truth),
             tour: Tour::new(tour, robots),
             together,
             known,
@@ -132,7 +146,7 @@ impl Lockstep {
         if self.ticks.is_multiple_of(HAND_TICKS) {
             self.drive(listener);
         }
-        let changed = self.robots(listener);
+        let changed = self.robots(listener) | self.join(listener);
         if changed {
             self.merge(listener);
         }
@@ -206,8 +220,30 @@ impl Lockstep {
                 // Refusals are counted where processes run; here a refused map would show in the figures.
                 let _ = self.merger.update_tiles(member.robot, member.slam.tiles());
             }
+            if tick.scan_due {
+                member.submaps(&mut self.joint, &mut self.voice, listener);
+            }
         }
         changed
+    }
+
+    /// A piece of the joint graph's work. True if a robot's map lies elsewhere now, or looks different.
+    fn join(&mut self, listener: Listener<'_>) -> bool {
+        let Some(task) = self.joint.next_task() else { return false };
+        self.joint.take(task.run());
+        let mut edges = self.edges.clone();
+        self.joint.edges(&mut edges);
+        if edges.edges() != self.edges.edges() {
+            edges.header.stamp = self.now();
+            self.voice.say(&channel::merge_edges(), edges.as_mut(), listener);
+            self.edges = edges;
+        }
+        let settle = |changed: bool, member: &Member| {
+            let (robot, joint) = (member.robot, &self.joint);
+            let news = self.merger.settle(robot, joint.anchor(robot), joint.straightened(robot));
+            changed | news.unwrap_or(false)
+        };
+        self.members.iter().fold(false, settle)
     }
 
     fn merge(&mut self, listener: Listener<'_>) {
@@ -277,17 +313,38 @@ impl Member {
         news
     }
 
-    /// The robot as the operator sees it.
+    /// What is new of the robot's submaps, for the joint graph.
+    fn submaps(&mut self, joint: &mut Fleet, voice: &mut Voice, listener: Listener<'_>) {
+        let back = self.slam.back();
+        if back.nodes().len() == self.nodes {
+            return;
+        }
+        self.nodes = back.nodes().len();
+        self.submaps.update(back);
+        self.submaps.poses(back, &mut self.submap_poses);
+        voice.say(&channel::submap_poses(self.robot), self.submap_poses.as_mut(), listener);
+        // A robot's own submaps are sound.
+        let _ = joint.poses(self.robot, &self.submap_poses);
+        while let Some(submap) = self.submaps.next_changed(back) {
+            *self.submap = *submap;
+            voice.say(&channel::submap(self.robot), self.submap.as_mut(), listener);
+            let _ = joint.submap(self.robot, &self.submap);
+        }
+    }
+
+    /// The robot as the operator sees it: in its own map while its place in the merged one is not known.
     fn sight<'a>(&'a self, merged: Option<MapView<'a>>, anchors: &Anchors) -> RobotSight<'a> {
         let anchor = anchors.robots[self.robot.index()];
+        let is_merged = anchor.known != 0;
+        let map_from_robot_map = if is_merged { anchor.map_from_robot_map } else { Pose2::IDENTITY };
         let in_map = self
             .correction
-            .filter(|_| anchor.known != 0)
-            .map(|correction| anchor.map_from_robot_map * correction.map_from_odom * self.odom_from_base);
+            .map(|correction| map_from_robot_map * correction.map_from_odom * self.odom_from_base);
+        let own = || self.map.view().and_then(MapView::log_odds);
         RobotSight {
             robot: self.robot,
-            map: merged,
-            merged: true,
+            map: if is_merged { merged } else { own() },
+            merged: is_merged,
             map_from_base: in_map,
             scan: self.scanned.then(|| ScanView::of_burger(&self.scan)),
         }

@@ -4,7 +4,8 @@ use clap::{Parser, Subcommand};
 use mr_slam::control::{self, Request};
 use mr_slam::process::{Process, ProcessArgs, RobotArgs};
 use mr_slam::{
-    ask_slam, demo, doctor, lockstep, merge_maps, operator, process, replay, status, stop::Stop, up,
+    ask_slam, demo, doctor, lockstep, merge_edges, merge_maps, operator, process, replay, status, stop::Stop,
+    up,
 };
 use std::process::ExitCode;
 
@@ -26,6 +27,8 @@ enum Command {
     Status(status::StatusArgs),
     /// Look at what this machine permits: timers, limits, network
     Doctor(doctor::DoctorArgs),
+    /// Show what holds the robots' maps of a running fleet together, pin it or take it back
+    Edges(merge_edges::EdgesArgs),
     /// Let an address drive a running fleet, now and in later runs; without one, show who may and who waits
     Allow(control::AllowArgs),
     /// Let an address drive no longer
@@ -76,6 +79,7 @@ fn run(command: Command) -> Result<(), process::Error> {
         Command::Up(args) => drop(up::up(&args, &mut up::Alone, &Stop::on_signals()?)?),
         Command::Status(args) => status::status(&args)?,
         Command::Doctor(args) => doctor::run(&args)?,
+        Command::Edges(args) => merge_edges::run(&args)?,
         Command::Allow(args) => args.run.tell(args.address.map_or(Request::State, Request::Allow))?,
         Command::Deny(args) => args.run.tell(Request::Deny(args.address))?,
         Command::Stop(args) => args.tell(Request::Stop)?,

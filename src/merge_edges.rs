@@ -1,8 +1,113 @@
-//! Merge edges as people and programs read them.
+//! Merge edges as people and programs read them, and `mr-slam edges`, with which people pin and undo them.
 
-use msg::MergeEdge;
+use crate::channel;
+use crate::control::RunArgs;
+use crate::process::Error;
+use crate::run::Run;
+use crate::shared_memory::Node;
+use msg::{EdgeAction, EdgeCommand, EdgeState, MergeEdge, MergeEdges, Monotonic, RobotId};
 use serde::Serialize;
-use std::fmt::Write;
+use std::fmt::{self, Write};
+use std::time::{Duration, Instant};
+
+/// How long merging may take to answer: its longest piece of work, on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// How often it is looked for an answer, nanoseconds.
+const LOOK_NS: u64 = 20_000_000;
+
+/// Show what merging believes of each pair of robots' maps and why; or pin it, or take it back
+#[derive(Clone, Debug, clap::Args)]
+pub struct EdgesArgs {
+    /// What to do; without it, show
+    #[command(subcommand)]
+    pub action: Option<Action>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Which fleet.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+/// What to do to an edge.
+#[derive(Clone, Copy, Debug, clap::Subcommand)]
+pub enum Action {
+    /// It stays, whatever comes; if it was taken back, it holds again
+    Pin(Pair),
+    /// It stays as long as the maps agree
+    Unpin(Pair),
+    /// The two maps do not lie like this: never join them so again
+    Undo(Pair),
+}
+
+/// Two robots.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct Pair {
+    /// One: its number
+    #[arg(value_name = "A", value_parser = robot)]
+    pub a: RobotId,
+    /// The other
+    #[arg(value_name = "B", value_parser = robot)]
+    pub b: RobotId,
+}
+
+fn robot(text: &str) -> Result<RobotId, String> {
+    let number = text.strip_prefix("robot").unwrap_or(text).parse().ok();
+    number.and_then(RobotId::new).ok_or(format!("`{text}` is no robot; expected its number, from 1"))
+}
+
+/// Runs the subcommand.
+pub fn run(args: &EdgesArgs) -> Result<(), Error> {
+    let run = args.run.open()?;
+    let (pair, action) = match args.action {
+        None => return show(&*ask(&run, None)?, args.json),
+        Some(Action::Pin(pair)) => (pair, EdgeAction::Pin),
+        Some(Action::Unpin(pair)) => (pair, EdgeAction::Unpin),
+        Some(Action::Undo(pair)) => (pair, EdgeAction::Undo),
+    };
+    if pair.a.number().max(pair.b.number()) > run.config.fleet.robots {
+        return Err(format!("this fleet has robots 1 to {}", run.config.fleet.robots).into());
+    }
+    let command = EdgeCommand::of(action, pair.a, pair.b).ok_or("a robot and itself are no pair")?;
+    show(&*ask(&run, Some(command))?, args.json)
+}
+
+/// The newest edges, after a command if there is one.
+fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Error> {
+    let node = Node::open(&run.domain, "edges")?;
+    let mut reader = node.reader(&channel::merge_edges())?;
+    let begun = Instant::now();
+    let mut next = |wanted: &dyn Fn(&MergeEdges) -> bool| -> Result<Box<MergeEdges>, Error> {
+        while begun.elapsed() < PATIENCE {
+            if let Some(edges) = reader.newest()
+                && wanted(&edges)
+            {
+                return Ok(Box::new(*edges));
+            }
+            crate::shared_memory::wait(&[], Monotonic(crate::clock::now().0 + LOOK_NS));
+        }
+        Err("merging does not answer; is it up (mr-slam status)?".into())
+    };
+    let before = next(&|_| true)?;
+    let Some(command) = command else { return Ok(before) };
+    node.writer(&channel::edge_command())?.send(&command);
+    let after = next(&|edges| edges.commands != before.commands)?;
+    if after.refused != before.refused {
+        return Err(
+            "refused: nothing has been found between these two that could be held or taken back".into()
+        );
+    }
+    Ok(after)
+}
+
+fn show(edges: &MergeEdges, as_json: bool) -> Result<(), Error> {
+    let views: Vec<EdgeView> = edges.edges().iter().map(EdgeView::new).collect();
+    match as_json {
+        true => println!("{}", json(edges)),
+        false => print!("{}", table(&views)),
+    }
+    Ok(())
+}
 
 /// How one robot's map lies in another's, and what speaks for it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -69,6 +174,36 @@ impl EdgeView {
             tries: edge.tries,
         }
     }
+
+    /// Whether a person may want to know of it: something was found, or taken back.
+    pub fn is_news(&self) -> bool {
+        self.state != EdgeState::None.name()
+    }
+}
+
+impl fmt::Display for EdgeView {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [x, y, yaw] = self.a_from_b;
+        write!(
+            f,
+            "{} {} {}: x {x:.2} m, y {y:.2} m, {:.1} degrees; {} walls found again, F1 {:.2} (chance {:.2}), {:.0} m2 shared, {} closures",
+            self.a,
+            self.b,
+            self.state,
+            yaw.to_degrees(),
+            self.inliers,
+            self.occupied_f1,
+            self.null_f1,
+            self.overlap_m2,
+            self.closures
+        )
+    }
+}
+
+/// All edges, for programs: the same on `/merge_edges`, from `mr-slam edges --json` and in reports.
+pub fn json(edges: &MergeEdges) -> String {
+    let views: Vec<EdgeView> = edges.edges().iter().map(EdgeView::new).collect();
+    serde_json::to_string(&serde_json::json!({ "edges": views })).unwrap_or_default()
 }
 
 /// A table for a terminal.

@@ -3,15 +3,18 @@
 use crate::channel;
 use crate::clock::now;
 use crate::map_file;
+use crate::merge_edges::EdgeView;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
-use msg::{Correction, Dense, FleetStats, Monotonic, Pose2, RobotId, Role, Truth};
+use msg::{Correction, Dense, EdgeState, FleetStats, MergeEdges, Monotonic, Pose2, RobotId, Role, Truth};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Reads the fleet's figures and maps.
 pub struct Observer {
     stats: Reader<FleetStats>,
+    edges: Reader<MergeEdges>,
+    newest_edges: Box<MergeEdges>,
     bell: Bell,
     newest: Option<Box<FleetStats>>,
     merged_map: MapWatch,
@@ -62,6 +65,8 @@ impl Observer {
         Ok(Self {
             stats: node.reader(&channel::stats())?,
             bell: node.bell(&channel::stats())?,
+            edges: node.reader(&channel::merge_edges())?,
+            newest_edges: Box::default(),
             newest: None,
             merged_map: watch("merged_map".into(), node.map_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
@@ -94,6 +99,23 @@ impl Observer {
     /// The newest figures.
     pub fn stats(&self) -> Option<&FleetStats> {
         self.newest.as_deref()
+    }
+
+    /// What merging believes of each pair of robots.
+    pub fn merge_edges(&self) -> Vec<EdgeView> {
+        self.newest_edges.edges().iter().map(EdgeView::new).collect()
+    }
+
+    /// The edges whose state has changed since the last call: what people want to be told.
+    pub fn edge_news(&mut self) -> Vec<EdgeView> {
+        let Some(edges) = self.edges.newest() else { return Vec::new() };
+        let before = self.newest_edges.edges();
+        let changed = edges.edges().iter().enumerate().filter(|(index, edge)| {
+            before.get(*index).map_or(EdgeState::None, |before| before.state()) != edge.state()
+        });
+        let news = changed.map(|(_, edge)| EdgeView::new(edge)).collect();
+        *self.newest_edges = *edges;
+        news
     }
 
     /// What a robot's process must know when it is started again: the simulator where the robot

@@ -1,9 +1,7 @@
 //! What a run leaves behind for people and programs: `report.json`, and a summary.
 
-use crate::control::Doors;
 use crate::run::{Run, RunError};
 use crate::view::{DistributionView, FleetView, RobotView};
-use msg::FleetStats;
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -71,13 +69,11 @@ impl Report {
     pub fn new(
         run: &Run,
         elapsed: Duration,
-        stats: Option<&FleetStats>,
-        doors: Option<Doors>,
+        fleet: Option<FleetView>,
         operator: Option<serde_json::Value>,
         maps: Vec<PathBuf>,
         events: Vec<String>,
     ) -> Self {
-        let fleet = stats.map(|stats| FleetView { doors, ..FleetView::new(stats) });
         Self {
             seconds: elapsed.as_secs_f64(),
             room: run.config.world_name().into(),
@@ -103,6 +99,9 @@ impl Report {
         if let Some(fleet) = &self.fleet {
             text += &fleet.table();
         }
+        if let Some(fleet) = &self.fleet {
+            text += &map_figures(fleet);
+        }
         if let Some(paper) = &self.paper {
             let consistency = paper.consistency.map_or("-".into(), |c| format!("{:.1} %", 100.0 * c));
             let rows = [
@@ -122,4 +121,40 @@ impl Report {
         }
         text
     }
+}
+
+/// How well robots agree beyond the paper's figure, and with the room: figures that a wrong merge cannot reach.
+fn map_figures(fleet: &FleetView) -> String {
+    let mut text = String::new();
+    let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1} %", 100.0 * v));
+    let _ = writeln!(text, "\n{:<28} {:>9} {:>20}", "robots' maps on each other", "here", "by chance");
+    let rows = [
+        ("consistency", fleet.consistency, fleet.null_consistency),
+        ("consistency within a cell", fleet.consistency_one_cell, None),
+        ("occupied F1 within a cell", fleet.occupied_f1, fleet.null_f1),
+    ];
+    for (name, here, chance) in rows {
+        let _ = writeln!(text, "{name:<28} {:>9} {:>20}", percent(here), percent(chance));
+    }
+    let shared = fleet.overlap_m2.map_or_else(|| "-".into(), |m2| format!("{m2:.1} m2"));
+    let chance = format!("{} wrong ones", fleet.null_transforms);
+    let _ = writeln!(text, "{:<28} {shared:>9} {chance:>20}", "shared, mean of pairs");
+    if let Some(room) = &fleet.against_room {
+        let _ = writeln!(
+            text,
+            "merged map against the room: {} of what can be known, occupied F1 {:.1} %, walls {:.3} m from the room's, \
+             the room's {:.3} m from its, {:.3} m thick",
+            percent(fleet.room_coverage),
+            100.0 * room.occupied_f1,
+            room.map_to_room_m,
+            room.room_to_map_m,
+            room.wall_thickness_m
+        );
+    }
+    for robot in fleet.robots.iter().filter(|robot| robot.anchor_error_m.is_some()) {
+        let (m, deg) = (robot.anchor_error_m.unwrap_or(0.0), robot.anchor_error_deg.unwrap_or(0.0));
+        let _ =
+            writeln!(text, "{}'s map lies {m:.3} m and {deg:.2} degrees from its true place", robot.robot);
+    }
+    text
 }

@@ -31,9 +31,10 @@ pub fn status(args: &StatusArgs) -> Result<(), RunError> {
             return Err(RunError::File { path: run.dir, why });
         }
     }
-    let Some(stats) = observer.stats() else { return Err(RunError::NoneRunning) };
-    let mut fleet = FleetView::new(stats);
+    let Some(mut fleet) = observer.stats().map(FleetView::new) else { return Err(RunError::NoneRunning) };
     // Figures without the bridge's account are still worth having: it may just be starting again.
+    observer.edge_news();
+    fleet.merge_edges = observer.merge_edges();
     fleet.doors = control::ask(&run, Request::State, PATIENCE).ok();
     if args.json {
         println!("{}", serde_json::to_string_pretty(&fleet).unwrap_or_default());

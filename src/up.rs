@@ -41,12 +41,24 @@ pub struct FleetArgs {
     /// Where robots, scans and time come from [default: simulator]
     #[arg(long, value_name = "WORLD", value_enum)]
     pub world: Option<World>,
+    /// Whether merging is told where robots start, or has to find out [default: known]
+    #[arg(long, value_name = "HOW", value_enum)]
+    pub starts: Option<Starts>,
     /// Begin with the robots' sessions in this folder, such as runs/TIME/sessions; each robot is looked for in its map
     #[arg(long, value_name = "DIR")]
     pub sessions: Option<PathBuf>,
     /// Leave the sessions' maps as they are: only the robots' poses in them are wanted
     #[arg(long)]
     pub localize: bool,
+}
+
+/// What merging is told of where robots start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Starts {
+    /// Where each robot's map begins.
+    Known,
+    /// Nothing: the maps must show it.
+    Unknown,
 }
 
 /// Launch a fleet: for each robot a simulator and SLAM, then merging, telemetry and the bridge.
@@ -128,6 +140,7 @@ impl FleetArgs {
         // Asking for it on the command line opens the door.
         config.bridge.dds.enabled |= self.world == Some(World::Ros);
         fleet.seed = self.seed.unwrap_or(fleet.seed);
+        fleet.starts_known = self.starts.map_or(fleet.starts_known, |starts| starts == Starts::Known);
         fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
         if let Some(folder) = &self.sessions {
             config.sessions.begin_with = std::path::absolute(folder).unwrap_or(folder.clone());
@@ -229,11 +242,15 @@ fn watch(
             screen.tell(&event);
             events.push(event);
         });
-        if observer.look()
-            && let Some(stats) = observer.stats()
-        {
+        let looked = observer.look();
+        for edge in observer.edge_news() {
+            let event = format!("{edge}");
+            screen.tell(&event);
+            events.push(event);
+        }
+        if looked && let Some(stats) = observer.stats() {
             let mut fleet = FleetView::new(stats);
-            fleet.doors = desk.doors();
+            (fleet.doors, fleet.merge_edges) = (desk.doors(), observer.merge_edges());
             screen.show(&fleet, desk.help(), begun.elapsed(), seconds);
         }
         if let Some(done) = desk.pressed() {
@@ -245,7 +262,13 @@ fn watch(
     std::thread::sleep(LAST_LOOK);
     observer.look();
     let maps = observer.write_maps(&run.dir)?;
-    Ok(Report::new(run, begun.elapsed(), observer.stats(), desk.last, passenger_says, maps, events))
+    observer.edge_news();
+    let fleet = observer.stats().map(|stats| {
+        let mut fleet = FleetView::new(stats);
+        (fleet.doors, fleet.merge_edges) = (desk.last, observer.merge_edges());
+        fleet
+    });
+    Ok(Report::new(run, begun.elapsed(), fleet, passenger_says, maps, events))
 }
 
 /// The person at the laptop: what they see of the doors, and their keys.

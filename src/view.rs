@@ -1,6 +1,7 @@
 //! The fleet's figures as people and programs read them: a table, and JSON.
 
 use crate::control::Doors;
+use crate::merge_edges::EdgeView;
 use msg::{Distribution, FleetStats, Pose2, ProcessHealth, RobotId, RobotStats, Role, TrackingState};
 use serde::Serialize;
 use std::fmt::Write;
@@ -26,6 +27,16 @@ pub struct FleetView {
     pub occupied_f1: Option<f64>,
     /// Mean floor two maps share, square metres.
     pub overlap_m2: Option<f64>,
+    /// What chance gives: the same maps under wrong transforms with at least half the overlap; their number.
+    pub null_transforms: u32,
+    /// Mean of the paper's consistency under them.
+    pub null_consistency: Option<f64>,
+    /// Mean F1 of occupied cells under them.
+    pub null_f1: Option<f64>,
+    /// The merged map against the room; `None`: not a simulation, or nothing merged.
+    pub against_room: Option<AgainstRoomView>,
+    /// What merging believes of each pair of robots, and why, if somebody asked.
+    pub merge_edges: Vec<EdgeView>,
     /// Each process's health.
     pub processes: Vec<ProcessView>,
     /// Who is at the doors, by the bridge's account; `None`: it was not asked, or did not answer.
@@ -61,6 +72,25 @@ pub struct RobotView {
     pub nodes: u32,
     /// Loop closures in force.
     pub closures: u32,
+    /// Whether its map is in the merged one.
+    pub merged: bool,
+    /// Where merging puts its map, against the truth as seen from the first merged robot: metres.
+    pub anchor_error_m: Option<f64>,
+    /// The same, degrees.
+    pub anchor_error_deg: Option<f64>,
+}
+
+/// The merged map's walls against the room's, in a simulation.
+#[derive(Clone, Debug, Serialize)]
+pub struct AgainstRoomView {
+    /// F1 of occupied cells at one cell's tolerance.
+    pub occupied_f1: f64,
+    /// Mean distance from the map's occupied cells to the nearest visible wall, each at most 1 m.
+    pub map_to_room_m: f64,
+    /// Mean distance from visible walls to the map's nearest occupied cell, each at most 1 m.
+    pub room_to_map_m: f64,
+    /// Mean thickness of the map's walls.
+    pub wall_thickness_m: f64,
 }
 
 /// A map's figures.
@@ -143,6 +173,16 @@ impl FleetView {
             consistency_one_cell: of_pairs(stats.consistency_one_cell),
             occupied_f1: of_pairs(stats.occupied_f1),
             overlap_m2: of_pairs(stats.overlap_m2),
+            null_transforms: stats.null_count,
+            null_consistency: finite(stats.null_consistency),
+            null_f1: finite(stats.null_f1),
+            against_room: stats.room_f1.is_finite().then_some(AgainstRoomView {
+                occupied_f1: stats.room_f1,
+                map_to_room_m: stats.map_to_room_m,
+                room_to_map_m: stats.room_to_map_m,
+                wall_thickness_m: stats.wall_thickness_m,
+            }),
+            merge_edges: Vec::new(),
             processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
             doors: None,
         }
@@ -178,14 +218,38 @@ impl FleetView {
         let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
         let _ = writeln!(
             text,
-            "merged   room {}   consistency {} ({} within a cell)   occupied F1 {}",
+            "merged   room {}   consistency {} ({} within a cell)   occupied F1 {} (chance: {}, F1 {})",
             percent(self.room_coverage),
             percent(self.consistency),
             percent(self.consistency_one_cell),
             percent(self.occupied_f1),
+            percent(self.null_consistency),
+            percent(self.null_f1),
         );
+        text += &self.merge_lines();
         if let Some(doors) = &self.doors {
             text += &doors.table();
+        }
+        text
+    }
+
+    /// Who is in the merged map and who is not; what is not as it should be between two of them.
+    fn merge_lines(&self) -> String {
+        let of = |merged: bool| {
+            let robots = self.robots.iter().filter(|robot| robot.merged == merged);
+            robots.map(|robot| robot.robot.as_str()).collect::<Vec<_>>().join(", ")
+        };
+        let mut text = String::new();
+        let (there, apart) = (of(true), of(false));
+        if !apart.is_empty() {
+            let there = if there.is_empty() { "nobody" } else { &there };
+            let _ = writeln!(
+                text,
+                "         the map is of {there}; not known where {apart} is (each has its own map)"
+            );
+        }
+        for edge in self.merge_edges.iter().filter(|edge| edge.is_news()) {
+            let _ = writeln!(text, "         {edge}");
         }
         text
     }
@@ -243,6 +307,9 @@ impl RobotView {
             pose_error_m: finite(stats.pose_error_m),
             nodes: stats.nodes,
             closures: stats.closures,
+            merged: stats.merged == 1,
+            anchor_error_m: finite(stats.anchor_error_m),
+            anchor_error_deg: finite(stats.anchor_error_rad.to_degrees()),
         }
     }
 }

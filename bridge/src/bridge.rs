@@ -12,8 +12,8 @@ use crate::outbox::{Lane, Outbox};
 use crate::ros::{names, write};
 use crate::world::{ClockEstimate, Incoming, SourceClock, SourceId, World, WorldError};
 use msg::{
-    Anchors, Clock, Command, Correction, FleetStats, GridView, Link, Odometry, ROBOTS_MAX, RobotId, Scan,
-    SlamRequest, Stamp, Transforms,
+    Anchors, Clock, Command, Correction, EdgeCommand, FleetStats, GridView, Link, Odometry, ROBOTS_MAX,
+    RobotId, Scan, SlamRequest, Stamp, Transforms,
 };
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
@@ -46,6 +46,8 @@ pub const FIRST_SOURCE: SourceId = 1 << 48;
 
 /// What robots are told: by [`Bridge::new`]'s caller.
 type CommandSink = Box<dyn FnMut(RobotId, Command)>;
+/// What merging is told: by [`Bridge::on_edge_command`]'s caller.
+type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 /// What robots' SLAM is asked: by [`Bridge::on_ask`]'s caller.
 type AskSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 
@@ -56,6 +58,7 @@ type AskSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 pub struct Bridge {
     hub: RefCell<Hub>,
     sink: RefCell<CommandSink>,
+    edge_sink: RefCell<EdgeCommandSink>,
     ask: RefCell<AskSink>,
 }
 
@@ -94,7 +97,17 @@ impl Bridge {
         let mut hub = Hub::new(config, robot_count.clamp(1, ROBOTS_MAX), outside);
         hub.tell_selected();
         hub.tell_stop();
-        Ok(Self { hub: RefCell::new(hub), sink: RefCell::new(sink), ask: RefCell::new(Box::new(|_, _| {})) })
+        Ok(Self {
+            hub: RefCell::new(hub),
+            sink: RefCell::new(sink),
+            ask: RefCell::new(Box::new(|_, _| {})),
+            edge_sink: RefCell::new(Box::new(|_| {})),
+        })
+    }
+
+    /// From now on this is called with what people say of merge edges; else nobody hears it.
+    pub fn on_edge_command(&self, sink: impl FnMut(EdgeCommand) + 'static) {
+        *self.edge_sink.borrow_mut() = Box::new(sink);
     }
 
     /// Calls `ask` from now on with whatever a robot's SLAM is to do; `client` and `id` are the caller's to fill in.
@@ -131,6 +144,11 @@ impl Bridge {
 
     /// Commands go out while the hub is free, so that whoever takes them may send messages.
     fn pass_commands(&self) {
+        if let Ok(mut sink) = self.edge_sink.try_borrow_mut() {
+            while let Some(command) = { self.hub.borrow_mut().edge_commands.pop_front() } {
+                sink(command);
+            }
+        }
         let Ok(mut sink) = self.sink.try_borrow_mut() else { return };
         loop {
             let next = self.hub.borrow_mut().next_command();
@@ -229,6 +247,11 @@ impl Bridge {
                 hub.board.send(topic, |to| write::slam_stats(to, &stats.robots[robot.index()]));
             }
         });
+    }
+
+    /// `/merge_edges`: what merging believes of each pair of robots, and why; newest also to whoever comes later.
+    pub fn merge_edges(&self, json: &str) {
+        self.with(|hub| hub.board.send(hub.fleet.merge_edges, |to| to.string(json)));
     }
 
     /// What was heard at the ROS 2 door: as if a client on loopback had sent it.

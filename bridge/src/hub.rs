@@ -7,12 +7,12 @@ use crate::config::BridgeConfig;
 use crate::drive::Drive;
 use crate::outbox::Outbox;
 use crate::ros::{
-    Bool, FrameNames, HandInputs, Int32, Joy, Message, PoseWithCovarianceStamped, Twist, write,
+    Bool, FrameNames, HandInputs, Int32, Joy, Message, PoseWithCovarianceStamped, Text, Twist, write,
 };
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
 use crate::world::{ClockOffset, SourceClock, World};
-use msg::{Anchors, Command, Header, ROBOTS_MAX, RobotId, SlamRequest, Stamp};
+use msg::{Anchors, Command, EdgeCommand, Header, ROBOTS_MAX, RobotId, SlamRequest, Stamp};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -22,6 +22,8 @@ const ANCHORS_PERIOD: Duration = Duration::from_secs(1);
 const TRANSFORMS_DEPTH: usize = 32;
 /// Commands that wait to be taken; each frame's are taken before the next frame is read.
 const COMMANDS_MAX: usize = 4 * ROBOTS_MAX;
+/// The same for merging.
+const EDGE_COMMANDS_MAX: usize = 16;
 /// Requests to SLAM that wait to be taken, likewise.
 const ASKS_MAX: usize = 16;
 /// Selected at start.
@@ -37,6 +39,7 @@ pub struct FleetTopics {
     pub transforms: TopicId,
     pub clock: TopicId,
     pub merged_map: TopicId,
+    pub merge_edges: TopicId,
     pub selected: TopicId,
     pub stop: TopicId,
     /// Where a robot that is not simulated here hears its commands.
@@ -67,6 +70,7 @@ impl FleetTopics {
         input("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
         input("/take_control".into(), Int32::TYPE, Input::Take);
         input("/emergency_stop_release".into(), "std_msgs/Empty", Input::Release);
+        input("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);
         let from_outside = |input: Input| if outside { Source::Input(input) } else { Source::Fleet };
         let scan = |robot: RobotId| {
             let (name, source) = (format!("/{robot}/scan"), from_outside(Input::Scan(robot)));
@@ -94,6 +98,7 @@ impl FleetTopics {
             ),
             clock: topics.add("/clock".into(), "rosgraph_msgs/Clock", from_outside(Input::Clock), 1, false),
             merged_map: topics.add("/merged_map".into(), "nav_msgs/OccupancyGrid", Source::Fleet, 1, true),
+            merge_edges: topics.add("/merge_edges".into(), Text::TYPE, Source::Fleet, 1, true),
             selected: topics.add(
                 "/selected_robot".into(),
                 Int32::TYPE,
@@ -134,6 +139,8 @@ pub struct Hub {
     now: Stamp,
     anchors_due: Option<Instant>,
     commands: VecDeque<(RobotId, Command)>,
+    /// What merging is told.
+    pub edge_commands: VecDeque<EdgeCommand>,
 }
 
 impl Hub {
@@ -158,6 +165,7 @@ impl Hub {
             now: Stamp(0),
             anchors_due: None,
             commands: VecDeque::with_capacity(COMMANDS_MAX),
+            edge_commands: VecDeque::with_capacity(EDGE_COMMANDS_MAX),
         }
     }
 
@@ -179,6 +187,15 @@ impl Hub {
                 .iter()
                 .for_each(|topic| self.board.send(*topic, |to| twist.write(to)));
         }
+    }
+
+    /// A word for merging; false if too many wait.
+    pub fn edge_command(&mut self, command: EdgeCommand) -> bool {
+        let room = self.edge_commands.len() < EDGE_COMMANDS_MAX;
+        if room {
+            self.edge_commands.push_back(command);
+        }
+        room
     }
 
     /// Something a robot's SLAM is to do.

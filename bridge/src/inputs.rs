@@ -9,11 +9,11 @@ use crate::drive::Verdict;
 use crate::hub::Hub;
 use crate::ros::names::{is_correction, meaning};
 use crate::ros::read::{self, Transform};
-use crate::ros::{Bool, Empty, Int32, Message, Twist, TwistStamped, decode_as, write};
+use crate::ros::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
 use crate::teleop::Stick;
 use crate::topics::{Input, Source, TopicId};
 use crate::world::{Incoming, SourceClock, WorldError};
-use msg::RobotId;
+use msg::{EdgeCommand, RobotId};
 use std::time::Instant;
 
 /// Why a data frame goes no further.
@@ -130,6 +130,19 @@ impl Hub {
                     self.stop();
                 }
                 Ok(())
+            }
+            Input::MergeEdge => {
+                let Text(words) = self.decode(payload)?;
+                let command = EdgeCommand::parse(&words).ok_or_else(|| {
+                    let text =
+                        format!("`{}`; expected `pin 1 2`, `unpin 1 2` or `undo 1 2`", shortened(&words));
+                    Refused(Refusal::Content, text)
+                })?;
+                if self.edge_command(command) {
+                    Ok(())
+                } else {
+                    Err(Refused(Refusal::Content, "too many at once".into()))
+                }
             }
             Input::Release => {
                 self.decode::<Empty>(payload)?;
@@ -314,6 +327,11 @@ impl Hub {
         }
         refused
     }
+}
+
+/// The beginning of what a client said.
+fn shortened(text: &str) -> String {
+    text.chars().take(40).collect()
 }
 
 /// Not of the fleet's frames.

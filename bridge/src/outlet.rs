@@ -23,6 +23,8 @@ pub trait Outlet {
     fn merged_map(&self, map: GridView<'_>);
     /// `/robotN/slam_stats` of every robot.
     fn stats(&self, stats: &FleetStats);
+    /// `/merge_edges`, as JSON.
+    fn merge_edges(&self, json: &str);
 }
 
 impl Outlet for Bridge {
@@ -52,5 +54,8 @@ impl Outlet for Bridge {
     }
     fn stats(&self, stats: &FleetStats) {
         self.stats(stats);
+    }
+    fn merge_edges(&self, json: &str) {
+        self.merge_edges(json);
     }
 }

@@ -33,6 +33,8 @@ pub enum Input {
     Stop,
     /// Lets it go again.
     Release,
+    /// `pin 1 2`, `unpin 1 2` or `undo 1 2`: what merging shall do with what holds two robots' maps together.
+    MergeEdge,
     /// Transforms, which must leave the fleet's own frames alone; in a world of a client's, the robots' are its own.
     Transforms,
     /// A robot's scan, in a world of a client's.

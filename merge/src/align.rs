@@ -23,7 +23,7 @@ pub(crate) use field::Field;
 pub(crate) use fit::{Fit, fit};
 use msg::{GridView, Pose2};
 use refine::{coarse_stages, fine_stages};
-pub(crate) use refine::{pull, refine};
+pub(crate) use refine::{nearness, pull, refine};
 use serde::{Deserialize, Serialize};
 use translate::{COARSE_M, Candidate, Translator};
 pub(crate) use verify::{Agreement, agreement};
@@ -43,6 +43,10 @@ const LEAST_EVIDENCE: f64 = 50.0;
 /// Wrong transforms that say what chance gives, and how many are tried to find them.
 const NULL_TRANSFORMS: usize = 20;
 const NULL_TRIES: usize = 60;
+/// What a small part of both maps agrees on, this share of the smaller one, may be one room that is like another's: it
+/// must be so many times [`AlignConfig::overlap_min_m2`].
+const PART_SHARE: f64 = 0.2;
+const PART_TIMES: f64 = 2.0;
 /// Two places nearer than this are the same, metres and radians.
 const SAME_PLACE: [f64; 2] = [0.5, 0.1];
 
@@ -247,10 +251,11 @@ fn same_place(x: Pose2, y: Pose2) -> bool {
 
 fn judge(a_from_b: Pose2, fit: &Fit, margin: f64, agreement: &Agreement, config: &AlignConfig) -> Alignment {
     let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found } = *agreement;
+    let times = if overlap_share < PART_SHARE { PART_TIMES } else { 1.0 };
     let accepted = strict >= config.strict_min
         && occupied_f1 >= config.occupied_f1_min
         && fit.conflict() <= config.conflict_max
-        && overlap_m2 >= config.overlap_min_m2
+        && overlap_m2 >= times * config.overlap_min_m2
         && walls_found >= config.inliers_min
         && margin >= config.margin_min
         && fit.firmness >= config.firmness_min;

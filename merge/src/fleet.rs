@@ -23,7 +23,7 @@ pub use task::{Outcome, Task};
 use crate::align::{AlignConfig, Alignment};
 use crate::merger::is_near;
 use graph::{Constraint, certain_to};
-use member::{Member, Straightened};
+use member::{Member, Straightened, SubmapRun};
 use msg::{
     EdgeAction, EdgeState, Grid, MERGE_EDGES_MAX, MergeEdges, Pose2, ROBOTS_MAX, RobotId, Submap, SubmapPoses,
 };
@@ -109,14 +109,14 @@ impl Fleet {
 
     /// Takes a robot's submap, new or as it has grown.
     pub fn submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), FleetRefused> {
-        self.note_run(robot, submap.grid.header.run)?;
+        self.note_run(robot, (submap.grid.header.run, submap.generation))?;
         let taken = self.members[robot.index()].submap(submap);
         if taken { Ok(()) } else { Err(FleetRefused::Malformed(robot)) }
     }
 
     /// Takes where a robot's submaps lie in its own map.
     pub fn poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), FleetRefused> {
-        self.note_run(robot, poses.header.run)?;
+        self.note_run(robot, (poses.header.run, poses.generation))?;
         let index = robot.index();
         let new = self.members[index].take_poses(poses).ok_or(FleetRefused::Malformed(robot))?;
         let begun = new && !self.members[index].poses.is_empty();
@@ -125,6 +125,11 @@ impl Fleet {
         }
         self.unsolved |= new && self.members[index].anchor.is_some();
         Ok(())
+    }
+
+    /// Whether submaps are missing that the robot's poses speak of.
+    pub fn lacks(&self, robot: RobotId) -> bool {
+        self.members.get(robot.index()).is_some_and(Member::lacks)
     }
 
     /// A robot has left, or begins anew somewhere else: all that is known of it is forgotten. The
@@ -163,6 +168,8 @@ impl Fleet {
                 }
                 pair.state = Some(EdgeState::Pinned);
             }
+            EdgeAction::Unpin if pair.state() != EdgeState::Pinned => return false,
+            EdgeAction::Unpin => pair.state = Some(EdgeState::Accepted),
             EdgeAction::Undo if !pair.state().in_force() && pair.state() != EdgeState::Candidate => {
                 return false;
             }
@@ -257,7 +264,7 @@ impl Fleet {
         self.solutions
     }
 
-    fn runs(&self) -> Vec<Option<u64>> {
+    fn runs(&self) -> Vec<Option<SubmapRun>> {
         self.members.iter().map(|member| member.run).collect()
     }
 
@@ -265,8 +272,9 @@ impl Fleet {
         Some(Task { runs: self.runs(), job })
     }
 
-    /// A robot whose SLAM was started again goes on in the same frame, with new submaps.
-    fn note_run(&mut self, robot: RobotId, run: u64) -> Result<(), FleetRefused> {
+    /// A robot whose SLAM was started again goes on in the same frame, with new submaps. One that has fewer of them
+    /// than before begins anew within one incarnation, which their generation says.
+    fn note_run(&mut self, robot: RobotId, run: SubmapRun) -> Result<(), FleetRefused> {
         let index = robot.index();
         let member = self.members.get_mut(index).ok_or(FleetRefused::Stranger(robot))?;
         if member.run == Some(run) {

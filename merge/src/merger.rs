@@ -6,8 +6,8 @@ use crate::source::{Source, reach};
 use msg::grid::{LOG_ODDS_MAX, MAP_CELLS_MAX, UNKNOWN};
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
 use msg::{
-    Anchor, Anchors, Dense, GridHeader, GridView, Header, MapHeader, MapTile, Monotonic, Pose2, ROBOTS_MAX,
-    Rect, RobotId, Stamp, TileMap,
+    Anchor, Anchors, Dense, Grid, GridHeader, GridView, Header, MapHeader, MapTile, Monotonic, Pose2,
+    ROBOTS_MAX, Rect, RobotId, Stamp, TileMap,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -133,7 +133,7 @@ impl Merger {
         }
         let too_large = Refused::TooLarge { width: width as usize, height: height as usize };
         let tiles = source.tiles_of(map).ok_or(too_large)?;
-        self.take(robot, tiles)
+        self.take_own(robot, tiles)
     }
 
     /// The same as tiles, of which those shared with the robot's last map are not even looked at.
@@ -142,10 +142,65 @@ impl Merger {
         let side = |tiles: usize| (tiles * TILE as usize) as u32;
         let size = (side(map.extent().width()), side(map.extent().height()));
         self.check(robot, &map.header, size, cells)?;
-        self.take(robot, map.clone())
+        self.take_own(robot, map.clone())
     }
 
-    /// Takes a map that has been checked.
+    /// Takes over what the fleet's graph has found out about a robot: where its map lies, and what it looks like where
+    /// no place alone puts all of it right. While it is redrawn, what the robot itself sends is kept, but not drawn.
+    /// What is as before costs nothing. Whether anything was not.
+    pub fn settle(
+        &mut self,
+        robot: RobotId,
+        map_from_robot_map: Option<Pose2>,
+        redrawn: Option<&Arc<Grid>>,
+    ) -> Result<bool, Refused> {
+        let robot_count = self.sources.len();
+        let source = self.sources.get(robot.index()).ok_or(Refused::Stranger { robot, robot_count })?;
+        let moved = source.map_from_robot_map != map_from_robot_map;
+        let same = match (&source.redrawn, redrawn) {
+            (None, None) => true,
+            (Some(before), Some(now)) => Arc::ptr_eq(before, now),
+            _ => false,
+        };
+        if moved {
+            self.set_anchor(robot, map_from_robot_map)?;
+        }
+        if !same {
+            self.redraw(robot, redrawn)?;
+        }
+        Ok(moved || !same)
+    }
+
+    fn redraw(&mut self, robot: RobotId, redrawn: Option<&Arc<Grid>>) -> Result<(), Refused> {
+        let source = &self.sources[robot.index()];
+        let map = match redrawn {
+            None => source.own.clone(),
+            Some(grid) => {
+                let GridHeader { header, scan_sent, origin, resolution_m, width, height } = grid.header;
+                let about = MapHeader { header, scan_sent, origin, resolution_m };
+                let sound = GridView::new(&grid.header, &grid.cells).is_some_and(|_| is_near(origin));
+                if !sound || !RESOLUTION_M.contains(&resolution_m) {
+                    return Err(malformed(&about, (width, height), grid.cells.len()));
+                }
+                let too_large = Refused::TooLarge { width: width as usize, height: height as usize };
+                source.tiles_of(grid.view()).ok_or(too_large)?
+            }
+        };
+        self.take(robot, map)?;
+        self.sources[robot.index()].redrawn = redrawn.cloned();
+        Ok(())
+    }
+
+    /// Takes a robot's own map that has been checked.
+    fn take_own(&mut self, robot: RobotId, map: TileMap) -> Result<(), Refused> {
+        if self.sources[robot.index()].redrawn.is_none() {
+            self.take(robot, map.clone())?;
+        }
+        self.sources[robot.index()].own = map;
+        Ok(())
+    }
+
+    /// Draws a map that has been checked from now on.
     fn take(&mut self, robot: RobotId, map: TileMap) -> Result<(), Refused> {
         let source = &self.sources[robot.index()];
         let lookup = source.lookup_of(&map.header, self.resolution_m);
@@ -254,8 +309,8 @@ impl Merger {
         if !RESOLUTION_M.contains(&header.resolution_m) || !is_near(header.origin) {
             return Err(malformed(header, size, cells));
         }
-        let (old, new) = (&source.map.header.header, &header.header);
-        let same_run = new.run == old.run && source.map.tiles().next().is_some();
+        let (old, new) = (&source.own.header.header, &header.header);
+        let same_run = new.run == old.run && source.own.tiles().next().is_some();
         if same_run && new.stamp < old.stamp {
             return Err(Refused::Stale { stamp: new.stamp, newest: old.stamp });
         }

@@ -1,7 +1,8 @@
 //! One robot's newest map.
 
 use crate::lookup::Lookup;
-use msg::{GridHeader, GridView, MapHeader, Pose2, Rect, TileMap};
+use msg::{Grid, GridHeader, GridView, MapHeader, Pose2, Rect, TileMap};
+use std::sync::Arc;
 
 /// Two grids share a lattice if their cells coincide this well, in cells.
 const SAME_LATTICE: f64 = 1e-3;
@@ -11,8 +12,12 @@ const SAME_LATTICE: f64 = 1e-3;
 pub(crate) struct Source {
     /// `map` from `robotK/map`, when known.
     pub map_from_robot_map: Option<Pose2>,
-    /// The newest map; without tiles before the first.
+    /// The newest map that came; without tiles before the first.
+    pub own: TileMap,
+    /// The map that is drawn: `own`, or `redrawn` in its place.
     pub map: TileMap,
+    /// What the fleet's graph made of the robot's map, where no place alone puts that right.
+    pub redrawn: Option<Arc<Grid>>,
     /// From the lattice to `map`; `None` while the robot's place or its map is not known.
     pub lookup: Option<Lookup>,
     /// Tiles of the lattice that `map` reaches.

@@ -1,6 +1,6 @@
 //! What merging believes about how robots' maps lie to each other, and on what grounds.
 
-use crate::{Header, Pose2, ROBOTS_MAX};
+use crate::{Header, Pose2, ROBOTS_MAX, RobotId};
 use bytemuck::{Pod, Zeroable};
 
 /// Pairs in the largest fleet.
@@ -106,6 +106,10 @@ pub struct MergeEdges {
     pub header: Header,
     /// How many of `edges` are set. Read them by [`MergeEdges::edges`].
     pub len: u32,
+    /// Commands answered so far.
+    pub commands: u32,
+    /// How many of them were refused: no such edge, or nothing known of it.
+    pub refused: u32,
     /// Zero.
     pub reserved: u32,
     /// Pairs of robots; (1, 2), (1, 3), (2, 3), (1, 4) ...
@@ -137,6 +141,29 @@ pub struct EdgeCommand {
     pub action: u32,
 }
 
+impl EdgeCommand {
+    /// The command for a pair of robots, in any order. `None` if they are one.
+    pub fn of(action: EdgeAction, a: RobotId, b: RobotId) -> Option<Self> {
+        let (low, high) = (a.index().min(b.index()), a.index().max(b.index()));
+        let edge = (high * high.saturating_sub(1) / 2 + low + 1) as u32;
+        (low != high).then(|| Self { edge, action: action as u32, ..Self::default() })
+    }
+
+    /// As people say it: `pin 1 2`, `unpin 1 2`, `undo 1 2`, with the robots' numbers.
+    pub fn parse(text: &str) -> Option<Self> {
+        let mut words = text.split_whitespace();
+        let action = match words.next()? {
+            "pin" => EdgeAction::Pin,
+            "unpin" => EdgeAction::Unpin,
+            "undo" => EdgeAction::Undo,
+            _ => return None,
+        };
+        let mut robot = || RobotId::new(words.next()?.parse().ok()?);
+        let command = Self::of(action, robot()?, robot()?);
+        command.filter(|_| words.next().is_none())
+    }
+}
+
 /// What an operator can do to an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
@@ -145,11 +172,31 @@ pub enum EdgeAction {
     Pin = 1,
     /// It is taken back, and the same place is not accepted again.
     Undo = 2,
+    /// No longer pinned: it holds as long as the maps agree.
+    Unpin = 3,
 }
 
 impl EdgeAction {
     /// `None` for a code that no action has.
     pub fn from_code(code: u32) -> Option<Self> {
-        [Self::Pin, Self::Undo].into_iter().find(|action| *action as u32 == code)
+        [Self::Pin, Self::Undo, Self::Unpin].into_iter().find(|action| *action as u32 == code)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_are_words() {
+        let edge = |text| EdgeCommand::parse(text).map(|command| (command.edge, command.action));
+        assert_eq!(edge("pin 1 2"), Some((1, EdgeAction::Pin as u32)));
+        assert_eq!(edge(" undo 3 1 "), Some((2, EdgeAction::Undo as u32)));
+        assert_eq!(edge("unpin 16 15"), Some((MERGE_EDGES_MAX as u32, EdgeAction::Unpin as u32)));
+        for wrong in
+            ["", "pin", "pin 1", "pin 1 1", "pin 0 1", "pin 1 17", "pin 1 2 3", "keep 1 2", "pin 1 -2"]
+        {
+            assert_eq!(edge(wrong), None, "{wrong}");
+        }
     }
 }

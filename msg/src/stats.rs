@@ -58,10 +58,19 @@ pub struct RobotStats {
     pub map_from_base: Pose2,
     /// Distance of SLAM's pose from the truth, metres, newest (simulation only, else NaN).
     pub pose_error_m: f64,
+    /// Where merging puts the robot's map, against where it truly lies as seen from the first merged robot's map:
+    /// metres and radians (simulation only, else NaN; NaN while it is not merged).
+    pub anchor_error_m: f64,
+    /// See [`RobotStats::anchor_error_m`].
+    pub anchor_error_rad: f64,
     /// Nodes in the pose graph.
     pub nodes: u32,
     /// Loop closures in force.
     pub closures: u32,
+    /// 1: its map is in the merged map, 0: where it lies is not known yet.
+    pub merged: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 /// A process as telemetry sees it.
@@ -102,6 +111,23 @@ pub struct FleetStats {
     pub occupied_f1: f64,
     /// Floor that two maps both know, mean over pairs, square metres.
     pub overlap_m2: f64,
+    /// What chance gives: the same two maps under wrong transforms that leave at least half the overlap. Strict
+    /// consistency and F1, means over pairs and transforms; NaN before any.
+    pub null_consistency: f64,
+    /// See [`FleetStats::null_consistency`].
+    pub null_f1: f64,
+    /// Wrong transforms that went into it, of all pairs.
+    pub null_count: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// The merged map against the room (simulation only, else NaN): F1 of occupied cells at one cell's tolerance.
+    pub room_f1: f64,
+    /// Mean distance from the map's occupied cells to the room's nearest visible wall, metres.
+    pub map_to_room_m: f64,
+    /// Mean distance from the room's visible walls to the map's nearest occupied cell, metres.
+    pub room_to_map_m: f64,
+    /// Mean thickness of the merged map's walls, metres.
+    pub wall_thickness_m: f64,
     /// In the launcher's order; unused ones have `beat.role` 0.
     pub processes: [ProcessHealth; PROCESSES_MAX],
 }

@@ -7,6 +7,7 @@ use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::fleet;
+use crate::merge_edges;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
@@ -40,6 +41,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let bridge = open_bridge(&node, run)?;
+        let mut edge_commands = node.writer(&channel::edge_command())?;
+        bridge.on_edge_command(move |command| edge_commands.send(&command));
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run)));
         let mut tasks = fleet_tasks(&node, run, &bridge)?;
         if run.config.bridge.dds.enabled {
@@ -138,6 +141,9 @@ pub(super) fn fleet_tasks<D: Outlet + 'static>(
     let mut tasks = vec![
         forward(node, bridge, &channel::clock(), |bridge, clock| bridge.clock(clock))?,
         forward(node, bridge, &channel::stats(), |bridge, stats| bridge.stats(stats))?,
+        forward(node, bridge, &channel::merge_edges(), |bridge, edges| {
+            bridge.merge_edges(&merge_edges::json(edges));
+        })?,
         merged_maps(node, bridge)?,
     ];
     for robot in run.robots() {

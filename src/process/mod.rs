@@ -3,6 +3,7 @@
 
 mod bridge;
 mod control;
+mod graph;
 mod map_out;
 mod merge;
 mod outside;

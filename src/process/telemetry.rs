@@ -22,7 +22,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
         World::Headset | World::Ros => None,
     };
-    let starts = fleet::known_starts(&run.config)?;
+    let starts = fleet::true_starts(&run.config)?;
 
     let mut telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);
     // Only now, so that nothing waits unread while the room is built.

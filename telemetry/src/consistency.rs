@@ -73,20 +73,29 @@ pub fn compare(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Cons
 /// least half the overlap. Fewer, if twenty times as many tries do not find them.
 pub fn null(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, count: usize, seed: u64) -> Vec<Consistency> {
     let Some(right) = compare(a, b, a_from_b) else { return Vec::new() };
-    let Some(centre_in_a) = overlap_centre_m(a, b, a_from_b) else { return Vec::new() };
     let mut random = SplitMix(seed);
-    let wrong = (0..count.saturating_mul(NULL_TRIES)).filter_map(|_| {
-        let turn = random.within(NULL_TURN_RAD) * random.sign();
-        let shift = random.within(NULL_SHIFT_M);
-        let towards = random.within(0.0..core::f64::consts::TAU);
-        // Turned about the middle of the overlap, then moved.
-        let [x, y] = centre_in_a;
-        let about_centre = Pose2::new(x, y, turn) * Pose2::new(-x, -y, 0.0);
-        let moved = Pose2::new(shift * towards.cos(), shift * towards.sin(), 0.0) * about_centre;
-        compare(a, b, moved * a_from_b)
-            .filter(|found| found.overlap_m2 >= NULL_OVERLAP_MIN * right.overlap_m2)
-    });
+    let tries = 0..count.saturating_mul(NULL_TRIES);
+    let wrong = tries.filter_map(|_| one_wrong(a, b, a_from_b, right.overlap_m2, random.next()));
     wrong.take(count).collect()
+}
+
+/// One draw of the null: `None` if it does not leave at least half of `overlap_m2`.
+pub fn one_wrong(
+    a: GridView<'_>,
+    b: GridView<'_>,
+    a_from_b: Pose2,
+    overlap_m2: f64,
+    seed: u64,
+) -> Option<Consistency> {
+    let [x, y] = overlap_centre_m(a, b, a_from_b)?;
+    let mut random = SplitMix(seed);
+    let turn = random.within(NULL_TURN_RAD) * random.sign();
+    let shift = random.within(NULL_SHIFT_M);
+    let towards = random.within(0.0..core::f64::consts::TAU);
+    // Turned about the middle of the overlap, then moved.
+    let about_centre = Pose2::new(x, y, turn) * Pose2::new(-x, -y, 0.0);
+    let moved = Pose2::new(shift * towards.cos(), shift * towards.sin(), 0.0) * about_centre;
+    compare(a, b, moved * a_from_b).filter(|found| found.overlap_m2 >= NULL_OVERLAP_MIN * overlap_m2)
 }
 
 /// Counts of one direction.

@@ -3,11 +3,16 @@
 use crate::pairs::{Pairs, PlacedMap};
 use crate::processes::Processes;
 use crate::robot::{Robot, count};
-use crate::truth::Knowable;
+use crate::truth::{AgainstTruth, Knowable};
 use msg::{
     Anchors, Beat, Correction, FleetStats, Grid, GridView, Header, Monotonic, Pose2, ROBOTS_MAX, RobotId,
     RobotStats, Stamp, Transforms, Truth,
 };
+
+/// Walls are compared with the room's each so many calls, and each so many cells of the map one call later: two
+/// distance transforms, about 40 ms a million cells.
+const AGAINST_ROOM_CALLS: usize = 5;
+const AGAINST_ROOM_CELLS: usize = 100_000;
 
 /// Takes in what the processes say, and sums it up.
 ///
@@ -22,6 +27,9 @@ pub struct Telemetry {
     merged_version: u64,
     anchors: Anchors,
     room_coverage: Option<(u64, Pose2, f64)>,
+    /// The merged map's walls against the room's, and how long ago, in calls, that was.
+    against_room: Option<AgainstTruth>,
+    against_room_age: usize,
     pairs: Pairs,
     processes: Processes,
     stats: FleetStats,
@@ -44,6 +52,8 @@ impl Telemetry {
             merged_version: 0,
             anchors: Anchors::default(),
             room_coverage: None,
+            against_room: None,
+            against_room_age: 0,
             pairs: Pairs::new(),
             processes: Processes::new(robot_count),
             stats: FleetStats::default(),
@@ -129,7 +139,9 @@ impl Telemetry {
             })
             .collect();
         self.pairs.refresh(&maps);
+        self.pairs.draw_null(&maps);
         let pairs = self.pairs.means();
+        let room = self.against_room();
         self.stats = FleetStats {
             header: Header { stamp, ..Default::default() },
             robot_count: self.robots.len() as u32,
@@ -140,13 +152,55 @@ impl Telemetry {
             consistency_one_cell: pairs.mean.one_cell,
             occupied_f1: pairs.mean.occupied_f1,
             overlap_m2: pairs.mean.overlap_m2,
+            null_consistency: pairs.null[0],
+            null_f1: pairs.null[1],
+            null_count: pairs.null_count,
+            room_f1: room.occupied_f1,
+            map_to_room_m: room.map_to_room_m,
+            room_to_map_m: room.room_to_map_m,
+            wall_thickness_m: room.wall_thickness_m,
             processes: self.processes.health(now),
             ..Default::default()
         };
-        for (stats, robot) in self.stats.robots.iter_mut().zip(&self.robots) {
-            *stats = robot.stats(stamp);
+        let world_from_map = self.world_from_map();
+        let robots = self.robots.iter().zip(&self.anchors.robots);
+        for (stats, (robot, anchor)) in self.stats.robots.iter_mut().zip(robots) {
+            let place = Some(anchor.map_from_robot_map).filter(|p| anchor.known == 1 && p.is_finite());
+            let error = world_from_map.zip(place).zip(robot.world_from_robot_map);
+            let [error_m, error_rad] = error.map_or([f64::NAN; 2], |((world_from_map, place), truth)| {
+                let off = truth.between(world_from_map * place);
+                [off.x_m.hypot(off.y_m), off.yaw_rad.abs()]
+            });
+            *stats = RobotStats {
+                anchor_error_m: error_m,
+                anchor_error_rad: error_rad,
+                merged: u32::from(place.is_some()),
+                ..robot.stats(stamp)
+            };
         }
         &self.stats
+    }
+
+    /// NaN where the room or the place is not known. The newest that was computed, now and then.
+    fn against_room(&mut self) -> AgainstTruth {
+        let unknown = AgainstTruth {
+            occupied_f1: f64::NAN,
+            map_to_room_m: f64::NAN,
+            room_to_map_m: f64::NAN,
+            coverage: f64::NAN,
+            wall_thickness_m: f64::NAN,
+        };
+        let (Some(room), Some(world_from_map)) = (&self.room, self.world_from_map()) else {
+            self.against_room = None;
+            return unknown;
+        };
+        self.against_room_age += 1;
+        let due = AGAINST_ROOM_CALLS + self.merged.cells.len() / AGAINST_ROOM_CELLS;
+        if self.merged_version > 0 && (self.against_room.is_none() || self.against_room_age >= due) {
+            self.against_room = Some(room.compare(self.merged.view(), world_from_map));
+            self.against_room_age = 0;
+        }
+        self.against_room.unwrap_or(unknown)
     }
 
     /// Computed when the merged map or its place changed; NaN if the room or the place is not known.

@@ -1,12 +1,16 @@
 //! Consistency of every pair of maps, a bounded amount of work at a time.
 
-use crate::consistency::{Consistency, compare};
+use crate::consistency::{Consistency, compare, one_wrong};
 use msg::{Grid, Pose2, ROBOTS_MAX};
 
 /// Pairs in the largest fleet.
 const PAIRS_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
 /// Cells compared in one call, after which the rest waits for the next: about 20 ms of work.
 const CELLS_PER_CALL: usize = 6_000_000;
+/// Wrong transforms of each pair that its null is made of: the newest.
+const NULL_TRANSFORMS: usize = 20;
+/// Cells looked up for it in one call: about 5 ms of work.
+const NULL_CELLS_PER_CALL: usize = 1_500_000;
 
 /// A robot's newest map and its place; `version` tells contents apart.
 pub(crate) struct PlacedMap<'a> {
@@ -21,17 +25,55 @@ pub(crate) struct Pairs {
     /// What each result was made from.
     made_from: Vec<Option<(u64, u64, Pose2)>>,
     next: usize,
+    /// Each pair's newest draws of chance: strict consistency and F1.
+    nulls: Vec<heapless::HistoryBuf<[f64; 2], NULL_TRANSFORMS>>,
+    /// The pair whose turn it is to draw, and how often was drawn.
+    next_null: usize,
+    draws: u64,
 }
 
 /// Means over the pairs that overlap.
 pub(crate) struct PairMeans {
     pub count: u32,
     pub mean: Consistency,
+    /// How many wrong transforms, their mean strict consistency and F1.
+    pub null_count: u32,
+    pub null: [f64; 2],
 }
 
 impl Pairs {
     pub fn new() -> Self {
-        Self { results: vec![None; PAIRS_MAX], made_from: vec![None; PAIRS_MAX], next: 0 }
+        Self {
+            results: vec![None; PAIRS_MAX],
+            made_from: vec![None; PAIRS_MAX],
+            next: 0,
+            nulls: vec![heapless::HistoryBuf::new(); PAIRS_MAX],
+            next_null: 0,
+            draws: 0,
+        }
+    }
+
+    /// What chance gives: wrong transforms of one pair, in turns, until one leaves enough of the overlap or
+    /// [`NULL_CELLS_PER_CALL`] have been looked at. Most do not in a small room.
+    pub fn draw_null(&mut self, maps: &[PlacedMap<'_>]) {
+        let overlapping = |slot: &usize| self.results[*slot].is_some();
+        let Some(slot) = (self.next_null..PAIRS_MAX).chain(0..self.next_null).find(overlapping) else {
+            return;
+        };
+        self.next_null = (slot + 1) % PAIRS_MAX;
+        let (i, j) = robots_of(slot);
+        let (Some(right), Some((.., a_from_b))) = (&self.results[slot], self.made_from[slot]) else { return };
+        let (a, b) = (maps[i].grid.view(), maps[j].grid.view());
+        let mut cells = 0;
+        while cells < NULL_CELLS_PER_CALL {
+            self.draws += 1;
+            // Looked up three times: for the middle of the overlap, and both ways.
+            cells += 1 + 2 * a.cells.len() + 2 * b.cells.len();
+            if let Some(wrong) = one_wrong(a, b, a_from_b, right.overlap_m2, self.draws) {
+                self.nulls[slot].write([wrong.strict, wrong.occupied_f1]);
+                return;
+            }
+        }
     }
 
     /// Brings the pairs whose maps or places changed up to date, in turns if there are many.
@@ -49,6 +91,7 @@ impl Pairs {
                 (Some(a), Some(b)) => a.between(b),
                 _ => {
                     (self.results[slot], self.made_from[slot]) = (None, None);
+                    self.nulls[slot].clear();
                     continue;
                 }
             };
@@ -82,7 +125,10 @@ impl Pairs {
             overlap_m2: sum.overlap_m2 / n,
             overlap_share: sum.overlap_share / n,
         };
-        PairMeans { count, mean }
+        let draws = || self.nulls.iter().flat_map(|of_pair| of_pair.iter());
+        let null_count = draws().count() as u32;
+        let null = [0, 1].map(|k| draws().map(|draw| draw[k]).sum::<f64>() / f64::from(null_count));
+        PairMeans { count, mean, null_count, null }
     }
 }
 

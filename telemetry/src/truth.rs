@@ -16,6 +16,9 @@ pub struct Knowable {
     /// By the plan's cells.
     knowable: Vec<bool>,
     count: usize,
+    /// The walls that can be seen, and squared distances to the nearest of them, by the plan's cells.
+    walls: Vec<bool>,
+    to_walls: Vec<f64>,
 }
 
 impl Knowable {
@@ -34,7 +37,11 @@ impl Knowable {
         };
         let knowable: Vec<bool> = (0..plan.cells.len()).map(|i| reached[i] || visible_wall(i)).collect();
         let count = knowable.iter().filter(|knowable| **knowable).count();
-        Self { plan, knowable, count }
+        let walls: Vec<bool> = (plan.cells.iter().zip(&knowable))
+            .map(|(cell, knowable)| *knowable && occupancy(*cell) == Occupancy::Occupied)
+            .collect();
+        let to_walls = squared_distances(&walls, width);
+        Self { plan, knowable, count, walls, to_walls }
     }
 
     /// The room, frame `world`.
@@ -62,21 +69,19 @@ impl Knowable {
     pub fn compare(&self, map: GridView<'_>, world_from_map: Pose2) -> AgainstTruth {
         let walls_map: Vec<bool> =
             map.cells.iter().map(|cell| occupancy(*cell) == Occupancy::Occupied).collect();
-        let plan_cells = self.plan.cells.iter().zip(&self.knowable);
-        let walls_plan: Vec<bool> =
-            plan_cells.map(|(cell, knowable)| *knowable && occupancy(*cell) == Occupancy::Occupied).collect();
         let visible = Grid {
             header: self.plan.header,
             cells: self
                 .plan
                 .cells
                 .iter()
-                .zip(&walls_plan)
+                .zip(&self.walls)
                 .map(|(cell, wall)| if *wall { *cell } else { msg::grid::UNKNOWN })
                 .collect(),
         };
-        let of_map = nearest(map, self.plan.view(), &walls_plan, world_from_map);
-        let of_room = nearest(visible.view(), map, &walls_map, world_from_map.inverse());
+        let of_map = nearest(map, self.plan.view(), &self.to_walls, world_from_map);
+        let to_walls_map = squared_distances(&walls_map, map.header.width as usize);
+        let of_room = nearest(visible.view(), map, &to_walls_map, world_from_map.inverse());
         let sum = of_map.found_share + of_room.found_share;
         AgainstTruth {
             occupied_f1: if sum > 0.0 { 2.0 * of_map.found_share * of_room.found_share / sum } else { 0.0 },
@@ -110,10 +115,9 @@ struct Nearest {
     mean_m: f64,
 }
 
-/// From each occupied cell of `from` to the nearest of `walls`, which are cells of `to`.
-fn nearest(from: GridView<'_>, to: GridView<'_>, walls: &[bool], to_from_from: Pose2) -> Nearest {
+/// From each occupied cell of `from` to the nearest wall of `to`, to which `squared` has the distances.
+fn nearest(from: GridView<'_>, to: GridView<'_>, squared: &[f64], to_from_from: Pose2) -> Nearest {
     let width = to.header.width as usize;
-    let squared = squared_distances(walls, width);
     let (mut count, mut found, mut sum_m) = (0_u64, 0_u64, 0.0);
     for_known(from, to, to_from_from, |here, x, y| {
         if here != Occupancy::Occupied {

@@ -36,6 +36,19 @@ fn a_seed_is_a_run() {
 }
 
 #[test]
+fn a_seed_is_a_run_though_starts_are_unknown() {
+    let config = FleetConfig {
+        fleet: mr_slam::config::Fleet { starts_known: false, ..config(2, 3).fleet },
+        ..config(2, 3)
+    };
+    let (once, again) = (messages(&config, 60), messages(&config, 60));
+    assert!(once.contains_key("merge_edges") && once.contains_key("robot2/submap"), "{:?}", once.keys());
+    for (channel, bytes) in &once {
+        assert!(bytes == &again[channel], "two runs differ on {channel}");
+    }
+}
+
+#[test]
 fn a_recording_replays_to_the_same_corrections() {
     let config = config(1, 9);
     let said = messages(&config, 20);
@@ -54,6 +67,39 @@ fn a_recording_replays_to_the_same_corrections() {
         replayed.extend_from_slice(bytemuck::bytes_of(&correction));
     }
     assert!(said["robot1/correction"] == replayed, "the recording replays to other corrections");
+}
+
+#[test]
+fn robots_that_started_anywhere_find_each_other() {
+    let mut config = config(3, 1);
+    config.fleet.starts_known = false;
+    let mut fleet = Lockstep::new(&config, true).unwrap();
+    let mut merged_at = [None; 3];
+    for second in 0..120 {
+        for _ in 0..100 {
+            fleet.tick(&mut |_, _| {});
+        }
+        let view = FleetView::new(fleet.stats());
+        for (at, robot) in merged_at.iter_mut().zip(&view.robots) {
+            match (robot.merged, &at) {
+                (true, None) => *at = Some(second),
+                (false, Some(_)) => panic!("{} was merged and is no more", robot.robot),
+                _ => {}
+            }
+        }
+        // Once everybody is there it goes on for a while: what holds must go on holding.
+        if merged_at.iter().all(|at| at.is_some_and(|at| second > at + 10)) {
+            break;
+        }
+    }
+    let view = FleetView::new(fleet.stats());
+    assert!(merged_at[0] == Some(0) && merged_at.iter().all(Option::is_some), "{merged_at:?}");
+    for robot in &view.robots {
+        let (m, deg) = (robot.anchor_error_m.unwrap(), robot.anchor_error_deg.unwrap());
+        assert!(m < 0.10 && deg < 1.0, "{}: {m} m, {deg} degrees from its true place", robot.robot);
+    }
+    let (f1, chance) = (view.occupied_f1.unwrap(), view.null_f1.unwrap());
+    assert!(f1 > 0.8 && chance < 0.4, "{f1} {chance}");
 }
 
 #[test]

@@ -156,7 +156,8 @@ fn a_worker_whose_session_is_damaged_begins_a_map_in_the_same_frame() {
 #[test]
 fn saved_killed_loaded_found_and_gone_on_with() {
     let folder = Folder::new();
-    let (sessions, mapped) = mapped(&folder, 60);
+    // All of the room, so that the robot cannot leave the map before it is found.
+    let (sessions, mapped) = mapped(&folder, 240);
     // The fleet begins in its sessions: the robot is looked for, and found where the truth has it.
     let config = elsewhere(&folder);
     let args = ["--config", text(&config), "--sessions", text(&sessions), "--localize"];

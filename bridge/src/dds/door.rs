@@ -69,6 +69,7 @@ pub(super) struct FleetTopics {
     pub transforms: usize,
     pub merged_map: usize,
     pub merged_map_as_map: usize,
+    pub merge_edges: usize,
 }
 
 type Reader = SimpleDataReader<Raw, Adapter>;
@@ -361,6 +362,7 @@ impl FleetTopics {
         let grid = "nav_msgs/OccupancyGrid";
         let merged = format!("{}/merged_map", maker.namespace);
         let map = format!("{}/map", maker.namespace);
+        let edges = format!("{}/merge_edges", maker.namespace);
         let pose = "geometry_msgs/PoseWithCovarianceStamped";
         Ok(Self {
             scan: maker.each(ours, "scan", "sensor_msgs/LaserScan", stream_qos(WINDOW_SCANS))?,
@@ -388,6 +390,7 @@ impl FleetTopics {
             },
             merged_map: maker.sender(&merged, grid, state_qos())?,
             merged_map_as_map: maker.sender(&map, grid, state_qos())?,
+            merge_edges: maker.sender(&edges, "std_msgs/String", state_qos())?,
         })
     }
 }

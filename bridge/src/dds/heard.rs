@@ -1,8 +1,8 @@
 //! What is heard on DDS, on its way to the bridge's own thread.
 
 use crate::ros::{
-    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, TfMessage, Twist,
-    TwistStamped,
+    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, Text, TfMessage,
+    Twist, TwistStamped,
 };
 use crate::topics::Input;
 use msg::RobotId;
@@ -65,6 +65,7 @@ pub(super) fn commands(robots: usize, outside: bool) -> Vec<InputTopic> {
         InputTopic::new::<Int32>("/take_control".into(), Input::Take),
         InputTopic::new::<Bool>("/emergency_stop".into(), Input::Stop),
         InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::Release),
+        InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
         InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
     ];
     for robot in RobotId::first(robots) {

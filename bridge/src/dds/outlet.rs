@@ -100,4 +100,11 @@ impl Outlet for Door {
             }
         });
     }
+
+    fn merge_edges(&self, json: &str) {
+        self.with(|door, now| {
+            let topic = door.topics.merge_edges;
+            door.out.send(topic, now, |to| to.string(json));
+        });
+    }
 }

@@ -6,7 +6,7 @@ use msg::GridView;
 use msg::grid::{Occupancy, occupancy};
 
 /// Distances are known up to this, metres.
-const REACH_M: f64 = 0.8;
+pub(super) const REACH_M: f64 = 0.8;
 /// The most cells of a distance field; larger maps get coarser ones.
 const CELLS_MAX: usize = 2048 * 2048;
 /// A wall's floor is looked for this far to each side, cells.

@@ -46,6 +46,20 @@ impl Field {
     }
 }
 
+impl Field {
+    fn nearness_of(&self, b: &Self, a_from_b: Pose2, keep: usize) -> f64 {
+        let (sin, cos) = a_from_b.yaw_rad.sin_cos();
+        let reach = (super::field::REACH_M / self.cell_m) as f32;
+        let points = b.evidence.walls_m.iter().step_by(keep).map(|[x, y]| {
+            let (x, y) = (f64::from(*x), f64::from(*y));
+            let [u, v] = self.place([cos * x - sin * y + a_from_b.x_m, sin * x + cos * y + a_from_b.y_m]);
+            let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
+            if inside { 1.0 - self.distance[v as usize * self.width + u as usize] / reach } else { 0.0 }
+        });
+        f64::from(points.sum::<f32>())
+    }
+}
+
 /// Gauss-Newton's equations.
 #[derive(Default)]
 struct Normal {
@@ -89,6 +103,12 @@ pub(crate) fn refine([a, b]: [&Field; 2], start: Pose2, keep: [usize; 2], stages
         }
     }
     Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose }
+}
+
+/// How near the walls of both maps lie to each other's, to choose among many places: the sum over the points of 1 on a
+/// wall to 0 at the field's reach.
+pub(crate) fn nearness([a, b]: [&Field; 2], a_from_b: Pose2, keep: [usize; 2]) -> f64 {
+    a.nearness_of(b, a_from_b, keep[1]) + b.nearness_of(a, a_from_b.inverse(), keep[0])
 }
 
 /// The walls' pull on (x, y, yaw) of `a_from_b` at a place, both ways added: Gauss-Newton's matrix

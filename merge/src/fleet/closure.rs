@@ -2,7 +2,7 @@
 //! walls say so, and exactly where?
 
 use super::graph::{floored, transported};
-use crate::align::{Evidence, Field, Fit, fit, pull, refine};
+use crate::align::{Evidence, Field, Fit, fit, nearness, pull, refine};
 use msg::{GridView, Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 
@@ -10,6 +10,8 @@ use nalgebra::Matrix3;
 const STARTS_APART: [f64; 2] = [0.35, 0.06];
 /// Starts along an axis to each side, at most.
 const STARTS_MAX: usize = 3;
+/// Starts that are drawn to the walls: those nearest to them.
+const STARTS_REFINED: usize = 24;
 /// Wall points used while there are many starts, and for the last few.
 const POINTS: [usize; 2] = [500, 5_000];
 /// The places that are looked at closely.
@@ -88,7 +90,10 @@ pub(crate) fn find(i: GridView<'_>, j: GridView<'_>, predicted: Pose2, window: W
 fn search(fields: [&Field; 2], centre: Pose2, window: Window) -> Option<Fit> {
     let keep = thinned(fields, POINTS[0]);
     let mut places: Vec<Fit> = Vec::new();
-    for start in starts(centre, window) {
+    let mut begin: Vec<(f64, Pose2)> =
+        starts(centre, window).map(|start| (nearness(fields, start, keep), start)).collect();
+    begin.sort_by(|x, y| y.0.total_cmp(&x.0));
+    for (_, start) in begin.into_iter().take(STARTS_REFINED) {
         let found = fit(fields, refine(fields, start, keep, STAGES_M[0]), keep);
         match places.iter_mut().find(|other| same_place(other.a_from_b, found.a_from_b)) {
             Some(other) if other.evidence() < found.evidence() => *other = found,

@@ -10,6 +10,9 @@ use std::sync::Arc;
 /// What ties two submaps in a row that SLAM says nothing about, metres and radians.
 const LOOSE: [f64; 2] = [0.5, 0.2];
 
+/// An incarnation of a robot's SLAM, and its generation of submaps.
+pub(crate) type SubmapRun = (u64, u32);
+
 /// A submap as it came last.
 #[derive(Clone, Debug)]
 pub(crate) struct Piece {
@@ -24,8 +27,8 @@ pub(crate) struct Piece {
 /// See the module.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Member {
-    /// The incarnation of its SLAM.
-    pub run: Option<u64>,
+    /// Whose submaps these are.
+    pub run: Option<SubmapRun>,
     pub pieces: Vec<Option<Piece>>,
     /// Counts the submaps that came.
     pub version: u64,
@@ -56,7 +59,7 @@ pub(crate) struct Straightened {
 }
 
 impl Member {
-    /// Takes a submap; false if it makes no sense. `true` in the second place: it is of another run.
+    /// Takes a submap; false if it makes no sense.
     pub fn submap(&mut self, submap: &Submap) -> bool {
         let id = submap.id as usize;
         let Some(view) = submap.view() else { return false };
@@ -101,6 +104,11 @@ impl Member {
         let edges = message.edges().iter();
         self.edges = edges.map(|e| (e.a as usize, e.b as usize, matrix(e.information))).collect();
         Some(true)
+    }
+
+    /// Whether a submap is missing that the poses speak of.
+    pub fn lacks(&self) -> bool {
+        self.pieces.iter().flatten().count() < self.poses.len()
     }
 
     /// All nodes in submaps.

@@ -14,14 +14,10 @@ const SAME: [f64; 2] = [1.0, 0.1];
 const REFUSED_MAX: usize = 8;
 /// Closures kept between two robots.
 const CLOSURES_MAX: usize = 192;
-/// Submaps with fewer nodes are not matched.
-const MATCH_NODES: u32 = 6;
-/// A growing submap is matched again when it has so many nodes more.
-const MATCH_GROWN: u32 = 10;
 /// Closures that a submap has with another robot: more say little more.
-const CLOSURES_EACH: usize = 4;
+const CLOSURES_EACH: usize = 3;
 /// Failed matches after which a submap is left alone.
-const FAILED_EACH: usize = 6;
+const FAILED_EACH: usize = 4;
 /// Two submaps are matched if their middles are this near, as a share of their radii.
 const NEAR: f64 = 0.35;
 /// Pairs of submaps looked through for the next to match.
@@ -73,7 +69,6 @@ pub(crate) struct Seed {
 
 #[derive(Clone, Copy, Debug)]
 struct Tried {
-    nodes: [u32; 2],
     way_m: f64,
     found: bool,
 }
@@ -170,7 +165,7 @@ impl Pair {
         })
     }
 
-    /// The pair of submaps that is known best and has not been tried as it is now.
+    /// The pair of finished submaps that is known best and has not been tried.
     pub fn next_match(&self, a: &Member, b: &Member) -> Option<Candidate> {
         let mut best: Option<(f64, [usize; 2], Pose2)> = None;
         let mut looked = 0;
@@ -195,26 +190,18 @@ impl Pair {
                 let predicted = map_from_i.between(map_from_j);
                 let [x, y] = predicted.apply(of_j.centre_m);
                 let apart = (x - of_i.centre_m[0]).hypot(y - of_i.centre_m[1]);
-                let enough = of_i.nodes.min(of_j.nodes) >= MATCH_NODES || (of_i.finished && of_j.finished);
-                if !enough || apart > NEAR * (of_i.radius_m + of_j.radius_m) {
+                if !of_i.finished || !of_j.finished || apart > NEAR * (of_i.radius_m + of_j.radius_m) {
                     continue;
                 }
-                let nodes = [of_i.nodes, of_j.nodes];
                 let tried = self.tried.get(&(i, j));
-                let grown = |t: &Tried| (0..2).any(|k| nodes[k] >= t.nodes[k] + MATCH_GROWN);
-                let known = tried.is_some_and(|t| t.found);
-                if known && !tried.is_some_and(grown) {
-                    continue;
-                }
-                if !known && (have[0][i] >= CLOSURES_EACH || have[1][j] >= CLOSURES_EACH) {
-                    continue;
-                }
-                if !known && (failed[0][i] >= FAILED_EACH || failed[1][j] >= FAILED_EACH) {
+                let full = have[0][i] >= CLOSURES_EACH || have[1][j] >= CLOSURES_EACH;
+                let vain = failed[0][i] >= FAILED_EACH || failed[1][j] >= FAILED_EACH;
+                if full || vain || tried.is_some_and(|tried| tried.found) {
                     continue;
                 }
                 looked += 1;
                 let way_m = self.way_m(a, b, i, j);
-                if tried.is_some_and(|t| !grown(t) && way_m > NEARER * t.way_m) {
+                if tried.is_some_and(|t| way_m >= NEARER * t.way_m) {
                     continue;
                 }
                 if best.is_none_or(|(least, ..)| way_m < least) {
@@ -240,11 +227,7 @@ impl Pair {
     /// Notes what came of a match.
     pub fn matched(&mut self, a: &Member, b: &Member, ids: [usize; 2], found: Option<Found>) {
         let way_m = self.way_m(a, b, ids[0], ids[1]);
-        let nodes =
-            [a, b].into_iter().zip(ids).map(|(m, id)| m.piece(id).map_or(0, |(piece, _)| piece.nodes));
-        let nodes: Vec<u32> = nodes.collect();
-        self.tried
-            .insert((ids[0], ids[1]), Tried { nodes: [nodes[0], nodes[1]], way_m, found: found.is_some() });
+        self.tried.insert((ids[0], ids[1]), Tried { way_m, found: found.is_some() });
         let Some(found) = found else { return };
         match self.closures.iter_mut().find(|closure| closure.ids == ids) {
             Some(closure) => closure.found = found,

@@ -5,7 +5,7 @@ use super::clique::largest_consistent;
 use super::closure::{Found, Window, find};
 use super::compose::{Placed, compose};
 use super::graph::{Constraint, solve};
-use super::member::ways_m;
+use super::member::{SubmapRun, ways_m};
 use crate::align::{AlignConfig, Alignment, align, assess, null_f1};
 use msg::{Grid, Pose2, pose::wrap_angle};
 use std::sync::Arc;
@@ -23,14 +23,14 @@ const CONTRADICTED_SIGMAS: f64 = 6.0;
 #[derive(Debug)]
 pub struct Task {
     /// Which incarnations of the robots it is about: a result about others is thrown away.
-    pub(crate) runs: Vec<Option<u64>>,
+    pub(crate) runs: Vec<Option<SubmapRun>>,
     pub(crate) job: Job,
 }
 
 /// What a [`Task`] came to. See [`super::Fleet::take`].
 #[derive(Debug)]
 pub struct Outcome {
-    pub(crate) runs: Vec<Option<u64>>,
+    pub(crate) runs: Vec<Option<SubmapRun>>,
     pub(crate) answer: Answer,
 }
 

@@ -154,6 +154,8 @@ fn what_the_operator_undoes_stays_undone_and_what_he_pins_comes_back() {
     work(&mut fleet);
     assert_eq!(edge(&fleet).state(), EdgeState::Pinned);
     assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+    assert!(fleet.command(1, EdgeAction::Unpin) && !fleet.command(1, EdgeAction::Unpin));
+    assert_eq!(edge(&fleet).state(), EdgeState::Accepted);
     assert!(!fleet.command(0, EdgeAction::Undo) && !fleet.command(2, EdgeAction::Undo));
 }
 
@@ -168,6 +170,12 @@ fn a_robot_that_begins_again_keeps_its_place_and_one_that_leaves_does_not_move_t
     work(&mut fleet);
     let place = fleet.anchor(robot(2)).unwrap();
     send(&mut fleet, 2, &ways[1][..2], &believed[1][..2], 2);
+    assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+    // Its SLAM has forgotten nodes: the same incarnation, new submaps under the old ids, of which none has come.
+    let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
+    (poses.len, poses.generation, poses.header.run) = (1, 1, 2);
+    fleet.poses(robot(2), &poses).unwrap();
+    assert!(fleet.lacks(robot(2)) && !fleet.lacks(robot(1)));
     assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
     fleet.forget(robot(1));
     work(&mut fleet);

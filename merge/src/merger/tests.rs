@@ -186,6 +186,32 @@ fn a_robot_without_a_start_waits_for_its_anchor() {
     assert_eq!(at(&mut merger, 20, 0), UNKNOWN);
 }
 
+#[test]
+fn a_redrawn_map_takes_the_robots_own_ones_place_and_gives_it_back() {
+    let stamped = |seconds, cell| {
+        let mut map = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![cell; 4]);
+        map.header.header = Header { stamp: Stamp::from_seconds(seconds), run: 1, ..Default::default() };
+        map
+    };
+    let mut merger = Merger::new(&MergeConfig::default(), &[None]);
+    merger.update(robot(1), stamped(5.0, 50).view()).unwrap();
+    let place = Some(Pose2::new(1.0, 0.0, 0.0));
+    // Made of older scans than the robot's newest map, and yet in force.
+    let redrawn = Arc::new(stamped(4.0, -30));
+    assert_eq!(merger.settle(robot(1), place, Some(&redrawn)), Ok(true));
+    assert_eq!(at(&mut merger, 20, 0), -30);
+    assert_eq!(merger.settle(robot(1), place, Some(&redrawn)), Ok(false));
+    merger.update(robot(1), stamped(6.0, 70).view()).unwrap();
+    assert_eq!(at(&mut merger, 20, 0), -30);
+    assert_eq!(merger.settle(robot(1), place, None), Ok(true));
+    assert_eq!(at(&mut merger, 20, 0), 70);
+    let broken = Arc::new(Grid { header: redrawn.header, cells: vec![1] });
+    let refused = merger.settle(robot(1), place, Some(&broken));
+    assert!(matches!(refused, Err(Refused::Malformed { .. })), "{refused:?}");
+    assert_eq!(merger.settle(robot(1), None, None), Ok(true));
+    assert_eq!(at(&mut merger, 20, 0), UNKNOWN);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 

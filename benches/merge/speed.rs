@@ -1,40 +1,41 @@
-//! Merging: time to merge known maps, and the alignment of unknown ones.
-//!
-//! `cargo bench --bench merge [-- PAIRS_DIR [RESULTS.jsonl]]`: PAIRS_DIR holds a folder a pair with
-//! `a.yaml`, `b.yaml`; RESULTS gets one JSON object a line.
+//! How long it takes to merge maps whose places are known, and to take their statistics.
 
-use merge::{AlignConfig, MergeConfig, Merger, align};
-use mr_slam::map_file::read_map;
+use super::table::{Row, Table};
+use merge::{MergeConfig, Merger};
 use msg::{Anchor, Anchors, Grid, GridHeader, MapHeader, Monotonic, Pose2, RobotId, Stamp, TileMap};
-use std::fmt::Write;
-use std::path::{Path, PathBuf};
 use std::time::Instant;
 use telemetry::Telemetry;
 
-/// Rounds of each case; the table shows the fastest and the median.
+/// Rounds of each case; the table has the fastest and the median.
 const ROUNDS: usize = 15;
 
-fn main() {
-    let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    let paths: Vec<&PathBuf> = arguments.iter().filter(|path| !path.starts_with("--bench")).collect();
-    if let Some(pairs) = paths.first() {
-        align_pairs(pairs, paths.get(1).copied());
-        return;
+/// All cases.
+pub fn rows(table: &mut Table) {
+    table.begin("known start poses, one core", "min ms", "median ms");
+    let cases = [
+        ("8 x 1000 x 1000 rotated, all new", 8, 1000, 0.2, 0.0, Changed::All, None),
+        ("8 x 1000 x 1000 rotated, one new", 8, 1000, 0.2, 0.0, Changed::One, None),
+        ("8 x 1000 x 1000 rotated, 1 % changed", 8, 1000, 0.2, 0.0, Changed::Hundredth, Some(5.0)),
+        ("3 x 4000 x 4000, 1 % changed", 3, 4000, 0.0, 0.0, Changed::Hundredth, Some(20.0)),
+        ("3 x 4000 x 4000 rotated, 1 % changed", 3, 4000, 0.2, 0.0, Changed::Hundredth, Some(20.0)),
+        ("3 x 4000 x 4000 side by side, 1 % changed", 3, 4000, 0.0, 195.0, Changed::Hundredth, Some(20.0)),
+        ("3 x 200 x 200 rotated, all new", 3, 200, 0.2, 0.0, Changed::All, None),
+        ("8 x 1000 x 1000 rotated, 1 % changed, whole grids", 8, 1000, 0.2, 0.0, Changed::InGrids, None),
+        ("3 x 4000 x 4000, 1 % changed, whole grids", 3, 4000, 0.0, 0.0, Changed::InGrids, None),
+    ];
+    for (name, robots, side, yaw_step_rad, apart_m, changed, limit_ms) in cases {
+        let [least, median] = compose(robots, side, yaw_step_rad, apart_m, changed);
+        let row = Row::new(name, least, median);
+        table.add(match limit_ms {
+            Some(limit_ms) => row.at_most(limit_ms),
+            None => row,
+        });
     }
-    println!("{:<44} {:>9} {:>9}", "known start poses, tiles that changed", "min ms", "median ms");
-    compose("8 x 1000 x 1000 rotated, all new", 8, 1000, 0.2, 0.0, Changed::All);
-    compose("8 x 1000 x 1000 rotated, one new", 8, 1000, 0.2, 0.0, Changed::One);
-    compose("8 x 1000 x 1000 rotated, 1 % changed", 8, 1000, 0.2, 0.0, Changed::Hundredth);
-    compose("3 x 4000 x 4000, 1 % changed", 3, 4000, 0.0, 0.0, Changed::Hundredth);
-    compose("3 x 4000 x 4000 rotated, 1 % changed", 3, 4000, 0.2, 0.0, Changed::Hundredth);
-    compose("3 x 4000 x 4000 side by side, 1 % changed", 3, 4000, 0.0, 195.0, Changed::Hundredth);
-    compose("3 x 200 x 200 rotated, all new", 3, 200, 0.2, 0.0, Changed::All);
-    println!("{:<44} {:>9} {:>9}", "known start poses, whole grids compared", "min ms", "median ms");
-    compose("8 x 1000 x 1000 rotated, 1 % changed", 8, 1000, 0.2, 0.0, Changed::InGrids);
-    compose("3 x 4000 x 4000, 1 % changed", 3, 4000, 0.0, 0.0, Changed::InGrids);
-    println!("{:<44} {:>9} {:>9}", "fleet statistics of maps that all overlap", "min ms", "median ms");
-    statistics("3 x 200 x 200, all new", 200);
-    statistics("3 x 1000 x 1000, all new", 1000);
+    for (name, side) in [("statistics of 3 x 200 x 200, all new", 200), ("the same of 3 x 1000 x 1000", 1000)]
+    {
+        let [least, median] = statistics(side);
+        table.add(Row::new(name, least, median));
+    }
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -46,7 +47,7 @@ enum Changed {
     InGrids,
 }
 
-fn compose(name: &str, robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: Changed) {
+fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: Changed) -> [f64; 2] {
     let starts: Vec<_> = (0..robots)
         .map(|k| k as f64)
         .map(|k| Some(Pose2::new((0.37 + apart_m) * k, -0.21 * k, yaw_step_rad * k)))
@@ -87,7 +88,7 @@ fn compose(name: &str, robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64
     }
     assert!(merger.merged_tiles().tiles().next().is_some());
     milliseconds.sort_by(f64::total_cmp);
-    println!("{name:<44} {:>9.2} {:>9.2}", milliseconds[0], milliseconds[ROUNDS / 2]);
+    [milliseconds[0], milliseconds[ROUNDS / 2]]
 }
 
 fn tiles(grid: &Grid) -> TileMap {
@@ -131,7 +132,7 @@ fn scribble(map: &mut Grid, size: u32, round: usize) {
 }
 
 /// Three maps come, and their figures are taken.
-fn statistics(name: &str, side: u32) {
+fn statistics(side: u32) -> [f64; 2] {
     let mut telemetry = Telemetry::new(3, None, &[]);
     let mut anchors = Anchors::default();
     for (k, anchor) in anchors.robots.iter_mut().take(3).enumerate() {
@@ -150,42 +151,5 @@ fn statistics(name: &str, side: u32) {
         })
         .collect();
     milliseconds.sort_by(f64::total_cmp);
-    println!("{name:<44} {:>9.2} {:>9.2}", milliseconds[0], milliseconds[ROUNDS / 2]);
-}
-
-/// Aligns every pair, and says what was found.
-fn align_pairs(folder: &Path, results: Option<&PathBuf>) {
-    let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
-    names.sort();
-    let mut lines = String::new();
-    for pair in names {
-        let [a, b] = ["a.yaml", "b.yaml"].map(|name| read_map(&pair.join(name)).unwrap());
-        let start = Instant::now();
-        let cpu_start = cpu_s();
-        let found = align(a.view(), b.view(), &AlignConfig::default());
-        let ms = start.elapsed().as_secs_f64() * 1e3;
-        let cpu_ms = (cpu_s() - cpu_start) * 1e3;
-        let name = pair.file_name().unwrap().to_string_lossy().into_owned();
-        let line = match found {
-            Some(found) => serde_json::json!({
-                "pair": name, "accepted": found.accepted, "ms": ms, "cpu_ms": cpu_ms,
-                "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
-                "inliers": found.inliers, "score": found.score, "strict": found.strict,
-                "overlap_m2": found.overlap_m2, "overlap_share": found.overlap_share,
-                "residual_m": found.residual_m, "conflict": found.conflict, "margin": found.margin, "firmness": found.firmness,
-            }),
-            None => serde_json::json!({"pair": name, "accepted": false, "ms": ms}),
-        };
-        println!("{line}");
-        writeln!(lines, "{line}").unwrap();
-    }
-    if let Some(path) = results {
-        std::fs::write(path, lines).unwrap();
-    }
-}
-
-/// Processor time of this thread, seconds: what a busy machine does not change much.
-fn cpu_s() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+    [milliseconds[0], milliseconds[ROUNDS / 2]]
 }

@@ -1,0 +1,146 @@
+//! Logs of several robots in one building that started anywhere, through `mr-slam replay --merge unknown`, against
+//! relations surveyed between them; and what merging costs each robot: its own relations alone and in the fleet.
+
+use super::relations::{Errors, Trajectory, Which, errors, parse};
+use super::table::{Row, Table};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+type Error = Box<dyn std::error::Error>;
+
+/// A building: relations between robots and how large their mean error may be; relations within robots.
+struct Case {
+    name: &'static str,
+    between: &'static str,
+    /// `None`: it may be refused, but not merged worse than [`REFUSED_OR_M`].
+    limit_m: Option<f64>,
+    within: &'static str,
+    odometry: &'static str,
+}
+
+const CASES: [Case; 3] = [
+    Case {
+        name: "intel_2",
+        between: "inter_official.relations",
+        limit_m: Some(0.12),
+        within: "intel/official.relations",
+        odometry: "intel/dense_odom.traj.gz",
+    },
+    Case {
+        name: "intel_3",
+        between: "inter_official.relations",
+        limit_m: Some(0.12),
+        within: "intel/official.relations",
+        odometry: "intel/dense_odom.traj.gz",
+    },
+    Case {
+        name: "aces_2",
+        between: "inter_substitute.relations",
+        limit_m: None,
+        within: "aces/substitute.relations",
+        odometry: "aces/dense_odom.traj.gz",
+    },
+];
+/// Robots that are merged lie right by this much at least, metres.
+const REFUSED_OR_M: f64 = 0.3;
+/// A robot's own relations may be worse in the fleet than alone by this factor and this much, metres: the surveyed
+/// relations' own accuracy. Nobody expects a fleet's graph not to move a robot's poses at all.
+const WORSE: f64 = 1.1;
+const WORSE_M: f64 = 0.002;
+
+/// A row for each log, and one for each robot.
+pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
+    table.begin("logs of several robots, unknown starts: mean relation error, m", "between", "relations");
+    for case in &CASES {
+        let logs = logs(&folder.join(case.name));
+        if logs.is_empty() {
+            println!("{}: not in {}", case.name, folder.display());
+            continue;
+        }
+        let scratch = tempfile::tempdir()?;
+        let summary = replay(&logs, &["--merge", "unknown"], scratch.path())?;
+        let together = trajectories(scratch.path(), logs.len())?;
+        let all = Trajectory::parse(&together.concat())?;
+        let relations = parse(&std::fs::read_to_string(folder.join(case.name).join(case.between))?)?;
+        // Between kept scans, how the robot moved: the same in any frame.
+        let odometry = folder.join(case.odometry);
+        let odometry =
+            if odometry.is_file() { Some(Trajectory::parse(&unpacked(&odometry)?)?) } else { None };
+        let found = errors(&all, odometry.as_ref(), &relations, Which::All);
+        let merged = summary["robots"]
+            .as_array()
+            .map_or(0, |robots| robots.iter().filter(|r| r["merged"] == true).count());
+        let [wall_s, merge_s] = ["wall_s", "merge_s"].map(|key| summary[key].as_f64().unwrap_or(f64::NAN));
+        let closures: u64 =
+            summary["edges"].as_array().into_iter().flatten().filter_map(|e| e["closures"].as_u64()).sum();
+        let note = format!(
+            "{merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
+            logs.len()
+        );
+        let all_merged = merged == logs.len();
+        let value = if all_merged { found.mean_m } else { f64::NAN };
+        let row = Row::new(case.name, value, found.count as f64).note(note);
+        table.add(match case.limit_m {
+            Some(limit_m) => row.at_most(limit_m),
+            None if all_merged => row.at_most(REFUSED_OR_M),
+            None => row,
+        });
+        let within = parse(&std::fs::read_to_string(folder.join(case.within))?)?;
+        for (index, (log, poses)) in logs.iter().zip(together).enumerate() {
+            let own = |text: &str| -> Result<Errors, Error> {
+                Ok(errors(&Trajectory::parse(text)?, None, &within, Which::BothKept))
+            };
+            let alone = tempfile::tempdir()?;
+            let file = alone.path().join("alone.tum");
+            replay_one(log, &file)?;
+            let alone = own(&std::fs::read_to_string(&file)?)?;
+            let together = own(&poses)?;
+            let limit = WORSE * alone.mean_m + WORSE_M;
+            let note = format!("alone {:.4} m", alone.mean_m);
+            let row = Row::new(
+                format!("  robot{} in itself, in the fleet", index + 1),
+                together.mean_m,
+                together.count as f64,
+            );
+            table.add(row.at_most((limit * 1e4).round() / 1e4).note(note));
+        }
+    }
+    Ok(())
+}
+
+fn logs(folder: &Path) -> Vec<PathBuf> {
+    let path = |k: usize| folder.join(format!("robot{k}.log.gz"));
+    (1..=16).map(path).take_while(|path| path.is_file()).collect()
+}
+
+fn replay(logs: &[PathBuf], args: &[&str], folder: &Path) -> Result<serde_json::Value, Error> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mr-slam"));
+    let output =
+        command.arg("replay").args(logs).args(args).arg("--json").arg("--trajectory").arg(folder).output()?;
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).into());
+    }
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
+fn replay_one(log: &Path, file: &Path) -> Result<(), Error> {
+    let output = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
+        .arg("replay")
+        .arg(log)
+        .arg("--json")
+        .arg("--trajectory")
+        .arg(file)
+        .output()?;
+    if output.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&output.stderr).into()) }
+}
+
+fn trajectories(folder: &Path, robots: usize) -> Result<Vec<String>, Error> {
+    (1..=robots).map(|k| Ok(std::fs::read_to_string(folder.join(format!("robot{k}.tum")))?)).collect()
+}
+
+fn unpacked(path: &Path) -> Result<String, Error> {
+    let mut text = String::new();
+    flate2::read::MultiGzDecoder::new(std::fs::File::open(path)?).read_to_string(&mut text)?;
+    Ok(text)
+}

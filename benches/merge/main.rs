@@ -1,0 +1,82 @@
+//! Merging, all of it in one table: speed with known starts; pairs of maps with exact truth, as they are and as
+//! robots would have them that map worse; logs of several robots that started anywhere.
+//!
+//! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR] [--only speed,pairs,varied,logs] [--json FILE]
+//! [--results FILE.jsonl] [--check]`
+//!
+//! `--pairs` holds a folder a pair: `a.yaml`, `b.yaml` and `truth.json` (`T_A_B` = [x, y, theta], p_a = R p_b + t, or null
+//! where the two are of different buildings); an archive `merge-pairs.tar.xz` has to be unpacked first. `--logs` holds
+//! `intel_2`, `intel_3`, `aces_2` and, for relations within a robot, `intel` and `aces`. `--results` gets a line a pair.
+//! `--check` fails if a limit is missed.
+
+mod logs;
+mod pairs;
+#[path = "../slam/relations.rs"]
+mod relations;
+mod speed;
+mod table;
+mod varied;
+
+use std::path::{Path, PathBuf};
+use table::Table;
+
+struct Args {
+    pairs: PathBuf,
+    logs: PathBuf,
+    only: Option<Vec<String>>,
+    json: Option<PathBuf>,
+    results: Option<PathBuf>,
+    check: bool,
+}
+
+fn args() -> Result<Args, String> {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    let (pairs, logs) = (data.join("merge-pairs"), data.join("lidar"));
+    let mut args = Args { pairs, logs, only: None, json: None, results: None, check: false };
+    let mut given = std::env::args().skip(1);
+    while let Some(name) = given.next() {
+        let mut value = || given.next().ok_or(format!("{name} wants a value"));
+        match name.as_str() {
+            "--pairs" => args.pairs = value()?.into(),
+            "--logs" => args.logs = value()?.into(),
+            "--only" => args.only = Some(value()?.split(',').map(str::to_owned).collect()),
+            "--json" => args.json = Some(value()?.into()),
+            "--results" => args.results = Some(value()?.into()),
+            "--check" => args.check = true,
+            // cargo bench says this to every bench.
+            "--bench" => {}
+            other => {
+                return Err(format!(
+                    "{other}: expected --pairs, --logs, --only, --json, --results or --check"
+                ));
+            }
+        }
+    }
+    Ok(args)
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let args = args()?;
+    let wanted = |part: &str| args.only.as_ref().is_none_or(|only| only.iter().any(|name| name == part));
+    let mut table = Table::default();
+    if wanted("speed") {
+        speed::rows(&mut table);
+    }
+    let pairs = pairs::read(&args.pairs)?;
+    if pairs.is_empty() {
+        println!("\n{}: no pairs of maps there; no table of them", args.pairs.display());
+    }
+    if wanted("pairs") && !pairs.is_empty() {
+        pairs::rows(&mut table, &pairs, args.results.as_deref())?;
+    }
+    if wanted("varied") && !pairs.is_empty() {
+        varied::rows(&mut table, &pairs);
+    }
+    if wanted("logs") {
+        logs::rows(&mut table, &args.logs)?;
+    }
+    if let Some(path) = &args.json {
+        std::fs::write(path, serde_json::to_string_pretty(&table.json())?)?;
+    }
+    if args.check && !table.met() { Err("a limit is missed".into()) } else { Ok(()) }
+}

@@ -1,0 +1,86 @@
+//! The table: what was measured, what it should be, whether it is.
+
+use serde::Serialize;
+
+/// One line.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    name: String,
+    value: f64,
+    /// Beside it: a median beside a minimum, a count beside a share.
+    beside: f64,
+    limit: Option<Limit>,
+    met: bool,
+    note: String,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Limit {
+    AtMost(f64),
+    AtLeast(f64),
+}
+
+impl Row {
+    /// Without a limit.
+    pub fn new(name: impl Into<String>, value: f64, beside: f64) -> Self {
+        Self { name: name.into(), value, beside, limit: None, met: true, note: String::new() }
+    }
+
+    /// The value must not be more.
+    pub fn at_most(self, limit: f64) -> Self {
+        Self { met: self.value <= limit, limit: Some(Limit::AtMost(limit)), ..self }
+    }
+
+    /// The value must not be less.
+    pub fn at_least(self, limit: f64) -> Self {
+        Self { met: self.value >= limit, limit: Some(Limit::AtLeast(limit)), ..self }
+    }
+
+    /// A word beside it.
+    pub fn note(self, note: impl Into<String>) -> Self {
+        Self { note: note.into(), ..self }
+    }
+}
+
+/// Sections of rows, printed as they come.
+#[derive(Default)]
+pub struct Table {
+    sections: Vec<(String, Vec<Row>)>,
+}
+
+impl Table {
+    /// A section; `value` and `beside` are its columns' names.
+    pub fn begin(&mut self, name: &str, value: &str, beside: &str) {
+        println!("\n{name:<58} {value:>10} {beside:>10}   limit");
+        self.sections.push((name.into(), Vec::new()));
+    }
+
+    /// A row of the section.
+    pub fn add(&mut self, row: Row) {
+        let limit = match row.limit {
+            Some(Limit::AtMost(limit)) => format!("<= {limit}"),
+            Some(Limit::AtLeast(limit)) => format!(">= {limit}"),
+            None => String::new(),
+        };
+        let verdict = if row.met { "" } else { "  MISSED" };
+        let number = |value: f64| if value.is_nan() { "-".into() } else { format!("{value:.3}") };
+        let (value, beside) = (number(row.value), number(row.beside));
+        println!("{:<58} {value:>10} {beside:>10}   {limit}{verdict} {}", row.name, row.note);
+        if let Some((_, rows)) = self.sections.last_mut() {
+            rows.push(row);
+        }
+    }
+
+    /// Whether every limit is met.
+    pub fn met(&self) -> bool {
+        self.sections.iter().flat_map(|(_, rows)| rows).all(|row| row.met)
+    }
+
+    /// The same for programs.
+    pub fn json(&self) -> serde_json::Value {
+        let section =
+            |(name, rows): &(String, Vec<Row>)| serde_json::json!({ "section": name, "rows": rows });
+        serde_json::json!({ "met": self.met(), "sections": self.sections.iter().map(section).collect::<Vec<_>>() })
+    }
+}

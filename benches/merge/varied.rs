@@ -1,0 +1,149 @@
+//! The same buildings as robots would have them that map worse: coarser, noisier, cropped, bent by drift. Their truth
+//! follows from the pair's. What must hold whatever the map: nothing wrong is accepted.
+
+use super::pairs::{Outcome, Pair};
+use super::table::{Row, Table};
+use msg::grid::{OCCUPIED_MIN, Occupancy, UNKNOWN, occupancy};
+use msg::{Grid, GridHeader, Pose2};
+use std::f64::consts::TAU;
+
+/// How a map is varied: by a seed.
+type Vary = fn(&Grid, u64) -> Grid;
+
+/// What is done to both maps, strangers' too, and by how much the second is bent, radians a metre.
+const VARIATIONS: [(&str, Vary, Vary, f64); 7] = [
+    ("second map at 0.1 m", same, coarse, 0.0),
+    ("both at 0.1 m", coarse, coarse, 0.0),
+    ("second map redrawn at a whim's angle", same, turned, 0.0),
+    ("1 cell in 500 wrong, in both", noisy, noisy, 0.0),
+    ("half of the second map", same, half, 0.0),
+    ("second map bent: 1 degree each 10 m", same, same, 0.0017),
+    ("second map bent: 3 degrees each 10 m", same, same, 0.0052),
+];
+
+/// Each variation over all pairs.
+pub fn rows(table: &mut Table, pairs: &[Pair]) {
+    table.begin("the same pairs, varied: wrong or strangers accepted", "", "right");
+    for (name, vary_a, vary_b, rad_per_m) in VARIATIONS {
+        let (mut right, mut placed, mut wrong) = (0, 0, Vec::new());
+        for (seed, pair) in (1_u64..).zip(pairs) {
+            let (a, mut b) = (vary_a(&pair.maps[0], 2 * seed), vary_b(&pair.maps[1], 2 * seed + 1));
+            let straight = straight(&b, if seed % 2 == 0 { rad_per_m } else { -rad_per_m });
+            if rad_per_m > 0.0 {
+                b = resampled(&b, 0.0, &straight);
+            }
+            let outcome = Outcome::of([&a, &b], pair.a_from_b, &straight);
+            placed += usize::from(pair.a_from_b.is_some());
+            right += usize::from(outcome.right());
+            if outcome.accepted() && !outcome.right() {
+                wrong.push(pair.name.as_str());
+            }
+        }
+        let note = format!("right of {placed} {}", wrong.join(" "));
+        table.add(Row::new(name, wrong.len() as f64, f64::from(right as u32)).at_most(0.0).note(note));
+    }
+}
+
+fn same(map: &Grid, _: u64) -> Grid {
+    map.clone()
+}
+
+/// Cells of twice the size: occupied if one of the four is, known if one is.
+fn coarse(map: &Grid, _: u64) -> Grid {
+    let view = map.view();
+    let (width, height) = (map.header.width.div_ceil(2), map.header.height.div_ceil(2));
+    let cell = |x: u32, y: u32| {
+        let four = [(0, 0), (1, 0), (0, 1), (1, 1)]
+            .map(|(i, j)| view.cell(i64::from(2 * x) + i, i64::from(2 * y) + j));
+        let known = four.iter().filter(|cell| **cell != UNKNOWN);
+        known.copied().max_by_key(|cell| (*cell >= OCCUPIED_MIN, *cell)).unwrap_or(UNKNOWN)
+    };
+    let cells = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| cell(x, y)).collect();
+    Grid {
+        header: GridHeader { resolution_m: 2.0 * map.header.resolution_m, width, height, ..map.header },
+        cells,
+    }
+}
+
+/// Other cells at some angle over the same place: the nearest cell of the map under each.
+fn turned(map: &Grid, seed: u64) -> Grid {
+    resampled(map, TAU * share(seed), |place| place)
+}
+
+/// One known cell in five hundred says the opposite.
+fn noisy(map: &Grid, seed: u64) -> Grid {
+    let mut random = seed;
+    let mut noisy = map.clone();
+    for cell in noisy.cells.iter_mut().filter(|cell| **cell != UNKNOWN) {
+        random = mix(random);
+        if random.is_multiple_of(500) {
+            *cell = if occupancy(*cell) == Occupancy::Occupied { -60 } else { 60 };
+        }
+    }
+    noisy
+}
+
+/// What lies to one side of a line through the middle.
+fn half(map: &Grid, seed: u64) -> Grid {
+    let (sin, cos) = (TAU * share(seed)).sin_cos();
+    let middle = [map.header.width, map.header.height].map(|cells| f64::from(cells) / 2.0);
+    let mut half = map.clone();
+    for (index, cell) in half.cells.iter_mut().enumerate() {
+        let (x, y) = (index % map.header.width as usize, index / map.header.width as usize);
+        if (x as f64 - middle[0]) * cos + (y as f64 - middle[1]) * sin < 0.0 {
+            *cell = UNKNOWN;
+        }
+    }
+    half
+}
+
+/// Where a point of the bent map lies in the straight one. Bent as by a heading that drifts with the way along x: right
+/// in the middle, worse towards both ends.
+fn straight(map: &Grid, rad_per_m: f64) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
+    let half_m =
+        [map.header.width, map.header.height].map(|cells| f64::from(cells) * map.header.resolution_m / 2.0);
+    let middle = map.header.origin.apply(half_m);
+    // A circle's arc through the middle: a point so far along the arc lies so far along the straight map.
+    move |[x, y]| {
+        if rad_per_m == 0.0 {
+            return [x, y];
+        }
+        let ([along, across], radius) = ([x - middle[0], y - middle[1]], 1.0 / rad_per_m);
+        let (from_centre, angle) = (
+            along.hypot(radius - across),
+            along.atan2((radius - across) * radius.signum()) * radius.signum(),
+        );
+        [middle[0] + angle * radius, middle[1] + radius - from_centre * radius.signum()]
+    }
+}
+
+/// The map on cells turned by `yaw_rad`, each from where `source` says it comes from.
+fn resampled(map: &Grid, yaw_rad: f64, source: impl Fn([f64; 2]) -> [f64; 2]) -> Grid {
+    let resolution_m = map.header.resolution_m;
+    let size_m = [map.header.width, map.header.height].map(|cells| f64::from(cells) * resolution_m);
+    let half_m = 0.5 * size_m[0].hypot(size_m[1]) + 1.0;
+    let side = (2.0 * half_m / resolution_m).ceil() as u32;
+    let [x, y] = map.header.origin.apply([size_m[0] / 2.0, size_m[1] / 2.0]);
+    let origin = Pose2::new(x, y, yaw_rad) * Pose2::new(-half_m, -half_m, 0.0);
+    let header = GridHeader { origin, width: side, height: side, ..map.header };
+    let mut grid = Grid { header, cells: vec![UNKNOWN; (side * side) as usize] };
+    for y in 0..i64::from(side) {
+        for x in 0..i64::from(side) {
+            let (i, j) = map.view().cell_of(source(grid.view().centre_m(x, y)));
+            grid.cells[(y * i64::from(side) + x) as usize] = map.view().cell(i, j);
+        }
+    }
+    grid
+}
+
+fn share(seed: u64) -> f64 {
+    (mix(seed) >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+/// Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
+fn mix(seed: u64) -> u64 {
+    let mut z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
