@@ -78,8 +78,6 @@ fn node(id: usize, range_m: f32) -> Node {
         rays.hits.push([range_m * cos, range_m * sin]);
     }
     Node {
-        torn: false,
-        adrift: None,
         id: id as u32,
         header: Header { stamp: msg::Stamp(id as i64), ..Default::default() },
         local_from_base: Pose2::IDENTITY,
