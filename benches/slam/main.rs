@@ -8,7 +8,7 @@
 //! Errors are mean translation errors of the relation metric (Kümmerle et al. 2009). `--check`
 //! fails if an error is above its limit, or a robot was found where it is not.
 //!
-//! `relocalize` among the logs (or no `--logs`): a robot is looked for without a guess in the map of the first
+//! `--logs relocalize`: a robot is looked for without a guess in the map of the first
 //! half of intel, put down in its second half, and in other buildings, where it must not be found.
 
 mod drive;
@@ -114,7 +114,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let mut sought = Vec::new();
     let all = |name: &str| args.data.join(name).join(format!("{name}.log.gz"));
-    if args.logs.as_ref().is_none_or(|logs| logs.iter().any(|log| log == "relocalize")) {
+    if args.logs.as_ref().is_some_and(|logs| logs.iter().any(|log| log == "relocalize")) {
         for (name, fov_deg, places) in SOUGHT {
             let task = relocalize::Task { map: all("intel"), robot: all(name), fov_deg, places };
             if task.map.is_file() && task.robot.is_file() {
