@@ -213,11 +213,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     let mut fleet = Fleet::start("demo", &["--robots", "1"]);
     let dir = fleet.run.dir.clone();
     fleet.until("scans", |view| view.robots.first().is_some_and(|robot| robot.scans > 20));
-    for (file, args, mode) in [
-        (&map, vec!["--localize"], "localization"),
-        (&kept, vec!["--localize"], "localization"),
-        (&kept, vec![], "mapping"),
-    ] {
+    for (file, args, mode) in [(&map, vec!["--localize"], "localization"), (&kept, vec![], "mapping")] {
         let loaded = answer(&dir, "robot1", &[vec!["load", text(file)], args].concat());
         assert_eq!(loaded["mode"], mode, "{loaded}");
         fleet.until("the robot found in what was loaded", |view| {
