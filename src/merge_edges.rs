@@ -24,7 +24,7 @@ pub struct EdgesArgs {
     /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// Which fleet.
+    /// Which fleet; before the action.
     #[command(flatten)]
     pub run: RunArgs,
 }
@@ -90,7 +90,9 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Error
     };
     let before = next(&|_| true)?;
     let Some(command) = command else { return Ok(before) };
-    node.writer(&channel::edge_command())?.send(&command);
+    // Kept until the answer is there: what a writer that is gone has said may never be read.
+    let mut writer = node.writer(&channel::edge_command())?;
+    writer.send(&command);
     let after = next(&|edges| edges.commands != before.commands)?;
     if after.refused != before.refused {
         return Err(
