@@ -29,6 +29,7 @@ impl Passenger for Operator {
         command.args(["operator", "tour", "--json", "--port", &run.port.to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
         command.args(["--seed", &run.config.fleet.seed.to_string()]);
+        command.args(["--launcher-pid", &std::process::id().to_string()]);
         if let Some(seconds) = self.seconds {
             command.args(["--seconds", &seconds.to_string()]);
         }

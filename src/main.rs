@@ -85,7 +85,8 @@ fn run(command: Command) -> Result<(), process::Error> {
         Command::Stop(args) => args.tell(Request::Stop)?,
         Command::Release(args) => args.tell(Request::Release)?,
         Command::Operator(args) => {
-            let report = operator::run(&args, Stop::on_signals()?.flag())?;
+            let stop = args.launcher_pid.map_or_else(Stop::on_signals, Stop::for_child)?;
+            let report = operator::run(&args, stop.flag())?;
             let json = args.json.then(|| serde_json::to_string_pretty(&report)).transpose()?;
             println!("{}", json.unwrap_or_else(|| report.to_string()));
         }

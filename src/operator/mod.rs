@@ -81,6 +81,9 @@ pub struct OperatorArgs {
     /// Prints the report as JSON.
     #[arg(long)]
     pub json: bool,
+    /// The process that started it and whose end it does not outlive: a demo's launcher.
+    #[arg(long, hide = true)]
+    pub launcher_pid: Option<u32>,
 }
 
 /// Why an operator could not work.

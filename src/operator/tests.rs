@@ -22,6 +22,7 @@ fn args(port: u16) -> OperatorArgs {
         all_at_once: false,
         seed: 1,
         json: false,
+        launcher_pid: None,
     }
 }
 
