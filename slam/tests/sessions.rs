@@ -139,6 +139,8 @@ fn what_is_not_a_session_is_refused_with_the_reason() {
     let mut config = SlamConfig::default();
     let said = Session::decode(&bytes, &Identity::new(2, 7, &config)).unwrap_err().to_string();
     assert_eq!(said, "is another robot's: the robot's number is 1, here 2");
+    config.lidar.base_from_scan[0] += 1e-12;
+    assert!(Session::decode(&bytes, &Identity::new(1, 0, &config)).is_ok(), "rounding makes no other robot");
     config.lidar.base_from_scan[0] = 0.2;
     let said = Session::decode(&bytes, &Identity::new(1, 7, &config)).unwrap_err().to_string();
     assert!(said.contains("LiDAR's place"), "{said}");
