@@ -331,7 +331,8 @@ impl WholeMap {
         }
         let margin = 1.0;
         let size = [0, 1].map(|k| high[k] - low[k] + 2.0 * margin);
-        let cell_m = config.tracking.cell_m.max((size[0] * size[1] / CELLS_MAX as f32).sqrt());
+        // Coarse cells are enough to say which places to align at, and cost a ninth.
+        let cell_m = (2.0 * config.tracking.cell_m).max((size[0] * size[1] / CELLS_MAX as f32).sqrt());
         let corner = low.map(|v| v - margin);
         let [width, height] = size.map(|s| (s / cell_m).ceil() as i32 + 1);
         let mut fine = vec![0_u8; (width * height) as usize];
