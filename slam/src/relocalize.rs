@@ -33,7 +33,7 @@ const SAME_RAD: f64 = 0.2;
 /// three times, ...
 const SEARCHES_OFTEN: f64 = 12.0;
 /// ... up to so many times.
-const RARELY_MAX: f64 = 6.0;
+const RARELY_MAX: f64 = 2.0;
 /// Searches whose outcome is remembered.
 const PENDING_MAX: usize = 16;
 
