@@ -125,8 +125,7 @@ def contents(heard, maps):
 def commands(node):
     chosen = node.create_publisher(Int32, "/selected_robot", 10)
     spin(node, 5, chosen.get_subscription_count)
-    chosen.publish(Int32(data=2))
-    spin(node, 0.5)
+    repeat(node, chosen, Int32(data=2))
     for topic, kind, robot in (
         ("/cmd_vel", Twist, 2),
         ("/cmd_vel_1", Twist, 1),
