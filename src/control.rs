@@ -184,3 +184,32 @@ impl RunArgs {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_says_who_is_slow_and_who_waits() {
+        let client = ClientView {
+            address: "10.0.0.7:4321".parse().unwrap(),
+            subscriptions: 12,
+            publications: 1,
+            waiting_bytes: 2_000_000,
+            dropped: 345,
+            drives: vec![2],
+            clock: None,
+        };
+        let waiting = vec!["10.0.0.8".parse().unwrap()];
+        let doors = Doors { clients: vec![client], waiting, ..Doors::default() };
+        let lines = doors.table();
+        assert!(
+            lines.contains(
+                "10.0.0.7:4321: hears 12 topics, sends 1, 2000 kB wait, 345 dropped, drives robot2\n"
+            )
+        );
+        assert!(lines.contains("10.0.0.8 asks to drive: mr-slam allow 10.0.0.8\n"));
+        assert!(!lines.contains("EMERGENCY"));
+        assert!(Doors { stopped: true, ..Doors::default() }.table().contains("EMERGENCY STOP is set"));
+    }
+}

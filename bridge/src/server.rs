@@ -22,7 +22,9 @@ use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 const FRAMES_PER_TURN: usize = 64;
 /// How often overdue service calls and anchors are looked at.
 const TICK: Duration = Duration::from_millis(250);
-/// A client that has gone without a word (battery, Wi-Fi) is found out after about 5 + 3 x 2 s.
+/// A client that is silent so long is asked whether it is there, and then again and again. One that has gone without a
+/// word (battery, Wi-Fi) is let go after [`UNACKNOWLEDGED_MAX`] on Linux, which does not count probes where that is
+/// set; elsewhere after the probes.
 const KEEPALIVE_IDLE: Duration = Duration::from_secs(5);
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(2);
 const KEEPALIVE_RETRIES: u32 = 3;
@@ -223,4 +225,28 @@ async fn farewell(stream: &TcpStream, pool: &mut Pool, mut rest: Outbox) {
     };
     // Whether it listened to the end changes nothing.
     let _ = timeout(FAREWELL, talk).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(flavor = "current_thread")]
+    async fn a_clients_socket_is_watched_and_waits_for_nothing() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let _client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let (stream, _) = listener.accept().await.unwrap();
+        tune(&stream, 1 << 17).unwrap();
+        let socket = SockRef::from(&stream);
+        assert!(stream.nodelay().unwrap());
+        assert!(socket.keepalive().unwrap());
+        assert_eq!(socket.tcp_keepalive_time().unwrap(), KEEPALIVE_IDLE);
+        assert_eq!(socket.tcp_keepalive_interval().unwrap(), KEEPALIVE_INTERVAL);
+        assert_eq!(socket.tcp_keepalive_retries().unwrap(), KEEPALIVE_RETRIES);
+        #[cfg(target_os = "linux")]
+        {
+            assert_eq!(socket.tcp_user_timeout().unwrap(), Some(UNACKNOWLEDGED_MAX));
+            assert_eq!(socket.tcp_notsent_lowat().unwrap(), 1 << 17);
+        }
+    }
 }

@@ -10,53 +10,30 @@
 //! The fleet only books; whatever takes time is a [`Task`] that any thread can do. One task is out at
 //! a time, and in which order they come depends on the messages alone.
 
+mod belief;
 mod clique;
 mod closure;
 mod compose;
 mod graph;
+mod joint;
 mod member;
 mod pair;
 mod task;
 
 pub use task::{Outcome, Task};
 
-use crate::align::{AlignConfig, Alignment};
+use crate::align::AlignConfig;
 use crate::merger::is_near;
-use graph::{Constraint, certain_to};
 use member::{Member, Straightened, SubmapRun};
 use msg::{
     EdgeAction, EdgeState, Grid, MERGE_EDGES_MAX, MergeEdges, Pose2, ROBOTS_MAX, RobotId, Submap, SubmapPoses,
 };
 use pair::Pair;
 use std::sync::Arc;
-use task::{Answer, Job, Problem, ProblemPair, Solution};
+use task::{Answer, Job};
 
-/// Robots with fewer nodes are not aligned.
-const ALIGN_NODES: u32 = 8;
-/// A pair is tried again when the two have so many times the nodes, and so many more.
-const GROWN: f64 = 1.15;
-const GROWN_NODES: u32 = 4;
 /// Attempts at the end, when nothing grows any more: each kind twice.
 const LAST_TRIES: u32 = 6;
-/// While a find waits for its second look, so many more are enough.
-const GROWN_NODES_AGAIN: u32 = 2;
-/// What two maps agree on must be ahead of chance by this much F1.
-const AHEAD_OF_CHANCE: f64 = 0.3;
-/// A pair in force is looked at again when the two have so many times the nodes.
-const ASSESS_GROWN: f64 = 1.25;
-/// Below this F1 (and with an overlap that says something) the maps contradict the edge; a second
-/// time drops it. Right places have 0.8 and more, wrong ones 0.2 and less.
-const CONTRADICTED_F1: f64 = 0.4;
-const CONTRADICTED_OVERLAP_M2: f64 = 10.0;
-/// A window of a robot's map: its newest submaps, if it has twice as many.
-const WINDOW: usize = 5;
-/// Closures that make an edge of two robots that others had brought together.
-const CLOSURES_MIN: usize = 2;
-/// How well a given start is known, metres and radians; and the frame of the fleet itself.
-const START: [f64; 2] = [0.02, 0.005];
-const FRAME: [f64; 2] = [1e-3, 1e-4];
-/// Anchors and drawn maps follow the graph in steps of half a cell of 0.05 m.
-const TOLERANCE_M: f64 = 0.025;
 
 /// Why a message was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -316,243 +293,6 @@ impl Fleet {
         }
         let next = (0..self.members.len()).find(|k| !self.members[*k].corrections.is_empty());
         self.holder = next.map(|k| (k, self.members[k].corrections[0]));
-    }
-
-    /// Robots that nothing in force ties to the fleet's frame are taken out; those newly tied get a place.
-    fn connect(&mut self) {
-        let mut reached: Vec<bool> = self.members.iter().map(|member| member.start.is_some()).collect();
-        if let Some((holder, _)) = self.holder {
-            reached[holder] = true;
-        }
-        // As often as there are robots: a path has no more edges.
-        for _ in 0..self.members.len() {
-            for (index, pair) in self.pairs.iter().enumerate().filter(|(_, pair)| pair.state().in_force()) {
-                let [a, b] = robots_of(index);
-                for (from, to, from_from_to) in [(a, b, pair.a_from_b), (b, a, pair.a_from_b.inverse())] {
-                    if reached[from] && !reached[to] {
-                        reached[to] = true;
-                        let Some(anchor) = self.members[from].anchor else { continue };
-                        let member = &mut self.members[to];
-                        if member.anchor.is_none() {
-                            let anchor = anchor * from_from_to;
-                            (member.anchor, member.corrections) = (Some(anchor), vec![anchor]);
-                        }
-                    }
-                }
-            }
-        }
-        for (member, _) in self.members.iter_mut().zip(reached).filter(|(_, reached)| !*reached) {
-            (member.anchor, member.bent, member.straightened) = (None, false, None);
-            member.corrections.clear();
-        }
-    }
-
-    fn solve_task(&mut self) -> Option<Task> {
-        if !core::mem::take(&mut self.unsolved) {
-            return None;
-        }
-        for (index, pair) in self.pairs.iter_mut().enumerate() {
-            let [a, b] = robots_of(index);
-            pair.sow(&self.members[a], &self.members[b]);
-        }
-        let mut problem = Problem {
-            poses: vec![Pose2::IDENTITY],
-            constraints: Vec::new(),
-            members: Vec::new(),
-            pairs: Vec::new(),
-        };
-        let mut place = vec![None; self.members.len()];
-        for (index, member) in self.members.iter().enumerate() {
-            let (Some(anchor), Some(own)) = (member.anchor, member.poses.first()) else { continue };
-            let first = problem.poses.len();
-            place[index] = Some(problem.members.len());
-            problem.members.push((index, first, member.poses.clone()));
-            problem.poses.extend(member.poses.iter().map(|pose| anchor * *pose));
-            problem.constraints.extend(member.constraints(first));
-            let held = self.holder.filter(|(holder, _)| *holder == index).map(|(_, pose)| (pose, FRAME));
-            if let Some((pose, [m, rad])) = member.start.map(|start| (start, START)).or(held) {
-                let information = certain_to(m, rad);
-                problem.constraints.push(Constraint {
-                    a: 0,
-                    b: first,
-                    a_from_b: pose * *own,
-                    information,
-                    robust: false,
-                });
-            }
-        }
-        for (index, pair) in self.pairs.iter().enumerate() {
-            let [a, b] = robots_of(index);
-            let (Some(m), Some(n)) = (place[a], place[b]) else { continue };
-            let seed = pair.seed_constraint([problem.members[m].1, problem.members[n].1]);
-            problem.pairs.push(ProblemPair {
-                pair: index,
-                members: [m, n],
-                closures: pair.closures.clone(),
-                seed,
-            });
-        }
-        (!problem.members.is_empty()).then(|| self.task(Job::Solve(problem))).flatten()
-    }
-
-    fn solved(&mut self, solution: Solution) {
-        self.solutions += 1;
-        for (robot, corrections) in solution.members {
-            if self.members[robot].anchor.is_some() {
-                self.members[robot].settle(corrections, TOLERANCE_M);
-            }
-        }
-        for (index, in_force, residual_m) in solution.pairs {
-            let [a, b] = robots_of(index);
-            let pair = &mut self.pairs[index];
-            (pair.in_force, pair.residual_m) = (in_force, residual_m);
-            if let Some((a, b)) = self.members[a].anchor.zip(self.members[b].anchor)
-                && (pair.state().in_force() || pair.in_force.len() >= CLOSURES_MIN)
-            {
-                pair.a_from_b = a.between(b);
-                if !pair.state().in_force() && !pair.is_refused(pair.a_from_b) {
-                    pair.state = Some(EdgeState::Accepted);
-                }
-            }
-        }
-    }
-
-    fn straighten_task(&self) -> Option<Task> {
-        let robot = (0..self.members.len()).find(|k| self.members[*k].wants_straightening(TOLERANCE_M))?;
-        let member = &self.members[robot];
-        let anchor = member.anchor?;
-        self.task(Job::Straighten {
-            robot,
-            version: member.version,
-            anchor,
-            corrections: member.corrections.clone(),
-            placed: member.placed_in(anchor.inverse()),
-        })
-    }
-
-    fn match_task(&self) -> Option<Task> {
-        for (index, pair) in self.pairs.iter().enumerate() {
-            let [a, b] = robots_of(index).map(|robot| &self.members[robot]);
-            let Some((on_a, on_b)) = a.anchor.zip(b.anchor) else { continue };
-            if pair.is_refused(on_a.between(on_b)) {
-                continue;
-            }
-            let Some(next) = pair.next_match(a, b) else { continue };
-            let [i, j] = next.ids;
-            let (of_i, of_j) = a.piece(i).zip(b.piece(j))?;
-            let grids = [of_i.0.grid.clone(), of_j.0.grid.clone()];
-            let (predicted, window) = (next.predicted, next.window);
-            return self.task(Job::Match { pair: index, ids: next.ids, grids, predicted, window });
-        }
-        None
-    }
-
-    /// Pairs in force whose maps have grown: do they still agree?
-    fn assess_task(&mut self) -> Option<Task> {
-        for (index, pair) in self.pairs.iter_mut().enumerate().filter(|(_, pair)| pair.state().in_force()) {
-            let [a, b] = robots_of(index).map(|robot| &self.members[robot]);
-            let nodes = a.nodes() + b.nodes();
-            if a.anchor.is_none()
-                || b.anchor.is_none()
-                || f64::from(nodes) < ASSESS_GROWN * f64::from(pair.assessed_at)
-            {
-                continue;
-            }
-            pair.assessed_at = nodes.max(1);
-            let [a, b] = [a, b].map(|member| member.placed_in(Pose2::IDENTITY));
-            if a.is_empty() || b.is_empty() {
-                continue;
-            }
-            return self.task(Job::Assess { pair: index, a, b });
-        }
-        None
-    }
-
-    fn assessed(&mut self, index: usize, found: Option<(Alignment, f64)>) {
-        let pair = &mut self.pairs[index];
-        let Some((found, null_f1)) = found.filter(|_| pair.state().in_force()) else { return };
-        // Where the margin over other places was found, it stays: this look was at one place only.
-        let margin = pair.grounds.as_ref().map_or(0.0, |(before, _)| before.margin);
-        pair.grounds = Some((Alignment { a_from_b: pair.a_from_b, margin, ..found }, null_f1));
-        let contradicted = found.overlap_m2 >= CONTRADICTED_OVERLAP_M2 && found.score < CONTRADICTED_F1;
-        pair.contradictions = if contradicted { pair.contradictions + 1 } else { 0 };
-        if contradicted {
-            pair.assessed_at = 0;
-        }
-        if pair.contradictions >= 2 && pair.state() == EdgeState::Accepted {
-            pair.let_go(EdgeState::Dropped);
-            self.connect();
-            self.unsolved = true;
-        }
-    }
-
-    /// The pair that was tried least, of those that are not yet together and have grown.
-    fn align_task(&mut self) -> Option<Task> {
-        let due = |(index, pair): &(usize, &Pair)| {
-            let [a, b] = robots_of(*index).map(|robot| &self.members[robot]);
-            let together = a.anchor.is_some() && b.anchor.is_some() || pair.state().in_force();
-            let [m, n] = [a.nodes(), b.nodes()];
-            let waits = pair.state() == EdgeState::Candidate;
-            let more = if waits {
-                GROWN_NODES_AGAIN
-            } else {
-                GROWN_NODES.max(((GROWN - 1.0) * f64::from(pair.tried_at)) as u32)
-            };
-            let fresh = pair.tried_at == 0 || m + n >= pair.tried_at + more || pair.last_tries > 0;
-            !together
-                && fresh
-                && m >= ALIGN_NODES
-                && n >= ALIGN_NODES
-                && a.poses.len() >= a.pieces.len()
-                && b.poses.len() >= b.pieces.len()
-        };
-        let next = self
-            .pairs
-            .iter()
-            .enumerate()
-            .filter(due)
-            .min_by_key(|(_, pair)| (pair.state() != EdgeState::Candidate, pair.tries));
-        let index = next?.0;
-        let [a, b] = robots_of(index).map(|robot| &self.members[robot]);
-        let nodes = [a.nodes(), b.nodes()];
-        let pair = &mut self.pairs[index];
-        // In turns: all of both, all of the one and what the other saw last (which drift has not bent).
-        let newest = |member: &Member| {
-            member.poses.len() - if member.poses.len() >= 2 * WINDOW { WINDOW } else { member.poses.len() }
-        };
-        let [from_a, from_b] = match pair.tries % 3 {
-            0 => [0, 0],
-            1 => [0, newest(b)],
-            _ => [newest(a), 0],
-        };
-        let (of_a, of_b) = (a.placed(from_a..a.poses.len()), b.placed(from_b..b.poses.len()));
-        pair.tries += 1;
-        pair.last_tries = pair.last_tries.saturating_sub(1);
-        pair.tried_at = nodes[0] + nodes[1];
-        self.task(Job::Align { pair: index, nodes, a: of_a, b: of_b, config: self.align.clone() })
-    }
-
-    /// Past the gate twice, from maps that have grown between: then it is believed.
-    fn aligned(&mut self, index: usize, nodes: [u32; 2], found: Option<(Alignment, f64)>) {
-        let last_round = self.last_round;
-        let pair = &mut self.pairs[index];
-        let passed = found.filter(|(found, null_f1)| {
-            found.accepted && found.score >= null_f1 + AHEAD_OF_CHANCE && !pair.is_refused(found.a_from_b)
-        });
-        let Some((found, null_f1)) = passed else { return };
-        let again = pair.state() == EdgeState::Candidate && Pair::same(pair.a_from_b, found.a_from_b);
-        let grown = pair.seen_at != nodes || last_round;
-        if again && !grown {
-            return;
-        }
-        (pair.a_from_b, pair.seen_at, pair.grounds) = (found.a_from_b, nodes, Some((found, null_f1)));
-        if !again {
-            pair.state = Some(EdgeState::Candidate);
-            return;
-        }
-        pair.state = Some(EdgeState::Accepted);
-        self.connect();
-        self.unsolved = true;
     }
 }
 

@@ -5,6 +5,7 @@
 
 mod config;
 mod doors;
+mod edges;
 mod fleet;
 mod harness;
 mod headset;
