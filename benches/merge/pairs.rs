@@ -62,21 +62,44 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Aligns. `straight` takes a point of the second map, as it is drawn, to where it is in the one that the truth is of.
-    pub fn of(maps: [&Grid; 2], a_from_b: Option<Pose2>, straight: impl Fn([f64; 2]) -> [f64; 2]) -> Self {
+    /// Aligns two maps as they are.
+    pub fn of(maps: [&Grid; 2], a_from_b: Option<Pose2>) -> Self {
+        let outcome = Self::unjudged(maps);
+        let error = outcome.place().zip(a_from_b).map(|(place, truth)| {
+            displacement(&shared_walls(maps, |at| truth.apply(at)), place).unwrap_or([f64::INFINITY; 2])
+        });
+        Self { error, ..outcome }
+    }
+
+    /// The same where the second map is bent, and `straight` takes a point of it to where it is in the one that the truth
+    /// is of. No transform puts a bent map right everywhere: what counts are the walls that were found again.
+    pub fn of_bent(
+        maps: [&Grid; 2],
+        a_from_b: Option<Pose2>,
+        straight: impl Fn([f64; 2]) -> [f64; 2],
+    ) -> Self {
+        let outcome = Self::unjudged(maps);
+        let error = outcome.place().zip(a_from_b).map(|(place, truth)| {
+            let mut walls = shared_walls(maps, |at| truth.apply(straight(at)));
+            walls.retain(|(at, _)| is_wall_near(maps[0], place.apply(*at)));
+            displacement(&walls, place).unwrap_or([f64::INFINITY; 2])
+        });
+        Self { error, ..outcome }
+    }
+
+    fn unjudged(maps: [&Grid; 2]) -> Self {
         let began_s = cpu_s();
         let found = align(maps[0].view(), maps[1].view(), &AlignConfig::default());
-        let ms = 1e3 * (cpu_s() - began_s);
-        let accepted = found.filter(|found| found.accepted);
-        let error = accepted.zip(a_from_b).map(|(found, truth)| {
-            displacement(maps, |place| truth.apply(straight(place)), truth, found.a_from_b)
-        });
-        Self { found, ms, error }
+        Self { found, ms: 1e3 * (cpu_s() - began_s), error: None }
     }
 
     /// Accepted.
     pub fn accepted(&self) -> bool {
-        self.found.is_some_and(|found| found.accepted)
+        self.place().is_some()
+    }
+
+    fn place(&self) -> Option<Pose2> {
+        self.found.filter(|found| found.accepted).map(|found| found.a_from_b)
     }
 
     /// Accepted where it truly lies.
@@ -85,30 +108,45 @@ impl Outcome {
     }
 }
 
-/// RMS displacement of b's walls where a knows something, metres; rotation, degrees.
-fn displacement(
-    [a, b]: [&Grid; 2],
-    truly: impl Fn([f64; 2]) -> [f64; 2],
-    truth: Pose2,
-    estimate: Pose2,
-) -> [f64; 2] {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for y in 0..i64::from(b.header.height) {
-        for x in 0..i64::from(b.header.width) {
-            if occupancy(b.view().cell(x, y)) != Occupancy::Occupied {
-                continue;
-            }
-            let place = b.view().centre_m(x, y);
-            let (there, here) = (truly(place), estimate.apply(place));
-            let (i, j) = a.view().cell_of(there);
-            if occupancy(a.view().cell(i, j)) != Occupancy::Unknown {
-                sum += (there[0] - here[0]).powi(2) + (there[1] - here[1]).powi(2);
-                count += 1.0;
-            }
-        }
+/// b's walls where a knows something: in b, and where they truly lie in a.
+fn shared_walls([a, b]: [&Grid; 2], truly: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<([f64; 2], [f64; 2])> {
+    let cells = (0..i64::from(b.header.height)).flat_map(|y| (0..i64::from(b.header.width)).map(move |x| (x, y)));
+    let walls = cells.filter(|(x, y)| occupancy(b.view().cell(*x, *y)) == Occupancy::Occupied);
+    let places = walls.map(|(x, y)| b.view().centre_m(x, y)).map(|at| (at, truly(at)));
+    let known = |at: [f64; 2]| {
+        let (i, j) = a.view().cell_of(at);
+        occupancy(a.view().cell(i, j)) != Occupancy::Unknown
+    };
+    places.filter(|(_, there)| known(*there)).collect()
+}
+
+/// A wall in the cell or in one around it.
+fn is_wall_near(map: &Grid, at: [f64; 2]) -> bool {
+    let (x, y) = map.view().cell_of(at);
+    let around = (-1..=1).flat_map(|j| (-1..=1).map(move |i| (i, j)));
+    around.into_iter().any(|(i, j)| occupancy(map.view().cell(x + i, y + j)) == Occupancy::Occupied)
+}
+
+/// RMS displacement of walls, metres, and rotation, degrees, of an estimate; `None` without walls. The rotation is from
+/// that which fits them best (Umeyama, "Least-squares estimation of transformation parameters between two point
+/// patterns", PAMI 1991).
+fn displacement(walls: &[([f64; 2], [f64; 2])], estimate: Pose2) -> Option<[f64; 2]> {
+    let count = walls.len() as f64;
+    let middle = |of: fn(&([f64; 2], [f64; 2])) -> [f64; 2]| {
+        walls.iter().map(of).fold([0.0; 2], |sum, at| [sum[0] + at[0] / count, sum[1] + at[1] / count])
+    };
+    let (here, there) = (middle(|wall| wall.0), middle(|wall| wall.1));
+    let (mut sum, mut dot, mut cross) = (0.0, 0.0, 0.0);
+    for (at, truly) in walls {
+        let placed = estimate.apply(*at);
+        sum += (truly[0] - placed[0]).powi(2) + (truly[1] - placed[1]).powi(2);
+        let ([x, y], [u, v]) = ([at[0] - here[0], at[1] - here[1]], [truly[0] - there[0], truly[1] - there[1]]);
+        dot += x * u + y * v;
+        cross += x * v - y * u;
     }
-    let rms_m: f64 = sum / f64::max(count, 1.0);
-    [rms_m.sqrt(), wrap_angle(estimate.yaw_rad - truth.yaw_rad).abs().to_degrees()]
+    let rms_m = (sum / count).sqrt();
+    let turned = wrap_angle(estimate.yaw_rad - f64::atan2(cross, dot)).abs();
+    (!walls.is_empty()).then(|| [rms_m, turned.to_degrees()])
 }
 
 /// The public pairs as they are.
@@ -117,7 +155,7 @@ pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::i
     let began = Instant::now();
     let outcomes: Vec<Outcome> = pairs
         .iter()
-        .map(|pair| Outcome::of([&pair.maps[0], &pair.maps[1]], pair.a_from_b, |place| place))
+        .map(|pair| Outcome::of([&pair.maps[0], &pair.maps[1]], pair.a_from_b))
         .collect();
     let wall_s = began.elapsed().as_secs_f64();
     let both = || pairs.iter().zip(&outcomes);

@@ -28,11 +28,13 @@ pub fn rows(table: &mut Table, pairs: &[Pair]) {
         let (mut right, mut placed, mut wrong) = (0, 0, Vec::new());
         for (seed, pair) in (1_u64..).zip(pairs) {
             let (a, mut b) = (vary_a(&pair.maps[0], 2 * seed), vary_b(&pair.maps[1], 2 * seed + 1));
-            let straight = straight(&b, if seed % 2 == 0 { rad_per_m } else { -rad_per_m });
-            if rad_per_m > 0.0 {
+            let outcome = if rad_per_m == 0.0 {
+                Outcome::of([&a, &b], pair.a_from_b)
+            } else {
+                let straight = straight(&b, if seed % 2 == 0 { rad_per_m } else { -rad_per_m });
                 b = resampled(&b, 0.0, &straight);
-            }
-            let outcome = Outcome::of([&a, &b], pair.a_from_b, &straight);
+                Outcome::of_bent([&a, &b], pair.a_from_b, &straight)
+            };
             placed += usize::from(pair.a_from_b.is_some());
             right += usize::from(outcome.right());
             if outcome.accepted() && !outcome.right() {
@@ -105,9 +107,6 @@ fn straight(map: &Grid, rad_per_m: f64) -> impl Fn([f64; 2]) -> [f64; 2] + use<>
     let middle = map.header.origin.apply(half_m);
     // A circle's arc through the middle: a point so far along the arc lies so far along the straight map.
     move |[x, y]| {
-        if rad_per_m == 0.0 {
-            return [x, y];
-        }
         let ([along, across], radius) = ([x - middle[0], y - middle[1]], 1.0 / rad_per_m);
         let (from_centre, angle) = (
             along.hypot(radius - across),

@@ -164,9 +164,6 @@ impl World {
         mut from: Reader<'_>,
         received: Stamp,
     ) -> Result<(), WorldError> {
-        if robot.number() > self.robot_count {
-            return Err(WorldError::Content(format!("the fleet has robots 1 to {}", self.robot_count)));
-        }
         self.check_source(source, robot, received)?;
         read::laser_scan(&mut from, &mut self.scan)?;
         check_scan(&mut self.scan).map_err(WorldError::Content)?;
@@ -213,9 +210,6 @@ impl World {
         mut from: Reader<'_>,
         received: Stamp,
     ) -> Result<(), WorldError> {
-        if robot.number() > self.robot_count {
-            return Err(WorldError::Content(format!("the fleet has robots 1 to {}", self.robot_count)));
-        }
         self.check_source(source, robot, received)?;
         let transform = read::odometry(&mut from)?;
         let sound = link(Link::Odom, Link::BaseFootprint, &transform).map_err(WorldError::Content)?;
@@ -264,6 +258,9 @@ impl World {
     }
 
     fn check_source(&self, source: SourceId, robot: RobotId, received: Stamp) -> Result<(), WorldError> {
+        if robot.number() > self.robot_count {
+            return Err(WorldError::Content(format!("the fleet has robots 1 to {}", self.robot_count)));
+        }
         if is_taken(self.robots[robot.index()].source, source, received) {
             return Err(WorldError::OtherSource { what: robot.to_string() });
         }
