@@ -110,7 +110,8 @@ impl Outcome {
 
 /// b's walls where a knows something: in b, and where they truly lie in a.
 fn shared_walls([a, b]: [&Grid; 2], truly: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<([f64; 2], [f64; 2])> {
-    let cells = (0..i64::from(b.header.height)).flat_map(|y| (0..i64::from(b.header.width)).map(move |x| (x, y)));
+    let cells =
+        (0..i64::from(b.header.height)).flat_map(|y| (0..i64::from(b.header.width)).map(move |x| (x, y)));
     let walls = cells.filter(|(x, y)| occupancy(b.view().cell(*x, *y)) == Occupancy::Occupied);
     let places = walls.map(|(x, y)| b.view().centre_m(x, y)).map(|at| (at, truly(at)));
     let known = |at: [f64; 2]| {
@@ -140,7 +141,8 @@ fn displacement(walls: &[([f64; 2], [f64; 2])], estimate: Pose2) -> Option<[f64;
     for (at, truly) in walls {
         let placed = estimate.apply(*at);
         sum += (truly[0] - placed[0]).powi(2) + (truly[1] - placed[1]).powi(2);
-        let ([x, y], [u, v]) = ([at[0] - here[0], at[1] - here[1]], [truly[0] - there[0], truly[1] - there[1]]);
+        let ([x, y], [u, v]) =
+            ([at[0] - here[0], at[1] - here[1]], [truly[0] - there[0], truly[1] - there[1]]);
         dot += x * u + y * v;
         cross += x * v - y * u;
     }
@@ -153,10 +155,8 @@ fn displacement(walls: &[([f64; 2], [f64; 2])], estimate: Pose2) -> Option<[f64;
 pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::io::Result<()> {
     table.begin("pairs of maps, unknown starts", "", "of");
     let began = Instant::now();
-    let outcomes: Vec<Outcome> = pairs
-        .iter()
-        .map(|pair| Outcome::of([&pair.maps[0], &pair.maps[1]], pair.a_from_b))
-        .collect();
+    let outcomes: Vec<Outcome> =
+        pairs.iter().map(|pair| Outcome::of([&pair.maps[0], &pair.maps[1]], pair.a_from_b)).collect();
     let wall_s = began.elapsed().as_secs_f64();
     let both = || pairs.iter().zip(&outcomes);
     let band = |low: f64, high: f64| {

@@ -12,10 +12,10 @@ use std::sync::Arc;
 
 /// Two closures agree if one leads to the other within this, metres and radians,
 const AGREE: [f64; 2] = [0.12, 0.03];
-/// and this more for each metre that the robots drove between them.
-const AGREE_PER_M: [f64; 2] = [0.01, 0.002];
-/// The most of both together.
-const AGREE_MAX: [f64; 2] = [1.0, 0.2];
+/// and this more for each metre that the robots drove between them; the heading lost on the way moves the other end.
+const AGREE_PER_M: [f64; 2] = [0.01, 0.004];
+/// The most of all together: SLAM's own drift along a way without closures.
+const AGREE_MAX: [f64; 2] = [4.0, 0.4];
 /// A closure that the solution contradicts by so many standard deviations is not believed.
 const CONTRADICTED_SIGMAS: f64 = 6.0;
 
@@ -197,9 +197,12 @@ impl Problem {
             let ([i, j], [m, n]) = (one.ids, other.ids);
             let implied = a[m].between(a[i]) * one.found.i_from_j * b[j].between(b[n]);
             let way_m = (along_a[i] - along_a[m]).abs() + (along_b[j] - along_b[n]).abs();
-            let within = [0, 1].map(|k| (AGREE[k] + AGREE_PER_M[k] * way_m).min(AGREE_MAX[k]));
+            let [drift_m, drift_rad] = AGREE_PER_M.map(|per_m| per_m * way_m);
+            let swing_m = 0.5 * drift_rad * a[i].distance_m(a[m]);
+            let within_m = (AGREE[0] + drift_m + swing_m).min(AGREE_MAX[0]);
+            let within_rad = (AGREE[1] + drift_rad).min(AGREE_MAX[1]);
             let turned = wrap_angle(implied.yaw_rad - other.found.i_from_j.yaw_rad).abs();
-            implied.distance_m(other.found.i_from_j) <= within[0] && turned <= within[1]
+            implied.distance_m(other.found.i_from_j) <= within_m && turned <= within_rad
         };
         largest_consistent(pair.closures.len(), |k| f64::from(pair.closures[k].found.inliers), agree)
     }
