@@ -42,6 +42,10 @@ const CASES: [Case; 3] = [
         odometry: "aces/dense_odom.traj.gz",
     },
 ];
+/// Logs cut into halves (intel's are `intel_2`).
+const HALVES: [&str; 6] = ["csail", "aces", "freiburg-101", "edmonton", "acapulco", "belgioioso"];
+/// Where halves are merged, relations between them err by this at most, metres: substitute relations err by 0.05 to 0.07 themselves.
+const HALVES_M: f64 = 0.12;
 /// Robots that are merged lie right by this much at least, metres.
 const REFUSED_OR_M: f64 = 0.3;
 /// A robot's own relations may be worse in the fleet than alone by this factor and this much, metres: the surveyed
@@ -58,29 +62,9 @@ pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
             println!("{}: not in {}", case.name, folder.display());
             continue;
         }
-        let scratch = tempfile::tempdir()?;
-        let summary = replay(&logs, &["--merge", "unknown"], scratch.path())?;
-        let together = trajectories(scratch.path(), logs.len())?;
-        let all = Trajectory::parse(&together.concat())?;
-        let relations = parse(&std::fs::read_to_string(folder.join(case.name).join(case.between))?)?;
-        // Between kept scans, how the robot moved: the same in any frame.
-        let odometry = folder.join(case.odometry);
-        let odometry =
-            if odometry.is_file() { Some(Trajectory::parse(&unpacked(&odometry)?)?) } else { None };
-        let found = errors(&all, odometry.as_ref(), &relations, Which::All);
-        let merged = summary["robots"]
-            .as_array()
-            .map_or(0, |robots| robots.iter().filter(|r| r["merged"] == true).count());
-        let [wall_s, merge_s] = ["wall_s", "merge_s"].map(|key| summary[key].as_f64().unwrap_or(f64::NAN));
-        let closures: u64 =
-            summary["edges"].as_array().into_iter().flatten().filter_map(|e| e["closures"].as_u64()).sum();
-        let note = format!(
-            "{merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
-            logs.len()
-        );
-        let all_merged = merged == logs.len();
-        let value = if all_merged { found.mean_m } else { f64::NAN };
-        let row = Row::new(case.name, value, found.count as f64).note(note);
+        let between = folder.join(case.name).join(case.between);
+        let (row, together) = merged(case.name, false, &logs, &between, &folder.join(case.odometry))?;
+        let all_merged = row.value().is_finite();
         table.add(match case.limit_m {
             Some(limit_m) => row.at_most(limit_m),
             None if all_merged => row.at_most(REFUSED_OR_M),
@@ -107,6 +91,67 @@ pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
         }
     }
     Ok(())
+}
+
+/// Logs of one robot cut in the middle: two robots that drove one after the other. Refusing is no mistake here: the halves
+/// of some hardly meet.
+pub fn halves(table: &mut Table, folder: &Path) -> Result<(), Error> {
+    table.begin("logs cut into halves, unknown starts: mean relation error, m", "between", "relations");
+    for name in HALVES {
+        let log = folder.join(name).join(format!("{name}.log.gz"));
+        if !log.is_file() {
+            println!("{name}: not in {}", folder.display());
+            continue;
+        }
+        let text = unpacked(&log)?;
+        let scans: Vec<&str> = text.lines().filter(|line| line.contains("LASER")).collect();
+        let scratch = tempfile::tempdir()?;
+        let (first, second) = scans.split_at(scans.len() / 2);
+        let mut logs = Vec::new();
+        for (half, k) in [first, second].into_iter().zip(1..) {
+            logs.push(scratch.path().join(format!("robot{k}.log")));
+            std::fs::write(&logs[k - 1], half.join("\n") + "\n")?;
+        }
+        let folder = folder.join(name);
+        let odometry = folder.join("dense_odom.traj.gz");
+        let (row, _) = merged(name, true, &logs, &folder.join("substitute.relations"), &odometry)?;
+        table.add(if row.value().is_finite() { row.at_most(HALVES_M) } else { row });
+    }
+    Ok(())
+}
+
+/// The logs merged: a row with the error of the relations between them, not a number if they are not all merged; and
+/// the trajectories. Of the relations of a log that was `cut`, those across the cut count.
+fn merged(
+    name: &str,
+    cut: bool,
+    logs: &[PathBuf],
+    relations: &Path,
+    odometry: &Path,
+) -> Result<(Row, Vec<String>), Error> {
+    let scratch = tempfile::tempdir()?;
+    let summary = replay(logs, &["--merge", "unknown"], scratch.path())?;
+    let together = trajectories(scratch.path(), logs.len())?;
+    let mut relations = parse(&std::fs::read_to_string(relations)?)?;
+    if cut {
+        let halves = together.iter().map(|text| Trajectory::parse(text)).collect::<Result<Vec<_>, _>>()?;
+        relations.retain(|relation| !halves.iter().any(|half| half.spans(relation)));
+    }
+    let all = Trajectory::parse(&together.concat())?;
+    // Between kept scans, how the robot moved: the same in any frame.
+    let odometry = if odometry.is_file() { Some(Trajectory::parse(&unpacked(odometry)?)?) } else { None };
+    let found = errors(&all, odometry.as_ref(), &relations, Which::All);
+    let robots = summary["robots"].as_array();
+    let merged = robots.map_or(0, |robots| robots.iter().filter(|r| r["merged"] == true).count());
+    let [wall_s, merge_s] = ["wall_s", "merge_s"].map(|key| summary[key].as_f64().unwrap_or(f64::NAN));
+    let closures: u64 =
+        summary["edges"].as_array().into_iter().flatten().filter_map(|e| e["closures"].as_u64()).sum();
+    let note = format!(
+        "{merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
+        logs.len()
+    );
+    let value = if merged == logs.len() { found.mean_m } else { f64::NAN };
+    Ok((Row::new(name, value, found.count as f64).note(note), together))
 }
 
 fn logs(folder: &Path) -> Vec<PathBuf> {

@@ -1,13 +1,13 @@
 //! Merging, all of it in one table: speed with known starts; pairs of maps with exact truth, as they are and as
 //! robots would have them that map worse; logs of several robots that started anywhere.
 //!
-//! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR] [--only speed,pairs,varied,logs] [--json FILE]
+//! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR] [--only speed,pairs,varied,logs,halves] [--json FILE]
 //! [--results FILE.jsonl] [--check]`
 //!
 //! `--pairs` holds a folder a pair: `a.yaml`, `b.yaml` and `truth.json` (`T_A_B` = [x, y, theta], p_a = R p_b + t, or null
 //! where the two are of different buildings); an archive `merge-pairs.tar.xz` has to be unpacked first. `--logs` holds
-//! `intel_2`, `intel_3`, `aces_2` and, for relations within a robot, `intel` and `aces`. `--results` gets a line a pair.
-//! `--check` fails if a limit is missed.
+//! `intel_2`, `intel_3`, `aces_2` and, for relations within a robot and to be cut into halves, logs of one robot.
+//! `--results` gets a line a pair. `--check` fails if a limit is missed.
 
 mod logs;
 mod pairs;
@@ -74,6 +74,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     if wanted("logs") {
         logs::rows(&mut table, &args.logs)?;
+    }
+    if wanted("halves") {
+        logs::halves(&mut table, &args.logs)?;
     }
     if let Some(path) = &args.json {
         std::fs::write(path, serde_json::to_string_pretty(&table.json())?)?;

@@ -27,6 +27,11 @@ impl Row {
         Self { name: name.into(), value, beside, limit: None, met: true, note: String::new() }
     }
 
+    /// What was measured.
+    pub fn value(&self) -> f64 {
+        self.value
+    }
+
     /// The value must not be more.
     pub fn at_most(self, limit: f64) -> Self {
         Self { met: self.value <= limit, limit: Some(Limit::AtMost(limit)), ..self }

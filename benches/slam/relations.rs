@@ -67,6 +67,17 @@ impl Trajectory {
         Ok(Self::new(rows(text, pose, "t x y yaw")?))
     }
 
+    /// Whether a relation is between two of its own times.
+    #[allow(dead_code, reason = "the slam bench has one trajectory at a time")]
+    pub fn spans(&self, relation: &Relation) -> bool {
+        let within = |at_s: f64| {
+            let [first, last] =
+                [self.0.first(), self.0.last()].map(|pose| pose.map_or(f64::NAN, |(t, _)| *t));
+            (first - NEAR_S..=last + NEAR_S).contains(&at_s)
+        };
+        within(relation.from_s) && within(relation.to_s)
+    }
+
     /// Index of the pose nearest in time; of two as near, the earlier.
     fn nearest(&self, at_s: f64) -> usize {
         let last = self.0.len() - 1;
