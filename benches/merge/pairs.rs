@@ -108,8 +108,11 @@ impl Outcome {
     }
 }
 
-/// b's walls where a knows something: in b, and where they truly lie in a.
-fn shared_walls([a, b]: [&Grid; 2], truly: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<([f64; 2], [f64; 2])> {
+/// A wall: in b, and where it truly lies in a.
+type Wall = ([f64; 2], [f64; 2]);
+
+/// b's walls where a knows something.
+fn shared_walls([a, b]: [&Grid; 2], truly: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<Wall> {
     let cells =
         (0..i64::from(b.header.height)).flat_map(|y| (0..i64::from(b.header.width)).map(move |x| (x, y)));
     let walls = cells.filter(|(x, y)| occupancy(b.view().cell(*x, *y)) == Occupancy::Occupied);
@@ -131,9 +134,9 @@ fn is_wall_near(map: &Grid, at: [f64; 2]) -> bool {
 /// RMS displacement of walls, metres, and rotation, degrees, of an estimate; `None` without walls. The rotation is from
 /// that which fits them best (Umeyama, "Least-squares estimation of transformation parameters between two point
 /// patterns", PAMI 1991).
-fn displacement(walls: &[([f64; 2], [f64; 2])], estimate: Pose2) -> Option<[f64; 2]> {
+fn displacement(walls: &[Wall], estimate: Pose2) -> Option<[f64; 2]> {
     let count = walls.len() as f64;
-    let middle = |of: fn(&([f64; 2], [f64; 2])) -> [f64; 2]| {
+    let middle = |of: fn(&Wall) -> [f64; 2]| {
         walls.iter().map(of).fold([0.0; 2], |sum, at| [sum[0] + at[0] / count, sum[1] + at[1] / count])
     };
     let (here, there) = (middle(|wall| wall.0), middle(|wall| wall.1));
