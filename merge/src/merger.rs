@@ -3,7 +3,7 @@
 use crate::align::AlignConfig;
 use crate::lookup::Bench;
 use crate::source::{Source, reach};
-use msg::grid::{LOG_ODDS_MAX, MAP_CELLS_MAX, UNKNOWN};
+use msg::grid::{DRIVEN, LOG_ODDS_MAX, MAP_CELLS_MAX, UNKNOWN};
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
 use msg::{
     Anchor, Anchors, Dense, Grid, GridHeader, GridView, Header, MapHeader, MapTile, Monotonic, Pose2,
@@ -240,19 +240,37 @@ impl Merger {
         let lookup = moved.lookup_of(&moved.map.header, self.resolution_m);
         let reach = reach(&moved.map, lookup.as_ref());
         self.make_room(robot, reach)?;
-        mark(&mut self.dirty, self.merged.extent(), moved.reach);
-        mark(&mut self.dirty, self.merged.extent(), reach);
+        let body = moved.body_tiles(self.resolution_m);
+        for tiles in [moved.reach, reach, moved.body, body] {
+            mark(&mut self.dirty, self.merged.extent(), tiles);
+        }
         if lookup.is_some() {
             self.note_time(&moved.map.header);
         }
-        self.sources[robot.index()] = Source { lookup, reach, ..moved };
+        self.sources[robot.index()] = Source { lookup, reach, body, ..moved };
         Ok(())
+    }
+
+    /// Takes where a robot is now, `robotK/map` from `base_footprint`, and how far its body reaches around that: what
+    /// its peers see there is the robot. Its own map says so too, but only from its newest node back. Whether the
+    /// merged map may be another.
+    pub fn stand(&mut self, robot: RobotId, robot_map_from_base: Pose2, radius_m: f64) -> bool {
+        let Some(source) = self.sources.get_mut(robot.index()) else { return false };
+        if !source.trail.note(robot_map_from_base, radius_m) {
+            return false;
+        }
+        let now = source.body_tiles(self.resolution_m);
+        let before = core::mem::replace(&mut source.body, now);
+        mark(&mut self.dirty, self.merged.extent(), before);
+        mark(&mut self.dirty, self.merged.extent(), now);
+        !now.is_empty()
     }
 
     /// Takes a robot's evidence back: it was reset, or it left. Its place stays known.
     pub fn forget(&mut self, robot: RobotId) {
         if let Some(source) = self.sources.get_mut(robot.index()) {
             mark(&mut self.dirty, self.merged.extent(), source.reach);
+            mark(&mut self.dirty, self.merged.extent(), source.body);
             *source = Source { map_from_robot_map: source.map_from_robot_map, ..Default::default() };
         }
     }
@@ -262,7 +280,7 @@ impl Merger {
         let extent = self.merged.extent();
         for ((x, y), dirty) in extent.points().zip(&mut self.dirty) {
             if std::mem::take(dirty) {
-                let tile = fuse(x, y, &self.sources, &mut self.bench);
+                let tile = fuse(x, y, &self.sources, self.resolution_m, &mut self.bench);
                 if tile.as_ref() != self.merged.get(x, y).map(|tile| &**tile) {
                     self.merged.set(x, y, tile.map(Arc::new));
                 }
@@ -370,8 +388,8 @@ fn malformed(header: &MapHeader, (width, height): (u32, u32), cells: usize) -> R
 
 /// Adds the evidence of all robots in one tile; `None` if there is none. Log-odds of independent
 /// observers add up (msg's `grid` says why), so an obstacle that one robot imagined is cleared by
-/// those who saw the floor.
-fn fuse(x: i64, y: i64, sources: &[Source], bench: &mut Bench) -> Option<MapTile> {
+/// those who saw the floor. Where a robot has driven there is floor, whatever all others took it for.
+fn fuse(x: i64, y: i64, sources: &[Source], resolution_m: f64, bench: &mut Bench) -> Option<MapTile> {
     let mut sums = [0_i16; TILE_CELLS];
     let mut known = [0_i8; TILE_CELLS];
     let mut any = false;
@@ -381,7 +399,7 @@ fn fuse(x: i64, y: i64, sources: &[Source], bench: &mut Bench) -> Option<MapTile
             any = true;
             for ((sum, known), cell) in sums.iter_mut().zip(&mut known).zip(bench.found.iter()) {
                 let is_known = -i8::from(*cell != UNKNOWN);
-                *sum += i16::from(*cell & is_known);
+                *sum += i16::from(*cell & is_known) + (DRIVEN_WEIGHT & -i16::from(*cell == DRIVEN));
                 *known |= is_known;
             }
         }
@@ -395,10 +413,18 @@ fn fuse(x: i64, y: i64, sources: &[Source], bench: &mut Bench) -> Option<MapTile
         let sum = (*sum).clamp(-most, most) as i8;
         *cell = (sum & *known) | (UNKNOWN & !*known);
     }
+    for source in sources.iter().filter(|source| source.body.holds(Rect::of_one(x, y))) {
+        source.clear(resolution_m, &mut tile);
+    }
     Some(tile)
 }
 
+/// What a cell that a robot has driven over weighs beyond its own value: as much as all others together can say.
+const DRIVEN_WEIGHT: i16 = -((ROBOTS_MAX as i16 - 1) * LOG_ODDS_MAX as i16);
+const _: () = assert!(ROBOTS_MAX as i32 * (DRIVEN_WEIGHT as i32 + DRIVEN as i32) >= i16::MIN as i32);
 const _: () = assert!(ROBOTS_MAX * (LOG_ODDS_MAX as usize) < i16::MAX as usize);
 
+#[cfg(test)]
+mod peers;
 #[cfg(test)]
 mod tests;
