@@ -391,27 +391,27 @@ fn malformed(header: &MapHeader, (width, height): (u32, u32), cells: usize) -> R
 /// those who saw the floor. Where a robot has driven there is floor, whatever all others took it for.
 fn fuse(x: i64, y: i64, sources: &[Source], resolution_m: f64, bench: &mut Bench) -> Option<MapTile> {
     let mut sums = [0_i16; TILE_CELLS];
-    let mut known = [0_i8; TILE_CELLS];
+    let mut least = [RANK_UNKNOWN; TILE_CELLS];
     let mut any = false;
     for source in sources.iter().filter(|source| source.reach.holds(Rect::of_one(x, y))) {
         let found = source.lookup.as_ref().is_some_and(|lookup| lookup.find(x, y, &source.map, bench));
         if found {
             any = true;
-            for ((sum, known), cell) in sums.iter_mut().zip(&mut known).zip(bench.found.iter()) {
-                let is_known = -i8::from(*cell != UNKNOWN);
-                *sum += i16::from(*cell & is_known) + (DRIVEN_WEIGHT & -i16::from(*cell == DRIVEN));
-                *known |= is_known;
+            for ((sum, least), cell) in sums.iter_mut().zip(&mut least).zip(bench.found.iter()) {
+                *sum += i16::from(*cell & -i8::from(*cell != UNKNOWN));
+                *least = (*least).min(rank(*cell));
             }
         }
     }
-    if !any || known.iter().all(|known| *known == 0) {
+    if !any || least.iter().all(|least| *least == RANK_UNKNOWN) {
         return None;
     }
     let most = i16::from(LOG_ODDS_MAX);
     let mut tile = MapTile::unknown(x, y);
-    for ((cell, sum), known) in tile.cells.iter_mut().zip(&sums).zip(&known) {
+    for ((cell, sum), least) in tile.cells.iter_mut().zip(&sums).zip(&least) {
         let sum = (*sum).clamp(-most, most) as i8;
-        *cell = (sum & *known) | (UNKNOWN & !*known);
+        let (known, driven) = (-i8::from(*least != RANK_UNKNOWN), -i8::from(*least == rank(DRIVEN)));
+        *cell = (((sum & !driven) | (DRIVEN & driven)) & known) | (UNKNOWN & !known);
     }
     for source in sources.iter().filter(|source| source.body.holds(Rect::of_one(x, y))) {
         source.clear(resolution_m, &mut tile);
@@ -419,9 +419,13 @@ fn fuse(x: i64, y: i64, sources: &[Source], resolution_m: f64, bench: &mut Bench
     Some(tile)
 }
 
-/// What a cell that a robot has driven over weighs beyond its own value: as much as all others together can say.
-const DRIVEN_WEIGHT: i16 = -((ROBOTS_MAX as i16 - 1) * LOG_ODDS_MAX as i16);
-const _: () = assert!(ROBOTS_MAX as i32 * (DRIVEN_WEIGHT as i32 + DRIVEN as i32) >= i16::MIN as i32);
+/// A cell's place in the order of what is certain to be free, that first and what nobody knows last: the least of several
+/// says both, at the price of one.
+const fn rank(cell: i8) -> u8 {
+    cell.wrapping_sub(DRIVEN) as u8
+}
+const RANK_UNKNOWN: u8 = rank(UNKNOWN);
+const _: () = assert!(rank(DRIVEN) == 0 && RANK_UNKNOWN == u8::MAX);
 const _: () = assert!(ROBOTS_MAX * (LOG_ODDS_MAX as usize) < i16::MAX as usize);
 
 #[cfg(test)]
