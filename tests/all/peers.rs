@@ -1,14 +1,22 @@
 //! A robot is no obstacle: not where it stands, not where it stood, whatever its peers saw there.
 
+use crate::harness::{Fleet, Folder, WATCHDOG};
+use bridge::command::{Registration, name};
+use bridge::frame::Side;
+use bridge::ros::{Message, Twist, encode};
 use mr_slam::config::FleetConfig;
 use mr_slam::fleet;
 use mr_slam::lockstep::Lockstep;
+use mr_slam::map_file::read_map;
 use msg::grid::{Occupancy, occupancy};
 use msg::pose::wrap_angle;
-use msg::{Command, GridView, Pose2, RobotId, Scan, Truth};
+use msg::{Command, Grid, GridView, Pose2, RobotId, Role, Scan, Truth};
 use sim::Simulator;
 use sim::burger::ROBOT_RADIUS_M;
 use slam::Slam;
+use std::io::Write;
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
 
 /// How well a robot knows where it is, metres: its footprint in the map is so much smaller.
 const POSE_M: f64 = 0.02;
@@ -211,4 +219,80 @@ fn no_robot_of_a_fleet_is_an_obstacle_wherever_it_has_been() {
     assert!(obstacles.iter().all(|count| *count == 0), "{obstacles:?}");
     let obstacles = on_all_ways(0.0);
     assert!(obstacles.iter().any(|count| *count > 0), "robots did not see each other: {obstacles:?}");
+}
+
+/// Two robots of a running fleet, and a hand that drives them over TCP.
+struct Scene {
+    fleet: Fleet,
+    stream: TcpStream,
+}
+
+impl Scene {
+    fn new(starts: [[f64; 3]; 2]) -> Self {
+        let folder = Folder::new();
+        let file = folder.file("fleet.toml", format!("[fleet]\nrobots = 2\nstarts = {starts:?}\n"));
+        let fleet = Fleet::start("up", &["--config", file.to_str().unwrap()]);
+        let mut stream = TcpStream::connect(("127.0.0.1", fleet.run.port)).unwrap();
+        let mut out = Vec::new();
+        for topic in ["/cmd_vel_1", "/cmd_vel_2"] {
+            let about = Registration {
+                topic: topic.into(),
+                message_name: Twist::TYPE.into(),
+                ..Registration::default()
+            };
+            Side::Client.write_command(&mut out, name::PUBLISH, &about);
+        }
+        stream.write_all(&out).unwrap();
+        Self { fleet, stream }
+    }
+
+    /// Drives a robot until it is where it should be.
+    fn drive(&mut self, robot: usize, linear_m_s: f64, angular_rad_s: f64, there: impl Fn(Pose2) -> bool) {
+        let mut push = |linear_m_s, angular_rad_s| {
+            let twist = Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
+            let mut out = Vec::new();
+            Side::Client.write_with(&mut out, &format!("/cmd_vel_{robot}"), |out| encode(&twist, out));
+            self.stream.write_all(&out).unwrap();
+        };
+        let (begun, robot) = (Instant::now(), RobotId::new(robot).unwrap());
+        while !self.fleet.observer.last_seen(Role::Sim, robot).is_some_and(&there) {
+            push(linear_m_s, angular_rad_s);
+            self.fleet.observer.wait(Duration::from_millis(50));
+            assert!(begun.elapsed() < WATCHDOG, "{robot} does not get there");
+        }
+        push(0.0, 0.0);
+    }
+
+    /// A map as it is now.
+    fn map(&mut self, name: &str) -> Option<Grid> {
+        self.fleet.observer.wait(Duration::from_millis(100));
+        let folder = self.fleet.folder.path();
+        self.fleet.observer.write_maps(folder).unwrap();
+        read_map(&folder.join(format!("{name}.yaml"))).ok()
+    }
+}
+
+#[test]
+fn in_a_running_fleet_a_robot_that_backed_up_and_stands_is_no_obstacle() {
+    let starts = [[-2.5, -1.3, 0.0], [-1.7, -1.3, 0.0]];
+    let mut scene = Scene::new(starts);
+    scene
+        .fleet
+        .until("scans of both robots", |view| view.robots.iter().filter(|r| r.scans >= 20).count() == 2);
+    // Not so far that it is a new node; where its own beams have never been.
+    scene.drive(2, -0.05, 0.0, |at| at.x_m < -1.88);
+    scene.drive(1, 0.0, 0.3, |at| at.yaw_rad > 0.4);
+    let stands = scene.fleet.observer.last_seen(Role::Sim, RobotId::new(2).unwrap()).unwrap();
+    let at = [stands.x_m, stands.y_m];
+    let [x, y, yaw] = starts[0];
+    let in_its_own = Pose2::new(x, y, yaw).inverse().apply(at);
+    let begun = Instant::now();
+    while scene.map("robot1_map").is_none_or(|map| under(map.view(), in_its_own, ROBOT_RADIUS_M) == 0) {
+        assert!(begun.elapsed() < WATCHDOG, "robot 1 has not seen robot 2");
+    }
+    // Whenever one looks: with robot 1's map as it is now, and after.
+    for _ in 0..20 {
+        let merged = scene.map("merged_map").unwrap();
+        assert_eq!(under(merged.view(), at, ROBOT_RADIUS_M - POSE_M), 0);
+    }
 }
