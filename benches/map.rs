@@ -87,6 +87,7 @@ fn node(id: usize, range_m: f32) -> Node {
         adrift: None,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),
+        way: slam::Way::default(),
     }
 }
 

@@ -9,7 +9,7 @@
 //! | `robotK/transforms` | sim(k) | bridge, telemetry |
 //! | `robotK/truth` | sim(k) | telemetry, the other sims |
 //! | `clock` | sim(1) | bridge |
-//! | `robotK/correction` | slam(k) | bridge, telemetry |
+//! | `robotK/correction` | slam(k) | merge, bridge, telemetry, launcher |
 //! | `robotK/slam_request` | bridge, `mr-slam slam` | slam(k) |
 //! | `robotK/slam_answer` | slam(k) | bridge, `mr-slam slam` |
 //! | `robotK/map` | slam(k) | merge, bridge, telemetry, launcher |

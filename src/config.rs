@@ -99,13 +99,14 @@ impl World {
     }
 }
 
-/// SLAM for a robot that is known: where its LiDAR sits, and what its odometry, with a gyroscope's
+/// SLAM for a robot that is known: where its LiDAR sits, how large it is, and what its odometry, with a gyroscope's
 /// heading, is worth. SLAM's own default is for the unknown robots of recorded logs, whose heading
 /// may be ten times worse.
 fn burger_slam() -> slam::SlamConfig {
     let [x_m, y_m, _] = sim::burger::SCAN_IN_BASE_LINK_M;
     let mut config = slam::SlamConfig::default();
     config.lidar.base_from_scan = [x_m, y_m, 0.0];
+    config.map.robot_radius_m = sim::burger::ROBOT_RADIUS_M;
     config.odometry = slam::OdometryConfig {
         sigma_m: 0.01,
         sigma_m_per_m: 0.05,

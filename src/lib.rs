@@ -23,6 +23,7 @@ pub mod ask_slam;
 pub mod keys;
 pub mod map_file;
 pub mod merge_edges;
+pub mod merge_memory;
 pub mod observer;
 pub mod report;
 pub mod screen;

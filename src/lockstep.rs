@@ -19,7 +19,7 @@ use merge::{Fleet, Merger};
 use msg::tiles::Outgoing;
 use msg::{
     Anchors, Clock, Command, Correction, Dense, FleetStats, GridView, Header, MergeEdges, Message, Monotonic,
-    PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap, Truth,
+    PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap, TrackingState, Truth,
 };
 use sim::{Simulator, Tick};
 use slam::{Identity, Session, Slam, Start, Submaps};
@@ -35,6 +35,7 @@ const STATS_TICKS: u64 = 100;
 pub struct Lockstep {
     members: Vec<Member>,
     merger: Merger,
+    robot_radius_m: f64,
     /// The joint graph: one piece of its work each tick.
     joint: Fleet,
     edges: Box<MergeEdges>,
@@ -114,6 +115,7 @@ impl Lockstep {
         Ok(Self {
             members: robots.clone().zip(&starts).map(member).collect::<Result<_, FleetError>>()?,
             merger: Merger::new(&config.merge, &known),
+            robot_radius_m: config.slam.map.robot_radius_m,
             joint: Fleet::new(&config.merge.align, &known),
             edges: Box::default(),
             telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &truth),
@@ -216,6 +218,11 @@ impl Lockstep {
             let tick = member.simulator.step();
             member.sense(&tick, &mut self.voice, &mut self.telemetry, listener);
             changed |= tick.scan_due && member.map(&mut self.voice, &mut self.telemetry, listener);
+            if let Some(at) =
+                member.correction.filter(|at| tick.scan_due && at.state() != TrackingState::Lost)
+            {
+                self.merger.stand(member.robot, at.map_from_base, self.robot_radius_m);
+            }
             if changed {
                 // Refusals are counted where processes run; here a refused map would show in the figures.
                 let _ = self.merger.update_tiles(member.robot, member.slam.tiles());

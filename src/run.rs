@@ -1,7 +1,8 @@
 //! A run: one fleet from its start to its end, and the folder that describes it.
 //!
 //! The folder holds `fleet.toml` (the configuration in force), `run.json` (what its processes and
-//! `mr-slam status` need to find each other), and at the end the maps and `report.json`.
+//! `mr-slam status` need to find each other), `merge.json` and `sessions/` (what processes that are started again
+//! go on with), and at the end the maps and `report.json`.
 
 use crate::clock::Epoch;
 use crate::config::FleetConfig;

@@ -47,7 +47,8 @@ pub fn write(path: &Path, session: &Session) -> Result<(), SessionFileError> {
     write_with(path, |file| file.write_all(&session.encode()))
 }
 
-fn write_with(
+/// The same of anything.
+pub(crate) fn write_with(
     path: &Path,
     write: impl FnOnce(&mut File) -> std::io::Result<()>,
 ) -> Result<(), SessionFileError> {

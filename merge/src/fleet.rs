@@ -17,9 +17,11 @@ mod compose;
 mod graph;
 mod joint;
 mod member;
+mod memory;
 mod pair;
 mod task;
 
+pub use memory::{Memory, MemoryRefused};
 pub use task::{Outcome, Task};
 
 use crate::align::AlignConfig;

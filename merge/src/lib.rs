@@ -15,7 +15,8 @@ mod fleet;
 mod lookup;
 mod merger;
 mod source;
+mod trail;
 
 pub use align::{AlignConfig, Alignment, align};
-pub use fleet::{Fleet, FleetRefused, Outcome, Task};
+pub use fleet::{Fleet, FleetRefused, Memory, MemoryRefused, Outcome, Task};
 pub use merger::{MergeConfig, Merger, Refused};

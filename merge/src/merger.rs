@@ -3,7 +3,7 @@
 use crate::align::AlignConfig;
 use crate::lookup::Bench;
 use crate::source::{Source, reach};
-use msg::grid::{LOG_ODDS_MAX, MAP_CELLS_MAX, UNKNOWN};
+use msg::grid::{DRIVEN, LOG_ODDS_MAX, MAP_CELLS_MAX, UNKNOWN};
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
 use msg::{
     Anchor, Anchors, Dense, Grid, GridHeader, GridView, Header, MapHeader, MapTile, Monotonic, Pose2,
@@ -240,19 +240,37 @@ impl Merger {
         let lookup = moved.lookup_of(&moved.map.header, self.resolution_m);
         let reach = reach(&moved.map, lookup.as_ref());
         self.make_room(robot, reach)?;
-        mark(&mut self.dirty, self.merged.extent(), moved.reach);
-        mark(&mut self.dirty, self.merged.extent(), reach);
+        let body = moved.body_tiles(self.resolution_m);
+        for tiles in [moved.reach, reach, moved.body, body] {
+            mark(&mut self.dirty, self.merged.extent(), tiles);
+        }
         if lookup.is_some() {
             self.note_time(&moved.map.header);
         }
-        self.sources[robot.index()] = Source { lookup, reach, ..moved };
+        self.sources[robot.index()] = Source { lookup, reach, body, ..moved };
         Ok(())
+    }
+
+    /// Takes where a robot is now, `robotK/map` from `base_footprint`, and how far its body reaches around that: what
+    /// its peers see there is the robot. Its own map says so too, but only from its newest node back. Whether the
+    /// merged map may be another.
+    pub fn stand(&mut self, robot: RobotId, robot_map_from_base: Pose2, radius_m: f64) -> bool {
+        let Some(source) = self.sources.get_mut(robot.index()) else { return false };
+        if !source.trail.note(robot_map_from_base, radius_m) {
+            return false;
+        }
+        let now = source.body_tiles(self.resolution_m);
+        let before = core::mem::replace(&mut source.body, now);
+        mark(&mut self.dirty, self.merged.extent(), before);
+        mark(&mut self.dirty, self.merged.extent(), now);
+        !now.is_empty()
     }
 
     /// Takes a robot's evidence back: it was reset, or it left. Its place stays known.
     pub fn forget(&mut self, robot: RobotId) {
         if let Some(source) = self.sources.get_mut(robot.index()) {
             mark(&mut self.dirty, self.merged.extent(), source.reach);
+            mark(&mut self.dirty, self.merged.extent(), source.body);
             *source = Source { map_from_robot_map: source.map_from_robot_map, ..Default::default() };
         }
     }
@@ -262,7 +280,7 @@ impl Merger {
         let extent = self.merged.extent();
         for ((x, y), dirty) in extent.points().zip(&mut self.dirty) {
             if std::mem::take(dirty) {
-                let tile = fuse(x, y, &self.sources, &mut self.bench);
+                let tile = fuse(x, y, &self.sources, self.resolution_m, &mut self.bench);
                 if tile.as_ref() != self.merged.get(x, y).map(|tile| &**tile) {
                     self.merged.set(x, y, tile.map(Arc::new));
                 }
@@ -370,35 +388,47 @@ fn malformed(header: &MapHeader, (width, height): (u32, u32), cells: usize) -> R
 
 /// Adds the evidence of all robots in one tile; `None` if there is none. Log-odds of independent
 /// observers add up (msg's `grid` says why), so an obstacle that one robot imagined is cleared by
-/// those who saw the floor.
-fn fuse(x: i64, y: i64, sources: &[Source], bench: &mut Bench) -> Option<MapTile> {
+/// those who saw the floor. Where a robot has driven there is floor, whatever all others took it for.
+fn fuse(x: i64, y: i64, sources: &[Source], resolution_m: f64, bench: &mut Bench) -> Option<MapTile> {
     let mut sums = [0_i16; TILE_CELLS];
-    let mut known = [0_i8; TILE_CELLS];
+    let mut least = [RANK_UNKNOWN; TILE_CELLS];
     let mut any = false;
     for source in sources.iter().filter(|source| source.reach.holds(Rect::of_one(x, y))) {
         let found = source.lookup.as_ref().is_some_and(|lookup| lookup.find(x, y, &source.map, bench));
         if found {
             any = true;
-            for ((sum, known), cell) in sums.iter_mut().zip(&mut known).zip(bench.found.iter()) {
-                let is_known = -i8::from(*cell != UNKNOWN);
-                *sum += i16::from(*cell & is_known);
-                *known |= is_known;
+            for ((sum, least), cell) in sums.iter_mut().zip(&mut least).zip(bench.found.iter()) {
+                *sum += i16::from(*cell & -i8::from(*cell != UNKNOWN));
+                *least = (*least).min(rank(*cell));
             }
         }
     }
-    if !any || known.iter().all(|known| *known == 0) {
+    if !any || least.iter().all(|least| *least == RANK_UNKNOWN) {
         return None;
     }
     let most = i16::from(LOG_ODDS_MAX);
     let mut tile = MapTile::unknown(x, y);
-    for ((cell, sum), known) in tile.cells.iter_mut().zip(&sums).zip(&known) {
+    for ((cell, sum), least) in tile.cells.iter_mut().zip(&sums).zip(&least) {
         let sum = (*sum).clamp(-most, most) as i8;
-        *cell = (sum & *known) | (UNKNOWN & !*known);
+        let (known, driven) = (-i8::from(*least != RANK_UNKNOWN), -i8::from(*least == rank(DRIVEN)));
+        *cell = (((sum & !driven) | (DRIVEN & driven)) & known) | (UNKNOWN & !known);
+    }
+    for source in sources.iter().filter(|source| source.body.holds(Rect::of_one(x, y))) {
+        source.clear(resolution_m, &mut tile);
     }
     Some(tile)
 }
 
+/// A cell's place in the order of what is certain to be free, that first and what nobody knows last: the least of several
+/// says both, at the price of one.
+const fn rank(cell: i8) -> u8 {
+    cell.wrapping_sub(DRIVEN) as u8
+}
+const RANK_UNKNOWN: u8 = rank(UNKNOWN);
+const _: () = assert!(rank(DRIVEN) == 0 && RANK_UNKNOWN == u8::MAX);
 const _: () = assert!(ROBOTS_MAX * (LOG_ODDS_MAX as usize) < i16::MAX as usize);
 
+#[cfg(test)]
+mod peers;
 #[cfg(test)]
 mod tests;

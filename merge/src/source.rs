@@ -1,7 +1,8 @@
 //! One robot's newest map.
 
 use crate::lookup::Lookup;
-use msg::{Grid, GridHeader, GridView, MapHeader, Pose2, Rect, TileMap};
+use crate::trail::Trail;
+use msg::{Grid, GridHeader, GridView, MapHeader, MapTile, Pose2, Rect, TileMap};
 use std::sync::Arc;
 
 /// Two grids share a lattice if their cells coincide this well, in cells.
@@ -22,6 +23,10 @@ pub(crate) struct Source {
     pub lookup: Option<Lookup>,
     /// Tiles of the lattice that `map` reaches.
     pub reach: Rect,
+    /// Where the robot has been of late,
+    pub trail: Trail,
+    /// and the tiles of the lattice that this touches; none while the robot's place is not known.
+    pub body: Rect,
 }
 
 impl Source {
@@ -30,6 +35,18 @@ impl Source {
         let map_from_cells = self.map_from_robot_map? * header.origin;
         (header.resolution_m > 0.0)
             .then(|| Lookup::new(map_from_cells, header.resolution_m, lattice_resolution_m))
+    }
+
+    /// Tiles of the lattice that the robot's trail touches.
+    pub fn body_tiles(&self, lattice_resolution_m: f64) -> Rect {
+        self.map_from_robot_map.map_or(Rect::default(), |place| self.trail.tiles(place, lattice_resolution_m))
+    }
+
+    /// Puts floor under the robot's trail in a tile.
+    pub fn clear(&self, lattice_resolution_m: f64, tile: &mut MapTile) {
+        if let Some(place) = self.map_from_robot_map {
+            self.trail.clear(place, lattice_resolution_m, tile);
+        }
     }
 
     /// A whole grid as tiles, on the lattice of the robot's last map if the cells coincide. `None` if

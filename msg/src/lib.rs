@@ -22,6 +22,7 @@ pub mod grid;
 pub mod rect;
 mod slam;
 mod submap;
+mod swept;
 pub mod tiles;
 
 pub use edges::{EdgeAction, EdgeCommand, EdgeState, MERGE_EDGES_MAX, MergeEdge, MergeEdges};
@@ -42,6 +43,7 @@ pub use submap::{
     SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapAsk, SubmapEdge,
     SubmapPoses,
 };
+pub use swept::Swept;
 pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 

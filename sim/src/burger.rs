@@ -33,6 +33,9 @@ pub const HEIGHT_M: f64 = 0.192;
 /// The farthest point of the body from the middle between the wheels, seen from above, metres:
 /// a rear corner of the body.
 pub const RADIUS_M: f64 = 0.124;
+/// What ROBOTIS's navigation takes for its radius: `robot_radius` in
+/// `turtlebot3_navigation2/param/burger.yaml`. The corners reach beyond it, what its peers' LiDARs see of it does not.
+pub const ROBOT_RADIUS_M: f64 = 0.105;
 
 /// Mass of body, LiDAR and caster, kg.
 pub(crate) const CHASSIS_MASS_KG: f32 = 0.825_735 + 0.114 + 0.005;

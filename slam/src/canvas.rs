@@ -1,6 +1,7 @@
 //! Draws the occupancy grid: every node's beams, traced cell by cell (Bresenham 1965), add
 //! log-odds where they end and take some away where they pass (Thrun, Burgard, Fox,
-//! "Probabilistic Robotics", 2005, table 9.1).
+//! "Probabilistic Robotics", 2005, table 9.1). Then what the robot's body came over since the node before: there is
+//! floor (`msg::grid::DRIVEN`), until the robot sees something there.
 //!
 //! Evidence is clamped, so a node cannot be taken out of the map again. When nodes have moved, the
 //! tiles they touched and now touch are drawn anew instead, from all nodes in their order: tile by
@@ -10,9 +11,9 @@
 use crate::cloud::Placement;
 use crate::config::MapConfig;
 use crate::node::Node;
-use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_PER_STEP, UNKNOWN};
+use msg::grid::{DRIVEN, LOG_ODDS_MAX, LOG_ODDS_MIN, LOG_ODDS_PER_STEP, UNKNOWN};
 use msg::tiles::{OpenTiles, ROBOT_TILES_MAX, TILE};
-use msg::{Dense, GridView, Header, MapHeader, Monotonic, Pose2, Rect, TileMap, pose::wrap_angle};
+use msg::{Dense, GridView, Header, MapHeader, Monotonic, Pose2, Rect, Swept, TileMap, pose::wrap_angle};
 
 /// Cells that a node costs in a slice at least, whatever it draws: it is looked at.
 const NODE_CELLS: usize = 64;
@@ -37,7 +38,7 @@ pub struct Canvas {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Drawn {
     map_from_base: Pose2,
-    /// A box around its beams in `base_footprint`: low x, low y, high x, high y, metres. Empty (low
+    /// A box around its beams and its body's way in `base_footprint`: low x, low y, high x, high y, metres. Empty (low
     /// above high) if it has nothing to draw.
     reach_m: [f32; 4],
     /// All its beams lie in these tiles; empty if it is not drawn.
@@ -152,7 +153,7 @@ impl Canvas {
     fn add(&mut self, node: &Node, map_from_base: Pose2) -> usize {
         self.map.header.header = node.header;
         self.map.header.scan_sent = node.header.sent;
-        let reach_m = if node.in_map() { reach_m(node) } else { EMPTY };
+        let reach_m = if node.in_map() { reach_m(node, &self.config) } else { EMPTY };
         let mut drawn = Drawn { map_from_base, reach_m, tiles: Rect::default() };
         let tiles = tiles_of(&drawn, self.config.resolution_m);
         if !tiles.is_empty() && !self.map.make_room(tiles, ROBOT_TILES_MAX) {
@@ -178,7 +179,9 @@ impl Canvas {
         // A node that is no longer part of the map is to be seen no more, and one that has become part
         // of it is to be seen.
         let gone = |was: &Drawn, node: &Node| was.reach_m != EMPTY && !node.in_map();
-        let came = |was: &Drawn, node: &Node| was.reach_m == EMPTY && node.in_map() && reach_m(node) != EMPTY;
+        let came = |was: &Drawn, node: &Node| {
+            was.reach_m == EMPTY && node.in_map() && reach_m(node, &self.config) != EMPTY
+        };
         let mut all = self.drawn.iter().zip(nodes).zip(poses);
         if !all.any(|((was, node), is)| moved(was, is) || gone(was, node) || came(was, node)) {
             return None;
@@ -191,7 +194,7 @@ impl Canvas {
                 place.reach_m = EMPTY;
             }
             if came(place, node) {
-                (place.reach_m, place.map_from_base) = (reach_m(node), *pose);
+                (place.reach_m, place.map_from_base) = (reach_m(node, &self.config), *pose);
             }
             if moved(place, pose) {
                 place.map_from_base = *pose;
@@ -256,16 +259,26 @@ impl Marks {
     }
 }
 
-/// The reach of a node without beams.
+/// The reach of a node with nothing to draw.
 const EMPTY: [f32; 4] = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
 
-/// A box around a node's beams, in `base_footprint`.
-fn reach_m(node: &Node) -> [f32; 4] {
+/// A box around a node's beams and its body's way, in `base_footprint`.
+fn reach_m(node: &Node, config: &MapConfig) -> [f32; 4] {
     let rays = &node.rays;
     let ends = rays.hits.iter().chain(&rays.misses);
     let any = !rays.hits.is_empty() || !rays.misses.is_empty();
     let points = ends.chain(any.then_some(&rays.sensor));
-    points.fold(EMPTY, |[x0, y0, x1, y1], [x, y]| [x0.min(*x), y0.min(*y), x1.max(*x), y1.max(*y)])
+    let unite = |[x0, y0, x1, y1]: [f32; 4], [x, y]: [f32; 2]| [x0.min(x), y0.min(y), x1.max(x), y1.max(y)];
+    let beams = points.fold(EMPTY, |all, point| unite(all, *point));
+    let radius_m = config.robot_radius_m as f32;
+    let body = body(node, config).iter();
+    let corners = body.flat_map(|[x, y]| [[x - radius_m, y - radius_m], [x + radius_m, y + radius_m]]);
+    corners.fold(beams, unite)
+}
+
+/// Where the robot's body was on the way to a node, as far as that and its size are known.
+fn body<'a>(node: &'a Node, config: &MapConfig) -> &'a [[f32; 2]] {
+    if config.robot_radius_m > 0.0 { node.way.places_m() } else { &[] }
 }
 
 /// The tiles that hold all of a node's beams, wherever the last bit of a rounding falls.
@@ -294,6 +307,7 @@ struct Ends {
     sensor: [i64; 2],
     hits: Vec<[i64; 2]>,
     misses: Vec<[i64; 2]>,
+    body: Vec<Swept>,
 }
 
 impl Ends {
@@ -307,6 +321,11 @@ impl Ends {
         self.misses.clear();
         self.misses.extend(node.rays.misses.iter().map(cell));
         self.sensor = cell(&node.rays.sensor);
+        self.body.clear();
+        for place in body(node, config) {
+            let at = map_from_base.apply(place.map(f64::from)).map(|m| m / config.resolution_m);
+            self.body.extend(Swept::new(at, at, config.robot_radius_m / config.resolution_m));
+        }
         self
     }
 
@@ -322,6 +341,14 @@ impl Ends {
             if let Some(cells) = tiles.cells(x.div_euclid(TILE), y.div_euclid(TILE)) {
                 let cell = &mut cells[(y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize];
                 *cell = pen.end[usize::from(*cell as u8)];
+            }
+        }
+        for disk in &self.body {
+            for (x, y) in disk.cells().points().filter(|(x, y)| disk.covers(*x, *y)) {
+                if let Some(cells) = tiles.cells(x.div_euclid(TILE), y.div_euclid(TILE)) {
+                    cells[(y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize] = DRIVEN;
+                }
+                cells += 1;
             }
         }
         cells
@@ -342,7 +369,10 @@ impl Pen {
             core::array::from_fn(|bits| {
                 let cell = bits as u8 as i8;
                 let before = if cell == UNKNOWN { 0 } else { cell };
-                before.saturating_add(change).clamp(-LOG_ODDS_MAX, LOG_ODDS_MAX)
+                match cell {
+                    DRIVEN if change < 0 => DRIVEN,
+                    _ => before.saturating_add(change).clamp(LOG_ODDS_MIN, LOG_ODDS_MAX),
+                }
             })
         };
         Self { pass: table(miss), end: table(hit - miss) }

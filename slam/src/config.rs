@@ -220,6 +220,9 @@ pub struct MapConfig {
     pub clear_without_return_m: f32,
     /// Drawn again when a node has moved more than this, metres.
     pub redraw_m: f64,
+    /// How far the robot's body reaches around `base_footprint`, metres: what it covers on its way is free,
+    /// whatever its peers took it for. 0: not known, and nothing is drawn of it.
+    pub robot_radius_m: f64,
 }
 
 /// See [`SlamConfig::relocalize`].
@@ -431,6 +434,7 @@ impl Default for MapConfig {
             range_max_m: 25.0,
             clear_without_return_m: 4.0,
             redraw_m: 0.025,
+            robot_radius_m: 0.0,
         }
     }
 }
@@ -490,6 +494,7 @@ impl SlamConfig {
         between("map.resolution_m", map.resolution_m, 0.01, 1.0, "0.01 to 1 m")?;
         between("map.hit", map.hit, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
         between("map.miss", map.miss, 0.05, 6.0, "0.05 to 6 (natural log-odds)")?;
+        between("map.robot_radius_m", map.robot_radius_m, 0.0, 2.0, "0 to 2 m")?;
         let (r, l) = (&self.relocalize, &self.lifelong);
         between("relocalize.places_max", r.places_max as f64, 1.0, 100.0, "1 to 100")?;
         between("relocalize.near_node_m", r.near_node_m, 0.1, 1e3, "0.1 to 1000 m")?;

@@ -14,7 +14,7 @@ pub use refuse::Refusal;
 use crate::backward::Backward;
 use crate::config::SlamConfig;
 use crate::field::Scratch;
-use crate::node::{Node, Revision};
+use crate::node::{Node, Revision, Way};
 use crate::odometry::OdometryBuffer;
 use crate::pool::Pool;
 use crate::stage::{Stage, StageWatch};
@@ -131,6 +131,8 @@ pub struct Front {
     /// The scan before did not fit.
     unsure: bool,
     node_wanted: bool,
+    /// Where the robot has been since the newest node, in the scan path's own frame.
+    way: Way,
     scratch: Scratch,
     points: Vec<[f32; 2]>,
     map_from_local: Pose2,
@@ -166,6 +168,7 @@ impl Front {
             lost_in_row: 0,
             unsure: false,
             node_wanted: false,
+            way: Way::default(),
             scratch: Scratch::with_room(t.search_points_max, t.window_max_m, t.window_max_rad, t.cell_m),
             points: Vec::with_capacity(t.search_points_max),
             map_from_local: Pose2::IDENTITY,
@@ -244,6 +247,9 @@ impl Front {
         let (sweep, cloud, found) = self.look(scan, &expected, odom_from_base);
         self.forget_slip(&found, odom_from_base);
         self.watch.begins(Stage::Node);
+        if found.state != TrackingState::Lost && self.config.map.robot_radius_m > 0.0 {
+            self.way.note([found.local_from_base.x_m as f32, found.local_from_base.y_m as f32]);
+        }
         let due = self.node_due(&found, &cloud);
         let node = if due { self.make_node((scan, &sweep), &found, odom_from_base, cloud) } else { None };
         self.remember(scan.header.stamp, &found, odom_from_base);

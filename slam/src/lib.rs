@@ -42,7 +42,7 @@ pub use config::*;
 pub use front::{Counts, Front, FrontState, Refusal, Ride, Step};
 pub use graph::{Edge, EdgeKind, Graph, Relative};
 pub use localize::LocalizerCounts;
-pub use node::{Node, Rays, Revision};
+pub use node::{Node, Rays, Revision, Way};
 pub use pool::NODES_UNDER_WAY_MAX;
 pub use relocalize::{Hint, SeekCounts};
 pub use session::{Identity, Session, SessionError};

@@ -28,6 +28,63 @@ pub struct Node {
     pub cloud: Arc<Cloud>,
     /// Beams, for drawing.
     pub rays: Arc<Rays>,
+    /// What the robot's body has come over since the node before.
+    pub way: Way,
+}
+
+/// The most places of a way.
+pub const WAY_PLACES_MAX: usize = 24;
+/// Between two of them, metres: a body drawn at each of them covers what it came over.
+const WAY_STEP_M: f32 = 0.05;
+
+/// Places of the robot between two nodes, wherever it went meanwhile, metres. Of a node: in its `base_footprint`, its own
+/// place among them; none: it is not known how the robot came there, or how large it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Way {
+    places_m: [[f32; 2]; WAY_PLACES_MAX],
+    len: usize,
+}
+
+impl Way {
+    /// Of these places, the first so many that there may be.
+    pub fn of(places_m: &[[f32; 2]]) -> Self {
+        let mut way = Self { len: places_m.len().min(WAY_PLACES_MAX), ..Self::default() };
+        way.places_m[..way.len].copy_from_slice(&places_m[..way.len]);
+        way
+    }
+
+    /// The places.
+    pub fn places_m(&self) -> &[[f32; 2]] {
+        &self.places_m[..self.len]
+    }
+
+    /// The robot is here. Where it was before is not noted again; of too many places, the oldest goes.
+    pub(crate) fn note(&mut self, [x, y]: [f32; 2]) {
+        if self.places_m().iter().any(|[u, v]| (x - u).hypot(y - v) < WAY_STEP_M) {
+            return;
+        }
+        if self.len == WAY_PLACES_MAX {
+            self.places_m.rotate_left(1);
+            self.len -= 1;
+        }
+        self.places_m[self.len] = [x, y];
+        self.len += 1;
+    }
+
+    /// As seen from a pose in the same frame, with its own place.
+    pub(crate) fn seen_from(mut self, pose: Pose2) -> Self {
+        let pose_from_frame = pose.inverse();
+        for place in &mut self.places_m[..self.len] {
+            *place = pose_from_frame.apply(place.map(f64::from)).map(|v| v as f32);
+        }
+        // It may be nearer to one of them than places are apart: it replaces the newest of those.
+        let near = self.places_m().iter().rposition(|[x, y]| x.hypot(*y) < WAY_STEP_M);
+        match near {
+            Some(index) => self.places_m[index] = [0.0; 2],
+            None => self.note([0.0; 2]),
+        }
+        self
+    }
 }
 
 /// The back end's answer to a node.
@@ -103,5 +160,31 @@ impl Rays {
             let (sin, cos) = scan.angle_rad(beam).sin_cos();
             drawn.push(place.point([reach * cos, reach * sin]));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_way_has_each_place_once_and_the_newest_of_too_many() {
+        let mut way = Way::default();
+        // Forth, back, and forth again.
+        for k in (0..20).chain((0..20).rev()).chain(0..30) {
+            way.note([0.02 * k as f32, 1.0]);
+        }
+        assert_eq!(way.places_m().len(), 10);
+        let seen = way.seen_from(Pose2::new(0.58, 1.0, core::f64::consts::PI));
+        assert_eq!(seen.places_m().len(), 10);
+        assert_eq!(*seen.places_m().last().unwrap(), [0.0; 2]);
+        let first = seen.places_m()[0];
+        assert!((first[0] - 0.58).abs() < 1e-5 && first[1].abs() < 1e-5, "{first:?}");
+        for k in 0..100 {
+            way.note([k as f32, 0.0]);
+        }
+        assert_eq!(way.places_m().len(), WAY_PLACES_MAX);
+        assert_eq!(way.places_m()[WAY_PLACES_MAX - 1], [99.0, 0.0]);
+        assert_eq!(way.seen_from(Pose2::new(50.0, 3.0, 0.0)).places_m()[WAY_PLACES_MAX - 1], [0.0; 2]);
     }
 }

@@ -19,7 +19,9 @@ use msg::{SlamMode, pose::wrap_angle};
 use records::*;
 
 /// The format this program reads and writes.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
+/// The oldest format it reads: nodes without the way that led there.
+const VERSION_OLDEST: u32 = 3;
 /// What a session file begins with.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
 /// Bytes before the content.
@@ -34,7 +36,7 @@ pub enum SessionError {
     #[error("is not a session file: it begins with other bytes")]
     Magic,
     /// From another version of the program.
-    #[error("is of format version {found}; this program reads version {VERSION}")]
+    #[error("is of format version {found}; this program reads versions {VERSION_OLDEST} to {VERSION}")]
     Version {
         /// What it says.
         found: u32,
@@ -184,7 +186,7 @@ impl Session {
         };
         let mut head = In::new(&head[8..]);
         let found: u32 = head.take("its head")?;
-        if found != VERSION {
+        if !(VERSION_OLDEST..=VERSION).contains(&found) {
             return Err(SessionError::Version { found });
         }
         let expected_sum: u32 = head.take("its head")?;

@@ -6,7 +6,7 @@ mod common;
 use common::{FULL, HALF, Lidar, Noise, Robot, Wall, cast, laboratory, rectangle, ring};
 use msg::grid::{Occupancy, occupancy};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
-use slam::{Hint, Identity, Session, SessionError, Slam, SlamConfig, Start};
+use slam::{Hint, Identity, Session, SessionError, Slam, SlamConfig, Start, Way};
 
 type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
 
@@ -86,21 +86,25 @@ fn ring_log() -> Log {
 #[test]
 fn going_on_gives_the_bits_of_never_having_stopped() {
     let log = ring_log();
+    // Its body is drawn, too.
+    let mut config = SlamConfig::default();
+    config.map.robot_radius_m = 0.105;
     // Before the closures, and after them.
     for stop in [40, log.len() - 12] {
         let (before, after) = (log[..stop].to_vec(), log[stop..].to_vec());
-        let mut whole = Slam::new(SlamConfig::default());
+        let mut whole = Slam::new(config.clone());
         feed(&mut whole, &before);
         whole.map();
         feed(&mut whole, &after);
         whole.finish();
         assert!(whole.back_counts().closures > 0);
-        let mut first = Slam::new(SlamConfig::default());
+        let mut first = Slam::new(config.clone());
         feed(&mut first, &before);
         let drawn = first.map().to_owned();
         let bytes = first.session(identity()).encode();
         let session = Session::decode(&bytes, &identity()).unwrap();
-        let mut second = Slam::begin(SlamConfig::default(), Some(session), SlamMode::Mapping, Start::GoOn);
+        assert!(drawn.cells.contains(&msg::grid::DRIVEN));
+        let mut second = Slam::begin(config.clone(), Some(session), SlamMode::Mapping, Start::GoOn);
         assert!(drawn == second.map().to_owned(), "another map after loading");
         feed(&mut second, &after);
         second.finish();
@@ -130,6 +134,11 @@ fn what_is_not_a_session_is_refused_with_the_reason() {
     let mut flipped = bytes.clone();
     flipped[5000] ^= 4;
     assert!(matches!(refused(&flipped), SessionError::Checksum { .. }));
+    // Of a robot that says nothing of its way, the version before had the same bytes.
+    let mut older = bytes.clone();
+    older[8] = 3;
+    let nowhere = |session: &Session| session.back.nodes.iter().all(|node| node.way == Way::default());
+    assert_eq!(Session::decode(&older, &identity()).is_ok(), nowhere(&session));
     let mut other = bytes.clone();
     other[8] = 9;
     assert_eq!(refused(&other), SessionError::Version { found: 9 });

@@ -3,6 +3,7 @@
 
 use crate::channel;
 use crate::clock::now;
+use crate::merge_memory::MergeMemory;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, Node, Reader, Writer, wait};
 use ::merge::Fleet;
@@ -51,7 +52,13 @@ struct Source {
 }
 
 /// Works until `done`.
-pub fn run(run: &Run, mut fleet: Fleet, slot: &PlacesSlot, done: &AtomicBool) -> Result<(), ChannelError> {
+pub fn run(
+    run: &Run,
+    mut fleet: Fleet,
+    mut memory: MergeMemory,
+    slot: &PlacesSlot,
+    done: &AtomicBool,
+) -> Result<(), ChannelError> {
     // On Linux that is the calling thread's alone. Whether it is granted makes no difference to what comes out.
     let _ = rustix::process::nice(NICE);
     // A presence of its own: shared memory's ports stay on the thread that made them.
@@ -82,6 +89,8 @@ pub fn run(run: &Run, mut fleet: Fleet, slot: &PlacesSlot, done: &AtomicBool) ->
         if let Some(task) = task {
             fleet.take(task.run());
         }
+        // Before it is told: who has heard that an edge is pinned may rely on it.
+        memory.keep(&fleet, now());
         out.tell(run, &fleet, slot);
     }
     Ok(())

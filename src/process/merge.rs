@@ -7,20 +7,24 @@ use super::pulse::{Account, Pulse};
 use crate::channel;
 use crate::clock::now;
 use crate::fleet;
+use crate::merge_memory::MergeMemory;
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, Gaps, MapReader, MapWriter, wait};
+use crate::shared_memory::{Bell, ChannelError, Gaps, MapReader, MapWriter, Reader, wait};
 use crate::stop::Stop;
 use ::merge::{Fleet, Merger};
-use msg::{Monotonic, Pose2, RobotId, Role};
+use msg::{Correction, Monotonic, Pose2, RobotId, Role, TrackingState};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let starts = fleet::known_starts(&run.config)?;
     let (slot, done) = (PlacesSlot::default(), AtomicBool::new(false));
     std::thread::scope(|scope| {
-        let joint = Fleet::new(&run.config.merge.align, &starts);
-        let beside = scope.spawn(|| graph::run(run, joint, &slot, &done));
-        let drawn = draw(run, &starts, &slot, &|| stop.requested() || beside.is_finished());
+        let mut joint = Fleet::new(&run.config.merge.align, &starts);
+        // What a process before this one knew: robots lie where they lay from the first map on.
+        let memory = MergeMemory::recalled(run, &mut joint);
+        let begun: Vec<_> = run.robots().map(|robot| joint.anchor(robot)).collect();
+        let beside = scope.spawn(|| graph::run(run, joint, memory, &slot, &done));
+        let drawn = draw(run, &begun, &slot, &|| stop.requested() || beside.is_finished());
         done.store(true, Ordering::Relaxed);
         beside.join().map_err(|_| "the joint graph failed")??;
         drawn
@@ -43,6 +47,10 @@ fn draw(
     let mut bells =
         run.robots().map(|robot| node.bell(&channel::map(robot))).collect::<Result<Vec<_>, _>>()?;
     bells.push(node.bell(&channel::merge_edges())?);
+    let mut places = run
+        .robots()
+        .map(|robot| Ok((robot, node.reader(&channel::correction(robot))?)))
+        .collect::<Result<Vec<(RobotId, Reader<Correction>)>, ChannelError>>()?;
     let mut merged = node.map_writer(&channel::merged_map())?;
     let asks = merged.asks();
     let bells: Vec<&Bell> = bells.iter().chain([&*asks]).collect();
@@ -62,8 +70,11 @@ fn draw(
                 changed |= taken;
             }
         }
-        if let Some(places) = slot.take() {
-            refused += pulse.work(|| settle(&mut merger, &places));
+        for (robot, reader) in &mut places {
+            changed |= stand(&mut merger, *robot, reader, run.config.slam.map.robot_radius_m);
+        }
+        if let Some(believed) = slot.take() {
+            refused += pulse.work(|| settle(&mut merger, &believed));
             changed = true;
         }
         if changed {
@@ -82,6 +93,18 @@ fn draw(
 fn settle(merger: &mut Merger, places: &Places) -> u64 {
     let robots = RobotId::first(places.len()).zip(places);
     robots.map(|(robot, (place, map))| u64::from(merger.settle(robot, *place, map.as_ref()).is_err())).sum()
+}
+
+/// Where a robot has been since the last look: after the maps, so that what they show of it is not older. A robot that
+/// is lost does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
+fn stand(merger: &mut Merger, robot: RobotId, reader: &mut Reader<Correction>, radius_m: f64) -> bool {
+    let mut changed = false;
+    while let Some(at) = reader.receive() {
+        if at.state() != TrackingState::Lost {
+            changed |= merger.stand(robot, at.map_from_base, radius_m);
+        }
+    }
+    changed
 }
 
 fn sum(maps: &[(RobotId, MapReader)]) -> Gaps {

@@ -29,6 +29,7 @@ const ORDERS_WAITING_MAX: usize = 256;
 const NEWS_WAITING_MAX: usize = 2 * NODES_UNDER_WAY_MAX + 16;
 
 /// What the scan path tells.
+#[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
 enum News {
     /// A scan that enters the graph.
     Node(Node),

@@ -1,7 +1,11 @@
 //! What holds the maps of a running fleet together can be seen, held and taken back from the command line.
 
-use crate::harness::{Fleet, mr_slam};
+use crate::harness::{Fleet, mr_slam, process, send};
+use mr_slam::channel;
 use mr_slam::fleet::known_starts;
+use mr_slam::shared_memory::Node;
+use msg::{Anchors, Pose2};
+use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
 use std::process::Output;
@@ -44,4 +48,64 @@ fn an_edge_is_pinned_let_loose_and_undone_while_the_fleet_runs() {
     assert!(String::from_utf8_lossy(&stranger.stderr).contains("robots 1 to 2"), "{stranger:?}");
     assert_eq!(state(&[]), "undone");
     assert_eq!(state(&["pin", "1", "2"]), "pinned");
+}
+
+/// Kills the merge process, and waits for the anchors of the one that takes its place. Those before, and those after.
+fn kill_merge(fleet: &mut Fleet) -> [Anchors; 2] {
+    let node = Node::open(&fleet.run.domain, "anchors").unwrap();
+    let mut reader = node.reader(&channel::anchors()).unwrap();
+    let mut newest: Option<Anchors> = None;
+    let before = fleet.until("merging", |view| {
+        newest = reader.newest().map(|anchors| *anchors).or(newest);
+        newest.is_some() && process(view, "merge").is_some()
+    });
+    let (killed, old) = (process(&before, "merge").unwrap().pid, newest.unwrap());
+    send(killed, Signal::KILL);
+    fleet.until("merging again", |view| {
+        newest = reader.newest().map(|anchors| *anchors).or(newest);
+        let is_back = process(view, "merge").is_some_and(|p| p.pid != killed && p.state == "up");
+        is_back && newest.unwrap().header.run != old.header.run
+    });
+    [old, newest.unwrap()]
+}
+
+#[test]
+fn what_the_operator_pinned_outlives_the_merge_process_and_the_map_does_not_move() {
+    let mut fleet = Fleet::start("up", &["--robots", "2"]);
+    fleet.until("scans of both robots", |view| view.robots.iter().filter(|r| r.scans >= 20).count() == 2);
+    let run_dir = fleet.folder.path().to_owned();
+    let before = edge(&run_dir, &["pin", "1", "2"]);
+    let [old, new] = kill_merge(&mut fleet);
+    assert_eq!(new.robots, old.robots);
+    let after = edge(&run_dir, &[]);
+    assert_eq!((&after["state"], &after["a_from_b"]), (&before["state"], &before["a_from_b"]), "{after}");
+    assert_eq!(after["state"], "pinned");
+    // What he takes back, too.
+    assert_eq!(edge(&run_dir, &["undo", "1", "2"])["state"], "undone");
+    kill_merge(&mut fleet);
+    assert_eq!(edge(&run_dir, &[])["state"], "undone");
+}
+
+#[test]
+fn robots_that_were_found_are_where_they_were_when_merging_begins_again() {
+    let mut fleet = Fleet::start("up", &["--robots", "2", "--starts", "unknown"]);
+    fleet.until("the first robot's map", |view| view.robots[0].merged && view.robots[1].scans >= 20);
+    let path = fleet.folder.path().join("merge.json");
+    let kept = |path: &Path| serde_json::from_slice::<Value>(&std::fs::read(path).unwrap()).unwrap();
+    let mut memory = kept(&path);
+    assert_eq!(memory["fleet"]["anchors"], serde_json::json!([[0.0, 0.0, 0.0], null]));
+    // As if it had been found, which takes a minute and more of driving.
+    let place = [1.5, -0.5, 0.25];
+    memory["fleet"]["anchors"][1] = serde_json::json!(place);
+    memory["fleet"]["pairs"] =
+        serde_json::json!([{"edge": 1, "state": 2, "a_from_b": place, "grounds": null, "refused": []}]);
+    std::fs::write(&path, memory.to_string()).unwrap();
+    let [old, new] = kill_merge(&mut fleet);
+    assert_eq!((old.robots[1].known, new.robots[0]), (0, old.robots[0]));
+    let [x_m, y_m, yaw_rad] = place;
+    assert_eq!((new.robots[1].known, new.robots[1].map_from_robot_map), (1, Pose2::new(x_m, y_m, yaw_rad)));
+    fleet.until("the second robot's map in the first one's", |view| {
+        view.robots.iter().all(|robot| robot.merged)
+    });
+    assert_eq!(kept(&path)["fleet"], memory["fleet"]);
 }

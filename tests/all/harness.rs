@@ -2,7 +2,7 @@
 
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
-use mr_slam::view::FleetView;
+use mr_slam::view::{FleetView, ProcessView};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -131,6 +131,11 @@ impl Fleet {
         let status = launcher.0.wait().unwrap();
         Ended { success: status.success(), took: begun.elapsed(), run, folder }
     }
+}
+
+/// A process of a fleet, by the name that figures give it.
+pub fn process<'a>(view: &'a FleetView, name: &str) -> Option<&'a ProcessView> {
+    view.processes.iter().find(|process| process.process == name)
 }
 
 /// What one run of the binary said.

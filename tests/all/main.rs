@@ -13,6 +13,7 @@ mod layering;
 mod lockstep;
 mod malformed;
 mod maps;
+mod peers;
 mod relation_metric;
 mod restart;
 mod services;

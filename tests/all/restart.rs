@@ -1,12 +1,7 @@
 //! A process that is killed comes back, and its peers notice nothing.
 
-use crate::harness::{Fleet, send};
-use mr_slam::view::{FleetView, ProcessView};
+use crate::harness::{Fleet, process, send};
 use rustix::process::Signal;
-
-fn process<'a>(view: &'a FleetView, name: &str) -> Option<&'a ProcessView> {
-    view.processes.iter().find(|process| process.process == name)
-}
 
 /// Kills one process of a running fleet of three, waits for its return, and checks the others.
 fn kill_and_recover(name: &str) {

@@ -1,6 +1,6 @@
 //! Submaps put together as one grid, each at its pose.
 
-use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, UNKNOWN};
+use msg::grid::{CELLS_MAX, DRIVEN, LOG_ODDS_MAX, LOG_ODDS_MIN, UNKNOWN};
 use msg::{Grid, GridHeader, GridView, Pose2};
 use std::sync::Arc;
 
@@ -11,6 +11,11 @@ pub(crate) struct Placed {
     /// The frame of the whole from the submap's.
     pub frame_from_submap: Pose2,
 }
+
+/// A sum of nothing, and one of a cell that the robot has driven over: beams cannot come near it.
+const NOTHING: i16 = i16::MIN;
+const DRIVEN_SUM: i16 = i16::MIN + 1;
+const _: () = assert!(msg::SUBMAPS_MAX as i32 * (LOG_ODDS_MIN as i32) > DRIVEN_SUM as i32);
 
 /// Log-odds of all submaps added, cells on whole multiples of the resolution of the first one. `None`
 /// if there is nothing, or more than a grid may have.
@@ -28,13 +33,17 @@ pub(crate) fn compose(placed: &[Placed]) -> Option<Grid> {
         return None;
     }
     let (width, height) = (size[0] as usize, size[1] as usize);
-    let mut sums = vec![i16::MIN; width * height];
+    let mut sums = vec![NOTHING; width * height];
     let frame_from_grid = Pose2::new(low[0] * resolution_m, low[1] * resolution_m, 0.0);
     for one in placed {
         add(one.grid.view(), frame_from_grid.between(one.frame_from_submap), resolution_m, &mut sums, width);
     }
-    let most = i16::from(LOG_ODDS_MAX);
-    let cell = |sum: &i16| if *sum == i16::MIN { UNKNOWN } else { (*sum).clamp(-most, most) as i8 };
+    let [least, most] = [LOG_ODDS_MIN, LOG_ODDS_MAX].map(i16::from);
+    let cell = |sum: &i16| match *sum {
+        NOTHING => UNKNOWN,
+        DRIVEN_SUM => DRIVEN,
+        sum => sum.clamp(least, most) as i8,
+    };
     let newest = placed.iter().map(|one| &one.grid.header).max_by_key(|header| header.header.stamp)?;
     let header = GridHeader {
         origin: frame_from_grid,
@@ -74,10 +83,13 @@ fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &
             let u = (x as f64 + 0.5) * step;
             let (i, j) = ((start[0] + cos * u).floor() as i64, (start[1] + sin * u).floor() as i64);
             let cell = submap.cell(i, j);
-            if cell != UNKNOWN {
-                let sum = &mut sums[y * width + x];
-                *sum = if *sum == i16::MIN { 0 } else { *sum }.saturating_add(i16::from(cell));
-            }
+            let sum = &mut sums[y * width + x];
+            *sum = match (cell, *sum) {
+                (UNKNOWN, before) => before,
+                (DRIVEN, _) | (_, DRIVEN_SUM) => DRIVEN_SUM,
+                (_, NOTHING) => i16::from(cell),
+                (_, before) => before.saturating_add(i16::from(cell)),
+            };
         }
     }
 }
@@ -125,7 +137,7 @@ mod tests {
                 let [px, py] = grid.view().centre_m(x, y);
                 let (i, j) = whole.view().cell_of([px, py]);
                 let (there, here) = (whole.view().cell(i, j), grid.view().cell(x, y));
-                assert_eq!(there, if here == UNKNOWN { UNKNOWN } else { here.max(-LOG_ODDS_MAX) });
+                assert_eq!(there, here);
             }
         }
     }

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 /// Two alignments nearer than this mean the same, metres and radians.
 const SAME: [f64; 2] = [1.0, 0.1];
 /// Places taken back that are remembered.
-const REFUSED_MAX: usize = 8;
+pub(crate) const REFUSED_MAX: usize = 8;
 /// Closures kept between two robots.
 const CLOSURES_MAX: usize = 192;
 /// Closures that a submap has with another robot: more say little more.

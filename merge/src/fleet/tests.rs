@@ -224,3 +224,89 @@ fn strangers_and_nonsense_are_refused() {
     (poses.len, poses.robot_map_from_submap[0].x_m) = (1, f64::INFINITY);
     assert_eq!(fleet.poses(robot(1), &poses), Err(FleetRefused::Malformed(robot(1))));
 }
+
+/// A fleet whose starts are unknown and whose two robots have found each other, and what they drove.
+fn found() -> (Fleet, [Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
+    let ways = [way(4.0, 16.0, 5.0), way(18.0, 6.0, 6.0)];
+    let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.0)];
+    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
+    send(&mut fleet, 1, &ways[0], &believed[0], 1);
+    send(&mut fleet, 2, &ways[1], &believed[1], 1);
+    fleet.finish();
+    work(&mut fleet);
+    assert_eq!(edge(&fleet).state(), EdgeState::Accepted);
+    (fleet, ways, believed)
+}
+
+fn recalled(memory: &Memory) -> Fleet {
+    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
+    fleet.recall(memory).unwrap();
+    fleet
+}
+
+#[test]
+fn a_fleet_that_is_recalled_has_its_places_before_anything_is_found_again() {
+    let (mut fleet, ways, believed) = found();
+    assert!(fleet.command(1, EdgeAction::Pin));
+    work(&mut fleet);
+    let memory = fleet.memory();
+    let mut again = recalled(&memory);
+    assert_eq!(again.memory(), memory);
+    for k in [1, 2] {
+        assert_eq!(again.anchor(robot(k)), fleet.anchor(robot(k)));
+    }
+    let (before, now) = (edge(&fleet), edge(&again));
+    assert_eq!((now.state(), now.a_from_b), (EdgeState::Pinned, before.a_from_b));
+    assert_eq!(
+        (now.occupied_f1, now.null_f1, now.inliers),
+        (before.occupied_f1, before.null_f1, before.inliers)
+    );
+    // Robot 2's submaps come first: the frame stays robot 1's, and nobody moves.
+    let place = fleet.anchor(robot(2)).unwrap();
+    send(&mut again, 2, &ways[1], &believed[1], 1);
+    assert_eq!(again.anchor(robot(1)), Some(Pose2::IDENTITY));
+    assert!(again.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+    send(&mut again, 1, &ways[0], &believed[0], 1);
+    again.finish();
+    work(&mut again);
+    assert_eq!(edge(&again).state(), EdgeState::Pinned);
+    assert!(edge(&again).closures >= 3, "closures are found again: {:?}", edge(&again));
+    assert!(again.anchor(robot(1)).unwrap().distance_m(Pose2::IDENTITY) < 0.01);
+    assert!(again.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+}
+
+#[test]
+fn what_the_operator_took_back_is_not_found_again_by_a_fleet_that_is_recalled() {
+    let (mut fleet, ways, believed) = found();
+    assert!(fleet.command(1, EdgeAction::Undo));
+    work(&mut fleet);
+    let mut again = recalled(&fleet.memory());
+    assert_eq!((edge(&again).state(), again.anchor(robot(2))), (EdgeState::Undone, None));
+    send(&mut again, 1, &ways[0], &believed[0], 1);
+    send(&mut again, 2, &ways[1], &believed[1], 1);
+    again.finish();
+    work(&mut again);
+    assert_eq!((edge(&again).state(), again.anchor(robot(2))), (EdgeState::Undone, None));
+    // Without the memory it is.
+    assert_eq!(edge(&found().0).state(), EdgeState::Accepted);
+}
+
+#[test]
+fn the_frame_of_a_robot_that_left_is_remembered() {
+    let (mut fleet, _, _) = found();
+    let place = fleet.anchor(robot(2));
+    fleet.forget(robot(1));
+    work(&mut fleet);
+    let again = recalled(&fleet.memory());
+    assert_eq!((again.anchor(robot(1)), again.anchor(robot(2))), (None, place));
+}
+
+#[test]
+fn a_find_that_waits_and_places_that_hang_on_nothing_are_not_remembered() {
+    let (mut fleet, _, _) = found();
+    fleet.pairs[0].let_go(EdgeState::Candidate);
+    let again = recalled(&fleet.memory());
+    assert_eq!(edge(&again).state(), EdgeState::None);
+    // Only the robot whose map gives the frame is sure of its place.
+    assert_eq!((again.anchor(robot(1)), again.anchor(robot(2))), (Some(Pose2::IDENTITY), None));
+}

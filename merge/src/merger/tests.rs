@@ -6,23 +6,23 @@ use msg::grid::{Occupancy, occupancy};
 use msg::{Grid, GridHeader};
 use proptest::prelude::*;
 
-const RESOLUTION_M: f64 = 0.05;
+pub(super) const RESOLUTION_M: f64 = 0.05;
 
-fn robot(number: usize) -> RobotId {
+pub(super) fn robot(number: usize) -> RobotId {
     RobotId::new(number).unwrap()
 }
 
-fn grid(origin: Pose2, resolution_m: f64, width: u32, cells: Vec<i8>) -> Grid {
+pub(super) fn grid(origin: Pose2, resolution_m: f64, width: u32, cells: Vec<i8>) -> Grid {
     let height = cells.len() as u32 / width;
     Grid { header: GridHeader { origin, resolution_m, width, height, ..Default::default() }, cells }
 }
 
-fn merger(starts: &[Pose2]) -> Merger {
+pub(super) fn merger(starts: &[Pose2]) -> Merger {
     Merger::new(&MergeConfig::default(), &starts.iter().map(|start| Some(*start)).collect::<Vec<_>>())
 }
 
 /// The merged evidence at a cell of the lattice.
-fn at(merger: &mut Merger, x: i64, y: i64) -> i8 {
+pub(super) fn at(merger: &mut Merger, x: i64, y: i64) -> i8 {
     let view = merger.merged();
     let corner = [view.header.origin.x_m, view.header.origin.y_m].map(|m| (m / RESOLUTION_M).round() as i64);
     view.cell(x - corner[0], y - corner[1])
@@ -46,7 +46,7 @@ fn evidence() -> impl Strategy<Value = i8> {
     prop_oneof![2 => Just(UNKNOWN), 1 => -127_i8..=127]
 }
 
-fn map(side: u32) -> impl Strategy<Value = Grid> {
+pub(super) fn map(side: u32) -> impl Strategy<Value = Grid> {
     let shape = (1..=side, 1..=side, -40..40_i32, -40..40_i32);
     shape.prop_flat_map(|(width, height, x, y)| {
         let cells = proptest::collection::vec(evidence(), (width * height) as usize);
@@ -55,7 +55,7 @@ fn map(side: u32) -> impl Strategy<Value = Grid> {
     })
 }
 
-fn pose() -> impl Strategy<Value = Pose2> {
+pub(super) fn pose() -> impl Strategy<Value = Pose2> {
     (-2.0..2.0, -2.0..2.0, -3.2..3.2).prop_map(|(x, y, yaw)| Pose2::new(x, y, yaw))
 }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cloud::Cloud;
-use crate::node::Rays;
+use crate::node::{Rays, Way};
 use proptest::prelude::*;
 use std::sync::Arc;
 
@@ -28,6 +28,11 @@ fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
         fits,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),
+        // Some came from afar, or nobody knows from where.
+        way: match id % 4 {
+            3 => Way::default(),
+            _ => Way::of(&[[-0.5 - 0.3 * (id % 5) as f32, 0.1], [0.2, -0.3], [0.0, 0.0]]),
+        },
     }
 }
 
@@ -46,7 +51,7 @@ fn nodes() -> impl Strategy<Value = (Vec<Node>, Vec<Pose2>)> {
 }
 
 fn canvas() -> Canvas {
-    Canvas::new(MapConfig::default())
+    Canvas::new(MapConfig { robot_radius_m: 0.2, ..MapConfig::default() })
 }
 
 fn finished(nodes: &[Node], poses: &[Pose2]) -> msg::Grid {
@@ -136,4 +141,45 @@ fn a_node_beyond_the_largest_map_is_counted_and_comes_back() {
     canvas.finish(&nodes, &gone);
     assert_eq!(canvas.clipped(), 1);
     assert_eq!(canvas.finish(&nodes, &near).to_owned(), finished(&nodes, &near));
+}
+
+/// Cells of a map along a line, from a point.
+fn along(grid: &msg::Grid, from_m: [f64; 2], step_m: [f64; 2], count: usize) -> Vec<i8> {
+    let view = grid.view();
+    let at = |k: usize| [0, 1].map(|side| from_m[side] + k as f64 * step_m[side]);
+    (0..count).map(|k| view.cell_of(at(k))).map(|(x, y)| view.cell(x, y)).collect()
+}
+
+#[test]
+fn where_the_body_was_is_floor_until_the_robot_sees_something_there() {
+    use msg::grid::{FREE_MAX, LOG_ODDS_MIN, OCCUPIED_MIN};
+    // It looks back and sees something just behind its body.
+    let looks_back = |id, way: &[[f32; 2]]| {
+        let rays = Rays { sensor: [0.0; 2], hits: vec![[-0.28, 0.0]], misses: Vec::new() };
+        Node { way: Way::of(way), rays: Arc::new(rays), ..node(id, 1.0, 0, true) }
+    };
+    let came: Vec<[f32; 2]> = (0..=6).map(|k| [-0.05 * k as f32, 0.0]).collect();
+    let mut nodes = vec![looks_back(0, &[]), Node { rays: Arc::default(), ..looks_back(1, &came) }];
+    let mut poses = vec![Pose2::new(0.0, 0.025, 0.0), Pose2::new(0.3, 0.025, 0.0)];
+    let drawn = finished(&nodes, &poses);
+    // From 0.2 m behind the one to 0.2 m before the other, and 0.2 m to each side.
+    assert!(along(&drawn, [-0.175, 0.025], [0.05, 0.0], 14).iter().all(|cell| *cell == DRIVEN), "{drawn:?}");
+    assert_eq!(along(&drawn, [0.125, -0.125], [0.0, 0.4], 2), [DRIVEN, UNKNOWN]);
+    let behind =
+        |nodes: &[Node], poses: &[Pose2]| along(&finished(nodes, poses), [-0.275, 0.025], [0.0; 2], 1)[0];
+    assert_eq!(behind(&nodes, &poses), 25);
+    // What it took for an obstacle before it came there is gone; what it sees there after is not.
+    nodes.push(looks_back(2, &[[0.0, 0.0]]));
+    poses.push(Pose2::new(-0.3, 0.025, 0.0));
+    assert_eq!(behind(&nodes, &poses), DRIVEN);
+    for k in 3..14 {
+        nodes.push(looks_back(k, &[]));
+        poses.push(poses[0]);
+        let seen = behind(&nodes, &poses);
+        assert!(seen > LOG_ODDS_MIN && (k > 3 || seen < FREE_MAX), "{seen} after {k}");
+    }
+    assert!(behind(&nodes, &poses) >= OCCUPIED_MIN);
+    // Of a robot whose size is not known, nothing is claimed.
+    let unknown_size = Canvas::new(MapConfig::default()).finish(&nodes, &poses).to_owned();
+    assert!(unknown_size.cells.iter().all(|cell| *cell != DRIVEN));
 }

@@ -2,7 +2,7 @@
 
 use super::{Counts, Front, Last, REVISIONS_MAX};
 use crate::config::SlamConfig;
-use crate::node::{Node, Revision};
+use crate::node::{Node, Revision, Way};
 use crate::odometry::OdometryBuffer;
 use msg::{Odometry, Pose2};
 use nalgebra::Matrix3;
@@ -47,6 +47,8 @@ pub struct FrontState {
     pub continuous_from_odom: Pose2,
     /// Messages refused.
     pub odometry_refused: u64,
+    /// Where the robot has been since the newest node, in the scan path's frame.
+    pub way: Way,
 }
 
 impl Front {
@@ -78,7 +80,7 @@ impl Front {
         front.handed = newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base));
         front.handed_from_recent = state.handed_from_recent;
         (front.node_odom_from_base, front.last) = (state.node_odom_from_base, state.last);
-        front.unsure = state.unsure;
+        (front.unsure, front.way) = (state.unsure, state.way);
         (front.node_covariance, front.torn_at) = (state.node_covariance, state.torn_at);
         (front.counts, front.closures) = (state.counts, state.closures);
         front
@@ -106,6 +108,7 @@ impl Front {
             odometry,
             continuous_from_odom,
             odometry_refused,
+            way: self.way,
         }
     }
 }

@@ -4,7 +4,7 @@ use super::{Found, Front};
 use crate::cloud::Cloud;
 use crate::config::TrackingConfig;
 use crate::field::Field;
-use crate::node::Node;
+use crate::node::{Node, Way};
 use crate::sweep::Sweep;
 use msg::{Pose2, Scan, TrackingState};
 use std::sync::Arc;
@@ -77,6 +77,7 @@ impl Front {
             adrift: None,
             cloud,
             rays: self.pool.rays(scan, sweep, &self.config),
+            way: Way::default(),
         };
         let has_room = self.pool.has_room(self.recent.len() + 1);
         if !fits {
@@ -97,7 +98,11 @@ impl Front {
         self.handed = Some((node.id, node.local_from_base));
         self.handed_from_recent = Some(Pose2::IDENTITY);
         self.apply_revisions(node.id);
-        Some(node)
+        let way = core::mem::take(&mut self.way);
+        // A way that the scans contradict was another one.
+        let is_known = self.config.map.robot_radius_m > 0.0 && fits && !node.torn;
+        let way = if is_known { way.seen_from(node.local_from_base) } else { Way::default() };
+        Some(Node { way, ..node })
     }
 
     /// Whether a scan placed here and the newest nodes see through what the other one saw: the

@@ -5,7 +5,7 @@ use super::{Identity, Session};
 use crate::back::BackState;
 use crate::cloud::{Cloud, CloudScratch};
 use crate::config::{LidarConfig, SlamConfig};
-use crate::node::{Node, Rays};
+use crate::node::{Node, Rays, Way};
 use crate::sweep::Sweep;
 use bytemuck::Zeroable;
 use msg::grid::{Occupancy, occupancy};
@@ -53,6 +53,8 @@ impl Session {
                 fits: true,
                 cloud: Arc::new(cloud),
                 rays: Arc::new(Rays::new(&scan, &sweep, &config)),
+                // No robot was there.
+                way: Way::default(),
             });
             back.front_ids.push(id as u32);
             back.poses.push(map_from_base);

@@ -7,7 +7,7 @@ use crate::closure::{DetectorState, Find, SearchCounts};
 use crate::cloud::{BEARINGS, Cloud, SurfacePoint};
 use crate::front::{Counts, FrontState, Last, Ride};
 use crate::graph::{Edge, EdgeKind};
-use crate::node::{Node, Rays, Revision};
+use crate::node::{Node, Rays, Revision, WAY_PLACES_MAX, Way};
 use bytemuck::{Pod, Zeroable};
 use msg::{BEAMS_MAX, Header, Odometry, Pose2, SlamMode, Stamp};
 use nalgebra::Matrix3;
@@ -91,7 +91,8 @@ struct NodeRecord {
     header: Header,
     local_from_base: Pose2,
     previous_from_this: Pose2,
-    /// 1: `previous_from_this` is known; 2: the scan fitted; 4: it is torn from the nodes before.
+    /// 1: `previous_from_this` is known; 2: the scan fitted; 4: it is torn from the nodes before; above the lowest
+    /// eight bits: the places of its way.
     flags: u32,
     points: u32,
     hits: u32,
@@ -110,7 +111,8 @@ fn put_node(out: &mut Out, node: &Node) {
         previous_from_this: node.previous_from_this.unwrap_or_default(),
         flags: u32::from(node.previous_from_this.is_some())
             | u32::from(node.fits) << 1
-            | u32::from(node.torn) << 2,
+            | u32::from(node.torn) << 2
+            | (node.way.places_m().len() as u32) << 8,
         points: points.len() as u32,
         hits: rays.hits.len() as u32,
         misses: rays.misses.len() as u32,
@@ -122,6 +124,7 @@ fn put_node(out: &mut Out, node: &Node) {
     out.bytes.extend_from_slice(bytemuck::cast_slice(&rays.hits));
     out.bytes.extend_from_slice(bytemuck::cast_slice(&rays.misses));
     out.put(seen_cm);
+    out.bytes.extend_from_slice(bytemuck::cast_slice(node.way.places_m()));
 }
 
 fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
@@ -136,6 +139,7 @@ fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
     let hits: Vec<[f32; 2]> = from.values(sizes[1], WHAT)?;
     let misses: Vec<[f32; 2]> = from.values(sizes[2], WHAT)?;
     let seen_cm: [u16; BEARINGS] = from.take(WHAT)?;
+    let way = take_way(from, record.flags >> 8, BEAM_M_MAX)?;
     for p in &points {
         check_points(&[p.at], "point of a node")?;
         check(p.normal.iter().all(|v| v.abs() <= 1.01), "surface's direction")?;
@@ -156,7 +160,20 @@ fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
         adrift: None,
         cloud: Arc::new(cloud),
         rays: Arc::new(Rays { sensor: record.rays_sensor, hits, misses }),
+        way,
     })
+}
+
+/// So many places, none farther than so many metres.
+fn take_way(from: &mut In<'_>, places: u32, most_m: f32) -> Result<Way> {
+    const WHAT: &str = "way";
+    if places as usize > WAY_PLACES_MAX {
+        let found = u64::from(places);
+        return Err(SessionError::TooMany { what: "places in a way", found, most: WAY_PLACES_MAX });
+    }
+    let way: Vec<[f32; 2]> = from.values(places as usize, WHAT)?;
+    check(way.iter().flatten().all(|v| v.abs() <= most_m), WHAT)?;
+    Ok(Way::of(&way))
 }
 
 #[repr(C)]
@@ -353,7 +370,9 @@ struct LastRecord {
 
 pub fn put_front(out: &mut Out, front: &FrontState) {
     out.put(&[front.next_node, front.recent, front.local_maps[0], front.local_maps[1]]);
-    out.put(&[front.lost_in_row, front.closures, u32::from(front.located), u32::from(front.unsure)]);
+    // Above the lowest eight bits of the last: the places of its way.
+    let unsure = u32::from(front.unsure) | (front.way.places_m().len() as u32) << 8;
+    out.put(&[front.lost_in_row, front.closures, u32::from(front.located), unsure]);
     out.put(&front.map_from_local);
     out.maybe(front.node_odom_from_base);
     out.put(&matrix(&front.node_covariance));
@@ -383,6 +402,7 @@ pub fn put_front(out: &mut Out, front: &FrontState) {
     out.list(&front.odometry);
     out.put(&front.continuous_from_odom);
     out.put(&front.odometry_refused);
+    out.bytes.extend_from_slice(bytemuck::cast_slice(front.way.places_m()));
 }
 
 pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
@@ -450,7 +470,7 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
         recent,
         local_maps: [older, younger],
         lost_in_row,
-        unsure: unsure != 0,
+        unsure: unsure & 1 != 0,
         closures,
         located: located != 0,
         map_from_local,
@@ -464,6 +484,7 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
         odometry,
         continuous_from_odom: check_pose(from.take(WHAT)?, "odometry's frame")?,
         odometry_refused: from.take(WHAT)?,
+        way: take_way(from, unsure >> 8, PLACE_M_MAX as f32)?,
     })
 }
 
