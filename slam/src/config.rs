@@ -127,6 +127,9 @@ pub struct LinkConfig {
     pub cauchy_m: f64,
     /// Standard deviation of a matched point's distance from its surface, metres.
     pub point_sigma_m: f64,
+    /// Points without a direction count so much of what they seem to say: far hits on a corridor's walls
+    /// would hold a robot along it, where they say nothing.
+    pub places_share: f64,
     /// No link is better than this, metres: what the sensor's and the surfaces' biases leave.
     pub floor_m: f64,
     /// Nor better than this, radians.
@@ -373,6 +376,7 @@ impl Default for LinkConfig {
             gate_narrow_m: 0.12,
             cauchy_m: 0.04,
             point_sigma_m: 0.03,
+            places_share: 0.02,
             floor_m: 0.01,
             floor_rad: 0.003,
             drift_m_per_m: 0.01,
@@ -479,6 +483,7 @@ impl SlamConfig {
         between("links.near", self.links.near as f64, 0.0, 64.0, "0 to 64")?;
         between("links.gate_wide_m", self.links.gate_wide_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
         between("links.gate_narrow_m", self.links.gate_narrow_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
+        between("links.places_share", self.links.places_share, 0.0, 1.0, "0 to 1")?;
         between("links.point_sigma_m", self.links.point_sigma_m, 1e-4, 1.0, "0.0001 to 1 m")?;
         between("closures.window_max_m", self.closures.window_max_m, 0.1, 50.0, "0.1 to 50 m")?;
         between("closures.query_nodes", self.closures.query_nodes as f64, 1.0, 100.0, "1 to 100")?;
