@@ -11,7 +11,7 @@
 //! `--logs relocalize`: a robot is looked for without a guess in the map of the first
 //! half of intel, put down in its second half, and in other buildings, where it must not be found.
 //!
-//! `--logs varied` (half an hour of one core, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
+//! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
 //! them (`varied.rs`), to find where the default configuration generalises badly. `--maps DIR` writes
 //! every log's map there, as YAML, PGM and PNG.
 
