@@ -11,6 +11,7 @@
 
 mod logs;
 mod pairs;
+#[allow(dead_code, reason = "shared with the slam bench, which uses more of it")]
 #[path = "../slam/relations.rs"]
 mod relations;
 mod speed;

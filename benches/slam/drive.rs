@@ -1,13 +1,15 @@
 //! One log through SLAM, in a process of its own: two threads as in the live worker, each measuring itself.
 
 use crate::relations::{self, Errors, Trajectory, Which};
+use crate::varied::{Maker, Varied};
 use allocation_counter::measure;
 use bytemuck::Zeroable;
 use mr_slam::carmen::{LaserLine, Reader, Record};
+use mr_slam::map_file::write_map;
 use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
-use slam::{Back, Front, Node, Revision, Slam, SlamConfig, Stage, StageWatch, Step};
+use slam::{Back, EdgeKind, Front, Node, Revision, Slam, SlamConfig, Stage, StageWatch, Step};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -18,6 +20,10 @@ use std::time::Instant;
 const WAITING_MAX: usize = slam::NODES_UNDER_WAY_MAX - 2;
 /// Nodes until the scan path is in its steady state.
 const WARM_UP_NODES: u32 = 100;
+/// A measurement this far from the truth is wrong: metres, radians. What is taken for the truth is
+/// itself off by some centimetres.
+const WRONG_M: f64 = 0.5;
+const WRONG_RAD: f64 = 0.15;
 /// Nodes at either end that are compared.
 const ENDS_NODES: u32 = 100;
 
@@ -26,12 +32,18 @@ const ENDS_NODES: u32 = 100;
 pub struct Task {
     /// A CARMEN log.
     pub log: PathBuf,
-    /// Only the central beams.
-    pub fov_deg: Option<f64>,
+    /// What is different from the log.
+    pub varied: Varied,
     /// What the trajectory is compared with.
     pub relations: PathBuf,
     /// Odometry between the scans.
     pub odometry: Option<PathBuf>,
+    /// The robot's true way, scan by scan, if it is known: `t x y yaw` a line.
+    pub truth: Option<PathBuf>,
+    /// Where to write its way as found.
+    pub trajectory: Option<PathBuf>,
+    /// Where to write the map: YAML, PGM and PNG of this name.
+    pub map: Option<PathBuf>,
 }
 
 /// What came of it.
@@ -43,6 +55,8 @@ pub struct Outcome {
     pub revisit: Errors,
     /// Of those between scans of the log.
     pub both_kept: Errors,
+    /// Of all between places that are tied to the map: what the map itself gets wrong.
+    pub in_map: Errors,
     /// Scans that got a pose.
     pub scans: u64,
     /// Of them, scans that did not fit.
@@ -55,6 +69,12 @@ pub struct Outcome {
     pub closures: usize,
     /// Closures taken back.
     pub retracted: u64,
+    /// Nodes that are not tied to the map.
+    pub adrift: usize,
+    /// Closures in force that are not true, if the truth is known.
+    pub wrong_closures: usize,
+    /// The same of links between scans.
+    pub wrong_links: usize,
     /// Reading to final trajectory, seconds.
     pub wall_s: f64,
     /// Processor time of the process for it, seconds.
@@ -187,8 +207,11 @@ pub fn drive(task: &Task) -> Result<Outcome, String> {
     let Replayed { front, mut back, scans, besides } = replay(&log, task, &sums)?;
     let wall_s = start.elapsed().as_secs_f64();
     let cpu_s = mr_slam::clock::cpu_ns() as f64 * 1e-9;
-    back.map();
+    let map = back.map();
     let memory_mb = memory_peak_mb()?;
+    if let Some(stem) = &task.map {
+        write_map(stem, map).map_err(|why| why.to_string())?;
+    }
     let mut outcome = Outcome { wall_s, cpu_s, memory_mb, stages: sums.times(), ..Outcome::default() };
     outcome.measure(&scans, &besides);
     outcome.count(&front, &back);
@@ -216,19 +239,49 @@ impl Outcome {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
-        self.retracted = done.retracted;
+        (self.retracted, self.adrift) = (done.retracted, done.adrift);
     }
 
     fn score(&mut self, task: &Task, front: &Front, back: &Back) -> Result<(), String> {
         let poses = slam::trajectory(front, back).map(|(stamp, pose)| (stamp.0 as f64 * 1e-9, pose));
         let estimate = Trajectory::new(poses.collect());
+        let (begins_s, cut) = (estimate.begins_s(), task.varied.begins_at > 0.0);
         let odometry = task.odometry.as_deref().map(|path| text(path, Trajectory::parse)).transpose()?;
-        let relations = text(&task.relations, relations::parse)?;
+        let mut relations = text(&task.relations, relations::parse)?;
+        relations.retain(|relation| !cut || relation.begins_after(begins_s));
         let errors = |which| relations::errors(&estimate, odometry.as_ref(), &relations, which);
         (self.all, self.revisit) = (errors(Which::All), errors(Which::Revisits));
         self.both_kept = errors(Which::BothKept);
+        let tied = |ride: &slam::Ride| {
+            let node = back.node_of(ride.node).map(|id| &back.nodes()[id as usize]);
+            node.is_some_and(|node| node.adrift.is_none())
+        };
+        let tied: Vec<bool> = front.rides().iter().map(tied).collect();
+        relations
+            .retain(|relation| relation.ends(&estimate).into_iter().all(|at| tied.get(at) == Some(&true)));
+        self.in_map = relations::errors(&estimate, odometry.as_ref(), &relations, Which::All);
+        if let Some(path) = &task.trajectory {
+            let fail = |why: std::io::Error| format!("{}: {why}", path.display());
+            std::fs::write(path, estimate.text()).map_err(fail)?;
+        }
+        if let Some(path) = &task.truth {
+            let truth = text(path, Trajectory::parse)?;
+            self.wrong_closures = wrong(back, &truth, EdgeKind::Closure);
+            self.wrong_links = wrong(back, &truth, EdgeKind::Link);
+        }
         Ok(())
     }
+}
+
+/// How many edges in force say something else than the truth.
+fn wrong(back: &Back, truth: &Trajectory, kind: EdgeKind) -> usize {
+    let at = |id: u32| truth.scan_at(back.nodes()[id as usize].header.stamp.0 as f64 * 1e-9);
+    let wrong = |edge: &&slam::Edge| {
+        let Some((a, b)) = at(edge.a).zip(at(edge.b)) else { return false };
+        let error = a.between(b).between(edge.a_from_b);
+        error.x_m.hypot(error.y_m) > WRONG_M || error.yaw_rad.abs() > WRONG_RAD
+    };
+    back.graph().edges().iter().filter(|edge| edge.in_force && edge.kind == kind).filter(wrong).count()
 }
 
 /// A file's bytes, unpacked if they are gzip.
@@ -264,10 +317,17 @@ struct Replayed {
 }
 
 fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, String> {
-    let mut lines = Reader::new(log).filter_map(|record| match record {
-        Ok(Record::Laser(line)) => Some(line),
-        _ => None,
-    });
+    let lasers = || {
+        Reader::new(log).filter_map(|record| match record {
+            Ok(Record::Laser(line)) => Some(line),
+            _ => None,
+        })
+    };
+    let varied = task.varied;
+    let left_out =
+        if varied.begins_at > 0.0 { (varied.begins_at * lasers().count() as f64) as usize } else { 0 };
+    let mut maker = Maker::new(varied);
+    let mut lines = lasers().skip(left_out).map(|line| maker.make(line));
     let first = lines.next().ok_or_else(|| format!("{}: no scan", task.log.display()))?;
     let mut config = SlamConfig::default();
     let on_robot = first.base_from_scan;
@@ -283,7 +343,7 @@ fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, St
         let beside = scope.spawn(move || work_beside(back, nodes, to_front));
         let mut message = Box::new(Scan::zeroed());
         for (seq, line) in std::iter::once(first).chain(lines).enumerate() {
-            line.write_to(&mut message, seq as u64, task.fov_deg.map(f64::to_radians));
+            line.write_to(&mut message, seq as u64, varied.fov_deg.map(f64::to_radians));
             let (took, step) = scan(&mut front, &line, &message, &revisions);
             scans.push(took);
             if let Some(node) = step.node {

@@ -10,15 +10,21 @@
 //!
 //! `--logs relocalize`: a robot is looked for without a guess in the map of the first
 //! half of intel, put down in its second half, and in other buildings, where it must not be found.
+//!
+//! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
+//! them (`varied.rs`), to find where the default configuration generalises badly. `--maps DIR` writes
+//! every log's map there, as YAML, PGM and PNG.
 
 mod drive;
 mod relations;
 mod relocalize;
 mod table;
+mod varied;
 
 use drive::{Outcome, Task};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use varied::{VARIATIONS, Varied};
 
 /// A log and what others, and we, want of it.
 pub struct Row {
@@ -62,12 +68,13 @@ struct Args {
     data: PathBuf,
     json: Option<PathBuf>,
     logs: Option<Vec<String>>,
+    maps: Option<PathBuf>,
     check: bool,
 }
 
 fn args() -> Result<Args, String> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/lidar");
-    let mut args = Args { data, json: None, logs: None, check: false };
+    let mut args = Args { data, json: None, logs: None, maps: None, check: false };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
         let mut value = || given.next().ok_or(format!("{name} wants a value"));
@@ -75,13 +82,23 @@ fn args() -> Result<Args, String> {
             "--data" => args.data = value()?.into(),
             "--json" => args.json = Some(value()?.into()),
             "--logs" => args.logs = Some(value()?.split(',').map(str::to_owned).collect()),
+            "--maps" => args.maps = Some(value()?.into()),
             "--check" => args.check = true,
             // cargo bench says this to every bench.
             "--bench" => {}
-            other => return Err(format!("{other}: expected --data DIR, --logs A,B, --json FILE or --check")),
+            other => {
+                return Err(format!(
+                    "{other}: expected --data DIR, --logs A,B, --json FILE, --maps DIR or --check"
+                ));
+            }
         }
     }
-    let known = |log: &String| log == "relocalize" || ROWS.iter().any(|row| row.name == log);
+    let known = |log: &String| {
+        log == "relocalize"
+            || log == "varied"
+            || log.starts_with("varied/")
+            || ROWS.iter().any(|row| row.name == log)
+    };
     match args.logs.iter().flatten().find(|log| !known(log)) {
         Some(log) => Err(format!("--logs: {log} is none of {}", ROWS.map(|row| row.name).join(", "))),
         None => Ok(args),
@@ -104,10 +121,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{}: no such folder; no logs, no table", args.data.display());
         return Ok(());
     }
+    if let Some(maps) = &args.maps {
+        std::fs::create_dir_all(maps)?;
+    }
     let wanted = |row: &&Row| args.logs.as_ref().is_none_or(|logs| logs.iter().any(|log| log == row.name));
     let mut done: Vec<(&Row, Outcome)> = Vec::new();
     for row in ROWS.iter().filter(wanted) {
-        match task(&args.data, row.name) {
+        match task(&args, row.name) {
             Some(task) => done.push((row, in_a_process("drive", &task, &task.log)?)),
             None => println!("{}: not in {}", row.name, args.data.display()),
         }
@@ -122,29 +142,60 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
         }
     }
-    table::print(&done);
+    let varied = vary(&args)?;
+    if !done.is_empty() {
+        table::print(&done);
+    }
     table::relocalized(&sought);
+    table::varied(&varied);
     if let Some(path) = args.json {
-        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done, &sought))?)?;
+        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done, &sought, &varied))?)?;
     }
     let wrong = |(_, outcome): &(relocalize::Task, relocalize::Outcome)| outcome.wrong > 0;
     let missed = done.iter().any(|(row, outcome)| !table::met(row, outcome)) || sought.iter().any(wrong);
     if args.check && missed { Err("an error is above its limit, or a place is wrong".into()) } else { Ok(()) }
 }
 
-/// Where the log's files are, if they are there.
-fn task(data: &Path, name: &str) -> Option<Task> {
-    let (name, fov_deg) = match name.split_once('@') {
-        Some((name, degrees)) => (name, degrees.parse().ok()),
-        None => (name, None),
+/// Every log in every variation that was asked for.
+fn vary(args: &Args) -> Result<Vec<(String, &'static str, Outcome)>, Box<dyn std::error::Error>> {
+    let asked = |name: &str| {
+        let by_name = format!("varied/{name}");
+        args.logs.iter().flatten().any(|log| log == "varied" || *log == by_name)
     };
-    let folder = data.join(name);
+    let folder = std::env::temp_dir().join(format!("mr-slam-varied-{}", std::process::id()));
+    std::fs::create_dir_all(&folder)?;
+    let mut outcomes = Vec::new();
+    for row in ROWS.iter().filter(|row| !row.name.contains('@') && asked(row.name)) {
+        let Some(task) = task(args, row.name) else { continue };
+        for (number, (label, varied)) in VARIATIONS.into_iter().enumerate() {
+            let map = args.maps.as_ref().map(|maps| maps.join(format!("{}-{number:02}", row.name)));
+            // The log as it is comes first; its trajectory tells which ties of the others are wrong.
+            let way = Some(folder.join(format!("{}.traj", row.name)));
+            let (trajectory, truth) = if number == 0 { (way, None) } else { (None, way) };
+            let task = Task { varied, map, truth, trajectory, ..task.clone() };
+            outcomes.push((row.name.to_owned(), label, in_a_process("drive", &task, &task.log)?));
+        }
+    }
+    std::fs::remove_dir_all(&folder)?;
+    Ok(outcomes)
+}
+
+/// Where the log's files are, if they are there.
+fn task(args: &Args, row: &str) -> Option<Task> {
+    let (name, fov_deg) = match row.split_once('@') {
+        Some((name, degrees)) => (name, degrees.parse().ok()),
+        None => (row, None),
+    };
+    let folder = args.data.join(name);
     let present = |file: &str| Some(folder.join(file)).filter(|path| path.is_file());
     Some(Task {
         log: present(&format!("{name}.log.gz"))?,
-        fov_deg,
+        varied: Varied { fov_deg, ..Varied::default() },
         relations: present("official.relations").or_else(|| present("substitute.relations"))?,
         odometry: present("dense_odom.traj.gz"),
+        truth: None,
+        trajectory: None,
+        map: args.maps.as_ref().map(|maps| maps.join(row)),
     })
 }
 

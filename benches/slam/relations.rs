@@ -49,6 +49,18 @@ pub enum Which {
     BothKept,
 }
 
+impl Relation {
+    /// Whether both ends are after this moment.
+    pub fn begins_after(&self, begins_s: f64) -> bool {
+        self.from_s.min(self.to_s) >= begins_s - NEAR_S
+    }
+
+    /// Which poses of a trajectory are nearest to both ends.
+    pub fn ends(&self, trajectory: &Trajectory) -> [usize; 2] {
+        [self.from_s, self.to_s].map(|at_s| trajectory.nearest(at_s))
+    }
+}
+
 impl Trajectory {
     /// Sorts by time and drops doubles.
     pub fn new(mut poses: Vec<(f64, Pose2)>) -> Self {
@@ -78,9 +90,28 @@ impl Trajectory {
         within(relation.from_s) && within(relation.to_s)
     }
 
+    /// As [`Trajectory::parse`] reads it.
+    pub fn text(&self) -> String {
+        let line = |(t, pose): &(f64, Pose2)| {
+            format!("{t:.6} {:.6} {:.6} {:.6}\n", pose.x_m, pose.y_m, pose.yaw_rad)
+        };
+        self.0.iter().map(line).collect()
+    }
+
+    /// When it begins, seconds.
+    pub fn begins_s(&self) -> f64 {
+        self.0.first().map_or(f64::INFINITY, |(t, _)| *t)
+    }
+
+    /// The pose at a scan's own time.
+    pub fn scan_at(&self, at_s: f64) -> Option<Pose2> {
+        let (scan_s, pose) = *self.0.get(self.nearest(at_s))?;
+        ((scan_s - at_s).abs() <= SAME_S).then_some(pose)
+    }
+
     /// Index of the pose nearest in time; of two as near, the earlier.
     fn nearest(&self, at_s: f64) -> usize {
-        let last = self.0.len() - 1;
+        let last = self.0.len().saturating_sub(1);
         let after = self.0.partition_point(|(t, _)| *t < at_s).clamp(1.min(last), last);
         let before = after.saturating_sub(1);
         if (self.0[before].0 - at_s).abs() <= (self.0[after].0 - at_s).abs() { before } else { after }

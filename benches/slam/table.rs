@@ -180,8 +180,69 @@ pub fn relocalized(sought: &[(relocalize::Task, relocalize::Outcome)]) {
     }
 }
 
+/// Logs as other robots would have made them: the log, what was varied, and what came of it.
+pub fn varied(outcomes: &[(String, &'static str, Outcome)]) {
+    if outcomes.is_empty() {
+        return;
+    }
+    println!();
+    println!(
+        "{:<13} {:<20} {:>7} {:>7} {:>6} {:>4}  {:>7} {:>6} {:>4}  {:>5} {:>5} {:>5} {:>6} {:>8} {:>7} {:>6}  {:>15}",
+        "varied, m",
+        "",
+        "all",
+        "revisit",
+        "max",
+        "n",
+        "in map",
+        "max",
+        "n",
+        "scans",
+        "lost",
+        "nodes",
+        "adrift",
+        "closures",
+        "wrong",
+        "wall s",
+        "as it is"
+    );
+    let mut as_it_is = String::new();
+    for (name, label, o) in outcomes {
+        if *label == "as it is" {
+            as_it_is = format!("{:.3} / {:.3}", o.all.mean_m, o.revisit.mean_m);
+        }
+        println!(
+            "{:<13} {:<20} {:>7.3} {:>7.3} {:>6.2} {:>4}  {:>7.3} {:>6.2} {:>4}  {:>5} {:>5} {:>5} {:>6} {:>8} {:>7} {:>6.1}  {:>15}",
+            name,
+            label,
+            o.all.mean_m,
+            o.revisit.mean_m,
+            o.all.max_m,
+            o.all.count,
+            o.in_map.mean_m,
+            o.in_map.max_m,
+            o.in_map.count,
+            o.scans,
+            o.lost,
+            o.nodes,
+            o.adrift,
+            format!("{}-{}", o.closures, o.retracted),
+            format!("{}, {}", o.wrong_closures, o.wrong_links),
+            o.wall_s,
+            as_it_is,
+        );
+    }
+    println!(
+        "in map: relations between places that are tied to the map; adrift: nodes that are not; wrong: closures and links in force that the log as it is contradicts"
+    );
+}
+
 /// Everything, by log.
-pub fn json(done: &[(&Row, Outcome)], sought: &[(relocalize::Task, relocalize::Outcome)]) -> Value {
+pub fn json(
+    done: &[(&Row, Outcome)],
+    sought: &[(relocalize::Task, relocalize::Outcome)],
+    varied: &[(String, &'static str, Outcome)],
+) -> Value {
     let rows = done.iter().map(|(row, outcome)| {
         json!({
             "log": row.name, "limits_m": row.limits_m, "slam_toolbox_m": row.toolbox_m,
@@ -189,7 +250,13 @@ pub fn json(done: &[(&Row, Outcome)], sought: &[(relocalize::Task, relocalize::O
         })
     });
     let sought = sought.iter().map(|(task, outcome)| json!({ "task": task, "outcome": outcome }));
-    json!({ "rows": rows.collect::<Vec<Value>>(), "relocalized": sought.collect::<Vec<Value>>() })
+    let varied =
+        varied.iter().map(|(log, label, outcome)| json!({ "log": log, "varied": label, "outcome": outcome }));
+    json!({
+        "rows": rows.collect::<Vec<Value>>(),
+        "relocalized": sought.collect::<Vec<Value>>(),
+        "varied": varied.collect::<Vec<Value>>(),
+    })
 }
 
 /// Wall times mean little on a loaded machine.

@@ -50,6 +50,14 @@ pub struct Alignment {
     pub rms_m: f32,
 }
 
+impl Alignment {
+    /// What a link may claim: points without a direction count little.
+    pub fn information_for_links(&self, config: &LinkConfig) -> Matrix3<f64> {
+        let share = config.places_share;
+        self.information * share + self.information_of_lines * (1.0 - share)
+    }
+}
+
 /// Sums of one pass over the points.
 struct Normal {
     hessian: Matrix3<f64>,

@@ -2,11 +2,12 @@
 //! looks for places seen before, solves, and draws. It runs beside the scan path, on any thread;
 //! what comes out depends on the nodes alone.
 //!
-//! What it does with a map it has is its mode's business (`modes`); `keep` has what is kept in a
-//! session, `undo` what people may take back, `forget` what a map that is to last forgets.
+//! `links` has how a node is linked with older ones, `pieces` those that hang on nothing. What it does with a map it has is its mode's business (`modes`); `keep` has
+//! what is kept in a session, `undo` what people may take back, `forget` what a map that is to last forgets.
 
 mod forget;
 mod keep;
+mod links;
 mod modes;
 mod pieces;
 mod undo;
@@ -15,7 +16,6 @@ pub use keep::BackState;
 pub use modes::Start;
 pub use undo::{Ban, ClosureReport};
 
-use crate::align::{Reference, align};
 use crate::canvas::Canvas;
 use crate::closure::{Detector, Find, Search, SearchCounts, View};
 use crate::config::SlamConfig;
@@ -26,7 +26,7 @@ use crate::node::{Node, Revision};
 use crate::relocalize::{SeekCounts, Seeker};
 use crate::stage::{Stage, StageWatch};
 use modes::{Anchor, information};
-use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap, pose::wrap_angle};
+use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 
@@ -34,9 +34,6 @@ use std::collections::VecDeque;
 const RELINK_NODES: u32 = 10;
 /// Nodes not found that are remembered, to be looked for again after a closure.
 const NOT_FOUND_MAX: usize = 256;
-/// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre
-/// between what is looked at.
-const VIEWPOINT: f64 = 0.5;
 /// Nodes that the last word looks for again.
 const LAST_SEARCHES_MAX: usize = 64;
 /// An odometry edge that scans contradict, one standard deviation: metres and radians.
@@ -44,8 +41,6 @@ const TORN_M: f64 = 100.0;
 const TORN_RAD: f64 = 3.0;
 /// Nothing is known along it.
 const TORN_VARIANCE: [f64; 2] = [TORN_M * TORN_M, TORN_RAD * TORN_RAD];
-/// Near links are spread: not two to nodes this close in order.
-const NEAR_SPREAD: u32 = 3;
 
 /// See the module.
 pub struct Back {
@@ -180,7 +175,7 @@ impl Back {
         self.link_sequential(id);
         let relative = self.relative_to(id);
         let linked = self.link_near(id, &relative);
-        self.probation(id);
+        self.probation(id, &relative);
         let adrift = !self.newest_in_map();
         self.unsolved += usize::from(linked > 0);
         if self.detector.due(self.travelled_m) {
@@ -346,98 +341,6 @@ impl Back {
         let m = doubt * (c.sigma_m + c.sigma_m_per_m * way);
         let rad = doubt * (c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way);
         Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
-    }
-
-    fn link_sequential(&mut self, id: u32) {
-        for back in 1..=self.config.links.sequential as u32 {
-            if let Some(older) = id.checked_sub(back) {
-                self.link(older, id, Relative { position: 0.01, heading: 0.003 });
-            }
-        }
-    }
-
-    fn relative_to(&self, id: u32) -> Vec<Option<Relative>> {
-        self.graph.relative_to(id, self.config.closures.window_max_m.powi(2))
-    }
-
-    /// Links a node to nearby nodes whose relative pose is well known. Returns how many.
-    fn link_near(&mut self, id: u32, relative: &[Option<Relative>]) -> usize {
-        let l = &self.config.links;
-        let here = self.graph.poses()[id as usize];
-        let seen = here.apply(self.nodes[id as usize].cloud.middle());
-        let mut near: Vec<(f64, u32)> = (0..self.nodes.len() as u32)
-            .filter(|other| other.abs_diff(id) > l.sequential as u32)
-            .filter_map(|other| {
-                let known = relative.get(other as usize).copied().flatten()?;
-                let sure = known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2);
-                let pose = self.graph.poses()[other as usize];
-                let [x, y] = pose.apply(self.nodes[other as usize].cloud.middle());
-                let apart = (x - seen[0]).hypot(y - seen[1]);
-                (sure && apart < l.distance_max_m)
-                    .then_some((apart + VIEWPOINT * here.distance_m(pose), other))
-            })
-            .collect();
-        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut chosen: Vec<u32> = Vec::with_capacity(l.near);
-        for (_, other) in near {
-            if chosen.len() < l.near && chosen.iter().all(|c| c.abs_diff(other) >= NEAR_SPREAD) {
-                chosen.push(other);
-            }
-        }
-        let known = |other: u32| relative[other as usize].unwrap_or(Relative { position: 0.0, heading: 0.0 });
-        chosen.iter().filter(|&&other| self.link(other.min(id), other.max(id), known(other))).count()
-    }
-
-    /// Aligns b's scan with a's and keeps the measurement if the scans agree.
-    fn link(&mut self, a: u32, b: u32, known: Relative) -> bool {
-        let l = &self.config.links;
-        let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
-        let enough = older.cloud.points().len().min(newer.cloud.points().len());
-        if !newer.fits
-            || older.adrift != newer.adrift
-            || enough < self.config.tracking.points_min
-            || self.linked(a, b)
-        {
-            return false;
-        }
-        let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);
-        let reference = Reference { cloud: &older.cloud, frame_from_cloud: Pose2::IDENTITY };
-        let fit = align(&newer.cloud, guess, core::iter::once(reference), None, l);
-        if fit.overlap < l.overlap_min {
-            return false;
-        }
-        let moved = fit.frame_from_cloud.distance_m(guess);
-        let turned = wrap_angle(fit.frame_from_cloud.yaw_rad - guess.yaw_rad).abs();
-        if moved > 3.0 * known.position.sqrt() + 0.05 || turned > 3.0 * known.heading.sqrt() + 0.02 {
-            return false;
-        }
-        let (agree, contradict) = older.cloud.judge(&newer.cloud, fit.frame_from_cloud, 0.15, 0.4);
-        if (agree as f32) < l.agreement_min * (agree + contradict) as f32 {
-            return false;
-        }
-        let information = self.floored(fit.information);
-        let drift = self.drift(fit.frame_from_cloud);
-        self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::Link, drift);
-        true
-    }
-
-    fn drift(&self, a_from_b: Pose2) -> [f64; 2] {
-        let way = a_from_b.x_m.hypot(a_from_b.y_m);
-        [self.config.links.drift_m_per_m * way, self.config.links.drift_rad_per_m * way]
-    }
-
-    fn linked(&self, a: u32, b: u32) -> bool {
-        self.graph.edges_of(b).any(|e| e.kind == EdgeKind::Link && e.a == a && e.b == b)
-    }
-
-    /// Information that claims no more than the floor allows, and nothing where nothing was seen.
-    fn floored(&self, information: Matrix3<f64>) -> Matrix3<f64> {
-        let l = &self.config.links;
-        let floor = Vector3::new(l.floor_m.powi(2), l.floor_m.powi(2), l.floor_rad.powi(2));
-        let seen = (information + Matrix3::identity() * 1e-2).try_inverse();
-        let total = seen.map(|s| s + Matrix3::from_diagonal(&floor));
-        let inverse = total.and_then(|t| t.try_inverse()).unwrap_or(Matrix3::zeros());
-        (inverse + inverse.transpose()) * 0.5
     }
 
     /// Brings believed finds into the graph, solves, and links the newest nodes to what they now see.

@@ -10,7 +10,7 @@
 use super::modes::{FOUND_M, FOUND_RAD, information};
 use super::{Back, TORN_M, TORN_RAD, TORN_VARIANCE};
 use crate::closure::Find;
-use crate::graph::EdgeKind;
+use crate::graph::{EdgeKind, Relative};
 use crate::relocalize::{Placed, Seeker, Sought};
 use msg::Pose2;
 
@@ -22,12 +22,14 @@ const WITNESSES: usize = 8;
 /// If this share of what they can compare is contradicted, and it is so many points, the joint is none.
 const TORN_SHARE: f32 = 0.3;
 const TORN_POINTS_MIN: usize = 60;
+/// A way so short has not drifted by what counts as a contradiction, metres, whatever was not known on it.
+const STRAIGHT_M: f64 = 20.0;
 
 impl Back {
     /// A node that did not fit is joined to the ones before by odometry alone. Whether that is right
     /// shows when it, or one after it, sees what older nodes saw: if they agree, a link says so; if
     /// they contradict each other, the joint is taken back.
-    pub(super) fn probation(&mut self, id: u32) {
+    pub(super) fn probation(&mut self, id: u32, relative: &[Option<Relative>]) {
         let node = &self.nodes[id as usize];
         if !node.fits {
             self.joint = Some(id).filter(|_| !node.torn);
@@ -38,10 +40,26 @@ impl Back {
             self.joint = None;
             return;
         }
+        // Where the way since the joint, or before it, may have drifted, a contradiction says nothing of the joint.
+        let l = &self.config.links;
+        let sure = |known: &Option<Relative>| {
+            known.is_some_and(|k| k.position < l.sigma_max_m.powi(2) && k.heading < l.sigma_max_rad.powi(2))
+        };
+        if !sure(&relative[joint as usize]) {
+            return;
+        }
+        let before = self.graph.relative_to(joint.saturating_sub(1), l.sigma_max_m.powi(2));
         let poses = self.graph.poses();
+        let mut way_m = 0.0;
+        let not_drifted = (0..joint).rev().take_while(|old| {
+            way_m += poses[*old as usize].distance_m(poses[*old as usize + 1]);
+            way_m < STRAIGHT_M
+        });
+        let not_drifted = not_drifted.last().unwrap_or(joint);
         let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.middle());
         let [x, y] = looks_at(id);
         let mut near: Vec<(f64, u32)> = (0..joint)
+            .filter(|old| *old >= not_drifted || sure(&before[*old as usize]))
             .filter(|old| self.nodes[*old as usize].fits && self.nodes[*old as usize].adrift == node.adrift)
             .map(|old| (looks_at(old), old))
             .map(|([u, v], old)| ((u - x).hypot(v - y), old))
