@@ -16,7 +16,10 @@ const LOOK_PERIOD: Duration = Duration::from_millis(200);
 pub struct MapOut {
     writer: MapWriter,
     drawing: bool,
+    /// Something new was drawn, or is being sent.
+    unsent: bool,
     sending: bool,
+    /// When something went out last.
     sent: Option<Instant>,
 }
 
@@ -24,30 +27,40 @@ impl MapOut {
     /// The robot's map is written by whoever has this.
     pub fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
         let writer = node.map_writer(&channel::map(robot))?;
-        Ok(Self { writer, drawing: false, sending: false, sent: None })
+        Ok(Self { writer, drawing: false, unsent: false, sending: false, sent: None })
     }
 
     /// How long other work may be waited for before the next [`MapOut::tend`].
     pub fn patience(&self) -> Duration {
-        match (self.drawing, self.sending) {
+        match (self.drawing, self.unsent) {
             (true, _) => Duration::ZERO,
-            (false, true) => MapWriter::PAUSE,
+            (false, true) => self.pause_left(),
             (false, false) => LOOK_PERIOD,
         }
     }
 
     /// There is something new to draw.
     pub fn news(&mut self) {
-        self.drawing = true;
+        (self.drawing, self.unsent) = (true, true);
     }
 
     /// Draws a slice, and sends what has changed if it is time.
     pub fn tend(&mut self, back: &mut Back) {
         self.drawing = self.drawing && back.draw(SLICE_CELLS);
-        let pause = if self.sending { MapWriter::PAUSE } else { MAP_PERIOD };
-        if self.sent.is_none_or(|sent| sent.elapsed() >= pause) {
-            self.sending = !self.writer.send(back.tiles());
+        if !self.pause_left().is_zero() {
+            return;
+        }
+        let before = self.writer.bytes();
+        self.sending = !self.writer.send(back.tiles());
+        self.unsent = self.drawing || self.sending;
+        // Looking whether somebody needs the whole holds up nothing that comes meanwhile.
+        if self.sending || self.writer.bytes() != before {
             self.sent = Some(Instant::now());
         }
+    }
+
+    fn pause_left(&self) -> Duration {
+        let pause = if self.sending { MapWriter::PAUSE } else { MAP_PERIOD };
+        self.sent.map_or(Duration::ZERO, |sent| pause.saturating_sub(sent.elapsed()))
     }
 }
