@@ -156,8 +156,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if args.check && missed { Err("an error is above its limit, or a place is wrong".into()) } else { Ok(()) }
 }
 
+/// A log, how it was varied, and what came of it.
+type VariedLog = (String, &'static str, Outcome);
+
 /// Every log in every variation that was asked for.
-fn vary(args: &Args) -> Result<Vec<(String, &'static str, Outcome)>, Box<dyn std::error::Error>> {
+fn vary(args: &Args) -> Result<Vec<VariedLog>, Box<dyn std::error::Error>> {
     let asked = |name: &str| {
         let by_name = format!("varied/{name}");
         args.logs.iter().flatten().any(|log| log == "varied" || *log == by_name)

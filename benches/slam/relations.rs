@@ -80,7 +80,7 @@ impl Trajectory {
     }
 
     /// Whether a relation is between two of its own times.
-    #[allow(dead_code, reason = "the slam bench has one trajectory at a time")]
+    #[allow(dead_code, reason = "the merge bench's: the slam bench has one trajectory at a time")]
     pub fn spans(&self, relation: &Relation) -> bool {
         let within = |at_s: f64| {
             let [first, last] =

@@ -181,7 +181,7 @@ pub fn relocalized(sought: &[(relocalize::Task, relocalize::Outcome)]) {
 }
 
 /// Logs as other robots would have made them: the log, what was varied, and what came of it.
-pub fn varied(outcomes: &[(String, &'static str, Outcome)]) {
+pub fn varied(outcomes: &[crate::VariedLog]) {
     if outcomes.is_empty() {
         return;
     }
@@ -241,7 +241,7 @@ pub fn varied(outcomes: &[(String, &'static str, Outcome)]) {
 pub fn json(
     done: &[(&Row, Outcome)],
     sought: &[(relocalize::Task, relocalize::Outcome)],
-    varied: &[(String, &'static str, Outcome)],
+    varied: &[crate::VariedLog],
 ) -> Value {
     let rows = done.iter().map(|(row, outcome)| {
         json!({

@@ -1,5 +1,6 @@
 //! The accuracy that `benches/slam` prints is the relation metric: on trajectories made by hand.
 
+#[allow(dead_code, reason = "shared with the slam bench, which uses more of it")]
 #[path = "../../benches/slam/relations.rs"]
 mod relations;
 
