@@ -98,8 +98,6 @@ impl Report {
         let mut text = format!("\n{:.0} s in {}\n", self.seconds, self.room);
         if let Some(fleet) = &self.fleet {
             text += &fleet.table();
-        }
-        if let Some(fleet) = &self.fleet {
             text += &map_figures(fleet);
         }
         if let Some(paper) = &self.paper {

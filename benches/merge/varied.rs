@@ -3,6 +3,7 @@
 
 use super::pairs::{Outcome, Pair};
 use super::table::{Row, Table};
+use mr_slam::operator::rng::Rng;
 use msg::grid::{OCCUPIED_MIN, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, Pose2};
 use std::f64::consts::TAU;
@@ -77,7 +78,7 @@ fn noisy(map: &Grid, seed: u64) -> Grid {
     let mut random = seed;
     let mut noisy = map.clone();
     for cell in noisy.cells.iter_mut().filter(|cell| **cell != UNKNOWN) {
-        random = mix(random);
+        random = Rng::new(random).bits();
         if random.is_multiple_of(500) {
             *cell = if occupancy(*cell) == Occupancy::Occupied { -60 } else { 60 };
         }
@@ -136,13 +137,5 @@ fn resampled(map: &Grid, yaw_rad: f64, source: impl Fn([f64; 2]) -> [f64; 2]) ->
 }
 
 fn share(seed: u64) -> f64 {
-    (mix(seed) >> 11) as f64 / (1_u64 << 53) as f64
-}
-
-/// Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
-fn mix(seed: u64) -> u64 {
-    let mut z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    (Rng::new(seed).bits() >> 11) as f64 / (1_u64 << 53) as f64
 }

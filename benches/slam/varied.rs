@@ -3,6 +3,7 @@
 
 use core::f64::consts::TAU;
 use mr_slam::carmen::LaserLine;
+use mr_slam::operator::rng::Rng;
 use msg::{Pose2, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 
@@ -75,7 +76,7 @@ pub struct Maker {
 impl Maker {
     /// Before the first line.
     pub fn new(varied: Varied) -> Self {
-        Self { varied, noise: Noise(SEED), before: None }
+        Self { varied, noise: Noise(Rng::new(SEED)), before: None }
     }
 
     /// The line as the other robot would have it.
@@ -116,17 +117,13 @@ impl Maker {
     }
 }
 
-/// SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
-struct Noise(u64);
+/// Noise of a seed.
+struct Noise(Rng);
 
 impl Noise {
     /// Uniform in (0, 1].
     fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (((z ^ (z >> 31)) >> 11) + 1) as f64 / (1_u64 << 53) as f64
+        ((self.0.bits() >> 11) + 1) as f64 / (1_u64 << 53) as f64
     }
 
     /// Of standard deviation 1 (Box and Muller 1958).

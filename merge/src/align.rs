@@ -106,9 +106,11 @@ impl AlignConfig {
 }
 
 /// The best place found for one map in another, with what speaks for it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Alignment {
-    /// Frame of the second map to that of the first.
+    /// Frame of the second map to that of the first. Whoever keeps the rest keeps it beside.
+    #[serde(skip)]
     pub a_from_b: Pose2,
     /// It passed every condition of the gate.
     pub accepted: bool,

@@ -2,8 +2,9 @@
 //! looks for places seen before, solves, and draws. It runs beside the scan path, on any thread;
 //! what comes out depends on the nodes alone.
 //!
-//! `links` has how a node is linked with older ones, `pieces` those that hang on nothing. What it does with a map it has is its mode's business (`modes`); `keep` has
-//! what is kept in a session, `undo` what people may take back, `forget` what a map that is to last forgets.
+//! `links` has how a node is linked with older ones, `pieces` those that hang on nothing. What it does with a map
+//! it has is its mode's business (`modes`); `keep` has what is kept in a session, `undo` what people may take
+//! back, `forget` what a map that is to last forgets.
 
 mod forget;
 mod keep;

@@ -73,21 +73,22 @@ pub fn compare(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Cons
 /// least half the overlap. Fewer, if twenty times as many tries do not find them.
 pub fn null(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, count: usize, seed: u64) -> Vec<Consistency> {
     let Some(right) = compare(a, b, a_from_b) else { return Vec::new() };
+    let Some(centre_m) = overlap_centre_m(a, b, a_from_b) else { return Vec::new() };
     let mut random = SplitMix(seed);
     let tries = 0..count.saturating_mul(NULL_TRIES);
-    let wrong = tries.filter_map(|_| one_wrong(a, b, a_from_b, right.overlap_m2, random.next()));
+    let wrong = tries.filter_map(|_| one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), random.next()));
     wrong.take(count).collect()
 }
 
-/// One draw of the null: `None` if it does not leave at least half of `overlap_m2`.
+/// One draw of the null: `None` if it does not leave at least half of the overlap, of which the middle
+/// ([`overlap_centre_m`]) and the area are given.
 pub fn one_wrong(
     a: GridView<'_>,
     b: GridView<'_>,
     a_from_b: Pose2,
-    overlap_m2: f64,
+    ([x, y], overlap_m2): ([f64; 2], f64),
     seed: u64,
 ) -> Option<Consistency> {
-    let [x, y] = overlap_centre_m(a, b, a_from_b)?;
     let mut random = SplitMix(seed);
     let turn = random.within(NULL_TURN_RAD) * random.sign();
     let shift = random.within(NULL_SHIFT_M);
@@ -181,7 +182,7 @@ fn fixed(cells: f64) -> i64 {
 }
 
 /// The middle, in `a`'s frame, of what both know.
-fn overlap_centre_m(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<[f64; 2]> {
+pub fn overlap_centre_m(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<[f64; 2]> {
     let (mut sum, mut count) = ([0.0, 0.0], 0.0);
     for_known(b, a, a_from_b, |_, x, y| {
         if occupancy(a.cell(x, y)) != Occupancy::Unknown {

@@ -29,26 +29,10 @@ struct PairMemory {
     /// An `EdgeState`'s code.
     state: u32,
     a_from_b: [f64; 3],
-    grounds: Option<Grounds>,
+    /// What the newest look at two whole maps found, and what chance gives.
+    grounds: Option<(Alignment, f64)>,
     /// Places that the operator took back.
     refused: Vec<[f64; 3]>,
-}
-
-/// What the newest look at two whole maps found.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Grounds {
-    accepted: bool,
-    inliers: u32,
-    score: f64,
-    strict: f64,
-    overlap_m2: f64,
-    overlap_share: f64,
-    conflict: f64,
-    residual_m: f64,
-    margin: f64,
-    firmness: f64,
-    null_f1: f64,
 }
 
 /// Why a memory is not this fleet's.
@@ -81,12 +65,11 @@ impl Fleet {
                 edge: index + 1,
                 state: state as u32,
                 a_from_b: if is_known { plain(pair.a_from_b) } else { [0.0; 3] },
+                // Where it was found is not kept: the pair's place is where it lies now.
                 grounds: pair
                     .grounds
-                    .as_ref()
-                    .filter(|_| is_known)
-                    .map(Grounds::of)
-                    .filter(Grounds::is_sound),
+                    .filter(|grounds| is_known && is_sound(grounds))
+                    .map(|(found, null_f1)| (Alignment { a_from_b: Pose2::IDENTITY, ..found }, null_f1)),
                 refused: pair.refused.iter().copied().map(plain).collect(),
             }
         });
@@ -129,10 +112,11 @@ impl Fleet {
             for refused in &kept.refused {
                 pair.refused.push(pose(*refused, "a place taken back")?);
             }
-            if kept.grounds.as_ref().is_some_and(|grounds| !grounds.is_sound()) {
+            if kept.grounds.is_some_and(|grounds| !is_sound(&grounds)) {
                 return Err(MemoryRefused::Value("an edge's evidence"));
             }
-            pair.grounds = kept.grounds.map(|grounds| grounds.alignment(pair.a_from_b));
+            let there = |(found, null_f1)| (Alignment { a_from_b: pair.a_from_b, ..found }, null_f1);
+            pair.grounds = kept.grounds.map(there);
         }
         for (member, anchor) in self.members.iter_mut().zip(anchors) {
             member.anchor = anchor.or(member.start);
@@ -146,51 +130,12 @@ impl Fleet {
     }
 }
 
-impl Grounds {
-    fn of((found, null_f1): &(Alignment, f64)) -> Self {
-        let Alignment { accepted, inliers, score, strict, overlap_m2, overlap_share, .. } = *found;
-        let Alignment { conflict, residual_m, margin, firmness, .. } = *found;
-        let null_f1 = *null_f1;
-        Self {
-            accepted,
-            inliers,
-            score,
-            strict,
-            overlap_m2,
-            overlap_share,
-            conflict,
-            residual_m,
-            margin,
-            firmness,
-            null_f1,
-        }
-    }
-
-    fn alignment(&self, a_from_b: Pose2) -> (Alignment, f64) {
-        let Self { accepted, inliers, score, strict, overlap_m2, overlap_share, .. } = *self;
-        let Self { conflict, residual_m, margin, firmness, null_f1, .. } = *self;
-        let found = Alignment {
-            a_from_b,
-            accepted,
-            inliers,
-            score,
-            strict,
-            overlap_m2,
-            overlap_share,
-            conflict,
-            residual_m,
-            margin,
-            firmness,
-        };
-        (found, null_f1)
-    }
-
-    fn is_sound(&self) -> bool {
-        let Self { score, strict, overlap_m2, overlap_share, conflict, .. } = *self;
-        let Self { residual_m, margin, firmness, null_f1, .. } = *self;
-        let all = [score, strict, overlap_m2, overlap_share, conflict, residual_m, margin, firmness, null_f1];
-        all.iter().all(|value| value.is_finite())
-    }
+fn is_sound((found, null_f1): &(Alignment, f64)) -> bool {
+    let Alignment {
+        score, strict, overlap_m2, overlap_share, conflict, residual_m, margin, firmness, ..
+    } = *found;
+    let all = [score, strict, overlap_m2, overlap_share, conflict, residual_m, margin, firmness, *null_f1];
+    all.iter().all(|value| value.is_finite())
 }
 
 fn plain(pose: Pose2) -> [f64; 3] {

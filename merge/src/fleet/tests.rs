@@ -99,6 +99,24 @@ fn robot(number: usize) -> RobotId {
     RobotId::new(number).unwrap()
 }
 
+/// A fleet whose starts are unknown and whose two robots have found each other on these ways.
+fn together(ways: &[Vec<Pose2>; 2], believed: &[Vec<Pose2>; 2]) -> Fleet {
+    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
+    send(&mut fleet, 1, &ways[0], &believed[0], 1);
+    send(&mut fleet, 2, &ways[1], &believed[1], 1);
+    fleet.finish();
+    work(&mut fleet);
+    assert_eq!(edge(&fleet).state(), EdgeState::Accepted, "{:?}", edge(&fleet));
+    fleet
+}
+
+/// The house from both ends, and what two robots believe of it of whom the second turns too much.
+fn one_bent() -> ([Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
+    let ways = [way(4.0, 26.0, 5.0), way(26.0, 4.0, 7.0)];
+    let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.012)];
+    (ways, believed)
+}
+
 /// Mean and greatest distance of robot 2's submaps from where they truly lie, as robot 1 begins.
 fn errors(fleet: &Fleet, ways: [&[Pose2]; 2], believed: &[Pose2]) -> [f64; 2] {
     let off = (0..believed.len()).map(|id| {
@@ -111,19 +129,12 @@ fn errors(fleet: &Fleet, ways: [&[Pose2]; 2], believed: &[Pose2]) -> [f64; 2] {
 
 #[test]
 fn the_joint_graph_is_better_than_any_rigid_merge_of_a_bent_map() {
-    let ways = [way(4.0, 26.0, 5.0), way(26.0, 4.0, 7.0)];
-    let straight = bent(&ways[0], 0.0);
-    let drifted = bent(&ways[1], 0.012);
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
-    send(&mut fleet, 1, &ways[0], &straight, 1);
-    send(&mut fleet, 2, &ways[1], &drifted, 1);
-    fleet.finish();
-    work(&mut fleet);
+    let (ways, believed) = one_bent();
+    let (fleet, drifted) = (together(&ways, &believed), &believed[1]);
     let told = edge(&fleet);
-    assert_eq!(told.state(), EdgeState::Accepted, "{told:?}");
     assert!(told.closures >= 5 && told.occupied_f1 > told.null_f1 + 0.3, "{told:?}");
     assert!(fleet.straightened(robot(2)).is_some());
-    let [mean_m, most_m] = errors(&fleet, [&ways[0], &ways[1]], &drifted);
+    let [mean_m, most_m] = errors(&fleet, [&ways[0], &ways[1]], drifted);
     // The best that a rigid transform can do: the truth fitted to the bent way, point by point.
     let rigid = (0..drifted.len()).map(|fixed| {
         let anchor = ways[0][0].between(ways[1][fixed]) * drifted[fixed].inverse();
@@ -136,15 +147,10 @@ fn the_joint_graph_is_better_than_any_rigid_merge_of_a_bent_map() {
 
 #[test]
 fn wrong_closures_are_left_out() {
-    let ways = [way(4.0, 26.0, 5.0), way(26.0, 4.0, 7.0)];
-    let drifted = bent(&ways[1], 0.012);
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
-    send(&mut fleet, 1, &ways[0], &bent(&ways[0], 0.0), 1);
-    send(&mut fleet, 2, &ways[1], &drifted, 1);
-    fleet.finish();
-    work(&mut fleet);
+    let (ways, believed) = one_bent();
+    let (mut fleet, drifted) = (together(&ways, &believed), &believed[1]);
     let right = fleet.pairs[0].closures.clone();
-    let [before_m, _] = errors(&fleet, [&ways[0], &ways[1]], &drifted);
+    let [before_m, _] = errors(&fleet, [&ways[0], &ways[1]], drifted);
     // As many as a third of them again, off by what a search's window allows, each its own way.
     for (k, closure) in right.iter().enumerate().step_by(3) {
         let mut wrong = *closure;
@@ -157,20 +163,13 @@ fn wrong_closures_are_left_out() {
     let in_force = &fleet.pairs[0].in_force;
     assert!(in_force.iter().all(|k| *k < right.len()), "{in_force:?} of {}", right.len());
     assert!(in_force.len() * 10 >= right.len() * 9, "{in_force:?} of {}", right.len());
-    let [after_m, _] = errors(&fleet, [&ways[0], &ways[1]], &drifted);
+    let [after_m, _] = errors(&fleet, [&ways[0], &ways[1]], drifted);
     assert!(after_m < before_m + 0.01, "{after_m} m with them, {before_m} m without");
 }
 
 #[test]
 fn what_the_operator_undoes_stays_undone_and_what_he_pins_comes_back() {
-    let ways = [way(4.0, 16.0, 5.0), way(18.0, 6.0, 6.0)];
-    let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.0)];
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
-    send(&mut fleet, 1, &ways[0], &believed[0], 1);
-    send(&mut fleet, 2, &ways[1], &believed[1], 1);
-    fleet.finish();
-    work(&mut fleet);
-    assert_eq!(edge(&fleet).state(), EdgeState::Accepted);
+    let (mut fleet, ..) = found();
     let place = fleet.anchor(robot(2)).unwrap();
     assert!(fleet.command(1, EdgeAction::Undo));
     fleet.finish();
@@ -188,13 +187,7 @@ fn what_the_operator_undoes_stays_undone_and_what_he_pins_comes_back() {
 
 #[test]
 fn a_robot_that_begins_again_keeps_its_place_and_one_that_leaves_does_not_move_the_frame() {
-    let ways = [way(4.0, 16.0, 5.0), way(18.0, 6.0, 6.0)];
-    let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.0)];
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
-    send(&mut fleet, 1, &ways[0], &believed[0], 1);
-    send(&mut fleet, 2, &ways[1], &believed[1], 1);
-    fleet.finish();
-    work(&mut fleet);
+    let (mut fleet, ways, believed) = found();
     let place = fleet.anchor(robot(2)).unwrap();
     send(&mut fleet, 2, &ways[1][..2], &believed[1][..2], 2);
     assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
@@ -225,17 +218,11 @@ fn strangers_and_nonsense_are_refused() {
     assert_eq!(fleet.poses(robot(1), &poses), Err(FleetRefused::Malformed(robot(1))));
 }
 
-/// A fleet whose starts are unknown and whose two robots have found each other, and what they drove.
+/// Two robots that have found each other, and what they drove.
 fn found() -> (Fleet, [Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
     let ways = [way(4.0, 16.0, 5.0), way(18.0, 6.0, 6.0)];
     let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.0)];
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
-    send(&mut fleet, 1, &ways[0], &believed[0], 1);
-    send(&mut fleet, 2, &ways[1], &believed[1], 1);
-    fleet.finish();
-    work(&mut fleet);
-    assert_eq!(edge(&fleet).state(), EdgeState::Accepted);
-    (fleet, ways, believed)
+    (together(&ways, &believed), ways, believed)
 }
 
 fn recalled(memory: &Memory) -> Fleet {

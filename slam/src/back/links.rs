@@ -2,6 +2,7 @@
 
 use super::Back;
 use crate::align::{Reference, align};
+use crate::config::LinkConfig;
 use crate::graph::{EdgeKind, Relative};
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
@@ -11,6 +12,11 @@ use nalgebra::{Matrix3, Vector3};
 const VIEWPOINT: f64 = 0.5;
 /// Near links are spread: not two to nodes this close in order.
 const NEAR_SPREAD: u32 = 3;
+
+/// Whether two scans are so well known to each other that they may be held against each other.
+pub(super) fn is_sure(known: Relative, l: &LinkConfig) -> bool {
+    known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2)
+}
 
 impl Back {
     pub(super) fn link_sequential(&mut self, id: u32) {
@@ -34,11 +40,10 @@ impl Back {
             .filter(|other| other.abs_diff(id) > l.sequential as u32)
             .filter_map(|other| {
                 let known = relative.get(other as usize).copied().flatten()?;
-                let sure = known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2);
                 let pose = self.graph.poses()[other as usize];
                 let [x, y] = pose.apply(self.nodes[other as usize].cloud.middle());
                 let apart = (x - seen[0]).hypot(y - seen[1]);
-                (sure && apart < l.distance_max_m)
+                (is_sure(known, l) && apart < l.distance_max_m)
                     .then_some((apart + VIEWPOINT * here.distance_m(pose), other))
             })
             .collect();

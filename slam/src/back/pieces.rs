@@ -7,6 +7,7 @@
 //! The map is the largest piece, so that a robot that never comes back to where it was carried off
 //! from begins anew in the end.
 
+use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD, information};
 use super::{Back, TORN_M, TORN_RAD, TORN_VARIANCE};
 use crate::closure::Find;
@@ -42,9 +43,7 @@ impl Back {
         }
         // Where the way since the joint, or before it, may have drifted, a contradiction says nothing of the joint.
         let l = &self.config.links;
-        let sure = |known: &Option<Relative>| {
-            known.is_some_and(|k| k.position < l.sigma_max_m.powi(2) && k.heading < l.sigma_max_rad.powi(2))
-        };
+        let sure = |known: &Option<Relative>| known.is_some_and(|known| is_sure(known, l));
         if !sure(&relative[joint as usize]) {
             return;
         }
