@@ -9,11 +9,11 @@ use bytemuck::{Pod, Zeroable};
 pub const UNKNOWN: i8 = i8::MIN;
 /// The most certain occupied cell.
 pub const LOG_ODDS_MAX: i8 = 127;
-/// The most that beams can say for a cell being free: one step short of [`DRIVEN`].
+/// The most that beams can say for a cell being free: one step short of [`SWEPT_FREE`].
 pub const LOG_ODDS_MIN: i8 = -126;
 /// A cell that the robot's own body has covered. Nothing else stood there then, whatever others took the
 /// robot itself for: it holds until the robot sees something there.
-pub const DRIVEN: i8 = -127;
+pub const SWEPT_FREE: i8 = -127;
 /// Natural log-odds in one step of a cell: 127 steps are 6.35, a probability of 0.998.
 pub const LOG_ODDS_PER_STEP: f64 = 0.05;
 /// The most cells a robot's map may span: 4096 x 4096, 205 m x 205 m at 0.05 m.
@@ -171,9 +171,9 @@ mod tests {
 
     #[test]
     fn where_a_robot_has_driven_is_free_and_beyond_what_beams_say() {
-        assert_eq!(occupancy(DRIVEN), Occupancy::Free);
-        const { assert!(UNKNOWN < DRIVEN && DRIVEN < LOG_ODDS_MIN) };
-        assert_eq!(percent_table()[DRIVEN as u8 as usize], 0);
+        assert_eq!(occupancy(SWEPT_FREE), Occupancy::Free);
+        const { assert!(UNKNOWN < SWEPT_FREE && SWEPT_FREE < LOG_ODDS_MIN) };
+        assert_eq!(percent_table()[SWEPT_FREE as u8 as usize], 0);
     }
 
     #[test]

@@ -43,7 +43,7 @@ impl Role {
 /// A process's account of its last second, sent once a second.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct Beat {
+pub struct ProcessHealth {
     /// `run` tells incarnations apart.
     pub header: Header,
     /// A [`Role`]'s code.

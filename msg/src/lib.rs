@@ -22,29 +22,29 @@ pub mod grid;
 pub mod rect;
 mod slam;
 mod submap;
-mod swept;
+mod swept_disk;
 pub mod tiles;
 
 pub use edges::{EdgeAction, EdgeCommand, EdgeState, MERGE_EDGES_MAX, MergeEdge, MergeEdges};
 pub use grid::{Grid, GridHeader, GridView};
-pub use health::{Beat, Role};
+pub use health::{ProcessHealth, Role};
 pub use id::{ROBOTS_MAX, RobotId};
-pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, Truth};
+pub use motion::{Clock, GroundTruth, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, VelocityCommand};
 pub use pose::Pose2;
 pub use rect::Rect;
 pub use scan::{BEAMS_MAX, Scan};
 pub use service::{
-    CLOSURES_MAX, ClosureInfo, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, TEXT_MAX,
-    Text,
+    CLOSURES_MAX, ClosureInfo, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose,
+    TEXT_MAX, Text,
 };
-pub use slam::{Anchor, Anchors, Correction, TrackingState};
-pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
+pub use slam::{Correction, MapTransform, MapTransforms, TrackingState};
+pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessStats, RobotStats};
 pub use submap::{
-    SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapAsk, SubmapEdge,
-    SubmapPoses,
+    SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses,
+    SubmapRequest,
 };
-pub use swept::Swept;
-pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
+pub use swept_disk::SweptDisk;
+pub use tiles::{DenseMap, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 
 use bytemuck::{Pod, Zeroable};
@@ -60,7 +60,7 @@ pub struct Header {
     /// Counts the writer's messages on this channel from 0 without gaps: a gap is a loss.
     pub seq: u64,
     /// The writer's incarnation: a restarted writer has another, and starts at `seq` 0.
-    pub run: u64,
+    pub incarnation: u64,
 }
 
 /// A message with a header, as one channel carries it.
@@ -90,16 +90,16 @@ messages!(
     Scan,
     Odometry,
     Transforms,
-    Command,
-    Truth,
+    VelocityCommand,
+    GroundTruth,
     Clock,
     Correction,
-    Anchors,
-    Beat,
+    MapTransforms,
+    ProcessHealth,
     FleetStats,
     MergeEdges,
     EdgeCommand,
-    SubmapAsk,
+    SubmapRequest,
     SlamRequest,
-    SlamAnswer
+    SlamResponse
 );

@@ -12,13 +12,13 @@ fn map(resolution_m: f64) -> TileMap {
 
 /// Changes a cell of a tile.
 fn draw(map: &mut TileMap, x: i64, y: i64, place: usize, cell: i8) {
-    assert!(map.make_room(Rect::of_one(x, y), MAP_TILES_MAX));
+    assert!(map.grow_to(Rect::single(x, y), MAP_TILES_MAX));
     map.get_mut(x, y).unwrap().cells[place % TILE_CELLS] = cell;
     map.header.header.stamp.0 += 1;
 }
 
 fn same(a: &TileMap, b: &TileMap) -> bool {
-    let all = a.extent().unite(b.extent());
+    let all = a.extent().union(b.extent());
     let cells = Rect { x0: all.x0 * TILE, y0: all.y0 * TILE, x1: all.x1 * TILE, y1: all.y1 * TILE };
     a.header.header.stamp == b.header.header.stamp
         && a.header.same_lattice(&b.header)
@@ -28,29 +28,29 @@ fn same(a: &TileMap, b: &TileMap) -> bool {
 /// A writer with its numbers, as a channel gives them.
 #[derive(Default)]
 struct Writer {
-    outgoing: Outgoing,
+    outgoing: PatchSender,
     run: u64,
     seq: u64,
 }
 
 impl Writer {
     fn next(&mut self, map: &TileMap) -> Option<Patch> {
-        let mut patch = self.outgoing.next(map)?;
+        let mut patch = self.outgoing.next_patch(map)?;
         let header = &mut patch.header.map.header;
-        (header.run, header.seq) = (self.run, self.seq);
+        (header.incarnation, header.seq) = (self.run, self.seq);
         self.seq += 1;
         Some(patch)
     }
 }
 
-fn take(reader: &mut Incoming, patch: &Patch) -> bool {
+fn take(reader: &mut PatchReceiver, patch: &Patch) -> bool {
     let tiles: Vec<MapTile> = patch.tiles.iter().map(|tile| **tile).collect();
     reader.take(&patch.header, &tiles)
 }
 
 #[test]
 fn only_what_changed_is_sent() {
-    let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+    let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     assert!(writer.next(&map).is_none(), "nothing is known yet");
     (0..3).for_each(|x| draw(&mut map, x, 0, 5, 9));
     let whole = writer.next(&map).unwrap();
@@ -76,7 +76,7 @@ fn only_what_changed_is_sent() {
 
 #[test]
 fn a_large_version_shows_when_it_is_complete() {
-    let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+    let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     (0..150).for_each(|x| draw(&mut map, x % 15, x / 15, 0, 1));
     let mut shown = Vec::new();
     while let Some(patch) = writer.next(&map) {
@@ -91,7 +91,7 @@ fn a_large_version_shows_when_it_is_complete() {
 #[test]
 fn a_late_reader_asks_and_the_others_see_no_change() {
     let (mut writer, mut early, mut late, mut map) =
-        (Writer::default(), Incoming::default(), Incoming::default(), map(0.05));
+        (Writer::default(), PatchReceiver::default(), PatchReceiver::default(), map(0.05));
     (0..100).for_each(|x| draw(&mut map, x, 0, 0, 1));
     while let Some(patch) = writer.next(&map) {
         take(&mut early, &patch);
@@ -100,7 +100,7 @@ fn a_late_reader_asks_and_the_others_see_no_change() {
     let patch = writer.next(&map).unwrap();
     assert!(take(&mut early, &patch) && !take(&mut late, &patch));
     assert!(late.is_lost() && !early.is_lost());
-    writer.outgoing.ask();
+    writer.outgoing.request_snapshot();
     let before = early.map().clone();
     while let Some(patch) = writer.next(&map) {
         take(&mut early, &patch);
@@ -112,7 +112,7 @@ fn a_late_reader_asks_and_the_others_see_no_change() {
 
 #[test]
 fn a_writer_that_is_started_again_replaces_the_map() {
-    let (mut reader, mut old, mut new) = (Incoming::default(), map(0.05), map(0.05));
+    let (mut reader, mut old, mut new) = (PatchReceiver::default(), map(0.05), map(0.05));
     (0..4).for_each(|x| draw(&mut old, x, 0, 0, 1));
     let mut writer = Writer { run: 1, ..Default::default() };
     take(&mut reader, &writer.next(&old).unwrap());
@@ -134,15 +134,15 @@ fn a_writer_that_is_started_again_replaces_the_map() {
 
 #[test]
 fn an_empty_map_answers_too() {
-    let (mut writer, mut reader, map) = (Writer::default(), Incoming::default(), map(0.05));
-    writer.outgoing.ask();
+    let (mut writer, mut reader, map) = (Writer::default(), PatchReceiver::default(), map(0.05));
+    writer.outgoing.request_snapshot();
     assert!(take(&mut reader, &writer.next(&map).unwrap()));
     assert!(writer.next(&map).is_none() && !reader.is_lost());
 }
 
 #[test]
 fn nonsense_is_no_map() {
-    let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+    let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     draw(&mut map, 0, 0, 0, 1);
     take(&mut reader, &writer.next(&map).unwrap());
     let kept = reader.map().clone();
@@ -165,7 +165,7 @@ fn nonsense_is_no_map() {
         assert!(reader.is_lost());
         assert_eq!(reader.map().changed_since(&kept).count(), 0);
     }
-    writer.outgoing.ask();
+    writer.outgoing.request_snapshot();
     assert!(take(&mut reader, &writer.next(&map).unwrap()) && !reader.is_lost());
 }
 
@@ -195,13 +195,13 @@ proptest! {
     /// version that was complete, and when the line is quiet, one question brings the newest.
     #[test]
     fn a_reader_always_gets_there(events in prop::collection::vec(event(), 1..120)) {
-        let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+        let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
         for event in events {
             match event {
                 Event::Draw { x, y, place, cell } => draw(&mut map, x, y, place, cell),
                 Event::Send { lost } => {
                     if reader.is_lost() {
-                        writer.outgoing.ask();
+                        writer.outgoing.request_snapshot();
                     }
                     if let Some(patch) = writer.next(&map) && !lost && take(&mut reader, &patch) {
                         prop_assert!(same(reader.map(), &map));
@@ -210,7 +210,7 @@ proptest! {
                 Event::Restart => {
                     writer = Writer { run: writer.run + 1, ..Default::default() };
                 }
-                Event::Return => reader = Incoming::default(),
+                Event::Return => reader = PatchReceiver::default(),
             }
         }
         draw(&mut map, 0, 0, 0, 1);
@@ -218,7 +218,7 @@ proptest! {
             take(&mut reader, &patch);
         }
         if reader.is_lost() {
-            writer.outgoing.ask();
+            writer.outgoing.request_snapshot();
         }
         while let Some(patch) = writer.next(&map) {
             take(&mut reader, &patch);
