@@ -328,7 +328,7 @@ impl Merger {
             return Err(malformed(header, size, cells));
         }
         let (old, new) = (&source.own.header.header, &header.header);
-        let same_run = new.run == old.run && source.own.tiles().next().is_some();
+        let same_run = new.incarnation == old.incarnation && source.own.tiles().next().is_some();
         if same_run && new.stamp < old.stamp {
             return Err(Refused::Stale { stamp: new.stamp, newest: old.stamp });
         }
