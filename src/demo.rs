@@ -1,7 +1,7 @@
 //! `mr-slam demo`: a fleet, an operator who drives it over TCP as a headset would, and a report.
 
+use crate::command::up::FleetHooks;
 use crate::run::Run;
-use crate::up::Passenger;
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
 use std::process::{Child, Command, Stdio};
@@ -23,8 +23,8 @@ impl Operator {
     }
 }
 
-impl Passenger for Operator {
-    fn board(&mut self, run: &Run) -> io::Result<()> {
+impl FleetHooks for Operator {
+    fn on_start(&mut self, run: &Run) -> io::Result<()> {
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["operator", "tour", "--json", "--port", &run.port.to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
@@ -38,11 +38,11 @@ impl Passenger for Operator {
         Ok(())
     }
 
-    fn ride(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         true
     }
 
-    fn alight(&mut self) -> Option<serde_json::Value> {
+    fn on_stop(&mut self) -> Option<serde_json::Value> {
         let mut child = self.child.take()?;
         if let Some(pid) = Pid::from_raw(child.id() as i32) {
             let _ = kill_process(pid, Signal::TERM);

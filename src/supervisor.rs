@@ -115,8 +115,7 @@ impl Supervisor {
 
     fn spawn(&self, role: Role, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
         let mut command = Command::new(std::env::current_exe()?);
-        // People ask SLAM by its name.
-        command.arg(if role == Role::Slam { "slam-worker" } else { role.name() });
+        command.args(["worker", role.name()]);
         if let Some(robot) = robot {
             command.arg("--robot").arg(robot.number().to_string());
         }

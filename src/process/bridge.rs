@@ -7,10 +7,10 @@ use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::fleet;
-use crate::merge_edges;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
+use crate::view::edges_json;
 use ::bridge::{Bridge, Outlet, serve};
 use msg::{
     DenseMap, GridView, Message, Odometry, PatchHeader, RobotId, Role, SlamRequest, Transforms,
@@ -145,7 +145,7 @@ pub(super) fn fleet_tasks<D: Outlet + 'static>(
         forward(node, bridge, &channel::clock(), |bridge, clock| bridge.clock(clock))?,
         forward(node, bridge, &channel::stats(), |bridge, stats| bridge.stats(stats))?,
         forward(node, bridge, &channel::merge_edges(), |bridge, edges| {
-            bridge.merge_edges(&merge_edges::json(edges));
+            bridge.merge_edges(&edges_json(edges));
         })?,
         merged_maps(node, bridge)?,
     ];
