@@ -8,7 +8,7 @@ use formats::carmen::{Reader, Record};
 use mr_slam::config::recorded_log_slam;
 use msg::{Odometry, Pose2, Scan, SlamMode, Stamp, pose::wrap_angle};
 use rustix::time::{ClockId, clock_gettime};
-use slam::{Identity, Session, Slam, SlamConfig, Start};
+use slam::{Identity, Session, Slam, Start};
 use std::collections::BTreeMap;
 use std::path::Path;
 

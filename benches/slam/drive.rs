@@ -10,7 +10,7 @@ use mr_slam::config::recorded_log_slam;
 use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
-use slam::{Back, EdgeKind, Front, Node, Revision, Slam, SlamConfig, Stage, StageWatch, Step};
+use slam::{Back, EdgeKind, Front, Node, Revision, Slam, Stage, StageWatch, Step};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};

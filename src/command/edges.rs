@@ -132,7 +132,7 @@ impl Action {
         if found > robots {
             return Err(EdgesError::Robot { run: run.dir.clone(), found, robots });
         }
-        EdgeCommand::of(action, pair.a, pair.b).ok_or(EdgesError::SameRobot)
+        EdgeCommand::for_pair(action, pair.a, pair.b).ok_or(EdgesError::SameRobot)
     }
 }
 

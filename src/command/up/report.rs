@@ -68,7 +68,7 @@ impl Paper {
 
 impl Report {
     /// Collects the figures at the end of a run.
-    pub fn new(
+    pub(super) fn new(
         run: &Run,
         elapsed: Duration,
         fleet: Option<FleetView>,
