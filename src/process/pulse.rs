@@ -2,8 +2,9 @@
 
 use crate::channel;
 use crate::clock::{cpu_ns, memory_bytes, now};
+use crate::ports::{ChannelError, Gaps};
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, Gaps, Node, Writer};
+use crate::shared_memory::{Participant, Writer};
 use msg::{Beat, Monotonic, RobotId, Role};
 
 /// How often.
@@ -37,9 +38,14 @@ pub struct Account {
 
 impl Pulse {
     /// Begins to beat.
-    pub fn new(node: &Node, run: &Run, role: Role, robot: Option<RobotId>) -> Result<Self, ChannelError> {
+    pub fn new(
+        node: &Participant,
+        run: &Run,
+        role: Role,
+        robot: Option<RobotId>,
+    ) -> Result<Self, ChannelError> {
         Ok(Self {
-            beats: node.writer(&channel::beat(role, robot))?,
+            beats: node.writer(&channel::process_health(role, robot))?,
             run: run.clone(),
             role,
             robot,

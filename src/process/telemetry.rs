@@ -6,8 +6,10 @@ use crate::channel;
 use crate::clock::now;
 use crate::config::World;
 use crate::fleet;
+use crate::ports::{ChannelError, ReadMapPort};
+use crate::processes;
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
+use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
 use msg::{Anchors, Beat, Correction, Dense, Monotonic, RobotId, Role, Transforms, Truth};
@@ -28,7 +30,6 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     // Only now, so that nothing waits unread while the room is built.
     let mut inputs = Inputs::open(&node, run)?;
     let bells = Inputs::bells(&node, run)?;
-    let bells: Vec<&Bell> = bells.iter().collect();
     let mut stats = node.writer(&channel::stats())?;
     let mut due = Monotonic(now().0 + PERIOD_NS);
     while !stop.requested() {
@@ -69,7 +70,7 @@ struct Inputs {
 }
 
 impl Inputs {
-    fn open(node: &Node, run: &Run) -> Result<Self, ChannelError> {
+    fn open(node: &Participant, run: &Run) -> Result<Self, ChannelError> {
         let robot_inputs = |robot| {
             Ok(RobotInputs {
                 robot,
@@ -81,7 +82,8 @@ impl Inputs {
                 grid: Dense::default(),
             })
         };
-        let beats = members(run).map(|(role, robot)| node.reader(&channel::beat(role, robot)));
+        let beats = processes::of_fleet(&run.config)
+            .map(|(row, robot)| node.reader(&channel::process_health(row.role, robot)));
         Ok(Self {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
             merged_map: node.map_reader(&channel::merged_map())?,
@@ -93,12 +95,12 @@ impl Inputs {
     }
 
     /// Whatever must be noted the moment it comes.
-    fn bells(node: &Node, run: &Run) -> Result<Vec<Bell>, ChannelError> {
+    fn bells(node: &Participant, run: &Run) -> Result<Vec<Listener>, ChannelError> {
         let mut bells = Vec::new();
         for robot in run.robots() {
-            bells.push(node.bell(&channel::transforms(robot))?);
-            bells.push(node.bell(&channel::correction(robot))?);
-            bells.push(node.bell(&channel::map(robot))?);
+            bells.push(node.listener(&channel::transforms(robot))?);
+            bells.push(node.listener(&channel::correction(robot))?);
+            bells.push(node.listener(&channel::map(robot))?);
         }
         Ok(bells)
     }
@@ -114,13 +116,13 @@ impl Inputs {
             while let Some(correction) = corrections.receive() {
                 telemetry.correction(*robot, &correction, received);
             }
-            if maps.look() {
+            if maps.poll() {
                 telemetry.map_came(*robot, maps.map().header.scan_sent, received);
                 *news = true;
             }
         }
         // It has its turn at the figures, but must not fall behind.
-        self.merged_news |= self.merged_map.look();
+        self.merged_news |= self.merged_map.poll();
     }
 
     fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
@@ -141,14 +143,4 @@ impl Inputs {
             }
         }
     }
-}
-
-/// Every process of the fleet.
-pub fn members(run: &Run) -> impl Iterator<Item = (Role, Option<RobotId>)> {
-    let simulated = !run.config.world.is_outside();
-    let of_robots = run.robots().flat_map(move |robot| {
-        let sim = simulated.then_some((Role::Sim, Some(robot)));
-        sim.into_iter().chain([(Role::Slam, Some(robot))])
-    });
-    of_robots.chain([Role::Merge, Role::Telemetry, Role::Bridge].map(|role| (role, None)))
 }

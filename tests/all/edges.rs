@@ -1,9 +1,9 @@
 //! What holds the maps of a running fleet together can be seen, held and taken back from the command line.
 
 use crate::harness::{Fleet, mr_slam, process, send};
-use mr_slam::channel;
+use mr_slam::channel::{self, Opener, Program};
 use mr_slam::fleet::known_starts;
-use mr_slam::shared_memory::Node;
+use mr_slam::shared_memory::Participant;
 use msg::{Anchors, Pose2};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -52,7 +52,7 @@ fn an_edge_is_pinned_let_loose_and_undone_while_the_fleet_runs() {
 
 /// Kills the merge process, and waits for the anchors of the one that takes its place. Those before, and those after.
 fn kill_merge(fleet: &mut Fleet) -> [Anchors; 2] {
-    let node = Node::open(&fleet.run.domain, "anchors").unwrap();
+    let node = Participant::open(&fleet.run.domain, Opener::of_fleet(Program::Telemetry), "test").unwrap();
     let mut reader = node.reader(&channel::anchors()).unwrap();
     let mut newest: Option<Anchors> = None;
     let before = fleet.until("merging", |view| {
