@@ -148,7 +148,7 @@ impl Stamper {
 
     /// Marks the next message, sent now.
     pub fn mark(&mut self, header: &mut Header, now: Monotonic) {
-        (header.run, header.seq, header.sent) = (self.run, self.seq, now);
+        (header.incarnation, header.seq, header.sent) = (self.run, self.seq, now);
         self.seq += 1;
     }
 
@@ -174,9 +174,9 @@ pub struct Gaps {
 impl Gaps {
     /// Counts a message that was received.
     pub fn count(&mut self, header: &Header) {
-        if header.run != self.run {
+        if header.incarnation != self.run {
             self.restarts += u64::from(self.received > 0);
-            self.run = header.run;
+            self.run = header.incarnation;
         } else {
             self.lost += header.seq.saturating_sub(self.next);
         }

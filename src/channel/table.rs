@@ -4,9 +4,9 @@ use super::End::{Of, OfFirst, OfOthers, OutsideWorld};
 use super::Program::{AskMerge, AskSlam, Bridge, Launcher, Merge, Sim, Slam, Telemetry};
 use super::{Channel, ChannelRow, End, Scope, TypedRow};
 use msg::{
-    Anchors, Beat, Clock, Command, Correction, EdgeCommand, FleetStats, MergeEdges, Odometry, PatchHeader,
-    ROBOTS_MAX, RobotId, Role, Scan, SlamAnswer, SlamRequest, Submap, SubmapAsk, SubmapPoses, Transforms,
-    Truth,
+    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
+    PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
+    SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
 /// Messages of a map that its writer sends at a time: with the pause between two lots, 26 MB a second.
@@ -40,7 +40,7 @@ const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..
 const SIM_OR_OUTSIDE: &[End] = &[Of(Sim), OutsideWorld(Bridge)];
 const EVERYBODY: &[End] = &[Of(Sim), Of(Slam), Of(Merge), Of(Telemetry), Of(Bridge)];
 
-static COMMAND: TypedRow<Command> = TypedRow::new(ChannelRow {
+static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
     content: "wished velocity, 20 Hz while somebody drives",
     writers: &[Of(Bridge)],
@@ -73,7 +73,7 @@ static TRANSFORMS: TypedRow<Transforms> = TypedRow::new(ChannelRow {
     readers: &[Of(Telemetry), Of(Bridge)],
     ..STREAM
 });
-static TRUTH: TypedRow<Truth> = TypedRow::new(ChannelRow {
+static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
     name: "truth",
     content: "the simulated pose, 100 Hz",
     writers: &[Of(Sim)],
@@ -109,8 +109,8 @@ static SLAM_REQUEST: TypedRow<SlamRequest> = TypedRow::new(ChannelRow {
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
 });
-static SLAM_ANSWER: TypedRow<SlamAnswer> = TypedRow::new(ChannelRow {
-    name: "slam_answer",
+static SLAM_RESPONSE: TypedRow<SlamResponse> = TypedRow::new(ChannelRow {
+    name: "slam_response",
     content: "the answer to each request",
     writers: &[Of(Slam)],
     readers: &[Of(Bridge), Of(AskSlam)],
@@ -143,8 +143,8 @@ static SUBMAP_POSES: TypedRow<SubmapPoses> = TypedRow::new(ChannelRow {
     readers_max: SUBMAP_READERS_MAX,
     ..STATE
 });
-static SUBMAP_ASK: TypedRow<SubmapAsk> = TypedRow::new(ChannelRow {
-    name: "submap_ask",
+static SUBMAP_REQUEST: TypedRow<SubmapRequest> = TypedRow::new(ChannelRow {
+    name: "submap_request",
     content: "a request for all submaps, when one is missing",
     writers: &[Of(Merge)],
     readers: &[Of(Slam)],
@@ -160,8 +160,8 @@ static MERGED_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     readers: &[Of(Telemetry), Of(Bridge), Of(Launcher)],
     ..MAP
 });
-static ANCHORS: TypedRow<Anchors> = TypedRow::new(ChannelRow {
-    name: "anchors",
+static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
+    name: "map_transforms",
     content: "where each robot's map lies in the fleet's, before each merged map",
     writers: &[Of(Merge)],
     readers: &[Of(Telemetry), Of(Bridge)],
@@ -192,7 +192,7 @@ static STATS: TypedRow<FleetStats> = TypedRow::new(ChannelRow {
     readers: &[Of(Bridge), Of(Launcher)],
     ..STATE
 });
-static HEALTH: TypedRow<Beat> = TypedRow::new(ChannelRow {
+static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
     name: "health",
     content: "a process's own counters, 1 Hz",
     scope: Scope::Process,
@@ -213,13 +213,13 @@ pub static CHANNELS: [&ChannelRow; 19] = [
     &CLOCK.row,
     &CORRECTION.row,
     &SLAM_REQUEST.row,
-    &SLAM_ANSWER.row,
+    &SLAM_RESPONSE.row,
     &ROBOT_MAP.row,
     &SUBMAP.row,
     &SUBMAP_POSES.row,
-    &SUBMAP_ASK.row,
+    &SUBMAP_REQUEST.row,
     &MERGED_MAP.row,
-    &ANCHORS.row,
+    &MAP_TRANSFORMS.row,
     &MERGE_EDGES.row,
     &EDGE_COMMAND.row,
     &STATS.row,
@@ -227,7 +227,7 @@ pub static CHANNELS: [&ChannelRow; 19] = [
 ];
 
 /// `robotK/command`.
-pub fn command(robot: RobotId) -> Channel<Command> {
+pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
     COMMAND.of_robot(robot)
 }
 
@@ -247,7 +247,7 @@ pub fn transforms(robot: RobotId) -> Channel<Transforms> {
 }
 
 /// `robotK/truth`.
-pub fn truth(robot: RobotId) -> Channel<Truth> {
+pub fn truth(robot: RobotId) -> Channel<GroundTruth> {
     TRUTH.of_robot(robot)
 }
 
@@ -266,9 +266,9 @@ pub fn slam_request(robot: RobotId) -> Channel<SlamRequest> {
     SLAM_REQUEST.of_robot(robot)
 }
 
-/// `robotK/slam_answer`; open it before asking.
-pub fn slam_answer(robot: RobotId) -> Channel<SlamAnswer> {
-    SLAM_ANSWER.of_robot(robot)
+/// `robotK/slam_response`; open it before asking.
+pub fn slam_response(robot: RobotId) -> Channel<SlamResponse> {
+    SLAM_RESPONSE.of_robot(robot)
 }
 
 /// `robotK/map`; a reader that comes late asks for the whole map.
@@ -286,9 +286,9 @@ pub fn submap_poses(robot: RobotId) -> Channel<SubmapPoses> {
     SUBMAP_POSES.of_robot(robot)
 }
 
-/// `robotK/submap_ask`.
-pub fn submap_ask(robot: RobotId) -> Channel<SubmapAsk> {
-    SUBMAP_ASK.of_robot(robot)
+/// `robotK/submap_request`.
+pub fn submap_request(robot: RobotId) -> Channel<SubmapRequest> {
+    SUBMAP_REQUEST.of_robot(robot)
 }
 
 /// `merged_map`; a reader that comes late asks for the whole map.
@@ -296,9 +296,9 @@ pub fn merged_map() -> Channel<PatchHeader> {
     MERGED_MAP.of_fleet()
 }
 
-/// `anchors`.
-pub fn anchors() -> Channel<Anchors> {
-    ANCHORS.of_fleet()
+/// `map_transforms`.
+pub fn map_transforms() -> Channel<MapTransforms> {
+    MAP_TRANSFORMS.of_fleet()
 }
 
 /// `merge_edges`.
@@ -317,7 +317,7 @@ pub fn stats() -> Channel<FleetStats> {
 }
 
 /// `ROLE/health` of a process of the fleet, `robotK/ROLE/health` of a robot's process.
-pub fn process_health(role: Role, robot: Option<RobotId>) -> Channel<Beat> {
+pub fn process_health(role: Role, robot: Option<RobotId>) -> Channel<ProcessHealth> {
     let name = match robot {
         Some(robot) => format!("{robot}/{}/{}", role.name(), HEALTH.row.name),
         None => format!("{}/{}", role.name(), HEALTH.row.name),

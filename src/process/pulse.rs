@@ -5,7 +5,7 @@ use crate::clock::{cpu_ns, memory_bytes, now};
 use crate::ports::{ChannelError, Gaps};
 use crate::run::Run;
 use crate::shared_memory::{Participant, Writer};
-use msg::{Beat, Monotonic, RobotId, Role};
+use msg::{Monotonic, ProcessHealth, RobotId, Role};
 
 /// How often.
 const PERIOD_NS: u64 = 1_000_000_000;
@@ -14,7 +14,7 @@ const SAMPLES_MAX: usize = 256;
 
 /// Collects what a process measures of itself, and sends it.
 pub struct Pulse {
-    beats: Writer<Beat>,
+    beats: Writer<ProcessHealth>,
     run: Run,
     role: Role,
     robot: Option<RobotId>,

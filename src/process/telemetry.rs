@@ -12,7 +12,9 @@ use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
-use msg::{Anchors, Beat, Correction, Dense, Monotonic, RobotId, Role, Transforms, Truth};
+use msg::{
+    Correction, DenseMap, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId, Role, Transforms,
+};
 
 /// How often the figures are sent.
 const PERIOD_NS: u64 = 1_000_000_000;
@@ -52,11 +54,11 @@ struct RobotInputs {
     robot: RobotId,
     transforms: Reader<Transforms>,
     corrections: Reader<Correction>,
-    truths: Reader<Truth>,
+    truths: Reader<GroundTruth>,
     maps: MapReader,
     /// A map has come since the last figures.
     news: bool,
-    grid: Dense,
+    grid: DenseMap,
 }
 
 /// What telemetry reads.
@@ -64,9 +66,9 @@ struct Inputs {
     robots: Vec<RobotInputs>,
     merged_map: MapReader,
     merged_news: bool,
-    merged_grid: Dense,
-    anchors: Reader<Anchors>,
-    beats: Vec<Reader<Beat>>,
+    merged_grid: DenseMap,
+    map_transforms: Reader<MapTransforms>,
+    beats: Vec<Reader<ProcessHealth>>,
 }
 
 impl Inputs {
@@ -79,7 +81,7 @@ impl Inputs {
                 truths: node.reader(&channel::truth(robot))?,
                 maps: node.map_reader(&channel::map(robot))?,
                 news: false,
-                grid: Dense::default(),
+                grid: DenseMap::default(),
             })
         };
         let beats = processes::of_fleet(&run.config)
@@ -88,8 +90,8 @@ impl Inputs {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
             merged_map: node.map_reader(&channel::merged_map())?,
             merged_news: false,
-            merged_grid: Dense::default(),
-            anchors: node.reader(&channel::anchors())?,
+            merged_grid: DenseMap::default(),
+            map_transforms: node.reader(&channel::map_transforms())?,
             beats: beats.collect::<Result<_, _>>()?,
         })
     }
@@ -126,8 +128,8 @@ impl Inputs {
     }
 
     fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        if let Some(anchors) = self.anchors.newest() {
-            telemetry.anchors(&anchors);
+        if let Some(map_transforms) = self.map_transforms.newest() {
+            telemetry.map_transforms(&map_transforms);
         }
         for RobotInputs { robot, maps, news, grid, .. } in &mut self.robots {
             if std::mem::take(news) {
@@ -139,7 +141,7 @@ impl Inputs {
         }
         for beats in &mut self.beats {
             while let Some(beat) = beats.receive() {
-                telemetry.beat(&beat, received);
+                telemetry.process_health(&beat, received);
             }
         }
     }

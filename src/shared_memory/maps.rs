@@ -13,7 +13,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use msg::tiles::{Incoming, Outgoing, PATCH_TILES_MAX, Patch};
+use msg::tiles::{PATCH_TILES_MAX, Patch, PatchReceiver, PatchSender};
 use msg::{MapTile, Message, Monotonic, PatchHeader, TileMap};
 
 /// Tiles that a message may have before the channel's memory grows: what a scan of 10 m touches.
@@ -35,7 +35,7 @@ impl Participant {
         let listener = self.ask_event(channel)?.listener_builder().create();
         let requests = Listener::new(listener.map_err(failed("cannot be asked on", &channel.name))?);
         let (stamper, notifier) = (Stamper::new(self.run), self.notifier(channel)?);
-        Ok(MapWriter { publisher, stamper, notifier, requests, outgoing: Outgoing::default(), bytes: 0 })
+        Ok(MapWriter { publisher, stamper, notifier, requests, outgoing: PatchSender::default(), bytes: 0 })
     }
 
     /// Opens a map's channel to read.
@@ -49,7 +49,7 @@ impl Participant {
             .map_err(failed("cannot read channel", &channel.name))?;
         let ask = self.ask_event(channel)?.notifier_builder().create();
         let ask = ask.map_err(failed("cannot ask on", &channel.name))?;
-        let (gaps, incoming) = (Gaps::default(), Incoming::default());
+        let (gaps, incoming) = (Gaps::default(), PatchReceiver::default());
         Ok(MapReader { subscriber, ask, asked: Monotonic(0), gaps, incoming })
     }
 
@@ -92,7 +92,7 @@ pub struct MapWriter {
     stamper: Stamper,
     notifier: Option<Notifier<ipc::Service>>,
     requests: Listener,
-    outgoing: Outgoing,
+    outgoing: PatchSender,
     bytes: u64,
 }
 
@@ -102,14 +102,14 @@ impl WriteMapPort for MapWriter {
     fn send(&mut self, map: &TileMap) -> bool {
         let _ = self.publisher.update_connections();
         if self.requests.take() {
-            self.outgoing.ask();
+            self.outgoing.request_snapshot();
         }
         let mut sent = 0;
         while sent < MAP_MESSAGES_MAX
-            && let Some(patch) = self.outgoing.next(map)
+            && let Some(patch) = self.outgoing.next_patch(map)
         {
             if !self.send_one(&patch) {
-                self.outgoing.fail();
+                self.outgoing.restart();
                 break;
             }
             sent += 1;
@@ -117,7 +117,7 @@ impl WriteMapPort for MapWriter {
         if let Some(notifier) = self.notifier.as_ref().filter(|_| sent > 0) {
             let _ = notifier.notify();
         }
-        !self.outgoing.is_behind(map)
+        !self.outgoing.has_pending(map)
     }
 
     fn requests(&self) -> &Listener {
@@ -147,7 +147,7 @@ pub struct MapReader {
     ask: Notifier<ipc::Service>,
     asked: Monotonic,
     gaps: Gaps,
-    incoming: Incoming,
+    incoming: PatchReceiver,
 }
 
 impl ReadMapPort for MapReader {
@@ -156,9 +156,9 @@ impl ReadMapPort for MapReader {
         while let Ok(Some(sample)) = self.subscriber.receive() {
             let header = &sample.user_header().0;
             self.gaps.count(header.header());
-            new |= self.incoming.take(header, Shared::peel_slice(sample.payload()));
+            new |= self.incoming.receive(header, Shared::peel_slice(sample.payload()));
         }
-        if self.incoming.is_lost() && now().since(self.asked) >= MAP_REQUEST_PERIOD.as_nanos() as u64 {
+        if self.incoming.needs_snapshot() && now().since(self.asked) >= MAP_REQUEST_PERIOD.as_nanos() as u64 {
             self.asked = now();
             let _ = self.ask.notify();
         }
