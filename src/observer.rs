@@ -2,11 +2,11 @@
 
 use crate::channel::{self, Opener, Program};
 use crate::clock::now;
-use crate::map_file;
 use crate::merge_edges::EdgeView;
 use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
+use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MergeEdges, Monotonic, Pose2, RobotId, Role,
 };
