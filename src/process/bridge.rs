@@ -2,7 +2,7 @@
 //! written to the sockets, and that was all the way. One for ROS 2, which the first never waits for.
 
 use super::control::{self, Control};
-use super::pulse::{Account, Pulse};
+use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
 use crate::config::World;
@@ -41,7 +41,7 @@ const MAP_LOOK_PERIOD: Duration = Duration::from_millis(500);
 
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Bridge, None)?;
-    let pulse = Pulse::new(&node, run, Role::Bridge, None)?;
+    let pulse = Heartbeat::new(&node, run, Role::Bridge, None)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let bridge = open_bridge(&node, run)?;
@@ -78,13 +78,13 @@ pub(super) async fn stopped(stop: Stop) {
     }
 }
 
-async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>>) {
+async fn beat(mut pulse: Heartbeat<Participant>, bridge: Rc<Bridge>, control: Rc<RefCell<Control>>) {
     loop {
         tokio::time::sleep(LOOK_PERIOD).await;
         control.borrow_mut().look();
-        pulse.beat(|| {
+        pulse.publish_if_due(|| {
             let counters = bridge.counters();
-            let mut account = Account { clients: counters.clients, ..Account::default() };
+            let mut account = HealthCounters { clients: counters.clients, ..HealthCounters::default() };
             (account.dropped, account.refused) = (counters.dropped, counters.refused);
             account.gaps.received = counters.received;
             account
