@@ -84,9 +84,9 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
         for ((robot, grid), map) in RobotId::first(robots).zip(&grids).zip(&maps) {
             if changed == Changed::Places && round > 0 {
                 let way_m = 0.05 * (WAY_BEFORE + round) as f64;
-                assert!(merger.stand(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105));
+                assert!(merger.set_robot_footprint(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105));
             } else if changed == Changed::InGrids {
-                merger.update(robot, grid.view()).unwrap();
+                merger.update_map(robot, grid.view()).unwrap();
             } else {
                 merger.update_tiles(robot, map).unwrap();
             }
@@ -97,7 +97,7 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
                 RobotId::first(robots).flat_map(|robot| (0..=WAY_BEFORE).map(move |step| (robot, step)))
             {
                 let way_m = 0.05 * step as f64;
-                merger.stand(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105);
+                merger.set_robot_footprint(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105);
             }
             merger.compose();
         } else {
@@ -156,15 +156,15 @@ fn statistics(side: u32) -> [f64; 2] {
     for (k, anchor) in anchors.robots.iter_mut().take(3).enumerate() {
         *anchor = Anchor { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
     }
-    telemetry.anchors(&anchors);
+    telemetry.update_map_transforms(&anchors);
     let maps: Vec<Grid> = (0..3).map(|k| rooms(side, k)).collect();
     let mut milliseconds: Vec<f64> = (0..ROUNDS)
         .map(|_| {
             let start = Instant::now();
             for (robot, map) in RobotId::first(3).zip(&maps) {
-                telemetry.map(robot, map.view(), Monotonic(0));
+                telemetry.add_map(robot, map.view(), Monotonic(0));
             }
-            assert_eq!(telemetry.stats(Stamp(0), Monotonic(0)).pair_count, 3);
+            assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
             start.elapsed().as_secs_f64() * 1e3
         })
         .collect();

@@ -68,7 +68,7 @@ pub struct MergeEdge {
     /// Closures between submaps in force.
     pub closures: u32,
     /// Closures found and not believed together with the others.
-    pub closures_out: u32,
+    pub closures_rejected: u32,
     /// Alignments tried.
     pub tries: u32,
     /// Mean distance of walls found again, metres.
@@ -80,11 +80,11 @@ pub struct MergeEdge {
     /// The same over what the map that knows less knows, 0 to 1.
     pub overlap_share: f64,
     /// Share of the cells both know on which they agree, 0 to 1.
-    pub strict: f64,
+    pub agreement: f64,
     /// F1 of occupied cells at one cell's tolerance, 0 to 1.
     pub occupied_f1: f64,
     /// The largest such F1 under 20 random wrong transforms: what chance gives.
-    pub null_f1: f64,
+    pub null_f1_max: f64,
     /// Walls of one map in the middle of the other's floor, 0 to 1.
     pub conflict: f64,
     /// Evidence over that of the best other place.

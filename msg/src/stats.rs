@@ -113,9 +113,9 @@ pub struct FleetStats {
     pub overlap_m2: f64,
     /// What chance gives: the same two maps under wrong transforms that leave at least half the overlap. Strict
     /// consistency and F1, means over pairs and transforms; NaN before any.
-    pub null_consistency: f64,
-    /// See [`FleetStats::null_consistency`].
-    pub null_f1: f64,
+    pub null_consistency_mean: f64,
+    /// See [`FleetStats::null_consistency_mean`].
+    pub null_f1_mean: f64,
     /// Wrong transforms that went into it, of all pairs.
     pub null_count: u32,
     /// Zero.

@@ -19,7 +19,7 @@ const AGREE_MAX: [f64; 2] = [4.0, 0.4];
 /// A closure that the solution contradicts by so many standard deviations is not believed.
 const CONTRADICTED_SIGMAS: f64 = 6.0;
 
-/// One piece of work. See [`super::Fleet::next_task`].
+/// One piece of work. See [`super::FleetPoseGraph::next_task`].
 #[derive(Debug)]
 pub struct Task {
     /// Which incarnations of the robots it is about: a result about others is thrown away.
@@ -27,7 +27,7 @@ pub struct Task {
     pub(crate) job: Job,
 }
 
-/// What a [`Task`] came to. See [`super::Fleet::take`].
+/// What a [`Task`] came to. See [`super::FleetPoseGraph::apply_outcome`].
 #[derive(Debug)]
 pub struct Outcome {
     pub(crate) runs: Vec<Option<SubmapRun>>,
