@@ -59,7 +59,7 @@ pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
     for case in &CASES {
         let logs = logs(&folder.join(case.name));
         if logs.is_empty() {
-            println!("{}: not in {}", case.name, folder.display());
+            table.not_checked(format!("{} (not in {})", case.name, folder.display()));
             continue;
         }
         let between = folder.join(case.name).join(case.between);
@@ -100,7 +100,7 @@ pub fn halves(table: &mut Table, folder: &Path) -> Result<(), Error> {
     for name in HALVES {
         let log = folder.join(name).join(format!("{name}.log.gz"));
         if !log.is_file() {
-            println!("{name}: not in {}", folder.display());
+            table.not_checked(format!("{name} (not in {})", folder.display()));
             continue;
         }
         let text = unpacked(&log)?;

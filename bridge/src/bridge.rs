@@ -12,8 +12,8 @@ use crate::outbox::{Lane, Outbox};
 use crate::ros::{names, write};
 use crate::world::{ClockEstimate, Incoming, SourceClock, SourceId, World, WorldError};
 use msg::{
-    Anchors, Clock, Command, Correction, EdgeCommand, FleetStats, GridView, Link, Odometry, ROBOTS_MAX,
-    RobotId, Scan, SlamRequest, Stamp, Transforms,
+    Clock, Correction, EdgeCommand, FleetStats, GridView, Link, MapTransforms, Odometry, ROBOTS_MAX, RobotId,
+    Scan, SlamRequest, Stamp, Transforms, VelocityCommand,
 };
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
@@ -45,7 +45,7 @@ pub struct ClientStatus {
 pub const FIRST_SOURCE: SourceId = 1 << 48;
 
 /// What robots are told: by [`Bridge::new`]'s caller.
-type CommandSink = Box<dyn FnMut(RobotId, Command)>;
+type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
 /// What merging is told: by [`Bridge::on_edge_command`]'s caller.
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 /// What robots' SLAM is asked: by [`Bridge::on_ask`]'s caller.
@@ -69,7 +69,7 @@ impl Bridge {
     pub fn new(
         config: BridgeConfig,
         robot_count: usize,
-        on_command: impl FnMut(RobotId, Command) + 'static,
+        on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
         Self::open(config, robot_count, None, Box::new(on_command))
     }
@@ -81,7 +81,7 @@ impl Bridge {
         config: BridgeConfig,
         world: World,
         now: impl Fn() -> Stamp + 'static,
-        on_command: impl FnMut(RobotId, Command) + 'static,
+        on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
         let robot_count = world.robot_count();
         Self::open(config, robot_count, Some(Outside { world, now: Box::new(now) }), Box::new(on_command))
@@ -196,11 +196,11 @@ impl Bridge {
 
     /// `/tf`: the merged map from the robots' maps; on change at once, else once a second while [`crate::serve`]
     /// runs.
-    pub fn anchors(&self, anchors: &Anchors) {
+    pub fn map_transforms(&self, map_transforms: &MapTransforms) {
         self.with(|hub| {
-            let changed = hub.set_anchors(anchors);
+            let changed = hub.set_map_transforms(map_transforms);
             if changed {
-                hub.tell_anchors(Instant::now());
+                hub.send_map_transforms(Instant::now());
             }
         });
     }
@@ -350,13 +350,13 @@ impl Bridge {
         self.hub.borrow().config.unsent_bytes_max
     }
 
-    /// What is due now and again: services that took too long, anchors.
+    /// What is due now and again: services that took too long, map transforms.
     pub(crate) fn tick(&self, now: Instant) {
         self.with(|hub| {
             let late = hub.services.expired(now);
             late.into_iter().for_each(|call| hub.fail(&call, "no answer came in time"));
             if hub.anchors_due(now) {
-                hub.tell_anchors(now);
+                hub.send_map_transforms(now);
             }
         });
     }

@@ -12,7 +12,7 @@ use crate::ros::{
 use crate::services::Services;
 use crate::topics::{DEPTH_USUAL, Input, Source, TopicId, Topics};
 use crate::world::{ClockOffset, SourceClock, World};
-use msg::{Anchors, Command, EdgeCommand, Header, ROBOTS_MAX, RobotId, SlamRequest, Stamp};
+use msg::{EdgeCommand, Header, MapTransforms, ROBOTS_MAX, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -133,12 +133,12 @@ pub struct Hub {
     /// The clock of what is heard on DDS.
     pub ros_clock: SourceClock,
     /// Where the robots' maps lie in the merged one.
-    pub anchors: Option<Anchors>,
+    pub map_transforms: Option<MapTransforms>,
     /// What robots' SLAM is to be asked, until it is taken.
     asks: VecDeque<(RobotId, SlamRequest)>,
     now: Stamp,
     anchors_due: Option<Instant>,
-    commands: VecDeque<(RobotId, Command)>,
+    commands: VecDeque<(RobotId, VelocityCommand)>,
     /// What merging is told.
     pub edge_commands: VecDeque<EdgeCommand>,
 }
@@ -160,7 +160,7 @@ impl Hub {
             config,
             outside,
             ros_clock: SourceClock::new(ClockOffset::Fixed(0.0)),
-            anchors: None,
+            map_transforms: None,
             asks: VecDeque::with_capacity(ASKS_MAX),
             now: Stamp(0),
             anchors_due: None,
@@ -180,7 +180,7 @@ impl Hub {
             self.commands.pop_front();
         }
         let header = Header { stamp: self.now, ..Header::default() };
-        self.commands.push_back((robot, Command { header, linear_m_s, angular_rad_s }));
+        self.commands.push_back((robot, VelocityCommand { header, linear_m_s, angular_rad_s }));
         if self.outside.is_some() {
             let twist = Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
             self.fleet.command[robot.index()]
@@ -212,7 +212,7 @@ impl Hub {
     }
 
     /// The next command to hand to its robot.
-    pub fn next_command(&mut self) -> Option<(RobotId, Command)> {
+    pub fn next_command(&mut self) -> Option<(RobotId, VelocityCommand)> {
         let next = self.commands.pop_front()?;
         self.board.counted.commands += 1;
         Some(next)
@@ -224,9 +224,9 @@ impl Hub {
     }
 
     /// Where the robots' maps lie; whether that is news.
-    pub fn set_anchors(&mut self, anchors: &Anchors) -> bool {
-        let changed = self.anchors.is_none_or(|before| before.robots != anchors.robots);
-        self.anchors = Some(*anchors);
+    pub fn set_map_transforms(&mut self, map_transforms: &MapTransforms) -> bool {
+        let changed = self.map_transforms.is_none_or(|before| before.robots != map_transforms.robots);
+        self.map_transforms = Some(*map_transforms);
         changed
     }
 
@@ -266,12 +266,15 @@ impl Hub {
     }
 
     /// /tf: where the robots' maps lie in the merged one, as of now.
-    pub fn tell_anchors(&mut self, at: Instant) {
-        let Some(anchors) = self.anchors.filter(|anchors| anchors.robots.iter().any(|a| a.known == 1)) else {
+    pub fn send_map_transforms(&mut self, at: Instant) {
+        let Some(map_transforms) =
+            self.map_transforms.filter(|map_transforms| map_transforms.robots.iter().any(|a| a.known == 1))
+        else {
             return;
         };
-        let stamp = Stamp(self.now.0.max(anchors.header.stamp.0));
-        self.board.send(self.fleet.transforms, |to| write::anchors(to, &self.names, stamp, &anchors));
+        let stamp = Stamp(self.now.0.max(map_transforms.header.stamp.0));
+        self.board
+            .send(self.fleet.transforms, |to| write::map_transforms(to, &self.names, stamp, &map_transforms));
         self.anchors_due = Some(at + ANCHORS_PERIOD);
     }
 

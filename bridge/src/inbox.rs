@@ -125,7 +125,7 @@ impl Hub {
         let topic = self.find_topic(name, &class)?;
         let new = self.board.subscribe(id, topic, is_bare(about));
         if new && topic == self.fleet.transforms {
-            self.tell_anchors(Instant::now());
+            self.send_map_transforms(Instant::now());
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use crate::ros::PoseWithCovarianceStamped;
 use crate::ros::names::{FleetFrame, MAP, meaning};
 use crate::ros::read::Transform;
 use crate::world::floor_pose;
-use msg::{RobotId, SlamAsk, SlamRequest};
+use msg::{RobotId, SlamRequest, SlamRequestKind};
 
 /// Places in the covariance: x, y and the rotation about z, each with itself.
 const X_X: usize = 0;
@@ -33,13 +33,16 @@ impl Hub {
         let (sigma_m, sigma_rad) = sigmas(&message.covariance)?;
         let (robot, pose) = if frame.strip_prefix('/').unwrap_or(frame) == MAP {
             let robot = robot.unwrap_or(self.drive.selected());
-            let anchor = self.anchors.map(|all| all.robots[robot.index()]).filter(|anchor| anchor.known == 1);
-            let anchor = anchor.ok_or_else(|| {
+            let map_transform = self
+                .map_transforms
+                .map(|all| all.robots[robot.index()])
+                .filter(|map_transform| map_transform.known == 1);
+            let map_transform = map_transform.ok_or_else(|| {
                 format!(
                     "where {robot}'s map lies in '{frame}' is not known yet; give the pose in its own map"
                 )
             })?;
-            (robot, anchor.map_from_robot_map.inverse() * frame_from_base)
+            (robot, map_transform.map_from_robot_map.inverse() * frame_from_base)
         } else {
             let of = match meaning(frame, self.robot_count) {
                 Some((of, FleetFrame::Map)) if of.number() <= self.robot_count => of,
@@ -56,7 +59,13 @@ impl Hub {
         };
         self.ask(
             robot,
-            SlamRequest { ask: SlamAsk::SetPose as u32, pose, sigma_m, sigma_rad, ..Default::default() },
+            SlamRequest {
+                kind: SlamRequestKind::SetPose as u32,
+                pose,
+                sigma_m,
+                sigma_rad,
+                ..Default::default()
+            },
         );
         Ok(())
     }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   fleet ── scan(), transforms(), map() ... ──▶ Bridge ──▶ one outbox a client ──▶ sockets
-//!   robots ◀── on_command(robot, Command) ─────── Bridge ◀── frames ◀── serve(): one task a client
+//!   robots ◀── on_command(robot, VelocityCommand) ─────── Bridge ◀── frames ◀── serve(): one task a client
 //! ```
 //! [`Bridge`] is the hub, [`serve`] its TCP side, [`dds`] the door for ROS 2; [`frame`], [`command`] and [`ros`] are the wire, for clients too.
 

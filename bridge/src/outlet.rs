@@ -1,7 +1,7 @@
 //! What every door is told of the fleet.
 
 use crate::bridge::Bridge;
-use msg::{Anchors, Clock, Correction, FleetStats, GridView, Odometry, RobotId, Scan, Transforms};
+use msg::{Clock, Correction, FleetStats, GridView, MapTransforms, Odometry, RobotId, Scan, Transforms};
 
 /// A door: the fleet's messages go out through it. Every method returns at once.
 pub trait Outlet {
@@ -12,7 +12,7 @@ pub trait Outlet {
     /// `/tf`: the robot's map from its odometry; `/robotN/pose`.
     fn correction(&self, robot: RobotId, correction: &Correction);
     /// `/tf`: the merged map from the robots' maps.
-    fn anchors(&self, anchors: &Anchors);
+    fn map_transforms(&self, map_transforms: &MapTransforms);
     /// `/clock`.
     fn clock(&self, clock: &Clock);
     /// `/robotN/odom`.
@@ -37,8 +37,8 @@ impl Outlet for Bridge {
     fn correction(&self, robot: RobotId, correction: &Correction) {
         self.correction(robot, correction);
     }
-    fn anchors(&self, anchors: &Anchors) {
-        self.anchors(anchors);
+    fn map_transforms(&self, map_transforms: &MapTransforms) {
+        self.map_transforms(map_transforms);
     }
     fn clock(&self, clock: &Clock) {
         self.clock(clock);

@@ -20,7 +20,7 @@ use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 /// Frames of one client handled before others get their turn.
 const FRAMES_PER_TURN: usize = 64;
-/// How often overdue service calls and anchors are looked at.
+/// How often overdue service calls and map transforms are looked at.
 const TICK: Duration = Duration::from_millis(250);
 /// A client that is silent so long is asked whether it is there, and then again and again. One that has gone without a
 /// word (battery, Wi-Fi) is let go after [`UNACKNOWLEDGED_MAX`] on Linux, which does not count probes where that is

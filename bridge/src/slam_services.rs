@@ -5,7 +5,7 @@
 //! lead out of it.
 
 use crate::cdr::{DecodeError, Reader, Writer};
-use msg::{Pose2, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, Text};
+use msg::{Pose2, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose, Text};
 use std::path::{Component, Path};
 
 /// What a service does.
@@ -24,7 +24,7 @@ pub enum Service {
     /// slam_toolbox/DeserializePoseGraph.
     LoadSession,
     /// std_srvs/Trigger: one request without arguments.
-    Trigger(SlamAsk),
+    Trigger(SlamRequestKind),
 }
 
 /// One service under `/robotN/`.
@@ -51,9 +51,9 @@ pub const ALL: [Named; 9] = [
     named("slam_toolbox/serialize_map", "slam_toolbox/SerializePoseGraph", Service::SaveSession),
     named("slam_toolbox/deserialize_map", "slam_toolbox/DeserializePoseGraph", Service::LoadSession),
     named("pause", "std_srvs/SetBool", Service::Pause),
-    named("reset", "std_srvs/Trigger", Service::Trigger(SlamAsk::Reset)),
-    named("relocalize", "std_srvs/Trigger", Service::Trigger(SlamAsk::Relocalize)),
-    named("clear_closures", "std_srvs/Trigger", Service::Trigger(SlamAsk::ClearClosures)),
+    named("reset", "std_srvs/Trigger", Service::Trigger(SlamRequestKind::Reset)),
+    named("relocalize", "std_srvs/Trigger", Service::Trigger(SlamRequestKind::Relocalize)),
+    named("clear_closures", "std_srvs/Trigger", Service::Trigger(SlamRequestKind::ClearClosures)),
 ];
 
 /// SLAM Toolbox's result codes: done; and any failure, which it does not tell apart.
@@ -86,8 +86,8 @@ impl From<SlamRequest> for Asked {
     }
 }
 
-fn ask(ask: SlamAsk) -> SlamRequest {
-    SlamRequest { ask: ask as u32, ..SlamRequest::default() }
+fn ask(kind: SlamRequestKind) -> SlamRequest {
+    SlamRequest { kind: kind as u32, ..SlamRequest::default() }
 }
 
 /// A name below the run's folder.
@@ -103,19 +103,20 @@ fn file(name: &str) -> Result<Text, RequestError> {
 impl Service {
     /// What a request asks of SLAM. `paused` is whether it is now.
     pub fn read(self, from: &mut Reader<'_>, paused: bool) -> Result<Asked, RequestError> {
-        let pause = |wished: bool| ask(if wished { SlamAsk::Pause } else { SlamAsk::Resume });
+        let pause = |wished: bool| ask(if wished { SlamRequestKind::Pause } else { SlamRequestKind::Resume });
         Ok(match self {
             Self::TogglePause => pause(!paused).into(),
             Self::Pause => pause(from.bool("data")?).into(),
             Self::Reset => {
-                let then = from.bool("pause_new_measurements")?.then(|| ask(SlamAsk::Pause));
-                Asked { first: ask(SlamAsk::Reset), then }
+                let then = from.bool("pause_new_measurements")?.then(|| ask(SlamRequestKind::Pause));
+                Asked { first: ask(SlamRequestKind::Reset), then }
             }
             Self::SaveMap => {
-                SlamRequest { text: file(from.string("name.data")?)?, ..ask(SlamAsk::SaveMap) }.into()
+                SlamRequest { text: file(from.string("name.data")?)?, ..ask(SlamRequestKind::SaveMap) }.into()
             }
             Self::SaveSession => {
-                SlamRequest { text: file(from.string("filename")?)?, ..ask(SlamAsk::SaveSession) }.into()
+                SlamRequest { text: file(from.string("filename")?)?, ..ask(SlamRequestKind::SaveSession) }
+                    .into()
             }
             Self::LoadSession => load(from)?.into(),
             Self::Trigger(what) => ask(what).into(),
@@ -123,7 +124,7 @@ impl Service {
     }
 
     /// SLAM's answer, or why there is none.
-    pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamAnswer, &str>) {
+    pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamResponse, &str>) {
         let done = answer.is_ok_and(|answer| answer.outcome() == SlamOutcome::Done);
         let text = answer.map_or_else(|why| why, |answer| answer.text.as_str());
         match self {
@@ -146,10 +147,10 @@ fn load(from: &mut Reader<'_>) -> Result<SlamRequest, RequestError> {
     let [x_m, y_m, yaw_rad] =
         [from.finite("initial_pose.x")?, from.finite("initial_pose.y")?, from.finite("initial_pose.theta")?];
     let (mode, start) = match match_type {
-        0 => (SlamMode::Mapping, SlamStart::Unknown),
-        1 => (SlamMode::Mapping, SlamStart::First),
-        2 => (SlamMode::Mapping, SlamStart::Pose),
-        3 => (SlamMode::Localization, SlamStart::Pose),
+        0 => (SlamMode::Mapping, StartPose::Unknown),
+        1 => (SlamMode::Mapping, StartPose::FirstNode),
+        2 => (SlamMode::Mapping, StartPose::Given),
+        3 => (SlamMode::Localization, StartPose::Given),
         other => {
             let why = format!("match_type {other}: expected 0 unset, 1 first node, 2 given pose, 3 localize");
             return Err(RequestError::Content(why));
@@ -157,7 +158,7 @@ fn load(from: &mut Reader<'_>) -> Result<SlamRequest, RequestError> {
     };
     let (mode, start) = (mode as u32, start as u32);
     let pose = Pose2::new(x_m, y_m, yaw_rad);
-    Ok(SlamRequest { text, mode, start, pose, ..ask(SlamAsk::LoadSession) })
+    Ok(SlamRequest { text, mode, start, pose, ..ask(SlamRequestKind::LoadSession) })
 }
 
 #[cfg(test)]
@@ -178,10 +179,10 @@ mod tests {
     #[test]
     fn requests_are_what_slam_toolbox_means_by_them() {
         let toggled = read(Service::TogglePause, &request(|to| to.u8(0))).unwrap();
-        assert_eq!(toggled.first.ask, SlamAsk::Pause as u32);
+        assert_eq!(toggled.first.kind, SlamRequestKind::Pause as u32);
         let reset = read(Service::Reset, &request(|to| to.bool(true))).unwrap();
-        assert_eq!(reset.first.ask, SlamAsk::Reset as u32);
-        assert_eq!(reset.then.map(|then| then.ask), Some(SlamAsk::Pause as u32));
+        assert_eq!(reset.first.kind, SlamRequestKind::Reset as u32);
+        assert_eq!(reset.then.map(|then| then.kind), Some(SlamRequestKind::Pause as u32));
         let saved = read(Service::SaveMap, &request(|to| to.string("maps/monday"))).unwrap();
         assert_eq!(saved.first.text.as_str(), "maps/monday");
         let loaded = request(|to| {
@@ -190,7 +191,7 @@ mod tests {
             to.f64s(&[1.0, 2.0, 0.5]);
         });
         let loaded = read(Service::LoadSession, &loaded).unwrap().first;
-        assert_eq!((loaded.mode, loaded.start), (SlamMode::Localization as u32, SlamStart::Pose as u32));
+        assert_eq!((loaded.mode, loaded.start), (SlamMode::Localization as u32, StartPose::Given as u32));
         assert_eq!(loaded.pose, Pose2::new(1.0, 2.0, 0.5));
     }
 

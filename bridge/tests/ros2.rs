@@ -6,8 +6,8 @@ use bridge::{Bridge, BridgeConfig, Outlet};
 use futures::StreamExt;
 
 use msg::{
-    Command, GridHeader, GridView, Header, Pose2, RobotId, SlamAnswer, SlamAsk, SlamOutcome, SlamRequest,
-    Stamp,
+    GridHeader, GridView, Header, Pose2, RobotId, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse,
+    Stamp, VelocityCommand,
 };
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::{Context, Node, Subscription};
@@ -161,10 +161,10 @@ fn slam_toolboxs_save_map_is_asked_and_answered() {
         // SLAM, which saves whatever is named `monday`.
         let answering = Rc::downgrade(&door);
         let ask = move |robot: RobotId, request: SlamRequest| {
-            assert_eq!(request.ask, SlamAsk::SaveMap as u32);
+            assert_eq!(request.kind, SlamRequestKind::SaveMap as u32);
             let done = request.text.as_str() == "monday";
             let outcome = if done { SlamOutcome::Done } else { SlamOutcome::Refused } as u32;
-            let answer = SlamAnswer { id: request.id, outcome, ..SlamAnswer::default() };
+            let answer = SlamResponse { id: request.id, outcome, ..SlamResponse::default() };
             let answering = answering.clone();
             spawn_local(async move { answering.upgrade().map(|door| door.answered(robot, &answer, true)) });
         };
@@ -200,7 +200,7 @@ fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
     run(async {
         let config = config(50);
         let door = Rc::new(Door::open(&config, 1, false).unwrap());
-        let commands = Rc::new(RefCell::new(Vec::<Command>::new()));
+        let commands = Rc::new(RefCell::new(Vec::<VelocityCommand>::new()));
         let taken = commands.clone();
         let bridge = Rc::new(
             Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),

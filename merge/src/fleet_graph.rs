@@ -88,14 +88,14 @@ impl FleetPoseGraph {
 
     /// Takes a robot's submap, new or as it has grown.
     pub fn add_submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), SubmapRejected> {
-        self.note_run(robot, (submap.grid.header.run, submap.generation))?;
+        self.note_run(robot, (submap.grid.header.incarnation, submap.generation))?;
         let taken = self.members[robot.index()].submap(submap);
         if taken { Ok(()) } else { Err(SubmapRejected::Malformed(robot)) }
     }
 
     /// Takes where a robot's submaps lie in its own map.
     pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
-        self.note_run(robot, (poses.header.run, poses.generation))?;
+        self.note_run(robot, (poses.header.incarnation, poses.generation))?;
         let index = robot.index();
         let new = self.members[index].take_poses(poses).ok_or(SubmapRejected::Malformed(robot))?;
         let begun = new && !self.members[index].poses.is_empty();

@@ -7,7 +7,7 @@ use bytemuck::{Pod, Zeroable};
 /// a robot that hears nothing stops.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct Command {
+pub struct VelocityCommand {
     /// `stamp` is when the bridge took it.
     pub header: Header,
     /// Forward, m/s.
@@ -33,7 +33,7 @@ pub struct Odometry {
 /// Where a simulated robot really is. Only telemetry, tests and the peers' simulators may read it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct Truth {
+pub struct GroundTruth {
     /// `stamp` is when the pose held.
     pub header: Header,
     /// Pose of `base_footprint` in `world`.

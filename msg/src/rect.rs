@@ -17,17 +17,17 @@ pub struct Rect {
 
 impl Rect {
     /// `width` x `height` squares from (0, 0).
-    pub fn of_size(width: u32, height: u32) -> Self {
+    pub fn with_size(width: u32, height: u32) -> Self {
         Self { x0: 0, y0: 0, x1: width.into(), y1: height.into() }
     }
 
     /// One square.
-    pub fn of_one(x: i64, y: i64) -> Self {
+    pub fn single(x: i64, y: i64) -> Self {
         Self { x0: x, y0: y, x1: x + 1, y1: y + 1 }
     }
 
     /// The cells of tile (x, y).
-    pub fn of_tile(x: i64, y: i64) -> Self {
+    pub fn cells_of_tile(x: i64, y: i64) -> Self {
         Self { x0: x * TILE, y0: y * TILE, x1: (x + 1) * TILE, y1: (y + 1) * TILE }
     }
 
@@ -62,7 +62,7 @@ impl Rect {
     }
 
     /// The smallest that holds both.
-    pub fn unite(self, other: Self) -> Self {
+    pub fn union(self, other: Self) -> Self {
         if self.is_empty() {
             return other;
         }
@@ -78,12 +78,12 @@ impl Rect {
     }
 
     /// All of `other` lies in it.
-    pub fn holds(self, other: Self) -> bool {
+    pub fn contains(self, other: Self) -> bool {
         other.is_empty() || self.intersect(other) == other
     }
 
     /// The same, elsewhere.
-    pub fn moved(self, dx: i64, dy: i64) -> Self {
+    pub fn translated(self, dx: i64, dy: i64) -> Self {
         Self { x0: self.x0 + dx, y0: self.y0 + dy, x1: self.x1 + dx, y1: self.y1 + dy }
     }
 

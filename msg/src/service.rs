@@ -88,7 +88,7 @@ impl SlamMode {
 /// What is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub enum SlamAsk {
+pub enum SlamRequestKind {
     /// How it stands. Every answer says that; this asks for nothing else.
     State = 0,
     /// New scans are not looked at.
@@ -119,7 +119,7 @@ pub enum SlamAsk {
     SetMode = 12,
 }
 
-impl SlamAsk {
+impl SlamRequestKind {
     /// All that can be asked, in the order of their codes.
     pub const ALL: [Self; 13] = [
         Self::State,
@@ -139,29 +139,31 @@ impl SlamAsk {
 
     /// `None` for a code that means nothing.
     pub fn from_code(code: u32) -> Option<Self> {
-        Self::ALL.into_iter().find(|ask| *ask as u32 == code)
+        Self::ALL.into_iter().find(|kind| *kind as u32 == code)
     }
 }
 
 /// Where a robot is when a session is loaded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u32)]
-pub enum SlamStart {
+pub enum StartPose {
     /// To be found out.
     #[default]
     Unknown = 0,
     /// At the request's `pose`.
-    Pose = 1,
+    Given = 1,
     /// Where the session's first scan was taken.
-    First = 2,
+    FirstNode = 2,
     /// Where its last scan was taken.
-    Last = 3,
+    LastNode = 3,
 }
 
-impl SlamStart {
+impl StartPose {
     /// `None` for a code that means nothing.
     pub fn from_code(code: u32) -> Option<Self> {
-        [Self::Unknown, Self::Pose, Self::First, Self::Last].into_iter().find(|start| *start as u32 == code)
+        [Self::Unknown, Self::Given, Self::FirstNode, Self::LastNode]
+            .into_iter()
+            .find(|start| *start as u32 == code)
     }
 }
 
@@ -176,11 +178,11 @@ pub struct SlamRequest {
     pub client: u64,
     /// Counts the client's requests.
     pub id: u64,
-    /// A [`SlamAsk`]'s code.
-    pub ask: u32,
+    /// A [`SlamRequestKind`]'s code.
+    pub kind: u32,
     /// A [`SlamMode`]'s code.
     pub mode: u32,
-    /// A [`SlamStart`]'s code.
+    /// A [`StartPose`]'s code.
     pub start: u32,
     /// A closure's number.
     pub number: u32,
@@ -238,14 +240,14 @@ pub struct ClosureInfo {
 /// The answer to one request.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct SlamAnswer {
+pub struct SlamResponse {
     /// `stamp` is that of the newest node.
     pub header: Header,
     /// The request's.
     pub client: u64,
     /// The request's.
     pub id: u64,
-    /// 0: done, 1: refused. Read it by [`SlamAnswer::outcome`].
+    /// 0: done, 1: refused. Read it by [`SlamResponse::outcome`].
     pub outcome: u32,
     /// A [`SlamMode`]'s code.
     pub mode: u32,
@@ -263,7 +265,7 @@ pub struct SlamAnswer {
     pub retracted: u32,
     /// Closures that there are to list, in force or not.
     pub listable: u32,
-    /// How many of `list` are used. Read it by [`SlamAnswer::closures`].
+    /// How many of `list` are used. Read it by [`SlamResponse::closures`].
     pub listed: u32,
     /// `robotK/map` from `base_footprint`, where the robot was at the newest node.
     pub map_from_base: Pose2,
@@ -273,13 +275,13 @@ pub struct SlamAnswer {
     pub text: Text,
 }
 
-impl Default for SlamAnswer {
+impl Default for SlamResponse {
     fn default() -> Self {
         Self::zeroed()
     }
 }
 
-impl SlamAnswer {
+impl SlamResponse {
     /// The checked outcome; an unknown code reads as refused.
     pub fn outcome(&self) -> SlamOutcome {
         if self.outcome == SlamOutcome::Done as u32 { SlamOutcome::Done } else { SlamOutcome::Refused }

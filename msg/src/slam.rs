@@ -71,7 +71,7 @@ impl Correction {
 /// Where one robot's map lies in the merged map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct Anchor {
+pub struct MapTransform {
     /// `map` from `robotK/map`.
     pub map_from_robot_map: Pose2,
     /// 1 if the pose is known, 0 if the robot's map is not merged.
@@ -83,9 +83,9 @@ pub struct Anchor {
 /// Where every robot's map lies in the merged map, by [`crate::RobotId::index`].
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct Anchors {
+pub struct MapTransforms {
     /// `stamp` is that of the newest map merged.
     pub header: Header,
     /// Robots beyond the fleet are not known.
-    pub robots: [Anchor; ROBOTS_MAX],
+    pub robots: [MapTransform; ROBOTS_MAX],
 }

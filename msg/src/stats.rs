@@ -1,6 +1,6 @@
 //! What telemetry found out, once a second.
 
-use crate::{Beat, Header, Pose2, ROBOTS_MAX};
+use crate::{Header, Pose2, ProcessHealth, ROBOTS_MAX};
 use bytemuck::{Pod, Zeroable};
 
 /// The most processes a fleet has: two a robot, merge, telemetry, bridge.
@@ -60,9 +60,9 @@ pub struct RobotStats {
     pub pose_error_m: f64,
     /// Where merging puts the robot's map, against where it truly lies as seen from the first merged robot's map:
     /// metres and radians (simulation only, else NaN; NaN while it is not merged).
-    pub anchor_error_m: f64,
-    /// See [`RobotStats::anchor_error_m`].
-    pub anchor_error_rad: f64,
+    pub map_transform_error_m: f64,
+    /// See [`RobotStats::map_transform_error_m`].
+    pub map_transform_error_rad: f64,
     /// Nodes in the pose graph.
     pub nodes: u32,
     /// Loop closures in force.
@@ -76,9 +76,9 @@ pub struct RobotStats {
 /// A process as telemetry sees it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct ProcessHealth {
+pub struct ProcessStats {
     /// Its newest account; `role` 0: no such process.
-    pub beat: Beat,
+    pub health: ProcessHealth,
     /// Seconds since it was received.
     pub age_s: f64,
     /// How many incarnations before this one.
@@ -128,8 +128,8 @@ pub struct FleetStats {
     pub room_to_map_m: f64,
     /// Mean thickness of the merged map's walls, metres.
     pub wall_thickness_m: f64,
-    /// In the launcher's order; unused ones have `beat.role` 0.
-    pub processes: [ProcessHealth; PROCESSES_MAX],
+    /// In the launcher's order; unused ones have `health.role` 0.
+    pub processes: [ProcessStats; PROCESSES_MAX],
 }
 
 impl Default for FleetStats {

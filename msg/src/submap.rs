@@ -127,7 +127,7 @@ impl Message for SubmapPoses {
 /// Who lacks a robot's submaps asks for all of them.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct SubmapAsk {
+pub struct SubmapRequest {
     /// When it was asked.
     pub header: Header,
 }

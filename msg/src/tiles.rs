@@ -2,11 +2,11 @@
 //! known takes memory, the map grows in any direction without being copied, and what changed is
 //! told by which tiles are no longer the same.
 
-mod dense;
+mod dense_map;
 mod patch;
 
-pub use dense::Dense;
-pub use patch::{Incoming, Outgoing, PATCH_TILES_MAX, Patch, PatchHeader};
+pub use dense_map::DenseMap;
+pub use patch::{PATCH_TILES_MAX, Patch, PatchHeader, PatchReceiver, PatchSender};
 
 use crate::grid::{CELLS_MAX, MAP_CELLS_MAX, UNKNOWN};
 use crate::rect::Rect;
@@ -65,7 +65,7 @@ impl MapTile {
         let Some(left) = columns.iter().position(|known| *known) else { return Rect::default() };
         let right = columns.iter().rposition(|known| *known).unwrap_or(left) + 1;
         let inside = Rect { x0: left as i64, y0: first, x1: right as i64, y1: end };
-        inside.moved(i64::from(self.x) * TILE, i64::from(self.y) * TILE)
+        inside.translated(i64::from(self.x) * TILE, i64::from(self.y) * TILE)
     }
 }
 
@@ -85,7 +85,7 @@ pub struct MapHeader {
 
 impl MapHeader {
     /// Numbers that can be worked with.
-    pub fn is_sound(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         self.origin.is_finite() && self.resolution_m.is_finite() && self.resolution_m > 0.0
     }
 
@@ -131,14 +131,14 @@ impl TileMap {
         let mut map = Self::new(header);
         let [dx, dy] = corner;
         let near = corner.iter().all(|c| c.abs() < TILE * TILE_PLACE_MAX);
-        let whole = Rect::of_size(grid.header.width, grid.header.height);
-        let whole = if near { whole.moved(dx, dy) } else { return None };
-        if !map.make_room(whole.tiles(), MAP_TILES_MAX) {
+        let whole = Rect::with_size(grid.header.width, grid.header.height);
+        let whole = if near { whole.translated(dx, dy) } else { return None };
+        if !map.grow_to(whole.tiles(), MAP_TILES_MAX) {
             return None;
         }
         for (x, y) in whole.tiles().points() {
             let mut tile = MapTile::unknown(x, y);
-            let part = Rect::of_tile(x, y).intersect(whole);
+            let part = Rect::cells_of_tile(x, y).intersect(whole);
             for row in part.y0..part.y1 {
                 let start = whole.index(part.x0, row);
                 let to = ((row - y * TILE) * TILE + part.x0 - x * TILE) as usize;
@@ -158,11 +158,11 @@ impl TileMap {
 
     /// Makes room for these tiles; `false`, and nothing changes, if the map would then span more than
     /// `tiles_max` of them or lie absurdly far away.
-    pub fn make_room(&mut self, tiles: Rect, tiles_max: usize) -> bool {
-        if self.extent.holds(tiles) {
+    pub fn grow_to(&mut self, tiles: Rect, tiles_max: usize) -> bool {
+        if self.extent.contains(tiles) {
             return true;
         }
-        let extent = self.extent.unite(tiles);
+        let extent = self.extent.union(tiles);
         let near = [extent.x0, extent.y0, extent.x1, extent.y1].iter().all(|v| v.abs() <= TILE_PLACE_MAX);
         if !near || extent.area().is_none_or(|area| area > tiles_max.min(MAP_TILES_MAX)) {
             return false;
@@ -232,7 +232,7 @@ impl TileMap {
             (None, None) => true,
             _ => false,
         };
-        let all = self.extent.unite(before.extent);
+        let all = self.extent.union(before.extent);
         all.points().filter(move |(x, y)| !same(self.get(*x, *y), before.get(*x, *y)))
     }
 }
@@ -282,11 +282,11 @@ mod tests {
     #[test]
     fn grows_in_any_direction_and_keeps_its_tiles() {
         let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..Default::default() });
-        assert!(map.make_room(Rect::of_one(0, 0), ROBOT_TILES_MAX));
+        assert!(map.grow_to(Rect::single(0, 0), ROBOT_TILES_MAX));
         map.get_mut(0, 0).unwrap().cells[0] = 5;
         let kept = map.clone();
         for (x, y) in [(-3, 0), (0, -2), (4, 4)] {
-            assert!(map.make_room(Rect::of_one(x, y), ROBOT_TILES_MAX));
+            assert!(map.grow_to(Rect::single(x, y), ROBOT_TILES_MAX));
         }
         assert_eq!(map.extent(), Rect { x0: -3, y0: -2, x1: 5, y1: 5 });
         assert_eq!((map.cell(0, 0), map.cell(-1, 0), map.cell(1_000_000, 0)), (5, UNKNOWN, UNKNOWN));
@@ -300,10 +300,10 @@ mod tests {
     #[test]
     fn has_its_bounds() {
         let mut map = TileMap::default();
-        assert!(map.make_room(Rect::of_one(0, 0), ROBOT_TILES_MAX));
-        assert!(map.make_room(Rect::of_one(63, 63), ROBOT_TILES_MAX));
-        assert!(!map.make_room(Rect::of_one(64, 0), ROBOT_TILES_MAX));
-        assert!(!map.make_room(Rect::of_one(i64::from(i32::MAX), 0), usize::MAX));
+        assert!(map.grow_to(Rect::single(0, 0), ROBOT_TILES_MAX));
+        assert!(map.grow_to(Rect::single(63, 63), ROBOT_TILES_MAX));
+        assert!(!map.grow_to(Rect::single(64, 0), ROBOT_TILES_MAX));
+        assert!(!map.grow_to(Rect::single(i64::from(i32::MAX), 0), usize::MAX));
         assert_eq!(map.extent(), Rect { x0: 0, y0: 0, x1: 64, y1: 64 });
         assert!(map.get_mut(64, 0).is_none());
     }

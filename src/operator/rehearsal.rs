@@ -6,7 +6,7 @@ use super::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView, Sight};
 use super::tour::{Tour, TourConfig};
 use msg::grid::{Occupancy, occupancy};
 use msg::pose::wrap_angle;
-use msg::{Command, Grid, GridHeader, Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms};
+use msg::{Grid, GridHeader, Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms, VelocityCommand};
 use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -197,8 +197,8 @@ impl World {
     }
 
     /// What a robot is told.
-    pub(super) fn obey(&mut self, robot: RobotId, command: &Command) {
-        let Command { linear_m_s, angular_rad_s, .. } = *command;
+    pub(super) fn obey(&mut self, robot: RobotId, command: &VelocityCommand) {
+        let VelocityCommand { linear_m_s, angular_rad_s, .. } = *command;
         self.bodies[robot.index()].twist = Twist { linear_m_s, angular_rad_s };
     }
 
@@ -218,18 +218,18 @@ impl World {
     /// What simulators, SLAM and merging would send at this step. Odometry is perfect, all frames are one.
     pub(super) fn tell(&self, bridge: &bridge::Bridge, step: u64, now: Stamp) {
         let header = msg::Header { stamp: now, ..Default::default() };
-        let mut anchors = msg::Anchors { header, ..Default::default() };
+        let mut map_transforms = msg::MapTransforms { header, ..Default::default() };
         bridge.clock(&msg::Clock { header });
         for (i, body) in self.bodies.iter().enumerate() {
             let robot = RobotId::new(i + 1).unwrap();
-            anchors.robots[i].known = 1;
+            map_transforms.robots[i].known = 1;
             bridge.transforms(robot, &transforms(header, body.pose));
             if step.is_multiple_of(2) {
                 bridge.scan(robot, &scan_message(header, &body.ranges_m));
                 bridge.correction(robot, &msg::Correction { header, ..Default::default() });
             }
         }
-        bridge.anchors(&anchors);
+        bridge.map_transforms(&map_transforms);
         if step.is_multiple_of(20) {
             bridge.merged_map(self.grid.view());
         }

@@ -12,7 +12,10 @@ use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, Writer};
 use crate::stop::Stop;
 use ::bridge::{Bridge, Outlet, serve};
-use msg::{Command, Dense, GridView, Message, Odometry, PatchHeader, RobotId, Role, SlamRequest, Transforms};
+use msg::{
+    DenseMap, GridView, Message, Odometry, PatchHeader, RobotId, Role, SlamRequest, Transforms,
+    VelocityCommand,
+};
 use std::cell::RefCell;
 use std::os::fd::AsFd;
 use std::rc::Rc;
@@ -91,8 +94,8 @@ async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>
 /// The hub, with a channel for each robot's commands.
 fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
     let writers = run.robots().map(|robot| node.writer(&channel::command(robot)));
-    let mut writers = writers.collect::<Result<Vec<Writer<Command>>, _>>()?;
-    let send = move |robot: RobotId, command: Command| {
+    let mut writers = writers.collect::<Result<Vec<Writer<VelocityCommand>>, _>>()?;
+    let send = move |robot: RobotId, command: VelocityCommand| {
         if let Some(writer) = writers.get_mut(robot.index()) {
             writer.send(&command);
         }
@@ -197,13 +200,13 @@ fn robot_motion<D: Outlet + 'static>(
     })
 }
 
-/// The anchors come with the merged map, which rings.
+/// The map transforms come with the merged map, which rings.
 fn merged_maps<D: Outlet + 'static>(node: &Node, bridge: &Rc<D>) -> Result<JoinHandle<()>, Error> {
     let maps = node.map_reader(&channel::merged_map())?;
-    let mut anchors = node.reader(&channel::anchors())?;
+    let mut map_transforms = node.reader(&channel::map_transforms())?;
     whole_maps(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
-        if let Some(anchors) = anchors.newest() {
-            bridge.anchors(&anchors);
+        if let Some(map_transforms) = map_transforms.newest() {
+            bridge.map_transforms(&map_transforms);
         }
         bridge.merged_map(map);
     })
@@ -220,7 +223,7 @@ fn whole_maps<D: Outlet + 'static>(
 ) -> Result<JoinHandle<()>, Error> {
     let bell = watched(node.bell(channel)?)?;
     let bridge = bridge.clone();
-    let mut grid = Dense::default();
+    let mut grid = DenseMap::default();
     Ok(spawn_local(async move {
         let (mut waits, mut due) = (false, Instant::now());
         loop {

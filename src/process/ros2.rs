@@ -69,7 +69,7 @@ fn serve(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error>
         for robot in run.robots() {
             tasks.push(answers(&node, &door, &asker, robot)?);
             if outside {
-                let pass = move |door: &Door, command: &msg::Command| door.command(robot, command);
+                let pass = move |door: &Door, command: &msg::VelocityCommand| door.command(robot, command);
                 tasks.push(forward(&node, &door, &channel::command(robot), pass)?);
             }
         }
@@ -89,9 +89,9 @@ fn answers(
     asker: &Rc<RefCell<Asker>>,
     robot: RobotId,
 ) -> Result<JoinHandle<()>, Error> {
-    let mut reader = node.reader(&channel::slam_answer(robot))?;
+    let mut reader = node.reader(&channel::slam_response(robot))?;
     let (door, asker) = (door.clone(), asker.clone());
-    on_ring(node.bell(&channel::slam_answer(robot))?, move || {
+    on_ring(node.bell(&channel::slam_response(robot))?, move || {
         while let Some(answer) = reader.receive() {
             let ours = answer.client == asker.borrow().client;
             if let Some(next) = door.answered(robot, &answer, ours) {

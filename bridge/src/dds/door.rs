@@ -9,7 +9,7 @@ use super::servers::Servers;
 use crate::config::{BridgeConfig, Permission};
 use crate::ros::{FrameNames, write};
 use futures::StreamExt;
-use msg::{Anchors, Command, Link, RobotId, SlamAnswer, SlamRequest, Stamp, Transforms};
+use msg::{Link, MapTransforms, RobotId, SlamRequest, SlamResponse, Stamp, Transforms, VelocityCommand};
 use ros2_client::dds::rustdds::dds::CreateResult;
 use ros2_client::dds::rustdds::no_key::{DeserializedCacheChange, SimpleDataReader};
 use ros2_client::dds::rustdds::policy::{Durability, History};
@@ -25,7 +25,7 @@ use std::time::Instant;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
 
-/// How often what could not be sent is tried again, and whether anchors are due is looked at.
+/// How often what could not be sent is tried again, and whether map transforms are due is looked at.
 const TICK: std::time::Duration = std::time::Duration::from_millis(100);
 /// Where each robot's map lies is told again this often, for whoever has just come.
 const ANCHORS_PERIOD: std::time::Duration = std::time::Duration::from_secs(1);
@@ -94,7 +94,7 @@ pub(super) struct Inner {
     pub names: FrameNames,
     pub percent: [i8; 256],
     pub now: Stamp,
-    pub anchors: Option<Anchors>,
+    pub map_transforms: Option<MapTransforms>,
     anchors_told: Option<Instant>,
     /// Each robot's links that do not move, once seen.
     pub fixed: Vec<Option<Transforms>>,
@@ -231,7 +231,7 @@ impl Door {
             names: FrameNames::new(config.frame_names),
             percent: msg::grid::percent_table(),
             now: Stamp(0),
-            anchors: None,
+            map_transforms: None,
             anchors_told: None,
             fixed: vec![None; robot_count],
         };
@@ -303,12 +303,12 @@ impl Door {
     }
 
     /// What a robot's SLAM has answered; `ours` if we have asked. What is to be asked next.
-    pub fn answered(&self, robot: RobotId, answer: &SlamAnswer, ours: bool) -> Option<SlamRequest> {
+    pub fn answered(&self, robot: RobotId, answer: &SlamResponse, ours: bool) -> Option<SlamRequest> {
         self.inner.borrow_mut().servers.answered(robot, answer, ours)
     }
 
     /// A velocity for a robot outside.
-    pub fn command(&self, robot: RobotId, command: &Command) {
+    pub fn command(&self, robot: RobotId, command: &VelocityCommand) {
         self.with(|door, now| {
             let Some(topic) = door.topics.command.get(robot.index()) else { return };
             let (frame, stamped) = (door.names.link(robot, Link::BaseFootprint), door.stamped_commands);
@@ -447,16 +447,20 @@ impl Inner {
             self.tell_graph();
         }
         if self.anchors_told.is_some_and(|told| now >= told + ANCHORS_PERIOD) {
-            self.tell_anchors(now);
+            self.send_map_transforms(now);
         }
     }
 
-    pub fn tell_anchors(&mut self, now: Instant) {
-        let Some(anchors) = self.anchors.filter(|anchors| anchors.robots.iter().any(|a| a.known == 1)) else {
+    pub fn send_map_transforms(&mut self, now: Instant) {
+        let Some(map_transforms) =
+            self.map_transforms.filter(|map_transforms| map_transforms.robots.iter().any(|a| a.known == 1))
+        else {
             return;
         };
-        let stamp = Stamp(self.now.0.max(anchors.header.stamp.0));
-        self.out.send(self.topics.transforms, now, |to| write::anchors(to, &self.names, stamp, &anchors));
+        let stamp = Stamp(self.now.0.max(map_transforms.header.stamp.0));
+        self.out.send(self.topics.transforms, now, |to| {
+            write::map_transforms(to, &self.names, stamp, &map_transforms)
+        });
         self.anchors_told = Some(now);
     }
 }

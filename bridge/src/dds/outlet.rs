@@ -3,7 +3,9 @@
 use super::door::Door;
 use crate::outlet::Outlet;
 use crate::ros::{names, write};
-use msg::{Anchors, Clock, Correction, FleetStats, GridView, Link, Odometry, RobotId, Scan, Transforms};
+use msg::{
+    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Odometry, RobotId, Scan, Transforms,
+};
 
 impl Outlet for Door {
     fn scan(&self, robot: RobotId, scan: &Scan) {
@@ -47,12 +49,12 @@ impl Outlet for Door {
         });
     }
 
-    fn anchors(&self, anchors: &Anchors) {
+    fn map_transforms(&self, map_transforms: &MapTransforms) {
         self.with(|door, now| {
-            let changed = door.anchors.is_none_or(|before| before.robots != anchors.robots);
-            door.anchors = Some(*anchors);
+            let changed = door.map_transforms.is_none_or(|before| before.robots != map_transforms.robots);
+            door.map_transforms = Some(*map_transforms);
             if changed {
-                door.tell_anchors(now);
+                door.send_map_transforms(now);
             }
         });
     }

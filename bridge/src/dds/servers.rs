@@ -6,7 +6,7 @@ use super::raw::{Adapter, Raw};
 use super::sender::stream_qos;
 use crate::cdr::{Reader as CdrReader, Writer};
 use crate::slam_services::{self, Asked, Service};
-use msg::{RobotId, SlamAnswer, SlamRequest};
+use msg::{RobotId, SlamRequest, SlamResponse};
 use ros2_client::MessageInfo;
 use ros2_client::dds::rustdds::no_key::{DataWriter, DeserializedCacheChange, SimpleDataReader};
 use ros2_client::dds::rustdds::{
@@ -95,7 +95,7 @@ impl Servers {
     }
 
     /// SLAM has answered; what is to be asked next.
-    pub fn answered(&mut self, robot: RobotId, answer: &SlamAnswer, ours: bool) -> Option<SlamRequest> {
+    pub fn answered(&mut self, robot: RobotId, answer: &SlamResponse, ours: bool) -> Option<SlamRequest> {
         if let Some(paused) = self.paused.get_mut(robot.index()) {
             *paused = answer.paused == 1;
         }
@@ -122,7 +122,7 @@ impl Servers {
         }
     }
 
-    fn reply(&self, server: usize, caller: SampleIdentity, answer: Result<&SlamAnswer, &str>) {
+    fn reply(&self, server: usize, caller: SampleIdentity, answer: Result<&SlamResponse, &str>) {
         let mut bytes = Vec::new();
         self.all[server].service.write(&mut Writer::new(&mut bytes), answer);
         let options =

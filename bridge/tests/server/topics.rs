@@ -10,7 +10,9 @@ use bridge::ros::{
     TransformStamped, Twist, decode_as, encode_as,
 };
 use bytemuck::Zeroable;
-use msg::{Anchor, Anchors, Correction, FleetStats, GridHeader, GridView, Pose2, Stamp, Transforms};
+use msg::{
+    Correction, FleetStats, GridHeader, GridView, MapTransform, MapTransforms, Pose2, Stamp, Transforms,
+};
 
 #[test]
 fn the_handshake_is_the_first_frame_byte_for_byte() {
@@ -119,9 +121,10 @@ fn whoever_comes_late_gets_the_newest_map_once() {
 #[test]
 fn whoever_comes_late_is_told_where_the_maps_lie() {
     with_bridge(Default::default(), async |served| {
-        let mut anchors = Anchors::default();
-        anchors.robots[0] = Anchor { map_from_robot_map: Pose2::new(2.0, 0.0, 0.0), known: 1, reserved: 0 };
-        served.bridge.anchors(&anchors);
+        let mut map_transforms = MapTransforms::default();
+        map_transforms.robots[0] =
+            MapTransform { map_from_robot_map: Pose2::new(2.0, 0.0, 0.0), known: 1, reserved: 0 };
+        served.bridge.map_transforms(&map_transforms);
         served.bridge.clock(&msg::Clock { header: header(77) });
         let mut client = Client::connect(served.address).await;
         client.subscribe("/tf", TfMessage::TYPE).await;

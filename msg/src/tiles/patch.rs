@@ -47,7 +47,7 @@ pub struct Patch {
 
 /// The writer's side: what the readers have, and what they are sent next.
 #[derive(Clone, Debug, Default)]
-pub struct Outgoing {
+pub struct PatchSender {
     sent: TileMap,
     /// The whole has been sent, or its sending has begun.
     begun: bool,
@@ -57,24 +57,24 @@ pub struct Outgoing {
     asked: bool,
 }
 
-impl Outgoing {
+impl PatchSender {
     /// The next version is the whole map. One that is under way is completed first.
-    pub fn ask(&mut self) {
+    pub fn request_snapshot(&mut self) {
         self.asked = true;
     }
 
     /// A message was lost before it was sent: all over again.
-    pub fn fail(&mut self) {
+    pub fn restart(&mut self) {
         (self.begun, self.busy) = (false, false);
     }
 
     /// More messages are needed at once.
-    pub fn is_behind(&self, map: &TileMap) -> bool {
+    pub fn has_pending(&self, map: &TileMap) -> bool {
         self.busy || self.asked || (!self.begun && map.tiles().next().is_some())
     }
 
     /// The next message that brings readers closer to `map`; `None` when they have it.
-    pub fn next(&mut self, map: &TileMap) -> Option<Patch> {
+    pub fn next_patch(&mut self, map: &TileMap) -> Option<Patch> {
         let asked = self.asked && !self.busy;
         if asked || !self.begun || !self.sent.header.same_lattice(&map.header) {
             if map.tiles().next().is_none() && !asked && !self.begun {
@@ -94,7 +94,7 @@ impl Outgoing {
         let header = PatchHeader { map: map.header, begins: (!self.begun).into(), ends: ends.into() };
         (self.begun, self.busy) = (true, !ends);
         self.sent.header = map.header;
-        self.sent.make_room(map.extent(), MAP_TILES_MAX);
+        self.sent.grow_to(map.extent(), MAP_TILES_MAX);
         let tiles = places.into_iter().map(|(x, y)| {
             let tile = map.get(x, y).cloned();
             self.sent.set(x, y, tile.clone());
@@ -106,7 +106,7 @@ impl Outgoing {
 
 /// The reader's side: the newest complete version, and the next one as far as it has come.
 #[derive(Clone, Debug, Default)]
-pub struct Incoming {
+pub struct PatchReceiver {
     shown: TileMap,
     next: TileMap,
     /// Messages have come without a gap since the whole began; the number that must come next.
@@ -114,23 +114,24 @@ pub struct Incoming {
     heard: bool,
 }
 
-impl Incoming {
+impl PatchReceiver {
     /// The newest complete version; without tiles before the first.
     pub fn map(&self) -> &TileMap {
         &self.shown
     }
 
     /// Messages come, but the whole is needed before they are of use.
-    pub fn is_lost(&self) -> bool {
+    pub fn needs_snapshot(&self) -> bool {
         self.heard && self.follows.is_none()
     }
 
     /// Takes the next message. True if it completes a version.
-    pub fn take(&mut self, header: &PatchHeader, tiles: &[MapTile]) -> bool {
+    pub fn receive(&mut self, header: &PatchHeader, tiles: &[MapTile]) -> bool {
         self.heard = true;
-        let Header { run, seq, .. } = header.map.header;
-        let sound = header.map.is_sound() && tiles.len() <= PATCH_TILES_MAX;
-        let continues = self.follows == Some((run, seq)) && header.map.same_lattice(&self.next.header);
+        let Header { incarnation, seq, .. } = header.map.header;
+        let sound = header.map.is_valid() && tiles.len() <= PATCH_TILES_MAX;
+        let continues =
+            self.follows == Some((incarnation, seq)) && header.map.same_lattice(&self.next.header);
         if !sound || !(continues || header.begins == 1) {
             self.follows = None;
             return false;
@@ -139,7 +140,7 @@ impl Incoming {
             self.next = TileMap::new(header.map);
         }
         self.next.header = header.map;
-        self.follows = Some((run, seq.saturating_add(1)));
+        self.follows = Some((incarnation, seq.saturating_add(1)));
         if !tiles.iter().all(|tile| self.put(tile)) {
             self.follows = None;
             return false;
@@ -160,7 +161,7 @@ impl Incoming {
         }
         let shown = self.shown.get(x, y).filter(|_| self.shown.header.same_lattice(&self.next.header));
         let kept = [self.next.get(x, y), shown].into_iter().flatten().find(|old| ***old == *tile).cloned();
-        let room = self.next.make_room(Rect::of_one(x, y), MAP_TILES_MAX);
+        let room = self.next.grow_to(Rect::single(x, y), MAP_TILES_MAX);
         self.next.set(x, y, Some(kept.unwrap_or_else(|| Arc::new(*tile))));
         room
     }

@@ -4,13 +4,13 @@ use crate::Rect;
 
 /// A disk that was moved along a straight line, in cells: cell (0, 0) reaches from (0, 0) to (1, 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Swept {
+pub struct SweptDisk {
     from: [f64; 2],
     along: [f64; 2],
     radius: f64,
 }
 
-impl Swept {
+impl SweptDisk {
     /// From one place to the other. `None` if that is nothing that can be drawn.
     pub fn new(from: [f64; 2], to: [f64; 2], radius: f64) -> Option<Self> {
         let along = [to[0] - from[0], to[1] - from[1]];
@@ -55,7 +55,7 @@ mod tests {
 
         #[test]
         fn covers_what_the_disk_passes_and_nothing_else(a in place(), b in place(), radius in 0.1..6.0) {
-            let swept = Swept::new(a, b, radius).unwrap();
+            let swept = SweptDisk::new(a, b, radius).unwrap();
             let all = Rect { x0: -20, y0: -20, x1: 20, y1: 20 };
             let steps = || (0..=400).map(|k| f64::from(k) / 400.0);
             for (x, y) in all.points() {
@@ -63,7 +63,7 @@ mod tests {
                     let at = [0, 1].map(|k| a[k] + t * (b[k] - a[k]));
                     (x as f64 + 0.5 - at[0]).hypot(y as f64 + 0.5 - at[1])
                 };
-                let inside = swept.cells().intersect(Rect::of_one(x, y)) == Rect::of_one(x, y);
+                let inside = swept.cells().intersect(Rect::single(x, y)) == Rect::single(x, y);
                 // Cheap where it is clear.
                 let middle = off(0.5) - (a[0] - b[0]).hypot(a[1] - b[1]) / 2.0;
                 if middle > radius + 0.1 {
@@ -83,9 +83,9 @@ mod tests {
 
     #[test]
     fn what_cannot_be_drawn_is_none() {
-        assert!(Swept::new([0.0; 2], [1.0; 2], 0.0).is_none());
-        assert!(Swept::new([f64::NAN, 0.0], [1.0; 2], 1.0).is_none());
-        assert!(Swept::new([0.0; 2], [f64::INFINITY, 0.0], 1.0).is_none());
-        assert!(Swept::new([0.0; 2], [1.0; 2], f64::NAN).is_none());
+        assert!(SweptDisk::new([0.0; 2], [1.0; 2], 0.0).is_none());
+        assert!(SweptDisk::new([f64::NAN, 0.0], [1.0; 2], 1.0).is_none());
+        assert!(SweptDisk::new([0.0; 2], [f64::INFINITY, 0.0], 1.0).is_none());
+        assert!(SweptDisk::new([0.0; 2], [1.0; 2], f64::NAN).is_none());
     }
 }

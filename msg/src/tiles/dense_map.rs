@@ -7,7 +7,7 @@ use crate::{Grid, GridView};
 
 /// See the module.
 #[derive(Clone, Debug, Default)]
-pub struct Dense {
+pub struct DenseMap {
     /// The version that `grid` shows.
     map: TileMap,
     /// The known cells of each tile of `map`, by its place in the extent.
@@ -17,11 +17,11 @@ pub struct Dense {
     grid: Grid,
 }
 
-impl Dense {
+impl DenseMap {
     /// Brings the grid up to date, touching only tiles that changed unless the known part's size did.
     pub fn update(&mut self, map: &TileMap) -> GridView<'_> {
         let known = self.known_of(map);
-        let window = known.iter().fold(Rect::default(), |all, part| all.unite(*part));
+        let window = known.iter().fold(Rect::default(), |all, part| all.union(*part));
         if window == self.window {
             let changed: Vec<(i64, i64)> = map.changed_since(&self.map).collect();
             changed.into_iter().for_each(|(x, y)| self.copy(map, x, y));
@@ -59,7 +59,7 @@ impl Dense {
 
     /// Copies what of a tile lies in the window.
     fn copy(&mut self, map: &TileMap, x: i64, y: i64) {
-        let part = Rect::of_tile(x, y).intersect(self.window);
+        let part = Rect::cells_of_tile(x, y).intersect(self.window);
         if part.is_empty() {
             return;
         }
@@ -91,10 +91,10 @@ mod tests {
             (-150_i64..150, -150_i64..150, prop_oneof![Just(UNKNOWN), -127_i8..=127], any::<bool>()), 1..40,
         )) {
             let mut map = TileMap::new(MapHeader { resolution_m: 0.1, ..Default::default() });
-            let mut dense = Dense::default();
+            let mut dense = DenseMap::default();
             for (x, y, cell, look) in edits {
                 let (tx, ty) = (x.div_euclid(TILE), y.div_euclid(TILE));
-                prop_assert!(map.make_room(Rect::of_one(tx, ty), 64));
+                prop_assert!(map.grow_to(Rect::single(tx, ty), 64));
                 let place = (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize;
                 map.get_mut(tx, ty).unwrap().cells[place] = cell;
                 if look {
@@ -103,10 +103,10 @@ mod tests {
             }
             let updated = dense.update(&map).to_owned();
             let window = dense.window();
-            prop_assert_eq!(&updated, &Dense::default().update(&map).to_owned());
+            prop_assert_eq!(&updated, &DenseMap::default().update(&map).to_owned());
             let everything = Rect { x0: -192, y0: -192, x1: 192, y1: 192 };
             let known = everything.points().filter(|(x, y)| map.cell(*x, *y) != UNKNOWN);
-            let smallest = known.fold(Rect::default(), |all, (x, y)| all.unite(Rect::of_one(x, y)));
+            let smallest = known.fold(Rect::default(), |all, (x, y)| all.union(Rect::single(x, y)));
             prop_assert_eq!(window, smallest);
             for ((x, y), cell) in window.points().zip(&updated.cells) {
                 prop_assert_eq!(map.cell(x, y), *cell);
