@@ -1,4 +1,4 @@
-//! The shell around the rooms: launcher, channels, one main loop per process, operator, replay, lockstep.
+//! The shell around the rooms: launcher, channels, one main loop per process, replay, lockstep.
 
 // A fleet and its parts, outermost first.
 pub mod config;
@@ -32,7 +32,6 @@ pub mod view;
 // Robots and data from elsewhere.
 pub mod carmen;
 pub mod merge_maps;
-pub mod operator;
 pub mod replay;
 pub mod session_file;
 pub mod sessions;

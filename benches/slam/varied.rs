@@ -3,8 +3,8 @@
 
 use core::f64::consts::TAU;
 use mr_slam::carmen::LaserLine;
-use mr_slam::operator::rng::Rng;
 use msg::{Pose2, pose::wrap_angle};
+use nav::rng::Rng;
 use serde::{Deserialize, Serialize};
 
 /// Where the noise begins: the same for every run.
