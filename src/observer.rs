@@ -2,10 +2,10 @@
 
 use crate::channel;
 use crate::clock::now;
-use crate::map_file;
 use crate::merge_edges::EdgeView;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
+use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MergeEdges, Monotonic, Pose2, RobotId, Role,
 };
