@@ -10,8 +10,6 @@ pub use command::{LockstepArgs, run};
 use crate::channel::{self, Channel};
 use crate::config::FleetConfig;
 use crate::fleet::{self, FleetError};
-use crate::operator::sight::{MapView, RobotSight, ScanView, Sight};
-use crate::operator::tour::{Hand, Tour, TourConfig};
 use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
 use crate::sessions::{self, SessionsError};
 use bytemuck::Zeroable;
@@ -22,6 +20,8 @@ use msg::{
     Message, Monotonic, PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap,
     TrackingState, VelocityCommand,
 };
+use nav::sight::{MapView, RobotSight, ScanView, Sight};
+use nav::tour::{Hand, Tour, TourConfig};
 use sim::{Simulator, Tick};
 use slam::{Identity, Session, Slam, Start, Submaps};
 use std::collections::BTreeMap;

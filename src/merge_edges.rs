@@ -1,10 +1,10 @@
 //! Merge edges as people and programs read them, and `mr-slam edges`, with which people pin and undo them.
 
-use crate::channel;
+use crate::channel::{self, Opener, Program};
 use crate::control::RunArgs;
 use crate::process::Error;
 use crate::run::Run;
-use crate::shared_memory::Node;
+use crate::shared_memory::Participant;
 use msg::{EdgeAction, EdgeCommand, EdgeState, MergeEdge, MergeEdges, Monotonic, RobotId};
 use serde::Serialize;
 use std::fmt::{self, Write};
@@ -74,7 +74,7 @@ pub fn run(args: &EdgesArgs) -> Result<(), Error> {
 
 /// The newest edges, after a command if there is one.
 fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Error> {
-    let node = Node::open(&run.domain, "edges")?;
+    let node = Participant::open(&run.domain, Opener::of_fleet(Program::AskMerge), "edges")?;
     let mut reader = node.reader(&channel::merge_edges())?;
     let begun = Instant::now();
     let mut next = |wanted: &dyn Fn(&MergeEdges) -> bool| -> Result<Box<MergeEdges>, Error> {
@@ -84,7 +84,7 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Error
             {
                 return Ok(Box::new(*edges));
             }
-            crate::shared_memory::wait(&[], Monotonic(crate::clock::now().0 + LOOK_NS));
+            crate::shared_memory::wait([], Monotonic(crate::clock::now().0 + LOOK_NS));
         }
         Err("merging does not answer; is it up (mr-slam status)?".into())
     };

@@ -4,11 +4,13 @@
 use crate::channel;
 use crate::clock::now;
 use crate::merge_memory::MergeMemory;
+use crate::ports::ChannelError;
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, Node, Reader, Writer, wait};
+use crate::shared_memory::{Participant, Reader, Writer, wait};
 use ::merge::Fleet;
 use msg::{
-    EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Submap, SubmapPoses, SubmapRequest,
+    EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,
+    SubmapRequest,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -62,7 +64,7 @@ pub fn run(
     // On Linux that is the calling thread's alone. Whether it is granted makes no difference to what comes out.
     let _ = rustix::process::nice(NICE);
     // A presence of its own: shared memory's ports stay on the thread that made them.
-    let node = Node::open(&run.domain, "merge/graph")?;
+    let node = run.attach_thread(Role::Merge, None, "graph")?;
     let mut sources = run.robots().map(|robot| Source::open(&node, robot)).collect::<Result<Vec<_>, _>>()?;
     let mut commands = node.reader(&channel::edge_command())?;
     let mut out = Out {
@@ -71,12 +73,11 @@ pub fn run(
         answered: false,
         places: None,
     };
-    let mut bells = vec![node.bell(&channel::edge_command())?];
+    let mut bells = vec![node.listener(&channel::edge_command())?];
     for robot in run.robots() {
-        bells.push(node.bell(&channel::submap_poses(robot))?);
-        bells.push(node.bell(&channel::submap(robot))?);
+        bells.push(node.listener(&channel::submap_poses(robot))?);
+        bells.push(node.listener(&channel::submap(robot))?);
     }
-    let bells: Vec<&Bell> = bells.iter().collect();
     let mut worked = false;
     while !done.load(Ordering::Relaxed) {
         wait(&bells, if worked { now() } else { Monotonic(now().0 + LOOK_NS) });
@@ -97,7 +98,7 @@ pub fn run(
 }
 
 impl Source {
-    fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
+    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
             robot,
             submaps: node.reader(&channel::submap(robot))?,

@@ -8,8 +8,9 @@ use crate::channel;
 use crate::clock::now;
 use crate::fleet;
 use crate::merge_memory::MergeMemory;
+use crate::ports::{ChannelError, Gaps, MAP_PAUSE, ReadMapPort, WriteMapPort};
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, Gaps, MapReader, MapWriter, Reader, wait};
+use crate::shared_memory::{MapReader, Reader, wait};
 use crate::stop::Stop;
 use ::merge::{Fleet, Merger};
 use msg::{Correction, Monotonic, Pose2, RobotId, Role, TrackingState};
@@ -45,26 +46,27 @@ fn draw(
         .map(|robot| Ok((robot, node.map_reader(&channel::map(robot))?)))
         .collect::<Result<Vec<(RobotId, MapReader)>, ChannelError>>()?;
     let mut bells =
-        run.robots().map(|robot| node.bell(&channel::map(robot))).collect::<Result<Vec<_>, _>>()?;
-    bells.push(node.bell(&channel::merge_edges())?);
+        run.robots().map(|robot| node.listener(&channel::map(robot))).collect::<Result<Vec<_>, _>>()?;
+    bells.push(node.listener(&channel::merge_edges())?);
     let mut places = run
         .robots()
         .map(|robot| Ok((robot, node.reader(&channel::correction(robot))?)))
         .collect::<Result<Vec<(RobotId, Reader<Correction>)>, ChannelError>>()?;
     let mut merged = node.map_writer(&channel::merged_map())?;
-    let asks = merged.asks();
-    let bells: Vec<&Bell> = bells.iter().chain([&*asks]).collect();
     let mut map_transforms = node.writer(&channel::map_transforms())?;
     let mut merger = Merger::new(&run.config.merge, starts);
     map_transforms.send(&merger.map_transforms());
     let mut refused = 0;
     let mut sending = false;
     while !over() {
-        let soon = Monotonic(now().0 + MapWriter::PAUSE.as_nanos() as u64);
-        wait(&bells, if sending { soon.min(pulse.due()) } else { pulse.due() });
+        let soon = Monotonic(now().0 + MAP_PAUSE.as_nanos() as u64);
+        wait(
+            bells.iter().chain([merged.requests()]),
+            if sending { soon.min(pulse.due()) } else { pulse.due() },
+        );
         let mut changed = false;
         for (robot, reader) in &mut maps {
-            if reader.look() {
+            if reader.poll() {
                 let taken = pulse.work(|| merger.update_tiles(*robot, reader.map())).is_ok();
                 refused += u64::from(!taken);
                 changed |= taken;
@@ -78,7 +80,7 @@ fn draw(
             changed = true;
         }
         if changed {
-            // The map transforms do not ring; the merged map does, and finds them there.
+            // The map_transforms do not ring; the merged map does, and finds them there.
             map_transforms.send(&merger.map_transforms());
             pulse.work(|| merger.compose());
         }

@@ -1,12 +1,12 @@
 //! A small flat world in which the tour is rehearsed: walls and furniture as line segments, robots as discs, a
 //! perfect mapper. No physics, no SLAM, no IPC: what is tested is the operator alone.
 
-use super::joystick::{Joystick, Twist};
-use super::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView, Sight};
-use super::tour::{Tour, TourConfig};
 use msg::grid::{Occupancy, occupancy};
 use msg::pose::wrap_angle;
 use msg::{Grid, GridHeader, Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms, VelocityCommand};
+use nav::joystick::{Joystick, Twist};
+use nav::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView, Sight};
+use nav::tour::{Tour, TourConfig};
 use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -380,7 +380,7 @@ fn one_step(
     tour: &mut Tour,
     script: &Script,
     now_s: f64,
-    hands: &mut Vec<super::tour::Hand>,
+    hands: &mut Vec<nav::tour::Hand>,
 ) {
     let stamp = Stamp::from_seconds(now_s);
     let map = world.post.front().and_then(|grid| MapView::log_odds(grid.view()));
