@@ -26,7 +26,7 @@ const CLOSURE_KERNEL: Kernel = Kernel::Cauchy { sigmas: 2.0 };
 const SOLVER: SolverOptions =
     SolverOptions { iterations_max: 20, step_min: 1e-5, graduated: true, prior: 1e-6 };
 
-/// One piece of work. See [`super::Fleet::next_task`].
+/// One piece of work. See [`super::FleetPoseGraph::next_task`].
 #[derive(Debug)]
 pub struct Task {
     /// Which incarnations of the robots it is about: a result about others is thrown away.
@@ -34,7 +34,7 @@ pub struct Task {
     pub(crate) job: Job,
 }
 
-/// What a [`Task`] came to. See [`super::Fleet::take`].
+/// What a [`Task`] came to. See [`super::FleetPoseGraph::apply_outcome`].
 #[derive(Debug)]
 pub struct Outcome {
     pub(crate) runs: Vec<Option<SubmapRun>>,

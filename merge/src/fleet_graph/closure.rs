@@ -28,7 +28,7 @@ const CONFLICT_MAX: f64 = 0.11;
 const MARGIN_MIN: f64 = 1.3;
 const LEAST_EVIDENCE: f64 = 50.0;
 /// Least share of the walls' pull in any direction.
-const FIRMNESS_MIN: f64 = 0.04;
+const OBSERVABILITY_MIN: f64 = 0.04;
 /// A wall point's distance from its line, metres, one standard deviation.
 const POINT_SIGMA_M: f64 = 0.03;
 /// Neighbouring cells come from the same scans and err alike: so many are one measurement.
@@ -116,7 +116,7 @@ fn search(fields: [&Field; 2], centre: Pose2, window: Window) -> Option<Fit> {
     let rival = others.map(Fit::evidence).fold(LEAST_EVIDENCE, f64::max);
     let believed = best.found >= FOUND_MIN
         && best.conflict() <= CONFLICT_MAX
-        && best.firmness >= FIRMNESS_MIN
+        && best.observability >= OBSERVABILITY_MIN
         && best.evidence() >= MARGIN_MIN * rival;
     believed.then_some(best)
 }

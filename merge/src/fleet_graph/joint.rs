@@ -1,7 +1,7 @@
 //! The fleet's joint graph: what is put together, and what comes of its solution.
 
 use super::task::{Job, Problem, ProblemPair, Solution, Task};
-use super::{Fleet, robots_of};
+use super::{FleetPoseGraph, robots_of};
 use msg::{EdgeState, Pose2};
 use posegraph::{Edge, Kernel, information_from_sigmas};
 
@@ -13,7 +13,7 @@ const FRAME: [f64; 2] = [1e-3, 1e-4];
 /// Map transforms and drawn maps follow the graph in steps of half a cell of 0.05 m.
 const TOLERANCE_M: f64 = 0.025;
 
-impl Fleet {
+impl FleetPoseGraph {
     /// Robots that nothing in force ties to the fleet's frame are taken out; those newly tied get a place.
     pub(super) fn connect(&mut self) {
         let mut reached: Vec<bool> = self.members.iter().map(|member| member.start.is_some()).collect();

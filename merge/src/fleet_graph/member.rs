@@ -107,8 +107,8 @@ impl Member {
     }
 
     /// Whether a submap is missing that the poses speak of.
-    pub fn lacks(&self) -> bool {
-        self.pieces.iter().flatten().count() < self.poses.len()
+    pub fn missing_submaps(&self) -> usize {
+        self.poses.len().saturating_sub(self.pieces.iter().flatten().count())
     }
 
     /// All nodes in submaps.
