@@ -3,7 +3,7 @@
 
 use crate::run::Run;
 use crate::storage::Storage;
-use merge::{Fleet, Memory, MemoryRefused};
+use merge::{FleetPoseGraph, FleetSnapshot, SnapshotRejected};
 use msg::Monotonic;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// The file's name in the run's folder.
 const FILE: &str = "merge.json";
 /// The format this program reads and writes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// The longest file that is read, bytes: sixteen robots whose every edge was undone eight times take a fifth of it.
 const BYTES_MAX: u64 = 1 << 20;
 /// A file that cannot be written is tried again after this, nanoseconds.
@@ -24,7 +24,7 @@ struct Kept {
     version: u32,
     /// When the run began.
     run: u64,
-    fleet: Memory,
+    fleet: FleetSnapshot,
 }
 
 /// Why a file is of no use.
@@ -41,7 +41,7 @@ enum Unusable {
     Run,
     /// What it says cannot be gone on with.
     #[error(transparent)]
-    Fleet(#[from] MemoryRefused),
+    Fleet(#[from] SnapshotRejected),
 }
 
 /// What is saved, and when it is saved next.
@@ -49,7 +49,7 @@ pub struct MergeMemory<S> {
     storage: S,
     path: PathBuf,
     run: u64,
-    kept: Option<Memory>,
+    kept: Option<FleetSnapshot>,
     /// After a failure: not before.
     due: Monotonic,
     /// What was said last: it is not said again.
@@ -59,7 +59,7 @@ pub struct MergeMemory<S> {
 impl<S: Storage> MergeMemory<S> {
     /// Lets the fleet go on with what an earlier process of this run saved. What cannot be used is reported and
     /// ignored.
-    pub fn restore(run: &Run, storage: S, fleet: &mut Fleet) -> Self {
+    pub fn restore(run: &Run, storage: S, fleet: &mut FleetPoseGraph) -> Self {
         let path = run.dir.join(FILE);
         let kept = restore(&storage, &path, run.begun.0, fleet).unwrap_or_else(|why| {
             eprintln!("merge: {} {why}; goes on without it", path.display());
@@ -69,8 +69,8 @@ impl<S: Storage> MergeMemory<S> {
     }
 
     /// Writes what is to be remembered, if it has changed.
-    pub fn save(&mut self, fleet: &Fleet, now: Monotonic) {
-        let memory = fleet.memory();
+    pub fn save(&mut self, fleet: &FleetPoseGraph, now: Monotonic) {
+        let memory = fleet.snapshot();
         if self.kept.as_ref() == Some(&memory) || now < self.due {
             return;
         }
@@ -87,7 +87,7 @@ impl<S: Storage> MergeMemory<S> {
     }
 }
 
-fn write(storage: &impl Storage, path: &Path, run: u64, fleet: &Memory) -> Result<(), String> {
+fn write(storage: &impl Storage, path: &Path, run: u64, fleet: &FleetSnapshot) -> Result<(), String> {
     let kept = Kept { version: VERSION, run, fleet: fleet.clone() };
     let text = serde_json::to_vec(&kept).map_err(|why| why.to_string())?;
     storage.write(path, &text).map_err(|why| why.to_string())
@@ -98,8 +98,8 @@ fn restore(
     storage: &impl Storage,
     path: &Path,
     run: u64,
-    fleet: &mut Fleet,
-) -> Result<Option<Memory>, Unusable> {
+    fleet: &mut FleetPoseGraph,
+) -> Result<Option<FleetSnapshot>, Unusable> {
     let content = |why: &dyn ToString| Unusable::Content(why.to_string());
     let bytes = match storage.read(path, BYTES_MAX) {
         Err(why) if why.kind() == std::io::ErrorKind::NotFound => return Ok(None),
@@ -116,7 +116,7 @@ fn restore(
     if kept.run != run {
         return Err(Unusable::Run);
     }
-    fleet.recall(&kept.fleet)?;
+    fleet.restore(&kept.fleet)?;
     Ok(Some(kept.fleet))
 }
 
@@ -128,15 +128,15 @@ mod tests {
     use msg::{EdgeAction, Pose2, RobotId};
 
     /// Two robots whose starts are known, and whose edge is pinned.
-    fn pinned() -> Fleet {
+    fn pinned() -> FleetPoseGraph {
         let mut fleet = fresh(2);
-        assert!(fleet.command(1, EdgeAction::Pin));
+        assert!(fleet.apply_command(1, EdgeAction::Pin));
         fleet
     }
 
-    fn fresh(robots: usize) -> Fleet {
+    fn fresh(robots: usize) -> FleetPoseGraph {
         let starts: Vec<_> = (0..robots).map(|k| Some(Pose2::new(0.1 * k as f64, -1.0 / 3.0, 0.7))).collect();
-        Fleet::new(&AlignConfig::default(), &starts)
+        FleetPoseGraph::new(&AlignConfig::default(), &starts)
     }
 
     #[test]
@@ -155,9 +155,12 @@ mod tests {
         };
         memory.save(&fleet, Monotonic(1));
         let mut again = fresh(2);
-        assert_eq!(restore(&DiskStorage, &path, 7, &mut again).unwrap(), Some(fleet.memory()));
-        assert_eq!(again.memory(), fleet.memory());
-        assert_eq!(again.anchor(RobotId::new(2).unwrap()), fleet.anchor(RobotId::new(2).unwrap()));
+        assert_eq!(restore(&DiskStorage, &path, 7, &mut again).unwrap(), Some(fleet.snapshot()));
+        assert_eq!(again.snapshot(), fleet.snapshot());
+        assert_eq!(
+            again.map_from_robot_map(RobotId::new(2).unwrap()),
+            fleet.map_from_robot_map(RobotId::new(2).unwrap())
+        );
         std::fs::remove_file(&path).unwrap();
         memory.save(&fleet, Monotonic(2));
         assert!(!path.exists());
@@ -167,18 +170,18 @@ mod tests {
     fn what_cannot_be_used_is_refused_with_the_reason_and_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(FILE);
-        write(&DiskStorage, &path, 7, &pinned().memory()).unwrap();
+        write(&DiskStorage, &path, 7, &pinned().snapshot()).unwrap();
         let whole = std::fs::read_to_string(&path).unwrap();
         let refused = |run, robots, text: &str| {
             std::fs::write(&path, text).unwrap();
-            let (mut fleet, untouched) = (fresh(robots), fresh(robots).memory());
+            let (mut fleet, untouched) = (fresh(robots), fresh(robots).snapshot());
             let why = restore(&DiskStorage, &path, run, &mut fleet).unwrap_err().to_string();
-            assert_eq!(fleet.memory(), untouched, "{text}");
+            assert_eq!(fleet.snapshot(), untouched, "{text}");
             why
         };
         assert!(refused(8, 2, &whole).contains("another run"));
         assert!(refused(7, 3, &whole).contains("fleet of 2 robots"));
-        assert!(refused(7, 2, &whole.replace("\"version\":1", "\"version\":2")).contains("version 2"));
+        assert!(refused(7, 2, &whole.replace("\"version\":2", "\"version\":3")).contains("version 3"));
         assert!(refused(7, 2, &whole.replace("-0.3333333333333333", "-1e300")).contains("makes no sense"));
         assert!(refused(7, 2, &whole.replace("\"edge\":1", "\"edge\":2")).contains("edge's number"));
         assert!(refused(7, 2, &whole.replace("\"state\":3", "\"state\":9")).contains("edge's state"));

@@ -8,7 +8,7 @@ use crate::merge_memory::MergeMemory;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use crate::storage::{DiskStorage, Storage};
-use ::merge::Fleet;
+use ::merge::FleetPoseGraph;
 use msg::{
     EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,
     SubmapRequest,
@@ -45,7 +45,7 @@ impl FleetEstimateSlot {
 /// Runs the thread until `done`.
 pub fn run(
     run: &Run,
-    graph: Fleet,
+    graph: FleetPoseGraph,
     memory: MergeMemory<DiskStorage>,
     slot: Arc<FleetEstimateSlot>,
     done: &AtomicBool,
@@ -60,7 +60,7 @@ pub fn run(
 
 /// The fleet's pose graph with its channels. A step takes in what has come and does one piece of work.
 pub struct GraphWorker<P: Ports, S> {
-    graph: Fleet,
+    graph: FleetPoseGraph,
     memory: MergeMemory<S>,
     sources: Vec<Source<P>>,
     commands: P::Reader<EdgeCommand>,
@@ -74,7 +74,7 @@ impl<P: Ports, S: Storage> GraphWorker<P, S> {
     pub fn open(
         ports: &P,
         run: &Run,
-        graph: Fleet,
+        graph: FleetPoseGraph,
         memory: MergeMemory<S>,
         slot: Arc<FleetEstimateSlot>,
     ) -> Result<Self, ChannelError> {
@@ -113,7 +113,7 @@ impl<P: Ports, S: Storage> Component for GraphWorker<P, S> {
         let task = self.graph.next_task();
         let worked = task.is_some();
         if let Some(task) = task {
-            self.graph.take(task.run());
+            self.graph.apply_outcome(task.run());
         }
         // Before it is published: whoever has heard that an edge is pinned may rely on it.
         self.memory.save(&self.graph, now);
@@ -152,16 +152,16 @@ impl<P: Ports> Source<P> {
         })
     }
 
-    fn receive(&mut self, graph: &mut Fleet, now: Monotonic) {
+    fn receive(&mut self, graph: &mut FleetPoseGraph, now: Monotonic) {
         // What makes no sense is not taken: the robot stays where it was.
         if let Some(poses) = self.poses.newest() {
-            let _ = graph.poses(self.robot, &poses);
+            let _ = graph.update_poses(self.robot, &poses);
         }
         while let Some(submap) = self.submaps.receive() {
-            let _ = graph.submap(self.robot, &submap);
+            let _ = graph.add_submap(self.robot, &submap);
         }
         let lost = self.submaps.gaps().lost;
-        if !graph.lacks(self.robot) && lost == self.lost {
+        if graph.missing_submaps(self.robot) == 0 && lost == self.lost {
             self.missing_since = None;
             return;
         }
@@ -186,21 +186,21 @@ struct Output<P: Ports> {
 }
 
 impl<P: Ports> Output<P> {
-    fn apply_command(&mut self, graph: &mut Fleet, command: &EdgeCommand) {
+    fn apply_command(&mut self, graph: &mut FleetPoseGraph, command: &EdgeCommand) {
         let action = EdgeAction::from_code(command.action);
-        let done = action.is_some_and(|action| graph.command(command.edge, action));
+        let done = action.is_some_and(|action| graph.apply_command(command.edge, action));
         self.edges.commands += 1;
         self.edges.refused += u32::from(!done);
         self.answered = true;
     }
 
     /// Publishes what is new.
-    fn publish(&mut self, graph: &Fleet, robots: usize, now: Monotonic) {
-        let of_robot = |robot| (graph.anchor(robot), graph.straightened(robot).cloned());
+    fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, now: Monotonic) {
+        let of_robot = |robot| (graph.map_from_robot_map(robot), graph.redrawn_map(robot).cloned());
         let estimate: FleetEstimate = RobotId::first(robots).map(of_robot).collect();
         let moved = self.estimate.as_ref().is_none_or(|before| !same(before, &estimate));
         let mut edges = self.edges.clone();
-        graph.edges(&mut edges);
+        graph.write_edges(&mut edges);
         if moved {
             self.slot.put(estimate.clone());
             self.estimate = Some(estimate);

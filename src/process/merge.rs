@@ -13,7 +13,7 @@ use crate::ports::{
 use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
-use ::merge::{Fleet, Merger};
+use ::merge::{FleetPoseGraph, Merger};
 use msg::{Correction, MapTransforms, Monotonic, Pose2, RobotId, Role, TrackingState};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,9 +35,9 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 
 /// The fleet's pose graph with what an earlier process of this run knew: robots lie where they lay from the first
 /// map on.
-pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(Fleet, MergeMemory<S>), Error> {
+pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(FleetPoseGraph, MergeMemory<S>), Error> {
     let starts = fleet::known_starts(&run.config)?;
-    let mut graph = Fleet::new(&run.config.merge.align, &starts);
+    let mut graph = FleetPoseGraph::new(&run.config.merge.align, &starts);
     let memory = MergeMemory::restore(run, storage, &mut graph);
     Ok((graph, memory))
 }
@@ -62,11 +62,12 @@ impl<P: Ports> MapDrawing<P> {
     pub fn open(
         ports: &P,
         run: &Run,
-        graph: &Fleet,
+        graph: &FleetPoseGraph,
         slot: Arc<FleetEstimateSlot>,
     ) -> Result<Self, ChannelError> {
         let robots = run.robots();
-        let starts: Vec<Option<Pose2>> = robots.clone().map(|robot| graph.anchor(robot)).collect();
+        let starts: Vec<Option<Pose2>> =
+            robots.clone().map(|robot| graph.map_from_robot_map(robot)).collect();
         let maps = robots.clone().map(|robot| Ok((robot, ports.map_reader(&channel::map(robot))?)));
         let corrections = robots.clone().map(|robot| Ok((robot, ports.reader(&channel::correction(robot))?)));
         let listeners = robots.clone().map(|robot| ports.listener(&channel::map(robot)));
@@ -148,7 +149,7 @@ fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
     let robots = RobotId::first(estimate.len()).zip(estimate);
     let refused = |(robot, (transform, map)): (RobotId, &(Option<Pose2>, _))| -> u64 {
         let map: &Option<Arc<msg::Grid>> = map;
-        merger.settle(robot, *transform, map.as_ref()).is_err().into()
+        merger.apply_fleet_estimate(robot, *transform, map.as_ref()).is_err().into()
     };
     robots.map(refused).sum()
 }
@@ -164,7 +165,7 @@ fn set_footprint<P: Ports>(
     let mut changed = false;
     while let Some(at) = reader.receive() {
         if at.state() != TrackingState::Lost {
-            changed |= merger.stand(robot, at.map_from_base, radius_m);
+            changed |= merger.set_robot_footprint(robot, at.map_from_base, radius_m);
         }
     }
     changed

@@ -68,7 +68,7 @@ impl<P: Ports> Component for Figures<P> {
         if received >= self.due {
             self.inputs.receive_states(&mut self.telemetry, received);
             let stamp = self.epoch.stamp(received);
-            let stats = self.heartbeat.measure(|| self.telemetry.stats(stamp, received));
+            let stats = self.heartbeat.measure(|| self.telemetry.compute_stats(stamp, received));
             self.stats.send(stats);
             self.due = Monotonic((self.due.0 + PERIOD_NS).max(received.0));
         }
@@ -147,16 +147,16 @@ impl<P: Ports> Inputs<P> {
     fn receive_streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
         for RobotInputs { robot, transforms, corrections, truths, map } in &mut self.robots {
             while let Some(truth) = truths.receive() {
-                telemetry.truth(*robot, &truth);
+                telemetry.add_truth(*robot, &truth);
             }
             while let Some(transforms) = transforms.receive() {
-                telemetry.transforms(*robot, &transforms, received);
+                telemetry.add_transforms(*robot, &transforms, received);
             }
             while let Some(correction) = corrections.receive() {
-                telemetry.correction(*robot, &correction, received);
+                telemetry.add_correction(*robot, &correction, received);
             }
             if map.reader.poll() {
-                telemetry.map_came(*robot, map.reader.map().header.scan_sent, received);
+                telemetry.record_map_arrival(*robot, map.reader.map().header.scan_sent, received);
                 map.changed = true;
             }
         }
@@ -170,12 +170,12 @@ impl<P: Ports> Inputs<P> {
         }
         for RobotInputs { robot, map, .. } in &mut self.robots {
             if std::mem::take(&mut map.changed) {
-                telemetry.map_is(*robot, map.grid.update(map.reader.map()));
+                telemetry.update_map(*robot, map.grid.update(map.reader.map()));
             }
         }
         let map = &mut self.merged_map;
         if std::mem::take(&mut map.changed) {
-            telemetry.merged_map(map.grid.update(map.reader.map()), received);
+            telemetry.update_merged_map(map.grid.update(map.reader.map()), received);
         }
         for health in &mut self.health {
             while let Some(report) = health.receive() {
