@@ -2,7 +2,7 @@
 
 use crate::client::Client;
 use crate::{Served, with_bridge};
-use bridge::BridgeConfig;
+use bridge::{BridgeConfig, FleetMessage};
 use bridge::ros::{Message, PoseWithCovarianceStamped};
 use msg::{Anchor, Anchors, Pose2, SlamAsk, SlamRequest, Stamp};
 use std::cell::RefCell;
@@ -13,7 +13,7 @@ type Asked = Rc<RefCell<Vec<(usize, SlamRequest)>>>;
 fn listen(served: &Served) -> Asked {
     let asked = Asked::default();
     let told = asked.clone();
-    served.bridge.on_ask(move |robot, request| told.borrow_mut().push((robot.number(), request)));
+    served.bridge.on_slam_request(move |robot, request| told.borrow_mut().push((robot.number(), request)));
     asked
 }
 
@@ -74,7 +74,7 @@ fn a_pose_in_the_merged_map_is_the_selected_robots_once_its_place_is_known() {
         let mut anchors = Anchors::default();
         anchors.robots[0] =
             Anchor { map_from_robot_map: Pose2::new(1.0, 0.0, 0.0), known: 1, ..Default::default() };
-        served.bridge.anchors(&anchors);
+        served.bridge.publish(FleetMessage::MapTransforms(&anchors));
         person.send("/initialpose", &message("/map")).await;
         person.settle().await;
         let asked = asked.borrow();

@@ -2,7 +2,7 @@
 
 use crate::client::Client;
 use crate::{header, robot, with_bridge};
-use bridge::BridgeConfig;
+use bridge::{BridgeConfig, FleetMessage};
 use bridge::command::{HANDSHAKE, Registration, name};
 use bridge::frame::Side;
 use bridge::ros::{
@@ -55,28 +55,26 @@ fn each_kind_of_message_arrives() {
 
         let mut scan = msg::Scan::zeroed();
         (scan.header, scan.len) = (header(5), 2);
-        served.bridge.scan(robot(1), &scan);
-        served.bridge.scan(robot(2), &scan);
+        served.bridge.publish(FleetMessage::Scan(robot(1), &scan));
+        served.bridge.publish(FleetMessage::Scan(robot(2), &scan));
         let got: LaserScan = client.message("/robot2/scan").await;
         assert_eq!((got.frame_id.as_str(), got.ranges.len()), ("base_scan_2", 2));
 
-        served.bridge.odometry(robot(2), &msg::Odometry { header: header(6), ..Default::default() });
+        served.bridge.publish(FleetMessage::Odometry(robot(2), &msg::Odometry { header: header(6), ..Default::default() }));
         assert_eq!(client.message::<Odometry>("/robot2/odom").await.child_frame_id, "base_footprint_2");
-        served.bridge.clock(&msg::Clock { header: header(1_500_000_000) });
+        served.bridge.publish(FleetMessage::Clock(&msg::Clock { header: header(1_500_000_000) }));
         assert_eq!(client.message::<Clock>("/clock").await.clock, Stamp(1_500_000_000));
 
         let mut stats = FleetStats::default();
         (stats.robots[1].free_cells, stats.robots[1].resolution_m) = (70, 0.05);
-        served.bridge.stats(&stats);
+        served.bridge.publish(FleetMessage::Stats(&stats));
         let got: Float32MultiArray = client.message("/robot2/slam_stats").await;
         assert_eq!(got.data, [70.0, 0.0, 0.0, 70.0, 0.0, 0.0, 0.05]);
 
-        served.bridge.transforms(robot(2), &Transforms { header: header(8), ..Default::default() });
+        served.bridge.publish(FleetMessage::Transforms(robot(2), &Transforms { header: header(8), ..Default::default() }));
         assert_eq!(client.message::<TfMessage>("/tf").await.transforms, []);
         let map_from_odom = Pose2::new(1.0, 0.0, 0.0);
-        served
-            .bridge
-            .correction(robot(2), &Correction { header: header(9), map_from_odom, ..Default::default() });
+        served.bridge.publish(FleetMessage::Correction(robot(2), &Correction { header: header(9), map_from_odom, ..Default::default() }));
         let tf: TfMessage = client.message("/tf").await;
         assert_eq!(tf.transforms[0].child_frame_id, "odom_2");
     });
@@ -85,8 +83,8 @@ fn each_kind_of_message_arrives() {
 #[test]
 fn robots_beyond_the_fleet_are_not_spoken_of() {
     with_bridge(Default::default(), async |served| {
-        served.bridge.scan(robot(3), &msg::Scan::zeroed());
-        served.bridge.correction(robot(16), &Correction::default());
+        served.bridge.publish(FleetMessage::Scan(robot(3), &msg::Scan::zeroed()));
+        served.bridge.publish(FleetMessage::Correction(robot(16), &Correction::default()));
         assert_eq!(served.bridge.counters().sent, 0);
     });
 }
@@ -94,7 +92,7 @@ fn robots_beyond_the_fleet_are_not_spoken_of() {
 fn show_map(served: &crate::Served, stamp: i64, width: u32) {
     let shape =
         GridHeader { header: header(stamp), width, height: 1, resolution_m: 0.05, ..Default::default() };
-    served.bridge.map(robot(1), GridView::new(&shape, &vec![100; width as usize]).unwrap());
+    served.bridge.publish(FleetMessage::Map(robot(1), GridView::new(&shape, &vec![100; width as usize]).unwrap()));
 }
 
 #[test]
@@ -121,8 +119,8 @@ fn whoever_comes_late_is_told_where_the_maps_lie() {
     with_bridge(Default::default(), async |served| {
         let mut anchors = Anchors::default();
         anchors.robots[0] = Anchor { map_from_robot_map: Pose2::new(2.0, 0.0, 0.0), known: 1, reserved: 0 };
-        served.bridge.anchors(&anchors);
-        served.bridge.clock(&msg::Clock { header: header(77) });
+        served.bridge.publish(FleetMessage::MapTransforms(&anchors));
+        served.bridge.publish(FleetMessage::Clock(&msg::Clock { header: header(77) }));
         let mut client = Client::connect(served.address).await;
         client.subscribe("/tf", TfMessage::TYPE).await;
         for _ in 0..2 {
@@ -293,7 +291,7 @@ fn clients_built_for_ros_1_are_spoken_to_in_ros_1() {
         client.settle().await;
         let mut scan = msg::Scan::zeroed();
         (scan.header, scan.len, scan.ranges_m[0]) = (header(3_000_000_007), 1, 2.5);
-        served.bridge.scan(robot(1), &scan);
+        served.bridge.publish(FleetMessage::Scan(robot(1), &scan));
         let (_, payload) = client.next().await.unwrap();
         // seq, secs, nsecs, frame, 7 floats, one range, no intensities.
         assert_eq!(payload.len(), 4 + 8 + 4 + "base_scan_1".len() + 28 + 8 + 4);
