@@ -3,8 +3,8 @@
 //!
 //! `cargo bench --bench map`. Times are processor time of the one thread, so that a busy machine shows little.
 
-use msg::tiles::{Incoming, Outgoing};
-use msg::{Dense, Header, MapTile, PatchHeader, Pose2};
+use msg::tiles::{PatchReceiver, PatchSender};
+use msg::{DenseMap, Header, MapTile, PatchHeader, Pose2};
 use slam::{Canvas, Cloud, MapConfig, Node, Rays};
 use std::sync::Arc;
 
@@ -94,9 +94,9 @@ fn node(id: usize, range_m: f32) -> Node {
 /// The other end of a channel, and what crossed it.
 #[derive(Default)]
 struct Reader {
-    outgoing: Outgoing,
-    incoming: Incoming,
-    grid: Dense,
+    outgoing: PatchSender,
+    incoming: PatchReceiver,
+    grid: DenseMap,
     bytes: usize,
     seq: u64,
 }
@@ -107,7 +107,7 @@ impl Reader {
         let mut times = [0.0; 3];
         loop {
             let mut patch = None;
-            times[0] += timed(|| patch = self.outgoing.next(canvas.tiles()));
+            times[0] += timed(|| patch = self.outgoing.next_patch(canvas.tiles()));
             let Some(mut patch) = patch else { break };
             patch.header.map.header.seq = self.seq;
             self.seq += 1;
@@ -115,7 +115,7 @@ impl Reader {
             times[0] += timed(|| tiles = patch.tiles.iter().map(|tile| **tile).collect());
             self.bytes += size_of::<PatchHeader>() + size_of_val(tiles.as_slice());
             times[1] += timed(|| {
-                self.incoming.take(&patch.header, &tiles);
+                self.incoming.receive(&patch.header, &tiles);
             });
         }
         times[2] = timed(|| {

@@ -8,8 +8,8 @@ use crate::run::Run;
 use crate::sessions::Mode;
 use crate::shared_memory::{Bell, ChannelError, Node, Reader, Writer, wait};
 use msg::{
-    ClosureInfo, Monotonic, Pose2, RobotId, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest,
-    SlamStart, Text,
+    ClosureInfo, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
+    SlamResponse, StartPose, Text,
 };
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -158,7 +158,7 @@ pub struct Asker {
     robot: RobotId,
     client: u64,
     asked: u64,
-    answers: Reader<SlamAnswer>,
+    answers: Reader<SlamResponse>,
     bell: Bell,
     requests: Writer<SlamRequest>,
     // The ports' presence in the run; dropped after them.
@@ -179,19 +179,21 @@ impl Asker {
             client,
             // Not what an earlier one of the same process has counted.
             asked: now().0,
-            answers: node.reader(&channel::slam_answer(robot))?,
-            bell: node.bell(&channel::slam_answer(robot))?,
+            answers: node.reader(&channel::slam_response(robot))?,
+            bell: node.bell(&channel::slam_response(robot))?,
             requests: node.writer(&channel::slam_request(robot))?,
             _node: node,
         })
     }
 
     /// How it stands.
-    pub fn state(&mut self) -> Result<SlamAnswer, AskError> {
+    pub fn state(&mut self) -> Result<SlamResponse, AskError> {
         let begun = Instant::now();
         while begun.elapsed() < STATE_PATIENCE {
-            let asked =
-                self.send(&SlamRequest { ask: SlamAsk::State as u32, ..SlamRequest::default() }, ASK_AGAIN);
+            let asked = self.send(
+                &SlamRequest { kind: SlamRequestKind::State as u32, ..SlamRequest::default() },
+                ASK_AGAIN,
+            );
             if let Some(answer) = asked {
                 return Ok(answer);
             }
@@ -200,7 +202,7 @@ impl Asker {
     }
 
     /// Asks once it is known to be there, and waits for the answer.
-    pub fn ask(&mut self, request: &SlamRequest) -> Result<SlamAnswer, AskError> {
+    pub fn ask(&mut self, request: &SlamRequest) -> Result<SlamResponse, AskError> {
         self.state()?;
         let answer = self.send(request, WORK_PATIENCE).ok_or(AskError::Unfinished(self.robot))?;
         match answer.outcome() {
@@ -211,7 +213,7 @@ impl Asker {
         }
     }
 
-    fn send(&mut self, request: &SlamRequest, patience: Duration) -> Option<SlamAnswer> {
+    fn send(&mut self, request: &SlamRequest, patience: Duration) -> Option<SlamResponse> {
         self.asked += 1;
         self.requests.send(&SlamRequest { client: self.client, id: self.asked, ..*request });
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
@@ -231,7 +233,7 @@ impl Asker {
         let mut all: Vec<ClosureInfo> = Vec::new();
         loop {
             let request = SlamRequest {
-                ask: SlamAsk::ListClosures as u32,
+                kind: SlamRequestKind::ListClosures as u32,
                 number: all.len() as u32,
                 ..SlamRequest::default()
             };
@@ -244,12 +246,12 @@ impl Asker {
     }
 
     /// Watches a robot that is looked for, for a while.
-    fn found(&mut self, mut answer: SlamAnswer) -> Result<SlamAnswer, AskError> {
+    fn found(&mut self, mut answer: SlamResponse) -> Result<SlamResponse, AskError> {
         let begun = Instant::now();
         // Until it has looked once, it may not know that it has to.
         while begun.elapsed() < FOUND_PATIENCE {
             std::thread::sleep(ASK_AGAIN);
-            answer = SlamAnswer { text: answer.text, ..self.state()? };
+            answer = SlamResponse { text: answer.text, ..self.state()? };
             if answer.located == 1 {
                 break;
             }
@@ -260,36 +262,36 @@ impl Asker {
 
 impl Ask {
     fn request(&self) -> Result<SlamRequest, AskError> {
-        let ask = |ask: SlamAsk| SlamRequest { ask: ask as u32, ..SlamRequest::default() };
+        let ask = |kind: SlamRequestKind| SlamRequest { kind: kind as u32, ..SlamRequest::default() };
         let mode_code = |mode: Mode| SlamMode::from(mode) as u32;
         Ok(match self {
-            Self::State => ask(SlamAsk::State),
-            Self::Pause => ask(SlamAsk::Pause),
-            Self::Resume => ask(SlamAsk::Resume),
-            Self::Reset => ask(SlamAsk::Reset),
-            Self::Save { file } => SlamRequest { text: text(file)?, ..ask(SlamAsk::SaveSession) },
-            Self::Map { file } => SlamRequest { text: text(file)?, ..ask(SlamAsk::SaveMap) },
+            Self::State => ask(SlamRequestKind::State),
+            Self::Pause => ask(SlamRequestKind::Pause),
+            Self::Resume => ask(SlamRequestKind::Resume),
+            Self::Reset => ask(SlamRequestKind::Reset),
+            Self::Save { file } => SlamRequest { text: text(file)?, ..ask(SlamRequestKind::SaveSession) },
+            Self::Map { file } => SlamRequest { text: text(file)?, ..ask(SlamRequestKind::SaveMap) },
             Self::Load { file, localize, mode, at, at_first, at_last } => {
                 let start = match (at, at_first, at_last) {
-                    (Some(_), _, _) => SlamStart::Pose,
-                    (None, true, _) => SlamStart::First,
-                    (None, _, true) => SlamStart::Last,
-                    _ => SlamStart::Unknown,
+                    (Some(_), _, _) => StartPose::Given,
+                    (None, true, _) => StartPose::FirstNode,
+                    (None, _, true) => StartPose::LastNode,
+                    _ => StartPose::Unknown,
                 };
                 SlamRequest {
                     text: text(file)?,
                     mode: mode_code(if *localize { Mode::Localization } else { *mode }),
                     start: start as u32,
                     pose: at.unwrap_or_default(),
-                    ..ask(SlamAsk::LoadSession)
+                    ..ask(SlamRequestKind::LoadSession)
                 }
             }
-            Self::Closures => ask(SlamAsk::ListClosures),
-            Self::Undo { number } => SlamRequest { number: *number, ..ask(SlamAsk::UndoClosure) },
-            Self::Clear => ask(SlamAsk::ClearClosures),
-            Self::Relocalize => ask(SlamAsk::Relocalize),
-            Self::Pose { pose } => SlamRequest { pose: *pose, ..ask(SlamAsk::SetPose) },
-            Self::Mode { mode } => SlamRequest { mode: mode_code(*mode), ..ask(SlamAsk::SetMode) },
+            Self::Closures => ask(SlamRequestKind::ListClosures),
+            Self::Undo { number } => SlamRequest { number: *number, ..ask(SlamRequestKind::UndoClosure) },
+            Self::Clear => ask(SlamRequestKind::ClearClosures),
+            Self::Relocalize => ask(SlamRequestKind::Relocalize),
+            Self::Pose { pose } => SlamRequest { pose: *pose, ..ask(SlamRequestKind::SetPose) },
+            Self::Mode { mode } => SlamRequest { mode: mode_code(*mode), ..ask(SlamRequestKind::SetMode) },
         })
     }
 
@@ -335,11 +337,11 @@ pub fn run(args: &SlamArgs) -> Result<(), Error> {
     Ok(())
 }
 
-fn mode_name(answer: &SlamAnswer) -> &'static str {
+fn mode_name(answer: &SlamResponse) -> &'static str {
     SlamMode::from_code(answer.mode).map_or("unknown", SlamMode::name)
 }
 
-fn whereabouts(robot: RobotId, answer: &SlamAnswer) -> String {
+fn whereabouts(robot: RobotId, answer: &SlamResponse) -> String {
     let Pose2 { x_m, y_m, yaw_rad } = answer.map_from_base;
     match answer.located {
         1 => format!("{robot} is at {x_m:.2} {y_m:.2} m, {yaw_rad:.2} rad in its map"),
@@ -349,7 +351,7 @@ fn whereabouts(robot: RobotId, answer: &SlamAnswer) -> String {
     }
 }
 
-fn table(answer: &SlamAnswer) -> String {
+fn table(answer: &SlamResponse) -> String {
     let Pose2 { x_m, y_m, yaw_rad } = answer.map_from_base;
     let place = match answer.located {
         1 => format!("{x_m:.2} {y_m:.2} m, {yaw_rad:.2} rad"),
@@ -390,7 +392,7 @@ fn numbers(pose: Pose2) -> [f64; 3] {
     [pose.x_m, pose.y_m, pose.yaw_rad]
 }
 
-fn view(robot: RobotId, answer: &SlamAnswer, closures: Option<&[ClosureInfo]>) -> Value {
+fn view(robot: RobotId, answer: &SlamResponse, closures: Option<&[ClosureInfo]>) -> Value {
     let mut view = json!({
         "robot": robot.to_string(),
         "text": answer.text.as_str(),

@@ -11,23 +11,23 @@
 //! | `clock` | sim(1) | bridge |
 //! | `robotK/correction` | slam(k) | merge, bridge, telemetry, launcher |
 //! | `robotK/slam_request` | bridge, `mr-slam slam` | slam(k) |
-//! | `robotK/slam_answer` | slam(k) | bridge, `mr-slam slam` |
+//! | `robotK/slam_response` | slam(k) | bridge, `mr-slam slam` |
 //! | `robotK/map` | slam(k) | merge, bridge, telemetry, launcher |
 //! | `robotK/submap`, `robotK/submap_poses` | slam(k) | merge |
-//! | `robotK/submap_ask` | merge | slam(k) |
-//! | `merged_map`, `anchors` | merge | bridge, telemetry, launcher |
+//! | `robotK/submap_request` | merge | slam(k) |
+//! | `merged_map`, `map_transforms` | merge | bridge, telemetry, launcher |
 //! | `merge_edges` | merge | bridge, launcher, `mr-slam edges` |
 //! | `edge_command` | bridge, `mr-slam edges` | merge |
 //! | `stats` | telemetry | bridge, launcher, `status` |
-//! | `NAME/beat` | each process | telemetry |
+//! | `NAME/health` | each process | telemetry |
 //!
 //! Where the world is not simulated here, the bridge writes what the simulators else do, but for the truth.
 
 use crate::shared_memory::MapWriter;
 use msg::{
-    Anchors, Beat, Clock, Command, Correction, EdgeCommand, FleetStats, MergeEdges, Message, Odometry,
-    PatchHeader, ROBOTS_MAX, RobotId, Role, Scan, SlamAnswer, SlamRequest, Submap, SubmapAsk, SubmapPoses,
-    Transforms, Truth,
+    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message, Odometry,
+    PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
+    SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 use std::marker::PhantomData;
 
@@ -71,7 +71,7 @@ impl<T: Message> Channel<T> {
 }
 
 /// Wished velocities. A second of a headset's 20 Hz fits twice.
-pub fn command(robot: RobotId) -> Channel<Command> {
+pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
     Channel::stream(format!("{robot}/command"), 32)
 }
 
@@ -91,7 +91,7 @@ pub fn transforms(robot: RobotId) -> Channel<Transforms> {
 }
 
 /// 100 Hz; readers look once per tick of their own.
-pub fn truth(robot: RobotId) -> Channel<Truth> {
+pub fn truth(robot: RobotId) -> Channel<GroundTruth> {
     Channel { readers: READERS + ROBOTS_MAX, ..Channel::stream(format!("{robot}/truth"), 4).silent() }
 }
 
@@ -112,8 +112,8 @@ pub fn slam_request(robot: RobotId) -> Channel<SlamRequest> {
 }
 
 /// One for each request; open it before asking.
-pub fn slam_answer(robot: RobotId) -> Channel<SlamAnswer> {
-    Channel::stream(format!("{robot}/slam_answer"), 16)
+pub fn slam_response(robot: RobotId) -> Channel<SlamResponse> {
+    Channel::stream(format!("{robot}/slam_response"), 16)
 }
 
 /// New or changed, one each 100 ms at most. 0.26 MB each, so that few fit: who misses one asks.
@@ -127,8 +127,8 @@ pub fn submap_poses(robot: RobotId) -> Channel<SubmapPoses> {
 }
 
 /// When somebody lacks submaps.
-pub fn submap_ask(robot: RobotId) -> Channel<SubmapAsk> {
-    Channel::stream(format!("{robot}/submap_ask"), 2).silent()
+pub fn submap_request(robot: RobotId) -> Channel<SubmapRequest> {
+    Channel::stream(format!("{robot}/submap_request"), 2).silent()
 }
 
 /// What changed, when it did; whoever comes late asks for the whole.
@@ -147,7 +147,7 @@ fn patches(name: String) -> Channel<PatchHeader> {
 }
 
 /// 1 Hz.
-pub fn anchors() -> Channel<Anchors> {
+pub fn map_transforms() -> Channel<MapTransforms> {
     Channel::state("anchors").silent()
 }
 
@@ -167,10 +167,10 @@ pub fn stats() -> Channel<FleetStats> {
 }
 
 /// 1 Hz.
-pub fn beat(role: Role, robot: Option<RobotId>) -> Channel<Beat> {
+pub fn process_health(role: Role, robot: Option<RobotId>) -> Channel<ProcessHealth> {
     let name = match robot {
-        Some(robot) => format!("{robot}/{}/beat", role.name()),
-        None => format!("{}/beat", role.name()),
+        Some(robot) => format!("{robot}/{}/health", role.name()),
+        None => format!("{}/health", role.name()),
     };
     Channel::stream(name, 4).silent()
 }

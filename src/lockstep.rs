@@ -10,17 +10,18 @@ pub use command::{LockstepArgs, run};
 use crate::channel::{self, Channel};
 use crate::config::FleetConfig;
 use crate::fleet::{self, FleetError};
-use crate::operator::sight::{MapView, RobotSight, ScanView, Sight};
-use crate::operator::tour::{Hand, Tour, TourConfig};
 use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
 use crate::sessions::{self, SessionsError};
 use bytemuck::Zeroable;
 use merge::{Fleet, Merger};
-use msg::tiles::Outgoing;
+use msg::tiles::PatchSender;
 use msg::{
-    Anchors, Clock, Command, Correction, Dense, FleetStats, GridView, Header, MergeEdges, Message, Monotonic,
-    PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap, TrackingState, Truth,
+    Clock, Correction, DenseMap, FleetStats, GridView, GroundTruth, Header, MapTransforms, MergeEdges,
+    Message, Monotonic, PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap,
+    TrackingState, VelocityCommand,
 };
+use nav::sight::{MapView, RobotSight, ScanView, Sight};
+use nav::tour::{Hand, Tour, TourConfig};
 use sim::{Simulator, Tick};
 use slam::{Identity, Session, Slam, Start, Submaps};
 use std::collections::BTreeMap;
@@ -44,7 +45,7 @@ pub struct Lockstep {
     together: bool,
     known: Vec<Option<Pose2>>,
     merged_map: Chart,
-    anchors: Anchors,
+    map_transforms: MapTransforms,
     stats: Box<FleetStats>,
     voice: Voice,
     ticks: u64,
@@ -57,7 +58,7 @@ struct Member {
     slam: Slam,
     scan: Box<Scan>,
     scanned: bool,
-    truth: Truth,
+    truth: GroundTruth,
     correction: Option<Correction>,
     odom_from_base: Pose2,
     map: Chart,
@@ -71,8 +72,8 @@ struct Member {
 /// A map on its way through the fleet: what has been said of it, and the grid of what is known.
 #[derive(Default)]
 struct Chart {
-    outgoing: Outgoing,
-    grid: Dense,
+    outgoing: PatchSender,
+    grid: DenseMap,
     drawn: bool,
 }
 
@@ -98,7 +99,7 @@ impl Lockstep {
                 slam: slam(config, robot)?,
                 scan: Box::new(Scan::zeroed()),
                 scanned: false,
-                truth: Truth::default(),
+                truth: GroundTruth::default(),
                 correction: None,
                 odom_from_base: Pose2::IDENTITY,
                 map: Chart::default(),
@@ -123,7 +124,7 @@ impl Lockstep {
             together,
             known,
             merged_map: Chart::default(),
-            anchors: Anchors::default(),
+            map_transforms: MapTransforms::default(),
             stats: Box::default(),
             voice: Voice::default(),
             ticks: 0,
@@ -181,7 +182,8 @@ impl Lockstep {
         let Some(tour) = &mut self.tour else { return };
         let stamp = Stamp(self.ticks as i64 * Simulator::TICK.as_nanos() as i64);
         let map = self.merged_map.view().and_then(MapView::log_odds);
-        let sights: Vec<RobotSight<'_>> = self.members.iter().map(|m| m.sight(map, &self.anchors)).collect();
+        let sights: Vec<RobotSight<'_>> =
+            self.members.iter().map(|m| m.sight(map, &self.map_transforms)).collect();
         let sight = Sight { stamp, robots: &sights };
         let mut hands = Vec::new();
         if self.together {
@@ -191,10 +193,10 @@ impl Lockstep {
         }
         for Hand { robot, stick } in hands {
             let twist = TourConfig::default().joystick.twist(stick);
-            let mut command = Command {
+            let mut command = VelocityCommand {
                 linear_m_s: twist.linear_m_s,
                 angular_rad_s: twist.angular_rad_s,
-                ..Command::default()
+                ..VelocityCommand::default()
             };
             command.header.stamp = stamp;
             self.voice.say(&channel::command(robot), &mut command, listener);
@@ -204,7 +206,7 @@ impl Lockstep {
 
     /// Every robot moves, measures and maps. True if a map changed.
     fn robots(&mut self, listener: Listener<'_>) -> bool {
-        let truths: Vec<Truth> = self.members.iter().map(|member| member.truth).collect();
+        let truths: Vec<GroundTruth> = self.members.iter().map(|member| member.truth).collect();
         let mut changed = false;
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
@@ -257,9 +259,9 @@ impl Lockstep {
         let merged = self.merger.merged_tiles();
         let received = moment(merged.header.header.stamp);
         self.voice.say_map(&channel::merged_map(), &mut self.merged_map, merged, listener);
-        self.anchors = self.merger.anchors();
-        self.voice.say(&channel::anchors(), &mut self.anchors, listener);
-        self.telemetry.anchors(&self.anchors);
+        self.map_transforms = self.merger.map_transforms();
+        self.voice.say(&channel::map_transforms(), &mut self.map_transforms, listener);
+        self.telemetry.map_transforms(&self.map_transforms);
         self.telemetry.merged_map(self.merged_map.grid.view(), received);
     }
 }
@@ -340,10 +342,10 @@ impl Member {
     }
 
     /// The robot as the operator sees it: in its own map while its place in the merged one is not known.
-    fn sight<'a>(&'a self, merged: Option<MapView<'a>>, anchors: &Anchors) -> RobotSight<'a> {
-        let anchor = anchors.robots[self.robot.index()];
-        let is_merged = anchor.known != 0;
-        let map_from_robot_map = if is_merged { anchor.map_from_robot_map } else { Pose2::IDENTITY };
+    fn sight<'a>(&'a self, merged: Option<MapView<'a>>, map_transforms: &MapTransforms) -> RobotSight<'a> {
+        let map_transform = map_transforms.robots[self.robot.index()];
+        let is_merged = map_transform.known != 0;
+        let map_from_robot_map = if is_merged { map_transform.map_from_robot_map } else { Pose2::IDENTITY };
         let in_map = self
             .correction
             .map(|correction| map_from_robot_map * correction.map_from_odom * self.odom_from_base);
@@ -384,7 +386,7 @@ impl Voice {
         listener: Listener<'_>,
     ) -> bool {
         let mut news = false;
-        while let Some(mut patch) = chart.outgoing.next(map) {
+        while let Some(mut patch) = chart.outgoing.next_patch(map) {
             self.say(channel, &mut patch.header, listener);
             patch.tiles.iter().for_each(|tile| listener(&channel.name, bytemuck::bytes_of(&**tile)));
             news = true;
@@ -398,7 +400,7 @@ impl Voice {
 
     fn mark(&mut self, name: &str, header: &mut msg::Header) {
         let seq = self.seqs.entry(name.to_string()).or_default();
-        (header.seq, header.run, header.sent) = (*seq, 0, moment(header.stamp));
+        (header.seq, header.incarnation, header.sent) = (*seq, 0, moment(header.stamp));
         *seq += 1;
     }
 }

@@ -4,8 +4,7 @@ use clap::{Parser, Subcommand};
 use mr_slam::control::{self, Request};
 use mr_slam::process::{Process, ProcessArgs, RobotArgs};
 use mr_slam::{
-    ask_slam, demo, doctor, lockstep, merge_edges, merge_maps, operator, process, replay, status, stop::Stop,
-    up,
+    ask_slam, demo, doctor, lockstep, merge_edges, merge_maps, process, replay, status, stop::Stop, up,
 };
 use std::process::ExitCode;
 

@@ -68,7 +68,7 @@ pub fn run(args: &EdgesArgs) -> Result<(), Error> {
     if pair.a.number().max(pair.b.number()) > run.config.fleet.robots {
         return Err(format!("this fleet has robots 1 to {}", run.config.fleet.robots).into());
     }
-    let command = EdgeCommand::of(action, pair.a, pair.b).ok_or("a robot and itself are no pair")?;
+    let command = EdgeCommand::for_pair(action, pair.a, pair.b).ok_or("a robot and itself are no pair")?;
     show(&*ask(&run, Some(command))?, args.json)
 }
 

@@ -1,7 +1,7 @@
 //! `mr-slam merge A.yaml B.yaml ...`: maps of robots that started anywhere, put together.
 
-use crate::map_file::{MapFileError, read_map, write_map};
 use crate::process::{self, Process, ProcessArgs};
+use formats::map_file::{MapFileError, read_map, write_map};
 use merge::{AlignConfig, Alignment, MergeConfig, Merger, Refused, align};
 use msg::{Grid, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;

@@ -2,7 +2,7 @@
 //! said. Read by the process that takes its place in the same run, and by nobody else.
 
 use crate::run::Run;
-use crate::session_file::write_with;
+use formats::atomic::write_durably;
 use merge::{Fleet, Memory, MemoryRefused};
 use msg::Monotonic;
 use serde::{Deserialize, Serialize};
@@ -89,7 +89,7 @@ impl MergeMemory {
 fn write(path: &Path, run: u64, fleet: &Memory) -> Result<(), String> {
     let kept = Kept { version: VERSION, run, fleet: fleet.clone() };
     let text = serde_json::to_vec(&kept).map_err(|why| why.to_string())?;
-    write_with(path, |file| file.write_all(&text)).map_err(|why| why.to_string())
+    write_durably(path, |file| file.write_all(&text)).map_err(|why| format!("{}: {why}", path.display()))
 }
 
 /// What was remembered, if there is anything.

@@ -2,11 +2,13 @@
 
 use crate::channel;
 use crate::clock::now;
-use crate::map_file;
 use crate::merge_edges::EdgeView;
 use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
-use msg::{Correction, Dense, EdgeState, FleetStats, MergeEdges, Monotonic, Pose2, RobotId, Role, Truth};
+use formats::map_file;
+use msg::{
+    Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MergeEdges, Monotonic, Pose2, RobotId, Role,
+};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -32,7 +34,7 @@ struct MapWatch {
 
 /// Where one robot is.
 struct RobotWatch {
-    truths: Reader<Truth>,
+    truths: Reader<GroundTruth>,
     corrections: Reader<Correction>,
     world_from_base: Option<Pose2>,
     map_from_odom: Option<Pose2>,
@@ -135,7 +137,7 @@ impl Observer {
         let seen = seen.filter(|watch| watch.reader.map().tiles().next().is_some());
         seen.map(|watch| {
             let stem = dir.join(&watch.name);
-            map_file::write_map(&stem, Dense::default().update(watch.reader.map())).map(|()| stem)
+            map_file::write_map(&stem, DenseMap::default().update(watch.reader.map())).map(|()| stem)
         })
         .collect()
     }

@@ -149,8 +149,9 @@ fn map_figures(fleet: &FleetView) -> String {
             room.wall_thickness_m
         );
     }
-    for robot in fleet.robots.iter().filter(|robot| robot.anchor_error_m.is_some()) {
-        let (m, deg) = (robot.anchor_error_m.unwrap_or(0.0), robot.anchor_error_deg.unwrap_or(0.0));
+    for robot in fleet.robots.iter().filter(|robot| robot.map_transform_error_m.is_some()) {
+        let (m, deg) =
+            (robot.map_transform_error_m.unwrap_or(0.0), robot.map_transform_error_deg.unwrap_or(0.0));
         let _ =
             writeln!(text, "{}'s map lies {m:.3} m and {deg:.2} degrees from its true place", robot.robot);
     }

@@ -216,7 +216,7 @@ impl Stamper {
     }
 
     fn mark(&mut self, header: &mut Header) {
-        header.run = self.run;
+        header.incarnation = self.run;
         header.seq = self.seq;
         header.sent = now();
         self.seq += 1;
@@ -238,9 +238,9 @@ pub struct Gaps {
 
 impl Gaps {
     fn count(&mut self, header: &Header) {
-        if header.run != self.run {
+        if header.incarnation != self.run {
             self.restarts += u64::from(self.received > 0);
-            self.run = header.run;
+            self.run = header.incarnation;
         } else {
             self.lost += header.seq.saturating_sub(self.next);
         }

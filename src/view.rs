@@ -2,7 +2,7 @@
 
 use crate::control::Doors;
 use crate::merge_edges::EdgeView;
-use msg::{Distribution, FleetStats, Pose2, ProcessHealth, RobotId, RobotStats, Role, TrackingState};
+use msg::{Distribution, FleetStats, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState};
 use serde::Serialize;
 use std::fmt::Write;
 
@@ -75,9 +75,9 @@ pub struct RobotView {
     /// Whether its map is in the merged one.
     pub merged: bool,
     /// Where merging puts its map, against the truth as seen from the first merged robot: metres.
-    pub anchor_error_m: Option<f64>,
+    pub map_transform_error_m: Option<f64>,
     /// The same, degrees.
-    pub anchor_error_deg: Option<f64>,
+    pub map_transform_error_deg: Option<f64>,
 }
 
 /// The merged map's walls against the room's, in a simulation.
@@ -152,7 +152,7 @@ pub struct ProcessView {
     pub cpu_s: f64,
 }
 
-/// A process is silent after missing one beat.
+/// A process is silent after missing one health message.
 const SILENT_AFTER_S: f64 = 2.5;
 
 impl FleetView {
@@ -308,8 +308,8 @@ impl RobotView {
             nodes: stats.nodes,
             closures: stats.closures,
             merged: stats.merged == 1,
-            anchor_error_m: finite(stats.anchor_error_m),
-            anchor_error_deg: finite(stats.anchor_error_rad.to_degrees()),
+            map_transform_error_m: finite(stats.map_transform_error_m),
+            map_transform_error_deg: finite(stats.map_transform_error_rad.to_degrees()),
         }
     }
 }
@@ -337,29 +337,29 @@ impl DistributionView {
 }
 
 impl ProcessView {
-    fn new(health: &ProcessHealth) -> Option<Self> {
-        let beat = &health.beat;
-        let role = Role::from_code(beat.role)?;
-        let process = match RobotId::new(beat.robot as usize) {
+    fn new(stats: &ProcessStats) -> Option<Self> {
+        let health = &stats.health;
+        let role = Role::from_code(health.role)?;
+        let process = match RobotId::new(health.robot as usize) {
             Some(robot) => format!("{} of {robot}", role.name()),
             None => role.name().into(),
         };
         Some(Self {
             process,
-            pid: beat.pid,
-            state: if health.age_s < SILENT_AFTER_S { "up" } else { "silent" },
-            restarts: health.restarts,
-            received: beat.received,
-            lost: beat.lost,
-            dropped: beat.dropped,
-            refused: beat.refused,
-            clients: beat.clients,
-            work_p50_us: beat.work_p50_us,
-            work_max_us: beat.work_max_us,
-            late_p50_us: beat.late_p50_us,
-            late_max_us: beat.late_max_us,
-            memory_mb: beat.memory_bytes as f64 / 1e6,
-            cpu_s: beat.cpu_ns as f64 * 1e-9,
+            pid: health.pid,
+            state: if stats.age_s < SILENT_AFTER_S { "up" } else { "silent" },
+            restarts: stats.restarts,
+            received: health.received,
+            lost: health.lost,
+            dropped: health.dropped,
+            refused: health.refused,
+            clients: health.clients,
+            work_p50_us: health.work_p50_us,
+            work_max_us: health.work_max_us,
+            late_p50_us: health.late_p50_us,
+            late_max_us: health.late_max_us,
+            memory_mb: health.memory_bytes as f64 / 1e6,
+            cpu_s: health.cpu_ns as f64 * 1e-9,
         })
     }
 }

@@ -55,7 +55,9 @@ pub fn large_maps(count: usize) -> Result<Vec<f64>, Box<dyn Error>> {
         let begun = now();
         jobs.send(Box::new(move |bridge| {
             let shape = GridHeader { width: SIDE, height: SIDE, resolution_m: 0.05, ..GridHeader::default() };
-            bridge.publish(FleetMessage::MergedMap(GridView::new(&shape, &cells).expect("the shape is the cells'")));
+            bridge.publish(FleetMessage::MergedMap(
+                GridView::new(&shape, &cells).expect("the shape is the cells'"),
+            ));
         }))?;
         client.next(|_, payload| payload.len())?.ok_or("the map did not come")?;
         // Two to warm up: fresh memory costs more than the map.
@@ -86,7 +88,10 @@ pub fn allocations(rounds: usize) -> Result<(usize, usize), Box<dyn Error>> {
             bridge.publish(FleetMessage::Correction(robot, &Correction::default()));
             bridge.publish(FleetMessage::Clock(&Clock::default()));
             bridge.publish(FleetMessage::Scan(robot, &scan));
-            bridge.publish(FleetMessage::Map(robot, GridView::new(&shape, &cells).expect("the shape is the cells'")));
+            bridge.publish(FleetMessage::Map(
+                robot,
+                GridView::new(&shape, &cells).expect("the shape is the cells'"),
+            ));
         };
         (0..rounds).for_each(|_| round());
         while let Ok(rounds) = begin.recv() {

@@ -3,7 +3,6 @@
 
 use super::relations::{Errors, Trajectory, Which, errors, parse};
 use super::table::{Row, Table};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -59,7 +58,7 @@ pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
     for case in &CASES {
         let logs = logs(&folder.join(case.name));
         if logs.is_empty() {
-            println!("{}: not in {}", case.name, folder.display());
+            table.not_checked(format!("{} (not in {})", case.name, folder.display()));
             continue;
         }
         let between = folder.join(case.name).join(case.between);
@@ -100,7 +99,7 @@ pub fn halves(table: &mut Table, folder: &Path) -> Result<(), Error> {
     for name in HALVES {
         let log = folder.join(name).join(format!("{name}.log.gz"));
         if !log.is_file() {
-            println!("{name}: not in {}", folder.display());
+            table.not_checked(format!("{name} (not in {})", folder.display()));
             continue;
         }
         let text = unpacked(&log)?;
@@ -184,8 +183,9 @@ fn trajectories(folder: &Path, robots: usize) -> Result<Vec<String>, Error> {
     (1..=robots).map(|k| Ok(std::fs::read_to_string(folder.join(format!("robot{k}.tum")))?)).collect()
 }
 
+/// Largest log when unpacked, bytes: a safety limit, public logs are below 100 MB.
+const LOG_BYTES_MAX: u64 = 1 << 30;
+
 fn unpacked(path: &Path) -> Result<String, Error> {
-    let mut text = String::new();
-    flate2::read::MultiGzDecoder::new(std::fs::File::open(path)?).read_to_string(&mut text)?;
-    Ok(text)
+    Ok(String::from_utf8(formats::gzip::unpack(std::fs::read(path)?, LOG_BYTES_MAX)?)?)
 }

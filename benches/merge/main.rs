@@ -7,7 +7,8 @@
 //! `--pairs` holds a folder a pair: `a.yaml`, `b.yaml` and `truth.json` (`T_A_B` = [x, y, theta], p_a = R p_b + t, or null
 //! where the two are of different buildings); an archive `merge-pairs.tar.xz` has to be unpacked first. `--logs` holds
 //! `intel_2`, `intel_3`, `aces_2` and, for relations within a robot and to be cut into halves, logs of one robot.
-//! `--results` gets a line a pair. `--check` fails if a limit is missed.
+//! `--results` gets a line a pair. `--check` fails if a limit is missed or if pairs or logs are missing. The last line
+//! names what is missing.
 
 mod logs;
 mod pairs;
@@ -64,8 +65,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         speed::rows(&mut table);
     }
     let pairs = pairs::read(&args.pairs)?;
-    if pairs.is_empty() {
-        println!("\n{}: no pairs of maps there; no table of them", args.pairs.display());
+    if pairs.is_empty() && (wanted("pairs") || wanted("varied")) {
+        table.not_checked(format!("pairs of maps (none in {})", args.pairs.display()));
     }
     if wanted("pairs") && !pairs.is_empty() {
         pairs::rows(&mut table, &pairs, args.results.as_deref())?;
@@ -81,6 +82,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     if let Some(path) = &args.json {
         std::fs::write(path, serde_json::to_string_pretty(&table.json())?)?;
+    }
+    if let Some(absent) = table.absent() {
+        if args.check {
+            return Err(absent.into());
+        }
+        println!("{absent}");
     }
     if args.check && !table.met() { Err("a limit is missed".into()) } else { Ok(()) }
 }

@@ -1,8 +1,8 @@
 //! Pairs of maps with exact truth: how many are found, how exactly, how fast, and that nothing wrong is accepted.
 
 use super::table::{Row, Table};
+use formats::map_file::read_map;
 use merge::{AlignConfig, Alignment, align};
-use mr_slam::map_file::read_map;
 use msg::grid::{Occupancy, occupancy};
 use msg::{Grid, Pose2, pose::wrap_angle};
 use serde::Deserialize;

@@ -2,7 +2,9 @@
 
 use super::table::{Row, Table};
 use merge::{MergeConfig, Merger};
-use msg::{Anchor, Anchors, Grid, GridHeader, MapHeader, Monotonic, Pose2, RobotId, Stamp, TileMap};
+use msg::{
+    Grid, GridHeader, MapHeader, MapTransform, MapTransforms, Monotonic, Pose2, RobotId, Stamp, TileMap,
+};
 use std::time::Instant;
 use telemetry::Telemetry;
 
@@ -152,11 +154,12 @@ fn scribble(map: &mut Grid, size: u32, round: usize) {
 /// Three maps come, and their figures are taken.
 fn statistics(side: u32) -> [f64; 2] {
     let mut telemetry = Telemetry::new(3, None, &[]);
-    let mut anchors = Anchors::default();
-    for (k, anchor) in anchors.robots.iter_mut().take(3).enumerate() {
-        *anchor = Anchor { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
+    let mut map_transforms = MapTransforms::default();
+    for (k, map_transform) in map_transforms.robots.iter_mut().take(3).enumerate() {
+        *map_transform =
+            MapTransform { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
     }
-    telemetry.anchors(&anchors);
+    telemetry.map_transforms(&map_transforms);
     let maps: Vec<Grid> = (0..3).map(|k| rooms(side, k)).collect();
     let mut milliseconds: Vec<f64> = (0..ROUNDS)
         .map(|_| {

@@ -52,6 +52,7 @@ impl Row {
 #[derive(Default)]
 pub struct Table {
     sections: Vec<(String, Vec<Row>)>,
+    not_checked: Vec<String>,
 }
 
 impl Table {
@@ -75,6 +76,16 @@ impl Table {
         if let Some((_, rows)) = self.sections.last_mut() {
             rows.push(row);
         }
+    }
+
+    /// Records data that is missing, so that the gate cannot pass in silence.
+    pub fn not_checked(&mut self, what: String) {
+        self.not_checked.push(what);
+    }
+
+    /// The last line of a run that lacked data; `None` if nothing was missing.
+    pub fn absent(&self) -> Option<String> {
+        (!self.not_checked.is_empty()).then(|| format!("not checked: {}", self.not_checked.join(", ")))
     }
 
     /// Whether every limit is met.

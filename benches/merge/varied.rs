@@ -3,9 +3,9 @@
 
 use super::pairs::{Outcome, Pair};
 use super::table::{Row, Table};
-use mr_slam::operator::rng::Rng;
 use msg::grid::{OCCUPIED_MIN, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, Pose2};
+use nav::rng::Rng;
 use std::f64::consts::TAU;
 
 /// How a map is varied: by a seed.

@@ -6,7 +6,8 @@
 //! `official.relations` or `substitute.relations`, and `dense_odom.traj.gz` where there is one.
 //! `name@90` crops the scans to their central 90°. Every log runs in a process of its own.
 //! Errors are mean translation errors of the relation metric (Kümmerle et al. 2009). `--check`
-//! fails if an error is above its limit, or a robot was found where it is not.
+//! fails if an error is above its limit, if a robot was found at a wrong place, or if a log to be
+//! checked is missing. The last line names the logs that are missing.
 //!
 //! `--logs relocalize`: a robot is looked for without a guess in the map of the first
 //! half of intel, put down in its second half, and in other buildings, where it must not be found.
@@ -117,19 +118,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     }
     let args = args()?;
-    if !args.data.is_dir() {
-        println!("{}: no such folder; no logs, no table", args.data.display());
-        return Ok(());
-    }
     if let Some(maps) = &args.maps {
         std::fs::create_dir_all(maps)?;
     }
     let wanted = |row: &&Row| args.logs.as_ref().is_none_or(|logs| logs.iter().any(|log| log == row.name));
     let mut done: Vec<(&Row, Outcome)> = Vec::new();
+    let mut not_checked: Vec<&str> = Vec::new();
     for row in ROWS.iter().filter(wanted) {
         match task(&args, row.name) {
             Some(task) => done.push((row, in_a_process("drive", &task, &task.log)?)),
-            None => println!("{}: not in {}", row.name, args.data.display()),
+            None => not_checked.push(row.name),
         }
     }
     let mut sought = Vec::new();
@@ -139,6 +137,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let task = relocalize::Task { map: all("intel"), robot: all(name), fov_deg, places };
             if task.map.is_file() && task.robot.is_file() {
                 sought.push((task.clone(), in_a_process("relocalize", &task, &task.robot)?));
+            } else {
+                not_checked.push(name);
             }
         }
     }
@@ -153,6 +153,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     let wrong = |(_, outcome): &(relocalize::Task, relocalize::Outcome)| outcome.wrong > 0;
     let missed = done.iter().any(|(row, outcome)| !table::met(row, outcome)) || sought.iter().any(wrong);
+    if !not_checked.is_empty() {
+        let absent = format!(
+            "not checked: {}: no such logs in {} (scripts/fetch-logs says where they come from)",
+            not_checked.join(", "),
+            args.data.display()
+        );
+        if args.check {
+            return Err(absent.into());
+        }
+        println!("{absent}");
+    }
     if args.check && missed { Err("an error is above its limit, or a place is wrong".into()) } else { Ok(()) }
 }
 

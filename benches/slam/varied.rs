@@ -2,9 +2,9 @@
 //! far or less exactly, worse wheels, a start elsewhere. Scored with the same relations.
 
 use core::f64::consts::TAU;
-use mr_slam::carmen::LaserLine;
-use mr_slam::operator::rng::Rng;
+use formats::carmen::LaserLine;
 use msg::{Pose2, pose::wrap_angle};
+use nav::rng::Rng;
 use serde::{Deserialize, Serialize};
 
 /// Where the noise begins: the same for every run.

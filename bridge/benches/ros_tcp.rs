@@ -45,7 +45,12 @@ impl Server {
                 let bridge = Rc::new(Bridge::new(BridgeConfig::default(), ROBOTS, on_command).unwrap());
                 let listener = tokio::net::TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
                 tell_address.send(listener.local_addr().unwrap()).unwrap();
-                tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, std::future::pending()));
+                tokio::task::spawn_local(serve(
+                    bridge.clone(),
+                    listener,
+                    process_clock,
+                    std::future::pending(),
+                ));
                 while let Some(job) = todo.recv().await {
                     job(&bridge);
                 }
@@ -177,16 +182,26 @@ fn mix(seconds: u64) {
         let due = begin + Duration::from_millis(10 * tick);
         thread::sleep(due.saturating_duration_since(Instant::now()));
         let mut scan = scan.clone();
-        server.jobs.send(Box::new(move |bridge| bridge.publish(FleetMessage::Clock(&Clock { header: header(begin) })))).unwrap();
+        server
+            .jobs
+            .send(Box::new(move |bridge| {
+                bridge.publish(FleetMessage::Clock(&Clock { header: header(begin) }))
+            }))
+            .unwrap();
         for robot in RobotId::first(ROBOTS) {
             if tick % 5 == robot.index() as u64 {
-                let job: Job = Box::new(move |bridge| bridge.publish(FleetMessage::Transforms(robot, &links(header(begin)))));
+                let job: Job = Box::new(move |bridge| {
+                    bridge.publish(FleetMessage::Transforms(robot, &links(header(begin))))
+                });
                 server.jobs.send(job).unwrap();
             }
             if tick % 10 == 5 + robot.index() as u64 {
                 scan.header = header(begin);
                 let scan = scan.clone();
-                server.jobs.send(Box::new(move |bridge| bridge.publish(FleetMessage::Scan(robot, &scan)))).unwrap();
+                server
+                    .jobs
+                    .send(Box::new(move |bridge| bridge.publish(FleetMessage::Scan(robot, &scan))))
+                    .unwrap();
             }
         }
     }
@@ -225,7 +240,8 @@ fn rate_out(per_second: u64) {
         thread::sleep((begin + Duration::from_millis(5 * tick)).saturating_duration_since(Instant::now()));
         let job: Job = Box::new(move |bridge| {
             let robot = RobotId::new(1).unwrap();
-            (0..per_second / 200).for_each(|_| bridge.publish(FleetMessage::Correction(robot, &Correction::default())));
+            (0..per_second / 200)
+                .for_each(|_| bridge.publish(FleetMessage::Correction(robot, &Correction::default())));
         });
         server.jobs.send(job).unwrap();
     }
@@ -386,7 +402,10 @@ fn storm(connections: usize) {
     let go = |count: usize| {
         for _ in 0..count {
             let client = Client::connect(server.address, &registrations);
-            server.jobs.send(Box::new(|bridge| bridge.publish(FleetMessage::Clock(&Clock::default())))).unwrap();
+            server
+                .jobs
+                .send(Box::new(|bridge| bridge.publish(FleetMessage::Clock(&Clock::default()))))
+                .unwrap();
             socket2::SockRef::from(&client.stream).set_linger(Some(Duration::ZERO)).unwrap();
         }
     };

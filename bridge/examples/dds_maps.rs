@@ -5,8 +5,8 @@
 //! standard input ends.
 
 use bridge::BridgeConfig;
-use bridge::{FleetMessage, Transport};
 use bridge::dds::{DdsConfig, DdsEndpoint};
+use bridge::{FleetMessage, Transport};
 use msg::{GridHeader, GridView, Header, Pose2, RobotId, Stamp};
 use std::rc::Rc;
 use std::time::Duration;

@@ -54,12 +54,18 @@ async fn fleet(bridge: Rc<Bridge>) {
             let place = Pose2::new(yaw.sin(), 1.0 - yaw.cos() + robot.number() as f64, yaw);
             if tick % 5 == robot.index() as u64 {
                 bridge.publish(FleetMessage::Transforms(robot, &links(header, place)));
-                bridge.publish(FleetMessage::Odometry(robot, &Odometry { header, odom_from_base: place, ..Odometry::default() }));
+                bridge.publish(FleetMessage::Odometry(
+                    robot,
+                    &Odometry { header, odom_from_base: place, ..Odometry::default() },
+                ));
             }
             if tick % 10 == robot.index() as u64 {
                 bridge.publish(FleetMessage::Scan(robot, &scan(header)));
                 let state = msg::TrackingState::Tracking as u32;
-                bridge.publish(FleetMessage::Correction(robot, &Correction { header, state, ..Correction::default() }));
+                bridge.publish(FleetMessage::Correction(
+                    robot,
+                    &Correction { header, state, ..Correction::default() },
+                ));
             }
         }
         if tick % 100 == 7 {
@@ -99,5 +105,9 @@ fn maps(bridge: &Bridge, header: Header, cells: &[i8]) {
     let Some(map) = GridView::new(&shape, cells) else { return };
     RobotId::first(ROBOTS).for_each(|robot| bridge.publish(FleetMessage::Map(robot, map)));
     bridge.publish(FleetMessage::MergedMap(map));
-    bridge.publish(FleetMessage::Stats(&FleetStats { header, robot_count: ROBOTS as u32, ..FleetStats::default() }));
+    bridge.publish(FleetMessage::Stats(&FleetStats {
+        header,
+        robot_count: ROBOTS as u32,
+        ..FleetStats::default()
+    }));
 }

@@ -10,7 +10,7 @@ use crate::fleet_topics::FleetMessage;
 use crate::frame::Frame;
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters, OutgoingQueue};
 use crate::world::{ClockEstimate, ExternalWorld, WorldInput};
-use msg::{Command, EdgeCommand, Monotonic, ROBOTS_MAX, RobotId, SlamRequest, Stamp};
+use msg::{EdgeCommand, Monotonic, ROBOTS_MAX, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
 
@@ -34,7 +34,7 @@ pub struct ClientStatus {
 }
 
 /// Where velocities go.
-type CommandSink = Box<dyn FnMut(RobotId, Command)>;
+type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
 /// Where commands for merging go.
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 /// Where requests to SLAM go.
@@ -60,7 +60,7 @@ type SlamRequestSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 ///
 /// let velocities = Rc::new(RefCell::new(Vec::new()));
 /// let sink = velocities.clone();
-/// let on_command = move |_robot, command: msg::Command| sink.borrow_mut().push(command.linear_m_s);
+/// let on_command = move |_robot, command: msg::VelocityCommand| sink.borrow_mut().push(command.linear_m_s);
 /// let bridge = Bridge::new(BridgeConfig::default(), 3, on_command)?;
 ///
 /// let client = bridge.connect(([127, 0, 0, 1], 5000).into())?;
@@ -95,7 +95,7 @@ impl Bridge {
     pub fn new(
         config: BridgeConfig,
         robot_count: usize,
-        on_command: impl FnMut(RobotId, Command) + 'static,
+        on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
         Self::open(config, robot_count, None, Box::new(on_command))
     }
@@ -109,7 +109,7 @@ impl Bridge {
         config: BridgeConfig,
         world: ExternalWorld,
         stamp_at: impl Fn(Monotonic) -> Stamp + 'static,
-        on_command: impl FnMut(RobotId, Command) + 'static,
+        on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
         let robot_count = world.robot_count();
         let input = WorldInput::new(world, config.clock_offset, Box::new(stamp_at));

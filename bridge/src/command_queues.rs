@@ -1,6 +1,6 @@
 //! Bounded queues of what clients want the rest of the fleet to do.
 
-use msg::{Command, EdgeCommand, ROBOTS_MAX, RobotId, SlamRequest};
+use msg::{EdgeCommand, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand};
 use std::collections::VecDeque;
 
 /// Velocities that may wait: those of one client frame are taken before the next frame is handled.
@@ -13,7 +13,7 @@ const SLAM_REQUESTS_MAX: usize = 16;
 /// Commands for robots, merging and SLAM that wait until the caller of the bridge takes them.
 #[derive(Debug)]
 pub struct CommandQueues {
-    velocities: VecDeque<(RobotId, Command)>,
+    velocities: VecDeque<(RobotId, VelocityCommand)>,
     edge_commands: VecDeque<EdgeCommand>,
     slam_requests: VecDeque<(RobotId, SlamRequest)>,
     velocities_taken: u64,
@@ -32,7 +32,7 @@ impl Default for CommandQueues {
 
 impl CommandQueues {
     /// Queues a velocity; the oldest is dropped if the queue is full.
-    pub fn push_velocity(&mut self, robot: RobotId, command: Command) {
+    pub fn push_velocity(&mut self, robot: RobotId, command: VelocityCommand) {
         if self.velocities.len() == VELOCITIES_MAX {
             self.velocities.pop_front();
         }
@@ -40,7 +40,7 @@ impl CommandQueues {
     }
 
     /// Takes the oldest velocity.
-    pub fn next_velocity(&mut self) -> Option<(RobotId, Command)> {
+    pub fn next_velocity(&mut self) -> Option<(RobotId, VelocityCommand)> {
         let next = self.velocities.pop_front()?;
         self.velocities_taken += 1;
         Some(next)

@@ -20,7 +20,7 @@ use crate::router::{
 };
 use crate::services::ServiceCalls;
 use crate::world::WorldInput;
-use msg::{Command, Header, Monotonic, RobotId};
+use msg::{Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
 use thiserror::Error;
 
@@ -110,7 +110,8 @@ impl Core {
         let expected = client.expected.take();
         if name.starts_with("__") {
             if expected.is_some() {
-                let text = format!("{name} came between a service's number and its frame: the call is dropped");
+                let text =
+                    format!("{name} came between a service's number and its frame: the call is dropped");
                 self.router.refuse(id, text);
             }
             return self.receive_system_command(id, name, frame);
@@ -157,7 +158,7 @@ impl Core {
     /// Every velocity passes here, whatever its origin: a client, the emergency stop, a client that left.
     pub fn send_velocity(&mut self, robot: RobotId, linear_m_s: f64, angular_rad_s: f64) {
         let header = Header { stamp: self.fleet.now(), ..Header::default() };
-        self.commands.push_velocity(robot, Command { header, linear_m_s, angular_rad_s });
+        self.commands.push_velocity(robot, VelocityCommand { header, linear_m_s, angular_rad_s });
         if self.world.is_some() {
             let twist = Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
             self.fleet.publish_velocity(&mut self.router, robot, &twist);

@@ -134,7 +134,7 @@ impl FleetTopics {
     }
 
     /// Returns the newest transforms from the robots' maps to the merged map.
-    pub fn map_transforms(&self) -> Option<&msg::Anchors> {
+    pub fn map_transforms(&self) -> Option<&msg::MapTransforms> {
         self.publisher.map_transforms()
     }
 }

@@ -278,7 +278,12 @@ mod tests {
         assert_eq!(message("geometry_msgs/msg/Twist").unwrap(), "geometry_msgs/Twist");
         assert!(message("quest2ros/OVR2ROSInputs").is_ok());
         assert!(message("my_msgs/Anything").is_ok());
-        assert!(message("geometry_msgs/Twits").unwrap_err().to_string().contains("geometry_msgs has no message Twits"));
+        assert!(
+            message("geometry_msgs/Twits")
+                .unwrap_err()
+                .to_string()
+                .contains("geometry_msgs has no message Twits")
+        );
         assert!(message("no_such_pkg/Nope").unwrap_err().to_string().contains("message_packages"));
         for name in
             ["", "Twist", "/", "a/b/c", "geometry_msgs/", "Geometry/Twist", "std_msgs/msg/String/x", "é/É"]

@@ -8,9 +8,7 @@ mod outgoing;
 mod topics;
 
 pub use buffers::BufferPool;
-pub use client::{
-    Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, Publication, RefusalKind,
-};
+pub use client::{Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, Publication, RefusalKind};
 pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 pub use topics::{DEPTH_DEFAULT, Retention, Source, TopicError, TopicId, TopicTable};
 

@@ -4,7 +4,7 @@
 //! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.
 
 use crate::cdr::{DecodeError, Reader, Writer};
-use msg::{Pose2, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, Text};
+use msg::{Pose2, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose, Text};
 use std::path::{Component, Path};
 use thiserror::Error;
 
@@ -24,7 +24,7 @@ pub enum Service {
     /// slam_toolbox/DeserializePoseGraph: loads a session file.
     LoadSession,
     /// std_srvs/Trigger: makes one request without arguments.
-    Trigger(SlamAsk),
+    Trigger(SlamRequestKind),
 }
 
 /// A service with its ROS name and type.
@@ -53,9 +53,9 @@ pub const SERVICES: [NamedService; 9] = [
     named("slam_toolbox/serialize_map", "slam_toolbox/SerializePoseGraph", Service::SaveSession),
     named("slam_toolbox/deserialize_map", "slam_toolbox/DeserializePoseGraph", Service::LoadSession),
     named("pause", "std_srvs/SetBool", Service::Pause),
-    named("reset", "std_srvs/Trigger", Service::Trigger(SlamAsk::Reset)),
-    named("relocalize", "std_srvs/Trigger", Service::Trigger(SlamAsk::Relocalize)),
-    named("clear_closures", "std_srvs/Trigger", Service::Trigger(SlamAsk::ClearClosures)),
+    named("reset", "std_srvs/Trigger", Service::Trigger(SlamRequestKind::Reset)),
+    named("relocalize", "std_srvs/Trigger", Service::Trigger(SlamRequestKind::Relocalize)),
+    named("clear_closures", "std_srvs/Trigger", Service::Trigger(SlamRequestKind::ClearClosures)),
 ];
 
 /// SLAM Toolbox's result code of a request that is done.
@@ -121,8 +121,8 @@ impl From<SlamRequest> for SlamRequests {
     }
 }
 
-fn request(ask: SlamAsk) -> SlamRequest {
-    SlamRequest { ask: ask as u32, ..SlamRequest::default() }
+fn request(kind: SlamRequestKind) -> SlamRequest {
+    SlamRequest { kind: kind as u32, ..SlamRequest::default() }
 }
 
 /// Checks that a name lies below the run's folder.
@@ -137,29 +137,32 @@ fn file_name(name: &str) -> Result<Text, RequestError> {
 impl Service {
     /// Reads a request. `paused` is whether SLAM is paused now.
     pub fn read(self, from: &mut Reader<'_>, paused: bool) -> Result<SlamRequests, RequestError> {
-        let pause = |wanted: bool| request(if wanted { SlamAsk::Pause } else { SlamAsk::Resume });
+        let pause =
+            |wanted: bool| request(if wanted { SlamRequestKind::Pause } else { SlamRequestKind::Resume });
         Ok(match self {
             Self::TogglePause => pause(!paused).into(),
             Self::Pause => pause(from.bool("data")?).into(),
             Self::Reset => {
-                let next = from.bool("pause_new_measurements")?.then(|| request(SlamAsk::Pause));
-                SlamRequests { first: request(SlamAsk::Reset), next }
+                let next = from.bool("pause_new_measurements")?.then(|| request(SlamRequestKind::Pause));
+                SlamRequests { first: request(SlamRequestKind::Reset), next }
             }
-            Self::SaveMap => {
-                SlamRequest { text: file_name(from.string("name.data")?)?, ..request(SlamAsk::SaveMap) }
-                    .into()
+            Self::SaveMap => SlamRequest {
+                text: file_name(from.string("name.data")?)?,
+                ..request(SlamRequestKind::SaveMap)
             }
-            Self::SaveSession => {
-                SlamRequest { text: file_name(from.string("filename")?)?, ..request(SlamAsk::SaveSession) }
-                    .into()
+            .into(),
+            Self::SaveSession => SlamRequest {
+                text: file_name(from.string("filename")?)?,
+                ..request(SlamRequestKind::SaveSession)
             }
+            .into(),
             Self::LoadSession => read_load_session(from)?.into(),
-            Self::Trigger(ask) => request(ask).into(),
+            Self::Trigger(kind) => request(kind).into(),
         })
     }
 
     /// Writes the response: SLAM's answer, or why there is none.
-    pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamAnswer, &ServiceFailure>) {
+    pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamResponse, &ServiceFailure>) {
         let done = answer.is_ok_and(|answer| answer.outcome() == SlamOutcome::Done);
         match self {
             Self::TogglePause => to.bool(done),
@@ -186,15 +189,15 @@ fn read_load_session(from: &mut Reader<'_>) -> Result<SlamRequest, RequestError>
     let [x_m, y_m, yaw_rad] =
         [from.finite("initial_pose.x")?, from.finite("initial_pose.y")?, from.finite("initial_pose.theta")?];
     let (mode, start) = match match_type {
-        0 => (SlamMode::Mapping, SlamStart::Unknown),
-        1 => (SlamMode::Mapping, SlamStart::First),
-        2 => (SlamMode::Mapping, SlamStart::Pose),
-        3 => (SlamMode::Localization, SlamStart::Pose),
+        0 => (SlamMode::Mapping, StartPose::Unknown),
+        1 => (SlamMode::Mapping, StartPose::FirstNode),
+        2 => (SlamMode::Mapping, StartPose::Given),
+        3 => (SlamMode::Localization, StartPose::Given),
         match_type => return Err(RequestError::MatchType { match_type }),
     };
     let (mode, start) = (mode as u32, start as u32);
     let pose = Pose2::new(x_m, y_m, yaw_rad);
-    Ok(SlamRequest { text, mode, start, pose, ..request(SlamAsk::LoadSession) })
+    Ok(SlamRequest { text, mode, start, pose, ..request(SlamRequestKind::LoadSession) })
 }
 
 #[cfg(test)]
@@ -215,10 +218,10 @@ mod tests {
     #[test]
     fn requests_mean_what_they_mean_in_slam_toolbox() {
         let toggled = read(Service::TogglePause, &encoded(|to| to.u8(0))).unwrap();
-        assert_eq!(toggled.first.ask, SlamAsk::Pause as u32);
+        assert_eq!(toggled.first.kind, SlamRequestKind::Pause as u32);
         let reset = read(Service::Reset, &encoded(|to| to.bool(true))).unwrap();
-        assert_eq!(reset.first.ask, SlamAsk::Reset as u32);
-        assert_eq!(reset.next.map(|next| next.ask), Some(SlamAsk::Pause as u32));
+        assert_eq!(reset.first.kind, SlamRequestKind::Reset as u32);
+        assert_eq!(reset.next.map(|next| next.kind), Some(SlamRequestKind::Pause as u32));
         let saved = read(Service::SaveMap, &encoded(|to| to.string("maps/monday"))).unwrap();
         assert_eq!(saved.first.text.as_str(), "maps/monday");
         let loaded = encoded(|to| {
@@ -227,7 +230,7 @@ mod tests {
             to.f64s(&[1.0, 2.0, 0.5]);
         });
         let loaded = read(Service::LoadSession, &loaded).unwrap().first;
-        assert_eq!((loaded.mode, loaded.start), (SlamMode::Localization as u32, SlamStart::Pose as u32));
+        assert_eq!((loaded.mode, loaded.start), (SlamMode::Localization as u32, StartPose::Given as u32));
         assert_eq!(loaded.pose, Pose2::new(1.0, 2.0, 0.5));
     }
 

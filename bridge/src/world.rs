@@ -14,9 +14,9 @@ mod checks;
 mod clock;
 mod input;
 
+pub(crate) use checks::floor_pose;
 pub use checks::{ScanError, TransformError};
 pub use clock::{ClockEstimate, ClockOffset, SourceClock};
-pub(crate) use checks::floor_pose;
 pub(crate) use input::{DDS_SOURCE, WorldInput};
 
 use crate::cdr::{DecodeError, Reader};
@@ -299,8 +299,7 @@ impl ExternalWorld {
         if is_correction(parent, child, self.robot_count) {
             return Err(WorldError::Correction { parent: parent.into(), child: child.into() });
         }
-        let wrong =
-            |source| WorldError::Transform { parent: parent.into(), child: child.into(), source };
+        let wrong = |source| WorldError::Transform { parent: parent.into(), child: child.into(), source };
         let Some((robot, parent_link, child_link)) = self.fleet_link(transform).map_err(wrong)? else {
             return Ok(());
         };

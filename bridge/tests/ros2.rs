@@ -6,8 +6,8 @@ use bridge::{Bridge, BridgeConfig, FleetMessage, Transport, process_clock};
 use futures::StreamExt;
 
 use msg::{
-    Command, GridHeader, GridView, Header, Pose2, RobotId, SlamAnswer, SlamAsk, SlamOutcome, SlamRequest,
-    Stamp,
+    GridHeader, GridView, Header, Pose2, RobotId, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse,
+    Stamp, VelocityCommand,
 };
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::{Context, Node, Subscription};
@@ -161,12 +161,14 @@ fn slam_toolboxs_save_map_is_asked_and_answered() {
         // SLAM, which saves whatever is named `monday`.
         let answering = Rc::downgrade(&endpoint);
         let ask = move |robot: RobotId, request: SlamRequest| {
-            assert_eq!(request.ask, SlamAsk::SaveMap as u32);
+            assert_eq!(request.kind, SlamRequestKind::SaveMap as u32);
             let done = request.text.as_str() == "monday";
             let outcome = if done { SlamOutcome::Done } else { SlamOutcome::Refused } as u32;
-            let answer = SlamAnswer { id: request.id, outcome, ..SlamAnswer::default() };
+            let answer = SlamResponse { id: request.id, outcome, ..SlamResponse::default() };
             let answering = answering.clone();
-            spawn_local(async move { answering.upgrade().map(|endpoint| endpoint.answer_request(robot, &answer, true)) });
+            spawn_local(async move {
+                answering.upgrade().map(|endpoint| endpoint.answer_request(robot, &answer, true))
+            });
         };
         spawn_local(endpoint.clone().serve(|_| {}, ask));
         let mut other = node(&config);
@@ -200,13 +202,16 @@ fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
     run(async {
         let config = config(50);
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
-        let commands = Rc::new(RefCell::new(Vec::<Command>::new()));
+        let commands = Rc::new(RefCell::new(Vec::<VelocityCommand>::new()));
         let taken = commands.clone();
         let bridge = Rc::new(
             Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),
         );
         let receiver = bridge.clone();
-        spawn_local(endpoint.clone().serve(move |message: ReceivedMessage| receiver.receive_dds(&message, process_clock()), |_, _| {}));
+        spawn_local(endpoint.clone().serve(
+            move |message: ReceivedMessage| receiver.receive_dds(&message, process_clock()),
+            |_, _| {},
+        ));
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/robot1/cmd_vel").unwrap();

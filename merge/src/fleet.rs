@@ -88,14 +88,14 @@ impl Fleet {
 
     /// Takes a robot's submap, new or as it has grown.
     pub fn submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), FleetRefused> {
-        self.note_run(robot, (submap.grid.header.run, submap.generation))?;
+        self.note_run(robot, (submap.grid.header.incarnation, submap.generation))?;
         let taken = self.members[robot.index()].submap(submap);
         if taken { Ok(()) } else { Err(FleetRefused::Malformed(robot)) }
     }
 
     /// Takes where a robot's submaps lie in its own map.
     pub fn poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), FleetRefused> {
-        self.note_run(robot, (poses.header.run, poses.generation))?;
+        self.note_run(robot, (poses.header.incarnation, poses.generation))?;
         let index = robot.index();
         let new = self.members[index].take_poses(poses).ok_or(FleetRefused::Malformed(robot))?;
         let begun = new && !self.members[index].poses.is_empty();

@@ -107,7 +107,7 @@ impl Lookup {
     /// Looks a tile of the lattice up in the robot's map: the result is `bench.found`. False if
     /// nothing is known anywhere near it.
     pub fn find(&self, x: i64, y: i64, map: &TileMap, bench: &mut Bench) -> bool {
-        let tile = Rect::of_tile(x, y);
+        let tile = Rect::cells_of_tile(x, y);
         let under = self.cells_under(tile);
         if !under.tiles().points().any(|(x, y)| map.get(x, y).is_some()) {
             return false;

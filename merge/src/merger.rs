@@ -3,11 +3,11 @@
 use crate::align::AlignConfig;
 use crate::lookup::Bench;
 use crate::source::{Source, reach};
-use msg::grid::{DRIVEN, LOG_ODDS_MAX, MAP_CELLS_MAX, UNKNOWN};
+use msg::grid::{LOG_ODDS_MAX, MAP_CELLS_MAX, SWEPT_FREE, UNKNOWN};
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
 use msg::{
-    Anchor, Anchors, Dense, Grid, GridHeader, GridView, Header, MapHeader, MapTile, Monotonic, Pose2,
-    ROBOTS_MAX, Rect, RobotId, Stamp, TileMap,
+    DenseMap, Grid, GridHeader, GridView, Header, MapHeader, MapTile, MapTransform, MapTransforms, Monotonic,
+    Pose2, ROBOTS_MAX, Rect, RobotId, Stamp, TileMap,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -99,7 +99,7 @@ pub struct Merger {
     merged: TileMap,
     /// By their place in the merged map's extent.
     dirty: Vec<bool>,
-    grid: Dense,
+    grid: DenseMap,
     bench: Bench,
 }
 
@@ -119,7 +119,7 @@ impl Merger {
         let sources =
             sources.map(|start| Source { map_from_robot_map: place(start), ..Default::default() }).collect();
         let merged = TileMap::new(MapHeader { resolution_m, ..Default::default() });
-        let (dirty, grid, bench) = (Vec::new(), Dense::default(), Bench::default());
+        let (dirty, grid, bench) = (Vec::new(), DenseMap::default(), Bench::default());
         Self { resolution_m, sources, merged, dirty, grid, bench }
     }
 
@@ -212,7 +212,7 @@ impl Merger {
                 let changed = map.changed_since(&source.map);
                 let changed = changed.filter(|(x, y)| map.get(*x, *y) != source.map.get(*x, *y));
                 for (x, y) in changed {
-                    let tiles = lookup.lattice_box(Rect::of_tile(x, y)).tiles();
+                    let tiles = lookup.lattice_box(Rect::cells_of_tile(x, y)).tiles();
                     mark(&mut self.dirty, self.merged.extent(), tiles);
                 }
             }
@@ -302,14 +302,14 @@ impl Merger {
     }
 
     /// Where each robot's map lies.
-    pub fn anchors(&self) -> Anchors {
-        let mut anchors = Anchors {
+    pub fn map_transforms(&self) -> MapTransforms {
+        let mut anchors = MapTransforms {
             header: Header { stamp: self.merged.header.header.stamp, ..Default::default() },
             ..Default::default()
         };
         for (anchor, source) in anchors.robots.iter_mut().zip(&self.sources) {
             if let Some(map_from_robot_map) = source.map_from_robot_map {
-                *anchor = Anchor { map_from_robot_map, known: 1, reserved: 0 };
+                *anchor = MapTransform { map_from_robot_map, known: 1, reserved: 0 };
             }
         }
         anchors
@@ -328,7 +328,7 @@ impl Merger {
             return Err(malformed(header, size, cells));
         }
         let (old, new) = (&source.own.header.header, &header.header);
-        let same_run = new.run == old.run && source.own.tiles().next().is_some();
+        let same_run = new.incarnation == old.incarnation && source.own.tiles().next().is_some();
         if same_run && new.stamp < old.stamp {
             return Err(Refused::Stale { stamp: new.stamp, newest: old.stamp });
         }
@@ -339,11 +339,11 @@ impl Merger {
     /// unless the limit demands it.
     fn make_room(&mut self, robot: RobotId, reach: Rect) -> Result<(), Refused> {
         let others = self.sources.iter().enumerate().filter(|(index, _)| *index != robot.index());
-        let needed = others.fold(reach, |all, (_, other)| all.unite(other.reach));
+        let needed = others.fold(reach, |all, (_, other)| all.union(other.reach));
         let before = self.merged.extent();
-        if !self.merged.make_room(needed, MAP_TILES_MAX) {
+        if !self.merged.grow_to(needed, MAP_TILES_MAX) {
             let mut merged = TileMap::new(self.merged.header);
-            if !merged.make_room(needed, MAP_TILES_MAX) {
+            if !merged.grow_to(needed, MAP_TILES_MAX) {
                 let (width, height) = (needed.width() * TILE as usize, needed.height() * TILE as usize);
                 return Err(Refused::TooLarge { width, height });
             }
@@ -356,7 +356,7 @@ impl Merger {
         if extent != before {
             let mut dirty = vec![false; extent.width() * extent.height()];
             let marked = before.points().zip(&self.dirty).filter(|(_, dirty)| **dirty);
-            marked.for_each(|((x, y), _)| mark(&mut dirty, extent, Rect::of_one(x, y)));
+            marked.for_each(|((x, y), _)| mark(&mut dirty, extent, Rect::single(x, y)));
             self.dirty = dirty;
         }
         Ok(())
@@ -393,7 +393,7 @@ fn fuse(x: i64, y: i64, sources: &[Source], resolution_m: f64, bench: &mut Bench
     let mut sums = [0_i16; TILE_CELLS];
     let mut least = [RANK_UNKNOWN; TILE_CELLS];
     let mut any = false;
-    for source in sources.iter().filter(|source| source.reach.holds(Rect::of_one(x, y))) {
+    for source in sources.iter().filter(|source| source.reach.contains(Rect::single(x, y))) {
         let found = source.lookup.as_ref().is_some_and(|lookup| lookup.find(x, y, &source.map, bench));
         if found {
             any = true;
@@ -410,10 +410,10 @@ fn fuse(x: i64, y: i64, sources: &[Source], resolution_m: f64, bench: &mut Bench
     let mut tile = MapTile::unknown(x, y);
     for ((cell, sum), least) in tile.cells.iter_mut().zip(&sums).zip(&least) {
         let sum = (*sum).clamp(-most, most) as i8;
-        let (known, driven) = (-i8::from(*least != RANK_UNKNOWN), -i8::from(*least == rank(DRIVEN)));
-        *cell = (((sum & !driven) | (DRIVEN & driven)) & known) | (UNKNOWN & !known);
+        let (known, driven) = (-i8::from(*least != RANK_UNKNOWN), -i8::from(*least == rank(SWEPT_FREE)));
+        *cell = (((sum & !driven) | (SWEPT_FREE & driven)) & known) | (UNKNOWN & !known);
     }
-    for source in sources.iter().filter(|source| source.body.holds(Rect::of_one(x, y))) {
+    for source in sources.iter().filter(|source| source.body.contains(Rect::single(x, y))) {
         source.clear(resolution_m, &mut tile);
     }
     Some(tile)
@@ -422,10 +422,10 @@ fn fuse(x: i64, y: i64, sources: &[Source], resolution_m: f64, bench: &mut Bench
 /// A cell's place in the order of what is certain to be free, that first and what nobody knows last: the least of several
 /// says both, at the price of one.
 const fn rank(cell: i8) -> u8 {
-    cell.wrapping_sub(DRIVEN) as u8
+    cell.wrapping_sub(SWEPT_FREE) as u8
 }
 const RANK_UNKNOWN: u8 = rank(UNKNOWN);
-const _: () = assert!(rank(DRIVEN) == 0 && RANK_UNKNOWN == u8::MAX);
+const _: () = assert!(rank(SWEPT_FREE) == 0 && RANK_UNKNOWN == u8::MAX);
 const _: () = assert!(ROBOTS_MAX * (LOG_ODDS_MAX as usize) < i16::MAX as usize);
 
 #[cfg(test)]

@@ -66,8 +66,8 @@ impl Source {
 
 /// Tiles of the lattice that a map reaches.
 pub(crate) fn reach(map: &TileMap, lookup: Option<&Lookup>) -> Rect {
-    let tiles = map.tiles().map(|tile| Rect::of_tile(tile.x.into(), tile.y.into()));
-    let cells = tiles.fold(Rect::default(), Rect::unite);
+    let tiles = map.tiles().map(|tile| Rect::cells_of_tile(tile.x.into(), tile.y.into()));
+    let cells = tiles.fold(Rect::default(), Rect::union);
     lookup.map_or(Rect::default(), |lookup| lookup.lattice_box(cells).tiles())
 }
 

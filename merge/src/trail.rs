@@ -1,8 +1,8 @@
 //! Where one robot's body has been of late.
 
 use crate::merger::is_near;
-use msg::grid::{DRIVEN, Occupancy, occupancy};
-use msg::{MapTile, Pose2, Rect, Swept};
+use msg::grid::{Occupancy, SWEPT_FREE, occupancy};
+use msg::{MapTile, Pose2, Rect, SweptDisk};
 use std::collections::VecDeque;
 
 /// Points of a trail: it reaches 2 m back and more, so that a robot's own map, drawn to its newest node at least (redrawn by the
@@ -50,29 +50,29 @@ impl Trail {
     }
 
     /// From point to point, in cells of the merged map's lattice.
-    fn swept(&self, map_from_robot_map: Pose2, resolution_m: f64) -> impl Iterator<Item = Swept> + '_ {
+    fn swept(&self, map_from_robot_map: Pose2, resolution_m: f64) -> impl Iterator<Item = SweptDisk> + '_ {
         let to_cells = move |point: &[f64; 2]| map_from_robot_map.apply(*point).map(|m| m / resolution_m);
         // The first to itself: one alone is a disk.
         let befores = self.points_m.front().into_iter().chain(&self.points_m);
         let pairs = befores.zip(&self.points_m);
-        pairs.filter_map(move |(a, b)| Swept::new(to_cells(a), to_cells(b), self.radius_m / resolution_m))
+        pairs.filter_map(move |(a, b)| SweptDisk::new(to_cells(a), to_cells(b), self.radius_m / resolution_m))
     }
 
     /// Tiles of the lattice that it touches.
     pub fn tiles(&self, map_from_robot_map: Pose2, resolution_m: f64) -> Rect {
         let cells = self.swept(map_from_robot_map, resolution_m).map(|swept| swept.cells());
-        cells.fold(Rect::default(), Rect::unite).tiles()
+        cells.fold(Rect::default(), Rect::union).tiles()
     }
 
     /// Puts floor under it in a tile, where none is known. What is known to be free stays as it was: a robot on its way
     /// through the open changes nothing.
     pub fn clear(&self, map_from_robot_map: Pose2, resolution_m: f64, tile: &mut MapTile) {
-        let all = Rect::of_tile(tile.x.into(), tile.y.into());
+        let all = Rect::cells_of_tile(tile.x.into(), tile.y.into());
         for swept in self.swept(map_from_robot_map, resolution_m) {
             for (x, y) in swept.cells().intersect(all).points().filter(|(x, y)| swept.covers(*x, *y)) {
                 let cell = &mut tile.cells[all.index(x, y)];
                 if occupancy(*cell) != Occupancy::Free {
-                    *cell = DRIVEN;
+                    *cell = SWEPT_FREE;
                 }
             }
         }

@@ -1,37 +1,37 @@
-//! What merging believes about how robots' maps lie to each other, and on what grounds.
+//! Merge edges: the transforms between pairs of robots' maps, with their evidence.
 
 use crate::{Header, Pose2, ROBOTS_MAX, RobotId};
 use bytemuck::{Pod, Zeroable};
 
-/// Pairs in the largest fleet.
+/// Number of pairs of robots in the largest fleet.
 pub const MERGE_EDGES_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
 
-/// What has become of a merge edge.
+/// State of a merge edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum EdgeState {
-    /// Nothing found yet that passed the gate.
+    /// No alignment has passed the acceptance test yet.
     None = 0,
-    /// Passed the gate once, waits for a second look.
+    /// An alignment passed the acceptance test once and waits for a second, independent one.
     Candidate = 1,
-    /// In force.
+    /// The edge is part of the fleet's pose graph.
     Accepted = 2,
-    /// In force, and stays so whatever comes: the operator's word.
+    /// The edge is part of the graph and stays so, because the operator pinned it.
     Pinned = 3,
-    /// Taken back by the operator: this place is not accepted again.
+    /// The operator rejected the edge: this alignment is never accepted again.
     Undone = 4,
-    /// Taken back because the maps came to contradict it: it may be accepted again.
+    /// The edge was removed because later maps contradict it. It may be accepted again.
     Dropped = 5,
 }
 
 impl EdgeState {
-    /// `None` for a code that no state has.
+    /// Decodes a state; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         use EdgeState::{Accepted, Candidate, Dropped, None, Pinned, Undone};
         [None, Candidate, Accepted, Pinned, Undone, Dropped].into_iter().find(|s| *s as u32 == code)
     }
 
-    /// One word for tables.
+    /// Returns the state's name in tables and in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -43,76 +43,76 @@ impl EdgeState {
         }
     }
 
-    /// Whether it holds two maps together.
+    /// Returns whether the edge joins the two maps.
     pub fn in_force(self) -> bool {
         matches!(self, Self::Accepted | Self::Pinned)
     }
 }
 
-/// How one robot's map lies in another's, and what speaks for it.
+/// Transform between two robots' maps, with its evidence.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct MergeEdge {
-    /// The pair's number, from 1: stays the same for the whole run.
+    /// Number of the pair, from 1. It stays the same for the whole run.
     pub id: u32,
-    /// The robot it is seen from: its number, from 1.
+    /// Number, from 1, of the robot in whose map the transform is expressed.
     pub a: u32,
-    /// The robot that is seen: its number, from 1.
+    /// Number, from 1, of the robot whose map is transformed.
     pub b: u32,
-    /// An [`EdgeState`]'s code. Read it by [`MergeEdge::state`].
+    /// Code of an [`EdgeState`]. Read it by [`MergeEdge::state`].
     pub state: u32,
-    /// `robotA/map` from `robotB/map`.
+    /// Transform to `robotA/map` from `robotB/map`.
     pub a_from_b: Pose2,
-    /// Occupied cells found again, of both maps together.
+    /// Number of occupied cells that match a cell of the other map, of both maps together.
     pub inliers: u32,
-    /// Closures between submaps in force.
+    /// Number of accepted loop closures between submaps of the two robots.
     pub closures: u32,
-    /// Closures found and not believed together with the others.
+    /// Number of closures that were rejected as inconsistent with the others.
     pub closures_out: u32,
-    /// Alignments tried.
+    /// Number of alignments attempted.
     pub tries: u32,
-    /// Mean distance of walls found again, metres.
+    /// Mean distance between matched walls, metres.
     pub residual_m: f64,
-    /// Mean distance by which the fleet's graph leaves its closures, metres.
+    /// Mean residual of the closures in the fleet's pose graph, metres.
     pub closure_residual_m: f64,
-    /// What both maps know, square metres.
+    /// Area that both maps know, square metres.
     pub overlap_m2: f64,
-    /// The same over what the map that knows less knows, 0 to 1.
+    /// `overlap_m2` over the area of the map that knows less, 0 to 1.
     pub overlap_share: f64,
-    /// Share of the cells both know on which they agree, 0 to 1.
+    /// Share of the cells known in both maps on which they agree, 0 to 1.
     pub strict: f64,
-    /// F1 of occupied cells at one cell's tolerance, 0 to 1.
+    /// F1 score of occupied cells with a tolerance of one cell, 0 to 1.
     pub occupied_f1: f64,
-    /// The largest such F1 under 20 random wrong transforms: what chance gives.
+    /// Largest such F1 score under 20 random wrong transforms: the level of chance.
     pub null_f1: f64,
-    /// Walls of one map in the middle of the other's floor, 0 to 1.
+    /// Share of one map's walls that lie in free space of the other map, 0 to 1.
     pub conflict: f64,
-    /// Evidence over that of the best other place.
+    /// Evidence over the evidence of the best different alignment.
     pub margin: f64,
 }
 
 impl MergeEdge {
-    /// The checked state; an unknown code reads as none.
+    /// Decodes the state; an unknown code reads as [`EdgeState::None`].
     pub fn state(&self) -> EdgeState {
         EdgeState::from_code(self.state).unwrap_or(EdgeState::None)
     }
 }
 
-/// All merge edges of a fleet.
+/// Message with all merge edges of a fleet.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct MergeEdges {
-    /// `stamp` is that of the newest map merged.
+    /// Header whose `stamp` is that of the newest merged map.
     pub header: Header,
-    /// How many of `edges` are set. Read them by [`MergeEdges::edges`].
+    /// Number of `edges` in use. Read them by [`MergeEdges::edges`].
     pub len: u32,
-    /// Commands answered so far.
+    /// Number of commands answered since the start.
     pub commands: u32,
-    /// How many of them were refused: no such edge, or nothing known of it.
+    /// Number of those commands that were refused: no such edge, or no transform known for it.
     pub refused: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
-    /// Pairs of robots; (1, 2), (1, 3), (2, 3), (1, 4) ...
+    /// Edges in the order of pairs of robots (1, 2), (1, 3), (2, 3), (1, 4) and so on.
     pub edges: [MergeEdge; MERGE_EDGES_MAX],
 }
 
@@ -123,33 +123,33 @@ impl Default for MergeEdges {
 }
 
 impl MergeEdges {
-    /// The set edges.
+    /// Returns the edges in use.
     pub fn edges(&self) -> &[MergeEdge] {
         &self.edges[..(self.len as usize).min(MERGE_EDGES_MAX)]
     }
 }
 
-/// The operator's word on an edge.
+/// Command of the operator on one merge edge.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct EdgeCommand {
-    /// When it was said.
+    /// Header whose `stamp` is the time of the command.
     pub header: Header,
-    /// The edge's number.
+    /// Number of the edge, [`MergeEdge::id`].
     pub edge: u32,
-    /// An [`EdgeAction`]'s code.
+    /// Code of an [`EdgeAction`].
     pub action: u32,
 }
 
 impl EdgeCommand {
-    /// The command for a pair of robots, in any order. `None` if they are one.
-    pub fn of(action: EdgeAction, a: RobotId, b: RobotId) -> Option<Self> {
+    /// Builds the command for a pair of robots, in any order. `None` if both are the same robot.
+    pub fn for_pair(action: EdgeAction, a: RobotId, b: RobotId) -> Option<Self> {
         let (low, high) = (a.index().min(b.index()), a.index().max(b.index()));
         let edge = (high * high.saturating_sub(1) / 2 + low + 1) as u32;
         (low != high).then(|| Self { edge, action: action as u32, ..Self::default() })
     }
 
-    /// As people say it: `pin 1 2`, `unpin 1 2`, `undo 1 2`, with the robots' numbers.
+    /// Parses `pin 1 2`, `unpin 1 2` or `undo 1 2`, with the robots' numbers.
     pub fn parse(text: &str) -> Option<Self> {
         let mut words = text.split_whitespace();
         let action = match words.next()? {
@@ -159,25 +159,25 @@ impl EdgeCommand {
             _ => return None,
         };
         let mut robot = || RobotId::new(words.next()?.parse().ok()?);
-        let command = Self::of(action, robot()?, robot()?);
+        let command = Self::for_pair(action, robot()?, robot()?);
         command.filter(|_| words.next().is_none())
     }
 }
 
-/// What an operator can do to an edge.
+/// Action of the operator on a merge edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum EdgeAction {
-    /// It stays as it is found, whatever comes.
+    /// Keeps the edge as it is, whatever later maps say.
     Pin = 1,
-    /// It is taken back, and the same place is not accepted again.
+    /// Removes the edge and never accepts the same alignment again.
     Undo = 2,
-    /// No longer pinned: it holds as long as the maps agree.
+    /// Ends the pin: the edge stays as long as the maps agree.
     Unpin = 3,
 }
 
 impl EdgeAction {
-    /// `None` for a code that no action has.
+    /// Decodes an action; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         [Self::Pin, Self::Undo, Self::Unpin].into_iter().find(|action| *action as u32 == code)
     }
@@ -188,7 +188,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn commands_are_words() {
+    fn parses_commands_and_refuses_everything_else() {
         let edge = |text| EdgeCommand::parse(text).map(|command| (command.edge, command.action));
         assert_eq!(edge("pin 1 2"), Some((1, EdgeAction::Pin as u32)));
         assert_eq!(edge(" undo 3 1 "), Some((2, EdgeAction::Undo as u32)));

@@ -1,45 +1,46 @@
-//! Occupancy grids. A cell is the evidence collected about a square of the floor, as log-odds:
-//! evidence of several scans, or of several robots, is added (Elfes 1989; Thrun, Burgard, Fox,
-//! "Probabilistic Robotics", 2005, eq. 9.7). What ROS calls occupancy is derived from it.
+//! Occupancy grids whose cells hold log-odds.
+//!
+//! A cell collects the evidence about a square of the floor. Evidence of several scans, or of several
+//! robots, is added (Elfes 1989; Thrun, Burgard, Fox, "Probabilistic Robotics", 2005, eq. 9.7). ROS's
+//! occupancy values are derived from it by [`percent_table`].
 
 use crate::{Header, Monotonic, Pose2};
 use bytemuck::{Pod, Zeroable};
 
-/// A cell nobody has seen.
+/// Value of a cell that no robot has seen.
 pub const UNKNOWN: i8 = i8::MIN;
-/// The most certain occupied cell.
+/// Value of the most certain occupied cell.
 pub const LOG_ODDS_MAX: i8 = 127;
-/// The most that beams can say for a cell being free: one step short of [`DRIVEN`].
+/// Value of the cell that beams show free most certainly: one step short of [`SWEPT_FREE`].
 pub const LOG_ODDS_MIN: i8 = -126;
-/// A cell that the robot's own body has covered. Nothing else stood there then, whatever others took the
-/// robot itself for: it holds until the robot sees something there.
-pub const DRIVEN: i8 = -127;
-/// Natural log-odds in one step of a cell: 127 steps are 6.35, a probability of 0.998.
+/// Value of a cell that the robot's own body has covered. Nothing else stood there at that time, even if
+/// another robot saw an obstacle, which was this robot. It stays until the robot itself sees an obstacle there.
+pub const SWEPT_FREE: i8 = -127;
+/// Natural log-odds per step of a cell's value: 127 steps are 6.35, a probability of 0.998.
 pub const LOG_ODDS_PER_STEP: f64 = 0.05;
-/// The most cells a robot's map may span: 4096 x 4096, 205 m x 205 m at 0.05 m.
+/// Largest number of cells of a robot's map: 4096 x 4096, 205 m x 205 m at 0.05 m.
 pub const CELLS_MAX: usize = 4096 * 4096;
-/// The most cells any map may span, such as that of a fleet: as a message it still fits into the 64 MiB
-/// that clients of the bridge may expect of a frame.
+/// Largest number of cells of any map, such as the fleet's. As a message it still fits into a frame of
+/// 64 MiB, the limit of the bridge's clients.
 pub const MAP_CELLS_MAX: usize = 15 << 22;
 
-/// map_server's thresholds on the probability of occupation: above 0.65 occupied, below 0.25 free.
-/// As log-odds: ln(0.65/0.35) = 0.619, ln(0.25/0.75) = -1.099.
+/// Smallest value of an occupied cell: map_server's threshold, probability 0.65, ln(0.65/0.35) = 0.619.
 pub const OCCUPIED_MIN: i8 = 13;
-/// See [`OCCUPIED_MIN`].
+/// Largest value of a free cell: map_server's threshold, probability 0.25, ln(0.25/0.75) = -1.099.
 pub const FREE_MAX: i8 = -22;
 
-/// What a cell means to one who must decide.
+/// Trinary state of a cell, as map_server defines it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occupancy {
-    /// Nobody has seen it, or the evidence does not decide.
+    /// The cell was not seen, or its evidence lies between the two thresholds.
     Unknown,
-    /// Nothing stands there.
+    /// The evidence says that the floor is free.
     Free,
-    /// Something stands there.
+    /// The evidence says that an obstacle stands there.
     Occupied,
 }
 
-/// Trinary reading of a cell.
+/// Classifies a cell's value by map_server's thresholds.
 pub fn occupancy(cell: i8) -> Occupancy {
     match cell {
         UNKNOWN => Occupancy::Unknown,
@@ -49,8 +50,8 @@ pub fn occupancy(cell: i8) -> Occupancy {
     }
 }
 
-/// nav_msgs/OccupancyGrid's value of each cell, indexed by the cell's bits (`cell as u8`):
-/// the probability of occupation in percent, -1 if unknown.
+/// Returns nav_msgs/OccupancyGrid's value for each cell value, indexed by the cell's bits (`cell as u8`).
+/// A value is the probability of occupation in percent, or -1 for unknown.
 pub fn percent_table() -> [i8; 256] {
     core::array::from_fn(|bits| match bits as u8 as i8 {
         UNKNOWN => -1,
@@ -58,92 +59,92 @@ pub fn percent_table() -> [i8; 256] {
     })
 }
 
-/// Whose grid.
+/// Frame in which a grid lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum GridFrame {
-    /// One robot's loop-closed map, frame `robotK/map`.
+    /// Frame `robotK/map`: one robot's loop-closed map.
     RobotMap = 1,
-    /// The fleet's merged map, frame `map`.
+    /// Frame `map`: the fleet's merged map.
     Map = 2,
 }
 
-/// Travels with the cells of a grid. Cells are row-major; row 0 is the lowest y.
+/// Size, resolution and pose of a grid. Cells are row-major; row 0 has the lowest y.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct GridHeader {
-    /// `stamp` is that of the newest scan drawn in.
+    /// Header whose `stamp` is that of the newest scan in the map.
     pub header: Header,
-    /// When that scan left its simulator: what scan-to-map latency is counted from.
+    /// Time at which that scan left its simulator. Scan-to-map latency is counted from it.
     pub scan_sent: Monotonic,
     /// Pose of the lower left corner of cell (0, 0) in the grid's frame.
     pub origin: Pose2,
-    /// Side of a cell, metres.
+    /// Length of a cell's side, metres.
     pub resolution_m: f64,
-    /// Cells along the grid's x axis.
+    /// Number of cells along the grid's x axis.
     pub width: u32,
-    /// Cells along the grid's y axis.
+    /// Number of cells along the grid's y axis.
     pub height: u32,
 }
 
-/// A borrowed grid.
+/// A borrowed occupancy grid.
 #[derive(Clone, Copy, Debug)]
 pub struct GridView<'a> {
-    /// Its shape and place.
+    /// Size, resolution and pose of the grid.
     pub header: &'a GridHeader,
-    /// Row-major evidence, `width * height` cells.
+    /// Row-major cells, `width * height` of them.
     pub cells: &'a [i8],
 }
 
 impl<'a> GridView<'a> {
-    /// `None` if the header's size is not the cells' or is over [`MAP_CELLS_MAX`], or the
-    /// resolution or the origin is not a usable number.
+    /// Borrows a grid and checks it. `None` if the header's size is not that of `cells` or exceeds
+    /// [`MAP_CELLS_MAX`], or if the resolution or the origin is not a usable number.
     pub fn new(header: &'a GridHeader, cells: &'a [i8]) -> Option<Self> {
         let size = (header.width as usize).checked_mul(header.height as usize)?;
-        let sound = size == cells.len()
+        let valid = size == cells.len()
             && size <= MAP_CELLS_MAX
             && header.resolution_m.is_finite()
             && header.resolution_m > 0.0
             && header.origin.is_finite();
-        sound.then_some(Self { header, cells })
+        valid.then_some(Self { header, cells })
     }
 
-    /// The cell in column `x`, row `y`; unknown outside.
+    /// Returns the cell in column `x`, row `y`; [`UNKNOWN`] outside of the grid.
     pub fn cell(&self, x: i64, y: i64) -> i8 {
         let inside =
             (0..i64::from(self.header.width)).contains(&x) && (0..i64::from(self.header.height)).contains(&y);
         if inside { self.cells[y as usize * self.header.width as usize + x as usize] } else { UNKNOWN }
     }
 
-    /// The cell (column, row) under a point of the grid's frame, perhaps outside the grid.
+    /// Returns the cell (column, row) under a point of the grid's frame. It may lie outside of the grid.
     pub fn cell_of(&self, point_m: [f64; 2]) -> (i64, i64) {
         let [x, y] = self.header.origin.inverse().apply(point_m);
         ((x / self.header.resolution_m).floor() as i64, (y / self.header.resolution_m).floor() as i64)
     }
 
-    /// The centre of the cell in column `x`, row `y`, in the grid's frame.
+    /// Returns the centre of the cell in column `x`, row `y`, in the grid's frame, metres.
     pub fn centre_m(&self, x: i64, y: i64) -> [f64; 2] {
         let r = self.header.resolution_m;
         self.header.origin.apply([(x as f64 + 0.5) * r, (y as f64 + 0.5) * r])
     }
 
-    /// An owned copy.
+    /// Copies the grid and its cells.
     pub fn to_owned(&self) -> Grid {
         Grid { header: *self.header, cells: self.cells.to_vec() }
     }
 }
 
-/// An owned grid.
+/// An owned occupancy grid.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Grid {
-    /// Its shape and place.
+    /// Size, resolution and pose of the grid.
     pub header: GridHeader,
-    /// Row-major evidence, `width * height` cells.
+    /// Row-major cells, `width * height` of them.
     pub cells: Vec<i8>,
 }
 
 impl Grid {
-    /// A borrowed grid. An empty one is sound.
+    /// Borrows the grid without a check. The cells must fit the header; an empty grid is valid.
     pub fn view(&self) -> GridView<'_> {
         GridView { header: &self.header, cells: &self.cells }
     }
@@ -154,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thresholds_are_map_servers() {
+    fn occupancy_uses_the_thresholds_of_map_server() {
         let percent = percent_table();
         for cell in -127..=127_i8 {
             let p = f64::from(percent[cell as u8 as usize]);
@@ -170,14 +171,14 @@ mod tests {
     }
 
     #[test]
-    fn where_a_robot_has_driven_is_free_and_beyond_what_beams_say() {
-        assert_eq!(occupancy(DRIVEN), Occupancy::Free);
-        const { assert!(UNKNOWN < DRIVEN && DRIVEN < LOG_ODDS_MIN) };
-        assert_eq!(percent_table()[DRIVEN as u8 as usize], 0);
+    fn swept_cells_are_free_and_more_certain_than_beams_make_them() {
+        assert_eq!(occupancy(SWEPT_FREE), Occupancy::Free);
+        const { assert!(UNKNOWN < SWEPT_FREE && SWEPT_FREE < LOG_ODDS_MIN) };
+        assert_eq!(percent_table()[SWEPT_FREE as u8 as usize], 0);
     }
 
     #[test]
-    fn refuses_what_does_not_fit() {
+    fn a_view_refuses_cells_that_do_not_fit_the_header() {
         let header = GridHeader { resolution_m: 0.05, width: 3, height: 2, ..Default::default() };
         assert!(GridView::new(&header, &[0; 6]).is_some());
         assert!(GridView::new(&header, &[0; 5]).is_none());

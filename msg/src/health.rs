@@ -1,34 +1,34 @@
-//! How a process is doing, by its own account.
+//! Health messages: what a process reports about itself.
 
 use crate::Header;
 use bytemuck::{Pod, Zeroable};
 
-/// What a process is for.
+/// Role of a process in the fleet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u32)]
 pub enum Role {
-    /// A robot in its room.
+    /// Simulates one robot in its room.
     Sim = 1,
-    /// A robot's map.
+    /// Runs the SLAM of one robot.
     Slam = 2,
-    /// The fleet's map.
+    /// Merges the robots' maps into the fleet's map.
     Merge = 3,
-    /// The fleet's figures.
+    /// Measures the fleet.
     Telemetry = 4,
-    /// The doors to headset and ROS 2.
+    /// Connects the fleet to ros_tcp clients and to ROS 2.
     Bridge = 5,
 }
 
 impl Role {
-    /// All roles, in the order of their codes.
+    /// All roles in the order of their codes.
     pub const ALL: [Self; 5] = [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge];
 
-    /// `None` for a code that no role has.
+    /// Decodes a role; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         Self::ALL.into_iter().find(|role| *role as u32 == code)
     }
 
-    /// The subcommand that runs it.
+    /// Returns the role's name in tables, in channel names and in the process list.
     pub fn name(self) -> &'static str {
         match self {
             Self::Sim => "sim",
@@ -40,35 +40,35 @@ impl Role {
     }
 }
 
-/// A process's account of its last second, sent once a second.
+/// Health of a process over the last second. Each process sends it once a second.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub struct Beat {
-    /// `run` tells incarnations apart.
+pub struct ProcessHealth {
+    /// Header whose `incarnation` changes when the process is restarted.
     pub header: Header,
-    /// A [`Role`]'s code.
+    /// Code of a [`Role`].
     pub role: u32,
-    /// The robot's number, 0 for a process of the whole fleet.
+    /// Number of the robot, from 1; 0 for a process of the whole fleet.
     pub robot: u32,
-    /// The process's id.
+    /// Id of the process in the operating system.
     pub pid: u32,
-    /// Clients attached (bridge only).
+    /// Number of connected clients (bridge only).
     pub clients: u32,
-    /// Messages of its main input since its start: scans for slam, commands for sim, maps for merge.
+    /// Messages received on the main input since the start: scans for slam, commands for sim, maps for merge.
     pub received: u64,
-    /// Of its main input, those that `seq` says were sent and never came.
+    /// Messages of the main input that were sent, by their `seq`, and not received.
     pub lost: u64,
-    /// Messages it had to drop, oldest first, because a reader was slow (bridge only).
+    /// Messages dropped, oldest first, because a reader was slow (bridge only).
     pub dropped: u64,
-    /// Messages refused because they made no sense.
+    /// Messages refused because their content is invalid.
     pub refused: u64,
-    /// Time per unit of work (a tick, a scan, a merge) over the last second, microseconds.
+    /// Median time per unit of work (a tick, a scan, a merge) over the last second, microseconds.
     pub work_p50_us: f32,
-    /// The slowest of the last second, microseconds.
+    /// Longest time per unit of work over the last second, microseconds.
     pub work_max_us: f32,
-    /// How late periodic work began over the last second, microseconds, median (sim only).
+    /// Median delay of periodic work over the last second, microseconds (sim only).
     pub late_p50_us: f32,
-    /// The latest of the last second, microseconds (sim only).
+    /// Longest delay of periodic work over the last second, microseconds (sim only).
     pub late_max_us: f32,
     /// Resident memory, bytes.
     pub memory_bytes: u64,

@@ -1,12 +1,29 @@
-//! The nouns on the arrows: what one process says to another.
+//! Messages between the processes of a fleet, and the maps, poses and times that they are made of.
 //!
-//! Every message is plain data ([`bytemuck::Pod`]): `repr(C)`, no padding, no pointer, and any
-//! bit pattern is a value, so that a reader can never be made to misbehave by what a writer left
-//! in shared memory. Fields that mean an enumeration are stored as codes and read by a checked
-//! accessor. Lengths are read through accessors that clamp them.
+//! Every message is plain data ([`bytemuck::Pod`]): `repr(C)`, without padding and pointers. Any bit
+//! pattern is a valid value, so damaged shared memory cannot make a reader misbehave. Enumerations are
+//! stored as codes and read by a checked accessor. Lengths are read through accessors that clamp them.
 //!
-//! Units are SI and radians; f32 in measurements, f64 in poses. Frames and time: see [`pose`],
-//! [`time`]; who writes which message to whom: the table in the binary's `channel.rs`.
+//! Units are SI and radians; f32 in measurements, f64 in poses. The modules [`pose`] and [`time`] explain
+//! frames and times. The table in the binary's `channel.rs` lists the writer and the readers of each message.
+//!
+//! A function that needs a map takes a borrowed [`GridView`], whoever owns its cells:
+//!
+//! ```
+//! use msg::{Grid, GridHeader, Pose2};
+//!
+//! let header = GridHeader {
+//!     origin: Pose2::new(-1.0, -1.0, 0.0),
+//!     resolution_m: 0.5,
+//!     width: 4,
+//!     height: 4,
+//!     ..GridHeader::default()
+//! };
+//! let mut grid = Grid { header, cells: vec![msg::grid::UNKNOWN; 16] };
+//! grid.cells[5] = msg::grid::LOG_ODDS_MAX;
+//! assert_eq!(grid.view().cell_of([-0.3, -0.3]), (1, 1));
+//! assert_eq!(msg::grid::occupancy(grid.view().cell(1, 1)), msg::grid::Occupancy::Occupied);
+//! ```
 
 mod edges;
 mod health;
@@ -22,54 +39,54 @@ pub mod grid;
 pub mod rect;
 mod slam;
 mod submap;
-mod swept;
+mod swept_disk;
 pub mod tiles;
 
 pub use edges::{EdgeAction, EdgeCommand, EdgeState, MERGE_EDGES_MAX, MergeEdge, MergeEdges};
 pub use grid::{Grid, GridHeader, GridView};
-pub use health::{Beat, Role};
+pub use health::{ProcessHealth, Role};
 pub use id::{ROBOTS_MAX, RobotId};
-pub use motion::{Clock, Command, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, Truth};
+pub use motion::{Clock, GroundTruth, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, VelocityCommand};
 pub use pose::Pose2;
 pub use rect::Rect;
 pub use scan::{BEAMS_MAX, Scan};
 pub use service::{
-    CLOSURES_MAX, ClosureInfo, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest, SlamStart, TEXT_MAX,
-    Text,
+    CLOSURES_MAX, ClosureInfo, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose,
+    TEXT_MAX, Text,
 };
-pub use slam::{Anchor, Anchors, Correction, TrackingState};
-pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessHealth, RobotStats};
+pub use slam::{Correction, MapTransform, MapTransforms, TrackingState};
+pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessStats, RobotStats};
 pub use submap::{
-    SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapAsk, SubmapEdge,
-    SubmapPoses,
+    SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses,
+    SubmapRequest,
 };
-pub use swept::Swept;
-pub use tiles::{Dense, MapHeader, MapTile, PatchHeader, TileMap};
+pub use swept_disk::SweptDisk;
+pub use tiles::{DenseMap, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 
 use bytemuck::{Pod, Zeroable};
 
-/// What every message begins with.
+/// Stamp, sending time and number with which every message begins.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Header {
-    /// When the content was true, on the run's clock. The algorithms' only time.
+    /// Time at which the content was true, on the run's clock. Algorithms use no other time.
     pub stamp: Stamp,
-    /// When the message left its writer, on the machine's clock. For latency only.
+    /// Time at which the message left its writer, on the machine's clock. Used for latency only.
     pub sent: Monotonic,
-    /// Counts the writer's messages on this channel from 0 without gaps: a gap is a loss.
+    /// Number of the message on its channel, from 0. A gap means that messages were lost.
     pub seq: u64,
-    /// The writer's incarnation: a restarted writer has another, and starts at `seq` 0.
-    pub run: u64,
+    /// Number of the writer's process. A restarted writer has another one and starts at `seq` 0.
+    pub incarnation: u64,
 }
 
-/// A message with a header, as one channel carries it.
+/// A message with a [`Header`] that a channel can carry.
 pub trait Message: Pod {
-    /// Its name between processes: tells two layouts apart, even when they are equally large.
+    /// Name of the type between processes. It tells two layouts of the same size apart.
     const NAME: &'static str;
-    /// The header.
+    /// Returns the message's header.
     fn header(&self) -> &Header;
-    /// The header, for the channel to number and time.
+    /// Returns the header for the channel, which numbers and times the message.
     fn header_mut(&mut self) -> &mut Header;
 }
 
@@ -90,16 +107,16 @@ messages!(
     Scan,
     Odometry,
     Transforms,
-    Command,
-    Truth,
+    VelocityCommand,
+    GroundTruth,
     Clock,
     Correction,
-    Anchors,
-    Beat,
+    MapTransforms,
+    ProcessHealth,
     FleetStats,
     MergeEdges,
     EdgeCommand,
-    SubmapAsk,
+    SubmapRequest,
     SlamRequest,
-    SlamAnswer
+    SlamResponse
 );

@@ -3,7 +3,7 @@
 //! `cargo run --release -p sim --example cost -- [ROOM_FILE]...`
 
 use bytemuck::Zeroable;
-use msg::{Command, RobotId, Scan, Truth};
+use msg::{GroundTruth, RobotId, Scan, VelocityCommand};
 use sim::{LidarConfig, Room, SimConfig, Simulator};
 use std::time::Instant;
 
@@ -40,13 +40,13 @@ fn measure(room: &Room, peers: usize, lidar: LidarConfig) -> Result<(), Box<dyn 
     for tick in 0..TICKS {
         if tick % 5 == 0 {
             for (peer, at) in &others {
-                let mut truth = Truth { world_from_base: *at, ..Truth::default() };
+                let mut truth = GroundTruth { world_from_base: *at, ..GroundTruth::default() };
                 truth.header.stamp = simulator.now();
                 simulator.see(*peer, &truth);
             }
         }
         let angular_rad_s = if tick % 1000 < 300 { 1.0 } else { -0.1 };
-        simulator.command(&Command { linear_m_s: 0.15, angular_rad_s, ..Command::default() });
+        simulator.command(&VelocityCommand { linear_m_s: 0.15, angular_rad_s, ..VelocityCommand::default() });
         let before = Instant::now();
         let due = simulator.step().scan_due;
         ticks.push(before.elapsed());

@@ -5,7 +5,7 @@
 
 use bytemuck::Zeroable;
 use msg::grid::{Occupancy, occupancy};
-use msg::{Command, Pose2, RobotId, Scan, Truth};
+use msg::{GroundTruth, Pose2, RobotId, Scan, VelocityCommand};
 use sim::{LidarConfig, Room, SimConfig, Simulator};
 
 const RESOLUTION_M: f64 = 0.025;
@@ -34,7 +34,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         fleet.push(Driver::new(robot, Simulator::new(&room, &config, robot, start, 1)?));
     }
     for tick in 0..=seconds * TICKS_PER_SECOND {
-        let truths: Vec<(RobotId, Truth)> = fleet.iter().map(|driver| (driver.robot, driver.truth)).collect();
+        let truths: Vec<(RobotId, GroundTruth)> =
+            fleet.iter().map(|driver| (driver.robot, driver.truth)).collect();
         for driver in &mut fleet {
             if tick > 0 && tick % 5 == 0 {
                 let peers = truths.iter().filter(|(robot, _)| *robot != driver.robot);
@@ -61,7 +62,7 @@ struct Driver {
     robot: RobotId,
     simulator: Simulator,
     scan: Box<Scan>,
-    truth: Truth,
+    truth: GroundTruth,
     believed: Pose2,
     way_m: f64,
     turning: f64,
@@ -94,7 +95,7 @@ impl Driver {
             1..=200 => (0.0, 0.8),
             _ => (-0.1, 0.0),
         };
-        self.simulator.command(&Command { linear_m_s, angular_rad_s, ..Command::default() });
+        self.simulator.command(&VelocityCommand { linear_m_s, angular_rad_s, ..VelocityCommand::default() });
         let tick = self.simulator.step();
         self.backing_ticks = self.backing_ticks.saturating_sub(1);
         if tick.truth.contacts > self.truth.contacts {

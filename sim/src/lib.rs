@@ -1,13 +1,13 @@
 //! One robot in a room: commands in; scans, odometry, transforms and truth out.
 //!
 //! ```text
-//!   Command ─▶ Limits ─▶ Body (rapier3d) ─┬─▶ Truth
-//!   peers' Truth ─▶ Peers ──────▲         ├─▶ WheelOdometry ─▶ Odometry, Transforms
+//!   VelocityCommand ─▶ Limits ─▶ Body (rapier3d) ─┬─▶ GroundTruth
+//!   peers' GroundTruth ─▶ Peers ──────▲         ├─▶ WheelOdometry ─▶ Odometry, Transforms
 //!   Room ───────────────────────┘─────────┴─▶ Lidar (parry3d) ─▶ Scan
 //! ```
 //!
 //! The robot is a TurtleBot3 Burger with ROBOTIS's published dimensions ([`burger`]). One
-//! [`Simulator`] holds one robot; the other robots of the fleet are mirrored from their [`msg::Truth`].
+//! [`Simulator`] holds one robot; the other robots of the fleet are mirrored from their [`msg::GroundTruth`].
 //! Pure: no clock, file, thread or socket. The same inputs and seed give the same bytes.
 
 mod body;

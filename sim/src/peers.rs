@@ -1,7 +1,7 @@
 //! The other robots as this one meets them: kinematic bodies, moved by what their simulators say.
 
 use crate::body::Body;
-use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp, Truth};
+use msg::{GroundTruth, Pose2, ROBOTS_MAX, RobotId, Stamp};
 use rapier3d::dynamics::RigidBodyHandle;
 
 /// A peer silent for so long is no longer there, seconds.
@@ -16,7 +16,7 @@ const JUMP_MIN_M: f64 = 0.1;
 #[derive(Clone, Copy)]
 struct Peer {
     body: RigidBodyHandle,
-    truth: Truth,
+    truth: GroundTruth,
     /// Where its body is now.
     world_from_base: Pose2,
     present: bool,
@@ -28,7 +28,7 @@ pub(crate) struct Peers([Option<Peer>; ROBOTS_MAX]);
 
 impl Peers {
     /// The caller has checked that `truth` is finite.
-    pub(crate) fn see(&mut self, body: &mut Body, robot: RobotId, truth: &Truth) {
+    pub(crate) fn see(&mut self, body: &mut Body, robot: RobotId, truth: &GroundTruth) {
         let peer = self.0[robot.index()].get_or_insert_with(|| Peer {
             body: body.insert_peer(truth.world_from_base),
             truth: *truth,
@@ -72,7 +72,7 @@ impl Peers {
 }
 
 /// Along an arc, at the velocity the peer had.
-fn extrapolate(truth: &Truth, age_s: f64) -> Pose2 {
+fn extrapolate(truth: &GroundTruth, age_s: f64) -> Pose2 {
     let ahead_s = age_s.clamp(-EXTRAPOLATE_MAX_S, EXTRAPOLATE_MAX_S);
     let turn_rad = truth.angular_rad_s * ahead_s;
     let (sin, cos) = (turn_rad / 2.0).sin_cos();

@@ -13,8 +13,8 @@ use core::time::Duration;
 use glam::DQuat;
 use msg::pose::wrap_angle;
 use msg::{
-    Command, Header, Link, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotId, Scan, Stamp, Transforms,
-    Truth,
+    GroundTruth, Header, Link, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotId, Scan, Stamp, Transforms,
+    VelocityCommand,
 };
 use parry3d::math::Pose;
 use parry3d::shape::SharedShape;
@@ -40,7 +40,7 @@ pub struct Simulator {
     ticks: i64,
     scan_ticks: i64,
     /// Clamped, and the tick it was given at.
-    command: Option<(Command, i64)>,
+    command: Option<(VelocityCommand, i64)>,
     contacts: u64,
     last_touch: Option<i64>,
     refused: u64,
@@ -52,7 +52,7 @@ pub struct Tick {
     /// The run's time after the tick: what /clock says.
     pub stamp: Stamp,
     /// Where the robot is.
-    pub truth: Truth,
+    pub truth: GroundTruth,
     /// At 20 Hz.
     pub transforms: Option<Transforms>,
     /// At 20 Hz, with the transforms.
@@ -115,13 +115,13 @@ impl Simulator {
 
     /// Takes a wished velocity, valid from now until the timeout of the limits, and clamps it to them.
     /// One that is not a number is refused and counted; the one before stays valid.
-    pub fn command(&mut self, command: &Command) {
+    pub fn command(&mut self, command: &VelocityCommand) {
         if !(command.linear_m_s.is_finite() && command.angular_rad_s.is_finite()) {
             self.refused += 1;
             return;
         }
         let Limits { linear_m_s, angular_rad_s, .. } = self.limits;
-        let clamped = Command {
+        let clamped = VelocityCommand {
             linear_m_s: command.linear_m_s.clamp(-linear_m_s, linear_m_s),
             angular_rad_s: command.angular_rad_s.clamp(-angular_rad_s, angular_rad_s),
             ..*command
@@ -132,7 +132,7 @@ impl Simulator {
     /// Mirrors a peer: the LiDAR sees it and the robot bumps into it, until it is silent for a second.
     /// A truth that is not a number, of the robot itself, or of another time than now (by over a
     /// second) is refused and counted.
-    pub fn see(&mut self, peer: RobotId, truth: &Truth) {
+    pub fn see(&mut self, peer: RobotId, truth: &GroundTruth) {
         let finite = truth.world_from_base.is_finite()
             && truth.linear_m_s.is_finite()
             && truth.angular_rad_s.is_finite();
@@ -208,9 +208,9 @@ impl Simulator {
         Header { stamp: self.now(), ..Header::default() }
     }
 
-    fn truth(&self) -> Truth {
+    fn truth(&self) -> GroundTruth {
         let (linear_m_s, angular_rad_s) = self.body.velocity();
-        Truth {
+        GroundTruth {
             header: self.header(),
             world_from_base: self.body.world_from_base(),
             linear_m_s,

@@ -4,7 +4,7 @@ mod common;
 
 use bytemuck::Zeroable;
 use common::{drive, robot};
-use msg::{Header, Pose2, Scan, Truth};
+use msg::{GroundTruth, Header, Pose2, Scan};
 use sim::{Room, SimConfig, Simulator};
 
 /// Allocations in one tick. All are rapier's: it collects contacts and islands in short-lived vectors
@@ -22,7 +22,7 @@ fn scans_allocate_nothing_and_ticks_grow_nothing() {
             if tick % 5 == 0 {
                 let header = Header { stamp: simulator.now(), ..Header::default() };
                 let world_from_base = Pose2::new(-2.0, 1.3, 0.1);
-                simulator.see(robot(2), &Truth { header, world_from_base, ..Truth::default() });
+                simulator.see(robot(2), &GroundTruth { header, world_from_base, ..GroundTruth::default() });
             }
             simulator.command(&drive(0.15, if tick % 500 < 250 { 0.6 } else { -0.4 }));
             simulator.step();

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Run, drive, quiet, robot};
 use msg::pose::wrap_angle;
-use msg::{Command, Pose2};
+use msg::{Pose2, VelocityCommand};
 use sim::{Room, SimConfig, Simulator};
 
 /// A place in the laboratory with 1 m of free floor ahead and around.
@@ -104,7 +104,11 @@ fn nonsense_is_refused_and_counted() {
     let mut simulator = simulator(OPEN);
     simulator.command(&drive(0.1, 0.0));
     for (linear, angular) in [(f64::NAN, 0.0), (0.0, f64::INFINITY), (f64::NEG_INFINITY, f64::NAN)] {
-        simulator.command(&Command { linear_m_s: linear, angular_rad_s: angular, ..Command::default() });
+        simulator.command(&VelocityCommand {
+            linear_m_s: linear,
+            angular_rad_s: angular,
+            ..VelocityCommand::default()
+        });
     }
     assert_eq!(simulator.refused(), 3);
     let truth = (0..25).map(|_| simulator.step().truth).last().unwrap();

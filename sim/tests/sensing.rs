@@ -7,7 +7,7 @@ use common::{Run, drive, quiet, robot, scan};
 use core::f64::consts::FRAC_PI_2;
 use glam::DQuat;
 use msg::pose::wrap_angle;
-use msg::{Header, Link, Pose2, RobotId, Scan, Stamp, Truth};
+use msg::{GroundTruth, Header, Link, Pose2, RobotId, Scan, Stamp};
 use sim::{LidarConfig, NoiseConfig, Room, SimConfig, Simulator};
 
 const OPEN: Pose2 = Pose2::new(-1.2, -1.7, 0.6);
@@ -183,9 +183,9 @@ fn transforms_are_the_turtlebots() {
     assert!(expected_rad > 0.1, "the right wheel turned farther: the robot turned left");
 }
 
-fn truth(simulator: &Simulator, world_from_base: Pose2, linear_m_s: f64) -> Truth {
+fn truth(simulator: &Simulator, world_from_base: Pose2, linear_m_s: f64) -> GroundTruth {
     let header = Header { stamp: simulator.now(), ..Header::default() };
-    Truth { header, world_from_base, linear_m_s, ..Truth::default() }
+    GroundTruth { header, world_from_base, linear_m_s, ..GroundTruth::default() }
 }
 
 #[test]
@@ -219,7 +219,7 @@ fn peers_are_seen_and_vanish_when_silent() {
 #[test]
 fn peers_are_bumped_into() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
-    let mut last = Truth::default();
+    let mut last = GroundTruth::default();
     for _ in 0..1000 {
         let peer = truth(&simulator, Pose2::new(0.5, 0.0, 0.0), 0.0);
         simulator.see(robot(2), &peer);
@@ -234,7 +234,7 @@ fn peers_are_bumped_into() {
 #[test]
 fn a_moving_peer_pushes() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
-    let mut last = Truth::default();
+    let mut last = GroundTruth::default();
     let mut peer = truth(&simulator, Pose2::new(-0.6, 0.0, 0.0), 0.15);
     for tick in 0..600 {
         let x_m = -0.6 + 0.0015 * f64::from(tick);
@@ -255,10 +255,10 @@ fn impossible_peers_are_refused() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
     let sound = truth(&simulator, Pose2::new(1.0, 0.0, 0.0), 0.0);
     simulator.see(robot(1), &sound);
-    simulator.see(robot(2), &Truth { world_from_base: Pose2::new(f64::NAN, 0.0, 0.0), ..sound });
-    simulator.see(robot(2), &Truth { linear_m_s: f64::INFINITY, ..sound });
+    simulator.see(robot(2), &GroundTruth { world_from_base: Pose2::new(f64::NAN, 0.0, 0.0), ..sound });
+    simulator.see(robot(2), &GroundTruth { linear_m_s: f64::INFINITY, ..sound });
     let late = Header { stamp: Stamp(60_000_000_000), ..Header::default() };
-    simulator.see(robot(2), &Truth { header: late, ..sound });
+    simulator.see(robot(2), &GroundTruth { header: late, ..sound });
     assert_eq!(simulator.refused(), 4);
 }
 

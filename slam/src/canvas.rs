@@ -1,7 +1,7 @@
 //! Draws the occupancy grid: every node's beams, traced cell by cell (Bresenham 1965), add
 //! log-odds where they end and take some away where they pass (Thrun, Burgard, Fox,
 //! "Probabilistic Robotics", 2005, table 9.1). Then what the robot's body came over since the node before: there is
-//! floor (`msg::grid::DRIVEN`), until the robot sees something there.
+//! floor (`msg::grid::SWEPT_FREE`), until the robot sees something there.
 //!
 //! Evidence is clamped, so a node cannot be taken out of the map again. When nodes have moved, the
 //! tiles they touched and now touch are drawn anew instead, from all nodes in their order: tile by
@@ -11,9 +11,11 @@
 use crate::cloud::Placement;
 use crate::config::MapConfig;
 use crate::node::Node;
-use msg::grid::{DRIVEN, LOG_ODDS_MAX, LOG_ODDS_MIN, LOG_ODDS_PER_STEP, UNKNOWN};
+use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_MIN, LOG_ODDS_PER_STEP, SWEPT_FREE, UNKNOWN};
 use msg::tiles::{OpenTiles, ROBOT_TILES_MAX, TILE};
-use msg::{Dense, GridView, Header, MapHeader, Monotonic, Pose2, Rect, Swept, TileMap, pose::wrap_angle};
+use msg::{
+    DenseMap, GridView, Header, MapHeader, Monotonic, Pose2, Rect, SweptDisk, TileMap, pose::wrap_angle,
+};
 
 /// Cells that a node costs in a slice at least, whatever it draws: it is looked at.
 const NODE_CELLS: usize = 64;
@@ -29,7 +31,7 @@ pub struct Canvas {
     redraw: Option<Redraw>,
     /// Nodes that did not fit into the largest map.
     clipped: u64,
-    grid: Dense,
+    grid: DenseMap,
     ends: Ends,
     pen: Pen,
 }
@@ -68,7 +70,7 @@ impl Canvas {
             drawn: Vec::new(),
             redraw: None,
             clipped: 0,
-            grid: Dense::default(),
+            grid: DenseMap::default(),
             ends: Ends::default(),
         }
     }
@@ -137,7 +139,7 @@ impl Canvas {
             }
             let mut cost = NODE_CELLS;
             if redraw.marks.touches(drawn.tiles) {
-                redraw.map.make_room(drawn.tiles, ROBOT_TILES_MAX);
+                redraw.map.grow_to(drawn.tiles, ROBOT_TILES_MAX);
                 let (marks, node) = (&redraw.marks, &nodes[redraw.next]);
                 let open = redraw.map.open(drawn.tiles, |x, y| marks.holds(x, y));
                 cost += self.ends.place(node, drawn.map_from_base, &self.config).trace(open, &self.pen);
@@ -156,7 +158,7 @@ impl Canvas {
         let reach_m = if node.in_map() { reach_m(node, &self.config) } else { EMPTY };
         let mut drawn = Drawn { map_from_base, reach_m, tiles: Rect::default() };
         let tiles = tiles_of(&drawn, self.config.resolution_m);
-        if !tiles.is_empty() && !self.map.make_room(tiles, ROBOT_TILES_MAX) {
+        if !tiles.is_empty() && !self.map.grow_to(tiles, ROBOT_TILES_MAX) {
             self.clipped += 1;
         } else {
             drawn.tiles = tiles;
@@ -200,7 +202,7 @@ impl Canvas {
                 place.map_from_base = *pose;
             }
             let tiles = tiles_of(place, self.config.resolution_m);
-            place.tiles = if extent.make_room(tiles, ROBOT_TILES_MAX) { tiles } else { Rect::default() };
+            place.tiles = if extent.grow_to(tiles, ROBOT_TILES_MAX) { tiles } else { Rect::default() };
         }
         let mut marks = Marks::none_of([self.map.extent(), extent.extent()]);
         for (was, is) in self.drawn.iter().zip(&drawn).filter(|(was, is)| was != is) {
@@ -213,9 +215,9 @@ impl Canvas {
     /// The new version takes the old one's place, tile by tile, all at once.
     fn swap(&mut self) {
         let Some(Redraw { map: new, marks, drawn, .. }) = self.redraw.take() else { return };
-        let extent = drawn.iter().fold(Rect::default(), |all, node| all.unite(node.tiles));
+        let extent = drawn.iter().fold(Rect::default(), |all, node| all.union(node.tiles));
         let mut map = TileMap::new(self.map.header);
-        if !map.make_room(extent, ROBOT_TILES_MAX) {
+        if !map.grow_to(extent, ROBOT_TILES_MAX) {
             // A node that came meanwhile lies too far from where the others are now: begin anew.
             return;
         }
@@ -248,7 +250,7 @@ impl Marks {
     }
 
     fn holds(&self, x: i64, y: i64) -> bool {
-        self.touches(Rect::of_one(x, y))
+        self.touches(Rect::single(x, y))
     }
 
     fn touches(&self, tiles: Rect) -> bool {
@@ -307,7 +309,7 @@ struct Ends {
     sensor: [i64; 2],
     hits: Vec<[i64; 2]>,
     misses: Vec<[i64; 2]>,
-    body: Vec<Swept>,
+    body: Vec<SweptDisk>,
 }
 
 impl Ends {
@@ -324,7 +326,7 @@ impl Ends {
         self.body.clear();
         for place in body(node, config) {
             let at = map_from_base.apply(place.map(f64::from)).map(|m| m / config.resolution_m);
-            self.body.extend(Swept::new(at, at, config.robot_radius_m / config.resolution_m));
+            self.body.extend(SweptDisk::new(at, at, config.robot_radius_m / config.resolution_m));
         }
         self
     }
@@ -346,7 +348,7 @@ impl Ends {
         for disk in &self.body {
             for (x, y) in disk.cells().points().filter(|(x, y)| disk.covers(*x, *y)) {
                 if let Some(cells) = tiles.cells(x.div_euclid(TILE), y.div_euclid(TILE)) {
-                    cells[(y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize] = DRIVEN;
+                    cells[(y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize] = SWEPT_FREE;
                 }
                 cells += 1;
             }
@@ -370,7 +372,7 @@ impl Pen {
                 let cell = bits as u8 as i8;
                 let before = if cell == UNKNOWN { 0 } else { cell };
                 match cell {
-                    DRIVEN if change < 0 => DRIVEN,
+                    SWEPT_FREE if change < 0 => SWEPT_FREE,
                     _ => before.saturating_add(change).clamp(LOG_ODDS_MIN, LOG_ODDS_MAX),
                 }
             })

@@ -41,7 +41,7 @@ impl OdometryBuffer {
         if self.poses.len() == self.config.buffer_len {
             self.poses.pop_front();
         }
-        if let Some(last) = last.filter(|last| last.header.run != odometry.header.run) {
+        if let Some(last) = last.filter(|last| last.header.incarnation != odometry.header.incarnation) {
             // The robot's driver was started again and counts from elsewhere; meanwhile it stood.
             self.continuous_from_odom = last.odom_from_base * odometry.odom_from_base.inverse();
         }

@@ -156,7 +156,7 @@ impl Submaps {
     }
 
     /// A submap that is new, has grown, was finished or bent since it was given out; call it until
-    /// there is none. `header.run` and `seq` are left to the channel.
+    /// there is none. `header.incarnation` and `seq` are left to the channel.
     pub fn next_changed(&mut self, back: &Back) -> Option<&Submap> {
         let poses = back.graph().poses();
         let newest = self.groups.len().checked_sub(1)?;

@@ -103,7 +103,7 @@ fn going_on_gives_the_bits_of_never_having_stopped() {
         let drawn = first.map().to_owned();
         let bytes = first.session(identity()).encode();
         let session = Session::decode(&bytes, &identity()).unwrap();
-        assert!(drawn.cells.contains(&msg::grid::DRIVEN));
+        assert!(drawn.cells.contains(&msg::grid::SWEPT_FREE));
         let mut second = Slam::begin(config.clone(), Some(session), SlamMode::Mapping, Start::GoOn);
         assert!(drawn == second.map().to_owned(), "another map after loading");
         feed(&mut second, &after);
@@ -221,7 +221,7 @@ fn localization_changes_nothing_and_needs_no_more_memory() {
         for (odometry, scan, _) in &mut log {
             let later = core::time::Duration::from_secs(1000 * seed);
             odometry.header.stamp = odometry.header.stamp + later;
-            odometry.header.run = seed;
+            odometry.header.incarnation = seed;
             scan.header.stamp = odometry.header.stamp;
         }
         let said = feed(&mut slam, &log);

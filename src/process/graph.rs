@@ -8,7 +8,7 @@ use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, Node, Reader, Writer, wait};
 use ::merge::Fleet;
 use msg::{
-    EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Submap, SubmapAsk, SubmapPoses,
+    EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Submap, SubmapPoses, SubmapRequest,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -44,7 +44,7 @@ struct Source {
     robot: RobotId,
     submaps: Reader<Submap>,
     poses: Reader<SubmapPoses>,
-    asks: Writer<SubmapAsk>,
+    asks: Writer<SubmapRequest>,
     /// Lost so far, when all were last asked for.
     lost: u64,
     /// Since when something has been missing.
@@ -102,7 +102,7 @@ impl Source {
             robot,
             submaps: node.reader(&channel::submap(robot))?,
             poses: node.reader(&channel::submap_poses(robot))?,
-            asks: node.writer(&channel::submap_ask(robot))?,
+            asks: node.writer(&channel::submap_request(robot))?,
             lost: 0,
             lacks_since: None,
         })
@@ -123,7 +123,7 @@ impl Source {
         }
         let since = *self.lacks_since.get_or_insert(now());
         if now().since(since) >= ASK_NS {
-            self.asks.send(&SubmapAsk::default());
+            self.asks.send(&SubmapRequest::default());
             (self.lost, self.lacks_since) = (lost, None);
         }
     }

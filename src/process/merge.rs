@@ -54,9 +54,9 @@ fn draw(
     let mut merged = node.map_writer(&channel::merged_map())?;
     let asks = merged.asks();
     let bells: Vec<&Bell> = bells.iter().chain([&*asks]).collect();
-    let mut anchors = node.writer(&channel::anchors())?;
+    let mut map_transforms = node.writer(&channel::map_transforms())?;
     let mut merger = Merger::new(&run.config.merge, starts);
-    anchors.send(&merger.anchors());
+    map_transforms.send(&merger.map_transforms());
     let mut refused = 0;
     let mut sending = false;
     while !over() {
@@ -78,12 +78,12 @@ fn draw(
             changed = true;
         }
         if changed {
-            // The anchors do not ring; the merged map does, and finds them there.
-            anchors.send(&merger.anchors());
+            // The map transforms do not ring; the merged map does, and finds them there.
+            map_transforms.send(&merger.map_transforms());
             pulse.work(|| merger.compose());
         }
         sending = !merged.send(merger.merged_tiles());
-        anchors.refresh();
+        map_transforms.refresh();
         pulse.beat(|| Account { gaps: sum(&maps), refused, ..Account::default() });
     }
     Ok(())

@@ -7,7 +7,7 @@ use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::{ChannelError, Node, Reader, Writer, wait};
 use crate::stop::Stop;
-use msg::{Clock, Command, Odometry, Pose2, RobotId, Role, Scan, Transforms, Truth};
+use msg::{Clock, GroundTruth, Odometry, Pose2, RobotId, Role, Scan, Transforms, VelocityCommand};
 use sim::Simulator;
 
 /// A simulator further behind than this lets the time go instead of hurrying after it: the
@@ -27,7 +27,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
         .robots()
         .filter(|peer| *peer != robot)
         .map(|peer| Ok((peer, node.reader(&channel::truth(peer))?)))
-        .collect::<Result<Vec<(RobotId, Reader<Truth>)>, ChannelError>>()?;
+        .collect::<Result<Vec<(RobotId, Reader<GroundTruth>)>, ChannelError>>()?;
     let room = fleet::room(&run.config)?;
     let start = fleet::starts(&run.config, &room)?[robot.index()];
 
@@ -66,7 +66,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     Ok(())
 }
 
-fn obey(commands: &mut Reader<Command>, simulator: &mut Simulator) {
+fn obey(commands: &mut Reader<VelocityCommand>, simulator: &mut Simulator) {
     while let Some(command) = commands.receive() {
         simulator.command(&command);
     }
@@ -77,7 +77,7 @@ struct Outputs {
     scan: Writer<Scan>,
     odometry: Writer<Odometry>,
     transforms: Writer<Transforms>,
-    truth: Writer<Truth>,
+    truth: Writer<GroundTruth>,
     clock: Option<Writer<Clock>>,
 }
 

@@ -3,7 +3,7 @@
 use crate::channel;
 use crate::shared_memory::{ChannelError, Node, Reader, Writer};
 use ::slam::{Back, SlamConfig, Submaps};
-use msg::{RobotId, Submap, SubmapAsk, SubmapPoses};
+use msg::{RobotId, Submap, SubmapPoses, SubmapRequest};
 use std::time::{Duration, Instant};
 
 /// The shortest time between two submaps: readers have room for eight.
@@ -16,7 +16,7 @@ pub struct SubmapsOut {
     submaps: Submaps,
     writer: Writer<Submap>,
     poses: Writer<SubmapPoses>,
-    asks: Reader<SubmapAsk>,
+    asks: Reader<SubmapRequest>,
     /// There may be submaps to send.
     sending: bool,
     sent: Instant,
@@ -31,7 +31,7 @@ impl SubmapsOut {
             submaps: Submaps::new(config),
             writer: node.writer(&channel::submap(robot))?,
             poses: node.writer(&channel::submap_poses(robot))?,
-            asks: node.reader(&channel::submap_ask(robot))?,
+            asks: node.reader(&channel::submap_request(robot))?,
             sending: false,
             sent: now,
             looked: now,

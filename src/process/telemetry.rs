@@ -10,7 +10,9 @@ use crate::run::Run;
 use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
-use msg::{Anchors, Beat, Correction, Dense, Monotonic, RobotId, Role, Transforms, Truth};
+use msg::{
+    Correction, DenseMap, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId, Role, Transforms,
+};
 
 /// How often the figures are sent.
 const PERIOD_NS: u64 = 1_000_000_000;
@@ -51,11 +53,11 @@ struct RobotInputs {
     robot: RobotId,
     transforms: Reader<Transforms>,
     corrections: Reader<Correction>,
-    truths: Reader<Truth>,
+    truths: Reader<GroundTruth>,
     maps: MapReader,
     /// A map has come since the last figures.
     news: bool,
-    grid: Dense,
+    grid: DenseMap,
 }
 
 /// What telemetry reads.
@@ -63,9 +65,9 @@ struct Inputs {
     robots: Vec<RobotInputs>,
     merged_map: MapReader,
     merged_news: bool,
-    merged_grid: Dense,
-    anchors: Reader<Anchors>,
-    beats: Vec<Reader<Beat>>,
+    merged_grid: DenseMap,
+    map_transforms: Reader<MapTransforms>,
+    health: Vec<Reader<ProcessHealth>>,
 }
 
 impl Inputs {
@@ -78,17 +80,17 @@ impl Inputs {
                 truths: node.reader(&channel::truth(robot))?,
                 maps: node.map_reader(&channel::map(robot))?,
                 news: false,
-                grid: Dense::default(),
+                grid: DenseMap::default(),
             })
         };
-        let beats = members(run).map(|(role, robot)| node.reader(&channel::beat(role, robot)));
+        let health = members(run).map(|(role, robot)| node.reader(&channel::process_health(role, robot)));
         Ok(Self {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
             merged_map: node.map_reader(&channel::merged_map())?,
             merged_news: false,
-            merged_grid: Dense::default(),
-            anchors: node.reader(&channel::anchors())?,
-            beats: beats.collect::<Result<_, _>>()?,
+            merged_grid: DenseMap::default(),
+            map_transforms: node.reader(&channel::map_transforms())?,
+            health: health.collect::<Result<_, _>>()?,
         })
     }
 
@@ -124,8 +126,8 @@ impl Inputs {
     }
 
     fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        if let Some(anchors) = self.anchors.newest() {
-            telemetry.anchors(&anchors);
+        if let Some(map_transforms) = self.map_transforms.newest() {
+            telemetry.map_transforms(&map_transforms);
         }
         for RobotInputs { robot, maps, news, grid, .. } in &mut self.robots {
             if std::mem::take(news) {
@@ -135,9 +137,9 @@ impl Inputs {
         if std::mem::take(&mut self.merged_news) {
             telemetry.merged_map(self.merged_grid.update(self.merged_map.map()), received);
         }
-        for beats in &mut self.beats {
-            while let Some(beat) = beats.receive() {
-                telemetry.beat(&beat, received);
+        for health in &mut self.health {
+            while let Some(message) = health.receive() {
+                telemetry.process_health(&message, received);
             }
         }
     }

@@ -4,9 +4,9 @@
 //! graph gets each submap when it would get it live. One thread: the same logs give the same maps.
 
 use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, write_trajectory};
-use crate::carmen::{LaserLine, Reader};
-use crate::map_file::write_map;
 use crate::merge_edges::EdgeView;
+use formats::carmen::{LaserLine, Reader};
+use formats::map_file::write_map;
 use merge::{Fleet, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
 use serde::Serialize;

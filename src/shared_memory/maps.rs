@@ -12,7 +12,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use msg::tiles::{Incoming, Outgoing, PATCH_TILES_MAX, Patch};
+use msg::tiles::{PATCH_TILES_MAX, Patch, PatchReceiver, PatchSender};
 use msg::{MapTile, Message, Monotonic, PatchHeader, TileMap};
 use std::rc::Rc;
 use std::time::Duration;
@@ -37,7 +37,7 @@ impl Node {
         let listener = self.ask_event(channel)?.listener_builder().create();
         let asks = Rc::new(Bell::new(listener.map_err(failed("cannot be asked on", &channel.name))?));
         let (stamper, bell) = (Stamper::new(self.run), self.notifier(channel)?);
-        Ok(MapWriter { publisher, stamper, bell, asks, outgoing: Outgoing::default(), bytes: 0 })
+        Ok(MapWriter { publisher, stamper, bell, asks, outgoing: PatchSender::default(), bytes: 0 })
     }
 
     /// A reader of a map's channel.
@@ -50,7 +50,7 @@ impl Node {
             .map_err(failed("cannot read channel", &channel.name))?;
         let ask = self.ask_event(channel)?.notifier_builder().create();
         let ask = ask.map_err(failed("cannot ask on", &channel.name))?;
-        let (gaps, incoming) = (Gaps::default(), Incoming::default());
+        let (gaps, incoming) = (Gaps::default(), PatchReceiver::default());
         Ok(MapReader { subscriber, ask, asked: Monotonic(0), gaps, incoming })
     }
 
@@ -93,7 +93,7 @@ pub struct MapWriter {
     stamper: Stamper,
     bell: Option<Notifier<ipc::Service>>,
     asks: Rc<Bell>,
-    outgoing: Outgoing,
+    outgoing: PatchSender,
     bytes: u64,
 }
 
@@ -108,14 +108,14 @@ impl MapWriter {
     pub fn send(&mut self, map: &TileMap) -> bool {
         let _ = self.publisher.update_connections();
         if self.asks.take() {
-            self.outgoing.ask();
+            self.outgoing.request_snapshot();
         }
         let mut sent = 0;
         while sent < Self::MESSAGES_MAX
-            && let Some(patch) = self.outgoing.next(map)
+            && let Some(patch) = self.outgoing.next_patch(map)
         {
             if !self.send_one(&patch) {
-                self.outgoing.fail();
+                self.outgoing.restart();
                 break;
             }
             sent += 1;
@@ -123,7 +123,7 @@ impl MapWriter {
         if let Some(bell) = self.bell.as_ref().filter(|_| sent > 0) {
             let _ = bell.notify();
         }
-        !self.outgoing.is_behind(map)
+        !self.outgoing.has_pending(map)
     }
 
     /// Rings when a reader asks for the whole.
@@ -153,7 +153,7 @@ pub struct MapReader {
     ask: Notifier<ipc::Service>,
     asked: Monotonic,
     gaps: Gaps,
-    incoming: Incoming,
+    incoming: PatchReceiver,
 }
 
 impl MapReader {
@@ -163,9 +163,9 @@ impl MapReader {
         while let Ok(Some(sample)) = self.subscriber.receive() {
             let header = &sample.user_header().0;
             self.gaps.count(header.header());
-            new |= self.incoming.take(header, Shared::peel_slice(sample.payload()));
+            new |= self.incoming.receive(header, Shared::peel_slice(sample.payload()));
         }
-        if self.incoming.is_lost() && now().since(self.asked) >= ASK_PERIOD_NS {
+        if self.incoming.needs_snapshot() && now().since(self.asked) >= ASK_PERIOD_NS {
             self.asked = now();
             let _ = self.ask.notify();
         }

@@ -5,8 +5,8 @@ use crate::processes::Processes;
 use crate::robot::{Robot, count};
 use crate::truth::{AgainstTruth, Knowable};
 use msg::{
-    Anchors, Beat, Correction, FleetStats, Grid, GridView, Header, Monotonic, Pose2, ROBOTS_MAX, RobotId,
-    RobotStats, Stamp, Transforms, Truth,
+    Correction, FleetStats, Grid, GridView, GroundTruth, Header, MapTransforms, Monotonic, Pose2,
+    ProcessHealth, ROBOTS_MAX, RobotId, RobotStats, Stamp, Transforms,
 };
 
 /// Walls are compared with the room's each so many calls, and each so many cells of the map one call later: two
@@ -25,7 +25,7 @@ pub struct Telemetry {
     merged: Grid,
     merged_counts: RobotStats,
     merged_version: u64,
-    anchors: Anchors,
+    map_transforms: MapTransforms,
     room_coverage: Option<(u64, Pose2, f64)>,
     /// The merged map's walls against the room's, and how long ago, in calls, that was.
     against_room: Option<AgainstTruth>,
@@ -50,7 +50,7 @@ impl Telemetry {
             merged: Grid::default(),
             merged_counts: RobotStats::default(),
             merged_version: 0,
-            anchors: Anchors::default(),
+            map_transforms: MapTransforms::default(),
             room_coverage: None,
             against_room: None,
             against_room_age: 0,
@@ -107,35 +107,36 @@ impl Telemetry {
     }
 
     /// Where the robots' maps lie in the fleet's.
-    pub fn anchors(&mut self, anchors: &Anchors) {
-        self.anchors = *anchors;
+    pub fn map_transforms(&mut self, map_transforms: &MapTransforms) {
+        self.map_transforms = *map_transforms;
     }
 
     /// Where a simulated robot really is.
-    pub fn truth(&mut self, robot: RobotId, truth: &Truth) {
+    pub fn truth(&mut self, robot: RobotId, truth: &GroundTruth) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
             robot.truth(truth);
         }
     }
 
     /// A process's account of itself.
-    pub fn beat(&mut self, beat: &Beat, received: Monotonic) {
-        self.processes.beat(beat, received);
+    pub fn process_health(&mut self, message: &ProcessHealth, received: Monotonic) {
+        self.processes.receive(message, received);
     }
 
     /// The figures at `stamp` of the run's clock, which is `now` on the machine's. Compares at most
     /// a bounded number of cells: with many large maps the pairs take turns.
     pub fn stats(&mut self, stamp: Stamp, now: Monotonic) -> &FleetStats {
-        let anchor = |index: usize| {
-            let anchor = &self.anchors.robots[index];
-            (anchor.known == 1 && anchor.map_from_robot_map.is_finite()).then_some(anchor.map_from_robot_map)
+        let map_transform = |index: usize| {
+            let map_transform = &self.map_transforms.robots[index];
+            (map_transform.known == 1 && map_transform.map_from_robot_map.is_finite())
+                .then_some(map_transform.map_from_robot_map)
         };
         let maps = self.robots.iter().enumerate();
         let maps: Vec<_> = maps
             .map(|(index, robot)| PlacedMap {
                 grid: &robot.grid,
                 version: robot.version,
-                map_from_robot_map: anchor(index),
+                map_from_robot_map: map_transform(index),
             })
             .collect();
         self.pairs.refresh(&maps);
@@ -163,17 +164,18 @@ impl Telemetry {
             ..Default::default()
         };
         let world_from_map = self.world_from_map();
-        let robots = self.robots.iter().zip(&self.anchors.robots);
-        for (stats, (robot, anchor)) in self.stats.robots.iter_mut().zip(robots) {
-            let place = Some(anchor.map_from_robot_map).filter(|p| anchor.known == 1 && p.is_finite());
+        let robots = self.robots.iter().zip(&self.map_transforms.robots);
+        for (stats, (robot, map_transform)) in self.stats.robots.iter_mut().zip(robots) {
+            let place =
+                Some(map_transform.map_from_robot_map).filter(|p| map_transform.known == 1 && p.is_finite());
             let error = world_from_map.zip(place).zip(robot.world_from_robot_map);
             let [error_m, error_rad] = error.map_or([f64::NAN; 2], |((world_from_map, place), truth)| {
                 let off = truth.between(world_from_map * place);
                 [off.x_m.hypot(off.y_m), off.yaw_rad.abs()]
             });
             *stats = RobotStats {
-                anchor_error_m: error_m,
-                anchor_error_rad: error_rad,
+                map_transform_error_m: error_m,
+                map_transform_error_rad: error_rad,
                 merged: u32::from(place.is_some()),
                 ..robot.stats(stamp)
             };
@@ -220,9 +222,10 @@ impl Telemetry {
 
     /// By the first robot whose map's place is known both in the world and in the merged map.
     fn world_from_map(&self) -> Option<Pose2> {
-        self.robots.iter().zip(&self.anchors.robots).find_map(|(robot, anchor)| {
+        self.robots.iter().zip(&self.map_transforms.robots).find_map(|(robot, map_transform)| {
             let world_from_robot_map = robot.world_from_robot_map?;
-            (anchor.known == 1).then(|| world_from_robot_map * anchor.map_from_robot_map.inverse())
+            (map_transform.known == 1)
+                .then(|| world_from_robot_map * map_transform.map_from_robot_map.inverse())
         })
     }
 }

@@ -48,9 +48,9 @@ impl Mean {
 
 impl Jitter {
     pub fn add(&mut self, transforms: &Transforms, received: Monotonic) {
-        if transforms.header.run != self.run {
+        if transforms.header.incarnation != self.run {
             // A restarted writer's clock may begin elsewhere; what was measured stays measured.
-            self.run = transforms.header.run;
+            self.run = transforms.header.incarnation;
             self.links = Default::default();
         }
         let age_ns = (received.0 as i64).wrapping_sub(transforms.header.stamp.0);
@@ -79,7 +79,7 @@ mod tests {
 
     fn message(stamp_ns: i64, run: u64) -> Transforms {
         let mut message = Transforms { len: 2, ..Default::default() };
-        message.header = Header { stamp: Stamp(stamp_ns), run, ..Default::default() };
+        message.header = Header { stamp: Stamp(stamp_ns), incarnation: run, ..Default::default() };
         message.links[0] = LinkTransform { child: Link::BaseFootprint as u32, ..Default::default() };
         message.links[1] = LinkTransform { child: 99, ..Default::default() };
         message

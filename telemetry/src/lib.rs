@@ -3,9 +3,9 @@
 //! ```text
 //! transforms ─▶ jitter ──────┐
 //! corrections ─▶ scans, pose ─┤
-//! maps, anchors ─▶ pairs ─────┼─▶ FleetStats, once a second
+//! maps, map_transforms ─▶ pairs ─────┼─▶ FleetStats, once a second
 //! truth, room plan ─▶ errors ─┤
-//! beats ─▶ processes ─────────┘
+//! health ─▶ processes ────────┘
 //! ```
 //!
 //! [`consistency`] and [`truth`] are the map metrics as plain functions, for reports and benches.

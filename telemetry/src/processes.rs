@@ -1,6 +1,6 @@
 //! The fleet's processes, by their own accounts.
 
-use msg::{Beat, Monotonic, PROCESSES_MAX, ProcessHealth, ROBOTS_MAX, Role};
+use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, Role};
 
 /// Slots: sim and slam of each robot, then merge, telemetry, bridge.
 pub(crate) struct Processes {
@@ -10,7 +10,7 @@ pub(crate) struct Processes {
 
 #[derive(Clone, Copy)]
 struct Seen {
-    beat: Beat,
+    health: ProcessHealth,
     received: Monotonic,
     restarts: u64,
 }
@@ -20,17 +20,18 @@ impl Processes {
         Self { robot_count: robot_count.min(ROBOTS_MAX), slots: [None; PROCESSES_MAX] }
     }
 
-    /// A beat of a role or robot that the fleet does not have is ignored.
-    pub fn beat(&mut self, beat: &Beat, received: Monotonic) {
-        let Some(slot) = self.slot(beat).and_then(|slot| self.slots.get_mut(slot)) else { return };
-        let restarts =
-            slot.map_or(0, |seen| seen.restarts + u64::from(seen.beat.header.run != beat.header.run));
-        *slot = Some(Seen { beat: *beat, received, restarts });
+    /// A message of a role or robot that the fleet does not have is ignored.
+    pub fn receive(&mut self, health: &ProcessHealth, received: Monotonic) {
+        let Some(slot) = self.slot(health).and_then(|slot| self.slots.get_mut(slot)) else { return };
+        let restarts = slot.map_or(0, |seen| {
+            seen.restarts + u64::from(seen.health.header.incarnation != health.header.incarnation)
+        });
+        *slot = Some(Seen { health: *health, received, restarts });
     }
 
-    fn slot(&self, beat: &Beat) -> Option<usize> {
-        let robot = (beat.robot as usize).checked_sub(1).filter(|index| *index < self.robot_count);
-        match Role::from_code(beat.role)? {
+    fn slot(&self, health: &ProcessHealth) -> Option<usize> {
+        let robot = (health.robot as usize).checked_sub(1).filter(|index| *index < self.robot_count);
+        match Role::from_code(health.role)? {
             Role::Sim => Some(2 * robot?),
             Role::Slam => Some(2 * robot? + 1),
             Role::Merge => Some(2 * self.robot_count),
@@ -39,10 +40,10 @@ impl Processes {
         }
     }
 
-    pub fn health(&self, now: Monotonic) -> [ProcessHealth; PROCESSES_MAX] {
+    pub fn health(&self, now: Monotonic) -> [ProcessStats; PROCESSES_MAX] {
         self.slots.map(|slot| {
-            slot.map_or(ProcessHealth::default(), |seen| ProcessHealth {
-                beat: seen.beat,
+            slot.map_or(ProcessStats::default(), |seen| ProcessStats {
+                health: seen.health,
                 age_s: now.since(seen.received) as f64 * 1e-9,
                 restarts: seen.restarts,
             })
@@ -58,21 +59,21 @@ mod tests {
     #[test]
     fn counts_restarts_of_each_process() {
         let mut processes = Processes::new(2);
-        let beat = |role: Role, robot, run| Beat {
-            header: Header { run, ..Default::default() },
+        let health_of = |role: Role, robot, run| ProcessHealth {
+            header: Header { incarnation: run, ..Default::default() },
             role: role as u32,
             robot,
             ..Default::default()
         };
         for run in [7, 7, 8, 9, 9] {
-            processes.beat(&beat(Role::Slam, 2, run), Monotonic(1_000_000_000));
+            processes.receive(&health_of(Role::Slam, 2, run), Monotonic(1_000_000_000));
         }
-        processes.beat(&beat(Role::Bridge, 0, 1), Monotonic(0));
-        processes.beat(&beat(Role::Sim, 3, 1), Monotonic(0));
-        processes.beat(&Beat { role: 77, ..Default::default() }, Monotonic(0));
+        processes.receive(&health_of(Role::Bridge, 0, 1), Monotonic(0));
+        processes.receive(&health_of(Role::Sim, 3, 1), Monotonic(0));
+        processes.receive(&ProcessHealth { role: 77, ..Default::default() }, Monotonic(0));
         let health = processes.health(Monotonic(3_500_000_000));
         assert_eq!((health[3].restarts, health[3].age_s), (2, 2.5));
-        assert_eq!(health[6].beat.role, Role::Bridge as u32);
-        assert_eq!(health.iter().filter(|process| process.beat.role != 0).count(), 2);
+        assert_eq!(health[6].health.role, Role::Bridge as u32);
+        assert_eq!(health.iter().filter(|process| process.health.role != 0).count(), 2);
     }
 }

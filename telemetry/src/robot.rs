@@ -5,7 +5,7 @@ use crate::jitter::Jitter;
 use crate::scans::Scans;
 use heapless::Deque;
 use msg::grid::{MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
-use msg::{Correction, Grid, GridView, Monotonic, Pose2, RobotStats, Stamp, Truth};
+use msg::{Correction, Grid, GridView, GroundTruth, Monotonic, Pose2, RobotStats, Stamp};
 
 /// True poses remembered until the correction of that time arrives: more than half a second at 100 Hz.
 const TRUTHS: usize = 64;
@@ -58,7 +58,7 @@ impl Robot {
         self.version += 1;
     }
 
-    pub fn truth(&mut self, truth: &Truth) {
+    pub fn truth(&mut self, truth: &GroundTruth) {
         if self.truths.is_full() {
             self.truths.pop_front();
         }

@@ -29,8 +29,11 @@ struct Last {
 
 impl Scans {
     pub fn add(&mut self, correction: &Correction) {
-        let now =
-            Last { run: correction.header.run, seq: correction.header.seq, scan_seq: correction.scan_seq };
+        let now = Last {
+            run: correction.header.incarnation,
+            seq: correction.header.seq,
+            scan_seq: correction.scan_seq,
+        };
         let (received, lost) = self.last.map_or((1, 0), |last| steps(last, now));
         self.received += received;
         self.lost += lost;
@@ -76,7 +79,8 @@ mod tests {
     use msg::Header;
 
     fn correction(run: u64, seq: u64, scan_seq: u64, seconds: f64) -> Correction {
-        let header = Header { stamp: Stamp::from_seconds(seconds), seq, run, ..Default::default() };
+        let header =
+            Header { stamp: Stamp::from_seconds(seconds), seq, incarnation: run, ..Default::default() };
         Correction { header, scan_seq, ..Default::default() }
     }
 

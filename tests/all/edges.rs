@@ -4,7 +4,7 @@ use crate::harness::{Fleet, mr_slam, process, send};
 use mr_slam::channel;
 use mr_slam::fleet::known_starts;
 use mr_slam::shared_memory::Node;
-use msg::{Anchors, Pose2};
+use msg::{MapTransforms, Pose2};
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
@@ -50,21 +50,21 @@ fn an_edge_is_pinned_let_loose_and_undone_while_the_fleet_runs() {
     assert_eq!(state(&["pin", "1", "2"]), "pinned");
 }
 
-/// Kills the merge process, and waits for the anchors of the one that takes its place. Those before, and those after.
-fn kill_merge(fleet: &mut Fleet) -> [Anchors; 2] {
+/// Kills the merge process, and waits for the map transforms of the one that takes its place. Those before, and those after.
+fn kill_merge(fleet: &mut Fleet) -> [MapTransforms; 2] {
     let node = Node::open(&fleet.run.domain, "anchors").unwrap();
-    let mut reader = node.reader(&channel::anchors()).unwrap();
-    let mut newest: Option<Anchors> = None;
+    let mut reader = node.reader(&channel::map_transforms()).unwrap();
+    let mut newest: Option<MapTransforms> = None;
     let before = fleet.until("merging", |view| {
-        newest = reader.newest().map(|anchors| *anchors).or(newest);
+        newest = reader.newest().map(|message| *message).or(newest);
         newest.is_some() && process(view, "merge").is_some()
     });
     let (killed, old) = (process(&before, "merge").unwrap().pid, newest.unwrap());
     send(killed, Signal::KILL);
     fleet.until("merging again", |view| {
-        newest = reader.newest().map(|anchors| *anchors).or(newest);
+        newest = reader.newest().map(|message| *message).or(newest);
         let is_back = process(view, "merge").is_some_and(|p| p.pid != killed && p.state == "up");
-        is_back && newest.unwrap().header.run != old.header.run
+        is_back && newest.unwrap().header.incarnation != old.header.incarnation
     });
     [old, newest.unwrap()]
 }

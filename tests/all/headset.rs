@@ -9,7 +9,7 @@ use bytemuck::Zeroable;
 use mr_slam::clock::Epoch;
 use mr_slam::config::FleetConfig;
 use mr_slam::fleet;
-use msg::{Command, Pose2, RobotId, Scan, Stamp};
+use msg::{Pose2, RobotId, Scan, Stamp, VelocityCommand};
 use rustix::process::Signal;
 use sim::Simulator;
 use std::io::{Read, Write};
@@ -81,7 +81,7 @@ impl Headset {
         for index in 0..self.robots.len() {
             let (robot, simulator) = &mut self.robots[index];
             let robot = *robot;
-            simulator.command(&Command { angular_rad_s: 0.5, ..Command::default() });
+            simulator.command(&VelocityCommand { angular_rad_s: 0.5, ..VelocityCommand::default() });
             let tick = simulator.step();
             let names = self.names.clone();
             if let Some(mut transforms) = tick.transforms {

@@ -95,7 +95,7 @@ fn robots_that_started_anywhere_find_each_other() {
     let view = FleetView::new(fleet.stats());
     assert!(merged_at[0] == Some(0) && merged_at.iter().all(Option::is_some), "{merged_at:?}");
     for robot in &view.robots {
-        let (m, deg) = (robot.anchor_error_m.unwrap(), robot.anchor_error_deg.unwrap());
+        let (m, deg) = (robot.map_transform_error_m.unwrap(), robot.map_transform_error_deg.unwrap());
         assert!(m < 0.10 && deg < 1.0, "{}: {m} m, {deg} degrees from its true place", robot.robot);
     }
     let (f1, chance) = (view.occupied_f1.unwrap(), view.null_f1.unwrap());

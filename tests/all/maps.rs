@@ -37,7 +37,7 @@ impl Drop for Memory {
 /// A map of so many tiles, each with a cell of its own.
 fn map(columns: i64, rows: i64) -> TileMap {
     let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..Default::default() });
-    assert!(map.make_room(Rect { x0: 0, y0: 0, x1: columns, y1: rows }, MAP_TILES_MAX));
+    assert!(map.grow_to(Rect { x0: 0, y0: 0, x1: columns, y1: rows }, MAP_TILES_MAX));
     (0..columns * rows).for_each(|i| draw(&mut map, i % columns, i / columns, i as usize));
     map
 }
@@ -49,7 +49,7 @@ fn draw(map: &mut TileMap, x: i64, y: i64, place: usize) {
 }
 
 fn same(a: &TileMap, b: &TileMap) -> bool {
-    let all = a.extent().unite(b.extent());
+    let all = a.extent().union(b.extent());
     let tile = |map: &TileMap, (x, y)| map.get(x, y).map(|tile| **tile);
     a.header.header.stamp == b.header.header.stamp && all.points().all(|at| tile(a, at) == tile(b, at))
 }

@@ -4,13 +4,13 @@ use crate::harness::{Fleet, Folder, WATCHDOG};
 use bridge::command::{Registration, name};
 use bridge::frame::Side;
 use bridge::ros::{Message, Twist, encode};
+use formats::map_file::read_map;
 use mr_slam::config::FleetConfig;
 use mr_slam::fleet;
 use mr_slam::lockstep::Lockstep;
-use mr_slam::map_file::read_map;
 use msg::grid::{Occupancy, occupancy};
 use msg::pose::wrap_angle;
-use msg::{Command, Grid, GridView, Pose2, RobotId, Role, Scan, Truth};
+use msg::{Grid, GridView, GroundTruth, Pose2, RobotId, Role, Scan, VelocityCommand};
 use sim::Simulator;
 use sim::burger::ROBOT_RADIUS_M;
 use slam::Slam;
@@ -38,7 +38,7 @@ struct Member {
     simulator: Simulator,
     slam: Slam,
     scan: Box<Scan>,
-    truth: Truth,
+    truth: GroundTruth,
     /// Where it has been.
     way_m: Vec<[f64; 2]>,
 }
@@ -62,7 +62,7 @@ impl Duo {
             simulator: fleet::simulator(&config, &room, robot, *start).unwrap(),
             slam: Slam::new(config.slam.clone()),
             scan: bytemuck::allocation::zeroed_box(),
-            truth: Truth { world_from_base: *start, ..Truth::default() },
+            truth: GroundTruth { world_from_base: *start, ..GroundTruth::default() },
             way_m: Vec::new(),
         };
         let members = RobotId::first(2).zip(&poses).map(member).collect();
@@ -71,7 +71,7 @@ impl Duo {
     }
 
     fn tick(&mut self) {
-        let truths: Vec<Truth> = self.members.iter().map(|member| member.truth).collect();
+        let truths: Vec<GroundTruth> = self.members.iter().map(|member| member.truth).collect();
         for member in &mut self.members {
             for (peer, truth) in RobotId::first(2).zip(&truths).filter(|(peer, _)| *peer != member.robot) {
                 member.simulator.see(peer, truth);
@@ -95,7 +95,7 @@ impl Duo {
     }
 
     fn steer(&mut self, robot: usize, linear_m_s: f64, angular_rad_s: f64) {
-        let command = Command { linear_m_s, angular_rad_s, ..Command::default() };
+        let command = VelocityCommand { linear_m_s, angular_rad_s, ..VelocityCommand::default() };
         self.members[robot - 1].simulator.command(&command);
         self.tick();
     }
@@ -199,7 +199,7 @@ fn on_all_ways(robot_radius_m: f64) -> Vec<usize> {
     for ticks in 1..=60 * 100_u64 {
         fleet.tick(&mut |channel, bytes| {
             if channel.ends_with("/truth") && ticks.is_multiple_of(10) {
-                let truth: Truth = bytemuck::pod_read_unaligned(bytes);
+                let truth: GroundTruth = bytemuck::pod_read_unaligned(bytes);
                 let at = truth.world_from_base;
                 places.push([at.x_m, at.y_m]);
             }

@@ -5,7 +5,7 @@ use crate::ros::PoseWithCovarianceStamped;
 use crate::ros::names::{FleetFrame, MAP, parse_frame};
 use crate::ros::read::Transform;
 use crate::world::{TransformError, floor_pose};
-use msg::{Pose2, RobotId, SlamAsk, SlamRequest};
+use msg::{Pose2, RobotId, SlamRequest, SlamRequestKind};
 use thiserror::Error;
 
 /// Indices of the variances of x, y and the rotation about z in the row-major 6 x 6 covariance.
@@ -75,8 +75,8 @@ impl Core {
         } else {
             (self.robot_of_map(robot, frame)?, frame_from_base)
         };
-        let ask = SlamAsk::SetPose as u32;
-        let request = SlamRequest { ask, pose, sigma_m, sigma_rad, ..Default::default() };
+        let kind = SlamRequestKind::SetPose as u32;
+        let request = SlamRequest { kind, pose, sigma_m, sigma_rad, ..Default::default() };
         self.commands.push_slam_request(robot, request);
         Ok(())
     }

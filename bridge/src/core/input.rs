@@ -98,7 +98,9 @@ impl Core {
         let is_accepted = match (message.input(), Reader::new(payload)) {
             (_, Err(_)) => false,
             (Input::Scan(robot), Ok(from)) => self.receive_dds_world(Incoming::Scan(robot, from), now),
-            (Input::Odometry(robot), Ok(from)) => self.receive_dds_world(Incoming::Odometry(robot, from), now),
+            (Input::Odometry(robot), Ok(from)) => {
+                self.receive_dds_world(Incoming::Odometry(robot, from), now)
+            }
             (Input::Transforms, Ok(from)) => self.receive_dds_world(Incoming::Transforms(from), now),
             (Input::Clock, Ok(from)) => self.receive_dds_world(Incoming::Clock(from), now),
             (input, Ok(_)) => {
@@ -317,7 +319,12 @@ impl Core {
     }
 
     /// Passes a client's sensor data to the external world.
-    fn receive_world(&mut self, id: ClientId, message: Incoming<'_>, now: Monotonic) -> Result<(), InputError> {
+    fn receive_world(
+        &mut self,
+        id: ClientId,
+        message: Incoming<'_>,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
         let Some(world) = &mut self.world else { return Ok(()) };
         Ok(world.receive(id.serial, message, now)?)
     }
@@ -352,7 +359,8 @@ impl Core {
                 to.count(foreign);
                 let reread = read::transforms(&mut from.clone(), |transform| {
                     if is_foreign(&transform, robot_count) {
-                        let stamp = world.map_or(transform.stamp, |w| w.translate(id.serial, transform.stamp));
+                        let stamp =
+                            world.map_or(transform.stamp, |w| w.translate(id.serial, transform.stamp));
                         let (frame, child) = (transform.frame_id, transform.child_frame_id);
                         write::transform(to, stamp, frame, child, transform.translation, transform.rotation);
                     }

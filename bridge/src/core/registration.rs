@@ -75,7 +75,9 @@ impl Core {
                 self.send_topic_list(id);
                 Ok(())
             }
-            name::REQUEST => parse(frame).map(|Call { srv_id }| self.expect(id, ExpectedFrame::Request(srv_id))),
+            name::REQUEST => {
+                parse(frame).map(|Call { srv_id }| self.expect(id, ExpectedFrame::Request(srv_id)))
+            }
             name::RESPONSE => {
                 parse(frame).map(|Call { srv_id }| self.expect(id, ExpectedFrame::Response(srv_id)))
             }
@@ -165,7 +167,8 @@ impl Core {
     ) -> Result<(), RegistrationError> {
         let message_type = self.resolve_type(Kind::Message, registration)?;
         let stamped = message_type == TwistStamped::TYPE && self.accepts_stamped(&name);
-        let topic = self.router.topics.find_or_add(name, if stamped { Twist::TYPE } else { &message_type })?;
+        let topic =
+            self.router.topics.find_or_add(name, if stamped { Twist::TYPE } else { &message_type })?;
         let Some(entry) = self.router.topics.get(topic) else { return Ok(()) };
         if entry.source == Source::Fleet {
             return Err(RegistrationError::FleetTopic { name: entry.name.clone() });

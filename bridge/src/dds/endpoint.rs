@@ -10,7 +10,7 @@ use crate::config::{BridgeConfig, Permission};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
 use crate::transport::Transport;
 use futures::StreamExt;
-use msg::{Command, Monotonic, RobotId, SlamAnswer, SlamRequest};
+use msg::{Monotonic, RobotId, SlamRequest, SlamResponse, VelocityCommand};
 use ros2_client::dds::rustdds::{DomainParticipant, GUID, RTPSEntity, StatusEvented};
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -56,11 +56,7 @@ impl DdsEndpoint {
     /// Joins the domain and creates every topic. Blocks for a moment.
     ///
     /// `is_external`: the robots are ROS's own. Their scans, odometry and time are received, and velocities published.
-    pub fn open(
-        config: &BridgeConfig,
-        robot_count: usize,
-        is_external: bool,
-    ) -> Result<Self, EndpointError> {
+    pub fn open(config: &BridgeConfig, robot_count: usize, is_external: bool) -> Result<Self, EndpointError> {
         let dds: &DdsConfig = &config.dds;
         let participant = join_domain(dds)?;
         let node = node_name(dds)?;
@@ -181,12 +177,17 @@ impl DdsEndpoint {
     /// Passes on an answer of a robot's SLAM; returns the request that must follow it.
     ///
     /// `is_ours`: the answer is to a request of this endpoint.
-    pub fn answer_request(&self, robot: RobotId, answer: &SlamAnswer, is_ours: bool) -> Option<SlamRequest> {
+    pub fn answer_request(
+        &self,
+        robot: RobotId,
+        answer: &SlamResponse,
+        is_ours: bool,
+    ) -> Option<SlamRequest> {
         self.state.borrow_mut().services.answer(robot, answer, is_ours)
     }
 
     /// Publishes a velocity to a robot of an external world.
-    pub fn publish_velocity(&self, robot: RobotId, command: &Command) {
+    pub fn publish_velocity(&self, robot: RobotId, command: &VelocityCommand) {
         let state = &mut *self.state.borrow_mut();
         state.writers.publish_velocity(robot, command, state.publisher.names(), self.now());
     }

@@ -78,8 +78,10 @@ pub fn join_domain(config: &DdsConfig) -> Result<DomainParticipant, EndpointErro
 /// Returns the name of the endpoint's ROS node.
 pub fn node_name(config: &DdsConfig) -> Result<NodeName, EndpointError> {
     let namespace = if config.namespace.is_empty() { "/" } else { &config.namespace };
-    NodeName::new(namespace, &config.node)
-        .map_err(|reason| EndpointError::NodeName { name: config.node.clone(), reason: format!("{reason:?}") })
+    NodeName::new(namespace, &config.node).map_err(|reason| EndpointError::NodeName {
+        name: config.node.clone(),
+        reason: format!("{reason:?}"),
+    })
 }
 
 /// Creates topics, readers and writers of one participant.

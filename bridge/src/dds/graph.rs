@@ -23,8 +23,11 @@ pub struct Graph {
 impl Graph {
     /// Creates the announcements of the participant's only node.
     pub fn new(participant: &DomainParticipant, publisher: &Publisher, node: NodeName) -> CreateResult<Self> {
-        let limits =
-            ResourceLimits { max_samples: ANNOUNCEMENTS_MAX, max_instances: 1, max_samples_per_instance: ANNOUNCEMENTS_MAX };
+        let limits = ResourceLimits {
+            max_samples: ANNOUNCEMENTS_MAX,
+            max_instances: 1,
+            max_samples_per_instance: ANNOUNCEMENTS_MAX,
+        };
         let qos = QosPolicyBuilder::new()
             .reliable(Duration::ZERO)
             .durability(Durability::TransientLocal)

@@ -6,7 +6,7 @@ use super::raw::Raw;
 use super::topic_writer::stream_qos;
 use crate::cdr::{Reader as CdrReader, Writer};
 use crate::slam_services::{self, SERVICES, Service, ServiceFailure, SlamRequests};
-use msg::{Monotonic, RobotId, SlamAnswer, SlamOutcome, SlamRequest};
+use msg::{Monotonic, RobotId, SlamOutcome, SlamRequest, SlamResponse};
 use ros2_client::MessageInfo;
 use ros2_client::dds::rustdds::no_key::DeserializedCacheChange;
 use ros2_client::dds::rustdds::{
@@ -107,7 +107,7 @@ impl ServiceServers {
     }
 
     /// Passes on SLAM's answer; returns the request that must follow it.
-    pub fn answer(&mut self, robot: RobotId, answer: &SlamAnswer, is_ours: bool) -> Option<SlamRequest> {
+    pub fn answer(&mut self, robot: RobotId, answer: &SlamResponse, is_ours: bool) -> Option<SlamRequest> {
         if let Some(paused) = self.paused.get_mut(robot.index()) {
             *paused = answer.paused == 1;
         }
@@ -134,7 +134,7 @@ impl ServiceServers {
         }
     }
 
-    fn reply(&self, server: usize, caller: SampleIdentity, answer: Result<&SlamAnswer, &ServiceFailure>) {
+    fn reply(&self, server: usize, caller: SampleIdentity, answer: Result<&SlamResponse, &ServiceFailure>) {
         let mut bytes = Vec::new();
         self.servers[server].service.write(&mut Writer::new(&mut bytes), answer);
         let options =

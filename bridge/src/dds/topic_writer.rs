@@ -143,7 +143,8 @@ impl TopicWriter {
     /// Writes the newest message of a latched topic, if there is a reader and all have taken the one before.
     fn write_latched(&mut self, now: Monotonic) {
         let Some(latched) = &self.latched else { return };
-        let Some(bytes) = latched.newest.clone().filter(|_| latched.is_due && !self.readers.is_empty()) else {
+        let Some(bytes) = latched.newest.clone().filter(|_| latched.is_due && !self.readers.is_empty())
+        else {
             return;
         };
         if self.write_now(now, bytes) == WriteOutcome::Written

@@ -6,7 +6,7 @@ use super::topic_writer::{TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::cdr::Writer;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
 use crate::ros::{FrameNames, Message, Twist, TwistStamped, write};
-use msg::{Command, Link, Monotonic, RobotId};
+use msg::{Link, Monotonic, RobotId, VelocityCommand};
 use ros2_client::dds::rustdds::dds::CreateResult;
 use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
 
@@ -105,7 +105,13 @@ impl TopicWriters {
     }
 
     /// Publishes a velocity to a robot of an external world.
-    pub fn publish_velocity(&mut self, robot: RobotId, command: &Command, names: &FrameNames, now: Monotonic) {
+    pub fn publish_velocity(
+        &mut self,
+        robot: RobotId,
+        command: &VelocityCommand,
+        names: &FrameNames,
+        now: Monotonic,
+    ) {
         let Some(index) = self.velocity.get(robot.index()).copied() else { return };
         let is_stamped = self.velocity_type == VelocityType::TwistStamped;
         self.write(index, now, |to| {

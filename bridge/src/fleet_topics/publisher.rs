@@ -4,7 +4,7 @@ use super::table::FleetTopic;
 use crate::cdr::Writer;
 use crate::ros::{FrameNames, NameStyle, names, write};
 use msg::{
-    Anchors, Clock, Correction, FleetStats, GridView, Link, Monotonic, Odometry, RobotId, Scan, Stamp,
+    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, RobotId, Scan, Stamp,
     Transforms,
 };
 use std::time::Duration;
@@ -25,7 +25,7 @@ pub enum FleetMessage<'a> {
     /// SLAM's transform map -> odom and pose of a robot: `/tf` and `/robotN/pose`.
     Correction(RobotId, &'a Correction),
     /// The transforms from the robots' maps to the merged map: `/tf`, on change and once a second.
-    MapTransforms(&'a Anchors),
+    MapTransforms(&'a MapTransforms),
     /// The run's time: `/clock`.
     Clock(&'a Clock),
     /// A robot's whole map: `/robotN/map`.
@@ -67,7 +67,7 @@ pub struct FleetPublisher {
     link_transforms: LinkTransforms,
     /// Each robot's transforms, once seen; filled only if they are [`LinkTransforms::Split`].
     static_transforms: Vec<Option<Transforms>>,
-    map_transforms: Option<Anchors>,
+    map_transforms: Option<MapTransforms>,
     map_transforms_due: Option<Monotonic>,
     now: Stamp,
 }
@@ -103,7 +103,7 @@ impl FleetPublisher {
     }
 
     /// Returns the newest transforms from the robots' maps to the merged map.
-    pub fn map_transforms(&self) -> Option<&Anchors> {
+    pub fn map_transforms(&self) -> Option<&MapTransforms> {
         self.map_transforms.as_ref()
     }
 
@@ -201,7 +201,7 @@ impl FleetPublisher {
         sink.send(FleetTopic::Transforms, None, encode);
     }
 
-    fn set_map_transforms(&mut self, transforms: &Anchors, sink: &mut impl TopicSink) {
+    fn set_map_transforms(&mut self, transforms: &MapTransforms, sink: &mut impl TopicSink) {
         let has_changed = self.map_transforms.is_none_or(|before| before.robots != transforms.robots);
         self.map_transforms = Some(*transforms);
         if has_changed {
@@ -216,7 +216,7 @@ impl FleetPublisher {
             return;
         }
         let stamp = self.now.max(transforms.header.stamp);
-        let encode = |to: &mut Writer<'_>| write::anchors(to, &self.names, stamp, transforms);
+        let encode = |to: &mut Writer<'_>| write::map_transforms(to, &self.names, stamp, transforms);
         sink.send(FleetTopic::Transforms, None, encode);
         // The next tick begins the period.
         self.map_transforms_due = None;

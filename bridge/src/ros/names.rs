@@ -105,8 +105,8 @@ pub fn is_correction(parent: &str, child: &str, robot_count: usize) -> bool {
     match parse_frame(child, robot_count) {
         Some((_, frame)) => matches!(frame, FleetFrame::Map | FleetFrame::Link(Link::Odom)),
         None => {
-            let under_a_map =
-                is_plain(parent, MAP) || matches!(parse_frame(parent, robot_count), Some((_, FleetFrame::Map)));
+            let under_a_map = is_plain(parent, MAP)
+                || matches!(parse_frame(parent, robot_count), Some((_, FleetFrame::Map)));
             is_plain(child, Link::Odom.name()) && under_a_map
         }
     }

@@ -4,7 +4,8 @@ use super::*;
 use crate::cdr::Writer;
 use bytemuck::Zeroable;
 use msg::{
-    Anchors, Correction, GridHeader, GridView, Header, Link, LinkTransform, Pose2, RobotId, Stamp, Transforms,
+    Correction, GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp,
+    Transforms,
 };
 use proptest::prelude::*;
 use std::fmt::Debug;
@@ -241,10 +242,11 @@ fn the_tree_is_named_and_whole() {
     assert_eq!(tree.transforms[0].translation, [1.0, 2.0, 0.0]);
     assert!((2.0 * tree.transforms[0].rotation[2].asin() - 0.6).abs() < 1e-12);
 
-    let mut anchors = Anchors::default();
-    anchors.robots[1] = msg::Anchor { map_from_robot_map: Pose2::new(3.0, 0.0, 0.0), known: 1, reserved: 0 };
+    let mut map_transforms = MapTransforms::default();
+    map_transforms.robots[1] =
+        msg::MapTransform { map_from_robot_map: Pose2::new(3.0, 0.0, 0.0), known: 1, reserved: 0 };
     out.clear();
-    write::anchors(&mut Writer::new(&mut out), &names, Stamp(5), &anchors);
+    write::map_transforms(&mut Writer::new(&mut out), &names, Stamp(5), &map_transforms);
     let tree: TfMessage = decode(&out).unwrap();
     assert_eq!(tree.transforms.len(), 1);
     assert_eq!(

@@ -3,8 +3,8 @@
 use crate::cdr::{Dialect, Writer};
 use crate::ros::names::{FrameNames, MAP};
 use msg::{
-    Anchors, Correction, GridView, Link, LinkTransform, Odometry, Pose2, RobotId, RobotStats, Scan, Stamp,
-    Transforms,
+    Correction, GridView, Link, LinkTransform, MapTransforms, Odometry, Pose2, RobotId, RobotStats, Scan,
+    Stamp, Transforms,
 };
 
 /// builtin_interfaces/Time.
@@ -141,7 +141,7 @@ pub fn pose_estimate(to: &mut Writer<'_>, frame_id: &str, message: &Correction) 
 }
 
 /// tf2_msgs/TFMessage: the merged map from each robot's map, where known.
-pub fn anchors(to: &mut Writer<'_>, names: &FrameNames, at: Stamp, message: &Anchors) {
+pub fn map_transforms(to: &mut Writer<'_>, names: &FrameNames, at: Stamp, message: &MapTransforms) {
     let placed =
         || RobotId::first(message.robots.len()).filter(|robot| message.robots[robot.index()].known == 1);
     to.count(placed().count());

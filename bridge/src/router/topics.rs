@@ -125,13 +125,7 @@ impl TopicTable {
     }
 
     /// Adds a topic whose name is not in the table yet.
-    pub fn add(
-        &mut self,
-        name: String,
-        message_type: &str,
-        source: Source,
-        retention: Retention,
-    ) -> TopicId {
+    pub fn add(&mut self, name: String, message_type: &str, source: Source, retention: Retention) -> TopicId {
         let topic = Topic {
             name: name.clone(),
             message_type: message_type.to_owned(),

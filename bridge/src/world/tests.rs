@@ -1,9 +1,9 @@
 //! The estimate of a source's clock, and what an external world accepts and refuses.
 
 use super::*;
-use msg::BEAMS_MAX;
 use crate::cdr::Reader;
 use crate::ros::{self, LaserScan, Message, TfMessage, TransformStamped, encode};
+use msg::BEAMS_MAX;
 use proptest::prelude::*;
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -266,15 +266,19 @@ fn only_slams_own_transform_is_refused() {
         let why = receive_tree(&mut world, 1, 0, tree).unwrap_err();
         assert!(matches!(why, WorldError::Correction { .. }), "{why}");
         assert!(why.to_string().contains("SLAM owns map -> odom"), "{why}");
-        assert!(messages.borrow().contains(&"robot1 transforms base_link".into()), "the rest is taken: {messages:?}");
+        assert!(
+            messages.borrow().contains(&"robot1 transforms base_link".into()),
+            "the rest is taken: {messages:?}"
+        );
     }
 }
 
 #[test]
 fn the_error_names_the_invalid_transform() {
     let (mut world, messages) = world();
-    let mut refused =
-        |transform: TransformStamped| receive_tree(&mut world, 1, 0, vec![transform]).unwrap_err().to_string();
+    let mut refused = |transform: TransformStamped| {
+        receive_tree(&mut world, 1, 0, vec![transform]).unwrap_err().to_string()
+    };
     let half = 0.5_f64.sqrt();
     assert!(refused(edge("odom_1", "base_link_1", 0, 0.0, [half, 0.0, 0.0, half])).contains("leans by 90"));
     assert!(refused(edge("odom_1", "base_link_1", 0, 0.0, [0.0; 4])).contains("unit quaternion"));
@@ -291,7 +295,11 @@ fn a_robot_has_one_source_at_a_time() {
     assert_eq!(receive_tree(&mut world, 1, 0, tree(0)), Ok(()));
     let other = receive_tree(&mut world, 2, SECOND, tree(SECOND)).unwrap_err();
     assert!(other.to_string().contains("robot1 has another source"), "{other}");
-    assert_eq!(receive_tree(&mut world, 2, 3 * SECOND, tree(3 * SECOND)), Ok(()), "the first has been silent for 2 s");
+    assert_eq!(
+        receive_tree(&mut world, 2, 3 * SECOND, tree(3 * SECOND)),
+        Ok(()),
+        "the first has been silent for 2 s"
+    );
     world.disconnect(2);
     assert_eq!(receive_tree(&mut world, 1, 3 * SECOND, tree(4 * SECOND)), Ok(()), "the second left");
 }

@@ -2,9 +2,9 @@
 
 use crate::client::Client;
 use crate::{Served, with_bridge};
-use bridge::{BridgeConfig, FleetMessage};
 use bridge::ros::{Message, PoseWithCovarianceStamped};
-use msg::{Anchor, Anchors, Pose2, SlamAsk, SlamRequest, Stamp};
+use bridge::{BridgeConfig, FleetMessage};
+use msg::{MapTransform, MapTransforms, Pose2, SlamRequest, SlamRequestKind, Stamp};
 use std::cell::RefCell;
 use std::rc::Rc;
 
@@ -57,7 +57,7 @@ fn the_frame_or_the_topic_says_whose_pose_it_is() {
         let asked = asked.borrow();
         assert_eq!(asked.iter().map(|(robot, _)| *robot).collect::<Vec<_>>(), [2, 1]);
         for (_, request) in asked.iter() {
-            assert_eq!(request.ask, SlamAsk::SetPose as u32);
+            assert_eq!(request.kind, SlamRequestKind::SetPose as u32);
             assert!(is_near(request.pose, [1.0, 2.0, std::f64::consts::FRAC_PI_2]), "{:?}", request.pose);
             assert!((request.sigma_m - 0.5).abs() < 1e-12 && (request.sigma_rad - 0.2).abs() < 1e-12);
         }
@@ -71,9 +71,9 @@ fn a_pose_in_the_merged_map_is_the_selected_robots_once_its_place_is_known() {
         let mut person = person(served).await;
         person.send("/initialpose", &message("map")).await;
         assert!(person.error().await.contains("not known yet"));
-        let mut anchors = Anchors::default();
+        let mut anchors = MapTransforms::default();
         anchors.robots[0] =
-            Anchor { map_from_robot_map: Pose2::new(1.0, 0.0, 0.0), known: 1, ..Default::default() };
+            MapTransform { map_from_robot_map: Pose2::new(1.0, 0.0, 0.0), known: 1, ..Default::default() };
         served.bridge.publish(FleetMessage::MapTransforms(&anchors));
         person.send("/initialpose", &message("/map")).await;
         person.settle().await;

@@ -11,7 +11,7 @@ mod topics;
 mod world;
 
 use bridge::{Bridge, BridgeConfig, process_clock, serve};
-use msg::{Command, Header, RobotId, Stamp};
+use msg::{Header, RobotId, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::rc::Rc;
@@ -31,7 +31,7 @@ pub(crate) fn with_bridge(config: BridgeConfig, test: impl AsyncFnOnce(&Served))
 }
 
 /// Receives the velocities that robots get.
-pub(crate) type OnCommand = Box<dyn FnMut(RobotId, Command)>;
+pub(crate) type OnCommand = Box<dyn FnMut(RobotId, VelocityCommand)>;
 
 /// Runs a test against a bridge.
 pub(crate) fn serve_bridge(make: impl FnOnce(OnCommand) -> Bridge, test: impl AsyncFnOnce(&Served)) {
@@ -39,7 +39,7 @@ pub(crate) fn serve_bridge(make: impl FnOnce(OnCommand) -> Bridge, test: impl As
     LocalSet::new().block_on(&runtime, async {
         let commands = Rc::new(RefCell::new(Vec::new()));
         let sink = commands.clone();
-        let on_command = move |robot: RobotId, command: Command| {
+        let on_command = move |robot: RobotId, command: VelocityCommand| {
             sink.borrow_mut().push((robot.number(), command.linear_m_s, command.angular_rad_s));
         };
         let bridge = Rc::new(make(Box::new(on_command)));

@@ -114,7 +114,9 @@ fn stopping_closes_every_link() {
         let listener = tokio::net::TcpListener::bind((std::net::Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-        let server = tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, async { drop(stopped.await) }));
+        let server = tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, async {
+            drop(stopped.await)
+        }));
         let mut client = Client::connect(address).await;
         client.settle().await;
         drop(stop);

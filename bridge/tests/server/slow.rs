@@ -2,9 +2,9 @@
 
 use crate::client::Client;
 use crate::{header, robot, with_bridge};
-use bridge::{BridgeConfig, FleetMessage, process_clock};
 use bridge::command::{Registration, name};
 use bridge::ros::{Clock, Message, OccupancyGrid, Text};
+use bridge::{BridgeConfig, FleetMessage, process_clock};
 use msg::{GridHeader, GridView, Stamp};
 
 const WIDTH: u32 = 1000;

@@ -19,7 +19,9 @@ fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &WorldMessag
         sink.borrow_mut().push(match message {
             WorldMessage::Scan(robot, scan) => (format!("{robot}/scan"), scan.header.stamp),
             WorldMessage::Odometry(robot, odometry) => (format!("{robot}/odometry"), odometry.header.stamp),
-            WorldMessage::Transforms(robot, transforms) => (format!("{robot}/transforms"), transforms.header.stamp),
+            WorldMessage::Transforms(robot, transforms) => {
+                (format!("{robot}/transforms"), transforms.header.stamp)
+            }
             WorldMessage::Clock(clock) => ("clock".into(), clock.header.stamp),
         });
     });

@@ -1,6 +1,6 @@
 //! Submaps put together as one grid, each at its pose.
 
-use msg::grid::{CELLS_MAX, DRIVEN, LOG_ODDS_MAX, LOG_ODDS_MIN, UNKNOWN};
+use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_MIN, SWEPT_FREE, UNKNOWN};
 use msg::{Grid, GridHeader, GridView, Pose2};
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ pub(crate) fn compose(placed: &[Placed]) -> Option<Grid> {
     let [least, most] = [LOG_ODDS_MIN, LOG_ODDS_MAX].map(i16::from);
     let cell = |sum: &i16| match *sum {
         NOTHING => UNKNOWN,
-        DRIVEN_SUM => DRIVEN,
+        DRIVEN_SUM => SWEPT_FREE,
         sum => sum.clamp(least, most) as i8,
     };
     let newest = placed.iter().map(|one| &one.grid.header).max_by_key(|header| header.header.stamp)?;
@@ -86,7 +86,7 @@ fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &
             let sum = &mut sums[y * width + x];
             *sum = match (cell, *sum) {
                 (UNKNOWN, before) => before,
-                (DRIVEN, _) | (_, DRIVEN_SUM) => DRIVEN_SUM,
+                (SWEPT_FREE, _) | (_, DRIVEN_SUM) => DRIVEN_SUM,
                 (_, NOTHING) => i16::from(cell),
                 (_, before) => before.saturating_add(i16::from(cell)),
             };

@@ -10,7 +10,7 @@ const CLOSURES_MIN: usize = 2;
 /// How well a given start is known, metres and radians; and the frame of the fleet itself.
 const START: [f64; 2] = [0.02, 0.005];
 const FRAME: [f64; 2] = [1e-3, 1e-4];
-/// Anchors and drawn maps follow the graph in steps of half a cell of 0.05 m.
+/// Map transforms and drawn maps follow the graph in steps of half a cell of 0.05 m.
 const TOLERANCE_M: f64 = 0.025;
 
 impl Fleet {

@@ -66,7 +66,7 @@ fn send(fleet: &mut Fleet, robot: usize, true_way: &[Pose2], believed: &[Pose2],
     for (id, pose) in true_way.iter().enumerate() {
         submap.set_grid(look(*pose).view());
         (submap.id, submap.nodes, submap.finished) = (id as u32, 10, 1);
-        submap.header_mut().run = run;
+        submap.header_mut().incarnation = run;
         poses.robot_map_from_submap[id] = believed[id];
         if let Some(before) = id.checked_sub(1) {
             let (m, rad) = (1.0 / (0.03 * 0.03), 1.0 / (0.02 * 0.02));
@@ -74,7 +74,7 @@ fn send(fleet: &mut Fleet, robot: usize, true_way: &[Pose2], believed: &[Pose2],
             poses.edges[before] = SubmapEdge { a: before as u32, b: id as u32, information };
         }
         (poses.len, poses.edges_len) = (id as u32 + 1, id as u32);
-        poses.header.run = run;
+        poses.header.incarnation = run;
         fleet.poses(robot, &poses).unwrap();
         fleet.submap(robot, &submap).unwrap();
         work(fleet);
@@ -193,7 +193,7 @@ fn a_robot_that_begins_again_keeps_its_place_and_one_that_leaves_does_not_move_t
     assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
     // Its SLAM has forgotten nodes: the same incarnation, new submaps under the old ids, of which none has come.
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
-    (poses.len, poses.generation, poses.header.run) = (1, 1, 2);
+    (poses.len, poses.generation, poses.header.incarnation) = (1, 1, 2);
     fleet.poses(robot(2), &poses).unwrap();
     assert!(fleet.lacks(robot(2)) && !fleet.lacks(robot(1)));
     assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);

@@ -16,16 +16,16 @@ fn where_a_robot_has_driven_its_peers_see_no_obstacle_until_it_does_itself() {
         merger.update(robot(number), one(LOG_ODDS_MAX).view()).unwrap();
     }
     assert_eq!(at(&mut merger, 0, 0), LOG_ODDS_MAX);
-    merger.update(robot(1), one(DRIVEN).view()).unwrap();
-    assert_eq!(at(&mut merger, 0, 0), DRIVEN);
+    merger.update(robot(1), one(SWEPT_FREE).view()).unwrap();
+    assert_eq!(at(&mut merger, 0, 0), SWEPT_FREE);
     // Beams, however often they passed, are not so sure.
     merger.update(robot(1), one(LOG_ODDS_MIN).view()).unwrap();
     assert_eq!(occupancy(at(&mut merger, 0, 0)), Occupancy::Occupied);
     // All of them, and no sum runs over.
     for number in robots {
-        merger.update(robot(number), one(DRIVEN).view()).unwrap();
+        merger.update(robot(number), one(SWEPT_FREE).view()).unwrap();
     }
-    assert_eq!(at(&mut merger, 0, 0), DRIVEN);
+    assert_eq!(at(&mut merger, 0, 0), SWEPT_FREE);
 }
 
 #[test]
@@ -37,9 +37,9 @@ fn a_robot_is_no_obstacle_where_it_stands_and_on_the_way_there() {
     // Along y in `map`, from (1, 0.5) on.
     let stand = |merger: &mut Merger, x_m| merger.stand(robot(2), Pose2::new(x_m, 0.0, 0.3), RADIUS_M);
     assert!(stand(&mut merger, 0.5));
-    let free = |merger: &mut Merger, y| at(merger, 20, y) == DRIVEN;
+    let free = |merger: &mut Merger, y| at(merger, 20, y) == SWEPT_FREE;
     assert_eq!([4, 6, 13, 15].map(|y| free(&mut merger, y)), [false, true, true, false]);
-    assert_eq!([at(&mut merger, 23, 9), at(&mut merger, 24, 9)], [DRIVEN, 60]);
+    assert_eq!([at(&mut merger, 23, 9), at(&mut merger, 24, 9)], [SWEPT_FREE, 60]);
     // It stands, as well as it knows; then it drives a metre.
     assert!(!stand(&mut merger, 0.505));
     for step in 1..=10 {

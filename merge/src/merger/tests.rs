@@ -33,7 +33,7 @@ fn window(merger: &mut Merger, half: i64) -> Vec<i8> {
     let cells = Rect { x0: -half, y0: -half, x1: half, y1: half };
     let view = merger.merged().to_owned();
     let corner = [view.header.origin.x_m, view.header.origin.y_m].map(|m| (m / RESOLUTION_M).round() as i64);
-    let merged = Rect::of_size(view.header.width, view.header.height);
+    let merged = Rect::with_size(view.header.width, view.header.height);
     let outside = view.cells.iter().zip(merged.points()).filter(|(cell, (x, y))| {
         let (x, y) = (x + corner[0], y + corner[1]);
         **cell != UNKNOWN && !(x >= -half && x < half && y >= -half && y < half)
@@ -64,7 +64,7 @@ fn grown(map: &Grid, [left, below, right, above]: [u32; 4]) -> Grid {
     let (width, height) = (map.header.width + left + right, map.header.height + below + above);
     let r = map.header.resolution_m;
     let shift = Pose2::new(-f64::from(left) * r, -f64::from(below) * r, 0.0);
-    let cells = Rect::of_size(width, height).points();
+    let cells = Rect::with_size(width, height).points();
     let cells = cells.map(|(x, y)| map.view().cell(x - i64::from(left), y - i64::from(below))).collect();
     Grid { header: GridHeader { width, height, origin: map.header.origin * shift, ..map.header }, cells }
 }
@@ -153,7 +153,8 @@ fn nonsense_is_refused_and_nothing_is_lost() {
 fn an_older_map_is_refused_unless_the_robot_restarted() {
     let stamped = |seconds, run, cell| {
         let mut map = grid(Pose2::IDENTITY, RESOLUTION_M, 1, vec![cell]);
-        map.header.header = Header { stamp: Stamp::from_seconds(seconds), run, ..Default::default() };
+        map.header.header =
+            Header { stamp: Stamp::from_seconds(seconds), incarnation: run, ..Default::default() };
         map.header.scan_sent = Monotonic(seconds as u64 + 1);
         map
     };
@@ -161,7 +162,7 @@ fn an_older_map_is_refused_unless_the_robot_restarted() {
     merger.update(robot(1), stamped(5.0, 1, 50).view()).unwrap();
     merger.update(robot(2), stamped(3.0, 1, 20).view()).unwrap();
     assert_eq!(
-        (merger.merged().header.scan_sent, merger.anchors().header.stamp),
+        (merger.merged().header.scan_sent, merger.map_transforms().header.stamp),
         (Monotonic(6), Stamp::from_seconds(5.0))
     );
     let refused = merger.update(robot(1), stamped(4.0, 1, -50).view());
@@ -176,10 +177,10 @@ fn a_robot_without_a_start_waits_for_its_anchor() {
     let mut merger = Merger::new(&MergeConfig::default(), &[None]);
     merger.update(robot(1), map.view()).unwrap();
     assert!(merger.merged().cells.is_empty());
-    assert_eq!(merger.anchors().robots[0].known, 0);
+    assert_eq!(merger.map_transforms().robots[0].known, 0);
     merger.set_anchor(robot(1), Some(Pose2::new(1.0, 0.0, 0.0))).unwrap();
     assert_eq!(
-        (at(&mut merger, 20, 0), at(&mut merger, 0, 0), merger.anchors().robots[0].known),
+        (at(&mut merger, 20, 0), at(&mut merger, 0, 0), merger.map_transforms().robots[0].known),
         (50, UNKNOWN, 1)
     );
     merger.set_anchor(robot(1), None).unwrap();
@@ -190,7 +191,8 @@ fn a_robot_without_a_start_waits_for_its_anchor() {
 fn a_redrawn_map_takes_the_robots_own_ones_place_and_gives_it_back() {
     let stamped = |seconds, cell| {
         let mut map = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![cell; 4]);
-        map.header.header = Header { stamp: Stamp::from_seconds(seconds), run: 1, ..Default::default() };
+        map.header.header =
+            Header { stamp: Stamp::from_seconds(seconds), incarnation: 1, ..Default::default() };
         map
     };
     let mut merger = Merger::new(&MergeConfig::default(), &[None]);
@@ -291,7 +293,7 @@ proptest! {
         };
         let corner = corner.map(|cells| cells as f64 * RESOLUTION_M);
         let turn = Pose2::new(corner[0], corner[1], f64::from(turns) * FRAC_PI_2);
-        let cells = Rect::of_size(turned_width as u32, turned_height as u32).points();
+        let cells = Rect::with_size(turned_width as u32, turned_height as u32).points();
         let cells = cells.map(|(x, y)| { let (x, y) = source(x, y); map.view().cell(x, y) }).collect();
         let turned = grid(map.header.origin * turn, RESOLUTION_M, turned_width as u32, cells);
         let (mut plain, mut rotated) = (merger(&[Pose2::IDENTITY]), merger(&[Pose2::IDENTITY]));

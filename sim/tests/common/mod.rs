@@ -4,7 +4,7 @@
 use bytemuck::Zeroable;
 use core::ops::Range;
 use msg::pose::wrap_angle;
-use msg::{Command, Odometry, RobotId, Scan, Truth};
+use msg::{GroundTruth, Odometry, RobotId, Scan, VelocityCommand};
 use sim::{NoiseConfig, SimConfig, Simulator};
 
 pub fn robot(number: usize) -> RobotId {
@@ -16,8 +16,8 @@ pub fn quiet() -> SimConfig {
     SimConfig { noise: NoiseConfig::OFF, ..SimConfig::default() }
 }
 
-pub fn drive(linear_m_s: f64, angular_rad_s: f64) -> Command {
-    Command { linear_m_s, angular_rad_s, ..Command::default() }
+pub fn drive(linear_m_s: f64, angular_rad_s: f64) -> VelocityCommand {
+    VelocityCommand { linear_m_s, angular_rad_s, ..VelocityCommand::default() }
 }
 
 pub fn scan(simulator: &mut Simulator) -> Box<Scan> {
@@ -28,7 +28,7 @@ pub fn scan(simulator: &mut Simulator) -> Box<Scan> {
 
 /// What a simulator said while it was told the same again and again.
 pub struct Run {
-    pub truths: Vec<Truth>,
+    pub truths: Vec<GroundTruth>,
     pub odometry: Vec<Odometry>,
 }
 

@@ -60,7 +60,7 @@ fn finished(nodes: &[Node], poses: &[Pose2]) -> msg::Grid {
 
 /// Nothing of the map is known that the version does not have, and the other way round.
 fn same(map: &TileMap, grid: &msg::Grid) -> bool {
-    Dense::default().update(map).to_owned() == *grid
+    DenseMap::default().update(map).to_owned() == *grid
 }
 
 proptest! {
@@ -163,15 +163,18 @@ fn where_the_body_was_is_floor_until_the_robot_sees_something_there() {
     let mut poses = vec![Pose2::new(0.0, 0.025, 0.0), Pose2::new(0.3, 0.025, 0.0)];
     let drawn = finished(&nodes, &poses);
     // From 0.2 m behind the one to 0.2 m before the other, and 0.2 m to each side.
-    assert!(along(&drawn, [-0.175, 0.025], [0.05, 0.0], 14).iter().all(|cell| *cell == DRIVEN), "{drawn:?}");
-    assert_eq!(along(&drawn, [0.125, -0.125], [0.0, 0.4], 2), [DRIVEN, UNKNOWN]);
+    assert!(
+        along(&drawn, [-0.175, 0.025], [0.05, 0.0], 14).iter().all(|cell| *cell == SWEPT_FREE),
+        "{drawn:?}"
+    );
+    assert_eq!(along(&drawn, [0.125, -0.125], [0.0, 0.4], 2), [SWEPT_FREE, UNKNOWN]);
     let behind =
         |nodes: &[Node], poses: &[Pose2]| along(&finished(nodes, poses), [-0.275, 0.025], [0.0; 2], 1)[0];
     assert_eq!(behind(&nodes, &poses), 25);
     // What it took for an obstacle before it came there is gone; what it sees there after is not.
     nodes.push(looks_back(2, &[[0.0, 0.0]]));
     poses.push(Pose2::new(-0.3, 0.025, 0.0));
-    assert_eq!(behind(&nodes, &poses), DRIVEN);
+    assert_eq!(behind(&nodes, &poses), SWEPT_FREE);
     for k in 3..14 {
         nodes.push(looks_back(k, &[]));
         poses.push(poses[0]);
@@ -181,5 +184,5 @@ fn where_the_body_was_is_floor_until_the_robot_sees_something_there() {
     assert!(behind(&nodes, &poses) >= OCCUPIED_MIN);
     // Of a robot whose size is not known, nothing is claimed.
     let unknown_size = Canvas::new(MapConfig::default()).finish(&nodes, &poses).to_owned();
-    assert!(unknown_size.cells.iter().all(|cell| *cell != DRIVEN));
+    assert!(unknown_size.cells.iter().all(|cell| *cell != SWEPT_FREE));
 }

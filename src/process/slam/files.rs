@@ -4,11 +4,11 @@
 //! the scan path needed (a process has one lock on its memory): scan to pose p99 200 to 390 ms instead of 3 to 60.
 
 use super::News;
-use crate::map_file::write_map;
 use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
 use ::slam::{Back, Front, Hint, Identity, Session, SlamConfig, Start};
-use msg::{Grid, Pose2, SlamMode, SlamRequest, SlamStart};
+use formats::map_file::write_map;
+use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SendError, SyncSender};
 use std::time::{Duration, Instant};
@@ -113,11 +113,11 @@ fn load(
     let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
     let (sigma_m, sigma_rad) = (or(request.sigma_m, m), or(request.sigma_rad, rad));
     let at = |map_from_local: Pose2| Start::At(Hint { map_from_local, sigma_m, sigma_rad });
-    let start = match SlamStart::from_code(request.start) {
-        Some(SlamStart::Pose) => at(request.pose),
-        Some(SlamStart::First) => session.back.poses.first().copied().map_or(Start::Unknown, at),
-        Some(SlamStart::Last) => session.back.poses.last().copied().map_or(Start::Unknown, at),
-        Some(SlamStart::Unknown) | None => Start::Unknown,
+    let start = match StartPose::from_code(request.start) {
+        Some(StartPose::Given) => at(request.pose),
+        Some(StartPose::FirstNode) => session.back.poses.first().copied().map_or(Start::Unknown, at),
+        Some(StartPose::LastNode) => session.back.poses.last().copied().map_or(Start::Unknown, at),
+        Some(StartPose::Unknown) | None => Start::Unknown,
     };
     let (front, back) = ::slam::begin(config.clone(), Some(session), mode, start);
     Ok(Loaded { front, back })

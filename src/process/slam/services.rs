@@ -1,4 +1,4 @@
-//! What people and other programs ask of SLAM, and what it answers: see [`msg::SlamAsk`].
+//! What people and other programs ask of SLAM, and what it answers: see [`msg::SlamRequestKind`].
 
 use super::Order;
 use super::beside::Beside;
@@ -9,8 +9,8 @@ use crate::sessions::TOLD_SIGMA;
 use crate::shared_memory::{ChannelError, Node, Reader, Writer};
 use ::slam::{ClosureReport, FrontState, Hint, Start};
 use msg::{
-    CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamAnswer, SlamAsk, SlamMode, SlamOutcome, SlamRequest,
-    SlamStart, Text,
+    CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
+    SlamResponse, StartPose, Text,
 };
 use std::path::{Component, Path, PathBuf};
 
@@ -38,7 +38,7 @@ type Outcome = Result<Option<String>, String>;
 pub struct Services {
     dir: PathBuf,
     requests: Reader<SlamRequest>,
-    answers: Writer<SlamAnswer>,
+    answers: Writer<SlamResponse>,
     paused: bool,
     loading: bool,
 }
@@ -49,7 +49,7 @@ impl Services {
         Ok(Self {
             dir: run.dir.clone(),
             requests: node.reader(&channel::slam_request(robot))?,
-            answers: node.writer(&channel::slam_answer(robot))?,
+            answers: node.writer(&channel::slam_response(robot))?,
             paused: false,
             loading: false,
         })
@@ -65,17 +65,17 @@ impl Services {
     }
 
     fn obey(&mut self, request: &SlamRequest, beside: &mut Beside) -> Outcome {
-        let ask = SlamAsk::from_code(request.ask)
-            .ok_or_else(|| format!("request code {} means nothing here", request.ask))?;
+        let ask = SlamRequestKind::from_code(request.kind)
+            .ok_or_else(|| format!("request code {} means nothing here", request.kind))?;
         let done = |text: &str| Ok(Some(text.to_owned()));
         match ask {
-            SlamAsk::State => done(""),
-            SlamAsk::Pause | SlamAsk::Resume => {
-                self.paused = ask == SlamAsk::Pause;
+            SlamRequestKind::State => done(""),
+            SlamRequestKind::Pause | SlamRequestKind::Resume => {
+                self.paused = ask == SlamRequestKind::Pause;
                 beside.order(Order::Pause(self.paused));
                 done(if self.paused { "new scans are not looked at" } else { "scans are looked at again" })
             }
-            SlamAsk::Reset => {
+            SlamRequestKind::Reset => {
                 let mode = match beside.back.mode() {
                     // There is no map left to localize in.
                     SlamMode::Localization => SlamMode::Mapping,
@@ -86,7 +86,7 @@ impl Services {
                 beside.begin(front, back, true);
                 done("the map begins anew")
             }
-            SlamAsk::SaveMap => {
+            SlamRequestKind::SaveMap => {
                 has_map(beside)?;
                 let stem = file_path(&self.dir, request.text.as_str(), None)?;
                 let stem = match stem.extension().and_then(|ending| ending.to_str()) {
@@ -96,17 +96,17 @@ impl Services {
                 let grid = beside.back.map().to_owned();
                 give(beside, request, stem, Work::Draw(grid))
             }
-            SlamAsk::SaveSession => {
+            SlamRequestKind::SaveSession => {
                 has_map(beside)?;
                 let path = self.session_path(request)?;
                 wait_for_state(beside, Waiting::Save(Box::new(*request), path))
             }
-            SlamAsk::LoadSession => {
+            SlamRequestKind::LoadSession => {
                 if self.loading {
                     return Err("another file is being loaded; try again when it is".into());
                 }
                 let mode = mode_of(request)?;
-                if SlamStart::from_code(request.start) == Some(SlamStart::Pose) {
+                if StartPose::from_code(request.start) == Some(StartPose::Given) {
                     pose_of(request)?;
                 }
                 let path = self.session_path(request)?;
@@ -114,20 +114,20 @@ impl Services {
                 self.loading = given.is_ok();
                 given
             }
-            SlamAsk::SetPose => {
+            SlamRequestKind::SetPose => {
                 has_map(beside)?;
                 pose_of(request)?;
                 wait_for_state(beside, Waiting::Pose(Box::new(*request)))
             }
-            SlamAsk::Relocalize => {
+            SlamRequestKind::Relocalize => {
                 has_map(beside)?;
                 beside.back.seek(None);
                 beside.order(Order::Place(None));
                 beside.order(Order::WantNode);
                 done("the robot is looked for in the whole map: from where it stands, and as it moves")
             }
-            SlamAsk::ListClosures => done(""),
-            SlamAsk::UndoClosure => {
+            SlamRequestKind::ListClosures => done(""),
+            SlamRequestKind::UndoClosure => {
                 may_change(beside)?;
                 if !beside.back.undo_closure(request.number) {
                     let count = beside.back.closures().count();
@@ -137,7 +137,7 @@ impl Services {
                 bent(beside);
                 done(&format!("closure {} is taken back, and not believed again", request.number))
             }
-            SlamAsk::ClearClosures => {
+            SlamRequestKind::ClearClosures => {
                 may_change(beside)?;
                 let count = beside.back.clear_closures();
                 if count == 0 {
@@ -146,7 +146,7 @@ impl Services {
                 bent(beside);
                 done(&format!("{count} taken back, and not believed again"))
             }
-            SlamAsk::SetMode => {
+            SlamRequestKind::SetMode => {
                 let mode = mode_of(request)?;
                 if mode == SlamMode::Localization {
                     has_map(beside)?;
@@ -187,7 +187,7 @@ impl Services {
     /// A file that was asked for is done with.
     pub fn done(&mut self, beside: &mut Beside, done: Done) {
         let Done { request: Some(request), path, result, took: _ } = done else { return };
-        let loads = request.ask == SlamAsk::LoadSession as u32;
+        let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
         let outcome = result.map(|loaded| {
             let text = match &loaded {
@@ -219,7 +219,7 @@ impl Services {
             Err(why) => (SlamOutcome::Refused, why),
         };
         let (back, counts) = (&beside.back, beside.back.counts());
-        let mut answer = SlamAnswer {
+        let mut answer = SlamResponse {
             client: request.client,
             id: request.id,
             outcome: outcome as u32,
@@ -233,10 +233,10 @@ impl Services {
             listable: back.closures().count() as u32,
             map_from_base: back.map_from_base().unwrap_or_default(),
             text: Text::shortened(&text),
-            ..SlamAnswer::default()
+            ..SlamResponse::default()
         };
         answer.header.stamp = back.nodes().last().map(|node| node.header.stamp).unwrap_or_default();
-        if request.ask == SlamAsk::ListClosures as u32 {
+        if request.kind == SlamRequestKind::ListClosures as u32 {
             let asked_for = back.closures().skip(request.number as usize).take(CLOSURES_MAX);
             for (place, closure) in answer.list.iter_mut().zip(asked_for) {
                 *place = info(&closure);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::testing::{house, within};
-use msg::{Anchor, Link, LinkTransform, Role, TrackingState};
+use msg::{Link, LinkTransform, MapTransform, Role, TrackingState};
 
 const MS: u64 = 1_000_000;
 
@@ -10,10 +10,14 @@ fn robot(number: usize) -> RobotId {
     RobotId::new(number).unwrap()
 }
 
-fn anchors(known: usize) -> Anchors {
-    let mut anchors = Anchors::default();
-    anchors.robots[..known].fill(Anchor { map_from_robot_map: Pose2::IDENTITY, known: 1, reserved: 0 });
-    anchors
+fn map_transforms(known: usize) -> MapTransforms {
+    let mut map_transforms = MapTransforms::default();
+    map_transforms.robots[..known].fill(MapTransform {
+        map_from_robot_map: Pose2::IDENTITY,
+        known: 1,
+        reserved: 0,
+    });
+    map_transforms
 }
 
 #[test]
@@ -23,11 +27,11 @@ fn one_second_of_one_robot() {
     for n in 0..60_u64 {
         let stamp = Stamp((n * 100 * MS) as i64);
         let sent = Monotonic(1 << 40 | (n * 100 * MS));
-        let header = Header { stamp, seq: n, run: 3, ..Default::default() };
+        let header = Header { stamp, seq: n, incarnation: 3, ..Default::default() };
         let x_m = 0.01 * n as f64;
         telemetry.truth(
             robot(1),
-            &Truth { header, world_from_base: Pose2::new(1.0 + x_m, 0.5, 0.0), ..Default::default() },
+            &GroundTruth { header, world_from_base: Pose2::new(1.0 + x_m, 0.5, 0.0), ..Default::default() },
         );
         let correction = Correction {
             header,
@@ -65,12 +69,12 @@ fn maps_of_the_fleet() {
     for number in 1..=3 {
         telemetry.map(robot(number), house().view(), Monotonic(0));
     }
-    telemetry.anchors(&anchors(2));
+    telemetry.map_transforms(&map_transforms(2));
     telemetry.merged_map(house().view(), Monotonic(0));
     let stats = *telemetry.stats(Stamp(0), Monotonic(0));
     assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
     assert_eq!((stats.consistency, stats.occupied_f1, stats.room_coverage), (1.0, 1.0, 1.0));
-    telemetry.anchors(&anchors(3));
+    telemetry.map_transforms(&map_transforms(3));
     assert_eq!(telemetry.stats(Stamp(0), Monotonic(0)).pair_count, 3);
 }
 
@@ -83,7 +87,10 @@ fn strangers_and_nonsense_change_nothing() {
     telemetry.map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
     telemetry.merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
     telemetry.correction(robot(9), &Correction::default(), Monotonic(0));
-    telemetry.beat(&Beat { role: Role::Sim as u32, robot: 5, ..Default::default() }, Monotonic(0));
+    telemetry.process_health(
+        &ProcessHealth { role: Role::Sim as u32, robot: 5, ..Default::default() },
+        Monotonic(0),
+    );
     let after = *telemetry.stats(Stamp(0), Monotonic(0));
     assert_eq!(format!("{empty:?}"), format!("{after:?}"));
 }

@@ -1,4 +1,4 @@
-//! Readers come late, miss messages, and outlive their writer; in the end they have the writer's map.
+//! Readers that start late, lose messages or outlive their writer get the writer's map in the end.
 
 use super::*;
 use crate::grid::UNKNOWN;
@@ -12,142 +12,142 @@ fn map(resolution_m: f64) -> TileMap {
 
 /// Changes a cell of a tile.
 fn draw(map: &mut TileMap, x: i64, y: i64, place: usize, cell: i8) {
-    assert!(map.make_room(Rect::of_one(x, y), MAP_TILES_MAX));
+    assert!(map.grow_to(Rect::single(x, y), MAP_TILES_MAX));
     map.get_mut(x, y).unwrap().cells[place % TILE_CELLS] = cell;
     map.header.header.stamp.0 += 1;
 }
 
 fn same(a: &TileMap, b: &TileMap) -> bool {
-    let all = a.extent().unite(b.extent());
+    let all = a.extent().union(b.extent());
     let cells = Rect { x0: all.x0 * TILE, y0: all.y0 * TILE, x1: all.x1 * TILE, y1: all.y1 * TILE };
     a.header.header.stamp == b.header.header.stamp
         && a.header.same_lattice(&b.header)
         && cells.points().all(|(x, y)| a.cell(x, y) == b.cell(x, y))
 }
 
-/// A writer with its numbers, as a channel gives them.
+/// A sender whose messages are numbered as a channel numbers them.
 #[derive(Default)]
 struct Writer {
-    outgoing: Outgoing,
-    run: u64,
+    outgoing: PatchSender,
+    incarnation: u64,
     seq: u64,
 }
 
 impl Writer {
     fn next(&mut self, map: &TileMap) -> Option<Patch> {
-        let mut patch = self.outgoing.next(map)?;
+        let mut patch = self.outgoing.next_patch(map)?;
         let header = &mut patch.header.map.header;
-        (header.run, header.seq) = (self.run, self.seq);
+        (header.incarnation, header.seq) = (self.incarnation, self.seq);
         self.seq += 1;
         Some(patch)
     }
 }
 
-fn take(reader: &mut Incoming, patch: &Patch) -> bool {
+fn receive(reader: &mut PatchReceiver, patch: &Patch) -> bool {
     let tiles: Vec<MapTile> = patch.tiles.iter().map(|tile| **tile).collect();
-    reader.take(&patch.header, &tiles)
+    reader.receive(&patch.header, &tiles)
 }
 
 #[test]
-fn only_what_changed_is_sent() {
-    let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+fn only_changed_tiles_are_sent() {
+    let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     assert!(writer.next(&map).is_none(), "nothing is known yet");
     (0..3).for_each(|x| draw(&mut map, x, 0, 5, 9));
     let whole = writer.next(&map).unwrap();
-    assert_eq!((whole.tiles.len(), whole.header.begins, whole.header.ends), (3, 1, 1));
+    assert_eq!((whole.tiles.len(), whole.header.begins_snapshot, whole.header.completes_version), (3, 1, 1));
     assert!(writer.next(&map).is_none());
-    assert!(take(&mut reader, &whole));
+    assert!(receive(&mut reader, &whole));
     let before = reader.map().clone();
     draw(&mut map, -2, 1, 0, 1);
     draw(&mut map, 1, 0, 5, 10);
     let patch = writer.next(&map).unwrap();
-    assert_eq!((patch.tiles.len(), patch.header.begins, patch.header.ends), (2, 0, 1));
-    assert!(take(&mut reader, &patch));
+    assert_eq!((patch.tiles.len(), patch.header.begins_snapshot, patch.header.completes_version), (2, 0, 1));
+    assert!(receive(&mut reader, &patch));
     assert!(same(reader.map(), &map));
     assert_eq!(reader.map().changed_since(&before).collect::<Vec<_>>(), [(1, 0), (-2, 1)]);
-    // A newer stamp is told even if no cell changed; a tile that is forgotten is forgotten there too.
+    // A newer stamp is sent even if no cell changed. A removed tile is removed at the reader too.
     map.header.header.stamp = Stamp(99);
-    assert!(take(&mut reader, &writer.next(&map).unwrap()));
+    assert!(receive(&mut reader, &writer.next(&map).unwrap()));
     assert_eq!(reader.map().header.header.stamp, Stamp(99));
     map.set(0, 0, None);
-    assert!(take(&mut reader, &writer.next(&map).unwrap()));
+    assert!(receive(&mut reader, &writer.next(&map).unwrap()));
     assert!(reader.map().get(0, 0).is_none() && same(reader.map(), &map));
 }
 
 #[test]
-fn a_large_version_shows_when_it_is_complete() {
-    let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+fn a_large_version_is_shown_after_its_last_message() {
+    let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     (0..150).for_each(|x| draw(&mut map, x % 15, x / 15, 0, 1));
     let mut shown = Vec::new();
     while let Some(patch) = writer.next(&map) {
         assert!(patch.tiles.len() <= PATCH_TILES_MAX);
         assert!(reader.map().tiles().next().is_none());
-        shown.push(take(&mut reader, &patch));
+        shown.push(receive(&mut reader, &patch));
     }
     assert_eq!(shown, [false, false, true]);
     assert!(same(reader.map(), &map));
 }
 
 #[test]
-fn a_late_reader_asks_and_the_others_see_no_change() {
+fn a_snapshot_for_a_late_reader_changes_nothing_for_the_others() {
     let (mut writer, mut early, mut late, mut map) =
-        (Writer::default(), Incoming::default(), Incoming::default(), map(0.05));
+        (Writer::default(), PatchReceiver::default(), PatchReceiver::default(), map(0.05));
     (0..100).for_each(|x| draw(&mut map, x, 0, 0, 1));
     while let Some(patch) = writer.next(&map) {
-        take(&mut early, &patch);
+        receive(&mut early, &patch);
     }
     draw(&mut map, 3, 0, 0, 2);
     let patch = writer.next(&map).unwrap();
-    assert!(take(&mut early, &patch) && !take(&mut late, &patch));
-    assert!(late.is_lost() && !early.is_lost());
-    writer.outgoing.ask();
+    assert!(receive(&mut early, &patch) && !receive(&mut late, &patch));
+    assert!(late.needs_snapshot() && !early.needs_snapshot());
+    writer.outgoing.request_snapshot();
     let before = early.map().clone();
     while let Some(patch) = writer.next(&map) {
-        take(&mut early, &patch);
-        take(&mut late, &patch);
+        receive(&mut early, &patch);
+        receive(&mut late, &patch);
     }
-    assert!(!late.is_lost() && same(late.map(), &map));
+    assert!(!late.needs_snapshot() && same(late.map(), &map));
     assert_eq!(early.map().changed_since(&before).count(), 0);
 }
 
 #[test]
-fn a_writer_that_is_started_again_replaces_the_map() {
-    let (mut reader, mut old, mut new) = (Incoming::default(), map(0.05), map(0.05));
+fn a_restarted_writer_replaces_the_map() {
+    let (mut reader, mut old, mut new) = (PatchReceiver::default(), map(0.05), map(0.05));
     (0..4).for_each(|x| draw(&mut old, x, 0, 0, 1));
-    let mut writer = Writer { run: 1, ..Default::default() };
-    take(&mut reader, &writer.next(&old).unwrap());
+    let mut writer = Writer { incarnation: 1, ..Default::default() };
+    receive(&mut reader, &writer.next(&old).unwrap());
     draw(&mut old, 9, 9, 0, 1);
-    take(&mut reader, &writer.next(&old).unwrap());
-    // The next incarnation may be at the very number that the old one came to.
+    receive(&mut reader, &writer.next(&old).unwrap());
+    // The next incarnation may send the number that follows the old one's last.
     draw(&mut new, 7, 7, 0, 3);
-    let mut writer = Writer { run: 2, ..Default::default() };
+    let mut writer = Writer { incarnation: 2, ..Default::default() };
     while let Some(patch) = writer.next(&new) {
         assert!(same(reader.map(), &old) || same(reader.map(), &new));
-        take(&mut reader, &patch);
+        receive(&mut reader, &patch);
     }
     assert!(same(reader.map(), &new));
-    // So does one that moves its lattice.
+    // A moved lattice replaces the map too.
     new.header.origin = Pose2::new(1.0, 0.0, 0.5);
-    take(&mut reader, &writer.next(&new).unwrap());
+    receive(&mut reader, &writer.next(&new).unwrap());
     assert!(same(reader.map(), &new));
 }
 
 #[test]
-fn an_empty_map_answers_too() {
-    let (mut writer, mut reader, map) = (Writer::default(), Incoming::default(), map(0.05));
-    writer.outgoing.ask();
-    assert!(take(&mut reader, &writer.next(&map).unwrap()));
-    assert!(writer.next(&map).is_none() && !reader.is_lost());
+fn a_snapshot_of_an_empty_map_is_sent_on_request() {
+    let (mut writer, mut reader, map) = (Writer::default(), PatchReceiver::default(), map(0.05));
+    writer.outgoing.request_snapshot();
+    assert!(receive(&mut reader, &writer.next(&map).unwrap()));
+    assert!(writer.next(&map).is_none() && !reader.needs_snapshot());
 }
 
 #[test]
-fn nonsense_is_no_map() {
-    let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+fn an_invalid_message_leaves_the_map_unchanged() {
+    let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     draw(&mut map, 0, 0, 0, 1);
-    take(&mut reader, &writer.next(&map).unwrap());
+    receive(&mut reader, &writer.next(&map).unwrap());
     let kept = reader.map().clone();
     let header = |change: fn(&mut PatchHeader)| {
-        let mut header = PatchHeader { map: map.header, begins: 1, ends: 1 };
+        let mut header = PatchHeader { map: map.header, begins_snapshot: 1, completes_version: 1 };
         change(&mut header);
         header
     };
@@ -159,14 +159,14 @@ fn nonsense_is_no_map() {
         (header(|h| h.map.origin.x_m = f64::INFINITY), vec![]),
         (header(|_| ()), vec![far]),
         (header(|_| ()), vec![MapTile { x: 0, y: 0, ..far }, corner]),
-        (header(|h| h.begins = 7), vec![]),
+        (header(|h| h.begins_snapshot = 7), vec![]),
     ] {
-        assert!(!reader.take(&header, &tiles), "{header:?}");
-        assert!(reader.is_lost());
+        assert!(!reader.receive(&header, &tiles), "{header:?}");
+        assert!(reader.needs_snapshot());
         assert_eq!(reader.map().changed_since(&kept).count(), 0);
     }
-    writer.outgoing.ask();
-    assert!(take(&mut reader, &writer.next(&map).unwrap()) && !reader.is_lost());
+    writer.outgoing.request_snapshot();
+    assert!(receive(&mut reader, &writer.next(&map).unwrap()) && !reader.needs_snapshot());
 }
 
 #[derive(Clone, Debug)]
@@ -191,38 +191,38 @@ fn event() -> impl Strategy<Value = Event> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Losses, restarts of either side, changes in the midst of a version: what shows is always some
-    /// version that was complete, and when the line is quiet, one question brings the newest.
+    /// Under losses, restarts of either side and changes within a version, a reader shows only complete
+    /// versions. When no more changes come, one snapshot request brings the newest version.
     #[test]
-    fn a_reader_always_gets_there(events in prop::collection::vec(event(), 1..120)) {
-        let (mut writer, mut reader, mut map) = (Writer::default(), Incoming::default(), map(0.05));
+    fn a_reader_gets_the_newest_version_in_the_end(events in prop::collection::vec(event(), 1..120)) {
+        let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
         for event in events {
             match event {
                 Event::Draw { x, y, place, cell } => draw(&mut map, x, y, place, cell),
                 Event::Send { lost } => {
-                    if reader.is_lost() {
-                        writer.outgoing.ask();
+                    if reader.needs_snapshot() {
+                        writer.outgoing.request_snapshot();
                     }
-                    if let Some(patch) = writer.next(&map) && !lost && take(&mut reader, &patch) {
+                    if let Some(patch) = writer.next(&map) && !lost && receive(&mut reader, &patch) {
                         prop_assert!(same(reader.map(), &map));
                     }
                 }
                 Event::Restart => {
-                    writer = Writer { run: writer.run + 1, ..Default::default() };
+                    writer = Writer { incarnation: writer.incarnation + 1, ..Default::default() };
                 }
-                Event::Return => reader = Incoming::default(),
+                Event::Return => reader = PatchReceiver::default(),
             }
         }
         draw(&mut map, 0, 0, 0, 1);
         while let Some(patch) = writer.next(&map) {
-            take(&mut reader, &patch);
+            receive(&mut reader, &patch);
         }
-        if reader.is_lost() {
-            writer.outgoing.ask();
+        if reader.needs_snapshot() {
+            writer.outgoing.request_snapshot();
         }
         while let Some(patch) = writer.next(&map) {
-            take(&mut reader, &patch);
+            receive(&mut reader, &patch);
         }
-        prop_assert!(!reader.is_lost() && same(reader.map(), &map));
+        prop_assert!(!reader.needs_snapshot() && same(reader.map(), &map));
     }
 }

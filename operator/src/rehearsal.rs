@@ -1,12 +1,12 @@
 //! A small flat world in which the tour is rehearsed: walls and furniture as line segments, robots as discs, a
 //! perfect mapper. No physics, no SLAM, no IPC: what is tested is the operator alone.
 
-use super::joystick::{Joystick, Twist};
-use super::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView, Sight};
-use super::tour::{Tour, TourConfig};
 use msg::grid::{Occupancy, occupancy};
 use msg::pose::wrap_angle;
-use msg::{Command, Grid, GridHeader, Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms};
+use msg::{Grid, GridHeader, Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms, VelocityCommand};
+use nav::joystick::{Joystick, Twist};
+use nav::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView, Sight};
+use nav::tour::{Tour, TourConfig};
 use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -197,8 +197,8 @@ impl World {
     }
 
     /// What a robot is told.
-    pub(super) fn obey(&mut self, robot: RobotId, command: &Command) {
-        let Command { linear_m_s, angular_rad_s, .. } = *command;
+    pub(super) fn obey(&mut self, robot: RobotId, command: &VelocityCommand) {
+        let VelocityCommand { linear_m_s, angular_rad_s, .. } = *command;
         self.bodies[robot.index()].twist = Twist { linear_m_s, angular_rad_s };
     }
 
@@ -219,18 +219,21 @@ impl World {
     pub(super) fn tell(&self, bridge: &bridge::Bridge, step: u64, now: Stamp) {
         use bridge::FleetMessage;
         let header = msg::Header { stamp: now, ..Default::default() };
-        let mut anchors = msg::Anchors { header, ..Default::default() };
+        let mut map_transforms = msg::MapTransforms { header, ..Default::default() };
         bridge.publish(FleetMessage::Clock(&msg::Clock { header }));
         for (i, body) in self.bodies.iter().enumerate() {
             let robot = RobotId::new(i + 1).unwrap();
-            anchors.robots[i].known = 1;
+            map_transforms.robots[i].known = 1;
             bridge.publish(FleetMessage::Transforms(robot, &transforms(header, body.pose)));
             if step.is_multiple_of(2) {
                 bridge.publish(FleetMessage::Scan(robot, &scan_message(header, &body.ranges_m)));
-                bridge.publish(FleetMessage::Correction(robot, &msg::Correction { header, ..Default::default() }));
+                bridge.publish(FleetMessage::Correction(
+                    robot,
+                    &msg::Correction { header, ..Default::default() },
+                ));
             }
         }
-        bridge.publish(FleetMessage::MapTransforms(&anchors));
+        bridge.publish(FleetMessage::MapTransforms(&map_transforms));
         if step.is_multiple_of(20) {
             bridge.publish(FleetMessage::MergedMap(self.grid.view()));
         }
@@ -381,7 +384,7 @@ fn one_step(
     tour: &mut Tour,
     script: &Script,
     now_s: f64,
-    hands: &mut Vec<super::tour::Hand>,
+    hands: &mut Vec<nav::tour::Hand>,
 ) {
     let stamp = Stamp::from_seconds(now_s);
     let map = world.post.front().and_then(|grid| MapView::log_odds(grid.view()));

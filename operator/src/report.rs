@@ -1,8 +1,8 @@
 //! What an operator tells at the end: for programs (serde) and for people (Display).
 
-use super::driver::DriverFigures;
-use super::measures::{LinkReport, Spread, StreamReport};
+use crate::measures::{LinkReport, Spread, StreamReport};
 use bridge::ros::OccupancyGrid;
+use nav::driver::DriverFigures;
 use serde::Serialize;
 use std::fmt;
 

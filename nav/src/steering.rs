@@ -1,11 +1,11 @@
 //! From where to go to a wished velocity: along the way (pure pursuit, Coulter 1992), towards a point on the
 //! spot, by the scan alone, and never into what the scan shows.
 
-use super::joystick::Twist;
-use super::memory::distance_m;
-use super::plan::BODY_RADIUS_M;
-use super::rng::Rng;
-use super::sight::ScanView;
+use crate::joystick::Twist;
+use crate::memory::distance_m;
+use crate::plan::BODY_RADIUS_M;
+use crate::rng::Rng;
+use crate::sight::ScanView;
 use msg::{Pose2, pose::wrap_angle};
 
 /// Steers for the point of the way this far ahead, metres: as far as there is room to cut the corner.

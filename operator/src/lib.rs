@@ -7,23 +7,12 @@
 //! ```
 
 pub mod client;
-pub mod driver;
-pub mod floor;
-pub mod frontier;
 mod hands;
-pub mod joystick;
 pub mod measures;
-pub mod memory;
 pub mod picture;
-pub mod plan;
 #[cfg(test)]
 mod rehearsal;
 mod report;
-pub mod rng;
-pub mod routes;
-pub mod sight;
-pub mod steering;
-pub mod tour;
 
 pub use report::{MapReport, OperatorReport, RobotReport};
 

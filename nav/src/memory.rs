@@ -1,8 +1,8 @@
 //! What an operator keeps in mind about one robot: what its eyes saw in the last seconds, which places
 //! turned out not to show anything new, and where it has been.
 
-use super::floor::Floor;
-use super::sight::ScanView;
+use crate::floor::Floor;
+use crate::sight::ScanView;
 use msg::{Pose2, Stamp};
 use std::collections::VecDeque;
 

@@ -1,7 +1,7 @@
 //! Ways over the floor: the cheapest way from the robot to every cell it fits on, by Dial's bucket queue
 //! (Dial 1969), so that a plan's time is linear in the window's cells.
 
-use super::floor::{Floor, NEIGHBOURS};
+use crate::floor::{Floor, NEIGHBOURS};
 use msg::grid::Occupancy;
 use std::collections::VecDeque;
 
@@ -146,7 +146,7 @@ fn step_cost(direction: usize, clearance_m: f64, open_clearance_m: f64) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::operator::sight::MapView;
+    use crate::sight::MapView;
     use msg::Pose2;
     use proptest::prelude::*;
 

@@ -1,7 +1,7 @@
 //! The floor around a robot as the operator judges it: a window of the map with what he has just seen
 //! himself drawn in, and how much room there is at each spot.
 
-use super::sight::MapView;
+use crate::sight::MapView;
 use msg::Pose2;
 use msg::grid::Occupancy;
 

@@ -1,11 +1,11 @@
 //! What the operator has been told by now: the newest transform of each link, scan of each robot, and maps.
 //! State, not a queue: what is newer replaces what is older, however slowly it is looked at.
 
-use super::measures::{Seen, robot_topic};
-use super::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView};
+use crate::measures::{Seen, robot_topic};
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, Bool, FrameNames, Int32, LaserScan, NameStyle, OccupancyGrid, TfMessage};
 use msg::{Link, Pose2, ROBOTS_MAX, RobotId, Stamp};
+use nav::sight::{BURGER_BASE_FROM_SCAN, MapView, RobotSight, ScanView};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

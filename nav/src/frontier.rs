@@ -1,7 +1,7 @@
 //! Frontiers: where the known free floor ends and nobody has looked further (Yamauchi 1997).
 
-use super::floor::Floor;
-use super::routes::Routes;
+use crate::floor::Floor;
+use crate::routes::Routes;
 use msg::grid::Occupancy;
 
 /// A long frontier is looked at in pieces of at most this many cells.
@@ -115,7 +115,7 @@ fn unknown_beside(floor: &Floor, cell: usize) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::operator::sight::MapView;
+    use crate::sight::MapView;
     use msg::Pose2;
 
     #[test]

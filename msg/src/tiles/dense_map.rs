@@ -1,27 +1,27 @@
-//! A map as one grid: the smallest that holds all that is known, kept up to date tile by tile.
+//! A tiled map as one dense grid, updated tile by tile.
 
 use super::{MAP_TILES_MAX, MapTile, TILE, TileMap};
 use crate::grid::UNKNOWN;
 use crate::rect::Rect;
 use crate::{Grid, GridView};
 
-/// See the module.
+/// The smallest grid that contains all known cells of a [`TileMap`].
 #[derive(Clone, Debug, Default)]
-pub struct Dense {
-    /// The version that `grid` shows.
+pub struct DenseMap {
+    /// Version of the map that `grid` shows.
     map: TileMap,
-    /// The known cells of each tile of `map`, by its place in the extent.
+    /// Rectangle of known cells of each tile of `map`, by the tile's index in the extent.
     known: Vec<Rect>,
-    /// The cells of `grid`, on the lattice.
+    /// Cells of the lattice that `grid` shows.
     window: Rect,
     grid: Grid,
 }
 
-impl Dense {
-    /// Brings the grid up to date, touching only tiles that changed unless the known part's size did.
+impl DenseMap {
+    /// Updates the grid to a version of the map. Copies only changed tiles unless the known part changed its size.
     pub fn update(&mut self, map: &TileMap) -> GridView<'_> {
         let known = self.known_of(map);
-        let window = known.iter().fold(Rect::default(), |all, part| all.unite(*part));
+        let window = known.iter().fold(Rect::default(), |all, part| all.union(*part));
         if window == self.window {
             let changed: Vec<(i64, i64)> = map.changed_since(&self.map).collect();
             changed.into_iter().for_each(|(x, y)| self.copy(map, x, y));
@@ -31,17 +31,17 @@ impl Dense {
             self.grid.cells.resize(window.width() * window.height(), UNKNOWN);
             window.tiles().points().for_each(|(x, y)| self.copy(map, x, y));
         }
-        self.grid.header = map.header.of_grid(window);
+        self.grid.header = map.header.grid_header(window);
         (self.map, self.known) = (map.clone(), known);
         self.view()
     }
 
-    /// The grid as it last was.
+    /// Returns the grid as of the last update.
     pub fn view(&self) -> GridView<'_> {
         self.grid.view()
     }
 
-    /// The window's cells on the map's lattice.
+    /// Returns the cells of the map's lattice that the grid shows.
     pub fn window(&self) -> Rect {
         self.window
     }
@@ -57,9 +57,9 @@ impl Dense {
         map.extent().points().map(known).collect()
     }
 
-    /// Copies what of a tile lies in the window.
+    /// Copies the part of a tile that lies in the window.
     fn copy(&mut self, map: &TileMap, x: i64, y: i64) {
-        let part = Rect::of_tile(x, y).intersect(self.window);
+        let part = Rect::cells_of_tile(x, y).intersect(self.window);
         if part.is_empty() {
             return;
         }
@@ -85,16 +85,16 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Whatever is written and taken away: as if it were drawn anew, and no larger than needed.
+        /// After any sequence of edits, the updated grid equals a new one and is not larger than needed.
         #[test]
-        fn follows_a_map(edits in prop::collection::vec(
+        fn an_updated_grid_equals_a_new_one(edits in prop::collection::vec(
             (-150_i64..150, -150_i64..150, prop_oneof![Just(UNKNOWN), -127_i8..=127], any::<bool>()), 1..40,
         )) {
             let mut map = TileMap::new(MapHeader { resolution_m: 0.1, ..Default::default() });
-            let mut dense = Dense::default();
+            let mut dense = DenseMap::default();
             for (x, y, cell, look) in edits {
                 let (tx, ty) = (x.div_euclid(TILE), y.div_euclid(TILE));
-                prop_assert!(map.make_room(Rect::of_one(tx, ty), 64));
+                prop_assert!(map.grow_to(Rect::single(tx, ty), 64));
                 let place = (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize;
                 map.get_mut(tx, ty).unwrap().cells[place] = cell;
                 if look {
@@ -103,10 +103,10 @@ mod tests {
             }
             let updated = dense.update(&map).to_owned();
             let window = dense.window();
-            prop_assert_eq!(&updated, &Dense::default().update(&map).to_owned());
+            prop_assert_eq!(&updated, &DenseMap::default().update(&map).to_owned());
             let everything = Rect { x0: -192, y0: -192, x1: 192, y1: 192 };
             let known = everything.points().filter(|(x, y)| map.cell(*x, *y) != UNKNOWN);
-            let smallest = known.fold(Rect::default(), |all, (x, y)| all.unite(Rect::of_one(x, y)));
+            let smallest = known.fold(Rect::default(), |all, (x, y)| all.union(Rect::single(x, y)));
             prop_assert_eq!(window, smallest);
             for ((x, y), cell) in window.points().zip(&updated.cells) {
                 prop_assert_eq!(map.cell(x, y), *cell);

@@ -1,15 +1,15 @@
 //! The hands: 20 times a second, look at the picture, let the tour decide, move the stick.
 
-use super::client::Voice;
-use super::joystick::{Joystick, Stick, Twist};
-use super::measures::LinkReport;
-use super::picture::{RobotPicture, read_maps};
-use super::report::{MapReport, OperatorReport, RobotReport};
-use super::sight::{RobotSight, Sight};
-use super::tour::{Hand, Tour, TourConfig};
-use super::{OperatorArgs, OperatorError, SharedHeard, lock, stamp};
+use crate::client::Voice;
+use crate::measures::LinkReport;
+use crate::picture::{RobotPicture, read_maps};
+use crate::report::{MapReport, OperatorReport, RobotReport};
+use crate::{OperatorArgs, OperatorError, SharedHeard, lock, stamp};
 use bridge::ros;
 use msg::RobotId;
+use nav::joystick::{Joystick, Stick, Twist};
+use nav::sight::{RobotSight, Sight};
+use nav::tour::{Hand, Tour, TourConfig};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};

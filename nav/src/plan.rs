@@ -1,13 +1,13 @@
 //! Where to go next: to the frontier that is soonest looked past, or, once none is left, back to places not
 //! seen for long, so that loops close.
 
-use super::floor::Floor;
-use super::frontier::{Frontier, FrontierSearch};
-use super::memory::{Memory, distance_m};
-use super::rng::Rng;
-use super::routes::Routes;
-use super::sight::{MapView, ScanView};
-use super::steering::Waypoint;
+use crate::floor::Floor;
+use crate::frontier::{Frontier, FrontierSearch};
+use crate::memory::{Memory, distance_m};
+use crate::rng::Rng;
+use crate::routes::Routes;
+use crate::sight::{MapView, ScanView};
+use crate::steering::Waypoint;
 use msg::grid::Occupancy;
 use msg::{Pose2, Stamp, pose::wrap_angle};
 
@@ -94,7 +94,7 @@ pub struct Question<'a> {
 }
 
 /// Plans, in buffers that it keeps. Time and memory are linear in the window's cells
-/// ([`super::floor::WINDOW_CELLS_MAX`]), whatever the map's size.
+/// ([`crate::floor::WINDOW_CELLS_MAX`]), whatever the map's size.
 #[derive(Clone, Debug, Default)]
 pub struct Planner {
     floor: Floor,

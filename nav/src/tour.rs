@@ -1,10 +1,10 @@
 //! The tour: one operator, several robots. Either one robot in the hand at a time, each in its turn, or, as a
 //! fleet, all at once. Pure and deterministic: the same sights and seed give the same deflections.
 
-use super::driver::{Company, Driver, DriverFigures};
-use super::joystick::{Joystick, Stick};
-use super::plan::Planner;
-use super::sight::{RobotSight, Sight};
+use crate::driver::{Company, Driver, DriverFigures};
+use crate::joystick::{Joystick, Stick};
+use crate::plan::Planner;
+use crate::sight::{RobotSight, Sight};
 use msg::{ROBOTS_MAX, RobotId, Stamp};
 
 /// A robot that cannot be driven keeps the hand no longer than this, seconds.
@@ -155,7 +155,7 @@ impl Tour {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::operator::sight::{BURGER_BASE_FROM_SCAN, MapView, ScanView};
+    use crate::sight::{BURGER_BASE_FROM_SCAN, MapView, ScanView};
     use msg::Pose2;
     use proptest::prelude::*;
 

@@ -1,12 +1,12 @@
 //! One robot in the operator's hand: look around, drive where something new is to be seen, look at it, and
 //! get out again where it does not go on. Pure: what the operator sees goes in, the stick's deflection comes out.
 
-use super::joystick::{Joystick, Stick, Twist};
-use super::memory::{Memory, distance_m};
-use super::plan::{Answer, Plan, Planner, Purpose, Question, SAME_GOAL_M};
-use super::rng::Rng;
-use super::sight::{MapView, RobotSight, ScanView};
-use super::steering::{self, Pursuit, TURN_RAD_S, Wander};
+use crate::joystick::{Joystick, Stick, Twist};
+use crate::memory::{Memory, distance_m};
+use crate::plan::{Answer, Plan, Planner, Purpose, Question, SAME_GOAL_M};
+use crate::rng::Rng;
+use crate::sight::{MapView, RobotSight, ScanView};
+use crate::steering::{self, Pursuit, TURN_RAD_S, Wander};
 use core::f64::consts::TAU;
 use core::time::Duration;
 use msg::{Pose2, RobotId, Stamp, pose::wrap_angle};
