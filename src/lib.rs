@@ -7,6 +7,7 @@ pub mod doctor;
 pub mod fleet;
 pub mod lockstep;
 pub mod process;
+pub mod processes;
 pub mod realtime;
 pub mod run;
 pub mod supervisor;
@@ -15,6 +16,7 @@ pub mod up;
 pub mod channel;
 pub mod clock;
 pub mod control;
+pub mod ports;
 pub mod shared_memory;
 pub mod stop;
 // What people see, and say.

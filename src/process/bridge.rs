@@ -10,8 +10,9 @@ use crate::channel::{self, Channel};
 use crate::clock::now;
 use crate::config::World;
 use crate::merge_edges;
+use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, Writer};
+use crate::shared_memory::{Listener, MapReader, Participant, Reader, Writer};
 use crate::stop::Stop;
 use ::bridge::{Bridge, FleetMessage, Transport, serve};
 use msg::{
@@ -45,13 +46,13 @@ const PID_BITS: u32 = 32;
 
 /// Runs the bridge process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
-    let node = run.attach(Role::Bridge, None)?;
-    let pulse = Pulse::new(&node, run, Role::Bridge, None)?;
+    let participant = run.attach(Role::Bridge, None)?;
+    let pulse = Pulse::new(&participant, run, Role::Bridge, None)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let bridge = open_bridge(&node, run)?;
+        let bridge = open_bridge(&participant, run)?;
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run)));
-        let mut tasks = publish_channels(&node, run, &bridge)?;
+        let mut tasks = publish_channels(&participant, run, &bridge)?;
         if run.config.bridge.dds.enabled {
             tasks.push(ros2::open(run, stop, &bridge)?);
         }
@@ -97,8 +98,8 @@ async fn report_health(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell
 }
 
 /// Creates the bridge, which writes the channels of velocities, of commands for merging and of requests to SLAM.
-fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
-    let writers = run.robots().map(|robot| node.writer(&channel::command(robot)));
+fn open_bridge(participant: &Participant, run: &Run) -> Result<Rc<Bridge>, Error> {
+    let writers = run.robots().map(|robot| participant.writer(&channel::command(robot)));
     let mut writers = writers.collect::<Result<Vec<Writer<VelocityCommand>>, _>>()?;
     let send = move |robot: RobotId, command: VelocityCommand| {
         if let Some(writer) = writers.get_mut(robot.index()) {
@@ -109,13 +110,13 @@ fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
     let bridge = match run.config.world {
         World::Simulator => Bridge::new(config, run.config.fleet.robots, send)?,
         World::Headset | World::Ros => {
-            let (world, epoch) = (outside::open_world(node, run)?, run.epoch);
+            let (world, epoch) = (outside::open_world(participant, run)?, run.epoch);
             Bridge::with_external_world(config, world, move |now| epoch.stamp(now), send)?
         }
     };
-    let mut edge_commands = node.writer(&channel::edge_command())?;
+    let mut edge_commands = participant.writer(&channel::edge_command())?;
     bridge.on_edge_command(move |command| edge_commands.send(&command));
-    let mut requester = SlamRequester::open(node, run, REQUESTER_KIND)?;
+    let mut requester = SlamRequester::open(participant, run, REQUESTER_KIND)?;
     bridge.on_slam_request(move |robot, request| requester.send(robot, request));
     Ok(Rc::new(bridge))
 }
@@ -129,9 +130,9 @@ pub(super) struct SlamRequester {
 
 impl SlamRequester {
     /// Opens the robots' request channels. `kind` tells endpoints of one process apart; the command line's is 0.
-    pub fn open(node: &Node, run: &Run, kind: u64) -> Result<Self, ChannelError> {
+    pub fn open(participant: &Participant, run: &Run, kind: u64) -> Result<Self, ChannelError> {
         let client = kind << PID_BITS | u64::from(std::process::id());
-        let requests = run.robots().map(|robot| node.writer(&channel::slam_request(robot)));
+        let requests = run.robots().map(|robot| participant.writer(&channel::slam_request(robot)));
         Ok(Self { client, requests: requests.collect::<Result<_, _>>()? })
     }
 
@@ -145,28 +146,32 @@ impl SlamRequester {
 
 /// Starts a task for each channel that feeds topics; it publishes the channel's messages.
 pub(super) fn publish_channels<T: Transport + 'static>(
-    node: &Node,
+    participant: &Participant,
     run: &Run,
     transport: &Rc<T>,
 ) -> Result<Vec<JoinHandle<()>>, Error> {
     let mut tasks = vec![
-        forward(node, transport, &channel::clock(), |to, clock| to.publish(FleetMessage::Clock(clock)))?,
-        forward(node, transport, &channel::stats(), |to, stats| to.publish(FleetMessage::Stats(stats)))?,
-        forward(node, transport, &channel::merge_edges(), |to, edges| {
+        forward(participant, transport, &channel::clock(), |to, clock| {
+            to.publish(FleetMessage::Clock(clock))
+        })?,
+        forward(participant, transport, &channel::stats(), |to, stats| {
+            to.publish(FleetMessage::Stats(stats))
+        })?,
+        forward(participant, transport, &channel::merge_edges(), |to, edges| {
             to.publish(FleetMessage::MergeEdges(&merge_edges::json(edges)));
         })?,
-        publish_merged_map(node, transport)?,
+        publish_merged_map(participant, transport)?,
     ];
     for robot in run.robots() {
-        tasks.push(publish_motion(node, transport, robot)?);
-        tasks.push(forward(node, transport, &channel::scan(robot), move |to, scan| {
+        tasks.push(publish_motion(participant, transport, robot)?);
+        tasks.push(forward(participant, transport, &channel::scan(robot), move |to, scan| {
             to.publish(FleetMessage::Scan(robot, scan));
         })?);
-        tasks.push(forward(node, transport, &channel::correction(robot), move |to, correction| {
+        tasks.push(forward(participant, transport, &channel::correction(robot), move |to, correction| {
             to.publish(FleetMessage::Correction(robot, correction));
         })?);
-        let maps = node.map_reader(&channel::map(robot))?;
-        tasks.push(publish_map(node, transport, &channel::map(robot), maps, move |to, map| {
+        let maps = participant.map_reader(&channel::map(robot))?;
+        tasks.push(publish_map(participant, transport, &channel::map(robot), maps, move |to, map| {
             to.publish(FleetMessage::Map(robot, map));
         })?);
     }
@@ -175,14 +180,14 @@ pub(super) fn publish_channels<T: Transport + 'static>(
 
 /// Passes each message of a channel on.
 pub(super) fn forward<M: Message, T: 'static>(
-    node: &Node,
+    participant: &Participant,
     to: &Rc<T>,
     channel: &Channel<M>,
     pass: impl Fn(&T, &M) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
-    let mut reader = node.reader(channel)?;
+    let mut reader = participant.reader(channel)?;
     let to = to.clone();
-    on_notification(node.bell(channel)?, move || {
+    on_notification(participant.listener(channel)?, move || {
         while let Some(message) = reader.receive() {
             pass(&to, &message);
         }
@@ -191,14 +196,14 @@ pub(super) fn forward<M: Message, T: 'static>(
 
 /// Publishes a robot's transforms and odometry. Transforms are written after the odometry of the same stamp, and notify.
 fn publish_motion<T: Transport + 'static>(
-    node: &Node,
+    participant: &Participant,
     transport: &Rc<T>,
     robot: RobotId,
 ) -> Result<JoinHandle<()>, Error> {
-    let mut transforms: Reader<Transforms> = node.reader(&channel::transforms(robot))?;
-    let mut odometry: Reader<Odometry> = node.reader(&channel::odometry(robot))?;
+    let mut transforms: Reader<Transforms> = participant.reader(&channel::transforms(robot))?;
+    let mut odometry: Reader<Odometry> = participant.reader(&channel::odometry(robot))?;
     let transport = transport.clone();
-    on_notification(node.bell(&channel::transforms(robot))?, move || {
+    on_notification(participant.listener(&channel::transforms(robot))?, move || {
         while let Some(transforms) = transforms.receive() {
             transport.publish(FleetMessage::Transforms(robot, &transforms));
         }
@@ -210,12 +215,12 @@ fn publish_motion<T: Transport + 'static>(
 
 /// Publishes the merged map and the map transforms, which are written before it.
 fn publish_merged_map<T: Transport + 'static>(
-    node: &Node,
+    participant: &Participant,
     transport: &Rc<T>,
 ) -> Result<JoinHandle<()>, Error> {
-    let maps = node.map_reader(&channel::merged_map())?;
-    let mut map_transforms = node.reader(&channel::map_transforms())?;
-    publish_map(node, transport, &channel::merged_map(), maps, move |to, map| {
+    let maps = participant.map_reader(&channel::merged_map())?;
+    let mut map_transforms = participant.reader(&channel::map_transforms())?;
+    publish_map(participant, transport, &channel::merged_map(), maps, move |to, map| {
         if let Some(map_transforms) = map_transforms.newest() {
             to.publish(FleetMessage::MapTransforms(&map_transforms));
         }
@@ -225,19 +230,19 @@ fn publish_merged_map<T: Transport + 'static>(
 
 /// Publishes the newest version of a map as one grid: at once if the last grid was long enough ago, otherwise then.
 fn publish_map<T: Transport + 'static>(
-    node: &Node,
+    participant: &Participant,
     transport: &Rc<T>,
     channel: &Channel<PatchHeader>,
     mut reader: MapReader,
     mut publish: impl FnMut(&T, GridView<'_>) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
-    let listener = async_listener(node.bell(channel)?)?;
+    let listener = async_listener(participant.listener(channel)?)?;
     let transport = transport.clone();
     let mut grid = DenseMap::default();
     Ok(spawn_local(async move {
         let (mut has_changed, mut due) = (false, Instant::now());
         loop {
-            has_changed |= reader.look();
+            has_changed |= reader.poll();
             if has_changed && Instant::now() >= due {
                 let map = grid.update(reader.map());
                 publish(&transport, map);
@@ -247,7 +252,7 @@ fn publish_map<T: Transport + 'static>(
             let deadline = if has_changed { due } else { Instant::now() + MAP_POLL_PERIOD };
             if let Ok(ready) = tokio::time::timeout_at(deadline, listener.readable()).await {
                 let Ok(mut ready) = ready else { return };
-                listener.get_ref().silence();
+                listener.get_ref().drain();
                 ready.clear_ready();
             }
         }
@@ -255,13 +260,13 @@ fn publish_map<T: Transport + 'static>(
 }
 
 /// Returns a listener that a task can wait for.
-fn async_listener(listener: Bell) -> Result<AsyncFd<Bell>, Error> {
+fn async_listener(listener: Listener) -> Result<AsyncFd<Listener>, Error> {
     Ok(listener.into_async().map_err(|why| format!("cannot wait for a channel's notifications: {why}"))?)
 }
 
 /// Calls `act` now and at each notification.
 pub(super) fn on_notification(
-    listener: Bell,
+    listener: Listener,
     mut act: impl FnMut() + 'static,
 ) -> Result<JoinHandle<()>, Error> {
     let listener = async_listener(listener)?;
@@ -269,7 +274,7 @@ pub(super) fn on_notification(
         loop {
             act();
             let Ok(mut ready) = listener.readable().await else { return };
-            listener.get_ref().silence();
+            listener.get_ref().drain();
             ready.clear_ready();
         }
     }))

@@ -1,8 +1,9 @@
 //! The channels of an external world: the bridge writes what the simulators write elsewhere.
 
 use crate::channel;
+use crate::ports::ChannelError;
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, Node, Writer};
+use crate::shared_memory::{Participant, Writer};
 use ::bridge::world::{ExternalWorld, WorldMessage};
 use msg::{Odometry, RobotId, Scan, Transforms};
 
@@ -13,20 +14,20 @@ struct RobotWriters {
 }
 
 impl RobotWriters {
-    fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
+    fn open(participant: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
-            scan: node.writer(&channel::scan(robot))?,
-            odometry: node.writer(&channel::odometry(robot))?,
-            transforms: node.writer(&channel::transforms(robot))?,
+            scan: participant.writer(&channel::scan(robot))?,
+            odometry: participant.writer(&channel::odometry(robot))?,
+            transforms: participant.writer(&channel::transforms(robot))?,
         })
     }
 }
 
 /// Opens the channels and returns the world that writes accepted messages to them.
-pub fn open_world(node: &Node, run: &Run) -> Result<ExternalWorld, ChannelError> {
+pub fn open_world(participant: &Participant, run: &Run) -> Result<ExternalWorld, ChannelError> {
     let mut robots =
-        run.robots().map(|robot| RobotWriters::open(node, robot)).collect::<Result<Vec<_>, _>>()?;
-    let mut clock = node.writer(&channel::clock())?;
+        run.robots().map(|robot| RobotWriters::open(participant, robot)).collect::<Result<Vec<_>, _>>()?;
+    let mut clock = participant.writer(&channel::clock())?;
     Ok(ExternalWorld::new(run.config.fleet.robots, move |message| match message {
         WorldMessage::Scan(robot, scan) => robots[robot.index()].scan.send(scan),
         WorldMessage::Odometry(robot, odometry) => robots[robot.index()].odometry.send(odometry),

@@ -7,11 +7,11 @@ use crate::clock::now;
 use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
-use crate::shared_memory::Node;
+use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use ::bridge::dds::{DdsEndpoint, ReceivedMessage};
 use ::bridge::{Bridge, FleetMessage};
-use msg::{Clock, RobotId};
+use msg::{Clock, RobotId, Role};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Duration;
@@ -62,19 +62,24 @@ async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, mut receiver: mpsc::Receiv
 /// Runs the endpoint until it is asked to stop.
 fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Result<(), Error> {
     // A participant of its own: ports of shared memory stay on the thread that opened them.
-    let node = Node::open(&run.domain, "ros2")?;
+    let participant = run.attach_thread(Role::Bridge, None, "ros2")?;
     let is_external = run.config.world == World::Ros;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge, run.config.fleet.robots, is_external)?);
-        let mut tasks = publish_channels(&node, run, &endpoint)?;
-        let requester = Rc::new(RefCell::new(SlamRequester::open(&node, run, REQUESTER_KIND)?));
+        let mut tasks = publish_channels(&participant, run, &endpoint)?;
+        let requester = Rc::new(RefCell::new(SlamRequester::open(&participant, run, REQUESTER_KIND)?));
         for robot in run.robots() {
-            tasks.push(forward_responses(&node, &endpoint, &requester, robot)?);
+            tasks.push(forward_responses(&participant, &endpoint, &requester, robot)?);
             if is_external {
-                tasks.push(forward(&node, &endpoint, &channel::command(robot), move |endpoint, command| {
-                    endpoint.publish_velocity(robot, command);
-                })?);
+                tasks.push(forward(
+                    &participant,
+                    &endpoint,
+                    &channel::command(robot),
+                    move |endpoint, command| {
+                        endpoint.publish_velocity(robot, command);
+                    },
+                )?);
             }
         }
         let on_message = move |message| drop(sender.try_send(message));
@@ -88,14 +93,14 @@ fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Resul
 
 /// Passes the responses of a robot's SLAM to the endpoint, and sends the requests that follow them.
 fn forward_responses(
-    node: &Node,
+    participant: &Participant,
     endpoint: &Rc<DdsEndpoint>,
     requester: &Rc<RefCell<SlamRequester>>,
     robot: RobotId,
 ) -> Result<JoinHandle<()>, Error> {
-    let mut reader = node.reader(&channel::slam_response(robot))?;
+    let mut reader = participant.reader(&channel::slam_response(robot))?;
     let (endpoint, requester) = (endpoint.clone(), requester.clone());
-    on_notification(node.bell(&channel::slam_response(robot))?, move || {
+    on_notification(participant.listener(&channel::slam_response(robot))?, move || {
         while let Some(response) = reader.receive() {
             let is_ours = response.client == requester.borrow().client;
             if let Some(next) = endpoint.answer_request(robot, &response, is_ours) {
