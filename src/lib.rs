@@ -7,6 +7,7 @@ pub mod demo;
 pub mod fleet;
 pub mod lockstep;
 pub mod process;
+pub mod processes;
 pub mod realtime;
 pub mod run;
 pub mod supervisor;
@@ -14,6 +15,7 @@ pub mod supervisor;
 pub mod channel;
 pub mod clock;
 pub mod control;
+pub mod ports;
 pub mod shared_memory;
 pub mod stop;
 // What people see and say.
@@ -25,5 +27,6 @@ pub mod view;
 // Robots and data from elsewhere.
 pub mod session_file;
 pub mod sessions;
+pub mod storage;
 // Their modules' new home, until every caller names it.
 pub use formats::{carmen, map_file};

@@ -2,9 +2,10 @@
 
 use super::output;
 use super::run_args::RunArgs;
-use crate::channel;
+use crate::channel::{self, Opener, Program};
+use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
-use crate::shared_memory::{ChannelError, Node, wait};
+use crate::shared_memory::{Participant, wait};
 use crate::view::{EdgeView, edge_table};
 use msg::{EdgeAction, EdgeCommand, MergeEdges, Monotonic, ROBOTS_MAX, RobotId};
 use serde::Serialize;
@@ -138,7 +139,7 @@ impl Action {
 
 /// Returns the newest edges, after the command if there is one.
 fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, EdgesError> {
-    let node = Node::open(&run.domain, "edges")?;
+    let node = Participant::open(&run.domain, Opener::of_fleet(Program::AskMerge), "edges")?;
     let mut reader = node.reader(&channel::merge_edges())?;
     let begun = Instant::now();
     let mut next = |wanted: &dyn Fn(&MergeEdges) -> bool| -> Result<Box<MergeEdges>, EdgesError> {
@@ -148,7 +149,7 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Edges
             {
                 return Ok(Box::new(*edges));
             }
-            wait(&[], Monotonic(crate::clock::now().0 + POLL_NS));
+            wait([], Monotonic(crate::clock::now().0 + POLL_NS));
         }
         Err(EdgesError::Silent { run: run.dir.clone() })
     };

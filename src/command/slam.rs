@@ -3,12 +3,13 @@
 use super::edges::robot;
 use super::output;
 use super::run_args::RunArgs;
-use crate::channel;
+use crate::channel::{self, Opener, Program};
 use crate::clock::now;
+use crate::ports::ChannelError;
 use crate::process::pose;
 use crate::run::{Run, RunError};
 use crate::sessions::Mode;
-use crate::shared_memory::{Bell, ChannelError, Node, Reader, Writer, wait};
+use crate::shared_memory::{Listener, Participant, Reader, Writer, wait};
 use crate::view::SlamView;
 use msg::{
     ClosureInfo, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
@@ -160,10 +161,10 @@ pub struct SlamClient {
     client: u64,
     asked: u64,
     answers: Reader<SlamResponse>,
-    bell: Bell,
+    listener: Listener,
     requests: Writer<SlamRequest>,
     // The ports' presence in the run; dropped after them.
-    _node: Node,
+    _participant: Participant,
 }
 
 impl SlamClient {
@@ -174,16 +175,17 @@ impl SlamClient {
             return Err(SlamCommandError::NoRobot { robots, number: robot.number() });
         }
         let client = u64::from(std::process::id());
-        let node = Node::open(&run.domain, &format!("ask {robot}"))?;
+        let node =
+            Participant::open(&run.domain, Opener::of_fleet(Program::AskSlam), &format!("ask {robot}"))?;
         Ok(Self {
             robot,
             client,
             // Not what an earlier one of the same process has counted.
             asked: now().0,
             answers: node.reader(&channel::slam_response(robot))?,
-            bell: node.bell(&channel::slam_response(robot))?,
+            listener: node.listener(&channel::slam_response(robot))?,
             requests: node.writer(&channel::slam_request(robot))?,
-            _node: node,
+            _participant: node,
         })
     }
 
@@ -219,7 +221,7 @@ impl SlamClient {
         self.requests.send(&SlamRequest { client: self.client, id: self.asked, ..*request });
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
         while now() < until {
-            wait(&[&self.bell], until);
+            wait([&self.listener], until);
             while let Some(answer) = self.answers.receive() {
                 if (answer.client, answer.id) == (self.client, self.asked) {
                     return Some(*answer);

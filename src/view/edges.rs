@@ -26,11 +26,11 @@ pub struct EdgeView {
     /// Shared area over the smaller map's known area, 0 to 1.
     pub overlap_share: f64,
     /// Share of commonly known cells that agree, 0 to 1.
-    pub strict: f64,
+    pub agreement: f64,
     /// F1 of occupied cells with a tolerance of one cell.
     pub occupied_f1: f64,
     /// Largest such F1 under 20 wrong transforms.
-    pub null_f1: f64,
+    pub null_f1_max: f64,
     /// Share of one map's walls that lie in the other's free space, 0 to 1.
     pub conflict: f64,
     /// Evidence over that of the second best place.
@@ -38,7 +38,7 @@ pub struct EdgeView {
     /// Number of closures between submaps in force.
     pub closures: u32,
     /// Number of closures found that contradict the others.
-    pub closures_out: u32,
+    pub closures_rejected: u32,
     /// Mean residual of the closures in the fleet's pose graph, metres.
     pub closure_residual_m: f64,
     /// Number of alignments tried.
@@ -58,13 +58,13 @@ impl EdgeView {
             residual_m: edge.residual_m,
             overlap_m2: edge.overlap_m2,
             overlap_share: edge.overlap_share,
-            strict: edge.strict,
+            agreement: edge.agreement,
             occupied_f1: edge.occupied_f1,
-            null_f1: edge.null_f1,
+            null_f1_max: edge.null_f1_max,
             conflict: edge.conflict,
             margin: edge.margin,
             closures: edge.closures,
-            closures_out: edge.closures_out,
+            closures_rejected: edge.closures_rejected,
             closure_residual_m: edge.closure_residual_m,
             tries: edge.tries,
         }
@@ -88,7 +88,7 @@ impl fmt::Display for EdgeView {
             yaw.to_degrees(),
             self.inliers,
             self.occupied_f1,
-            self.null_f1,
+            self.null_f1_max,
             self.overlap_m2,
             self.closures
         )
@@ -104,7 +104,7 @@ pub fn edges_json(edges: &MergeEdges) -> String {
 /// Formats edges as a table for a terminal.
 pub fn edge_table(edges: &[EdgeView]) -> String {
     let mut text = format!(
-        "{:>4} {:<15} {:<9} {:>9} {:>9} {:>8} {:>8} {:>9} {:>11} {:>5} {:>7} {:>9} {:>4}\n",
+        "{:>4} {:<15} {:<9} {:>9} {:>9} {:>8} {:>8} {:>9} {:>11} {:>5} {:>7} {:>9} {:>8}\n",
         "edge",
         "robots",
         "state",
@@ -117,13 +117,13 @@ pub fn edge_table(edges: &[EdgeView]) -> String {
         "F1",
         "null F1",
         "closures",
-        "out"
+        "rejected"
     );
     for e in edges {
         let [x, y, yaw] = e.a_from_b;
         let _ = writeln!(
             text,
-            "{:>4} {:<15} {:<9} {x:>9.3} {y:>9.3} {:>8.2} {:>8} {:>9.0} {:>11.0} {:>5.2} {:>7.2} {:>9} {:>4}",
+            "{:>4} {:<15} {:<9} {x:>9.3} {y:>9.3} {:>8.2} {:>8} {:>9.0} {:>11.0} {:>5.2} {:>7.2} {:>9} {:>8}",
             e.edge,
             format!("{} {}", e.a, e.b),
             e.state,
@@ -132,9 +132,9 @@ pub fn edge_table(edges: &[EdgeView]) -> String {
             e.overlap_m2,
             1e3 * e.residual_m,
             e.occupied_f1,
-            e.null_f1,
+            e.null_f1_max,
             e.closures,
-            e.closures_out
+            e.closures_rejected
         );
     }
     text

@@ -36,9 +36,9 @@ pub struct FleetView {
     /// Number of wrong transforms with at least half the overlap, under which the same maps were compared.
     pub null_transforms: u32,
     /// Cross-instance consistency under wrong transforms, mean: what chance gives.
-    pub null_consistency: Option<f64>,
+    pub null_consistency_mean: Option<f64>,
     /// F1 of occupied cells under wrong transforms, mean: what chance gives.
-    pub null_f1: Option<f64>,
+    pub null_f1_mean: Option<f64>,
     /// Merged map compared with the room; `None`: not a simulation, or nothing merged.
     pub against_room: Option<AgainstRoomView>,
     /// Edges between robots' maps, with their evidence; empty if merging was not asked.
@@ -180,8 +180,8 @@ impl FleetView {
             occupied_f1: of_pairs(stats.occupied_f1),
             overlap_m2: of_pairs(stats.overlap_m2),
             null_transforms: stats.null_count,
-            null_consistency: finite(stats.null_consistency),
-            null_f1: finite(stats.null_f1),
+            null_consistency_mean: finite(stats.null_consistency_mean),
+            null_f1_mean: finite(stats.null_f1_mean),
             against_room: stats.room_f1.is_finite().then_some(AgainstRoomView {
                 occupied_f1: stats.room_f1,
                 map_to_room_m: stats.map_to_room_m,

@@ -47,8 +47,8 @@ impl FleetView {
             percent(self.consistency),
             percent(self.consistency_one_cell),
             percent(self.occupied_f1),
-            percent(self.null_consistency),
-            percent(self.null_f1),
+            percent(self.null_consistency_mean),
+            percent(self.null_f1_mean),
         );
         text += &self.merge_lines();
         if let Some(bridge) = &self.bridge {
