@@ -162,7 +162,7 @@ pub(super) fn publish_channels<T: Transport + 'static>(
             to.publish(FleetMessage::Stats(stats))
         })?,
         forward(participant, transport, &channel::merge_edges(), |to, edges| {
-            to.publish(FleetMessage::MergeEdges(&merge_edges::json(edges)));
+            to.publish(FleetMessage::MergeEdges(&edges_json(edges)));
         })?,
         publish_merged_map(participant, transport)?,
     ];
