@@ -4,7 +4,7 @@ use super::MAP_PERIOD;
 use crate::channel;
 use crate::ports::{ChannelError, MAP_PAUSE, WriteMapPort};
 use crate::shared_memory::{MapWriter, Participant};
-use ::slam::Back;
+use ::slam::BackEnd;
 use msg::RobotId;
 use std::time::{Duration, Instant};
 
@@ -46,7 +46,7 @@ impl MapOut {
     }
 
     /// Draws a slice, and sends what has changed if it is time.
-    pub fn tend(&mut self, back: &mut Back) {
+    pub fn tend(&mut self, back: &mut BackEnd) {
         self.drawing = self.drawing && back.draw(SLICE_CELLS);
         if !self.pause_left().is_zero() {
             return;

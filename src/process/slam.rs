@@ -19,14 +19,16 @@ use crate::session_file;
 use crate::sessions;
 use crate::shared_memory::wait;
 use crate::stop::Stop;
-use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, SlamConfig, Start};
+use ::slam::{
+    BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, SlamConfig,
+};
 use msg::{Correction, Header, Odometry, Pose2, RobotId, Role, Scan, SlamMode};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// Orders the scan path may fall behind; at each scan it takes all there are.
 const ORDERS_WAITING_MAX: usize = 256;
 /// Nodes of a scan path, and of the one before it that was just replaced, and a few other news.
-const NEWS_WAITING_MAX: usize = 2 * NODES_UNDER_WAY_MAX + 16;
+const NEWS_WAITING_MAX: usize = 2 * NODES_IN_FLIGHT_MAX + 16;
 
 /// What the scan path tells.
 #[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
@@ -36,11 +38,11 @@ enum News {
     /// The scan path has begun here: the map from its frame.
     Began(Pose2),
     /// Where it is, after the nodes told before: the answer to [`Order::Tell`].
-    State(Box<FrontState>),
+    State(Box<FrontEndState>),
     /// It was replaced; nodes told from now on are its successor's.
-    Old(Box<Front>),
+    Old(Box<FrontEnd>),
     /// It has ended here.
-    End(Box<FrontState>),
+    End(Box<FrontEndState>),
     /// A file is done with.
     Done(Box<files::Done>),
 }
@@ -55,7 +57,7 @@ enum Order {
     Tell,
     /// Be this one from now on.
     Begin {
-        front: Box<Front>,
+        front: Box<FrontEnd>,
         /// The robot is where it was, in a map of the same frame.
         in_place: bool,
     },
@@ -89,7 +91,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
             path.obey();
             while let Some(scan) = scans.receive() {
                 while let Some(odometry) = odometry.receive() {
-                    path.odometry(&odometry);
+                    path.add_odometry(&odometry);
                 }
                 path.obey();
                 let (correction, used) = pulse.work(|| path.process(&scan));
@@ -107,7 +109,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
 
 /// What SLAM begins with: what an earlier worker of this run kept; else the session that the fleet begins with; else
 /// nothing. And, if it is not the scan path itself that goes on, where `odom` lies in the map, as was seen last.
-fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, Option<Pose2>), Error> {
+fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(FrontEnd, BackEnd, Option<Pose2>), Error> {
     let config = live(run);
     let own = sessions::file(&sessions::folder(run), robot);
     let identity = sessions::identity(run, robot);
@@ -116,7 +118,7 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
             let mode = kept.mode;
             // A robot that was localized is looked for where it was; one that was looked for, everywhere.
             let carried = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
-            let (front, back) = ::slam::begin(config, Some(kept), mode, Start::GoOn);
+            let (front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
             return Ok((front, back, carried));
         }
         Err(why) if !why.is_missing() => eprintln!("slam of {robot}: {why}; goes on without it"),
@@ -125,9 +127,9 @@ fn begin(run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<(Front, Back, O
     }
     let first = sessions::first(&run.config, robot)?;
     let mode = sessions::first_mode(&run.config, first.is_some());
-    let (front, mut back) = ::slam::begin(config, first, mode, Start::Unknown);
+    let (front, mut back) = ::slam::begin(config, first, mode, InitialPose::Unknown);
     // No scan of this run is in it yet.
-    back.date_map(Header::default(), crate::clock::now());
+    back.set_map_header(Header::default(), crate::clock::now());
     // Whether the robot had been found in it is not known.
     let carried = at.filter(|_| back.nodes().is_empty());
     Ok((front, back, carried))
@@ -142,7 +144,7 @@ fn live(run: &Run) -> SlamConfig {
 
 /// The scan path in its process.
 struct ScanPath {
-    front: Box<Front>,
+    front: Box<FrontEnd>,
     paused: bool,
     /// The first scan is to be where `odom` lies here in the map: what came before is gone on with.
     carried: Option<Pose2>,
@@ -153,7 +155,7 @@ struct ScanPath {
 }
 
 impl ScanPath {
-    fn new(front: Front, carried: Option<Pose2>, news: SyncSender<News>, orders: Receiver<Order>) -> Self {
+    fn new(front: FrontEnd, carried: Option<Pose2>, news: SyncSender<News>, orders: Receiver<Order>) -> Self {
         Self {
             front: Box::new(front),
             paused: false,
@@ -173,7 +175,7 @@ impl ScanPath {
     fn obey(&mut self) {
         while let Ok(order) = self.orders.try_recv() {
             match order {
-                Order::Revise(revision) => self.front.revise(revision),
+                Order::Revise(revision) => self.front.add_revision(revision),
                 Order::Pause(paused) => self.paused = paused,
                 Order::Tell => self.tell(News::State(Box::new(self.front.state()))),
                 Order::Begin { front, in_place } => {
@@ -181,15 +183,15 @@ impl ScanPath {
                     self.carried = self.last.filter(|_| in_place).map(|last| last.map_from_odom);
                     self.tell(News::Old(old));
                 }
-                Order::Place(map_from_local) => self.front.place(map_from_local),
-                Order::WantNode => self.front.want_node(),
+                Order::Place(map_from_local) => self.front.set_map_from_local(map_from_local),
+                Order::WantNode => self.front.request_node(),
             }
         }
     }
 
-    fn odometry(&mut self, odometry: &Odometry) {
+    fn add_odometry(&mut self, odometry: &Odometry) {
         self.odom_from_base = odometry.odom_from_base;
-        self.front.odometry(odometry);
+        self.front.add_odometry(odometry);
     }
 
     /// The answer to a scan, if there is one, and whether the scan was sound.
@@ -199,11 +201,11 @@ impl ScanPath {
             return (self.last, true);
         }
         let mut step = self.front.process(scan);
-        if step.refused.is_none()
+        if step.rejected.is_none()
             && let Some(map_from_odom) = self.carried.take()
         {
             let map_from_local = map_from_odom * step.correction.map_from_odom.inverse();
-            self.front.place(Some(map_from_local));
+            self.front.set_map_from_local(Some(map_from_local));
             step.correction.map_from_base = map_from_local * step.correction.map_from_base;
             step.correction.map_from_odom = map_from_odom;
             self.tell(News::Began(map_from_local));
@@ -212,7 +214,7 @@ impl ScanPath {
             self.tell(News::Node(node));
         }
         self.last = Some(step.correction);
-        (self.last, step.refused.is_none())
+        (self.last, step.rejected.is_none())
     }
 
     /// Where the wheels say that a robot is whose scans nobody looks at.

@@ -3,7 +3,7 @@
 use crate::channel;
 use crate::ports::ChannelError;
 use crate::shared_memory::{Participant, Reader, Writer};
-use ::slam::{Back, SlamConfig, Submaps};
+use ::slam::{BackEnd, SlamConfig, Submaps};
 use msg::{RobotId, Submap, SubmapPoses, SubmapRequest};
 use std::time::{Duration, Instant};
 
@@ -45,7 +45,7 @@ impl SubmapsOut {
     }
 
     /// The back end has new nodes, or its graph was bent.
-    pub fn news(&mut self, back: &Back) {
+    pub fn news(&mut self, back: &BackEnd) {
         self.submaps.update(back);
         let submaps = &self.submaps;
         self.poses.send_with(|poses| submaps.poses(back, poses));
@@ -58,7 +58,7 @@ impl SubmapsOut {
     }
 
     /// Sends a submap that has changed, if it is time.
-    pub fn tend(&mut self, back: &Back) {
+    pub fn tend(&mut self, back: &BackEnd) {
         if self.looked.elapsed() >= LOOK_PERIOD {
             self.looked = Instant::now();
             self.poses.refresh();

@@ -8,7 +8,7 @@ use crate::process::map_out::MapOut;
 use crate::process::submaps_out::SubmapsOut;
 use crate::run::Run;
 use crate::sessions;
-use ::slam::{Back, Front, FrontState, Hint, Identity, Session};
+use ::slam::{BackEnd, FrontEnd, FrontEndState, Identity, PoseEstimate, Session};
 use msg::{RobotId, Role, SlamMode, SlamRequest};
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
@@ -25,7 +25,7 @@ const SAVING_SHARE_MAX: u32 = 20;
 pub fn run(
     run: &Run,
     robot: RobotId,
-    back: Back,
+    back: BackEnd,
     inbox: Receiver<News>,
     orders: SyncSender<Order>,
     jobs: SyncSender<Job>,
@@ -73,7 +73,7 @@ pub fn run(
 
 /// The back end, and what goes on around it.
 pub struct Beside {
-    pub back: Back,
+    pub back: BackEnd,
     pub identity: Identity,
     orders: SyncSender<Order>,
     jobs: SyncSender<Job>,
@@ -95,7 +95,7 @@ impl Beside {
             News::Node(_) | News::Began(_) | News::State(_) if self.replaced > 0 => {}
             News::Node(node) => {
                 let was_found = self.back.map_from_base().is_some();
-                let revision = self.back.add(node);
+                let revision = self.back.add_node(node);
                 // The scan path takes orders at each scan, and has room for one for each node that waits.
                 let _ = self.orders.try_send(Order::Revise(revision));
                 if self.back.mode() != SlamMode::Localization {
@@ -106,7 +106,7 @@ impl Beside {
             }
             News::Began(map_from_local) => {
                 let [sigma_m, sigma_rad] = CARRIED_SIGMA;
-                self.back.seek(Some(Hint { map_from_local, sigma_m, sigma_rad }));
+                self.back.start_relocalization(Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }));
             }
             News::State(state) => {
                 for waiting in std::mem::take(&mut self.waiting) {
@@ -139,11 +139,11 @@ impl Beside {
     }
 
     /// Goes on with another map.
-    pub fn begin(&mut self, front: Front, back: Back, in_place: bool) {
+    pub fn begin(&mut self, front: FrontEnd, back: BackEnd, in_place: bool) {
         // Its scans may be of another time; who reads maps wants them in order.
         let before = self.back.tiles().header;
         self.back = back;
-        self.back.date_map(before.header, before.scan_sent);
+        self.back.set_map_header(before.header, before.scan_sent);
         (self.replaced, self.anew) = (self.replaced + 1, true);
         self.changed();
         self.order(Order::Begin { front: Box::new(front), in_place });
@@ -174,7 +174,7 @@ impl Beside {
     }
 
     /// All that must be kept, with the scan path at `state`.
-    pub fn session(&self, state: &FrontState) -> Session {
+    pub fn session(&self, state: &FrontEndState) -> Session {
         self.back.session(self.identity, Some(state.clone()), &[])
     }
 
@@ -187,7 +187,7 @@ impl Beside {
     }
 
     /// Saves in the background.
-    pub fn autosave(&mut self, state: &FrontState) {
+    pub fn autosave(&mut self, state: &FrontEndState) {
         let session = Box::new(self.session(state));
         if !self.give(None, self.autosave.path.clone(), Work::Save(session)) {
             self.autosave.put_off();
@@ -195,7 +195,7 @@ impl Beside {
     }
 
     /// The last word.
-    fn end(&mut self, state: FrontState) {
+    fn end(&mut self, state: FrontEndState) {
         if self.autosave.wanted() && self.replaced == 0 && !self.back.nodes().is_empty() {
             let work = Work::Save(Box::new(self.session(&state)));
             // After what is being saved now, or the older would take the newer one's place.

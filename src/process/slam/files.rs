@@ -6,7 +6,7 @@
 use super::News;
 use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
-use ::slam::{Back, Front, Hint, Identity, Session, SlamConfig, Start};
+use ::slam::{BackEnd, FrontEnd, Identity, InitialPose, PoseEstimate, Session, SlamConfig};
 use formats::map_file::write_map;
 use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
 use std::path::{Path, PathBuf};
@@ -50,8 +50,8 @@ pub struct Done {
 
 /// A session that can be gone on with.
 pub struct Loaded {
-    pub front: Front,
-    pub back: Back,
+    pub front: FrontEnd,
+    pub back: BackEnd,
 }
 
 /// Works until all is done and nobody can bring more.
@@ -112,12 +112,12 @@ fn load(
     let [m, rad] = TOLD_SIGMA;
     let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
     let (sigma_m, sigma_rad) = (or(request.sigma_m, m), or(request.sigma_rad, rad));
-    let at = |map_from_local: Pose2| Start::At(Hint { map_from_local, sigma_m, sigma_rad });
+    let at = |map_from_local: Pose2| InitialPose::Near(PoseEstimate { map_from_local, sigma_m, sigma_rad });
     let start = match StartPose::from_code(request.start) {
         Some(StartPose::Given) => at(request.pose),
-        Some(StartPose::FirstNode) => session.back.poses.first().copied().map_or(Start::Unknown, at),
-        Some(StartPose::LastNode) => session.back.poses.last().copied().map_or(Start::Unknown, at),
-        Some(StartPose::Unknown) | None => Start::Unknown,
+        Some(StartPose::FirstNode) => session.back.poses.first().copied().map_or(InitialPose::Unknown, at),
+        Some(StartPose::LastNode) => session.back.poses.last().copied().map_or(InitialPose::Unknown, at),
+        Some(StartPose::Unknown) | None => InitialPose::Unknown,
     };
     let (front, back) = ::slam::begin(config.clone(), Some(session), mode, start);
     Ok(Loaded { front, back })

@@ -8,7 +8,7 @@ use crate::ports::ChannelError;
 use crate::run::Run;
 use crate::sessions::TOLD_SIGMA;
 use crate::shared_memory::{Participant, Reader, Writer};
-use ::slam::{ClosureReport, FrontState, Hint, Start};
+use ::slam::{ClosureReport, FrontEndState, InitialPose, PoseEstimate};
 use msg::{
     CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
@@ -83,7 +83,7 @@ impl Services {
                     mode => mode,
                 };
                 let config = beside.back.config().clone();
-                let (front, back) = ::slam::begin(config, None, mode, Start::Unknown);
+                let (front, back) = ::slam::begin(config, None, mode, InitialPose::Unknown);
                 beside.begin(front, back, true);
                 done("the map begins anew")
             }
@@ -122,7 +122,7 @@ impl Services {
             }
             SlamRequestKind::Relocalize => {
                 has_map(beside)?;
-                beside.back.seek(None);
+                beside.back.start_relocalization(None);
                 beside.order(Order::Place(None));
                 beside.order(Order::WantNode);
                 done("the robot is looked for in the whole map: from where it stands, and as it moves")
@@ -136,7 +136,7 @@ impl Services {
                     return Err(why);
                 }
                 bent(beside);
-                done(&format!("closure {} is taken back, and not believed again", request.number))
+                done(&format!("closure {} is taken back, and not accepted again", request.number))
             }
             SlamRequestKind::ClearClosures => {
                 may_change(beside)?;
@@ -145,7 +145,7 @@ impl Services {
                     return done("there was no closure in force");
                 }
                 bent(beside);
-                done(&format!("{count} taken back, and not believed again"))
+                done(&format!("{count} taken back, and not accepted again"))
             }
             SlamRequestKind::SetMode => {
                 let mode = mode_of(request)?;
@@ -160,7 +160,7 @@ impl Services {
     }
 
     /// The scan path has said where it is.
-    pub fn go_on(&mut self, beside: &mut Beside, waiting: Waiting, state: &FrontState) {
+    pub fn go_on(&mut self, beside: &mut Beside, waiting: Waiting, state: &FrontEndState) {
         match waiting {
             Waiting::Autosave => beside.autosave(state),
             Waiting::Save(request, path) => {
@@ -173,7 +173,7 @@ impl Services {
                 let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
                 let local_from_base = state.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
                 let map_from_local = request.pose * local_from_base.inverse();
-                beside.back.seek(Some(Hint {
+                beside.back.start_relocalization(Some(PoseEstimate {
                     map_from_local,
                     sigma_m: or(request.sigma_m, m),
                     sigma_rad: or(request.sigma_rad, rad),
@@ -226,7 +226,7 @@ impl Services {
             outcome: outcome as u32,
             mode: back.mode() as u32,
             paused: self.paused.into(),
-            located: (back.located() && back.map_from_base().is_some()).into(),
+            located: (back.is_located() && back.map_from_base().is_some()).into(),
             nodes: counts.nodes as u32,
             links: counts.links as u32,
             closures: counts.closures as u32,
@@ -299,7 +299,7 @@ fn may_change(beside: &Beside) -> Result<(), String> {
 /// The graph has changed: the scan path hears where it is now.
 fn bent(beside: &mut Beside) {
     beside.changed();
-    beside.order(Order::Place(Some(beside.back.newest_revision().map_from_local)));
+    beside.order(Order::Place(Some(beside.back.latest_revision().map_from_local)));
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, String> {
