@@ -30,7 +30,7 @@ fn refusal(run_dir: &Path, robot: &str, args: &[&str]) -> String {
 }
 
 /// Whether it knows where its robot is.
-fn is_located(run_dir: &Path) -> bool {
+fn located(run_dir: &Path) -> bool {
     answer(run_dir, "robot1", &["state"])["located"] == true
 }
 
