@@ -83,7 +83,7 @@ fn node(id: usize, range_m: f32) -> Node {
         local_from_base: Pose2::IDENTITY,
         previous_from_this: None,
         fits: true,
-        torn: false,
+        odometry_break: false,
         disconnected: None,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),
