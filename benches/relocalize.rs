@@ -4,12 +4,11 @@
 //! The truth is the whole log's own map. A start counts as found if the robot was believed to be
 //! found within the scans it was given, as wrong if that was more than 0.5 m or 0.2 rad off.
 
-use mr_slam::carmen::{Reader, Record};
+use formats::carmen::{Reader, Record};
 use msg::{Odometry, Pose2, Scan, SlamMode, Stamp, pose::wrap_angle};
 use rustix::time::{ClockId, clock_gettime};
 use slam::{Identity, Session, Slam, SlamConfig, Start};
 use std::collections::BTreeMap;
-use std::io::Read;
 use std::path::Path;
 
 /// Scans between two starts, and scans that a robot is given to be found.
@@ -19,15 +18,13 @@ const SCANS: usize = 40;
 const WRONG_M: f64 = 0.5;
 const WRONG_RAD: f64 = 0.2;
 
+/// Largest log when unpacked, bytes: a safety limit, public logs are below 100 MB.
+const LOG_BYTES_MAX: u64 = 1 << 30;
+
 type Line = (Odometry, Box<Scan>);
 
 fn read(path: &Path) -> Vec<Line> {
-    let packed = std::fs::read(path).expect("the log");
-    let mut log = Vec::new();
-    match packed.starts_with(&[0x1f, 0x8b]) {
-        true => drop(flate2::read::MultiGzDecoder::new(&packed[..]).read_to_end(&mut log).expect("gzip")),
-        false => log = packed,
-    }
+    let log = formats::gzip::unpack(std::fs::read(path).expect("the log"), LOG_BYTES_MAX).expect("gzip");
     let lines = Reader::new(&log).filter_map(|record| match record {
         Ok(Record::Laser(line)) => {
             let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();

@@ -52,12 +52,13 @@ pub fn remember(path: &Path, address: IpAddr, may_drive: bool) -> io::Result<()>
     let surplus = addresses.len().saturating_sub(ADDRESSES_MAX);
     let folder = path.parent().unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder)?;
-    let mut file = tempfile::NamedTempFile::new_in(folder)?;
-    writeln!(file, "# Addresses that may drive a fleet of mr-slam's on this machine: mr-slam allow, deny.")?;
-    for address in addresses.drain(surplus..) {
-        writeln!(file, "{address}")?;
-    }
-    file.persist(path).map(drop).map_err(|error| error.error)
+    formats::atomic::write_durably(path, |file| {
+        writeln!(
+            file,
+            "# Addresses that may drive a fleet on this machine; see `mr-slam allow` and `mr-slam deny`."
+        )?;
+        addresses.drain(surplus..).try_for_each(|address| writeln!(file, "{address}"))
+    })
 }
 
 #[cfg(test)]

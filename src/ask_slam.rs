@@ -1,12 +1,13 @@
 //! `mr-slam slam ROBOT ...`: asks a robot's SLAM in a running fleet, as SLAM Toolbox's services are asked.
 
-use crate::channel;
+use crate::channel::{self, Opener, Program};
 use crate::clock::now;
 use crate::control::RunArgs;
+use crate::ports::ChannelError;
 use crate::process::{Error, pose};
 use crate::run::Run;
 use crate::sessions::Mode;
-use crate::shared_memory::{Bell, ChannelError, Node, Reader, Writer, wait};
+use crate::shared_memory::{Listener, Participant, Reader, Writer, wait};
 use msg::{
     ClosureInfo, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
@@ -159,10 +160,10 @@ pub struct Asker {
     client: u64,
     asked: u64,
     answers: Reader<SlamResponse>,
-    bell: Bell,
+    bell: Listener,
     requests: Writer<SlamRequest>,
     // The ports' presence in the run; dropped after them.
-    _node: Node,
+    _node: Participant,
 }
 
 impl Asker {
@@ -173,14 +174,15 @@ impl Asker {
             return Err(AskError::NoRobot { robots, number: robot.number() });
         }
         let client = u64::from(std::process::id());
-        let node = Node::open(&run.domain, &format!("ask {robot}"))?;
+        let node =
+            Participant::open(&run.domain, Opener::of_fleet(Program::AskSlam), &format!("ask {robot}"))?;
         Ok(Self {
             robot,
             client,
             // Not what an earlier one of the same process has counted.
             asked: now().0,
             answers: node.reader(&channel::slam_response(robot))?,
-            bell: node.bell(&channel::slam_response(robot))?,
+            bell: node.listener(&channel::slam_response(robot))?,
             requests: node.writer(&channel::slam_request(robot))?,
             _node: node,
         })
@@ -218,7 +220,7 @@ impl Asker {
         self.requests.send(&SlamRequest { client: self.client, id: self.asked, ..*request });
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
         while now() < until {
-            wait(&[&self.bell], until);
+            wait([&self.bell], until);
             while let Some(answer) = self.answers.receive() {
                 if (answer.client, answer.id) == (self.client, self.asked) {
                     return Some(*answer);

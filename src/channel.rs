@@ -1,176 +1,255 @@
-//! The channels: who writes what to whom. One writer each, but for requests; a reader that falls behind loses the
-//! oldest. Both ends open a channel through this table, so they cannot disagree.
+//! The channels between the fleet's processes: one table says who writes what to whom.
 //!
-//! | channel | writer | readers |
-//! |---|---|---|
-//! | `robotK/command` | bridge | sim(k) |
-//! | `robotK/scan` | sim(k) | slam(k), bridge |
-//! | `robotK/odometry` | sim(k) | slam(k), bridge |
-//! | `robotK/transforms` | sim(k) | bridge, telemetry |
-//! | `robotK/truth` | sim(k) | telemetry, the other sims |
-//! | `clock` | sim(1) | bridge |
-//! | `robotK/correction` | slam(k) | merge, bridge, telemetry, launcher |
-//! | `robotK/slam_request` | bridge, `mr-slam slam` | slam(k) |
-//! | `robotK/slam_response` | slam(k) | bridge, `mr-slam slam` |
-//! | `robotK/map` | slam(k) | merge, bridge, telemetry, launcher |
-//! | `robotK/submap`, `robotK/submap_poses` | slam(k) | merge |
-//! | `robotK/submap_request` | merge | slam(k) |
-//! | `merged_map`, `map_transforms` | merge | bridge, telemetry, launcher |
-//! | `merge_edges` | merge | bridge, launcher, `mr-slam edges` |
-//! | `edge_command` | bridge, `mr-slam edges` | merge |
-//! | `stats` | telemetry | bridge, launcher, `status` |
-//! | `NAME/health` | each process | telemetry |
-//!
-//! Where the world is not simulated here, the bridge writes what the simulators else do, but for the truth.
+//! Both ends of a channel are opened through [`CHANNELS`], so that they cannot disagree, and a process that opens a
+//! channel that the table does not grant it gets an error. The table also makes the chapter on channels in
+//! ARCHITECTURE.md: see [`document`].
 
-use crate::shared_memory::MapWriter;
-use msg::{
-    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message, Odometry,
-    PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
-    SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
-};
+pub mod document;
+mod table;
+
+pub use table::*;
+
+use msg::{Message, RobotId, Role};
+use std::fmt;
 use std::marker::PhantomData;
 
+/// A program of a run, as far as channels are concerned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Program {
+    /// A robot's simulator.
+    Sim,
+    /// A robot's SLAM.
+    Slam,
+    /// The process that merges the robots' maps.
+    Merge,
+    /// The process that computes the fleet's figures.
+    Telemetry,
+    /// The process that serves headsets and ROS 2.
+    Bridge,
+    /// The process that starts the others; `mr-slam status` reads what it reads.
+    Launcher,
+    /// `mr-slam slam`: a person's requests to a robot's SLAM.
+    AskSlam,
+    /// `mr-slam edges`: a person's commands about merge edges.
+    AskMerge,
+}
+
+impl Program {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Sim => "sim",
+            Self::Slam => "slam",
+            Self::Merge => "merge",
+            Self::Telemetry => "telemetry",
+            Self::Bridge => "bridge",
+            Self::Launcher => "launcher",
+            Self::AskSlam => "`mr-slam slam`",
+            Self::AskMerge => "`mr-slam edges`",
+        }
+    }
+
+    fn is_per_robot(self) -> bool {
+        matches!(self, Self::Sim | Self::Slam)
+    }
+}
+
+impl From<Role> for Program {
+    fn from(role: Role) -> Self {
+        match role {
+            Role::Sim => Self::Sim,
+            Role::Slam => Self::Slam,
+            Role::Merge => Self::Merge,
+            Role::Telemetry => Self::Telemetry,
+            Role::Bridge => Self::Bridge,
+        }
+    }
+}
+
+/// Who opens channels: a program, and the robot that it belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Opener {
+    /// The program.
+    pub program: Program,
+    /// The robot of a simulator or of a SLAM process; none for all others.
+    pub robot: Option<RobotId>,
+}
+
+impl Opener {
+    /// A program that belongs to the whole fleet.
+    pub fn of_fleet(program: Program) -> Self {
+        Self { program, robot: None }
+    }
+
+    /// A program that belongs to one robot.
+    pub fn of_robot(program: Program, robot: RobotId) -> Self {
+        Self { program, robot: Some(robot) }
+    }
+}
+
+impl fmt::Display for Opener {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.robot {
+            Some(robot) => write!(f, "{} of {robot}", self.program.name()),
+            None => f.write_str(self.program.name()),
+        }
+    }
+}
+
+/// Which processes of a program are at one end of a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// Its only process, or the process of the channel's robot.
+    Of(Program),
+    /// The process of robot 1.
+    OfFirst(Program),
+    /// The processes of all other robots.
+    OfOthers(Program),
+    /// Its process, where the robots are not simulated here.
+    OutsideWorld(Program),
+}
+
+impl End {
+    fn program(self) -> Program {
+        match self {
+            Self::Of(program) | Self::OfFirst(program) => program,
+            Self::OfOthers(program) | Self::OutsideWorld(program) => program,
+        }
+    }
+
+    fn includes(self, opener: Opener, channel_robot: Option<RobotId>) -> bool {
+        let same_program = self.program() == opener.program;
+        same_program
+            && match self {
+                Self::Of(program) if program.is_per_robot() => {
+                    channel_robot.is_none() || opener.robot == channel_robot
+                }
+                Self::Of(_) | Self::OutsideWorld(_) => true,
+                Self::OfFirst(_) => opener.robot.is_some_and(|robot| robot.number() == 1),
+                Self::OfOthers(_) => opener.robot != channel_robot,
+            }
+    }
+}
+
+impl fmt::Display for End {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let program = self.program();
+        match self {
+            Self::Of(_) if program.is_per_robot() => write!(f, "{}(k)", program.name()),
+            Self::Of(_) => f.write_str(program.name()),
+            Self::OfFirst(_) => write!(f, "{}(1)", program.name()),
+            Self::OfOthers(_) => write!(f, "the other {}s", program.name()),
+            Self::OutsideWorld(_) => write!(f, "{} \\*", program.name()),
+        }
+    }
+}
+
+/// How many channels a row of the table stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// One channel of the fleet.
+    Fleet,
+    /// One channel for each robot.
+    Robot,
+    /// One channel for each process.
+    Process,
+}
+
 /// One row of the table.
-#[derive(Clone, Debug)]
-pub struct Channel<T> {
-    /// Unique in a run.
-    pub name: String,
-    /// Messages a reader may fall behind before it loses the oldest.
+#[derive(Clone, Copy, Debug)]
+pub struct ChannelRow {
+    /// The last part of the channel's name: `scan` of `robot1/scan`.
+    pub name: &'static str,
+    /// The message type's name between processes.
+    pub message: &'static str,
+    /// Whether there is one such channel, or one for each robot or process.
+    pub scope: Scope,
+    /// Content and rate, for people.
+    pub content: &'static str,
+    /// The processes that write it.
+    pub writers: &'static [End],
+    /// The processes that read it.
+    pub readers: &'static [End],
+    /// Messages that a reader may fall behind before it loses the oldest.
     pub depth: usize,
-    /// Messages kept for a reader that comes late: 1 for what is state, 0 for what is a stream.
+    /// Messages kept for a reader that comes late: 1 for a state, 0 for a stream.
     pub history: usize,
     /// The most readers at a time.
-    pub readers: usize,
+    pub readers_max: usize,
     /// The most writers at a time.
-    pub writers: usize,
+    pub writers_max: usize,
     /// Whether a message wakes its readers, or waits until they look.
     pub wakes: bool,
-    message: PhantomData<T>,
 }
 
-/// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
-const READERS: usize = 8;
-/// Merge, and somebody who looks.
-const SUBMAP_READERS: usize = 2;
-/// The bridge, and commands of people.
-const ASKERS: usize = 8;
+/// A direction in which a channel is opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Direction {
+    /// Messages are sent.
+    Write,
+    /// Messages are received.
+    Read,
+}
 
-impl<T: Message> Channel<T> {
-    fn stream(name: String, depth: usize) -> Self {
-        Self { name, depth, history: 0, readers: READERS, writers: 1, wakes: true, message: PhantomData }
+/// A row of the table with the type of its messages.
+#[derive(Debug)]
+pub struct TypedRow<T> {
+    /// The row.
+    pub row: ChannelRow,
+    message: PhantomData<fn() -> T>,
+}
+
+impl<T: Message> TypedRow<T> {
+    const fn new(row: ChannelRow) -> Self {
+        Self { row: ChannelRow { message: T::NAME, ..row }, message: PhantomData }
     }
 
-    fn state(name: &str) -> Self {
-        Self { history: 1, ..Self::stream(name.into(), 2) }
+    fn channel(&'static self, robot: Option<RobotId>, name: String) -> Channel<T> {
+        Channel { name, robot, row: &self.row, message: PhantomData }
     }
 
-    fn silent(self) -> Self {
-        Self { wakes: false, ..self }
+    fn of_fleet(&'static self) -> Channel<T> {
+        self.channel(None, self.row.name.into())
+    }
+
+    fn of_robot(&'static self, robot: RobotId) -> Channel<T> {
+        self.channel(Some(robot), format!("{robot}/{}", self.row.name))
     }
 }
 
-/// Wished velocities. A second of a headset's 20 Hz fits twice.
-pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
-    Channel::stream(format!("{robot}/command"), 32)
+/// One channel of a run, ready to be opened.
+#[derive(Debug)]
+pub struct Channel<T> {
+    /// Unique in a run, such as `robot1/scan`.
+    pub name: String,
+    /// The robot whose channel it is, if it is a robot's.
+    pub robot: Option<RobotId>,
+    /// The row of the table.
+    pub row: &'static ChannelRow,
+    message: PhantomData<fn() -> T>,
 }
 
-/// 10 Hz: 1.6 s of scans fit while SLAM is restarted or descheduled.
-pub fn scan(robot: RobotId) -> Channel<Scan> {
-    Channel::stream(format!("{robot}/scan"), 16)
+/// A process opened a channel that the table does not grant it.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "the table of channels lets only {allowed} {verb} `{channel}`, not the {opener}; see src/channel/table.rs"
+)]
+pub struct Undeclared {
+    channel: String,
+    opener: Opener,
+    verb: &'static str,
+    allowed: String,
 }
 
-/// 20 Hz; written before the scan of the same stamp, which is what wakes the reader.
-pub fn odometry(robot: RobotId) -> Channel<Odometry> {
-    Channel::stream(format!("{robot}/odometry"), 64).silent()
-}
-
-/// 20 Hz.
-pub fn transforms(robot: RobotId) -> Channel<Transforms> {
-    Channel::stream(format!("{robot}/transforms"), 32)
-}
-
-/// 100 Hz; readers look once per tick of their own.
-pub fn truth(robot: RobotId) -> Channel<GroundTruth> {
-    Channel { readers: READERS + ROBOTS_MAX, ..Channel::stream(format!("{robot}/truth"), 4).silent() }
-}
-
-/// 100 Hz.
-pub fn clock() -> Channel<Clock> {
-    Channel::stream("clock".into(), 32)
-}
-
-/// One for each scan.
-pub fn correction(robot: RobotId) -> Channel<Correction> {
-    Channel::stream(format!("{robot}/correction"), 32)
-}
-
-/// Now and then. The reader's numbers of lost messages mean nothing where there are several writers:
-/// who asks sees that no answer comes.
-pub fn slam_request(robot: RobotId) -> Channel<SlamRequest> {
-    Channel { writers: ASKERS, ..Channel::stream(format!("{robot}/slam_request"), 16) }
-}
-
-/// One for each request; open it before asking.
-pub fn slam_response(robot: RobotId) -> Channel<SlamResponse> {
-    Channel::stream(format!("{robot}/slam_response"), 16)
-}
-
-/// New or changed, one each 100 ms at most. 0.26 MB each, so that few fit: who misses one asks.
-pub fn submap(robot: RobotId) -> Channel<Submap> {
-    Channel { readers: SUBMAP_READERS, ..Channel::stream(format!("{robot}/submap"), 8) }
-}
-
-/// With every node: the newest say all.
-pub fn submap_poses(robot: RobotId) -> Channel<SubmapPoses> {
-    Channel { readers: SUBMAP_READERS, ..Channel::state(&format!("{robot}/submap_poses")) }
-}
-
-/// When somebody lacks submaps.
-pub fn submap_request(robot: RobotId) -> Channel<SubmapRequest> {
-    Channel::stream(format!("{robot}/submap_request"), 2).silent()
-}
-
-/// What changed, when it did; whoever comes late asks for the whole.
-pub fn map(robot: RobotId) -> Channel<PatchHeader> {
-    patches(format!("{robot}/map"))
-}
-
-/// The same of the fleet's map.
-pub fn merged_map() -> Channel<PatchHeader> {
-    patches("merged_map".into())
-}
-
-/// Messages of a map's channel: four of [`MapWriter::MESSAGES_MAX`] that a reader may fall behind.
-fn patches(name: String) -> Channel<PatchHeader> {
-    Channel { history: 1, ..Channel::stream(name, 4 * MapWriter::MESSAGES_MAX) }
-}
-
-/// 1 Hz.
-pub fn map_transforms() -> Channel<MapTransforms> {
-    Channel::state("anchors").silent()
-}
-
-/// On change, and with each command's end.
-pub fn merge_edges() -> Channel<MergeEdges> {
-    Channel::state("merge_edges")
-}
-
-/// Now and then, from people.
-pub fn edge_command() -> Channel<EdgeCommand> {
-    Channel { writers: ASKERS, ..Channel::stream("edge_command".into(), 16) }
-}
-
-/// 1 Hz.
-pub fn stats() -> Channel<FleetStats> {
-    Channel::state("stats")
-}
-
-/// 1 Hz.
-pub fn process_health(role: Role, robot: Option<RobotId>) -> Channel<ProcessHealth> {
-    let name = match robot {
-        Some(robot) => format!("{robot}/{}/health", role.name()),
-        None => format!("{}/health", role.name()),
-    };
-    Channel::stream(name, 4).silent()
+impl<T> Channel<T> {
+    /// Checks that the table lets `opener` open this channel in this direction.
+    pub fn check(&self, opener: Opener, direction: Direction) -> Result<(), Undeclared> {
+        let (ends, verb) = match direction {
+            Direction::Write => (self.row.writers, "write"),
+            Direction::Read => (self.row.readers, "read"),
+        };
+        if ends.iter().any(|end| end.includes(opener, self.robot)) {
+            return Ok(());
+        }
+        Err(Undeclared { channel: self.name.clone(), opener, verb, allowed: document::list(ends) })
+    }
 }

@@ -1,5 +1,6 @@
 //! The machine's clock, and the run's.
 
+use crate::ports::{Clock, ProcessUsage};
 use msg::{Monotonic, Stamp};
 use rustix::time::{ClockId, clock_gettime};
 
@@ -7,6 +8,20 @@ use rustix::time::{ClockId, clock_gettime};
 pub fn now() -> Monotonic {
     let t = clock_gettime(ClockId::Monotonic);
     Monotonic(t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64)
+}
+
+/// The machine's clock, as loops see it.
+#[derive(Clone, Copy, Debug)]
+pub struct SystemClock;
+
+impl Clock for SystemClock {
+    fn now(&self) -> Monotonic {
+        now()
+    }
+
+    fn usage(&self) -> ProcessUsage {
+        ProcessUsage { pid: std::process::id(), memory_bytes: memory_bytes(), cpu_ns: cpu_ns() }
+    }
 }
 
 /// Where a run's stamps count from. Every process of the run has the same.

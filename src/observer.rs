@@ -1,11 +1,12 @@
 //! What the launcher sees of its fleet: figures and maps, for the live table and the run's folder.
 
-use crate::channel;
+use crate::channel::{self, Opener, Program};
 use crate::clock::now;
-use crate::map_file;
 use crate::merge_edges::EdgeView;
+use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
+use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
+use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MergeEdges, Monotonic, Pose2, RobotId, Role,
 };
@@ -17,13 +18,13 @@ pub struct Observer {
     stats: Reader<FleetStats>,
     edges: Reader<MergeEdges>,
     newest_edges: Box<MergeEdges>,
-    bell: Bell,
+    bell: Listener,
     newest: Option<Box<FleetStats>>,
     merged_map: MapWatch,
     maps: Vec<MapWatch>,
     robots: Vec<RobotWatch>,
     // The readers' presence in the run; dropped after them.
-    _node: Node,
+    _node: Participant,
 }
 
 /// One map's channel, which has its newest map.
@@ -41,7 +42,7 @@ struct RobotWatch {
 }
 
 impl RobotWatch {
-    fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
+    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         let (truths, corrections) =
             (node.reader(&channel::truth(robot))?, node.reader(&channel::correction(robot))?);
         Ok(Self { truths, corrections, world_from_base: None, map_from_odom: None })
@@ -60,13 +61,13 @@ impl RobotWatch {
 impl Observer {
     /// Attaches to a run. `name` is for people who look at the run.
     pub fn attach(run: &Run, name: &str) -> Result<Self, ChannelError> {
-        let node = Node::open(&run.domain, name)?;
+        let node = Participant::open(&run.domain, Opener::of_fleet(Program::Launcher), name)?;
         let watch = |name: String, reader| MapWatch { name, reader };
         let robot_map =
             |robot: RobotId| Ok(watch(format!("{robot}_map"), node.map_reader(&channel::map(robot))?));
         Ok(Self {
             stats: node.reader(&channel::stats())?,
-            bell: node.bell(&channel::stats())?,
+            bell: node.listener(&channel::stats())?,
             edges: node.reader(&channel::merge_edges())?,
             newest_edges: Box::default(),
             newest: None,
@@ -80,7 +81,7 @@ impl Observer {
     /// Takes in what has come. True if there are new figures.
     pub fn look(&mut self) -> bool {
         for watch in self.maps.iter_mut().chain([&mut self.merged_map]) {
-            watch.reader.look();
+            watch.reader.poll();
         }
         self.robots.iter_mut().for_each(RobotWatch::look);
         let stats = self.stats.newest();
@@ -94,7 +95,7 @@ impl Observer {
     /// As [`Observer::look`], but waits for new figures, `patience` at most.
     pub fn wait(&mut self, patience: Duration) -> bool {
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
-        wait(&[&self.bell], until);
+        wait([&self.bell], until);
         self.look()
     }
 

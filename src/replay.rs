@@ -9,14 +9,15 @@ mod summary;
 pub use fleet::Starts;
 pub use summary::{Percentiles, Summary};
 
-use crate::carmen::{LaserLine, Reader, Record};
-use crate::map_file::{MapFileError, write_map};
 use crate::session_file::{self, SessionFileError};
 use crate::sessions::{Mode, TOLD_SIGMA};
+use formats::carmen::{LaserLine, Reader, Record};
+use formats::gzip;
+use formats::map_file::{MapFileError, write_map};
 use msg::{Odometry, Pose2, Scan, Stamp};
 use slam::{Back, Front, Hint, Identity, Node, Revision, SlamConfig, Start};
 use std::fs::File;
-use std::io::{BufWriter, Read, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -187,17 +188,8 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
 /// The log's bytes, unpacked if they are gzip.
 fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
     let fail = |source| ReplayError::Read { path: path.to_owned(), source };
-    let packed = std::fs::read(path).map_err(fail)?;
-    if !packed.starts_with(&[0x1f, 0x8b]) {
-        return Ok(packed);
-    }
-    let mut log = Vec::new();
-    let mut unpack = flate2::read::MultiGzDecoder::new(packed.as_slice()).take(LOG_MAX + 1);
-    unpack.read_to_end(&mut log).map_err(fail)?;
-    if log.len() as u64 > LOG_MAX {
-        return Err(fail(std::io::Error::other("more than 1 GiB when unpacked")));
-    }
-    Ok(log)
+    let bytes = std::fs::read(path).map_err(fail)?;
+    gzip::unpack(bytes, LOG_MAX).map_err(fail)
 }
 
 /// A log gone through.

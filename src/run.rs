@@ -4,9 +4,11 @@
 //! `mr-slam status` need to find each other), `merge.json` and `sessions/` (what processes that are started again
 //! go on with), and at the end the maps and `report.json`.
 
+use crate::channel::Opener;
 use crate::clock::Epoch;
 use crate::config::FleetConfig;
-use crate::shared_memory::{ChannelError, Domain, Node};
+use crate::ports::ChannelError;
+use crate::shared_memory::{Domain, Participant};
 use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -131,12 +133,20 @@ impl Run {
     }
 
     /// Attaches one of the run's processes to shared memory.
-    pub fn attach(&self, role: Role, robot: Option<RobotId>) -> Result<Node, ChannelError> {
-        let name = match robot {
-            Some(robot) => format!("{robot}/{}", role.name()),
-            None => role.name().to_string(),
-        };
-        Node::open(&self.domain, &name)
+    pub fn attach(&self, role: Role, robot: Option<RobotId>) -> Result<Participant, ChannelError> {
+        self.attach_thread(role, robot, "")
+    }
+
+    /// Attaches a thread of one of the run's processes; `thread` is empty for the main thread.
+    pub fn attach_thread(
+        &self,
+        role: Role,
+        robot: Option<RobotId>,
+        thread: &str,
+    ) -> Result<Participant, ChannelError> {
+        let parts = [robot.map(|robot| robot.to_string()), Some(role.name().into()), Some(thread.into())];
+        let parts: Vec<String> = parts.into_iter().flatten().filter(|part| !part.is_empty()).collect();
+        Participant::open(&self.domain, Opener { program: role.into(), robot }, &parts.join("/"))
     }
 
     /// The robots of the fleet.

@@ -1,63 +1,52 @@
-//! Session files: written so that neither a crash nor a full disk costs the one before, read with a
-//! limit, refused with the file's name and the reason. PGM and YAML maps stand in for localization.
+//! Session files of SLAM: [`Session`]s written durably and read with a limit.
+//!
+//! Errors name the file and the reason. A map file (YAML with PGM) may take a session's place for localization.
 
-use crate::map_file::{MapFileError, read_map};
+use formats::atomic;
+use formats::map_file::{MapFileError, read_map};
 use slam::{Identity, Session, SessionError, SlamConfig};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-/// The largest file that is read: 20 000 nodes of a dense LiDAR take about 300 MB.
+/// Largest file that is read, bytes. 20 000 nodes of a dense LiDAR take about 300 MB.
 const BYTES_MAX: u64 = 1 << 30;
 
-/// Why a session was not read or written.
+/// Reason why a session file could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionFileError {
-    /// The system refused.
+    /// The operating system refused to open, read or write the file.
     #[error("{}: {source}", file.display())]
     Io {
-        /// Which file.
+        /// Path of the file.
         file: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// It is none, or another robot's.
+    /// The content is no sound session, or another robot's.
     #[error("{} {why}", file.display())]
     Content {
-        /// Which file.
+        /// Path of the file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Reason of the codec.
         why: SessionError,
     },
-    /// A map that stands in for a session.
+    /// The map file in a session's place could not be read.
     #[error(transparent)]
     Map(#[from] MapFileError),
 }
 
 impl SessionFileError {
-    /// There is no such file.
+    /// Returns whether the reason is that there is no such file.
     pub fn is_missing(&self) -> bool {
         matches!(self, Self::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound)
     }
 }
 
-/// Writes beside the place, waits until the disk has it, renames, and waits for that too: the file
-/// is the old one or the new one at any moment.
+/// Writes a session, durably: after a crash or on a full disk, the file is the old one or the new one.
 pub fn write(path: &Path, session: &Session) -> Result<(), SessionFileError> {
-    write_with(path, |file| file.write_all(&session.encode()))
-}
-
-/// The same of anything.
-pub(crate) fn write_with(
-    path: &Path,
-    write: impl FnOnce(&mut File) -> std::io::Result<()>,
-) -> Result<(), SessionFileError> {
-    let fail = |source| SessionFileError::Io { file: path.to_owned(), source };
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut beside = tempfile::NamedTempFile::new_in(folder).map_err(fail)?;
-    write(beside.as_file_mut()).and_then(|()| beside.as_file().sync_all()).map_err(fail)?;
-    beside.persist(path).map_err(|error| fail(error.error))?;
-    File::open(folder).and_then(|folder| folder.sync_all()).map_err(fail)
+    atomic::write_durably(path, |file| file.write_all(&session.encode()))
+        .map_err(|source| SessionFileError::Io { file: path.to_owned(), source })
 }
 
 /// Reads a session of this robot.
@@ -66,40 +55,22 @@ pub fn read(path: &Path, identity: &Identity) -> Result<Session, SessionFileErro
     let mut bytes = Vec::new();
     File::open(path).and_then(|file| file.take(BYTES_MAX + 1).read_to_end(&mut bytes)).map_err(fail)?;
     if bytes.len() as u64 > BYTES_MAX {
-        return Err(fail(std::io::Error::other("more than 1 GiB")));
+        return Err(fail(std::io::Error::other(
+            "is larger than 1 GiB; expected a session of at most that size",
+        )));
     }
     Session::decode(&bytes, identity).map_err(|why| SessionFileError::Content { file: path.to_owned(), why })
 }
 
-/// Whether a path names a map (.yaml) and no session: good for localization only.
+/// Returns whether a path names a map (.yaml) and no session. A map is good for localization only.
 pub fn is_map(path: &Path) -> bool {
     path.extension().is_some_and(|ending| ending == "yaml" || ending == "yml")
 }
 
-/// Reads a session, or a map in its place.
+/// Reads a session, or a map in its place, which becomes a session for localization.
 pub fn read_any(path: &Path, identity: &Identity, config: &SlamConfig) -> Result<Session, SessionFileError> {
     match is_map(path) {
         true => Ok(Session::from_grid(*identity, read_map(path)?.view(), config)),
         false => read(path, identity),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_disk_that_fills_up_leaves_the_old_file_and_nothing_else() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.slam");
-        write_with(&path, |file| file.write_all(b"old")).unwrap();
-        let full = |file: &mut File| {
-            file.write_all(b"ne")?;
-            Err(std::io::Error::from(std::io::ErrorKind::StorageFull))
-        };
-        let said = write_with(&path, full).unwrap_err().to_string();
-        assert!(said.contains("a.slam"), "{said}");
-        assert_eq!(std::fs::read(&path).unwrap(), b"old");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

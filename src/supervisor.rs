@@ -1,6 +1,7 @@
 //! Keeps the fleet's processes running, each by itself: a child that ends is cleaned up after and
 //! started again, and its peers notice nothing but its silence.
 
+use crate::processes::{self, ProcessRow};
 use crate::run::Run;
 use msg::{Pose2, RobotId, Role};
 use rustix::process::{Pid, Signal, kill_process};
@@ -26,7 +27,7 @@ const END_GRACE: Duration = Duration::from_secs(2);
 
 /// One process of the fleet.
 struct Member {
-    role: Role,
+    row: &'static ProcessRow,
     robot: Option<RobotId>,
     state: State,
     deaths: u32,
@@ -40,10 +41,7 @@ enum State {
 
 impl Member {
     fn name(&self) -> String {
-        match self.robot {
-            Some(robot) => format!("{} of {robot}", self.role.name()),
-            None => self.role.name().into(),
-        }
+        self.row.title(self.robot)
     }
 }
 
@@ -62,17 +60,8 @@ impl Supervisor {
     /// while it restarts.
     pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
         let now = Instant::now();
-        let member = |role, robot| Member { role, robot, state: State::Waiting { until: now }, deaths: 0 };
-        let mut members = vec![];
-        for role in [Role::Bridge, Role::Telemetry, Role::Merge] {
-            members.push(member(role, None));
-        }
-        for robot in run.robots() {
-            members.push(member(Role::Slam, Some(robot)));
-            if !run.config.world.is_outside() {
-                members.push(member(Role::Sim, Some(robot)));
-            }
-        }
+        let member = |(row, robot)| Member { row, robot, state: State::Waiting { until: now }, deaths: 0 };
+        let members = processes::of_fleet(&run.config).map(member).collect();
         let mut supervisor = Self { run: run.clone(), listener, members };
         supervisor.tend(&|_, _| None, &mut |_| {});
         match supervisor.members.iter().find(|member| !matches!(member.state, State::Running { .. })) {
@@ -97,12 +86,12 @@ impl Supervisor {
     }
 
     fn start_if_due(&mut self, index: usize, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
-        let Member { role, robot, state: State::Waiting { until }, .. } = self.members[index] else { return };
+        let Member { row, robot, state: State::Waiting { until }, .. } = self.members[index] else { return };
         if Instant::now() < until {
             return;
         }
-        let place = robot.and_then(|robot| last_seen(role, robot));
-        let started = self.spawn(role, robot, place);
+        let place = robot.and_then(|robot| last_seen(row.role, robot));
+        let started = self.spawn(row, robot, place);
         let member = &mut self.members[index];
         member.state = match started {
             Ok(child) => State::Running { child, since: Instant::now() },
@@ -113,10 +102,9 @@ impl Supervisor {
         };
     }
 
-    fn spawn(&self, role: Role, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
+    fn spawn(&self, row: &ProcessRow, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
         let mut command = Command::new(std::env::current_exe()?);
-        // People ask SLAM by its name.
-        command.arg(if role == Role::Slam { "slam-worker" } else { role.name() });
+        command.arg(row.command);
         if let Some(robot) = robot {
             command.arg("--robot").arg(robot.number().to_string());
         }
@@ -124,7 +112,7 @@ impl Supervisor {
             command.arg(format!("--at={x_m},{y_m},{yaw_rad}"));
         }
         command.arg("--run-dir").arg(&self.run.dir);
-        let stdin = match role {
+        let stdin = match row.role {
             Role::Bridge => Stdio::from(OwnedFd::from(self.listener.try_clone()?)),
             _ => Stdio::null(),
         };

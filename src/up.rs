@@ -118,7 +118,7 @@ pub enum UpError {
     Start(#[from] std::io::Error),
     /// The maps.
     #[error(transparent)]
-    Map(#[from] crate::map_file::MapFileError),
+    Map(#[from] formats::map_file::MapFileError),
 }
 
 impl FleetArgs {

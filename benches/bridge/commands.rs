@@ -4,10 +4,10 @@ use crate::client::{Client, Wish};
 use bridge::command::name;
 use bridge::frame::Side;
 use bridge::ros::{Message, Twist, encode};
-use mr_slam::channel;
+use mr_slam::channel::{self, Opener, Program};
 use mr_slam::clock::now;
 use mr_slam::run::Run;
-use mr_slam::shared_memory::{Node, wait};
+use mr_slam::shared_memory::{Participant, wait};
 use msg::{Monotonic, RobotId};
 use std::error::Error;
 use std::io::{self, Read, Write};
@@ -48,10 +48,10 @@ fn write(stream: &mut TcpStream, frame: &[u8], cuts: &[usize]) -> io::Result<()>
 
 /// Commands to the last robot and over the bare hops in turn, so that both meet the same machine.
 pub fn measure(run: &Run, count: usize) -> Result<Times, Box<dyn Error>> {
-    let node = Node::open(&run.domain, "bench")?;
     let robot = RobotId::first(3).last().ok_or("no robot")?;
+    let node = Participant::open(&run.domain, Opener::of_robot(Program::Sim, robot), "bench")?;
     let channel = channel::command(robot);
-    let (mut reader, bell) = (node.reader(&channel)?, node.bell(&channel)?);
+    let (mut reader, bell) = (node.reader(&channel)?, node.listener(&channel)?);
     let topic: Wish = (name::PUBLISH, "/cmd_vel_3", Twist::TYPE);
     let mut client = Client::connect(run.port, &[topic])?;
     client.stream.set_nodelay(false)?;
@@ -69,7 +69,7 @@ pub fn measure(run: &Run, count: usize) -> Result<Times, Box<dyn Error>> {
         write(&mut client.stream, &frame, &cuts)?;
         let until = Monotonic(begun.0 + PATIENCE_NS);
         while reader.receive().is_none() {
-            wait(&[&bell], until);
+            wait([&bell], until);
             if now() >= until {
                 return Err("a command did not arrive".into());
             }

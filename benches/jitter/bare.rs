@@ -74,7 +74,7 @@ pub fn timer(socket: &str, robots: u64) -> io::Result<()> {
     for round in 1.. {
         for robot in 0..robots {
             let due = start + round * PERIOD_NS + robot * 10_000_000;
-            wait(&[], Monotonic(due));
+            wait([], Monotonic(due));
             message[..8].copy_from_slice(&due.to_le_bytes());
             message[8] = robot as u8;
             sender.send(&message)?;

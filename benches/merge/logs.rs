@@ -3,7 +3,6 @@
 
 use super::relations::{Errors, Trajectory, Which, errors, parse};
 use super::table::{Row, Table};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -184,8 +183,9 @@ fn trajectories(folder: &Path, robots: usize) -> Result<Vec<String>, Error> {
     (1..=robots).map(|k| Ok(std::fs::read_to_string(folder.join(format!("robot{k}.tum")))?)).collect()
 }
 
+/// Largest log when unpacked, bytes: a safety limit, public logs are below 100 MB.
+const LOG_BYTES_MAX: u64 = 1 << 30;
+
 fn unpacked(path: &Path) -> Result<String, Error> {
-    let mut text = String::new();
-    flate2::read::MultiGzDecoder::new(std::fs::File::open(path)?).read_to_string(&mut text)?;
-    Ok(text)
+    Ok(String::from_utf8(formats::gzip::unpack(std::fs::read(path)?, LOG_BYTES_MAX)?)?)
 }

@@ -4,13 +4,12 @@ use crate::relations::{self, Errors, Trajectory, Which};
 use crate::varied::{Maker, Varied};
 use allocation_counter::measure;
 use bytemuck::Zeroable;
-use mr_slam::carmen::{LaserLine, Reader, Record};
-use mr_slam::map_file::write_map;
+use formats::carmen::{LaserLine, Reader, Record};
+use formats::map_file::write_map;
 use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 use slam::{Back, EdgeKind, Front, Node, Revision, Slam, SlamConfig, Stage, StageWatch, Step};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};
@@ -284,16 +283,14 @@ fn wrong(back: &Back, truth: &Trajectory, kind: EdgeKind) -> usize {
     back.graph().edges().iter().filter(|edge| edge.in_force && edge.kind == kind).filter(wrong).count()
 }
 
+/// Largest log when unpacked, bytes: a safety limit, public logs are below 100 MB.
+const LOG_BYTES_MAX: u64 = 1 << 30;
+
 /// A file's bytes, unpacked if they are gzip.
 pub fn unpack(path: &Path) -> Result<Vec<u8>, String> {
     let fail = |why: std::io::Error| format!("{}: {why}", path.display());
-    let packed = std::fs::read(path).map_err(fail)?;
-    if !packed.starts_with(&[0x1f, 0x8b]) {
-        return Ok(packed);
-    }
-    let mut log = Vec::new();
-    flate2::read::MultiGzDecoder::new(packed.as_slice()).read_to_end(&mut log).map_err(fail)?;
-    Ok(log)
+    let bytes = std::fs::read(path).map_err(fail)?;
+    formats::gzip::unpack(bytes, LOG_BYTES_MAX).map_err(fail)
 }
 
 fn text<T>(path: &Path, parse: impl Fn(&str) -> Result<T, String>) -> Result<T, String> {

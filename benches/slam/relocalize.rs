@@ -6,7 +6,7 @@
 //! Scans of another log must be refused.
 
 use crate::drive::{Spread, thread_cpu_ns, unpack};
-use mr_slam::carmen::{LaserLine, Reader, Record};
+use formats::carmen::{LaserLine, Reader, Record};
 use msg::{Odometry, Pose2, Scan, SlamMode, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 use slam::{Identity, Session, Slam, SlamConfig, Start};

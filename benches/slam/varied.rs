@@ -2,7 +2,7 @@
 //! far or less exactly, worse wheels, a start elsewhere. Scored with the same relations.
 
 use core::f64::consts::TAU;
-use mr_slam::carmen::LaserLine;
+use formats::carmen::LaserLine;
 use msg::{Pose2, pose::wrap_angle};
 use nav::RandomNumbers;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use mr_slam::carmen::{Reader, Record};
+use formats::carmen::{Reader, Record};
 use msg::Scan;
 
 fuzz_target!(|bytes: &[u8]| {

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use mr_slam::map_file::decode_map;
+use formats::map_file::decode_map;
 use msg::GridView;
 
 fuzz_target!(|bytes: &[u8]| {

@@ -1,84 +1,85 @@
-//! How a robot is told to move, how it thinks it moved, how it did, and where its parts are.
+//! Messages about motion: velocity commands, odometry, ground truth, clock and transforms.
 
 use crate::{Header, Pose2};
 use bytemuck::{Pod, Zeroable};
 
-/// A wished velocity of `base_footprint` (geometry_msgs/Twist). Valid for a short time only:
-/// a robot that hears nothing stops.
+/// Commanded velocity of `base_footprint` (geometry_msgs/Twist).
+///
+/// A command is valid for a short time only: a robot without a newer command stops.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct VelocityCommand {
-    /// `stamp` is when the bridge took it.
+    /// Header whose `stamp` is the time at which the bridge received the command.
     pub header: Header,
-    /// Forward, m/s.
+    /// Forward velocity, m/s.
     pub linear_m_s: f64,
-    /// Counter-clockwise, rad/s.
+    /// Turning rate, rad/s, counter-clockwise.
     pub angular_rad_s: f64,
 }
 
-/// What the wheels say (nav_msgs/Odometry): smooth, but it drifts.
+/// Wheel odometry (nav_msgs/Odometry): smooth, but it drifts.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Odometry {
-    /// `stamp` is when the pose held.
+    /// Header whose `stamp` is the time of the pose.
     pub header: Header,
     /// Pose of `base_footprint` in `odom`.
     pub odom_from_base: Pose2,
-    /// Forward, m/s, in `base_footprint`.
+    /// Forward velocity in `base_footprint`, m/s.
     pub linear_m_s: f64,
-    /// Counter-clockwise, rad/s.
+    /// Turning rate, rad/s, counter-clockwise.
     pub angular_rad_s: f64,
 }
 
-/// Where a simulated robot really is. Only telemetry, tests and the peers' simulators may read it.
+/// True pose of a simulated robot. Only telemetry, tests and the other robots' simulators may read it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct GroundTruth {
-    /// `stamp` is when the pose held.
+    /// Header whose `stamp` is the time of the pose.
     pub header: Header,
     /// Pose of `base_footprint` in `world`.
     pub world_from_base: Pose2,
-    /// Forward, m/s, in `base_footprint`.
+    /// Forward velocity in `base_footprint`, m/s.
     pub linear_m_s: f64,
-    /// Counter-clockwise, rad/s.
+    /// Turning rate, rad/s, counter-clockwise.
     pub angular_rad_s: f64,
-    /// How many times the body has begun to touch something other than the floor.
+    /// Number of times that the body began to touch anything but the floor.
     pub contacts: u64,
 }
 
-/// The run's time (rosgraph_msgs/Clock).
+/// Time of the run (rosgraph_msgs/Clock).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Clock {
-    /// `stamp` is the message.
+    /// Header whose `stamp` is the content of the message.
     pub header: Header,
 }
 
-/// The most links one robot reports.
+/// Largest number of links in one [`Transforms`] message.
 pub const LINKS_MAX: usize = 8;
 
-/// A frame of one robot (REP-105 and ROBOTIS's model of the TurtleBot3).
+/// Coordinate frame of one robot (REP-105 and ROBOTIS's model of the TurtleBot3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Link {
-    /// Where the wheels started counting.
+    /// Frame in which the wheel odometry starts at zero.
     Odom = 1,
-    /// The robot's position on the floor.
+    /// Projection of the robot onto the floor.
     BaseFootprint = 2,
-    /// The body.
+    /// Frame of the robot's body.
     BaseLink = 3,
-    /// The LiDAR.
+    /// Frame of the LiDAR.
     BaseScan = 4,
-    /// The left wheel, turning.
+    /// Frame of the left wheel, which turns with it.
     WheelLeft = 5,
-    /// The right wheel, turning.
+    /// Frame of the right wheel, which turns with it.
     WheelRight = 6,
-    /// The inertial unit.
+    /// Frame of the inertial measurement unit.
     Imu = 7,
 }
 
 impl Link {
-    /// All links, in the order of their codes.
+    /// All links in the order of their codes.
     pub const ALL: [Self; 7] = [
         Self::Odom,
         Self::BaseFootprint,
@@ -89,17 +90,17 @@ impl Link {
         Self::Imu,
     ];
 
-    /// `None` for a code that no link has.
+    /// Decodes a link; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         Self::ALL.into_iter().find(|link| *link as u32 == code)
     }
 
-    /// Whether it sits still on its parent.
+    /// Returns whether the link never moves against its parent (tf_static).
     pub fn is_fixed(self) -> bool {
         matches!(self, Self::BaseLink | Self::BaseScan | Self::Imu)
     }
 
-    /// ROBOTIS's name of the frame.
+    /// Returns ROBOTIS's name of the frame.
     pub fn name(self) -> &'static str {
         match self {
             Self::Odom => "odom",
@@ -113,36 +114,36 @@ impl Link {
     }
 }
 
-/// One edge of the transform tree, `parent_from_child`.
+/// Transform `parent_from_child` between two links.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct LinkTransform {
-    /// A [`Link`]'s code.
+    /// Code of the parent [`Link`].
     pub parent: u32,
-    /// A [`Link`]'s code.
+    /// Code of the child [`Link`].
     pub child: u32,
-    /// Metres.
+    /// Position of the child in the parent's frame, metres.
     pub translation_m: [f64; 3],
-    /// Unit quaternion x, y, z, w.
+    /// Rotation of the child in the parent's frame, unit quaternion x, y, z, w.
     pub rotation_xyzw: [f64; 4],
 }
 
-/// One robot's part of /tf at one time.
+/// Transforms of one robot's links at one time (its part of /tf).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Transforms {
-    /// `stamp` holds for every link.
+    /// Header whose `stamp` is the time of every transform.
     pub header: Header,
-    /// How many of `links` are set. Read it by [`Transforms::links`].
+    /// Number of `links` in use. Read them by [`Transforms::links`].
     pub len: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
-    /// Read it by [`Transforms::links`].
+    /// Storage of the transforms. Read it by [`Transforms::links`].
     pub links: [LinkTransform; LINKS_MAX],
 }
 
 impl Transforms {
-    /// The set links.
+    /// Returns the transforms in use.
     pub fn links(&self) -> &[LinkTransform] {
         &self.links[..(self.len as usize).min(LINKS_MAX)]
     }

@@ -1,33 +1,51 @@
-//! Planar poses. A name says which frame a pose leads from and to: `map_from_base` takes points
-//! of `base` to `map`, and in a product the inner names cancel:
-//! `map_from_base = map_from_odom * odom_from_base`.
+//! Planar poses.
+//!
+//! The name of a pose tells its two frames: `map_from_base` transforms points of `base` to `map`. In a
+//! product the inner names cancel: `map_from_base = map_from_odom * odom_from_base`.
 
 use bytemuck::{Pod, Zeroable};
 use core::f64::consts::{PI, TAU};
 use core::ops::Mul;
 
-/// An element of SE(2): rotate by `yaw_rad`, then shift by (`x_m`, `y_m`).
+/// Pose or transform in the plane, SE(2): a rotation by `yaw_rad`, then a shift by (`x_m`, `y_m`).
+///
+/// ```
+/// use core::f64::consts::FRAC_PI_2;
+/// use msg::Pose2;
+///
+/// let map_from_odom = Pose2::new(2.0, 0.0, FRAC_PI_2);
+/// let odom_from_base = Pose2::new(1.0, 0.0, 0.0);
+/// let map_from_base = map_from_odom * odom_from_base;
+/// assert!(map_from_base.distance_m(Pose2::new(2.0, 1.0, 0.0)) < 1e-9);
+///
+/// // A point one metre ahead of the robot, in `map`.
+/// let [x, y] = map_from_base.apply([1.0, 0.0]);
+/// assert!((x - 2.0).abs() < 1e-9 && (y - 2.0).abs() < 1e-9);
+///
+/// let base_from_odom = map_from_base.between(map_from_odom);
+/// assert!((base_from_odom * odom_from_base).distance_m(Pose2::IDENTITY) < 1e-9);
+/// ```
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Pose2 {
-    /// Metres.
+    /// Position along x, metres.
     pub x_m: f64,
-    /// Metres.
+    /// Position along y, metres.
     pub y_m: f64,
-    /// Radians, counter-clockwise (REP-103). Products keep it in (-pi, pi].
+    /// Heading, radians, counter-clockwise (REP-103). Products keep it in (-pi, pi].
     pub yaw_rad: f64,
 }
 
 impl Pose2 {
-    /// The neutral element.
+    /// The pose that leaves every point where it is.
     pub const IDENTITY: Self = Self { x_m: 0.0, y_m: 0.0, yaw_rad: 0.0 };
 
-    /// From metres, metres, radians.
+    /// Creates a pose from metres, metres and radians.
     pub const fn new(x_m: f64, y_m: f64, yaw_rad: f64) -> Self {
         Self { x_m, y_m, yaw_rad }
     }
 
-    /// `a_from_b.inverse()` is `b_from_a`.
+    /// Inverts the transform: `a_from_b.inverse()` is `b_from_a`.
     pub fn inverse(self) -> Self {
         let (sin, cos) = self.yaw_rad.sin_cos();
         Self {
@@ -37,23 +55,23 @@ impl Pose2 {
         }
     }
 
-    /// `a_from_b.apply(p_b)` is the same point in `a`; [x, y] in metres.
+    /// Transforms a point: `a_from_b.apply(p_b)` is the same point in `a`; [x, y] in metres.
     pub fn apply(self, [x, y]: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.yaw_rad.sin_cos();
         [cos * x - sin * y + self.x_m, sin * x + cos * y + self.y_m]
     }
 
-    /// `reference_from_a.between(reference_from_b)` is `a_from_b`.
+    /// Computes the relative pose: `reference_from_a.between(reference_from_b)` is `a_from_b`.
     pub fn between(self, other: Self) -> Self {
         self.inverse() * other
     }
 
-    /// Metres between the two origins.
+    /// Returns the distance between the two positions, metres.
     pub fn distance_m(self, other: Self) -> f64 {
         (self.x_m - other.x_m).hypot(self.y_m - other.y_m)
     }
 
-    /// No NaN, no infinity.
+    /// Returns whether no component is NaN or infinite.
     pub fn is_finite(self) -> bool {
         self.x_m.is_finite() && self.y_m.is_finite() && self.yaw_rad.is_finite()
     }
@@ -61,7 +79,7 @@ impl Pose2 {
 
 impl Mul for Pose2 {
     type Output = Self;
-    // Angles of a product add.
+    // The heading of a product is the sum of both headings.
     #[expect(clippy::suspicious_arithmetic_impl)]
     fn mul(self, inner: Self) -> Self {
         let [x_m, y_m] = self.apply([inner.x_m, inner.y_m]);
@@ -69,14 +87,14 @@ impl Mul for Pose2 {
     }
 }
 
-/// The same angle in (-pi, pi]. NaN and infinities give NaN.
+/// Wraps an angle into (-pi, pi]. NaN and infinities give NaN.
 pub fn wrap_angle(angle_rad: f64) -> f64 {
     let wrapped = (angle_rad + PI).rem_euclid(TAU) - PI;
     if wrapped <= -PI { PI } else { wrapped }
 }
 
 #[cfg(test)]
-mod laws {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
@@ -90,7 +108,7 @@ mod laws {
 
     proptest! {
         #[test]
-        fn group(a in pose(), b in pose(), c in pose()) {
+        fn poses_form_a_group(a in pose(), b in pose(), c in pose()) {
             prop_assert!(close((a * b) * c, a * (b * c)));
             prop_assert!(close(a * a.inverse(), Pose2::IDENTITY));
             prop_assert!(close(a.inverse() * a, Pose2::IDENTITY));
@@ -98,14 +116,14 @@ mod laws {
         }
 
         #[test]
-        fn acts_on_points(a in pose(), b in pose(), x in -9.0..9.0, y in -9.0..9.0) {
+        fn a_product_transforms_points_like_its_factors(a in pose(), b in pose(), x in -9.0..9.0, y in -9.0..9.0) {
             let once = (a * b).apply([x, y]);
             let twice = a.apply(b.apply([x, y]));
             prop_assert!((once[0] - twice[0]).hypot(once[1] - twice[1]) < 1e-9);
         }
 
         #[test]
-        fn wraps(angle in -1e4..1e4) {
+        fn a_wrapped_angle_is_in_range_and_equivalent(angle in -1e4..1e4) {
             let wrapped = wrap_angle(angle);
             prop_assert!(wrapped > -PI && wrapped <= PI);
             prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9);

@@ -1,57 +1,59 @@
-//! Rectangles of whole squares: cells, or tiles.
+//! Rectangles on an integer lattice of cells or of tiles.
 
 use crate::tiles::TILE;
 
-/// Squares `x0..x1` by `y0..y1` of whatever lattice the context says. Empty unless `x0 < x1 && y0 < y1`.
+/// Rectangle of the squares `x0..x1` by `y0..y1` of a lattice of cells or tiles.
+///
+/// It is empty unless `x0 < x1 && y0 < y1`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rect {
-    /// First column.
+    /// Index of the first column.
     pub x0: i64,
-    /// First row.
+    /// Index of the first row.
     pub y0: i64,
-    /// Behind the last column.
+    /// Index behind the last column.
     pub x1: i64,
-    /// Behind the last row.
+    /// Index behind the last row.
     pub y1: i64,
 }
 
 impl Rect {
-    /// `width` x `height` squares from (0, 0).
+    /// Creates a rectangle of `width` x `height` squares with its first square at (0, 0).
     pub fn with_size(width: u32, height: u32) -> Self {
         Self { x0: 0, y0: 0, x1: width.into(), y1: height.into() }
     }
 
-    /// One square.
+    /// Creates a rectangle of the one square (x, y).
     pub fn single(x: i64, y: i64) -> Self {
         Self { x0: x, y0: y, x1: x + 1, y1: y + 1 }
     }
 
-    /// The cells of tile (x, y).
+    /// Returns the cells of tile (x, y).
     pub fn cells_of_tile(x: i64, y: i64) -> Self {
         Self { x0: x * TILE, y0: y * TILE, x1: (x + 1) * TILE, y1: (y + 1) * TILE }
     }
 
-    /// Without squares.
+    /// Returns whether the rectangle has no squares.
     pub fn is_empty(self) -> bool {
         self.x0 >= self.x1 || self.y0 >= self.y1
     }
 
-    /// Columns.
+    /// Returns the number of columns.
     pub fn width(self) -> usize {
         (self.x1 - self.x0).max(0) as usize
     }
 
-    /// Rows.
+    /// Returns the number of rows.
     pub fn height(self) -> usize {
         (self.y1 - self.y0).max(0) as usize
     }
 
-    /// Squares inside; `None` if a machine cannot count them.
+    /// Returns the number of squares; `None` if it overflows.
     pub fn area(self) -> Option<usize> {
         self.width().checked_mul(self.height())
     }
 
-    /// What both cover.
+    /// Returns the squares that lie in both rectangles.
     pub fn intersect(self, other: Self) -> Self {
         Self {
             x0: self.x0.max(other.x0),
@@ -61,7 +63,7 @@ impl Rect {
         }
     }
 
-    /// The smallest that holds both.
+    /// Returns the smallest rectangle that contains both.
     pub fn union(self, other: Self) -> Self {
         if self.is_empty() {
             return other;
@@ -77,22 +79,22 @@ impl Rect {
         }
     }
 
-    /// All of `other` lies in it.
+    /// Returns whether `other` lies completely inside. An empty rectangle lies inside any other.
     pub fn contains(self, other: Self) -> bool {
         other.is_empty() || self.intersect(other) == other
     }
 
-    /// The same, elsewhere.
+    /// Returns the rectangle shifted by (`dx`, `dy`) squares.
     pub fn translated(self, dx: i64, dy: i64) -> Self {
         Self { x0: self.x0 + dx, y0: self.y0 + dy, x1: self.x1 + dx, y1: self.y1 + dy }
     }
 
-    /// Where square (x, y), which lies in it, comes when they are counted row by row.
+    /// Returns the row-major index of square (x, y), which must lie inside.
     pub fn index(self, x: i64, y: i64) -> usize {
         (y - self.y0) as usize * self.width() + (x - self.x0) as usize
     }
 
-    /// The tiles that touch these cells.
+    /// Returns the tiles that overlap these cells.
     pub fn tiles(self) -> Self {
         if self.is_empty() {
             return Self::default();
@@ -105,7 +107,7 @@ impl Rect {
         }
     }
 
-    /// Its squares, row by row.
+    /// Iterates over the squares, row by row.
     pub fn points(self) -> impl Iterator<Item = (i64, i64)> {
         (self.y0..self.y1).flat_map(move |y| (self.x0..self.x1).map(move |x| (x, y)))
     }

@@ -1,53 +1,64 @@
-//! One turn of a planar LiDAR.
+//! Scans of a planar LiDAR.
 
 use crate::Header;
 use bytemuck::{Pod, Zeroable};
 
-/// The most beams a scan can hold.
+/// Largest number of beams in a scan.
 pub const BEAMS_MAX: usize = 4096;
 
-/// One turn of a planar LiDAR, in frame `base_scan`: as sensor_msgs/LaserScan means it.
+/// One turn of a planar LiDAR in frame `base_scan`, as sensor_msgs/LaserScan defines it.
 ///
-/// Beam `i` looks along `angle_min_rad + i * angle_increment_rad`, counter-clockwise from the
-/// sensor's x axis, and was measured at `header.stamp + i * time_increment_s`.
+/// Beam `i` points along `angle_min_rad + i * angle_increment_rad`, counter-clockwise from the
+/// sensor's x axis. It was measured at `header.stamp + i * time_increment_s`.
 /// Ranges follow REP-117: +inf is no return up to `range_max_m`, NaN is no measurement.
+///
+/// ```
+/// let mut scan: msg::Scan = bytemuck::Zeroable::zeroed();
+/// (scan.angle_min_rad, scan.angle_increment_rad) = (-0.1, 0.1);
+/// (scan.range_min_m, scan.range_max_m) = (0.12, 3.5);
+/// scan.len = 3;
+/// scan.ranges_m[..3].copy_from_slice(&[2.0, f32::INFINITY, 1.5]);
+///
+/// let hits: Vec<(f32, f32)> = scan.hits().collect();
+/// assert_eq!(hits, [(-0.1, 2.0), (0.1, 1.5)]);
+/// ```
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub struct Scan {
-    /// `stamp` is the first beam's.
+    /// Header whose `stamp` is the time of the first beam.
     pub header: Header,
-    /// Radians.
+    /// Direction of the first beam, radians.
     pub angle_min_rad: f32,
-    /// Radians; negative for a sensor that turns clockwise.
+    /// Angle between two beams, radians; negative for a sensor that turns clockwise.
     pub angle_increment_rad: f32,
-    /// Seconds between two beams; 0 if all are measured at once.
+    /// Time between two beams, seconds; 0 if all are measured at once.
     pub time_increment_s: f32,
-    /// Seconds between two scans.
+    /// Time between two scans, seconds.
     pub scan_time_s: f32,
-    /// Metres; smaller ranges mean nothing.
+    /// Smallest valid range, metres.
     pub range_min_m: f32,
-    /// Metres; larger ranges mean no return.
+    /// Largest valid range, metres. A larger range means no return.
     pub range_max_m: f32,
-    /// How many of `ranges_m` are beams. Read it by [`Scan::ranges_m`].
+    /// Number of `ranges_m` in use. Read them by [`Scan::ranges_m`].
     pub len: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
-    /// Metres. Read it by [`Scan::ranges_m`].
+    /// Storage of the ranges, metres. Read it by [`Scan::ranges_m`].
     pub ranges_m: [f32; BEAMS_MAX],
 }
 
 impl Scan {
-    /// The beams' ranges in metres.
+    /// Returns the ranges of all beams, metres.
     pub fn ranges_m(&self) -> &[f32] {
         &self.ranges_m[..(self.len as usize).min(BEAMS_MAX)]
     }
 
-    /// Beam `i`'s direction in `base_scan`, radians.
+    /// Returns the direction of beam `i` in `base_scan`, radians.
     pub fn angle_rad(&self, i: usize) -> f32 {
         self.angle_min_rad + i as f32 * self.angle_increment_rad
     }
 
-    /// The beams that hit something: (direction in radians, range in metres).
+    /// Iterates over the beams with a valid range: (direction in radians, range in metres).
     pub fn hits(&self) -> impl Iterator<Item = (f32, f32)> + '_ {
         let measured = self.range_min_m..self.range_max_m;
         let beams = self.ranges_m().iter().enumerate();

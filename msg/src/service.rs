@@ -1,18 +1,18 @@
-//! What one asks of a robot's SLAM, and what it answers: the services that SLAM Toolbox's users know.
+//! Requests to a robot's SLAM and its responses: the services that SLAM Toolbox offers.
 //!
-//! Several may ask at a time (the command line, the bridge). Who asks puts a number of its own into
-//! `client` and counts its requests in `id`; the answer repeats both. A request that is not answered
-//! within a few seconds was lost with a process that died: ask again.
+//! Several clients may send requests at a time (the command line, the bridge). A client puts a number of
+//! its own into `client` and counts its requests in `id`; the response repeats both. A request without a
+//! response within a few seconds was lost with a process that died. The client then sends it again.
 
 use crate::{Header, Pose2};
 use bytemuck::{Pod, Zeroable};
 
-/// The longest text, bytes of UTF-8.
+/// Length of the longest text, bytes of UTF-8.
 pub const TEXT_MAX: usize = 1020;
-/// Closures in one answer; more are asked for by the number of the first.
+/// Largest number of closures in one response. A client requests further ones by the number of the first.
 pub const CLOSURES_MAX: usize = 32;
 
-/// A path or a reason, of bounded length.
+/// Text of bounded length in a message: a path, or the reason of a refusal.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Text {
@@ -27,12 +27,12 @@ impl Default for Text {
 }
 
 impl Text {
-    /// `None` if it is longer than [`TEXT_MAX`] bytes.
+    /// Stores a text; `None` if it is longer than [`TEXT_MAX`] bytes.
     pub fn new(text: &str) -> Option<Self> {
         (text.len() <= TEXT_MAX).then(|| Self::shortened(text))
     }
 
-    /// As much of the text as fits.
+    /// Stores as much of a text as fits, cut at a character.
     pub fn shortened(text: &str) -> Self {
         let mut len = text.len().min(TEXT_MAX);
         while !text.is_char_boundary(len) {
@@ -43,7 +43,7 @@ impl Text {
         short
     }
 
-    /// The text, up to the first byte that is not UTF-8.
+    /// Returns the text up to the first byte that is not UTF-8.
     pub fn as_str(&self) -> &str {
         let bytes = &self.bytes[..(self.len as usize).min(TEXT_MAX)];
         match core::str::from_utf8(bytes) {
@@ -53,29 +53,29 @@ impl Text {
     }
 }
 
-/// What SLAM does with a map it has.
+/// Mode of a robot's SLAM.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u32)]
 pub enum SlamMode {
-    /// The map grows; a loaded one is gone on with.
+    /// Extends the map; a loaded map is continued.
     #[default]
     Mapping = 0,
-    /// The map stays as it is; only the robot's pose in it is wanted.
+    /// Keeps the map as it is and estimates the robot's pose in it.
     Localization = 1,
-    /// The map grows, and forgets what is no longer so.
+    /// Extends the map and removes obstacles that later scans contradict.
     Lifelong = 2,
 }
 
 impl SlamMode {
-    /// All modes, in the order of their codes.
+    /// All modes in the order of their codes.
     pub const ALL: [Self; 3] = [Self::Mapping, Self::Localization, Self::Lifelong];
 
-    /// `None` for a code that no mode has.
+    /// Decodes a mode; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         Self::ALL.into_iter().find(|mode| *mode as u32 == code)
     }
 
-    /// One word.
+    /// Returns the mode's name on the command line and in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Mapping => "mapping",
@@ -85,42 +85,42 @@ impl SlamMode {
     }
 }
 
-/// What is asked for.
+/// Kind of a request to SLAM.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum SlamRequestKind {
-    /// How it stands. Every answer says that; this asks for nothing else.
+    /// Reports the state and changes nothing. Every response contains the state.
     State = 0,
-    /// New scans are not looked at.
+    /// Stops the processing of new scans.
     Pause = 1,
-    /// They are again.
+    /// Continues the processing of new scans.
     Resume = 2,
-    /// Forget everything; the map begins anew where the robot is, in the frame in which it was.
+    /// Deletes the map. A new one starts at the robot's pose, in the same frame.
     Reset = 3,
-    /// Write `text`.pgm, .yaml and .png.
+    /// Writes the map to `text`.pgm, .yaml and .png.
     SaveMap = 4,
-    /// Write the session file `text`.
+    /// Writes the session file `text`.
     SaveSession = 5,
-    /// Take the session file `text`, or the map `text` if it ends in .yaml (localization only); `mode`
-    /// says what for, `start` where the robot is.
+    /// Loads the session file `text`, or the map `text` if it ends in .yaml (localization only). `mode` is
+    /// the mode to continue in, `start` the robot's pose.
     LoadSession = 6,
-    /// The robot is at `pose`, give or take `sigma_m` and `sigma_rad`: it is looked for there, and after some
-    /// way believed to be there.
+    /// Sets the robot's pose to `pose` with the standard deviations `sigma_m` and `sigma_rad`. SLAM searches
+    /// there first and accepts the pose after the robot has driven some distance.
     SetPose = 7,
-    /// The closures from number `number` on.
+    /// Lists the closures from number `number` on.
     ListClosures = 8,
-    /// Take closure `number` back, and believe it no more.
+    /// Removes closure `number` and never accepts it again.
     UndoClosure = 9,
-    /// Take all closures back.
+    /// Removes all closures.
     ClearClosures = 10,
-    /// Look for the robot in the whole map.
+    /// Searches for the robot in the whole map.
     Relocalize = 11,
-    /// Go on with the map in `mode`.
+    /// Continues with the same map in `mode`.
     SetMode = 12,
 }
 
 impl SlamRequestKind {
-    /// All that can be asked, in the order of their codes.
+    /// All kinds in the order of their codes.
     pub const ALL: [Self; 13] = [
         Self::State,
         Self::Pause,
@@ -137,29 +137,29 @@ impl SlamRequestKind {
         Self::SetMode,
     ];
 
-    /// `None` for a code that means nothing.
+    /// Decodes a kind; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| *kind as u32 == code)
     }
 }
 
-/// Where a robot is when a session is loaded.
+/// Pose of the robot when a session is loaded (SLAM Toolbox's match type).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u32)]
 pub enum StartPose {
-    /// To be found out.
+    /// The pose is unknown and SLAM searches for it.
     #[default]
     Unknown = 0,
-    /// At the request's `pose`.
+    /// The robot is at the request's `pose`.
     Given = 1,
-    /// Where the session's first scan was taken.
+    /// The robot is at the session's first pose-graph node.
     FirstNode = 2,
-    /// Where its last scan was taken.
+    /// The robot is at the session's last pose-graph node.
     LastNode = 3,
 }
 
 impl StartPose {
-    /// `None` for a code that means nothing.
+    /// Decodes a start pose; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         [Self::Unknown, Self::Given, Self::FirstNode, Self::LastNode]
             .into_iter()
@@ -171,29 +171,29 @@ impl StartPose {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct SlamRequest {
-    /// `stamp` is not looked at.
+    /// Header whose `stamp` is not used.
     pub header: Header,
-    /// A number that no other asker has: the bridge's and a command's process id will do, with a
-    /// kind of connection above it.
+    /// Number of the client, different from every other client's: its process id in the low bits and the
+    /// kind of connection above them.
     pub client: u64,
-    /// Counts the client's requests.
+    /// Number of the request among the client's requests.
     pub id: u64,
-    /// A [`SlamRequestKind`]'s code.
+    /// Code of a [`SlamRequestKind`].
     pub kind: u32,
-    /// A [`SlamMode`]'s code.
+    /// Code of a [`SlamMode`].
     pub mode: u32,
-    /// A [`StartPose`]'s code.
+    /// Code of a [`StartPose`].
     pub start: u32,
-    /// A closure's number.
+    /// Number of a closure.
     pub number: u32,
-    /// `robotK/map` from `base_footprint`.
+    /// Pose of `base_footprint` in `robotK/map`.
     pub pose: Pose2,
-    /// One standard deviation of its position, metres; 0: as usual.
+    /// Standard deviation of the position, metres; 0 selects the default.
     pub sigma_m: f64,
-    /// And of its heading, radians; 0: as usual.
+    /// Standard deviation of the heading, radians; 0 selects the default.
     pub sigma_rad: f64,
-    /// A path; a session's without an ending gets `.slam`. Relative ones lie below the run's folder and may not
-    /// leave it. What comes from a network must be relative: the bridge sees to that.
+    /// Path of a file; a session's path without an extension gets `.slam`. A relative path lies below the run's
+    /// folder and may not leave it. The bridge refuses absolute paths from the network.
     pub text: Text,
 }
 
@@ -203,75 +203,75 @@ impl Default for SlamRequest {
     }
 }
 
-/// How a request ended.
+/// Outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum SlamOutcome {
-    /// Done.
+    /// The request was carried out.
     Done = 0,
-    /// Not done; the text says why.
+    /// The request was refused; the text gives the reason.
     Refused = 1,
 }
 
-/// A closure and what speaks for it.
+/// A loop closure with its evidence.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct ClosureInfo {
-    /// What it is undone by.
+    /// Number of the closure, for [`SlamRequestKind::UndoClosure`].
     pub number: u32,
-    /// The earlier node.
+    /// Number of the earlier node.
     pub older: u32,
-    /// The later node.
+    /// Number of the later node.
     pub newer: u32,
-    /// 1 if it has effect, 0 if it was taken back.
+    /// 1 if the closure is part of the graph, 0 if it was removed.
     pub in_force: u32,
-    /// The later node as seen from the earlier one, as measured.
+    /// Measured pose of the later node in the frame of the earlier one.
     pub older_from_newer: Pose2,
-    /// `robotK/map` from the earlier node.
+    /// Pose of the earlier node in `robotK/map`.
     pub map_from_older: Pose2,
-    /// `robotK/map` from the later node.
+    /// Pose of the later node in `robotK/map`.
     pub map_from_newer: Pose2,
-    /// How well the scans fitted, 0 to 1.
+    /// Response of the scan matcher, 0 to 1.
     pub response: f32,
-    /// Squared error in the graph, in standard deviations.
+    /// Squared error in the graph, in squared standard deviations.
     pub chi_squared: f32,
 }
 
-/// The answer to one request.
+/// Response to one request.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct SlamResponse {
-    /// `stamp` is that of the newest node.
+    /// Header whose `stamp` is that of the newest node.
     pub header: Header,
-    /// The request's.
+    /// Number of the client, as in the request.
     pub client: u64,
-    /// The request's.
+    /// Number of the request, as in the request.
     pub id: u64,
-    /// 0: done, 1: refused. Read it by [`SlamResponse::outcome`].
+    /// Code of a [`SlamOutcome`]. Read it by [`SlamResponse::outcome`].
     pub outcome: u32,
-    /// A [`SlamMode`]'s code.
+    /// Code of a [`SlamMode`].
     pub mode: u32,
-    /// 1: new scans are not looked at.
+    /// 1 if new scans are not processed, else 0.
     pub paused: u32,
-    /// 1: where the robot is in its map is known.
+    /// 1 if the robot's pose in the map is known, else 0.
     pub located: u32,
-    /// Nodes in the map.
+    /// Number of nodes in the pose graph.
     pub nodes: u32,
-    /// Links in force.
+    /// Number of links in the pose graph.
     pub links: u32,
-    /// Closures in force.
+    /// Number of closures in the pose graph.
     pub closures: u32,
-    /// Closures taken back.
+    /// Number of removed closures.
     pub retracted: u32,
-    /// Closures that there are to list, in force or not.
+    /// Number of closures that can be listed, removed ones included.
     pub listable: u32,
-    /// How many of `list` are used. Read it by [`SlamResponse::closures`].
+    /// Number of entries of `list` in use. Read them by [`SlamResponse::closures`].
     pub listed: u32,
-    /// `robotK/map` from `base_footprint`, where the robot was at the newest node.
+    /// Pose of `base_footprint` in `robotK/map` at the newest node.
     pub map_from_base: Pose2,
-    /// Closures that were asked for.
+    /// Storage of the requested closures. Read it by [`SlamResponse::closures`].
     pub list: [ClosureInfo; CLOSURES_MAX],
-    /// What was written, or why not.
+    /// Path of what was written, or the reason of a refusal.
     pub text: Text,
 }
 
@@ -282,12 +282,12 @@ impl Default for SlamResponse {
 }
 
 impl SlamResponse {
-    /// The checked outcome; an unknown code reads as refused.
+    /// Decodes the outcome; an unknown code reads as refused.
     pub fn outcome(&self) -> SlamOutcome {
         if self.outcome == SlamOutcome::Done as u32 { SlamOutcome::Done } else { SlamOutcome::Refused }
     }
 
-    /// The closures in this answer.
+    /// Returns the closures in this response.
     pub fn closures(&self) -> &[ClosureInfo] {
         &self.list[..(self.listed as usize).min(CLOSURES_MAX)]
     }
@@ -300,7 +300,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn text_comes_back_or_is_cut_at_a_character(text in "\\PC{0,400}") {
+        fn a_text_is_stored_whole_or_cut_at_a_character(text in "\\PC{0,400}") {
             let short = Text::shortened(&text);
             prop_assert!(text.starts_with(short.as_str()));
             prop_assert_eq!(Text::new(&text).is_some(), text.len() <= TEXT_MAX);
@@ -308,7 +308,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bits_are_a_text(len: u32, byte: u8) {
+        fn any_bytes_read_as_a_bounded_text(len: u32, byte: u8) {
             let text = Text { len, bytes: [byte; TEXT_MAX] };
             prop_assert!(text.as_str().len() <= TEXT_MAX);
         }

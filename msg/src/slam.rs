@@ -1,29 +1,29 @@
-//! What SLAM and merging say about poses.
+//! Results of SLAM and merging: corrections and transforms between maps.
 
 use crate::{Header, Monotonic, Pose2, ROBOTS_MAX};
 use bytemuck::{Pod, Zeroable};
 
-/// How well a robot knows where it is.
+/// Quality of a robot's pose estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum TrackingState {
-    /// No scan yet.
+    /// No scan was processed yet.
     Starting = 0,
-    /// The scan fits the map.
+    /// The scan matches the map.
     Tracking = 1,
-    /// The scan fits, but says nothing about one direction, as in a long corridor.
+    /// The scan matches the map but does not constrain one direction, as in a long corridor.
     Degenerate = 2,
-    /// The scan does not fit: the pose is odometry's, and nothing is drawn.
+    /// The scan does not match: the pose comes from odometry and the map does not change.
     Lost = 3,
 }
 
 impl TrackingState {
-    /// `None` for a code that no state has.
+    /// Decodes a state; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
         [Self::Starting, Self::Tracking, Self::Degenerate, Self::Lost].into_iter().find(|s| *s as u32 == code)
     }
 
-    /// One word for tables.
+    /// Returns the state's name in tables and in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Starting => "starting",
@@ -34,58 +34,58 @@ impl TrackingState {
     }
 }
 
-/// SLAM's answer to one scan: where the robot's odometry lies in its map.
+/// Result of SLAM for one scan: the transform from odometry to the map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Correction {
-    /// `stamp` is the scan's.
+    /// Header whose `stamp` is that of the scan.
     pub header: Header,
-    /// The scan's `seq`.
+    /// Number of the scan, its header's `seq`.
     pub scan_seq: u64,
-    /// When the scan left its simulator: what scan-to-pose latency is counted from.
+    /// Time at which the scan left its simulator. Scan-to-pose latency is counted from it.
     pub scan_sent: Monotonic,
-    /// `robotK/map` from `odom`: the transform that SLAM owns (REP-105).
+    /// Transform to `robotK/map` from `odom`, which REP-105 assigns to SLAM.
     pub map_from_odom: Pose2,
-    /// `robotK/map` from `base_footprint` at the stamp.
+    /// Pose of `base_footprint` in `robotK/map` at the stamp.
     pub map_from_base: Pose2,
-    /// Of `map_from_base`, row-major upper triangle over (x, y, yaw): xx, xy, x yaw, yy, y yaw,
-    /// yaw yaw; m, rad.
+    /// Covariance of `map_from_base`, row-major upper triangle over (x, y, yaw): xx, xy, x yaw, yy,
+    /// y yaw, yaw yaw; m, rad.
     pub covariance: [f64; 6],
-    /// A [`TrackingState`]'s code. Read it by [`Correction::state`].
+    /// Code of a [`TrackingState`]. Read it by [`Correction::state`].
     pub state: u32,
-    /// Nodes in the pose graph.
+    /// Number of nodes in the pose graph.
     pub nodes: u32,
-    /// Loop closures in force.
+    /// Number of loop closures in the pose graph.
     pub closures: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
 }
 
 impl Correction {
-    /// The checked state; an unknown code reads as lost.
+    /// Decodes the state; an unknown code reads as lost.
     pub fn state(&self) -> TrackingState {
         TrackingState::from_code(self.state).unwrap_or(TrackingState::Lost)
     }
 }
 
-/// Where one robot's map lies in the merged map.
+/// Transform from one robot's map to the merged map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct MapTransform {
-    /// `map` from `robotK/map`.
+    /// Transform to `map` from `robotK/map`.
     pub map_from_robot_map: Pose2,
-    /// 1 if the pose is known, 0 if the robot's map is not merged.
+    /// 1 if the transform is known, 0 if the robot's map is not merged.
     pub known: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
 }
 
-/// Where every robot's map lies in the merged map, by [`crate::RobotId::index`].
+/// Transforms from every robot's map to the merged map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct MapTransforms {
-    /// `stamp` is that of the newest map merged.
+    /// Header whose `stamp` is that of the newest merged map.
     pub header: Header,
-    /// Robots beyond the fleet are not known.
+    /// Transforms by [`crate::RobotId::index`]. Those beyond the fleet are unknown.
     pub robots: [MapTransform; ROBOTS_MAX],
 }

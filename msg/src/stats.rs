@@ -1,134 +1,136 @@
-//! What telemetry found out, once a second.
+//! Statistics of the fleet, which telemetry publishes once a second.
 
 use crate::{Header, Pose2, ProcessHealth, ROBOTS_MAX};
 use bytemuck::{Pod, Zeroable};
 
-/// The most processes a fleet has: two a robot, merge, telemetry, bridge.
+/// Largest number of processes of a fleet: two per robot, merge, telemetry and bridge.
 pub const PROCESSES_MAX: usize = 2 * ROBOTS_MAX + 3;
 
-/// A measured quantity's median and tail. `count` 0: nothing measured, all zero.
+/// Percentiles of a measured quantity. With `count` 0, nothing was measured and all fields are zero.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Distribution {
-    /// How many values.
+    /// Number of measured values.
     pub count: u64,
-    /// Median.
+    /// Median of the values.
     pub p50: f32,
-    /// 95th percentile.
+    /// 95th percentile of the values.
     pub p95: f32,
-    /// 99th percentile.
+    /// 99th percentile of the values.
     pub p99: f32,
-    /// Largest.
+    /// Largest of the values.
     pub max: f32,
 }
 
-/// One robot's figures.
+/// Statistics of one robot.
+// More than 12 fields: the message is one row of measurements, in a fixed layout.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct RobotStats {
-    /// Cells of the robot's map, map_server's thresholds: free.
+    /// Number of free cells of the robot's map, by map_server's thresholds.
     pub free_cells: u32,
-    /// Occupied.
+    /// Number of occupied cells, by map_server's thresholds.
     pub occupied_cells: u32,
-    /// Neither.
+    /// Number of cells that are neither free nor occupied.
     pub unknown_cells: u32,
-    /// Of the map, in cells.
+    /// Width of the map, cells.
     pub width: u32,
-    /// Of the map, in cells.
+    /// Height of the map, cells.
     pub height: u32,
-    /// A [`crate::TrackingState`]'s code.
+    /// Code of a [`crate::TrackingState`].
     pub state: u32,
-    /// Side of a cell, metres.
+    /// Length of a cell's side, metres.
     pub resolution_m: f64,
-    /// Known cells over all cells of the robot's map: the paper's coverage, 0 to 1.
+    /// Known cells over all cells of the robot's map, 0 to 1: coverage as the MR-SLAM paper defines it.
     pub coverage: f64,
-    /// Scans that reached SLAM in the last second of the run's clock.
+    /// Scans that reached SLAM in the last second of the run's clock, Hz.
     pub scan_hz: f64,
-    /// Scans received since the start.
+    /// Number of scans received since the start.
     pub scans: u64,
-    /// Scans lost since the start.
+    /// Number of scans lost since the start.
     pub scans_lost: u64,
     /// TF jitter since the start, milliseconds: |(receive - stamp) - its mean|, per link, pooled.
     pub tf_jitter_ms: Distribution,
-    /// From a scan's leaving the simulator to its correction, milliseconds, since the start.
+    /// Latency from the simulator sending a scan to its correction, milliseconds, since the start.
     pub scan_to_pose_ms: Distribution,
-    /// From a scan's leaving the simulator to the map that contains it, milliseconds, since the start.
+    /// Latency from the simulator sending a scan to the map that contains it, milliseconds, since the start.
     pub scan_to_map_ms: Distribution,
-    /// `robotK/map` from `base_footprint`, newest.
+    /// Newest pose of `base_footprint` in `robotK/map`.
     pub map_from_base: Pose2,
-    /// Distance of SLAM's pose from the truth, metres, newest (simulation only, else NaN).
+    /// Newest distance of SLAM's pose from the true pose, metres. NaN without simulation.
     pub pose_error_m: f64,
-    /// Where merging puts the robot's map, against where it truly lies as seen from the first merged robot's map:
-    /// metres and radians (simulation only, else NaN; NaN while it is not merged).
+    /// Error of the robot's map transform, relative to the first merged robot, metres. NaN without
+    /// simulation and while the map is not merged.
     pub map_transform_error_m: f64,
-    /// See [`RobotStats::map_transform_error_m`].
+    /// Error of the robot's map transform in heading, radians. NaN as
+    /// [`RobotStats::map_transform_error_m`].
     pub map_transform_error_rad: f64,
-    /// Nodes in the pose graph.
+    /// Number of nodes in the pose graph.
     pub nodes: u32,
-    /// Loop closures in force.
+    /// Number of loop closures in the pose graph.
     pub closures: u32,
-    /// 1: its map is in the merged map, 0: where it lies is not known yet.
+    /// 1 if the robot's map is part of the merged map, 0 if its transform is unknown.
     pub merged: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
 }
 
-/// A process as telemetry sees it.
+/// Health of a process as telemetry received it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct ProcessStats {
-    /// Its newest account; `role` 0: no such process.
+    /// Newest health message of the process; `role` 0 means that there is no such process.
     pub health: ProcessHealth,
-    /// Seconds since it was received.
+    /// Time since `health` was received, seconds.
     pub age_s: f64,
-    /// How many incarnations before this one.
+    /// Number of times that the process was restarted.
     pub restarts: u64,
 }
 
-/// The fleet's figures.
+/// Statistics of the fleet.
+// More than 12 fields: the message is one row of measurements, in a fixed layout.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct FleetStats {
-    /// `stamp` is the end of the second described.
+    /// Header whose `stamp` is the end of the measured second.
     pub header: Header,
-    /// How many robots the fleet has.
+    /// Number of robots in the fleet.
     pub robot_count: u32,
-    /// How many pairs of maps overlap.
+    /// Number of pairs of maps that overlap.
     pub pair_count: u32,
-    /// By [`crate::RobotId::index`].
+    /// Statistics of each robot, by [`crate::RobotId::index`].
     pub robots: [RobotStats; ROBOTS_MAX],
-    /// The merged map's figures (free, occupied, unknown, size, coverage; the rest zero).
+    /// Statistics of the merged map (free, occupied, unknown, size, coverage; the rest is zero).
     pub merged: RobotStats,
-    /// Known cells of the merged map over the cells of the room that can be known, 0 to 1
-    /// (simulation only, else NaN).
+    /// Known cells of the merged map over the observable cells of the room, 0 to 1. NaN without simulation.
     pub room_coverage: f64,
-    /// The paper's cross-instance consistency, mean over pairs of maps: of the cells that both
-    /// know, the share on which they agree, 0 to 1.
+    /// Share of the cells known in both maps on which they agree, mean over pairs, 0 to 1: cross-instance
+    /// consistency as the MR-SLAM paper defines it.
     pub consistency: f64,
-    /// The same, where a cell agrees if a neighbour does.
+    /// `consistency` with a tolerance of one cell: a cell agrees if a neighbour does.
     pub consistency_one_cell: f64,
-    /// F1 of occupied cells at one cell's tolerance, mean over pairs, 0 to 1.
+    /// F1 score of occupied cells with a tolerance of one cell, mean over pairs, 0 to 1.
     pub occupied_f1: f64,
-    /// Floor that two maps both know, mean over pairs, square metres.
+    /// Area that both maps of a pair know, mean over pairs, square metres.
     pub overlap_m2: f64,
-    /// What chance gives: the same two maps under wrong transforms that leave at least half the overlap. Strict
-    /// consistency and F1, means over pairs and transforms; NaN before any.
-    pub null_consistency: f64,
-    /// See [`FleetStats::null_consistency`].
-    pub null_f1: f64,
-    /// Wrong transforms that went into it, of all pairs.
+    /// Consistency by chance: the mean over pairs under random wrong transforms that keep at least half of
+    /// the overlap. NaN before the first.
+    pub null_consistency_mean: f64,
+    /// F1 score by chance, as [`FleetStats::null_consistency_mean`].
+    pub null_f1_mean: f64,
+    /// Number of wrong transforms evaluated, over all pairs.
     pub null_count: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
-    /// The merged map against the room (simulation only, else NaN): F1 of occupied cells at one cell's tolerance.
+    /// F1 score of the merged map's occupied cells against the room, tolerance one cell. NaN without simulation.
     pub room_f1: f64,
-    /// Mean distance from the map's occupied cells to the room's nearest visible wall, metres.
+    /// Mean distance from the map's occupied cells to the nearest visible wall of the room, metres.
     pub map_to_room_m: f64,
-    /// Mean distance from the room's visible walls to the map's nearest occupied cell, metres.
+    /// Mean distance from the room's visible walls to the nearest occupied cell of the map, metres.
     pub room_to_map_m: f64,
     /// Mean thickness of the merged map's walls, metres.
     pub wall_thickness_m: f64,
-    /// In the launcher's order; unused ones have `health.role` 0.
+    /// Health of the processes in the launcher's order; unused entries have `health.role` 0.
     pub processes: [ProcessStats; PROCESSES_MAX],
 }
 

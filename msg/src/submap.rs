@@ -1,49 +1,49 @@
-//! Pieces of one robot's map that are rigid enough to be moved as a whole, and what is known of
-//! how they lie to each other: what a joint pose graph of several robots is made of.
+//! Submaps: parts of a robot's map that move as rigid bodies, with their poses and relations.
+//!
+//! The pose graph of a fleet consists of the submaps of all robots.
 
 use crate::{GridHeader, GridView, Header, Message, Pose2};
 use bytemuck::{Pod, Zeroable};
 
-/// The most submaps a robot has: at 20 nodes each and a node each 0.3 m, 1.5 km of driving.
+/// Largest number of a robot's submaps: with 20 nodes each and a node every 0.3 m, 1.5 km of driving.
 pub const SUBMAPS_MAX: usize = 256;
-/// The most relations between a robot's submaps.
+/// Largest number of relations between a robot's submaps.
 pub const SUBMAP_EDGES_MAX: usize = 2048;
-/// Cells along a submap's side at most: 25.6 m at 0.05 m. What lies beyond is cut off.
+/// Largest number of cells along a submap's side: 25.6 m at 0.05 m. Cells beyond are cut off.
 pub const SUBMAP_SIDE_MAX: u32 = 512;
-/// The most cells of a submap.
+/// Largest number of cells of a submap.
 pub const SUBMAP_CELLS_MAX: usize = (SUBMAP_SIDE_MAX * SUBMAP_SIDE_MAX) as usize;
 
-/// A piece of a robot's map, drawn in its own frame: that of its first node.
+/// Part of a robot's map, in a frame of its own: that of its first node.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Submap {
-    /// `origin` is in the submap's frame. Read cells by [`Submap::view`].
+    /// Header of the grid, whose `origin` is in the submap's frame. Read the cells by [`Submap::view`].
     pub grid: GridHeader,
-    /// Counts the robot's submaps from 0 without gaps.
+    /// Number of the submap among the robot's submaps, from 0 without gaps.
     pub id: u32,
-    /// The first of the pose graph's nodes drawn in.
+    /// Number of the first pose-graph node in the submap.
     pub first_node: u32,
-    /// How many nodes are drawn in.
+    /// Number of nodes in the submap.
     pub nodes: u32,
-    /// 1: no more nodes will be added (it may yet be redrawn), 0: it grows.
+    /// 1 if the submap gets no more nodes (it may still be redrawn), 0 if it grows.
     pub finished: u32,
-    /// Counts how often this SLAM began its submaps anew: of two with different counts, the ids mean nothing to each
-    /// other.
+    /// Number of times that this SLAM restarted its submaps. Ids of different generations are unrelated.
     pub generation: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
-    /// Row-major evidence; read it by [`Submap::view`].
+    /// Storage of the row-major cells. Read it by [`Submap::view`].
     pub cells: [i8; SUBMAP_CELLS_MAX],
 }
 
 impl Submap {
-    /// The grid; `None` if its header makes no sense.
+    /// Returns the grid; `None` if its header is invalid.
     pub fn view(&self) -> Option<GridView<'_>> {
         let size = (self.grid.width as usize).checked_mul(self.grid.height as usize)?;
         GridView::new(&self.grid, self.cells.get(..size)?)
     }
 
-    /// Takes a grid over; what is farther than half of [`SUBMAP_SIDE_MAX`] from its middle is cut off.
+    /// Copies a grid and cuts off the cells farther than half of [`SUBMAP_SIDE_MAX`] from its middle.
     pub fn set_grid(&mut self, grid: GridView<'_>) {
         let kept = |size: u32| {
             let kept = size.min(SUBMAP_SIDE_MAX);
@@ -70,45 +70,45 @@ impl Message for Submap {
     }
 }
 
-/// How well two submaps of one robot are known to each other.
+/// Relation between two submaps of one robot: the information of their relative pose.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct SubmapEdge {
-    /// The submap it is seen from.
+    /// Id of the submap in whose frame the information is expressed.
     pub a: u32,
-    /// The submap that is seen, `a < b`. Where it lies is said by the poses.
+    /// Id of the other submap, `a < b`. Its relative pose follows from [`SubmapPoses::poses`].
     pub b: u32,
     /// Inverse covariance over (x, y, yaw) in `a`, row-major upper triangle; m, rad.
     pub information: [f64; 6],
 }
 
-/// Where a robot's submaps lie in its map, as its pose graph has it now.
+/// Poses of a robot's submaps in its map, as its pose graph estimates them now.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct SubmapPoses {
-    /// `stamp` is the newest node's.
+    /// Header whose `stamp` is that of the newest node.
     pub header: Header,
-    /// How many of `robot_map_from_submap` are set. Read them by [`SubmapPoses::poses`].
+    /// Number of `robot_map_from_submap` in use. Read them by [`SubmapPoses::poses`].
     pub len: u32,
-    /// How many of `edges` are set. Read them by [`SubmapPoses::edges`].
+    /// Number of `edges` in use. Read them by [`SubmapPoses::edges`].
     pub edges_len: u32,
-    /// As [`Submap::generation`].
+    /// Generation of the submaps, as [`Submap::generation`].
     pub generation: u32,
-    /// Zero.
+    /// Padding, always zero.
     pub reserved: u32,
-    /// `robotK/map` from each submap.
+    /// Storage of the transforms to `robotK/map` from each submap. Read it by [`SubmapPoses::poses`].
     pub robot_map_from_submap: [Pose2; SUBMAPS_MAX],
-    /// Relations that the robot's own graph supports.
+    /// Storage of the relations in the robot's own graph. Read it by [`SubmapPoses::edges`].
     pub edges: [SubmapEdge; SUBMAP_EDGES_MAX],
 }
 
 impl SubmapPoses {
-    /// `robotK/map` from each submap, by its id.
+    /// Returns the transform to `robotK/map` from each submap, by the submap's id.
     pub fn poses(&self) -> &[Pose2] {
         &self.robot_map_from_submap[..(self.len as usize).min(SUBMAPS_MAX)]
     }
 
-    /// Relations between submaps.
+    /// Returns the relations between submaps.
     pub fn edges(&self) -> &[SubmapEdge] {
         &self.edges[..(self.edges_len as usize).min(SUBMAP_EDGES_MAX)]
     }
@@ -124,11 +124,11 @@ impl Message for SubmapPoses {
     }
 }
 
-/// Who lacks a robot's submaps asks for all of them.
+/// Request for all submaps of a robot, from a reader that misses some.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct SubmapRequest {
-    /// When it was asked.
+    /// Header whose `stamp` is the time of the request.
     pub header: Header,
 }
 
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_large_grid_is_cut_about_its_middle() {
+    fn a_large_grid_is_cut_around_its_middle() {
         let header = GridHeader {
             resolution_m: 0.05,
             width: 600,
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_are_never_trusted() {
+    fn lengths_beyond_the_arrays_are_clamped() {
         let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
         submap.grid.resolution_m = 0.05;
         (submap.grid.width, submap.grid.height) = (u32::MAX, u32::MAX);

@@ -1,8 +1,10 @@
-//! What a round body covers on its way, as cells of a lattice.
+//! Cells of a lattice that a round body covers while it moves.
 
 use crate::Rect;
 
-/// A disk that was moved along a straight line, in cells: cell (0, 0) reaches from (0, 0) to (1, 1).
+/// Area that a disk covers while it moves along a straight line, in units of cells.
+///
+/// Cell (0, 0) reaches from (0, 0) to (1, 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SweptDisk {
     from: [f64; 2],
@@ -11,15 +13,15 @@ pub struct SweptDisk {
 }
 
 impl SweptDisk {
-    /// From one place to the other. `None` if that is nothing that can be drawn.
+    /// Creates the area between two points, in cells. `None` if a number is not finite or absurdly large.
     pub fn new(from: [f64; 2], to: [f64; 2], radius: f64) -> Option<Self> {
         let along = [to[0] - from[0], to[1] - from[1]];
-        let sound =
+        let valid =
             [from, along].as_flattened().iter().all(|v| v.abs() < 1e9) && radius > 0.0 && radius < 1e6;
-        sound.then_some(Self { from, along, radius })
+        valid.then_some(Self { from, along, radius })
     }
 
-    /// A box around the cells it covers.
+    /// Returns a rectangle that contains all covered cells.
     pub fn cells(&self) -> Rect {
         let reach = |k: usize| {
             let (a, b) = (self.from[k], self.from[k] + self.along[k]);
@@ -29,7 +31,7 @@ impl SweptDisk {
         Rect { x0, y0, x1, y1 }
     }
 
-    /// Whether it comes over the middle of a cell.
+    /// Returns whether the disk passes over the centre of a cell.
     pub fn covers(&self, x: i64, y: i64) -> bool {
         let to = [x as f64 + 0.5 - self.from[0], y as f64 + 0.5 - self.from[1]];
         let dot = |p: [f64; 2], q: [f64; 2]| p[0] * q[0] + p[1] * q[1];
@@ -54,7 +56,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn covers_what_the_disk_passes_and_nothing_else(a in place(), b in place(), radius in 0.1..6.0) {
+        fn covers_the_cells_that_the_disk_passes_and_no_others(a in place(), b in place(), radius in 0.1..6.0) {
             let swept = SweptDisk::new(a, b, radius).unwrap();
             let all = Rect { x0: -20, y0: -20, x1: 20, y1: 20 };
             let steps = || (0..=400).map(|k| f64::from(k) / 400.0);
@@ -64,7 +66,7 @@ mod tests {
                     (x as f64 + 0.5 - at[0]).hypot(y as f64 + 0.5 - at[1])
                 };
                 let inside = swept.cells().intersect(Rect::single(x, y)) == Rect::single(x, y);
-                // Cheap where it is clear.
+                // Far cells need no search along the line.
                 let middle = off(0.5) - (a[0] - b[0]).hypot(a[1] - b[1]) / 2.0;
                 if middle > radius + 0.1 {
                     prop_assert!(!swept.covers(x, y));
@@ -82,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_none() {
+    fn refuses_numbers_that_are_not_finite_or_not_positive() {
         assert!(SweptDisk::new([0.0; 2], [1.0; 2], 0.0).is_none());
         assert!(SweptDisk::new([f64::NAN, 0.0], [1.0; 2], 1.0).is_none());
         assert!(SweptDisk::new([0.0; 2], [f64::INFINITY, 0.0], 1.0).is_none());

@@ -1,6 +1,7 @@
-//! A map as tiles: squares of [`TILE`] x [`TILE`] cells of a lattice that never moves. Only what is
-//! known takes memory, the map grows in any direction without being copied, and what changed is
-//! told by which tiles are no longer the same.
+//! Maps stored as tiles: squares of [`TILE`] x [`TILE`] cells of a lattice that never moves.
+//!
+//! Only known tiles take memory. A map grows in any direction without a copy of its cells. Two versions of
+//! a map differ where they do not share a tile.
 
 mod dense_map;
 mod patch;
@@ -14,41 +15,41 @@ use crate::{GridHeader, GridView, Header, Monotonic, Pose2};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 
-/// Cells along a tile's side: 3.2 m at 0.05 m.
+/// Number of cells along a tile's side: 3.2 m at 0.05 m.
 pub const TILE: i64 = 64;
-/// Cells of a tile.
+/// Number of cells of a tile.
 pub const TILE_CELLS: usize = (TILE * TILE) as usize;
-/// The most tiles a robot's map may span, known or not.
+/// Largest number of tiles that a robot's map may span, known or not.
 pub const ROBOT_TILES_MAX: usize = CELLS_MAX / TILE_CELLS;
-/// The most tiles any map may span, known or not.
+/// Largest number of tiles that any map may span, known or not.
 pub const MAP_TILES_MAX: usize = MAP_CELLS_MAX / TILE_CELLS;
-/// Tiles lie this close to the lattice's origin along each axis: 3355 km at 0.05 m.
+/// Largest distance of a tile from the lattice's origin along each axis, tiles: 3355 km at 0.05 m.
 const TILE_PLACE_MAX: i64 = 1 << 20;
 
-/// One tile.
+/// One tile of a map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct MapTile {
-    /// It holds the lattice's columns from `x * TILE` on,
+    /// Column of the tile: its first column of cells is `x * TILE`.
     pub x: i32,
-    /// and the rows from `y * TILE` on.
+    /// Row of the tile: its first row of cells is `y * TILE`.
     pub y: i32,
-    /// Row-major evidence as in [`crate::grid`].
+    /// Row-major cells as in [`crate::grid`].
     pub cells: [i8; TILE_CELLS],
 }
 
 impl MapTile {
-    /// Nothing known. The place must be near enough for an `i32`.
+    /// Creates a tile of unknown cells. Its column and row must fit into an `i32`.
     pub fn unknown(x: i64, y: i64) -> Self {
         Self { x: x as i32, y: y as i32, cells: [UNKNOWN; TILE_CELLS] }
     }
 
-    /// Nothing is known in it.
+    /// Returns whether all cells are unknown.
     pub fn is_unknown(&self) -> bool {
         self.cells.iter().all(|cell| *cell == UNKNOWN)
     }
 
-    /// The smallest box around the known cells, in cells of the lattice.
+    /// Returns the smallest rectangle around the known cells, in cells of the lattice.
     pub fn known(&self) -> Rect {
         let mut columns = [false; TILE as usize];
         let (mut first, mut end) = (TILE, 0);
@@ -69,33 +70,33 @@ impl MapTile {
     }
 }
 
-/// What holds for a map as a whole.
+/// Stamp, resolution and origin of a tiled map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct MapHeader {
-    /// `stamp` is that of the newest scan drawn in.
+    /// Header whose `stamp` is that of the newest scan in the map.
     pub header: Header,
-    /// When that scan left its simulator: what scan-to-map latency is counted from.
+    /// Time at which that scan left its simulator. Scan-to-map latency is counted from it.
     pub scan_sent: Monotonic,
     /// Pose of the lattice's point (0, 0), the lower left corner of cell (0, 0), in the map's frame.
     pub origin: Pose2,
-    /// Side of a cell, metres.
+    /// Length of a cell's side, metres.
     pub resolution_m: f64,
 }
 
 impl MapHeader {
-    /// Numbers that can be worked with.
+    /// Returns whether the origin is finite and the resolution is positive.
     pub fn is_valid(&self) -> bool {
         self.origin.is_finite() && self.resolution_m.is_finite() && self.resolution_m > 0.0
     }
 
-    /// The cells are the same squares.
+    /// Returns whether two maps have the same lattice, so that their cells are the same squares.
     pub fn same_lattice(&self, other: &Self) -> bool {
         self.origin == other.origin && self.resolution_m == other.resolution_m
     }
 
-    /// The header of a grid of these cells.
-    pub fn of_grid(&self, cells: Rect) -> GridHeader {
+    /// Returns the header of a grid that shows these cells.
+    pub fn grid_header(&self, cells: Rect) -> GridHeader {
         let corner = [cells.x0, cells.y0].map(|cell| cell as f64 * self.resolution_m);
         GridHeader {
             header: self.header,
@@ -108,25 +109,41 @@ impl MapHeader {
     }
 }
 
-/// A map. A clone shares its tiles until one of the two changes them, so that a version is kept by
-/// cloning, and two versions are compared tile by tile without looking at cells.
+/// Occupancy map stored as shared tiles.
+///
+/// A clone shares its tiles until one of the two maps changes them. Cloning therefore keeps a version
+/// cheaply, and two versions are compared tile by tile without reading cells.
+///
+/// ```
+/// use msg::tiles::MAP_TILES_MAX;
+/// use msg::{MapHeader, Rect, TileMap};
+///
+/// let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() });
+/// assert!(map.grow_to(Rect::single(-1, 0), MAP_TILES_MAX));
+/// map.get_mut(-1, 0).unwrap().cells[0] = msg::grid::LOG_ODDS_MAX;
+/// assert_eq!(map.cell(-64, 0), msg::grid::LOG_ODDS_MAX);
+///
+/// let before = map.clone();
+/// map.get_mut(-1, 0).unwrap().cells[1] = msg::grid::LOG_ODDS_MIN;
+/// assert_eq!(map.changed_since(&before).collect::<Vec<_>>(), [(-1, 0)]);
+/// ```
 #[derive(Clone, Debug, Default)]
 pub struct TileMap {
-    /// Of the whole map.
+    /// Stamp, resolution and origin of the map.
     pub header: MapHeader,
-    /// In tiles: what there is room for.
+    /// Rectangle of tiles that `tiles` has slots for.
     extent: Rect,
     tiles: Vec<Option<Arc<MapTile>>>,
 }
 
 impl TileMap {
-    /// Nothing known.
+    /// Creates a map without known cells.
     pub fn new(header: MapHeader) -> Self {
         Self { header, extent: Rect::default(), tiles: Vec::new() }
     }
 
-    /// A grid's cells on a lattice on which its own cell (0, 0) is the one in column and row `corner`;
-    /// `None` if it spans too many tiles or lies absurdly far away.
+    /// Copies a grid into tiles. The grid's cell (0, 0) becomes the lattice's cell `corner` (column, row).
+    /// `None` if the map would exceed [`MAP_TILES_MAX`] or the largest distance from the origin.
     pub fn from_grid(header: MapHeader, corner: [i64; 2], grid: GridView<'_>) -> Option<Self> {
         let mut map = Self::new(header);
         let [dx, dy] = corner;
@@ -151,13 +168,13 @@ impl TileMap {
         Some(map)
     }
 
-    /// In tiles: all that is known lies within.
+    /// Returns the rectangle of tiles that contains all known cells.
     pub fn extent(&self) -> Rect {
         self.extent
     }
 
-    /// Makes room for these tiles; `false`, and nothing changes, if the map would then span more than
-    /// `tiles_max` of them or lie absurdly far away.
+    /// Extends the map to these tiles. `false`, without a change, if it would then span more than
+    /// `tiles_max` tiles or exceed the largest distance from the origin.
     pub fn grow_to(&mut self, tiles: Rect, tiles_max: usize) -> bool {
         if self.extent.contains(tiles) {
             return true;
@@ -180,12 +197,12 @@ impl TileMap {
         (x >= e.x0 && x < e.x1 && y >= e.y0 && y < e.y1).then(|| e.index(x, y))
     }
 
-    /// The tile in column `x`, row `y` of tiles, if something is known there.
+    /// Returns the tile in column `x`, row `y`; `None` if it has no known cells.
     pub fn get(&self, x: i64, y: i64) -> Option<&Arc<MapTile>> {
         self.tiles[self.index(x, y)?].as_ref()
     }
 
-    /// Opens the tiles in `part` for which `wanted` holds, to be written.
+    /// Opens the tiles in `part` that `wanted` selects, for writing cell by cell.
     pub fn open(&mut self, part: Rect, wanted: impl Fn(i64, i64) -> bool) -> OpenTiles<'_> {
         let part = part.intersect(self.extent);
         let mut slots = Vec::with_capacity(part.area().unwrap_or(0));
@@ -201,31 +218,31 @@ impl TileMap {
         OpenTiles { part, slots }
     }
 
-    /// The tile to be written, made if need be; `None` where there is no room.
+    /// Returns a tile for writing and creates it if needed; `None` outside of the extent.
     pub fn get_mut(&mut self, x: i64, y: i64) -> Option<&mut MapTile> {
         let index = self.index(x, y)?;
-        Some(own(&mut self.tiles[index], x, y))
+        Some(tile_mut(&mut self.tiles[index], x, y))
     }
 
-    /// Puts a tile, or `None`, where there is room; elsewhere nothing happens.
+    /// Replaces a tile inside the extent. Outside of it nothing happens.
     pub fn set(&mut self, x: i64, y: i64, tile: Option<Arc<MapTile>>) {
         if let Some(index) = self.index(x, y) {
             self.tiles[index] = tile;
         }
     }
 
-    /// Every tile in which something is or was known, row by row.
+    /// Iterates over the stored tiles, row by row.
     pub fn tiles(&self) -> impl Iterator<Item = &Arc<MapTile>> {
         self.tiles.iter().flatten()
     }
 
-    /// The cell in column `x`, row `y` of the lattice.
+    /// Returns the cell in column `x`, row `y` of the lattice.
     pub fn cell(&self, x: i64, y: i64) -> i8 {
         let tile = self.get(x.div_euclid(TILE), y.div_euclid(TILE));
         tile.map_or(UNKNOWN, |tile| tile.cells[(y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE)) as usize])
     }
 
-    /// The tiles that may differ from those of `before`, row by row: all that are not shared.
+    /// Iterates over the tiles that `before` does not share and that may therefore differ, row by row.
     pub fn changed_since<'a>(&'a self, before: &'a Self) -> impl Iterator<Item = (i64, i64)> + 'a {
         let same = |a: Option<&Arc<MapTile>>, b: Option<&Arc<MapTile>>| match (a, b) {
             (Some(a), Some(b)) => Arc::ptr_eq(a, b),
@@ -237,12 +254,14 @@ impl TileMap {
     }
 }
 
-/// The tile in a slot, for this map alone.
-fn own(slot: &mut Option<Arc<MapTile>>, x: i64, y: i64) -> &mut MapTile {
+/// Returns the tile of a slot for writing. It is copied first if another map shares it.
+fn tile_mut(slot: &mut Option<Arc<MapTile>>, x: i64, y: i64) -> &mut MapTile {
     Arc::make_mut(slot.get_or_insert_with(|| Arc::new(MapTile::unknown(x, y))))
 }
 
-/// Some tiles of a map, to be written cell by cell: what a tile costs is paid once, not at each visit.
+/// Tiles of a map that are open for writing cell by cell.
+///
+/// A shared tile is copied once at its first access, not at each access.
 pub struct OpenTiles<'a> {
     part: Rect,
     slots: Vec<OpenTile<'a>>,
@@ -255,7 +274,7 @@ enum OpenTile<'a> {
 }
 
 impl OpenTiles<'_> {
-    /// The cells of a tile, made if need be; `None` if it was not opened.
+    /// Returns the cells of a tile and creates it if needed; `None` if the tile is not open.
     #[inline]
     pub fn cells(&mut self, x: i64, y: i64) -> Option<&mut [i8; TILE_CELLS]> {
         let e = self.part;
@@ -266,7 +285,7 @@ impl OpenTiles<'_> {
         if let OpenTile::Slot(_) = slot
             && let OpenTile::Slot(tile) = std::mem::replace(slot, OpenTile::Closed)
         {
-            *slot = OpenTile::Tile(own(tile, x, y));
+            *slot = OpenTile::Tile(tile_mut(tile, x, y));
         }
         match slot {
             OpenTile::Tile(tile) => Some(&mut tile.cells),
@@ -280,7 +299,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn grows_in_any_direction_and_keeps_its_tiles() {
+    fn a_map_grows_in_any_direction_and_keeps_its_tiles() {
         let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..Default::default() });
         assert!(map.grow_to(Rect::single(0, 0), ROBOT_TILES_MAX));
         map.get_mut(0, 0).unwrap().cells[0] = 5;
@@ -298,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn has_its_bounds() {
+    fn a_map_does_not_grow_beyond_its_bounds() {
         let mut map = TileMap::default();
         assert!(map.grow_to(Rect::single(0, 0), ROBOT_TILES_MAX));
         assert!(map.grow_to(Rect::single(63, 63), ROBOT_TILES_MAX));
@@ -309,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn known_cells_are_boxed_exactly() {
+    fn the_known_rectangle_is_the_smallest_around_known_cells() {
         let mut tile = MapTile::unknown(-1, 2);
         assert!(tile.known().is_empty() && tile.is_unknown());
         tile.cells[3 * TILE as usize + 7] = 0;

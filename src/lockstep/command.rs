@@ -1,13 +1,13 @@
 //! `mr-slam lockstep`: a fleet on virtual time, from the command line.
 
 use super::Lockstep;
-use crate::map_file;
 use crate::process::Error;
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
 use crate::up::FleetArgs;
 use crate::view::FleetView;
+use formats::map_file;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 use std::time::Instant;

@@ -8,8 +8,9 @@ use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::fleet;
 use crate::merge_edges;
+use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, Writer};
+use crate::shared_memory::{Listener, MapReader, Participant, Reader, Writer};
 use crate::stop::Stop;
 use ::bridge::{Bridge, Outlet, serve};
 use msg::{
@@ -92,7 +93,7 @@ async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>
 }
 
 /// The hub, with a channel for each robot's commands.
-fn open_bridge(node: &Node, run: &Run) -> Result<Rc<Bridge>, Error> {
+fn open_bridge(node: &Participant, run: &Run) -> Result<Rc<Bridge>, Error> {
     let writers = run.robots().map(|robot| node.writer(&channel::command(robot)));
     let mut writers = writers.collect::<Result<Vec<Writer<VelocityCommand>>, _>>()?;
     let send = move |robot: RobotId, command: VelocityCommand| {
@@ -122,7 +123,7 @@ pub(super) struct Asker {
 
 impl Asker {
     /// A process id, and a kind of connection above it: the command line's is 0.
-    pub fn open(node: &Node, run: &Run, kind: u64) -> Result<Self, ChannelError> {
+    pub fn open(node: &Participant, run: &Run, kind: u64) -> Result<Self, ChannelError> {
         let client = kind << 32 | u64::from(std::process::id());
         let requests = run.robots().map(|robot| node.writer(&channel::slam_request(robot)));
         Ok(Self { client, requests: requests.collect::<Result<_, _>>()? })
@@ -137,7 +138,7 @@ impl Asker {
 
 /// A task for each channel that wakes.
 pub(super) fn fleet_tasks<D: Outlet + 'static>(
-    node: &Node,
+    node: &Participant,
     run: &Run,
     bridge: &Rc<D>,
 ) -> Result<Vec<JoinHandle<()>>, Error> {
@@ -167,14 +168,14 @@ pub(super) fn fleet_tasks<D: Outlet + 'static>(
 
 /// Passes a channel on, message by message.
 pub(super) fn forward<T: Message, D: 'static>(
-    node: &Node,
+    node: &Participant,
     bridge: &Rc<D>,
     channel: &Channel<T>,
     pass: impl Fn(&D, &T) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
     let mut reader = node.reader(channel)?;
     let bridge = bridge.clone();
-    on_ring(node.bell(channel)?, move || {
+    on_ring(node.listener(channel)?, move || {
         while let Some(message) = reader.receive() {
             pass(&bridge, &message);
         }
@@ -183,14 +184,14 @@ pub(super) fn forward<T: Message, D: 'static>(
 
 /// Odometry comes with the transforms of the same stamp, which ring.
 fn robot_motion<D: Outlet + 'static>(
-    node: &Node,
+    node: &Participant,
     bridge: &Rc<D>,
     robot: RobotId,
 ) -> Result<JoinHandle<()>, Error> {
     let mut transforms: Reader<Transforms> = node.reader(&channel::transforms(robot))?;
     let mut odometry: Reader<Odometry> = node.reader(&channel::odometry(robot))?;
     let bridge = bridge.clone();
-    on_ring(node.bell(&channel::transforms(robot))?, move || {
+    on_ring(node.listener(&channel::transforms(robot))?, move || {
         while let Some(transforms) = transforms.receive() {
             bridge.transforms(robot, &transforms);
         }
@@ -201,7 +202,7 @@ fn robot_motion<D: Outlet + 'static>(
 }
 
 /// The map transforms come with the merged map, which rings.
-fn merged_maps<D: Outlet + 'static>(node: &Node, bridge: &Rc<D>) -> Result<JoinHandle<()>, Error> {
+fn merged_maps<D: Outlet + 'static>(node: &Participant, bridge: &Rc<D>) -> Result<JoinHandle<()>, Error> {
     let maps = node.map_reader(&channel::merged_map())?;
     let mut map_transforms = node.reader(&channel::map_transforms())?;
     whole_maps(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
@@ -215,19 +216,19 @@ fn merged_maps<D: Outlet + 'static>(node: &Node, bridge: &Rc<D>) -> Result<JoinH
 /// Passes the newest version of a channel's map on, as the one grid that ROS knows: at once if the
 /// last was sent long enough ago, else when it is.
 fn whole_maps<D: Outlet + 'static>(
-    node: &Node,
+    node: &Participant,
     bridge: &Rc<D>,
     channel: &Channel<PatchHeader>,
     mut reader: MapReader,
     mut pass: impl FnMut(&D, GridView<'_>) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
-    let bell = watched(node.bell(channel)?)?;
+    let bell = watched(node.listener(channel)?)?;
     let bridge = bridge.clone();
     let mut grid = DenseMap::default();
     Ok(spawn_local(async move {
         let (mut waits, mut due) = (false, Instant::now());
         loop {
-            waits |= reader.look();
+            waits |= reader.poll();
             if waits && Instant::now() >= due {
                 let map = grid.update(reader.map());
                 pass(&bridge, map);
@@ -238,7 +239,7 @@ fn whole_maps<D: Outlet + 'static>(
             let patience = if waits { due } else { Instant::now() + MAP_LOOK_PERIOD };
             if let Ok(rung) = tokio::time::timeout_at(patience, bell.readable()).await {
                 let Ok(mut rung) = rung else { return };
-                bell.get_ref().silence();
+                bell.get_ref().drain();
                 rung.clear_ready();
             }
         }
@@ -246,18 +247,18 @@ fn whole_maps<D: Outlet + 'static>(
 }
 
 /// A bell that a task can wait for.
-fn watched(bell: Bell) -> Result<AsyncFd<Bell>, Error> {
+fn watched(bell: Listener) -> Result<AsyncFd<Listener>, Error> {
     Ok(bell.into_async().map_err(|why| format!("cannot watch a bell: {why}"))?)
 }
 
 /// Calls `act` now, and whenever the bell rings.
-pub(super) fn on_ring(bell: Bell, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
+pub(super) fn on_ring(bell: Listener, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
     let bell = watched(bell)?;
     Ok(spawn_local(async move {
         loop {
             act();
             let Ok(mut rung) = bell.readable().await else { return };
-            bell.get_ref().silence();
+            bell.get_ref().drain();
             rung.clear_ready();
         }
     }))

@@ -2,7 +2,8 @@
 
 use super::MAP_PERIOD;
 use crate::channel;
-use crate::shared_memory::{ChannelError, MapWriter, Node};
+use crate::ports::{ChannelError, MAP_PAUSE, WriteMapPort};
+use crate::shared_memory::{MapWriter, Participant};
 use ::slam::Back;
 use msg::RobotId;
 use std::time::{Duration, Instant};
@@ -25,7 +26,7 @@ pub struct MapOut {
 
 impl MapOut {
     /// The robot's map is written by whoever has this.
-    pub fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
+    pub fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         let writer = node.map_writer(&channel::map(robot))?;
         Ok(Self { writer, drawing: false, unsent: false, sending: false, sent: None })
     }
@@ -60,7 +61,7 @@ impl MapOut {
     }
 
     fn pause_left(&self) -> Duration {
-        let pause = if self.sending { MapWriter::PAUSE } else { MAP_PERIOD };
+        let pause = if self.sending { MAP_PAUSE } else { MAP_PERIOD };
         self.sent.map_or(Duration::ZERO, |sent| pause.saturating_sub(sent.elapsed()))
     }
 }

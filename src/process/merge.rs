@@ -8,10 +8,11 @@ use crate::channel;
 use crate::clock::now;
 use crate::fleet;
 use crate::merge_memory::MergeMemory;
+use crate::ports::{ChannelError, Gaps, MAP_PAUSE, ReadMapPort, WriteMapPort};
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, Gaps, MapReader, MapWriter, Reader, wait};
+use crate::shared_memory::{MapReader, Reader, wait};
 use crate::stop::Stop;
-use ::merge::{Fleet, Merger};
+use ::merge::{FleetPoseGraph, Merger};
 use msg::{Correction, Monotonic, Pose2, RobotId, Role, TrackingState};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,10 +20,10 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let starts = fleet::known_starts(&run.config)?;
     let (slot, done) = (PlacesSlot::default(), AtomicBool::new(false));
     std::thread::scope(|scope| {
-        let mut joint = Fleet::new(&run.config.merge.align, &starts);
+        let mut joint = FleetPoseGraph::new(&run.config.merge.align, &starts);
         // What a process before this one knew: robots lie where they lay from the first map on.
         let memory = MergeMemory::recalled(run, &mut joint);
-        let begun: Vec<_> = run.robots().map(|robot| joint.anchor(robot)).collect();
+        let begun: Vec<_> = run.robots().map(|robot| joint.map_from_robot_map(robot)).collect();
         let beside = scope.spawn(|| graph::run(run, joint, memory, &slot, &done));
         let drawn = draw(run, &begun, &slot, &|| stop.requested() || beside.is_finished());
         done.store(true, Ordering::Relaxed);
@@ -45,26 +46,27 @@ fn draw(
         .map(|robot| Ok((robot, node.map_reader(&channel::map(robot))?)))
         .collect::<Result<Vec<(RobotId, MapReader)>, ChannelError>>()?;
     let mut bells =
-        run.robots().map(|robot| node.bell(&channel::map(robot))).collect::<Result<Vec<_>, _>>()?;
-    bells.push(node.bell(&channel::merge_edges())?);
+        run.robots().map(|robot| node.listener(&channel::map(robot))).collect::<Result<Vec<_>, _>>()?;
+    bells.push(node.listener(&channel::merge_edges())?);
     let mut places = run
         .robots()
         .map(|robot| Ok((robot, node.reader(&channel::correction(robot))?)))
         .collect::<Result<Vec<(RobotId, Reader<Correction>)>, ChannelError>>()?;
     let mut merged = node.map_writer(&channel::merged_map())?;
-    let asks = merged.asks();
-    let bells: Vec<&Bell> = bells.iter().chain([&*asks]).collect();
     let mut map_transforms = node.writer(&channel::map_transforms())?;
     let mut merger = Merger::new(&run.config.merge, starts);
     map_transforms.send(&merger.map_transforms());
     let mut refused = 0;
     let mut sending = false;
     while !over() {
-        let soon = Monotonic(now().0 + MapWriter::PAUSE.as_nanos() as u64);
-        wait(&bells, if sending { soon.min(pulse.due()) } else { pulse.due() });
+        let soon = Monotonic(now().0 + MAP_PAUSE.as_nanos() as u64);
+        wait(
+            bells.iter().chain([merged.requests()]),
+            if sending { soon.min(pulse.due()) } else { pulse.due() },
+        );
         let mut changed = false;
         for (robot, reader) in &mut maps {
-            if reader.look() {
+            if reader.poll() {
                 let taken = pulse.work(|| merger.update_tiles(*robot, reader.map())).is_ok();
                 refused += u64::from(!taken);
                 changed |= taken;
@@ -78,7 +80,7 @@ fn draw(
             changed = true;
         }
         if changed {
-            // The map transforms do not ring; the merged map does, and finds them there.
+            // The map_transforms do not ring; the merged map does, and finds them there.
             map_transforms.send(&merger.map_transforms());
             pulse.work(|| merger.compose());
         }
@@ -92,7 +94,11 @@ fn draw(
 /// Takes over what the joint graph says of every robot. How many maps could not be.
 fn settle(merger: &mut Merger, places: &Places) -> u64 {
     let robots = RobotId::first(places.len()).zip(places);
-    robots.map(|(robot, (place, map))| u64::from(merger.settle(robot, *place, map.as_ref()).is_err())).sum()
+    robots
+        .map(|(robot, (place, map))| {
+            u64::from(merger.apply_fleet_estimate(robot, *place, map.as_ref()).is_err())
+        })
+        .sum()
 }
 
 /// Where a robot has been since the last look: after the maps, so that what they show of it is not older. A robot that
@@ -101,7 +107,7 @@ fn stand(merger: &mut Merger, robot: RobotId, reader: &mut Reader<Correction>, r
     let mut changed = false;
     while let Some(at) = reader.receive() {
         if at.state() != TrackingState::Lost {
-            changed |= merger.stand(robot, at.map_from_base, radius_m);
+            changed |= merger.set_robot_footprint(robot, at.map_from_base, radius_m);
         }
     }
     changed

@@ -1,8 +1,9 @@
 //! A world that is not simulated here, as the bridge hears of it: its channels are the bridge's to write.
 
 use crate::channel;
+use crate::ports::ChannelError;
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, Node, Writer};
+use crate::shared_memory::{Participant, Writer};
 use ::bridge::world::{Heard, World};
 use msg::{Odometry, RobotId, Scan, Transforms};
 
@@ -13,7 +14,7 @@ struct RobotWriters {
 }
 
 impl RobotWriters {
-    fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
+    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
             scan: node.writer(&channel::scan(robot))?,
             odometry: node.writer(&channel::odometry(robot))?,
@@ -23,7 +24,7 @@ impl RobotWriters {
 }
 
 /// The run's world, which passes on what it hears to the channels a simulator would write.
-pub fn world(node: &Node, run: &Run) -> Result<World, ChannelError> {
+pub fn world(node: &Participant, run: &Run) -> Result<World, ChannelError> {
     let mut robots =
         run.robots().map(|robot| RobotWriters::open(node, robot)).collect::<Result<Vec<_>, _>>()?;
     let mut clock = node.writer(&channel::clock())?;

@@ -2,8 +2,9 @@
 
 use crate::channel;
 use crate::clock::{cpu_ns, memory_bytes, now};
+use crate::ports::{ChannelError, Gaps};
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, Gaps, Node, Writer};
+use crate::shared_memory::{Participant, Writer};
 use msg::{Monotonic, ProcessHealth, RobotId, Role};
 
 /// How often.
@@ -13,7 +14,7 @@ const SAMPLES_MAX: usize = 256;
 
 /// Collects what a process measures of itself, and sends it.
 pub struct Pulse {
-    health: Writer<ProcessHealth>,
+    beats: Writer<ProcessHealth>,
     run: Run,
     role: Role,
     robot: Option<RobotId>,
@@ -36,10 +37,15 @@ pub struct Account {
 }
 
 impl Pulse {
-    /// Opens the channel of the process health.
-    pub fn new(node: &Node, run: &Run, role: Role, robot: Option<RobotId>) -> Result<Self, ChannelError> {
+    /// Begins to beat.
+    pub fn new(
+        node: &Participant,
+        run: &Run,
+        role: Role,
+        robot: Option<RobotId>,
+    ) -> Result<Self, ChannelError> {
         Ok(Self {
-            health: node.writer(&channel::process_health(role, robot))?,
+            beats: node.writer(&channel::process_health(role, robot))?,
             run: run.clone(),
             role,
             robot,
@@ -79,22 +85,22 @@ impl Pulse {
         let (work_p50_us, work_max_us) = median_and_max(&mut self.work_us);
         let (late_p50_us, late_max_us) = median_and_max(&mut self.late_us);
         let (role, robot, epoch) = (self.role as u32, self.robot, self.run.epoch);
-        self.health.send_with(|health| {
-            health.header.stamp = epoch.stamp(at);
-            health.role = role;
-            health.robot = robot.map_or(0, |robot| robot.number() as u32);
-            health.pid = std::process::id();
-            health.clients = clients;
-            health.received = gaps.received;
-            health.lost = gaps.lost;
-            health.dropped = dropped;
-            health.refused = refused;
-            health.work_p50_us = work_p50_us;
-            health.work_max_us = work_max_us;
-            health.late_p50_us = late_p50_us;
-            health.late_max_us = late_max_us;
-            health.memory_bytes = memory_bytes();
-            health.cpu_ns = cpu_ns();
+        self.beats.send_with(|beat| {
+            beat.header.stamp = epoch.stamp(at);
+            beat.role = role;
+            beat.robot = robot.map_or(0, |robot| robot.number() as u32);
+            beat.pid = std::process::id();
+            beat.clients = clients;
+            beat.received = gaps.received;
+            beat.lost = gaps.lost;
+            beat.dropped = dropped;
+            beat.refused = refused;
+            beat.work_p50_us = work_p50_us;
+            beat.work_max_us = work_max_us;
+            beat.late_p50_us = late_p50_us;
+            beat.late_max_us = late_max_us;
+            beat.memory_bytes = memory_bytes();
+            beat.cpu_ns = cpu_ns();
         });
     }
 }

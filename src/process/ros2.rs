@@ -6,11 +6,11 @@ use crate::channel;
 use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
-use crate::shared_memory::Node;
+use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use ::bridge::Bridge;
 use ::bridge::dds::{Door, Heard};
-use msg::{Clock, RobotId};
+use msg::{Clock, RobotId, Role};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Duration;
@@ -59,7 +59,7 @@ pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()
 
 fn serve(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error> {
     // A presence of its own: shared memory's ports stay on the thread that made them.
-    let node = Node::open(&run.domain, "ros2")?;
+    let node = run.attach_thread(Role::Bridge, None, "ros2")?;
     let outside = run.config.world == World::Ros;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
@@ -84,14 +84,14 @@ fn serve(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error>
 
 /// Passes a robot's answers to the door.
 fn answers(
-    node: &Node,
+    node: &Participant,
     door: &Rc<Door>,
     asker: &Rc<RefCell<Asker>>,
     robot: RobotId,
 ) -> Result<JoinHandle<()>, Error> {
     let mut reader = node.reader(&channel::slam_response(robot))?;
     let (door, asker) = (door.clone(), asker.clone());
-    on_ring(node.bell(&channel::slam_response(robot))?, move || {
+    on_ring(node.listener(&channel::slam_response(robot))?, move || {
         while let Some(answer) = reader.receive() {
             let ours = answer.client == asker.borrow().client;
             if let Some(next) = door.answered(robot, &answer, ours) {

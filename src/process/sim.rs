@@ -4,8 +4,9 @@ use super::Error;
 use super::pulse::{Account, Pulse};
 use crate::channel;
 use crate::fleet;
+use crate::ports::ChannelError;
 use crate::run::Run;
-use crate::shared_memory::{ChannelError, Node, Reader, Writer, wait};
+use crate::shared_memory::{Participant, Reader, Writer, wait};
 use crate::stop::Stop;
 use msg::{Clock, GroundTruth, Odometry, Pose2, RobotId, Role, Scan, Transforms, VelocityCommand};
 use sim::Simulator;
@@ -21,7 +22,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let node = run.attach(Role::Sim, Some(robot))?;
     let mut pulse = Pulse::new(&node, run, Role::Sim, Some(robot))?;
     let mut commands = node.reader(&channel::command(robot))?;
-    let command_bell = node.bell(&channel::command(robot))?;
+    let command_bell = node.listener(&channel::command(robot))?;
     let mut outputs = Outputs::open(&node, robot)?;
     let mut peers = run
         .robots()
@@ -44,7 +45,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     simulator.join_at(fleet::stamp_now(run.epoch));
     while !stop.requested() {
         let due = run.epoch.moment(simulator.now() + Simulator::TICK + lag);
-        while wait(&[&command_bell], due) {
+        while wait([&command_bell], due) {
             obey(&mut commands, &mut simulator);
         }
         pulse.late(due);
@@ -82,7 +83,7 @@ struct Outputs {
 }
 
 impl Outputs {
-    fn open(node: &Node, robot: RobotId) -> Result<Self, ChannelError> {
+    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
             scan: node.writer(&channel::scan(robot))?,
             odometry: node.writer(&channel::odometry(robot))?,

@@ -74,7 +74,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let node = run.attach(Role::Slam, Some(robot))?;
     let mut pulse = Pulse::new(&node, run, Role::Slam, Some(robot))?;
     let mut scans = node.reader(&channel::scan(robot))?;
-    let scan_bell = node.bell(&channel::scan(robot))?;
+    let scan_bell = node.listener(&channel::scan(robot))?;
     let mut odometry = node.reader(&channel::odometry(robot))?;
     let mut corrections = node.writer(&channel::correction(robot))?;
     let mut refused = 0;
@@ -85,7 +85,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
         let beside = scope.spawn(|| beside::run(run, robot, back, inbox, orders, jobs));
         let mut path = ScanPath::new(front, carried, news, orders_in);
         while !stop.requested() && !beside.is_finished() {
-            wait(&[&scan_bell], pulse.due());
+            wait([&scan_bell], pulse.due());
             path.obey();
             while let Some(scan) = scans.receive() {
                 while let Some(odometry) = odometry.receive() {

@@ -1,7 +1,8 @@
 //! One robot's submaps on their way out of SLAM: to the fleet's joint graph.
 
 use crate::channel;
-use crate::shared_memory::{ChannelError, Node, Reader, Writer};
+use crate::ports::ChannelError;
+use crate::shared_memory::{Participant, Reader, Writer};
 use ::slam::{Back, SlamConfig, Submaps};
 use msg::{RobotId, Submap, SubmapPoses, SubmapRequest};
 use std::time::{Duration, Instant};
@@ -25,7 +26,7 @@ pub struct SubmapsOut {
 
 impl SubmapsOut {
     /// The robot's submaps are written by whoever has this.
-    pub fn open(node: &Node, robot: RobotId, config: &SlamConfig) -> Result<Self, ChannelError> {
+    pub fn open(node: &Participant, robot: RobotId, config: &SlamConfig) -> Result<Self, ChannelError> {
         let now = Instant::now();
         Ok(Self {
             submaps: Submaps::new(config),

@@ -6,8 +6,10 @@ use crate::channel;
 use crate::clock::now;
 use crate::config::World;
 use crate::fleet;
+use crate::ports::{ChannelError, ReadMapPort};
+use crate::processes;
 use crate::run::Run;
-use crate::shared_memory::{Bell, ChannelError, MapReader, Node, Reader, wait};
+use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
 use msg::{
@@ -30,7 +32,6 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     // Only now, so that nothing waits unread while the room is built.
     let mut inputs = Inputs::open(&node, run)?;
     let bells = Inputs::bells(&node, run)?;
-    let bells: Vec<&Bell> = bells.iter().collect();
     let mut stats = node.writer(&channel::stats())?;
     let mut due = Monotonic(now().0 + PERIOD_NS);
     while !stop.requested() {
@@ -40,7 +41,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         if received >= due {
             inputs.states(&mut telemetry, received);
             let stamp = run.epoch.stamp(received);
-            stats.send(pulse.work(|| telemetry.stats(stamp, received)));
+            stats.send(pulse.work(|| telemetry.compute_stats(stamp, received)));
             due = Monotonic((due.0 + PERIOD_NS).max(received.0));
         }
         pulse.beat(Account::default);
@@ -67,11 +68,11 @@ struct Inputs {
     merged_news: bool,
     merged_grid: DenseMap,
     map_transforms: Reader<MapTransforms>,
-    health: Vec<Reader<ProcessHealth>>,
+    beats: Vec<Reader<ProcessHealth>>,
 }
 
 impl Inputs {
-    fn open(node: &Node, run: &Run) -> Result<Self, ChannelError> {
+    fn open(node: &Participant, run: &Run) -> Result<Self, ChannelError> {
         let robot_inputs = |robot| {
             Ok(RobotInputs {
                 robot,
@@ -83,24 +84,25 @@ impl Inputs {
                 grid: DenseMap::default(),
             })
         };
-        let health = members(run).map(|(role, robot)| node.reader(&channel::process_health(role, robot)));
+        let beats = processes::of_fleet(&run.config)
+            .map(|(row, robot)| node.reader(&channel::process_health(row.role, robot)));
         Ok(Self {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
             merged_map: node.map_reader(&channel::merged_map())?,
             merged_news: false,
             merged_grid: DenseMap::default(),
             map_transforms: node.reader(&channel::map_transforms())?,
-            health: health.collect::<Result<_, _>>()?,
+            beats: beats.collect::<Result<_, _>>()?,
         })
     }
 
     /// Whatever must be noted the moment it comes.
-    fn bells(node: &Node, run: &Run) -> Result<Vec<Bell>, ChannelError> {
+    fn bells(node: &Participant, run: &Run) -> Result<Vec<Listener>, ChannelError> {
         let mut bells = Vec::new();
         for robot in run.robots() {
-            bells.push(node.bell(&channel::transforms(robot))?);
-            bells.push(node.bell(&channel::correction(robot))?);
-            bells.push(node.bell(&channel::map(robot))?);
+            bells.push(node.listener(&channel::transforms(robot))?);
+            bells.push(node.listener(&channel::correction(robot))?);
+            bells.push(node.listener(&channel::map(robot))?);
         }
         Ok(bells)
     }
@@ -108,21 +110,21 @@ impl Inputs {
     fn streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
         for RobotInputs { robot, transforms, corrections, truths, maps, news, .. } in &mut self.robots {
             while let Some(truth) = truths.receive() {
-                telemetry.truth(*robot, &truth);
+                telemetry.add_truth(*robot, &truth);
             }
             while let Some(transforms) = transforms.receive() {
-                telemetry.transforms(*robot, &transforms, received);
+                telemetry.add_transforms(*robot, &transforms, received);
             }
             while let Some(correction) = corrections.receive() {
-                telemetry.correction(*robot, &correction, received);
+                telemetry.add_correction(*robot, &correction, received);
             }
-            if maps.look() {
-                telemetry.map_came(*robot, maps.map().header.scan_sent, received);
+            if maps.poll() {
+                telemetry.record_map_arrival(*robot, maps.map().header.scan_sent, received);
                 *news = true;
             }
         }
         // It has its turn at the figures, but must not fall behind.
-        self.merged_news |= self.merged_map.look();
+        self.merged_news |= self.merged_map.poll();
     }
 
     fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
@@ -131,26 +133,16 @@ impl Inputs {
         }
         for RobotInputs { robot, maps, news, grid, .. } in &mut self.robots {
             if std::mem::take(news) {
-                telemetry.map_is(*robot, grid.update(maps.map()));
+                telemetry.update_map(*robot, grid.update(maps.map()));
             }
         }
         if std::mem::take(&mut self.merged_news) {
-            telemetry.merged_map(self.merged_grid.update(self.merged_map.map()), received);
+            telemetry.update_merged_map(self.merged_grid.update(self.merged_map.map()), received);
         }
-        for health in &mut self.health {
-            while let Some(message) = health.receive() {
-                telemetry.process_health(&message, received);
+        for beats in &mut self.beats {
+            while let Some(beat) = beats.receive() {
+                telemetry.process_health(&beat, received);
             }
         }
     }
-}
-
-/// Every process of the fleet.
-pub fn members(run: &Run) -> impl Iterator<Item = (Role, Option<RobotId>)> {
-    let simulated = !run.config.world.is_outside();
-    let of_robots = run.robots().flat_map(move |robot| {
-        let sim = simulated.then_some((Role::Sim, Some(robot)));
-        sim.into_iter().chain([(Role::Slam, Some(robot))])
-    });
-    of_robots.chain([Role::Merge, Role::Telemetry, Role::Bridge].map(|role| (role, None)))
 }

@@ -1,9 +1,10 @@
-//! Maps in shared memory: messages with the tiles that changed, and a bell back to the writer with
+//! Maps in shared memory: messages with the tiles that changed, and an event back to the writer with
 //! which a reader asks for the whole. [`msg::tiles`] has the rules, here is the transport.
 
-use super::{BORROWED_MAX, Bell, ChannelError, Gaps, NODES_MAX, Node, Shared, Stamper, failed, service_name};
-use crate::channel::Channel;
+use super::{BORROWED_MAX, Listener, NODES_MAX, Participant, Shared, failed, service_name};
+use crate::channel::{Channel, Direction, MAP_MESSAGES_MAX};
 use crate::clock::now;
+use crate::ports::{ChannelError, Gaps, MAP_REQUEST_PERIOD, ReadMapPort, Stamper, WriteMapPort};
 use bytemuck::TransparentWrapper;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -14,17 +15,14 @@ use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use msg::tiles::{PATCH_TILES_MAX, Patch, PatchReceiver, PatchSender};
 use msg::{MapTile, Message, Monotonic, PatchHeader, TileMap};
-use std::rc::Rc;
-use std::time::Duration;
 
 /// Tiles that a message may have before the channel's memory grows: what a scan of 10 m touches.
 const TILES_START: usize = 16;
-/// A reader that waits for the whole asks again after this.
-const ASK_PERIOD_NS: u64 = 500_000_000;
 
-impl Node {
-    /// The one writer of a map's channel.
+impl Participant {
+    /// Opens a map's channel to write.
     pub fn map_writer(&self, channel: &Channel<PatchHeader>) -> Result<MapWriter, ChannelError> {
+        channel.check(self.opener, Direction::Write)?;
         let publisher = self
             .map_service(channel)?
             .publisher_builder()
@@ -35,17 +33,18 @@ impl Node {
             .create()
             .map_err(failed("cannot write channel", &channel.name))?;
         let listener = self.ask_event(channel)?.listener_builder().create();
-        let asks = Rc::new(Bell::new(listener.map_err(failed("cannot be asked on", &channel.name))?));
-        let (stamper, bell) = (Stamper::new(self.run), self.notifier(channel)?);
-        Ok(MapWriter { publisher, stamper, bell, asks, outgoing: PatchSender::default(), bytes: 0 })
+        let requests = Listener::new(listener.map_err(failed("cannot be asked on", &channel.name))?);
+        let (stamper, notifier) = (Stamper::new(self.run), self.notifier(channel)?);
+        Ok(MapWriter { publisher, stamper, notifier, requests, outgoing: PatchSender::default(), bytes: 0 })
     }
 
-    /// A reader of a map's channel.
+    /// Opens a map's channel to read.
     pub fn map_reader(&self, channel: &Channel<PatchHeader>) -> Result<MapReader, ChannelError> {
+        channel.check(self.opener, Direction::Read)?;
         let subscriber = self
             .map_service(channel)?
             .subscriber_builder()
-            .buffer_size(channel.depth)
+            .buffer_size(channel.row.depth)
             .create()
             .map_err(failed("cannot read channel", &channel.name))?;
         let ask = self.ask_event(channel)?.notifier_builder().create();
@@ -60,16 +59,16 @@ impl Node {
             .publish_subscribe::<[Shared<MapTile>]>()
             .user_header::<Shared<PatchHeader>>()
             .max_publishers(1)
-            .max_subscribers(channel.readers)
+            .max_subscribers(channel.row.readers_max)
             .max_nodes(NODES_MAX)
-            .history_size(channel.history)
-            .subscriber_max_buffer_size(channel.depth)
+            .history_size(channel.row.history)
+            .subscriber_max_buffer_size(channel.row.depth)
             .subscriber_max_borrowed_samples(BORROWED_MAX)
             .open_or_create()
             .map_err(failed("cannot open channel", &channel.name))
     }
 
-    /// Readers ring, the writer listens.
+    /// Readers notify, the writer listens.
     fn ask_event(
         &self,
         channel: &Channel<PatchHeader>,
@@ -78,10 +77,10 @@ impl Node {
             .service_builder(&service_name(&format!("{}/ask", channel.name))?)
             .event()
             .max_listeners(1)
-            .max_notifiers(channel.readers)
+            .max_notifiers(channel.row.readers_max)
             .max_nodes(NODES_MAX)
             .open_or_create()
-            .map_err(failed("cannot open the bell to the writer of", &channel.name))
+            .map_err(failed("cannot open the event to the writer of", &channel.name))
     }
 }
 
@@ -91,27 +90,22 @@ type MapService = PortFactory<ipc::Service, [Shared<MapTile>], Shared<PatchHeade
 pub struct MapWriter {
     publisher: Publisher<ipc::Service, [Shared<MapTile>], Shared<PatchHeader>>,
     stamper: Stamper,
-    bell: Option<Notifier<ipc::Service>>,
-    asks: Rc<Bell>,
+    notifier: Option<Notifier<ipc::Service>>,
+    requests: Listener,
     outgoing: PatchSender,
     bytes: u64,
 }
 
-impl MapWriter {
-    /// Messages that are sent at a time: with [`MapWriter::PAUSE`], 26 MB a second.
-    pub const MESSAGES_MAX: usize = 4;
-    /// Between two lots of messages of one version, so that readers keep up.
-    pub const PAUSE: Duration = Duration::from_millis(40);
+impl WriteMapPort for MapWriter {
+    type Listener = Listener;
 
-    /// Sends what readers lack of `map`, a bounded part at a time: call it again after
-    /// [`MapWriter::PAUSE`] while it returns false, and now and then, as readers may ask for the whole.
-    pub fn send(&mut self, map: &TileMap) -> bool {
+    fn send(&mut self, map: &TileMap) -> bool {
         let _ = self.publisher.update_connections();
-        if self.asks.take() {
+        if self.requests.take() {
             self.outgoing.request_snapshot();
         }
         let mut sent = 0;
-        while sent < Self::MESSAGES_MAX
+        while sent < MAP_MESSAGES_MAX
             && let Some(patch) = self.outgoing.next_patch(map)
         {
             if !self.send_one(&patch) {
@@ -120,26 +114,26 @@ impl MapWriter {
             }
             sent += 1;
         }
-        if let Some(bell) = self.bell.as_ref().filter(|_| sent > 0) {
-            let _ = bell.notify();
+        if let Some(notifier) = self.notifier.as_ref().filter(|_| sent > 0) {
+            let _ = notifier.notify();
         }
         !self.outgoing.has_pending(map)
     }
 
-    /// Rings when a reader asks for the whole.
-    pub fn asks(&self) -> Rc<Bell> {
-        self.asks.clone()
+    fn requests(&self) -> &Listener {
+        &self.requests
     }
 
-    /// Bytes written so far.
-    pub fn bytes(&self) -> u64 {
+    fn bytes(&self) -> u64 {
         self.bytes
     }
+}
 
+impl MapWriter {
     fn send_one(&mut self, patch: &Patch) -> bool {
         debug_assert!(patch.tiles.len() <= PATCH_TILES_MAX);
         let mut header = patch.header;
-        self.stamper.mark(header.header_mut());
+        self.stamper.mark(header.header_mut(), now());
         let Ok(mut sample) = self.publisher.loan_slice_uninit(patch.tiles.len()) else { return false };
         sample.user_header_mut().0 = header;
         self.bytes += (size_of::<PatchHeader>() + size_of_val(sample.payload())) as u64;
@@ -156,29 +150,26 @@ pub struct MapReader {
     incoming: PatchReceiver,
 }
 
-impl MapReader {
-    /// Takes in what has come. True if there is a new version of the map.
-    pub fn look(&mut self) -> bool {
+impl ReadMapPort for MapReader {
+    fn poll(&mut self) -> bool {
         let mut new = false;
         while let Ok(Some(sample)) = self.subscriber.receive() {
             let header = &sample.user_header().0;
             self.gaps.count(header.header());
             new |= self.incoming.receive(header, Shared::peel_slice(sample.payload()));
         }
-        if self.incoming.needs_snapshot() && now().since(self.asked) >= ASK_PERIOD_NS {
+        if self.incoming.needs_snapshot() && now().since(self.asked) >= MAP_REQUEST_PERIOD.as_nanos() as u64 {
             self.asked = now();
             let _ = self.ask.notify();
         }
         new
     }
 
-    /// The newest complete version; without tiles before the first.
-    pub fn map(&self) -> &TileMap {
+    fn map(&self) -> &TileMap {
         self.incoming.map()
     }
 
-    /// What was received and missed so far, in messages.
-    pub fn gaps(&self) -> Gaps {
+    fn gaps(&self) -> Gaps {
         self.gaps
     }
 }

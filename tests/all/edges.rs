@@ -1,9 +1,9 @@
 //! What holds the maps of a running fleet together can be seen, held and taken back from the command line.
 
 use crate::harness::{Fleet, mr_slam, process, send};
-use mr_slam::channel;
+use mr_slam::channel::{self, Opener, Program};
 use mr_slam::fleet::known_starts;
-use mr_slam::shared_memory::Node;
+use mr_slam::shared_memory::Participant;
 use msg::{MapTransforms, Pose2};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -50,19 +50,19 @@ fn an_edge_is_pinned_let_loose_and_undone_while_the_fleet_runs() {
     assert_eq!(state(&["pin", "1", "2"]), "pinned");
 }
 
-/// Kills the merge process, and waits for the map transforms of the one that takes its place. Those before, and those after.
+/// Kills the merge process, and waits for the map_transforms of the one that takes its place. Those before, and those after.
 fn kill_merge(fleet: &mut Fleet) -> [MapTransforms; 2] {
-    let node = Node::open(&fleet.run.domain, "anchors").unwrap();
+    let node = Participant::open(&fleet.run.domain, Opener::of_fleet(Program::Telemetry), "test").unwrap();
     let mut reader = node.reader(&channel::map_transforms()).unwrap();
     let mut newest: Option<MapTransforms> = None;
     let before = fleet.until("merging", |view| {
-        newest = reader.newest().map(|message| *message).or(newest);
+        newest = reader.newest().map(|map_transforms| *map_transforms).or(newest);
         newest.is_some() && process(view, "merge").is_some()
     });
     let (killed, old) = (process(&before, "merge").unwrap().pid, newest.unwrap());
     send(killed, Signal::KILL);
     fleet.until("merging again", |view| {
-        newest = reader.newest().map(|message| *message).or(newest);
+        newest = reader.newest().map(|map_transforms| *map_transforms).or(newest);
         let is_back = process(view, "merge").is_some_and(|p| p.pid != killed && p.state == "up");
         is_back && newest.unwrap().header.incarnation != old.header.incarnation
     });
@@ -93,10 +93,10 @@ fn robots_that_were_found_are_where_they_were_when_merging_begins_again() {
     let path = fleet.folder.path().join("merge.json");
     let kept = |path: &Path| serde_json::from_slice::<Value>(&std::fs::read(path).unwrap()).unwrap();
     let mut memory = kept(&path);
-    assert_eq!(memory["fleet"]["anchors"], serde_json::json!([[0.0, 0.0, 0.0], null]));
+    assert_eq!(memory["fleet"]["map_transforms"], serde_json::json!([[0.0, 0.0, 0.0], null]));
     // As if it had been found, which takes a minute and more of driving.
     let place = [1.5, -0.5, 0.25];
-    memory["fleet"]["anchors"][1] = serde_json::json!(place);
+    memory["fleet"]["map_transforms"][1] = serde_json::json!(place);
     memory["fleet"]["pairs"] =
         serde_json::json!([{"edge": 1, "state": 2, "a_from_b": place, "grounds": null, "refused": []}]);
     std::fs::write(&path, memory.to_string()).unwrap();

@@ -3,6 +3,7 @@
 //! Every test has its own names in shared memory and its own port, so that tests run beside each
 //! other and beside another run of the same tests.
 
+mod channels;
 mod config;
 mod doors;
 mod edges;

@@ -1,8 +1,9 @@
 //! Maps through shared memory: readers that come late, sleep, or see their writer die have its map in the end.
 
 use crate::harness::WATCHDOG;
-use mr_slam::channel;
-use mr_slam::shared_memory::{Domain, MapReader, MapWriter, Node};
+use mr_slam::channel::{self, Opener, Program};
+use mr_slam::ports::{ReadMapPort, WriteMapPort};
+use mr_slam::shared_memory::{Domain, MapReader, MapWriter, Participant};
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
 use msg::{MapHeader, Rect, TileMap};
 use std::time::Instant;
@@ -15,16 +16,16 @@ impl Memory {
         Self(Domain::new(&format!("test{}_{name}", std::process::id())).unwrap())
     }
 
-    fn node(&self) -> Node {
-        Node::open(&self.0, "test").unwrap()
+    fn participant(&self, program: Program) -> Participant {
+        Participant::open(&self.0, Opener::of_fleet(program), "test").unwrap()
     }
 
     fn writer(&self) -> MapWriter {
-        self.node().map_writer(&channel::merged_map()).unwrap()
+        self.participant(Program::Merge).map_writer(&channel::merged_map()).unwrap()
     }
 
     fn reader(&self) -> MapReader {
-        self.node().map_reader(&channel::merged_map()).unwrap()
+        self.participant(Program::Bridge).map_reader(&channel::merged_map()).unwrap()
     }
 }
 
@@ -60,7 +61,7 @@ fn settle(writer: &mut MapWriter, map: &TileMap, readers: &mut [&mut MapReader])
     loop {
         let all_sent = writer.send(map);
         for reader in readers.iter_mut() {
-            reader.look();
+            reader.poll();
         }
         if all_sent && readers.iter().all(|reader| same(reader.map(), map)) {
             return;
@@ -77,10 +78,10 @@ fn only_what_changed_crosses() {
     let (whole, before) = (writer.bytes(), reader.map().clone());
     assert!(whole > 81 * TILE_CELLS as u64);
     draw(&mut map, 3, 4, 7);
-    assert!(writer.send(&map) && reader.look());
+    assert!(writer.send(&map) && reader.poll());
     assert!(writer.bytes() - whole < 2 * TILE_CELLS as u64);
     assert_eq!(reader.map().changed_since(&before).collect::<Vec<_>>(), [(3, 4)]);
-    assert!(writer.send(&map) && !reader.look(), "nothing is new");
+    assert!(writer.send(&map) && !reader.poll(), "nothing is new");
     assert_eq!(reader.gaps().lost, 0);
 }
 
@@ -105,12 +106,12 @@ fn a_reader_that_slept_is_lapped_and_catches_up() {
     let memory = Memory::new("lapped");
     let (mut writer, mut reader, mut map) = (memory.writer(), memory.reader(), map(12, 12));
     settle(&mut writer, &map, &mut [&mut reader]);
-    for round in 0..10 * channel::merged_map().depth {
+    for round in 0..10 * channel::merged_map().row.depth {
         draw(&mut map, round as i64 % 12, round as i64 / 12 % 12, round);
         assert!(writer.send(&map));
     }
     let kept = reader.map().clone();
-    reader.look();
+    reader.poll();
     assert!(reader.gaps().lost > 0);
     assert!(same(reader.map(), &kept), "nothing shows until the whole has come");
     settle(&mut writer, &map, &mut [&mut reader]);
@@ -124,7 +125,7 @@ fn a_writer_that_is_started_again_replaces_its_map() {
     let mut writer = memory.writer();
     settle(&mut writer, &old, &mut [&mut reader]);
     drop(writer);
-    assert!(!reader.look() && same(reader.map(), &old));
+    assert!(!reader.poll() && same(reader.map(), &old));
     let mut writer = memory.writer();
     settle(&mut writer, &new, &mut [&mut reader]);
     assert_eq!(reader.gaps().restarts, 1);
@@ -140,12 +141,12 @@ fn a_map_of_the_largest_size_is_sent_in_bounded_parts() {
     let mut lots = 1;
     let mut sent = writer.bytes();
     while !writer.send(&map) {
-        assert!(writer.bytes() - sent <= 300_000 * MapWriter::MESSAGES_MAX as u64);
+        assert!(writer.bytes() - sent <= 300_000 * channel::MAP_MESSAGES_MAX as u64);
         sent = writer.bytes();
-        assert!(!reader.look(), "half a map");
+        assert!(!reader.poll(), "half a map");
         lots += 1;
     }
-    assert!(reader.look() && same(reader.map(), &map));
-    assert_eq!(lots, 64 * 64 / 64 / MapWriter::MESSAGES_MAX);
+    assert!(reader.poll() && same(reader.map(), &map));
+    assert_eq!(lots, 64 * 64 / 64 / channel::MAP_MESSAGES_MAX);
     assert_eq!(map.extent().area(), Some(TILE as usize * TILE as usize));
 }

@@ -4,10 +4,10 @@ use crate::harness::{Fleet, Folder, WATCHDOG};
 use bridge::command::{Registration, name};
 use bridge::frame::Side;
 use bridge::ros::{Message, Twist, encode};
+use formats::map_file::read_map;
 use mr_slam::config::FleetConfig;
 use mr_slam::fleet;
 use mr_slam::lockstep::Lockstep;
-use mr_slam::map_file::read_map;
 use msg::grid::{Occupancy, occupancy};
 use msg::pose::wrap_angle;
 use msg::{Grid, GridView, GroundTruth, Pose2, RobotId, Role, Scan, VelocityCommand};
@@ -88,7 +88,7 @@ impl Duo {
                 let correction = member.slam.process(&member.scan).correction;
                 member.slam.work();
                 let radius_m = self.config.slam.map.robot_radius_m;
-                self.merger.stand(member.robot, correction.map_from_base, radius_m);
+                self.merger.set_robot_footprint(member.robot, correction.map_from_base, radius_m);
                 self.merger.update_tiles(member.robot, member.slam.tiles()).unwrap();
             }
         }

@@ -1,24 +1,24 @@
-//! A map as one grid: the smallest that holds all that is known, kept up to date tile by tile.
+//! A tiled map as one dense grid, updated tile by tile.
 
 use super::{MAP_TILES_MAX, MapTile, TILE, TileMap};
 use crate::grid::UNKNOWN;
 use crate::rect::Rect;
 use crate::{Grid, GridView};
 
-/// See the module.
+/// The smallest grid that contains all known cells of a [`TileMap`].
 #[derive(Clone, Debug, Default)]
 pub struct DenseMap {
-    /// The version that `grid` shows.
+    /// Version of the map that `grid` shows.
     map: TileMap,
-    /// The known cells of each tile of `map`, by its place in the extent.
+    /// Rectangle of known cells of each tile of `map`, by the tile's index in the extent.
     known: Vec<Rect>,
-    /// The cells of `grid`, on the lattice.
+    /// Cells of the lattice that `grid` shows.
     window: Rect,
     grid: Grid,
 }
 
 impl DenseMap {
-    /// Brings the grid up to date, touching only tiles that changed unless the known part's size did.
+    /// Updates the grid to a version of the map. Copies only changed tiles unless the known part changed its size.
     pub fn update(&mut self, map: &TileMap) -> GridView<'_> {
         let known = self.known_of(map);
         let window = known.iter().fold(Rect::default(), |all, part| all.union(*part));
@@ -31,17 +31,17 @@ impl DenseMap {
             self.grid.cells.resize(window.width() * window.height(), UNKNOWN);
             window.tiles().points().for_each(|(x, y)| self.copy(map, x, y));
         }
-        self.grid.header = map.header.of_grid(window);
+        self.grid.header = map.header.grid_header(window);
         (self.map, self.known) = (map.clone(), known);
         self.view()
     }
 
-    /// The grid as it last was.
+    /// Returns the grid as of the last update.
     pub fn view(&self) -> GridView<'_> {
         self.grid.view()
     }
 
-    /// The window's cells on the map's lattice.
+    /// Returns the cells of the map's lattice that the grid shows.
     pub fn window(&self) -> Rect {
         self.window
     }
@@ -57,7 +57,7 @@ impl DenseMap {
         map.extent().points().map(known).collect()
     }
 
-    /// Copies what of a tile lies in the window.
+    /// Copies the part of a tile that lies in the window.
     fn copy(&mut self, map: &TileMap, x: i64, y: i64) {
         let part = Rect::cells_of_tile(x, y).intersect(self.window);
         if part.is_empty() {
@@ -85,9 +85,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Whatever is written and taken away: as if it were drawn anew, and no larger than needed.
+        /// After any sequence of edits, the updated grid equals a new one and is not larger than needed.
         #[test]
-        fn follows_a_map(edits in prop::collection::vec(
+        fn an_updated_grid_equals_a_new_one(edits in prop::collection::vec(
             (-150_i64..150, -150_i64..150, prop_oneof![Just(UNKNOWN), -127_i8..=127], any::<bool>()), 1..40,
         )) {
             let mut map = TileMap::new(MapHeader { resolution_m: 0.1, ..Default::default() });

@@ -1,9 +1,8 @@
-//! A map between processes: messages with the tiles that changed, and a way for a reader that came
-//! late or missed one to get the whole.
+//! Transfer of a map between processes, as patches of the tiles that changed.
 //!
-//! A version of the map is one message or several, so that no message is large; the last of them
-//! says so, and only then do readers look. A reader that has not followed from the beginning asks;
-//! then the writer sends the whole again, which for those who have it changes nothing.
+//! A version of the map is sent as one or several messages, so that no message is large. A reader shows
+//! the version after the last of them. A reader that started late or lost a message requests a snapshot.
+//! The writer then sends the whole map again, which changes nothing for the other readers.
 
 use super::{MAP_TILES_MAX, MapHeader, MapTile, TileMap};
 use crate::rect::Rect;
@@ -11,19 +10,19 @@ use crate::{Header, Message};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 
-/// The most tiles in one message: 262 kB.
+/// Largest number of tiles in one message: 262 kB.
 pub const PATCH_TILES_MAX: usize = 64;
 
-/// Travels with the tiles that changed.
+/// Header of a message with changed tiles.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct PatchHeader {
-    /// Of the map as it is when all of this version has come.
+    /// Header of the map after the last message of this version.
     pub map: MapHeader,
-    /// 1: the whole map begins here, nothing that came before is needed.
-    pub begins: u32,
-    /// 1: the version is complete with this message.
-    pub ends: u32,
+    /// 1 if a snapshot begins with this message, so that no earlier message is needed; else 0.
+    pub begins_snapshot: u32,
+    /// 1 if this message completes the version, else 0.
+    pub completes_version: u32,
 }
 
 impl Message for PatchHeader {
@@ -36,63 +35,68 @@ impl Message for PatchHeader {
     }
 }
 
-/// One message.
+/// One message of a map's transfer.
 #[derive(Clone, Debug)]
 pub struct Patch {
-    /// To be numbered and timed by its channel.
+    /// Header of the message, which the channel numbers and times.
     pub header: PatchHeader,
-    /// At most [`PATCH_TILES_MAX`].
+    /// Changed tiles, at most [`PATCH_TILES_MAX`].
     pub tiles: Vec<Arc<MapTile>>,
 }
 
-/// The writer's side: what the readers have, and what they are sent next.
+/// Writer's side of a map's transfer: the version that readers have, and the next message to send.
 #[derive(Clone, Debug, Default)]
 pub struct PatchSender {
     sent: TileMap,
-    /// The whole has been sent, or its sending has begun.
-    begun: bool,
-    /// A version is under way.
-    busy: bool,
-    /// A reader wants the whole, even of an empty map.
-    asked: bool,
+    /// A snapshot was sent, or its first message was.
+    snapshot_begun: bool,
+    /// The last message did not complete its version.
+    version_open: bool,
+    /// A reader requested a snapshot, even of an empty map.
+    snapshot_requested: bool,
 }
 
 impl PatchSender {
-    /// The next version is the whole map. One that is under way is completed first.
+    /// Sends the whole map as the next version. A version that is open is completed first.
     pub fn request_snapshot(&mut self) {
-        self.asked = true;
+        self.snapshot_requested = true;
     }
 
-    /// A message was lost before it was sent: all over again.
+    /// Starts again with a snapshot, after a message could not be sent.
     pub fn restart(&mut self) {
-        (self.begun, self.busy) = (false, false);
+        (self.snapshot_begun, self.version_open) = (false, false);
     }
 
-    /// More messages are needed at once.
+    /// Returns whether further messages should be sent at once.
     pub fn has_pending(&self, map: &TileMap) -> bool {
-        self.busy || self.asked || (!self.begun && map.tiles().next().is_some())
+        self.version_open || self.snapshot_requested || (!self.snapshot_begun && map.tiles().next().is_some())
     }
 
-    /// The next message that brings readers closer to `map`; `None` when they have it.
+    /// Returns the next message towards `map`; `None` if the readers have it.
     pub fn next_patch(&mut self, map: &TileMap) -> Option<Patch> {
-        let asked = self.asked && !self.busy;
-        if asked || !self.begun || !self.sent.header.same_lattice(&map.header) {
-            if map.tiles().next().is_none() && !asked && !self.begun {
+        let answers_request = self.snapshot_requested && !self.version_open;
+        if answers_request || !self.snapshot_begun || !self.sent.header.same_lattice(&map.header) {
+            if map.tiles().next().is_none() && !answers_request && !self.snapshot_begun {
                 return None;
             }
-            *self = Self { asked: self.asked && !asked, ..Self::default() };
+            let snapshot_requested = self.snapshot_requested && !answers_request;
+            *self = Self { snapshot_requested, ..Self::default() };
             self.sent.header = map.header;
         }
         let mut changed = map.changed_since(&self.sent);
         let places: Vec<(i64, i64)> = changed.by_ref().take(PATCH_TILES_MAX).collect();
-        let ends = changed.next().is_none();
+        let complete = changed.next().is_none();
         drop(changed);
-        let news = !places.is_empty() || self.busy || self.sent.header != map.header;
-        if self.begun && !news {
+        let differs = !places.is_empty() || self.version_open || self.sent.header != map.header;
+        if self.snapshot_begun && !differs {
             return None;
         }
-        let header = PatchHeader { map: map.header, begins: (!self.begun).into(), ends: ends.into() };
-        (self.begun, self.busy) = (true, !ends);
+        let header = PatchHeader {
+            map: map.header,
+            begins_snapshot: (!self.snapshot_begun).into(),
+            completes_version: complete.into(),
+        };
+        (self.snapshot_begun, self.version_open) = (true, !complete);
         self.sent.header = map.header;
         self.sent.grow_to(map.extent(), MAP_TILES_MAX);
         let tiles = places.into_iter().map(|(x, y)| {
@@ -104,66 +108,69 @@ impl PatchSender {
     }
 }
 
-/// The reader's side: the newest complete version, and the next one as far as it has come.
+/// Reader's side of a map's transfer: the newest complete version, and the received part of the next.
 #[derive(Clone, Debug, Default)]
 pub struct PatchReceiver {
-    shown: TileMap,
+    /// Newest complete version.
+    complete: TileMap,
+    /// Received part of the next version.
     next: TileMap,
-    /// Messages have come without a gap since the whole began; the number that must come next.
-    follows: Option<(u64, u64)>,
-    heard: bool,
+    /// Incarnation and `seq` of the next message, if none was lost since the snapshot began.
+    expected: Option<(u64, u64)>,
+    /// Any message was received.
+    received_any: bool,
 }
 
 impl PatchReceiver {
-    /// The newest complete version; without tiles before the first.
+    /// Returns the newest complete version; a map without tiles before the first.
     pub fn map(&self) -> &TileMap {
-        &self.shown
+        &self.complete
     }
 
-    /// Messages come, but the whole is needed before they are of use.
+    /// Returns whether messages arrive that cannot be applied without a snapshot.
     pub fn needs_snapshot(&self) -> bool {
-        self.heard && self.follows.is_none()
+        self.received_any && self.expected.is_none()
     }
 
-    /// Takes the next message. True if it completes a version.
+    /// Applies the next message. Returns whether it completes a version.
     pub fn receive(&mut self, header: &PatchHeader, tiles: &[MapTile]) -> bool {
-        self.heard = true;
+        self.received_any = true;
         let Header { incarnation, seq, .. } = header.map.header;
-        let sound = header.map.is_valid() && tiles.len() <= PATCH_TILES_MAX;
+        let valid = header.map.is_valid() && tiles.len() <= PATCH_TILES_MAX;
         let continues =
-            self.follows == Some((incarnation, seq)) && header.map.same_lattice(&self.next.header);
-        if !sound || !(continues || header.begins == 1) {
-            self.follows = None;
+            self.expected == Some((incarnation, seq)) && header.map.same_lattice(&self.next.header);
+        if !valid || !(continues || header.begins_snapshot == 1) {
+            self.expected = None;
             return false;
         }
         if !continues {
             self.next = TileMap::new(header.map);
         }
         self.next.header = header.map;
-        self.follows = Some((incarnation, seq.saturating_add(1)));
-        if !tiles.iter().all(|tile| self.put(tile)) {
-            self.follows = None;
+        self.expected = Some((incarnation, seq.saturating_add(1)));
+        if !tiles.iter().all(|tile| self.set_tile(tile)) {
+            self.expected = None;
             return false;
         }
-        let complete = header.ends == 1;
-        if complete {
-            self.shown = self.next.clone();
+        let completes = header.completes_version == 1;
+        if completes {
+            self.complete = self.next.clone();
         }
-        complete
+        completes
     }
 
-    /// Takes a tile; one that holds the same as before stays the same tile.
-    fn put(&mut self, tile: &MapTile) -> bool {
+    /// Stores a tile. A tile with unchanged cells stays shared with the earlier version.
+    fn set_tile(&mut self, tile: &MapTile) -> bool {
         let (x, y) = (i64::from(tile.x), i64::from(tile.y));
         if tile.is_unknown() {
             self.next.set(x, y, None);
             return true;
         }
-        let shown = self.shown.get(x, y).filter(|_| self.shown.header.same_lattice(&self.next.header));
+        let shown = self.complete.get(x, y).filter(|_| self.complete.header.same_lattice(&self.next.header));
         let kept = [self.next.get(x, y), shown].into_iter().flatten().find(|old| ***old == *tile).cloned();
-        let room = self.next.grow_to(Rect::single(x, y), MAP_TILES_MAX);
+        let fits = self.next.grow_to(Rect::single(x, y), MAP_TILES_MAX);
         self.next.set(x, y, Some(kept.unwrap_or_else(|| Arc::new(*tile))));
-        room
+        fits
     }
 }
 

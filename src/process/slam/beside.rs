@@ -3,13 +3,13 @@
 use super::files::{Done, Job, Loaded, Work};
 use super::services::{Services, Waiting};
 use super::{News, Order};
+use crate::ports::ChannelError;
 use crate::process::map_out::MapOut;
 use crate::process::submaps_out::SubmapsOut;
 use crate::run::Run;
 use crate::sessions;
-use crate::shared_memory::{ChannelError, Node};
 use ::slam::{Back, Front, FrontState, Hint, Identity, Session};
-use msg::{RobotId, SlamMode, SlamRequest};
+use msg::{RobotId, Role, SlamMode, SlamRequest};
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
@@ -31,7 +31,7 @@ pub fn run(
     jobs: SyncSender<Job>,
 ) -> Result<(), ChannelError> {
     // A presence of its own: shared memory's ports stay on the thread that made them.
-    let presence = Node::open(&run.domain, &format!("{robot}/map"))?;
+    let presence = run.attach_thread(Role::Slam, Some(robot), "map")?;
     let mut map = MapOut::open(&presence, robot)?;
     let mut submaps = SubmapsOut::open(&presence, robot, &run.config.slam)?;
     let mut services = Services::open(&presence, run, robot)?;

@@ -4,10 +4,10 @@
 //! the scan path needed (a process has one lock on its memory): scan to pose p99 200 to 390 ms instead of 3 to 60.
 
 use super::News;
-use crate::map_file::write_map;
 use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
 use ::slam::{Back, Front, Hint, Identity, Session, SlamConfig, Start};
+use formats::map_file::write_map;
 use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SendError, SyncSender};

@@ -4,9 +4,10 @@ use super::Order;
 use super::beside::Beside;
 use super::files::{Done, Work};
 use crate::channel;
+use crate::ports::ChannelError;
 use crate::run::Run;
 use crate::sessions::TOLD_SIGMA;
-use crate::shared_memory::{ChannelError, Node, Reader, Writer};
+use crate::shared_memory::{Participant, Reader, Writer};
 use ::slam::{ClosureReport, FrontState, Hint, Start};
 use msg::{
     CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
@@ -45,7 +46,7 @@ pub struct Services {
 
 impl Services {
     /// The robot's requests are answered by whoever has this.
-    pub fn open(node: &Node, run: &Run, robot: RobotId) -> Result<Self, ChannelError> {
+    pub fn open(node: &Participant, run: &Run, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
             dir: run.dir.clone(),
             requests: node.reader(&channel::slam_request(robot))?,

@@ -1,4 +1,4 @@
-//! Readers come late, miss messages, and outlive their writer; in the end they have the writer's map.
+//! Readers that start late, lose messages or outlive their writer get the writer's map in the end.
 
 use super::*;
 use crate::grid::UNKNOWN;
@@ -25,7 +25,7 @@ fn same(a: &TileMap, b: &TileMap) -> bool {
         && cells.points().all(|(x, y)| a.cell(x, y) == b.cell(x, y))
 }
 
-/// A writer with its numbers, as a channel gives them.
+/// A sender whose messages are numbered as a channel numbers them.
 #[derive(Default)]
 struct Writer {
     outgoing: PatchSender,
@@ -49,23 +49,23 @@ fn receive(reader: &mut PatchReceiver, patch: &Patch) -> bool {
 }
 
 #[test]
-fn only_what_changed_is_sent() {
+fn only_changed_tiles_are_sent() {
     let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     assert!(writer.next(&map).is_none(), "nothing is known yet");
     (0..3).for_each(|x| draw(&mut map, x, 0, 5, 9));
     let whole = writer.next(&map).unwrap();
-    assert_eq!((whole.tiles.len(), whole.header.begins, whole.header.ends), (3, 1, 1));
+    assert_eq!((whole.tiles.len(), whole.header.begins_snapshot, whole.header.completes_version), (3, 1, 1));
     assert!(writer.next(&map).is_none());
     assert!(receive(&mut reader, &whole));
     let before = reader.map().clone();
     draw(&mut map, -2, 1, 0, 1);
     draw(&mut map, 1, 0, 5, 10);
     let patch = writer.next(&map).unwrap();
-    assert_eq!((patch.tiles.len(), patch.header.begins, patch.header.ends), (2, 0, 1));
+    assert_eq!((patch.tiles.len(), patch.header.begins_snapshot, patch.header.completes_version), (2, 0, 1));
     assert!(receive(&mut reader, &patch));
     assert!(same(reader.map(), &map));
     assert_eq!(reader.map().changed_since(&before).collect::<Vec<_>>(), [(1, 0), (-2, 1)]);
-    // A newer stamp is told even if no cell changed; a tile that is forgotten is forgotten there too.
+    // A newer stamp is sent even if no cell changed. A removed tile is removed at the reader too.
     map.header.header.stamp = Stamp(99);
     assert!(receive(&mut reader, &writer.next(&map).unwrap()));
     assert_eq!(reader.map().header.header.stamp, Stamp(99));
@@ -75,7 +75,7 @@ fn only_what_changed_is_sent() {
 }
 
 #[test]
-fn a_large_version_shows_when_it_is_complete() {
+fn a_large_version_is_shown_after_its_last_message() {
     let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     (0..150).for_each(|x| draw(&mut map, x % 15, x / 15, 0, 1));
     let mut shown = Vec::new();
@@ -89,7 +89,7 @@ fn a_large_version_shows_when_it_is_complete() {
 }
 
 #[test]
-fn a_late_reader_asks_and_the_others_see_no_change() {
+fn a_snapshot_for_a_late_reader_changes_nothing_for_the_others() {
     let (mut writer, mut early, mut late, mut map) =
         (Writer::default(), PatchReceiver::default(), PatchReceiver::default(), map(0.05));
     (0..100).for_each(|x| draw(&mut map, x, 0, 0, 1));
@@ -111,14 +111,14 @@ fn a_late_reader_asks_and_the_others_see_no_change() {
 }
 
 #[test]
-fn a_writer_that_is_started_again_replaces_the_map() {
+fn a_restarted_writer_replaces_the_map() {
     let (mut reader, mut old, mut new) = (PatchReceiver::default(), map(0.05), map(0.05));
     (0..4).for_each(|x| draw(&mut old, x, 0, 0, 1));
     let mut writer = Writer { incarnation: 1, ..Default::default() };
     receive(&mut reader, &writer.next(&old).unwrap());
     draw(&mut old, 9, 9, 0, 1);
     receive(&mut reader, &writer.next(&old).unwrap());
-    // The next incarnation may be at the very number that the old one came to.
+    // The next incarnation may send the number that follows the old one's last.
     draw(&mut new, 7, 7, 0, 3);
     let mut writer = Writer { incarnation: 2, ..Default::default() };
     while let Some(patch) = writer.next(&new) {
@@ -126,14 +126,14 @@ fn a_writer_that_is_started_again_replaces_the_map() {
         receive(&mut reader, &patch);
     }
     assert!(same(reader.map(), &new));
-    // So does one that moves its lattice.
+    // A moved lattice replaces the map too.
     new.header.origin = Pose2::new(1.0, 0.0, 0.5);
     receive(&mut reader, &writer.next(&new).unwrap());
     assert!(same(reader.map(), &new));
 }
 
 #[test]
-fn an_empty_map_answers_too() {
+fn a_snapshot_of_an_empty_map_is_sent_on_request() {
     let (mut writer, mut reader, map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     writer.outgoing.request_snapshot();
     assert!(receive(&mut reader, &writer.next(&map).unwrap()));
@@ -141,13 +141,13 @@ fn an_empty_map_answers_too() {
 }
 
 #[test]
-fn nonsense_is_no_map() {
+fn an_invalid_message_leaves_the_map_unchanged() {
     let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
     draw(&mut map, 0, 0, 0, 1);
     receive(&mut reader, &writer.next(&map).unwrap());
     let kept = reader.map().clone();
     let header = |change: fn(&mut PatchHeader)| {
-        let mut header = PatchHeader { map: map.header, begins: 1, ends: 1 };
+        let mut header = PatchHeader { map: map.header, begins_snapshot: 1, completes_version: 1 };
         change(&mut header);
         header
     };
@@ -159,7 +159,7 @@ fn nonsense_is_no_map() {
         (header(|h| h.map.origin.x_m = f64::INFINITY), vec![]),
         (header(|_| ()), vec![far]),
         (header(|_| ()), vec![MapTile { x: 0, y: 0, ..far }, corner]),
-        (header(|h| h.begins = 7), vec![]),
+        (header(|h| h.begins_snapshot = 7), vec![]),
     ] {
         assert!(!reader.receive(&header, &tiles), "{header:?}");
         assert!(reader.needs_snapshot());
@@ -191,10 +191,10 @@ fn event() -> impl Strategy<Value = Event> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Losses, restarts of either side, changes in the midst of a version: what shows is always some
-    /// version that was complete, and when the line is quiet, one question brings the newest.
+    /// Under losses, restarts of either side and changes within a version, a reader shows only complete
+    /// versions. When no more changes come, one snapshot request brings the newest version.
     #[test]
-    fn a_reader_always_gets_there(events in prop::collection::vec(event(), 1..120)) {
+    fn a_reader_gets_the_newest_version_in_the_end(events in prop::collection::vec(event(), 1..120)) {
         let (mut writer, mut reader, mut map) = (Writer::default(), PatchReceiver::default(), map(0.05));
         for event in events {
             match event {

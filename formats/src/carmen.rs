@@ -1,4 +1,6 @@
-//! CARMEN logs: the text format of the public 2D LiDAR data sets. One message a line:
+//! CARMEN logs: the text format of the public 2D LiDAR data sets (Carnegie Mellon Robot Navigation Toolkit).
+//!
+//! One message a line:
 //!
 //! ```text
 //! ODOM x y theta tv rv accel time host logger_time
@@ -8,22 +10,23 @@
 //!             time host logger_time
 //! ```
 //!
-//! Lines of other kinds are skipped and counted; a malformed line is an error that names the line,
-//! the field and what was expected, and does not disturb the lines after it.
+//! Lines of other kinds are skipped and counted. A malformed line is an error that names the line, the field
+//! and what was expected; the lines after it are still read.
 
 use core::f64::consts::{FRAC_PI_2, PI};
 use msg::{BEAMS_MAX, Pose2, Scan, Stamp};
 
-/// The longest line that is read, bytes: 4096 beams with remissions take about 60 000.
+/// Longest line that is read, bytes. 4096 beams with remissions take about 60 000.
 pub const LINE_MAX: usize = 1 << 18;
-/// FLASER lines do not say how far the sensor sees: the SICK LMS of these logs says 81.9 m or more for no return.
+/// Maximum range of FLASER lines, which do not carry one. The SICK LMS of these logs reports 81.9 m or more for
+/// no return.
 const FLASER_RANGE_MAX_M: f64 = 80.0;
-/// Ranges nearer than this are the sensor's own housing.
+/// Minimum range, metres: nearer returns come from the sensor's own housing.
 const RANGE_MIN_M: f32 = 0.02;
-/// Coordinates and times beyond this are no measurement.
+/// Largest coordinate (metres) or time (seconds) that can be a measurement.
 const NUMBER_MAX: f64 = 1e12;
 
-/// What a line says.
+/// Message of one line.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Record {
     /// An ODOM line.
@@ -32,40 +35,40 @@ pub enum Record {
     Laser(LaserLine),
 }
 
-/// The robot's odometry at one time.
+/// Raw odometry of the robot at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OdometryLine {
-    /// Unix time.
+    /// Time of the message, Unix time.
     pub stamp: Stamp,
-    /// Raw odometry.
+    /// Pose of `base_footprint` in the odometry's frame.
     pub odom_from_base: Pose2,
-    /// Forward, m/s.
+    /// Forward velocity, m/s.
     pub linear_m_s: f64,
-    /// Counter-clockwise, rad/s.
+    /// Yaw rate, rad/s, counter-clockwise.
     pub angular_rad_s: f64,
 }
 
-/// A scan and the odometry it was taken at.
+/// Laser scan with the odometry at which it was taken.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LaserLine {
-    /// Unix time.
+    /// Time of the message, Unix time.
     pub stamp: Stamp,
-    /// The robot's raw odometry.
+    /// Pose of `base_footprint` in the odometry's frame when the scan was taken.
     pub odom_from_base: Pose2,
-    /// The sensor on the robot.
+    /// Pose of `base_scan` in `base_footprint`.
     pub base_from_scan: Pose2,
-    /// First beam, radians.
+    /// Angle of the first beam, radians.
     pub angle_min_rad: f64,
-    /// From beam to beam, radians.
+    /// Angle between neighbouring beams, radians.
     pub angle_increment_rad: f64,
-    /// Ranges from here on are no return, metres.
+    /// Range from which a reading means no return, metres.
     pub range_max_m: f64,
-    /// Metres.
+    /// Range of each beam, metres.
     pub ranges_m: Vec<f32>,
 }
 
 impl LaserLine {
-    /// Fills a message; `fov_rad` keeps only the central beams.
+    /// Fills a scan message with sequence number `seq`; `fov_rad` keeps the central beams only.
     pub fn write_to(&self, scan: &mut Scan, seq: u64, fov_rad: Option<f64>) {
         let half = fov_rad.map_or(f64::INFINITY, |fov| fov / 2.0 + 1e-6);
         let increment = self.angle_increment_rad;
@@ -88,23 +91,23 @@ impl LaserLine {
     }
 }
 
-/// A line that is not what it says it is.
+/// Malformed line: where, what was found and what was expected.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {kind} {field}: found {found}, expected {expected}")]
 pub struct LineError {
-    /// Counted from 1.
+    /// Line number, from 1.
     pub line: usize,
-    /// The line's first word.
+    /// First word of the line, such as `FLASER`.
     pub kind: &'static str,
-    /// Which field.
+    /// Field that is malformed, such as `range 2`.
     pub field: String,
-    /// What stands there, shortened.
+    /// Text that was found, at most 24 characters.
     pub found: String,
-    /// What should.
+    /// Text that was expected.
     pub expected: &'static str,
 }
 
-/// Reads a log, line by line.
+/// Iterator over the messages of a log.
 pub struct Reader<'a> {
     rest: &'a [u8],
     line: usize,
@@ -112,12 +115,12 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Of a whole log's bytes.
+    /// Starts at the first line of a log's bytes.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { rest: bytes, line: 0, skipped: 0 }
     }
 
-    /// How many lines were comments, empty or of other kinds.
+    /// Number of lines so far that were comments, empty or of other kinds.
     pub fn skipped(&self) -> u64 {
         self.skipped
     }
@@ -173,6 +176,7 @@ fn parse(kind: &'static str, bytes: &[u8], line: usize) -> Result<Record, LineEr
     }
 }
 
+/// Remaining words of one line.
 struct Fields<'a> {
     words: core::str::SplitAsciiWhitespace<'a>,
     line: usize,
@@ -207,7 +211,7 @@ impl Fields<'_> {
         count.ok_or_else(|| self.error(field, word, expected))
     }
 
-    /// REP-117: a range that is no number is NaN, one that overflows is no return.
+    /// Reads `count` ranges in metres. REP-117: not a number is NaN, an overflow is no return.
     fn ranges(&mut self, count: usize) -> Result<Vec<f32>, LineError> {
         let mut ranges = Vec::with_capacity(count);
         for i in 0..count {
@@ -220,7 +224,7 @@ impl Fields<'_> {
         Ok(ranges)
     }
 
-    /// The message's own time; the host and the logger's time that follow are not needed.
+    /// Reads the message's own time. The host and the logger's time that follow are not needed.
     fn stamp(&mut self) -> Result<Stamp, LineError> {
         const EXPECTED: &str = "a time in seconds";
         let word = self.words.next().ok_or_else(|| self.error("time", "the end of the line", EXPECTED))?;
@@ -241,7 +245,7 @@ impl Fields<'_> {
         // The laser's pose may be a corrected one; on these robots it is the robot's.
         self.pose("laser pose")?;
         let odom_from_base = self.pose("odometry pose")?;
-        // A half turn: 181 and 361 beams include both ends, 180 and 360 leave the last one out.
+        // The beams span a half turn: 181 and 361 of them include both ends, 180 and 360 leave the last one out.
         let steps = if count % 2 == 1 && count > 1 { count - 1 } else { count };
         Ok(LaserLine {
             stamp: self.stamp()?,
@@ -287,7 +291,7 @@ impl Fields<'_> {
     }
 }
 
-/// Decimal seconds to nanoseconds, exactly: a double cannot hold unix time to the nanosecond.
+/// Converts decimal seconds to nanoseconds exactly: a double cannot hold Unix time to the nanosecond.
 fn parse_stamp(word: &str) -> Option<Stamp> {
     let (negative, digits) = word.strip_prefix('-').map_or((false, word), |rest| (true, rest));
     let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
@@ -303,107 +307,4 @@ fn parse_stamp(word: &str) -> Option<Stamp> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn read(log: &str) -> (Vec<Record>, Vec<LineError>, u64) {
-        let mut reader = Reader::new(log.as_bytes());
-        let (mut records, mut errors) = (Vec::new(), Vec::new());
-        for line in reader.by_ref() {
-            match line {
-                Ok(record) => records.push(record),
-                Err(error) => errors.push(error),
-            }
-        }
-        (records, errors, reader.skipped())
-    }
-
-    fn laser(log: &str) -> LaserLine {
-        match read(log).0.pop() {
-            Some(Record::Laser(line)) => line,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    const ROBOTLASER: &str = "ROBOTLASER1 0 -0.5 1.0 0.25 81.9 0.01 0 5 1 2.5 3 81.91 0.5 0 \
-        1.1 2.0 0.1 1.0 2.0 0.1 0 0 0 0 0 976052890.244111 robot 976052890.244111\n";
-
-    #[test]
-    fn reads_each_kind() {
-        let line = laser(ROBOTLASER);
-        assert_eq!(line.stamp, Stamp(976_052_890_244_111_000));
-        assert_eq!(line.ranges_m, [1.0, 2.5, 3.0, 81.91, 0.5]);
-        assert_eq!((line.angle_min_rad, line.angle_increment_rad), (-0.5, 0.25));
-        assert!((line.base_from_scan.x_m - 0.1 * 0.1_f64.cos()).abs() < 1e-9);
-
-        let line = laser("FLASER 3 1 2 3 9 9 9 0.5 -1 2 12.5 host 13.0");
-        assert_eq!(line.odom_from_base, Pose2::new(0.5, -1.0, 2.0));
-        assert_eq!(line.stamp, Stamp(12_500_000_000));
-        assert!((line.angle_min_rad + 2.0 * line.angle_increment_rad - FRAC_PI_2).abs() < 1e-12);
-
-        let (records, errors, skipped) =
-            read("# a comment\n\nPARAM x y\nODOM 1 2 3 0.4 0.5 0 -2.884230 h 0\n");
-        assert!(errors.is_empty());
-        assert_eq!(skipped, 3);
-        let stamp = Stamp(-2_884_230_000);
-        let pose = Pose2::new(1.0, 2.0, 3.0);
-        let line = OdometryLine { stamp, odom_from_base: pose, linear_m_s: 0.4, angular_rad_s: 0.5 };
-        assert_eq!(records, [Record::Odometry(line)]);
-    }
-
-    #[test]
-    fn crops_to_the_central_beams() {
-        let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
-        laser(ROBOTLASER).write_to(&mut scan, 7, Some(0.5));
-        assert_eq!(scan.ranges_m(), [2.5, 3.0, 81.91]);
-        assert_eq!((scan.angle_min_rad, scan.header.seq), (-0.25, 7));
-        assert_eq!(scan.hits().count(), 2);
-    }
-
-    #[test]
-    fn a_malformed_line_is_named_and_the_next_one_read() {
-        let cases = [
-            ("ODOM 1 2", "pose", "the end of the line"),
-            ("ODOM 1 2 x 0 0 0 1 h 1", "pose", "x"),
-            ("ODOM 1 2 inf 0 0 0 1 h 1", "pose", "inf"),
-            ("ODOM 1 2 3 0 0 0 noon h 1", "time", "noon"),
-            ("FLASER 4097 1", "number of beams", "4097"),
-            ("FLASER 0", "number of beams", "0"),
-            ("FLASER -3", "number of beams", "-3"),
-            ("FLASER 3 1 2", "range", "the end of the line"),
-            ("FLASER 2 1 two 0 0 0 0 0 0 1 h 1", "range 2", "two"),
-            ("ROBOTLASER1 0 -1.5 3 0.1 0 0 0 1 1 0 0 0 0 0 0 0 0 0 0 0 0 1 h 1", "maximum range", "0"),
-        ];
-        for (line, field, found) in cases {
-            let (records, errors, _) = read(&format!("# first\n{line}\n{ROBOTLASER}"));
-            assert_eq!(errors.len(), 1, "{line}");
-            assert_eq!(
-                (errors[0].line, errors[0].field.as_str(), errors[0].found.as_str()),
-                (2, field, found)
-            );
-            assert_eq!(records.len(), 1, "{line}");
-        }
-    }
-
-    #[test]
-    fn ranges_that_are_no_numbers_stay_in_their_place() {
-        let line = laser("FLASER 3 nan 1e99 2 0 0 0 0 0 0 1 h 1");
-        assert!(line.ranges_m[0].is_nan());
-        assert_eq!(line.ranges_m[1..], [f32::INFINITY, 2.0]);
-    }
-
-    proptest::proptest! {
-        #[test]
-        fn no_bytes_make_it_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..400)) {
-            Reader::new(&bytes).count();
-        }
-
-        #[test]
-        fn no_cut_or_flip_makes_it_panic(cut in 0_usize..250, at in 0_usize..250, value in proptest::num::u8::ANY) {
-            let mut bytes = ROBOTLASER.repeat(2).into_bytes();
-            bytes[at] = value;
-            bytes.truncate(cut.max(at));
-            Reader::new(&bytes).count();
-        }
-    }
-}
+mod tests;

@@ -29,7 +29,7 @@ fn reads_what_map_saver_writes() {
     assert_eq!(grid.header.origin, Pose2::new(-1.5, 2.0, 0.25));
     assert_eq!((grid.header.width, grid.header.height, grid.header.resolution_m), (2, 2, 0.05));
     // The image's last row is the grid's first.
-    assert_eq!(grid.cells, [UNKNOWN, -CERTAIN, CERTAIN, -CERTAIN]);
+    assert_eq!(grid.cells, [UNKNOWN, -LOADED_LOG_ODDS, LOADED_LOG_ODDS, -LOADED_LOG_ODDS]);
     let plain = read(YAML, b"P2 2 2 255\n0 254\n205 254\n").unwrap();
     assert_eq!(plain, grid);
 }
@@ -38,11 +38,14 @@ fn reads_what_map_saver_writes() {
 fn modes_and_negation() {
     let image = b"P5 4 1 255\n\x00\x32\x7f\xfe";
     let cells = |yaml: &str| read(yaml, image).unwrap().cells;
-    assert_eq!(cells(&YAML.replace("negate: 0", "negate: true")), [-CERTAIN, UNKNOWN, UNKNOWN, CERTAIN]);
+    assert_eq!(
+        cells(&YAML.replace("negate: 0", "negate: true")),
+        [-LOADED_LOG_ODDS, UNKNOWN, UNKNOWN, LOADED_LOG_ODDS]
+    );
     let scale = cells(&YAML.replace("trinary", "scale"));
-    assert_eq!((scale[0], scale[3]), (CERTAIN, -CERTAIN));
-    assert!(scale[2] > 0 && scale[2] < CERTAIN, "{scale:?}");
-    assert_eq!(cells(&YAML.replace("trinary", "raw")), [-CERTAIN, 0, UNKNOWN, UNKNOWN]);
+    assert_eq!((scale[0], scale[3]), (LOADED_LOG_ODDS, -LOADED_LOG_ODDS));
+    assert!(scale[2] > 0 && scale[2] < LOADED_LOG_ODDS, "{scale:?}");
+    assert_eq!(cells(&YAML.replace("trinary", "raw")), [-LOADED_LOG_ODDS, 0, UNKNOWN, UNKNOWN]);
 }
 
 #[test]

@@ -1,15 +1,15 @@
-//! Maps as files: PGM with YAML as map_server reads them, and PNG for people.
+//! Occupancy grids as files: YAML with a PGM or PNG image, as map_server reads them, and PNG for people.
 //!
-//! The format is that of ROS's map_server and Nav2's nav2_map_server: an image whose first row is
-//! the highest y, and a YAML file that says what its greys mean and where its lower left corner
-//! lies. A file holds readings, not evidence: what is read back has [`CERTAIN`] steps of evidence
-//! in every occupied cell and minus as many in every free one.
+//! The format is that of ROS's map_server and Nav2's nav2_map_server. The image's first row is the highest y; the
+//! YAML file gives the meaning of its greys and the pose of its lower left corner. A file holds readings, not
+//! evidence: a loaded occupied cell has [`LOADED_LOG_ODDS`] steps of log-odds, a free one minus as many.
 
 mod image;
 mod picture;
 
 pub use picture::{Picture, Rgb};
 
+use crate::atomic;
 use image::{Pixels, decode_image, read_image};
 use msg::grid::{self, CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, GridView, Pose2};
@@ -18,45 +18,47 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Log-odds steps in a cell read from a file: a probability of 0.95, so that a second map of the
-/// same place can still outvote the first.
-pub const CERTAIN: i8 = 60;
-/// The longest YAML file that is read, bytes. A map's has about 150.
+/// Log-odds steps of an occupied cell that was loaded from a file. They are a probability of 0.95, so that a second
+/// map of the same place can still outvote the first.
+pub const LOADED_LOG_ODDS: i8 = 60;
+/// Longest YAML file that is read, bytes. A map's has about 150.
 const YAML_BYTES_MAX: u64 = 64 * 1024;
-/// Above this probability a cell is occupied: map_server's.
+/// Probability above which a cell is occupied: map_server's default.
 const OCCUPIED_THRESH: f64 = 0.65;
-/// Below this probability a cell is free. Unknown is written as grey 205, a probability of 0.1961:
+/// Probability below which a cell is free. Unknown is written as grey 205, a probability of 0.1961:
 /// with the 0.25 that Nav2's map_saver writes, its own map_server reads unknown as free.
 const FREE_THRESH: f64 = 0.196;
-/// Sides of a cell that make sense, metres.
+/// Accepted sides of a cell, metres.
 const RESOLUTION_M: core::ops::RangeInclusive<f64> = 1e-3..=100.0;
-/// The farthest corner that makes sense, metres: f64 still resolves micrometres there.
+/// Farthest accepted corner, metres: f64 still resolves micrometres there.
 const ORIGIN_M_MAX: f64 = 1e7;
 
-/// Greys of map_saver.
+/// Grey of occupied cells, as map_saver writes it.
 const GREY_OCCUPIED: u8 = 0;
+/// Grey of free cells, as map_saver writes it.
 const GREY_FREE: u8 = 254;
+/// Grey of unknown cells, as map_saver writes it.
 const GREY_UNKNOWN: u8 = 205;
 
-/// Why a map was not read or written.
+/// Reason why a map could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum MapFileError {
-    /// The system refused.
+    /// The operating system refused to open, read or write the file.
     #[error("{}: {source}", file.display())]
     Io {
-        /// Which file.
+        /// Path of the file.
         file: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// The content makes no sense.
+    /// The file's content is malformed or out of range.
     #[error("{}: {what}; expected {expected}", file.display())]
     Content {
-        /// Which file.
+        /// Path of the file.
         file: PathBuf,
-        /// What was found, and where.
+        /// Text that was found, and where.
         what: String,
-        /// What was expected instead.
+        /// Text that was expected.
         expected: String,
     },
 }
@@ -72,7 +74,8 @@ impl MapFileError {
 }
 
 /// Writes `STEM.pgm` and `STEM.yaml` for map_server, and the same picture as `STEM.png`.
-/// Each file appears whole or not at all; the YAML last, so that it never names a missing image.
+///
+/// Each file appears whole or not at all. The YAML is written last, so that it never names a missing image.
 pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
     let [pgm, yaml, png] = ["pgm", "yaml", "png"].map(|extension| with_extension(stem, extension));
     let name = pgm.file_name().and_then(|name| name.to_str());
@@ -100,21 +103,21 @@ pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
     write_whole(&yaml, |file| file.write_all(describe(name, grid.header).as_bytes()))
 }
 
-/// Reads a map by its YAML file. The image is a PGM (P5 or P2) or a PNG, beside the YAML or at an
-/// absolute path. Nothing is allocated for an image before its size was found sound.
+/// Reads a map by its YAML file. The image is a PGM (P5 or P2) or a PNG, named relative to the YAML's folder or
+/// absolutely. No memory is allocated for an image before its size was checked.
 pub fn read_map(yaml: &Path) -> Result<Grid, MapFileError> {
     let meta = read_description(yaml)?;
     let image = yaml.parent().unwrap_or(Path::new("")).join(&meta.image);
     Ok(meta.grid(&read_image(&image)?))
 }
 
-/// The same from memory: the YAML's text and the image's bytes. `name` is for errors.
+/// Decodes a map from the YAML's text and the image's bytes. `name` is for errors.
 pub fn decode_map(name: &Path, yaml: &str, image: &[u8]) -> Result<Grid, MapFileError> {
     let meta = parse_description(name, yaml)?;
     Ok(meta.grid(&decode_image(name, std::io::Cursor::new(image))?))
 }
 
-/// What the YAML says. Other fields are other programs' business.
+/// Fields of the YAML file. Fields of other programs are ignored.
 #[derive(Debug, Deserialize)]
 struct Description {
     image: PathBuf,
@@ -127,7 +130,7 @@ struct Description {
     mode: Mode,
 }
 
-/// map_server's `negate` is written as 0 and 1 by some, as a boolean by others.
+/// Value of `negate`: some programs write 0 and 1, others a boolean.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
 #[serde(untagged)]
 enum Flag {
@@ -135,7 +138,7 @@ enum Flag {
     Truth(bool),
 }
 
-/// How greys become cells.
+/// Conversion from greys to cells, as nav2_map_server defines it.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq)]
 #[serde(rename_all = "lowercase")]
 enum Mode {
@@ -191,7 +194,7 @@ impl Description {
         Ok(())
     }
 
-    /// The image read as this says.
+    /// Converts the image to a grid.
     fn grid(&self, pixels: &Pixels) -> Grid {
         let table = self.cell_table();
         let (width, height) = (pixels.width as usize, pixels.height as usize);
@@ -212,7 +215,7 @@ impl Description {
         Grid { header, cells }
     }
 
-    /// The cell of each grey, as nav2_map_server's three modes read it.
+    /// Returns the cell of each grey, as nav2_map_server's three modes define it.
     fn cell_table(&self) -> [i8; 256] {
         core::array::from_fn(|grey| {
             let shade = grey as f64 / 255.0;
@@ -221,8 +224,8 @@ impl Description {
             match self.mode {
                 Mode::Raw if grey <= 100 => cell_of_probability(grey as f64 / 100.0),
                 Mode::Raw => UNKNOWN,
-                _ if p > self.occupied_thresh => CERTAIN,
-                _ if p < self.free_thresh => -CERTAIN,
+                _ if p > self.occupied_thresh => LOADED_LOG_ODDS,
+                _ if p < self.free_thresh => -LOADED_LOG_ODDS,
                 Mode::Trinary => UNKNOWN,
                 Mode::Scale => {
                     let span = (self.occupied_thresh - self.free_thresh).max(f64::MIN_POSITIVE);
@@ -233,10 +236,10 @@ impl Description {
     }
 }
 
-/// Log-odds of a probability, at most [`CERTAIN`] either way.
+/// Converts a probability to log-odds steps, at most [`LOADED_LOG_ODDS`] either way.
 fn cell_of_probability(p: f64) -> i8 {
     let steps = (p / (1.0 - p)).ln() / LOG_ODDS_PER_STEP;
-    steps.clamp(-f64::from(CERTAIN), f64::from(CERTAIN)).round() as i8
+    steps.clamp(-f64::from(LOADED_LOG_ODDS), f64::from(LOADED_LOG_ODDS)).round() as i8
 }
 
 fn describe(image: &str, header: &GridHeader) -> String {
@@ -248,7 +251,7 @@ fn describe(image: &str, header: &GridHeader) -> String {
     )
 }
 
-/// map_saver's grey of every cell, first row the highest y.
+/// Returns map_saver's grey of every cell, first row the highest y.
 fn greys_top_down(grid: GridView<'_>) -> Vec<u8> {
     let table: [u8; 256] = core::array::from_fn(|bits| match occupancy(bits as u8 as i8) {
         Occupancy::Occupied => GREY_OCCUPIED,
@@ -259,7 +262,7 @@ fn greys_top_down(grid: GridView<'_>) -> Vec<u8> {
     rows.flatten().map(|cell| table[usize::from(*cell as u8)]).collect()
 }
 
-/// `a/map.v1` becomes `a/map.v1.pgm`: a dot in the stem is not an extension.
+/// Appends an extension: `a/map.v1` becomes `a/map.v1.pgm`, since a dot in the stem is not an extension.
 fn with_extension(stem: &Path, extension: &str) -> PathBuf {
     let mut path = stem.as_os_str().to_owned();
     path.push(".");
@@ -267,34 +270,19 @@ fn with_extension(stem: &Path, extension: &str) -> PathBuf {
     path.into()
 }
 
-/// Writes beside the place and renames, so that a reader never sees half a file.
+/// Writes a file whole or not at all.
 fn write_whole(
     path: &Path,
-    write: impl FnOnce(&mut std::io::BufWriter<&File>) -> std::io::Result<()>,
+    fill: impl FnOnce(&mut std::io::BufWriter<&File>) -> std::io::Result<()>,
 ) -> Result<(), MapFileError> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut temporary = readable_by_all().tempfile_in(folder).map_err(MapFileError::io(path))?;
-    let mut buffered = std::io::BufWriter::new(&*temporary.as_file_mut());
-    write(&mut buffered).and_then(|()| buffered.flush()).map_err(MapFileError::io(path))?;
-    drop(buffered);
-    temporary
-        .persist(path)
-        .map_err(|error| MapFileError::Io { file: path.to_owned(), source: error.error })?;
-    Ok(())
+    atomic::write(path, fill).map_err(MapFileError::io(path))
 }
 
-/// Temporary files are private by default; a map is not.
-fn readable_by_all() -> tempfile::Builder<'static, 'static> {
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    builder
-}
-
-const _: () = assert!(CERTAIN < LOG_ODDS_MAX && CERTAIN >= grid::OCCUPIED_MIN && -CERTAIN <= grid::FREE_MAX);
+const _: () = assert!(
+    LOADED_LOG_ODDS < LOG_ODDS_MAX
+        && LOADED_LOG_ODDS >= grid::OCCUPIED_MIN
+        && -LOADED_LOG_ODDS <= grid::FREE_MAX
+);
 
 #[cfg(test)]
 mod tests;

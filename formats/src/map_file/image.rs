@@ -1,26 +1,26 @@
-//! Reading a map's image: PGM (binary and plain) and PNG, checked before anything is allocated.
+//! Reader of a map's image: PGM (binary and plain) and PNG. Sizes are checked before memory is allocated.
 
 use super::{CELLS_MAX, File, MapFileError, Path, Read};
 use std::io::{BufRead, BufReader, Seek};
 
-/// The longest PGM header that is read, comments included, bytes.
+/// Longest PGM header that is read, comments included, bytes.
 const HEADER_BYTES_MAX: u64 = 16 * 1024;
-/// Bytes that a plain PGM may spend on a pixel: three digits and white space, with room.
+/// Bytes that a plain PGM may spend on a pixel. Three digits and white space take four.
 const PLAIN_BYTES_PER_PIXEL_MAX: u64 = 8;
 
-/// An image's greys, 0 to 255, first row on top; `None` where it is transparent.
+/// Greys of an image, 0 to 255, first row on top; `None` where it is transparent.
 pub(super) struct Pixels {
     pub width: u32,
     pub height: u32,
     pub greys: Vec<Option<u8>>,
 }
 
-/// PNG by its signature, otherwise PGM.
+/// Reads a PNG or PGM file.
 pub(super) fn read_image(path: &Path) -> Result<Pixels, MapFileError> {
     decode_image(path, BufReader::new(File::open(path).map_err(MapFileError::io(path))?))
 }
 
-/// The same from an open file or from memory; `path` is for errors.
+/// Decodes a PNG or PGM, told apart by their first bytes; `path` is for errors.
 pub(super) fn decode_image(path: &Path, mut file: impl BufRead + Seek) -> Result<Pixels, MapFileError> {
     let mut magic = Vec::with_capacity(8);
     file.by_ref().take(8).read_to_end(&mut magic).map_err(MapFileError::io(path))?;
@@ -76,7 +76,7 @@ fn read_pgm(path: &Path, mut file: impl BufRead) -> Result<Pixels, MapFileError>
     Ok(Pixels { width, height, greys: raw.into_iter().map(|grey| Some(scale(grey))).collect() })
 }
 
-/// The next number, past white space and comments. Takes the one white space that ends it too.
+/// Reads the next number past white space and comments, and the one white space that ends it.
 fn pgm_number(next: &mut impl FnMut() -> Option<u8>) -> Option<u64> {
     let mut byte = next()?;
     loop {
@@ -99,7 +99,7 @@ fn pgm_number(next: &mut impl FnMut() -> Option<u8>) -> Option<u64> {
     (digits && clean_end).then_some(value)
 }
 
-/// Up to `size` greys; fewer if the text ends or stops making sense.
+/// Reads up to `size` greys; fewer if the text ends or is malformed.
 fn plain_pixels(text: &[u8], size: usize) -> Vec<u8> {
     let mut bytes = text.iter().copied();
     let mut next = || bytes.next();

@@ -1,16 +1,16 @@
-//! Maps as pictures for people: paths and robots drawn in colour over the map.
+//! Map pictures for people: paths and robots drawn in colour over an occupancy grid.
 
 use super::{MapFileError, Path, greys_top_down, write_whole};
 use msg::{GridView, Pose2};
 use std::io::Write;
 
-/// Red, green, blue.
+/// Colour: red, green, blue, 0 to 255 each.
 pub type Rgb = [u8; 3];
 
-/// A line's points beyond this are not drawn, pixels: a wild pose must not cost a second.
+/// Longest line that is drawn, pixels: a pose far outside the map must not cost a second.
 const LINE_PIXELS_MAX: f64 = 20_000.0;
 
-/// A map in colour, to be drawn upon in the map's own frame.
+/// Colour picture of a grid. Shapes are drawn in the grid's own frame.
 pub struct Picture<'a> {
     grid: GridView<'a>,
     /// Red, green, blue of every pixel, rows from the top.
@@ -18,7 +18,7 @@ pub struct Picture<'a> {
 }
 
 impl<'a> Picture<'a> {
-    /// One colour for each robot, by [`msg::RobotId::index`], told apart by most eyes.
+    /// Colour of each robot, by [`msg::RobotId::index`]. Most eyes can tell them apart.
     pub const ROBOT_COLOURS: [Rgb; 8] = [
         [230, 60, 50],
         [40, 120, 220],
@@ -30,18 +30,18 @@ impl<'a> Picture<'a> {
         [120, 100, 60],
     ];
 
-    /// The map in map_saver's greys.
+    /// Draws the grid in map_saver's greys.
     pub fn new(grid: GridView<'a>) -> Self {
         let greys = if grid.cells.is_empty() { Vec::new() } else { greys_top_down(grid) };
         Self { grid, pixels: greys.into_iter().flat_map(|grey| [grey; 3]).collect() }
     }
 
-    /// The colour of the robot with this index.
+    /// Returns the colour of the robot with this index; colours repeat after eight.
     pub fn robot_colour(index: usize) -> Rgb {
         Self::ROBOT_COLOURS[index % Self::ROBOT_COLOURS.len()]
     }
 
-    /// Joins points of the grid's frame, [x, y] in metres.
+    /// Draws a line through points of the grid's frame, [x, y] in metres.
     pub fn path(&mut self, points_m: impl IntoIterator<Item = [f64; 2]>, colour: Rgb) {
         let mut last = None;
         for point in points_m {
@@ -50,7 +50,7 @@ impl<'a> Picture<'a> {
         }
     }
 
-    /// A disc of `radius_m` with a line to where the robot looks, in the grid's frame.
+    /// Draws a disc of `radius_m` with a line in the robot's heading, in the grid's frame.
     pub fn robot(&mut self, pose: Pose2, radius_m: f64, colour: Rgb) {
         let [x, y] = self.pixel([pose.x_m, pose.y_m]);
         let radius = (radius_m / self.grid.header.resolution_m).clamp(1.5, 100.0);
@@ -63,7 +63,7 @@ impl<'a> Picture<'a> {
         self.line([pose.x_m, pose.y_m], pose.apply([2.5 * radius_m, 0.0]), colour);
     }
 
-    /// Writes a PNG, whole or not at all.
+    /// Writes a PNG file, whole or not at all.
     pub fn write_png(&self, path: &Path) -> Result<(), MapFileError> {
         let (width, height) = (self.grid.header.width, self.grid.header.height);
         write_whole(path, |file| encode(file, width, height, png::ColorType::Rgb, &self.pixels))
@@ -81,7 +81,7 @@ impl<'a> Picture<'a> {
         }
     }
 
-    /// Column and row from the top.
+    /// Returns column and row, rows counted from the top.
     fn pixel(&self, point_m: [f64; 2]) -> [f64; 2] {
         let [x, y] = self.grid.header.origin.inverse().apply(point_m);
         let resolution = self.grid.header.resolution_m;
@@ -97,7 +97,7 @@ impl<'a> Picture<'a> {
     }
 }
 
-/// 8 bits a sample, rows from the top.
+/// Encodes a PNG of 8 bits a sample, rows from the top.
 pub(super) fn encode(
     file: impl Write,
     width: u32,

@@ -1,0 +1,17 @@
+//! File formats that the robots' data is read from and written to.
+//!
+//! | module | format |
+//! |---|---|
+//! | [`carmen`] | CARMEN logs: odometry and laser scans as lines of text |
+//! | [`map_file`] | occupancy grids as ROS's map_server reads them: YAML with a PGM or PNG image |
+//! | [`gzip`] | gzip streams, unpacked up to a limit |
+//! | [`atomic`] | files that appear whole or not at all |
+//!
+//! Whatever the bytes, a reader ends with a sound value or an error, in bounded memory. The crate opens and writes
+//! files, but knows no clock, socket, thread or environment variable. The session format of SLAM is
+//! `slam::Session`: it is made of that crate's private types.
+
+pub mod atomic;
+pub mod carmen;
+pub mod gzip;
+pub mod map_file;

@@ -1,0 +1,88 @@
+//! The tables of channels and processes as Markdown, for ARCHITECTURE.md.
+
+use super::{CHANNELS, ChannelRow, End, Program, Scope};
+use crate::processes::PROCESSES;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+/// The line of ARCHITECTURE.md after which the generated chapter begins.
+pub const BEGIN: &str = "<!-- generated from src/channel/table.rs and src/processes.rs: begin -->";
+/// The line of ARCHITECTURE.md before which it ends.
+pub const END: &str = "<!-- generated: end -->";
+
+/// Lists the ends of a channel, for people.
+pub(super) fn list(ends: &[End]) -> String {
+    ends.iter().map(End::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// The chapter: a picture, the table of processes and the table of channels.
+pub fn chapter() -> String {
+    format!("{}\n{}\n{}", picture(), process_table(), channel_table())
+}
+
+/// The processes and their channels as a Mermaid flowchart.
+fn picture() -> String {
+    let mut arrows: BTreeMap<(Program, Program), Vec<&str>> = BTreeMap::new();
+    for row in CHANNELS.into_iter().filter(|row| row.scope != Scope::Process) {
+        for (from, to) in arrows_of(row) {
+            arrows.entry((from, to)).or_default().push(row.name);
+        }
+    }
+    let mut text = String::from("```mermaid\nflowchart LR\n");
+    for program in [Program::Sim, Program::Slam] {
+        let _ = writeln!(text, "    {0}[\"{0}(k)\"]", program.name());
+    }
+    for ((from, to), names) in arrows {
+        let _ = writeln!(text, "    {} -->|\"{}\"| {}", from.name(), names.join(", "), to.name());
+    }
+    text + "```\n"
+}
+
+/// The arrows of a channel between programs of the fleet itself.
+fn arrows_of(row: &ChannelRow) -> impl Iterator<Item = (Program, Program)> {
+    let drawn = |end: &&End| !matches!(end, End::OutsideWorld(_));
+    let tool = |program: Program| matches!(program, Program::AskSlam | Program::AskMerge);
+    let ends = |ends: &'static [End]| ends.iter().filter(drawn).map(|end| end.program());
+    let readers: Vec<_> = ends(row.readers).filter(|program| !tool(*program)).collect();
+    let writers: Vec<_> = ends(row.writers).filter(|program| !tool(*program)).collect();
+    writers.into_iter().flat_map(move |from| readers.clone().into_iter().map(move |to| (from, to)))
+}
+
+fn process_table() -> String {
+    let mut text =
+        String::from("| process | one for each | command | started again with |\n|---|---|---|---|\n");
+    for row in &PROCESSES {
+        let each = if row.per_robot { "robot" } else { "fleet" };
+        let each = if row.simulated_world_only { "simulated robot" } else { each };
+        let _ =
+            writeln!(text, "| {} | {each} | `mr-slam {}` | {} |", row.role.name(), row.command, row.resume);
+    }
+    text
+}
+
+fn channel_table() -> String {
+    let mut text = String::from(
+        "| channel | message | writers | readers | depth | history | wakes | content |\n\
+         |---|---|---|---|---|---|---|---|\n",
+    );
+    for row in CHANNELS {
+        let name = match row.scope {
+            Scope::Fleet => row.name.to_string(),
+            Scope::Robot => format!("robotK/{}", row.name),
+            Scope::Process => format!("PROCESS/{}", row.name),
+        };
+        let writers = if row.scope == Scope::Process { "each process".into() } else { list(row.writers) };
+        let message = row.message.trim_start_matches("msg::");
+        let wakes = if row.wakes { "yes" } else { "no" };
+        let _ = writeln!(
+            text,
+            "| `{name}` | {message} | {writers} | {} | {} | {} | {wakes} | {} |",
+            list(row.readers),
+            row.depth,
+            row.history,
+            row.content
+        );
+    }
+    text + "\n\\* Where the robots are not simulated here, the bridge writes what the simulators write, but for the \
+            truth,\nand passes commands on to ROS 2.\n"
+}

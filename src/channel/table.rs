@@ -1,0 +1,326 @@
+//! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
+
+use super::End::{Of, OfFirst, OfOthers, OutsideWorld};
+use super::Program::{AskMerge, AskSlam, Bridge, Launcher, Merge, Sim, Slam, Telemetry};
+use super::{Channel, ChannelRow, End, Scope, TypedRow};
+use msg::{
+    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
+    PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
+    SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
+};
+
+/// Messages of a map that its writer sends at a time: with the pause between two lots, 26 MB a second.
+pub const MAP_MESSAGES_MAX: usize = 4;
+/// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
+const READERS_MAX: usize = 8;
+/// Readers of submaps, whose messages are large: merge and one tool.
+const SUBMAP_READERS_MAX: usize = 2;
+/// Writers of requests: the bridge's two endpoints and commands of people.
+const REQUEST_WRITERS_MAX: usize = 8;
+
+/// A channel for each robot that wakes its readers and keeps nothing for late ones.
+const STREAM: ChannelRow = ChannelRow {
+    name: "",
+    message: "",
+    scope: Scope::Robot,
+    content: "",
+    writers: &[],
+    readers: &[],
+    depth: 32,
+    history: 0,
+    readers_max: READERS_MAX,
+    writers_max: 1,
+    wakes: true,
+};
+/// A channel of the fleet that gives late readers the newest message.
+const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1, ..STREAM };
+/// A map's channel: readers may fall four lots of messages behind.
+const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
+
+const SIM_OR_OUTSIDE: &[End] = &[Of(Sim), OutsideWorld(Bridge)];
+const EVERYBODY: &[End] = &[Of(Sim), Of(Slam), Of(Merge), Of(Telemetry), Of(Bridge)];
+
+static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
+    name: "command",
+    content: "wished velocity, 20 Hz while somebody drives",
+    writers: &[Of(Bridge)],
+    readers: &[Of(Sim), OutsideWorld(Bridge)],
+    ..STREAM
+});
+static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
+    name: "scan",
+    content: "one turn of the LiDAR, 10 Hz",
+    writers: SIM_OR_OUTSIDE,
+    readers: &[Of(Slam), Of(Bridge)],
+    // 1.6 s fit while SLAM is restarted or descheduled.
+    depth: 16,
+    ..STREAM
+});
+static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
+    name: "odometry",
+    content: "wheel odometry, 20 Hz, before the scan of the same stamp",
+    writers: SIM_OR_OUTSIDE,
+    readers: &[Of(Slam), Of(Bridge)],
+    depth: 64,
+    // The scan of the same stamp wakes the reader.
+    wakes: false,
+    ..STREAM
+});
+static TRANSFORMS: TypedRow<Transforms> = TypedRow::new(ChannelRow {
+    name: "transforms",
+    content: "the robot's own frames, 20 Hz",
+    writers: SIM_OR_OUTSIDE,
+    readers: &[Of(Telemetry), Of(Bridge)],
+    ..STREAM
+});
+static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
+    name: "truth",
+    content: "the simulated pose, 100 Hz",
+    writers: &[Of(Sim)],
+    readers: &[OfOthers(Sim), Of(Telemetry), Of(Launcher)],
+    depth: 4,
+    readers_max: READERS_MAX + ROBOTS_MAX,
+    // Readers look once in each tick of their own.
+    wakes: false,
+    ..STREAM
+});
+static CLOCK: TypedRow<Clock> = TypedRow::new(ChannelRow {
+    name: "clock",
+    content: "the run's time, 100 Hz",
+    scope: Scope::Fleet,
+    writers: &[OfFirst(Sim), OutsideWorld(Bridge)],
+    readers: &[Of(Bridge)],
+    ..STREAM
+});
+static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
+    name: "correction",
+    content: "the pose in the robot's map, one for each scan",
+    writers: &[Of(Slam)],
+    readers: &[Of(Merge), Of(Telemetry), Of(Bridge), Of(Launcher)],
+    ..STREAM
+});
+// Readers cannot count lost messages of several writers: whoever asks sees that no answer comes.
+static SLAM_REQUEST: TypedRow<SlamRequest> = TypedRow::new(ChannelRow {
+    name: "slam_request",
+    content: "a request to SLAM, on demand",
+    writers: &[Of(Bridge), Of(AskSlam)],
+    readers: &[Of(Slam)],
+    depth: 16,
+    writers_max: REQUEST_WRITERS_MAX,
+    ..STREAM
+});
+static SLAM_RESPONSE: TypedRow<SlamResponse> = TypedRow::new(ChannelRow {
+    name: "slam_response",
+    content: "the answer to each request",
+    writers: &[Of(Slam)],
+    readers: &[Of(Bridge), Of(AskSlam)],
+    depth: 16,
+    ..STREAM
+});
+static ROBOT_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
+    name: "map",
+    content: "changed tiles of the robot's map, at most 10 Hz",
+    writers: &[Of(Slam)],
+    readers: &[Of(Merge), Of(Telemetry), Of(Bridge), Of(Launcher)],
+    ..MAP
+});
+static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
+    name: "submap",
+    content: "a new or changed submap, at most 10 Hz",
+    writers: &[Of(Slam)],
+    readers: &[Of(Merge)],
+    // A message has 0.26 MB: few fit, and a reader that lost one asks for it.
+    depth: 8,
+    readers_max: SUBMAP_READERS_MAX,
+    ..STREAM
+});
+static SUBMAP_POSES: TypedRow<SubmapPoses> = TypedRow::new(ChannelRow {
+    name: "submap_poses",
+    content: "poses of all submaps, with each node",
+    scope: Scope::Robot,
+    writers: &[Of(Slam)],
+    readers: &[Of(Merge)],
+    readers_max: SUBMAP_READERS_MAX,
+    ..STATE
+});
+static SUBMAP_REQUEST: TypedRow<SubmapRequest> = TypedRow::new(ChannelRow {
+    name: "submap_request",
+    content: "a request for all submaps, when one is missing",
+    writers: &[Of(Merge)],
+    readers: &[Of(Slam)],
+    depth: 2,
+    wakes: false,
+    ..STREAM
+});
+static MERGED_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
+    name: "merged_map",
+    content: "changed tiles of the fleet's map",
+    scope: Scope::Fleet,
+    writers: &[Of(Merge)],
+    readers: &[Of(Telemetry), Of(Bridge), Of(Launcher)],
+    ..MAP
+});
+static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
+    name: "map_transforms",
+    content: "where each robot's map lies in the fleet's, before each merged map",
+    writers: &[Of(Merge)],
+    readers: &[Of(Telemetry), Of(Bridge)],
+    wakes: false,
+    ..STATE
+});
+static MERGE_EDGES: TypedRow<MergeEdges> = TypedRow::new(ChannelRow {
+    name: "merge_edges",
+    content: "what merging believes of each pair of robots, on change",
+    writers: &[Of(Merge)],
+    readers: &[Of(Bridge), Of(Launcher), Of(AskMerge)],
+    ..STATE
+});
+static EDGE_COMMAND: TypedRow<EdgeCommand> = TypedRow::new(ChannelRow {
+    name: "edge_command",
+    content: "a person's command about an edge, on demand",
+    scope: Scope::Fleet,
+    writers: &[Of(Bridge), Of(AskMerge)],
+    readers: &[Of(Merge)],
+    depth: 16,
+    writers_max: REQUEST_WRITERS_MAX,
+    ..STREAM
+});
+static STATS: TypedRow<FleetStats> = TypedRow::new(ChannelRow {
+    name: "stats",
+    content: "the fleet's figures, 1 Hz",
+    writers: &[Of(Telemetry)],
+    readers: &[Of(Bridge), Of(Launcher)],
+    ..STATE
+});
+static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
+    name: "health",
+    content: "a process's own counters, 1 Hz",
+    scope: Scope::Process,
+    writers: EVERYBODY,
+    readers: &[Of(Telemetry)],
+    depth: 4,
+    wakes: false,
+    ..STREAM
+});
+
+/// All channels of a fleet, in the order of the data's way.
+pub static CHANNELS: [&ChannelRow; 19] = [
+    &COMMAND.row,
+    &SCAN.row,
+    &ODOMETRY.row,
+    &TRANSFORMS.row,
+    &TRUTH.row,
+    &CLOCK.row,
+    &CORRECTION.row,
+    &SLAM_REQUEST.row,
+    &SLAM_RESPONSE.row,
+    &ROBOT_MAP.row,
+    &SUBMAP.row,
+    &SUBMAP_POSES.row,
+    &SUBMAP_REQUEST.row,
+    &MERGED_MAP.row,
+    &MAP_TRANSFORMS.row,
+    &MERGE_EDGES.row,
+    &EDGE_COMMAND.row,
+    &STATS.row,
+    &HEALTH.row,
+];
+
+/// `robotK/command`.
+pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
+    COMMAND.of_robot(robot)
+}
+
+/// `robotK/scan`.
+pub fn scan(robot: RobotId) -> Channel<Scan> {
+    SCAN.of_robot(robot)
+}
+
+/// `robotK/odometry`.
+pub fn odometry(robot: RobotId) -> Channel<Odometry> {
+    ODOMETRY.of_robot(robot)
+}
+
+/// `robotK/transforms`.
+pub fn transforms(robot: RobotId) -> Channel<Transforms> {
+    TRANSFORMS.of_robot(robot)
+}
+
+/// `robotK/truth`.
+pub fn truth(robot: RobotId) -> Channel<GroundTruth> {
+    TRUTH.of_robot(robot)
+}
+
+/// `clock`.
+pub fn clock() -> Channel<Clock> {
+    CLOCK.of_fleet()
+}
+
+/// `robotK/correction`.
+pub fn correction(robot: RobotId) -> Channel<Correction> {
+    CORRECTION.of_robot(robot)
+}
+
+/// `robotK/slam_request`.
+pub fn slam_request(robot: RobotId) -> Channel<SlamRequest> {
+    SLAM_REQUEST.of_robot(robot)
+}
+
+/// `robotK/slam_response`; open it before asking.
+pub fn slam_response(robot: RobotId) -> Channel<SlamResponse> {
+    SLAM_RESPONSE.of_robot(robot)
+}
+
+/// `robotK/map`; a reader that comes late asks for the whole map.
+pub fn map(robot: RobotId) -> Channel<PatchHeader> {
+    ROBOT_MAP.of_robot(robot)
+}
+
+/// `robotK/submap`.
+pub fn submap(robot: RobotId) -> Channel<Submap> {
+    SUBMAP.of_robot(robot)
+}
+
+/// `robotK/submap_poses`.
+pub fn submap_poses(robot: RobotId) -> Channel<SubmapPoses> {
+    SUBMAP_POSES.of_robot(robot)
+}
+
+/// `robotK/submap_request`.
+pub fn submap_request(robot: RobotId) -> Channel<SubmapRequest> {
+    SUBMAP_REQUEST.of_robot(robot)
+}
+
+/// `merged_map`; a reader that comes late asks for the whole map.
+pub fn merged_map() -> Channel<PatchHeader> {
+    MERGED_MAP.of_fleet()
+}
+
+/// `map_transforms`.
+pub fn map_transforms() -> Channel<MapTransforms> {
+    MAP_TRANSFORMS.of_fleet()
+}
+
+/// `merge_edges`.
+pub fn merge_edges() -> Channel<MergeEdges> {
+    MERGE_EDGES.of_fleet()
+}
+
+/// `edge_command`.
+pub fn edge_command() -> Channel<EdgeCommand> {
+    EDGE_COMMAND.of_fleet()
+}
+
+/// `stats`.
+pub fn stats() -> Channel<FleetStats> {
+    STATS.of_fleet()
+}
+
+/// `ROLE/health` of a process of the fleet, `robotK/ROLE/health` of a robot's process.
+pub fn process_health(role: Role, robot: Option<RobotId>) -> Channel<ProcessHealth> {
+    let name = match robot {
+        Some(robot) => format!("{robot}/{}/{}", role.name(), HEALTH.row.name),
+        None => format!("{}/{}", role.name(), HEALTH.row.name),
+    };
+    HEALTH.channel(robot, name)
+}

@@ -1,0 +1,186 @@
+//! What a process's loop needs of the world: channels to read and write, and a clock.
+//!
+//! Live, [`crate::shared_memory::Participant`] gives both on iceoryx2 and CLOCK_MONOTONIC; in lockstep,
+//! `crate::lockstep::queues` gives them on queues in memory and virtual time. The loops in [`crate::process`] are
+//! written once over these traits.
+
+use crate::channel::{Channel, Undeclared};
+use msg::{Header, Message, Monotonic, PatchHeader, TileMap};
+use std::ops::Deref;
+use std::time::Duration;
+
+/// Pause between two lots of messages of one version of a map, so that readers keep up.
+pub const MAP_PAUSE: Duration = Duration::from_millis(40);
+/// A reader that waits for the whole map asks again after this.
+pub const MAP_REQUEST_PERIOD: Duration = Duration::from_millis(500);
+
+/// An operation on a channel failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ChannelError {
+    /// Shared memory refused an operation.
+    #[error("shared memory: {what} `{name}`: {why}")]
+    SharedMemory {
+        /// The operation.
+        what: &'static str,
+        /// The channel, process or run that it was for.
+        name: String,
+        /// The cause, as iceoryx2 names it.
+        why: String,
+    },
+    /// The table of channels does not allow it.
+    #[error(transparent)]
+    Undeclared(#[from] Undeclared),
+}
+
+/// What a process has used so far.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ProcessUsage {
+    /// Process id.
+    pub pid: u32,
+    /// Resident memory, bytes.
+    pub memory_bytes: u64,
+    /// Processor time, nanoseconds.
+    pub cpu_ns: u64,
+}
+
+/// The time, and what the process has used.
+pub trait Clock: Clone {
+    /// Monotonic time, the same in every process of a run.
+    fn now(&self) -> Monotonic;
+    /// What this process has used so far.
+    fn usage(&self) -> ProcessUsage;
+}
+
+/// Writes one channel.
+pub trait WritePort<T: Message> {
+    /// Sends what `fill` makes of an all-zero message. It fills in the stamp; the port numbers and times the message.
+    fn send_with(&mut self, fill: impl FnOnce(&mut T));
+    /// Sends a copy.
+    fn send(&mut self, message: &T) {
+        self.send_with(|slot| *slot = *message);
+    }
+    /// Lets late readers have the history. Call it now and then where nothing is sent for long.
+    fn refresh(&self);
+}
+
+/// Reads one channel.
+pub trait ReadPort<T: Message> {
+    /// A message, borrowed from the channel.
+    type Received: Deref<Target = T>;
+    /// Takes the oldest message that was not read yet.
+    fn receive(&mut self) -> Option<Self::Received>;
+    /// Reads on to the newest message, if there is one.
+    fn newest(&mut self) -> Option<Self::Received> {
+        let mut newest = None;
+        while let Some(message) = self.receive() {
+            newest = Some(message);
+        }
+        newest
+    }
+    /// Counts of messages received and missed so far.
+    fn gaps(&self) -> Gaps;
+}
+
+/// Writes a map's channel: the tiles that changed, and the whole map to readers that ask.
+pub trait WriteMapPort {
+    /// Wakes the writer when a reader asks for the whole map.
+    type Listener;
+    /// Sends what readers lack of `map`, a bounded part at a time: call it again after [`MAP_PAUSE`] while it returns
+    /// false, and now and then, as readers may ask for the whole.
+    fn send(&mut self, map: &TileMap) -> bool;
+    /// Wakes when a reader asks for the whole.
+    fn requests(&self) -> &Self::Listener;
+    /// Bytes written so far.
+    fn bytes(&self) -> u64;
+}
+
+/// Reads a map's channel and keeps the map.
+pub trait ReadMapPort {
+    /// Takes in what has come. True if there is a new version of the map.
+    fn poll(&mut self) -> bool;
+    /// The newest complete version; without tiles before the first.
+    fn map(&self) -> &TileMap;
+    /// Counts of messages received and missed so far.
+    fn gaps(&self) -> Gaps;
+}
+
+/// Opens channels on behalf of one process, or one thread of it.
+pub trait Ports {
+    /// The clock.
+    type Clock: Clock;
+    /// Writes a channel.
+    type Writer<T: Message>: WritePort<T>;
+    /// Reads a channel.
+    type Reader<T: Message>: ReadPort<T>;
+    /// Wakes its owner when a channel is written.
+    type Listener;
+    /// Writes a map's channel.
+    type MapWriter: WriteMapPort<Listener = Self::Listener>;
+    /// Reads a map's channel.
+    type MapReader: ReadMapPort;
+
+    /// The clock of the process.
+    fn clock(&self) -> Self::Clock;
+    /// Opens a channel to write.
+    fn writer<T: Message>(&self, channel: &Channel<T>) -> Result<Self::Writer<T>, ChannelError>;
+    /// Opens a channel to read.
+    fn reader<T: Message>(&self, channel: &Channel<T>) -> Result<Self::Reader<T>, ChannelError>;
+    /// Wakes its owner when the channel is written. Only for channels that wake.
+    fn listener<T: Message>(&self, channel: &Channel<T>) -> Result<Self::Listener, ChannelError>;
+    /// Opens a map's channel to write.
+    fn map_writer(&self, channel: &Channel<PatchHeader>) -> Result<Self::MapWriter, ChannelError>;
+    /// Opens a map's channel to read.
+    fn map_reader(&self, channel: &Channel<PatchHeader>) -> Result<Self::MapReader, ChannelError>;
+}
+
+/// Numbers and times what a writer sends.
+#[derive(Clone, Debug)]
+pub struct Stamper {
+    run: u64,
+    seq: u64,
+}
+
+impl Stamper {
+    /// `run` tells this incarnation of the writer from an earlier one.
+    pub fn new(run: u64) -> Self {
+        Self { run, seq: 0 }
+    }
+
+    /// Marks the next message, sent now.
+    pub fn mark(&mut self, header: &mut Header, now: Monotonic) {
+        (header.incarnation, header.seq, header.sent) = (self.run, self.seq, now);
+        self.seq += 1;
+    }
+
+    /// Leaves out a number: its message was lost before it was sent.
+    pub fn skip(&mut self) {
+        self.seq += 1;
+    }
+}
+
+/// Counts what a reader received and what it missed, by the numbers its writer gave.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Gaps {
+    /// Messages received.
+    pub received: u64,
+    /// Messages sent after this reader's first and never received.
+    pub lost: u64,
+    /// The writer's incarnations seen, less one.
+    pub restarts: u64,
+    run: u64,
+    next: u64,
+}
+
+impl Gaps {
+    /// Counts a message that was received.
+    pub fn count(&mut self, header: &Header) {
+        if header.incarnation != self.run {
+            self.restarts += u64::from(self.received > 0);
+            self.run = header.incarnation;
+        } else {
+            self.lost += header.seq.saturating_sub(self.next);
+        }
+        self.next = header.seq.saturating_add(1);
+        self.received += 1;
+    }
+}

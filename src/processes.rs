@@ -1,0 +1,95 @@
+//! The table of the fleet's processes: it drives the supervisor, telemetry, lockstep and ARCHITECTURE.md.
+
+use crate::config::FleetConfig;
+use msg::{RobotId, Role};
+use std::fmt;
+
+/// What the supervisor tells a process that it starts again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Resume {
+    /// Nothing: the process finds what it needs in the run's folder.
+    Folder,
+    /// The robot's last pose in `world`.
+    WorldFromBase,
+    /// The last pose of `odom` in the robot's map, in case the session file is missing or damaged.
+    MapFromOdom,
+}
+
+impl fmt::Display for Resume {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Folder => "what the run's folder holds",
+            Self::WorldFromBase => "the robot's last true pose (`--at`)",
+            Self::MapFromOdom => "its session, else the last pose of `odom` in the map (`--at`)",
+        })
+    }
+}
+
+/// One row of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct ProcessRow {
+    /// The process's role.
+    pub role: Role,
+    /// Whether each robot has one, or the fleet has one.
+    pub per_robot: bool,
+    /// Whether it runs only where the robots are simulated here.
+    pub simulated_world_only: bool,
+    /// The subcommand of `mr-slam` that runs it.
+    pub command: &'static str,
+    /// What it is told when it is started again.
+    pub resume: Resume,
+}
+
+impl ProcessRow {
+    /// The process's name for people: `slam of robot1`.
+    pub fn title(&self, robot: Option<RobotId>) -> String {
+        match robot {
+            Some(robot) => format!("{} of {robot}", self.role.name()),
+            None => self.role.name().into(),
+        }
+    }
+}
+
+const OF_FLEET: ProcessRow = ProcessRow {
+    role: Role::Bridge,
+    per_robot: false,
+    simulated_world_only: false,
+    command: "",
+    resume: Resume::Folder,
+};
+
+/// All processes of a fleet, in the order in which they are started.
+pub static PROCESSES: [ProcessRow; 5] = [
+    ProcessRow { role: Role::Bridge, command: "bridge", ..OF_FLEET },
+    ProcessRow { role: Role::Telemetry, command: "telemetry", ..OF_FLEET },
+    ProcessRow { role: Role::Merge, command: "merge", ..OF_FLEET },
+    ProcessRow {
+        role: Role::Slam,
+        per_robot: true,
+        // `mr-slam slam` is the command with which people ask SLAM.
+        command: "slam-worker",
+        resume: Resume::MapFromOdom,
+        ..OF_FLEET
+    },
+    ProcessRow {
+        role: Role::Sim,
+        per_robot: true,
+        simulated_world_only: true,
+        command: "sim",
+        resume: Resume::WorldFromBase,
+    },
+];
+
+/// Every process of a fleet, in the order in which they are started: those of the fleet, then robot by robot.
+pub fn of_fleet(
+    config: &FleetConfig,
+) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
+    let outside = config.world.is_outside();
+    let runs = move |row: &&ProcessRow| !(row.simulated_world_only && outside);
+    let of_robot = move |robot| {
+        let rows = PROCESSES.iter().filter(|row| row.per_robot).filter(runs);
+        rows.map(move |row| (row, Some(robot)))
+    };
+    let of_fleet = PROCESSES.iter().filter(|row| !row.per_robot).filter(runs).map(|row| (row, None));
+    of_fleet.chain(RobotId::first(config.fleet.robots).flat_map(of_robot))
+}
