@@ -1,6 +1,6 @@
 //! A bridge on a thread of its own, with a test world in place of simulators, SLAM and merging.
 
-use bridge::{Bridge, BridgeConfig, serve};
+use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 use msg::{Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms};
 use nav::Twist;
 use nav::test_world::{RANGE_MAX_M, RANGE_MIN_M, TestWorld, beam_angle_rad};
@@ -46,7 +46,7 @@ pub(super) fn spawn_fleet(
             let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
             ready.send(listener.local_addr().unwrap().port()).unwrap();
             let (over, until) = tokio::sync::oneshot::channel::<()>();
-            let serving = tokio::task::spawn_local(serve(bridge.clone(), listener, async {
+            let serving = tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, async {
                 let _ = until.await;
             }));
             run_world(&bridge, &world, &stop, is_done).await;
@@ -87,18 +87,19 @@ async fn run_world(
 fn publish_world(world: &TestWorld, bridge: &Bridge, step: u64, now: Stamp) {
     let header = msg::Header { stamp: now, ..Default::default() };
     let mut map_transforms = msg::MapTransforms { header, ..Default::default() };
-    bridge.clock(&msg::Clock { header });
+    bridge.publish(FleetMessage::Clock(&msg::Clock { header }));
     for (i, robot) in RobotId::first(world.robot_count()).enumerate() {
         map_transforms.robots[i].known = 1;
-        bridge.transforms(robot, &transforms(header, world.pose(i)));
+        bridge.publish(FleetMessage::Transforms(robot, &transforms(header, world.pose(i))));
         if step.is_multiple_of(SCAN_STEPS) {
-            bridge.scan(robot, &scan(header, world.ranges_m(i)));
-            bridge.correction(robot, &msg::Correction { header, ..Default::default() });
+            bridge.publish(FleetMessage::Scan(robot, &scan(header, world.ranges_m(i))));
+            let correction = msg::Correction { header, ..Default::default() };
+            bridge.publish(FleetMessage::Correction(robot, &correction));
         }
     }
-    bridge.map_transforms(&map_transforms);
+    bridge.publish(FleetMessage::MapTransforms(&map_transforms));
     if step.is_multiple_of(MAP_STEPS) {
-        bridge.merged_map(world.map().view());
+        bridge.publish(FleetMessage::MergedMap(world.map().view()));
     }
 }
 
