@@ -14,7 +14,6 @@ mod belief;
 mod clique;
 mod closure;
 mod compose;
-mod graph;
 mod joint;
 mod member;
 mod pair;

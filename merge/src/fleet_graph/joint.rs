@@ -1,9 +1,9 @@
 //! The fleet's joint graph: what is put together, and what comes of its solution.
 
-use super::graph::{Constraint, certain_to};
 use super::task::{Job, Problem, ProblemPair, Solution, Task};
 use super::{FleetPoseGraph, robots_of};
 use msg::{EdgeState, Pose2};
+use posegraph::{Edge, Kernel, information_from_sigmas};
 
 /// Closures that make an edge of two robots that others had brought together.
 const CLOSURES_MIN: usize = 2;
@@ -67,13 +67,13 @@ impl FleetPoseGraph {
             problem.constraints.extend(member.constraints(first));
             let held = self.holder.filter(|(holder, _)| *holder == index).map(|(_, pose)| (pose, FRAME));
             if let Some((pose, [m, rad])) = member.start.map(|start| (start, START)).or(held) {
-                let information = certain_to(m, rad);
-                problem.constraints.push(Constraint {
+                let information = information_from_sigmas(m, rad);
+                problem.constraints.push(Edge {
                     a: 0,
                     b: first,
                     a_from_b: pose * *own,
                     information,
-                    robust: false,
+                    kernel: Kernel::Quadratic,
                 });
             }
         }
