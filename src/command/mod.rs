@@ -69,7 +69,7 @@ enum Command {
 pub fn run(cli: Cli) -> Result<(), Error> {
     match cli.command {
         Command::Demo(args) => {
-            let mut operator = demo::Operator::new(args.seconds);
+            let mut operator = demo::OperatorProcess::new(args.seconds);
             up::run(&args, &mut operator, &Stop::on_signals()?)?;
         }
         Command::Up(args) => drop(up::run(&args, &mut up::NoHooks, &Stop::on_signals()?)?),

@@ -1,7 +1,7 @@
 //! Summary of a replay, for people and for programs.
 
 use serde::Serialize;
-use slam::{Back, Front, SearchCounts, SeekCounts};
+use slam::{BackEnd, ClosureSearchCounts, FrontEnd, RelocalizationCounts};
 use std::time::Duration;
 
 /// Figures of a replay of one log.
@@ -22,7 +22,7 @@ pub struct Summary {
     /// Number of scans before the robot was located in the session's map.
     pub not_located: u64,
     /// Outcomes of the searches for the robot.
-    pub sought: SeekCounts,
+    pub relocalization: RelocalizationCounts,
     /// Last pose in the map: x m, y m, yaw rad.
     pub ends_at: [f64; 3],
     /// Number of malformed lines.
@@ -38,7 +38,7 @@ pub struct Summary {
     /// Number of loop closures that were removed.
     pub retracted: u64,
     /// Outcomes of the closure searches.
-    pub closure_searches: SearchCounts,
+    pub closure_searches: ClosureSearchCounts,
     /// Number of solutions of the whole graph.
     pub solutions: u64,
     /// Duration from reading to the final trajectory, seconds.
@@ -65,10 +65,14 @@ impl Summary {
             "{}\n  scans     {} ({} lost, {} malformed lines)\n  graph     {} nodes, {} links, {} closures ({} removed)\n",
             s.log, s.scans, s.lost, s.malformed_lines, s.nodes, s.links, s.closures, s.retracted
         );
-        if s.sought.searches > 0 {
+        if s.relocalization.searches > 0 {
             text += &format!(
                 "  located   after {} scans; {} searches, {} found, {} ambiguous, {} contradicted\n",
-                s.not_located, s.sought.searches, s.sought.found, s.sought.ambiguous, s.sought.contradicted
+                s.not_located,
+                s.relocalization.searches,
+                s.relocalization.found,
+                s.relocalization.ambiguous,
+                s.relocalization.contradicted
             );
         }
         text += &format!(
@@ -83,7 +87,7 @@ impl Summary {
     }
 
     /// Copies the counters of front end and back end.
-    pub(super) fn count(&mut self, front: &Front, back: &Back) {
+    pub(super) fn count(&mut self, front: &FrontEnd, back: &BackEnd) {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.stamp_repeated, self.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
@@ -91,7 +95,7 @@ impl Summary {
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
         self.closure_searches = done.searches;
-        self.sought = done.sought;
+        self.relocalization = done.relocalization;
     }
 }
 
