@@ -13,7 +13,7 @@ use crate::fleet::{self, FleetError};
 use crate::process::{MAP_PERIOD, PLAN_RESOLUTION_M};
 use crate::sessions::{self, SessionsError};
 use bytemuck::Zeroable;
-use merge::{Fleet, Merger};
+use merge::{FleetPoseGraph, Merger};
 use msg::tiles::PatchSender;
 use msg::{
     Clock, Correction, DenseMap, FleetStats, GridView, GroundTruth, Header, MapTransforms, MergeEdges,
@@ -38,7 +38,7 @@ pub struct Lockstep {
     merger: Merger,
     robot_radius_m: f64,
     /// The joint graph: one piece of its work each tick.
-    joint: Fleet,
+    joint: FleetPoseGraph,
     edges: Box<MergeEdges>,
     telemetry: Telemetry,
     tour: Option<Tour>,
@@ -117,7 +117,7 @@ impl Lockstep {
             members: robots.clone().zip(&starts).map(member).collect::<Result<_, FleetError>>()?,
             merger: Merger::new(&config.merge, &known),
             robot_radius_m: config.slam.map.robot_radius_m,
-            joint: Fleet::new(&config.merge.align, &known),
+            joint: FleetPoseGraph::new(&config.merge.align, &known),
             edges: Box::default(),
             telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &truth),
             tour: Tour::new(tour, robots),
@@ -156,7 +156,7 @@ impl Lockstep {
         self.ticks += 1;
         if self.ticks.is_multiple_of(STATS_TICKS) {
             let stamp = self.now();
-            *self.stats = *self.telemetry.stats(stamp, moment(stamp));
+            *self.stats = *self.telemetry.compute_stats(stamp, moment(stamp));
             self.voice.say(&channel::stats(), self.stats.as_mut(), listener);
         }
     }
@@ -223,7 +223,7 @@ impl Lockstep {
             if let Some(at) =
                 member.correction.filter(|at| tick.scan_due && at.state() != TrackingState::Lost)
             {
-                self.merger.stand(member.robot, at.map_from_base, self.robot_radius_m);
+                self.merger.set_robot_footprint(member.robot, at.map_from_base, self.robot_radius_m);
             }
             if changed {
                 // Refusals are counted where processes run; here a refused map would show in the figures.
@@ -239,9 +239,9 @@ impl Lockstep {
     /// A piece of the joint graph's work. True if a robot's map lies elsewhere now, or looks different.
     fn join(&mut self, listener: Listener<'_>) -> bool {
         let Some(task) = self.joint.next_task() else { return false };
-        self.joint.take(task.run());
+        self.joint.apply_outcome(task.run());
         let mut edges = self.edges.clone();
-        self.joint.edges(&mut edges);
+        self.joint.write_edges(&mut edges);
         if edges.edges() != self.edges.edges() {
             edges.header.stamp = self.now();
             self.voice.say(&channel::merge_edges(), edges.as_mut(), listener);
@@ -249,7 +249,11 @@ impl Lockstep {
         }
         let settle = |changed: bool, member: &Member| {
             let (robot, joint) = (member.robot, &self.joint);
-            let news = self.merger.settle(robot, joint.anchor(robot), joint.straightened(robot));
+            let news = self.merger.apply_fleet_estimate(
+                robot,
+                joint.map_from_robot_map(robot),
+                joint.redrawn_map(robot),
+            );
             changed | news.unwrap_or(false)
         };
         self.members.iter().fold(false, settle)
@@ -262,7 +266,7 @@ impl Lockstep {
         self.map_transforms = self.merger.map_transforms();
         self.voice.say(&channel::map_transforms(), &mut self.map_transforms, listener);
         self.telemetry.map_transforms(&self.map_transforms);
-        self.telemetry.merged_map(self.merged_map.grid.view(), received);
+        self.telemetry.update_merged_map(self.merged_map.grid.view(), received);
     }
 }
 
@@ -287,7 +291,7 @@ impl Member {
         }
         self.truth = tick.truth;
         voice.say(&channel::truth(robot), &mut self.truth, listener);
-        telemetry.truth(robot, &self.truth);
+        telemetry.add_truth(robot, &self.truth);
         if let Some(mut odometry) = tick.odometry {
             voice.say(&channel::odometry(robot), &mut odometry, listener);
             self.odom_from_base = odometry.odom_from_base;
@@ -295,7 +299,7 @@ impl Member {
         }
         if let Some(mut transforms) = tick.transforms {
             voice.say(&channel::transforms(robot), &mut transforms, listener);
-            telemetry.transforms(robot, &transforms, moment(tick.stamp));
+            telemetry.add_transforms(robot, &transforms, moment(tick.stamp));
         }
     }
 
@@ -308,7 +312,7 @@ impl Member {
         let mut correction = self.slam.process(&self.scan).correction;
         self.slam.work();
         voice.say(&channel::correction(robot), &mut correction, listener);
-        telemetry.correction(robot, &correction, moment(correction.header.stamp));
+        telemetry.add_correction(robot, &correction, moment(correction.header.stamp));
         self.correction = Some(correction);
         let stamp = self.scan.header.stamp;
         if stamp < self.map_due {
@@ -317,13 +321,13 @@ impl Member {
         self.map_due = stamp + MAP_PERIOD;
         let news = voice.say_map(&channel::map(robot), &mut self.map, self.slam.tiles(), listener);
         if news {
-            telemetry.map(robot, self.map.grid.view(), moment(stamp));
+            telemetry.add_map(robot, self.map.grid.view(), moment(stamp));
         }
         news
     }
 
     /// What is new of the robot's submaps, for the joint graph.
-    fn submaps(&mut self, joint: &mut Fleet, voice: &mut Voice, listener: Listener<'_>) {
+    fn submaps(&mut self, joint: &mut FleetPoseGraph, voice: &mut Voice, listener: Listener<'_>) {
         let back = self.slam.back();
         if back.nodes().len() == self.nodes {
             return;
@@ -333,11 +337,11 @@ impl Member {
         self.submaps.poses(back, &mut self.submap_poses);
         voice.say(&channel::submap_poses(self.robot), self.submap_poses.as_mut(), listener);
         // A robot's own submaps are sound.
-        let _ = joint.poses(self.robot, &self.submap_poses);
+        let _ = joint.update_poses(self.robot, &self.submap_poses);
         while let Some(submap) = self.submaps.next_changed(back) {
             *self.submap = *submap;
             voice.say(&channel::submap(self.robot), self.submap.as_mut(), listener);
-            let _ = joint.submap(self.robot, &self.submap);
+            let _ = joint.add_submap(self.robot, &self.submap);
         }
     }
 

@@ -133,11 +133,11 @@ pub struct EdgeView {
     /// The same over what the map that knows less knows.
     pub overlap_share: f64,
     /// Share of the cells both know on which they agree.
-    pub strict: f64,
+    pub agreement: f64,
     /// F1 of occupied cells at one cell's tolerance.
     pub occupied_f1: f64,
     /// The largest such F1 under 20 wrong transforms.
-    pub null_f1: f64,
+    pub null_f1_max: f64,
     /// Walls of one map in the middle of the other's floor.
     pub conflict: f64,
     /// Evidence over that of the best other place.
@@ -145,7 +145,7 @@ pub struct EdgeView {
     /// Closures between submaps in force.
     pub closures: u32,
     /// Closures found and not believed together with the others.
-    pub closures_out: u32,
+    pub closures_rejected: u32,
     /// Mean distance by which the fleet's graph leaves its closures, metres.
     pub closure_residual_m: f64,
     /// Alignments tried.
@@ -165,13 +165,13 @@ impl EdgeView {
             residual_m: edge.residual_m,
             overlap_m2: edge.overlap_m2,
             overlap_share: edge.overlap_share,
-            strict: edge.strict,
+            agreement: edge.agreement,
             occupied_f1: edge.occupied_f1,
-            null_f1: edge.null_f1,
+            null_f1_max: edge.null_f1_max,
             conflict: edge.conflict,
             margin: edge.margin,
             closures: edge.closures,
-            closures_out: edge.closures_out,
+            closures_rejected: edge.closures_rejected,
             closure_residual_m: edge.closure_residual_m,
             tries: edge.tries,
         }
@@ -195,7 +195,7 @@ impl fmt::Display for EdgeView {
             yaw.to_degrees(),
             self.inliers,
             self.occupied_f1,
-            self.null_f1,
+            self.null_f1_max,
             self.overlap_m2,
             self.closures
         )
@@ -238,9 +238,9 @@ pub fn table(edges: &[EdgeView]) -> String {
             e.overlap_m2,
             1e3 * e.residual_m,
             e.occupied_f1,
-            e.null_f1,
+            e.null_f1_max,
             e.closures,
-            e.closures_out
+            e.closures_rejected
         );
     }
     text

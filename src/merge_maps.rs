@@ -2,7 +2,7 @@
 
 use crate::process::{self, Process, ProcessArgs};
 use formats::map_file::{MapFileError, read_map, write_map};
-use merge::{AlignConfig, Alignment, MergeConfig, Merger, Refused, align};
+use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
 use msg::{Grid, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;
 use std::path::PathBuf;
@@ -37,7 +37,7 @@ pub enum MergeMapsError {
         /// Which.
         file: PathBuf,
         /// Why.
-        why: Refused,
+        why: MapRejected,
     },
     /// More than a fleet has.
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
@@ -93,7 +93,7 @@ fn start(args: &MergeArgs, maps: &[Grid]) -> Result<Merger, MergeMapsError> {
     let mut merger = Merger::new(&config, &starts);
     for ((robot, map), yaml) in RobotId::first(maps.len()).zip(maps).zip(&args.maps) {
         merger
-            .update(robot, map.view())
+            .update_map(robot, map.view())
             .map_err(|why| MergeMapsError::Refused { file: yaml.clone(), why })?;
     }
     Ok(merger)
@@ -118,7 +118,7 @@ fn place_all(
             if let Some(found) = place.accepted() {
                 let file = || args.maps[robot.index()].clone();
                 merger
-                    .set_anchor(robot, Some(found.a_from_b))
+                    .set_map_transform(robot, Some(found.a_from_b))
                     .map_err(|why| MergeMapsError::Refused { file: file(), why })?;
                 grown = true;
             }
@@ -142,15 +142,15 @@ fn as_json(name: &str, place: &Place) -> serde_json::Value {
         "y": found.a_from_b.y_m,
         "theta": found.a_from_b.yaw_rad,
         "inliers": found.inliers,
-        "score": found.score,
+        "score": found.occupied_f1,
         "ms": place.ms,
-        "strict": found.strict,
+        "strict": found.agreement,
         "conflict": found.conflict,
         "overlap_m2": found.overlap_m2,
         "overlap_share": found.overlap_share,
         "residual_m": found.residual_m,
         "margin": found.margin,
-        "firmness": found.firmness,
+        "observability": found.observability,
     })
 }
 
@@ -162,8 +162,8 @@ fn as_text(name: &str, place: &Place) -> String {
     let evidence = format!(
         "{} walls found again, F1 {:.2}, agreement {:.1} %, conflict {:.1} %, {:.0} m2 shared, {:.1} times the next best place, {:.0} ms",
         found.inliers,
-        found.score,
-        100.0 * found.strict,
+        found.occupied_f1,
+        100.0 * found.agreement,
         100.0 * found.conflict,
         found.overlap_m2,
         found.margin,

@@ -3,7 +3,7 @@
 
 use crate::run::Run;
 use formats::atomic::write_durably;
-use merge::{Fleet, Memory, MemoryRefused};
+use merge::{FleetPoseGraph, FleetSnapshot, SnapshotRejected};
 use msg::Monotonic;
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Write};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// The file's name in the run's folder.
 const FILE: &str = "merge.json";
 /// The format this program reads and writes.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// The longest file that is read, bytes: sixteen robots whose every edge was undone eight times take a fifth of it.
 const BYTES_MAX: u64 = 1 << 20;
 /// A file that cannot be written is tried again after this, nanoseconds.
@@ -25,7 +25,7 @@ struct Kept {
     version: u32,
     /// When the run began.
     run: u64,
-    fleet: Memory,
+    fleet: FleetSnapshot,
 }
 
 /// Why a file is of no use.
@@ -42,14 +42,14 @@ enum Unusable {
     Run,
     /// What it says cannot be gone on with.
     #[error(transparent)]
-    Fleet(#[from] MemoryRefused),
+    Fleet(#[from] SnapshotRejected),
 }
 
 /// What is on the disk.
 pub struct MergeMemory {
     path: PathBuf,
     run: u64,
-    kept: Option<Memory>,
+    kept: Option<FleetSnapshot>,
     /// After a failure: not before.
     due: Monotonic,
     /// What was said last: it is not said again.
@@ -58,7 +58,7 @@ pub struct MergeMemory {
 
 impl MergeMemory {
     /// Lets the fleet go on with what an earlier process of this run kept. What cannot be used is said and ignored.
-    pub fn recalled(run: &Run, fleet: &mut Fleet) -> Self {
+    pub fn recalled(run: &Run, fleet: &mut FleetPoseGraph) -> Self {
         let path = run.dir.join(FILE);
         let kept = recall(&path, run.begun.0, fleet).unwrap_or_else(|why| {
             eprintln!("merge: {} {why}; goes on without it", path.display());
@@ -68,8 +68,8 @@ impl MergeMemory {
     }
 
     /// Writes what is to be remembered, if it has changed.
-    pub fn keep(&mut self, fleet: &Fleet, now: Monotonic) {
-        let memory = fleet.memory();
+    pub fn keep(&mut self, fleet: &FleetPoseGraph, now: Monotonic) {
+        let memory = fleet.snapshot();
         if self.kept.as_ref() == Some(&memory) || now < self.due {
             return;
         }
@@ -86,14 +86,14 @@ impl MergeMemory {
     }
 }
 
-fn write(path: &Path, run: u64, fleet: &Memory) -> Result<(), String> {
+fn write(path: &Path, run: u64, fleet: &FleetSnapshot) -> Result<(), String> {
     let kept = Kept { version: VERSION, run, fleet: fleet.clone() };
     let text = serde_json::to_vec(&kept).map_err(|why| why.to_string())?;
     write_durably(path, |file| file.write_all(&text)).map_err(|why| format!("{}: {why}", path.display()))
 }
 
 /// What was remembered, if there is anything.
-fn recall(path: &Path, run: u64, fleet: &mut Fleet) -> Result<Option<Memory>, Unusable> {
+fn recall(path: &Path, run: u64, fleet: &mut FleetPoseGraph) -> Result<Option<FleetSnapshot>, Unusable> {
     let content = |why: &dyn ToString| Unusable::Content(why.to_string());
     let mut bytes = Vec::new();
     match std::fs::File::open(path) {
@@ -115,7 +115,7 @@ fn recall(path: &Path, run: u64, fleet: &mut Fleet) -> Result<Option<Memory>, Un
     if kept.run != run {
         return Err(Unusable::Run);
     }
-    fleet.recall(&kept.fleet)?;
+    fleet.restore(&kept.fleet)?;
     Ok(Some(kept.fleet))
 }
 
@@ -126,15 +126,15 @@ mod tests {
     use msg::{EdgeAction, Pose2, RobotId};
 
     /// Two robots whose starts are known, and whose edge is pinned.
-    fn pinned() -> Fleet {
+    fn pinned() -> FleetPoseGraph {
         let mut fleet = fresh(2);
-        assert!(fleet.command(1, EdgeAction::Pin));
+        assert!(fleet.apply_command(1, EdgeAction::Pin));
         fleet
     }
 
-    fn fresh(robots: usize) -> Fleet {
+    fn fresh(robots: usize) -> FleetPoseGraph {
         let starts: Vec<_> = (0..robots).map(|k| Some(Pose2::new(0.1 * k as f64, -1.0 / 3.0, 0.7))).collect();
-        Fleet::new(&AlignConfig::default(), &starts)
+        FleetPoseGraph::new(&AlignConfig::default(), &starts)
     }
 
     #[test]
@@ -147,9 +147,12 @@ mod tests {
             MergeMemory { path: path.clone(), run: 7, kept: None, due: Monotonic(0), said: None };
         memory.keep(&fleet, Monotonic(1));
         let mut again = fresh(2);
-        assert_eq!(recall(&path, 7, &mut again).unwrap(), Some(fleet.memory()));
-        assert_eq!(again.memory(), fleet.memory());
-        assert_eq!(again.anchor(RobotId::new(2).unwrap()), fleet.anchor(RobotId::new(2).unwrap()));
+        assert_eq!(recall(&path, 7, &mut again).unwrap(), Some(fleet.snapshot()));
+        assert_eq!(again.snapshot(), fleet.snapshot());
+        assert_eq!(
+            again.map_from_robot_map(RobotId::new(2).unwrap()),
+            fleet.map_from_robot_map(RobotId::new(2).unwrap())
+        );
         std::fs::remove_file(&path).unwrap();
         memory.keep(&fleet, Monotonic(2));
         assert!(!path.exists());
@@ -159,18 +162,18 @@ mod tests {
     fn what_cannot_be_used_is_refused_with_the_reason_and_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(FILE);
-        write(&path, 7, &pinned().memory()).unwrap();
+        write(&path, 7, &pinned().snapshot()).unwrap();
         let whole = std::fs::read_to_string(&path).unwrap();
         let refused = |run, robots, text: &str| {
             std::fs::write(&path, text).unwrap();
-            let (mut fleet, untouched) = (fresh(robots), fresh(robots).memory());
+            let (mut fleet, untouched) = (fresh(robots), fresh(robots).snapshot());
             let why = recall(&path, run, &mut fleet).unwrap_err().to_string();
-            assert_eq!(fleet.memory(), untouched, "{text}");
+            assert_eq!(fleet.snapshot(), untouched, "{text}");
             why
         };
         assert!(refused(8, 2, &whole).contains("another run"));
         assert!(refused(7, 3, &whole).contains("fleet of 2 robots"));
-        assert!(refused(7, 2, &whole.replace("\"version\":1", "\"version\":2")).contains("version 2"));
+        assert!(refused(7, 2, &whole.replace("\"version\":2", "\"version\":3")).contains("version 3"));
         assert!(refused(7, 2, &whole.replace("-0.3333333333333333", "-1e300")).contains("makes no sense"));
         assert!(refused(7, 2, &whole.replace("\"edge\":1", "\"edge\":2")).contains("edge's number"));
         assert!(refused(7, 2, &whole.replace("\"state\":3", "\"state\":9")).contains("edge's state"));

@@ -127,9 +127,9 @@ fn map_figures(fleet: &FleetView) -> String {
     let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1} %", 100.0 * v));
     let _ = writeln!(text, "\n{:<28} {:>9} {:>20}", "robots' maps on each other", "here", "by chance");
     let rows = [
-        ("consistency", fleet.consistency, fleet.null_consistency),
+        ("consistency", fleet.consistency, fleet.null_consistency_mean),
         ("consistency within a cell", fleet.consistency_one_cell, None),
-        ("occupied F1 within a cell", fleet.occupied_f1, fleet.null_f1),
+        ("occupied F1 within a cell", fleet.occupied_f1, fleet.null_f1_mean),
     ];
     for (name, here, chance) in rows {
         let _ = writeln!(text, "{name:<28} {:>9} {:>20}", percent(here), percent(chance));

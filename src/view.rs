@@ -30,9 +30,9 @@ pub struct FleetView {
     /// What chance gives: the same maps under wrong transforms with at least half the overlap; their number.
     pub null_transforms: u32,
     /// Mean of the paper's consistency under them.
-    pub null_consistency: Option<f64>,
+    pub null_consistency_mean: Option<f64>,
     /// Mean F1 of occupied cells under them.
-    pub null_f1: Option<f64>,
+    pub null_f1_mean: Option<f64>,
     /// The merged map against the room; `None`: not a simulation, or nothing merged.
     pub against_room: Option<AgainstRoomView>,
     /// What merging believes of each pair of robots, and why, if somebody asked.
@@ -174,8 +174,8 @@ impl FleetView {
             occupied_f1: of_pairs(stats.occupied_f1),
             overlap_m2: of_pairs(stats.overlap_m2),
             null_transforms: stats.null_count,
-            null_consistency: finite(stats.null_consistency),
-            null_f1: finite(stats.null_f1),
+            null_consistency_mean: finite(stats.null_consistency_mean),
+            null_f1_mean: finite(stats.null_f1_mean),
             against_room: stats.room_f1.is_finite().then_some(AgainstRoomView {
                 occupied_f1: stats.room_f1,
                 map_to_room_m: stats.map_to_room_m,
@@ -223,8 +223,8 @@ impl FleetView {
             percent(self.consistency),
             percent(self.consistency_one_cell),
             percent(self.occupied_f1),
-            percent(self.null_consistency),
-            percent(self.null_f1),
+            percent(self.null_consistency_mean),
+            percent(self.null_f1_mean),
         );
         text += &self.merge_lines();
         if let Some(doors) = &self.doors {

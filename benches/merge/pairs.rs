@@ -204,9 +204,9 @@ pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::i
         let found = outcome.found.map(|found| {
             serde_json::json!({
                 "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
-                "inliers": found.inliers, "score": found.score, "strict": found.strict,
+                "inliers": found.inliers, "score": found.occupied_f1, "strict": found.agreement,
                 "overlap_m2": found.overlap_m2, "overlap_share": found.overlap_share, "residual_m": found.residual_m,
-                "conflict": found.conflict, "margin": found.margin, "firmness": found.firmness,
+                "conflict": found.conflict, "margin": found.margin, "observability": found.observability,
             })
         });
         let mut line = found.unwrap_or(serde_json::json!({}));

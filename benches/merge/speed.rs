@@ -86,9 +86,9 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
         for ((robot, grid), map) in RobotId::first(robots).zip(&grids).zip(&maps) {
             if changed == Changed::Places && round > 0 {
                 let way_m = 0.05 * (WAY_BEFORE + round) as f64;
-                assert!(merger.stand(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105));
+                assert!(merger.set_robot_footprint(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105));
             } else if changed == Changed::InGrids {
-                merger.update(robot, grid.view()).unwrap();
+                merger.update_map(robot, grid.view()).unwrap();
             } else {
                 merger.update_tiles(robot, map).unwrap();
             }
@@ -99,7 +99,7 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
                 RobotId::first(robots).flat_map(|robot| (0..=WAY_BEFORE).map(move |step| (robot, step)))
             {
                 let way_m = 0.05 * step as f64;
-                merger.stand(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105);
+                merger.set_robot_footprint(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105);
             }
             merger.compose();
         } else {
@@ -165,9 +165,9 @@ fn statistics(side: u32) -> [f64; 2] {
         .map(|_| {
             let start = Instant::now();
             for (robot, map) in RobotId::first(3).zip(&maps) {
-                telemetry.map(robot, map.view(), Monotonic(0));
+                telemetry.add_map(robot, map.view(), Monotonic(0));
             }
-            assert_eq!(telemetry.stats(Stamp(0), Monotonic(0)).pair_count, 3);
+            assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
             start.elapsed().as_secs_f64() * 1e3
         })
         .collect();

@@ -55,7 +55,7 @@ const SAME_PLACE: [f64; 2] = [0.5, 0.1];
 #[serde(default, deny_unknown_fields)]
 pub struct AlignConfig {
     /// Of the cells both maps know, at least this share agrees.
-    pub strict_min: f64,
+    pub agreement_min: f64,
     /// F1 of occupied cells at one cell's tolerance, at least.
     pub occupied_f1_min: f64,
     /// Walls of one map in the middle of the other's floor, over those and the walls found, at most:
@@ -68,19 +68,19 @@ pub struct AlignConfig {
     /// The best place's evidence over that of the best other place, at least.
     pub margin_min: f64,
     /// Least share of the walls' pull in any direction: below it a map can slide along itself.
-    pub firmness_min: f64,
+    pub observability_min: f64,
 }
 
 impl Default for AlignConfig {
     fn default() -> Self {
         Self {
-            strict_min: 0.94,
+            agreement_min: 0.94,
             occupied_f1_min: 0.80,
             conflict_max: 0.11,
             overlap_min_m2: 10.0,
             inliers_min: 200,
             margin_min: 1.5,
-            firmness_min: 0.03,
+            observability_min: 0.03,
         }
     }
 }
@@ -89,10 +89,10 @@ impl AlignConfig {
     /// What is wrong with it, if anything.
     pub fn validate(&self) -> Result<(), String> {
         let shares = [
-            ("strict_min", self.strict_min),
+            ("agreement_min", self.agreement_min),
             ("occupied_f1_min", self.occupied_f1_min),
             ("conflict_max", self.conflict_max),
-            ("firmness_min", self.firmness_min),
+            ("observability_min", self.observability_min),
         ];
         if let Some((name, value)) = shares.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
             return Err(format!("merge.align.{name} is {value}; expected a share, 0 to 1"));
@@ -117,9 +117,9 @@ pub struct Alignment {
     /// Occupied cells found again, of both maps together.
     pub inliers: u32,
     /// F1 of occupied cells at one cell's tolerance, 0 to 1.
-    pub score: f64,
+    pub occupied_f1: f64,
     /// Share of the cells both know on which they agree, 0 to 1.
-    pub strict: f64,
+    pub agreement: f64,
     /// What both know, square metres.
     pub overlap_m2: f64,
     /// The same over what the map that knows less knows, 0 to 1.
@@ -132,7 +132,7 @@ pub struct Alignment {
     /// [`LEAST_EVIDENCE`] walls if no other has as much.
     pub margin: f64,
     /// 0: the map can slide along itself; 0.5: held alike in all directions.
-    pub firmness: f64,
+    pub observability: f64,
 }
 
 /// Finds where `b` lies in `a`. `None` if one of them makes no sense, has no walls, or nothing fits
@@ -252,27 +252,27 @@ fn same_place(x: Pose2, y: Pose2) -> bool {
 }
 
 fn judge(a_from_b: Pose2, fit: &Fit, margin: f64, agreement: &Agreement, config: &AlignConfig) -> Alignment {
-    let Agreement { strict, occupied_f1, overlap_m2, overlap_share, walls_found } = *agreement;
+    let Agreement { agreement, occupied_f1, overlap_m2, overlap_share, walls_found } = *agreement;
     let times = if overlap_share < PART_SHARE { PART_TIMES } else { 1.0 };
-    let accepted = strict >= config.strict_min
+    let accepted = agreement >= config.agreement_min
         && occupied_f1 >= config.occupied_f1_min
         && fit.conflict() <= config.conflict_max
         && overlap_m2 >= times * config.overlap_min_m2
         && walls_found >= config.inliers_min
         && margin >= config.margin_min
-        && fit.firmness >= config.firmness_min;
+        && fit.observability >= config.observability_min;
     Alignment {
         a_from_b,
         accepted,
         inliers: walls_found,
-        score: occupied_f1,
-        strict,
+        occupied_f1,
+        agreement,
         overlap_m2,
         overlap_share,
         conflict: fit.conflict(),
         residual_m: fit.residual_m,
         margin,
-        firmness: fit.firmness,
+        observability: fit.observability,
     }
 }
 

@@ -11,12 +11,12 @@
 //! whatever the robots' maps look like.
 
 mod align;
-mod fleet;
+mod fleet_graph;
 mod lookup;
 mod merger;
 mod source;
 mod trail;
 
 pub use align::{AlignConfig, Alignment, align};
-pub use fleet::{Fleet, FleetRefused, Memory, MemoryRefused, Outcome, Task};
-pub use merger::{MergeConfig, Merger, Refused};
+pub use fleet_graph::{FleetPoseGraph, FleetSnapshot, Outcome, SnapshotRejected, SubmapRejected, Task};
+pub use merger::{MapRejected, MergeConfig, Merger};

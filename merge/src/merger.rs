@@ -45,10 +45,10 @@ impl MergeConfig {
 
 /// Why a map was not taken. The robot's last good map stays in force.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Refused {
+pub enum MapRejected {
     /// There is no such robot.
     #[error("{robot} is not of this fleet of {robot_count}: give it a start")]
-    Stranger {
+    UnknownRobot {
         /// Who.
         robot: RobotId,
         /// How many starts there are.
@@ -105,7 +105,7 @@ pub struct Merger {
 
 impl Merger {
     /// `starts` says where each robot's map lies, `map` from `robotK/map`, by [`RobotId::index`].
-    /// A robot without a start is kept, but not drawn until [`Merger::set_anchor`] places it.
+    /// A robot without a start is kept, but not drawn until [`Merger::set_map_transform`] places it.
     /// A config that [`MergeConfig::check`] refuses is brought into its limits.
     pub fn new(config: &MergeConfig, starts: &[Option<Pose2>]) -> Self {
         let [least, most] = [*RESOLUTION_M.start(), *RESOLUTION_M.end()];
@@ -124,20 +124,20 @@ impl Merger {
     }
 
     /// Takes a robot's newest map, in its own frame `robotK/map`: any origin, yaw, size, resolution.
-    pub fn update(&mut self, robot: RobotId, map: GridView<'_>) -> Result<(), Refused> {
+    pub fn update_map(&mut self, robot: RobotId, map: GridView<'_>) -> Result<(), MapRejected> {
         let GridHeader { header, scan_sent, origin, resolution_m, width, height } = *map.header;
         let about = MapHeader { header, scan_sent, origin, resolution_m };
         let source = self.check(robot, &about, (width, height), map.cells.len())?;
         if GridView::new(map.header, map.cells).is_none() {
             return Err(malformed(&about, (width, height), map.cells.len()));
         }
-        let too_large = Refused::TooLarge { width: width as usize, height: height as usize };
+        let too_large = MapRejected::TooLarge { width: width as usize, height: height as usize };
         let tiles = source.tiles_of(map).ok_or(too_large)?;
         self.take_own(robot, tiles)
     }
 
     /// The same as tiles, of which those shared with the robot's last map are not even looked at.
-    pub fn update_tiles(&mut self, robot: RobotId, map: &TileMap) -> Result<(), Refused> {
+    pub fn update_tiles(&mut self, robot: RobotId, map: &TileMap) -> Result<(), MapRejected> {
         let cells = map.extent().area().unwrap_or(0) * TILE_CELLS;
         let side = |tiles: usize| (tiles * TILE as usize) as u32;
         let size = (side(map.extent().width()), side(map.extent().height()));
@@ -148,14 +148,15 @@ impl Merger {
     /// Takes over what the fleet's graph has found out about a robot: where its map lies, and what it looks like where
     /// no place alone puts all of it right. While it is redrawn, what the robot itself sends is kept, but not drawn.
     /// What is as before costs nothing. Whether anything was not.
-    pub fn settle(
+    pub fn apply_fleet_estimate(
         &mut self,
         robot: RobotId,
         map_from_robot_map: Option<Pose2>,
         redrawn: Option<&Arc<Grid>>,
-    ) -> Result<bool, Refused> {
+    ) -> Result<bool, MapRejected> {
         let robot_count = self.sources.len();
-        let source = self.sources.get(robot.index()).ok_or(Refused::Stranger { robot, robot_count })?;
+        let source =
+            self.sources.get(robot.index()).ok_or(MapRejected::UnknownRobot { robot, robot_count })?;
         let moved = source.map_from_robot_map != map_from_robot_map;
         let same = match (&source.redrawn, redrawn) {
             (None, None) => true,
@@ -163,7 +164,7 @@ impl Merger {
             _ => false,
         };
         if moved {
-            self.set_anchor(robot, map_from_robot_map)?;
+            self.set_map_transform(robot, map_from_robot_map)?;
         }
         if !same {
             self.redraw(robot, redrawn)?;
@@ -171,7 +172,7 @@ impl Merger {
         Ok(moved || !same)
     }
 
-    fn redraw(&mut self, robot: RobotId, redrawn: Option<&Arc<Grid>>) -> Result<(), Refused> {
+    fn redraw(&mut self, robot: RobotId, redrawn: Option<&Arc<Grid>>) -> Result<(), MapRejected> {
         let source = &self.sources[robot.index()];
         let map = match redrawn {
             None => source.own.clone(),
@@ -182,7 +183,7 @@ impl Merger {
                 if !sound || !RESOLUTION_M.contains(&resolution_m) {
                     return Err(malformed(&about, (width, height), grid.cells.len()));
                 }
-                let too_large = Refused::TooLarge { width: width as usize, height: height as usize };
+                let too_large = MapRejected::TooLarge { width: width as usize, height: height as usize };
                 source.tiles_of(grid.view()).ok_or(too_large)?
             }
         };
@@ -192,7 +193,7 @@ impl Merger {
     }
 
     /// Takes a robot's own map that has been checked.
-    fn take_own(&mut self, robot: RobotId, map: TileMap) -> Result<(), Refused> {
+    fn take_own(&mut self, robot: RobotId, map: TileMap) -> Result<(), MapRejected> {
         if self.sources[robot.index()].redrawn.is_none() {
             self.take(robot, map.clone())?;
         }
@@ -201,7 +202,7 @@ impl Merger {
     }
 
     /// Draws a map that has been checked from now on.
-    fn take(&mut self, robot: RobotId, map: TileMap) -> Result<(), Refused> {
+    fn take(&mut self, robot: RobotId, map: TileMap) -> Result<(), MapRejected> {
         let source = &self.sources[robot.index()];
         let lookup = source.lookup_of(&map.header, self.resolution_m);
         let reach = reach(&map, lookup.as_ref());
@@ -230,9 +231,14 @@ impl Merger {
     }
 
     /// Places a robot's map, moves it, or (`None`) takes it out of the merged map.
-    pub fn set_anchor(&mut self, robot: RobotId, map_from_robot_map: Option<Pose2>) -> Result<(), Refused> {
+    pub fn set_map_transform(
+        &mut self,
+        robot: RobotId,
+        map_from_robot_map: Option<Pose2>,
+    ) -> Result<(), MapRejected> {
         let robot_count = self.sources.len();
-        let source = self.sources.get(robot.index()).ok_or(Refused::Stranger { robot, robot_count })?;
+        let source =
+            self.sources.get(robot.index()).ok_or(MapRejected::UnknownRobot { robot, robot_count })?;
         if let Some(origin) = map_from_robot_map.filter(|pose| !is_near(*pose)) {
             return Err(malformed(&MapHeader { origin, ..source.map.header }, (0, 0), 0));
         }
@@ -254,7 +260,7 @@ impl Merger {
     /// Takes where a robot is now, `robotK/map` from `base_footprint`, and how far its body reaches around that: what
     /// its peers see there is the robot. Its own map says so too, but only from its newest node back. Whether the
     /// merged map may be another.
-    pub fn stand(&mut self, robot: RobotId, robot_map_from_base: Pose2, radius_m: f64) -> bool {
+    pub fn set_robot_footprint(&mut self, robot: RobotId, robot_map_from_base: Pose2, radius_m: f64) -> bool {
         let Some(source) = self.sources.get_mut(robot.index()) else { return false };
         if !source.trail.note(robot_map_from_base, radius_m) {
             return false;
@@ -267,7 +273,7 @@ impl Merger {
     }
 
     /// Takes a robot's evidence back: it was reset, or it left. Its place stays known.
-    pub fn forget(&mut self, robot: RobotId) {
+    pub fn remove_map(&mut self, robot: RobotId) {
         if let Some(source) = self.sources.get_mut(robot.index()) {
             mark(&mut self.dirty, self.merged.extent(), source.reach);
             mark(&mut self.dirty, self.merged.extent(), source.body);
@@ -321,23 +327,24 @@ impl Merger {
         header: &MapHeader,
         size: (u32, u32),
         cells: usize,
-    ) -> Result<&Source, Refused> {
+    ) -> Result<&Source, MapRejected> {
         let robot_count = self.sources.len();
-        let source = self.sources.get(robot.index()).ok_or(Refused::Stranger { robot, robot_count })?;
+        let source =
+            self.sources.get(robot.index()).ok_or(MapRejected::UnknownRobot { robot, robot_count })?;
         if !RESOLUTION_M.contains(&header.resolution_m) || !is_near(header.origin) {
             return Err(malformed(header, size, cells));
         }
         let (old, new) = (&source.own.header.header, &header.header);
         let same_run = new.incarnation == old.incarnation && source.own.tiles().next().is_some();
         if same_run && new.stamp < old.stamp {
-            return Err(Refused::Stale { stamp: new.stamp, newest: old.stamp });
+            return Err(MapRejected::Stale { stamp: new.stamp, newest: old.stamp });
         }
         Ok(source)
     }
 
     /// Makes room in the merged map for a robot's map that reaches these tiles. It does not shrink
     /// unless the limit demands it.
-    fn make_room(&mut self, robot: RobotId, reach: Rect) -> Result<(), Refused> {
+    fn make_room(&mut self, robot: RobotId, reach: Rect) -> Result<(), MapRejected> {
         let others = self.sources.iter().enumerate().filter(|(index, _)| *index != robot.index());
         let needed = others.fold(reach, |all, (_, other)| all.union(other.reach));
         let before = self.merged.extent();
@@ -345,7 +352,7 @@ impl Merger {
             let mut merged = TileMap::new(self.merged.header);
             if !merged.grow_to(needed, MAP_TILES_MAX) {
                 let (width, height) = (needed.width() * TILE as usize, needed.height() * TILE as usize);
-                return Err(Refused::TooLarge { width, height });
+                return Err(MapRejected::TooLarge { width, height });
             }
             for (x, y) in needed.points() {
                 merged.set(x, y, self.merged.get(x, y).cloned());
@@ -381,9 +388,9 @@ pub(crate) fn is_near(pose: Pose2) -> bool {
     pose.is_finite() && pose.x_m.abs() <= DISTANCE_M_MAX && pose.y_m.abs() <= DISTANCE_M_MAX
 }
 
-fn malformed(header: &MapHeader, (width, height): (u32, u32), cells: usize) -> Refused {
+fn malformed(header: &MapHeader, (width, height): (u32, u32), cells: usize) -> MapRejected {
     let MapHeader { resolution_m, origin, .. } = *header;
-    Refused::Malformed { width, height, resolution_m, origin, cells }
+    MapRejected::Malformed { width, height, resolution_m, origin, cells }
 }
 
 /// Adds the evidence of all robots in one tile; `None` if there is none. Log-odds of independent

@@ -69,7 +69,7 @@ pub struct MergeEdge {
     /// Number of accepted loop closures between submaps of the two robots.
     pub closures: u32,
     /// Number of closures that were rejected as inconsistent with the others.
-    pub closures_out: u32,
+    pub closures_rejected: u32,
     /// Number of alignments attempted.
     pub tries: u32,
     /// Mean distance between matched walls, metres.
@@ -81,11 +81,11 @@ pub struct MergeEdge {
     /// `overlap_m2` over the area of the map that knows less, 0 to 1.
     pub overlap_share: f64,
     /// Share of the cells known in both maps on which they agree, 0 to 1.
-    pub strict: f64,
+    pub agreement: f64,
     /// F1 score of occupied cells with a tolerance of one cell, 0 to 1.
     pub occupied_f1: f64,
     /// Largest such F1 score under 20 random wrong transforms: the level of chance.
-    pub null_f1: f64,
+    pub null_f1_max: f64,
     /// Share of one map's walls that lie in free space of the other map, 0 to 1.
     pub conflict: f64,
     /// Evidence over the evidence of the best different alignment.

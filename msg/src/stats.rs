@@ -115,9 +115,9 @@ pub struct FleetStats {
     pub overlap_m2: f64,
     /// Consistency by chance: the mean over pairs under random wrong transforms that keep at least half of
     /// the overlap. NaN before the first.
-    pub null_consistency: f64,
-    /// F1 score by chance, as [`FleetStats::null_consistency`].
-    pub null_f1: f64,
+    pub null_consistency_mean: f64,
+    /// F1 score by chance, as [`FleetStats::null_consistency_mean`].
+    pub null_f1_mean: f64,
     /// Number of wrong transforms evaluated, over all pairs.
     pub null_count: u32,
     /// Padding, always zero.

@@ -26,9 +26,10 @@ use crate::localize::{Localizer, LocalizerCounts};
 use crate::node::{Node, Revision};
 use crate::relocalize::{SeekCounts, Seeker};
 use crate::stage::{Stage, StageWatch};
-use modes::{Anchor, information};
+use modes::Anchor;
 use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap};
 use nalgebra::{Matrix3, Vector3};
+use posegraph::information_from_sigmas;
 use std::collections::VecDeque;
 
 /// Nodes up to so many before and after a closure are linked again.
@@ -325,7 +326,7 @@ impl Back {
         let (kind, information) = if node.torn {
             self.detector.tear();
             self.piece_seeker = None;
-            (EdgeKind::Torn, information([TORN_M, TORN_RAD]))
+            (EdgeKind::Torn, information_from_sigmas(TORN_M, TORN_RAD))
         } else {
             let known = node.previous_from_this.is_some();
             (EdgeKind::Odometry, self.odometry_information(measured, known))
@@ -385,7 +386,8 @@ impl Back {
 
     fn solve(&mut self, shock: bool) {
         self.watch.begins(Stage::Solve);
-        self.graph.solve(shock);
+        // After an error the poses are what they were: the map stays as it is.
+        let _ = self.graph.solve(shock);
         self.solutions += 1;
         self.unsolved = 0;
         self.retract_contradicted();

@@ -3,12 +3,13 @@
 //! Magazine 2010; graduated robustness after Yang et al., "Graduated non-convexity", RA-L 2020).
 
 use crate::config::GraphConfig;
-use faer::linalg::solvers::Solve;
-use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
-use faer::sparse::{Pair, SparseColMat, SymbolicSparseColMat};
-use faer::{Mat, Side};
-use msg::{Pose2, pose::wrap_angle};
-use nalgebra::{Matrix3, Vector3};
+use msg::Pose2;
+use nalgebra::Matrix3;
+use posegraph::{Kernel, SolveError, SolverOptions, Summary};
+
+/// Information along a direction that no surface holds, 1/m² and 1/rad²: a standard deviation of 10 m, more than
+/// any search window leaves open.
+pub(crate) const UNOBSERVED: f64 = 1e-2;
 
 /// Where a measurement comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +45,19 @@ pub struct Edge {
     pub variance: [f64; 2],
     /// Of a closure: how well the scans fitted, 0 to 1.
     pub response: f32,
+}
+
+impl Edge {
+    /// The measurement alone, as it is.
+    fn constraint(&self) -> posegraph::Edge {
+        posegraph::Edge {
+            a: self.a as usize,
+            b: self.b as usize,
+            a_from_b: self.a_from_b,
+            information: self.information,
+            kernel: Kernel::Quadratic,
+        }
+    }
 }
 
 /// How well a node is known as seen from another one.
@@ -142,8 +156,7 @@ impl Graph {
 
     /// Squared error of an edge in standard deviations.
     pub fn chi_squared(&self, edge: &Edge) -> f64 {
-        let e = error(edge, self.poses[edge.a as usize], self.poses[edge.b as usize]);
-        (e.transpose() * edge.information * e).x
+        edge.constraint().chi_squared(self.poses[edge.a as usize], self.poses[edge.b as usize])
     }
 
     /// How well the nodes around `from` are known as seen from it: the best single way through the
@@ -176,122 +189,21 @@ impl Graph {
         known
     }
 
-    /// Moves all nodes but the first to where the edges in force want them. `shock`: a closure came
-    /// in that may pull far; robustness then sets in step by step. Returns the largest movement, metres.
-    pub fn solve(&mut self, shock: bool) -> f64 {
-        let before = self.poses.clone();
-        let Some(structure) = Structure::new(self) else { return 0.0 };
-        let mut scale = if shock { 64.0 } else { 1.0 };
-        for _ in 0..self.config.iterations_max {
-            let Some(step) = structure.step(self, self.config.cauchy_sigmas * scale) else { break };
-            let mut largest: f64 = 0.0;
-            for (pose, d) in self.poses[1..].iter_mut().zip(step.chunks_exact(3)) {
-                *pose = Pose2::new(pose.x_m - d[0], pose.y_m - d[1], wrap_angle(pose.yaw_rad - d[2]));
-                largest = largest.max(d[0].abs()).max(d[1].abs()).max(d[2].abs());
-            }
-            if scale <= 1.0 && largest < self.config.step_min {
-                break;
-            }
-            scale = (scale / 4.0).max(1.0);
-        }
-        let moved = before.iter().zip(&self.poses).map(|(a, b)| a.distance_m(*b));
-        moved.fold(0.0, f64::max)
+    /// Moves all nodes but the first to a minimum of the edges' robust errors. `graduated`: new edges
+    /// may be far off, as after a closure; the robust kernels then begin wide.
+    ///
+    /// # Errors
+    /// [`SolveError`] if the graph cannot be solved; all poses are then what they were.
+    pub fn solve(&mut self, graduated: bool) -> Result<Summary, SolveError> {
+        let kernel = Kernel::Cauchy { sigmas: self.config.cauchy_sigmas };
+        let constraint = |edge: &Edge| posegraph::Edge { kernel, ..edge.constraint() };
+        let constraints: Vec<_> = self.edges.iter().filter(|edge| edge.in_force).map(constraint).collect();
+        let options = SolverOptions {
+            iterations_max: self.config.iterations_max,
+            step_min: self.config.step_min,
+            graduated,
+            ..SolverOptions::default()
+        };
+        posegraph::solve(&mut self.poses, &constraints, &options)
     }
-}
-
-fn error(edge: &Edge, a: Pose2, b: Pose2) -> Vector3<f64> {
-    let seen = a.between(b);
-    let yaw = wrap_angle(seen.yaw_rad - edge.a_from_b.yaw_rad);
-    Vector3::new(seen.x_m - edge.a_from_b.x_m, seen.y_m - edge.a_from_b.y_m, yaw)
-}
-
-/// Derivatives of [`error`] by (x, y, yaw) of a and of b (Grisetti et al. 2010, eqs. 30-33).
-fn jacobians(a: Pose2, b: Pose2) -> (Matrix3<f64>, Matrix3<f64>) {
-    let (sin, cos) = a.yaw_rad.sin_cos();
-    let (dx, dy) = (b.x_m - a.x_m, b.y_m - a.y_m);
-    let by_a =
-        Matrix3::new(-cos, -sin, -sin * dx + cos * dy, sin, -cos, -cos * dx - sin * dy, 0.0, 0.0, -1.0);
-    let by_b = Matrix3::new(cos, sin, 0.0, -sin, cos, 0.0, 0.0, 0.0, 1.0);
-    (by_a, by_b)
-}
-
-/// The normal equations' pattern, the same for all iterations of a solution. The first node is
-/// fixed and has no unknowns.
-struct Structure {
-    edges: Vec<usize>,
-    unknowns: usize,
-    pattern: SymbolicSparseColMat<usize>,
-    order: faer::sparse::Argsort<usize>,
-    symbolic: SymbolicLlt<usize>,
-}
-
-impl Structure {
-    fn new(graph: &Graph) -> Option<Self> {
-        let unknowns = 3 * graph.poses.len().checked_sub(1).filter(|n| *n > 0)?;
-        let edges: Vec<usize> = (0..graph.edges.len()).filter(|&i| graph.edges[i].in_force).collect();
-        let mut pairs = Vec::with_capacity(2 * unknowns + 9 * edges.len());
-        for block in 0..unknowns / 3 {
-            push_block(&mut pairs, block, block);
-        }
-        for edge in edges.iter().map(|&i| &graph.edges[i]) {
-            if let Some((row, col, _)) = off_diagonal(edge) {
-                push_block(&mut pairs, row, col);
-            }
-        }
-        let (pattern, order) = SymbolicSparseColMat::try_new_from_indices(unknowns, unknowns, &pairs).ok()?;
-        let symbolic = SymbolicLlt::try_new(pattern.as_ref(), Side::Lower).ok()?;
-        Some(Self { edges, unknowns, pattern, order, symbolic })
-    }
-
-    /// One Gauss-Newton step (to be subtracted), x, y, yaw of node 1, of node 2, ...
-    fn step(&self, graph: &Graph, cauchy_sigmas: f64) -> Option<Vec<f64>> {
-        let mut diagonal = vec![Matrix3::<f64>::identity() * 1e-6; self.unknowns / 3];
-        let mut beside = Vec::with_capacity(9 * self.edges.len());
-        let mut right = Mat::<f64>::zeros(self.unknowns, 1);
-        for edge in self.edges.iter().map(|&i| &graph.edges[i]) {
-            let (a, b) = (graph.poses[edge.a as usize], graph.poses[edge.b as usize]);
-            let e = error(edge, a, b);
-            let chi_squared = (e.transpose() * edge.information * e).x;
-            let weighted = edge.information / (1.0 + chi_squared / (cauchy_sigmas * cauchy_sigmas));
-            let (by_a, by_b) = jacobians(a, b);
-            for (node, jacobian) in [(edge.a, &by_a), (edge.b, &by_b)] {
-                if let Some(block) = (node as usize).checked_sub(1) {
-                    diagonal[block] += jacobian.transpose() * weighted * jacobian;
-                    let gradient = jacobian.transpose() * (weighted * e);
-                    for k in 0..3 {
-                        right[(3 * block + k, 0)] += gradient[k];
-                    }
-                }
-            }
-            if let Some((_, _, flipped)) = off_diagonal(edge) {
-                let (row, col) = if flipped { (&by_a, &by_b) } else { (&by_b, &by_a) };
-                beside.extend_from_slice((row.transpose() * weighted * col).as_slice());
-            }
-        }
-        let mut values = Vec::with_capacity(3 * self.unknowns + beside.len());
-        for block in &diagonal {
-            values.extend_from_slice(block.as_slice());
-        }
-        values.extend_from_slice(&beside);
-        let matrix = SparseColMat::new_from_argsort(self.pattern.clone(), &self.order, &values).ok()?;
-        let llt = Llt::try_new_with_symbolic(self.symbolic.clone(), matrix.as_ref(), Side::Lower).ok()?;
-        llt.solve_in_place(&mut right);
-        let step: Vec<f64> = (0..self.unknowns).map(|i| right[(i, 0)]).collect();
-        step.iter().all(|v| v.is_finite()).then_some(step)
-    }
-}
-
-/// Column by column, as nalgebra stores.
-fn push_block(pairs: &mut Vec<Pair<usize, usize>>, row: usize, col: usize) {
-    for c in 0..3 {
-        for r in 0..3 {
-            pairs.push(Pair { row: 3 * row + r, col: 3 * col + c });
-        }
-    }
-}
-
-/// The block below the diagonal that an edge fills: (row, column, whether a is the row).
-fn off_diagonal(edge: &Edge) -> Option<(usize, usize, bool)> {
-    let (a, b) = ((edge.a as usize).checked_sub(1)?, (edge.b as usize).checked_sub(1)?);
-    if b > a { Some((b, a, false)) } else { Some((a, b, true)) }
 }

@@ -5,11 +5,12 @@
 use crate::align::{Prior, Reference, align};
 use crate::closure::{JUDGES, judge};
 use crate::config::{GraphConfig, SlamConfig};
-use crate::graph::{EdgeKind, Graph};
+use crate::graph::{EdgeKind, Graph, UNOBSERVED};
 use crate::node::Node;
 use crate::relocalize::Placed;
 use msg::Pose2;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
+use posegraph::{information_from_sigmas, limit_information};
 use std::collections::VecDeque;
 
 /// Live nodes that are solved for together.
@@ -146,7 +147,7 @@ impl Localizer {
         if self.live.len() == WINDOW {
             self.live.pop_front();
         }
-        let before_from_this = (moved, information(step));
+        let before_from_this = (moved, information_from_sigmas(step[0], step[1]));
         self.live.push_back(Live { node, map_from_node: predicted, before_from_this, measured });
         self.solve();
     }
@@ -163,7 +164,8 @@ impl Localizer {
         }
         let references =
             near.iter().map(|&i| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });
-        let prior = Prior { pose: predicted, information: information(self.sigma) };
+        let prior =
+            Prior { pose: predicted, information: information_from_sigmas(self.sigma[0], self.sigma[1]) };
         let fit = align(&node.cloud, predicted, references, Some(prior), l);
         let chain: Vec<(&Node, Pose2)> = near.iter().map(|&i| (&map.nodes[i], map.poses[i])).collect();
         let (agree, contradict) = judge(chain.iter(), &[(node, Pose2::IDENTITY)], fit.frame_from_cloud);
@@ -176,10 +178,8 @@ impl Localizer {
         if fit.overlap < overlap_min || !sound {
             return None;
         }
-        let floor = Vector3::new(l.floor_m.powi(2), l.floor_m.powi(2), l.floor_rad.powi(2));
-        let seen = (fit.information + Matrix3::identity() * 1e-2).try_inverse()?;
-        let information = (seen + Matrix3::from_diagonal(&floor)).try_inverse()?;
-        Some((fit.frame_from_cloud, (information + information.transpose()) * 0.5))
+        let information = limit_information(fit.information, [l.floor_m, l.floor_rad], UNOBSERVED);
+        Some((fit.frame_from_cloud, information))
     }
 
     /// All live poses from all that is known of them; the map is the graph's fixed first node.
@@ -195,22 +195,19 @@ impl Localizer {
                 graph.add_edge([id - 1, id], moved, information, EdgeKind::Odometry, [0.0; 2]);
             } else {
                 // Where the window begins it is held lightly where it was.
-                let held = information([START_M, START_RAD]);
+                let held = information_from_sigmas(START_M, START_RAD);
                 graph.add_edge([0, id], live.map_from_node, held, EdgeKind::Placed, [0.0; 2]);
             }
             if let Some((pose, information)) = live.measured {
                 graph.add_edge([0, id], pose, information, EdgeKind::Link, [0.0; 2]);
             }
         }
-        graph.solve(false);
+        // After an error the poses are where the scan path has them.
+        let _ = graph.solve(false);
         for (live, pose) in self.live.iter_mut().zip(&graph.poses()[1..]) {
             live.map_from_node = *pose;
         }
     }
-}
-
-fn information([m, rad]: [f64; 2]) -> Matrix3<f64> {
-    Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
 }
 
 /// Nodes of the map that look at what this one looks at, best first, not two of the same view.

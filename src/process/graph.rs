@@ -7,7 +7,7 @@ use crate::merge_memory::MergeMemory;
 use crate::ports::ChannelError;
 use crate::run::Run;
 use crate::shared_memory::{Participant, Reader, Writer, wait};
-use ::merge::Fleet;
+use ::merge::FleetPoseGraph;
 use msg::{
     EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,
     SubmapRequest,
@@ -56,7 +56,7 @@ struct Source {
 /// Works until `done`.
 pub fn run(
     run: &Run,
-    mut fleet: Fleet,
+    mut fleet: FleetPoseGraph,
     mut memory: MergeMemory,
     slot: &PlacesSlot,
     done: &AtomicBool,
@@ -88,7 +88,7 @@ pub fn run(
         let task = fleet.next_task();
         worked = task.is_some();
         if let Some(task) = task {
-            fleet.take(task.run());
+            fleet.apply_outcome(task.run());
         }
         // Before it is told: who has heard that an edge is pinned may rely on it.
         memory.keep(&fleet, now());
@@ -109,16 +109,16 @@ impl Source {
         })
     }
 
-    fn read(&mut self, fleet: &mut Fleet) {
+    fn read(&mut self, fleet: &mut FleetPoseGraph) {
         // What makes no sense is not taken: the robot stays where it was.
         if let Some(poses) = self.poses.newest() {
-            let _ = fleet.poses(self.robot, &poses);
+            let _ = fleet.update_poses(self.robot, &poses);
         }
         while let Some(submap) = self.submaps.receive() {
-            let _ = fleet.submap(self.robot, &submap);
+            let _ = fleet.add_submap(self.robot, &submap);
         }
         let lost = self.submaps.gaps().lost;
-        if !fleet.lacks(self.robot) && lost == self.lost {
+        if fleet.missing_submaps(self.robot) == 0 && lost == self.lost {
             self.lacks_since = None;
             return;
         }
@@ -141,21 +141,23 @@ struct Out {
 }
 
 impl Out {
-    fn obey(&mut self, fleet: &mut Fleet, command: &EdgeCommand) {
+    fn obey(&mut self, fleet: &mut FleetPoseGraph, command: &EdgeCommand) {
         let action = EdgeAction::from_code(command.action);
-        let done = action.is_some_and(|action| fleet.command(command.edge, action));
+        let done = action.is_some_and(|action| fleet.apply_command(command.edge, action));
         self.edges.commands += 1;
         self.edges.refused += u32::from(!done);
         self.answered = true;
     }
 
     /// Tells what is new.
-    fn tell(&mut self, run: &Run, fleet: &Fleet, slot: &PlacesSlot) {
-        let places: Places =
-            run.robots().map(|robot| (fleet.anchor(robot), fleet.straightened(robot).cloned())).collect();
+    fn tell(&mut self, run: &Run, fleet: &FleetPoseGraph, slot: &PlacesSlot) {
+        let places: Places = run
+            .robots()
+            .map(|robot| (fleet.map_from_robot_map(robot), fleet.redrawn_map(robot).cloned()))
+            .collect();
         let moved = self.places.as_ref().is_none_or(|before| !same(before, &places));
         let mut edges = self.edges.clone();
-        fleet.edges(&mut edges);
+        fleet.write_edges(&mut edges);
         if moved {
             slot.put(places.clone());
             self.places = Some(places);

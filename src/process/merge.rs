@@ -12,7 +12,7 @@ use crate::ports::{ChannelError, Gaps, MAP_PAUSE, ReadMapPort, WriteMapPort};
 use crate::run::Run;
 use crate::shared_memory::{MapReader, Reader, wait};
 use crate::stop::Stop;
-use ::merge::{Fleet, Merger};
+use ::merge::{FleetPoseGraph, Merger};
 use msg::{Correction, Monotonic, Pose2, RobotId, Role, TrackingState};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -20,10 +20,10 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let starts = fleet::known_starts(&run.config)?;
     let (slot, done) = (PlacesSlot::default(), AtomicBool::new(false));
     std::thread::scope(|scope| {
-        let mut joint = Fleet::new(&run.config.merge.align, &starts);
+        let mut joint = FleetPoseGraph::new(&run.config.merge.align, &starts);
         // What a process before this one knew: robots lie where they lay from the first map on.
         let memory = MergeMemory::recalled(run, &mut joint);
-        let begun: Vec<_> = run.robots().map(|robot| joint.anchor(robot)).collect();
+        let begun: Vec<_> = run.robots().map(|robot| joint.map_from_robot_map(robot)).collect();
         let beside = scope.spawn(|| graph::run(run, joint, memory, &slot, &done));
         let drawn = draw(run, &begun, &slot, &|| stop.requested() || beside.is_finished());
         done.store(true, Ordering::Relaxed);
@@ -94,7 +94,11 @@ fn draw(
 /// Takes over what the joint graph says of every robot. How many maps could not be.
 fn settle(merger: &mut Merger, places: &Places) -> u64 {
     let robots = RobotId::first(places.len()).zip(places);
-    robots.map(|(robot, (place, map))| u64::from(merger.settle(robot, *place, map.as_ref()).is_err())).sum()
+    robots
+        .map(|(robot, (place, map))| {
+            u64::from(merger.apply_fleet_estimate(robot, *place, map.as_ref()).is_err())
+        })
+        .sum()
 }
 
 /// Where a robot has been since the last look: after the maps, so that what they show of it is not older. A robot that
@@ -103,7 +107,7 @@ fn stand(merger: &mut Merger, robot: RobotId, reader: &mut Reader<Correction>, r
     let mut changed = false;
     while let Some(at) = reader.receive() {
         if at.state() != TrackingState::Lost {
-            changed |= merger.stand(robot, at.map_from_base, radius_m);
+            changed |= merger.set_robot_footprint(robot, at.map_from_base, radius_m);
         }
     }
     changed

@@ -41,7 +41,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         if received >= due {
             inputs.states(&mut telemetry, received);
             let stamp = run.epoch.stamp(received);
-            stats.send(pulse.work(|| telemetry.stats(stamp, received)));
+            stats.send(pulse.work(|| telemetry.compute_stats(stamp, received)));
             due = Monotonic((due.0 + PERIOD_NS).max(received.0));
         }
         pulse.beat(Account::default);
@@ -110,16 +110,16 @@ impl Inputs {
     fn streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
         for RobotInputs { robot, transforms, corrections, truths, maps, news, .. } in &mut self.robots {
             while let Some(truth) = truths.receive() {
-                telemetry.truth(*robot, &truth);
+                telemetry.add_truth(*robot, &truth);
             }
             while let Some(transforms) = transforms.receive() {
-                telemetry.transforms(*robot, &transforms, received);
+                telemetry.add_transforms(*robot, &transforms, received);
             }
             while let Some(correction) = corrections.receive() {
-                telemetry.correction(*robot, &correction, received);
+                telemetry.add_correction(*robot, &correction, received);
             }
             if maps.poll() {
-                telemetry.map_came(*robot, maps.map().header.scan_sent, received);
+                telemetry.record_map_arrival(*robot, maps.map().header.scan_sent, received);
                 *news = true;
             }
         }
@@ -133,11 +133,11 @@ impl Inputs {
         }
         for RobotInputs { robot, maps, news, grid, .. } in &mut self.robots {
             if std::mem::take(news) {
-                telemetry.map_is(*robot, grid.update(maps.map()));
+                telemetry.update_map(*robot, grid.update(maps.map()));
             }
         }
         if std::mem::take(&mut self.merged_news) {
-            telemetry.merged_map(self.merged_grid.update(self.merged_map.map()), received);
+            telemetry.update_merged_map(self.merged_grid.update(self.merged_map.map()), received);
         }
         for beats in &mut self.beats {
             while let Some(beat) = beats.receive() {

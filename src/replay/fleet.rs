@@ -7,7 +7,7 @@ use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, write_t
 use crate::merge_edges::EdgeView;
 use formats::carmen::{LaserLine, Reader};
 use formats::map_file::write_map;
-use merge::{Fleet, MergeConfig, Merger};
+use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
 use serde::Serialize;
 use slam::{Back, Front, Slam, SlamConfig, Submaps};
@@ -104,7 +104,7 @@ pub fn run(args: &ReplayArgs, starts: &Starts, config: &SlamConfig) -> Result<()
         .collect::<Result<Vec<_>, _>>()?;
     let merging = MergeConfig::default();
     let mut merged = Merged {
-        fleet: Fleet::new(&merging.align, &known),
+        fleet: FleetPoseGraph::new(&merging.align, &known),
         poses: bytemuck::allocation::zeroed_box(),
         merge_s: 0.0,
         task_max_ms: 0.0,
@@ -161,7 +161,7 @@ impl<'a> Robot<'a> {
 }
 
 struct Merged {
-    fleet: Fleet,
+    fleet: FleetPoseGraph,
     poses: Box<SubmapPoses>,
     merge_s: f64,
     task_max_ms: f64,
@@ -193,9 +193,9 @@ impl Merged {
         robot.submaps.poses(&robot.back, &mut self.poses);
         let began = Instant::now();
         // A robot's own submaps are sound; a refused one would be missing in the map.
-        let _ = self.fleet.poses(robot.id, &self.poses);
+        let _ = self.fleet.update_poses(robot.id, &self.poses);
         while let Some(submap) = robot.submaps.next_changed(&robot.back) {
-            let _ = self.fleet.submap(robot.id, submap);
+            let _ = self.fleet.add_submap(robot.id, submap);
         }
         self.note_update(began);
     }
@@ -211,7 +211,7 @@ impl Merged {
             self.merge_s += spent_s;
             self.task_max_ms = self.task_max_ms.max(1e3 * spent_s);
             let began = Instant::now();
-            self.fleet.take(outcome);
+            self.fleet.apply_outcome(outcome);
             self.note_update(began);
         }
     }
@@ -224,13 +224,13 @@ impl Merged {
 
     /// Every robot that has a place, straightened where need be.
     fn map(&self, config: &MergeConfig, robots: &mut [Robot<'_>]) -> Grid {
-        let anchors: Vec<_> = robots.iter().map(|robot| self.fleet.anchor(robot.id)).collect();
+        let anchors: Vec<_> = robots.iter().map(|robot| self.fleet.map_from_robot_map(robot.id)).collect();
         let mut merger = Merger::new(config, &anchors);
         for robot in robots.iter_mut() {
             // A map that is refused is missing in the merged one, which shows.
-            let _ = match self.fleet.straightened(robot.id) {
-                Some(map) => merger.update(robot.id, map.view()),
-                None => merger.update(robot.id, robot.back.map()),
+            let _ = match self.fleet.redrawn_map(robot.id) {
+                Some(map) => merger.update_map(robot.id, map.view()),
+                None => merger.update_map(robot.id, robot.back.map()),
             };
         }
         merger.merged().to_owned()
@@ -238,16 +238,16 @@ impl Merged {
 
     fn summary(&self, robots: Vec<Robot<'_>>, map: &Grid, began: Instant) -> FleetSummary {
         let mut edges = MergeEdges::default();
-        self.fleet.edges(&mut edges);
+        self.fleet.write_edges(&mut edges);
         let robots = robots.into_iter().map(|mut robot| {
             robot.summary.count(&robot.front, &robot.back);
             (robot.summary.malformed_lines, robot.summary.skipped_lines) =
                 (robot.records.malformed, robot.records.reader.skipped());
-            let place = self.fleet.anchor(robot.id);
+            let place = self.fleet.map_from_robot_map(robot.id);
             RobotSummary {
                 merged: place.is_some(),
                 map_from_robot_map: place.map(|p| [p.x_m, p.y_m, p.yaw_rad]),
-                straightened: self.fleet.straightened(robot.id).is_some(),
+                straightened: self.fleet.redrawn_map(robot.id).is_some(),
                 submaps: robot.submaps.len(),
                 slam: robot.summary,
             }
@@ -257,7 +257,7 @@ impl Merged {
             edges: edges.edges().iter().map(EdgeView::new).collect(),
             map_width: map.header.width,
             map_height: map.header.height,
-            solutions: self.fleet.solutions(),
+            solutions: self.fleet.solve_count(),
             wall_s: began.elapsed().as_secs_f64(),
             merge_s: self.merge_s,
             task_max_ms: self.task_max_ms,
@@ -267,7 +267,11 @@ impl Merged {
 }
 
 /// A file for each robot, `robotK.tum`: in the merged map's frame if the robot has a place there, else in its own.
-fn write_trajectories(folder: &Path, robots: &[Robot<'_>], fleet: &Fleet) -> Result<(), ReplayError> {
+fn write_trajectories(
+    folder: &Path,
+    robots: &[Robot<'_>],
+    fleet: &FleetPoseGraph,
+) -> Result<(), ReplayError> {
     std::fs::create_dir_all(folder)
         .map_err(|source| ReplayError::Write { path: folder.to_owned(), source })?;
     for robot in robots {
@@ -284,10 +288,10 @@ fn write_trajectories(folder: &Path, robots: &[Robot<'_>], fleet: &Fleet) -> Res
 }
 
 /// `map` from `robotK/map` at a node.
-fn correction(robot: &Robot<'_>, fleet: &Fleet, node: u32) -> Pose2 {
-    let at = |id: u32| fleet.correction(robot.id, id);
+fn correction(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -> Pose2 {
+    let at = |id: u32| fleet.map_from_robot_map_at(robot.id, id);
     let place = robot.submaps.submap_of(node).and_then(|(id, _)| at(id));
-    place.or(fleet.anchor(robot.id)).unwrap_or(Pose2::IDENTITY)
+    place.or(fleet.map_from_robot_map(robot.id)).unwrap_or(Pose2::IDENTITY)
 }
 
 /// Lines `index time x y theta`; `#` begins a comment.

@@ -3,7 +3,7 @@
 use crate::pairs::{Pairs, PlacedMap};
 use crate::processes::Processes;
 use crate::robot::{Robot, count};
-use crate::truth::{AgainstTruth, Knowable};
+use crate::truth::{MapErrors, ObservableArea};
 use msg::{
     Correction, FleetStats, Grid, GridView, GroundTruth, Header, MapTransforms, Monotonic, Pose2,
     ProcessHealth, ROBOTS_MAX, RobotId, RobotStats, Stamp, Transforms,
@@ -18,17 +18,17 @@ const AGAINST_ROOM_CELLS: usize = 100_000;
 ///
 /// `received` is when the message reached telemetry. A robot that the fleet does not have is
 /// ignored. Transforms and corrections cost a few operations and no allocation; maps are copied
-/// when they come and compared in [`Telemetry::stats`].
+/// when they come and compared in [`Telemetry::compute_stats`].
 pub struct Telemetry {
     robots: Vec<Robot>,
-    room: Option<Knowable>,
+    room: Option<ObservableArea>,
     merged: Grid,
     merged_counts: RobotStats,
     merged_version: u64,
     map_transforms: MapTransforms,
     room_coverage: Option<(u64, Pose2, f64)>,
     /// The merged map's walls against the room's, and how long ago, in calls, that was.
-    against_room: Option<AgainstTruth>,
+    against_room: Option<MapErrors>,
     against_room_age: usize,
     pairs: Pairs,
     processes: Processes,
@@ -46,7 +46,7 @@ impl Telemetry {
         let sound_plan = room_plan.filter(|plan| GridView::new(&plan.header, &plan.cells).is_some());
         Self {
             robots: (0..robot_count).map(robot).collect(),
-            room: sound_plan.map(|plan| Knowable::new(plan, starts_m)),
+            room: sound_plan.map(|plan| ObservableArea::new(plan, starts_m)),
             merged: Grid::default(),
             merged_counts: RobotStats::default(),
             merged_version: 0,
@@ -61,41 +61,41 @@ impl Telemetry {
     }
 
     /// A robot's part of /tf.
-    pub fn transforms(&mut self, robot: RobotId, transforms: &Transforms, received: Monotonic) {
+    pub fn add_transforms(&mut self, robot: RobotId, transforms: &Transforms, received: Monotonic) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
             robot.jitter.add(transforms, received);
         }
     }
 
     /// SLAM's answer to a scan.
-    pub fn correction(&mut self, robot: RobotId, correction: &Correction, received: Monotonic) {
+    pub fn add_correction(&mut self, robot: RobotId, correction: &Correction, received: Monotonic) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
             robot.correction(correction, received);
         }
     }
 
-    /// A robot's map has come; what is in it need be said only now and then, with [`Telemetry::map_is`].
-    pub fn map_came(&mut self, robot: RobotId, scan_sent: Monotonic, received: Monotonic) {
+    /// A robot's map has come; what is in it need be said only now and then, with [`Telemetry::update_map`].
+    pub fn record_map_arrival(&mut self, robot: RobotId, scan_sent: Monotonic, received: Monotonic) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
             robot.map_came(scan_sent, received);
         }
     }
 
     /// A robot's map as it is. One that makes no sense is ignored.
-    pub fn map_is(&mut self, robot: RobotId, map: GridView<'_>) {
+    pub fn update_map(&mut self, robot: RobotId, map: GridView<'_>) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
             robot.map(map);
         }
     }
 
     /// Both at once.
-    pub fn map(&mut self, robot: RobotId, map: GridView<'_>, received: Monotonic) {
-        self.map_came(robot, map.header.scan_sent, received);
-        self.map_is(robot, map);
+    pub fn add_map(&mut self, robot: RobotId, map: GridView<'_>, received: Monotonic) {
+        self.record_map_arrival(robot, map.header.scan_sent, received);
+        self.update_map(robot, map);
     }
 
     /// The fleet's map. One that makes no sense is ignored.
-    pub fn merged_map(&mut self, map: GridView<'_>, _received: Monotonic) {
+    pub fn update_merged_map(&mut self, map: GridView<'_>, _received: Monotonic) {
         if GridView::new(map.header, map.cells).is_none() {
             return;
         }
@@ -112,7 +112,7 @@ impl Telemetry {
     }
 
     /// Where a simulated robot really is.
-    pub fn truth(&mut self, robot: RobotId, truth: &GroundTruth) {
+    pub fn add_truth(&mut self, robot: RobotId, truth: &GroundTruth) {
         if let Some(robot) = self.robots.get_mut(robot.index()) {
             robot.truth(truth);
         }
@@ -125,7 +125,7 @@ impl Telemetry {
 
     /// The figures at `stamp` of the run's clock, which is `now` on the machine's. Compares at most
     /// a bounded number of cells: with many large maps the pairs take turns.
-    pub fn stats(&mut self, stamp: Stamp, now: Monotonic) -> &FleetStats {
+    pub fn compute_stats(&mut self, stamp: Stamp, now: Monotonic) -> &FleetStats {
         let map_transform = |index: usize| {
             let map_transform = &self.map_transforms.robots[index];
             (map_transform.known == 1 && map_transform.map_from_robot_map.is_finite())
@@ -153,8 +153,8 @@ impl Telemetry {
             consistency_one_cell: pairs.mean.one_cell,
             occupied_f1: pairs.mean.occupied_f1,
             overlap_m2: pairs.mean.overlap_m2,
-            null_consistency: pairs.null[0],
-            null_f1: pairs.null[1],
+            null_consistency_mean: pairs.null[0],
+            null_f1_mean: pairs.null[1],
             null_count: pairs.null_count,
             room_f1: room.occupied_f1,
             map_to_room_m: room.map_to_room_m,
@@ -184,8 +184,8 @@ impl Telemetry {
     }
 
     /// NaN where the room or the place is not known. The newest that was computed, now and then.
-    fn against_room(&mut self) -> AgainstTruth {
-        let unknown = AgainstTruth {
+    fn against_room(&mut self) -> MapErrors {
+        let unknown = MapErrors {
             occupied_f1: f64::NAN,
             map_to_room_m: f64::NAN,
             room_to_map_m: f64::NAN,

@@ -11,7 +11,7 @@ pub const NEAREST_M_MAX: f64 = 1.0;
 
 /// What of a room a robot can ever know: the floor it can reach and the walls it can see from there.
 #[derive(Clone, Debug)]
-pub struct Knowable {
+pub struct ObservableArea {
     plan: Grid,
     /// By the plan's cells.
     knowable: Vec<bool>,
@@ -21,7 +21,7 @@ pub struct Knowable {
     to_walls: Vec<f64>,
 }
 
-impl Knowable {
+impl ObservableArea {
     /// `plan` is the room, frame `world`. Floor that cannot be reached from `starts_m` (world,
     /// metres) cannot be known; without a start on free floor all of it counts as reachable.
     pub fn new(plan: Grid, starts_m: impl IntoIterator<Item = [f64; 2]>) -> Self {
@@ -66,7 +66,7 @@ impl Knowable {
     }
 
     /// The map's walls against the room's.
-    pub fn compare(&self, map: GridView<'_>, world_from_map: Pose2) -> AgainstTruth {
+    pub fn compare(&self, map: GridView<'_>, world_from_map: Pose2) -> MapErrors {
         let walls_map: Vec<bool> =
             map.cells.iter().map(|cell| occupancy(*cell) == Occupancy::Occupied).collect();
         let visible = Grid {
@@ -83,7 +83,7 @@ impl Knowable {
         let to_walls_map = squared_distances(&walls_map, map.header.width as usize);
         let of_room = nearest(visible.view(), map, &to_walls_map, world_from_map.inverse());
         let sum = of_map.found_share + of_room.found_share;
-        AgainstTruth {
+        MapErrors {
             occupied_f1: if sum > 0.0 { 2.0 * of_map.found_share * of_room.found_share / sum } else { 0.0 },
             map_to_room_m: of_map.mean_m,
             room_to_map_m: of_room.mean_m,
@@ -95,7 +95,7 @@ impl Knowable {
 
 /// How a map's walls lie to the room's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct AgainstTruth {
+pub struct MapErrors {
     /// F1 of occupied cells at a tolerance of one cell (and its diagonal), 0 to 1.
     pub occupied_f1: f64,
     /// Mean distance from the map's occupied cells to the room's nearest visible wall, metres,
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn the_room_itself_is_a_perfect_map() {
-        let room = Knowable::new(house(), [[1.0, 1.0]]);
+        let room = ObservableArea::new(house(), [[1.0, 1.0]]);
         let perfect = room.compare(house().view(), Pose2::IDENTITY);
         assert_eq!((perfect.occupied_f1, perfect.map_to_room_m), (1.0, 0.0));
         assert_eq!((perfect.room_to_map_m, perfect.coverage), (0.0, 1.0));
@@ -199,7 +199,7 @@ mod tests {
             .enumerate()
             .filter(|(i, _)| i / width < 100)
             .for_each(|(_, cell)| *cell = UNKNOWN);
-        let room = Knowable::new(house(), []);
+        let room = ObservableArea::new(house(), []);
         let seen = room.compare(half.view(), Pose2::IDENTITY);
         within(seen.coverage, 0.5, 0.02);
         assert!(seen.map_to_room_m < 0.02 && seen.room_to_map_m > 0.2, "{seen:?}");
@@ -217,7 +217,7 @@ mod tests {
         let mut map = plan.clone();
         (71..89).for_each(|y| map.cells[y * width + 131..y * width + 149].fill(UNKNOWN));
         let coverage = |starts: &[[f64; 2]]| {
-            Knowable::new(plan.clone(), starts.iter().copied()).coverage(map.view(), Pose2::IDENTITY)
+            ObservableArea::new(plan.clone(), starts.iter().copied()).coverage(map.view(), Pose2::IDENTITY)
         };
         assert_eq!(coverage(&[[1.0, 1.0]]), 1.0);
         assert!(coverage(&[]) < 1.0);

@@ -98,7 +98,7 @@ fn robots_that_started_anywhere_find_each_other() {
         let (m, deg) = (robot.map_transform_error_m.unwrap(), robot.map_transform_error_deg.unwrap());
         assert!(m < 0.10 && deg < 1.0, "{}: {m} m, {deg} degrees from its true place", robot.robot);
     }
-    let (f1, chance) = (view.occupied_f1.unwrap(), view.null_f1.unwrap());
+    let (f1, chance) = (view.occupied_f1.unwrap(), view.null_f1_mean.unwrap());
     assert!(f1 > 0.8 && chance < 0.4, "{f1} {chance}");
 }
 

@@ -27,7 +27,7 @@ pub(crate) struct Fit {
     pub residual_m: f64,
     /// The least of the eigenvalues of the found walls' pull on the position over their sum, 0 to
     /// 0.5: near 0 the map can slide along itself, as in a corridor.
-    pub firmness: f64,
+    pub observability: f64,
 }
 
 impl Fit {
@@ -50,7 +50,7 @@ impl Fit {
             found,
             missed: self.missed + other.missed,
             residual_m: mean(self.residual_m, other.residual_m),
-            firmness: mean(self.firmness, other.firmness),
+            observability: mean(self.observability, other.observability),
         }
     }
 }
@@ -86,7 +86,7 @@ impl Field {
         }
         let (trace, apart) = (pull[0] + pull[2], (pull[0] - pull[2]).hypot(2.0 * pull[1]));
         fit.residual_m = if fit.found > 0.0 { sum / fit.found * self.cell_m } else { 0.0 };
-        fit.firmness = if trace > 0.0 { (trace - apart) / (2.0 * trace) } else { 0.0 };
+        fit.observability = if trace > 0.0 { (trace - apart) / (2.0 * trace) } else { 0.0 };
         fit.found *= keep as f64;
         fit.missed *= keep as f64;
         fit

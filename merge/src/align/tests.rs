@@ -75,7 +75,7 @@ fn map(plan: Plan, from: i64, to: i64) -> Grid {
 /// The same map drawn in another frame.
 fn redrawn(map: &Grid, frame_from_map: Pose2) -> Grid {
     let mut merger = Merger::new(&MergeConfig::default(), &[Some(frame_from_map)]);
-    merger.update(RobotId::new(1).unwrap(), map.view()).unwrap();
+    merger.update_map(RobotId::new(1).unwrap(), map.view()).unwrap();
     merger.merged().to_owned()
 }
 

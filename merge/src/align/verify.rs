@@ -7,7 +7,7 @@ use msg::{GridView, Pose2};
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Agreement {
     /// Share of the cells both know on which they agree (Carpin's acceptance index), 0 to 1.
-    pub strict: f64,
+    pub agreement: f64,
     /// F1 of occupied cells at one cell's tolerance, 0 to 1.
     pub occupied_f1: f64,
     /// Floor and walls both know, square metres.
@@ -36,7 +36,7 @@ pub(crate) fn agreement(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Ag
     let overlap_m2 = (area(ab.both, a) + area(ba.both, b)) / 2.0;
     let least_m2 = area(ab.known, a).min(area(ba.known, b));
     Agreement {
-        strict: (share(ab.agree, ab.both) + share(ba.agree, ba.both)) / 2.0,
+        agreement: (share(ab.agree, ab.both) + share(ba.agree, ba.both)) / 2.0,
         occupied_f1: if precision + recall > 0.0 {
             2.0 * precision * recall / (precision + recall)
         } else {

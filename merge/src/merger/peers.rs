@@ -13,17 +13,17 @@ fn where_a_robot_has_driven_its_peers_see_no_obstacle_until_it_does_itself() {
     let robots = 1..=ROBOTS_MAX;
     let mut merger = merger(&[Pose2::IDENTITY; ROBOTS_MAX]);
     for number in robots.clone().skip(1) {
-        merger.update(robot(number), one(LOG_ODDS_MAX).view()).unwrap();
+        merger.update_map(robot(number), one(LOG_ODDS_MAX).view()).unwrap();
     }
     assert_eq!(at(&mut merger, 0, 0), LOG_ODDS_MAX);
-    merger.update(robot(1), one(SWEPT_FREE).view()).unwrap();
+    merger.update_map(robot(1), one(SWEPT_FREE).view()).unwrap();
     assert_eq!(at(&mut merger, 0, 0), SWEPT_FREE);
     // Beams, however often they passed, are not so sure.
-    merger.update(robot(1), one(LOG_ODDS_MIN).view()).unwrap();
+    merger.update_map(robot(1), one(LOG_ODDS_MIN).view()).unwrap();
     assert_eq!(occupancy(at(&mut merger, 0, 0)), Occupancy::Occupied);
     // All of them, and no sum runs over.
     for number in robots {
-        merger.update(robot(number), one(SWEPT_FREE).view()).unwrap();
+        merger.update_map(robot(number), one(SWEPT_FREE).view()).unwrap();
     }
     assert_eq!(at(&mut merger, 0, 0), SWEPT_FREE);
 }
@@ -33,9 +33,10 @@ fn a_robot_is_no_obstacle_where_it_stands_and_on_the_way_there() {
     let ghosts = grid(Pose2::new(-5.0, -5.0, 0.0), RESOLUTION_M, 200, vec![60; 200 * 200]);
     let place = Pose2::new(1.0, 0.0, core::f64::consts::FRAC_PI_2);
     let mut merger = merger(&[Pose2::IDENTITY, place]);
-    merger.update(robot(1), ghosts.view()).unwrap();
+    merger.update_map(robot(1), ghosts.view()).unwrap();
     // Along y in `map`, from (1, 0.5) on.
-    let stand = |merger: &mut Merger, x_m| merger.stand(robot(2), Pose2::new(x_m, 0.0, 0.3), RADIUS_M);
+    let stand =
+        |merger: &mut Merger, x_m| merger.set_robot_footprint(robot(2), Pose2::new(x_m, 0.0, 0.3), RADIUS_M);
     assert!(stand(&mut merger, 0.5));
     let free = |merger: &mut Merger, y| at(merger, 20, y) == SWEPT_FREE;
     assert_eq!([4, 6, 13, 15].map(|y| free(&mut merger, y)), [false, true, true, false]);
@@ -47,12 +48,12 @@ fn a_robot_is_no_obstacle_where_it_stands_and_on_the_way_there() {
     }
     assert!((6..33).all(|y| free(&mut merger, y)) && !free(&mut merger, 35));
     // Not placed, it is nowhere; placed elsewhere, it was there.
-    merger.set_anchor(robot(2), None).unwrap();
+    merger.set_map_transform(robot(2), None).unwrap();
     assert!((0..40).all(|y| !free(&mut merger, y)));
     assert!(!stand(&mut merger, 1.52));
-    merger.set_anchor(robot(2), Some(Pose2::new(1.0, -1.0, place.yaw_rad))).unwrap();
+    merger.set_map_transform(robot(2), Some(Pose2::new(1.0, -1.0, place.yaw_rad))).unwrap();
     assert!((-14..13).all(|y| free(&mut merger, y)) && !free(&mut merger, 20));
-    merger.set_anchor(robot(2), Some(place)).unwrap();
+    merger.set_map_transform(robot(2), Some(place)).unwrap();
     // After so much more way, its own map must know.
     for step in 1..=40 {
         assert!(stand(&mut merger, 1.52 + 0.1 * f64::from(step)));
@@ -61,25 +62,25 @@ fn a_robot_is_no_obstacle_where_it_stands_and_on_the_way_there() {
     // Its map was bent: it did not drive there, and where it was in the old one says nothing.
     assert!(stand(&mut merger, 1.0));
     assert!(free(&mut merger, 20) && (26..80).all(|y| !free(&mut merger, y)));
-    merger.forget(robot(2));
+    merger.remove_map(robot(2));
     assert!(!free(&mut merger, 20));
 }
 
 #[test]
 fn no_robot_and_no_place_and_no_size_change_nothing() {
     let mut merger = merger(&[Pose2::IDENTITY]);
-    merger.update(robot(1), grid(Pose2::IDENTITY, RESOLUTION_M, 40, vec![60; 1600]).view()).unwrap();
+    merger.update_map(robot(1), grid(Pose2::IDENTITY, RESOLUTION_M, 40, vec![60; 1600]).view()).unwrap();
     let before = merger.merged().to_owned();
     let here = Pose2::new(1.0, 1.0, 0.0);
-    assert!(!merger.stand(robot(2), here, RADIUS_M));
-    assert!(!merger.stand(robot(1), Pose2::new(f64::NAN, 0.0, 0.0), RADIUS_M));
-    assert!(!merger.stand(robot(1), Pose2::new(1e9, 0.0, 0.0), RADIUS_M));
+    assert!(!merger.set_robot_footprint(robot(2), here, RADIUS_M));
+    assert!(!merger.set_robot_footprint(robot(1), Pose2::new(f64::NAN, 0.0, 0.0), RADIUS_M));
+    assert!(!merger.set_robot_footprint(robot(1), Pose2::new(1e9, 0.0, 0.0), RADIUS_M));
     for radius_m in [0.0, -1.0, f64::NAN, 1e9] {
-        assert!(!merger.stand(robot(1), here, radius_m));
+        assert!(!merger.set_robot_footprint(robot(1), here, radius_m));
     }
     assert_eq!(merger.merged().to_owned(), before);
     // Far from all that is known it draws nothing, and makes no room.
-    merger.stand(robot(1), Pose2::new(500.0, 0.0, 0.0), RADIUS_M);
+    merger.set_robot_footprint(robot(1), Pose2::new(500.0, 0.0, 0.0), RADIUS_M);
     assert_eq!(merger.merged().to_owned(), before);
 }
 
@@ -94,18 +95,18 @@ proptest! {
         let starts: Vec<_> = maps.iter().map(|(_, start)| *start).collect();
         let (mut one, mut other) = (merger(&starts), merger(&starts));
         let update = |merger: &mut Merger, index: usize| {
-            merger.update(robot(index + 1), maps[index].0.view()).unwrap();
+            merger.update_map(robot(index + 1), maps[index].0.view()).unwrap();
         };
         let mut place = Pose2::IDENTITY;
         (0..maps.len()).for_each(|index| update(&mut other, index));
-        other.set_anchor(robot(1), Some(elsewhere)).unwrap();
+        other.set_map_transform(robot(1), Some(elsewhere)).unwrap();
         for (dx, dy) in way {
             place = place * Pose2::new(dx, dy, 0.1);
-            one.stand(robot(1), place, RADIUS_M);
-            other.stand(robot(1), place, RADIUS_M);
+            one.set_robot_footprint(robot(1), place, RADIUS_M);
+            other.set_robot_footprint(robot(1), place, RADIUS_M);
             other.merged();
         }
-        other.set_anchor(robot(1), Some(starts[0])).unwrap();
+        other.set_map_transform(robot(1), Some(starts[0])).unwrap();
         (0..maps.len()).rev().for_each(|index| update(&mut one, index));
         prop_assert_eq!(one.merged().to_owned(), other.merged().to_owned());
     }

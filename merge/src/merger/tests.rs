@@ -74,7 +74,7 @@ fn one_robot_at_the_origin_is_copied() {
     let cells: Vec<i8> = (0..200 * 100).map(|i| (i % 256) as u8 as i8).collect();
     let map = grid(Pose2::new(-1.0, 2.0, 0.0), RESOLUTION_M, 200, cells);
     let mut merger = merger(&[Pose2::IDENTITY]);
-    merger.update(robot(1), map.view()).unwrap();
+    merger.update_map(robot(1), map.view()).unwrap();
     let merged = merger.merged().to_owned();
     assert_eq!((merged.header.width, merged.header.height), (200, 100));
     assert!(merged.header.origin.distance_m(map.header.origin) < 1e-9);
@@ -85,21 +85,21 @@ fn one_robot_at_the_origin_is_copied() {
 fn a_ghost_is_cleared_by_those_who_saw_the_floor() {
     let one = |cell| grid(Pose2::IDENTITY, RESOLUTION_M, 1, vec![cell]);
     let mut merger = merger(&[Pose2::IDENTITY; 3]);
-    merger.update(robot(1), one(60).view()).unwrap();
+    merger.update_map(robot(1), one(60).view()).unwrap();
     assert_eq!(occupancy(at(&mut merger, 0, 0)), Occupancy::Occupied);
-    merger.update(robot(2), one(-60).view()).unwrap();
-    merger.update(robot(3), one(-60).view()).unwrap();
+    merger.update_map(robot(2), one(-60).view()).unwrap();
+    merger.update_map(robot(3), one(-60).view()).unwrap();
     assert_eq!(at(&mut merger, 0, 0), -60);
     // Unknown is not evidence; and a robot that leaves takes its own away.
-    merger.update(robot(2), one(UNKNOWN).view()).unwrap();
+    merger.update_map(robot(2), one(UNKNOWN).view()).unwrap();
     assert_eq!(at(&mut merger, 0, 0), 0);
-    merger.forget(robot(1));
+    merger.remove_map(robot(1));
     assert_eq!(at(&mut merger, 0, 0), -60);
-    merger.forget(robot(3));
+    merger.remove_map(robot(3));
     assert_eq!(at(&mut merger, 0, 0), UNKNOWN);
     let certain = one(127);
     for number in 1..=3 {
-        merger.update(robot(number), certain.view()).unwrap();
+        merger.update_map(robot(number), certain.view()).unwrap();
     }
     assert_eq!(at(&mut merger, 0, 0), 127);
 }
@@ -111,15 +111,15 @@ fn thin_walls_survive_finer_cells_and_coarse_cells_leave_no_holes() {
     (0..400).for_each(|x| cells[200 * 400 + x] = 100);
     let fine = grid(Pose2::new(-2.5, -2.5, 0.0), 0.0125, 400, cells);
     let mut merger = merger(&[Pose2::new(0.0, 0.0, 0.3), Pose2::IDENTITY]);
-    merger.update(robot(1), fine.view()).unwrap();
+    merger.update_map(robot(1), fine.view()).unwrap();
     for step in -30..30 {
         let [x, y] = Pose2::new(0.0, 0.0, 0.3).apply([f64::from(step) * RESOLUTION_M, 0.006]);
         let cell = at(&mut merger, (x / RESOLUTION_M).floor() as i64, (y / RESOLUTION_M).floor() as i64);
         assert_eq!(occupancy(cell), Occupancy::Occupied, "hole at step {step}");
     }
-    merger.forget(robot(1));
+    merger.remove_map(robot(1));
     let coarse = grid(Pose2::new(-1.0, -1.0, 0.4), 0.2, 10, vec![-50; 100]);
-    merger.update(robot(2), coarse.view()).unwrap();
+    merger.update_map(robot(2), coarse.view()).unwrap();
     let known = merger.merged().cells.iter().filter(|cell| **cell != UNKNOWN).count();
     assert!((1590..1610).contains(&known), "4 square metres are 1600 cells, not {known}");
 }
@@ -128,7 +128,7 @@ fn thin_walls_survive_finer_cells_and_coarse_cells_leave_no_holes() {
 fn nonsense_is_refused_and_nothing_is_lost() {
     let good = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![50; 4]);
     let mut merger = merger(&[Pose2::IDENTITY, Pose2::new(90_000.0, 90_000.0, 0.0)]);
-    merger.update(robot(1), good.view()).unwrap();
+    merger.update_map(robot(1), good.view()).unwrap();
     let before = merger.merged().to_owned();
     let header = good.header;
     for bad in [
@@ -139,13 +139,13 @@ fn nonsense_is_refused_and_nothing_is_lost() {
         GridHeader { origin: Pose2::new(f64::INFINITY, 0.0, 0.0), ..header },
         GridHeader { origin: Pose2::new(1e9, 0.0, 0.0), ..header },
     ] {
-        let refused = merger.update(robot(1), GridView { header: &bad, cells: &good.cells });
-        assert!(matches!(refused, Err(Refused::Malformed { .. })), "{bad:?}: {refused:?}");
+        let refused = merger.update_map(robot(1), GridView { header: &bad, cells: &good.cells });
+        assert!(matches!(refused, Err(MapRejected::Malformed { .. })), "{bad:?}: {refused:?}");
     }
-    let far = merger.update(robot(2), good.view());
-    assert!(matches!(far, Err(Refused::TooLarge { .. })), "{far:?}");
-    let stranger = merger.update(robot(3), good.view());
-    assert!(matches!(stranger, Err(Refused::Stranger { .. })), "{stranger:?}");
+    let far = merger.update_map(robot(2), good.view());
+    assert!(matches!(far, Err(MapRejected::TooLarge { .. })), "{far:?}");
+    let stranger = merger.update_map(robot(3), good.view());
+    assert!(matches!(stranger, Err(MapRejected::UnknownRobot { .. })), "{stranger:?}");
     assert_eq!(merger.merged().to_owned(), before);
 }
 
@@ -159,15 +159,15 @@ fn an_older_map_is_refused_unless_the_robot_restarted() {
         map
     };
     let mut merger = merger(&[Pose2::IDENTITY; 2]);
-    merger.update(robot(1), stamped(5.0, 1, 50).view()).unwrap();
-    merger.update(robot(2), stamped(3.0, 1, 20).view()).unwrap();
+    merger.update_map(robot(1), stamped(5.0, 1, 50).view()).unwrap();
+    merger.update_map(robot(2), stamped(3.0, 1, 20).view()).unwrap();
     assert_eq!(
         (merger.merged().header.scan_sent, merger.map_transforms().header.stamp),
         (Monotonic(6), Stamp::from_seconds(5.0))
     );
-    let refused = merger.update(robot(1), stamped(4.0, 1, -50).view());
-    assert!(matches!(refused, Err(Refused::Stale { .. })), "{refused:?}");
-    merger.update(robot(1), stamped(4.0, 2, -50).view()).unwrap();
+    let refused = merger.update_map(robot(1), stamped(4.0, 1, -50).view());
+    assert!(matches!(refused, Err(MapRejected::Stale { .. })), "{refused:?}");
+    merger.update_map(robot(1), stamped(4.0, 2, -50).view()).unwrap();
     assert_eq!(at(&mut merger, 0, 0), -30);
 }
 
@@ -175,15 +175,15 @@ fn an_older_map_is_refused_unless_the_robot_restarted() {
 fn a_robot_without_a_start_waits_for_its_anchor() {
     let map = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![50; 4]);
     let mut merger = Merger::new(&MergeConfig::default(), &[None]);
-    merger.update(robot(1), map.view()).unwrap();
+    merger.update_map(robot(1), map.view()).unwrap();
     assert!(merger.merged().cells.is_empty());
     assert_eq!(merger.map_transforms().robots[0].known, 0);
-    merger.set_anchor(robot(1), Some(Pose2::new(1.0, 0.0, 0.0))).unwrap();
+    merger.set_map_transform(robot(1), Some(Pose2::new(1.0, 0.0, 0.0))).unwrap();
     assert_eq!(
         (at(&mut merger, 20, 0), at(&mut merger, 0, 0), merger.map_transforms().robots[0].known),
         (50, UNKNOWN, 1)
     );
-    merger.set_anchor(robot(1), None).unwrap();
+    merger.set_map_transform(robot(1), None).unwrap();
     assert_eq!(at(&mut merger, 20, 0), UNKNOWN);
 }
 
@@ -196,21 +196,21 @@ fn a_redrawn_map_takes_the_robots_own_ones_place_and_gives_it_back() {
         map
     };
     let mut merger = Merger::new(&MergeConfig::default(), &[None]);
-    merger.update(robot(1), stamped(5.0, 50).view()).unwrap();
+    merger.update_map(robot(1), stamped(5.0, 50).view()).unwrap();
     let place = Some(Pose2::new(1.0, 0.0, 0.0));
     // Made of older scans than the robot's newest map, and yet in force.
     let redrawn = Arc::new(stamped(4.0, -30));
-    assert_eq!(merger.settle(robot(1), place, Some(&redrawn)), Ok(true));
+    assert_eq!(merger.apply_fleet_estimate(robot(1), place, Some(&redrawn)), Ok(true));
     assert_eq!(at(&mut merger, 20, 0), -30);
-    assert_eq!(merger.settle(robot(1), place, Some(&redrawn)), Ok(false));
-    merger.update(robot(1), stamped(6.0, 70).view()).unwrap();
+    assert_eq!(merger.apply_fleet_estimate(robot(1), place, Some(&redrawn)), Ok(false));
+    merger.update_map(robot(1), stamped(6.0, 70).view()).unwrap();
     assert_eq!(at(&mut merger, 20, 0), -30);
-    assert_eq!(merger.settle(robot(1), place, None), Ok(true));
+    assert_eq!(merger.apply_fleet_estimate(robot(1), place, None), Ok(true));
     assert_eq!(at(&mut merger, 20, 0), 70);
     let broken = Arc::new(Grid { header: redrawn.header, cells: vec![1] });
-    let refused = merger.settle(robot(1), place, Some(&broken));
-    assert!(matches!(refused, Err(Refused::Malformed { .. })), "{refused:?}");
-    assert_eq!(merger.settle(robot(1), None, None), Ok(true));
+    let refused = merger.apply_fleet_estimate(robot(1), place, Some(&broken));
+    assert!(matches!(refused, Err(MapRejected::Malformed { .. })), "{refused:?}");
+    assert_eq!(merger.apply_fleet_estimate(robot(1), None, None), Ok(true));
     assert_eq!(at(&mut merger, 20, 0), UNKNOWN);
 }
 
@@ -224,10 +224,10 @@ proptest! {
         let starts: Vec<_> = maps.iter().map(|(_, start)| *start).collect();
         let (mut one, mut other) = (merger(&starts), merger(&starts));
         for (index, (map, _)) in maps.iter().enumerate() {
-            one.update(robot(index + 1), map.view()).unwrap();
+            one.update_map(robot(index + 1), map.view()).unwrap();
         }
         for (index, (map, _)) in maps.iter().enumerate().rev() {
-            other.update(robot(index + 1), map.view()).unwrap();
+            other.update_map(robot(index + 1), map.view()).unwrap();
             other.merged();
         }
         prop_assert_eq!(one.merged().to_owned(), other.merged().to_owned());
@@ -236,9 +236,9 @@ proptest! {
     #[test]
     fn a_map_merged_with_itself_reads_the_same(map in map(70), start in pose()) {
         let (mut once, mut twice) = (merger(&[start]), merger(&[start, start]));
-        once.update(robot(1), map.view()).unwrap();
-        twice.update(robot(1), map.view()).unwrap();
-        twice.update(robot(2), map.view()).unwrap();
+        once.update_map(robot(1), map.view()).unwrap();
+        twice.update_map(robot(1), map.view()).unwrap();
+        twice.update_map(robot(2), map.view()).unwrap();
         for (a, b) in once.merged().cells.iter().zip(twice.merged().cells) {
             let undecided = occupancy(*a) == Occupancy::Unknown && *a != UNKNOWN;
             prop_assert!(undecided || occupancy(*a) == occupancy(*b), "{a} {b}");
@@ -250,8 +250,8 @@ proptest! {
         map in map(70), start in pose(), margins in proptest::array::uniform4(0_u32..80),
     ) {
         let (mut plain, mut shifted) = (merger(&[start]), merger(&[start]));
-        plain.update(robot(1), map.view()).unwrap();
-        shifted.update(robot(1), grown(&map, margins).view()).unwrap();
+        plain.update_map(robot(1), map.view()).unwrap();
+        shifted.update_map(robot(1), grown(&map, margins).view()).unwrap();
         prop_assert_eq!(window(&mut plain, 240), window(&mut shifted, 240));
     }
 
@@ -264,15 +264,15 @@ proptest! {
     ) {
         let mut map = Grid { header: GridHeader { resolution_m, ..map.header }, ..map };
         let (mut stepwise, mut at_once) = (merger(&[start]), merger(&[start]));
-        stepwise.update(robot(1), map.view()).unwrap();
+        stepwise.update_map(robot(1), map.view()).unwrap();
         for (margins, (place, cell)) in growth.iter().zip(edits.iter().cycle()) {
             map = grown(&map, *margins);
             let index = (place * map.cells.len() as f64) as usize;
             map.cells[index] = *cell;
             stepwise.merged();
-            stepwise.update(robot(1), map.view()).unwrap();
+            stepwise.update_map(robot(1), map.view()).unwrap();
         }
-        at_once.update(robot(1), map.view()).unwrap();
+        at_once.update_map(robot(1), map.view()).unwrap();
         prop_assert_eq!(window(&mut stepwise, 400), window(&mut at_once, 400));
     }
 
@@ -297,18 +297,18 @@ proptest! {
         let cells = cells.map(|(x, y)| { let (x, y) = source(x, y); map.view().cell(x, y) }).collect();
         let turned = grid(map.header.origin * turn, RESOLUTION_M, turned_width as u32, cells);
         let (mut plain, mut rotated) = (merger(&[Pose2::IDENTITY]), merger(&[Pose2::IDENTITY]));
-        plain.update(robot(1), map.view()).unwrap();
-        rotated.update(robot(1), turned.view()).unwrap();
+        plain.update_map(robot(1), map.view()).unwrap();
+        rotated.update_map(robot(1), turned.view()).unwrap();
         prop_assert_eq!(window(&mut plain, 120), window(&mut rotated, 120));
     }
 
     #[test]
     fn moving_an_anchor_is_the_same_as_starting_there(map in map(70), a in pose(), b in pose()) {
         let (mut moved, mut there) = (merger(&[a]), merger(&[b]));
-        moved.update(robot(1), map.view()).unwrap();
+        moved.update_map(robot(1), map.view()).unwrap();
         moved.merged();
-        moved.set_anchor(robot(1), Some(b)).unwrap();
-        there.update(robot(1), map.view()).unwrap();
+        moved.set_map_transform(robot(1), Some(b)).unwrap();
+        there.update_map(robot(1), map.view()).unwrap();
         prop_assert_eq!(window(&mut moved, 240), window(&mut there, 240));
     }
 }

@@ -3,9 +3,10 @@
 use super::Back;
 use crate::align::{Reference, align};
 use crate::config::LinkConfig;
-use crate::graph::{EdgeKind, Relative};
+use crate::graph::{EdgeKind, Relative, UNOBSERVED};
 use msg::{Pose2, pose::wrap_angle};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
+use posegraph::limit_information;
 
 /// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre
 /// between what is looked at.
@@ -103,10 +104,6 @@ impl Back {
     /// Information that claims no more than the floor allows, and nothing where nothing was seen.
     pub(super) fn floored(&self, information: Matrix3<f64>) -> Matrix3<f64> {
         let l = &self.config.links;
-        let floor = Vector3::new(l.floor_m.powi(2), l.floor_m.powi(2), l.floor_rad.powi(2));
-        let seen = (information + Matrix3::identity() * 1e-2).try_inverse();
-        let total = seen.map(|s| s + Matrix3::from_diagonal(&floor));
-        let inverse = total.and_then(|t| t.try_inverse()).unwrap_or(Matrix3::zeros());
-        (inverse + inverse.transpose()) * 0.5
+        limit_information(information, [l.floor_m, l.floor_rad], UNOBSERVED)
     }
 }

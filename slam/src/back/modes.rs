@@ -10,7 +10,7 @@ use crate::node::{Node, Revision};
 use crate::relocalize::{Hint, Placed, SeekCounts, Seeker, Sought};
 use crate::session::{Identity, Session};
 use msg::{Pose2, SlamMode, Stamp};
-use nalgebra::{Matrix3, Vector3};
+use posegraph::information_from_sigmas;
 
 /// A robot that was found is known this well: links to what it sees may then be sought.
 pub(super) const FOUND_M: f64 = 0.08;
@@ -33,11 +33,6 @@ pub enum Start {
     At(Hint),
     /// To be found out.
     Unknown,
-}
-
-/// Of a pose known this well: metres, radians.
-pub(super) fn information([m, rad]: [f64; 2]) -> Matrix3<f64> {
-    Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
 }
 
 impl Back {
@@ -190,7 +185,7 @@ impl Back {
         self.nodes.push(node);
         if let Some(nearest) = nearest {
             let measured = self.graph.poses()[nearest as usize].between(map_from_node);
-            let information = information([anchor.sigma_m.max(1e-3), anchor.sigma_rad.max(1e-3)]);
+            let information = information_from_sigmas(anchor.sigma_m.max(1e-3), anchor.sigma_rad.max(1e-3));
             self.graph.add_edge([nearest, id], measured, information, EdgeKind::Placed, [0.0; 2]);
         }
     }

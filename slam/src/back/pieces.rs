@@ -8,12 +8,13 @@
 //! from begins anew in the end.
 
 use super::links::is_sure;
-use super::modes::{FOUND_M, FOUND_RAD, information};
+use super::modes::{FOUND_M, FOUND_RAD};
 use super::{Back, TORN_M, TORN_RAD, TORN_VARIANCE};
 use crate::closure::Find;
 use crate::graph::{EdgeKind, Relative};
 use crate::relocalize::{Placed, Seeker, Sought};
 use msg::Pose2;
+use posegraph::information_from_sigmas;
 
 /// A piece so long is looked for in the whole map; something passing by is over sooner.
 const NODES_MIN: u32 = 5;
@@ -83,7 +84,7 @@ impl Back {
         let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == joint;
         let Some(index) = self.graph.edges().iter().position(before) else { return };
         let edge = self.graph.edge_mut(index);
-        (edge.kind, edge.information) = (EdgeKind::Torn, information([TORN_M, TORN_RAD]));
+        (edge.kind, edge.information) = (EdgeKind::Torn, information_from_sigmas(TORN_M, TORN_RAD));
         edge.variance = TORN_VARIANCE;
         self.nodes[joint as usize].torn = true;
         self.joint = None;
@@ -148,7 +149,7 @@ impl Back {
             node: id,
             candidate,
             candidate_from_node: self.graph.poses()[candidate as usize].between(map_from_node),
-            information: information([FOUND_M, FOUND_RAD]),
+            information: information_from_sigmas(FOUND_M, FOUND_RAD),
             response: self.config.relocalize.response_min,
         }]);
     }

@@ -29,7 +29,7 @@ fn one_second_of_one_robot() {
         let sent = Monotonic(1 << 40 | (n * 100 * MS));
         let header = Header { stamp, seq: n, incarnation: 3, ..Default::default() };
         let x_m = 0.01 * n as f64;
-        telemetry.truth(
+        telemetry.add_truth(
             robot(1),
             &GroundTruth { header, world_from_base: Pose2::new(1.0 + x_m, 0.5, 0.0), ..Default::default() },
         );
@@ -42,15 +42,15 @@ fn one_second_of_one_robot() {
             nodes: 4,
             ..Default::default()
         };
-        telemetry.correction(robot(1), &correction, Monotonic(sent.0 + 12 * MS));
+        telemetry.add_correction(robot(1), &correction, Monotonic(sent.0 + 12 * MS));
         let mut transforms = Transforms { header, len: 1, ..Default::default() };
         transforms.links[0] = LinkTransform { child: Link::BaseFootprint as u32, ..Default::default() };
-        telemetry.transforms(robot(1), &transforms, Monotonic(sent.0 + MS));
+        telemetry.add_transforms(robot(1), &transforms, Monotonic(sent.0 + MS));
         let mut map = house();
         map.header.scan_sent = sent;
-        telemetry.map(robot(1), map.view(), Monotonic(sent.0 + 40 * MS));
+        telemetry.add_map(robot(1), map.view(), Monotonic(sent.0 + 40 * MS));
     }
-    let stats = *telemetry.stats(Stamp(5_950 * MS as i64), Monotonic(0));
+    let stats = *telemetry.compute_stats(Stamp(5_950 * MS as i64), Monotonic(0));
     let figures = &stats.robots[0];
     within(figures.scan_hz, 10.0, 1e-9);
     assert_eq!((figures.scans, figures.scans_lost, figures.nodes), (60, 0, 4));
@@ -67,30 +67,30 @@ fn one_second_of_one_robot() {
 fn maps_of_the_fleet() {
     let mut telemetry = Telemetry::new(3, Some(house()), &[Some(Pose2::IDENTITY), None]);
     for number in 1..=3 {
-        telemetry.map(robot(number), house().view(), Monotonic(0));
+        telemetry.add_map(robot(number), house().view(), Monotonic(0));
     }
     telemetry.map_transforms(&map_transforms(2));
-    telemetry.merged_map(house().view(), Monotonic(0));
-    let stats = *telemetry.stats(Stamp(0), Monotonic(0));
+    telemetry.update_merged_map(house().view(), Monotonic(0));
+    let stats = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
     assert_eq!((stats.consistency, stats.occupied_f1, stats.room_coverage), (1.0, 1.0, 1.0));
     telemetry.map_transforms(&map_transforms(3));
-    assert_eq!(telemetry.stats(Stamp(0), Monotonic(0)).pair_count, 3);
+    assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
 }
 
 #[test]
 fn strangers_and_nonsense_change_nothing() {
     let mut telemetry = Telemetry::new(1, None, &[]);
-    let empty = *telemetry.stats(Stamp(0), Monotonic(0));
-    telemetry.map(robot(2), house().view(), Monotonic(0));
+    let empty = *telemetry.compute_stats(Stamp(0), Monotonic(0));
+    telemetry.add_map(robot(2), house().view(), Monotonic(0));
     let map = house();
-    telemetry.map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
-    telemetry.merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
-    telemetry.correction(robot(9), &Correction::default(), Monotonic(0));
+    telemetry.add_map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
+    telemetry.update_merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
+    telemetry.add_correction(robot(9), &Correction::default(), Monotonic(0));
     telemetry.process_health(
         &ProcessHealth { role: Role::Sim as u32, robot: 5, ..Default::default() },
         Monotonic(0),
     );
-    let after = *telemetry.stats(Stamp(0), Monotonic(0));
+    let after = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!(format!("{empty:?}"), format!("{after:?}"));
 }

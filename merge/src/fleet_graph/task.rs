@@ -4,10 +4,10 @@
 use super::clique::largest_consistent;
 use super::closure::{Found, Window, find};
 use super::compose::{Placed, compose};
-use super::graph::{Constraint, solve};
 use super::member::{SubmapRun, ways_m};
 use crate::align::{AlignConfig, Alignment, align, assess, null_f1};
 use msg::{Grid, Pose2, pose::wrap_angle};
+use posegraph::{Edge, Kernel, SolverOptions};
 use std::sync::Arc;
 
 /// Two closures agree if one leads to the other within this, metres and radians,
@@ -18,8 +18,15 @@ const AGREE_PER_M: [f64; 2] = [0.01, 0.004];
 const AGREE_MAX: [f64; 2] = [4.0, 0.4];
 /// A closure that the solution contradicts by so many standard deviations is not believed.
 const CONTRADICTED_SIGMAS: f64 = 6.0;
+/// Closures between robots may be wrong: farther off than 2 standard deviations, they pull less and less. What SLAM
+/// knows of its own submaps has passed its own checks and counts as it is.
+const CLOSURE_KERNEL: Kernel = Kernel::Cauchy { sigmas: 2.0 };
+/// Each solution may bring maps together that were far apart, hence graduated. It runs to 10 µm in at most 20
+/// iterations: nothing waits for it, and the next solution begins from it.
+const SOLVER: SolverOptions =
+    SolverOptions { iterations_max: 20, step_min: 1e-5, graduated: true, prior: 1e-6 };
 
-/// One piece of work. See [`super::Fleet::next_task`].
+/// One piece of work. See [`super::FleetPoseGraph::next_task`].
 #[derive(Debug)]
 pub struct Task {
     /// Which incarnations of the robots it is about: a result about others is thrown away.
@@ -27,7 +34,7 @@ pub struct Task {
     pub(crate) job: Job,
 }
 
-/// What a [`Task`] came to. See [`super::Fleet::take`].
+/// What a [`Task`] came to. See [`super::FleetPoseGraph::apply_outcome`].
 #[derive(Debug)]
 pub struct Outcome {
     pub(crate) runs: Vec<Option<SubmapRun>>,
@@ -69,7 +76,7 @@ pub(crate) struct Closure {
 #[derive(Debug)]
 pub(crate) struct Problem {
     pub poses: Vec<Pose2>,
-    pub constraints: Vec<Constraint>,
+    pub constraints: Vec<Edge>,
     /// For each robot in it: its index, where its submaps begin, and their poses in its own map.
     pub members: Vec<(usize, usize, Vec<Pose2>)>,
     pub pairs: Vec<ProblemPair>,
@@ -83,7 +90,7 @@ pub(crate) struct ProblemPair {
     pub members: [usize; 2],
     pub closures: Vec<Closure>,
     /// Holds while there are no closures.
-    pub seed: Option<Constraint>,
+    pub seed: Option<Edge>,
 }
 
 #[derive(Debug)]
@@ -143,7 +150,10 @@ impl Problem {
             .iter()
             .zip(&in_force)
             .map(|(pair, closures)| {
-                let stands = |k: &&usize| self.constraint(pair, **k).chi_squared(&self.poses) <= limit;
+                let stands = |k: &&usize| {
+                    let closure = self.constraint(pair, **k);
+                    closure.chi_squared(self.poses[closure.a], self.poses[closure.b]) <= limit
+                };
                 closures.iter().filter(stands).copied().collect()
             })
             .collect();
@@ -172,19 +182,19 @@ impl Problem {
             constraints.extend(closures.iter().map(|k| self.constraint(pair, *k)));
             constraints.extend(pair.seed.filter(|_| closures.is_empty()));
         }
-        // If it cannot be solved, the poses stay where SLAM and the anchors have them.
-        let _ = solve(&mut self.poses, &constraints);
+        // After an error the poses are where SLAM and the anchors have them: the best that is known.
+        let _ = posegraph::solve(&mut self.poses, &constraints, &SOLVER);
     }
 
-    fn constraint(&self, pair: &ProblemPair, k: usize) -> Constraint {
+    fn constraint(&self, pair: &ProblemPair, k: usize) -> Edge {
         let Closure { ids, found } = pair.closures[k];
         let place = |side: usize| self.members[pair.members[side]].1 + ids[side];
-        Constraint {
+        Edge {
             a: place(0),
             b: place(1),
             a_from_b: found.i_from_j,
             information: found.information,
-            robust: true,
+            kernel: CLOSURE_KERNEL,
         }
     }
 

@@ -1,7 +1,7 @@
 //! What the fleet must not forget when its process dies: where robots lie, and what the operator said. Submaps and
 //! closures are not in it: robots send the ones again, and the others are found again.
 
-use super::Fleet;
+use super::FleetPoseGraph;
 use super::pair::REFUSED_MAX;
 use crate::align::Alignment;
 use crate::merger::is_near;
@@ -11,19 +11,19 @@ use serde::{Deserialize, Serialize};
 /// Plain values that can be kept and read again. Poses are x m, y m, yaw rad.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Memory {
+pub struct FleetSnapshot {
     /// `map` from `robotK/map`, by robot; none while it is not known.
     anchors: Vec<Option<[f64; 3]>>,
     /// The robot, from 0, whose map the fleet's frame was taken from, and where that map begins.
     holder: Option<(usize, [f64; 3])>,
     /// Pairs of which anything is known.
-    pairs: Vec<PairMemory>,
+    pairs: Vec<PairSnapshot>,
 }
 
 /// What is known of two robots.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct PairMemory {
+struct PairSnapshot {
     /// The edge's number, from 1.
     edge: usize,
     /// An `EdgeState`'s code.
@@ -37,7 +37,7 @@ struct PairMemory {
 
 /// Why a memory is not this fleet's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum MemoryRefused {
+pub enum SnapshotRejected {
     /// Another number of robots.
     #[error("is of a fleet of {found} robots; this one has {expected}")]
     Robots {
@@ -51,9 +51,9 @@ pub enum MemoryRefused {
     Value(&'static str),
 }
 
-impl Fleet {
+impl FleetPoseGraph {
     /// All that is to be remembered. It changes when something is found or said, not with each solution.
-    pub fn memory(&self) -> Memory {
+    pub fn snapshot(&self) -> FleetSnapshot {
         let anchors = self.members.iter().map(|member| member.anchor.map(plain)).collect();
         let holder = self.holder.map(|(robot, pose)| (robot, plain(pose)));
         let known = self.pairs.iter().enumerate().map(|(index, pair)| {
@@ -61,7 +61,7 @@ impl Fleet {
             let state = Some(pair.state()).filter(|state| *state != EdgeState::Candidate);
             let state = state.unwrap_or(EdgeState::None);
             let is_known = state != EdgeState::None;
-            PairMemory {
+            PairSnapshot {
                 edge: index + 1,
                 state: state as u32,
                 a_from_b: if is_known { plain(pair.a_from_b) } else { [0.0; 3] },
@@ -73,21 +73,21 @@ impl Fleet {
                 refused: pair.refused.iter().copied().map(plain).collect(),
             }
         });
-        let said = |pair: &PairMemory| pair.state != EdgeState::None as u32 || !pair.refused.is_empty();
-        Memory { anchors, holder, pairs: known.filter(said).collect() }
+        let said = |pair: &PairSnapshot| pair.state != EdgeState::None as u32 || !pair.refused.is_empty();
+        FleetSnapshot { anchors, holder, pairs: known.filter(said).collect() }
     }
 
     /// Goes on with what an earlier process of the same run remembered: robots lie where they lay, before anything
     /// has come of them. To be told first of all; nothing changes if it is refused.
-    pub fn recall(&mut self, memory: &Memory) -> Result<(), MemoryRefused> {
+    pub fn restore(&mut self, memory: &FleetSnapshot) -> Result<(), SnapshotRejected> {
         let (found, expected) = (memory.anchors.len(), self.members.len());
         if found != expected {
-            return Err(MemoryRefused::Robots { found, expected });
+            return Err(SnapshotRejected::Robots { found, expected });
         }
         let pose = |values: [f64; 3], what| {
             let [x_m, y_m, yaw_rad] = values;
             let pose = Pose2::new(x_m, y_m, yaw_rad);
-            Some(pose).filter(|pose| is_near(*pose)).ok_or(MemoryRefused::Value(what))
+            Some(pose).filter(|pose| is_near(*pose)).ok_or(SnapshotRejected::Value(what))
         };
         let anchor = |anchor: &Option<[f64; 3]>| anchor.map(|values| pose(values, "a place")).transpose();
         let anchors = memory.anchors.iter().map(anchor).collect::<Result<Vec<_>, _>>()?;
@@ -95,17 +95,17 @@ impl Fleet {
             Some((robot, values)) if anchors.get(robot).is_some_and(Option::is_some) => {
                 Some((robot, pose(values, "a frame")?))
             }
-            Some(_) => return Err(MemoryRefused::Value("a frame of a robot")),
+            Some(_) => return Err(SnapshotRejected::Value("a frame of a robot")),
             None => None,
         };
         let mut pairs = vec![super::Pair::default(); self.pairs.len()];
         for kept in &memory.pairs {
             let state = EdgeState::from_code(kept.state).filter(|state| *state != EdgeState::Candidate);
-            let state = state.ok_or(MemoryRefused::Value("an edge's state"))?;
+            let state = state.ok_or(SnapshotRejected::Value("an edge's state"))?;
             let pair = kept.edge.checked_sub(1).and_then(|index| pairs.get_mut(index));
-            let pair = pair.ok_or(MemoryRefused::Value("an edge's number"))?;
+            let pair = pair.ok_or(SnapshotRejected::Value("an edge's number"))?;
             if kept.refused.len() > REFUSED_MAX {
-                return Err(MemoryRefused::Value("a number of places taken back"));
+                return Err(SnapshotRejected::Value("a number of places taken back"));
             }
             pair.state = Some(state);
             pair.a_from_b = pose(kept.a_from_b, "an edge's place")?;
@@ -113,7 +113,7 @@ impl Fleet {
                 pair.refused.push(pose(*refused, "a place taken back")?);
             }
             if kept.grounds.is_some_and(|grounds| !is_sound(&grounds)) {
-                return Err(MemoryRefused::Value("an edge's evidence"));
+                return Err(SnapshotRejected::Value("an edge's evidence"));
             }
             let there = |(found, null_f1)| (Alignment { a_from_b: pair.a_from_b, ..found }, null_f1);
             pair.grounds = kept.grounds.map(there);
@@ -132,9 +132,27 @@ impl Fleet {
 
 fn is_sound((found, null_f1): &(Alignment, f64)) -> bool {
     let Alignment {
-        score, strict, overlap_m2, overlap_share, conflict, residual_m, margin, firmness, ..
+        occupied_f1,
+        agreement,
+        overlap_m2,
+        overlap_share,
+        conflict,
+        residual_m,
+        margin,
+        observability,
+        ..
     } = *found;
-    let all = [score, strict, overlap_m2, overlap_share, conflict, residual_m, margin, firmness, *null_f1];
+    let all = [
+        occupied_f1,
+        agreement,
+        overlap_m2,
+        overlap_share,
+        conflict,
+        residual_m,
+        margin,
+        observability,
+        *null_f1,
+    ];
     all.iter().all(|value| value.is_finite())
 }
 

@@ -59,7 +59,7 @@ fn bent(true_way: &[Pose2], rad_per_step: f64) -> Vec<Pose2> {
 }
 
 /// All of a robot's submaps and poses as its SLAM sends them.
-fn send(fleet: &mut Fleet, robot: usize, true_way: &[Pose2], believed: &[Pose2], run: u64) {
+fn send(fleet: &mut FleetPoseGraph, robot: usize, true_way: &[Pose2], believed: &[Pose2], run: u64) {
     let robot = RobotId::new(robot).unwrap();
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
     let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
@@ -75,23 +75,23 @@ fn send(fleet: &mut Fleet, robot: usize, true_way: &[Pose2], believed: &[Pose2],
         }
         (poses.len, poses.edges_len) = (id as u32 + 1, id as u32);
         poses.header.incarnation = run;
-        fleet.poses(robot, &poses).unwrap();
-        fleet.submap(robot, &submap).unwrap();
+        fleet.update_poses(robot, &poses).unwrap();
+        fleet.add_submap(robot, &submap).unwrap();
         work(fleet);
     }
 }
 
-fn work(fleet: &mut Fleet) {
+fn work(fleet: &mut FleetPoseGraph) {
     for _ in 0..2_000 {
         let Some(task) = fleet.next_task() else { return };
-        fleet.take(task.run());
+        fleet.apply_outcome(task.run());
     }
     panic!("the work has no end");
 }
 
-fn edge(fleet: &Fleet) -> msg::MergeEdge {
+fn edge(fleet: &FleetPoseGraph) -> msg::MergeEdge {
     let mut edges = MergeEdges::default();
-    fleet.edges(&mut edges);
+    fleet.write_edges(&mut edges);
     edges.edges()[0]
 }
 
@@ -100,8 +100,8 @@ fn robot(number: usize) -> RobotId {
 }
 
 /// A fleet whose starts are unknown and whose two robots have found each other on these ways.
-fn together(ways: &[Vec<Pose2>; 2], believed: &[Vec<Pose2>; 2]) -> Fleet {
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
+fn together(ways: &[Vec<Pose2>; 2], believed: &[Vec<Pose2>; 2]) -> FleetPoseGraph {
+    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None, None]);
     send(&mut fleet, 1, &ways[0], &believed[0], 1);
     send(&mut fleet, 2, &ways[1], &believed[1], 1);
     fleet.finish();
@@ -118,9 +118,9 @@ fn one_bent() -> ([Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
 }
 
 /// Mean and greatest distance of robot 2's submaps from where they truly lie, as robot 1 begins.
-fn errors(fleet: &Fleet, ways: [&[Pose2]; 2], believed: &[Pose2]) -> [f64; 2] {
+fn errors(fleet: &FleetPoseGraph, ways: [&[Pose2]; 2], believed: &[Pose2]) -> [f64; 2] {
     let off = (0..believed.len()).map(|id| {
-        let here = fleet.correction(robot(2), id as u32).unwrap() * believed[id];
+        let here = fleet.map_from_robot_map_at(robot(2), id as u32).unwrap() * believed[id];
         here.distance_m(ways[0][0].between(ways[1][id]))
     });
     let off: Vec<f64> = off.collect();
@@ -132,8 +132,8 @@ fn the_joint_graph_is_better_than_any_rigid_merge_of_a_bent_map() {
     let (ways, believed) = one_bent();
     let (fleet, drifted) = (together(&ways, &believed), &believed[1]);
     let told = edge(&fleet);
-    assert!(told.closures >= 5 && told.occupied_f1 > told.null_f1 + 0.3, "{told:?}");
-    assert!(fleet.straightened(robot(2)).is_some());
+    assert!(told.closures >= 5 && told.occupied_f1 > told.null_f1_max + 0.3, "{told:?}");
+    assert!(fleet.redrawn_map(robot(2)).is_some());
     let [mean_m, most_m] = errors(&fleet, [&ways[0], &ways[1]], drifted);
     // The best that a rigid transform can do: the truth fitted to the bent way, point by point.
     let rigid = (0..drifted.len()).map(|fixed| {
@@ -170,110 +170,110 @@ fn wrong_closures_are_left_out() {
 #[test]
 fn what_the_operator_undoes_stays_undone_and_what_he_pins_comes_back() {
     let (mut fleet, ..) = found();
-    let place = fleet.anchor(robot(2)).unwrap();
-    assert!(fleet.command(1, EdgeAction::Undo));
+    let place = fleet.map_from_robot_map(robot(2)).unwrap();
+    assert!(fleet.apply_command(1, EdgeAction::Undo));
     fleet.finish();
     work(&mut fleet);
-    assert_eq!((edge(&fleet).state(), fleet.anchor(robot(2))), (EdgeState::Undone, None));
-    assert_eq!(fleet.anchor(robot(1)), Some(Pose2::IDENTITY));
-    assert!(fleet.command(1, EdgeAction::Pin));
+    assert_eq!((edge(&fleet).state(), fleet.map_from_robot_map(robot(2))), (EdgeState::Undone, None));
+    assert_eq!(fleet.map_from_robot_map(robot(1)), Some(Pose2::IDENTITY));
+    assert!(fleet.apply_command(1, EdgeAction::Pin));
     work(&mut fleet);
     assert_eq!(edge(&fleet).state(), EdgeState::Pinned);
-    assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
-    assert!(fleet.command(1, EdgeAction::Unpin) && !fleet.command(1, EdgeAction::Unpin));
+    assert!(fleet.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
+    assert!(fleet.apply_command(1, EdgeAction::Unpin) && !fleet.apply_command(1, EdgeAction::Unpin));
     assert_eq!(edge(&fleet).state(), EdgeState::Accepted);
-    assert!(!fleet.command(0, EdgeAction::Undo) && !fleet.command(2, EdgeAction::Undo));
+    assert!(!fleet.apply_command(0, EdgeAction::Undo) && !fleet.apply_command(2, EdgeAction::Undo));
 }
 
 #[test]
 fn a_robot_that_begins_again_keeps_its_place_and_one_that_leaves_does_not_move_the_frame() {
     let (mut fleet, ways, believed) = found();
-    let place = fleet.anchor(robot(2)).unwrap();
+    let place = fleet.map_from_robot_map(robot(2)).unwrap();
     send(&mut fleet, 2, &ways[1][..2], &believed[1][..2], 2);
-    assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+    assert!(fleet.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
     // Its SLAM has forgotten nodes: the same incarnation, new submaps under the old ids, of which none has come.
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
     (poses.len, poses.generation, poses.header.incarnation) = (1, 1, 2);
-    fleet.poses(robot(2), &poses).unwrap();
-    assert!(fleet.lacks(robot(2)) && !fleet.lacks(robot(1)));
-    assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
-    fleet.forget(robot(1));
+    fleet.update_poses(robot(2), &poses).unwrap();
+    assert_eq!([1, 2].map(|k| fleet.missing_submaps(robot(k))), [0, 1]);
+    assert!(fleet.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
+    fleet.remove_robot(robot(1));
     work(&mut fleet);
-    assert_eq!(fleet.anchor(robot(1)), None);
-    assert!(fleet.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+    assert_eq!(fleet.map_from_robot_map(robot(1)), None);
+    assert!(fleet.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
 }
 
 #[test]
 fn strangers_and_nonsense_are_refused() {
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None]);
+    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None]);
     let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
-    assert_eq!(fleet.submap(robot(2), &submap), Err(FleetRefused::Stranger(robot(2))));
-    assert_eq!(fleet.submap(robot(1), &submap), Err(FleetRefused::Malformed(robot(1))));
+    assert_eq!(fleet.add_submap(robot(2), &submap), Err(SubmapRejected::UnknownRobot(robot(2))));
+    assert_eq!(fleet.add_submap(robot(1), &submap), Err(SubmapRejected::Malformed(robot(1))));
     let header = GridHeader { resolution_m: 0.05, width: 2, height: 2, ..Default::default() };
     submap.set_grid(GridView { header: &header, cells: &[1; 4] });
     submap.grid.origin.x_m = f64::NAN;
-    assert_eq!(fleet.submap(robot(1), &submap), Err(FleetRefused::Malformed(robot(1))));
+    assert_eq!(fleet.add_submap(robot(1), &submap), Err(SubmapRejected::Malformed(robot(1))));
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
     (poses.len, poses.robot_map_from_submap[0].x_m) = (1, f64::INFINITY);
-    assert_eq!(fleet.poses(robot(1), &poses), Err(FleetRefused::Malformed(robot(1))));
+    assert_eq!(fleet.update_poses(robot(1), &poses), Err(SubmapRejected::Malformed(robot(1))));
 }
 
 /// Two robots that have found each other, and what they drove.
-fn found() -> (Fleet, [Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
+fn found() -> (FleetPoseGraph, [Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
     let ways = [way(4.0, 16.0, 5.0), way(18.0, 6.0, 6.0)];
     let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.0)];
     (together(&ways, &believed), ways, believed)
 }
 
-fn recalled(memory: &Memory) -> Fleet {
-    let mut fleet = Fleet::new(&AlignConfig::default(), &[None, None]);
-    fleet.recall(memory).unwrap();
+fn recalled(memory: &FleetSnapshot) -> FleetPoseGraph {
+    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None, None]);
+    fleet.restore(memory).unwrap();
     fleet
 }
 
 #[test]
 fn a_fleet_that_is_recalled_has_its_places_before_anything_is_found_again() {
     let (mut fleet, ways, believed) = found();
-    assert!(fleet.command(1, EdgeAction::Pin));
+    assert!(fleet.apply_command(1, EdgeAction::Pin));
     work(&mut fleet);
-    let memory = fleet.memory();
+    let memory = fleet.snapshot();
     let mut again = recalled(&memory);
-    assert_eq!(again.memory(), memory);
+    assert_eq!(again.snapshot(), memory);
     for k in [1, 2] {
-        assert_eq!(again.anchor(robot(k)), fleet.anchor(robot(k)));
+        assert_eq!(again.map_from_robot_map(robot(k)), fleet.map_from_robot_map(robot(k)));
     }
     let (before, now) = (edge(&fleet), edge(&again));
     assert_eq!((now.state(), now.a_from_b), (EdgeState::Pinned, before.a_from_b));
     assert_eq!(
-        (now.occupied_f1, now.null_f1, now.inliers),
-        (before.occupied_f1, before.null_f1, before.inliers)
+        (now.occupied_f1, now.null_f1_max, now.inliers),
+        (before.occupied_f1, before.null_f1_max, before.inliers)
     );
     // Robot 2's submaps come first: the frame stays robot 1's, and nobody moves.
-    let place = fleet.anchor(robot(2)).unwrap();
+    let place = fleet.map_from_robot_map(robot(2)).unwrap();
     send(&mut again, 2, &ways[1], &believed[1], 1);
-    assert_eq!(again.anchor(robot(1)), Some(Pose2::IDENTITY));
-    assert!(again.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+    assert_eq!(again.map_from_robot_map(robot(1)), Some(Pose2::IDENTITY));
+    assert!(again.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
     send(&mut again, 1, &ways[0], &believed[0], 1);
     again.finish();
     work(&mut again);
     assert_eq!(edge(&again).state(), EdgeState::Pinned);
     assert!(edge(&again).closures >= 3, "closures are found again: {:?}", edge(&again));
-    assert!(again.anchor(robot(1)).unwrap().distance_m(Pose2::IDENTITY) < 0.01);
-    assert!(again.anchor(robot(2)).unwrap().distance_m(place) < 0.05);
+    assert!(again.map_from_robot_map(robot(1)).unwrap().distance_m(Pose2::IDENTITY) < 0.01);
+    assert!(again.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
 }
 
 #[test]
 fn what_the_operator_took_back_is_not_found_again_by_a_fleet_that_is_recalled() {
     let (mut fleet, ways, believed) = found();
-    assert!(fleet.command(1, EdgeAction::Undo));
+    assert!(fleet.apply_command(1, EdgeAction::Undo));
     work(&mut fleet);
-    let mut again = recalled(&fleet.memory());
-    assert_eq!((edge(&again).state(), again.anchor(robot(2))), (EdgeState::Undone, None));
+    let mut again = recalled(&fleet.snapshot());
+    assert_eq!((edge(&again).state(), again.map_from_robot_map(robot(2))), (EdgeState::Undone, None));
     send(&mut again, 1, &ways[0], &believed[0], 1);
     send(&mut again, 2, &ways[1], &believed[1], 1);
     again.finish();
     work(&mut again);
-    assert_eq!((edge(&again).state(), again.anchor(robot(2))), (EdgeState::Undone, None));
+    assert_eq!((edge(&again).state(), again.map_from_robot_map(robot(2))), (EdgeState::Undone, None));
     // Without the memory it is.
     assert_eq!(edge(&found().0).state(), EdgeState::Accepted);
 }
@@ -281,19 +281,22 @@ fn what_the_operator_took_back_is_not_found_again_by_a_fleet_that_is_recalled() 
 #[test]
 fn the_frame_of_a_robot_that_left_is_remembered() {
     let (mut fleet, _, _) = found();
-    let place = fleet.anchor(robot(2));
-    fleet.forget(robot(1));
+    let place = fleet.map_from_robot_map(robot(2));
+    fleet.remove_robot(robot(1));
     work(&mut fleet);
-    let again = recalled(&fleet.memory());
-    assert_eq!((again.anchor(robot(1)), again.anchor(robot(2))), (None, place));
+    let again = recalled(&fleet.snapshot());
+    assert_eq!((again.map_from_robot_map(robot(1)), again.map_from_robot_map(robot(2))), (None, place));
 }
 
 #[test]
 fn a_find_that_waits_and_places_that_hang_on_nothing_are_not_remembered() {
     let (mut fleet, _, _) = found();
     fleet.pairs[0].let_go(EdgeState::Candidate);
-    let again = recalled(&fleet.memory());
+    let again = recalled(&fleet.snapshot());
     assert_eq!(edge(&again).state(), EdgeState::None);
     // Only the robot whose map gives the frame is sure of its place.
-    assert_eq!((again.anchor(robot(1)), again.anchor(robot(2))), (Some(Pose2::IDENTITY), None));
+    assert_eq!(
+        (again.map_from_robot_map(robot(1)), again.map_from_robot_map(robot(2))),
+        (Some(Pose2::IDENTITY), None)
+    );
 }

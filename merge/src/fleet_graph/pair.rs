@@ -1,11 +1,11 @@
 //! Two robots: how their maps lie to each other, what speaks for it, and what was tried.
 
 use super::closure::{Found, Window};
-use super::graph::{Constraint, certain_to};
 use super::member::Member;
 use super::task::Closure;
 use crate::align::Alignment;
 use msg::{EdgeState, MergeEdge, Pose2, pose::wrap_angle};
+use posegraph::{Edge, Kernel, information_from_sigmas};
 use std::collections::BTreeMap;
 
 /// Two alignments nearer than this mean the same, metres and radians.
@@ -153,15 +153,15 @@ impl Pair {
     }
 
     /// The seed as a constraint of a graph in which the robots' submaps begin at `first`.
-    pub fn seed_constraint(&self, first: [usize; 2]) -> Option<Constraint> {
+    pub fn seed_constraint(&self, first: [usize; 2]) -> Option<Edge> {
         let Seed { ids, i_from_j } = self.seed?;
         let [a, b] = [0, 1].map(|side| first[side] + ids[side]);
-        Some(Constraint {
+        Some(Edge {
             a,
             b,
             a_from_b: i_from_j,
-            information: certain_to(SEED[0], SEED[1]),
-            robust: false,
+            information: information_from_sigmas(SEED[0], SEED[1]),
+            kernel: Kernel::Quadratic,
         })
     }
 
@@ -256,15 +256,15 @@ impl Pair {
             a_from_b: self.a_from_b,
             inliers: found.map_or(0, |found| found.inliers),
             closures: self.in_force.len() as u32,
-            closures_out: (self.closures.len() - self.in_force.len()) as u32,
+            closures_rejected: (self.closures.len() - self.in_force.len()) as u32,
             tries: self.tries,
             residual_m: of(|found| found.residual_m),
             closure_residual_m: self.residual_m,
             overlap_m2: of(|found| found.overlap_m2),
             overlap_share: of(|found| found.overlap_share),
-            strict: of(|found| found.strict),
-            occupied_f1: of(|found| found.score),
-            null_f1,
+            agreement: of(|found| found.agreement),
+            occupied_f1: of(|found| found.occupied_f1),
+            null_f1_max: null_f1,
             conflict: of(|found| found.conflict),
             margin: of(|found| found.margin),
         }

@@ -3,7 +3,7 @@
 use super::member::Member;
 use super::pair::Pair;
 use super::task::{Job, Task};
-use super::{Fleet, robots_of};
+use super::{FleetPoseGraph, robots_of};
 use crate::align::Alignment;
 use msg::{EdgeState, Pose2};
 
@@ -25,7 +25,7 @@ const CONTRADICTED_OVERLAP_M2: f64 = 10.0;
 /// A window of a robot's map: its newest submaps, if it has twice as many.
 const WINDOW: usize = 5;
 
-impl Fleet {
+impl FleetPoseGraph {
     /// Pairs in force whose maps have grown: do they still agree?
     pub(super) fn assess_task(&mut self) -> Option<Task> {
         for (index, pair) in self.pairs.iter_mut().enumerate().filter(|(_, pair)| pair.state().in_force()) {
@@ -53,7 +53,7 @@ impl Fleet {
         // Where the margin over other places was found, it stays: this look was at one place only.
         let margin = pair.grounds.as_ref().map_or(0.0, |(before, _)| before.margin);
         pair.grounds = Some((Alignment { a_from_b: pair.a_from_b, margin, ..found }, null_f1));
-        let contradicted = found.overlap_m2 >= CONTRADICTED_OVERLAP_M2 && found.score < CONTRADICTED_F1;
+        let contradicted = found.overlap_m2 >= CONTRADICTED_OVERLAP_M2 && found.occupied_f1 < CONTRADICTED_F1;
         pair.contradictions = if contradicted { pair.contradictions + 1 } else { 0 };
         if contradicted {
             pair.assessed_at = 0;
@@ -116,7 +116,9 @@ impl Fleet {
         let last_round = self.last_round;
         let pair = &mut self.pairs[index];
         let passed = found.filter(|(found, null_f1)| {
-            found.accepted && found.score >= null_f1 + AHEAD_OF_CHANCE && !pair.is_refused(found.a_from_b)
+            found.accepted
+                && found.occupied_f1 >= null_f1 + AHEAD_OF_CHANCE
+                && !pair.is_refused(found.a_from_b)
         });
         let Some((found, null_f1)) = passed else { return };
         let again = pair.state() == EdgeState::Candidate && Pair::same(pair.a_from_b, found.a_from_b);

@@ -1,10 +1,10 @@
 //! Two submaps of different robots, and where the one is thought to lie in the other: do their
 //! walls say so, and exactly where?
 
-use super::graph::{floored, transported};
 use crate::align::{Evidence, Field, Fit, fit, nearness, pull, refine};
 use msg::{GridView, Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
+use posegraph::{limit_information, transport_information};
 
 /// Between two starts of the search, metres and radians: walls pull over about half of it.
 const STARTS_APART: [f64; 2] = [0.35, 0.06];
@@ -28,13 +28,16 @@ const CONFLICT_MAX: f64 = 0.11;
 const MARGIN_MIN: f64 = 1.3;
 const LEAST_EVIDENCE: f64 = 50.0;
 /// Least share of the walls' pull in any direction.
-const FIRMNESS_MIN: f64 = 0.04;
+const OBSERVABILITY_MIN: f64 = 0.04;
 /// A wall point's distance from its line, metres, one standard deviation.
 const POINT_SIGMA_M: f64 = 0.03;
 /// Neighbouring cells come from the same scans and err alike: so many are one measurement.
 const ALIKE: f64 = 8.0;
 /// Two drawn maps are known to each other no better than this, metres and radians.
 const FLOOR: [f64; 2] = [0.02, 0.004];
+/// Information along a direction that no wall holds, 1/m² and 1/rad²: a standard deviation of 30 m, about the side
+/// of a floor plan.
+const UNOBSERVED: f64 = 1e-3;
 /// A start's square, of which floor must not hold walls.
 const FLOOR_SQUARE_M: f64 = 0.2;
 
@@ -77,10 +80,10 @@ pub(crate) fn find(i: GridView<'_>, j: GridView<'_>, predicted: Pose2, window: W
     // Each point stands for those left out, and both maps look at the same walls: the mean of both ways.
     let each = (keep[0] + keep[1]) as f64 / 4.0;
     let information = points * (each / (ALIKE * POINT_SIGMA_M * POINT_SIGMA_M));
-    let moved = transported(information, i_from_a, found.a_from_b, j_from_b.inverse());
+    let moved = transport_information(information, i_from_a, found.a_from_b, j_from_b.inverse());
     Some(Found {
         i_from_j: i_from_a * found.a_from_b * j_from_b.inverse(),
-        information: floored(moved, FLOOR[0], FLOOR[1]),
+        information: limit_information(moved, FLOOR, UNOBSERVED),
         inliers: found.found as u32,
         residual_m: found.residual_m,
     })
@@ -113,7 +116,7 @@ fn search(fields: [&Field; 2], centre: Pose2, window: Window) -> Option<Fit> {
     let rival = others.map(Fit::evidence).fold(LEAST_EVIDENCE, f64::max);
     let believed = best.found >= FOUND_MIN
         && best.conflict() <= CONFLICT_MAX
-        && best.firmness >= FIRMNESS_MIN
+        && best.observability >= OBSERVABILITY_MIN
         && best.evidence() >= MARGIN_MIN * rival;
     believed.then_some(best)
 }

@@ -1,9 +1,9 @@
 //! The fleet's joint graph: what is put together, and what comes of its solution.
 
-use super::graph::{Constraint, certain_to};
 use super::task::{Job, Problem, ProblemPair, Solution, Task};
-use super::{Fleet, robots_of};
+use super::{FleetPoseGraph, robots_of};
 use msg::{EdgeState, Pose2};
+use posegraph::{Edge, Kernel, information_from_sigmas};
 
 /// Closures that make an edge of two robots that others had brought together.
 const CLOSURES_MIN: usize = 2;
@@ -13,7 +13,7 @@ const FRAME: [f64; 2] = [1e-3, 1e-4];
 /// Map transforms and drawn maps follow the graph in steps of half a cell of 0.05 m.
 const TOLERANCE_M: f64 = 0.025;
 
-impl Fleet {
+impl FleetPoseGraph {
     /// Robots that nothing in force ties to the fleet's frame are taken out; those newly tied get a place.
     pub(super) fn connect(&mut self) {
         let mut reached: Vec<bool> = self.members.iter().map(|member| member.start.is_some()).collect();
@@ -67,13 +67,13 @@ impl Fleet {
             problem.constraints.extend(member.constraints(first));
             let held = self.holder.filter(|(holder, _)| *holder == index).map(|(_, pose)| (pose, FRAME));
             if let Some((pose, [m, rad])) = member.start.map(|start| (start, START)).or(held) {
-                let information = certain_to(m, rad);
-                problem.constraints.push(Constraint {
+                let information = information_from_sigmas(m, rad);
+                problem.constraints.push(Edge {
                     a: 0,
                     b: first,
                     a_from_b: pose * *own,
                     information,
-                    robust: false,
+                    kernel: Kernel::Quadratic,
                 });
             }
         }

@@ -1,10 +1,10 @@
 //! One robot of the fleet: its submaps, and where the fleet's graph has put them.
 
 use super::compose::Placed;
-use super::graph::Constraint;
 use crate::merger::is_near;
 use msg::{Grid, Pose2, SUBMAPS_MAX, Submap, SubmapPoses};
 use nalgebra::Matrix3;
+use posegraph::{Edge, Kernel};
 use std::sync::Arc;
 
 /// What ties two submaps in a row that SLAM says nothing about, metres and radians.
@@ -107,8 +107,8 @@ impl Member {
     }
 
     /// Whether a submap is missing that the poses speak of.
-    pub fn lacks(&self) -> bool {
-        self.pieces.iter().flatten().count() < self.poses.len()
+    pub fn missing_submaps(&self) -> usize {
+        self.poses.len().saturating_sub(self.pieces.iter().flatten().count())
     }
 
     /// All nodes in submaps.
@@ -163,13 +163,13 @@ impl Member {
     }
 
     /// What SLAM knows, for a graph in which this robot's submaps begin at `first`.
-    pub fn constraints(&self, first: usize) -> Vec<Constraint> {
-        let between = |a: usize, b: usize, information| Constraint {
+    pub fn constraints(&self, first: usize) -> Vec<Edge> {
+        let between = |a: usize, b: usize, information| Edge {
             a: first + a,
             b: first + b,
             a_from_b: self.poses[a].between(self.poses[b]),
             information,
-            robust: false,
+            kernel: Kernel::Quadratic,
         };
         let known = self.edges.iter().filter(|(_, b, _)| *b < self.poses.len());
         let mut constraints: Vec<_> =
@@ -181,7 +181,7 @@ impl Member {
                 *tied = true;
             }
         }
-        let loose = super::graph::certain_to(LOOSE[0], LOOSE[1]);
+        let loose = posegraph::information_from_sigmas(LOOSE[0], LOOSE[1]);
         constraints.extend((1..self.poses.len()).filter(|b| !tied[*b]).map(|b| between(b - 1, b, loose)));
         constraints
     }

@@ -14,14 +14,13 @@ mod belief;
 mod clique;
 mod closure;
 mod compose;
-mod graph;
 mod joint;
 mod member;
-mod memory;
 mod pair;
+mod snapshot;
 mod task;
 
-pub use memory::{Memory, MemoryRefused};
+pub use snapshot::{FleetSnapshot, SnapshotRejected};
 pub use task::{Outcome, Task};
 
 use crate::align::AlignConfig;
@@ -39,17 +38,17 @@ const LAST_TRIES: u32 = 6;
 
 /// Why a message was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FleetRefused {
+pub enum SubmapRejected {
     /// There is no such robot.
     #[error("{0} is not of this fleet")]
-    Stranger(RobotId),
+    UnknownRobot(RobotId),
     /// Numbers that make no sense.
     #[error("a submap or pose of {0} makes no sense")]
     Malformed(RobotId),
 }
 
 /// See the module.
-pub struct Fleet {
+pub struct FleetPoseGraph {
     align: AlignConfig,
     members: Vec<Member>,
     pairs: Vec<Pair>,
@@ -64,7 +63,7 @@ pub struct Fleet {
     solutions: u64,
 }
 
-impl Fleet {
+impl FleetPoseGraph {
     /// `starts` says where each robot's map lies, `map` from `robotK/map`, where that is known. If none
     /// is, the first robot that sends a map is where the fleet's frame comes from.
     pub fn new(align: &AlignConfig, starts: &[Option<Pose2>]) -> Self {
@@ -87,17 +86,17 @@ impl Fleet {
     }
 
     /// Takes a robot's submap, new or as it has grown.
-    pub fn submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), FleetRefused> {
+    pub fn add_submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), SubmapRejected> {
         self.note_run(robot, (submap.grid.header.incarnation, submap.generation))?;
         let taken = self.members[robot.index()].submap(submap);
-        if taken { Ok(()) } else { Err(FleetRefused::Malformed(robot)) }
+        if taken { Ok(()) } else { Err(SubmapRejected::Malformed(robot)) }
     }
 
     /// Takes where a robot's submaps lie in its own map.
-    pub fn poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), FleetRefused> {
+    pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
         self.note_run(robot, (poses.header.incarnation, poses.generation))?;
         let index = robot.index();
-        let new = self.members[index].take_poses(poses).ok_or(FleetRefused::Malformed(robot))?;
+        let new = self.members[index].take_poses(poses).ok_or(SubmapRejected::Malformed(robot))?;
         let begun = new && !self.members[index].poses.is_empty();
         if begun && self.holder.is_none() && self.members.iter().all(|member| member.start.is_none()) {
             self.hold(index, Pose2::IDENTITY);
@@ -106,14 +105,14 @@ impl Fleet {
         Ok(())
     }
 
-    /// Whether submaps are missing that the robot's poses speak of.
-    pub fn lacks(&self, robot: RobotId) -> bool {
-        self.members.get(robot.index()).is_some_and(Member::lacks)
+    /// Number of submaps that the robot's poses name and that have not arrived.
+    pub fn missing_submaps(&self, robot: RobotId) -> usize {
+        self.members.get(robot.index()).map_or(0, Member::missing_submaps)
     }
 
     /// A robot has left, or begins anew somewhere else: all that is known of it is forgotten. The
     /// fleet's frame stays.
-    pub fn forget(&mut self, robot: RobotId) {
+    pub fn remove_robot(&mut self, robot: RobotId) {
         let index = robot.index();
         let Some(member) = self.members.get_mut(index) else { return };
         *member = Member { version: member.version + 1, ..Member::default() };
@@ -128,7 +127,7 @@ impl Fleet {
     }
 
     /// The operator's word on an edge, by its number. False if there is no such edge, or nothing is known of it.
-    pub fn command(&mut self, edge: u32, action: EdgeAction) -> bool {
+    pub fn apply_command(&mut self, edge: u32, action: EdgeAction) -> bool {
         let Some(index) = (edge as usize).checked_sub(1).filter(|index| *index < self.pairs.len()) else {
             return false;
         };
@@ -162,7 +161,7 @@ impl Fleet {
         true
     }
 
-    /// The next piece of work, if there is any and none is out. What comes of it goes to [`Fleet::take`].
+    /// The next piece of work, if there is any and none is out. What comes of it goes to [`FleetPoseGraph::apply_outcome`].
     pub fn next_task(&mut self) -> Option<Task> {
         if self.busy {
             return None;
@@ -178,7 +177,7 @@ impl Fleet {
     }
 
     /// Takes what came of a task.
-    pub fn take(&mut self, outcome: Outcome) {
+    pub fn apply_outcome(&mut self, outcome: Outcome) {
         self.busy = false;
         if outcome.runs != self.runs() {
             // A robot began again meanwhile: the work is about what no longer is.
@@ -213,24 +212,24 @@ impl Fleet {
     }
 
     /// `map` from `robotK/map` as it is where the robot is now; `None` while that is not known.
-    pub fn anchor(&self, robot: RobotId) -> Option<Pose2> {
+    pub fn map_from_robot_map(&self, robot: RobotId) -> Option<Pose2> {
         self.members.get(robot.index())?.anchor
     }
 
     /// `map` from `robotK/map` at one of its submaps.
-    pub fn correction(&self, robot: RobotId, submap: u32) -> Option<Pose2> {
+    pub fn map_from_robot_map_at(&self, robot: RobotId, submap: u32) -> Option<Pose2> {
         self.members.get(robot.index())?.correction(submap as usize)
     }
 
-    /// The robot's map redrawn from its submaps, frame `robotK/map` as [`Fleet::anchor`] has it: where
+    /// The robot's map redrawn from its submaps, frame `robotK/map` as [`FleetPoseGraph::map_from_robot_map`] has it: where
     /// the anchor alone would be off by more than half a cell somewhere. `None`: its own map is right.
-    pub fn straightened(&self, robot: RobotId) -> Option<&Arc<Grid>> {
+    pub fn redrawn_map(&self, robot: RobotId) -> Option<&Arc<Grid>> {
         let drawn = self.members.get(robot.index())?.straightened.as_ref()?;
         Some(&drawn.grid).filter(|grid| !grid.cells.is_empty())
     }
 
     /// What is believed about each pair of robots, and on what grounds.
-    pub fn edges(&self, out: &mut MergeEdges) {
+    pub fn write_edges(&self, out: &mut MergeEdges) {
         let edges = self.pairs.iter().enumerate().take(MERGE_EDGES_MAX);
         for (slot, (index, pair)) in out.edges.iter_mut().zip(edges) {
             *slot = pair.edge(index, robots_of(index));
@@ -239,7 +238,7 @@ impl Fleet {
     }
 
     /// Solutions of the joint graph so far.
-    pub fn solutions(&self) -> u64 {
+    pub fn solve_count(&self) -> u64 {
         self.solutions
     }
 
@@ -253,9 +252,9 @@ impl Fleet {
 
     /// A robot whose SLAM was started again goes on in the same frame, with new submaps. One that has fewer of them
     /// than before begins anew within one incarnation, which their generation says.
-    fn note_run(&mut self, robot: RobotId, run: SubmapRun) -> Result<(), FleetRefused> {
+    fn note_run(&mut self, robot: RobotId, run: SubmapRun) -> Result<(), SubmapRejected> {
         let index = robot.index();
-        let member = self.members.get_mut(index).ok_or(FleetRefused::Stranger(robot))?;
+        let member = self.members.get_mut(index).ok_or(SubmapRejected::UnknownRobot(robot))?;
         if member.run == Some(run) {
             return Ok(());
         }
