@@ -70,7 +70,7 @@ pub fn all_files() -> Vec<Source> {
     files_below(".")
 }
 
-fn name_of(path: &PathBuf) -> String {
+fn name_of(path: &Path) -> String {
     path.strip_prefix(root()).unwrap().to_string_lossy().trim_start_matches("./").replace('\\', "/")
 }
 
