@@ -53,7 +53,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
             obey(&mut commands, &mut simulator);
             for (peer, truths) in &mut peers {
                 if let Some(truth) = truths.newest() {
-                    simulator.see(*peer, &truth);
+                    simulator.update_peer(*peer, &truth);
                 }
             }
             outputs.tick(&mut simulator);
