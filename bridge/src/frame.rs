@@ -73,8 +73,7 @@ fn without_nuls(bytes: &[u8]) -> &[u8] {
 /// let mut sent = Vec::new();
 /// Side::Client.write(&mut sent, "/a", b"hello");
 /// let mut parser = Parser::new(1024);
-/// parser.space()[..sent.len()].copy_from_slice(&sent);
-/// parser.filled(sent.len());
+/// parser.push(&sent);
 /// let frame = parser.next_frame().unwrap().unwrap();
 /// assert_eq!((frame.name, frame.payload), (&b"/a"[..], &b"hello"[..]));
 /// ```
@@ -133,6 +132,17 @@ impl Parser {
     /// `count` bytes of [`Parser::space`] now hold the stream's next bytes.
     pub fn filled(&mut self, count: usize) {
         self.end = (self.end + count).min(self.buffer.len());
+    }
+
+    /// Appends bytes of the stream that are in memory already.
+    pub fn push(&mut self, mut bytes: &[u8]) {
+        while !bytes.is_empty() {
+            let space = self.space();
+            let count = bytes.len().min(space.len());
+            space[..count].copy_from_slice(&bytes[..count]);
+            self.filled(count);
+            bytes = &bytes[count..];
+        }
     }
 
     /// Bytes taken from the stream and not yet given out as frames.

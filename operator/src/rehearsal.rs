@@ -217,21 +217,25 @@ impl World {
 
     /// What simulators, SLAM and merging would send at this step. Odometry is perfect, all frames are one.
     pub(super) fn tell(&self, bridge: &bridge::Bridge, step: u64, now: Stamp) {
+        use bridge::FleetMessage;
         let header = msg::Header { stamp: now, ..Default::default() };
         let mut map_transforms = msg::MapTransforms { header, ..Default::default() };
-        bridge.clock(&msg::Clock { header });
+        bridge.publish(FleetMessage::Clock(&msg::Clock { header }));
         for (i, body) in self.bodies.iter().enumerate() {
             let robot = RobotId::new(i + 1).unwrap();
             map_transforms.robots[i].known = 1;
-            bridge.transforms(robot, &transforms(header, body.pose));
+            bridge.publish(FleetMessage::Transforms(robot, &transforms(header, body.pose)));
             if step.is_multiple_of(2) {
-                bridge.scan(robot, &scan_message(header, &body.ranges_m));
-                bridge.correction(robot, &msg::Correction { header, ..Default::default() });
+                bridge.publish(FleetMessage::Scan(robot, &scan_message(header, &body.ranges_m)));
+                bridge.publish(FleetMessage::Correction(
+                    robot,
+                    &msg::Correction { header, ..Default::default() },
+                ));
             }
         }
-        bridge.map_transforms(&map_transforms);
+        bridge.publish(FleetMessage::MapTransforms(&map_transforms));
         if step.is_multiple_of(20) {
-            bridge.merged_map(self.grid.view());
+            bridge.publish(FleetMessage::MergedMap(self.grid.view()));
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::rehearsal::World;
 use super::*;
-use bridge::{Bridge, BridgeConfig, serve};
+use bridge::{Bridge, BridgeConfig, process_clock, serve};
 use std::cell::RefCell;
 use std::net::SocketAddr;
 use std::rc::Rc;
@@ -46,7 +46,7 @@ fn fleet(robots: usize, stop: Arc<AtomicBool>, enough: impl Fn(&World) -> bool +
             let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
             ready.send(listener.local_addr().unwrap().port()).unwrap();
             let (over, until) = tokio::sync::oneshot::channel::<()>();
-            let serving = tokio::task::spawn_local(serve(bridge.clone(), listener, async {
+            let serving = tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, async {
                 let _ = until.await;
             }));
             live(&bridge, &world, &stop, enough).await;

@@ -72,7 +72,7 @@ pub enum FleetFrame {
 
 /// Which robot's frame a name means, in whatever style it is written: `odom_2` and `robot2/odom`, and plain `odom`
 /// in a fleet of one. `None`: not a frame of the fleet's. Robots beyond the fleet are understood, too.
-pub fn meaning(name: &str, robot_count: usize) -> Option<(RobotId, FleetFrame)> {
+pub fn parse_frame(name: &str, robot_count: usize) -> Option<(RobotId, FleetFrame)> {
     let name = name.strip_prefix('/').unwrap_or(name);
     let number = |digits: &str| {
         let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
@@ -102,11 +102,11 @@ fn frame_called(name: &str) -> Option<FleetFrame> {
 /// which is merging's, by any name.
 pub fn is_correction(parent: &str, child: &str, robot_count: usize) -> bool {
     let is_plain = |name: &str, plain: &str| name.strip_prefix('/').unwrap_or(name) == plain;
-    match meaning(child, robot_count) {
+    match parse_frame(child, robot_count) {
         Some((_, frame)) => matches!(frame, FleetFrame::Map | FleetFrame::Link(Link::Odom)),
         None => {
-            let under_a_map =
-                is_plain(parent, MAP) || matches!(meaning(parent, robot_count), Some((_, FleetFrame::Map)));
+            let under_a_map = is_plain(parent, MAP)
+                || matches!(parse_frame(parent, robot_count), Some((_, FleetFrame::Map)));
             is_plain(child, Link::Odom.name()) && under_a_map
         }
     }
@@ -124,19 +124,19 @@ mod tests {
                 for link in Link::ALL {
                     let meant = Some((id, FleetFrame::Link(link)));
                     let name = style.frame(id, link.name());
-                    assert_eq!(meaning(&name, 3), meant, "{name}");
-                    assert_eq!(meaning(&format!("/{name}"), 3), meant, "{name}");
+                    assert_eq!(parse_frame(&name, 3), meant, "{name}");
+                    assert_eq!(parse_frame(&format!("/{name}"), 3), meant, "{name}");
                 }
-                assert_eq!(meaning(&style.frame(id, MAP), 3), Some((id, FleetFrame::Map)));
+                assert_eq!(parse_frame(&style.frame(id, MAP), 3), Some((id, FleetFrame::Map)));
             }
         }
-        assert_eq!(meaning("odom", 1), Some((robot(1), FleetFrame::Link(Link::Odom))));
+        assert_eq!(parse_frame("odom", 1), Some((robot(1), FleetFrame::Link(Link::Odom))));
         for stranger in
             ["odom", "map", "base_link", "base_link_0", "base_link_17", "robot1", "robot/odom", "odom_+1"]
         {
-            assert_eq!(meaning(stranger, 3), None, "{stranger}");
+            assert_eq!(parse_frame(stranger, 3), None, "{stranger}");
         }
-        assert_eq!(meaning("map", 1), None, "the merged map's");
+        assert_eq!(parse_frame("map", 1), None, "the merged map's");
     }
 
     #[test]

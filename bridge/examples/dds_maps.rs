@@ -1,12 +1,12 @@
-//! A ROS 2 door with nothing behind it but maps of a size, for measuring: what tests/interop starts.
+//! A ROS 2 endpoint that publishes maps of a given size, for measurements: `.ci/interop` starts it.
 //!
-//! `door DOMAIN SIDE PERIOD_S COUNT`: COUNT maps of SIDE x SIDE cells on /robot1/map and /merged_map, one each
+//! `dds_maps DOMAIN SIDE PERIOD_S COUNT`: COUNT maps of SIDE x SIDE cells on /robot1/map and /merged_map, one each
 //! PERIOD_S, then quiet. Map n has stamp n seconds. Prints `map n` as it is handed over. Ends when its
 //! standard input ends.
 
 use bridge::BridgeConfig;
-use bridge::Outlet;
-use bridge::dds::{DdsConfig, Door};
+use bridge::dds::{DdsConfig, DdsEndpoint};
+use bridge::{FleetMessage, Transport};
 use msg::{GridHeader, GridView, Header, Pose2, RobotId, Stamp};
 use std::rc::Rc;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use tokio::task::{LocalSet, spawn_local};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let numbers: Vec<f64> = std::env::args().skip(1).map(|text| text.parse()).collect::<Result<_, _>>()?;
     let [domain, side, period_s, count] = numbers[..] else {
-        return Err("usage: door DOMAIN SIDE PERIOD_S COUNT".into());
+        return Err("usage: dds_maps DOMAIN SIDE PERIOD_S COUNT".into());
     };
     let dds = DdsConfig { enabled: true, domain: domain as u16, ..DdsConfig::default() };
     let config = BridgeConfig { dds, ..BridgeConfig::default() };
@@ -26,8 +26,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let door = Rc::new(Door::open(&config, 1, false)?);
-        spawn_local(door.clone().serve(|_| {}, |_, _| {}));
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false)?);
+        spawn_local(endpoint.clone().serve(|_| {}, |_, _| {}));
         let side = side as usize;
         // No block of one value: nothing that could be compressed or skipped.
         let cells: Vec<i8> =
@@ -38,8 +38,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let (origin, resolution_m) = (Pose2::IDENTITY, 0.05);
             let header = GridHeader { header, origin, resolution_m, width, height, ..GridHeader::default() };
             let map = GridView::new(&header, &cells).ok_or("a sound map")?;
-            door.map(robot, map);
-            door.merged_map(map);
+            endpoint.publish(FleetMessage::Map(robot, map));
+            endpoint.publish(FleetMessage::MergedMap(map));
             println!("map {number}");
             tokio::time::sleep(Duration::from_secs_f64(period_s)).await;
         }
