@@ -4,7 +4,7 @@
 //! item's indentation. A scan by lines is therefore enough, and no parser is needed.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One Rust file of the workspace.
 pub struct Source {
