@@ -1,7 +1,7 @@
 //! ROS 2 messages as CDR.
 //!
 //! [`message`] has the messages as ROS means them, owned, for those who read them (an operator, a test, the
-//! bridge's own inputs). [`write`] goes from the fleet's nouns straight into a buffer, for the hot path out;
+//! bridge's own inputs). [`mod@write`] goes from the fleet's nouns straight into a buffer, for the hot path out;
 //! [`read`] the other way, for the hot path in.
 //! [`names`] says what frames are called on the wire.
 

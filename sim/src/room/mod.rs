@@ -51,10 +51,10 @@ pub enum RoomError {
         /// What is wrong, and where.
         reason: String,
     },
-    /// More bytes than [`BYTES_MAX`].
+    /// More bytes than `BYTES_MAX`.
     #[error("the room has over {max} bytes")]
     TooManyBytes {
-        /// [`BYTES_MAX`].
+        /// `BYTES_MAX`.
         max: usize,
     },
     /// More vertices or triangles than a room may have.
@@ -86,7 +86,7 @@ pub enum RoomError {
         /// How many there are.
         vertices: usize,
     },
-    /// Larger than [`EXTENT_MAX_M`], or that far from its origin.
+    /// Larger than `EXTENT_MAX_M`, or that far from its origin.
     #[error("the room reaches over {extent_m} m, at most 200 m are supported: is it in metres?")]
     TooLarge {
         /// How far, metres.
