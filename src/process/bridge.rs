@@ -4,7 +4,7 @@
 //! the sockets before the thread waits again.
 
 use super::control::{self, Control};
-use super::pulse::{Account, Pulse};
+use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
 use crate::clock::now;
@@ -47,7 +47,7 @@ const PID_BITS: u32 = 32;
 /// Runs the bridge process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let participant = run.attach(Role::Bridge, None)?;
-    let pulse = Pulse::new(&participant, run, Role::Bridge, None)?;
+    let heartbeat = Heartbeat::new(&participant, run, Role::Bridge, None)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let bridge = open_bridge(&participant, run)?;
@@ -56,7 +56,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         if run.config.bridge.dds.enabled {
             tasks.push(ros2::open(run, stop, &bridge)?);
         }
-        tasks.push(spawn_local(report_health(pulse, bridge.clone(), control.clone())));
+        tasks.push(spawn_local(report_health(heartbeat, bridge.clone(), control.clone())));
         tasks.push(spawn_local(control::serve(control::listen(run)?, control)));
         serve(bridge, inherited_listener()?, now, stop_requested(stop.clone())).await;
         tasks.iter().for_each(JoinHandle::abort);
@@ -83,13 +83,17 @@ pub(super) async fn stop_requested(stop: Stop) {
     }
 }
 
-async fn report_health(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>>) {
+async fn report_health(
+    mut heartbeat: Heartbeat<Participant>,
+    bridge: Rc<Bridge>,
+    control: Rc<RefCell<Control>>,
+) {
     loop {
         tokio::time::sleep(POLL_PERIOD).await;
         control.borrow_mut().record_stop();
-        pulse.beat(|| {
+        heartbeat.publish_if_due(|| {
             let counters = bridge.counters();
-            let mut account = Account { clients: counters.clients, ..Account::default() };
+            let mut account = HealthCounters { clients: counters.clients, ..HealthCounters::default() };
             (account.dropped, account.refused) = (counters.dropped, counters.refused);
             account.gaps.received = counters.received;
             account
