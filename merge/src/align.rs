@@ -129,7 +129,7 @@ pub struct Alignment {
     /// Mean distance of walls found again, metres.
     pub residual_m: f64,
     /// Evidence (walls found less walls missed) over that of the best other place, or over
-    /// [`LEAST_EVIDENCE`] walls if no other has as much.
+    /// `LEAST_EVIDENCE` walls if no other has as much.
     pub margin: f64,
     /// 0: the map can slide along itself; 0.5: held alike in all directions.
     pub observability: f64,

@@ -106,7 +106,7 @@ pub struct Merger {
 impl Merger {
     /// `starts` says where each robot's map lies, `map` from `robotK/map`, by [`RobotId::index`].
     /// A robot without a start is kept, but not drawn until [`Merger::set_map_transform`] places it.
-    /// A config that [`MergeConfig::check`] refuses is brought into its limits.
+    /// A config that [`MergeConfig::validate`] refuses is brought into its limits.
     pub fn new(config: &MergeConfig, starts: &[Option<Pose2>]) -> Self {
         let [least, most] = [*RESOLUTION_M.start(), *RESOLUTION_M.end()];
         let resolution_m = if RESOLUTION_M.contains(&config.resolution_m) {

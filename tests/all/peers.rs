@@ -79,7 +79,7 @@ impl Duo {
             let tick = member.simulator.step();
             member.truth = tick.truth;
             if let Some(odometry) = tick.odometry {
-                member.slam.odometry(&odometry);
+                member.slam.add_odometry(&odometry);
             }
             if tick.scan_due {
                 let at = member.truth.world_from_base;

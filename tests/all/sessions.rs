@@ -134,7 +134,7 @@ fn a_saved_session_survives_kills_and_is_continued_in_every_mode() {
             replay(&second, &["--session", from, "--mode", mode, "--save-session", kept.to_str().unwrap()]);
         let [x, y, _] = ends_at(&found);
         assert!((x - truth[0]).hypot(y - truth[1]) < 0.1, "{mode} in {from}: {found}");
-        assert_eq!(found["sought"]["believed"], 1, "{mode}: {found}");
+        assert_eq!(found["relocalization"]["accepted"], 1, "{mode}: {found}");
         let nodes = found["nodes"].as_u64().unwrap();
         match mode {
             "continue" => assert!(nodes > saved["nodes"].as_u64().unwrap(), "{found}"),

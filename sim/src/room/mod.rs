@@ -53,10 +53,10 @@ pub enum RoomError {
         /// Description of what is wrong and where.
         reason: String,
     },
-    /// The file has more bytes than [`BYTES_MAX`].
+    /// The file has more bytes than `BYTES_MAX`.
     #[error("the room has over {max} bytes")]
     TooManyBytes {
-        /// Largest supported size, [`BYTES_MAX`].
+        /// Largest supported size, `BYTES_MAX`.
         max: usize,
     },
     /// The file has more vertices, triangles or JSON objects than are supported.
@@ -88,7 +88,7 @@ pub enum RoomError {
         /// Number of vertices in the mesh.
         vertices: usize,
     },
-    /// The room is larger than [`EXTENT_MAX_M`], or lies that far from its origin.
+    /// The room is larger than `EXTENT_MAX_M`, or lies that far from its origin.
     #[error("the room reaches over {extent_m} m, at most 200 m are supported: is it in metres?")]
     TooLarge {
         /// Extent of the room, metres.

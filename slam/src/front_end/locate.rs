@@ -1,11 +1,11 @@
 //! Where a scan says the robot is: odometry's prediction, a search around it, and the alignment.
 
-use super::{CARRIED_MAX_S, Front};
+use super::{CARRIED_MAX_S, FrontEnd};
 use crate::align::{Alignment, Prior, Reference, align};
+use crate::beam_poses::part;
 use crate::cloud::Cloud;
-use crate::field::{Limits, Window};
-use crate::stage::Stage;
-use crate::sweep::part;
+use crate::likelihood_field::{SearchLimits, SearchWindow};
+use crate::stages::Stage;
 use msg::{Pose2, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 
@@ -32,7 +32,7 @@ pub(super) fn carried(motion: Pose2, before_s: f64, ahead_s: f64) -> Pose2 {
     part(motion, (ahead_s / before_s).min(CARRIED_TIMES_MAX))
 }
 
-fn strained(fit: &Alignment, expected: &Expected) -> bool {
+fn strained(fit: &Alignment, expected: &PosePrediction) -> bool {
     let off = expected.pose.between(fit.frame_from_cloud);
     off.x_m.hypot(off.y_m) > SLIP_SIGMAS * expected.sigma_m
         || off.yaw_rad.abs() > SLIP_SIGMAS * expected.sigma_rad
@@ -45,7 +45,7 @@ fn widest_m(information: &Matrix3<f64>) -> Option<f64> {
 }
 
 /// What the scan path knows before it looks at a scan.
-pub(super) struct Expected {
+pub(super) struct PosePrediction {
     pose: Pose2,
     sigma_m: f64,
     sigma_rad: f64,
@@ -54,21 +54,21 @@ pub(super) struct Expected {
     way_m: f64,
 }
 
-impl Expected {
+impl PosePrediction {
     /// Variances of x, y and yaw.
-    fn believed(&self) -> Vector3<f64> {
+    fn accepted(&self) -> Vector3<f64> {
         Vector3::new(self.sigma_m.powi(2), self.sigma_m.powi(2), self.sigma_rad.powi(2))
     }
 
     /// Of the pose, if no scan says more: an error in heading carries the way aside.
     fn covariance(&self) -> Matrix3<f64> {
         let aside = self.before[(2, 2)] * self.way_m.powi(2);
-        self.before + Matrix3::from_diagonal(&(self.believed() + Vector3::new(aside, aside, 0.0)))
+        self.before + Matrix3::from_diagonal(&(self.accepted() + Vector3::new(aside, aside, 0.0)))
     }
 }
 
 /// What a scan said.
-pub(super) struct Found {
+pub(super) struct TrackedPose {
     pub local_from_base: Pose2,
     pub covariance: Matrix3<f64>,
     pub state: TrackingState,
@@ -76,12 +76,18 @@ pub(super) struct Found {
     pub slipped: bool,
 }
 
-impl Front {
+impl FrontEnd {
     /// Where the robot should be by odometry, or by its last motion, and how sure that is.
-    pub(super) fn expect(&mut self, stamp: Stamp, odom_from_base: Option<Pose2>) -> Expected {
+    pub(super) fn expect(&mut self, stamp: Stamp, odom_from_base: Option<Pose2>) -> PosePrediction {
         let Some(last) = &self.last else {
             let before = Matrix3::zeros();
-            return Expected { pose: Pose2::IDENTITY, sigma_m: 0.0, sigma_rad: 0.0, before, way_m: 0.0 };
+            return PosePrediction {
+                pose: Pose2::IDENTITY,
+                sigma_m: 0.0,
+                sigma_rad: 0.0,
+                before,
+                way_m: 0.0,
+            };
         };
         let c = &self.config.odometry;
         let interval_s = stamp - last.stamp;
@@ -100,11 +106,11 @@ impl Front {
             let sigma_m = c.sigma_m + c.sigma_m_per_m * way;
             let sigma_rad = c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way;
             let (pose, before) = (node.local_from_base * moved, self.node_covariance);
-            return Expected { pose, sigma_m, sigma_rad, before, way_m: way };
+            return PosePrediction { pose, sigma_m, sigma_rad, before, way_m: way };
         }
         let moving = last.motion.filter(|_| interval_s < CARRIED_MAX_S);
         let step = moving.map_or(Pose2::IDENTITY, |(motion, before_s)| carried(motion, before_s, interval_s));
-        Expected {
+        PosePrediction {
             pose: last.local_from_base * step,
             sigma_m: 0.3 * c.speed_max_m_s * interval_s + c.sigma_m,
             sigma_rad: 0.3 * c.turn_max_rad_s * interval_s + c.sigma_rad,
@@ -114,16 +120,16 @@ impl Front {
     }
 
     /// Matches the scan against the local map: search, then alignment.
-    pub(super) fn locate(&mut self, cloud: &Cloud, expected: &Expected) -> Found {
+    pub(super) fn locate(&mut self, cloud: &Cloud, expected: &PosePrediction) -> TrackedPose {
         let t = &self.config.tracking;
-        let dead_reckoned = Found {
+        let dead_reckoned = TrackedPose {
             local_from_base: expected.pose,
             covariance: expected.covariance(),
             state: TrackingState::Lost,
             slipped: false,
         };
         if self.recent.is_empty() {
-            return Found { state: TrackingState::Starting, ..dead_reckoned };
+            return TrackedPose { state: TrackingState::Starting, ..dead_reckoned };
         }
         if cloud.points().len() < t.points_min {
             return dead_reckoned;
@@ -136,33 +142,40 @@ impl Front {
             self.refine(cloud, guess, expected)
         });
         // What does not fit may fit elsewhere by chance: after a loss more is asked.
-        let found = found.filter(|found| !self.unsure || !self.contradicted(cloud, found.local_from_base));
+        let found =
+            found.filter(|found| !self.last_scan_lost || !self.contradicted(cloud, found.local_from_base));
         found.unwrap_or(dead_reckoned)
     }
 
-    fn search(&mut self, cloud: &Cloud, expected: &Expected, half_m: f64, half_rad: f64) -> Option<Pose2> {
-        self.watch.begins(Stage::Search);
+    fn search(
+        &mut self,
+        cloud: &Cloud,
+        expected: &PosePrediction,
+        half_m: f64,
+        half_rad: f64,
+    ) -> Option<Pose2> {
+        self.stages.stage_started(Stage::Search);
         let t = &self.config.tracking;
         let stride = cloud.points().len().div_ceil(t.search_points_max).max(1);
         self.points.clear();
         self.points.extend(cloud.points().iter().step_by(stride).map(|p| p.at));
-        let window = Window {
+        let window = SearchWindow {
             centre: expected.pose,
             half_m: half_m.clamp(SEARCH_MIN_M, t.window_max_m),
             half_rad: half_rad.clamp(SEARCH_MIN_RAD, t.window_max_rad),
             pull: PULL,
         };
-        let limits = Limits { score_min: RESPONSE_MIN, evaluations_max: EVALUATIONS_MAX, except: None };
+        let limits = SearchLimits { score_min: RESPONSE_MIN, evaluations_max: EVALUATIONS_MAX, except: None };
         let older = &self.local_maps[0].field;
         older.search(&self.points, &window, &limits, &mut self.scratch).map(|peak| peak.pose)
     }
 
-    fn refine(&mut self, cloud: &Cloud, guess: Pose2, expected: &Expected) -> Option<Found> {
-        self.watch.begins(Stage::Align);
+    fn refine(&mut self, cloud: &Cloud, guess: Pose2, expected: &PosePrediction) -> Option<TrackedPose> {
+        self.stages.stage_started(Stage::Align);
         let references =
             self.recent.iter().map(|n| Reference { cloud: &n.cloud, frame_from_cloud: n.local_from_base });
-        let believed = Matrix3::from_diagonal(&expected.believed().map(|variance| 1.0 / variance));
-        let prior = Prior { pose: expected.pose, information: believed };
+        let accepted = Matrix3::from_diagonal(&expected.accepted().map(|variance| 1.0 / variance));
+        let prior = Prior { pose: expected.pose, information: accepted };
         let fit = align(cloud, guess, references.clone(), Some(prior), &self.config.links);
         let free = strained(&fit, expected)
             .then(|| align(cloud, fit.frame_from_cloud, references.clone(), None, &self.config.links))
@@ -176,15 +189,15 @@ impl Front {
             return None;
         }
         let floor = Matrix3::from_diagonal(&Vector3::new(1e-4, 1e-4, 1e-5));
-        let covariance = (fit.information_of_lines + believed).try_inverse()? + floor;
+        let covariance = (fit.information_of_lines + accepted).try_inverse()? + floor;
         let degenerate = widest_m(&fit.information_of_lines)? > self.config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
-        Some(Found { local_from_base: fit.frame_from_cloud, covariance, state, slipped })
+        Some(TrackedPose { local_from_base: fit.frame_from_cloud, covariance, state, slipped })
     }
 
     /// After wheels have slipped, odometry counts from where the scan says the robot is: what they
     /// counted in vain pulls no longer.
-    pub(super) fn forget_slip(&mut self, found: &Found, odom_from_base: Option<Pose2>) {
+    pub(super) fn forget_slip(&mut self, found: &TrackedPose, odom_from_base: Option<Pose2>) {
         let (true, Some(node), Some(now)) = (found.slipped, self.recent.back(), odom_from_base) else {
             return;
         };

@@ -10,13 +10,13 @@ const STEP_MAX_S: f64 = 10.0;
 
 /// The newest stamps that were refused because they were before the last one taken.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Backward {
+pub struct ClockResetDetector {
     first: Stamp,
     newest: Stamp,
     in_order: u32,
 }
 
-impl Backward {
+impl ClockResetDetector {
     /// Notes a stamp from before the last one taken. Once enough of them are in order: the first of
     /// these, where the new time begins.
     pub fn note(&mut self, stamp: Stamp) -> Option<Stamp> {

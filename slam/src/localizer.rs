@@ -20,7 +20,7 @@ const START_M: f64 = 0.15;
 const START_RAD: f64 = 0.06;
 
 /// A live node.
-struct Live {
+struct WindowNode {
     node: Node,
     map_from_node: Pose2,
     /// Seen from the node before: what the scan path or odometry say, and how sure that is.
@@ -32,7 +32,7 @@ struct Live {
 /// See the module.
 pub struct Localizer {
     config: SlamConfig,
-    live: VecDeque<Live>,
+    live: VecDeque<WindowNode>,
     /// How unsure the newest pose is, metres and radians (one standard deviation).
     sigma: [f64; 2],
     unseen_m: f64,
@@ -148,7 +148,7 @@ impl Localizer {
             self.live.pop_front();
         }
         let before_from_this = (moved, information_from_sigmas(step[0], step[1]));
-        self.live.push_back(Live { node, map_from_node: predicted, before_from_this, measured });
+        self.live.push_back(WindowNode { node, map_from_node: predicted, before_from_this, measured });
         self.solve();
     }
 
@@ -196,7 +196,7 @@ impl Localizer {
             } else {
                 // Where the window begins it is held lightly where it was.
                 let held = information_from_sigmas(START_M, START_RAD);
-                graph.add_edge([0, id], live.map_from_node, held, EdgeKind::Placed, [0.0; 2]);
+                graph.add_edge([0, id], live.map_from_node, held, EdgeKind::InitialPose, [0.0; 2]);
             }
             if let Some((pose, information)) = live.measured {
                 graph.add_edge([0, id], pose, information, EdgeKind::Link, [0.0; 2]);

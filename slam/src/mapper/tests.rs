@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cloud::Cloud;
-use crate::node::{Rays, Way};
+use crate::node::{Rays, SweptPath};
 use proptest::prelude::*;
 use std::sync::Arc;
 
@@ -19,8 +19,8 @@ fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
     let mut header = msg::Header::default();
     header.stamp.0 = i64::from(id);
     Node {
-        torn: false,
-        adrift: None,
+        odometry_break: false,
+        disconnected: None,
         id,
         header,
         local_from_base: Pose2::IDENTITY,
@@ -29,9 +29,9 @@ fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),
         // Some came from afar, or nobody knows from where.
-        way: match id % 4 {
-            3 => Way::default(),
-            _ => Way::of(&[[-0.5 - 0.3 * (id % 5) as f32, 0.1], [0.2, -0.3], [0.0, 0.0]]),
+        swept_path: match id % 4 {
+            3 => SweptPath::default(),
+            _ => SweptPath::of(&[[-0.5 - 0.3 * (id % 5) as f32, 0.1], [0.2, -0.3], [0.0, 0.0]]),
         },
     }
 }
@@ -50,12 +50,12 @@ fn nodes() -> impl Strategy<Value = (Vec<Node>, Vec<Pose2>)> {
     })
 }
 
-fn canvas() -> Canvas {
-    Canvas::new(MapConfig { robot_radius_m: 0.2, ..MapConfig::default() })
+fn mapper() -> OccupancyMapper {
+    OccupancyMapper::new(MapConfig { robot_radius_m: 0.2, ..MapConfig::default() })
 }
 
 fn finished(nodes: &[Node], poses: &[Pose2]) -> msg::Grid {
-    canvas().finish(nodes, poses).to_owned()
+    mapper().finish(nodes, poses).to_owned()
 }
 
 /// Nothing of the map is known that the version does not have, and the other way round.
@@ -73,7 +73,7 @@ proptest! {
         slices in prop::collection::vec((0_usize..24, 0_usize..4000), 0..60),
         keeps in prop::collection::vec(any::<bool>(), 24),
     ) {
-        let mut canvas = canvas();
+        let mut mapper = mapper();
         let mut poses = first.clone();
         let mut moves = moves.into_iter();
         let mut known = 1;
@@ -82,33 +82,33 @@ proptest! {
             if more % 5 == 0 && let Some((index, pose)) = moves.next() {
                 poses[index % nodes.len()] = pose;
             }
-            canvas.work(&nodes[..known], &poses[..known], cells);
+            mapper.work(&nodes[..known], &poses[..known], cells);
         }
-        let drawn = canvas.finish(&nodes, &poses).to_owned();
+        let drawn = mapper.finish(&nodes, &poses).to_owned();
         prop_assert_eq!(&drawn, &finished(&nodes, &poses));
         // Some are forgotten.
         let left: Vec<Node> =
             nodes.iter().zip(keeps).map(|(node, keep)| Node { fits: node.fits && keep, ..node.clone() }).collect();
-        prop_assert_eq!(canvas.finish(&left, &poses).to_owned(), finished(&left, &poses));
+        prop_assert_eq!(mapper.finish(&left, &poses).to_owned(), finished(&left, &poses));
     }
 
     /// While a new version is drawn, the old one is shown, with what is new drawn in.
     #[test]
     fn never_half_a_version((nodes, before) in nodes(), after in prop::collection::vec(pose(), 24)) {
         let last = nodes.len() - 1;
-        let mut canvas = canvas();
-        while canvas.work(&nodes[..last], &before[..last], usize::MAX) {}
+        let mut mapper = mapper();
+        while mapper.work(&nodes[..last], &before[..last], usize::MAX) {}
         let mut poses = before.clone();
         poses[..last].copy_from_slice(&after[..last]);
         let mut with_old = before.clone();
         with_old[last] = poses[last];
         let mut known = last;
-        while canvas.work(&nodes[..known], &poses, 1) {
-            let shows = |poses: &[Pose2]| same(canvas.tiles(), &finished(&nodes[..known], &poses[..known]));
+        while mapper.work(&nodes[..known], &poses, 1) {
+            let shows = |poses: &[Pose2]| same(mapper.tiles(), &finished(&nodes[..known], &poses[..known]));
             prop_assert!(shows(&with_old) || shows(&poses));
             known = nodes.len();
         }
-        prop_assert!(same(canvas.tiles(), &finished(&nodes[..known], &poses[..known])));
+        prop_assert!(same(mapper.tiles(), &finished(&nodes[..known], &poses[..known])));
     }
 }
 
@@ -117,12 +117,12 @@ fn what_moves_too_little_to_be_seen_is_left_until_the_end() {
     let nodes = [node(0, 3.0, 97, true), node(1, 4.0, 97, true)];
     let here = [Pose2::IDENTITY, Pose2::new(2.0, 0.0, 0.0)];
     let there = [Pose2::new(0.02, 0.0, 0.0), here[1]];
-    let mut canvas = canvas();
-    while canvas.work(&nodes, &here, usize::MAX) {}
-    let drawn = canvas.tiles().clone();
-    assert!(!canvas.work(&nodes, &there, usize::MAX));
-    assert_eq!(canvas.tiles().changed_since(&drawn).count(), 0);
-    assert_eq!(canvas.finish(&nodes, &there).to_owned(), finished(&nodes, &there));
+    let mut mapper = mapper();
+    while mapper.work(&nodes, &here, usize::MAX) {}
+    let drawn = mapper.tiles().clone();
+    assert!(!mapper.work(&nodes, &there, usize::MAX));
+    assert_eq!(mapper.tiles().changed_since(&drawn).count(), 0);
+    assert_eq!(mapper.finish(&nodes, &there).to_owned(), finished(&nodes, &there));
     assert_ne!(finished(&nodes, &there).cells, finished(&nodes, &here).cells);
 }
 
@@ -131,16 +131,16 @@ fn a_node_beyond_the_largest_map_is_counted_and_comes_back() {
     let nodes: Vec<Node> = (0..3).map(|id| node(id, 3.0, 97, true)).collect();
     let far = [Pose2::IDENTITY, Pose2::new(900.0, 900.0, 0.0), Pose2::new(1.0, 0.0, 0.0)];
     let near = [Pose2::IDENTITY, Pose2::new(0.5, 0.5, 0.0), Pose2::new(1.0, 0.0, 0.0)];
-    let mut canvas = canvas();
-    canvas.finish(&nodes, &far);
-    assert_eq!(canvas.clipped(), 1);
-    assert_eq!(canvas.finish(&nodes, &near).to_owned(), finished(&nodes, &near));
-    assert_eq!(canvas.clipped(), 0);
+    let mut mapper = mapper();
+    mapper.finish(&nodes, &far);
+    assert_eq!(mapper.clipped(), 1);
+    assert_eq!(mapper.finish(&nodes, &near).to_owned(), finished(&nodes, &near));
+    assert_eq!(mapper.clipped(), 0);
     // Then the first one flies off, and room is for those that stay.
     let gone = [Pose2::new(-1e9, f64::MAX, 0.0), near[1], near[2]];
-    canvas.finish(&nodes, &gone);
-    assert_eq!(canvas.clipped(), 1);
-    assert_eq!(canvas.finish(&nodes, &near).to_owned(), finished(&nodes, &near));
+    mapper.finish(&nodes, &gone);
+    assert_eq!(mapper.clipped(), 1);
+    assert_eq!(mapper.finish(&nodes, &near).to_owned(), finished(&nodes, &near));
 }
 
 /// Cells of a map along a line, from a point.
@@ -156,7 +156,7 @@ fn where_the_body_was_is_floor_until_the_robot_sees_something_there() {
     // It looks back and sees something just behind its body.
     let looks_back = |id, way: &[[f32; 2]]| {
         let rays = Rays { sensor: [0.0; 2], hits: vec![[-0.28, 0.0]], misses: Vec::new() };
-        Node { way: Way::of(way), rays: Arc::new(rays), ..node(id, 1.0, 0, true) }
+        Node { swept_path: SweptPath::of(way), rays: Arc::new(rays), ..node(id, 1.0, 0, true) }
     };
     let came: Vec<[f32; 2]> = (0..=6).map(|k| [-0.05 * k as f32, 0.0]).collect();
     let mut nodes = vec![looks_back(0, &[]), Node { rays: Arc::default(), ..looks_back(1, &came) }];
@@ -183,6 +183,6 @@ fn where_the_body_was_is_floor_until_the_robot_sees_something_there() {
     }
     assert!(behind(&nodes, &poses) >= OCCUPIED_MIN);
     // Of a robot whose size is not known, nothing is claimed.
-    let unknown_size = Canvas::new(MapConfig::default()).finish(&nodes, &poses).to_owned();
+    let unknown_size = OccupancyMapper::new(MapConfig::default()).finish(&nodes, &poses).to_owned();
     assert!(unknown_size.cells.iter().all(|cell| *cell != SWEPT_FREE));
 }

@@ -13,19 +13,19 @@ mod modes;
 mod pieces;
 mod undo;
 
-pub use keep::BackState;
-pub use modes::Start;
-pub use undo::{Ban, ClosureReport};
+pub use keep::BackEndState;
+pub use modes::InitialPose;
+pub use undo::{ClosureReport, RejectedClosure};
 
-use crate::canvas::Canvas;
-use crate::closure::{Detector, Find, Search, SearchCounts, View};
+use crate::closure::{ClosureCandidate, ClosureDetector, ClosureSearch, ClosureSearchCounts, GraphView};
 use crate::config::SlamConfig;
-use crate::front::Ride;
-use crate::graph::{EdgeKind, Graph, Relative};
-use crate::localize::{Localizer, LocalizerCounts};
+use crate::front_end::TrajectorySample;
+use crate::graph::{EdgeKind, Graph, RelativeUncertainty};
+use crate::localizer::{Localizer, LocalizerCounts};
+use crate::mapper::OccupancyMapper;
 use crate::node::{Node, Revision};
-use crate::relocalize::{SeekCounts, Seeker};
-use crate::stage::{Stage, StageWatch};
+use crate::relocalize::{RelocalizationCounts, Relocalizer};
+use crate::stages::{Stage, StageObserver};
 use modes::Anchor;
 use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap};
 use nalgebra::{Matrix3, Vector3};
@@ -45,12 +45,12 @@ const TORN_RAD: f64 = 3.0;
 const TORN_VARIANCE: [f64; 2] = [TORN_M * TORN_M, TORN_RAD * TORN_RAD];
 
 /// See the module.
-pub struct Back {
+pub struct BackEnd {
     config: SlamConfig,
     nodes: Vec<Node>,
     graph: Graph,
-    detector: Detector,
-    canvas: Canvas,
+    detector: ClosureDetector,
+    mapper: OccupancyMapper,
     travelled_m: f64,
     /// Nodes looked for and not found since the last closure,
     not_found: VecDeque<u32>,
@@ -63,18 +63,18 @@ pub struct Back {
     retracted: u64,
     mode: SlamMode,
     /// Scans of earlier scan paths, by this graph's own numbers.
-    earlier: Vec<Ride>,
+    earlier: Vec<TrajectorySample>,
     /// The scan path's number of each node.
     front_ids: Vec<u32>,
     /// The scan path's number of the newest node, kept or not.
     newest_front: u32,
     /// While it is not known where the robot is.
-    seeker: Option<Seeker>,
-    sought: SeekCounts,
+    relocalizer: Option<Relocalizer>,
+    relocalization: RelocalizationCounts,
     /// While the newest node's piece is not tied to the map.
-    piece_seeker: Option<Seeker>,
+    component_relocalizer: Option<Relocalizer>,
     /// The newest node that odometry alone joins to the ones before.
-    joint: Option<u32>,
+    unverified_edge: Option<u32>,
     /// The newest node is the one that found it.
     just_found: bool,
     /// Where the next node is, if it does not follow from the one before.
@@ -82,17 +82,17 @@ pub struct Back {
     /// In localization, instead of a growing graph.
     localizer: Option<Localizer>,
     /// Closures that were undone.
-    bans: Vec<Ban>,
+    rejected_closures: Vec<RejectedClosure>,
     /// How often each node was contradicted.
     contradicted: Vec<u8>,
     retired: u64,
     retiring: Vec<u32>,
-    watch: Box<dyn StageWatch>,
+    stages: Box<dyn StageObserver>,
 }
 
 /// What the back end has done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BackCounts {
+pub struct BackEndCounts {
     /// Nodes in the graph.
     pub nodes: usize,
     /// Links in force.
@@ -106,25 +106,25 @@ pub struct BackCounts {
     /// Nodes not drawn because the map would have become larger than a grid may be.
     pub not_drawn: u64,
     /// How closure searches ended.
-    pub searches: SearchCounts,
+    pub searches: ClosureSearchCounts,
     /// How searches for the robot ended.
-    pub sought: SeekCounts,
+    pub relocalization: RelocalizationCounts,
     /// Localization: which nodes fitted the map.
     pub localized: LocalizerCounts,
     /// Nodes forgotten.
     pub retired: u64,
     /// Nodes that are not tied to the map.
-    pub adrift: usize,
+    pub disconnected: usize,
 }
 
-impl Back {
+impl BackEnd {
     /// Without nodes.
     pub fn new(config: SlamConfig) -> Self {
         Self {
             nodes: Vec::new(),
             graph: Graph::new(config.graph.clone()),
-            detector: Detector::new(config.clone()),
-            canvas: Canvas::new(config.map.clone()),
+            detector: ClosureDetector::new(config.clone()),
+            mapper: OccupancyMapper::new(config.map.clone()),
             travelled_m: 0.0,
             not_found: VecDeque::with_capacity(NOT_FOUND_MAX),
             again: VecDeque::with_capacity(NOT_FOUND_MAX),
@@ -136,33 +136,33 @@ impl Back {
             earlier: Vec::new(),
             front_ids: Vec::new(),
             newest_front: 0,
-            seeker: None,
-            piece_seeker: None,
-            joint: None,
-            sought: SeekCounts::default(),
+            relocalizer: None,
+            component_relocalizer: None,
+            unverified_edge: None,
+            relocalization: RelocalizationCounts::default(),
             just_found: false,
             anchor: None,
             localizer: None,
-            bans: Vec::new(),
+            rejected_closures: Vec::new(),
             contradicted: Vec::new(),
             retired: 0,
             retiring: Vec::new(),
-            watch: Box::new(()),
+            stages: Box::new(()),
             config,
         }
     }
 
     /// From now on this watch hears of every stage.
-    pub fn watch(&mut self, watch: Box<dyn StageWatch>) {
-        self.watch = watch;
+    pub fn observe_stages(&mut self, observer: Box<dyn StageObserver>) {
+        self.stages = observer;
     }
 
     /// Takes the next node, and does with it what the mode wants.
-    pub fn add(&mut self, node: Node) -> Revision {
+    pub fn add_node(&mut self, node: Node) -> Revision {
         let node = node.kept();
         self.newest_front = node.id;
         self.take(node);
-        self.watch.begins(Stage::Idle);
+        self.stages.stage_started(Stage::Idle);
         self.revision()
     }
 
@@ -172,13 +172,13 @@ impl Back {
         if id as usize >= self.config.graph.nodes_max {
             return;
         }
-        self.watch.begins(Stage::Link);
+        self.stages.stage_started(Stage::Link);
         self.place(node);
         self.link_sequential(id);
-        let relative = self.relative_to(id);
+        let relative = self.uncertainty_from(id);
         let linked = self.link_near(id, &relative);
-        self.probation(id, &relative);
-        let adrift = !self.newest_in_map();
+        self.check_unverified_edge(id, &relative);
+        let disconnected = !self.newest_in_map();
         self.unsolved += usize::from(linked > 0);
         if self.detector.due(self.travelled_m) {
             self.search(id, &relative);
@@ -188,10 +188,10 @@ impl Back {
         if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
         }
-        if adrift {
-            self.watch.begins(Stage::Closure);
-            self.seek_piece(id);
-            self.sort_pieces();
+        if disconnected {
+            self.stages.stage_started(Stage::Closure);
+            self.relocalize_component(id);
+            self.update_components();
             self.just_found = self.newest_in_map();
         }
     }
@@ -204,23 +204,23 @@ impl Back {
             left -= 1;
         }
         self.solve(false);
-        self.watch.begins(Stage::Idle);
+        self.stages.stage_started(Stage::Idle);
     }
 
     /// Looks for a node among places seen before. Where nothing was found, a better map may help:
     /// the node is noted, to be tried once more after the next closure.
-    fn search(&mut self, id: u32, relative: &[Option<Relative>]) -> bool {
-        self.watch.begins(Stage::Closure);
-        let view = View { nodes: &self.nodes, graph: &self.graph };
+    fn search(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> bool {
+        self.stages.stage_started(Stage::Closure);
+        let view = GraphView { nodes: &self.nodes, graph: &self.graph };
         match self.detector.search(&view, id, relative, self.travelled_m) {
-            Search::NoCandidate => return false,
-            Search::Nothing | Search::Waits => {
+            ClosureSearch::NoCandidate => return false,
+            ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {
                 if self.not_found.len() == NOT_FOUND_MAX {
                     self.not_found.pop_front();
                 }
                 self.not_found.push_back(id);
             }
-            Search::Believed(finds) => self.close(&finds),
+            ClosureSearch::Accepted(finds) => self.close(&finds),
         }
         true
     }
@@ -228,15 +228,15 @@ impl Back {
     /// Tries one node once more that was not found before the last closure; false if there is none.
     fn search_again(&mut self) -> bool {
         while let Some(id) = self.again.pop_front() {
-            self.watch.begins(Stage::Link);
-            let relative = self.relative_to(id);
+            self.stages.stage_started(Stage::Link);
+            let relative = self.uncertainty_from(id);
             self.unsolved += usize::from(self.link_near(id, &relative) > 0);
-            self.watch.begins(Stage::Closure);
-            let view = View { nodes: &self.nodes, graph: &self.graph };
+            self.stages.stage_started(Stage::Closure);
+            let view = GraphView { nodes: &self.nodes, graph: &self.graph };
             match self.detector.search(&view, id, &relative, self.travelled_m) {
-                Search::NoCandidate => continue,
-                Search::Nothing | Search::Waits => {}
-                Search::Believed(finds) => self.close(&finds),
+                ClosureSearch::NoCandidate => continue,
+                ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {}
+                ClosureSearch::Accepted(finds) => self.close(&finds),
             }
             return true;
         }
@@ -244,20 +244,20 @@ impl Back {
     }
 
     /// What has been done.
-    pub fn counts(&self) -> BackCounts {
+    pub fn counts(&self) -> BackEndCounts {
         let count = |kind| self.graph.edges().iter().filter(|e| e.in_force && e.kind == kind).count();
-        BackCounts {
+        BackEndCounts {
             nodes: self.nodes.len(),
             links: count(EdgeKind::Link),
             closures: count(EdgeKind::Closure),
             retracted: self.retracted,
             solutions: self.solutions,
-            not_drawn: self.canvas.clipped(),
+            not_drawn: self.mapper.clipped(),
             searches: self.detector.counts(),
-            sought: self.seeker.as_ref().map_or(self.sought, Seeker::counts),
+            relocalization: self.relocalizer.as_ref().map_or(self.relocalization, Relocalizer::counts),
             localized: self.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             retired: self.retired,
-            adrift: self.nodes.iter().filter(|node| node.adrift.is_some()).count(),
+            disconnected: self.nodes.iter().filter(|node| node.disconnected.is_some()).count(),
         }
     }
 
@@ -278,29 +278,29 @@ impl Back {
 
     /// The map of all nodes, each exactly where it is, as one grid.
     pub fn map(&mut self) -> GridView<'_> {
-        self.watch.begins(Stage::Draw);
-        let map = self.canvas.finish(&self.nodes, self.graph.poses());
-        self.watch.begins(Stage::Idle);
+        self.stages.stage_started(Stage::Draw);
+        let map = self.mapper.finish(&self.nodes, self.graph.poses());
+        self.stages.stage_started(Stage::Idle);
         map
     }
 
-    /// Brings [`Back::tiles`] closer to what is known, by about so many cells of beams: new nodes
+    /// Brings [`BackEnd::tiles`] closer to what is known, by about so many cells of beams: new nodes
     /// first, then what solutions have moved visibly. True if there is more to do.
     pub fn draw(&mut self, cells_max: usize) -> bool {
-        self.watch.begins(Stage::Draw);
-        let more = self.canvas.work(&self.nodes, self.graph.poses(), cells_max);
-        self.watch.begins(Stage::Idle);
+        self.stages.stage_started(Stage::Draw);
+        let more = self.mapper.work(&self.nodes, self.graph.poses(), cells_max);
+        self.stages.stage_started(Stage::Idle);
         more
     }
 
     /// The map as drawn so far. Nodes that moved are drawn elsewhere all at once.
     pub fn tiles(&self) -> &TileMap {
-        self.canvas.tiles()
+        self.mapper.tiles()
     }
 
     /// The map is as of this scan until the next one is drawn: a loaded map's own are of another time.
-    pub fn date_map(&mut self, header: Header, scan_sent: Monotonic) {
-        self.canvas.date(header, scan_sent);
+    pub fn set_map_header(&mut self, header: Header, scan_sent: Monotonic) {
+        self.mapper.date(header, scan_sent);
     }
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or
@@ -310,7 +310,7 @@ impl Back {
         self.contradicted.push(0);
         node.id = self.nodes.len() as u32;
         if let Some(anchor) = self.anchor.take() {
-            return self.put_down(node, anchor);
+            return self.add_anchored_node(node, anchor);
         }
         let Some(previous) = self.nodes.last() else {
             self.graph.add_node(node.local_from_base);
@@ -323,15 +323,15 @@ impl Back {
         self.travelled_m += moved.x_m.hypot(moved.y_m);
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
-        let (kind, information) = if node.torn {
+        let (kind, information) = if node.odometry_break {
             self.detector.tear();
-            self.piece_seeker = None;
-            (EdgeKind::Torn, information_from_sigmas(TORN_M, TORN_RAD))
+            self.component_relocalizer = None;
+            (EdgeKind::OdometryBreak, information_from_sigmas(TORN_M, TORN_RAD))
         } else {
             let known = node.previous_from_this.is_some();
             (EdgeKind::Odometry, self.odometry_information(measured, known))
         };
-        node.adrift = if node.torn { Some(b) } else { previous.adrift };
+        node.disconnected = if node.odometry_break { Some(b) } else { previous.disconnected };
         self.nodes.push(node);
         self.graph.add_edge([a, b], measured, information, kind, [0.0; 2]);
     }
@@ -346,12 +346,13 @@ impl Back {
     }
 
     /// Brings believed finds into the graph, solves, and links the newest nodes to what they now see.
-    fn close(&mut self, finds: &[Find]) {
-        let finds: Vec<Find> = finds.iter().filter(|find| !self.banned(find)).copied().collect();
+    fn close(&mut self, finds: &[ClosureCandidate]) {
+        let finds: Vec<ClosureCandidate> =
+            finds.iter().filter(|find| !self.is_rejected(find)).copied().collect();
         if finds.is_empty() {
             return;
         }
-        self.bring_together(&finds[finds.len() - 1]);
+        self.align_components(&finds[finds.len() - 1]);
         for find in &finds {
             let information = self.floored(find.information);
             let (a, b) = (find.candidate, find.node);
@@ -361,9 +362,9 @@ impl Back {
             self.graph.edge_mut(newest).response = find.response;
         }
         self.solve(true);
-        self.watch.begins(Stage::Link);
+        self.stages.stage_started(Stage::Link);
         for id in self.around(&finds) {
-            let relative = self.relative_to(id);
+            let relative = self.uncertainty_from(id);
             self.link_near(id, &relative);
         }
         while let Some(id) = self.not_found.pop_front() {
@@ -375,7 +376,7 @@ impl Back {
     }
 
     /// Nodes around both ends of closures, without doubles, in order.
-    fn around(&self, finds: &[Find]) -> Vec<u32> {
+    fn around(&self, finds: &[ClosureCandidate]) -> Vec<u32> {
         let newest = self.nodes.len() as u32 - 1;
         let span = |id: u32| id.saturating_sub(RELINK_NODES)..=(id + RELINK_NODES).min(newest);
         let mut ids: Vec<u32> = finds.iter().flat_map(|f| span(f.node)).collect();
@@ -385,7 +386,7 @@ impl Back {
     }
 
     fn solve(&mut self, shock: bool) {
-        self.watch.begins(Stage::Solve);
+        self.stages.stage_started(Stage::Solve);
         // After an error the poses are what they were: the map stays as it is.
         let _ = self.graph.solve(shock);
         self.solutions += 1;
@@ -411,7 +412,7 @@ impl Back {
 
     /// After edges came into force or no longer are.
     fn count_closures(&mut self) {
-        self.sort_pieces();
+        self.update_components();
         let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
         self.closures = self.graph.edges().iter().filter(in_force).count() as u32;
     }

@@ -3,7 +3,7 @@
 //! found by branch and bound (Olson, "Real-time correlative scan matching", ICRA 2009;
 //! Hess et al., "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, section V-B).
 
-use crate::cloud::{Cloud, Placement, floor_i32};
+use crate::cloud::{Cloud, PointTransform, floor_i32};
 use msg::Pose2;
 
 /// Levels of the pyramid: a cell of the last one is 2^5 = 32 fine cells wide.
@@ -15,7 +15,7 @@ const KERNEL_MAX: i32 = 8;
 
 /// A square of the plane, cell by cell, centred on a pose in the frame of the points inserted.
 #[derive(Clone, Debug)]
-pub struct Field {
+pub struct LikelihoodField {
     cell_m: f32,
     /// Lower left corner, metres.
     corner: [f32; 2],
@@ -47,7 +47,7 @@ impl Level {
 
 /// What to look for and where.
 #[derive(Clone, Copy, Debug)]
-pub struct Window {
+pub struct SearchWindow {
     /// Centre of the search: the field's frame from the points' frame.
     pub centre: Pose2,
     /// Half side, metres.
@@ -60,7 +60,7 @@ pub struct Window {
 
 /// The best pose of a window.
 #[derive(Clone, Copy, Debug)]
-pub struct Peak {
+pub struct SearchPeak {
     /// The field's frame from the points' frame.
     pub pose: Pose2,
     /// Mean field value under the points, 0 to 1, less the pull.
@@ -71,7 +71,7 @@ pub struct Peak {
 
 /// A search's limits.
 #[derive(Clone, Copy, Debug)]
-pub struct Limits {
+pub struct SearchLimits {
     /// Poses that score less are not interesting.
     pub score_min: f32,
     /// Candidates that may be evaluated.
@@ -80,7 +80,7 @@ pub struct Limits {
     pub except: Option<(Pose2, f64, f64)>,
 }
 
-impl Field {
+impl LikelihoodField {
     /// An empty field of `2 * reach_m` side.
     pub fn new(cell_m: f32, reach_m: f32, blur_m: f32) -> Self {
         let side = (2.0 * reach_m / cell_m).ceil() as i32;
@@ -104,7 +104,7 @@ impl Field {
 
     /// Adds a scan's surfaces.
     pub fn insert(&mut self, cloud: &Cloud, frame_from_cloud: Pose2) {
-        let place = Placement::new(frame_from_cloud);
+        let place = PointTransform::new(frame_from_cloud);
         for p in cloud.points() {
             let [x, y] = place.point(p.at);
             let x = floor_i32((x - self.corner[0]) / self.cell_m);
@@ -135,10 +135,10 @@ impl Field {
     pub fn search(
         &self,
         points: &[[f32; 2]],
-        window: &Window,
-        limits: &Limits,
-        scratch: &mut Scratch,
-    ) -> Option<Peak> {
+        window: &SearchWindow,
+        limits: &SearchLimits,
+        scratch: &mut SearchBuffers,
+    ) -> Option<SearchPeak> {
         if points.is_empty() {
             return None;
         }
@@ -148,7 +148,7 @@ impl Field {
         let reach = (window.half_m / f64::from(self.cell_m)).ceil() as i32;
         let top = top_level(reach);
         scratch.rotate(self, points, window.centre, turns, step_rad);
-        let mut hunt = Hunt {
+        let mut search = BranchAndBound {
             field: self,
             window,
             limits,
@@ -162,21 +162,21 @@ impl Field {
             evaluations: 0,
         };
         scratch.queue.clear();
-        hunt.seed(top, &mut scratch.queue);
+        search.seed(top, &mut scratch.queue);
         // Best first; equal scores in the order of their numbers, so that a search can be repeated.
         scratch.queue.sort_unstable_by(|a, b| b.bound.total_cmp(&a.bound).then(a.key().cmp(&b.key())));
         for candidate in &scratch.queue {
-            if candidate.bound <= hunt.best_score || hunt.evaluations > limits.evaluations_max {
+            if candidate.bound <= search.best_score || search.evaluations > limits.evaluations_max {
                 break;
             }
-            hunt.descend(*candidate, top);
+            search.descend(*candidate, top);
         }
-        let given_up = hunt.evaluations > limits.evaluations_max;
-        let (best, score) = (hunt.best, hunt.best_score);
-        best.map(|c| Peak { pose: self.pose_of(window, c, step_rad), score, given_up })
+        let given_up = search.evaluations > limits.evaluations_max;
+        let (best, score) = (search.best, search.best_score);
+        best.map(|c| SearchPeak { pose: self.pose_of(window, c, step_rad), score, given_up })
     }
 
-    fn pose_of(&self, window: &Window, c: Candidate, step_rad: f64) -> Pose2 {
+    fn pose_of(&self, window: &SearchWindow, c: Candidate, step_rad: f64) -> Pose2 {
         let cell = f64::from(self.cell_m);
         Pose2::new(
             window.centre.x_m + f64::from(c.x) * cell,
@@ -221,15 +221,15 @@ impl Candidate {
 
 /// Memory that searches reuse.
 #[derive(Clone, Debug, Default)]
-pub struct Scratch {
+pub struct SearchBuffers {
     /// Points in fine cells, one run of them per turn.
     cells: Vec<[i16; 2]>,
     queue: Vec<Candidate>,
 }
 
-impl Scratch {
+impl SearchBuffers {
     /// Enough for searches for `points` points in windows up to these, in cells of `cell_m`.
-    pub fn with_room(points: usize, half_m: f64, half_rad: f64, cell_m: f32) -> Self {
+    pub fn with_capacity(points: usize, half_m: f64, half_rad: f64, cell_m: f32) -> Self {
         // At the farthest reach that counts, the angles are finest.
         let turns = 2 * (half_rad / f64::from(cell_m / RADIUS_MAX_M)).ceil() as usize + 1;
         let reach = (half_m / f64::from(cell_m)).ceil() as i32;
@@ -237,11 +237,18 @@ impl Scratch {
         Self { cells: Vec::with_capacity(points * turns), queue: Vec::with_capacity(blocks * blocks * turns) }
     }
 
-    fn rotate(&mut self, field: &Field, points: &[[f32; 2]], centre: Pose2, turns: i32, step_rad: f64) {
+    fn rotate(
+        &mut self,
+        field: &LikelihoodField,
+        points: &[[f32; 2]],
+        centre: Pose2,
+        turns: i32,
+        step_rad: f64,
+    ) {
         self.cells.clear();
         for turn in -turns..=turns {
             let yaw = centre.yaw_rad + f64::from(turn) * step_rad;
-            let place = Placement::new(Pose2::new(
+            let place = PointTransform::new(Pose2::new(
                 centre.x_m - f64::from(field.corner[0]),
                 centre.y_m - f64::from(field.corner[1]),
                 yaw,
@@ -258,10 +265,10 @@ fn top_level(reach: i32) -> usize {
     (0..LEVELS).rev().find(|h| (1 << h) <= reach.max(1)).unwrap_or(0)
 }
 
-struct Hunt<'a> {
-    field: &'a Field,
-    window: &'a Window,
-    limits: &'a Limits,
+struct BranchAndBound<'a> {
+    field: &'a LikelihoodField,
+    window: &'a SearchWindow,
+    limits: &'a SearchLimits,
     scratch_cells: &'a [[i16; 2]],
     count: usize,
     turns: i32,
@@ -272,7 +279,7 @@ struct Hunt<'a> {
     evaluations: usize,
 }
 
-impl Hunt<'_> {
+impl BranchAndBound<'_> {
     fn seed(&mut self, top: usize, queue: &mut Vec<Candidate>) {
         let stride = 1 << top;
         for turn in -self.turns..=self.turns {

@@ -9,10 +9,10 @@
 
 use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD};
-use super::{Back, TORN_M, TORN_RAD, TORN_VARIANCE};
-use crate::closure::Find;
-use crate::graph::{EdgeKind, Relative};
-use crate::relocalize::{Placed, Seeker, Sought};
+use super::{BackEnd, TORN_M, TORN_RAD, TORN_VARIANCE};
+use crate::closure::ClosureCandidate;
+use crate::graph::{EdgeKind, RelativeUncertainty};
+use crate::relocalize::{Placed, RelocalizationOutcome, Relocalizer};
 use msg::Pose2;
 use posegraph::information_from_sigmas;
 
@@ -27,40 +27,42 @@ const TORN_POINTS_MIN: usize = 60;
 /// A way so short has not drifted by what counts as a contradiction, metres, whatever was not known on it.
 const STRAIGHT_M: f64 = 20.0;
 
-impl Back {
+impl BackEnd {
     /// A node that did not fit is joined to the ones before by odometry alone. Whether that is right
     /// shows when it, or one after it, sees what older nodes saw: if they agree, a link says so; if
     /// they contradict each other, the joint is taken back.
-    pub(super) fn probation(&mut self, id: u32, relative: &[Option<Relative>]) {
+    pub(super) fn check_unverified_edge(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
         let node = &self.nodes[id as usize];
         if !node.fits {
-            self.joint = Some(id).filter(|_| !node.torn);
+            self.unverified_edge = Some(id).filter(|_| !node.odometry_break);
         }
-        let Some(joint) = self.joint else { return };
-        let across = |e: &crate::graph::Edge| e.kind == EdgeKind::Link && e.a.min(e.b) < joint;
+        let Some(unverified_edge) = self.unverified_edge else { return };
+        let across = |e: &crate::graph::Edge| e.kind == EdgeKind::Link && e.a.min(e.b) < unverified_edge;
         if self.graph.edges_of(id).any(across) {
-            self.joint = None;
+            self.unverified_edge = None;
             return;
         }
         // Where the way since the joint, or before it, may have drifted, a contradiction says nothing of the joint.
         let l = &self.config.links;
-        let sure = |known: &Option<Relative>| known.is_some_and(|known| is_sure(known, l));
-        if !sure(&relative[joint as usize]) {
+        let sure = |known: &Option<RelativeUncertainty>| known.is_some_and(|known| is_sure(known, l));
+        if !sure(&relative[unverified_edge as usize]) {
             return;
         }
-        let before = self.graph.relative_to(joint.saturating_sub(1), l.sigma_max_m.powi(2));
+        let before = self.graph.uncertainty_from(unverified_edge.saturating_sub(1), l.sigma_max_m.powi(2));
         let poses = self.graph.poses();
         let mut way_m = 0.0;
-        let not_drifted = (0..joint).rev().take_while(|old| {
+        let not_drifted = (0..unverified_edge).rev().take_while(|old| {
             way_m += poses[*old as usize].distance_m(poses[*old as usize + 1]);
             way_m < STRAIGHT_M
         });
-        let not_drifted = not_drifted.last().unwrap_or(joint);
+        let not_drifted = not_drifted.last().unwrap_or(unverified_edge);
         let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.middle());
         let [x, y] = looks_at(id);
-        let mut near: Vec<(f64, u32)> = (0..joint)
+        let mut near: Vec<(f64, u32)> = (0..unverified_edge)
             .filter(|old| *old >= not_drifted || sure(&before[*old as usize]))
-            .filter(|old| self.nodes[*old as usize].fits && self.nodes[*old as usize].adrift == node.adrift)
+            .filter(|old| {
+                self.nodes[*old as usize].fits && self.nodes[*old as usize].disconnected == node.disconnected
+            })
             .map(|old| (looks_at(old), old))
             .map(|([u, v], old)| ((u - x).hypot(v - y), old))
             .filter(|(apart, _)| *apart < self.config.links.distance_max_m)
@@ -81,26 +83,26 @@ impl Back {
         if contradict < TORN_POINTS_MIN || contradict as f32 <= TORN_SHARE * (agree + contradict) as f32 {
             return;
         }
-        let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == joint;
+        let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == unverified_edge;
         let Some(index) = self.graph.edges().iter().position(before) else { return };
         let edge = self.graph.edge_mut(index);
-        (edge.kind, edge.information) = (EdgeKind::Torn, information_from_sigmas(TORN_M, TORN_RAD));
+        (edge.kind, edge.information) = (EdgeKind::OdometryBreak, information_from_sigmas(TORN_M, TORN_RAD));
         edge.variance = TORN_VARIANCE;
-        self.nodes[joint as usize].torn = true;
-        self.joint = None;
+        self.nodes[unverified_edge as usize].odometry_break = true;
+        self.unverified_edge = None;
         self.detector.tear();
-        self.piece_seeker = None;
-        self.sort_pieces();
+        self.component_relocalizer = None;
+        self.update_components();
     }
 
     /// Whether the newest node is part of the map.
     pub(super) fn newest_in_map(&self) -> bool {
-        self.nodes.last().is_none_or(|node| node.adrift.is_none())
+        self.nodes.last().is_none_or(|node| node.disconnected.is_none())
     }
 
     /// Which node is in which piece, from the edges in force.
-    pub(super) fn sort_pieces(&mut self) {
-        let torn = |e: &crate::graph::Edge| e.kind == EdgeKind::Torn;
+    pub(super) fn update_components(&mut self) {
+        let torn = |e: &crate::graph::Edge| e.kind == EdgeKind::OdometryBreak;
         if !self.graph.edges().iter().any(torn) {
             return;
         }
@@ -124,28 +126,29 @@ impl Back {
         }
         let largest = (0..sizes.len()).max_by_key(|&id| (sizes[id], core::cmp::Reverse(id)));
         for (node, piece) in self.nodes.iter_mut().zip(up) {
-            node.adrift = Some(piece).filter(|piece| Some(*piece as usize) != largest);
+            node.disconnected = Some(piece).filter(|piece| Some(*piece as usize) != largest);
         }
     }
 
     /// Looks for the newest node's piece in the whole map.
-    pub(super) fn seek_piece(&mut self, id: u32) {
-        let Some(first) = self.nodes[id as usize].adrift else { return };
+    pub(super) fn relocalize_component(&mut self, id: u32) {
+        let Some(first) = self.nodes[id as usize].disconnected else { return };
         if id - first < NODES_MIN {
             return;
         }
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        let seeker =
-            self.piece_seeker.get_or_insert_with(|| Seeker::new(self.config.clone(), map, None, self.sought));
+        let relocalizer = self
+            .component_relocalizer
+            .get_or_insert_with(|| Relocalizer::new(self.config.clone(), map, None, self.relocalization));
         let newest = self.nodes[id as usize].clone();
         let local_from_node = newest.local_from_base;
-        let sought = seeker.seek(newest, map);
-        self.sought = seeker.counts();
-        let Sought::Found(map_from_local) = sought else { return };
-        self.piece_seeker = None;
+        let relocalization = relocalizer.seek(newest, map);
+        self.relocalization = relocalizer.counts();
+        let RelocalizationOutcome::Found(map_from_local) = relocalization else { return };
+        self.component_relocalizer = None;
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
-        self.close(&[Find {
+        self.close(&[ClosureCandidate {
             node: id,
             candidate,
             candidate_from_node: self.graph.poses()[candidate as usize].between(map_from_node),
@@ -164,8 +167,8 @@ impl Back {
 
     /// Before a find ties two pieces together, one of them is moved to where the find has it: a solver
     /// finds small movements, not half a turn.
-    pub(super) fn bring_together(&mut self, find: &Find) {
-        let [old, new] = [find.candidate, find.node].map(|id| self.nodes[id as usize].adrift);
+    pub(super) fn align_components(&mut self, find: &ClosureCandidate) {
+        let [old, new] = [find.candidate, find.node].map(|id| self.nodes[id as usize].disconnected);
         if old == new {
             return;
         }
@@ -175,7 +178,7 @@ impl Back {
             Some(_) => (new, a * find.candidate_from_node * b.inverse()),
             None => (old, b * find.candidate_from_node.inverse() * a.inverse()),
         };
-        for node in self.nodes.iter().filter(|node| node.adrift == moves) {
+        for node in self.nodes.iter().filter(|node| node.disconnected == moves) {
             self.graph.move_node(node.id, shift);
         }
     }

@@ -1,7 +1,7 @@
 //! How the robot moved while the LiDAR turned: what must be taken out of a scan whose beams were
 //! measured one after the other. The wheels say it, or the robot's last speed.
 
-use crate::cloud::Placement;
+use crate::cloud::PointTransform;
 use msg::{Pose2, Scan};
 
 /// Pieces a turn is cut into; within one the robot keeps its speed.
@@ -11,14 +11,14 @@ const SWEEP_MAX_S: f64 = 1.0;
 
 /// Where the sensor was at every beam, in `base_footprint` as it lay at the scan's stamp.
 #[derive(Clone, Copy, Debug)]
-pub struct Sweep {
+pub struct BeamPoses {
     base_from_scan: Pose2,
     /// The base at the pieces' ends, as seen from the base at the stamp; `None`: all at once.
     knots: Option<[Pose2; PIECES + 1]>,
     beams: usize,
 }
 
-impl Sweep {
+impl BeamPoses {
     /// All beams at once, or the robot stood still.
     pub fn still(base_from_scan: Pose2) -> Self {
         Self { base_from_scan, knots: None, beams: 0 }
@@ -46,12 +46,12 @@ impl Sweep {
     }
 
     /// The sensor when it measured a beam.
-    pub fn place(&self, beam: usize) -> Placement {
-        let Some(knots) = &self.knots else { return Placement::new(self.base_from_scan) };
+    pub fn place(&self, beam: usize) -> PointTransform {
+        let Some(knots) = &self.knots else { return PointTransform::new(self.base_from_scan) };
         let along = PIECES as f64 * beam as f64 / (self.beams.max(2) - 1) as f64;
         let piece = (along as usize).min(PIECES - 1);
         let (from, to) = (knots[piece], knots[piece + 1]);
-        Placement::new(from * part(from.between(to), along - piece as f64) * self.base_from_scan)
+        PointTransform::new(from * part(from.between(to), along - piece as f64) * self.base_from_scan)
     }
 
     /// The sensor in the middle of the turn, where one place must do for all beams.

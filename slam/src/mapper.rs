@@ -8,7 +8,7 @@
 //! tile the same as a map drawn from nothing. That happens beside the map that is shown, in slices
 //! between which new nodes are drawn as ever; when all is done the new tiles take the old ones' place.
 
-use crate::cloud::Placement;
+use crate::cloud::PointTransform;
 use crate::config::MapConfig;
 use crate::node::Node;
 use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_MIN, LOG_ODDS_PER_STEP, SWEPT_FREE, UNKNOWN};
@@ -23,7 +23,7 @@ const NODE_CELLS: usize = 64;
 const ROUNDING: f64 = 1e-6;
 
 /// See the module.
-pub struct Canvas {
+pub struct OccupancyMapper {
     config: MapConfig,
     map: TileMap,
     /// How each node was drawn, by its id.
@@ -59,7 +59,7 @@ struct Redraw {
     next: usize,
 }
 
-impl Canvas {
+impl OccupancyMapper {
     /// Nothing drawn.
     pub fn new(config: MapConfig) -> Self {
         let map = TileMap::new(MapHeader { resolution_m: config.resolution_m, ..Default::default() });
@@ -280,7 +280,7 @@ fn reach_m(node: &Node, config: &MapConfig) -> [f32; 4] {
 
 /// Where the robot's body was on the way to a node, as far as that and its size are known.
 fn body<'a>(node: &'a Node, config: &MapConfig) -> &'a [[f32; 2]] {
-    if config.robot_radius_m > 0.0 { node.way.places_m() } else { &[] }
+    if config.robot_radius_m > 0.0 { node.swept_path.positions_m() } else { &[] }
 }
 
 /// The tiles that hold all of a node's beams, wherever the last bit of a rounding falls.
@@ -314,7 +314,7 @@ struct Ends {
 
 impl Ends {
     fn place(&mut self, node: &Node, map_from_base: Pose2, config: &MapConfig) -> &Self {
-        let place = Placement::new(map_from_base);
+        let place = PointTransform::new(map_from_base);
         let cell_of = |v: f32| (f64::from(v) / config.resolution_m).floor() as i64;
         let cell = |p: &[f32; 2]| place.point(*p).map(cell_of);
         self.sensor = place.point(node.rays.sensor).map(cell_of);

@@ -1,22 +1,22 @@
 //! Closures that people look at and take back.
 
-use super::Back;
-use crate::closure::Find;
+use super::BackEnd;
+use crate::closure::ClosureCandidate;
 use crate::graph::{Edge, EdgeKind};
 use msg::{Pose2, pose::wrap_angle};
 
 /// Links between nodes this far apart in order exist only because a closure brought passes together.
 const PASS_NODES: u32 = 12;
 /// A find this near to an undone closure, in order and in place, is the same mistake.
-const BAN_NODES: u32 = 20;
-const BAN_M: f64 = 1.0;
-const BAN_RAD: f64 = 0.3;
+const REJECTED_NODES: u32 = 20;
+const REJECTED_M: f64 = 1.0;
+const REJECTED_RAD: f64 = 0.3;
 /// Bans remembered.
-const BANS_MAX: usize = 256;
+const REJECTED_MAX: usize = 256;
 
 /// A closure that was undone: it is not believed again.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ban {
+pub struct RejectedClosure {
     /// The earlier node.
     pub a: u32,
     /// The later node.
@@ -28,7 +28,7 @@ pub struct Ban {
 /// A closure and what speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClosureReport {
-    /// Its number, for [`Back::undo_closure`].
+    /// Its number, for [`BackEnd::undo_closure`].
     pub number: u32,
     /// The earlier node.
     pub older: u32,
@@ -46,7 +46,7 @@ pub struct ClosureReport {
     pub chi_squared: f64,
 }
 
-impl Back {
+impl BackEnd {
     /// All closures, in force or not, in the order in which they were found.
     pub fn closures(&self) -> impl Iterator<Item = ClosureReport> + '_ {
         let closures = self.graph.edges().iter().filter(|e| e.kind == EdgeKind::Closure);
@@ -71,7 +71,7 @@ impl Back {
         let wrong = *edge;
         // A closure is found together with its witnesses: they say the same and fall with it.
         let same = |e: &Edge| {
-            let near = e.a.abs_diff(wrong.a) <= BAN_NODES && e.b.abs_diff(wrong.b) <= BAN_NODES;
+            let near = e.a.abs_diff(wrong.a) <= REJECTED_NODES && e.b.abs_diff(wrong.b) <= REJECTED_NODES;
             e.kind == EdgeKind::Closure && near && self.says_the_same(e, &wrong)
         };
         let edges = self.graph.edges();
@@ -98,7 +98,7 @@ impl Back {
         let back = poses[a.b as usize].between(poses[b.b as usize]);
         let implied = to * a.a_from_b * back;
         let turned = wrap_angle(implied.yaw_rad - b.a_from_b.yaw_rad).abs();
-        implied.distance_m(b.a_from_b) < BAN_M && turned < BAN_RAD
+        implied.distance_m(b.a_from_b) < REJECTED_M && turned < REJECTED_RAD
     }
 
     /// Takes closures back, and the links between passes made since; then links again what is known
@@ -108,11 +108,11 @@ impl Back {
         for &index in closures {
             let edge = self.graph.edge_mut(index);
             edge.in_force = false;
-            let ban = Ban { a: edge.a, b: edge.b, a_from_b: edge.a_from_b };
-            if self.bans.len() == BANS_MAX {
-                self.bans.remove(0);
+            let ban = RejectedClosure { a: edge.a, b: edge.b, a_from_b: edge.a_from_b };
+            if self.rejected_closures.len() == REJECTED_MAX {
+                self.rejected_closures.remove(0);
             }
-            self.bans.push(ban);
+            self.rejected_closures.push(ban);
             self.retracted += 1;
         }
         let between_passes: Vec<usize> = (first..self.graph.edges().len())
@@ -129,18 +129,20 @@ impl Back {
         again.sort_unstable();
         again.dedup();
         for id in again {
-            let relative = self.relative_to(id);
+            let relative = self.uncertainty_from(id);
             self.link_near(id, &relative);
         }
         self.solve(false);
     }
 
     /// Whether a find is a closure that was undone.
-    pub(super) fn banned(&self, find: &Find) -> bool {
-        self.bans.iter().any(|ban| {
-            let near = find.candidate.abs_diff(ban.a) <= BAN_NODES && find.node.abs_diff(ban.b) <= BAN_NODES;
+    pub(super) fn is_rejected(&self, find: &ClosureCandidate) -> bool {
+        self.rejected_closures.iter().any(|ban| {
+            let near = find.candidate.abs_diff(ban.a) <= REJECTED_NODES
+                && find.node.abs_diff(ban.b) <= REJECTED_NODES;
             let turned = wrap_angle(find.candidate_from_node.yaw_rad - ban.a_from_b.yaw_rad).abs();
-            near && find.candidate_from_node.distance_m(ban.a_from_b) < BAN_M + 2.0 && turned < BAN_RAD
+            near && find.candidate_from_node.distance_m(ban.a_from_b) < REJECTED_M + 2.0
+                && turned < REJECTED_RAD
         })
     }
 }

@@ -1,10 +1,10 @@
 //! Scans whose beams were measured one after the other: the robot's motion meanwhile is taken out,
 //! as the wheels say it, or, where there are none, together with the pose.
 
-use super::{CARRIED_MAX_S, Expected, Found, Front, carried};
+use super::{CARRIED_MAX_S, FrontEnd, PosePrediction, TrackedPose, carried};
+use crate::beam_poses::{BeamPoses, part};
 use crate::cloud::Cloud;
-use crate::stage::Stage;
-use crate::sweep::{Sweep, part};
+use crate::stages::Stage;
 use msg::{Pose2, Scan, TrackingState, pose::wrap_angle};
 use std::sync::Arc;
 
@@ -14,17 +14,17 @@ const PASSES: usize = 3;
 /// pose, so a pass that assumes too much finds half of that too little.
 const SHARE: f64 = 2.0 / 3.0;
 
-impl Front {
+impl FrontEnd {
     /// A scan's surfaces, and where the robot is by them.
     pub(super) fn look(
         &mut self,
         scan: &Scan,
-        expected: &Expected,
+        expected: &PosePrediction,
         odom_from_base: Option<Pose2>,
-    ) -> (Sweep, Arc<Cloud>, Found) {
-        self.watch.begins(Stage::Cloud);
-        let still = Sweep::still(self.config.base_from_scan());
-        let seconds = Sweep::seconds(scan);
+    ) -> (BeamPoses, Arc<Cloud>, TrackedPose) {
+        self.stages.stage_started(Stage::Cloud);
+        let still = BeamPoses::still(self.config.base_from_scan());
+        let seconds = BeamPoses::seconds(scan);
         let by_wheels = match seconds {
             Some(0.0) => Some(still),
             Some(seconds) => self.by_wheels(scan, seconds, odom_from_base),
@@ -42,9 +42,9 @@ impl Front {
         (sweep, cloud, found)
     }
 
-    fn by_wheels(&self, scan: &Scan, seconds: f64, odom_from_base: Option<Pose2>) -> Option<Sweep> {
+    fn by_wheels(&self, scan: &Scan, seconds: f64, odom_from_base: Option<Pose2>) -> Option<BeamPoses> {
         let before = odom_from_base?;
-        Sweep::new(self.config.base_from_scan(), scan, seconds, |after_s| {
+        BeamPoses::new(self.config.base_from_scan(), scan, seconds, |after_s| {
             let then = scan.header.stamp + core::time::Duration::from_secs_f64(after_s);
             Some(before.between(self.odometry.at(then)?))
         })
@@ -55,19 +55,19 @@ impl Front {
     fn look_along(
         &mut self,
         scan: &Scan,
-        expected: &Expected,
+        expected: &PosePrediction,
         seconds: f64,
         interval_s: f64,
-    ) -> (Sweep, Arc<Cloud>, Found) {
+    ) -> (BeamPoses, Arc<Cloud>, TrackedPose) {
         let before = self.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
         let known = self.last.and_then(|last| last.motion);
         let mut motion = known.map_or(Pose2::IDENTITY, |(motion, s)| carried(motion, s, interval_s));
         let mut pass = 1;
         loop {
             let so_far = |after_s: f64| Some(part(motion, after_s / interval_s));
-            let still = Sweep::still(self.config.base_from_scan());
-            let sweep = Sweep::new(self.config.base_from_scan(), scan, seconds, so_far).unwrap_or(still);
-            self.watch.begins(Stage::Cloud);
+            let still = BeamPoses::still(self.config.base_from_scan());
+            let sweep = BeamPoses::new(self.config.base_from_scan(), scan, seconds, so_far).unwrap_or(still);
+            self.stages.stage_started(Stage::Cloud);
             let cloud = self.pool.cloud(scan, &sweep, &self.config);
             let found = self.locate(&cloud, expected);
             let lost = matches!(found.state, TrackingState::Lost | TrackingState::Starting);

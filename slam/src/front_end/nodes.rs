@@ -1,11 +1,11 @@
 //! Which scans become nodes, and the local maps of the newest of them.
 
-use super::{Found, Front};
+use super::{FrontEnd, TrackedPose};
+use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
 use crate::config::TrackingConfig;
-use crate::field::Field;
-use crate::node::{Node, Way};
-use crate::sweep::Sweep;
+use crate::likelihood_field::LikelihoodField;
+use crate::node::{Node, SweptPath};
 use msg::{Pose2, Scan, TrackingState};
 use std::sync::Arc;
 
@@ -20,21 +20,21 @@ const TORN_POINTS_MIN: usize = 40;
 
 /// Surfaces of some newest nodes as a field to search in.
 pub(super) struct LocalMap {
-    pub field: Field,
+    pub field: LikelihoodField,
     pub nodes: usize,
 }
 
 impl LocalMap {
     pub fn new(config: &TrackingConfig) -> Self {
-        Self { field: Field::new(config.cell_m, config.local_map_reach_m, config.blur_m), nodes: 0 }
+        Self { field: LikelihoodField::new(config.cell_m, config.local_map_reach_m, config.blur_m), nodes: 0 }
     }
 }
 
-impl Front {
-    pub(super) fn node_due(&mut self, found: &Found, cloud: &Cloud) -> bool {
+impl FrontEnd {
+    pub(super) fn node_due(&mut self, found: &TrackedPose, cloud: &Cloud) -> bool {
         let t = &self.config.tracking;
-        self.unsure = found.state == TrackingState::Lost;
-        if self.unsure {
+        self.last_scan_lost = found.state == TrackingState::Lost;
+        if self.last_scan_lost {
             self.counts.lost += 1;
             // A scan that sees nothing is no reason to give up the local map.
             let blind = cloud.points().len() < t.points_min;
@@ -54,16 +54,16 @@ impl Front {
     /// The scan is matched against from now on, and handed over as a node if there is room.
     pub(super) fn make_node(
         &mut self,
-        (scan, sweep): (&Scan, &Sweep),
-        found: &Found,
+        (scan, sweep): (&Scan, &BeamPoses),
+        found: &TrackedPose,
         odom: Option<Pose2>,
         cloud: Arc<Cloud>,
     ) -> Option<Node> {
         let fits = found.state != TrackingState::Lost;
         if !fits && self.contradicted(&cloud, found.local_from_base) {
-            self.torn_at = Some(self.next_node);
+            self.last_break = Some(self.next_node);
             self.located = false;
-            self.counts.torn += 1;
+            self.counts.odometry_breaks += 1;
         }
         let moved = self.node_odom_from_base.zip(odom).map(|(before, now)| before.between(now));
         (self.node_odom_from_base, self.node_covariance) = (odom, found.covariance);
@@ -71,15 +71,15 @@ impl Front {
             id: self.next_node,
             header: scan.header,
             local_from_base: found.local_from_base,
-            previous_from_this: self.handed_from_recent.zip(moved).map(|(a, b)| a * b),
+            previous_from_this: self.published_from_newest.zip(moved).map(|(a, b)| a * b),
             fits,
-            torn: self.torn_at == Some(self.next_node),
-            adrift: None,
+            odometry_break: self.last_break == Some(self.next_node),
+            disconnected: None,
             cloud,
             rays: self.pool.rays(scan, sweep, &self.config),
-            way: Way::default(),
+            swept_path: SweptPath::default(),
         };
-        let has_room = self.pool.has_room(self.recent.len() + 1);
+        let has_capacity = self.pool.has_capacity(self.recent.len() + 1);
         if !fits {
             self.recent.clear();
             self.lost_in_row = 0;
@@ -89,20 +89,21 @@ impl Front {
             self.recent.pop_front();
         }
         self.recent.push_back(node.clone());
-        if !has_room {
-            self.handed_from_recent = node.previous_from_this;
+        if !has_capacity {
+            self.published_from_newest = node.previous_from_this;
             self.counts.nodes_held_back += 1;
             return None;
         }
         self.next_node += 1;
-        self.handed = Some((node.id, node.local_from_base));
-        self.handed_from_recent = Some(Pose2::IDENTITY);
+        self.published = Some((node.id, node.local_from_base));
+        self.published_from_newest = Some(Pose2::IDENTITY);
         self.apply_revisions(node.id);
-        let way = core::mem::take(&mut self.way);
+        let swept_path = core::mem::take(&mut self.swept_path);
         // A way that the scans contradict was another one.
-        let is_known = self.config.map.robot_radius_m > 0.0 && fits && !node.torn;
-        let way = if is_known { way.seen_from(node.local_from_base) } else { Way::default() };
-        Some(Node { way, ..node })
+        let is_known = self.config.map.robot_radius_m > 0.0 && fits && !node.odometry_break;
+        let swept_path =
+            if is_known { swept_path.seen_from(node.local_from_base) } else { SweptPath::default() };
+        Some(Node { swept_path, ..node })
     }
 
     /// Whether a scan placed here and the newest nodes see through what the other one saw: the

@@ -1,9 +1,9 @@
 //! Links: which older nodes a node is aligned with, and what the alignment must stand up to.
 
-use super::Back;
+use super::BackEnd;
 use crate::align::{Reference, align};
 use crate::config::LinkConfig;
-use crate::graph::{EdgeKind, Relative, UNOBSERVED};
+use crate::graph::{EdgeKind, RelativeUncertainty, UNOBSERVED};
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 use posegraph::limit_information;
@@ -15,25 +15,25 @@ const VIEWPOINT: f64 = 0.5;
 const NEAR_SPREAD: u32 = 3;
 
 /// Whether two scans are so well known to each other that they may be held against each other.
-pub(super) fn is_sure(known: Relative, l: &LinkConfig) -> bool {
+pub(super) fn is_sure(known: RelativeUncertainty, l: &LinkConfig) -> bool {
     known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2)
 }
 
-impl Back {
+impl BackEnd {
     pub(super) fn link_sequential(&mut self, id: u32) {
         for back in 1..=self.config.links.sequential as u32 {
             if let Some(older) = id.checked_sub(back) {
-                self.link(older, id, Relative { position: 0.01, heading: 0.003 });
+                self.link(older, id, RelativeUncertainty { position: 0.01, heading: 0.003 });
             }
         }
     }
 
-    pub(super) fn relative_to(&self, id: u32) -> Vec<Option<Relative>> {
-        self.graph.relative_to(id, self.config.closures.window_max_m.powi(2))
+    pub(super) fn uncertainty_from(&self, id: u32) -> Vec<Option<RelativeUncertainty>> {
+        self.graph.uncertainty_from(id, self.config.closures.window_max_m.powi(2))
     }
 
     /// Links a node to nearby nodes whose relative pose is well known. Returns how many.
-    pub(super) fn link_near(&mut self, id: u32, relative: &[Option<Relative>]) -> usize {
+    pub(super) fn link_near(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> usize {
         let l = &self.config.links;
         let here = self.graph.poses()[id as usize];
         let seen = here.apply(self.nodes[id as usize].cloud.middle());
@@ -55,17 +55,19 @@ impl Back {
                 chosen.push(other);
             }
         }
-        let known = |other: u32| relative[other as usize].unwrap_or(Relative { position: 0.0, heading: 0.0 });
+        let known = |other: u32| {
+            relative[other as usize].unwrap_or(RelativeUncertainty { position: 0.0, heading: 0.0 })
+        };
         chosen.iter().filter(|&&other| self.link(other.min(id), other.max(id), known(other))).count()
     }
 
     /// Aligns b's scan with a's and keeps the measurement if the scans agree.
-    fn link(&mut self, a: u32, b: u32, known: Relative) -> bool {
+    fn link(&mut self, a: u32, b: u32, known: RelativeUncertainty) -> bool {
         let l = &self.config.links;
         let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
         let enough = older.cloud.points().len().min(newer.cloud.points().len());
         if !newer.fits
-            || older.adrift != newer.adrift
+            || older.disconnected != newer.disconnected
             || enough < self.config.tracking.points_min
             || self.linked(a, b)
         {

@@ -1,13 +1,13 @@
 //! What becomes of a node: looked for in the map, held against it, or added to it.
 
-use super::{Back, BackState};
-use crate::closure::Detector;
+use super::{BackEnd, BackEndState};
+use crate::closure::ClosureDetector;
 use crate::config::SlamConfig;
-use crate::front::{FrontState, Ride};
+use crate::front_end::{FrontEndState, TrajectorySample};
 use crate::graph::{EdgeKind, Graph};
-use crate::localize::Localizer;
+use crate::localizer::Localizer;
 use crate::node::{Node, Revision};
-use crate::relocalize::{Hint, Placed, SeekCounts, Seeker, Sought};
+use crate::relocalize::{Placed, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
 use crate::session::{Identity, Session};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
@@ -26,43 +26,44 @@ pub struct Anchor {
 
 /// Where the robot is when a map is loaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Start {
+pub enum InitialPose {
     /// The scan path goes on where it was: the next node follows from the newest.
-    GoOn,
-    /// About there.
-    At(Hint),
+    Continue,
+    /// Near this estimate.
+    Near(PoseEstimate),
     /// To be found out.
     Unknown,
 }
 
-impl Back {
+impl BackEnd {
     /// Goes on with a map that was kept.
     pub fn resume(
         config: SlamConfig,
-        state: BackState,
-        rides: Vec<Ride>,
+        state: BackEndState,
+        samples: Vec<TrajectorySample>,
         mode: SlamMode,
-        start: Start,
+        start: InitialPose,
     ) -> Self {
         let mut back = Self::new(config.clone());
         back.graph = Graph::from_parts(config.graph.clone(), state.poses, state.edges);
-        back.detector = Detector::resume(config, state.detector);
-        back.earlier = rides;
+        back.detector = ClosureDetector::resume(config, state.detector);
+        back.earlier = samples;
         back.contradicted = vec![0; state.nodes.len()];
-        back.joint = state.joint;
+        back.unverified_edge = state.unverified_edge;
         back.newest_front = state.front_ids.last().copied().unwrap_or(0);
         (back.nodes, back.front_ids) = (state.nodes, state.front_ids);
-        back.sort_pieces();
-        back.canvas.restore(&back.nodes, &state.drawn);
+        back.update_components();
+        back.mapper.restore(&back.nodes, &state.drawn);
         (back.not_found, back.again) = (state.not_found.into(), state.again.into());
-        (back.travelled_m, back.unsolved, back.bans) = (state.travelled_m, state.unsolved, state.bans);
+        (back.travelled_m, back.unsolved, back.rejected_closures) =
+            (state.travelled_m, state.unsolved, state.rejected_closures);
         (back.solutions, back.retracted, back.retired) = (state.solutions, state.retracted, state.retired);
         back.count_closures();
         back.set_mode(mode);
         match start {
-            Start::GoOn => {}
-            Start::At(hint) => back.seek(Some(hint)),
-            Start::Unknown => back.seek(None),
+            InitialPose::Continue => {}
+            InitialPose::Near(hint) => back.start_relocalization(Some(hint)),
+            InitialPose::Unknown => back.start_relocalization(None),
         }
         back
     }
@@ -89,24 +90,24 @@ impl Back {
         let newest = match &self.localizer {
             Some(localizer) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             None => {
-                let newest = self.nodes.last().filter(|n| n.adrift.is_none());
+                let newest = self.nodes.last().filter(|n| n.disconnected.is_none());
                 newest.map(|n| self.graph.poses()[n.id as usize] * n.local_from_base.inverse())
             }
         };
-        if let (Some(map_from_local), None) = (newest, &self.seeker) {
+        if let (Some(map_from_local), None) = (newest, &self.relocalizer) {
             self.anchor = Some(Anchor { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
         }
         self.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
-        if is_fixed && self.seeker.is_none() && !self.newest_in_map() {
-            self.seek(None);
+        if is_fixed && self.relocalizer.is_none() && !self.newest_in_map() {
+            self.start_relocalization(None);
         }
     }
 
     /// From now on the robot is looked for, near a hint or everywhere. In a map without nodes there is
     /// nothing to be found: there the map begins at the hint.
-    pub fn seek(&mut self, hint: Option<Hint>) {
+    pub fn start_relocalization(&mut self, estimate: Option<PoseEstimate>) {
         if self.nodes.is_empty() {
-            self.anchor = hint.map(|Hint { map_from_local, sigma_m, sigma_rad }| Anchor {
+            self.anchor = estimate.map(|PoseEstimate { map_from_local, sigma_m, sigma_rad }| Anchor {
                 map_from_local,
                 sigma_m,
                 sigma_rad,
@@ -114,18 +115,18 @@ impl Back {
             return;
         }
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        self.seeker = Some(Seeker::new(self.config.clone(), map, hint, self.sought));
+        self.relocalizer = Some(Relocalizer::new(self.config.clone(), map, estimate, self.relocalization));
     }
 
     /// Whether it is known where the robot is.
-    pub fn located(&self) -> bool {
+    pub fn is_located(&self) -> bool {
         let sure = self.localizer.as_ref().map_or(self.newest_in_map(), Localizer::sure);
-        self.seeker.as_ref().map_or(sure, |seeker| seeker.hint().is_some())
+        self.relocalizer.as_ref().map_or(sure, |relocalizer| relocalizer.hint().is_some())
     }
 
     /// The map from the robot at the newest node; as far as it is known.
     pub fn map_from_base(&self) -> Option<Pose2> {
-        match (&self.seeker, &self.localizer) {
+        match (&self.relocalizer, &self.localizer) {
             (Some(_), _) => None,
             (None, Some(localizer)) => Some(localizer.newest()?.0),
             (None, None) => self.graph.poses().last().copied().filter(|_| self.newest_in_map()),
@@ -135,21 +136,21 @@ impl Back {
     pub(super) fn take(&mut self, node: Node) {
         self.just_found = false;
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        let Some(seeker) = &mut self.seeker else { return self.use_node(node) };
-        let sought = seeker.seek(node, map);
-        let anchor = match sought {
-            Sought::Nothing => return,
-            Sought::Found(map_from_local) => {
+        let Some(relocalizer) = &mut self.relocalizer else { return self.use_node(node) };
+        let relocalization = relocalizer.seek(node, map);
+        let anchor = match relocalization {
+            RelocalizationOutcome::NotFound => return,
+            RelocalizationOutcome::Found(map_from_local) => {
                 Anchor { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
             }
-            Sought::HintTaken(Hint { map_from_local, sigma_m, sigma_rad }) => {
+            RelocalizationOutcome::HintAccepted(PoseEstimate { map_from_local, sigma_m, sigma_rad }) => {
                 Anchor { map_from_local, sigma_m, sigma_rad }
             }
         };
         self.just_found = true;
-        self.sought = seeker.counts();
-        let waiting = seeker.take_waiting();
-        self.seeker = None;
+        self.relocalization = relocalizer.counts();
+        let waiting = relocalizer.take_waiting();
+        self.relocalizer = None;
         self.anchor = Some(anchor);
         if let Some(localizer) = &mut self.localizer {
             localizer.begin();
@@ -172,12 +173,12 @@ impl Back {
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
         localizer.add(node, map_from_local, map);
         if localizer.astray() {
-            self.seek(None);
+            self.start_relocalization(None);
         }
     }
 
     /// The first node of a pass: tied to the nearest node of the map, as well as its place is known.
-    pub(super) fn put_down(&mut self, node: Node, anchor: Anchor) {
+    pub(super) fn add_anchored_node(&mut self, node: Node, anchor: Anchor) {
         let map_from_node = anchor.map_from_local * node.local_from_base;
         let nearest = self.nearest_in_map(map_from_node);
         let id = node.id;
@@ -186,7 +187,7 @@ impl Back {
         if let Some(nearest) = nearest {
             let measured = self.graph.poses()[nearest as usize].between(map_from_node);
             let information = information_from_sigmas(anchor.sigma_m.max(1e-3), anchor.sigma_rad.max(1e-3));
-            self.graph.add_edge([nearest, id], measured, information, EdgeKind::Placed, [0.0; 2]);
+            self.graph.add_edge([nearest, id], measured, information, EdgeKind::InitialPose, [0.0; 2]);
         }
     }
 
@@ -195,31 +196,31 @@ impl Back {
             let newest = self.nodes.last()?;
             Some(self.graph.poses()[newest.id as usize] * newest.local_from_base.inverse())
         };
-        let map_from_local = match (&self.seeker, &self.localizer) {
-            (Some(seeker), _) => seeker.hint().map(|hint| hint.map_from_local),
+        let map_from_local = match (&self.relocalizer, &self.localizer) {
+            (Some(relocalizer), _) => relocalizer.hint().map(|hint| hint.map_from_local),
             (None, Some(localizer)) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             (None, None) => of_graph(),
         };
         // Where a robot is in a fixed map it should know soon; what closures change can wait until
         // it is sure to have been worked out, so that a run can be repeated.
-        let soon = self.seeker.is_some() || self.localizer.is_some() || self.just_found;
+        let soon = self.relocalizer.is_some() || self.localizer.is_some() || self.just_found;
         let lag = if soon { 1 } else { self.config.graph.revision_lag_nodes };
         Revision {
             cause: self.newest_front,
             effective_from: self.newest_front.saturating_add(lag),
             map_from_local: map_from_local.unwrap_or_default(),
             closures: self.closures,
-            located: map_from_local.is_some() && self.located(),
+            located: map_from_local.is_some() && self.is_located(),
         }
     }
 
     /// The newest revision, for a scan path that begins.
-    pub fn newest_revision(&self) -> Revision {
+    pub fn latest_revision(&self) -> Revision {
         self.revision()
     }
 
     /// The node that one of the scan path's became; the newest if its numbers came twice.
-    pub fn node_of(&self, front_id: u32) -> Option<u32> {
+    pub fn node_from_front_end(&self, front_id: u32) -> Option<u32> {
         let newest = self.front_ids.len().checked_sub(1)?;
         // Numbers rise by one, but where nodes were dropped, or another scan path began.
         let guess = newest.checked_sub(self.front_ids[newest].checked_sub(front_id)? as usize)?;
@@ -232,30 +233,46 @@ impl Back {
 
     /// Every scan's stamp and `map_from_base`, those of earlier scan paths first: scans between nodes
     /// ride on their node.
-    pub fn trajectory<'a>(&'a self, rides: &'a [Ride]) -> impl Iterator<Item = (Stamp, Pose2)> + 'a {
+    pub fn trajectory<'a>(
+        &'a self,
+        samples: &'a [TrajectorySample],
+    ) -> impl Iterator<Item = (Stamp, Pose2)> + 'a {
         let poses = self.graph.poses();
-        let rides = self.rides(rides);
-        rides.map(|ride| (ride.stamp, poses[ride.node as usize] * ride.node_from_base))
+        let samples = self.samples(samples);
+        samples.map(|ride| (ride.stamp, poses[ride.node as usize] * ride.node_from_base))
     }
 
     /// Scans by this graph's own numbers, from the scan path's.
-    fn rides<'a>(&'a self, rides: &'a [Ride]) -> impl Iterator<Item = Ride> + 'a {
-        let newer = rides.iter().filter_map(|ride| Some(Ride { node: self.node_of(ride.node)?, ..*ride }));
+    fn samples<'a>(&'a self, samples: &'a [TrajectorySample]) -> impl Iterator<Item = TrajectorySample> + 'a {
+        let newer = samples.iter().filter_map(|ride| {
+            Some(TrajectorySample { node: self.node_from_front_end(ride.node)?, ..*ride })
+        });
         self.earlier.iter().copied().chain(newer)
     }
 
     /// All that must be kept to go on later. `front`: where the scan path is, after exactly the nodes
-    /// that were added here; it is kept if its newest nodes are the map's. `rides`: its scans, if they are to
+    /// that were added here; it is kept if its newest nodes are the map's. `samples`: its scans, if they are to
     /// be kept.
-    pub fn session(&self, identity: Identity, front: Option<FrontState>, rides: &[Ride]) -> Session {
-        let grows = self.seeker.is_none() && self.localizer.is_none();
-        let same = |front: &FrontState| front.next_node.checked_sub(1) == self.front_ids.last().copied();
+    pub fn session(
+        &self,
+        identity: Identity,
+        front: Option<FrontEndState>,
+        samples: &[TrajectorySample],
+    ) -> Session {
+        let grows = self.relocalizer.is_none() && self.localizer.is_none();
+        let same = |front: &FrontEndState| front.next_node.checked_sub(1) == self.front_ids.last().copied();
         let front = front.filter(|front| grows && same(front));
-        Session { identity, mode: self.mode, back: self.state(), front, rides: self.rides(rides).collect() }
+        Session {
+            identity,
+            mode: self.mode,
+            back: self.state(),
+            front,
+            samples: self.samples(samples).collect(),
+        }
     }
 
     /// How searches for the robot ended.
-    pub fn sought(&self) -> SeekCounts {
-        self.seeker.as_ref().map_or(self.sought, Seeker::counts)
+    pub fn relocalization(&self) -> RelocalizationCounts {
+        self.relocalizer.as_ref().map_or(self.relocalization, Relocalizer::counts)
     }
 }

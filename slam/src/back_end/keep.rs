@@ -1,14 +1,14 @@
 //! What of the back end is kept in a session.
 
-use super::{Back, Ban};
-use crate::closure::DetectorState;
+use super::{BackEnd, RejectedClosure};
+use crate::closure::ClosureDetectorState;
 use crate::graph::Edge;
 use crate::node::Node;
 use msg::Pose2;
 
 /// All that the back end knows, as plain values. Scans are shared, not copied.
 #[derive(Clone, Debug, Default)]
-pub struct BackState {
+pub struct BackEndState {
     /// The nodes, numbered from 0.
     pub nodes: Vec<Node>,
     /// The scan path's number of each.
@@ -34,21 +34,21 @@ pub struct BackState {
     /// Nodes forgotten.
     pub retired: u64,
     /// The newest node that odometry alone joins to the ones before.
-    pub joint: Option<u32>,
+    pub unverified_edge: Option<u32>,
     /// Finds that wait.
-    pub detector: DetectorState,
+    pub detector: ClosureDetectorState,
     /// Closures that were undone.
-    pub bans: Vec<Ban>,
+    pub rejected_closures: Vec<RejectedClosure>,
 }
 
-impl Back {
+impl BackEnd {
     /// All that must be kept to go on later.
-    pub fn state(&self) -> BackState {
-        BackState {
+    pub fn state(&self) -> BackEndState {
+        BackEndState {
             nodes: self.nodes.clone(),
             front_ids: self.front_ids.clone(),
             poses: self.graph.poses().to_vec(),
-            drawn: self.canvas.drawn(),
+            drawn: self.mapper.drawn(),
             edges: self.graph.edges().to_vec(),
             travelled_m: self.travelled_m,
             not_found: self.not_found.iter().copied().collect(),
@@ -57,9 +57,9 @@ impl Back {
             solutions: self.solutions,
             retracted: self.retracted,
             retired: self.retired,
-            joint: self.joint,
+            unverified_edge: self.unverified_edge,
             detector: self.detector.state(),
-            bans: self.bans.clone(),
+            rejected_closures: self.rejected_closures.clone(),
         }
     }
 }

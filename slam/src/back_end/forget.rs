@@ -11,7 +11,7 @@
 //! "Information-theoretic compression of pose graphs for laser-based SLAM", IJRR 2012: marginalising
 //! onto a tree keeps the graph sparse).
 
-use super::Back;
+use super::BackEnd;
 use crate::graph::{Edge, EdgeKind, Graph};
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
@@ -19,7 +19,7 @@ use nalgebra::Matrix3;
 /// Links of a node that others inherit.
 const INHERITED_MAX: usize = 16;
 
-impl Back {
+impl BackEnd {
     /// Called after each node of a map that is to last.
     pub(super) fn forget(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_in_map()) else { return };
@@ -48,7 +48,7 @@ impl Back {
     fn same_view(&self, a: usize, b: usize, scale: f64) -> bool {
         let l = &self.config.lifelong;
         let (p, q) = (self.graph.poses()[a], self.graph.poses()[b]);
-        let together = self.nodes[a].adrift == self.nodes[b].adrift;
+        let together = self.nodes[a].disconnected == self.nodes[b].disconnected;
         together
             && p.distance_m(q) < scale * l.view_m
             && wrap_angle(p.yaw_rad - q.yaw_rad).abs() < scale * l.view_rad
@@ -127,7 +127,7 @@ impl Back {
         self.contradicted.retain(|_| (keep(id), id += 1).0);
         self.not_found = self.not_found.iter().filter_map(|id| number(*id)).collect();
         self.again = self.again.iter().filter_map(|id| number(*id)).collect();
-        self.bans.retain_mut(|ban| match (number(ban.a), number(ban.b)) {
+        self.rejected_closures.retain_mut(|ban| match (number(ban.a), number(ban.b)) {
             (Some(a), Some(b)) => ((ban.a, ban.b) = (a, b), true).1,
             _ => false,
         });
@@ -136,7 +136,7 @@ impl Back {
         self.count_closures();
         self.earlier.clear();
         // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
-        self.canvas.restore(&self.nodes, self.graph.poses());
+        self.mapper.restore(&self.nodes, self.graph.poses());
     }
 }
 
@@ -151,7 +151,7 @@ fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
         match neighbours.iter_mut().find(|n| n.0 == other(e)) {
             Some(n) => {
                 n.1 += e.information;
-                n.3 = if n.3 == EdgeKind::Torn { e.kind } else { n.3 };
+                n.3 = if n.3 == EdgeKind::OdometryBreak { e.kind } else { n.3 };
             }
             None => neighbours.push((other(e), e.information, e.variance, e.kind)),
         }
@@ -164,7 +164,7 @@ fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     for &(to, information, variance, kind) in neighbours.iter().skip(1).take(INHERITED_MAX) {
         let linked = |e: &Edge| e.in_force && ((e.a == heir && e.b == to) || (e.a == to && e.b == heir));
         // The order along the way is held by odometry's edges: they are always handed on.
-        let along = matches!(kind, EdgeKind::Odometry | EdgeKind::Torn);
+        let along = matches!(kind, EdgeKind::Odometry | EdgeKind::OdometryBreak);
         if !along && edges.iter().any(linked) {
             continue;
         }

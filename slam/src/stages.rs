@@ -54,12 +54,12 @@ impl Stage {
 }
 
 /// Hears which stage begins; the one before has then ended.
-pub trait StageWatch: Send {
+pub trait StageObserver: Send {
     /// Called on the thread that does the work.
-    fn begins(&mut self, stage: Stage);
+    fn stage_started(&mut self, stage: Stage);
 }
 
 /// Nobody listens.
-impl StageWatch for () {
-    fn begins(&mut self, _: Stage) {}
+impl StageObserver for () {
+    fn stage_started(&mut self, _: Stage) {}
 }
