@@ -1,30 +1,33 @@
-//! `mr-slam demo`: a fleet, an operator who drives it over TCP as a headset would, and a report.
+//! `mr-slam demo`: a fleet with a scripted operator that drives it over TCP, as a headset would.
 
 use crate::run::Run;
-use crate::up::Passenger;
+use crate::up::FleetHooks;
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
+use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// How long the operator may take to say what it measured.
-const FAREWELL: Duration = Duration::from_secs(1);
+/// Longest time that the operator may take to print its report after SIGTERM.
+const REPORT_WAIT_MAX: Duration = Duration::from_secs(1);
+/// Time between two looks whether the operator has ended.
+const EXIT_POLL: Duration = Duration::from_millis(5);
 
-/// The operator's process.
-pub struct Operator {
+/// Scripted operator in a process of its own.
+pub struct OperatorProcess {
     seconds: Option<f64>,
     child: Option<Child>,
 }
 
-impl Operator {
-    /// Who knows how long there is plans the robots' turns by it.
+impl OperatorProcess {
+    /// An operator for a run of this length; it divides a known length into the robots' turns.
     pub fn new(seconds: Option<f64>) -> Self {
         Self { seconds, child: None }
     }
 }
 
-impl Passenger for Operator {
-    fn board(&mut self, run: &Run) -> io::Result<()> {
+impl FleetHooks for OperatorProcess {
+    fn on_start(&mut self, run: &Run) -> io::Result<()> {
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["operator", "tour", "--json", "--port", &run.port.to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
@@ -33,28 +36,28 @@ impl Passenger for Operator {
         if let Some(seconds) = self.seconds {
             command.args(["--seconds", &seconds.to_string()]);
         }
-        use std::os::unix::process::CommandExt;
+        // A process group of its own: Ctrl-C reaches the launcher alone, which then asks for the report.
         self.child = Some(command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0).spawn()?);
         Ok(())
     }
 
-    fn ride(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         true
     }
 
-    fn alight(&mut self) -> Option<serde_json::Value> {
+    fn on_stop(&mut self) -> Option<serde_json::Value> {
         let mut child = self.child.take()?;
         if let Some(pid) = Pid::from_raw(child.id() as i32) {
             let _ = kill_process(pid, Signal::TERM);
         }
-        let deadline = Instant::now() + FAREWELL;
+        let deadline = Instant::now() + REPORT_WAIT_MAX;
         while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
-            std::thread::sleep(Duration::from_millis(5));
+            std::thread::sleep(EXIT_POLL);
         }
         let _ = child.kill();
         let _ = child.wait();
-        let mut said = String::new();
-        child.stdout.take()?.read_to_string(&mut said).ok()?;
-        serde_json::from_str(&said).ok()
+        let mut report = String::new();
+        child.stdout.take()?.read_to_string(&mut report).ok()?;
+        serde_json::from_str(&report).ok()
     }
 }

@@ -35,5 +35,6 @@ pub mod merge_maps;
 pub mod replay;
 pub mod session_file;
 pub mod sessions;
+pub mod storage;
 // Their modules' new home, until every caller names it.
 pub use formats::{carmen, map_file};

@@ -20,10 +20,10 @@ use msg::{
     Message, Monotonic, PatchHeader, Pose2, RobotId, Scan, Stamp, Submap, SubmapPoses, TileMap,
     TrackingState, VelocityCommand,
 };
-use nav::sight::{MapView, RobotSight, ScanView, Sight};
-use nav::tour::{Hand, Tour, TourConfig};
+use nav::{ExplorationTour, FleetObservation, MapView, RobotObservation, ScanView, TourConfig};
+use operator::joystick::SimulatedJoystick;
 use sim::{Simulator, Tick};
-use slam::{Identity, Session, Slam, Start, Submaps};
+use slam::{Identity, InitialPose, Session, Slam, Submaps};
 use std::collections::BTreeMap;
 use telemetry::Telemetry;
 
@@ -41,7 +41,8 @@ pub struct Lockstep {
     joint: FleetPoseGraph,
     edges: Box<MergeEdges>,
     telemetry: Telemetry,
-    tour: Option<Tour>,
+    tour: Option<ExplorationTour>,
+    joystick: SimulatedJoystick,
     together: bool,
     known: Vec<Option<Pose2>>,
     merged_map: Chart,
@@ -120,7 +121,8 @@ impl Lockstep {
             joint: FleetPoseGraph::new(&config.merge.align, &known),
             edges: Box::default(),
             telemetry: Telemetry::new(config.fleet.robots, Some(room.floor_plan(PLAN_RESOLUTION_M)), &truth),
-            tour: Tour::new(tour, robots),
+            tour: ExplorationTour::new(tour, robots),
+            joystick: SimulatedJoystick::default(),
             together,
             known,
             merged_map: Chart::default(),
@@ -177,22 +179,23 @@ impl Lockstep {
         of_robots.chain(self.merged_map.view().map(|map| ("merged_map".into(), map)))
     }
 
-    /// The operator looks and moves the stick.
+    /// Steps the tour and drives each robot by its simulated joystick, as the operator does.
     fn drive(&mut self, listener: Listener<'_>) {
         let Some(tour) = &mut self.tour else { return };
         let stamp = Stamp(self.ticks as i64 * Simulator::TICK.as_nanos() as i64);
-        let map = self.merged_map.view().and_then(MapView::log_odds);
-        let sights: Vec<RobotSight<'_>> =
-            self.members.iter().map(|m| m.sight(map, &self.map_transforms)).collect();
-        let sight = Sight { stamp, robots: &sights };
-        let mut hands = Vec::new();
+        let map = self.merged_map.view().and_then(MapView::from_log_odds);
+        let robots: Vec<RobotObservation<'_>> =
+            self.members.iter().map(|m| m.observation(map, &self.map_transforms)).collect();
+        let observation = FleetObservation { stamp, robots: &robots };
+        let mut drive_commands = Vec::new();
         if self.together {
-            tour.step_all(&sight, &mut hands);
+            tour.step_all(&observation, &mut drive_commands);
         } else {
-            hands.push(tour.step(&sight));
+            drive_commands.push(tour.step_in_turn(&observation));
         }
-        for Hand { robot, stick } in hands {
-            let twist = TourConfig::default().joystick.twist(stick);
+        for drive_command in drive_commands {
+            let robot = drive_command.robot;
+            let twist = self.joystick.drive(stamp, &drive_command);
             let mut command = VelocityCommand {
                 linear_m_s: twist.linear_m_s,
                 angular_rad_s: twist.angular_rad_s,
@@ -214,7 +217,7 @@ impl Lockstep {
                 truths.iter().enumerate().filter(|(peer, _)| *peer != index && self.ticks > 0)
             {
                 if let Some(peer) = RobotId::new(peer + 1) {
-                    member.simulator.see(peer, truth);
+                    member.simulator.update_peer(peer, truth);
                 }
             }
             let tick = member.simulator.step();
@@ -274,9 +277,9 @@ impl Lockstep {
 fn slam(config: &FleetConfig, robot: RobotId) -> Result<Slam, FleetError> {
     let first = sessions::first(config, robot).map_err(SessionsError::from)?;
     let mode = sessions::first_mode(config, first.is_some());
-    let mut slam = Slam::begin(config.slam.clone(), first, mode, Start::Unknown);
+    let mut slam = Slam::begin(config.slam.clone(), first, mode, InitialPose::Unknown);
     // No scan of this run is in it yet.
-    slam.back_mut().date_map(Header::default(), Monotonic::default());
+    slam.back_mut().set_map_header(Header::default(), Monotonic::default());
     Ok(slam)
 }
 
@@ -295,7 +298,7 @@ impl Member {
         if let Some(mut odometry) = tick.odometry {
             voice.say(&channel::odometry(robot), &mut odometry, listener);
             self.odom_from_base = odometry.odom_from_base;
-            self.slam.odometry(&odometry);
+            self.slam.add_odometry(&odometry);
         }
         if let Some(mut transforms) = tick.transforms {
             voice.say(&channel::transforms(robot), &mut transforms, listener);
@@ -345,21 +348,26 @@ impl Member {
         }
     }
 
-    /// The robot as the operator sees it: in its own map while its place in the merged one is not known.
-    fn sight<'a>(&'a self, merged: Option<MapView<'a>>, map_transforms: &MapTransforms) -> RobotSight<'a> {
+    /// The robot as navigation sees it: in its own map while its place in the merged one is not known.
+    fn observation<'a>(
+        &'a self,
+        merged: Option<MapView<'a>>,
+        map_transforms: &MapTransforms,
+    ) -> RobotObservation<'a> {
         let map_transform = map_transforms.robots[self.robot.index()];
-        let is_merged = map_transform.known != 0;
-        let map_from_robot_map = if is_merged { map_transform.map_from_robot_map } else { Pose2::IDENTITY };
-        let in_map = self
+        let in_merged_map = map_transform.known != 0;
+        let map_from_robot_map =
+            if in_merged_map { map_transform.map_from_robot_map } else { Pose2::IDENTITY };
+        let map_from_base = self
             .correction
             .map(|correction| map_from_robot_map * correction.map_from_odom * self.odom_from_base);
-        let own = || self.map.view().and_then(MapView::log_odds);
-        RobotSight {
+        let own = || self.map.view().and_then(MapView::from_log_odds);
+        RobotObservation {
             robot: self.robot,
-            map: if is_merged { merged } else { own() },
-            merged: is_merged,
-            map_from_base: in_map,
-            scan: self.scanned.then(|| ScanView::of_burger(&self.scan)),
+            map: if in_merged_map { merged } else { own() },
+            in_merged_map,
+            map_from_base,
+            scan: self.scanned.then(|| ScanView::from_burger_scan(&self.scan)),
         }
     }
 }

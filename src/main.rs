@@ -73,9 +73,9 @@ fn main() -> ExitCode {
 fn run(command: Command) -> Result<(), process::Error> {
     match command {
         Command::Demo(args) => {
-            drop(up::up(&args, &mut demo::Operator::new(args.seconds), &Stop::on_signals()?)?)
+            drop(up::up(&args, &mut demo::OperatorProcess::new(args.seconds), &Stop::on_signals()?)?)
         }
-        Command::Up(args) => drop(up::up(&args, &mut up::Alone, &Stop::on_signals()?)?),
+        Command::Up(args) => drop(up::up(&args, &mut up::NoHooks, &Stop::on_signals()?)?),
         Command::Status(args) => status::status(&args)?,
         Command::Doctor(args) => doctor::run(&args)?,
         Command::Edges(args) => merge_edges::run(&args)?,

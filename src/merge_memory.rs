@@ -2,11 +2,10 @@
 //! said. Read by the process that takes its place in the same run, and by nobody else.
 
 use crate::run::Run;
-use formats::atomic::write_durably;
+use crate::storage::Storage;
 use merge::{FleetPoseGraph, FleetSnapshot, SnapshotRejected};
 use msg::Monotonic;
 use serde::{Deserialize, Serialize};
-use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 /// The file's name in the run's folder.
@@ -45,8 +44,9 @@ enum Unusable {
     Fleet(#[from] SnapshotRejected),
 }
 
-/// What is on the disk.
-pub struct MergeMemory {
+/// What is saved, and when it is saved next.
+pub struct MergeMemory<S> {
+    storage: S,
     path: PathBuf,
     run: u64,
     kept: Option<FleetSnapshot>,
@@ -56,24 +56,25 @@ pub struct MergeMemory {
     said: Option<String>,
 }
 
-impl MergeMemory {
-    /// Lets the fleet go on with what an earlier process of this run kept. What cannot be used is said and ignored.
-    pub fn recalled(run: &Run, fleet: &mut FleetPoseGraph) -> Self {
+impl<S: Storage> MergeMemory<S> {
+    /// Lets the fleet go on with what an earlier process of this run saved. What cannot be used is reported and
+    /// ignored.
+    pub fn restore(run: &Run, storage: S, fleet: &mut FleetPoseGraph) -> Self {
         let path = run.dir.join(FILE);
-        let kept = recall(&path, run.begun.0, fleet).unwrap_or_else(|why| {
+        let kept = restore(&storage, &path, run.begun.0, fleet).unwrap_or_else(|why| {
             eprintln!("merge: {} {why}; goes on without it", path.display());
             None
         });
-        Self { path, run: run.begun.0, kept, due: Monotonic::default(), said: None }
+        Self { storage, path, run: run.begun.0, kept, due: Monotonic::default(), said: None }
     }
 
     /// Writes what is to be remembered, if it has changed.
-    pub fn keep(&mut self, fleet: &FleetPoseGraph, now: Monotonic) {
+    pub fn save(&mut self, fleet: &FleetPoseGraph, now: Monotonic) {
         let memory = fleet.snapshot();
         if self.kept.as_ref() == Some(&memory) || now < self.due {
             return;
         }
-        match write(&self.path, self.run, &memory) {
+        match write(&self.storage, &self.path, self.run, &memory) {
             Ok(()) => (self.kept, self.said) = (Some(memory), None),
             Err(why) => {
                 self.due = Monotonic(now.0 + AGAIN_NS);
@@ -86,24 +87,24 @@ impl MergeMemory {
     }
 }
 
-fn write(path: &Path, run: u64, fleet: &FleetSnapshot) -> Result<(), String> {
+fn write(storage: &impl Storage, path: &Path, run: u64, fleet: &FleetSnapshot) -> Result<(), String> {
     let kept = Kept { version: VERSION, run, fleet: fleet.clone() };
     let text = serde_json::to_vec(&kept).map_err(|why| why.to_string())?;
-    write_durably(path, |file| file.write_all(&text)).map_err(|why| format!("{}: {why}", path.display()))
+    storage.write(path, &text).map_err(|why| why.to_string())
 }
 
-/// What was remembered, if there is anything.
-fn recall(path: &Path, run: u64, fleet: &mut FleetPoseGraph) -> Result<Option<FleetSnapshot>, Unusable> {
+/// Reads what was saved, if there is anything.
+fn restore(
+    storage: &impl Storage,
+    path: &Path,
+    run: u64,
+    fleet: &mut FleetPoseGraph,
+) -> Result<Option<FleetSnapshot>, Unusable> {
     let content = |why: &dyn ToString| Unusable::Content(why.to_string());
-    let mut bytes = Vec::new();
-    match std::fs::File::open(path) {
+    let bytes = match storage.read(path, BYTES_MAX) {
         Err(why) if why.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(why) => return Err(content(&why)),
-        Ok(file) => file.take(BYTES_MAX + 1).read_to_end(&mut bytes).map_err(|why| content(&why))?,
+        bytes => bytes.map_err(|why| content(&why))?,
     };
-    if bytes.len() as u64 > BYTES_MAX {
-        return Err(content(&"is longer than 1 MiB"));
-    }
     let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(|why| content(&why))?;
     // First of all: the rest of another version may be anything.
     match value["version"].as_u64() {
@@ -122,6 +123,7 @@ fn recall(path: &Path, run: u64, fleet: &mut FleetPoseGraph) -> Result<Option<Fl
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::storage::DiskStorage;
     use merge::AlignConfig;
     use msg::{EdgeAction, Pose2, RobotId};
 
@@ -141,20 +143,26 @@ mod tests {
     fn what_was_written_comes_back_to_the_last_digit_and_is_not_written_again() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(FILE);
-        assert!(recall(&path, 7, &mut fresh(2)).unwrap().is_none());
+        assert!(restore(&DiskStorage, &path, 7, &mut fresh(2)).unwrap().is_none());
         let fleet = pinned();
-        let mut memory =
-            MergeMemory { path: path.clone(), run: 7, kept: None, due: Monotonic(0), said: None };
-        memory.keep(&fleet, Monotonic(1));
+        let mut memory = MergeMemory {
+            storage: DiskStorage,
+            path: path.clone(),
+            run: 7,
+            kept: None,
+            due: Monotonic(0),
+            said: None,
+        };
+        memory.save(&fleet, Monotonic(1));
         let mut again = fresh(2);
-        assert_eq!(recall(&path, 7, &mut again).unwrap(), Some(fleet.snapshot()));
+        assert_eq!(restore(&DiskStorage, &path, 7, &mut again).unwrap(), Some(fleet.snapshot()));
         assert_eq!(again.snapshot(), fleet.snapshot());
         assert_eq!(
             again.map_from_robot_map(RobotId::new(2).unwrap()),
             fleet.map_from_robot_map(RobotId::new(2).unwrap())
         );
         std::fs::remove_file(&path).unwrap();
-        memory.keep(&fleet, Monotonic(2));
+        memory.save(&fleet, Monotonic(2));
         assert!(!path.exists());
     }
 
@@ -162,12 +170,12 @@ mod tests {
     fn what_cannot_be_used_is_refused_with_the_reason_and_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(FILE);
-        write(&path, 7, &pinned().snapshot()).unwrap();
+        write(&DiskStorage, &path, 7, &pinned().snapshot()).unwrap();
         let whole = std::fs::read_to_string(&path).unwrap();
         let refused = |run, robots, text: &str| {
             std::fs::write(&path, text).unwrap();
             let (mut fleet, untouched) = (fresh(robots), fresh(robots).snapshot());
-            let why = recall(&path, run, &mut fleet).unwrap_err().to_string();
+            let why = restore(&DiskStorage, &path, run, &mut fleet).unwrap_err().to_string();
             assert_eq!(fleet.snapshot(), untouched, "{text}");
             why
         };
@@ -186,9 +194,13 @@ mod tests {
 
     #[test]
     fn a_folder_that_is_gone_costs_the_memory_and_nothing_else() {
-        let path = tempfile::tempdir().unwrap().path().join(FILE);
-        let mut memory = MergeMemory { path, run: 7, kept: None, due: Monotonic(0), said: None };
-        memory.keep(&pinned(), Monotonic(1));
+        let folder = tempfile::tempdir().unwrap();
+        // A file where the folder should be.
+        std::fs::write(folder.path().join("run"), "").unwrap();
+        let path = folder.path().join("run").join(FILE);
+        let mut memory =
+            MergeMemory { storage: DiskStorage, path, run: 7, kept: None, due: Monotonic(0), said: None };
+        memory.save(&pinned(), Monotonic(1));
         assert!(memory.said.is_some() && memory.due > Monotonic(1));
     }
 }

@@ -84,7 +84,7 @@ pub trait ReadPort<T: Message> {
 /// Writes a map's channel: the tiles that changed, and the whole map to readers that ask.
 pub trait WriteMapPort {
     /// Wakes the writer when a reader asks for the whole map.
-    type Listener;
+    type Listener: 'static;
     /// Sends what readers lack of `map`, a bounded part at a time: call it again after [`MAP_PAUSE`] while it returns
     /// false, and now and then, as readers may ask for the whole.
     fn send(&mut self, map: &TileMap) -> bool;
@@ -113,7 +113,7 @@ pub trait Ports {
     /// Reads a channel.
     type Reader<T: Message>: ReadPort<T>;
     /// Wakes its owner when a channel is written.
-    type Listener;
+    type Listener: 'static;
     /// Writes a map's channel.
     type MapWriter: WriteMapPort<Listener = Self::Listener>;
     /// Reads a map's channel.

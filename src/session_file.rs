@@ -10,7 +10,7 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 /// Largest file that is read, bytes. 20 000 nodes of a dense LiDAR take about 300 MB.
-const BYTES_MAX: u64 = 1 << 30;
+pub(crate) const BYTES_MAX: u64 = 1 << 30;
 
 /// Reason why a session file could not be read or written.
 #[derive(Debug, thiserror::Error)]

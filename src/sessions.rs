@@ -5,6 +5,7 @@
 use crate::config::FleetConfig;
 use crate::run::Run;
 use crate::session_file::{self, SessionFileError};
+use crate::storage::Storage;
 use msg::{Pose2, RobotId, SlamMode};
 use serde::{Deserialize, Serialize};
 use slam::{Identity, Session};
@@ -118,6 +119,14 @@ pub fn file(folder: &Path, robot: RobotId) -> PathBuf {
 /// Where a run's own sessions are.
 pub fn folder(run: &Run) -> PathBuf {
     run.dir.join(FOLDER)
+}
+
+/// Reads a robot's session from wherever a run's files are.
+pub fn read(storage: &impl Storage, path: &Path, identity: &Identity) -> Result<Session, SessionFileError> {
+    let bytes = storage
+        .read(path, session_file::BYTES_MAX)
+        .map_err(|source| SessionFileError::Io { file: path.to_owned(), source })?;
+    Session::decode(&bytes, identity).map_err(|why| SessionFileError::Content { file: path.to_owned(), why })
 }
 
 /// Who a robot of a run is.

@@ -1,9 +1,13 @@
 //! Keeps the fleet's processes running, each by itself: a child that ends is cleaned up after and
 //! started again, and its peers notice nothing but its silence.
 
+pub mod restarts;
+
+use crate::clock::now;
 use crate::processes::{self, ProcessRow};
 use crate::run::Run;
 use msg::{Pose2, RobotId, Role};
+use restarts::{DEATHS_MAX, RestartPolicy, State};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io;
 use std::net::TcpListener;
@@ -12,15 +16,6 @@ use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// The shortest time between a death and the next start: leaves a moment to be seen in the table,
-/// and keeps a child that cannot start from taking a core.
-const RESTART_DELAY: Duration = Duration::from_millis(200);
-/// The longest: back-off doubles up to here.
-const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
-/// A child that lived this long has recovered; its next death starts the back-off anew.
-const HEALTHY_AFTER: Duration = Duration::from_secs(10);
-/// After so many deaths in a row it is held: something is wrong that no restart mends.
-const DEATHS_MAX: u32 = 8;
 /// How long a child may take to end when asked, before it is killed. The whole fleet ends within
 /// 5 s, of which the maps' writing takes some.
 const END_GRACE: Duration = Duration::from_secs(2);
@@ -29,14 +24,9 @@ const END_GRACE: Duration = Duration::from_secs(2);
 struct Member {
     row: &'static ProcessRow,
     robot: Option<RobotId>,
-    state: State,
-    deaths: u32,
-}
-
-enum State {
-    Running { child: Child, since: Instant },
-    Waiting { until: Instant },
-    Held,
+    policy: RestartPolicy,
+    /// While it runs.
+    child: Option<Child>,
 }
 
 impl Member {
@@ -59,12 +49,12 @@ impl Supervisor {
     /// Starts all processes. The bridge inherits `listener`, so that a headset's attempts queue
     /// while it restarts.
     pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
-        let now = Instant::now();
-        let member = |(row, robot)| Member { row, robot, state: State::Waiting { until: now }, deaths: 0 };
+        let now = now();
+        let member = |(row, robot)| Member { row, robot, policy: RestartPolicy::new(now), child: None };
         let members = processes::of_fleet(&run.config).map(member).collect();
         let mut supervisor = Self { run: run.clone(), listener, members };
         supervisor.tend(&|_, _| None, &mut |_| {});
-        match supervisor.members.iter().find(|member| !matches!(member.state, State::Running { .. })) {
+        match supervisor.members.iter().find(|member| member.child.is_none()) {
             Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
             None => Ok(supervisor),
         }
@@ -86,20 +76,23 @@ impl Supervisor {
     }
 
     fn start_if_due(&mut self, index: usize, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
-        let Member { row, robot, state: State::Waiting { until }, .. } = self.members[index] else { return };
-        if Instant::now() < until {
+        let Member { row, robot, ref policy, .. } = self.members[index];
+        if !policy.is_due(now()) {
             return;
         }
         let place = robot.and_then(|robot| last_seen(row.role, robot));
         let started = self.spawn(row, robot, place);
         let member = &mut self.members[index];
-        member.state = match started {
-            Ok(child) => State::Running { child, since: Instant::now() },
+        match started {
+            Ok(child) => {
+                member.policy.on_started(now());
+                member.child = Some(child);
+            }
             Err(why) => {
                 tell(format!("cannot start the {}: {why}", member.name()));
-                after_death(member, tell)
+                record_death(member, tell);
             }
-        };
+        }
     }
 
     fn spawn(&self, row: &ProcessRow, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
@@ -122,44 +115,33 @@ impl Supervisor {
 
     /// Asks every child to end, then makes it, and leaves no shared memory behind.
     pub fn end(&mut self) {
-        for member in &self.members {
-            if let State::Running { child, .. } = &member.state {
-                signal(child, Signal::TERM);
-            }
-        }
+        let children = || self.members.iter().filter_map(|member| member.child.as_ref());
+        children().for_each(|child| signal(child, Signal::TERM));
         let deadline = Instant::now() + END_GRACE;
-        for member in &mut self.members {
-            if let State::Running { child, .. } = &mut member.state {
-                while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
-                    std::thread::sleep(Duration::from_millis(5));
-                }
-                let _ = child.kill();
-                let _ = child.wait();
+        for child in self.members.iter_mut().filter_map(|member| member.child.as_mut()) {
+            while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
+                std::thread::sleep(Duration::from_millis(5));
             }
+            let _ = child.kill();
+            let _ = child.wait();
         }
         self.run.domain.remove();
     }
 }
 
 fn notice_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> bool {
-    let State::Running { child, since } = &mut member.state else { return false };
+    let Some(child) = &mut member.child else { return false };
     let Ok(Some(status)) = child.try_wait() else { return false };
-    if since.elapsed() >= HEALTHY_AFTER {
-        member.deaths = 0;
-    }
+    member.child = None;
     tell(format!("the {} ended ({})", member.name(), describe(status)));
-    member.state = after_death(member, tell);
+    record_death(member, tell);
     true
 }
 
-fn after_death(member: &mut Member, tell: &mut dyn FnMut(String)) -> State {
-    member.deaths += 1;
-    if member.deaths > DEATHS_MAX {
+fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
+    if member.policy.on_death(now()) == State::Held {
         tell(format!("the {} died {DEATHS_MAX} times in a row and is not started again", member.name()));
-        return State::Held;
     }
-    let delay = RESTART_DELAY.saturating_mul(1 << (member.deaths - 1)).min(RESTART_DELAY_MAX);
-    State::Waiting { until: Instant::now() + delay }
 }
 
 fn describe(status: ExitStatus) -> String {

@@ -173,33 +173,33 @@ impl UpArgs {
     }
 }
 
-/// What rides along with a fleet: nothing for `up`, the operator for `demo`.
-pub trait Passenger {
-    /// The fleet is up.
-    fn board(&mut self, run: &Run) -> std::io::Result<()>;
-    /// Called often; must not block. False ends the fleet.
-    fn ride(&mut self) -> bool;
-    /// The fleet is about to end; what the passenger has to say goes into the report.
-    fn alight(&mut self) -> Option<serde_json::Value>;
+/// Hooks of a fleet's run: none for `up`, the scripted operator for `demo`.
+pub trait FleetHooks {
+    /// Called once, when the fleet's processes have been started.
+    fn on_start(&mut self, run: &Run) -> std::io::Result<()>;
+    /// Called several times a second; the fleet ends once it returns false.
+    fn poll(&mut self) -> bool;
+    /// Called once, before the fleet's processes end. The value becomes the operator's part of the report.
+    fn on_stop(&mut self) -> Option<serde_json::Value>;
 }
 
-/// A fleet without passenger.
-pub struct Alone;
+/// Hooks that do nothing.
+pub struct NoHooks;
 
-impl Passenger for Alone {
-    fn board(&mut self, _: &Run) -> std::io::Result<()> {
+impl FleetHooks for NoHooks {
+    fn on_start(&mut self, _: &Run) -> std::io::Result<()> {
         Ok(())
     }
-    fn ride(&mut self) -> bool {
+    fn poll(&mut self) -> bool {
         true
     }
-    fn alight(&mut self) -> Option<serde_json::Value> {
+    fn on_stop(&mut self) -> Option<serde_json::Value> {
         None
     }
 }
 
 /// Runs a fleet from start to end.
-pub fn up(args: &UpArgs, passenger: &mut dyn Passenger, stop: &Stop) -> Result<Report, UpError> {
+pub fn up(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
     let config = args.config()?;
     fleet::check(&config)?;
     let (address, port) = (config.fleet.address.clone(), config.fleet.port);
@@ -214,7 +214,7 @@ pub fn up(args: &UpArgs, passenger: &mut dyn Passenger, stop: &Stop) -> Result<R
         .map_err(FleetError::from)?;
     let mut screen = Screen::new(&run);
     let mut supervisor = Supervisor::start(&run, listener)?;
-    let result = watch(&run, args.seconds, &mut supervisor, passenger, &mut screen, stop);
+    let result = watch(&run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
     supervisor.end();
     let report = result?;
     report.write(&run.dir)?;
@@ -227,17 +227,17 @@ fn watch(
     run: &Run,
     seconds: Option<f64>,
     supervisor: &mut Supervisor,
-    passenger: &mut dyn Passenger,
+    hooks: &mut dyn FleetHooks,
     screen: &mut Screen,
     stop: &Stop,
 ) -> Result<Report, UpError> {
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
     let mut desk = Desk::new(run);
-    passenger.board(run)?;
+    hooks.on_start(run)?;
     let begun = Instant::now();
     let over = |begun: Instant| seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
     let mut events = Vec::new();
-    while !stop.requested() && !over(begun) && passenger.ride() {
+    while !stop.requested() && !over(begun) && hooks.poll() {
         supervisor.tend(&|role, robot| observer.last_seen(role, robot), &mut |event| {
             screen.tell(&event);
             events.push(event);
@@ -258,7 +258,7 @@ fn watch(
         }
         std::thread::sleep(TEND_PERIOD);
     }
-    let passenger_says = passenger.alight();
+    let operator_report = hooks.on_stop();
     std::thread::sleep(LAST_LOOK);
     observer.look();
     let maps = observer.write_maps(&run.dir)?;
@@ -268,7 +268,7 @@ fn watch(
         (fleet.doors, fleet.merge_edges) = (desk.last, observer.merge_edges());
         fleet
     });
-    Ok(Report::new(run, begun.elapsed(), fleet, passenger_says, maps, events))
+    Ok(Report::new(run, begun.elapsed(), fleet, operator_report, maps, events))
 }
 
 /// The person at the laptop: what they see of the doors, and their keys.
@@ -292,7 +292,7 @@ impl<'a> Desk<'a> {
     }
 
     fn help(&self) -> &'static str {
-        match self.keys.work() {
+        match self.keys.available() {
             true => "a lets in who asks, d refuses; s stops all robots, r releases; Ctrl-C ends",
             false => "Ctrl-C ends",
         }
@@ -301,7 +301,7 @@ impl<'a> Desk<'a> {
     /// What a key has done, if one was pressed that means something.
     fn pressed(&mut self) -> Option<String> {
         let who = || self.last.as_ref().and_then(|doors| doors.waiting.first().copied());
-        let (request, done) = match self.keys.pressed()? {
+        let (request, done) = match self.keys.next_key()? {
             'a' => (Request::Allow(who()?), format!("{} may drive, now and in later runs", who()?)),
             'd' => (Request::Deny(who()?), format!("{} may not drive", who()?)),
             's' => (Request::Stop, "every robot stands until r is pressed".into()),

@@ -2,7 +2,7 @@
 //! count of allocations. The fleet goes on running beside it.
 
 use crate::client::{Client, EVERYTHING};
-use bridge::{Bridge, BridgeConfig, serve};
+use bridge::{Bridge, BridgeConfig, FleetMessage, serve};
 use bytemuck::Zeroable;
 use mr_slam::clock::now;
 use msg::{Clock, Correction, GridHeader, GridView, RobotId, Scan, Transforms};
@@ -28,7 +28,7 @@ fn start() -> Result<(u16, UnboundedSender<Job>), Box<dyn Error>> {
             let bridge = Rc::new(Bridge::new(BridgeConfig::default(), 3, |_, _| {}).expect("the default"));
             let listener = tokio::net::TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
             tell.send(listener.local_addr().expect("an address").port()).expect("somebody asked");
-            tokio::task::spawn_local(serve(bridge.clone(), listener, std::future::pending()));
+            tokio::task::spawn_local(serve(bridge.clone(), listener, now, std::future::pending()));
             while let Some(job) = todo.recv().await {
                 job(&bridge);
             }
@@ -55,7 +55,9 @@ pub fn large_maps(count: usize) -> Result<Vec<f64>, Box<dyn Error>> {
         let begun = now();
         jobs.send(Box::new(move |bridge| {
             let shape = GridHeader { width: SIDE, height: SIDE, resolution_m: 0.05, ..GridHeader::default() };
-            bridge.merged_map(GridView::new(&shape, &cells).expect("the shape is the cells'"));
+            bridge.publish(FleetMessage::MergedMap(
+                GridView::new(&shape, &cells).expect("the shape is the cells'"),
+            ));
         }))?;
         client.next(|_, payload| payload.len())?.ok_or("the map did not come")?;
         // Two to warm up: fresh memory costs more than the map.
@@ -82,11 +84,14 @@ pub fn allocations(rounds: usize) -> Result<(usize, usize), Box<dyn Error>> {
         let cells = vec![0; 200 * 200];
         let shape = GridHeader { width: 200, height: 200, resolution_m: 0.05, ..GridHeader::default() };
         let round = || {
-            bridge.transforms(robot, &Transforms::default());
-            bridge.correction(robot, &Correction::default());
-            bridge.clock(&Clock::default());
-            bridge.scan(robot, &scan);
-            bridge.map(robot, GridView::new(&shape, &cells).expect("the shape is the cells'"));
+            bridge.publish(FleetMessage::Transforms(robot, &Transforms::default()));
+            bridge.publish(FleetMessage::Correction(robot, &Correction::default()));
+            bridge.publish(FleetMessage::Clock(&Clock::default()));
+            bridge.publish(FleetMessage::Scan(robot, &scan));
+            bridge.publish(FleetMessage::Map(
+                robot,
+                GridView::new(&shape, &cells).expect("the shape is the cells'"),
+            ));
         };
         (0..rounds).for_each(|_| round());
         while let Ok(rounds) = begin.recv() {

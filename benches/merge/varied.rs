@@ -5,7 +5,7 @@ use super::pairs::{Outcome, Pair};
 use super::table::{Row, Table};
 use msg::grid::{OCCUPIED_MIN, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, Pose2};
-use nav::rng::Rng;
+use nav::RandomNumbers;
 use std::f64::consts::TAU;
 
 /// How a map is varied: by a seed.
@@ -78,7 +78,7 @@ fn noisy(map: &Grid, seed: u64) -> Grid {
     let mut random = seed;
     let mut noisy = map.clone();
     for cell in noisy.cells.iter_mut().filter(|cell| **cell != UNKNOWN) {
-        random = Rng::new(random).bits();
+        random = RandomNumbers::new(random).next_u64();
         if random.is_multiple_of(500) {
             *cell = if occupancy(*cell) == Occupancy::Occupied { -60 } else { 60 };
         }
@@ -137,5 +137,5 @@ fn resampled(map: &Grid, yaw_rad: f64, source: impl Fn([f64; 2]) -> [f64; 2]) ->
 }
 
 fn share(seed: u64) -> f64 {
-    (Rng::new(seed).bits() >> 11) as f64 / (1_u64 << 53) as f64
+    (RandomNumbers::new(seed).next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }

@@ -4,7 +4,7 @@
 use core::f64::consts::TAU;
 use formats::carmen::LaserLine;
 use msg::{Pose2, pose::wrap_angle};
-use nav::rng::Rng;
+use nav::RandomNumbers;
 use serde::{Deserialize, Serialize};
 
 /// Where the noise begins: the same for every run.
@@ -76,7 +76,7 @@ pub struct Maker {
 impl Maker {
     /// Before the first line.
     pub fn new(varied: Varied) -> Self {
-        Self { varied, noise: Noise(Rng::new(SEED)), before: None }
+        Self { varied, noise: Noise(RandomNumbers::new(SEED)), before: None }
     }
 
     /// The line as the other robot would have it.
@@ -118,12 +118,12 @@ impl Maker {
 }
 
 /// Noise of a seed.
-struct Noise(Rng);
+struct Noise(RandomNumbers);
 
 impl Noise {
     /// Uniform in (0, 1].
     fn uniform(&mut self) -> f64 {
-        ((self.0.bits() >> 11) + 1) as f64 / (1_u64 << 53) as f64
+        ((self.0.next_u64() >> 11) + 1) as f64 / (1_u64 << 53) as f64
     }
 
     /// Of standard deviation 1 (Box and Muller 1958).

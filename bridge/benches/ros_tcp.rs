@@ -8,7 +8,7 @@
 use bridge::command::{Registration, name};
 use bridge::frame::{Parser, Side};
 use bridge::ros::{Message, Twist, encode};
-use bridge::{Bridge, BridgeConfig, serve};
+use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 use msg::{
     Clock, Correction, GridHeader, GridView, Header, Link, LinkTransform, RobotId, Scan, Stamp, Transforms,
 };
@@ -45,7 +45,12 @@ impl Server {
                 let bridge = Rc::new(Bridge::new(BridgeConfig::default(), ROBOTS, on_command).unwrap());
                 let listener = tokio::net::TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
                 tell_address.send(listener.local_addr().unwrap()).unwrap();
-                tokio::task::spawn_local(serve(bridge.clone(), listener, std::future::pending()));
+                tokio::task::spawn_local(serve(
+                    bridge.clone(),
+                    listener,
+                    process_clock,
+                    std::future::pending(),
+                ));
                 while let Some(job) = todo.recv().await {
                     job(&bridge);
                 }
@@ -177,16 +182,26 @@ fn mix(seconds: u64) {
         let due = begin + Duration::from_millis(10 * tick);
         thread::sleep(due.saturating_duration_since(Instant::now()));
         let mut scan = scan.clone();
-        server.jobs.send(Box::new(move |bridge| bridge.clock(&Clock { header: header(begin) }))).unwrap();
+        server
+            .jobs
+            .send(Box::new(move |bridge| {
+                bridge.publish(FleetMessage::Clock(&Clock { header: header(begin) }))
+            }))
+            .unwrap();
         for robot in RobotId::first(ROBOTS) {
             if tick % 5 == robot.index() as u64 {
-                let job: Job = Box::new(move |bridge| bridge.transforms(robot, &links(header(begin))));
+                let job: Job = Box::new(move |bridge| {
+                    bridge.publish(FleetMessage::Transforms(robot, &links(header(begin))))
+                });
                 server.jobs.send(job).unwrap();
             }
             if tick % 10 == 5 + robot.index() as u64 {
                 scan.header = header(begin);
                 let scan = scan.clone();
-                server.jobs.send(Box::new(move |bridge| bridge.scan(robot, &scan))).unwrap();
+                server
+                    .jobs
+                    .send(Box::new(move |bridge| bridge.publish(FleetMessage::Scan(robot, &scan))))
+                    .unwrap();
             }
         }
     }
@@ -225,7 +240,8 @@ fn rate_out(per_second: u64) {
         thread::sleep((begin + Duration::from_millis(5 * tick)).saturating_duration_since(Instant::now()));
         let job: Job = Box::new(move |bridge| {
             let robot = RobotId::new(1).unwrap();
-            (0..per_second / 200).for_each(|_| bridge.correction(robot, &Correction::default()));
+            (0..per_second / 200)
+                .for_each(|_| bridge.publish(FleetMessage::Correction(robot, &Correction::default())));
         });
         server.jobs.send(job).unwrap();
     }
@@ -288,7 +304,7 @@ fn large_map() {
                 let shape =
                     GridHeader { width: SIDE, height: SIDE, resolution_m: 0.05, ..GridHeader::default() };
                 let before = Instant::now();
-                bridge.merged_map(GridView::new(&shape, &cells).unwrap());
+                bridge.publish(FleetMessage::MergedMap(GridView::new(&shape, &cells).unwrap()));
                 tell.send(nanoseconds(before)).unwrap();
             });
             server.jobs.send(job).unwrap();
@@ -386,7 +402,10 @@ fn storm(connections: usize) {
     let go = |count: usize| {
         for _ in 0..count {
             let client = Client::connect(server.address, &registrations);
-            server.jobs.send(Box::new(|bridge| bridge.clock(&Clock::default()))).unwrap();
+            server
+                .jobs
+                .send(Box::new(|bridge| bridge.publish(FleetMessage::Clock(&Clock::default()))))
+                .unwrap();
             socket2::SockRef::from(&client.stream).set_linger(Some(Duration::ZERO)).unwrap();
         }
     };

@@ -1,7 +1,7 @@
 //! A bridge with a made-up fleet behind it: three robots on circles, at the rates of the real ones.
 //! For trying clients and probes without the fleet: `cargo run -p bridge --example serve -- --port 10000`.
 
-use bridge::{Bridge, BridgeConfig, serve};
+use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 use bytemuck::Zeroable;
 use msg::{
     Clock, Correction, FleetStats, GridHeader, GridView, Header, Link, LinkTransform, Odometry, Pose2,
@@ -34,7 +34,7 @@ fn main() -> std::io::Result<()> {
         if !quiet {
             tokio::task::spawn_local(fleet(bridge.clone()));
         }
-        serve(bridge, listener, std::future::pending()).await;
+        serve(bridge, listener, process_clock, std::future::pending()).await;
         Ok(())
     })
 }
@@ -48,18 +48,24 @@ async fn fleet(bridge: Rc<Bridge>) {
     for tick in 0_u64.. {
         ticks.tick().await;
         let header = Header { stamp: Stamp(begin.elapsed().as_nanos() as i64), ..Header::default() };
-        bridge.clock(&Clock { header });
+        bridge.publish(FleetMessage::Clock(&Clock { header }));
         for robot in RobotId::first(ROBOTS) {
             let yaw = 0.2 * header.stamp.seconds();
             let place = Pose2::new(yaw.sin(), 1.0 - yaw.cos() + robot.number() as f64, yaw);
             if tick % 5 == robot.index() as u64 {
-                bridge.transforms(robot, &links(header, place));
-                bridge.odometry(robot, &Odometry { header, odom_from_base: place, ..Odometry::default() });
+                bridge.publish(FleetMessage::Transforms(robot, &links(header, place)));
+                bridge.publish(FleetMessage::Odometry(
+                    robot,
+                    &Odometry { header, odom_from_base: place, ..Odometry::default() },
+                ));
             }
             if tick % 10 == robot.index() as u64 {
-                bridge.scan(robot, &scan(header));
+                bridge.publish(FleetMessage::Scan(robot, &scan(header)));
                 let state = msg::TrackingState::Tracking as u32;
-                bridge.correction(robot, &Correction { header, state, ..Correction::default() });
+                bridge.publish(FleetMessage::Correction(
+                    robot,
+                    &Correction { header, state, ..Correction::default() },
+                ));
             }
         }
         if tick % 100 == 7 {
@@ -97,7 +103,11 @@ fn scan(header: Header) -> Scan {
 fn maps(bridge: &Bridge, header: Header, cells: &[i8]) {
     let shape = GridHeader { header, width: SIDE, height: SIDE, resolution_m: 0.05, ..GridHeader::default() };
     let Some(map) = GridView::new(&shape, cells) else { return };
-    RobotId::first(ROBOTS).for_each(|robot| bridge.map(robot, map));
-    bridge.merged_map(map);
-    bridge.stats(&FleetStats { header, robot_count: ROBOTS as u32, ..FleetStats::default() });
+    RobotId::first(ROBOTS).for_each(|robot| bridge.publish(FleetMessage::Map(robot, map)));
+    bridge.publish(FleetMessage::MergedMap(map));
+    bridge.publish(FleetMessage::Stats(&FleetStats {
+        header,
+        robot_count: ROBOTS as u32,
+        ..FleetStats::default()
+    }));
 }

@@ -1,71 +1,97 @@
-//! The bridge as its process sees it: messages of the fleet in, commands for robots out.
+//! The public interface of the bridge: the fleet's messages in, commands for robots out.
 
-use crate::board::Counters;
+use crate::access::Action;
 use crate::cdr::Dialect;
-use crate::client::{Client, ClientId, Ended};
-use crate::command::{handshake, name};
+use crate::command::name;
 use crate::config::{BridgeConfig, ConfigError};
-use crate::dds::Heard;
-use crate::frame::{Frame, Side};
-use crate::hub::{Hub, Outside};
-use crate::outbox::{Lane, Outbox};
-use crate::ros::{names, write};
-use crate::world::{ClockEstimate, Incoming, SourceClock, SourceId, World, WorldError};
-use msg::{
-    Clock, Correction, EdgeCommand, FleetStats, GridView, Link, MapTransforms, Odometry, ROBOTS_MAX, RobotId,
-    Scan, SlamRequest, Stamp, Transforms, VelocityCommand,
-};
+use crate::core::{ConnectError, Core};
+use crate::dds::ReceivedMessage;
+use crate::fleet_topics::FleetMessage;
+use crate::frame::Frame;
+use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters, OutgoingQueue};
+use crate::world::{ClockEstimate, ExternalWorld, WorldInput};
+use msg::{EdgeCommand, Monotonic, ROBOTS_MAX, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
-use std::rc::Rc;
-use std::time::Instant;
-use tokio::net::TcpStream;
-use tokio::sync::Notify;
 
-/// One connection, for the fleet's table.
+/// The state of one connection, for the operator's table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClientStatus {
-    /// Its address.
+    /// The client's address.
     pub peer: SocketAddr,
-    /// Topics it is sent.
+    /// Number of topics that are sent to the client.
     pub subscriptions: usize,
-    /// Topics it may send.
+    /// Number of topics that the client may publish.
     pub publications: usize,
-    /// Bytes that wait for it.
+    /// Bytes that wait for the client.
     pub waiting_bytes: usize,
-    /// Messages dropped or replaced because it was slow.
+    /// Messages dropped or replaced because the client was slow.
     pub dropped: u64,
-    /// Robots it drives now.
+    /// Robots whose lease the client holds now.
     pub drives: Vec<RobotId>,
-    /// Its clock, if it tells of a world of its own.
+    /// The client's clock, if it is the source of an external world.
     pub clock: Option<ClockEstimate>,
 }
 
-/// Sources from here on are not clients.
-pub const FIRST_SOURCE: SourceId = 1 << 48;
-
-/// What robots are told: by [`Bridge::new`]'s caller.
+/// Where velocities go.
 type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
-/// What merging is told: by [`Bridge::on_edge_command`]'s caller.
+/// Where commands for merging go.
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
-/// What robots' SLAM is asked: by [`Bridge::on_ask`]'s caller.
-type AskSink = Box<dyn FnMut(RobotId, SlamRequest)>;
+/// Where requests to SLAM go.
+type SlamRequestSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 
-/// The hub between the fleet and its clients. One thread; every method returns at once.
+/// The bridge between the fleet and its clients.
 ///
-/// Messages of the fleet are encoded only if somebody wants them (maps, statistics and states always, for those
-/// who come late), once for all, and written to the sockets before the method returns.
+/// It reads no clock, no socket and no file: `now` is a monotonic time of the caller's, clients connect with
+/// [`Bridge::connect`], and [`crate::serve`] connects those on TCP. It belongs to one thread, and every method
+/// returns without waiting.
+///
+/// A message of the fleet is encoded once for all clients, and only if somebody needs it; maps, statistics and states
+/// always, for late subscribers. It is written to the sockets before the method returns.
+///
+/// A client in this process drives robot 1, and leaves; the robot is stopped:
+/// ```
+/// use bridge::command::{Registration, name};
+/// use bridge::frame::{Parser, Side};
+/// use bridge::ros::{Message, Twist, encode};
+/// use bridge::{Bridge, BridgeConfig};
+/// use msg::Monotonic;
+/// use std::{cell::RefCell, rc::Rc};
+///
+/// let velocities = Rc::new(RefCell::new(Vec::new()));
+/// let sink = velocities.clone();
+/// let on_command = move |_robot, command: msg::VelocityCommand| sink.borrow_mut().push(command.linear_m_s);
+/// let bridge = Bridge::new(BridgeConfig::default(), 3, on_command)?;
+///
+/// let client = bridge.connect(([127, 0, 0, 1], 5000).into())?;
+/// let mut sent = Vec::new();
+/// let topic = "/cmd_vel_1".to_owned();
+/// let registration = Registration { topic, message_name: Twist::TYPE.into(), ..Default::default() };
+/// Side::Client.write_command(&mut sent, name::PUBLISH, &registration);
+/// let twist = Twist { linear: [0.1, 0.0, 0.0], ..Default::default() };
+/// Side::Client.write_with(&mut sent, "/cmd_vel_1", |out| encode(&twist, out));
+///
+/// let mut parser = Parser::new(1 << 20);
+/// parser.push(&sent);
+/// while let Some(frame) = parser.next_frame()? {
+///     bridge.receive(client, frame, Monotonic(0));
+/// }
+/// bridge.disconnect(client);
+/// assert_eq!(*velocities.borrow(), [0.1, 0.0]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Bridge {
-    hub: RefCell<Hub>,
-    sink: RefCell<CommandSink>,
-    edge_sink: RefCell<EdgeCommandSink>,
-    ask: RefCell<AskSink>,
+    core: RefCell<Core>,
+    on_command: RefCell<CommandSink>,
+    on_edge_command: RefCell<EdgeCommandSink>,
+    on_slam_request: RefCell<SlamRequestSink>,
 }
 
 impl Bridge {
-    /// For robots 1 to `robot_count`. `on_command` is called with every velocity a robot must obey now: `stamp` is
-    /// the fleet's newest clock, the rest of the header is the caller's to fill in. It must not call the bridge
-    /// with commands of its own.
+    /// Creates the bridge of robots 1 to `robot_count`, which are simulated or replayed in this fleet.
+    ///
+    /// `on_command` is called with every velocity that a robot must execute now. `header.stamp` is the fleet's newest
+    /// time; the caller fills in the rest of the header. It must not call the bridge with commands of its own.
     pub fn new(
         config: BridgeConfig,
         robot_count: usize,
@@ -74,345 +100,247 @@ impl Bridge {
         Self::open(config, robot_count, None, Box::new(on_command))
     }
 
-    /// The same in a world that is not simulated here: scans, the robots' transforms and the clock come from
-    /// clients, or by [`Bridge::hear`], and go to `world`'s sink. `now` tells the run's time. Commands go out on
-    /// `/cmd_vel_N` and `/robotN/cmd_vel`, too.
-    pub fn outside(
+    /// Creates the bridge of a world outside this fleet: a headset application's, or real robots.
+    ///
+    /// Scans, the robots' transforms and the clock come from clients or from DDS, and go to `world`'s sink. `stamp_at`
+    /// converts the bridge's `now` into the run's time. Velocities are also published on `/cmd_vel_N` and
+    /// `/robotN/cmd_vel`.
+    pub fn with_external_world(
         config: BridgeConfig,
-        world: World,
-        now: impl Fn() -> Stamp + 'static,
+        world: ExternalWorld,
+        stamp_at: impl Fn(Monotonic) -> Stamp + 'static,
         on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
         let robot_count = world.robot_count();
-        Self::open(config, robot_count, Some(Outside { world, now: Box::new(now) }), Box::new(on_command))
+        let input = WorldInput::new(world, config.clock_offset, Box::new(stamp_at));
+        Self::open(config, robot_count, Some(input), Box::new(on_command))
     }
 
     fn open(
         config: BridgeConfig,
         robot_count: usize,
-        outside: Option<Outside>,
-        sink: CommandSink,
+        world: Option<WorldInput>,
+        on_command: CommandSink,
     ) -> Result<Self, ConfigError> {
         config.validate()?;
-        let mut hub = Hub::new(config, robot_count.clamp(1, ROBOTS_MAX), outside);
-        hub.tell_selected();
-        hub.tell_stop();
         Ok(Self {
-            hub: RefCell::new(hub),
-            sink: RefCell::new(sink),
-            ask: RefCell::new(Box::new(|_, _| {})),
-            edge_sink: RefCell::new(Box::new(|_| {})),
+            core: RefCell::new(Core::new(config, robot_count.clamp(1, ROBOTS_MAX), world)),
+            on_command: RefCell::new(on_command),
+            on_edge_command: RefCell::new(Box::new(|_| {})),
+            on_slam_request: RefCell::new(Box::new(|_, _| {})),
         })
     }
 
-    /// From now on this is called with what people say of merge edges; else nobody hears it.
+    /// Sets where clients' commands for merging go. It must not call the bridge.
     pub fn on_edge_command(&self, sink: impl FnMut(EdgeCommand) + 'static) {
-        *self.edge_sink.borrow_mut() = Box::new(sink);
+        *self.on_edge_command.borrow_mut() = Box::new(sink);
     }
 
-    /// Calls `ask` from now on with whatever a robot's SLAM is to do; `client` and `id` are the caller's to fill in.
-    /// It must not call the bridge.
-    pub fn on_ask(&self, ask: impl FnMut(RobotId, SlamRequest) + 'static) {
-        *self.ask.borrow_mut() = Box::new(ask);
+    /// Sets where clients' requests to a robot's SLAM go. It must not call the bridge.
+    ///
+    /// The caller fills in the request's `client` and `id`.
+    pub fn on_slam_request(&self, sink: impl FnMut(RobotId, SlamRequest) + 'static) {
+        *self.on_slam_request.borrow_mut() = Box::new(sink);
     }
 
-    /// A message of a world outside that came in by another door than TCP. `source` tells machines apart, and is
-    /// none of a client's if it is [`FIRST_SOURCE`] or more; `clock` is that machine's.
-    pub fn hear(
-        &self,
-        source: SourceId,
-        clock: &mut SourceClock,
-        message: Incoming<'_>,
-    ) -> Result<(), WorldError> {
-        let hub = &mut *self.hub.borrow_mut();
-        let Some(Outside { world, now }) = &mut hub.outside else { return Ok(()) };
-        let received = now();
-        world.hear(source, clock, message, received)
-    }
-
-    /// Changes the hub, then hands to the sockets and the robots what that has brought about.
-    fn with<T>(&self, change: impl FnOnce(&mut Hub) -> T) -> T {
+    /// Changes the core, then writes the frames and passes on the commands that result.
+    fn update<T>(&self, change: impl FnOnce(&mut Core) -> T) -> T {
         let result = {
-            let hub = &mut *self.hub.borrow_mut();
-            let result = change(hub);
-            hub.board.flush();
+            let core = &mut *self.core.borrow_mut();
+            let result = change(core);
+            core.router.flush();
             result
         };
         self.pass_commands();
         result
     }
 
-    /// Commands go out while the hub is free, so that whoever takes them may send messages.
+    /// Passes on the commands that wait. The core is not borrowed meanwhile: a sink may publish messages.
     fn pass_commands(&self) {
-        if let Ok(mut sink) = self.edge_sink.try_borrow_mut() {
-            while let Some(command) = { self.hub.borrow_mut().edge_commands.pop_front() } {
+        if let Ok(mut sink) = self.on_edge_command.try_borrow_mut() {
+            while let Some(command) = { self.core.borrow_mut().commands.next_edge_command() } {
                 sink(command);
             }
         }
-        let Ok(mut sink) = self.sink.try_borrow_mut() else { return };
-        loop {
-            let next = self.hub.borrow_mut().next_command();
-            let Some((robot, command)) = next else { break };
-            sink(robot, command);
+        if let Ok(mut sink) = self.on_command.try_borrow_mut() {
+            while let Some((robot, command)) = { self.core.borrow_mut().commands.next_velocity() } {
+                sink(robot, command);
+            }
         }
-        loop {
-            let next = self.hub.borrow_mut().next_ask();
-            let Some((robot, request)) = next else { return };
-            (self.ask.borrow_mut())(robot, request);
+        if let Ok(mut sink) = self.on_slam_request.try_borrow_mut() {
+            while let Some((robot, request)) = { self.core.borrow_mut().commands.next_slam_request() } {
+                sink(robot, request);
+            }
         }
     }
 
-    fn of_robot(&self, robot: RobotId, change: impl FnOnce(&mut Hub)) {
-        self.with(|hub| {
-            if robot.number() <= hub.robot_count {
-                change(hub);
-            }
-        });
+    /// Publishes a message of the fleet to the clients that subscribed to its topics.
+    pub fn publish(&self, message: FleetMessage<'_>) {
+        self.update(|core| core.publish(message));
     }
 
-    /// `/robotN/scan`.
-    pub fn scan(&self, robot: RobotId, scan: &Scan) {
-        self.of_robot(robot, |hub| {
-            let frame = hub.names.link(robot, Link::BaseScan);
-            hub.board.send(hub.fleet.scan[robot.index()], |to| write::laser_scan(to, frame, scan));
-        });
+    /// Connects a client of this process at an address, which access control judges.
+    ///
+    /// Its frames wait for [`Bridge::take_outgoing`]; the handshake is the first.
+    pub fn connect(&self, peer: SocketAddr) -> Result<ClientId, ConnectError> {
+        self.update(|core| core.connect(peer, None))
     }
 
-    /// `/tf`: the robot's own links.
-    pub fn transforms(&self, robot: RobotId, transforms: &Transforms) {
-        self.of_robot(robot, |hub| {
-            hub.board.send(hub.fleet.transforms, |to| write::transforms(to, &hub.names, robot, transforms));
-        });
+    /// Connects a client on a socket.
+    pub(crate) fn connect_socket(
+        &self,
+        peer: SocketAddr,
+        socket: Box<dyn ClientSocket>,
+    ) -> Result<ClientId, ConnectError> {
+        self.update(|core| core.connect(peer, Some(socket)))
     }
 
-    /// `/tf`: the robot's map from its odometry. `/robotN/pose`: where it is in its map.
-    pub fn correction(&self, robot: RobotId, correction: &Correction) {
-        self.of_robot(robot, |hub| {
-            let (frame, pose) = (hub.names.map(robot), hub.fleet.pose[robot.index()]);
-            hub.board.send(pose, |to| write::pose_estimate(to, frame, correction));
-            hub.board.send(hub.fleet.transforms, |to| write::correction(to, &hub.names, robot, correction));
-        });
+    /// Handles one frame from a client. Its commands reach the robots before this returns.
+    ///
+    /// Frames for clients wait until `flush`, so that a client that sends much is not answered frame by
+    /// frame.
+    pub fn receive(&self, client: ClientId, frame: Frame<'_>, now: Monotonic) {
+        self.core.borrow_mut().receive(client, frame, now);
+        self.pass_commands();
     }
 
-    /// `/tf`: the merged map from the robots' maps; on change at once, else once a second while [`crate::serve`]
-    /// runs.
-    pub fn map_transforms(&self, map_transforms: &MapTransforms) {
-        self.with(|hub| {
-            let changed = hub.set_map_transforms(map_transforms);
-            if changed {
-                hub.send_map_transforms(Instant::now());
-            }
-        });
+    /// Handles a message that was received on DDS, like one from a client on loopback.
+    pub fn receive_dds(&self, message: &ReceivedMessage, now: Monotonic) {
+        self.update(|core| core.receive_dds(message, now));
     }
 
-    /// `/clock`.
-    pub fn clock(&self, clock: &Clock) {
-        self.with(|hub| {
-            hub.set_now(clock.header.stamp);
-            hub.board.send(hub.fleet.clock, |to| write::stamp(to, clock.header.stamp));
-        });
+    /// Appends the frames that wait for a client of this process to `out`.
+    ///
+    /// Fails if the client is disconnected, or must be because it left too many replies unread.
+    pub fn take_outgoing(&self, client: ClientId, out: &mut Vec<u8>) -> Result<(), ConnectionEnded> {
+        self.core.borrow_mut().router.take_outgoing(client, out)
     }
 
-    /// `/robotN/odom`.
-    pub fn odometry(&self, robot: RobotId, odometry: &Odometry) {
-        self.of_robot(robot, |hub| {
-            let (odom, base) =
-                (hub.names.link(robot, Link::Odom), hub.names.link(robot, Link::BaseFootprint));
-            hub.board.send(hub.fleet.odometry[robot.index()], |to| write::odometry(to, odom, base, odometry));
-        });
+    /// Does what is due: fails late service calls, repeats transforms for late subscribers. Call it every 250 ms.
+    pub fn tick(&self, now: Monotonic) {
+        self.update(|core| core.tick(now));
     }
 
-    /// `/robotN/map`, newest also to whoever comes later.
-    pub fn map(&self, robot: RobotId, map: GridView<'_>) {
-        self.of_robot(robot, |hub| {
-            let frame = hub.names.map(robot);
-            let topic = hub.fleet.map[robot.index()];
-            hub.board.send(topic, |to| write::occupancy_grid(to, frame, &hub.percent, map));
-        });
+    /// Disconnects a client: the robots that it drove stop, the calls that it should have answered fail.
+    pub fn disconnect(&self, client: ClientId) {
+        self.update(|core| drop(core.disconnect(client)));
     }
 
-    /// `/merged_map`, newest also to whoever comes later.
-    pub fn merged_map(&self, map: GridView<'_>) {
-        self.with(|hub| {
-            let topic = hub.fleet.merged_map;
-            hub.board.send(topic, |to| write::occupancy_grid(to, names::MAP, &hub.percent, map));
-        });
+    /// Stops every robot until [`Bridge::release_stop`], as `/emergency_stop` does.
+    pub fn stop_robots(&self) {
+        self.update(Core::set_emergency_stop);
     }
 
-    /// `/robotN/slam_stats` of every robot.
-    pub fn stats(&self, stats: &FleetStats) {
-        self.with(|hub| {
-            for robot in hub.robots() {
-                let topic = hub.fleet.stats[robot.index()];
-                hub.board.send(topic, |to| write::slam_stats(to, &stats.robots[robot.index()]));
-            }
-        });
+    /// Releases the emergency stop, as `/emergency_stop_release` does.
+    pub fn release_stop(&self) {
+        self.update(Core::release_emergency_stop);
     }
 
-    /// `/merge_edges`: what merging believes of each pair of robots, and why; newest also to whoever comes later.
-    pub fn merge_edges(&self, json: &str) {
-        self.with(|hub| hub.board.send(hub.fleet.merge_edges, |to| to.string(json)));
+    /// Returns whether the emergency stop is set.
+    pub fn is_stopped(&self) -> bool {
+        self.core.borrow().drive.is_stopped()
     }
 
-    /// What was heard at the ROS 2 door: as if a client on loopback had sent it.
-    pub fn hear_ros(&self, heard: &Heard) {
-        self.with(|hub| hub.hear_ros(heard));
+    /// Returns the robot that `/cmd_vel` drives.
+    pub fn selected_robot(&self) -> RobotId {
+        self.core.borrow().drive.selected()
     }
 
-    /// Stops every robot until [`Bridge::release`]: as `/emergency_stop`.
-    pub fn stop(&self) {
-        self.with(Hub::stop);
+    /// Returns the addresses that wait for permission.
+    pub fn waiting_addresses(&self) -> Vec<IpAddr> {
+        self.core.borrow().access.waiting().to_vec()
     }
 
-    /// Lets the robots go again: as `/emergency_stop_release`.
-    pub fn release(&self) {
-        self.with(Hub::release);
+    /// Returns the addresses on the allow list.
+    pub fn allowed_addresses(&self) -> Vec<IpAddr> {
+        self.core.borrow().access.allowed().collect()
     }
 
-    /// Whether the emergency stop is set.
-    pub fn stopped(&self) -> bool {
-        self.hub.borrow().drive.stopped()
-    }
-
-    /// Which robot `/cmd_vel` goes to.
-    pub fn selected(&self) -> RobotId {
-        self.hub.borrow().drive.selected()
-    }
-
-    /// Addresses that have asked to drive and wait for an answer.
-    pub fn waiting(&self) -> Vec<IpAddr> {
-        self.hub.borrow().access.waiting().to_vec()
-    }
-
-    /// Addresses that may watch and drive, loopback aside.
-    pub fn allowed(&self) -> Vec<IpAddr> {
-        self.hub.borrow().access.allowed().collect()
-    }
-
-    /// Lets an address watch and drive from now on.
+    /// Allows an address to watch and drive.
     pub fn allow(&self, address: IpAddr) {
-        self.with(|hub| {
-            hub.access.allow(address);
-            let same = |peer: SocketAddr| peer.ip().to_canonical() == address.to_canonical();
-            let there: Vec<ClientId> = hub.board.clients().filter(|c| same(c.peer)).map(|c| c.id).collect();
-            there.into_iter().for_each(|id| hub.board.notice(id, name::LOG, "you may drive now".into()));
-        });
-    }
-
-    /// No longer; its robots stop.
-    pub fn deny(&self, address: IpAddr) {
-        self.with(|hub| {
-            hub.access.deny(address);
-            let denied = |peer: SocketAddr| !hub.access.may_drive(peer.ip());
-            let there: Vec<ClientId> = hub.board.clients().filter(|c| denied(c.peer)).map(|c| c.id).collect();
+        self.update(|core| {
+            core.access.allow(address);
+            let is_same = |peer: SocketAddr| peer.ip().to_canonical() == address.to_canonical();
+            let there: Vec<ClientId> =
+                core.router.clients().filter(|client| is_same(client.peer)).map(|client| client.id).collect();
             for id in there {
-                let driven = hub.drive.leave(id);
-                hub.halt(driven.into_iter());
+                core.router.send_notice(id, name::LOG, "you may drive now".into());
             }
         });
     }
 
-    /// What has been counted since the start.
-    pub fn counters(&self) -> Counters {
-        self.hub.borrow().board.counters()
+    /// Withdraws an address's permission; the robots that it drove stop.
+    pub fn deny(&self, address: IpAddr) {
+        self.update(|core| {
+            core.access.deny(address);
+            let is_denied = |client: &&Client| !core.access.may(Action::Drive, client.peer.ip());
+            let there: Vec<ClientId> =
+                core.router.clients().filter(is_denied).map(|client| client.id).collect();
+            there.into_iter().for_each(|id| core.stop_robots_of(id));
+        });
     }
 
-    /// Every connection.
-    pub fn clients(&self) -> Vec<ClientStatus> {
-        let hub = self.hub.borrow();
-        let now = Instant::now();
-        let drives = |id| hub.robots().filter(|robot| hub.drive.holder(*robot, now) == Some(id)).collect();
+    /// Returns what has been counted since the start.
+    pub fn counters(&self) -> Counters {
+        self.core.borrow().counters()
+    }
+
+    /// Returns the state of every connection.
+    pub fn clients(&self, now: Monotonic) -> Vec<ClientStatus> {
+        let core = self.core.borrow();
         let status = |client: &Client| ClientStatus {
             peer: client.peer,
             subscriptions: client.subscriptions.len(),
             publications: client.publications.len(),
-            waiting_bytes: client.outbox.bytes(),
-            dropped: client.outbox.dropped(),
-            drives: drives(client.id),
-            clock: client.clock.as_ref().and_then(|clock| clock.estimate()),
+            waiting_bytes: client.outgoing.bytes(),
+            dropped: client.outgoing.dropped(),
+            drives: core
+                .fleet
+                .robots()
+                .filter(|robot| core.drive.leaseholder(*robot, now) == Some(client.id))
+                .collect(),
+            clock: core.world.as_ref().and_then(|world| world.clock_estimate(client.id.serial)),
         };
-        hub.board.clients().map(status).collect()
+        core.router.clients().map(status).collect()
     }
 
     pub(crate) fn clients_max(&self) -> usize {
-        self.hub.borrow().config.clients_max
+        self.core.borrow().config.clients_max
     }
 
     pub(crate) fn dialect(&self) -> Dialect {
-        self.hub.borrow().config.payloads
+        self.core.borrow().config.payloads
     }
 
     pub(crate) fn frame_bytes_max(&self) -> usize {
-        self.hub.borrow().config.frame_bytes_max
+        self.core.borrow().config.frame_bytes_max
     }
 
     pub(crate) fn unsent_bytes_max(&self) -> u32 {
-        self.hub.borrow().config.unsent_bytes_max
+        self.core.borrow().config.unsent_bytes_max
     }
 
-    /// What is due now and again: services that took too long, map transforms.
-    pub(crate) fn tick(&self, now: Instant) {
-        self.with(|hub| {
-            let late = hub.services.expired(now);
-            late.into_iter().for_each(|call| hub.fail(&call, "no answer came in time"));
-            if hub.anchors_due(now) {
-                hub.send_map_transforms(now);
-            }
-        });
-    }
-
-    /// A new connection; `None` if there are too many. Its first frame is the handshake.
-    pub(crate) fn attach(
-        &self,
-        stream: &Rc<TcpStream>,
-        peer: SocketAddr,
-        wake: &Rc<Notify>,
-    ) -> Option<ClientId> {
-        self.with(|hub| {
-            if hub.board.clients().count() >= hub.config.clients_max {
-                hub.board.counted.refused += 1;
-                return None;
-            }
-            let id = hub.board.attach(stream.clone(), peer, wake.clone());
-            let dialect = hub.config.payloads;
-            hub.board
-                .answer(id, Lane::Answer, |out| Side::Server.write(out, name::HANDSHAKE, handshake(dialect)));
-            Some(id)
-        })
-    }
-
-    /// One frame from a client. Its commands reach the robots before this returns; what it brings about for
-    /// clients is written by [`Bridge::flush`], so that a client that sends much is not answered frame by frame.
-    pub(crate) fn receive(&self, id: ClientId, frame: Frame<'_>) {
-        self.hub.borrow_mut().receive(id, frame);
-        self.pass_commands();
-    }
-
-    /// Hands what waits to the sockets.
+    /// Writes waiting frames to the sockets.
     pub(crate) fn flush(&self) {
-        self.hub.borrow_mut().board.flush();
+        self.core.borrow_mut().router.flush();
     }
 
-    /// Whether a client's frames wait for room in its socket; an error if it must end.
-    pub(crate) fn waits(&self, id: ClientId) -> Result<bool, Ended> {
-        self.hub.borrow().board.waits(id)
+    /// Returns whether a client's frames wait until its socket accepts bytes; fails if the connection must end.
+    pub(crate) fn is_blocked(&self, id: ClientId) -> Result<bool, ConnectionEnded> {
+        self.core.borrow().router.is_blocked(id)
     }
 
-    /// Writes on for one client whose socket has room again; whether more waits.
-    pub(crate) fn flush_one(&self, id: ClientId) -> bool {
-        self.hub.borrow_mut().board.flush_one(id)
+    /// Continues writing for a client whose socket accepts bytes again; returns whether it is blocked still.
+    pub(crate) fn flush_client(&self, id: ClientId) -> bool {
+        self.core.borrow_mut().router.flush_client(id)
     }
 
-    /// A client's stream makes no sense any more: it is told why. What has not been sent to it comes back.
-    pub(crate) fn lost_track(&self, id: ClientId, why: String) -> Option<Outbox> {
-        self.with(|hub| {
-            hub.board.refuse(id, why);
-            hub.leave(id)
+    /// Disconnects a client whose stream cannot be cut into frames any more; returns its unsent frames, the last of
+    /// which says why.
+    pub(crate) fn disconnect_with_error(&self, id: ClientId, text: String) -> Option<OutgoingQueue> {
+        self.update(|core| {
+            core.router.refuse(id, text);
+            core.disconnect(id)
         })
-    }
-
-    /// A connection is over: robots it drove stop, calls it should have answered fail.
-    pub(crate) fn detach(&self, id: ClientId) {
-        self.with(|hub| drop(hub.leave(id)));
     }
 }

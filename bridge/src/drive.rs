@@ -1,113 +1,138 @@
-//! Whose commands a robot obeys: the selected robot, one lease a robot, the emergency stop.
+//! Decides whose velocities a robot gets: the selected robot, one lease for each robot, the emergency stop.
 
-use crate::client::ClientId;
-use msg::{ROBOTS_MAX, RobotId};
-use std::time::{Duration, Instant};
+use crate::router::ClientId;
+use msg::{Monotonic, ROBOTS_MAX, RobotId};
+use std::time::Duration;
 
-/// What becomes of a command.
+/// What happens to a velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// To the robot.
+pub enum DriveDecision {
+    /// It is sent to the robot.
     Pass,
-    /// Nothing to obey and nothing to complain of: "stand still" from one who does not drive.
+    /// It is dropped without an error: a zero velocity from a client that does not drive the robot.
     Ignore,
-    /// Another client drives this robot.
-    Held(ClientId),
-    /// The emergency stop is set.
+    /// It is refused: another client drives the robot.
+    DrivenBy(ClientId),
+    /// It is refused: the emergency stop is set.
     Stopped,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-struct Robot {
-    /// Who keeps the robot, until when.
-    lease: Option<(ClientId, Instant)>,
-    /// Whose command was the last to pass.
-    driver: Option<ClientId>,
+struct RobotDrive {
+    /// The client that holds the robot, and until when.
+    lease: Option<(ClientId, Monotonic)>,
+    /// The client whose velocity was the last to pass.
+    last_driver: Option<ClientId>,
 }
 
-/// The state of driving, all robots.
+/// Arbitrates between the clients that want to drive robots.
 #[derive(Debug)]
-pub struct Drive {
-    robots: [Robot; ROBOTS_MAX],
+pub struct DriveArbiter {
+    robots: [RobotDrive; ROBOTS_MAX],
     robot_count: usize,
     selected: RobotId,
-    stopped: bool,
+    is_stopped: bool,
     lease: Duration,
+    /// The robot that a client's thumb stick moves while its grip (the dead man's switch) is held.
+    stick_targets: Vec<(ClientId, RobotId)>,
 }
 
-impl Drive {
-    /// For the first `robot_count` robots; `first` is selected.
-    pub fn new(robot_count: usize, first: RobotId, lease: Duration) -> Self {
-        Self { robots: [Robot::default(); ROBOTS_MAX], robot_count, selected: first, stopped: false, lease }
+impl DriveArbiter {
+    /// Creates the arbiter of the first `robot_count` robots. A lease lasts for `lease` after a moving velocity.
+    pub fn new(robot_count: usize, selected: RobotId, lease: Duration) -> Self {
+        Self {
+            robots: [RobotDrive::default(); ROBOTS_MAX],
+            robot_count,
+            selected,
+            is_stopped: false,
+            lease,
+            stick_targets: Vec::new(),
+        }
     }
 
-    /// Which robot `/cmd_vel` goes to.
+    /// Returns the robot that `/cmd_vel` drives.
     pub fn selected(&self) -> RobotId {
         self.selected
     }
 
-    /// The robot of a number that a client sent; `None` if the fleet has none such.
+    /// Returns the robot of a number that a client sent, or `None` if the fleet has no such robot.
     pub fn robot(&self, number: i32) -> Option<RobotId> {
         let number = usize::try_from(number).ok()?;
         RobotId::new(number).filter(|robot| robot.number() <= self.robot_count)
     }
 
-    /// Selects a robot of the fleet.
+    /// Selects the robot that `/cmd_vel` drives.
     pub fn select(&mut self, robot: RobotId) {
         self.selected = robot;
     }
 
-    /// Whether the emergency stop is set.
-    pub fn stopped(&self) -> bool {
-        self.stopped
+    /// Returns whether the emergency stop is set.
+    pub fn is_stopped(&self) -> bool {
+        self.is_stopped
     }
 
     /// Sets or releases the emergency stop.
-    pub fn set_stopped(&mut self, stopped: bool) {
-        self.stopped = stopped;
+    pub fn set_stopped(&mut self, is_stopped: bool) {
+        self.is_stopped = is_stopped;
     }
 
-    /// Who keeps the robot now.
-    pub fn holder(&self, robot: RobotId, now: Instant) -> Option<ClientId> {
+    /// Returns the client that holds the robot's lease now.
+    pub fn leaseholder(&self, robot: RobotId, now: Monotonic) -> Option<ClientId> {
         self.robots[robot.index()].lease.filter(|(_, until)| now < *until).map(|(client, _)| client)
     }
 
-    /// One command. A moving one takes or renews the lease of a robot that is free; "stand still" does not, so
-    /// that a client that idles at 20 Hz keeps no robot from others.
-    pub fn command(&mut self, client: ClientId, robot: RobotId, moving: bool, now: Instant) -> Verdict {
-        let holder = self.holder(robot, now);
-        if self.stopped {
-            return if moving { Verdict::Stopped } else { Verdict::Ignore };
+    /// Decides on one velocity of a client.
+    ///
+    /// A moving velocity takes or renews the lease of a robot that nobody else holds. A zero velocity does not, so
+    /// that a client that sends zeros at 20 Hz keeps no robot from others.
+    pub fn decide(
+        &mut self,
+        client: ClientId,
+        robot: RobotId,
+        is_moving: bool,
+        now: Monotonic,
+    ) -> DriveDecision {
+        if self.is_stopped {
+            return if is_moving { DriveDecision::Stopped } else { DriveDecision::Ignore };
         }
-        match holder {
+        match self.leaseholder(robot, now) {
             Some(holder) if holder != client => {
-                return if moving { Verdict::Held(holder) } else { Verdict::Ignore };
+                return if is_moving { DriveDecision::DrivenBy(holder) } else { DriveDecision::Ignore };
             }
             _ => {}
         }
         let state = &mut self.robots[robot.index()];
-        if moving {
+        if is_moving {
             state.lease = Some((client, now + self.lease));
         }
-        state.driver = Some(client);
-        Verdict::Pass
+        state.last_driver = Some(client);
+        DriveDecision::Pass
     }
 
-    /// Gives a robot to a client, whoever has it; who had it.
-    pub fn take(&mut self, client: ClientId, robot: RobotId, now: Instant) -> Option<ClientId> {
-        let before = self.holder(robot, now).filter(|holder| *holder != client);
+    /// Gives the lease of a robot to a client; returns the other client that held it.
+    pub fn take_control(&mut self, client: ClientId, robot: RobotId, now: Monotonic) -> Option<ClientId> {
+        let before = self.leaseholder(robot, now).filter(|holder| *holder != client);
         self.robots[robot.index()].lease = Some((client, now + self.lease));
         before
     }
 
-    /// A client is gone: the robots it drove last, which must now stop.
-    pub fn leave(&mut self, client: ClientId) -> Vec<RobotId> {
+    /// Sets which robot a client's thumb stick moves; returns the robot that it moved before.
+    pub fn set_stick_target(&mut self, client: ClientId, robot: Option<RobotId>) -> Option<RobotId> {
+        let place = self.stick_targets.iter().position(|(known, _)| *known == client);
+        let before = place.map(|place| self.stick_targets.swap_remove(place).1);
+        self.stick_targets.extend(robot.map(|robot| (client, robot)));
+        before
+    }
+
+    /// Ends a client's leases; returns the robots that it drove last, which must be stopped.
+    pub fn release_client(&mut self, client: ClientId) -> Vec<RobotId> {
+        self.set_stick_target(client, None);
         let mut driven = Vec::new();
         for robot in RobotId::first(self.robot_count) {
             let state = &mut self.robots[robot.index()];
             state.lease = state.lease.filter(|(holder, _)| *holder != client);
-            if state.driver == Some(client) {
-                state.driver = None;
+            if state.last_driver == Some(client) {
+                state.last_driver = None;
                 driven.push(robot);
             }
         }
@@ -123,48 +148,49 @@ mod tests {
         ClientId { slot: serial as usize, serial }
     }
 
+    fn at_ms(ms: u64) -> Monotonic {
+        Monotonic(ms * 1_000_000)
+    }
+
     #[test]
-    fn one_client_at_a_time() {
+    fn one_client_drives_a_robot_until_its_lease_ends() {
         let (one, two) = (client(1), client(2));
         let robot = RobotId::new(1).unwrap();
-        let mut drive = Drive::new(2, robot, Duration::from_secs(1));
-        let begin = Instant::now();
-        let after = |ms| begin + Duration::from_millis(ms);
+        let mut drive = DriveArbiter::new(2, robot, Duration::from_secs(1));
         assert_eq!(
-            drive.command(two, robot, false, begin),
-            Verdict::Pass,
-            "nobody drives: stand still is fine"
+            drive.decide(two, robot, false, at_ms(0)),
+            DriveDecision::Pass,
+            "anybody may send zero to a robot that nobody drives"
         );
-        assert_eq!(drive.command(one, robot, true, begin), Verdict::Pass);
-        assert_eq!(drive.command(two, robot, true, after(900)), Verdict::Held(one));
-        assert_eq!(drive.command(two, robot, false, after(900)), Verdict::Ignore);
-        assert_eq!(drive.command(one, robot, false, after(950)), Verdict::Pass);
+        assert_eq!(drive.decide(one, robot, true, at_ms(0)), DriveDecision::Pass);
+        assert_eq!(drive.decide(two, robot, true, at_ms(900)), DriveDecision::DrivenBy(one));
+        assert_eq!(drive.decide(two, robot, false, at_ms(900)), DriveDecision::Ignore);
+        assert_eq!(drive.decide(one, robot, false, at_ms(950)), DriveDecision::Pass);
         assert_eq!(
-            drive.command(two, robot, true, after(1001)),
-            Verdict::Pass,
-            "standing still renews no lease"
+            drive.decide(two, robot, true, at_ms(1001)),
+            DriveDecision::Pass,
+            "a zero velocity renews no lease"
         );
-        assert_eq!(drive.take(one, robot, after(1100)), Some(two));
-        assert_eq!(drive.command(two, robot, true, after(1200)), Verdict::Held(one));
-        assert_eq!(drive.command(one, robot, true, after(1300)), Verdict::Pass);
-        assert_eq!(drive.leave(one), [robot]);
+        assert_eq!(drive.take_control(one, robot, at_ms(1100)), Some(two));
+        assert_eq!(drive.decide(two, robot, true, at_ms(1200)), DriveDecision::DrivenBy(one));
+        assert_eq!(drive.decide(one, robot, true, at_ms(1300)), DriveDecision::Pass);
+        assert_eq!(drive.release_client(one), [robot]);
         assert_eq!(
-            drive.command(two, robot, true, after(1400)),
-            Verdict::Pass,
-            "the lease left with its holder"
+            drive.decide(two, robot, true, at_ms(1400)),
+            DriveDecision::Pass,
+            "the lease ends with its client"
         );
     }
 
     #[test]
-    fn the_stop_holds_everyone() {
+    fn the_emergency_stop_refuses_every_client() {
         let robot = RobotId::new(1).unwrap();
-        let mut drive = Drive::new(1, robot, Duration::from_secs(1));
-        let now = Instant::now();
+        let mut drive = DriveArbiter::new(1, robot, Duration::from_secs(1));
         drive.set_stopped(true);
-        assert_eq!(drive.command(client(1), robot, true, now), Verdict::Stopped);
-        assert_eq!(drive.command(client(1), robot, false, now), Verdict::Ignore);
+        assert_eq!(drive.decide(client(1), robot, true, at_ms(0)), DriveDecision::Stopped);
+        assert_eq!(drive.decide(client(1), robot, false, at_ms(0)), DriveDecision::Ignore);
         drive.set_stopped(false);
-        assert_eq!(drive.command(client(1), robot, true, now), Verdict::Pass);
+        assert_eq!(drive.decide(client(1), robot, true, at_ms(0)), DriveDecision::Pass);
         assert_eq!(drive.robot(1), Some(robot));
         assert_eq!((drive.robot(0), drive.robot(2), drive.robot(-1)), (None, None, None));
     }

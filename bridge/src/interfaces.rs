@@ -1,7 +1,9 @@
-//! Which message and service types exist, so that a typing mistake is answered and not waited for.
+//! Names of topics, and the message and service types that exist: a mistyped name gets an error at once.
 //!
-//! Of ROS 2's own packages (Jazzy) the types are known one by one; of other well-known packages only the name,
-//! and any well-formed type passes. A laboratory's own packages are named in the configuration.
+//! Of ROS 2's own packages (Jazzy) each type is listed. Of other well-known packages only the name is, and any
+//! well-formed type is accepted. A laboratory's own packages are named in the configuration.
+
+use thiserror::Error;
 
 /// Messages of ROS 2's own packages.
 const MESSAGES: &[(&str, &str)] = &[
@@ -75,7 +77,7 @@ const SERVICES: &[(&str, &str)] = &[
     ("visualization_msgs", "GetInteractiveMarkers"),
 ];
 
-/// Packages known by name only.
+/// Well-known packages whose types are not listed.
 const OTHERS: &[&str] = &[
     "ackermann_msgs",
     "audio_common_msgs",
@@ -114,82 +116,152 @@ const OTHERS: &[&str] = &[
     "voxblox_msgs",
 ];
 
-/// Message or service.
+/// Tells message types from service types.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Of a topic.
+    /// The type of a topic's messages.
     Message,
-    /// Of a service.
+    /// The type of a service's requests and responses.
     Service,
 }
 
-/// The type as `package/Type` (the middle of `package/msg/Type` is taken out), or why there is none such.
-/// `own` are packages the configuration adds.
-pub fn resolve(kind: Kind, name: &str, own: &[String]) -> Result<String, String> {
+impl std::fmt::Display for Kind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Message => "message",
+            Self::Service => "service",
+        })
+    }
+}
+
+/// Why a type is not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum TypeError {
+    /// The text is not of the form `package/Type`.
+    #[error("'{name}' is not a type: write package/Type, as in geometry_msgs/Twist")]
+    Malformed {
+        /// The text.
+        name: String,
+    },
+    /// The package is known, and has no such type.
+    #[error("unknown {kind} class '{name}': {package} has no {kind} {class}")]
+    UnknownType {
+        /// Message or service.
+        kind: Kind,
+        /// The whole text.
+        name: String,
+        /// The part before the slash.
+        package: String,
+        /// The part behind the slash.
+        class: String,
+    },
+    /// The package is not known.
+    #[error(
+        "unknown {kind} class '{name}': if {package} is your own package, add it to message_packages in the fleet \
+         file's [bridge]"
+    )]
+    UnknownPackage {
+        /// Message or service.
+        kind: Kind,
+        /// The whole text.
+        name: String,
+        /// The part before the slash.
+        package: String,
+    },
+}
+
+/// Returns a type as `package/Type`; the middle of `package/msg/Type` is removed.
+///
+/// `own_packages` are accepted with any well-formed type.
+pub fn resolve(kind: Kind, name: &str, own_packages: &[String]) -> Result<String, TypeError> {
+    let malformed = || TypeError::Malformed { name: name.to_owned() };
     let mut parts = name.split('/');
     let (package, class) = match (parts.next(), parts.next(), parts.next(), parts.next()) {
         (Some(package), Some(class), None, None) => (package, class),
         (Some(package), Some("msg" | "srv"), Some(class), None) => (package, class),
-        _ => return Err(format!("'{name}' is not a type: write package/Type")),
+        _ => return Err(malformed()),
     };
     if !is_package_name(package) || !is_type_name(class) {
-        return Err(format!("'{name}' is not a type: write package/Type, as in geometry_msgs/Twist"));
+        return Err(malformed());
     }
-    let (table, what) = match kind {
-        Kind::Message => (MESSAGES, "message"),
-        Kind::Service => (SERVICES, "service"),
+    let table = match kind {
+        Kind::Message => MESSAGES,
+        Kind::Service => SERVICES,
     };
     let listed = table.iter().find(|(known, _)| *known == package).map(|(_, types)| *types);
-    let own = own.iter().any(|known| known == package);
+    let is_own = own_packages.iter().any(|known| known == package);
+    let (name, package) = (name.to_owned(), package.to_owned());
     match listed {
-        _ if own => {}
+        _ if is_own => {}
         Some(types) if types.split(' ').any(|known| known == class) => {}
-        Some(_) => return Err(format!("unknown {what} class '{name}': {package} has no {what} {class}")),
-        None if OTHERS.contains(&package) => {}
-        None => {
-            return Err(format!(
-                "unknown {what} class '{name}': if {package} is your own package, \
-                 add it to message_packages in the fleet file's [bridge]"
-            ));
-        }
+        Some(_) => return Err(TypeError::UnknownType { kind, name, package, class: class.to_owned() }),
+        None if OTHERS.contains(&package.as_str()) => {}
+        None => return Err(TypeError::UnknownPackage { kind, name, package }),
     }
     Ok(format!("{package}/{class}"))
 }
 
-/// Lower-case letters, digits and single underscores, a letter first (REP-144), 2 characters at least.
+/// The longest package or type name that is accepted.
+const TYPE_NAME_MAX: usize = 128;
+
+/// Returns whether a name is a ROS package's (REP-144): at least two lower-case letters, digits and single
+/// underscores, a letter first.
 pub fn is_package_name(name: &str) -> bool {
     let mut bytes = name.bytes();
     bytes.next().is_some_and(|first| first.is_ascii_lowercase())
-        && (2..=128).contains(&name.len())
+        && (2..=TYPE_NAME_MAX).contains(&name.len())
         && bytes.all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
         && !name.contains("__")
 }
 
-/// Letters and digits, a capital first.
+/// Returns whether a name is a ROS type's: letters and digits, a capital letter first.
 fn is_type_name(name: &str) -> bool {
     let mut bytes = name.bytes();
     bytes.next().is_some_and(|first| first.is_ascii_uppercase())
-        && name.len() <= 128
+        && name.len() <= TYPE_NAME_MAX
         && bytes.all(|b| b.is_ascii_alphanumeric())
 }
 
-/// The longest topic or service name, as DDS has it.
+/// The longest topic or service name, as in DDS.
 pub const TOPIC_NAME_MAX: usize = 255;
 
-/// The name with its leading slash, or why it is none: tokens of letters, digits and underscores between
-/// slashes, none beginning with a digit (ROS 2's rule for names).
-pub fn resolve_name(name: &str) -> Result<String, String> {
+/// Why a topic's or service's name is not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum NameError {
+    /// The name has no characters but a slash.
+    #[error("the topic's name is empty")]
+    Empty,
+    /// The name is too long or has characters that ROS does not allow.
+    #[error(
+        "'{name}' is not a topic's name: expected at most {TOPIC_NAME_MAX} letters, digits, '_' and '/', \
+         no digit after a '/'"
+    )]
+    Malformed {
+        /// The name.
+        name: String,
+    },
+}
+
+/// Returns a name with its leading slash.
+///
+/// ROS 2's rule for names: tokens of letters, digits and underscores between slashes, none beginning with a digit.
+/// ```
+/// use bridge::interfaces::resolve_name;
+/// assert_eq!(resolve_name("robot1/scan").as_deref(), Ok("/robot1/scan"));
+/// assert!(resolve_name("/1st").is_err());
+/// ```
+pub fn resolve_name(name: &str) -> Result<String, NameError> {
     let path = name.strip_prefix('/').unwrap_or(name);
-    let sound = |token: &str| {
+    let is_token = |token: &str| {
         !token.is_empty()
             && !token.starts_with(|first: char| first.is_ascii_digit())
             && token.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
     };
     if path.is_empty() {
-        return Err("the topic's name is empty".into());
+        return Err(NameError::Empty);
     }
-    if path.len() >= TOPIC_NAME_MAX || !path.split('/').all(sound) {
-        return Err(format!("'{name}' is not a topic's name: letters, digits, '_' and '/' make one"));
+    if path.len() >= TOPIC_NAME_MAX || !path.split('/').all(is_token) {
+        return Err(NameError::Malformed { name: name.to_owned() });
     }
     Ok(format!("/{path}"))
 }
@@ -199,15 +271,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn types() {
+    fn known_types_are_accepted_and_others_get_an_error() {
         let own = ["my_msgs".to_owned()];
         let message = |name| resolve(Kind::Message, name, &own);
         assert_eq!(message("geometry_msgs/Twist").unwrap(), "geometry_msgs/Twist");
         assert_eq!(message("geometry_msgs/msg/Twist").unwrap(), "geometry_msgs/Twist");
         assert!(message("quest2ros/OVR2ROSInputs").is_ok());
         assert!(message("my_msgs/Anything").is_ok());
-        assert!(message("geometry_msgs/Twits").unwrap_err().contains("geometry_msgs has no message Twits"));
-        assert!(message("no_such_pkg/Nope").unwrap_err().contains("message_packages"));
+        assert!(
+            message("geometry_msgs/Twits")
+                .unwrap_err()
+                .to_string()
+                .contains("geometry_msgs has no message Twits")
+        );
+        assert!(message("no_such_pkg/Nope").unwrap_err().to_string().contains("message_packages"));
         for name in
             ["", "Twist", "/", "a/b/c", "geometry_msgs/", "Geometry/Twist", "std_msgs/msg/String/x", "é/É"]
         {
@@ -218,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn names() {
+    fn ros_names_are_accepted_and_others_get_an_error() {
         assert_eq!(resolve_name("pos_rot").unwrap(), "/pos_rot");
         assert_eq!(resolve_name("/robot1/scan").unwrap(), "/robot1/scan");
         for name in ["", "/", "//a", "/a/", "/1a", "/a b", "/é", "/a\n"] {

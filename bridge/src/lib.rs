@@ -1,39 +1,38 @@
-//! msg to ROS bytes and back; the ros_tcp protocol on TCP.
+//! Connects the fleet to ROS: converts its messages to ROS messages, and serves the ros_tcp protocol and DDS.
 //!
 //! ```text
-//!   fleet ── scan(), transforms(), map() ... ──▶ Bridge ──▶ one outbox a client ──▶ sockets
-//!   robots ◀── on_command(robot, VelocityCommand) ─────── Bridge ◀── frames ◀── serve(): one task a client
+//!   fleet  ── FleetMessage ──▶ Bridge::publish ──▶ one queue for each client ──▶ sockets
+//!   robots ◀── on_command ──── Bridge::receive ◀── frames ◀── serve(): one task for each client
 //! ```
-//! [`Bridge`] is the hub, [`serve`] its TCP side, [`dds`] the door for ROS 2; [`frame`], [`command`] and [`ros`] are the wire, for clients too.
+//! [`Bridge`] is the routing core and [`serve`] its TCP server; [`dds`] is the ROS 2 endpoint. [`frame`], [`command`]
+//! and [`ros`] are the wire format, for clients too.
 
 mod access;
-mod board;
 mod bridge;
 pub mod cdr;
-mod client;
 pub mod command;
+mod command_queues;
 mod config;
+mod core;
 pub mod dds;
 mod drive;
+mod fleet_topics;
 pub mod frame;
-mod hub;
-mod inbox;
-mod initial_pose;
-mod inputs;
+mod input;
 pub mod interfaces;
-mod outbox;
-mod outlet;
-mod pool;
 pub mod ros;
+mod router;
 mod server;
 mod services;
 pub mod slam_services;
 mod teleop;
-mod topics;
+mod transport;
 pub mod world;
 
-pub use board::Counters;
-pub use bridge::{Bridge, ClientStatus, FIRST_SOURCE};
+pub use bridge::{Bridge, ClientStatus};
 pub use config::{BridgeConfig, ConfigError, Permission};
-pub use outlet::Outlet;
-pub use server::serve;
+pub use core::ConnectError;
+pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
+pub use router::{ClientId, ConnectionEnded, Counters};
+pub use server::{process_clock, serve};
+pub use transport::Transport;

@@ -1,16 +1,17 @@
-//! ros_tcp on a listening socket: one task a client, all on one thread.
+//! ros_tcp over TCP: one task for each client, all on one thread, around the same [`Bridge`].
 
 use crate::bridge::Bridge;
-use crate::client::ClientId;
-use crate::command::{handshake, name};
+use crate::command::{Notice, handshake, name};
+use crate::core::ConnectError;
 use crate::frame::{Parser, Side};
-use crate::outbox::{Flushed, Outbox};
-use crate::pool::Pool;
+use crate::router::{BufferPool, ClientId, ClientSocket, FlushOutcome, OutgoingQueue};
+use msg::Monotonic;
 use socket2::{SockRef, TcpKeepalive};
 use std::future::Future;
-use std::io;
+use std::io::{self, IoSlice};
 use std::net::{Shutdown, SocketAddr};
 use std::rc::Rc;
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::net::{TcpListener, TcpStream};
@@ -18,30 +19,46 @@ use tokio::sync::Notify;
 use tokio::task::{JoinSet, yield_now};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
-/// Frames of one client handled before others get their turn.
+/// Frames of one client that are handled before other clients get their turn.
 const FRAMES_PER_TURN: usize = 64;
-/// How often overdue service calls and map transforms are looked at.
+/// How often the bridge looks for late service calls and transforms to repeat.
 const TICK: Duration = Duration::from_millis(250);
-/// A client that is silent so long is asked whether it is there, and then again and again. One that has gone without a
-/// word (battery, Wi-Fi) is let go after [`UNACKNOWLEDGED_MAX`] on Linux, which does not count probes where that is
-/// set; elsewhere after the probes.
+/// A client that is silent for so long is probed by TCP keepalive.
+///
+/// A client that vanished without closing (battery, Wi-Fi) is disconnected after [`UNACKNOWLEDGED_MAX`] on Linux,
+/// where that limit replaces the count of probes; elsewhere after the probes.
 const KEEPALIVE_IDLE: Duration = Duration::from_secs(5);
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(2);
 const KEEPALIVE_RETRIES: u32 = 3;
-/// A peer that takes nothing for so long is gone. A headset that is put down for a moment is not.
+/// A peer that acknowledges nothing for so long is gone. A headset that sleeps for a moment is not.
 const UNACKNOWLEDGED_MAX: Duration = Duration::from_secs(60);
-/// How long a connection that is being closed may take to read why.
-const FAREWELL: Duration = Duration::from_secs(1);
-/// Bytes read and thrown away meanwhile, so that the close does not look like a reset.
-const FAREWELL_BYTES_MAX: usize = 1 << 20;
-/// Connections that are being closed or refused beside the clients; more are dropped without a word.
-const FAREWELLS_MAX: usize = 64;
-/// Pause after accept(2) failed, as it does when descriptors run out.
+/// How long a connection that is being closed may take to read the reason.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
+/// Bytes read and dropped meanwhile: unread bytes would turn the close into a reset, which loses the reason.
+const DRAINED_BYTES_MAX: usize = 1 << 20;
+/// Buffer for bytes that are read and dropped.
+const DRAIN_BUFFER_BYTES: usize = 4096;
+/// Connections that are being closed or refused, beside the clients; more are dropped without a reason.
+const CLOSING_MAX: usize = 64;
+/// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
-/// Accepts clients until `stop` is ready, then lets them all go. Runs inside a [`tokio::task::LocalSet`] on a
+/// Returns the time since the first call in this process: a clock for [`serve`] where nothing else needs the time.
+pub fn process_clock() -> Monotonic {
+    static START: OnceLock<Instant> = OnceLock::new();
+    Monotonic(START.get_or_init(Instant::now).elapsed().as_nanos() as u64)
+}
+
+/// Accepts clients until `stop` is ready, then disconnects them all.
+///
+/// `clock` returns the monotonic time that the bridge is called with. Runs inside a [`tokio::task::LocalSet`] on a
 /// current-thread runtime with io and time enabled.
-pub async fn serve(bridge: Rc<Bridge>, listener: TcpListener, stop: impl Future<Output = ()>) {
+pub async fn serve(
+    bridge: Rc<Bridge>,
+    listener: TcpListener,
+    clock: fn() -> Monotonic,
+    stop: impl Future<Output = ()>,
+) {
     let clients_max = bridge.clients_max();
     let mut tasks = JoinSet::new();
     let mut tick = interval(TICK);
@@ -51,11 +68,11 @@ pub async fn serve(bridge: Rc<Bridge>, listener: TcpListener, stop: impl Future<
         tokio::select! {
             biased;
             () = &mut stop => break,
-            _ = tick.tick() => bridge.tick(Instant::now()),
+            _ = tick.tick() => bridge.tick(clock()),
             Some(_) = tasks.join_next() => {}
             accepted = listener.accept() => match accepted {
-                Ok((stream, peer)) if tasks.len() < clients_max + FAREWELLS_MAX => {
-                    tasks.spawn_local(client(bridge.clone(), stream, peer));
+                Ok((stream, peer)) if tasks.len() < clients_max + CLOSING_MAX => {
+                    tasks.spawn_local(run_client(bridge.clone(), stream, peer, clock));
                 }
                 Ok(_) => {}
                 Err(_) => sleep(ACCEPT_PAUSE).await,
@@ -65,51 +82,74 @@ pub async fn serve(bridge: Rc<Bridge>, listener: TcpListener, stop: impl Future<
     tasks.shutdown().await;
 }
 
-/// Takes the client out of the bridge however its task ends.
-struct Attached<'a> {
-    bridge: &'a Bridge,
-    id: ClientId,
+/// A client's socket for the router.
+struct TcpSocket {
+    stream: Rc<TcpStream>,
+    wake: Rc<Notify>,
 }
 
-impl Drop for Attached<'_> {
-    fn drop(&mut self) {
-        self.bridge.detach(self.id);
+impl ClientSocket for TcpSocket {
+    fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
+        self.stream.try_write_vectored(slices)
+    }
+
+    fn wake(&self) {
+        self.wake.notify_one();
     }
 }
 
-async fn client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr) {
-    if tune(&stream, bridge.unsent_bytes_max()).is_err() {
+/// Disconnects the client however its task ends.
+struct Connection<'a> {
+    bridge: &'a Bridge,
+    id: ClientId,
+    stream: &'a TcpStream,
+    wake: &'a Notify,
+    clock: fn() -> Monotonic,
+}
+
+impl Drop for Connection<'_> {
+    fn drop(&mut self) {
+        self.bridge.disconnect(self.id);
+    }
+}
+
+async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clock: fn() -> Monotonic) {
+    if set_socket_options(&stream, bridge.unsent_bytes_max()).is_err() {
         return;
     }
     let stream = Rc::new(stream);
     let wake = Rc::new(Notify::new());
-    let Some(id) = bridge.attach(&stream, peer, &wake) else {
-        return farewell(&stream, &mut Pool::default(), refusal(&bridge)).await;
+    let socket = Box::new(TcpSocket { stream: stream.clone(), wake: wake.clone() });
+    let id = match bridge.connect_socket(peer, socket) {
+        Ok(id) => id,
+        Err(error) => {
+            return drain_and_close(&stream, refusal(bridge.dialect(), &error)).await;
+        }
     };
-    let attached = Attached { bridge: &bridge, id };
-    let end = converse(&bridge, id, &stream, &wake).await;
-    if let End::LostTrack(why) = end
-        && let Some(rest) = bridge.lost_track(id, why)
+    let connection = Connection { bridge: &bridge, id, stream: &stream, wake: &wake, clock };
+    let end = serve_client(&connection).await;
+    if let ConversationEnd::InvalidStream(why) = end
+        && let Some(unsent) = bridge.disconnect_with_error(id, why)
     {
-        drop(attached);
-        farewell(&stream, &mut Pool::default(), rest).await;
+        drop(connection);
+        drain_and_close(&stream, unsent).await;
     }
 }
 
-/// Why a conversation is over.
-enum End {
-    /// The peer has gone, or does not take what it asked for.
-    Gone,
-    /// Its stream cannot be cut into frames any more.
-    LostTrack(String),
+/// Why a connection ends.
+enum ConversationEnd {
+    /// The peer has closed, or does not read what it asked for.
+    Closed,
+    /// The peer's stream cannot be cut into frames any more, and why.
+    InvalidStream(String),
 }
 
 /// Reads and writes until the connection ends.
-async fn converse(bridge: &Bridge, id: ClientId, stream: &TcpStream, wake: &Notify) -> End {
+async fn serve_client(connection: &Connection<'_>) -> ConversationEnd {
+    let Connection { bridge, id, stream, wake, .. } = *connection;
     let mut parser = Parser::new(bridge.frame_bytes_max());
-    // Ends when there is no such client any more, or it takes nothing that it asked for.
-    while let Ok(waiting) = bridge.waits(id) {
-        let interest = if waiting { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
+    while let Ok(is_blocked) = bridge.is_blocked(id) {
+        let interest = if is_blocked { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
         let ready = tokio::select! {
             biased;
             ready = stream.ready(interest) => ready,
@@ -117,65 +157,67 @@ async fn converse(bridge: &Bridge, id: ClientId, stream: &TcpStream, wake: &Noti
         };
         let Ok(ready) = ready else { break };
         if (ready.is_readable() || ready.is_read_closed())
-            && let Some(end) = read_turn(bridge, id, stream, &mut parser).await
+            && let Some(end) = read_frames(connection, &mut parser).await
         {
             return end;
         }
-        if ready.is_writable() && waiting && bridge.flush_one(id) {
+        if ready.is_writable() && is_blocked && bridge.flush_client(id) {
             yield_now().await;
         }
     }
-    End::Gone
+    ConversationEnd::Closed
 }
 
-/// One read and the frames it has brought. `Some` at the end of the connection.
-async fn read_turn(bridge: &Bridge, id: ClientId, stream: &TcpStream, parser: &mut Parser) -> Option<End> {
-    match read(stream, parser.space()) {
-        Ok(0) => return Some(End::Gone),
+/// Reads once and handles the frames that are complete; `Some` at the end of the connection.
+async fn read_frames(connection: &Connection<'_>, parser: &mut Parser) -> Option<ConversationEnd> {
+    match read(connection.stream, parser.space()) {
+        Ok(0) => return Some(ConversationEnd::Closed),
         Ok(count) => parser.filled(count),
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => return None,
         Err(error) if error.kind() == io::ErrorKind::Interrupted => return None,
-        Err(_) => return Some(End::Gone),
+        Err(_) => return Some(ConversationEnd::Closed),
     }
     let mut frames = 0;
     loop {
         match parser.next_frame() {
-            Ok(Some(frame)) => bridge.receive(id, frame),
+            Ok(Some(frame)) => connection.bridge.receive(connection.id, frame, (connection.clock)()),
             Ok(None) => break,
-            Err(error) => return Some(End::LostTrack(error.to_string())),
+            Err(error) => return Some(ConversationEnd::InvalidStream(error.to_string())),
         }
         frames += 1;
         if frames % FRAMES_PER_TURN == 0 {
-            bridge.flush();
+            connection.bridge.flush();
             yield_now().await;
         }
     }
-    bridge.flush();
+    connection.bridge.flush();
     None
 }
 
-/// Reads with quick acknowledgement on both sides of it: Unity's connector writes field by field with Nagle's
-/// algorithm on, so that each of its writes waits for our acknowledgement of the one before, which Linux would
-/// otherwise delay by 40 ms. The option does not last, so it is set again each time.
+/// Reads with quick acknowledgement before and after.
+///
+/// Unity's connector writes field by field with Nagle's algorithm on. Each of its writes waits for the
+/// acknowledgement of the one before, which Linux would delay by 40 ms. The option does not last, so that it is set
+/// again each time.
 fn read(stream: &TcpStream, space: &mut [u8]) -> io::Result<usize> {
-    quick_ack(stream);
+    set_quick_ack(stream);
     let count = stream.try_read(space)?;
-    quick_ack(stream);
+    set_quick_ack(stream);
     Ok(count)
 }
 
 #[cfg(target_os = "linux")]
-fn quick_ack(stream: &TcpStream) {
-    // Best effort: it fails only on a connection that is gone, which the read tells.
+fn set_quick_ack(stream: &TcpStream) {
+    // It fails only on a connection that is closed, which the read notices.
     let _ = stream.set_quickack(true);
 }
 
 #[cfg(not(target_os = "linux"))]
-fn quick_ack(_: &TcpStream) {}
+fn set_quick_ack(_: &TcpStream) {}
 
-fn tune(stream: &TcpStream, unsent_bytes_max: u32) -> io::Result<()> {
+fn set_socket_options(stream: &TcpStream, unsent_bytes_max: u32) -> io::Result<()> {
     stream.set_nodelay(true)?;
-    quick_ack(stream);
+    set_quick_ack(stream);
     let socket = SockRef::from(stream);
     let keepalive = TcpKeepalive::new().with_time(KEEPALIVE_IDLE).with_interval(KEEPALIVE_INTERVAL);
     socket.set_tcp_keepalive(&keepalive.with_retries(KEEPALIVE_RETRIES))?;
@@ -189,32 +231,31 @@ fn tune(stream: &TcpStream, unsent_bytes_max: u32) -> io::Result<()> {
     Ok(())
 }
 
-/// What one client too many is told.
-fn refusal(bridge: &Bridge) -> Outbox {
+/// Returns the frames for a client that cannot connect: the handshake, which must come first, and the reason.
+fn refusal(dialect: crate::cdr::Dialect, error: &ConnectError) -> OutgoingQueue {
     let mut frames = Vec::new();
-    let text = format!("the bridge has {} clients, its limit (clients_max)", bridge.clients_max());
-    Side::Server.write(&mut frames, name::HANDSHAKE, handshake(bridge.dialect()));
-    Side::Server.write_command(&mut frames, name::ERROR, &crate::command::Notice { text });
-    Outbox::holding(Rc::new(frames))
+    Side::Server.write(&mut frames, name::HANDSHAKE, handshake(dialect));
+    Side::Server.write_command(&mut frames, name::ERROR, &Notice { text: error.to_string() });
+    OutgoingQueue::with_frames(Rc::new(frames))
 }
 
-/// Sends what is left, closes our side, and reads to the end, for a while: closing with unread bytes would reset
-/// the connection and lose what was sent.
-async fn farewell(stream: &TcpStream, pool: &mut Pool, mut rest: Outbox) {
-    let talk = async {
+/// Sends what is left, closes the bridge's side, and reads until the peer closes, at most [`CLOSE_TIMEOUT`].
+async fn drain_and_close(stream: &TcpStream, mut unsent: OutgoingQueue) {
+    let drain = async {
+        let mut pool = BufferPool::default();
         loop {
             stream.writable().await?;
-            match rest.flush(|slices| stream.try_write_vectored(slices), pool)? {
-                Flushed::All => break,
-                Flushed::Blocked => {}
-                Flushed::TurnOver => yield_now().await,
+            match unsent.flush(|slices| stream.try_write_vectored(slices), &mut pool)? {
+                FlushOutcome::Complete => break,
+                FlushOutcome::Blocked => {}
+                FlushOutcome::TurnEnded => yield_now().await,
             }
         }
         SockRef::from(stream).shutdown(Shutdown::Write)?;
-        let (mut sink, mut total) = ([0; 4096], 0);
-        while total < FAREWELL_BYTES_MAX {
+        let (mut buffer, mut total) = ([0; DRAIN_BUFFER_BYTES], 0);
+        while total < DRAINED_BYTES_MAX {
             stream.readable().await?;
-            match stream.try_read(&mut sink) {
+            match stream.try_read(&mut buffer) {
                 Ok(0) => break,
                 Ok(count) => total += count,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
@@ -223,8 +264,8 @@ async fn farewell(stream: &TcpStream, pool: &mut Pool, mut rest: Outbox) {
         }
         Ok::<(), io::Error>(())
     };
-    // Whether it listened to the end changes nothing.
-    let _ = timeout(FAREWELL, talk).await;
+    // The connection is closed in any case.
+    let _ = timeout(CLOSE_TIMEOUT, drain).await;
 }
 
 #[cfg(test)]
@@ -232,11 +273,11 @@ mod tests {
     use super::*;
 
     #[tokio::test(flavor = "current_thread")]
-    async fn a_clients_socket_is_watched_and_waits_for_nothing() {
+    async fn a_clients_socket_has_keepalive_and_no_delay() {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let _client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         let (stream, _) = listener.accept().await.unwrap();
-        tune(&stream, 1 << 17).unwrap();
+        set_socket_options(&stream, 1 << 17).unwrap();
         let socket = SockRef::from(&stream);
         assert!(stream.nodelay().unwrap());
         assert!(socket.keepalive().unwrap());

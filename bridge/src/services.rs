@@ -1,166 +1,220 @@
-//! Services between clients: who offers, who may call, which calls are under way.
+//! Services between clients: providers, callers and the calls that wait for a response.
 
-use crate::client::ClientId;
+use crate::router::ClientId;
+use msg::Monotonic;
 use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use thiserror::Error;
 
-/// Our numbers of calls begin here, as the reference's do.
-const FIRST_CALL: i64 = 1001;
-/// Calls under way at one time, all clients together.
+/// The bridge numbers its calls from here, as the reference endpoint does.
+const FIRST_CALL_NUMBER: i64 = 1001;
+/// Calls that may wait for a response, of all clients together.
 const CALLS_MAX: usize = 1024;
+
+/// Why a service cannot be registered or called.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ServiceError {
+    /// Clients have registered as many services as they may.
+    #[error("there are {limit} services already, the limit (client_topics_max)")]
+    TooManyServices {
+        /// The limit.
+        limit: usize,
+    },
+    /// The service is registered with another type.
+    #[error("service '{name}' is {existing}, not {requested}")]
+    OtherType {
+        /// The service's name.
+        name: String,
+        /// Its type, `package/Type`.
+        existing: String,
+        /// The type that the client asked for.
+        requested: String,
+    },
+    /// The client has not registered as caller of the service.
+    #[error("service '{name}' is not registered: send __ros_service first")]
+    NotRegistered {
+        /// The service's name as the client wrote it.
+        name: String,
+    },
+    /// No client provides the service.
+    #[error("nobody offers service '{name}' now")]
+    NoProvider {
+        /// The service's name as the client wrote it.
+        name: String,
+    },
+    /// Too many calls wait for a response.
+    #[error("{CALLS_MAX} service calls wait for a response already; try again later")]
+    TooManyCalls,
+}
 
 #[derive(Debug, Default)]
 struct Service {
-    class: String,
-    /// The client that answers; the newest to say so.
+    service_type: String,
+    /// The client that answers: the newest that registered.
     provider: Option<ClientId>,
     callers: Vec<ClientId>,
 }
 
-/// A request on its way.
+/// A call that waits for its response.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Call {
-    /// Our number of it, which the provider answers to.
+pub struct ServiceCall {
+    /// The bridge's number of the call, which the provider answers to.
     pub number: i64,
-    /// Who wants the response.
+    /// The client that waits for the response.
     pub caller: ClientId,
-    /// The caller's number of it.
+    /// The caller's number of the call.
     pub caller_number: i64,
-    /// Who must answer.
+    /// The client that must respond.
     pub provider: ClientId,
-    /// The service's name as the caller spells it.
+    /// The service's name as the caller wrote it.
     pub service: String,
-    deadline: Instant,
+    deadline: Monotonic,
 }
 
-/// All services and calls.
+/// All services of clients, and the calls that wait.
 #[derive(Debug)]
-pub struct Services {
+pub struct ServiceCalls {
     services: BTreeMap<String, Service>,
     services_max: usize,
-    calls: Vec<Call>,
-    next: i64,
+    calls: Vec<ServiceCall>,
+    next_number: i64,
     timeout: Duration,
 }
 
-impl Services {
-    /// Clients may bring `services_max` services; a call may take `timeout`.
+impl ServiceCalls {
+    /// Creates an empty table. Clients may register `services_max` services; a call may take `timeout`.
     pub fn new(services_max: usize, timeout: Duration) -> Self {
-        Self { services: BTreeMap::new(), services_max, calls: Vec::new(), next: FIRST_CALL, timeout }
+        Self {
+            services: BTreeMap::new(),
+            services_max,
+            calls: Vec::new(),
+            next_number: FIRST_CALL_NUMBER,
+            timeout,
+        }
     }
 
-    fn entry(&mut self, name: &str, class: &str) -> Result<&mut Service, String> {
-        let known = self.services.contains_key(name);
-        if !known && self.services.len() >= self.services_max {
-            return Err(format!("there are {} services already, the limit", self.services_max));
+    fn find_or_add(&mut self, name: &str, service_type: &str) -> Result<&mut Service, ServiceError> {
+        let is_known = self.services.contains_key(name);
+        if !is_known && self.services.len() >= self.services_max {
+            return Err(ServiceError::TooManyServices { limit: self.services_max });
         }
-        let fresh = || Service { class: class.to_owned(), ..Service::default() };
+        let fresh = || Service { service_type: service_type.to_owned(), ..Service::default() };
         let service = self.services.entry(name.to_owned()).or_insert_with(fresh);
-        if service.class == class {
+        if service.service_type == service_type {
             Ok(service)
         } else {
-            Err(format!("service '{name}' is {}, not {class}", service.class))
+            Err(ServiceError::OtherType {
+                name: name.to_owned(),
+                existing: service.service_type.clone(),
+                requested: service_type.to_owned(),
+            })
         }
     }
 
-    /// The client will call this service.
-    pub fn register_caller(&mut self, client: ClientId, name: &str, class: &str) -> Result<(), String> {
-        let service = self.entry(name, class)?;
+    /// Registers a client as caller of a service.
+    pub fn register_caller(
+        &mut self,
+        client: ClientId,
+        name: &str,
+        service_type: &str,
+    ) -> Result<(), ServiceError> {
+        let service = self.find_or_add(name, service_type)?;
         if !service.callers.contains(&client) {
             service.callers.push(client);
         }
         Ok(())
     }
 
-    /// The client answers this service, instead of any before.
-    pub fn register_provider(&mut self, client: ClientId, name: &str, class: &str) -> Result<(), String> {
-        self.entry(name, class)?.provider = Some(client);
+    /// Registers a client as provider of a service, in place of the one before.
+    pub fn register_provider(
+        &mut self,
+        client: ClientId,
+        name: &str,
+        service_type: &str,
+    ) -> Result<(), ServiceError> {
+        self.find_or_add(name, service_type)?.provider = Some(client);
         Ok(())
     }
 
-    /// Undoes [`Self::register_caller`].
+    /// Removes a client from the callers of a service.
     pub fn remove_caller(&mut self, client: ClientId, name: &str) {
         if let Some(service) = self.services.get_mut(name) {
             service.callers.retain(|caller| *caller != client);
         }
-        self.sweep();
+        self.remove_unused();
     }
 
-    /// Undoes [`Self::register_provider`]; the calls that will now get no answer.
-    pub fn remove_provider(&mut self, client: ClientId, name: &str) -> Vec<Call> {
+    /// Removes a client as provider of a service; returns the calls that get no response any more.
+    pub fn remove_provider(&mut self, client: ClientId, name: &str) -> Vec<ServiceCall> {
         if let Some(service) = self.services.get_mut(name) {
             service.provider = service.provider.filter(|provider| *provider != client);
         }
-        self.sweep();
-        self.end(|call| call.provider == client && same_name(&call.service, name))
+        self.remove_unused();
+        self.remove_calls(|call| call.provider == client && is_same_name(&call.service, name))
     }
 
-    /// A client is gone; the calls that will now get no answer.
-    pub fn leave(&mut self, client: ClientId) -> Vec<Call> {
+    /// Removes a client that has left; returns the calls that get no response any more.
+    pub fn remove_client(&mut self, client: ClientId) -> Vec<ServiceCall> {
         for service in self.services.values_mut() {
             service.callers.retain(|caller| *caller != client);
             service.provider = service.provider.filter(|provider| *provider != client);
         }
-        self.sweep();
-        self.end(|call| call.caller == client);
-        self.end(|call| call.provider == client)
+        self.remove_unused();
+        self.remove_calls(|call| call.caller == client);
+        self.remove_calls(|call| call.provider == client)
     }
 
-    fn sweep(&mut self) {
+    fn remove_unused(&mut self) {
         self.services.retain(|_, service| service.provider.is_some() || !service.callers.is_empty());
     }
 
-    fn end(&mut self, which: impl Fn(&Call) -> bool) -> Vec<Call> {
-        let (ended, kept) = std::mem::take(&mut self.calls).into_iter().partition(which);
+    fn remove_calls(&mut self, is_wanted: impl Fn(&ServiceCall) -> bool) -> Vec<ServiceCall> {
+        let (removed, kept) = std::mem::take(&mut self.calls).into_iter().partition(is_wanted);
         self.calls = kept;
-        ended
+        removed
     }
 
-    /// A client calls a service (`name` resolved, `spelled` as it wrote it): the call to pass on, or why not.
-    pub fn call(
+    /// Begins a client's call; returns the call to forward to the provider.
+    ///
+    /// `name` is the service's name with leading slash, `spelled` the name as the client wrote it.
+    pub fn begin_call(
         &mut self,
         caller: ClientId,
         caller_number: i64,
         name: &str,
         spelled: &str,
-        now: Instant,
-    ) -> Result<&Call, String> {
+        now: Monotonic,
+    ) -> Result<ServiceCall, ServiceError> {
         let registered = self.services.get(name).filter(|service| service.callers.contains(&caller));
-        let Some(service) = registered else {
-            return Err(format!("service '{spelled}' is not registered: send __ros_service first"));
-        };
-        let provider = service.provider.ok_or(format!("nobody offers service '{spelled}' now"))?;
+        let service = registered.ok_or_else(|| ServiceError::NotRegistered { name: spelled.to_owned() })?;
+        let provider =
+            service.provider.ok_or_else(|| ServiceError::NoProvider { name: spelled.to_owned() })?;
         if self.calls.len() >= CALLS_MAX {
-            return Err(format!("{CALLS_MAX} service calls are under way already"));
+            return Err(ServiceError::TooManyCalls);
         }
-        let number = self.next;
-        self.next += 1;
+        let number = self.next_number;
+        self.next_number += 1;
         let deadline = now + self.timeout;
-        self.calls.push(Call {
-            number,
-            caller,
-            caller_number,
-            provider,
-            service: spelled.to_owned(),
-            deadline,
-        });
-        Ok(&self.calls[self.calls.len() - 1])
+        let call =
+            ServiceCall { number, caller, caller_number, provider, service: spelled.to_owned(), deadline };
+        self.calls.push(call.clone());
+        Ok(call)
     }
 
-    /// The provider has answered the call of our `number`; `None` if that is no call of its.
-    pub fn answered(&mut self, provider: ClientId, number: i64) -> Option<Call> {
-        self.end(|call| call.number == number && call.provider == provider).pop()
+    /// Ends the call with the bridge's `number`; `None` if the provider has no such call.
+    pub fn end_call(&mut self, provider: ClientId, number: i64) -> Option<ServiceCall> {
+        self.remove_calls(|call| call.number == number && call.provider == provider).pop()
     }
 
-    /// Calls whose time is over.
-    pub fn expired(&mut self, now: Instant) -> Vec<Call> {
+    /// Removes and returns the calls whose deadline has passed.
+    pub fn remove_expired(&mut self, now: Monotonic) -> Vec<ServiceCall> {
         if self.calls.iter().all(|call| now < call.deadline) {
             return Vec::new();
         }
-        self.end(|call| now >= call.deadline)
+        self.remove_calls(|call| now >= call.deadline)
     }
 }
 
-fn same_name(spelled: &str, resolved: &str) -> bool {
+fn is_same_name(spelled: &str, resolved: &str) -> bool {
     spelled.trim_start_matches('/') == resolved.trim_start_matches('/')
 }

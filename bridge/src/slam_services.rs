@@ -1,50 +1,52 @@
-//! SLAM's services as ROS spells them: which there are, what a request's bytes ask of SLAM, what its answer is as
-//! bytes. SLAM Toolbox's names and types where it has one (slam_toolbox 2.8, Jazzy), std_srvs beside them.
+//! SLAM's services in ROS: their names and types, and how requests and responses are encoded.
 //!
-//! All lie under `/robotN/`. Files are written below the run's folder: a name that comes over a network must not
-//! lead out of it.
+//! Names and types are SLAM Toolbox's where it has the service (slam_toolbox 2.8, Jazzy), otherwise std_srvs'. All names
+//! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.
 
 use crate::cdr::{DecodeError, Reader, Writer};
 use msg::{Pose2, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose, Text};
 use std::path::{Component, Path};
+use thiserror::Error;
 
 /// What a service does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Service {
-    /// slam_toolbox/Pause: pauses, or resumes if it was paused.
+    /// slam_toolbox/Pause: pauses, or resumes if SLAM is paused.
     TogglePause,
     /// std_srvs/SetBool: pauses or resumes.
     Pause,
-    /// slam_toolbox/Reset.
+    /// slam_toolbox/Reset: starts a new map, paused if the request says so.
     Reset,
-    /// slam_toolbox/SaveMap: pictures for map_server.
+    /// slam_toolbox/SaveMap: writes image files for map_server.
     SaveMap,
-    /// slam_toolbox/SerializePoseGraph: a session file.
+    /// slam_toolbox/SerializePoseGraph: writes a session file.
     SaveSession,
-    /// slam_toolbox/DeserializePoseGraph.
+    /// slam_toolbox/DeserializePoseGraph: loads a session file.
     LoadSession,
-    /// std_srvs/Trigger: one request without arguments.
+    /// std_srvs/Trigger: makes one request without arguments.
     Trigger(SlamRequestKind),
 }
 
-/// One service under `/robotN/`.
+/// A service with its ROS name and type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Named {
-    /// `slam_toolbox/save_map`.
+pub struct NamedService {
+    /// Name under `/robotN/`, such as `slam_toolbox/save_map`.
     pub name: &'static str,
     /// `package/Type`.
-    pub class: &'static str,
-    /// What it does.
+    pub service_type: &'static str,
+    /// What the service does.
     pub service: Service,
 }
 
-const fn named(name: &'static str, class: &'static str, service: Service) -> Named {
-    Named { name, class, service }
+const fn named(name: &'static str, service_type: &'static str, service: Service) -> NamedService {
+    NamedService { name, service_type, service }
 }
 
-/// All of a robot's services. SLAM Toolbox's dynamic_map is missing: a reply longer than a datagram reaches nobody,
-/// because RustDDS 0.15 writes one byte too many into each fragment that names its request. The map is on `/robotN/map`.
-pub const ALL: [Named; 9] = [
+/// All services of a robot.
+///
+/// SLAM Toolbox's dynamic_map is missing: RustDDS 0.15 writes one byte too many into each fragment of a reply that
+/// names its request, so that a reply longer than a datagram reaches nobody. The map is on `/robotN/map`.
+pub const SERVICES: [NamedService; 9] = [
     named("slam_toolbox/pause_new_measurements", "slam_toolbox/Pause", Service::TogglePause),
     named("slam_toolbox/reset", "slam_toolbox/Reset", Service::Reset),
     named("slam_toolbox/save_map", "slam_toolbox/SaveMap", Service::SaveMap),
@@ -56,93 +58,133 @@ pub const ALL: [Named; 9] = [
     named("clear_closures", "std_srvs/Trigger", Service::Trigger(SlamRequestKind::ClearClosures)),
 ];
 
-/// SLAM Toolbox's result codes: done; and any failure, which it does not tell apart.
-const SUCCESS: u8 = 0;
-const FAILURE: u8 = 255;
+/// SLAM Toolbox's result code of a request that is done.
+const RESULT_SUCCESS: u8 = 0;
+/// SLAM Toolbox's result code of any failure.
+const RESULT_FAILURE: u8 = 255;
 
-/// Why a request is not passed on.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+/// Why a request is not passed on to SLAM.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum RequestError {
-    /// It is not the request it should be.
+    /// The payload is not the service's request.
     #[error(transparent)]
     Payload(#[from] DecodeError),
-    /// It says what cannot be.
-    #[error("{0}")]
-    Content(String),
+    /// The file's name leads out of the run's folder.
+    #[error("'{name}' is not a name below the run's folder; expected one like `monday` or `maps/monday`")]
+    FileName {
+        /// The name in the request.
+        name: String,
+    },
+    /// The file's name does not fit into a message.
+    #[error("'{name}' is too long for a file's name")]
+    LongFileName {
+        /// The name in the request.
+        name: String,
+    },
+    /// The match type is not known.
+    #[error("match_type {match_type}: expected 0 unset, 1 first node, 2 given pose, 3 localize")]
+    MatchType {
+        /// The value in the request.
+        match_type: u8,
+    },
 }
 
-/// What is asked of SLAM: one thing, and perhaps a second after it.
+/// Why a call gets no answer of SLAM.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ServiceFailure {
+    /// The request is invalid.
+    #[error(transparent)]
+    Request(#[from] RequestError),
+    /// Too many calls wait for SLAM.
+    #[error("{limit} calls wait for SLAM already; try again later")]
+    TooManyCalls {
+        /// The limit.
+        limit: usize,
+    },
+    /// SLAM has not answered.
+    #[error("SLAM did not answer in time")]
+    Timeout,
+}
+
+/// The requests to SLAM that one call makes. The caller fills in `client` and `id`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Asked {
-    /// `client` and `id` are the caller's to fill in.
+pub struct SlamRequests {
+    /// The first request.
     pub first: SlamRequest,
-    /// When the first is done.
-    pub then: Option<SlamRequest>,
+    /// The request that follows when the first is done.
+    pub next: Option<SlamRequest>,
 }
 
-impl From<SlamRequest> for Asked {
+impl From<SlamRequest> for SlamRequests {
     fn from(first: SlamRequest) -> Self {
-        Self { first, then: None }
+        Self { first, next: None }
     }
 }
 
-fn ask(kind: SlamRequestKind) -> SlamRequest {
+fn request(kind: SlamRequestKind) -> SlamRequest {
     SlamRequest { kind: kind as u32, ..SlamRequest::default() }
 }
 
-/// A name below the run's folder.
-fn file(name: &str) -> Result<Text, RequestError> {
-    let inside = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
-    let wrong = |why: &str| RequestError::Content(format!("'{name}' {why}"));
-    if name.is_empty() || !inside || name.contains(char::is_control) {
-        return Err(wrong("is no name below the run's folder, such as `monday` or `maps/monday`"));
+/// Checks that a name lies below the run's folder.
+fn file_name(name: &str) -> Result<Text, RequestError> {
+    let is_below = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    if name.is_empty() || !is_below || name.contains(char::is_control) {
+        return Err(RequestError::FileName { name: name.to_owned() });
     }
-    Text::new(name).ok_or_else(|| wrong("is too long"))
+    Text::new(name).ok_or_else(|| RequestError::LongFileName { name: name.to_owned() })
 }
 
 impl Service {
-    /// What a request asks of SLAM. `paused` is whether it is now.
-    pub fn read(self, from: &mut Reader<'_>, paused: bool) -> Result<Asked, RequestError> {
-        let pause = |wished: bool| ask(if wished { SlamRequestKind::Pause } else { SlamRequestKind::Resume });
+    /// Reads a request. `paused` is whether SLAM is paused now.
+    pub fn read(self, from: &mut Reader<'_>, paused: bool) -> Result<SlamRequests, RequestError> {
+        let pause =
+            |wanted: bool| request(if wanted { SlamRequestKind::Pause } else { SlamRequestKind::Resume });
         Ok(match self {
             Self::TogglePause => pause(!paused).into(),
             Self::Pause => pause(from.bool("data")?).into(),
             Self::Reset => {
-                let then = from.bool("pause_new_measurements")?.then(|| ask(SlamRequestKind::Pause));
-                Asked { first: ask(SlamRequestKind::Reset), then }
+                let next = from.bool("pause_new_measurements")?.then(|| request(SlamRequestKind::Pause));
+                SlamRequests { first: request(SlamRequestKind::Reset), next }
             }
-            Self::SaveMap => {
-                SlamRequest { text: file(from.string("name.data")?)?, ..ask(SlamRequestKind::SaveMap) }.into()
+            Self::SaveMap => SlamRequest {
+                text: file_name(from.string("name.data")?)?,
+                ..request(SlamRequestKind::SaveMap)
             }
-            Self::SaveSession => {
-                SlamRequest { text: file(from.string("filename")?)?, ..ask(SlamRequestKind::SaveSession) }
-                    .into()
+            .into(),
+            Self::SaveSession => SlamRequest {
+                text: file_name(from.string("filename")?)?,
+                ..request(SlamRequestKind::SaveSession)
             }
-            Self::LoadSession => load(from)?.into(),
-            Self::Trigger(what) => ask(what).into(),
+            .into(),
+            Self::LoadSession => read_load_session(from)?.into(),
+            Self::Trigger(kind) => request(kind).into(),
         })
     }
 
-    /// SLAM's answer, or why there is none.
-    pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamResponse, &str>) {
+    /// Writes the response: SLAM's answer, or why there is none.
+    pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamResponse, &ServiceFailure>) {
         let done = answer.is_ok_and(|answer| answer.outcome() == SlamOutcome::Done);
-        let text = answer.map_or_else(|why| why, |answer| answer.text.as_str());
         match self {
             Self::TogglePause => to.bool(done),
-            Self::Reset | Self::SaveMap | Self::SaveSession => to.u8(if done { SUCCESS } else { FAILURE }),
+            Self::Reset | Self::SaveMap | Self::SaveSession => {
+                to.u8(if done { RESULT_SUCCESS } else { RESULT_FAILURE });
+            }
             // An empty response is one byte in ROS 2.
             Self::LoadSession => to.u8(0),
             Self::Pause | Self::Trigger(_) => {
                 to.bool(done);
-                to.string(text);
+                match answer {
+                    Ok(answer) => to.string(answer.text.as_str()),
+                    Err(failure) => to.string(&failure.to_string()),
+                }
             }
         }
     }
 }
 
-/// slam_toolbox/DeserializePoseGraph: filename, match_type, initial_pose (Pose2D).
-fn load(from: &mut Reader<'_>) -> Result<SlamRequest, RequestError> {
-    let text = file(from.string("filename")?)?;
+/// Reads slam_toolbox/DeserializePoseGraph: filename, match_type, initial_pose (Pose2D).
+fn read_load_session(from: &mut Reader<'_>) -> Result<SlamRequest, RequestError> {
+    let text = file_name(from.string("filename")?)?;
     let match_type = from.u8("match_type")?;
     let [x_m, y_m, yaw_rad] =
         [from.finite("initial_pose.x")?, from.finite("initial_pose.y")?, from.finite("initial_pose.theta")?];
@@ -151,14 +193,11 @@ fn load(from: &mut Reader<'_>) -> Result<SlamRequest, RequestError> {
         1 => (SlamMode::Mapping, StartPose::FirstNode),
         2 => (SlamMode::Mapping, StartPose::Given),
         3 => (SlamMode::Localization, StartPose::Given),
-        other => {
-            let why = format!("match_type {other}: expected 0 unset, 1 first node, 2 given pose, 3 localize");
-            return Err(RequestError::Content(why));
-        }
+        match_type => return Err(RequestError::MatchType { match_type }),
     };
     let (mode, start) = (mode as u32, start as u32);
     let pose = Pose2::new(x_m, y_m, yaw_rad);
-    Ok(SlamRequest { text, mode, start, pose, ..ask(SlamRequestKind::LoadSession) })
+    Ok(SlamRequest { text, mode, start, pose, ..request(SlamRequestKind::LoadSession) })
 }
 
 #[cfg(test)]
@@ -166,26 +205,26 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn request(fill: impl FnOnce(&mut Writer<'_>)) -> Vec<u8> {
+    fn encoded(fill: impl FnOnce(&mut Writer<'_>)) -> Vec<u8> {
         let mut bytes = Vec::new();
         fill(&mut Writer::new(&mut bytes));
         bytes
     }
 
-    fn read(service: Service, bytes: &[u8]) -> Result<Asked, RequestError> {
+    fn read(service: Service, bytes: &[u8]) -> Result<SlamRequests, RequestError> {
         service.read(&mut Reader::new(bytes)?, false)
     }
 
     #[test]
-    fn requests_are_what_slam_toolbox_means_by_them() {
-        let toggled = read(Service::TogglePause, &request(|to| to.u8(0))).unwrap();
+    fn requests_mean_what_they_mean_in_slam_toolbox() {
+        let toggled = read(Service::TogglePause, &encoded(|to| to.u8(0))).unwrap();
         assert_eq!(toggled.first.kind, SlamRequestKind::Pause as u32);
-        let reset = read(Service::Reset, &request(|to| to.bool(true))).unwrap();
+        let reset = read(Service::Reset, &encoded(|to| to.bool(true))).unwrap();
         assert_eq!(reset.first.kind, SlamRequestKind::Reset as u32);
-        assert_eq!(reset.then.map(|then| then.kind), Some(SlamRequestKind::Pause as u32));
-        let saved = read(Service::SaveMap, &request(|to| to.string("maps/monday"))).unwrap();
+        assert_eq!(reset.next.map(|next| next.kind), Some(SlamRequestKind::Pause as u32));
+        let saved = read(Service::SaveMap, &encoded(|to| to.string("maps/monday"))).unwrap();
         assert_eq!(saved.first.text.as_str(), "maps/monday");
-        let loaded = request(|to| {
+        let loaded = encoded(|to| {
             to.string("monday");
             to.u8(3);
             to.f64s(&[1.0, 2.0, 0.5]);
@@ -196,19 +235,19 @@ mod tests {
     }
 
     #[test]
-    fn no_file_lies_outside_the_run() {
+    fn a_file_outside_the_runs_folder_is_refused() {
         for name in ["", "/etc/passwd", "../up", "a/../../b", "./a", "a\n"] {
-            assert!(read(Service::SaveMap, &request(|to| to.string(name))).is_err(), "{name}");
+            assert!(read(Service::SaveMap, &encoded(|to| to.string(name))).is_err(), "{name}");
         }
     }
 
     proptest! {
         #[test]
-        fn any_bytes_are_read_or_refused(which in 0..ALL.len(), bytes in proptest::collection::vec(any::<u8>(), 0..80)) {
+        fn any_bytes_are_a_request_or_an_error(which in 0..SERVICES.len(), bytes in proptest::collection::vec(any::<u8>(), 0..80)) {
             let payload = [&crate::cdr::ENCAPSULATION[..], &bytes].concat();
-            if let Ok(asked) = read(ALL[which].service, &payload) {
-                prop_assert!(asked.first.pose.is_finite());
-                prop_assert!(!asked.first.text.as_str().starts_with('/'));
+            if let Ok(requests) = read(SERVICES[which].service, &payload) {
+                prop_assert!(requests.first.pose.is_finite());
+                prop_assert!(!requests.first.text.as_str().starts_with('/'));
             }
         }
     }

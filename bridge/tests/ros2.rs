@@ -1,8 +1,8 @@
-//! The ROS 2 door against another implementation's node on loopback: ros2-client's own readers and writers.
-//! Against ROS 2 itself: .ci/interop.
+//! The ROS 2 endpoint against another implementation's node on loopback: ros2-client's own readers and writers.
+//! `.ci/interop` tests it against ROS 2 itself.
 
-use bridge::dds::{DdsConfig, Door, Heard};
-use bridge::{Bridge, BridgeConfig, Outlet};
+use bridge::dds::{DdsConfig, DdsEndpoint, ReceivedMessage};
+use bridge::{Bridge, BridgeConfig, FleetMessage, Transport, process_clock};
 use futures::StreamExt;
 
 use msg::{
@@ -23,7 +23,7 @@ use tokio::task::{LocalSet, spawn_local};
 
 /// No step takes this long unless it hangs.
 const WATCHDOG: Duration = Duration::from_secs(60);
-/// Enough for whatever else might come to have come.
+/// Whatever else is on its way arrives within this time.
 const QUIET: Duration = Duration::from_millis(400);
 
 #[derive(Serialize, Deserialize)]
@@ -48,7 +48,7 @@ fn run(test: impl Future<Output = ()>) {
     });
 }
 
-/// A domain of this test's own, as far as that can be had: ports are the machine's.
+/// A domain that no other test uses at the same time, in all probability: ports belong to the machine.
 fn config(offset: u32) -> BridgeConfig {
     let domain = (1 + (std::process::id() * 7 + offset) % 100) as u16;
     BridgeConfig {
@@ -79,16 +79,16 @@ fn robot() -> RobotId {
     RobotId::new(1).unwrap()
 }
 
-fn send_map(door: &Door, second: i64, side: u32) {
+fn send_map(endpoint: &DdsEndpoint, second: i64, side: u32) {
     let header = Header { stamp: Stamp(second * 1_000_000_000), ..Header::default() };
     let (origin, resolution_m) = (Pose2::IDENTITY, 0.05);
     let header =
         GridHeader { header, origin, resolution_m, width: side, height: side, ..GridHeader::default() };
     let cells = vec![second as i8; (side * side) as usize];
-    door.map(robot(), GridView::new(&header, &cells).unwrap());
+    endpoint.publish(FleetMessage::Map(robot(), GridView::new(&header, &cells).unwrap()));
 }
 
-/// The stamps that come until it is quiet, the first waited for.
+/// Returns the stamps that arrive until nothing does for [`QUIET`]; waits for the first.
 async fn stamps(subscription: &Subscription<Grid>) -> Vec<i32> {
     let mut stream = std::pin::pin!(subscription.async_stream());
     let mut heard = vec![];
@@ -108,15 +108,15 @@ async fn stamps(subscription: &Subscription<Grid>) -> Vec<i32> {
 fn a_late_joiner_gets_the_newest_map_once() {
     run(async {
         let config = config(0);
-        let door = Rc::new(Door::open(&config, 1, false).unwrap());
-        spawn_local(door.clone().serve(|_| {}, |_, _| {}));
-        (1..=20).for_each(|second| send_map(&door, second, 50));
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
+        spawn_local(endpoint.clone().serve(|_| {}, |_, _| {}));
+        (1..=20).for_each(|second| send_map(&endpoint, second, 50));
         let mut other = node(&config);
         let first = maps(&mut other);
         assert_eq!(stamps(&first).await, [20]);
         // Somebody is there now, and takes every map, the last of them at least.
         for second in 21..=24 {
-            send_map(&door, second, 50);
+            send_map(&endpoint, second, 50);
             tokio::task::yield_now().await;
         }
         assert_eq!(stamps(&first).await.last(), Some(&24));
@@ -131,9 +131,9 @@ fn a_fleet_can_have_a_namespace() {
     run(async {
         let mut config = config(25);
         config.dds.namespace = "/lab/floor_2".into();
-        let door = Rc::new(Door::open(&config, 1, false).unwrap());
-        spawn_local(door.clone().serve(|_| {}, |_, _| {}));
-        send_map(&door, 7, 20);
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
+        spawn_local(endpoint.clone().serve(|_| {}, |_, _| {}));
+        send_map(&endpoint, 7, 20);
         let mut other = node(&config);
         let there = maps_on(&mut other, "/lab/floor_2/robot1/map");
         assert_eq!(stamps(&there).await, [7]);
@@ -157,18 +157,20 @@ impl Message for SaveMapResponse {}
 fn slam_toolboxs_save_map_is_asked_and_answered() {
     run(async {
         let config = config(75);
-        let door = Rc::new(Door::open(&config, 1, false).unwrap());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
         // SLAM, which saves whatever is named `monday`.
-        let answering = Rc::downgrade(&door);
+        let answering = Rc::downgrade(&endpoint);
         let ask = move |robot: RobotId, request: SlamRequest| {
             assert_eq!(request.kind, SlamRequestKind::SaveMap as u32);
             let done = request.text.as_str() == "monday";
             let outcome = if done { SlamOutcome::Done } else { SlamOutcome::Refused } as u32;
             let answer = SlamResponse { id: request.id, outcome, ..SlamResponse::default() };
             let answering = answering.clone();
-            spawn_local(async move { answering.upgrade().map(|door| door.answered(robot, &answer, true)) });
+            spawn_local(async move {
+                answering.upgrade().map(|endpoint| endpoint.answer_request(robot, &answer, true))
+            });
         };
-        spawn_local(door.clone().serve(|_| {}, ask));
+        spawn_local(endpoint.clone().serve(|_| {}, ask));
         let mut other = node(&config);
         let client = other
             .create_client::<SaveMapRequest, SaveMapResponse>(
@@ -199,14 +201,17 @@ fn slam_toolboxs_save_map_is_asked_and_answered() {
 fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
     run(async {
         let config = config(50);
-        let door = Rc::new(Door::open(&config, 1, false).unwrap());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
         let commands = Rc::new(RefCell::new(Vec::<VelocityCommand>::new()));
         let taken = commands.clone();
         let bridge = Rc::new(
             Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),
         );
-        let hearing = bridge.clone();
-        spawn_local(door.clone().serve(move |heard: Heard| hearing.hear_ros(&heard), |_, _| {}));
+        let receiver = bridge.clone();
+        spawn_local(endpoint.clone().serve(
+            move |message: ReceivedMessage| receiver.receive_dds(&message, process_clock()),
+            |_, _| {},
+        ));
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/robot1/cmd_vel").unwrap();

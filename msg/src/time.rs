@@ -50,6 +50,13 @@ impl Add<Duration> for Stamp {
     }
 }
 
+impl Add<Duration> for Monotonic {
+    type Output = Self;
+    fn add(self, step: Duration) -> Self {
+        Self(self.0.saturating_add(step.as_nanos() as u64))
+    }
+}
+
 impl Monotonic {
     /// Returns the nanoseconds from `earlier` to `self`; 0 if `earlier` is later.
     pub fn since(self, earlier: Self) -> u64 {

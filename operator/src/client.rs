@@ -1,8 +1,7 @@
-//! The ros_tcp client: what Unity's connector does on the wire, without Unity. Connects, registers, keeps the
-//! link alive, takes frames and says when each came, and comes back when the link is lost.
+//! ros_tcp client: connects, registers topics, keeps the connection alive and reconnects, as Unity's connector does.
 //!
-//! [`Client`] reads, on one thread, stamping right after the system call that brought the bytes; [`Voice`] writes,
-//! from any thread, each message as one frame in one write.
+//! [`Client`] reads on one thread and stamps messages right after the system call that brought them.
+//! [`ClientHandle`] writes from any thread, each message as one frame in one write.
 
 use bridge::command::{Handshake, Notice, Registration, TopicList, name};
 use bridge::frame::{Frame, KEEPALIVE, Parser, Side};
@@ -13,62 +12,67 @@ use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The connector says something at least this often.
+/// Longest time without a write: as often the connector sends a keepalive.
 const KEEPALIVE_EVERY: Duration = Duration::from_secs(1);
-/// The connector's pause between two attempts.
+/// Time between two attempts to connect, as the connector waits.
 const RETRY_EVERY: Duration = Duration::from_secs(1);
+/// Longest time of one attempt to connect: a bridge on the same network answers within milliseconds.
 const CONNECT_MAX: Duration = Duration::from_secs(1);
-/// A peer that takes nothing for so long is as good as gone.
+/// Longest time of a write: a peer that takes nothing for so long is treated as gone.
 const WRITE_MAX: Duration = Duration::from_secs(1);
-/// The largest message: a map of 4096 x 4096 cells and what stands around it.
-const PAYLOAD_BYTES_MAX: usize = msg::grid::CELLS_MAX + 4096;
-/// Topics one client can register.
+/// Largest message, bytes: a map of 4096 x 4096 cells and its header.
+const PAYLOAD_BYTES_MAX: usize = msg::grid::CELLS_MAX + MAP_HEADER_BYTES_MAX;
+/// Bytes of a map message beside its cells, generously.
+const MAP_HEADER_BYTES_MAX: usize = 4096;
+/// Versions of the ros_tcp endpoint that this client understands.
+const ENDPOINT_VERSION: &str = "v0.7.";
+/// Most registrations of one client.
 const REGISTRATIONS_MAX: usize = 512;
-/// Publishers' queue, as the connector asks for by default.
+/// Queue of a publisher, messages: what the connector asks for by default.
 const QUEUE_SIZE: i64 = 10;
-/// Reads in a row before the caller gets its turn.
+/// Most reads of one poll, so that the caller gets its turn under any load.
 const READS_MAX: usize = 64;
 
-/// What comes in.
+/// What a poll reports.
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// The handshake came: the link is up.
+    /// The handshake arrived: the connection is up.
     Connected,
-    /// The link is down, for this reason; the client keeps trying.
-    Lost(String),
-    /// The answer to [`Voice::ask_topics`], which is also asked at each connect.
+    /// The connection is down for this reason; the client keeps trying.
+    Disconnected(String),
+    /// Answer to [`ClientHandle::request_topics`], which is also sent after each connect.
     Topics(TopicList),
-    /// Words from the server: the command (`__log`, `__warn`, `__error`) and the text.
-    Notice(&'a str, String),
-    /// A message on a subscribed topic.
+    /// Text from the server, with its command (`__log`, `__warn` or `__error`).
+    ServerText(&'a str, String),
+    /// Message on a subscribed topic.
     Message {
-        /// Its topic.
+        /// Topic of the message.
         topic: &'a str,
-        /// CDR.
+        /// Content of the message, CDR.
         payload: &'a [u8],
-        /// Right after the read that completed it.
+        /// Time right after the read that completed the message.
         received: Instant,
     },
 }
 
-/// The side of the link that reads.
+/// Reading side of the connection.
 pub struct Client {
     address: String,
-    voice: Voice,
-    link: Option<Link>,
+    handle: ClientHandle,
+    connection: Option<Connection>,
     retry_at: Instant,
 }
 
-/// One connection.
-struct Link {
+/// One established connection.
+struct Connection {
     stream: TcpStream,
     parser: Parser,
-    greeted: bool,
+    handshake_done: bool,
 }
 
-/// The side of the link that writes. Clones share the link.
+/// Writing side of the connection; clones share it.
 #[derive(Clone, Default)]
-pub struct Voice {
+pub struct ClientHandle {
     shared: Arc<Mutex<Shared>>,
 }
 
@@ -76,33 +80,40 @@ pub struct Voice {
 struct Shared {
     stream: Option<TcpStream>,
     connections: u64,
-    wrote: Option<Instant>,
+    last_write: Option<Instant>,
     registrations: Vec<(&'static str, Registration)>,
     frame: Vec<u8>,
 }
 
 impl Client {
-    /// For a server at `host:port`. Connects at the first [`Client::poll`].
+    /// A client of the server at `host:port`. It connects at the first [`Client::poll`].
     pub fn new(address: impl Into<String>) -> Self {
-        Self { address: address.into(), voice: Voice::default(), link: None, retry_at: Instant::now() }
+        Self {
+            address: address.into(),
+            handle: ClientHandle::default(),
+            connection: None,
+            retry_at: Instant::now(),
+        }
     }
 
-    /// The link's other side.
-    pub fn voice(&self) -> Voice {
-        self.voice.clone()
+    /// Writing side of this client's connection.
+    pub fn handle(&self) -> ClientHandle {
+        self.handle.clone()
     }
 
-    /// Waits for the server until something came or `deadline`, and hands over all that came.
-    pub fn poll(&mut self, deadline: Instant, on: &mut dyn FnMut(Event<'_>)) {
-        let outcome = match &mut self.link {
+    /// Waits until something arrives or `deadline`, and passes all that arrived to `on_event`.
+    pub fn poll(&mut self, deadline: Instant, on_event: &mut dyn FnMut(Event<'_>)) {
+        let outcome = match &mut self.connection {
             None => self.connect(deadline),
-            Some(link) => self.voice.keep_alive().and_then(|()| link.listen(deadline, on)),
+            Some(connection) => {
+                self.handle.keep_alive().and_then(|()| connection.receive(deadline, on_event))
+            }
         };
         if let Err(why) = outcome {
-            self.link = None;
-            self.voice.lock().hang_up();
+            self.connection = None;
+            self.handle.lock().close();
             self.retry_at = Instant::now() + RETRY_EVERY;
-            on(Event::Lost(format!("{}: {why}", self.address)));
+            on_event(Event::Disconnected(format!("{}: {why}", self.address)));
         }
     }
 
@@ -116,11 +127,12 @@ impl Client {
         for address in self.address.to_socket_addrs()? {
             match TcpStream::connect_timeout(&address, CONNECT_MAX) {
                 Ok(stream) => {
-                    // Each message goes out at once, and a dead peer holds nobody up for long.
+                    // Each message is sent at once, and a dead peer blocks a write for a second at most.
                     stream.set_nodelay(true)?;
                     stream.set_write_timeout(Some(WRITE_MAX))?;
-                    self.voice.lock().introduce(stream.try_clone()?)?;
-                    self.link = Some(Link { stream, parser: Parser::new(PAYLOAD_BYTES_MAX), greeted: false });
+                    self.handle.lock().start_session(stream.try_clone()?)?;
+                    let parser = Parser::new(PAYLOAD_BYTES_MAX);
+                    self.connection = Some(Connection { stream, parser, handshake_done: false });
                     return Ok(());
                 }
                 Err(why) => last = why,
@@ -130,11 +142,11 @@ impl Client {
     }
 }
 
-impl Link {
-    fn listen(&mut self, deadline: Instant, on: &mut dyn FnMut(Event<'_>)) -> io::Result<()> {
-        // Not longer than until the next keepalive may be due.
+impl Connection {
+    fn receive(&mut self, deadline: Instant, on_event: &mut dyn FnMut(Event<'_>)) -> io::Result<()> {
+        // No longer than until the next keepalive may be due.
         let wait = deadline.saturating_duration_since(Instant::now()).min(KEEPALIVE_EVERY / 4);
-        if !self.readable(wait)? {
+        if !self.is_readable(wait)? {
             return Ok(());
         }
         for _ in 0..READS_MAX {
@@ -145,16 +157,16 @@ impl Link {
             }
             self.parser.filled(count);
             while let Some(frame) = self.parser.next_frame().map_err(io::Error::other)? {
-                take(frame, received, &mut self.greeted, on)?;
+                handle_frame(frame, received, &mut self.handshake_done, on_event)?;
             }
-            if Instant::now() >= deadline || !self.readable(Duration::ZERO)? {
+            if Instant::now() >= deadline || !self.is_readable(Duration::ZERO)? {
                 return Ok(());
             }
         }
         Ok(())
     }
 
-    fn readable(&self, wait: Duration) -> io::Result<bool> {
+    fn is_readable(&self, wait: Duration) -> io::Result<bool> {
         let timeout = Timespec { tv_sec: wait.as_secs() as i64, tv_nsec: i64::from(wait.subsec_nanos()) };
         match poll(&mut [PollFd::new(&self.stream, PollFlags::IN)], Some(&timeout)) {
             Ok(ready) => Ok(ready > 0),
@@ -164,45 +176,47 @@ impl Link {
     }
 }
 
-fn take(
+fn handle_frame(
     frame: Frame<'_>,
     received: Instant,
-    greeted: &mut bool,
-    on: &mut dyn FnMut(Event<'_>),
+    handshake_done: &mut bool,
+    on_event: &mut dyn FnMut(Event<'_>),
 ) -> io::Result<()> {
     let topic = core::str::from_utf8(frame.name).unwrap_or_default();
-    if !*greeted {
+    if !*handshake_done {
         check_handshake(topic, frame.json()).map_err(io::Error::other)?;
-        *greeted = true;
-        on(Event::Connected);
+        *handshake_done = true;
+        on_event(Event::Connected);
         return Ok(());
     }
     match topic {
-        // Keepalives, and names that are not text.
+        // A keepalive, or a name that is not text.
         "" => {}
-        name::TOPIC_LIST => on(Event::Topics(body(frame.json()))),
-        name::LOG | name::WARN | name::ERROR => on(Event::Notice(topic, body::<Notice>(frame.json()).text)),
-        // Other commands concern services, of which this client has none.
+        name::TOPIC_LIST => on_event(Event::Topics(json_body(frame.json()))),
+        name::LOG | name::WARN | name::ERROR => {
+            on_event(Event::ServerText(topic, json_body::<Notice>(frame.json()).text));
+        }
+        // The other commands concern services, which this client does not use.
         command if command.starts_with("__") => {}
-        topic => on(Event::Message { topic, payload: frame.payload, received }),
+        topic => on_event(Event::Message { topic, payload: frame.payload, received }),
     }
     Ok(())
 }
 
-/// As the connector reads: what is missing or odd becomes the default.
-fn body<T: Default + serde::de::DeserializeOwned>(json: &[u8]) -> T {
+/// Reads the body of a command as the connector does: what is missing or invalid becomes the default.
+fn json_body<T: Default + serde::de::DeserializeOwned>(json: &[u8]) -> T {
     serde_json::from_slice(json).unwrap_or_default()
 }
 
 fn check_handshake(first: &str, json: &[u8]) -> Result<(), String> {
     if first != name::HANDSHAKE {
         return Err(format!(
-            "its first frame is '{first}', expected '{}': no ros_tcp endpoint",
+            "its first frame is '{first}', expected '{}': no ros_tcp endpoint; check host and port",
             name::HANDSHAKE
         ));
     }
-    let handshake: Handshake = body(json);
-    if !handshake.version.starts_with("v0.7.") {
+    let handshake: Handshake = json_body(json);
+    if !handshake.version.starts_with(ENDPOINT_VERSION) {
         return Err(format!("the endpoint is of version '{}', expected v0.7", handshake.version));
     }
     let metadata: serde_json::Value = serde_json::from_str(&handshake.metadata).unwrap_or_default();
@@ -212,13 +226,13 @@ fn check_handshake(first: &str, json: &[u8]) -> Result<(), String> {
     }
 }
 
-impl Voice {
+impl ClientHandle {
     /// Subscribes to a topic, now and after every reconnect.
     pub fn subscribe(&self, topic: &str, message_name: &str) {
         self.register(name::SUBSCRIBE, topic, message_name);
     }
 
-    /// Announces messages on a topic, now and after every reconnect.
+    /// Registers as a publisher of a topic, now and after every reconnect.
     pub fn advertise<M: Message>(&self, topic: &str) {
         self.register(name::PUBLISH, topic, M::TYPE);
     }
@@ -239,26 +253,26 @@ impl Voice {
         shared.registrations.push((command, registration));
     }
 
-    /// Asks for the list of topics.
-    pub fn ask_topics(&self) {
+    /// Requests the list of topics; it arrives as [`Event::Topics`].
+    pub fn request_topics(&self) {
         self.lock().write(write_topic_list);
     }
 
-    /// Writes a message on an advertised topic; false if the link is down.
+    /// Publishes a message on an advertised topic. Returns false if the connection is down.
     pub fn publish<M: Message>(&self, topic: &str, message: &M) -> bool {
         self.lock().write(|out| Side::Client.write_with(out, topic, |out| ros::encode(message, out)))
     }
 
-    /// How often a connection was made.
+    /// Number of connections made so far.
     pub fn connections(&self) -> u64 {
         self.lock().connections
     }
 
     fn keep_alive(&self) -> io::Result<()> {
         let mut shared = self.lock();
-        let quiet = shared.wrote.is_none_or(|at| at.elapsed() >= KEEPALIVE_EVERY);
-        if quiet && !shared.write(|out| out.extend_from_slice(&KEEPALIVE)) {
-            return Err(io::Error::new(io::ErrorKind::BrokenPipe, "the server takes nothing any more"));
+        let is_due = shared.last_write.is_none_or(|at| at.elapsed() >= KEEPALIVE_EVERY);
+        if is_due && !shared.write(|out| out.extend_from_slice(&KEEPALIVE)) {
+            return Err(io::Error::new(io::ErrorKind::BrokenPipe, "the server accepts no data any more"));
         }
         Ok(())
     }
@@ -269,8 +283,8 @@ impl Voice {
 }
 
 impl Shared {
-    /// A keepalive, all registrations, and the question for the topics, as the connector begins.
-    fn introduce(&mut self, stream: TcpStream) -> io::Result<()> {
+    /// Sends a keepalive, all registrations and a request for the topics, as the connector does first.
+    fn start_session(&mut self, stream: TcpStream) -> io::Result<()> {
         self.stream = Some(stream);
         self.connections += 1;
         let registrations = core::mem::take(&mut self.registrations);
@@ -283,22 +297,23 @@ impl Shared {
         if written { Ok(()) } else { Err(io::ErrorKind::BrokenPipe.into()) }
     }
 
-    /// Whether it was written. A write that fails ends the connection: half a frame may be out.
+    /// Writes a frame and returns whether it was written. A failed write ends the connection, because half a frame
+    /// may have been sent.
     fn write(&mut self, fill: impl FnOnce(&mut Vec<u8>)) -> bool {
         let Some(stream) = &mut self.stream else { return false };
         self.frame.clear();
         fill(&mut self.frame);
         if stream.write_all(&self.frame).is_err() {
-            self.hang_up();
+            self.close();
             return false;
         }
-        self.wrote = Some(Instant::now());
+        self.last_write = Some(Instant::now());
         true
     }
 
-    fn hang_up(&mut self) {
+    fn close(&mut self) {
         if let Some(stream) = self.stream.take() {
-            // The reader wakes by it; if the peer is gone already, so be it.
+            // It wakes the reader. An error means that the peer is gone already.
             let _ = stream.shutdown(Shutdown::Both);
         }
     }
@@ -308,7 +323,7 @@ fn write_topic_list(out: &mut Vec<u8>) {
     Side::Client.write_command(out, name::TOPIC_LIST, &serde_json::json!({}));
 }
 
-/// The connector's bodies: a subscription has two fields, a publication four.
+/// Writes the bodies that the connector writes: a subscription has two fields, a publication four.
 fn write_registration(out: &mut Vec<u8>, command: &str, registration: &Registration) {
     let Registration { topic, message_name, .. } = registration;
     if command == name::PUBLISH {

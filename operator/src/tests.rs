@@ -1,15 +1,11 @@
-//! The operator against the real bridge, with a small world behind it, over TCP on loopback.
+//! The operator against the real bridge with a small world behind it, over TCP on loopback.
 
-use super::rehearsal::World;
+mod fleet;
+
 use super::*;
-use bridge::{Bridge, BridgeConfig, serve};
-use std::cell::RefCell;
-use std::net::SocketAddr;
-use std::rc::Rc;
+use fleet::spawn_fleet;
+use nav::test_world::TestWorld;
 use std::sync::Arc;
-use std::sync::mpsc;
-use tokio::net::TcpListener;
-use tokio::task::LocalSet;
 
 fn args(port: u16) -> OperatorArgs {
     OperatorArgs {
@@ -26,62 +22,11 @@ fn args(port: u16) -> OperatorArgs {
     }
 }
 
-/// A world behind a bridge on a thread of its own, until `enough` of it.
-struct Fleet {
-    port: u16,
-    thread: std::thread::JoinHandle<()>,
-}
-
-fn fleet(robots: usize, stop: Arc<AtomicBool>, enough: impl Fn(&World) -> bool + Send + 'static) -> Fleet {
-    let (ready, port) = mpsc::channel();
-    let thread = std::thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        LocalSet::new().block_on(&runtime, async move {
-            let world = Rc::new(RefCell::new(World::new(robots, 3)));
-            let obeying = world.clone();
-            let bridge = Bridge::new(BridgeConfig::default(), robots, move |robot, command| {
-                obeying.borrow_mut().obey(robot, &command);
-            });
-            let bridge = Rc::new(bridge.unwrap());
-            let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
-            ready.send(listener.local_addr().unwrap().port()).unwrap();
-            let (over, until) = tokio::sync::oneshot::channel::<()>();
-            let serving = tokio::task::spawn_local(serve(bridge.clone(), listener, async {
-                let _ = until.await;
-            }));
-            live(&bridge, &world, &stop, enough).await;
-            let _ = over.send(());
-            serving.await.unwrap();
-        });
-    });
-    Fleet { port: port.recv().unwrap(), thread }
-}
-
-/// 20 steps a second: all the fleet would send.
-async fn live(bridge: &Bridge, world: &RefCell<World>, stop: &AtomicBool, enough: impl Fn(&World) -> bool) {
-    let mut ticks = tokio::time::interval(Duration::from_millis(50));
-    let mut enough_at = None;
-    for step in 0_u64.. {
-        ticks.tick().await;
-        let now = Stamp(step as i64 * 50_000_000);
-        world.borrow_mut().step(step);
-        world.borrow().tell(bridge, step, now);
-        if enough_at.is_none() && enough(&world.borrow()) {
-            enough_at = Some(step);
-            stop.store(true, Ordering::Relaxed);
-        }
-        // Some more, so that the operator's last word arrives.
-        if enough_at.is_some_and(|at| step > at + 20) {
-            return;
-        }
-    }
-}
-
 #[test]
-fn drives_the_robots_of_a_bridge_one_after_the_other() {
+fn the_robots_of_a_bridge_are_driven_one_after_the_other() {
     let stop = Arc::new(AtomicBool::new(false));
-    let turned = |world: &World| (0..2).all(|i| world.turned_rad(i).abs() > 0.3);
-    let fleet = fleet(2, stop.clone(), turned);
+    let all_turned = |world: &TestWorld| (0..2).all(|i| world.turned_rad(i).abs() > 0.3);
+    let fleet = spawn_fleet(2, stop.clone(), all_turned);
     let report = run(&args(fleet.port), &stop).unwrap();
     fleet.thread.join().unwrap();
     assert!(report.seconds < 60.0, "not both robots moved: {report:?}");
@@ -101,10 +46,10 @@ fn drives_the_robots_of_a_bridge_one_after_the_other() {
 }
 
 #[test]
-fn drives_all_robots_at_once() {
+fn all_robots_are_driven_at_once() {
     let stop = Arc::new(AtomicBool::new(false));
-    let turned = |world: &World| (0..3).all(|i| world.turned_rad(i).abs() > 0.3);
-    let fleet = fleet(3, stop.clone(), turned);
+    let all_turned = |world: &TestWorld| (0..3).all(|i| world.turned_rad(i).abs() > 0.3);
+    let fleet = spawn_fleet(3, stop.clone(), all_turned);
     let report = run(&OperatorArgs { all_at_once: true, ..args(fleet.port) }, &stop).unwrap();
     fleet.thread.join().unwrap();
     assert!(report.seconds < 60.0, "not all robots moved: {report:?}");
@@ -113,13 +58,13 @@ fn drives_all_robots_at_once() {
 }
 
 #[test]
-fn says_what_is_missing() {
+fn errors_name_what_is_missing() {
     let stop = AtomicBool::new(false);
     let short = |port| OperatorArgs { seconds: Some(0.3), ..args(port) };
-    let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let error = run(&short(nobody), &stop).unwrap_err();
-    assert!(matches!(error, OperatorError::NoLink { port, .. } if port == nobody), "{error}");
+    let unused_port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let error = run(&short(unused_port), &stop).unwrap_err();
+    assert!(matches!(error, OperatorError::NoConnection { port, .. } if port == unused_port), "{error}");
     assert!(error.to_string().contains("mr-slam up"), "{error}");
-    let error = run(&OperatorArgs { seconds: Some(f64::NAN), ..args(nobody) }, &stop).unwrap_err();
+    let error = run(&OperatorArgs { seconds: Some(f64::NAN), ..args(unused_port) }, &stop).unwrap_err();
     assert!(error.to_string().contains("--seconds is NaN"), "{error}");
 }

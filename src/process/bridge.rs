@@ -1,18 +1,20 @@
-//! The doors. One thread for headsets: a message wakes it through the channel's descriptor, is encoded and
-//! written to the sockets, and that was all the way. One for ROS 2, which the first never waits for.
+//! The bridge process: one thread for ros_tcp clients, and one for ROS 2 that the first never waits for.
+//!
+//! A message on a channel wakes the thread through the channel's file descriptor, is encoded once, and is written to
+//! the sockets before the thread waits again.
 
 use super::control::{self, Control};
-use super::pulse::{Account, Pulse};
+use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
+use crate::clock::now;
 use crate::config::World;
-use crate::fleet;
 use crate::merge_edges;
 use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, Writer};
 use crate::stop::Stop;
-use ::bridge::{Bridge, Outlet, serve};
+use ::bridge::{Bridge, FleetMessage, Transport, serve};
 use msg::{
     DenseMap, GridView, Message, Odometry, PatchHeader, RobotId, Role, SlamRequest, Transforms,
     VelocityCommand,
@@ -26,65 +28,72 @@ use tokio::net::TcpListener;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 use tokio::time::Instant;
 
-/// How often the process looks whether it is to end, and whether its account is due.
-const LOOK_PERIOD: Duration = Duration::from_millis(100);
-/// The shortest time between two grids of one map, for the smallest map,
+/// How often the process looks whether it is to stop, and whether its health is due.
+const POLL_PERIOD: Duration = Duration::from_millis(100);
+/// The shortest time between two whole grids of one map.
 const GRID_PERIOD: Duration = Duration::from_millis(200);
-/// and so much more for each of its cells: ROS knows whole grids only, and while one is under way, a client's
-/// transforms wait behind it. This way a map takes at most 5 MB/s of a headset's Wi-Fi: 1 MB every 0.4 s, 16 MB
-/// every 3.4 s.
+/// Time added to [`GRID_PERIOD`] for each cell of the map.
+///
+/// ROS has whole grids only, and a client's transforms wait behind one. At this rate a map takes at most 5 MB/s of a
+/// headset's Wi-Fi: 1 MB every 0.4 s, 16 MB every 3.4 s.
 const GRID_CELL_TIME: Duration = Duration::from_nanos(200);
-/// What tells this door's questions to SLAM from others'.
-const ASKER_KIND: u64 = 1;
-/// How often a map's channel is looked at when it does not ring.
-const MAP_LOOK_PERIOD: Duration = Duration::from_millis(500);
+/// Tells this process's requests to SLAM from others'.
+const REQUESTER_KIND: u64 = 1;
+/// How often a map's channel is polled without a notification: a request for the whole map may be due again.
+const MAP_POLL_PERIOD: Duration = Duration::from_millis(500);
+/// Bits of a requester's number that hold its process id; its kind is above them.
+const PID_BITS: u32 = 32;
 
+/// Runs the bridge process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
-    let node = run.attach(Role::Bridge, None)?;
-    let pulse = Pulse::new(&node, run, Role::Bridge, None)?;
+    let participant = run.attach(Role::Bridge, None)?;
+    let heartbeat = Heartbeat::new(&participant, run, Role::Bridge, None)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let bridge = open_bridge(&node, run)?;
-        let mut edge_commands = node.writer(&channel::edge_command())?;
-        bridge.on_edge_command(move |command| edge_commands.send(&command));
+        let bridge = open_bridge(&participant, run)?;
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run)));
-        let mut tasks = fleet_tasks(&node, run, &bridge)?;
+        let mut tasks = publish_channels(&participant, run, &bridge)?;
         if run.config.bridge.dds.enabled {
             tasks.push(ros2::open(run, stop, &bridge)?);
         }
-        tasks.push(spawn_local(beat(pulse, bridge.clone(), control.clone())));
+        tasks.push(spawn_local(report_health(heartbeat, bridge.clone(), control.clone())));
         tasks.push(spawn_local(control::serve(control::listen(run)?, control)));
-        serve(bridge, inherited_listener()?, stopped(stop.clone())).await;
+        serve(bridge, inherited_listener()?, now, stop_requested(stop.clone())).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
     })
 }
 
-/// The launcher listens already, and hands its socket down as standard input.
+/// Returns the socket that the launcher listens on and passes down as standard input.
 fn inherited_listener() -> std::io::Result<TcpListener> {
     let listener = std::net::TcpListener::from(std::io::stdin().as_fd().try_clone_to_owned()?);
     listener.local_addr().map_err(|why| {
         std::io::Error::other(format!(
-            "standard input is no listening socket ({why}); `mr-slam up` starts the bridge"
+            "standard input is not a listening socket ({why}); start the bridge with `mr-slam up`"
         ))
     })?;
     listener.set_nonblocking(true)?;
     TcpListener::from_std(listener)
 }
 
-pub(super) async fn stopped(stop: Stop) {
+/// Waits until the process is asked to stop.
+pub(super) async fn stop_requested(stop: Stop) {
     while !stop.requested() {
-        tokio::time::sleep(LOOK_PERIOD).await;
+        tokio::time::sleep(POLL_PERIOD).await;
     }
 }
 
-async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>>) {
+async fn report_health(
+    mut heartbeat: Heartbeat<Participant>,
+    bridge: Rc<Bridge>,
+    control: Rc<RefCell<Control>>,
+) {
     loop {
-        tokio::time::sleep(LOOK_PERIOD).await;
-        control.borrow_mut().look();
-        pulse.beat(|| {
+        tokio::time::sleep(POLL_PERIOD).await;
+        control.borrow_mut().record_stop();
+        heartbeat.publish_if_due(|| {
             let counters = bridge.counters();
-            let mut account = Account { clients: counters.clients, ..Account::default() };
+            let mut account = HealthCounters { clients: counters.clients, ..HealthCounters::default() };
             (account.dropped, account.refused) = (counters.dropped, counters.refused);
             account.gaps.received = counters.received;
             account
@@ -92,9 +101,9 @@ async fn beat(mut pulse: Pulse, bridge: Rc<Bridge>, control: Rc<RefCell<Control>
     }
 }
 
-/// The hub, with a channel for each robot's commands.
-fn open_bridge(node: &Participant, run: &Run) -> Result<Rc<Bridge>, Error> {
-    let writers = run.robots().map(|robot| node.writer(&channel::command(robot)));
+/// Creates the bridge, which writes the channels of velocities, of commands for merging and of requests to SLAM.
+fn open_bridge(participant: &Participant, run: &Run) -> Result<Rc<Bridge>, Error> {
+    let writers = run.robots().map(|robot| participant.writer(&channel::command(robot)));
     let mut writers = writers.collect::<Result<Vec<Writer<VelocityCommand>>, _>>()?;
     let send = move |robot: RobotId, command: VelocityCommand| {
         if let Some(writer) = writers.get_mut(robot.index()) {
@@ -102,164 +111,193 @@ fn open_bridge(node: &Participant, run: &Run) -> Result<Rc<Bridge>, Error> {
         }
     };
     let config = run.config.bridge.clone();
-    let bridge = Rc::new(match run.config.world {
+    let bridge = match run.config.world {
         World::Simulator => Bridge::new(config, run.config.fleet.robots, send)?,
         World::Headset | World::Ros => {
-            let epoch = run.epoch;
-            Bridge::outside(config, outside::world(node, run)?, move || fleet::stamp_now(epoch), send)?
+            let (world, epoch) = (outside::open_world(participant, run)?, run.epoch);
+            Bridge::with_external_world(config, world, move |now| epoch.stamp(now), send)?
         }
-    });
-    let mut asker = Asker::open(node, run, ASKER_KIND)?;
-    bridge.on_ask(move |robot, request| asker.ask(robot, request));
-    Ok(bridge)
+    };
+    let mut edge_commands = participant.writer(&channel::edge_command())?;
+    bridge.on_edge_command(move |command| edge_commands.send(&command));
+    let mut requester = SlamRequester::open(participant, run, REQUESTER_KIND)?;
+    bridge.on_slam_request(move |robot, request| requester.send(robot, request));
+    Ok(Rc::new(bridge))
 }
 
-/// Asks SLAM in the name of a door.
-pub(super) struct Asker {
-    /// Whose answers are ours.
+/// Sends requests to the robots' SLAM in the name of one endpoint.
+pub(super) struct SlamRequester {
+    /// The number that responses to this endpoint carry.
     pub client: u64,
     requests: Vec<Writer<SlamRequest>>,
 }
 
-impl Asker {
-    /// A process id, and a kind of connection above it: the command line's is 0.
-    pub fn open(node: &Participant, run: &Run, kind: u64) -> Result<Self, ChannelError> {
-        let client = kind << 32 | u64::from(std::process::id());
-        let requests = run.robots().map(|robot| node.writer(&channel::slam_request(robot)));
+impl SlamRequester {
+    /// Opens the robots' request channels. `kind` tells endpoints of one process apart; the command line's is 0.
+    pub fn open(participant: &Participant, run: &Run, kind: u64) -> Result<Self, ChannelError> {
+        let client = kind << PID_BITS | u64::from(std::process::id());
+        let requests = run.robots().map(|robot| participant.writer(&channel::slam_request(robot)));
         Ok(Self { client, requests: requests.collect::<Result<_, _>>()? })
     }
 
-    pub fn ask(&mut self, robot: RobotId, request: SlamRequest) {
+    /// Sends a request to a robot's SLAM.
+    pub fn send(&mut self, robot: RobotId, request: SlamRequest) {
         if let Some(writer) = self.requests.get_mut(robot.index()) {
             writer.send(&SlamRequest { client: self.client, ..request });
         }
     }
 }
 
-/// A task for each channel that wakes.
-pub(super) fn fleet_tasks<D: Outlet + 'static>(
-    node: &Participant,
+/// Starts a task for each channel that feeds topics; it publishes the channel's messages.
+pub(super) fn publish_channels<T: Transport + 'static>(
+    participant: &Participant,
     run: &Run,
-    bridge: &Rc<D>,
+    transport: &Rc<T>,
 ) -> Result<Vec<JoinHandle<()>>, Error> {
     let mut tasks = vec![
-        forward(node, bridge, &channel::clock(), |bridge, clock| bridge.clock(clock))?,
-        forward(node, bridge, &channel::stats(), |bridge, stats| bridge.stats(stats))?,
-        forward(node, bridge, &channel::merge_edges(), |bridge, edges| {
-            bridge.merge_edges(&merge_edges::json(edges));
+        forward(participant, transport, &channel::clock(), |to, clock| {
+            to.publish(FleetMessage::Clock(clock))
         })?,
-        merged_maps(node, bridge)?,
+        forward(participant, transport, &channel::stats(), |to, stats| {
+            to.publish(FleetMessage::Stats(stats))
+        })?,
+        forward(participant, transport, &channel::merge_edges(), |to, edges| {
+            to.publish(FleetMessage::MergeEdges(&merge_edges::json(edges)));
+        })?,
+        publish_merged_map(participant, transport)?,
     ];
     for robot in run.robots() {
-        tasks.push(robot_motion(node, bridge, robot)?);
-        tasks.push(forward(node, bridge, &channel::scan(robot), move |bridge, scan| {
-            bridge.scan(robot, scan)
+        tasks.push(publish_motion(participant, transport, robot)?);
+        tasks.push(forward(participant, transport, &channel::scan(robot), move |to, scan| {
+            to.publish(FleetMessage::Scan(robot, scan));
         })?);
-        tasks.push(forward(node, bridge, &channel::correction(robot), move |bridge, correction| {
-            bridge.correction(robot, correction);
+        tasks.push(forward(participant, transport, &channel::correction(robot), move |to, correction| {
+            to.publish(FleetMessage::Correction(robot, correction));
         })?);
-        let maps = node.map_reader(&channel::map(robot))?;
-        tasks.push(whole_maps(node, bridge, &channel::map(robot), maps, move |bridge, map| {
-            bridge.map(robot, map)
+        let maps = participant.map_reader(&channel::map(robot))?;
+        tasks.push(publish_map(participant, transport, &channel::map(robot), maps, move |to, map| {
+            to.publish(FleetMessage::Map(robot, map));
         })?);
     }
     Ok(tasks)
 }
 
-/// Passes a channel on, message by message.
-pub(super) fn forward<T: Message, D: 'static>(
-    node: &Participant,
-    bridge: &Rc<D>,
-    channel: &Channel<T>,
-    pass: impl Fn(&D, &T) + 'static,
+/// Passes each message of a channel on.
+pub(super) fn forward<M: Message, T: 'static>(
+    participant: &Participant,
+    to: &Rc<T>,
+    channel: &Channel<M>,
+    pass: impl Fn(&T, &M) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
-    let mut reader = node.reader(channel)?;
-    let bridge = bridge.clone();
-    on_ring(node.listener(channel)?, move || {
+    let mut reader = participant.reader(channel)?;
+    let to = to.clone();
+    on_notification(participant.listener(channel)?, move || {
         while let Some(message) = reader.receive() {
-            pass(&bridge, &message);
+            pass(&to, &message);
         }
     })
 }
 
-/// Odometry comes with the transforms of the same stamp, which ring.
-fn robot_motion<D: Outlet + 'static>(
-    node: &Participant,
-    bridge: &Rc<D>,
+/// Publishes a robot's transforms and odometry. Transforms are written after the odometry of the same stamp, and notify.
+fn publish_motion<T: Transport + 'static>(
+    participant: &Participant,
+    transport: &Rc<T>,
     robot: RobotId,
 ) -> Result<JoinHandle<()>, Error> {
-    let mut transforms: Reader<Transforms> = node.reader(&channel::transforms(robot))?;
-    let mut odometry: Reader<Odometry> = node.reader(&channel::odometry(robot))?;
-    let bridge = bridge.clone();
-    on_ring(node.listener(&channel::transforms(robot))?, move || {
+    let mut transforms: Reader<Transforms> = participant.reader(&channel::transforms(robot))?;
+    let mut odometry: Reader<Odometry> = participant.reader(&channel::odometry(robot))?;
+    let transport = transport.clone();
+    on_notification(participant.listener(&channel::transforms(robot))?, move || {
         while let Some(transforms) = transforms.receive() {
-            bridge.transforms(robot, &transforms);
+            transport.publish(FleetMessage::Transforms(robot, &transforms));
         }
         while let Some(odometry) = odometry.receive() {
-            bridge.odometry(robot, &odometry);
+            transport.publish(FleetMessage::Odometry(robot, &odometry));
         }
     })
 }
 
-/// The map transforms come with the merged map, which rings.
-fn merged_maps<D: Outlet + 'static>(node: &Participant, bridge: &Rc<D>) -> Result<JoinHandle<()>, Error> {
-    let maps = node.map_reader(&channel::merged_map())?;
-    let mut map_transforms = node.reader(&channel::map_transforms())?;
-    whole_maps(node, bridge, &channel::merged_map(), maps, move |bridge, map| {
+/// Publishes the merged map and the map transforms, which are written before it.
+fn publish_merged_map<T: Transport + 'static>(
+    participant: &Participant,
+    transport: &Rc<T>,
+) -> Result<JoinHandle<()>, Error> {
+    let maps = participant.map_reader(&channel::merged_map())?;
+    let mut map_transforms = participant.reader(&channel::map_transforms())?;
+    publish_map(participant, transport, &channel::merged_map(), maps, move |to, map| {
         if let Some(map_transforms) = map_transforms.newest() {
-            bridge.map_transforms(&map_transforms);
+            to.publish(FleetMessage::MapTransforms(&map_transforms));
         }
-        bridge.merged_map(map);
+        to.publish(FleetMessage::MergedMap(map));
     })
 }
 
-/// Passes the newest version of a channel's map on, as the one grid that ROS knows: at once if the
-/// last was sent long enough ago, else when it is.
-fn whole_maps<D: Outlet + 'static>(
-    node: &Participant,
-    bridge: &Rc<D>,
+/// Publishes the newest version of a map as one grid: at once if the last grid was long enough ago, otherwise then.
+fn publish_map<T: Transport + 'static>(
+    participant: &Participant,
+    transport: &Rc<T>,
     channel: &Channel<PatchHeader>,
     mut reader: MapReader,
-    mut pass: impl FnMut(&D, GridView<'_>) + 'static,
+    mut publish: impl FnMut(&T, GridView<'_>) + 'static,
 ) -> Result<JoinHandle<()>, Error> {
-    let bell = watched(node.listener(channel)?)?;
-    let bridge = bridge.clone();
+    let listener = async_listener(participant.listener(channel)?)?;
+    let transport = transport.clone();
     let mut grid = DenseMap::default();
     Ok(spawn_local(async move {
-        let (mut waits, mut due) = (false, Instant::now());
+        let (mut has_changed, mut due) = (false, Instant::now());
         loop {
-            waits |= reader.poll();
-            if waits && Instant::now() >= due {
+            has_changed |= reader.poll();
+            if has_changed && Instant::now() >= due {
                 let map = grid.update(reader.map());
-                pass(&bridge, map);
-                (waits, due) =
-                    (false, Instant::now() + GRID_PERIOD + GRID_CELL_TIME * map.cells.len() as u32);
+                publish(&transport, map);
+                let cells = map.cells.len() as u32;
+                (has_changed, due) = (false, Instant::now() + GRID_PERIOD + GRID_CELL_TIME * cells);
             }
-            // Without news, too, it is looked now and then: a question for the whole may be due again.
-            let patience = if waits { due } else { Instant::now() + MAP_LOOK_PERIOD };
-            if let Ok(rung) = tokio::time::timeout_at(patience, bell.readable()).await {
-                let Ok(mut rung) = rung else { return };
-                bell.get_ref().drain();
-                rung.clear_ready();
+            let deadline = if has_changed { due } else { Instant::now() + MAP_POLL_PERIOD };
+            if let Ok(ready) = tokio::time::timeout_at(deadline, listener.readable()).await {
+                let Ok(mut ready) = ready else { return };
+                listener.get_ref().drain();
+                ready.clear_ready();
             }
         }
     }))
 }
 
-/// A bell that a task can wait for.
-fn watched(bell: Listener) -> Result<AsyncFd<Listener>, Error> {
-    Ok(bell.into_async().map_err(|why| format!("cannot watch a bell: {why}"))?)
+/// Returns a listener that a task can wait for.
+fn async_listener(listener: Listener) -> Result<AsyncFd<Listener>, Error> {
+    Ok(listener.into_async().map_err(|why| format!("cannot wait for a channel's notifications: {why}"))?)
 }
 
-/// Calls `act` now, and whenever the bell rings.
-pub(super) fn on_ring(bell: Listener, mut act: impl FnMut() + 'static) -> Result<JoinHandle<()>, Error> {
-    let bell = watched(bell)?;
+/// Calls `act` now and at each notification.
+pub(super) fn on_notification(
+    listener: Listener,
+    mut act: impl FnMut() + 'static,
+) -> Result<JoinHandle<()>, Error> {
+    let listener = async_listener(listener)?;
     Ok(spawn_local(async move {
         loop {
             act();
-            let Ok(mut rung) = bell.readable().await else { return };
-            bell.get_ref().drain();
-            rung.clear_ready();
+            let Ok(mut ready) = listener.readable().await else { return };
+            listener.get_ref().drain();
+            ready.clear_ready();
         }
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::channel::{CHANNELS, Scope};
+    use bridge::OUTGOING_TOPICS;
+
+    #[test]
+    fn every_outgoing_topic_names_a_channel_of_the_table() {
+        for row in OUTGOING_TOPICS.iter().filter(|row| !row.channel.is_empty()) {
+            let (scope, name) = match row.channel.strip_prefix("robotN/") {
+                Some(name) => (Scope::Robot, name),
+                None => (Scope::Fleet, row.channel),
+            };
+            let is_there = CHANNELS.iter().any(|channel| channel.name == name && channel.scope == scope);
+            assert!(is_there, "{} is fed by {}, which is no channel", row.name, row.channel);
+        }
+    }
 }

@@ -1,6 +1,7 @@
-//! The bridge's ear for the person at the laptop: see [`crate::control`].
+//! The bridge's control socket, for the operator at the laptop: see [`crate::control`].
 
 use crate::allowed;
+use crate::clock::now;
 use crate::control::{self, ClientView, Doors, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use ::bridge::{Bridge, ClientStatus};
@@ -12,22 +13,25 @@ use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::time::timeout;
 
-/// How long one exchange may take; the next waits meanwhile.
+/// How long one exchange may take; the next one waits meanwhile.
 const EXCHANGE_MAX: Duration = Duration::from_secs(1);
-/// Pause after accept(2) failed, as it does when descriptors run out.
+/// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
-/// What outlives one bridge process: who may drive, and that the fleet is stopped.
+/// Applies the operator's requests, and keeps in files what must outlive one bridge process: the allow list and the
+/// emergency stop.
 pub struct Control {
     bridge: Rc<Bridge>,
+    /// The file of the allow list; `None` if addresses are not remembered.
     allowed: Option<PathBuf>,
-    /// Exists while the emergency stop is set.
-    stop_mark: PathBuf,
-    stopped: bool,
+    /// A file that exists while the emergency stop is set.
+    stop_file: PathBuf,
+    /// Whether the file exists.
+    stop_recorded: bool,
 }
 
 impl Control {
-    /// Brings the bridge up to what was said before it began.
+    /// Applies to the bridge what the files say.
     pub fn new(bridge: Rc<Bridge>, run: &Run) -> Self {
         let allowed = run.config.bridge.remember.then(|| allowed::file(run));
         if let Some(path) = &allowed {
@@ -35,47 +39,47 @@ impl Control {
                 Ok((addresses, unsound)) => {
                     addresses.into_iter().for_each(|address| bridge.allow(address));
                     unsound.iter().for_each(|line| {
-                        eprintln!("{}: `{line}` is no address, and is passed over", path.display())
+                        eprintln!("{}: `{line}` is not an address and is ignored", path.display())
                     });
                 }
-                Err(why) => eprintln!("{}: {why}; nobody is remembered", path.display()),
+                Err(why) => eprintln!("{}: {why}; no address is remembered", path.display()),
             }
         }
-        let stop_mark = run.dir.join("stopped");
-        let stopped = stop_mark.exists();
-        if stopped {
-            bridge.stop();
+        let stop_file = run.dir.join("stopped");
+        let stop_recorded = stop_file.exists();
+        if stop_recorded {
+            bridge.stop_robots();
         }
-        Self { bridge, allowed, stop_mark, stopped }
+        Self { bridge, allowed, stop_file, stop_recorded }
     }
 
-    /// Notes whether the fleet is stopped, whoever did it: a bridge that is started again must know. Call it often.
-    pub fn look(&mut self) {
-        let stopped = self.bridge.stopped();
-        if stopped != self.stopped {
-            self.stopped = stopped;
-            let noted = match stopped {
-                true => std::fs::write(&self.stop_mark, "The emergency stop is set.\n"),
-                false => std::fs::remove_file(&self.stop_mark),
+    /// Records in a file whether the emergency stop is set: a restarted bridge must keep it. Call it often.
+    pub fn record_stop(&mut self) {
+        let is_stopped = self.bridge.is_stopped();
+        if is_stopped != self.stop_recorded {
+            self.stop_recorded = is_stopped;
+            let result = match is_stopped {
+                true => std::fs::write(&self.stop_file, "The emergency stop is set.\n"),
+                false => std::fs::remove_file(&self.stop_file),
             };
-            if let Err(why) = noted {
+            if let Err(why) = result {
                 eprintln!(
-                    "{}: {why}; a bridge that is started again will not know",
-                    self.stop_mark.display()
+                    "{}: {why}; a restarted bridge will not keep the emergency stop as it is",
+                    self.stop_file.display()
                 );
             }
         }
     }
 
-    fn obey(&mut self, request: Request) -> Reply {
+    fn apply(&mut self, request: Request) -> Reply {
         match request {
             Request::State => {}
             Request::Allow(address) => self.bridge.allow(address),
             Request::Deny(address) => self.bridge.deny(address),
-            Request::Stop => self.bridge.stop(),
-            Request::Release => self.bridge.release(),
+            Request::Stop => self.bridge.stop_robots(),
+            Request::Release => self.bridge.release_stop(),
         }
-        self.look();
+        self.record_stop();
         if let (Request::Allow(address) | Request::Deny(address), Some(path)) = (request, &self.allowed) {
             let may_drive = matches!(request, Request::Allow(_));
             allowed::remember(path, address, may_drive)
@@ -95,27 +99,27 @@ impl Control {
             clock: status.clock,
         };
         Doors {
-            stopped: self.bridge.stopped(),
-            selected: self.bridge.selected().number(),
-            waiting: self.bridge.waiting(),
-            allowed: self.bridge.allowed(),
-            clients: self.bridge.clients().into_iter().map(client).collect(),
+            stopped: self.bridge.is_stopped(),
+            selected: self.bridge.selected_robot().number(),
+            waiting: self.bridge.waiting_addresses(),
+            allowed: self.bridge.allowed_addresses(),
+            clients: self.bridge.clients(now()).into_iter().map(client).collect(),
         }
     }
 }
 
-/// Where requests come in. The bridge before may have left its socket behind.
+/// Opens the control socket. An earlier bridge process may have left its socket file behind.
 pub fn listen(run: &Run) -> io::Result<UnixListener> {
     let path = control::socket(run);
     let _ = std::fs::remove_file(&path);
     UnixListener::bind(path)
 }
 
-/// Answers one request after the other.
+/// Answers requests one after the other.
 pub async fn serve(listener: UnixListener, control: Rc<std::cell::RefCell<Control>>) {
     loop {
         match listener.accept().await {
-            // Whoever does not speak in time, or sense, is let go.
+            // A peer that sends no valid request in time is disconnected.
             Ok((stream, _)) => drop(timeout(EXCHANGE_MAX, exchange(stream, &control)).await),
             Err(_) => tokio::time::sleep(ACCEPT_PAUSE).await,
         }
@@ -127,8 +131,8 @@ async fn exchange(mut stream: UnixStream, control: &std::cell::RefCell<Control>)
     let mut line = String::new();
     BufReader::new(read.take(LINE_MAX)).read_line(&mut line).await?;
     let reply: Reply = match serde_json::from_str(&line) {
-        Ok(request) => control.borrow_mut().obey(request),
-        Err(why) => Err(format!("no request: {why}")),
+        Ok(request) => control.borrow_mut().apply(request),
+        Err(why) => Err(format!("not a request: {why}")),
     };
     let answer = serde_json::to_string(&reply)? + "\n";
     write.write_all(answer.as_bytes()).await

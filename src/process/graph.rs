@@ -1,12 +1,13 @@
-//! The fleet's joint graph at work: submaps in, what is believed of the robots' maps out. On a thread of its own
-//! beside the merged map, which never waits for it, and of less priority than all that robots wait for.
+//! The merge process's second thread: submaps in, what the fleet's pose graph says of the robots' maps out. The
+//! merged map never waits for it, and it has less priority than all that robots wait for.
 
+use super::{Component, Listens, serve};
 use crate::channel;
-use crate::clock::now;
+use crate::clock::Epoch;
 use crate::merge_memory::MergeMemory;
-use crate::ports::ChannelError;
+use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::run::Run;
-use crate::shared_memory::{Participant, Reader, Writer, wait};
+use crate::storage::{DiskStorage, Storage};
 use ::merge::FleetPoseGraph;
 use msg::{
     EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,
@@ -15,155 +16,197 @@ use msg::{
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// How often the thread looks around without being rung for.
-const LOOK_NS: u64 = 500_000_000;
-/// Who lacks submaps asks for them after this, and again.
-const ASK_NS: u64 = 3_000_000_000;
+/// How often the thread looks around without being woken.
+const POLL_NS: u64 = 500_000_000;
+/// Missing submaps are asked for after this, and again.
+const REQUEST_NS: u64 = 3_000_000_000;
 /// How much less of the processors this thread gets when others want them, as `nice` counts.
 const NICE: i32 = 10;
 
-/// What the graph says of each robot: where its map lies, `map` from `robotK/map`; and the map redrawn, where no place
-/// alone puts it right.
-pub type Places = Vec<(Option<Pose2>, Option<Arc<Grid>>)>;
+/// What the graph says of each robot: where its map lies, `map` from `robotK/map`; and the map redrawn, where no
+/// transform alone puts it right.
+pub type FleetEstimate = Vec<(Option<Pose2>, Option<Arc<Grid>>)>;
 
-/// Where the newest places are left for who draws the map. [`channel::merge_edges`] rings when there are new ones.
+/// The newest estimate, for the thread that draws the map. [`channel::merge_edges`] wakes it when there is a new one.
 #[derive(Default)]
-pub struct PlacesSlot(Mutex<Option<Places>>);
+pub struct FleetEstimateSlot(Mutex<Option<FleetEstimate>>);
 
-impl PlacesSlot {
-    fn put(&self, places: Places) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(places);
+impl FleetEstimateSlot {
+    fn put(&self, estimate: FleetEstimate) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(estimate);
     }
 
-    /// Those that came since the last time.
-    pub fn take(&self) -> Option<Places> {
+    /// Takes the estimate that came since the last call.
+    pub fn take(&self) -> Option<FleetEstimate> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 }
 
-/// One robot's submaps.
-struct Source {
-    robot: RobotId,
-    submaps: Reader<Submap>,
-    poses: Reader<SubmapPoses>,
-    asks: Writer<SubmapRequest>,
-    /// Lost so far, when all were last asked for.
-    lost: u64,
-    /// Since when something has been missing.
-    lacks_since: Option<Monotonic>,
-}
-
-/// Works until `done`.
+/// Runs the thread until `done`.
 pub fn run(
     run: &Run,
-    mut fleet: FleetPoseGraph,
-    mut memory: MergeMemory,
-    slot: &PlacesSlot,
+    graph: FleetPoseGraph,
+    memory: MergeMemory<DiskStorage>,
+    slot: Arc<FleetEstimateSlot>,
     done: &AtomicBool,
 ) -> Result<(), ChannelError> {
     // On Linux that is the calling thread's alone. Whether it is granted makes no difference to what comes out.
     let _ = rustix::process::nice(NICE);
-    // A presence of its own: shared memory's ports stay on the thread that made them.
     let node = run.attach_thread(Role::Merge, None, "graph")?;
-    let mut sources = run.robots().map(|robot| Source::open(&node, robot)).collect::<Result<Vec<_>, _>>()?;
-    let mut commands = node.reader(&channel::edge_command())?;
-    let mut out = Out {
-        writer: node.writer(&channel::merge_edges())?,
-        edges: Box::default(),
-        answered: false,
-        places: None,
-    };
-    let mut bells = vec![node.listener(&channel::edge_command())?];
-    for robot in run.robots() {
-        bells.push(node.listener(&channel::submap_poses(robot))?);
-        bells.push(node.listener(&channel::submap(robot))?);
-    }
-    let mut worked = false;
-    while !done.load(Ordering::Relaxed) {
-        wait(&bells, if worked { now() } else { Monotonic(now().0 + LOOK_NS) });
-        while let Some(command) = commands.receive() {
-            out.obey(&mut fleet, &command);
-        }
-        sources.iter_mut().for_each(|source| source.read(&mut fleet));
-        let task = fleet.next_task();
-        worked = task.is_some();
-        if let Some(task) = task {
-            fleet.apply_outcome(task.run());
-        }
-        // Before it is told: who has heard that an edge is pinned may rely on it.
-        memory.keep(&fleet, now());
-        out.tell(run, &fleet, slot);
-    }
+    let mut graph = GraphWorker::open(&node, run, graph, memory, slot)?;
+    serve(&mut graph, &|| done.load(Ordering::Relaxed));
     Ok(())
 }
 
-impl Source {
-    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
+/// The fleet's pose graph with its channels. A step takes in what has come and does one piece of work.
+pub struct GraphWorker<P: Ports, S> {
+    graph: FleetPoseGraph,
+    memory: MergeMemory<S>,
+    sources: Vec<Source<P>>,
+    commands: P::Reader<EdgeCommand>,
+    output: Output<P>,
+    listeners: Vec<P::Listener>,
+    clock: P::Clock,
+}
+
+impl<P: Ports, S: Storage> GraphWorker<P, S> {
+    /// Opens the channels; estimates go to `slot`.
+    pub fn open(
+        ports: &P,
+        run: &Run,
+        graph: FleetPoseGraph,
+        memory: MergeMemory<S>,
+        slot: Arc<FleetEstimateSlot>,
+    ) -> Result<Self, ChannelError> {
+        let mut listeners = vec![ports.listener(&channel::edge_command())?];
+        for robot in run.robots() {
+            listeners.push(ports.listener(&channel::submap_poses(robot))?);
+            listeners.push(ports.listener(&channel::submap(robot))?);
+        }
+        let sources = run.robots().map(|robot| Source::open(ports, robot));
+        Ok(Self {
+            graph,
+            memory,
+            sources: sources.collect::<Result<_, _>>()?,
+            commands: ports.reader(&channel::edge_command())?,
+            output: Output {
+                writer: ports.writer(&channel::merge_edges())?,
+                epoch: run.epoch,
+                edges: Box::default(),
+                answered: false,
+                estimate: None,
+                slot,
+            },
+            listeners,
+            clock: ports.clock(),
+        })
+    }
+}
+
+impl<P: Ports, S: Storage> Component for GraphWorker<P, S> {
+    fn step(&mut self) -> Monotonic {
+        while let Some(command) = self.commands.receive() {
+            self.output.apply_command(&mut self.graph, &command);
+        }
+        let now = self.clock.now();
+        self.sources.iter_mut().for_each(|source| source.receive(&mut self.graph, now));
+        let task = self.graph.next_task();
+        let worked = task.is_some();
+        if let Some(task) = task {
+            self.graph.apply_outcome(task.run());
+        }
+        // Before it is published: whoever has heard that an edge is pinned may rely on it.
+        self.memory.save(&self.graph, now);
+        self.output.publish(&self.graph, self.sources.len(), now);
+        if worked { now } else { Monotonic(now.0 + POLL_NS) }
+    }
+}
+
+impl<P: Ports, S: Storage> Listens<P::Listener> for GraphWorker<P, S> {
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        self.listeners.iter()
+    }
+}
+
+/// One robot's submaps.
+struct Source<P: Ports> {
+    robot: RobotId,
+    submaps: P::Reader<Submap>,
+    poses: P::Reader<SubmapPoses>,
+    requests: P::Writer<SubmapRequest>,
+    /// Messages lost so far, when all submaps were last asked for.
+    lost: u64,
+    /// Since when something has been missing.
+    missing_since: Option<Monotonic>,
+}
+
+impl<P: Ports> Source<P> {
+    fn open(ports: &P, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
             robot,
-            submaps: node.reader(&channel::submap(robot))?,
-            poses: node.reader(&channel::submap_poses(robot))?,
-            asks: node.writer(&channel::submap_request(robot))?,
+            submaps: ports.reader(&channel::submap(robot))?,
+            poses: ports.reader(&channel::submap_poses(robot))?,
+            requests: ports.writer(&channel::submap_request(robot))?,
             lost: 0,
-            lacks_since: None,
+            missing_since: None,
         })
     }
 
-    fn read(&mut self, fleet: &mut FleetPoseGraph) {
+    fn receive(&mut self, graph: &mut FleetPoseGraph, now: Monotonic) {
         // What makes no sense is not taken: the robot stays where it was.
         if let Some(poses) = self.poses.newest() {
-            let _ = fleet.update_poses(self.robot, &poses);
+            let _ = graph.update_poses(self.robot, &poses);
         }
         while let Some(submap) = self.submaps.receive() {
-            let _ = fleet.add_submap(self.robot, &submap);
+            let _ = graph.add_submap(self.robot, &submap);
         }
         let lost = self.submaps.gaps().lost;
-        if fleet.missing_submaps(self.robot) == 0 && lost == self.lost {
-            self.lacks_since = None;
+        if graph.missing_submaps(self.robot) == 0 && lost == self.lost {
+            self.missing_since = None;
             return;
         }
-        let since = *self.lacks_since.get_or_insert(now());
-        if now().since(since) >= ASK_NS {
-            self.asks.send(&SubmapRequest::default());
-            (self.lost, self.lacks_since) = (lost, None);
+        let since = *self.missing_since.get_or_insert(now);
+        if now.since(since) >= REQUEST_NS {
+            self.requests.send(&SubmapRequest::default());
+            (self.lost, self.missing_since) = (lost, None);
         }
     }
 }
 
-/// What the graph says.
-struct Out {
-    writer: Writer<MergeEdges>,
-    /// As told last, but for the count of commands.
+/// What the graph publishes.
+struct Output<P: Ports> {
+    writer: P::Writer<MergeEdges>,
+    epoch: Epoch,
+    /// As published last, but for the count of commands.
     edges: Box<MergeEdges>,
     /// A command was answered since.
     answered: bool,
-    places: Option<Places>,
+    estimate: Option<FleetEstimate>,
+    slot: Arc<FleetEstimateSlot>,
 }
 
-impl Out {
-    fn obey(&mut self, fleet: &mut FleetPoseGraph, command: &EdgeCommand) {
+impl<P: Ports> Output<P> {
+    fn apply_command(&mut self, graph: &mut FleetPoseGraph, command: &EdgeCommand) {
         let action = EdgeAction::from_code(command.action);
-        let done = action.is_some_and(|action| fleet.apply_command(command.edge, action));
+        let done = action.is_some_and(|action| graph.apply_command(command.edge, action));
         self.edges.commands += 1;
         self.edges.refused += u32::from(!done);
         self.answered = true;
     }
 
-    /// Tells what is new.
-    fn tell(&mut self, run: &Run, fleet: &FleetPoseGraph, slot: &PlacesSlot) {
-        let places: Places = run
-            .robots()
-            .map(|robot| (fleet.map_from_robot_map(robot), fleet.redrawn_map(robot).cloned()))
-            .collect();
-        let moved = self.places.as_ref().is_none_or(|before| !same(before, &places));
+    /// Publishes what is new.
+    fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, now: Monotonic) {
+        let of_robot = |robot| (graph.map_from_robot_map(robot), graph.redrawn_map(robot).cloned());
+        let estimate: FleetEstimate = RobotId::first(robots).map(of_robot).collect();
+        let moved = self.estimate.as_ref().is_none_or(|before| !same(before, &estimate));
         let mut edges = self.edges.clone();
-        fleet.write_edges(&mut edges);
+        graph.write_edges(&mut edges);
         if moved {
-            slot.put(places.clone());
-            self.places = Some(places);
+            self.slot.put(estimate.clone());
+            self.estimate = Some(estimate);
         }
         if moved || self.answered || edges.edges() != self.edges.edges() {
-            edges.header.stamp = run.epoch.stamp(now());
+            edges.header.stamp = self.epoch.stamp(now);
             self.writer.send(&edges);
             (self.edges, self.answered) = (edges, false);
         }
@@ -171,8 +214,8 @@ impl Out {
     }
 }
 
-fn same(before: &Places, now: &Places) -> bool {
-    before.iter().zip(now).all(|((place, map), (place_now, map_now))| {
-        place == place_now && map.as_ref().map(Arc::as_ptr) == map_now.as_ref().map(Arc::as_ptr)
+fn same(before: &FleetEstimate, now: &FleetEstimate) -> bool {
+    before.iter().zip(now).all(|((transform, map), (transform_now, map_now))| {
+        transform == transform_now && map.as_ref().map(Arc::as_ptr) == map_now.as_ref().map(Arc::as_ptr)
     })
 }

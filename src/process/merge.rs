@@ -1,109 +1,167 @@
-//! The fleet's map: the robots' maps in, one map and where each robot's map lies out. The joint graph that finds where
-//! they lie, and straightens them, works beside it (`graph`).
+//! The merge process: robots' maps in, one map and where each robot's map lies out. One thread draws the map; the
+//! fleet's pose graph, which finds where the maps lie and redraws bent ones, works on a second thread ([`graph`]).
 
-use super::Error;
-use super::graph::{self, Places, PlacesSlot};
-use super::pulse::{Account, Pulse};
+use super::graph::{self, FleetEstimate, FleetEstimateSlot};
+use super::heartbeat::{HealthCounters, Heartbeat};
+use super::{Component, Error, Listens, serve};
 use crate::channel;
-use crate::clock::now;
 use crate::fleet;
 use crate::merge_memory::MergeMemory;
-use crate::ports::{ChannelError, Gaps, MAP_PAUSE, ReadMapPort, WriteMapPort};
+use crate::ports::{
+    ChannelError, Clock as _, Gaps, MAP_PAUSE, Ports, ReadMapPort, ReadPort, WriteMapPort, WritePort,
+};
 use crate::run::Run;
-use crate::shared_memory::{MapReader, Reader, wait};
 use crate::stop::Stop;
+use crate::storage::{DiskStorage, Storage};
 use ::merge::{FleetPoseGraph, Merger};
-use msg::{Correction, Monotonic, Pose2, RobotId, Role, TrackingState};
+use msg::{Correction, MapTransforms, Monotonic, Pose2, RobotId, Role, TrackingState};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+/// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
-    let starts = fleet::known_starts(&run.config)?;
-    let (slot, done) = (PlacesSlot::default(), AtomicBool::new(false));
+    let (slot, done) = (Arc::<FleetEstimateSlot>::default(), AtomicBool::new(false));
+    let (pose_graph, memory) = begin(run, DiskStorage)?;
+    let node = run.attach(Role::Merge, None)?;
+    let mut drawing = MapDrawing::open(&node, run, &pose_graph, slot.clone())?;
     std::thread::scope(|scope| {
-        let mut joint = FleetPoseGraph::new(&run.config.merge.align, &starts);
-        // What a process before this one knew: robots lie where they lay from the first map on.
-        let memory = MergeMemory::recalled(run, &mut joint);
-        let begun: Vec<_> = run.robots().map(|robot| joint.map_from_robot_map(robot)).collect();
-        let beside = scope.spawn(|| graph::run(run, joint, memory, &slot, &done));
-        let drawn = draw(run, &begun, &slot, &|| stop.requested() || beside.is_finished());
+        let graph_thread = scope.spawn(|| graph::run(run, pose_graph, memory, slot, &done));
+        serve(&mut drawing, &|| stop.requested() || graph_thread.is_finished());
         done.store(true, Ordering::Relaxed);
-        beside.join().map_err(|_| "the joint graph failed")??;
-        drawn
+        graph_thread.join().map_err(|_| "the thread of the fleet's pose graph panicked")??;
+        Ok(())
     })
 }
 
+/// The fleet's pose graph with what an earlier process of this run knew: robots lie where they lay from the first
+/// map on.
+pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(FleetPoseGraph, MergeMemory<S>), Error> {
+    let starts = fleet::known_starts(&run.config)?;
+    let mut graph = FleetPoseGraph::new(&run.config.merge.align, &starts);
+    let memory = MergeMemory::restore(run, storage, &mut graph);
+    Ok((graph, memory))
+}
+
 /// Draws the merged map, and never waits for anything else.
-fn draw(
-    run: &Run,
-    starts: &[Option<Pose2>],
-    slot: &PlacesSlot,
-    over: &dyn Fn() -> bool,
-) -> Result<(), Error> {
-    let node = run.attach(Role::Merge, None)?;
-    let mut pulse = Pulse::new(&node, run, Role::Merge, None)?;
-    let mut maps = run
-        .robots()
-        .map(|robot| Ok((robot, node.map_reader(&channel::map(robot))?)))
-        .collect::<Result<Vec<(RobotId, MapReader)>, ChannelError>>()?;
-    let mut bells =
-        run.robots().map(|robot| node.listener(&channel::map(robot))).collect::<Result<Vec<_>, _>>()?;
-    bells.push(node.listener(&channel::merge_edges())?);
-    let mut places = run
-        .robots()
-        .map(|robot| Ok((robot, node.reader(&channel::correction(robot))?)))
-        .collect::<Result<Vec<(RobotId, Reader<Correction>)>, ChannelError>>()?;
-    let mut merged = node.map_writer(&channel::merged_map())?;
-    let mut map_transforms = node.writer(&channel::map_transforms())?;
-    let mut merger = Merger::new(&run.config.merge, starts);
-    map_transforms.send(&merger.map_transforms());
-    let mut refused = 0;
-    let mut sending = false;
-    while !over() {
-        let soon = Monotonic(now().0 + MAP_PAUSE.as_nanos() as u64);
-        wait(
-            bells.iter().chain([merged.requests()]),
-            if sending { soon.min(pulse.due()) } else { pulse.due() },
-        );
+pub struct MapDrawing<P: Ports> {
+    merger: Merger,
+    maps: Vec<(RobotId, P::MapReader)>,
+    corrections: Vec<(RobotId, P::Reader<Correction>)>,
+    slot: Arc<FleetEstimateSlot>,
+    merged: P::MapWriter,
+    transforms: P::Writer<MapTransforms>,
+    heartbeat: Heartbeat<P>,
+    clock: P::Clock,
+    listeners: Vec<P::Listener>,
+    robot_radius_m: f64,
+    refused: u64,
+}
+
+impl<P: Ports> MapDrawing<P> {
+    /// Opens the channels; the robots' maps lie where `graph` has them.
+    pub fn open(
+        ports: &P,
+        run: &Run,
+        graph: &FleetPoseGraph,
+        slot: Arc<FleetEstimateSlot>,
+    ) -> Result<Self, ChannelError> {
+        let robots = run.robots();
+        let starts: Vec<Option<Pose2>> =
+            robots.clone().map(|robot| graph.map_from_robot_map(robot)).collect();
+        let maps = robots.clone().map(|robot| Ok((robot, ports.map_reader(&channel::map(robot))?)));
+        let corrections = robots.clone().map(|robot| Ok((robot, ports.reader(&channel::correction(robot))?)));
+        let listeners = robots.clone().map(|robot| ports.listener(&channel::map(robot)));
+        let listeners = listeners.chain([ports.listener(&channel::merge_edges())]);
+        let mut drawing = Self {
+            merger: Merger::new(&run.config.merge, &starts),
+            maps: maps.collect::<Result<_, ChannelError>>()?,
+            corrections: corrections.collect::<Result<_, ChannelError>>()?,
+            slot,
+            merged: ports.map_writer(&channel::merged_map())?,
+            transforms: ports.writer(&channel::map_transforms())?,
+            heartbeat: Heartbeat::new(ports, run, Role::Merge, None)?,
+            clock: ports.clock(),
+            listeners: listeners.collect::<Result<_, _>>()?,
+            robot_radius_m: run.config.slam.map.robot_radius_m,
+            refused: 0,
+        };
+        drawing.transforms.send(&drawing.merger.map_transforms());
+        Ok(drawing)
+    }
+
+    /// Takes in what has come. True if the merged map changes.
+    fn receive(&mut self) -> bool {
         let mut changed = false;
-        for (robot, reader) in &mut maps {
+        for (robot, reader) in &mut self.maps {
             if reader.poll() {
-                let taken = pulse.work(|| merger.update_tiles(*robot, reader.map())).is_ok();
-                refused += u64::from(!taken);
+                let merger = &mut self.merger;
+                let taken = self.heartbeat.measure(|| merger.update_tiles(*robot, reader.map())).is_ok();
+                self.refused += u64::from(!taken);
                 changed |= taken;
             }
         }
-        for (robot, reader) in &mut places {
-            changed |= stand(&mut merger, *robot, reader, run.config.slam.map.robot_radius_m);
+        for (robot, reader) in &mut self.corrections {
+            changed |= set_footprint::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
         }
-        if let Some(believed) = slot.take() {
-            refused += pulse.work(|| settle(&mut merger, &believed));
+        if let Some(estimate) = self.slot.take() {
+            let merger = &mut self.merger;
+            self.refused += self.heartbeat.measure(|| apply_estimate(merger, &estimate));
             changed = true;
         }
-        if changed {
-            // The map_transforms do not ring; the merged map does, and finds them there.
-            map_transforms.send(&merger.map_transforms());
-            pulse.work(|| merger.compose());
-        }
-        sending = !merged.send(merger.merged_tiles());
-        map_transforms.refresh();
-        pulse.beat(|| Account { gaps: sum(&maps), refused, ..Account::default() });
+        changed
     }
-    Ok(())
-}
 
-/// Takes over what the joint graph says of every robot. How many maps could not be.
-fn settle(merger: &mut Merger, places: &Places) -> u64 {
-    let robots = RobotId::first(places.len()).zip(places);
-    robots
-        .map(|(robot, (place, map))| {
-            u64::from(merger.apply_fleet_estimate(robot, *place, map.as_ref()).is_err())
+    fn gaps(&self) -> Gaps {
+        self.maps.iter().fold(Gaps::default(), |mut sum, (_, reader)| {
+            sum.received += reader.gaps().received;
+            sum.lost += reader.gaps().lost;
+            sum
         })
-        .sum()
+    }
 }
 
-/// Where a robot has been since the last look: after the maps, so that what they show of it is not older. A robot that
-/// is lost does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
-fn stand(merger: &mut Merger, robot: RobotId, reader: &mut Reader<Correction>, radius_m: f64) -> bool {
+impl<P: Ports> Component for MapDrawing<P> {
+    fn step(&mut self) -> Monotonic {
+        if self.receive() {
+            // The transforms wake nobody; the merged map does, and its readers find them there.
+            self.transforms.send(&self.merger.map_transforms());
+            let merger = &mut self.merger;
+            self.heartbeat.measure(|| merger.compose());
+        }
+        let complete = self.merged.send(self.merger.merged_tiles());
+        self.transforms.refresh();
+        let counters =
+            HealthCounters { gaps: self.gaps(), refused: self.refused, ..HealthCounters::default() };
+        self.heartbeat.publish_if_due(|| counters);
+        let soon = Monotonic(self.clock.now().0 + MAP_PAUSE.as_nanos() as u64);
+        if complete { self.heartbeat.due() } else { soon.min(self.heartbeat.due()) }
+    }
+}
+
+impl<P: Ports> Listens<P::Listener> for MapDrawing<P> {
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        self.listeners.iter().chain([self.merged.requests()])
+    }
+}
+
+/// Takes over what the fleet's pose graph says of every robot. Returns how many maps could not be used.
+fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
+    let robots = RobotId::first(estimate.len()).zip(estimate);
+    let refused = |(robot, (transform, map)): (RobotId, &(Option<Pose2>, _))| -> u64 {
+        let map: &Option<Arc<msg::Grid>> = map;
+        merger.apply_fleet_estimate(robot, *transform, map.as_ref()).is_err().into()
+    };
+    robots.map(refused).sum()
+}
+
+/// Tells where a robot has been since the last step: after the maps, so that what they show of it is not older. A
+/// robot that is lost does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
+fn set_footprint<P: Ports>(
+    merger: &mut Merger,
+    robot: RobotId,
+    reader: &mut P::Reader<Correction>,
+    radius_m: f64,
+) -> bool {
     let mut changed = false;
     while let Some(at) = reader.receive() {
         if at.state() != TrackingState::Lost {
@@ -111,12 +169,4 @@ fn stand(merger: &mut Merger, robot: RobotId, reader: &mut Reader<Correction>, r
         }
     }
     changed
-}
-
-fn sum(maps: &[(RobotId, MapReader)]) -> Gaps {
-    maps.iter().fold(Gaps::default(), |mut sum, (_, reader)| {
-        sum.received += reader.gaps().received;
-        sum.lost += reader.gaps().lost;
-        sum
-    })
 }

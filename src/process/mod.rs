@@ -1,22 +1,25 @@
-//! One main loop for each process of the fleet: read the channels, call the room, write the channels.
-//! The rooms do the work; nothing here decides anything about robots or maps.
+//! One main loop for each process of the fleet: read the channels, call a crate, write the channels.
+//!
+//! Each loop is a [`Component`] over [`crate::ports`]: live it runs on shared memory, in lockstep on queues and virtual
+//! time. The crates do the work; nothing here decides anything about robots or maps.
 
 mod bridge;
 mod control;
-mod graph;
-mod map_out;
-mod merge;
+pub mod graph;
+pub mod heartbeat;
+mod map_publisher;
+pub mod merge;
 mod outside;
-mod pulse;
 mod ros2;
-mod sim;
-mod slam;
-mod submaps_out;
-mod telemetry;
+pub mod sim;
+pub mod slam;
+mod submap_publisher;
+pub mod telemetry;
 
 use crate::run::{Run, RunError};
+use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
-use msg::{Pose2, RobotId, Role};
+use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -24,6 +27,27 @@ use std::time::Duration;
 pub const MAP_PERIOD: Duration = Duration::from_millis(100);
 /// Side of a cell of the room's plan, metres: the maps'.
 pub const PLAN_RESOLUTION_M: f64 = 0.05;
+
+/// A loop's body, written once for live processes and for lockstep.
+pub trait Component {
+    /// Reads the ports, does the work that is due, writes the ports, and never waits. Returns the moment at which it
+    /// wants to run again, if nothing wakes it before.
+    fn step(&mut self) -> Monotonic;
+}
+
+/// What wakes a component before its time.
+pub trait Listens<L: 'static> {
+    /// The listeners of its inputs.
+    fn listeners(&self) -> impl Iterator<Item = &L>;
+}
+
+/// Runs a component on shared memory until it is `over`.
+fn serve(component: &mut (impl Component + Listens<Listener>), over: &dyn Fn() -> bool) {
+    while !over() {
+        let due = component.step();
+        wait(component.listeners(), due);
+    }
+}
 
 /// What the launcher tells each child.
 #[derive(Clone, Debug, clap::Args)]
@@ -104,7 +128,7 @@ fn join(args: &ProcessArgs, role: Role) -> Result<(Run, Stop), Error> {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
     for outcome in run.config.realtime.apply(role) {
         if let Err(why) = outcome.result {
-            eprintln!("{}: goes on without {}: {why}", role.name(), outcome.wish);
+            eprintln!("{}: goes on without {}: {why}", role.name(), outcome.setting);
         }
     }
     Ok((run, stop))

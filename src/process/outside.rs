@@ -1,10 +1,10 @@
-//! A world that is not simulated here, as the bridge hears of it: its channels are the bridge's to write.
+//! The channels of an external world: the bridge writes what the simulators write elsewhere.
 
 use crate::channel;
 use crate::ports::ChannelError;
 use crate::run::Run;
 use crate::shared_memory::{Participant, Writer};
-use ::bridge::world::{Heard, World};
+use ::bridge::world::{ExternalWorld, WorldMessage};
 use msg::{Odometry, RobotId, Scan, Transforms};
 
 struct RobotWriters {
@@ -14,24 +14,24 @@ struct RobotWriters {
 }
 
 impl RobotWriters {
-    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
+    fn open(participant: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
-            scan: node.writer(&channel::scan(robot))?,
-            odometry: node.writer(&channel::odometry(robot))?,
-            transforms: node.writer(&channel::transforms(robot))?,
+            scan: participant.writer(&channel::scan(robot))?,
+            odometry: participant.writer(&channel::odometry(robot))?,
+            transforms: participant.writer(&channel::transforms(robot))?,
         })
     }
 }
 
-/// The run's world, which passes on what it hears to the channels a simulator would write.
-pub fn world(node: &Participant, run: &Run) -> Result<World, ChannelError> {
+/// Opens the channels and returns the world that writes accepted messages to them.
+pub fn open_world(participant: &Participant, run: &Run) -> Result<ExternalWorld, ChannelError> {
     let mut robots =
-        run.robots().map(|robot| RobotWriters::open(node, robot)).collect::<Result<Vec<_>, _>>()?;
-    let mut clock = node.writer(&channel::clock())?;
-    Ok(World::new(run.config.fleet.robots, move |heard| match heard {
-        Heard::Scan(robot, scan) => robots[robot.index()].scan.send(scan),
-        Heard::Odometry(robot, odometry) => robots[robot.index()].odometry.send(odometry),
-        Heard::Transforms(robot, transforms) => robots[robot.index()].transforms.send(transforms),
-        Heard::Clock(message) => clock.send(message),
+        run.robots().map(|robot| RobotWriters::open(participant, robot)).collect::<Result<Vec<_>, _>>()?;
+    let mut clock = participant.writer(&channel::clock())?;
+    Ok(ExternalWorld::new(run.config.fleet.robots, move |message| match message {
+        WorldMessage::Scan(robot, scan) => robots[robot.index()].scan.send(scan),
+        WorldMessage::Odometry(robot, odometry) => robots[robot.index()].odometry.send(odometry),
+        WorldMessage::Transforms(robot, transforms) => robots[robot.index()].transforms.send(transforms),
+        WorldMessage::Clock(message) => clock.send(message),
     }))
 }

@@ -1,15 +1,16 @@
-//! The ROS 2 door of the bridge process: a thread of its own, which the headset's door never waits for.
+//! The ROS 2 endpoint of the bridge process, on a thread of its own, so that DDS never delays a headset on TCP.
 
 use super::Error;
-use super::bridge::{Asker, fleet_tasks, forward, on_ring, stopped};
+use super::bridge::{SlamRequester, forward, on_notification, publish_channels, stop_requested};
 use crate::channel;
+use crate::clock::now;
 use crate::config::World;
 use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
-use ::bridge::Bridge;
-use ::bridge::dds::{Door, Heard};
+use ::bridge::dds::{DdsEndpoint, ReceivedMessage};
+use ::bridge::{Bridge, FleetMessage};
 use msg::{Clock, RobotId, Role};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -17,85 +18,93 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 
-/// Messages heard that wait for the bridge; more are dropped there.
-const HEARD_MAX: usize = 256;
-/// What tells this door's questions to SLAM from others'.
-const ASKER_KIND: u64 = 2;
-/// How often the headset is told the time where ROS has none of its own.
+/// Received messages that may wait for the bridge; more are dropped.
+const RECEIVED_MAX: usize = 256;
+/// Tells this endpoint's requests to SLAM from others'.
+const REQUESTER_KIND: u64 = 2;
+/// How often clients on TCP get the time where ROS publishes none: 50 Hz, as a simulator would.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
-/// Starts the thread, and hears what it hears.
+/// Starts the thread; returns the task that passes its messages to the bridge.
 pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
-    let (hear, mut heard) = mpsc::channel::<Heard>(HEARD_MAX);
-    let epoch = run.epoch;
-    let outside = run.config.world == World::Ros;
+    let (sender, receiver) = mpsc::channel::<ReceivedMessage>(RECEIVED_MAX);
+    let task = spawn_local(pass_to_bridge(run.clone(), bridge.clone(), receiver));
     let (run, stop) = (run.clone(), stop.clone());
     std::thread::Builder::new().name("ros2".into()).spawn(move || {
-        if let Err(why) = serve(&run, &stop, hear) {
+        if let Err(why) = serve(&run, &stop, sender) {
             eprintln!("bridge: {why}; ROS 2 is not served");
         }
     })?;
-    let bridge = bridge.clone();
-    Ok(spawn_local(async move {
-        // A simulator's time, such as Gazebo's, is on /clock; real robots go by the wall's.
-        let has_clock = Cell::new(!outside);
-        let hearing = async {
-            while let Some(message) = heard.recv().await {
-                has_clock.set(has_clock.get() || message.is_clock());
-                bridge.hear_ros(&message);
-            }
-        };
-        let telling = async {
-            while !has_clock.get() {
-                let mut clock = Clock::default();
-                clock.header.stamp = fleet::stamp_now(epoch);
-                bridge.clock(&clock);
-                tokio::time::sleep(CLOCK_PERIOD).await;
-            }
-        };
-        tokio::join!(hearing, telling);
-    }))
+    Ok(task)
 }
 
-fn serve(run: &Run, stop: &Stop, hear: mpsc::Sender<Heard>) -> Result<(), Error> {
-    // A presence of its own: shared memory's ports stay on the thread that made them.
-    let node = run.attach_thread(Role::Bridge, None, "ros2")?;
-    let outside = run.config.world == World::Ros;
+/// Passes received messages to the bridge, and publishes the time until ROS does.
+async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, mut receiver: mpsc::Receiver<ReceivedMessage>) {
+    // A simulator such as Gazebo publishes /clock; real robots use the time of day.
+    let has_clock = Cell::new(run.config.world != World::Ros);
+    let receive = async {
+        while let Some(message) = receiver.recv().await {
+            has_clock.set(has_clock.get() || message.is_clock());
+            bridge.receive_dds(&message, now());
+        }
+    };
+    let publish_time = async {
+        while !has_clock.get() {
+            let mut clock = Clock::default();
+            clock.header.stamp = fleet::stamp_now(run.epoch);
+            bridge.publish(FleetMessage::Clock(&clock));
+            tokio::time::sleep(CLOCK_PERIOD).await;
+        }
+    };
+    tokio::join!(receive, publish_time);
+}
+
+/// Runs the endpoint until it is asked to stop.
+fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Result<(), Error> {
+    // A participant of its own: ports of shared memory stay on the thread that opened them.
+    let participant = run.attach_thread(Role::Bridge, None, "ros2")?;
+    let is_external = run.config.world == World::Ros;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let door = Rc::new(Door::open(&run.config.bridge, run.config.fleet.robots, outside)?);
-        let mut tasks = fleet_tasks(&node, run, &door)?;
-        let asker = Rc::new(RefCell::new(Asker::open(&node, run, ASKER_KIND)?));
+        let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge, run.config.fleet.robots, is_external)?);
+        let mut tasks = publish_channels(&participant, run, &endpoint)?;
+        let requester = Rc::new(RefCell::new(SlamRequester::open(&participant, run, REQUESTER_KIND)?));
         for robot in run.robots() {
-            tasks.push(answers(&node, &door, &asker, robot)?);
-            if outside {
-                let pass = move |door: &Door, command: &msg::VelocityCommand| door.command(robot, command);
-                tasks.push(forward(&node, &door, &channel::command(robot), pass)?);
+            tasks.push(forward_responses(&participant, &endpoint, &requester, robot)?);
+            if is_external {
+                tasks.push(forward(
+                    &participant,
+                    &endpoint,
+                    &channel::command(robot),
+                    move |endpoint, command| {
+                        endpoint.publish_velocity(robot, command);
+                    },
+                )?);
             }
         }
-        let hear = move |message| drop(hear.try_send(message));
-        let ask = move |robot, request| asker.borrow_mut().ask(robot, request);
-        tasks.push(spawn_local(door.serve(hear, ask)));
-        stopped(stop.clone()).await;
+        let on_message = move |message| drop(sender.try_send(message));
+        let on_request = move |robot, request| requester.borrow_mut().send(robot, request);
+        tasks.push(spawn_local(endpoint.serve(on_message, on_request)));
+        stop_requested(stop.clone()).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
     })
 }
 
-/// Passes a robot's answers to the door.
-fn answers(
-    node: &Participant,
-    door: &Rc<Door>,
-    asker: &Rc<RefCell<Asker>>,
+/// Passes the responses of a robot's SLAM to the endpoint, and sends the requests that follow them.
+fn forward_responses(
+    participant: &Participant,
+    endpoint: &Rc<DdsEndpoint>,
+    requester: &Rc<RefCell<SlamRequester>>,
     robot: RobotId,
 ) -> Result<JoinHandle<()>, Error> {
-    let mut reader = node.reader(&channel::slam_response(robot))?;
-    let (door, asker) = (door.clone(), asker.clone());
-    on_ring(node.listener(&channel::slam_response(robot))?, move || {
-        while let Some(answer) = reader.receive() {
-            let ours = answer.client == asker.borrow().client;
-            if let Some(next) = door.answered(robot, &answer, ours) {
-                asker.borrow_mut().ask(robot, next);
+    let mut reader = participant.reader(&channel::slam_response(robot))?;
+    let (endpoint, requester) = (endpoint.clone(), requester.clone());
+    on_notification(participant.listener(&channel::slam_response(robot))?, move || {
+        while let Some(response) = reader.receive() {
+            let is_ours = response.client == requester.borrow().client;
+            if let Some(next) = endpoint.answer_request(robot, &response, is_ours) {
+                requester.borrow_mut().send(robot, next);
             }
         }
     })

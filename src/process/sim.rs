@@ -1,15 +1,17 @@
-//! One robot in its room, at its own pace: 100 ticks a second on absolute deadlines.
+//! The simulator process: one robot in its room, 100 ticks a second on absolute deadlines.
 
-use super::Error;
-use super::pulse::{Account, Pulse};
+use super::heartbeat::{HealthCounters, Heartbeat};
+use super::{Component, Error, Listens, serve};
 use crate::channel;
 use crate::fleet;
-use crate::ports::ChannelError;
+use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::run::Run;
-use crate::shared_memory::{Participant, Reader, Writer, wait};
 use crate::stop::Stop;
-use msg::{Clock, GroundTruth, Odometry, Pose2, RobotId, Role, Scan, Transforms, VelocityCommand};
+use msg::{
+    Clock, GroundTruth, Monotonic, Odometry, Pose2, RobotId, Role, Scan, Stamp, Transforms, VelocityCommand,
+};
 use sim::Simulator;
+use std::time::Duration;
 
 /// A simulator further behind than this lets the time go instead of hurrying after it: the
 /// machine slept, or is far too slow.
@@ -18,78 +20,155 @@ const BEHIND_MAX_S: f64 = 1.0;
 /// The robot whose simulator keeps the fleet's clock.
 const TIMEKEEPER: usize = 1;
 
+/// Runs the process until it is asked to stop.
 pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Sim, Some(robot))?;
-    let mut pulse = Pulse::new(&node, run, Role::Sim, Some(robot))?;
-    let mut commands = node.reader(&channel::command(robot))?;
-    let command_bell = node.listener(&channel::command(robot))?;
-    let mut outputs = Outputs::open(&node, robot)?;
-    let mut peers = run
-        .robots()
-        .filter(|peer| *peer != robot)
-        .map(|peer| Ok((peer, node.reader(&channel::truth(peer))?)))
-        .collect::<Result<Vec<(RobotId, Reader<GroundTruth>)>, ChannelError>>()?;
-    let room = fleet::room(&run.config)?;
-    let start = fleet::starts(&run.config, &room)?[robot.index()];
-
-    let lag = fleet::tick_lag(robot, run.config.fleet.robots);
-    let at_start = || fleet::simulator(&run.config, &room, robot, start);
-    // Where it was may have been against a table; then it begins anew.
-    let mut simulator = match at {
-        Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|why| {
-            eprintln!("{robot} cannot go on from {place:?} and begins anew at its start: {why}");
-            at_start()
-        })?,
-        None => at_start()?,
-    };
-    simulator.join_at(fleet::stamp_now(run.epoch));
-    while !stop.requested() {
-        let due = run.epoch.moment(simulator.now() + Simulator::TICK + lag);
-        while wait([&command_bell], due) {
-            obey(&mut commands, &mut simulator);
-        }
-        pulse.late(due);
-        pulse.work(|| {
-            obey(&mut commands, &mut simulator);
-            for (peer, truths) in &mut peers {
-                if let Some(truth) = truths.newest() {
-                    simulator.see(*peer, &truth);
-                }
-            }
-            outputs.tick(&mut simulator);
-        });
-        pulse.beat(|| Account { gaps: commands.gaps(), refused: simulator.refused(), ..Account::default() });
-        let now = fleet::stamp_now(run.epoch);
-        if now - simulator.now() > BEHIND_MAX_S {
-            simulator.join_at(now);
-        }
-    }
+    let mut simulation = Simulation::open(&node, run, robot, at)?;
+    serve(&mut simulation, &|| stop.requested());
     Ok(())
 }
 
-fn obey(commands: &mut Reader<VelocityCommand>, simulator: &mut Simulator) {
-    while let Some(command) = commands.receive() {
-        simulator.command(&command);
+/// A robot's simulator with its channels.
+pub struct Simulation<P: Ports> {
+    simulator: Simulator,
+    inputs: Inputs<P>,
+    outputs: Outputs<P>,
+    heartbeat: Heartbeat<P>,
+    clock: P::Clock,
+    epoch: crate::clock::Epoch,
+    /// How long after a tick's stamp it is simulated.
+    lag: Duration,
+}
+
+/// What a simulator reads.
+struct Inputs<P: Ports> {
+    commands: P::Reader<VelocityCommand>,
+    command_listener: P::Listener,
+    peers: Vec<(RobotId, P::Reader<GroundTruth>)>,
+    /// A command that was sent longer ago is out of date.
+    command_age_max: Duration,
+    /// Commands ignored because they were out of date.
+    outdated: u64,
+}
+
+impl<P: Ports> Simulation<P> {
+    /// Puts the robot at its start, or `at` the pose where it was before.
+    pub fn open(ports: &P, run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<Self, Error> {
+        let heartbeat = Heartbeat::new(ports, run, Role::Sim, Some(robot))?;
+        let inputs = Inputs::open(ports, run, robot)?;
+        let outputs = Outputs::open(ports, robot)?;
+        let room = fleet::room(&run.config)?;
+        let start = fleet::starts(&run.config, &room)?[robot.index()];
+        let at_start = || fleet::simulator(&run.config, &room, robot, start);
+        // The robot may have touched a table where it was; then it begins anew.
+        let mut simulator = match at {
+            Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|why| {
+                eprintln!("{robot} cannot go on from {place:?} and begins anew at its start: {why}");
+                at_start()
+            })?,
+            None => at_start()?,
+        };
+        let clock = ports.clock();
+        simulator.join_at(run.epoch.stamp(clock.now()));
+        let lag = fleet::tick_lag(robot, run.config.fleet.robots);
+        Ok(Self { simulator, inputs, outputs, heartbeat, clock, epoch: run.epoch, lag })
+    }
+
+    /// When the next tick is simulated.
+    fn due(&self) -> Monotonic {
+        self.epoch.moment(self.simulator.now() + Simulator::TICK + self.lag)
+    }
+
+    fn now(&self) -> Stamp {
+        self.epoch.stamp(self.clock.now())
+    }
+}
+
+impl<P: Ports> Component for Simulation<P> {
+    fn step(&mut self) -> Monotonic {
+        let now = self.clock.now();
+        self.inputs.apply_commands(&mut self.simulator, now);
+        let due = self.due();
+        if now < due {
+            return due;
+        }
+        let Self { simulator, inputs, outputs, heartbeat, .. } = self;
+        heartbeat.record_lateness(due);
+        heartbeat.measure(|| {
+            inputs.see_peers(simulator);
+            outputs.tick(simulator);
+        });
+        heartbeat.publish_if_due(|| HealthCounters {
+            gaps: inputs.commands.gaps(),
+            refused: simulator.refused() + inputs.outdated,
+            ..HealthCounters::default()
+        });
+        let now = self.now();
+        if now - self.simulator.now() > BEHIND_MAX_S {
+            self.simulator.join_at(now);
+        }
+        self.due()
+    }
+}
+
+impl<P: Ports> Listens<P::Listener> for Simulation<P> {
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        std::iter::once(&self.inputs.command_listener)
+    }
+}
+
+impl<P: Ports> Inputs<P> {
+    fn open(ports: &P, run: &Run, robot: RobotId) -> Result<Self, ChannelError> {
+        let peers = run.robots().filter(|peer| *peer != robot);
+        let peers = peers.map(|peer| Ok((peer, ports.reader(&channel::truth(peer))?)));
+        Ok(Self {
+            commands: ports.reader(&channel::command(robot))?,
+            command_listener: ports.listener(&channel::command(robot))?,
+            peers: peers.collect::<Result<_, ChannelError>>()?,
+            command_age_max: Duration::from_secs_f64(run.config.sim.limits.command_timeout_s),
+            outdated: 0,
+        })
+    }
+
+    /// Passes commands on. One that waited longer than commands are valid would move a robot that nobody drives:
+    /// they lie there after this process was stopped for a while.
+    fn apply_commands(&mut self, simulator: &mut Simulator, now: Monotonic) {
+        while let Some(command) = self.commands.receive() {
+            if now.since(command.header.sent) > self.command_age_max.as_nanos() as u64 {
+                self.outdated += 1;
+                continue;
+            }
+            simulator.command(&command);
+        }
+    }
+
+    fn see_peers(&mut self, simulator: &mut Simulator) {
+        for (peer, truths) in &mut self.peers {
+            if let Some(truth) = truths.newest() {
+                simulator.update_peer(*peer, &truth);
+            }
+        }
     }
 }
 
 /// What a simulator writes.
-struct Outputs {
-    scan: Writer<Scan>,
-    odometry: Writer<Odometry>,
-    transforms: Writer<Transforms>,
-    truth: Writer<GroundTruth>,
-    clock: Option<Writer<Clock>>,
+struct Outputs<P: Ports> {
+    scan: P::Writer<Scan>,
+    odometry: P::Writer<Odometry>,
+    transforms: P::Writer<Transforms>,
+    truth: P::Writer<GroundTruth>,
+    clock: Option<P::Writer<Clock>>,
 }
 
-impl Outputs {
-    fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
+impl<P: Ports> Outputs<P> {
+    fn open(ports: &P, robot: RobotId) -> Result<Self, ChannelError> {
+        let keeps_time = robot.number() == TIMEKEEPER;
         Ok(Self {
-            scan: node.writer(&channel::scan(robot))?,
-            odometry: node.writer(&channel::odometry(robot))?,
-            transforms: node.writer(&channel::transforms(robot))?,
-            truth: node.writer(&channel::truth(robot))?,
-            clock: (robot.number() == TIMEKEEPER).then(|| node.writer(&channel::clock())).transpose()?,
+            scan: ports.writer(&channel::scan(robot))?,
+            odometry: ports.writer(&channel::odometry(robot))?,
+            transforms: ports.writer(&channel::transforms(robot))?,
+            truth: ports.writer(&channel::truth(robot))?,
+            clock: keeps_time.then(|| ports.writer(&channel::clock())).transpose()?,
         })
     }
 

@@ -1,114 +1,151 @@
-//! The fleet's figures: listens to everything, says once a second how it goes.
+//! The telemetry process: reads everything, publishes the fleet's figures once a second.
 
-use super::pulse::{Account, Pulse};
-use super::{Error, PLAN_RESOLUTION_M};
+use super::heartbeat::{HealthCounters, Heartbeat};
+use super::{Component, Error, Listens, PLAN_RESOLUTION_M, serve};
 use crate::channel;
-use crate::clock::now;
 use crate::config::World;
 use crate::fleet;
-use crate::ports::{ChannelError, ReadMapPort};
+use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
 use crate::processes;
 use crate::run::Run;
-use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
 use msg::{
-    Correction, DenseMap, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId, Role, Transforms,
+    Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId, Role,
+    Transforms,
 };
 
-/// How often the figures are sent.
+/// Period of the figures, nanoseconds.
 const PERIOD_NS: u64 = 1_000_000_000;
 
+/// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
-    let mut pulse = Pulse::new(&node, run, Role::Telemetry, None)?;
-    let plan = match run.config.world {
-        World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
-        World::Headset | World::Ros => None,
-    };
-    let starts = fleet::true_starts(&run.config)?;
-
-    let mut telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);
-    // Only now, so that nothing waits unread while the room is built.
-    let mut inputs = Inputs::open(&node, run)?;
-    let bells = Inputs::bells(&node, run)?;
-    let mut stats = node.writer(&channel::stats())?;
-    let mut due = Monotonic(now().0 + PERIOD_NS);
-    while !stop.requested() {
-        wait(&bells, due);
-        let received = now();
-        inputs.streams(&mut telemetry, received);
-        if received >= due {
-            inputs.states(&mut telemetry, received);
-            let stamp = run.epoch.stamp(received);
-            stats.send(pulse.work(|| telemetry.compute_stats(stamp, received)));
-            due = Monotonic((due.0 + PERIOD_NS).max(received.0));
-        }
-        pulse.beat(Account::default);
-    }
+    let mut figures = Figures::open(&node, run)?;
+    serve(&mut figures, &|| stop.requested());
     Ok(())
 }
 
+/// Computes the fleet's figures from all that is published.
+pub struct Figures<P: Ports> {
+    telemetry: Telemetry,
+    inputs: Inputs<P>,
+    stats: P::Writer<FleetStats>,
+    heartbeat: Heartbeat<P>,
+    clock: P::Clock,
+    epoch: crate::clock::Epoch,
+    due: Monotonic,
+}
+
+impl<P: Ports> Figures<P> {
+    /// Opens all channels; the first figures are due in a second.
+    pub fn open(ports: &P, run: &Run) -> Result<Self, Error> {
+        let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
+        let plan = match run.config.world {
+            World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
+            World::Headset | World::Ros => None,
+        };
+        let starts = fleet::true_starts(&run.config)?;
+        let telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);
+        let clock = ports.clock();
+        Ok(Self {
+            telemetry,
+            // Only now, so that nothing waits unread while the room is built.
+            inputs: Inputs::open(ports, run)?,
+            stats: ports.writer(&channel::stats())?,
+            heartbeat,
+            due: Monotonic(clock.now().0 + PERIOD_NS),
+            clock,
+            epoch: run.epoch,
+        })
+    }
+}
+
+impl<P: Ports> Component for Figures<P> {
+    fn step(&mut self) -> Monotonic {
+        let received = self.clock.now();
+        self.inputs.receive_streams(&mut self.telemetry, received);
+        if received >= self.due {
+            self.inputs.receive_states(&mut self.telemetry, received);
+            let stamp = self.epoch.stamp(received);
+            let stats = self.heartbeat.measure(|| self.telemetry.compute_stats(stamp, received));
+            self.stats.send(stats);
+            self.due = Monotonic((self.due.0 + PERIOD_NS).max(received.0));
+        }
+        self.heartbeat.publish_if_due(HealthCounters::default);
+        self.due
+    }
+}
+
+impl<P: Ports> Listens<P::Listener> for Figures<P> {
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        self.inputs.listeners.iter()
+    }
+}
+
 /// What telemetry reads of one robot.
-struct RobotInputs {
+struct RobotInputs<P: Ports> {
     robot: RobotId,
-    transforms: Reader<Transforms>,
-    corrections: Reader<Correction>,
-    truths: Reader<GroundTruth>,
-    maps: MapReader,
-    /// A map has come since the last figures.
-    news: bool,
+    transforms: P::Reader<Transforms>,
+    corrections: P::Reader<Correction>,
+    truths: P::Reader<GroundTruth>,
+    map: MapInput<P>,
+}
+
+/// A map that telemetry reads.
+struct MapInput<P: Ports> {
+    reader: P::MapReader,
+    /// A version has come since the last figures.
+    changed: bool,
     grid: DenseMap,
 }
 
-/// What telemetry reads.
-struct Inputs {
-    robots: Vec<RobotInputs>,
-    merged_map: MapReader,
-    merged_news: bool,
-    merged_grid: DenseMap,
-    map_transforms: Reader<MapTransforms>,
-    beats: Vec<Reader<ProcessHealth>>,
+impl<P: Ports> MapInput<P> {
+    fn new(reader: P::MapReader) -> Self {
+        Self { reader, changed: false, grid: DenseMap::default() }
+    }
 }
 
-impl Inputs {
-    fn open(node: &Participant, run: &Run) -> Result<Self, ChannelError> {
+/// What telemetry reads.
+struct Inputs<P: Ports> {
+    robots: Vec<RobotInputs<P>>,
+    merged_map: MapInput<P>,
+    map_transforms: P::Reader<MapTransforms>,
+    health: Vec<P::Reader<ProcessHealth>>,
+    /// Of all whose moment of arrival matters.
+    listeners: Vec<P::Listener>,
+}
+
+impl<P: Ports> Inputs<P> {
+    fn open(ports: &P, run: &Run) -> Result<Self, ChannelError> {
         let robot_inputs = |robot| {
             Ok(RobotInputs {
                 robot,
-                transforms: node.reader(&channel::transforms(robot))?,
-                corrections: node.reader(&channel::correction(robot))?,
-                truths: node.reader(&channel::truth(robot))?,
-                maps: node.map_reader(&channel::map(robot))?,
-                news: false,
-                grid: DenseMap::default(),
+                transforms: ports.reader(&channel::transforms(robot))?,
+                corrections: ports.reader(&channel::correction(robot))?,
+                truths: ports.reader(&channel::truth(robot))?,
+                map: MapInput::new(ports.map_reader(&channel::map(robot))?),
             })
         };
-        let beats = processes::of_fleet(&run.config)
-            .map(|(row, robot)| node.reader(&channel::process_health(row.role, robot)));
+        let health = processes::of_fleet(&run.config)
+            .map(|(row, robot)| ports.reader(&channel::process_health(row.role, robot)));
+        let mut listeners = Vec::new();
+        for robot in run.robots() {
+            listeners.push(ports.listener(&channel::transforms(robot))?);
+            listeners.push(ports.listener(&channel::correction(robot))?);
+            listeners.push(ports.listener(&channel::map(robot))?);
+        }
         Ok(Self {
             robots: run.robots().map(robot_inputs).collect::<Result<_, ChannelError>>()?,
-            merged_map: node.map_reader(&channel::merged_map())?,
-            merged_news: false,
-            merged_grid: DenseMap::default(),
-            map_transforms: node.reader(&channel::map_transforms())?,
-            beats: beats.collect::<Result<_, _>>()?,
+            merged_map: MapInput::new(ports.map_reader(&channel::merged_map())?),
+            map_transforms: ports.reader(&channel::map_transforms())?,
+            health: health.collect::<Result<_, _>>()?,
+            listeners,
         })
     }
 
-    /// Whatever must be noted the moment it comes.
-    fn bells(node: &Participant, run: &Run) -> Result<Vec<Listener>, ChannelError> {
-        let mut bells = Vec::new();
-        for robot in run.robots() {
-            bells.push(node.listener(&channel::transforms(robot))?);
-            bells.push(node.listener(&channel::correction(robot))?);
-            bells.push(node.listener(&channel::map(robot))?);
-        }
-        Ok(bells)
-    }
-
-    fn streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        for RobotInputs { robot, transforms, corrections, truths, maps, news, .. } in &mut self.robots {
+    fn receive_streams(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
+        for RobotInputs { robot, transforms, corrections, truths, map } in &mut self.robots {
             while let Some(truth) = truths.receive() {
                 telemetry.add_truth(*robot, &truth);
             }
@@ -118,30 +155,31 @@ impl Inputs {
             while let Some(correction) = corrections.receive() {
                 telemetry.add_correction(*robot, &correction, received);
             }
-            if maps.poll() {
-                telemetry.record_map_arrival(*robot, maps.map().header.scan_sent, received);
-                *news = true;
+            if map.reader.poll() {
+                telemetry.record_map_arrival(*robot, map.reader.map().header.scan_sent, received);
+                map.changed = true;
             }
         }
         // It has its turn at the figures, but must not fall behind.
-        self.merged_news |= self.merged_map.poll();
+        self.merged_map.changed |= self.merged_map.reader.poll();
     }
 
-    fn states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
-        if let Some(map_transforms) = self.map_transforms.newest() {
-            telemetry.map_transforms(&map_transforms);
+    fn receive_states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
+        if let Some(transforms) = self.map_transforms.newest() {
+            telemetry.map_transforms(&transforms);
         }
-        for RobotInputs { robot, maps, news, grid, .. } in &mut self.robots {
-            if std::mem::take(news) {
-                telemetry.update_map(*robot, grid.update(maps.map()));
+        for RobotInputs { robot, map, .. } in &mut self.robots {
+            if std::mem::take(&mut map.changed) {
+                telemetry.update_map(*robot, map.grid.update(map.reader.map()));
             }
         }
-        if std::mem::take(&mut self.merged_news) {
-            telemetry.update_merged_map(self.merged_grid.update(self.merged_map.map()), received);
+        let map = &mut self.merged_map;
+        if std::mem::take(&mut map.changed) {
+            telemetry.update_merged_map(map.grid.update(map.reader.map()), received);
         }
-        for beats in &mut self.beats {
-            while let Some(beat) = beats.receive() {
-                telemetry.process_health(&beat, received);
+        for health in &mut self.health {
+            while let Some(report) = health.receive() {
+                telemetry.process_health(&report, received);
             }
         }
     }

@@ -1,6 +1,6 @@
 """Large and latched maps at stock Fast DDS readers. `maps_rclpy.py DOOR MR_SLAM [buffers]`
 
-A door with nothing but maps behind it (bridge/examples/door.rs); map n has stamp n.
+An endpoint that publishes nothing but maps (bridge/examples/dds_maps.rs); map n has stamp n.
 """
 
 import json

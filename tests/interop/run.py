@@ -12,7 +12,7 @@ import tempfile
 HERE = pathlib.Path(__file__).parent
 ROOT = HERE.parent.parent
 BINARY = ROOT / "target/release/mr-slam"
-DOOR = ROOT / "target/release/examples/door"
+ENDPOINT = ROOT / "target/release/examples/dds_maps"
 # No script needs half of it; none may take more.
 PEER_MAX_S = 240
 # Domains whose ports lie below those that the system gives to anybody.
@@ -78,9 +78,9 @@ def main(out):
     with fleet(out, domain, "--robots", "2", "--world", "ros"):
         rows += peer("world_rclpy.py", domain)
         rows += peer("world_cyclone.py", domain)
-    rows += peer("maps_rclpy.py", domain, DOOR, BINARY)
+    rows += peer("maps_rclpy.py", domain, ENDPOINT, BINARY)
     profile = str(HERE / "buffers.xml")
-    rows += peer("maps_rclpy.py", domain, DOOR, BINARY, "buffers", FASTRTPS_DEFAULT_PROFILES_FILE=profile)
+    rows += peer("maps_rclpy.py", domain, ENDPOINT, BINARY, "buffers", FASTRTPS_DEFAULT_PROFILES_FILE=profile)
     (out / "interop.json").write_text(json.dumps(rows, indent=1))
     wide = max(len(row["what"]) for row in rows)
     for row in rows:

@@ -1,28 +1,27 @@
-//! What the ROS 2 door may be told at start.
+//! The settings of the ROS 2 endpoint.
 
 use crate::config::ConfigError;
 use serde::{Deserialize, Serialize};
 
-/// The highest domain whose ports exist (RTPS 9.6.1.1).
+/// The highest domain whose UDP ports exist (RTPS 2.5, 9.6.1.1).
 const DOMAIN_MAX: u16 = 232;
 
-/// The bridge's table `dds` of the fleet file.
+/// The table `bridge.dds` of the fleet file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DdsConfig {
-    /// Whether there is a ROS 2 door.
+    /// Whether the fleet's topics are on DDS, for ROS 2.
     pub enabled: bool,
-    /// ROS_DOMAIN_ID of those to talk to.
+    /// ROS_DOMAIN_ID of the ROS 2 nodes to communicate with, 0 to 232.
     pub domain: u16,
-    /// Whether to talk with this machine alone. Off, everybody in the domain may watch, and may drive only if
-    /// `bridge.drive` is `anyone`: DDS does not say who speaks.
+    /// Whether to communicate with this machine alone. Otherwise everybody in the domain may watch, and may drive
+    /// only if `bridge.drive` is `anyone`: DDS does not identify who publishes.
     pub loopback_only: bool,
-    /// Before the names of all topics but /tf, /tf_static and /clock: `/lab` makes `/lab/robot1/scan`.
+    /// Prefix of all topics but /tf, /tf_static and /clock: `/lab` makes `/lab/robot1/scan`.
     pub namespace: String,
-    /// The node's name in the ROS graph.
+    /// Name of the node in the ROS graph.
     pub node: String,
-    /// Whether robots that are not simulated here want TwistStamped on `/robotN/cmd_vel`, as TurtleBots do from
-    /// Jazzy on, or Twist.
+    /// Whether real robots get TwistStamped on `/robotN/cmd_vel`, as TurtleBots expect from Jazzy on, or Twist.
     pub stamped_commands: bool,
 }
 
@@ -40,7 +39,7 @@ impl Default for DdsConfig {
 }
 
 impl DdsConfig {
-    /// Checks every value.
+    /// Refuses values that cannot work.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         if self.domain > DOMAIN_MAX {
             return Err(ConfigError::new("dds.domain", self.domain.to_string(), "domains 0 to 232 exist"));
@@ -59,10 +58,13 @@ impl DdsConfig {
     }
 }
 
-/// One token of a ROS name.
+/// The longest token of a ROS name that is accepted.
+const NAME_MAX: usize = 128;
+
+/// Returns whether a text is one token of a ROS name.
 fn is_name(text: &str) -> bool {
     let rest = |c: char| c.is_ascii_alphanumeric() || c == '_';
-    text.len() <= 128 && text.starts_with(|c: char| c.is_ascii_alphabetic()) && text.chars().all(rest)
+    text.len() <= NAME_MAX && text.starts_with(|c: char| c.is_ascii_alphabetic()) && text.chars().all(rest)
 }
 
 #[cfg(test)]
@@ -70,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_and_domains_are_checked() {
+    fn invalid_names_and_domains_are_refused() {
         assert_eq!(DdsConfig::default().validate(), Ok(()));
         let with = |change: fn(&mut DdsConfig)| {
             let mut config = DdsConfig::default();

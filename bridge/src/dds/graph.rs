@@ -1,4 +1,4 @@
-//! The node in ROS's graph: which readers and writers it has, on `ros_discovery_info`.
+//! Announces the node's readers and writers to the ROS graph, on `ros_discovery_info`.
 
 use ros2_client::builtin_topics::ros_discovery;
 use ros2_client::dds::rustdds::dds::CreateResult;
@@ -10,10 +10,10 @@ use ros2_client::dds::rustdds::{
 use ros2_client::entities_info::{NodeEntitiesInfo, ParticipantEntitiesInfo};
 use ros2_client::{Gid, NodeName};
 
-/// Announcements kept for those who have not taken them yet.
-const KEPT_MAX: i32 = 8;
+/// Announcements kept for participants that have not taken them yet.
+const ANNOUNCEMENTS_MAX: i32 = 8;
 
-/// What `ros2 node list` and `ros2 topic info` are told.
+/// The source of what `ros2 node list` and `ros2 topic info` show.
 pub struct Graph {
     participant: GUID,
     node: NodeName,
@@ -21,10 +21,13 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// For the participant's only node.
+    /// Creates the announcements of the participant's only node.
     pub fn new(participant: &DomainParticipant, publisher: &Publisher, node: NodeName) -> CreateResult<Self> {
-        let limits =
-            ResourceLimits { max_samples: KEPT_MAX, max_instances: 1, max_samples_per_instance: KEPT_MAX };
+        let limits = ResourceLimits {
+            max_samples: ANNOUNCEMENTS_MAX,
+            max_instances: 1,
+            max_samples_per_instance: ANNOUNCEMENTS_MAX,
+        };
         let qos = QosPolicyBuilder::new()
             .reliable(Duration::ZERO)
             .durability(Durability::TransientLocal)
@@ -37,14 +40,14 @@ impl Graph {
         Ok(Self { participant: participant.guid(), node, writer })
     }
 
-    /// Tells which endpoints there are now.
-    pub fn tell(&self, readers: impl Iterator<Item = GUID>, writers: impl Iterator<Item = GUID>) {
+    /// Announces the readers and writers that exist now.
+    pub fn publish(&self, readers: impl Iterator<Item = GUID>, writers: impl Iterator<Item = GUID>) {
         let mut info = NodeEntitiesInfo::new(self.node.clone());
         readers.for_each(|guid| info.add_reader(Gid::from(guid)));
         writers.for_each(|guid| info.add_writer(Gid::from(guid)));
         info.add_writer(Gid::from(self.writer.guid()));
         let message = ParticipantEntitiesInfo::new(Gid::from(self.participant), vec![info]);
-        // Only a full window refuses it: somebody has stopped listening, and the next change tells all again.
+        // The write fails only while a participant does not acknowledge; the next change announces everything again.
         let _ = self.writer.write(message, None);
     }
 }

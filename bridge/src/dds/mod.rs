@@ -1,26 +1,28 @@
-//! The ROS 2 door: the fleet's topics on DDS, under the names ROS tools expect.
+//! The ROS 2 endpoint: the fleet's topics and SLAM's services on DDS, under the names that ROS tools expect.
 //!
 //! ```text
-//!   fleet ── scan(), transforms(), map() ... ──▶ Door ──▶ RustDDS ──▶ RViz, Nav2, rosbag ...
-//!   Bridge ◀── Heard ◀── Door::serve() ◀── /cmd_vel_1, /robot2/cmd_vel ... ◀── RustDDS
+//!   fleet ── FleetMessage ──▶ DdsEndpoint::publish ──▶ RustDDS ──▶ RViz, Nav2, rosbag ...
+//!   Bridge::receive_dds ◀── ReceivedMessage ◀── DdsEndpoint::serve ◀── RustDDS ◀── /cmd_vel_1, /robot2/cmd_vel ...
 //! ```
-//! It lives on a thread of its own, so that nothing here delays the headset's door. Messages are encoded by
-//! [`crate::ros`], as for TCP, and handed to RustDDS as they are.
+//! It runs on a thread of its own, so that DDS never delays a headset on TCP. Messages are encoded by [`crate::ros`],
+//! as for TCP, and handed to RustDDS as bytes.
 //!
-//! `ros2-client` gives the names, types and the node graph; readers and writers are RustDDS's own, because
-//! ros2-client's encode every message anew, cannot limit what a writer keeps, and its node listens to `/clock`
+//! `ros2-client` provides the names, the types and the node graph. Readers and writers are RustDDS's own, because
+//! ros2-client's encode every message anew, cannot limit what a writer keeps, and its node subscribes to `/clock`
 //! with a type that is not ROS's.
 
 mod config;
-mod door;
+mod endpoint;
+mod entities;
 mod graph;
-mod heard;
-mod outlet;
+mod inputs;
 mod raw;
-mod sender;
-mod servers;
+mod services;
+mod topic_writer;
+mod writers;
 
 pub use config::DdsConfig;
-pub use door::{Door, DoorCounters, DoorError};
-pub use heard::Heard;
+pub use endpoint::{DdsCounters, DdsEndpoint};
+pub use entities::EndpointError;
+pub use inputs::ReceivedMessage;
 pub use raw::{Adapter, Raw};

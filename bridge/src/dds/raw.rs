@@ -1,4 +1,4 @@
-//! Messages that are CDR already: through RustDDS without a serializer.
+//! Passes messages that are CDR already through RustDDS, without a serializer.
 
 use crate::cdr::ENCAPSULATION;
 use ros2_client::dds::rustdds::RepresentationIdentifier;
@@ -6,11 +6,11 @@ use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};
 use std::convert::Infallible;
 
-/// One message's payload with its encapsulation header. Clones share the bytes.
+/// One message as CDR with its encapsulation header. Clones share the bytes.
 #[derive(Clone, Debug)]
 pub struct Raw(pub Bytes);
 
-/// Between [`Raw`] and RustDDS.
+/// Adapts [`Raw`] to RustDDS's serialization interface.
 pub struct Adapter;
 
 impl SerializerAdapter<Raw> for Adapter {
@@ -40,7 +40,7 @@ impl DefaultDecoder<Raw> for Adapter {
     const DECODER: Copier = Copier;
 }
 
-/// Takes the bytes as they are; who wants the message checks them.
+/// Copies the bytes unchecked; the receiver of the message checks them.
 #[derive(Clone)]
 pub struct Copier;
 

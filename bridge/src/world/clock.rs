@@ -1,43 +1,45 @@
-//! How far another machine's clock is from ours, from nothing but what it sends.
+//! Estimates how far another machine's clock is from the run's, from nothing but its stamped messages.
 //!
-//! A message stamped `s` there that arrives here at `a` has been `d = a - s` under way, less the clocks' offset:
-//! `d` is at least minus the offset, and comes near it whenever a message meets no queue. The floor under all `d`
-//! is therefore the offset (plus the shortest journey, a fraction of a millisecond on a LAN, which one direction
-//! cannot tell from it). Clocks drift, so the floor is a line: of the least `d` of each second of the last minute,
-//! the edge of the lower convex hull below their middle, which is the line under all points that lies nearest to
-//! them in sum (Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002).
+//! A message stamped `s` there that arrives here at `a` has the apparent delay `d = a - s`: its transit time less the
+//! clocks' offset. `d` is close to its minimum whenever a message meets no queue. The lower bound of all `d` is
+//! therefore the negative offset plus the shortest transit time, a fraction of a millisecond on a LAN, which
+//! one-way messages cannot tell from the offset.
+//!
+//! Clocks drift, so that the bound is a line. It is fitted to the smallest delay of each second of the last minute: of
+//! their lower convex hull, the edge below their mean time, which is the line under all points with the least sum of
+//! distances (Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002).
 
 use msg::Stamp;
 use serde::{Deserialize, Serialize};
 
-/// Seconds that are remembered, one least delay each.
+/// Seconds that are remembered, one smallest delay each.
 const SECONDS_MAX: usize = 60;
-/// Shorter memories give no drift that is worth the name: until then the floor is level.
+/// A shorter memory determines no drift: until then the bound is level, seconds.
 const DRIFT_SPAN_S: f64 = 20.0;
-/// Two quartz clocks differ by less than this; a steeper edge is a queue that grows.
+/// Two quartz clocks drift apart less than this, seconds per second; a steeper edge is a growing queue.
 const DRIFT_MAX: f64 = 200e-6;
-/// A delay this far below the floor is another clock, not a better one.
+/// A delay this far below the bound means that the source's clock was set, seconds.
 const STEP_S: f64 = 1.0;
-/// As many whole seconds this far above it are, too: a clock that was set back.
+/// As many whole seconds this far above the bound mean the same: the clock was set back.
 const STEP_SECONDS: u32 = 3;
-/// The offset in use follows the estimate at most so fast (seconds a second), so that stamps stay in order ...
-const SLEW: f64 = 0.01;
-/// ... unless it is further off than this, or as young as [`SETTLE_S`].
+/// The offset in use follows the estimate at most at this rate, seconds per second, so that stamps stay in order ...
+const SLEW_RATE: f64 = 0.01;
+/// ... unless it is farther off than this, seconds, or the clock is younger than [`SETTLE_S`].
 const SLEW_FROM_S: f64 = 0.05;
-/// The first seconds bring the floor down fast.
+/// In its first seconds the estimate is used without slewing: the bound falls fast.
 const SETTLE_S: f64 = 2.0;
-/// Journeys remembered for their spread.
+/// Delays that are remembered for their spread.
 const DELAYS_MAX: usize = 512;
 
 /// How a source's stamps become the run's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ClockOffset {
-    /// `"measured"`: from when messages arrive.
+    /// `"measured"`: estimated from when messages arrive.
     #[default]
     #[serde(with = "measured")]
     Measured,
-    /// Seconds that the source's clock is ahead of ours; 0 takes stamps as they come.
+    /// Seconds that the source's clock is ahead of ours; 0 takes stamps as they are.
     Fixed(f64),
 }
 
@@ -57,82 +59,132 @@ mod measured {
     }
 }
 
-/// What is known of a source's clock.
+/// The estimate of a source's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ClockEstimate {
-    /// Seconds that it is ahead of ours, as applied.
+    /// Seconds that the clock is ahead of ours, as applied.
     pub offset_s: f64,
-    /// Its rate, parts per million more than ours.
+    /// Parts per million that the clock is faster than ours.
     pub drift_ppm: f64,
-    /// How much longer than the shortest the journeys of late were, milliseconds: median.
+    /// Median of how much longer than the shortest the recent transit times were, milliseconds.
     pub spread_p50_ms: f64,
-    /// The same, 95th percentile.
+    /// The 95th percentile of the same, milliseconds.
     pub spread_p95_ms: f64,
-    /// Messages it was measured from.
+    /// Messages that the estimate is from.
     pub messages: u64,
-    /// How often the clock was set anew.
+    /// How often the clock was found to be set anew.
     pub steps: u64,
+}
+
+/// The lower bound of the delays: a line over time. All in seconds since the first message.
+#[derive(Clone, Copy, Debug, Default)]
+struct LowerBound {
+    at: f64,
+    /// Height at the time `at`.
+    height: f64,
+    slope: f64,
+}
+
+impl LowerBound {
+    fn height_at(&self, at: f64) -> f64 {
+        self.height + self.slope * (at - self.at)
+    }
+}
+
+/// The second under way. All in seconds since the first message.
+#[derive(Clone, Copy, Debug, Default)]
+struct OpenSecond {
+    end: f64,
+    /// When the smallest delay was.
+    at: f64,
+    smallest_delay: f64,
+}
+
+/// The newest delays above the bound, in a ring.
+#[derive(Debug)]
+struct DelayHistory {
+    delays: Vec<f32>,
+    next: usize,
+}
+
+impl DelayHistory {
+    fn push(&mut self, delay: f64) {
+        if self.delays.len() < DELAYS_MAX {
+            self.delays.push(delay as f32);
+        } else {
+            self.delays[self.next] = delay as f32;
+            self.next = (self.next + 1) % DELAYS_MAX;
+        }
+    }
+
+    fn clear(&mut self) {
+        self.delays.clear();
+        self.next = 0;
+    }
+
+    /// Returns the delays at these fractions of the sorted history, milliseconds.
+    fn quantiles_ms<const N: usize>(&self, fractions: [f64; N]) -> [f64; N] {
+        let mut delays = self.delays.clone();
+        delays.sort_unstable_by(f32::total_cmp);
+        fractions.map(|fraction| {
+            let index = (fraction * delays.len() as f64) as usize;
+            delays.get(index).or(delays.last()).map_or(0.0, |delay| f64::from(*delay) * 1e3)
+        })
+    }
 }
 
 /// The clock of one source: of a client, or of a machine on the network.
 #[derive(Debug)]
 pub struct SourceClock {
     setting: ClockOffset,
-    /// Stamp and arrival of the first message: both are counted from there.
+    /// Stamp and arrival of the first message: times count from there.
     origin: Option<(Stamp, Stamp)>,
-    /// (second, least delay in it), both in seconds since the origin, oldest first.
+    /// (time, smallest delay) of each whole second, oldest first.
     seconds: Vec<(f64, f64)>,
-    /// The second under way: its end, its least delay and when that was.
-    open: (f64, f64, f64),
-    /// The line under the delays: its height at the time `at`, and its slope.
-    floor: f64,
-    slope: f64,
-    at: f64,
-    /// The floor as applied.
+    open: OpenSecond,
+    bound: LowerBound,
+    /// The bound's height as applied to stamps.
     applied: f64,
-    /// When this clock was first heard, or set anew.
+    /// When the clock was first heard, or found to be set anew.
     since: f64,
-    /// Whole seconds in a row that were far above the floor.
-    far: u32,
-    delays: Vec<f32>,
-    next_delay: usize,
+    /// Whole seconds in a row that were far above the bound.
+    far_seconds: u32,
+    history: DelayHistory,
     messages: u64,
     steps: u64,
 }
 
 impl SourceClock {
-    /// Nothing heard yet.
+    /// Creates the clock of a source that has sent nothing yet.
     pub fn new(setting: ClockOffset) -> Self {
         Self {
             setting,
             origin: None,
             seconds: Vec::with_capacity(SECONDS_MAX),
-            open: (0.0, 0.0, 0.0),
-            floor: 0.0,
-            slope: 0.0,
-            at: 0.0,
+            open: OpenSecond::default(),
+            bound: LowerBound::default(),
             applied: 0.0,
             since: 0.0,
-            far: 0,
-            delays: Vec::with_capacity(DELAYS_MAX),
-            next_delay: 0,
+            far_seconds: 0,
+            history: DelayHistory { delays: Vec::with_capacity(DELAYS_MAX), next: 0 },
             messages: 0,
             steps: 0,
         }
     }
 
-    /// The run's stamp of a message that its source stamped `stamp` and that arrived at `received` (the run's time).
-    pub fn take(&mut self, stamp: Stamp, received: Stamp) -> Stamp {
+    /// Measures a message that its source stamped `stamp` and that arrived at `received`; returns its stamp by the
+    /// run's time.
+    pub fn convert(&mut self, stamp: Stamp, received: Stamp) -> Stamp {
         self.messages += 1;
         if self.setting == ClockOffset::Measured {
             let (first_stamp, first_received) = *self.origin.get_or_insert((stamp, received));
             let (at, sent) = (received - first_received, stamp - first_stamp);
-            self.note(at, at - sent);
+            self.add_delay(at, at - sent);
         }
         self.translate(stamp)
     }
 
-    /// The run's stamp of one of the source's, by what is known now.
+    /// Converts a stamp of the source into the run's time, by what is known now.
     pub fn translate(&self, stamp: Stamp) -> Stamp {
         match (self.setting, self.origin) {
             (ClockOffset::Fixed(offset_s), _) => Stamp(stamp.0.saturating_sub((offset_s * 1e9) as i64)),
@@ -144,7 +196,7 @@ impl SourceClock {
         }
     }
 
-    /// What is known by now; `None` before the first message.
+    /// Returns the estimate; `None` before the first message.
     pub fn estimate(&self) -> Option<ClockEstimate> {
         if self.messages == 0 {
             return None;
@@ -154,94 +206,79 @@ impl SourceClock {
             (ClockOffset::Measured, Some((stamp, received))) => (stamp - received) - self.applied,
             (ClockOffset::Measured, None) => 0.0,
         };
-        let mut delays = self.delays.clone();
-        delays.sort_unstable_by(f32::total_cmp);
-        let quantile = |share: f64| {
-            let index = (share * delays.len() as f64) as usize;
-            delays.get(index).or(delays.last()).map_or(0.0, |delay| f64::from(*delay) * 1e3)
-        };
+        let [spread_p50_ms, spread_p95_ms] = self.history.quantiles_ms([0.5, 0.95]);
         Some(ClockEstimate {
             offset_s,
-            drift_ppm: -self.slope * 1e6,
-            spread_p50_ms: quantile(0.5),
-            spread_p95_ms: quantile(0.95),
+            drift_ppm: -self.bound.slope * 1e6,
+            spread_p50_ms,
+            spread_p95_ms,
             messages: self.messages,
             steps: self.steps,
         })
     }
 
-    /// A message arrived `at` seconds after the first, delayed by so much more than it.
-    fn note(&mut self, at: f64, delay: f64) {
+    /// Adds a message that arrived `at` seconds after the first, with this much more delay than it.
+    fn add_delay(&mut self, at: f64, delay: f64) {
         if self.messages == 1 {
-            (self.open, self.at) = ((at + 1.0, at, delay), at);
-            return self.remember(0.0);
+            self.open = OpenSecond { end: at + 1.0, at, smallest_delay: delay };
+            self.bound.at = at;
+            return self.history.push(0.0);
         }
-        if delay < self.floor_at(at) - STEP_S || self.far >= STEP_SECONDS {
-            return self.begin_anew(at, delay);
+        if delay < self.bound.height_at(at) - STEP_S || self.far_seconds >= STEP_SECONDS {
+            return self.restart(at, delay);
         }
-        let slew = SLEW * (at - self.at).clamp(0.0, 1.0);
-        let (end, _, least) = self.open;
-        if at >= end {
+        let slew = SLEW_RATE * (at - self.bound.at).clamp(0.0, 1.0);
+        if at >= self.open.end {
             self.close_second();
-            self.open = (at + 1.0, at, delay);
-        } else if delay < least {
-            (self.open.1, self.open.2) = (at, delay);
+            self.open = OpenSecond { end: at + 1.0, at, smallest_delay: delay };
+        } else if delay < self.open.smallest_delay {
+            (self.open.at, self.open.smallest_delay) = (at, delay);
         }
-        let floor = self.floor_at(at).min(delay);
-        (self.floor, self.at) = (floor, at);
-        self.remember(delay - floor);
-        let error = floor - self.applied;
+        let height = self.bound.height_at(at).min(delay);
+        (self.bound.height, self.bound.at) = (height, at);
+        self.history.push(delay - height);
+        let error = height - self.applied;
         self.applied = if at < self.since + SETTLE_S || error.abs() > SLEW_FROM_S {
-            floor
+            height
         } else {
             self.applied + error.clamp(-slew, slew)
         };
     }
 
-    fn floor_at(&self, at: f64) -> f64 {
-        self.floor + self.slope * (at - self.at)
-    }
-
-    fn remember(&mut self, above: f64) {
-        if self.delays.len() < DELAYS_MAX {
-            self.delays.push(above as f32);
-        } else {
-            self.delays[self.next_delay] = above as f32;
-            self.next_delay = (self.next_delay + 1) % DELAYS_MAX;
-        }
-    }
-
-    /// The source's clock was set: what was measured before means nothing any more.
-    fn begin_anew(&mut self, at: f64, delay: f64) {
+    /// Starts the estimate anew, because the source's clock was set: earlier measurements are void.
+    fn restart(&mut self, at: f64, delay: f64) {
         self.seconds.clear();
-        self.delays.clear();
-        (self.next_delay, self.far) = (0, 0);
-        (self.floor, self.slope, self.at, self.applied) = (delay, 0.0, at, delay);
-        (self.open, self.since) = ((at + 1.0, at, delay), at);
+        self.history.clear();
+        self.far_seconds = 0;
+        self.bound = LowerBound { at, height: delay, slope: 0.0 };
+        self.applied = delay;
+        self.open = OpenSecond { end: at + 1.0, at, smallest_delay: delay };
+        self.since = at;
         self.steps += 1;
     }
 
-    /// A second is over: its least delay joins the others, and the line is drawn anew under all of them.
+    /// Adds the smallest delay of the second that is over, and fits the bound to all seconds.
     fn close_second(&mut self) {
-        let (_, at, least) = self.open;
-        self.far = if least > self.floor_at(at) + STEP_S { self.far + 1 } else { 0 };
+        let OpenSecond { at, smallest_delay, .. } = self.open;
+        let is_far = smallest_delay > self.bound.height_at(at) + STEP_S;
+        self.far_seconds = if is_far { self.far_seconds + 1 } else { 0 };
         if self.seconds.len() == SECONDS_MAX {
             self.seconds.remove(0);
         }
-        self.seconds.push((at, least));
-        let (first, last) = (self.seconds[0].0, at);
+        self.seconds.push((at, smallest_delay));
+        let first = self.seconds[0].0;
         let lowest = self.seconds.iter().map(|(_, delay)| *delay).fold(f64::INFINITY, f64::min);
         let edge = hull_edge(&self.seconds).filter(|(_, _, slope)| slope.abs() <= DRIFT_MAX);
-        (self.at, self.floor, self.slope) = match edge {
-            Some((x, height, slope)) if last - first >= DRIFT_SPAN_S => {
-                (at, height + slope * (at - x), slope)
+        self.bound = match edge {
+            Some((x, height, slope)) if at - first >= DRIFT_SPAN_S => {
+                LowerBound { at, height: height + slope * (at - x), slope }
             }
-            _ => (at, lowest, 0.0),
+            _ => LowerBound { at, height: lowest, slope: 0.0 },
         };
     }
 }
 
-/// Of the lower convex hull of points sorted by x, the edge below their mean x: a point of it and its slope.
+/// Returns a point and the slope of the lower convex hull's edge below the mean x of points sorted by x.
 fn hull_edge(points: &[(f64, f64)]) -> Option<(f64, f64, f64)> {
     let mut hull = [(0.0, 0.0); SECONDS_MAX];
     let mut count = 0;
@@ -252,8 +289,8 @@ fn hull_edge(points: &[(f64, f64)]) -> Option<(f64, f64, f64)> {
         hull[count] = *point;
         count += 1;
     }
-    let middle = points.iter().map(|(x, _)| x).sum::<f64>() / points.len().max(1) as f64;
-    let edge = hull[..count].windows(2).find(|edge| edge[0].0 <= middle && middle <= edge[1].0)?;
+    let mean = points.iter().map(|(x, _)| x).sum::<f64>() / points.len().max(1) as f64;
+    let edge = hull[..count].windows(2).find(|edge| edge[0].0 <= mean && mean <= edge[1].0)?;
     let (from, to) = (edge[0], edge[1]);
     (to.0 > from.0).then(|| (from.0, from.1, (to.1 - from.1) / (to.0 - from.0)))
 }

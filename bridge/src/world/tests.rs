@@ -1,8 +1,9 @@
-//! Properties of the clock's estimate; what a world takes and what it refuses.
+//! The estimate of a source's clock, and what an external world accepts and refuses.
 
 use super::*;
 use crate::cdr::Reader;
 use crate::ros::{self, LaserScan, Message, TfMessage, TransformStamped, encode};
+use msg::BEAMS_MAX;
 use proptest::prelude::*;
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -13,7 +14,7 @@ fn robot(number: usize) -> RobotId {
     RobotId::new(number).unwrap()
 }
 
-/// Sends a message every `period_s`, delayed by `delay_s(i)`; the estimate, and the worst error of a stamp behind
+/// Sends a message every 50 ms, delayed by `delay_s(i)`; returns the clock, and the largest error of a stamp after
 /// the first `settle` messages.
 fn measure(
     offset_s: f64,
@@ -27,7 +28,7 @@ fn measure(
     for i in 0..messages {
         let at_s = 1000.0 + 0.05 * i as f64;
         let there_s = at_s * (1.0 + drift_ppm * 1e-6) + offset_s;
-        let stamp = clock.take(Stamp::from_seconds(there_s), Stamp::from_seconds(at_s + delay_s(i)));
+        let stamp = clock.convert(Stamp::from_seconds(there_s), Stamp::from_seconds(at_s + delay_s(i)));
         if i >= settle {
             worst = worst.max((stamp - Stamp::from_seconds(at_s)).abs());
         }
@@ -35,13 +36,13 @@ fn measure(
     (clock, worst)
 }
 
-/// A number in 0..1 that looks random.
+/// A pseudo-random number in 0..1.
 fn noise(i: usize) -> f64 {
     (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 / (1_u64 << 24) as f64
 }
 
 #[test]
-fn the_papers_five_seconds_are_found() {
+fn an_offset_of_five_seconds_is_measured() {
     let wifi = |i: usize| 0.001 + 0.02 * noise(i).powi(4);
     let (clock, worst) = measure(5.0, 0.0, 1200, 20, wifi);
     let estimate = clock.estimate().unwrap();
@@ -52,7 +53,7 @@ fn the_papers_five_seconds_are_found() {
 }
 
 #[test]
-fn a_drifting_clock_is_followed_and_a_set_one_found_again() {
+fn a_drifting_clock_is_followed_and_a_step_is_found() {
     let (clock, worst) = measure(-5.0, 80.0, 6000, 600, |i| 0.001 + 0.004 * noise(i));
     let estimate = clock.estimate().unwrap();
     assert!((estimate.drift_ppm - 80.0).abs() < 15.0, "{estimate:?}");
@@ -62,7 +63,7 @@ fn a_drifting_clock_is_followed_and_a_set_one_found_again() {
     for (offset_s, from) in [(5.0, 0), (60.0, 400), (-3.0, 800)] {
         for i in from..from + 400 {
             let at_s = 0.05 * i as f64;
-            clock.take(Stamp::from_seconds(at_s + offset_s), Stamp::from_seconds(at_s + 0.002));
+            clock.convert(Stamp::from_seconds(at_s + offset_s), Stamp::from_seconds(at_s + 0.002));
         }
         let estimate = clock.estimate().unwrap();
         assert!((estimate.offset_s - offset_s).abs() < 3e-3, "{offset_s}: {estimate:?}");
@@ -71,8 +72,8 @@ fn a_drifting_clock_is_followed_and_a_set_one_found_again() {
 }
 
 #[test]
-fn a_stalled_network_is_not_taken_for_a_set_clock() {
-    // Every 10 s nothing comes for 2 s, and then all of it at once.
+fn a_stalled_network_is_not_taken_for_a_clock_step() {
+    // Every 10 s the network stalls for 2 s, and then delivers everything at once.
     let stalls = |i: usize| 0.001 + if i % 200 < 40 { 0.05 * (40 - i % 200) as f64 } else { 0.0 };
     let (clock, worst) = measure(5.0, 0.0, 2000, 60, stalls);
     assert_eq!(clock.estimate().unwrap().steps, 0);
@@ -80,9 +81,9 @@ fn a_stalled_network_is_not_taken_for_a_set_clock() {
 }
 
 #[test]
-fn a_fixed_offset_is_taken_at_its_word() {
+fn a_fixed_offset_is_applied_unmeasured() {
     let mut clock = SourceClock::new(ClockOffset::Fixed(5.0));
-    assert_eq!(clock.take(Stamp(7 * SECOND), Stamp(0)), Stamp(2 * SECOND));
+    assert_eq!(clock.convert(Stamp(7 * SECOND), Stamp(0)), Stamp(2 * SECOND));
     assert_eq!(clock.estimate().unwrap().offset_s, 5.0);
     let read = |text: &str| serde_json::from_str::<ClockOffset>(text);
     assert_eq!(read("\"measured\"").unwrap(), ClockOffset::Measured);
@@ -93,62 +94,62 @@ fn a_fixed_offset_is_taken_at_its_word() {
 
 proptest! {
     #[test]
-    fn constant_delays_are_exact_whatever_the_offset(offset_s in -1e9_f64..1e9, delay_s in 0.0..0.1) {
+    fn a_constant_delay_is_measured_at_any_offset(offset_s in -1e9_f64..1e9, delay_s in 0.0..0.1) {
         let (clock, worst) = measure(offset_s, 0.0, 300, 0, |_| delay_s);
         prop_assert!((clock.estimate().unwrap().offset_s - offset_s + delay_s).abs() < 1e-3);
         prop_assert!(worst < delay_s + 1e-3, "{worst}");
     }
 
     #[test]
-    fn any_stamps_are_survived(stamps in proptest::collection::vec((any::<i32>(), any::<u32>(), 0_i64..SECOND), 1..300)) {
+    fn any_stamps_give_a_finite_estimate(stamps in proptest::collection::vec((any::<i32>(), any::<u32>(), 0_i64..SECOND), 1..300)) {
         let mut clock = SourceClock::new(ClockOffset::Measured);
         let mut received = 0;
         for (sec, nanosec, step) in stamps {
             received += step;
-            clock.take(Stamp(i64::from(sec) * SECOND + i64::from(nanosec)), Stamp(received));
+            clock.convert(Stamp(i64::from(sec) * SECOND + i64::from(nanosec)), Stamp(received));
         }
         let estimate = clock.estimate().unwrap();
         prop_assert!(estimate.offset_s.is_finite() && estimate.spread_p95_ms.is_finite());
     }
 
     #[test]
-    fn stamps_stay_in_order_while_the_clock_is_not_set(
+    fn stamps_stay_in_order_without_a_clock_step(
         delays in proptest::collection::vec(0.0..0.04_f64, 100..400),
     ) {
         let mut clock = SourceClock::new(ClockOffset::Measured);
         let mut before = Stamp(i64::MIN);
         for (i, delay_s) in delays.iter().enumerate() {
             let at_s = 0.05 * i as f64;
-            let stamp = clock.take(Stamp::from_seconds(at_s + 5.0), Stamp::from_seconds(at_s + delay_s));
+            let stamp = clock.convert(Stamp::from_seconds(at_s + 5.0), Stamp::from_seconds(at_s + delay_s));
             prop_assert!(stamp > before);
             before = stamp;
         }
     }
 }
 
-type Said = Rc<RefCell<Vec<String>>>;
+type Messages = Rc<RefCell<Vec<String>>>;
 
-/// A world of two robots, and what it said.
-fn world() -> (World, Said) {
-    let said = Said::default();
-    let tell = said.clone();
-    let world = World::new(2, move |heard| {
-        tell.borrow_mut().push(match heard {
-            Heard::Scan(robot, scan) => {
+/// A world of two robots, and what it messages.
+fn world() -> (ExternalWorld, Messages) {
+    let messages = Messages::default();
+    let sink = messages.clone();
+    let world = ExternalWorld::new(2, move |message| {
+        sink.borrow_mut().push(match message {
+            WorldMessage::Scan(robot, scan) => {
                 format!("{robot} scan {} {:?}", scan.header.stamp.0, scan.ranges_m())
             }
-            Heard::Odometry(robot, odometry) => {
+            WorldMessage::Odometry(robot, odometry) => {
                 let (pose, v, w) = (odometry.odom_from_base, odometry.linear_m_s, odometry.angular_rad_s);
                 format!("{robot} odometry {:.2} {:.2} {v:.2} {w:.2}", pose.x_m, pose.yaw_rad)
             }
-            Heard::Transforms(robot, transforms) => {
+            WorldMessage::Transforms(robot, transforms) => {
                 let names = transforms.links().iter().map(|link| Link::from_code(link.child).unwrap().name());
                 format!("{robot} transforms {}", names.collect::<Vec<_>>().join(" "))
             }
-            Heard::Clock(clock) => format!("clock {}", clock.header.stamp.0),
+            WorldMessage::Clock(clock) => format!("clock {}", clock.header.stamp.0),
         });
     });
-    (world, said)
+    (world, messages)
 }
 
 fn payload(message: &impl Message) -> Vec<u8> {
@@ -174,21 +175,21 @@ fn scan_message(stamp: i64) -> LaserScan {
     }
 }
 
-fn hear_scan(world: &mut World, number: usize, message: &LaserScan) -> Result<(), WorldError> {
+fn receive_scan(world: &mut ExternalWorld, number: usize, message: &LaserScan) -> Result<(), WorldError> {
     let bytes = payload(message);
     let from = Reader::new(&bytes).unwrap();
-    world.hear(1, &mut exact(), Incoming::Scan(robot(number), from), message.stamp)
+    world.receive(1, &mut exact(), Incoming::Scan(robot(number), from), message.stamp)
 }
 
 #[test]
-fn scans_are_checked_and_bounded() {
-    let (mut world, said) = world();
-    assert_eq!(hear_scan(&mut world, 2, &scan_message(5)), Ok(()));
-    assert_eq!(*said.borrow(), ["robot2 scan 5 [1.0, inf, NaN]"]);
+fn a_scan_is_checked_and_its_ranges_are_limited() {
+    let (mut world, messages) = world();
+    assert_eq!(receive_scan(&mut world, 2, &scan_message(5)), Ok(()));
+    assert_eq!(*messages.borrow(), ["robot2 scan 5 [1.0, inf, NaN]"]);
     let mut refused = |change: &dyn Fn(&mut LaserScan)| {
         let mut message = scan_message(6);
         change(&mut message);
-        hear_scan(&mut world, 2, &message).unwrap_err().to_string()
+        receive_scan(&mut world, 2, &message).unwrap_err().to_string()
     };
     assert!(refused(&|m| m.stamp = Stamp(5)).contains("not newer"));
     assert!(refused(&|m| m.ranges = vec![1.0; BEAMS_MAX + 1]).contains("4097 beams"));
@@ -197,8 +198,8 @@ fn scans_are_checked_and_bounded() {
     assert!(refused(&|m| m.angle_increment = 7.0).contains("one turn"));
     assert!(refused(&|m| m.range_max = f32::INFINITY).contains("range_max"));
     assert!(refused(&|m| m.scan_time = -1.0).contains("scan_time"));
-    assert!(hear_scan(&mut world, 3, &scan_message(6)).unwrap_err().to_string().contains("1 to 2"));
-    assert_eq!(said.borrow().len(), 1);
+    assert!(receive_scan(&mut world, 3, &scan_message(6)).unwrap_err().to_string().contains("1 to 2"));
+    assert_eq!(messages.borrow().len(), 1);
 }
 
 fn edge(parent: &str, child: &str, stamp: i64, x_m: f64, rotation: [f64; 4]) -> TransformStamped {
@@ -213,20 +214,20 @@ fn edge(parent: &str, child: &str, stamp: i64, x_m: f64, rotation: [f64; 4]) -> 
 
 const LEVEL: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
 
-fn hear_tree(
-    world: &mut World,
+fn receive_tree(
+    world: &mut ExternalWorld,
     source: SourceId,
     received: i64,
     transforms: Vec<TransformStamped>,
 ) -> Result<(), WorldError> {
     let bytes = payload(&TfMessage { transforms });
     let from = Reader::new(&bytes).unwrap();
-    world.hear(source, &mut exact(), Incoming::Transforms(from), Stamp(received))
+    world.receive(source, &mut exact(), Incoming::Transforms(from), Stamp(received))
 }
 
 #[test]
-fn odometry_comes_from_the_tree_in_any_spelling() {
-    let (mut world, said) = world();
+fn odometry_is_taken_from_transforms_in_any_naming_style() {
+    let (mut world, messages) = world();
     let turned = [0.0, 0.0, 0.05_f64.sin(), 0.05_f64.cos()];
     let first = vec![
         edge("odom_1", "base_footprint_1", 0, 1.0, LEVEL),
@@ -234,12 +235,12 @@ fn odometry_comes_from_the_tree_in_any_spelling() {
         edge("robot2/odom", "robot2/base_link", 0, 0.0, LEVEL),
         edge("world", "table", 0, 0.0, LEVEL),
     ];
-    assert_eq!(hear_tree(&mut world, 1, 0, first), Ok(()));
+    assert_eq!(receive_tree(&mut world, 1, 0, first), Ok(()));
     let second = vec![
         edge("odom_1", "base_footprint_1", SECOND / 2, 1.1, turned),
         edge("robot2/odom", "robot2/base_link", 0, 0.0, LEVEL),
     ];
-    assert_eq!(hear_tree(&mut world, 1, SECOND / 2, second), Ok(()));
+    assert_eq!(receive_tree(&mut world, 1, SECOND / 2, second), Ok(()));
     let expected = [
         "robot1 odometry 1.00 0.00 0.00 0.00",
         "robot2 odometry 0.00 0.00 0.00 0.00",
@@ -249,59 +250,67 @@ fn odometry_comes_from_the_tree_in_any_spelling() {
         "robot1 transforms base_footprint",
         "robot2 transforms base_link",
     ];
-    assert_eq!(*said.borrow(), expected, "the same stamp again is no news of robot 2");
+    assert_eq!(*messages.borrow(), expected, "robot 2's pose is sent once for one stamp");
 }
 
 #[test]
-fn slams_own_transform_alone_is_refused() {
-    let (mut world, said) = world();
+fn only_slams_own_transform_is_refused() {
+    let (mut world, messages) = world();
     for (parent, child) in
         [("map", "odom_1"), ("map_1", "odom_1"), ("robot1/map", "robot1/odom"), ("map", "odom")]
     {
-        said.borrow_mut().clear();
-        let stamp = said.borrow().len() as i64;
+        messages.borrow_mut().clear();
+        let stamp = messages.borrow().len() as i64;
         let tree =
             vec![edge(parent, child, stamp, 0.0, LEVEL), edge("odom_1", "base_link_1", stamp, 0.0, LEVEL)];
-        let why = hear_tree(&mut world, 1, 0, tree).unwrap_err();
+        let why = receive_tree(&mut world, 1, 0, tree).unwrap_err();
         assert!(matches!(why, WorldError::Correction { .. }), "{why}");
         assert!(why.to_string().contains("SLAM owns map -> odom"), "{why}");
-        assert!(said.borrow().contains(&"robot1 transforms base_link".into()), "the rest is taken: {said:?}");
+        assert!(
+            messages.borrow().contains(&"robot1 transforms base_link".into()),
+            "the rest is taken: {messages:?}"
+        );
     }
 }
 
 #[test]
-fn unsound_transforms_are_named() {
-    let (mut world, said) = world();
-    let mut refused =
-        |transform: TransformStamped| hear_tree(&mut world, 1, 0, vec![transform]).unwrap_err().to_string();
+fn the_error_names_the_invalid_transform() {
+    let (mut world, messages) = world();
+    let mut refused = |transform: TransformStamped| {
+        receive_tree(&mut world, 1, 0, vec![transform]).unwrap_err().to_string()
+    };
     let half = 0.5_f64.sqrt();
     assert!(refused(edge("odom_1", "base_link_1", 0, 0.0, [half, 0.0, 0.0, half])).contains("leans by 90"));
     assert!(refused(edge("odom_1", "base_link_1", 0, 0.0, [0.0; 4])).contains("unit quaternion"));
     assert!(refused(edge("odom_1", "base_link_1", 0, f64::NAN, LEVEL)).contains("NaN"));
     assert!(refused(edge("odom_2", "base_link_1", 0, 0.0, LEVEL)).contains("a frame of robot1"));
     assert!(refused(edge("odom_3", "base_link_3", 0, 0.0, LEVEL)).contains("robots 1 to 2"));
-    assert_eq!(said.borrow().len(), 0);
+    assert_eq!(messages.borrow().len(), 0);
 }
 
 #[test]
 fn a_robot_has_one_source_at_a_time() {
     let (mut world, _) = world();
     let tree = |stamp| vec![edge("odom_1", "base_link_1", stamp, 0.0, LEVEL)];
-    assert_eq!(hear_tree(&mut world, 1, 0, tree(0)), Ok(()));
-    let other = hear_tree(&mut world, 2, SECOND, tree(SECOND)).unwrap_err();
+    assert_eq!(receive_tree(&mut world, 1, 0, tree(0)), Ok(()));
+    let other = receive_tree(&mut world, 2, SECOND, tree(SECOND)).unwrap_err();
     assert!(other.to_string().contains("robot1 has another source"), "{other}");
-    assert_eq!(hear_tree(&mut world, 2, 3 * SECOND, tree(3 * SECOND)), Ok(()), "the first fell silent");
-    world.leave(2);
-    assert_eq!(hear_tree(&mut world, 1, 3 * SECOND, tree(4 * SECOND)), Ok(()), "the second left");
+    assert_eq!(
+        receive_tree(&mut world, 2, 3 * SECOND, tree(3 * SECOND)),
+        Ok(()),
+        "the first has been silent for 2 s"
+    );
+    world.disconnect(2);
+    assert_eq!(receive_tree(&mut world, 1, 3 * SECOND, tree(4 * SECOND)), Ok(()), "the second left");
 }
 
 #[test]
-fn time_does_not_run_backwards() {
-    let (mut world, said) = world();
+fn the_clock_does_not_run_backwards() {
+    let (mut world, messages) = world();
     for stamp in [5, 7, 6, 8] {
         let bytes = payload(&ros::Clock { clock: Stamp(stamp) });
         let from = Reader::new(&bytes).unwrap();
-        world.hear(1, &mut exact(), Incoming::Clock(from), Stamp(stamp)).unwrap();
+        world.receive(1, &mut exact(), Incoming::Clock(from), Stamp(stamp)).unwrap();
     }
-    assert_eq!(*said.borrow(), ["clock 5", "clock 7", "clock 8"]);
+    assert_eq!(*messages.borrow(), ["clock 5", "clock 7", "clock 8"]);
 }

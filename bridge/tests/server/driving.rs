@@ -5,7 +5,7 @@ use crate::with_bridge;
 use bridge::command::name;
 use bridge::frame::Side;
 use bridge::ros::{Bool, Empty, HandInputs, Int32, Joy, Message, Twist, TwistStamped, encode};
-use bridge::{BridgeConfig, Permission};
+use bridge::{BridgeConfig, FleetMessage, Permission};
 use std::net::{IpAddr, Ipv4Addr};
 
 fn twist(forward: f64, turn: f64) -> Twist {
@@ -38,7 +38,7 @@ fn each_topic_drives_its_robot() {
         assert_eq!(*served.commands.borrow(), want);
         client.send("/selected_robot", &Int32(3)).await;
         assert!(client.error().await.contains("no robot 3: the fleet has 1 to 2"));
-        assert_eq!(served.bridge.selected().number(), 2);
+        assert_eq!(served.bridge.selected_robot().number(), 2);
     });
 }
 
@@ -177,14 +177,14 @@ fn a_stranger_waits_for_a_yes_but_may_always_stop() {
         client.send("/cmd_vel", &twist(0.1, 0.0)).await;
         let text = client.error().await;
         assert!(text.contains("mr-slam allow 127.0.0.1"), "{text}");
-        assert_eq!(served.bridge.waiting(), [here]);
+        assert_eq!(served.bridge.waiting_addresses(), [here]);
         client.send("/emergency_stop", &Bool(true)).await;
         client.settle().await;
-        assert!(served.bridge.stopped());
-        served.bridge.release();
+        assert!(served.bridge.is_stopped());
+        served.bridge.release_stop();
         served.bridge.allow(here);
         assert!(client.notice(name::LOG).await.contains("may drive"));
-        assert!(served.bridge.waiting().is_empty());
+        assert!(served.bridge.waiting_addresses().is_empty());
         client.send("/cmd_vel", &twist(0.2, 0.0)).await;
         client.settle().await;
         assert_eq!(served.commands.borrow().last(), Some(&(1, 0.2, 0.0)));
@@ -203,7 +203,7 @@ fn watching_can_need_a_yes_too() {
         served.bridge.allow(IpAddr::V4(Ipv4Addr::LOCALHOST));
         client.subscribe("/clock", "rosgraph_msgs/Clock").await;
         client.settle().await;
-        served.bridge.clock(&msg::Clock::default());
+        served.bridge.publish(FleetMessage::Clock(&msg::Clock::default()));
         client.message::<bridge::ros::Clock>("/clock").await;
     });
 }
@@ -255,7 +255,7 @@ fn a_strangers_idle_stick_asks_for_nothing() {
         client.publish("q2r_right_hand_inputs", HandInputs::TYPE).await;
         client.send("q2r_right_hand_inputs", &HandInputs::default()).await;
         client.settle().await;
-        assert!(served.bridge.waiting().is_empty());
+        assert!(served.bridge.waiting_addresses().is_empty());
         let hand = HandInputs { thumb_stick_vertical: 1.0, press_middle: 1.0, ..Default::default() };
         client.send("q2r_right_hand_inputs", &hand).await;
         assert!(client.error().await.contains("may not drive yet"));

@@ -2,8 +2,8 @@
 
 use crate::client::Client;
 use crate::{Served, with_bridge};
-use bridge::BridgeConfig;
 use bridge::ros::{Message, PoseWithCovarianceStamped};
+use bridge::{BridgeConfig, FleetMessage};
 use msg::{MapTransform, MapTransforms, Pose2, SlamRequest, SlamRequestKind, Stamp};
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -13,7 +13,7 @@ type Asked = Rc<RefCell<Vec<(usize, SlamRequest)>>>;
 fn listen(served: &Served) -> Asked {
     let asked = Asked::default();
     let told = asked.clone();
-    served.bridge.on_ask(move |robot, request| told.borrow_mut().push((robot.number(), request)));
+    served.bridge.on_slam_request(move |robot, request| told.borrow_mut().push((robot.number(), request)));
     asked
 }
 
@@ -71,10 +71,10 @@ fn a_pose_in_the_merged_map_is_the_selected_robots_once_its_place_is_known() {
         let mut person = person(served).await;
         person.send("/initialpose", &message("map")).await;
         assert!(person.error().await.contains("not known yet"));
-        let mut map_transforms = MapTransforms::default();
-        map_transforms.robots[0] =
+        let mut anchors = MapTransforms::default();
+        anchors.robots[0] =
             MapTransform { map_from_robot_map: Pose2::new(1.0, 0.0, 0.0), known: 1, ..Default::default() };
-        served.bridge.map_transforms(&map_transforms);
+        served.bridge.publish(FleetMessage::MapTransforms(&anchors));
         person.send("/initialpose", &message("/map")).await;
         person.settle().await;
         let asked = asked.borrow();

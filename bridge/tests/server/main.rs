@@ -1,4 +1,4 @@
-//! The server from outside: real sockets on free ports, clients that behave and clients that do not.
+//! The TCP server from outside: real sockets on free ports, well-behaved clients and others.
 
 mod client;
 mod driving;
@@ -10,7 +10,7 @@ mod slow;
 mod topics;
 mod world;
 
-use bridge::{Bridge, BridgeConfig, serve};
+use bridge::{Bridge, BridgeConfig, process_clock, serve};
 use msg::{Header, RobotId, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -18,7 +18,7 @@ use std::rc::Rc;
 use tokio::net::TcpListener;
 use tokio::task::LocalSet;
 
-/// A bridge that serves, and what it told the robots.
+/// A bridge that serves on a port, and the velocities that it has sent: robot, m/s, rad/s.
 pub(crate) struct Served {
     pub(crate) bridge: Rc<Bridge>,
     pub(crate) address: SocketAddr,
@@ -30,7 +30,7 @@ pub(crate) fn with_bridge(config: BridgeConfig, test: impl AsyncFnOnce(&Served))
     serve_bridge(|on_command| Bridge::new(config, 2, on_command).unwrap(), test);
 }
 
-/// Hears what robots are told.
+/// Receives the velocities that robots get.
 pub(crate) type OnCommand = Box<dyn FnMut(RobotId, VelocityCommand)>;
 
 /// Runs a test against a bridge.
@@ -38,16 +38,16 @@ pub(crate) fn serve_bridge(make: impl FnOnce(OnCommand) -> Bridge, test: impl As
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     LocalSet::new().block_on(&runtime, async {
         let commands = Rc::new(RefCell::new(Vec::new()));
-        let told = commands.clone();
+        let sink = commands.clone();
         let on_command = move |robot: RobotId, command: VelocityCommand| {
-            told.borrow_mut().push((robot.number(), command.linear_m_s, command.angular_rad_s));
+            sink.borrow_mut().push((robot.number(), command.linear_m_s, command.angular_rad_s));
         };
         let bridge = Rc::new(make(Box::new(on_command)));
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
         let stopped = async move { drop(stopped.await) };
-        let server = tokio::task::spawn_local(serve(bridge.clone(), listener, stopped));
+        let server = tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, stopped));
         test(&Served { bridge, address, commands }).await;
         drop(stop);
         server.await.unwrap();

@@ -4,7 +4,7 @@ use crate::client::Client;
 use crate::with_bridge;
 use bridge::command::name;
 use bridge::ros::{Clock, Message, Text, Twist};
-use bridge::{Bridge, BridgeConfig, serve};
+use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 
 #[test]
 fn a_stream_that_is_not_ros_tcp_is_told_so_and_closed() {
@@ -37,7 +37,7 @@ fn half_a_frame_holds_up_nobody() {
         let mut other = Client::connect(served.address).await;
         other.subscribe("/clock", Clock::TYPE).await;
         other.settle().await;
-        served.bridge.clock(&msg::Clock::default());
+        served.bridge.publish(FleetMessage::Clock(&msg::Clock::default()));
         other.message::<Clock>("/clock").await;
         drop(half);
         while served.bridge.counters().clients > 1 {
@@ -114,7 +114,9 @@ fn stopping_closes_every_link() {
         let listener = tokio::net::TcpListener::bind((std::net::Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-        let server = tokio::task::spawn_local(serve(bridge.clone(), listener, async { drop(stopped.await) }));
+        let server = tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, async {
+            drop(stopped.await)
+        }));
         let mut client = Client::connect(address).await;
         client.settle().await;
         drop(stop);

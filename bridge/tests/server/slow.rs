@@ -2,9 +2,9 @@
 
 use crate::client::Client;
 use crate::{header, robot, with_bridge};
-use bridge::BridgeConfig;
 use bridge::command::{Registration, name};
 use bridge::ros::{Clock, Message, OccupancyGrid, Text};
+use bridge::{BridgeConfig, FleetMessage, process_clock};
 use msg::{GridHeader, GridView, Stamp};
 
 const WIDTH: u32 = 1000;
@@ -12,7 +12,7 @@ const WIDTH: u32 = 1000;
 fn map(served: &crate::Served, stamp: i64, cells: &[i8]) {
     let (width, height) = (WIDTH, cells.len() as u32 / WIDTH);
     let shape = GridHeader { header: header(stamp), width, height, resolution_m: 0.05, ..Default::default() };
-    served.bridge.map(robot(1), GridView::new(&shape, cells).unwrap());
+    served.bridge.publish(FleetMessage::Map(robot(1), GridView::new(&shape, cells).unwrap()));
 }
 
 #[test]
@@ -30,7 +30,7 @@ fn a_stalled_client_gets_the_newest_map_and_delays_nobody() {
             let got: OccupancyGrid = quick.message("/robot1/map").await;
             assert_eq!(got.stamp, Stamp(stamp), "the quick one gets every map");
         }
-        let statuses = served.bridge.clients();
+        let statuses = served.bridge.clients(process_clock());
         assert!(statuses[0].dropped > 0 && statuses[1].dropped == 0);
         assert!(
             statuses[0].waiting_bytes <= 2 * (cells.len() + 1000),
@@ -65,8 +65,8 @@ fn what_waits_for_a_stalled_client_is_bounded_and_in_order() {
                 sent += 1;
             }
             talker.settle().await;
-            served.bridge.clock(&msg::Clock { header: header(sent) });
-            let waiting = served.bridge.clients()[0].waiting_bytes;
+            served.bridge.publish(FleetMessage::Clock(&msg::Clock { header: header(sent) }));
+            let waiting = served.bridge.clients(process_clock())[0].waiting_bytes;
             assert!(waiting <= outbox_bytes_max + 40_000, "{waiting}");
         }
         let (mut previous, mut last_clock) = (-1, Stamp(0));
@@ -110,7 +110,7 @@ fn a_stalled_client_costs_8_mb_by_default_whatever_it_asked_for() {
             talker.settle().await;
             stamp += 1;
             map(served, stamp, &cells);
-            let waiting = served.bridge.clients()[0].waiting_bytes;
+            let waiting = served.bridge.clients(process_clock())[0].waiting_bytes;
             assert!(waiting <= 8_000_000, "{waiting}");
         }
     });

@@ -3,32 +3,32 @@
 use crate::client::Client;
 use crate::{Served, serve_bridge};
 use bridge::ros::{self, LaserScan, Message, TfMessage, TransformStamped, Twist};
-use bridge::world::{Heard, World};
-use bridge::{Bridge, BridgeConfig};
-use msg::Stamp;
+use bridge::world::{ExternalWorld, WorldMessage};
+use bridge::{Bridge, BridgeConfig, process_clock};
+use msg::{Monotonic, Stamp};
 use std::cell::RefCell;
 use std::rc::Rc;
-use std::time::Instant;
 
-type Heards = Rc<RefCell<Vec<(String, Stamp)>>>;
+type WorldMessages = Rc<RefCell<Vec<(String, Stamp)>>>;
 
 /// Runs a test against a bridge of two robots whose world is elsewhere.
-fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &Heards)) {
-    let heards = Heards::default();
-    let tell = heards.clone();
-    let world = World::new(2, move |heard| {
-        tell.borrow_mut().push(match heard {
-            Heard::Scan(robot, scan) => (format!("{robot}/scan"), scan.header.stamp),
-            Heard::Odometry(robot, odometry) => (format!("{robot}/odometry"), odometry.header.stamp),
-            Heard::Transforms(robot, transforms) => (format!("{robot}/transforms"), transforms.header.stamp),
-            Heard::Clock(clock) => ("clock".into(), clock.header.stamp),
+fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &WorldMessages)) {
+    let messages = WorldMessages::default();
+    let sink = messages.clone();
+    let world = ExternalWorld::new(2, move |message| {
+        sink.borrow_mut().push(match message {
+            WorldMessage::Scan(robot, scan) => (format!("{robot}/scan"), scan.header.stamp),
+            WorldMessage::Odometry(robot, odometry) => (format!("{robot}/odometry"), odometry.header.stamp),
+            WorldMessage::Transforms(robot, transforms) => {
+                (format!("{robot}/transforms"), transforms.header.stamp)
+            }
+            WorldMessage::Clock(clock) => ("clock".into(), clock.header.stamp),
         });
     });
-    let begun = Instant::now();
-    let now = move || Stamp(begun.elapsed().as_nanos() as i64);
+    let stamp_at = |now: Monotonic| Stamp(now.0 as i64);
     serve_bridge(
-        |on_command| Bridge::outside(config, world, now, on_command).unwrap(),
-        async |served: &Served| test(served, &heards).await,
+        |on_command| Bridge::with_external_world(config, world, stamp_at, on_command).unwrap(),
+        async |served: &Served| test(served, &messages).await,
     );
 }
 
@@ -57,7 +57,7 @@ fn edge(parent: &str, child: &str) -> TransformStamped {
 
 #[test]
 fn scans_tree_and_clock_come_in_on_our_time() {
-    with_world(BridgeConfig::default(), async |served, heards| {
+    with_world(BridgeConfig::default(), async |served, messages| {
         let mut client = Client::connect(served.address).await;
         client.publish("/robot2/scan", LaserScan::TYPE).await;
         client.publish("/tf", TfMessage::TYPE).await;
@@ -66,19 +66,19 @@ fn scans_tree_and_clock_come_in_on_our_time() {
         client.send("/tf", &TfMessage { transforms: vec![edge("odom_2", "base_footprint_2")] }).await;
         client.send("/robot2/scan", &scan()).await;
         client.settle().await;
-        let heards = heards.borrow();
-        let names = heards.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>();
+        let messages = messages.borrow();
+        let names = messages.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>();
         assert_eq!(names, ["clock", "robot2/odometry", "robot2/transforms", "robot2/scan"]);
-        let clock = served.bridge.clients()[0].clock.unwrap();
-        assert!((heards[3].1.seconds() - (5.0 - clock.offset_s)).abs() < 1e-6, "{heards:?} {clock:?}");
-        assert!(heards[3].1.seconds() < 5.0 && clock.messages == 3, "{clock:?}");
+        let clock = served.bridge.clients(process_clock())[0].clock.unwrap();
+        assert!((messages[3].1.seconds() - (5.0 - clock.offset_s)).abs() < 1e-6, "{messages:?} {clock:?}");
+        assert!(messages[3].1.seconds() < 5.0 && clock.messages == 3, "{clock:?}");
         assert_eq!(served.bridge.counters().refused, 0);
     });
 }
 
 #[test]
 fn slams_transform_is_refused_alone_and_by_name() {
-    with_world(BridgeConfig::default(), async |served, heards| {
+    with_world(BridgeConfig::default(), async |served, messages| {
         let mut viewer = Client::connect(served.address).await;
         viewer.subscribe("/tf", TfMessage::TYPE).await;
         viewer.settle().await;
@@ -88,7 +88,7 @@ fn slams_transform_is_refused_alone_and_by_name() {
         client.send("/tf", &TfMessage { transforms }).await;
         let error = client.error().await;
         assert!(error.contains("map -> odom_1 is refused") && error.contains("SLAM owns"), "{error}");
-        assert_eq!(heards.borrow().len(), 2, "its odometry is taken: {heards:?}");
+        assert_eq!(messages.borrow().len(), 2, "its odometry is taken: {messages:?}");
         // What is not the fleet's is passed on by the bridge; what is, by the fleet's process.
         let passed: TfMessage = viewer.message("/tf").await;
         assert_eq!(passed.transforms.len(), 1);
@@ -100,17 +100,17 @@ fn slams_transform_is_refused_alone_and_by_name() {
 #[test]
 fn whoever_may_not_drive_tells_of_no_world() {
     let config = BridgeConfig { trust_loopback: false, ..BridgeConfig::default() };
-    with_world(config, async |served, heards| {
+    with_world(config, async |served, messages| {
         let mut client = Client::connect(served.address).await;
         client.publish("/robot1/scan", LaserScan::TYPE).await;
         client.send("/robot1/scan", &scan()).await;
         assert!(client.error().await.contains("mr-slam allow 127.0.0.1"));
-        assert!(heards.borrow().is_empty());
-        assert_eq!(served.bridge.waiting(), [std::net::IpAddr::from([127, 0, 0, 1])]);
-        served.bridge.allow(served.bridge.waiting()[0]);
+        assert!(messages.borrow().is_empty());
+        assert_eq!(served.bridge.waiting_addresses(), [std::net::IpAddr::from([127, 0, 0, 1])]);
+        served.bridge.allow(served.bridge.waiting_addresses()[0]);
         client.send("/robot1/scan", &scan()).await;
         client.settle().await;
-        assert_eq!(heards.borrow().len(), 1);
+        assert_eq!(messages.borrow().len(), 1);
     });
 }
 
@@ -132,7 +132,7 @@ fn commands_reach_the_robots_where_they_are() {
 
 #[test]
 fn another_client_takes_a_robot_only_when_its_source_has_gone() {
-    with_world(BridgeConfig::default(), async |served, heards| {
+    with_world(BridgeConfig::default(), async |served, messages| {
         let mut first = Client::connect(served.address).await;
         let mut second = Client::connect(served.address).await;
         for client in [&mut first, &mut second] {
@@ -140,7 +140,7 @@ fn another_client_takes_a_robot_only_when_its_source_has_gone() {
             client.send("/robot1/scan", &scan()).await;
             client.settle().await;
         }
-        assert_eq!(heards.borrow().len(), 1);
+        assert_eq!(messages.borrow().len(), 1);
         drop(first);
         while served.bridge.counters().clients > 1 {
             tokio::task::yield_now().await;
@@ -148,6 +148,6 @@ fn another_client_takes_a_robot_only_when_its_source_has_gone() {
         let later = LaserScan { stamp: Stamp(AHEAD_S + 1_000_000_000), ..scan() };
         second.send("/robot1/scan", &later).await;
         second.settle().await;
-        assert_eq!(heards.borrow().len(), 2);
+        assert_eq!(messages.borrow().len(), 2);
     });
 }

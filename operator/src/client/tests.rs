@@ -3,7 +3,7 @@ use bridge::command::HANDSHAKE;
 use bridge::ros::{Int32, Twist};
 use std::net::TcpListener;
 
-/// One end of a connection as a server has it.
+/// Server's end of a connection.
 struct Server {
     stream: TcpStream,
     parser: Parser,
@@ -15,13 +15,13 @@ impl Server {
         Self { stream, parser: Parser::new(1 << 20) }
     }
 
-    fn greet(&mut self) {
+    fn send_handshake(&mut self) {
         let mut frame = Vec::new();
         Side::Server.write(&mut frame, name::HANDSHAKE, HANDSHAKE);
         self.stream.write_all(&frame).unwrap();
     }
 
-    /// The next frame, its NULs taken off; `None` once the client is gone.
+    /// Next frame without its trailing NULs; `None` once the client has disconnected.
     fn next(&mut self) -> Option<(String, Vec<u8>)> {
         loop {
             if let Some(frame) = self.parser.next_frame().unwrap() {
@@ -44,10 +44,10 @@ fn listener() -> (TcpListener, String) {
     (listener, address)
 }
 
-/// Polls until `enough` says so of what came, as text.
-fn poll_until(client: &mut Client, mut enough: impl FnMut(&[String]) -> bool) -> Vec<String> {
+/// Polls until `is_enough` holds for the events so far, as text.
+fn poll_until(client: &mut Client, mut is_enough: impl FnMut(&[String]) -> bool) -> Vec<String> {
     let mut seen = Vec::new();
-    while !enough(&seen) {
+    while !is_enough(&seen) {
         client.poll(Instant::now() + Duration::from_millis(20), &mut |event| {
             seen.push(match event {
                 Event::Message { topic, payload, .. } => format!("{topic} {payload:?}"),
@@ -59,22 +59,22 @@ fn poll_until(client: &mut Client, mut enough: impl FnMut(&[String]) -> bool) ->
 }
 
 #[test]
-fn begins_as_the_connector_does() {
+fn the_first_frames_are_those_of_the_connector() {
     let (listener, address) = listener();
     let mut client = Client::new(address);
-    let voice = client.voice();
-    voice.subscribe("/tf", "tf2_msgs/TFMessage");
-    voice.advertise::<Twist>("/cmd_vel");
-    voice.subscribe("/tf", "tf2_msgs/TFMessage");
+    let handle = client.handle();
+    handle.subscribe("/tf", "tf2_msgs/TFMessage");
+    handle.advertise::<Twist>("/cmd_vel");
+    handle.subscribe("/tf", "tf2_msgs/TFMessage");
     let server = std::thread::spawn(move || {
         let mut server = Server::accept(&listener);
-        server.greet();
+        server.send_handshake();
         let frames: Vec<_> = (0..5).map(|_| server.next().unwrap()).collect();
         (frames, server.next())
     });
     poll_until(&mut client, |seen| seen.iter().any(|event| event == "Connected"));
-    assert!(voice.publish("/cmd_vel", &Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] }));
-    drop((client, voice));
+    assert!(handle.publish("/cmd_vel", &Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] }));
+    drop((client, handle));
     let (frames, rest) = server.join().unwrap();
     let names: Vec<&str> = frames.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["", "__subscribe", "__publish", "__topic_list", "/cmd_vel"]);
@@ -92,18 +92,18 @@ fn begins_as_the_connector_does() {
 }
 
 #[test]
-fn takes_frames_however_they_are_cut() {
+fn frames_are_read_however_the_stream_is_cut() {
     let (listener, address) = listener();
     let mut client = Client::new(address);
     let server = std::thread::spawn(move || {
         let mut server = Server::accept(&listener);
-        server.greet();
+        server.send_handshake();
         let mut bytes = Vec::new();
         for i in 0..20_u8 {
             Side::Server.write(&mut bytes, "/a", &vec![i; usize::from(i)]);
             Side::Server.write(&mut bytes, "", &[]);
         }
-        Side::Server.write_command(&mut bytes, name::WARN, &Notice { text: "mind".into() });
+        Side::Server.write_command(&mut bytes, name::WARN, &Notice { text: "careful".into() });
         let topics = TopicList { topics: vec!["/a".into()], types: vec!["b/C".into()] };
         Side::Server.write_command(&mut bytes, name::TOPIC_LIST, &topics);
         for (i, piece) in bytes.chunks(7).enumerate() {
@@ -119,26 +119,26 @@ fn takes_frames_however_they_are_cut() {
     for i in 0..20_u8 {
         assert_eq!(seen[1 + usize::from(i)], format!("/a {:?}", vec![i; usize::from(i)]));
     }
-    assert_eq!(seen[21], r#"Notice("__warn", "mind")"#);
+    assert_eq!(seen[21], r#"ServerText("__warn", "careful")"#);
     assert!(seen[22].starts_with("Topics("), "{}", seen[22]);
     drop(client);
     server.join().unwrap();
 }
 
 #[test]
-fn comes_back_and_registers_again() {
+fn the_client_reconnects_and_registers_again() {
     let (listener, address) = listener();
     let mut client = Client::new(address);
-    let voice = client.voice();
-    voice.subscribe("/tf", "tf2_msgs/TFMessage");
+    let handle = client.handle();
+    handle.subscribe("/tf", "tf2_msgs/TFMessage");
     let server = std::thread::spawn(move || {
         let mut first = Server::accept(&listener);
-        first.greet();
-        // All that was said is taken, or closing would reset the connection.
+        first.send_handshake();
+        // Unread data would make closing reset the connection.
         (0..3).for_each(|_| drop(first.next().unwrap()));
         drop(first);
         let mut second = Server::accept(&listener);
-        second.greet();
+        second.send_handshake();
         let names = [second.next().unwrap().0, second.next().unwrap().0];
         while second.next().is_some() {}
         names
@@ -146,13 +146,13 @@ fn comes_back_and_registers_again() {
     let seen = poll_until(&mut client, |seen| seen.iter().filter(|event| *event == "Connected").count() == 2);
     assert_eq!(seen.len(), 3, "{seen:?}");
     assert!(seen[1].contains("the server closed the connection"), "{seen:?}");
-    assert_eq!(voice.connections(), 2);
-    drop((client, voice));
+    assert_eq!(handle.connections(), 2);
+    drop((client, handle));
     assert_eq!(server.join().unwrap(), ["", "__subscribe"]);
 }
 
 #[test]
-fn says_what_is_wrong_with_a_server() {
+fn errors_name_what_is_wrong_with_a_server() {
     let wrong: [(&str, &[u8], &str); 3] = [
         ("/tf", b"", "no ros_tcp endpoint"),
         ("__handshake", br#"{"version": "v0.6.0", "metadata": "{}"}"#, "version 'v0.6.0'"),
@@ -173,20 +173,20 @@ fn says_what_is_wrong_with_a_server() {
         drop(client);
         server.join().unwrap();
     }
-    // Nobody there; and somebody who speaks something else altogether.
+    // Nothing listens at this address.
     let (listener, address) = listener();
     drop(listener);
     let seen = poll_until(&mut Client::new(address), |seen| !seen.is_empty());
-    assert!(seen[0].starts_with("Lost("), "{seen:?}");
+    assert!(seen[0].starts_with("Disconnected("), "{seen:?}");
 }
 
 #[test]
-fn keeps_a_quiet_link_alive() {
+fn keepalives_are_sent_on_a_quiet_connection() {
     let (listener, address) = listener();
     let mut client = Client::new(address);
     let server = std::thread::spawn(move || {
         let mut server = Server::accept(&listener);
-        server.greet();
+        server.send_handshake();
         (0..4).map(|_| server.next().unwrap().0).collect::<Vec<_>>()
     });
     while !server.is_finished() {
@@ -196,11 +196,11 @@ fn keeps_a_quiet_link_alive() {
 }
 
 #[test]
-fn without_a_link_nothing_is_sent_and_registrations_are_bounded() {
-    let voice = Voice::default();
-    assert!(!voice.publish("/selected_robot", &Int32(1)));
+fn without_a_connection_nothing_is_sent_and_registrations_are_bounded() {
+    let handle = ClientHandle::default();
+    assert!(!handle.publish("/selected_robot", &Int32(1)));
     for i in 0..2 * REGISTRATIONS_MAX {
-        voice.subscribe(&format!("/t{i}"), "a/B");
+        handle.subscribe(&format!("/t{i}"), "a/B");
     }
-    assert_eq!(voice.lock().registrations.len(), REGISTRATIONS_MAX);
+    assert_eq!(handle.lock().registrations.len(), REGISTRATIONS_MAX);
 }

@@ -3,26 +3,27 @@
 //! Its priority is the others'. With a lower one (nice 10) it was kept waiting on a loaded machine while it held what
 //! the scan path needed (a process has one lock on its memory): scan to pose p99 200 to 390 ms instead of 3 to 60.
 
-use super::News;
+use super::BackEndInput;
+use crate::ports::Clock;
 use crate::session_file;
-use crate::sessions::TOLD_SIGMA;
-use ::slam::{Back, Front, Hint, Identity, Session, SlamConfig, Start};
-use formats::map_file::write_map;
+use crate::sessions::{self, TOLD_SIGMA};
+use crate::storage::Storage;
+use ::slam::{BackEnd, FrontEnd, Identity, InitialPose, PoseEstimate, Session, SlamConfig};
 use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SendError, SyncSender};
-use std::time::{Duration, Instant};
+use std::sync::mpsc::{SyncSender, TrySendError};
+use std::time::Duration;
 
-/// Jobs that wait; who brings more is refused.
-pub const JOBS_WAITING_MAX: usize = 4;
+/// Jobs that wait; a request that needs one more is refused.
+pub const JOBS_MAX: usize = 4;
 
-/// What there is to do.
+/// Something to do with a file.
 pub struct Job {
-    /// Who asked; none: SLAM itself, now and then.
+    /// The request that it belongs to; none for an autosave.
     pub request: Option<Box<SlamRequest>>,
-    /// Which file.
+    /// The file.
     pub path: PathBuf,
-    /// What with it.
+    /// What to do with it.
     pub work: Work,
 }
 
@@ -37,12 +38,12 @@ pub enum Work {
 }
 
 /// What became of a job.
-pub struct Done {
-    /// The job's.
+pub struct JobOutcome {
+    /// The job's request.
     pub request: Option<Box<SlamRequest>>,
-    /// The job's.
+    /// The job's file.
     pub path: PathBuf,
-    /// What was loaded, if that was the job; or why it was not done.
+    /// What was loaded, if that was the job; or why it failed.
     pub result: Result<Option<Box<Loaded>>, String>,
     /// How long it took.
     pub took: Duration,
@@ -50,75 +51,105 @@ pub struct Done {
 
 /// A session that can be gone on with.
 pub struct Loaded {
-    pub front: Front,
-    pub back: Back,
+    /// The front end.
+    pub front: FrontEnd,
+    /// The back end.
+    pub back: BackEnd,
 }
 
-/// Works until all is done and nobody can bring more.
-pub fn serve(config: &SlamConfig, jobs: Receiver<Job>, done: SyncSender<News>) {
-    for Job { request, path, work } in jobs {
-        let begun = Instant::now();
-        let result = match work {
-            Work::Save(session) => save(&path, &session).map(|()| None),
-            Work::Draw(grid) => draw(&path, &grid).map(|()| None),
-            Work::Load(identity, mode) => {
-                let request = request.as_deref().copied().unwrap_or_default();
-                load(config, &path, &identity, mode, &request).map(|loaded| Some(Box::new(loaded)))
-            }
-        };
-        let took = begun.elapsed();
-        let unheard = done.send(News::Done(Box::new(Done { request, path, result, took })));
-        if let Err(SendError(News::Done(done))) = unheard
-            && let Err(why) = done.result
+/// Does jobs, one after the other.
+pub struct FileWorker<C, S> {
+    config: SlamConfig,
+    storage: S,
+    clock: C,
+    outcomes: SyncSender<BackEndInput>,
+}
+
+impl<C: Clock, S: Storage> FileWorker<C, S> {
+    /// A worker whose outcomes go to the back-end thread.
+    pub fn new(config: SlamConfig, storage: S, clock: C, outcomes: SyncSender<BackEndInput>) -> Self {
+        Self { config, storage, clock, outcomes }
+    }
+
+    /// Does one job; waits while the back-end thread has no room for the outcome.
+    pub fn run(&mut self, job: Job) {
+        let outcome = BackEndInput::File(Box::new(self.perform(job)));
+        if let Err(std::sync::mpsc::SendError(BackEndInput::File(outcome))) = self.outcomes.send(outcome)
+            && let Err(why) = outcome.result
         {
             eprintln!("slam: {why}");
         }
     }
-}
 
-fn save(path: &Path, session: &Session) -> Result<(), String> {
-    make_folder(path)?;
-    session_file::write(path, session).map_err(|why| why.to_string())
-}
-
-fn draw(stem: &Path, grid: &Grid) -> Result<(), String> {
-    make_folder(stem)?;
-    write_map(stem, grid.view()).map_err(|why| why.to_string())
-}
-
-/// Makes the folder that a file is to lie in, if need be.
-fn make_folder(path: &Path) -> Result<(), String> {
-    let Some(folder) = path.parent() else { return Ok(()) };
-    std::fs::create_dir_all(folder).map_err(|why| format!("{}: {why}", folder.display()))
-}
-
-fn load(
-    config: &SlamConfig,
-    path: &Path,
-    identity: &Identity,
-    mode: SlamMode,
-    request: &SlamRequest,
-) -> Result<Loaded, String> {
-    if session_file::is_map(path) && mode != SlamMode::Localization {
-        return Err(format!(
-            "{} is a map and no session: it can be localized in, but not gone on with (load FILE --localize)",
-            path.display()
-        ));
+    /// Does one job if the back-end thread has room for the outcome; else gives the outcome back.
+    pub fn try_run(&mut self, job: Job) -> Option<BackEndInput> {
+        let outcome = BackEndInput::File(Box::new(self.perform(job)));
+        self.try_send(outcome)
     }
-    let session = session_file::read_any(path, identity, config).map_err(|why| why.to_string())?;
-    if session.back.nodes.is_empty() {
-        return Err(format!("{} has no map in it", path.display()));
+
+    /// Sends an outcome that had no room.
+    pub fn try_send(&mut self, outcome: BackEndInput) -> Option<BackEndInput> {
+        match self.outcomes.try_send(outcome) {
+            Err(TrySendError::Full(outcome)) => Some(outcome),
+            Ok(()) | Err(TrySendError::Disconnected(_)) => None,
+        }
     }
-    let [m, rad] = TOLD_SIGMA;
-    let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
-    let (sigma_m, sigma_rad) = (or(request.sigma_m, m), or(request.sigma_rad, rad));
-    let at = |map_from_local: Pose2| Start::At(Hint { map_from_local, sigma_m, sigma_rad });
-    let start = match StartPose::from_code(request.start) {
-        Some(StartPose::Given) => at(request.pose),
-        Some(StartPose::FirstNode) => session.back.poses.first().copied().map_or(Start::Unknown, at),
-        Some(StartPose::LastNode) => session.back.poses.last().copied().map_or(Start::Unknown, at),
-        Some(StartPose::Unknown) | None => Start::Unknown,
-    };
-    let (front, back) = ::slam::begin(config.clone(), Some(session), mode, start);
-    Ok(Loaded { front, back })
+
+    fn perform(&mut self, Job { request, path, work }: Job) -> JobOutcome {
+        let begun = self.clock.now();
+        let result = match work {
+            Work::Save(session) => {
+                let written = self.storage.write(&path, &session.encode());
+                written.map(|()| None).map_err(|why| format!("{}: {why}", path.display()))
+            }
+            Work::Draw(grid) => {
+                self.storage.write_map(&path, grid.view()).map(|()| None).map_err(|why| why.to_string())
+            }
+            Work::Load(identity, mode) => {
+                let request = request.as_deref().copied().unwrap_or_default();
+                self.load(&path, &identity, mode, &request).map(|loaded| Some(Box::new(loaded)))
+            }
+        };
+        let took = Duration::from_nanos(self.clock.now().since(begun));
+        JobOutcome { request, path, result, took }
+    }
+
+    fn load(
+        &self,
+        path: &Path,
+        identity: &Identity,
+        mode: SlamMode,
+        request: &SlamRequest,
+    ) -> Result<Loaded, String> {
+        let is_map = session_file::is_map(path);
+        if is_map && mode != SlamMode::Localization {
+            return Err(format!(
+                "{} is a map and no session: it can be localized in, but not gone on with (load FILE --localize)",
+                path.display()
+            ));
+        }
+        let session = if is_map {
+            let grid = self.storage.read_map(path).map_err(|why| why.to_string())?;
+            Session::from_grid(*identity, grid.view(), &self.config)
+        } else {
+            sessions::read(&self.storage, path, identity).map_err(|why| why.to_string())?
+        };
+        if session.back.nodes.is_empty() {
+            return Err(format!("{} has no map in it", path.display()));
+        }
+        let [m, rad] = TOLD_SIGMA;
+        let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
+        let (sigma_m, sigma_rad) = (or(request.sigma_m, m), or(request.sigma_rad, rad));
+        let at =
+            |map_from_local: Pose2| InitialPose::Near(PoseEstimate { map_from_local, sigma_m, sigma_rad });
+        let poses = &session.back.poses;
+        let start = match StartPose::from_code(request.start) {
+            Some(StartPose::Given) => at(request.pose),
+            Some(StartPose::FirstNode) => poses.first().copied().map_or(InitialPose::Unknown, at),
+            Some(StartPose::LastNode) => poses.last().copied().map_or(InitialPose::Unknown, at),
+            Some(StartPose::Unknown) | None => InitialPose::Unknown,
+        };
+        let (front, back) = ::slam::begin(self.config.clone(), Some(session), mode, start);
+        Ok(Loaded { front, back })
+    }
 }

@@ -1,193 +1,216 @@
-//! What people and other programs ask of SLAM, and what it answers: see [`msg::SlamRequestKind`].
+//! Requests of people and programs to SLAM, and the responses: see [`msg::SlamRequestKind`].
 
-use super::Order;
-use super::beside::Beside;
-use super::files::{Done, Work};
+use super::FrontCommand;
+use super::back_end::BackEndState;
+use super::files::{JobOutcome, Work};
 use crate::channel;
-use crate::ports::ChannelError;
+use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use crate::sessions::TOLD_SIGMA;
-use crate::shared_memory::{Participant, Reader, Writer};
-use ::slam::{ClosureReport, FrontState, Hint, Start};
+use ::slam::{ClosureReport, FrontEndState, InitialPose, PoseEstimate};
 use msg::{
     CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
 };
 use std::path::{Component, Path, PathBuf};
 
-/// Requests answered before other work has its turn.
+/// Requests answered in one step, before other work has its turn.
 const REQUESTS_MAX: usize = 16;
-/// Requests that wait for the scan path, at most.
-const WAITING_MAX: usize = 16;
+/// Requests that may wait for the scan path's state.
+const PENDING_MAX: usize = 16;
 /// The ending of a session's file that was given none.
 const SESSION_ENDING: &str = "slam";
 
-/// What is done when it is known where the scan path is.
-pub enum Waiting {
+/// What is to be done when the scan path's state is known.
+pub enum PendingRequest {
     /// Save what has changed.
     Autosave,
-    /// Save a session.
+    /// Save a session to a file.
     Save(Box<SlamRequest>, PathBuf),
-    /// Look for the robot where it is said to be.
-    Pose(Box<SlamRequest>),
+    /// Look for the robot at the given pose.
+    SetPose(Box<SlamRequest>),
 }
 
-/// Either done, with a word about it, or to be answered later; or why not.
-type Outcome = Result<Option<String>, String>;
+/// What became of a request.
+enum RequestOutcome {
+    /// It was done; the text is for people.
+    Done(String),
+    /// It will be answered later.
+    Deferred,
+}
 
-/// The door for requests.
-pub struct Services {
+/// The outcome of a request, or why it is refused.
+type RequestResult = Result<RequestOutcome, String>;
+
+fn done(text: &str) -> RequestResult {
+    Ok(RequestOutcome::Done(text.to_owned()))
+}
+
+/// The channels of requests and responses.
+pub struct Services<P: Ports> {
     dir: PathBuf,
-    requests: Reader<SlamRequest>,
-    answers: Writer<SlamResponse>,
+    requests: P::Reader<SlamRequest>,
+    responses: P::Writer<SlamResponse>,
     paused: bool,
     loading: bool,
 }
 
-impl Services {
-    /// The robot's requests are answered by whoever has this.
-    pub fn open(node: &Participant, run: &Run, robot: RobotId) -> Result<Self, ChannelError> {
+impl<P: Ports> Services<P> {
+    /// Opens the channels of a robot.
+    pub fn open(ports: &P, run: &Run, robot: RobotId) -> Result<Self, ChannelError> {
         Ok(Self {
             dir: run.dir.clone(),
-            requests: node.reader(&channel::slam_request(robot))?,
-            answers: node.writer(&channel::slam_response(robot))?,
+            requests: ports.reader(&channel::slam_request(robot))?,
+            responses: ports.writer(&channel::slam_response(robot))?,
             paused: false,
             loading: false,
         })
     }
 
-    /// Does what is asked for.
-    pub fn serve(&mut self, beside: &mut Beside) {
+    /// Serves the requests that have come.
+    pub fn serve(&mut self, state: &mut BackEndState) {
         for _ in 0..REQUESTS_MAX {
             let Some(request) = self.requests.receive().map(|request| *request) else { return };
-            let outcome = self.obey(&request, beside);
-            self.answer(&request, outcome, beside);
+            let outcome = match state.commands.is_full() {
+                true => Err("the scan path does not keep up; try again in a moment".into()),
+                false => self.apply(&request, state),
+            };
+            self.respond(&request, outcome, state);
         }
     }
 
-    fn obey(&mut self, request: &SlamRequest, beside: &mut Beside) -> Outcome {
+    fn apply(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
         let ask = SlamRequestKind::from_code(request.kind)
             .ok_or_else(|| format!("request code {} means nothing here", request.kind))?;
-        let done = |text: &str| Ok(Some(text.to_owned()));
         match ask {
             SlamRequestKind::State => done(""),
             SlamRequestKind::Pause | SlamRequestKind::Resume => {
                 self.paused = ask == SlamRequestKind::Pause;
-                beside.order(Order::Pause(self.paused));
+                state.commands.send(FrontCommand::Pause(self.paused));
                 done(if self.paused { "new scans are not looked at" } else { "scans are looked at again" })
             }
-            SlamRequestKind::Reset => {
-                let mode = match beside.back.mode() {
-                    // There is no map left to localize in.
-                    SlamMode::Localization => SlamMode::Mapping,
-                    mode => mode,
-                };
-                let config = beside.back.config().clone();
-                let (front, back) = ::slam::begin(config, None, mode, Start::Unknown);
-                beside.begin(front, back, true);
-                done("the map begins anew")
-            }
-            SlamRequestKind::SaveMap => {
-                has_map(beside)?;
-                let stem = file_path(&self.dir, request.text.as_str(), None)?;
-                let stem = match stem.extension().and_then(|ending| ending.to_str()) {
-                    Some("yaml" | "yml" | "pgm" | "png") => stem.with_extension(""),
-                    _ => stem,
-                };
-                let grid = beside.back.map().to_owned();
-                give(beside, request, stem, Work::Draw(grid))
-            }
+            SlamRequestKind::Reset => self.reset(state),
+            SlamRequestKind::SaveMap => self.save_map(request, state),
             SlamRequestKind::SaveSession => {
-                has_map(beside)?;
+                has_map(state)?;
                 let path = self.session_path(request)?;
-                wait_for_state(beside, Waiting::Save(Box::new(*request), path))
+                wait_for_state(state, PendingRequest::Save(Box::new(*request), path))
             }
-            SlamRequestKind::LoadSession => {
-                if self.loading {
-                    return Err("another file is being loaded; try again when it is".into());
-                }
-                let mode = mode_of(request)?;
-                if StartPose::from_code(request.start) == Some(StartPose::Given) {
-                    pose_of(request)?;
-                }
-                let path = self.session_path(request)?;
-                let given = give(beside, request, path, Work::Load(beside.identity, mode));
-                self.loading = given.is_ok();
-                given
-            }
+            SlamRequestKind::LoadSession => self.load_session(request, state),
             SlamRequestKind::SetPose => {
-                has_map(beside)?;
+                has_map(state)?;
                 pose_of(request)?;
-                wait_for_state(beside, Waiting::Pose(Box::new(*request)))
+                wait_for_state(state, PendingRequest::SetPose(Box::new(*request)))
             }
             SlamRequestKind::Relocalize => {
-                has_map(beside)?;
-                beside.back.seek(None);
-                beside.order(Order::Place(None));
-                beside.order(Order::WantNode);
+                has_map(state)?;
+                state.back.start_relocalization(None);
+                state.commands.send(FrontCommand::SetPose(None));
+                state.commands.send(FrontCommand::WantNode);
                 done("the robot is looked for in the whole map: from where it stands, and as it moves")
             }
             SlamRequestKind::ListClosures => done(""),
-            SlamRequestKind::UndoClosure => {
-                may_change(beside)?;
-                if !beside.back.undo_closure(request.number) {
-                    let count = beside.back.closures().count();
-                    let why = format!("there is no closure {} in force; {count} were made", request.number);
-                    return Err(why);
-                }
-                bent(beside);
-                done(&format!("closure {} is taken back, and not believed again", request.number))
-            }
-            SlamRequestKind::ClearClosures => {
-                may_change(beside)?;
-                let count = beside.back.clear_closures();
-                if count == 0 {
-                    return done("there was no closure in force");
-                }
-                bent(beside);
-                done(&format!("{count} taken back, and not believed again"))
-            }
+            SlamRequestKind::UndoClosure => self.undo_closure(request, state),
+            SlamRequestKind::ClearClosures => self.clear_closures(state),
             SlamRequestKind::SetMode => {
                 let mode = mode_of(request)?;
                 if mode == SlamMode::Localization {
-                    has_map(beside)?;
+                    has_map(state)?;
                 }
-                beside.back.set_mode(mode);
-                beside.changed();
+                state.back.set_mode(mode);
+                state.mark_changed();
                 done(&format!("mode is {}", mode.name()))
             }
         }
     }
 
-    /// The scan path has said where it is.
-    pub fn go_on(&mut self, beside: &mut Beside, waiting: Waiting, state: &FrontState) {
-        match waiting {
-            Waiting::Autosave => beside.autosave(state),
-            Waiting::Save(request, path) => {
-                let session = Box::new(beside.session(state));
-                let outcome = give(beside, &request, path, Work::Save(session));
-                self.answer(&request, outcome, beside);
+    fn reset(&mut self, state: &mut BackEndState) -> RequestResult {
+        let mode = match state.back.mode() {
+            // There is no map left to localize in.
+            SlamMode::Localization => SlamMode::Mapping,
+            mode => mode,
+        };
+        let config = state.back.config().clone();
+        let (front, back) = ::slam::begin(config, None, mode, InitialPose::Unknown);
+        state.replace(front, back, true);
+        done("the map begins anew")
+    }
+
+    fn save_map(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
+        has_map(state)?;
+        let stem = file_path(&self.dir, request.text.as_str(), None)?;
+        let stem = match stem.extension().and_then(|ending| ending.to_str()) {
+            Some("yaml" | "yml" | "pgm" | "png") => stem.with_extension(""),
+            _ => stem,
+        };
+        let grid = state.back.map().to_owned();
+        give(state, request, stem, Work::Draw(grid))
+    }
+
+    fn load_session(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
+        if self.loading {
+            return Err("another file is being loaded; try again when it is".into());
+        }
+        let mode = mode_of(request)?;
+        if StartPose::from_code(request.start) == Some(StartPose::Given) {
+            pose_of(request)?;
+        }
+        let path = self.session_path(request)?;
+        let given = give(state, request, path, Work::Load(state.identity, mode));
+        self.loading = given.is_ok();
+        given
+    }
+
+    fn undo_closure(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
+        may_change(state)?;
+        if !state.back.undo_closure(request.number) {
+            let count = state.back.closures().count();
+            let why = format!("there is no closure {} in force; {count} were made", request.number);
+            return Err(why);
+        }
+        publish_changed_graph(state);
+        done(&format!("closure {} is taken back, and not accepted again", request.number))
+    }
+
+    fn clear_closures(&mut self, state: &mut BackEndState) -> RequestResult {
+        may_change(state)?;
+        let count = state.back.clear_closures();
+        if count == 0 {
+            return done("there was no closure in force");
+        }
+        publish_changed_graph(state);
+        done(&format!("{count} taken back, and not accepted again"))
+    }
+
+    /// Goes on with what waited for the scan path's state.
+    pub fn resume(&mut self, state: &mut BackEndState, pending: PendingRequest, front: &FrontEndState) {
+        match pending {
+            PendingRequest::Autosave => state.save(front),
+            PendingRequest::Save(request, path) => {
+                let session = Box::new(state.session(front));
+                let outcome = give(state, &request, path, Work::Save(session));
+                self.respond(&request, outcome, state);
             }
-            Waiting::Pose(request) => {
+            PendingRequest::SetPose(request) => {
                 let [m, rad] = TOLD_SIGMA;
                 let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
-                let local_from_base = state.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
+                let local_from_base = front.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
                 let map_from_local = request.pose * local_from_base.inverse();
-                beside.back.seek(Some(Hint {
+                state.back.start_relocalization(Some(PoseEstimate {
                     map_from_local,
                     sigma_m: or(request.sigma_m, m),
                     sigma_rad: or(request.sigma_rad, rad),
                 }));
-                beside.order(Order::Place(Some(map_from_local)));
-                beside.order(Order::WantNode);
-                self.answer(&request, Ok(Some("the robot is looked for around there".into())), beside);
+                state.commands.send(FrontCommand::SetPose(Some(map_from_local)));
+                state.commands.send(FrontCommand::WantNode);
+                self.respond(&request, done("the robot is looked for around there"), state);
             }
         }
     }
 
-    /// A file that was asked for is done with.
-    pub fn done(&mut self, beside: &mut Beside, done: Done) {
-        let Done { request: Some(request), path, result, took: _ } = done else { return };
+    /// A file that a request needed was read or written.
+    pub fn finish_job(&mut self, state: &mut BackEndState, outcome: JobOutcome) {
+        let JobOutcome { request: Some(request), path, result, took: _ } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
         let outcome = result.map(|loaded| {
@@ -202,31 +225,31 @@ impl Services {
                 None => path.display().to_string(),
             };
             if let Some(loaded) = loaded {
-                beside.load(*loaded);
+                state.load(*loaded);
             }
-            Some(text)
+            RequestOutcome::Done(text)
         });
-        self.answer(&request, outcome, beside);
+        self.respond(&request, outcome, state);
     }
 
     fn session_path(&self, request: &SlamRequest) -> Result<PathBuf, String> {
         file_path(&self.dir, request.text.as_str(), Some(SESSION_ENDING))
     }
 
-    fn answer(&mut self, request: &SlamRequest, outcome: Outcome, beside: &Beside) {
+    fn respond(&mut self, request: &SlamRequest, outcome: RequestResult, state: &BackEndState) {
         let (outcome, text) = match outcome {
-            Ok(None) => return,
-            Ok(Some(text)) => (SlamOutcome::Done, text),
+            Ok(RequestOutcome::Deferred) => return,
+            Ok(RequestOutcome::Done(text)) => (SlamOutcome::Done, text),
             Err(why) => (SlamOutcome::Refused, why),
         };
-        let (back, counts) = (&beside.back, beside.back.counts());
+        let (back, counts) = (&state.back, state.back.counts());
         let mut answer = SlamResponse {
             client: request.client,
             id: request.id,
             outcome: outcome as u32,
             mode: back.mode() as u32,
             paused: self.paused.into(),
-            located: (back.located() && back.map_from_base().is_some()).into(),
+            located: (back.is_located() && back.map_from_base().is_some()).into(),
             nodes: counts.nodes as u32,
             links: counts.links as u32,
             closures: counts.closures as u32,
@@ -244,7 +267,7 @@ impl Services {
                 answer.listed += 1;
             }
         }
-        self.answers.send(&answer);
+        self.responses.send(&answer);
     }
 }
 
@@ -265,41 +288,41 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, St
     Ok(path)
 }
 
-fn give(beside: &Beside, request: &SlamRequest, path: PathBuf, work: Work) -> Outcome {
-    match beside.give(Some(request), path, work) {
-        true => Ok(None),
+fn give(state: &BackEndState, request: &SlamRequest, path: PathBuf, work: Work) -> RequestResult {
+    match state.give(Some(request), path, work) {
+        true => Ok(RequestOutcome::Deferred),
         false => Err("too many files are being written; try again in a moment".into()),
     }
 }
 
-fn wait_for_state(beside: &mut Beside, waiting: Waiting) -> Outcome {
-    if beside.waiting() >= WAITING_MAX {
+fn wait_for_state(state: &mut BackEndState, pending: PendingRequest) -> RequestResult {
+    if state.pending() >= PENDING_MAX {
         return Err("too many requests wait; try again in a moment".into());
     }
-    beside.wait_for_state(waiting);
-    Ok(None)
+    state.wait_for_state(pending);
+    Ok(RequestOutcome::Deferred)
 }
 
-fn has_map(beside: &Beside) -> Result<(), String> {
-    let empty = beside.back.nodes().is_empty();
+fn has_map(state: &BackEndState) -> Result<(), String> {
+    let empty = state.back.nodes().is_empty();
     if empty { Err("there is nothing in the map yet: no scan has come".into()) } else { Ok(()) }
 }
 
 /// Whether closures may be taken back now.
-fn may_change(beside: &Beside) -> Result<(), String> {
-    if beside.back.mode() == SlamMode::Localization {
+fn may_change(state: &BackEndState) -> Result<(), String> {
+    if state.back.mode() == SlamMode::Localization {
         return Err("in localization the map stays as it is; set the mode to mapping first".into());
     }
-    if beside.back.map_from_base().is_none() {
+    if state.back.map_from_base().is_none() {
         return Err("while the robot is looked for, the map stays as it is".into());
     }
     Ok(())
 }
 
-/// The graph has changed: the scan path hears where it is now.
-fn bent(beside: &mut Beside) {
-    beside.changed();
-    beside.order(Order::Place(Some(beside.back.newest_revision().map_from_local)));
+/// The graph has changed: tells the scan path where it is now.
+fn publish_changed_graph(state: &mut BackEndState) {
+    state.mark_changed();
+    state.commands.send(FrontCommand::SetPose(Some(state.back.latest_revision().map_from_local)));
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, String> {

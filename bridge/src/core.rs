@@ -1,0 +1,206 @@
+//! The routing core: composes the bridge's parts and handles what clients send.
+//!
+//! It reads no clock and no socket. Time comes in as `now`, a monotonic time of the caller's.
+
+mod initial_pose;
+mod input;
+mod registration;
+mod service_frames;
+
+use crate::access::AccessControl;
+use crate::command::{handshake, name};
+use crate::command_queues::CommandQueues;
+use crate::config::BridgeConfig;
+use crate::drive::DriveArbiter;
+use crate::fleet_topics::{FleetMessage, FleetTopics};
+use crate::frame::{Frame, Side};
+use crate::ros::Twist;
+use crate::router::{
+    ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
+};
+use crate::services::ServiceCalls;
+use crate::world::WorldInput;
+use msg::{Header, Monotonic, RobotId, VelocityCommand};
+use std::net::SocketAddr;
+use thiserror::Error;
+
+/// The robot that is selected at start.
+const FIRST_ROBOT: RobotId = RobotId::new(1).unwrap();
+
+/// Why a client cannot connect.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum ConnectError {
+    /// As many clients are connected as may be.
+    #[error("the bridge has {limit} clients, its limit (clients_max); disconnect one, or raise the limit")]
+    TooManyClients {
+        /// The limit.
+        limit: usize,
+    },
+}
+
+/// The parts of the bridge.
+pub struct Core {
+    /// The bridge's settings.
+    pub config: BridgeConfig,
+    /// Topics, clients and the frames between them.
+    pub router: TopicRouter,
+    /// The fleet's own topics.
+    pub fleet: FleetTopics,
+    /// Who drives which robot.
+    pub drive: DriveArbiter,
+    /// Who may watch and drive.
+    pub access: AccessControl,
+    /// Services between clients.
+    pub services: ServiceCalls,
+    /// Commands for robots, merging and SLAM that wait to be taken.
+    pub commands: CommandQueues,
+    /// Receives sensor data if the world is not simulated here.
+    pub world: Option<WorldInput>,
+}
+
+impl Core {
+    /// Creates the core of a valid configuration and of 1 to [`msg::ROBOTS_MAX`] robots.
+    pub fn new(config: BridgeConfig, robot_count: usize, world: Option<WorldInput>) -> Self {
+        let mut topics = TopicTable::new(config.client_topics_max);
+        let fleet = FleetTopics::new(&mut topics, config.frame_names, robot_count, world.is_some());
+        let mut core = Self {
+            router: TopicRouter::new(topics, &config),
+            fleet,
+            drive: DriveArbiter::new(robot_count, FIRST_ROBOT, config.lease()),
+            access: AccessControl::new(&config),
+            services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
+            commands: CommandQueues::default(),
+            config,
+            world,
+        };
+        core.publish_selected();
+        core.publish_stop();
+        core
+    }
+
+    /// Connects a client and sends it the handshake, which must be its first frame.
+    pub fn connect(
+        &mut self,
+        peer: SocketAddr,
+        socket: Option<Box<dyn ClientSocket>>,
+    ) -> Result<ClientId, ConnectError> {
+        let limit = self.config.clients_max;
+        if self.router.clients().count() >= limit {
+            self.router.counted.refused += 1;
+            return Err(ConnectError::TooManyClients { limit });
+        }
+        let id = self.router.connect(peer, socket);
+        let payload = handshake(self.config.payloads);
+        self.router
+            .send_frames(id, FrameKind::Reply, |out| Side::Server.write(out, name::HANDSHAKE, payload));
+        Ok(id)
+    }
+
+    /// Handles one frame from a client.
+    pub fn receive(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
+        self.router.counted.received += 1;
+        if frame.is_keepalive() {
+            return;
+        }
+        let Ok(name) = core::str::from_utf8(frame.name) else {
+            let text = format!("a destination is not UTF-8: '{}'", String::from_utf8_lossy(frame.name));
+            return self.router.refuse(id, text);
+        };
+        let Some(client) = self.router.client_mut(id) else { return };
+        let expected = client.expected.take();
+        if name.starts_with("__") {
+            if expected.is_some() {
+                let text =
+                    format!("{name} came between a service's number and its frame: the call is dropped");
+                self.router.refuse(id, text);
+            }
+            return self.receive_system_command(id, name, frame);
+        }
+        match expected {
+            None => self.receive_data(id, name, frame.payload, now),
+            Some(ExpectedFrame::Request(number)) => {
+                self.receive_request(id, number, name, frame.payload, now);
+            }
+            Some(ExpectedFrame::Response(number)) => self.receive_response(id, number, frame.payload),
+        }
+    }
+
+    /// Publishes a message of the fleet.
+    pub fn publish(&mut self, message: FleetMessage<'_>) {
+        self.fleet.publish(&mut self.router, message);
+    }
+
+    /// Does what is due at this time: fails late service calls, repeats transforms for late subscribers.
+    pub fn tick(&mut self, now: Monotonic) {
+        for call in self.services.remove_expired(now) {
+            self.fail_call(&call, "no answer came in time");
+        }
+        self.fleet.tick(&mut self.router, now);
+    }
+
+    /// Disconnects a client: stops the robots that it drove, fails the calls that it should have answered.
+    ///
+    /// Returns the client's unsent frames, or `None` if it is disconnected already.
+    pub fn disconnect(&mut self, id: ClientId) -> Option<OutgoingQueue> {
+        let unsent = self.router.disconnect(id)?;
+        if let Some(world) = &mut self.world {
+            world.disconnect(id.serial);
+        }
+        self.stop_robots_of(id);
+        for call in self.services.remove_client(id) {
+            self.fail_call(&call, "the client that offered it has left");
+        }
+        Some(unsent)
+    }
+
+    /// Queues a velocity for a robot: m/s forward, rad/s counter-clockwise.
+    ///
+    /// Every velocity passes here, whatever its origin: a client, the emergency stop, a client that left.
+    pub fn send_velocity(&mut self, robot: RobotId, linear_m_s: f64, angular_rad_s: f64) {
+        let header = Header { stamp: self.fleet.now(), ..Header::default() };
+        self.commands.push_velocity(robot, VelocityCommand { header, linear_m_s, angular_rad_s });
+        if self.world.is_some() {
+            let twist = Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
+            self.fleet.publish_velocity(&mut self.router, robot, &twist);
+        }
+    }
+
+    /// Sends zero velocities.
+    fn send_stop(&mut self, robots: impl Iterator<Item = RobotId>) {
+        robots.for_each(|robot| self.send_velocity(robot, 0.0, 0.0));
+    }
+
+    /// Ends a client's leases and stops the robots that it drove last.
+    pub fn stop_robots_of(&mut self, id: ClientId) {
+        let driven = self.drive.release_client(id);
+        self.send_stop(driven.into_iter());
+    }
+
+    /// Publishes which robot is selected.
+    pub fn publish_selected(&mut self) {
+        self.fleet.publish_selected(&mut self.router, self.drive.selected());
+    }
+
+    /// Publishes whether the emergency stop is set.
+    pub fn publish_stop(&mut self) {
+        self.fleet.publish_stop(&mut self.router, self.drive.is_stopped());
+    }
+
+    /// Sets the emergency stop: every robot stops, and stays stopped until it is released.
+    pub fn set_emergency_stop(&mut self) {
+        self.drive.set_stopped(true);
+        self.send_stop(self.fleet.robots());
+        self.publish_stop();
+    }
+
+    /// Releases the emergency stop.
+    pub fn release_emergency_stop(&mut self) {
+        self.drive.set_stopped(false);
+        self.publish_stop();
+    }
+
+    /// Returns the counters.
+    pub fn counters(&self) -> Counters {
+        Counters { commands: self.commands.velocities_taken(), ..self.router.counters() }
+    }
+}

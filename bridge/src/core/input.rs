@@ -1,0 +1,379 @@
+//! Messages of clients and of DDS that the fleet interprets: velocities, selection, emergency stop, sensor data.
+
+use super::Core;
+use super::initial_pose::InitialPoseError;
+use crate::access::{Action, PermissionError};
+use crate::cdr::{DecodeError, Reader, with_dummy_byte};
+use crate::command::name;
+use crate::dds::ReceivedMessage;
+use crate::drive::DriveDecision;
+use crate::input::Input;
+use crate::ros::names::{is_correction, parse_frame};
+use crate::ros::read::{self, Transform};
+use crate::ros::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
+use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
+use crate::teleop::Stick;
+use crate::world::{DDS_SOURCE, Incoming, WorldError};
+use msg::{EdgeCommand, Monotonic, RobotId};
+use thiserror::Error;
+
+/// Characters of a client's text that are quoted in an error.
+const QUOTED_MAX: usize = 40;
+
+/// Why a message is refused.
+#[derive(Debug, Error)]
+pub enum InputError {
+    /// The payload is not the topic's message.
+    #[error(transparent)]
+    Payload(#[from] DecodeError),
+    /// An axis of a hand controller is missing or not finite.
+    #[error("an axis of the stick or the grip is missing or not a number")]
+    StickAxis,
+    /// The client's address may not drive.
+    #[error(transparent)]
+    Permission(#[from] PermissionError),
+    /// Another client drives the robot.
+    #[error("{robot} is driven by {driver}; publish {} on /take_control to take over", robot.number())]
+    DrivenByOther {
+        /// The robot.
+        robot: RobotId,
+        /// The other client's address, or `ROS 2`.
+        driver: String,
+    },
+    /// The emergency stop is set.
+    #[error("the emergency stop is set; publish std_msgs/Empty on /emergency_stop_release to drive on")]
+    EmergencyStop,
+    /// The fleet has no robot of that number.
+    #[error("there is no robot {number}: the fleet has 1 to {robot_count}")]
+    NoSuchRobot {
+        /// The number in the message.
+        number: i32,
+        /// The fleet's number of robots.
+        robot_count: usize,
+    },
+    /// The text is not a command for merging.
+    #[error("`{text}`; expected `pin 1 2`, `unpin 1 2` or `undo 1 2`")]
+    EdgeCommand {
+        /// The beginning of the text.
+        text: String,
+    },
+    /// Too many commands for merging wait.
+    #[error("too many edge commands wait; send this one again")]
+    TooManyEdgeCommands,
+    /// The transform is between the fleet's own frames.
+    #[error("{parent} -> {child} is the fleet's to publish: SLAM owns map -> odom (REP-105)")]
+    FleetFrames {
+        /// The parent frame in the message.
+        parent: String,
+        /// The child frame in the message.
+        child: String,
+    },
+    /// The initial pose is not one.
+    #[error(transparent)]
+    InitialPose(#[from] InitialPoseError),
+    /// The external world refuses the message.
+    #[error(transparent)]
+    World(#[from] WorldError),
+}
+
+impl InputError {
+    fn kind(&self) -> RefusalKind {
+        match self {
+            Self::Payload(_) | Self::StickAxis | Self::World(WorldError::Payload(_)) => RefusalKind::Payload,
+            Self::Permission(_) => RefusalKind::Permission,
+            Self::DrivenByOther { .. } | Self::World(WorldError::OtherSource { .. }) => {
+                RefusalKind::OtherClient
+            }
+            Self::EmergencyStop => RefusalKind::EmergencyStop,
+            _ => RefusalKind::Content,
+        }
+    }
+}
+
+impl Core {
+    /// Handles a message from DDS. Nobody can be told of a refusal there: it is counted.
+    pub fn receive_dds(&mut self, message: &ReceivedMessage, now: Monotonic) {
+        self.router.counted.received += 1;
+        let payload = message.payload();
+        let is_accepted = match (message.input(), Reader::new(payload)) {
+            (_, Err(_)) => false,
+            (Input::Scan(robot), Ok(from)) => self.receive_dds_world(Incoming::Scan(robot, from), now),
+            (Input::Odometry(robot), Ok(from)) => {
+                self.receive_dds_world(Incoming::Odometry(robot, from), now)
+            }
+            (Input::Transforms, Ok(from)) => self.receive_dds_world(Incoming::Transforms(from), now),
+            (Input::Clock, Ok(from)) => self.receive_dds_world(Incoming::Clock(from), now),
+            (input, Ok(_)) => {
+                let Some(topic) = self.router.topics.find(message.topic()) else { return };
+                let publication = Publication { topic, stamped: message.is_stamped(), latch: false };
+                self.apply_input(ClientId::DDS, input, publication, payload, now).is_ok()
+            }
+        };
+        self.router.counted.refused += u64::from(!is_accepted);
+    }
+
+    fn receive_dds_world(&mut self, message: Incoming<'_>, now: Monotonic) -> bool {
+        self.world.as_mut().is_none_or(|world| world.receive(DDS_SOURCE, message, now).is_ok())
+    }
+
+    /// Handles a client's message on a topic.
+    pub(super) fn receive_data(&mut self, id: ClientId, name: &str, payload: &[u8], now: Monotonic) {
+        let topic = self.router.topics.find(name);
+        let Some(client) = self.router.client(id) else { return };
+        let publication = client.publications.iter().find(|known| Some(known.topic) == topic).copied();
+        let Some(publication) = publication else {
+            let text = || format!("'{name}' is not registered for publication here: send __publish first");
+            return self.router.refuse_data(id, RefusalKind::NotRegistered, topic, now, text);
+        };
+        if let Err(error) = self.accept_data(id, publication, payload, now) {
+            self.router.refuse_data(id, error.kind(), topic, now, || format!("'{name}': {error}"));
+        }
+    }
+
+    fn accept_data(
+        &mut self,
+        id: ClientId,
+        publication: Publication,
+        payload: &[u8],
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        Reader::with(self.config.payloads, payload)?;
+        let Some(topic) = self.router.topics.get(publication.topic) else { return Ok(()) };
+        if let Source::Input(input) = topic.source {
+            return self.apply_input(id, input, publication, payload, now);
+        }
+        self.router.forward(publication.topic, with_dummy_byte(self.config.payloads, payload));
+        Ok(())
+    }
+
+    /// Applies a message that the fleet interprets.
+    fn apply_input(
+        &mut self,
+        id: ClientId,
+        input: Input,
+        publication: Publication,
+        payload: &[u8],
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        // Anyone may stop the robots, and an idle hand controller needs no permission.
+        if !matches!(input, Input::EmergencyStop | Input::Joystick | Input::HandInputs) {
+            self.check_drive(id)?;
+        }
+        match input {
+            Input::SelectedCommand => self.drive(id, self.drive.selected(), publication, payload, now),
+            Input::Command(robot) => self.drive(id, robot, publication, payload, now),
+            Input::Joystick => {
+                let stick = Stick::from_joy(&self.decode(payload)?);
+                self.router.forward(publication.topic, payload);
+                self.apply_stick(id, stick, now)
+            }
+            Input::HandInputs => {
+                let stick = Stick::from_hand(&self.decode(payload)?);
+                self.router.forward(publication.topic, payload);
+                self.apply_stick(id, stick, now)
+            }
+            Input::Transforms => self.receive_transforms(id, publication.topic, payload, now),
+            Input::Scan(robot) => self.receive_world(id, Incoming::Scan(robot, self.reader(payload)?), now),
+            Input::Odometry(robot) => {
+                self.receive_world(id, Incoming::Odometry(robot, self.reader(payload)?), now)
+            }
+            Input::Clock => self.receive_world(id, Incoming::Clock(self.reader(payload)?), now),
+            Input::InitialPose(robot) => {
+                let message = self.decode(payload)?;
+                Ok(self.request_initial_pose(robot, &message)?)
+            }
+            Input::SelectRobot => {
+                let robot = self.robot_numbered(self.decode::<Int32>(payload)?)?;
+                self.drive.select(robot);
+                self.publish_selected();
+                Ok(())
+            }
+            Input::TakeControl => self.take_control(id, self.decode::<Int32>(payload)?, now),
+            Input::EmergencyStop => {
+                // A button that is released sends `false`: that must not release the stop.
+                if self.decode::<Bool>(payload)?.0 {
+                    self.set_emergency_stop();
+                }
+                Ok(())
+            }
+            Input::ReleaseStop => {
+                self.decode::<Empty>(payload)?;
+                self.release_emergency_stop();
+                Ok(())
+            }
+            Input::MergeEdge => self.queue_edge_command(&self.decode::<Text>(payload)?.0),
+        }
+    }
+
+    fn decode<M: Message>(&self, payload: &[u8]) -> Result<M, DecodeError> {
+        decode_as(self.config.payloads, payload)
+    }
+
+    fn reader<'a>(&self, payload: &'a [u8]) -> Result<Reader<'a>, DecodeError> {
+        Reader::with(self.config.payloads, payload)
+    }
+
+    /// Fails if the client's address may not drive. On DDS nobody is known; its inputs exist only if all may drive.
+    fn check_drive(&mut self, id: ClientId) -> Result<(), PermissionError> {
+        match self.router.client(id) {
+            Some(client) => self.access.check(Action::Drive, client.peer.ip()),
+            None => Ok(()),
+        }
+    }
+
+    fn robot_numbered(&self, Int32(number): Int32) -> Result<RobotId, InputError> {
+        let robot_count = self.fleet.robot_count();
+        self.drive.robot(number).ok_or(InputError::NoSuchRobot { number, robot_count })
+    }
+
+    fn queue_edge_command(&mut self, text: &str) -> Result<(), InputError> {
+        let quoted = || InputError::EdgeCommand { text: text.chars().take(QUOTED_MAX).collect() };
+        let command = EdgeCommand::parse(text).ok_or_else(quoted)?;
+        let is_queued = self.commands.push_edge_command(command);
+        is_queued.then_some(()).ok_or(InputError::TooManyEdgeCommands)
+    }
+
+    fn drive(
+        &mut self,
+        id: ClientId,
+        robot: RobotId,
+        publication: Publication,
+        payload: &[u8],
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        let twist = if publication.stamped {
+            self.decode::<TwistStamped>(payload)?.twist
+        } else {
+            self.decode::<Twist>(payload)?
+        };
+        let has_passed = self.request_velocity(id, robot, twist.linear[0], twist.angular[2], now)?;
+        // A robot of an external world has received it already, on these topics.
+        let is_sent = self.world.is_some() && self.fleet.is_velocity_topic(robot, publication.topic);
+        if has_passed && !is_sent {
+            self.router.publish(publication.topic, |to| twist.write(to));
+        }
+        Ok(())
+    }
+
+    /// Sends a client's velocity to a robot if the client drives it; returns whether it was sent.
+    fn request_velocity(
+        &mut self,
+        id: ClientId,
+        robot: RobotId,
+        linear_m_s: f64,
+        angular_rad_s: f64,
+        now: Monotonic,
+    ) -> Result<bool, InputError> {
+        let is_moving = (linear_m_s, angular_rad_s) != (0.0, 0.0);
+        match self.drive.decide(id, robot, is_moving, now) {
+            DriveDecision::Pass => {
+                self.send_velocity(robot, linear_m_s, angular_rad_s);
+                Ok(true)
+            }
+            DriveDecision::Ignore => Ok(false),
+            DriveDecision::Stopped => Err(InputError::EmergencyStop),
+            DriveDecision::DrivenBy(holder) => {
+                Err(InputError::DrivenByOther { robot, driver: self.client_name(holder) })
+            }
+        }
+    }
+
+    /// Drives the selected robot by a thumb stick while its grip (dead man's switch) is held.
+    ///
+    /// The robot that the stick moved stops when the grip is released, the selection changes or an axis is invalid.
+    fn apply_stick(&mut self, id: ClientId, stick: Option<Stick>, now: Monotonic) -> Result<(), InputError> {
+        let held = stick.filter(|stick| stick.grip_held);
+        let target = held.map(|_| self.drive.selected());
+        let before = self.drive.set_stick_target(id, target);
+        if let Some(robot) = before.filter(|robot| Some(*robot) != target) {
+            self.request_velocity(id, robot, 0.0, 0.0, now)?;
+        }
+        if let (Some(stick), Some(robot)) = (held, target) {
+            self.check_drive(id)?;
+            let (linear_m_s, angular_rad_s) = stick.velocity(&self.config);
+            self.request_velocity(id, robot, linear_m_s, angular_rad_s, now)?;
+        }
+        stick.map(|_| ()).ok_or(InputError::StickAxis)
+    }
+
+    fn client_name(&self, id: ClientId) -> String {
+        if id == ClientId::DDS {
+            return "ROS 2".into();
+        }
+        self.router.client(id).map_or("another client".into(), |client| client.peer.to_string())
+    }
+
+    /// Takes one robot over from its driver, or all robots if the number is 0.
+    fn take_control(&mut self, id: ClientId, number: Int32, now: Monotonic) -> Result<(), InputError> {
+        let robots = match number {
+            Int32(0) => self.fleet.robots().collect(),
+            number => vec![self.robot_numbered(number)?],
+        };
+        for robot in robots {
+            let Some(before) = self.drive.take_control(id, robot, now) else { continue };
+            self.send_velocity(robot, 0.0, 0.0);
+            let by = self.client_name(id);
+            self.router.send_notice(before, name::WARN, format!("{by} has taken over {robot}"));
+        }
+        Ok(())
+    }
+
+    /// Passes a client's sensor data to the external world.
+    fn receive_world(
+        &mut self,
+        id: ClientId,
+        message: Incoming<'_>,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        let Some(world) = &mut self.world else { return Ok(()) };
+        Ok(world.receive(id.serial, message, now)?)
+    }
+
+    /// Forwards a client's own transforms; those between the fleet's frames belong to SLAM and the robots.
+    ///
+    /// Refused transforms are left out, and the others are taken; the error is the first one's.
+    fn receive_transforms(
+        &mut self,
+        id: ClientId,
+        topic: TopicId,
+        payload: &[u8],
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        let from = Reader::with(self.config.payloads, payload)?;
+        let robot_count = self.fleet.robot_count();
+        let (mut foreign, mut result) = (0, Ok(()));
+        read::transforms(&mut from.clone(), |transform| {
+            if is_foreign(&transform, robot_count) {
+                foreign += 1;
+            } else if result.is_ok() && self.world.is_none() {
+                let (parent, child) = (transform.frame_id.to_owned(), transform.child_frame_id.to_owned());
+                result = Err(InputError::FleetFrames { parent, child });
+            }
+        })?;
+        if self.world.is_some() {
+            result = self.receive_world(id, Incoming::Transforms(from.clone()), now);
+        }
+        if foreign > 0 {
+            let world = self.world.as_ref();
+            self.router.publish(topic, |to| {
+                to.count(foreign);
+                let reread = read::transforms(&mut from.clone(), |transform| {
+                    if is_foreign(&transform, robot_count) {
+                        let stamp =
+                            world.map_or(transform.stamp, |w| w.translate(id.serial, transform.stamp));
+                        let (frame, child) = (transform.frame_id, transform.child_frame_id);
+                        write::transform(to, stamp, frame, child, transform.translation, transform.rotation);
+                    }
+                });
+                debug_assert!(reread.is_ok(), "the same bytes were read before");
+            });
+        }
+        result
+    }
+}
+
+/// Returns whether a transform is not between the fleet's frames.
+fn is_foreign(transform: &Transform<'_>, robot_count: usize) -> bool {
+    let (parent, child) = (transform.frame_id, transform.child_frame_id);
+    parse_frame(child, robot_count).is_none() && !is_correction(parent, child, robot_count)
+}

@@ -1,0 +1,207 @@
+//! System commands: registrations of topics and services, and the list of topics.
+
+use super::Core;
+use crate::access::{Action, PermissionError};
+use crate::command::{Call, Registration, TopicList, name};
+use crate::frame::Frame;
+use crate::input::Input;
+use crate::interfaces::{self, Kind, NameError, TypeError};
+use crate::ros::{Message, Twist, TwistStamped};
+use crate::router::{ClientId, DEPTH_DEFAULT, ExpectedFrame, Publication, Source, TopicError, TopicId};
+use crate::services::ServiceError;
+use serde::de::DeserializeOwned;
+use thiserror::Error;
+
+/// Commands that carry a [`Registration`].
+const REGISTRATIONS: [&str; 8] = [
+    name::SUBSCRIBE,
+    name::PUBLISH,
+    name::ROS_SERVICE,
+    name::UNITY_SERVICE,
+    name::REMOVE_SUBSCRIBER,
+    name::REMOVE_PUBLISHER,
+    name::REMOVE_ROS_SERVICE,
+    name::REMOVE_UNITY_SERVICE,
+];
+
+/// Why a system command is refused.
+#[derive(Debug, Error)]
+pub enum RegistrationError {
+    /// The payload is not the command's JSON.
+    #[error("its JSON is not valid: {0}")]
+    Json(#[from] serde_json::Error),
+    /// There is no such command.
+    #[error("unknown command; there are {}", REGISTRATIONS.join(", "))]
+    UnknownCommand,
+    /// The topic's or service's name is not a ROS name.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// The type is not known.
+    #[error("{source} (for '{topic}')")]
+    Type {
+        /// What is wrong with the type.
+        source: TypeError,
+        /// The topic's or service's name.
+        topic: String,
+    },
+    /// The topic has another type, or there are too many topics.
+    #[error(transparent)]
+    Topic(#[from] TopicError),
+    /// Only the fleet publishes the topic.
+    #[error("'{name}' is published by the fleet; choose another name")]
+    FleetTopic {
+        /// The topic's name.
+        name: String,
+    },
+    /// There is no topic to remove the client from.
+    #[error("there is no topic '{name}'")]
+    NoSuchTopic {
+        /// The topic's name.
+        name: String,
+    },
+    /// The service has another type, or there are too many services.
+    #[error(transparent)]
+    Service(#[from] ServiceError),
+    /// The client's address has no permission.
+    #[error(transparent)]
+    Permission(#[from] PermissionError),
+}
+
+impl Core {
+    /// Handles a frame whose name begins with `__`.
+    pub(super) fn receive_system_command(&mut self, id: ClientId, command: &str, frame: Frame<'_>) {
+        let result = match command {
+            name::TOPIC_LIST => {
+                self.send_topic_list(id);
+                Ok(())
+            }
+            name::REQUEST => {
+                parse(frame).map(|Call { srv_id }| self.expect(id, ExpectedFrame::Request(srv_id)))
+            }
+            name::RESPONSE => {
+                parse(frame).map(|Call { srv_id }| self.expect(id, ExpectedFrame::Response(srv_id)))
+            }
+            _ => parse(frame).and_then(|registration| self.register(id, command, &registration)),
+        };
+        if let Err(error) = result {
+            self.router.refuse(id, format!("{command}: {error}"));
+        }
+    }
+
+    fn expect(&mut self, id: ClientId, expected: ExpectedFrame) {
+        if let Some(client) = self.router.client_mut(id) {
+            client.expected = Some(expected);
+        }
+    }
+
+    fn register(
+        &mut self,
+        id: ClientId,
+        command: &str,
+        registration: &Registration,
+    ) -> Result<(), RegistrationError> {
+        if !REGISTRATIONS.contains(&command) {
+            return Err(RegistrationError::UnknownCommand);
+        }
+        let topic = interfaces::resolve_name(&registration.topic)?;
+        match command {
+            name::SUBSCRIBE => self.subscribe(id, topic, registration)?,
+            name::PUBLISH => self.register_publisher(id, topic, registration)?,
+            name::ROS_SERVICE => {
+                let service_type = self.resolve_type(Kind::Service, registration)?;
+                self.services.register_caller(id, &topic, &service_type)?;
+            }
+            name::UNITY_SERVICE => {
+                let service_type = self.resolve_type(Kind::Service, registration)?;
+                self.services.register_provider(id, &topic, &service_type)?;
+            }
+            name::REMOVE_ROS_SERVICE => self.services.remove_caller(id, &topic),
+            name::REMOVE_UNITY_SERVICE => {
+                for call in self.services.remove_provider(id, &topic) {
+                    self.fail_call(&call, "the client no longer offers it");
+                }
+            }
+            name::REMOVE_SUBSCRIBER => {
+                let topic = self.find_topic(topic)?;
+                self.router.unsubscribe(id.slot, topic, Some(is_without_slash(registration)));
+            }
+            _ => {
+                let topic = self.find_topic(topic)?;
+                self.router.remove_publisher(id.slot, topic);
+            }
+        }
+        Ok(())
+    }
+
+    fn resolve_type(&self, kind: Kind, registration: &Registration) -> Result<String, RegistrationError> {
+        interfaces::resolve(kind, &registration.message_name, &self.config.message_packages)
+            .map_err(|source| RegistrationError::Type { source, topic: registration.topic.clone() })
+    }
+
+    fn find_topic(&self, name: String) -> Result<TopicId, RegistrationError> {
+        self.router.topics.find(&name).ok_or(RegistrationError::NoSuchTopic { name })
+    }
+
+    fn subscribe(
+        &mut self,
+        id: ClientId,
+        name: String,
+        registration: &Registration,
+    ) -> Result<(), RegistrationError> {
+        let message_type = self.resolve_type(Kind::Message, registration)?;
+        if let Some(client) = self.router.client(id) {
+            self.access.check(Action::Watch, client.peer.ip())?;
+        }
+        let topic = self.router.topics.find_or_add(name, &message_type)?;
+        if self.router.subscribe(id, topic, is_without_slash(registration)) {
+            self.fleet.subscribed(&mut self.router, topic);
+        }
+        Ok(())
+    }
+
+    fn register_publisher(
+        &mut self,
+        id: ClientId,
+        name: String,
+        registration: &Registration,
+    ) -> Result<(), RegistrationError> {
+        let message_type = self.resolve_type(Kind::Message, registration)?;
+        let stamped = message_type == TwistStamped::TYPE && self.accepts_stamped(&name);
+        let topic =
+            self.router.topics.find_or_add(name, if stamped { Twist::TYPE } else { &message_type })?;
+        let Some(entry) = self.router.topics.get(topic) else { return Ok(()) };
+        if entry.source == Source::Fleet {
+            return Err(RegistrationError::FleetTopic { name: entry.name.clone() });
+        }
+        let Registration { topic: spelled, queue_size, .. } = registration;
+        if *queue_size < 0 {
+            let text =
+                format!("__publish: '{spelled}': queue_size is {queue_size}, taken as {DEPTH_DEFAULT}");
+            self.router.send_notice(id, name::WARN, text);
+        }
+        let publication = Publication { topic, stamped, latch: registration.latch };
+        self.router.add_publisher(id, publication, *queue_size);
+        Ok(())
+    }
+
+    /// Returns whether clients may publish TwistStamped on this topic, as ROS 2 drivers do from Jazzy on.
+    fn accepts_stamped(&self, name: &str) -> bool {
+        let topic = self.router.topics.find(name).and_then(|id| self.router.topics.get(id));
+        topic.is_some_and(|topic| matches!(topic.source, Source::Input(Input::Command(_))))
+    }
+
+    fn send_topic_list(&mut self, id: ClientId) {
+        let pairs = self.router.topics.sorted().map(|topic| (topic.name.clone(), topic.message_type.clone()));
+        let (topics, types) = pairs.unzip();
+        self.router.send_command(id, name::TOPIC_LIST, &TopicList { topics, types });
+    }
+}
+
+/// Unity projects often leave out the leading slash, and then know the topic only without it.
+fn is_without_slash(registration: &Registration) -> bool {
+    !registration.topic.starts_with('/')
+}
+
+fn parse<T: DeserializeOwned>(frame: Frame<'_>) -> Result<T, RegistrationError> {
+    Ok(serde_json::from_slice(frame.json())?)
+}

@@ -1,0 +1,223 @@
+//! The ROS 2 endpoint: one DDS participant with one ROS node.
+
+use super::config::DdsConfig;
+use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
+use super::graph::Graph;
+use super::inputs::{self, InputTopic, ReceivedMessage};
+use super::services::ServiceServers;
+use super::writers::{TopicWriters, VelocityType};
+use crate::config::{BridgeConfig, Permission};
+use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
+use crate::transport::Transport;
+use futures::StreamExt;
+use msg::{Monotonic, RobotId, SlamRequest, SlamResponse, VelocityCommand};
+use ros2_client::dds::rustdds::{DomainParticipant, GUID, RTPSEntity, StatusEvented};
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+use tokio::task::JoinSet;
+use tokio::time::{MissedTickBehavior, interval};
+
+/// How often what could not be written is tried again.
+const TICK: Duration = Duration::from_millis(100);
+
+/// What the endpoint has counted since its start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DdsCounters {
+    /// Readers of other participants that are matched with the endpoint's writers now.
+    pub readers: u32,
+    /// Messages written.
+    pub sent: u64,
+    /// Messages dropped because a reader did not acknowledge.
+    pub dropped: u64,
+    /// Messages received.
+    pub received: u64,
+}
+
+/// The fleet's topics and services on DDS. It belongs to one thread; its methods return without waiting.
+pub struct DdsEndpoint {
+    // Before the participant, so that readers and writers are dropped first.
+    state: RefCell<EndpointState>,
+    inputs: Vec<(InputTopic, Rc<RawReader>)>,
+    requests: Vec<Rc<RawReader>>,
+    participant: DomainParticipant,
+    started: Instant,
+}
+
+struct EndpointState {
+    writers: TopicWriters,
+    publisher: FleetPublisher,
+    services: ServiceServers,
+    graph: Graph,
+    input_guids: Vec<GUID>,
+}
+
+impl DdsEndpoint {
+    /// Joins the domain and creates every topic. Blocks for a moment.
+    ///
+    /// `is_external`: the robots are ROS's own. Their scans, odometry and time are received, and velocities published.
+    pub fn open(config: &BridgeConfig, robot_count: usize, is_external: bool) -> Result<Self, EndpointError> {
+        let dds: &DdsConfig = &config.dds;
+        let participant = join_domain(dds)?;
+        let node = node_name(dds)?;
+        let factory = EntityFactory::new(&participant, node.clone(), &dds.namespace)?;
+        let graph = Graph::new(&participant, factory.publisher(), node);
+        let graph = graph.map_err(cannot_create("the node graph"))?;
+        let velocity_type = match (is_external, dds.stamped_commands) {
+            (false, _) => VelocityType::None,
+            (true, false) => VelocityType::Twist,
+            (true, true) => VelocityType::TwistStamped,
+        };
+        let writers = TopicWriters::open(&factory, robot_count, velocity_type)?;
+        let may_drive = may_drive(config);
+        let inputs = inputs::topics(robot_count, is_external, may_drive)
+            .into_iter()
+            .map(|input| factory.input_reader(&input).map(|reader| (input, reader)))
+            .collect::<Result<Vec<_>, EndpointError>>()?;
+        // Who may not drive may not reset maps either.
+        let services = ServiceServers::open(&factory, if may_drive { robot_count } else { 0 })?;
+        let link_transforms = if is_external { LinkTransforms::ByRobots } else { LinkTransforms::Split };
+        let requests = services.request_readers();
+        let state = EndpointState {
+            writers,
+            publisher: FleetPublisher::new(config.frame_names, robot_count, link_transforms),
+            services,
+            graph,
+            input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
+        };
+        state.publish_graph();
+        Ok(Self { state: RefCell::new(state), inputs, requests, participant, started: Instant::now() })
+    }
+
+    fn now(&self) -> Monotonic {
+        Monotonic(self.started.elapsed().as_nanos() as u64)
+    }
+
+    /// Returns what has been counted.
+    pub fn counters(&self) -> DdsCounters {
+        self.state.borrow().writers.counters()
+    }
+
+    /// Receives messages and requests until it is dropped. Runs inside a [`tokio::task::LocalSet`].
+    ///
+    /// `on_message` gets the messages on input topics. `on_request` gets the requests to robots' SLAM, whose answers
+    /// come back by [`DdsEndpoint::answer_request`].
+    pub async fn serve(
+        self: Rc<Self>,
+        on_message: impl Fn(ReceivedMessage) + 'static,
+        on_request: impl FnMut(RobotId, SlamRequest) + 'static,
+    ) {
+        let mut tasks = JoinSet::new();
+        self.spawn_request_tasks(&mut tasks, Rc::new(RefCell::new(on_request)));
+        self.spawn_input_tasks(&mut tasks, Rc::new(on_message));
+        let listener = self.participant.status_listener();
+        let mut events = listener.as_async_status_stream();
+        let mut tick = interval(TICK);
+        tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                event = events.next() => match event {
+                    Some(event) => {
+                        let state = &mut *self.state.borrow_mut();
+                        if state.writers.apply_event(&event, self.now()) {
+                            state.publish_graph();
+                        }
+                    }
+                    None => return,
+                },
+                _ = tick.tick() => self.state.borrow_mut().tick(self.now()),
+            }
+        }
+    }
+
+    fn spawn_request_tasks(
+        self: &Rc<Self>,
+        tasks: &mut JoinSet<()>,
+        on_request: Rc<RefCell<impl FnMut(RobotId, SlamRequest) + 'static>>,
+    ) {
+        for (server, requests) in self.requests.iter().enumerate() {
+            let (endpoint, requests, on_request) = (self.clone(), requests.clone(), on_request.clone());
+            tasks.spawn_local(async move {
+                let mut samples = std::pin::pin!(requests.as_async_stream());
+                while let Some(sample) = samples.next().await {
+                    let Ok(sample) = sample else { continue };
+                    let now = endpoint.now();
+                    let request = endpoint.state.borrow_mut().services.receive(server, sample, now);
+                    if let Some((robot, request)) = request {
+                        (on_request.borrow_mut())(robot, request);
+                    }
+                }
+            });
+        }
+    }
+
+    fn spawn_input_tasks(
+        self: &Rc<Self>,
+        tasks: &mut JoinSet<()>,
+        on_message: Rc<impl Fn(ReceivedMessage) + 'static>,
+    ) {
+        let own = self.participant.guid().prefix;
+        for (input, reader) in &self.inputs {
+            let (input, reader) = (input.clone(), reader.clone());
+            let (endpoint, on_message) = (self.clone(), on_message.clone());
+            tasks.spawn_local(async move {
+                let mut samples = std::pin::pin!(reader.as_async_stream());
+                while let Some(sample) = samples.next().await {
+                    let Ok(sample) = sample else { continue };
+                    if sample.writer_guid().prefix == own {
+                        continue;
+                    }
+                    endpoint.state.borrow_mut().writers.count_received();
+                    on_message(ReceivedMessage::new(&input, sample.into_value().0.to_vec()));
+                }
+            });
+        }
+    }
+
+    /// Passes on an answer of a robot's SLAM; returns the request that must follow it.
+    ///
+    /// `is_ours`: the answer is to a request of this endpoint.
+    pub fn answer_request(
+        &self,
+        robot: RobotId,
+        answer: &SlamResponse,
+        is_ours: bool,
+    ) -> Option<SlamRequest> {
+        self.state.borrow_mut().services.answer(robot, answer, is_ours)
+    }
+
+    /// Publishes a velocity to a robot of an external world.
+    pub fn publish_velocity(&self, robot: RobotId, command: &VelocityCommand) {
+        let state = &mut *self.state.borrow_mut();
+        state.writers.publish_velocity(robot, command, state.publisher.names(), self.now());
+    }
+}
+
+impl Transport for DdsEndpoint {
+    fn publish(&self, message: FleetMessage<'_>) {
+        let state = &mut *self.state.borrow_mut();
+        state.publisher.publish(message, &mut state.writers.sink(self.now()));
+    }
+}
+
+/// Returns whether participants may drive: those on this machine as on TCP, others only if anyone may.
+fn may_drive(config: &BridgeConfig) -> bool {
+    config.drive == Permission::Anyone || (config.dds.loopback_only && config.trust_loopback)
+}
+
+impl EndpointState {
+    /// Publishes which readers and writers the node has.
+    fn publish_graph(&self) {
+        let (requests, replies) = self.services.guids();
+        let readers = self.input_guids.iter().copied().chain(requests);
+        self.graph.publish(readers, self.writers.guids().chain(replies));
+    }
+
+    fn tick(&mut self, now: Monotonic) {
+        self.services.tick(now);
+        if self.writers.tick(now) {
+            self.publish_graph();
+        }
+        self.publisher.tick(now, &mut self.writers.sink(now));
+    }
+}

@@ -1,0 +1,183 @@
+//! Creates the DDS entities of the endpoint: topics with ROS names, readers and writers.
+
+use super::config::DdsConfig;
+use super::inputs::InputTopic;
+use super::raw::{Adapter, Raw};
+use super::topic_writer::TopicWriter;
+use ros2_client::dds::rustdds::dds::CreateError;
+use ros2_client::dds::rustdds::no_key::{DataWriter, SimpleDataReader};
+use ros2_client::dds::rustdds::policy::{Durability, History};
+use ros2_client::dds::rustdds::{
+    DomainParticipant, DomainParticipantBuilder, Duration, Publisher, QosPolicies, QosPolicyBuilder,
+    Subscriber, Topic, TopicKind,
+};
+use ros2_client::{MessageTypeName, Name, NodeName};
+use std::net::Ipv4Addr;
+use std::rc::Rc;
+use thiserror::Error;
+
+/// Messages that an input topic keeps until they are taken.
+const INPUT_DEPTH: i32 = 10;
+
+/// A reader of undecoded messages.
+pub type RawReader = SimpleDataReader<Raw, Adapter>;
+/// A writer of encoded messages.
+pub type RawWriter = DataWriter<Raw, Adapter>;
+
+/// Why the ROS 2 endpoint cannot be opened.
+#[derive(Debug, Error)]
+pub enum EndpointError {
+    /// DDS cannot join the domain.
+    #[error("cannot open the ROS 2 endpoint: no DDS participant in domain {domain}: {source}")]
+    Participant {
+        /// The domain (ROS_DOMAIN_ID).
+        domain: u16,
+        /// DDS's reason.
+        source: CreateError,
+    },
+    /// The node's name or namespace is not a ROS name.
+    #[error("cannot open the ROS 2 endpoint: node '{name}': {reason}; see bridge.dds.node and namespace")]
+    NodeName {
+        /// The node's name.
+        name: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A topic's name is not a ROS name.
+    #[error("cannot open the ROS 2 endpoint: topic {name}: {reason}; see bridge.dds.namespace")]
+    TopicName {
+        /// The topic's name.
+        name: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// DDS cannot create a topic, a reader or a writer.
+    #[error("cannot open the ROS 2 endpoint: DDS cannot create {what}: {source}")]
+    Entity {
+        /// The topic or the kind of entity.
+        what: String,
+        /// DDS's reason.
+        source: CreateError,
+    },
+}
+
+/// Returns a conversion of DDS's error into one that says what could not be created.
+pub fn cannot_create(what: impl Into<String>) -> impl FnOnce(CreateError) -> EndpointError {
+    |source| EndpointError::Entity { what: what.into(), source }
+}
+
+/// Joins the domain of the configuration.
+pub fn join_domain(config: &DdsConfig) -> Result<DomainParticipant, EndpointError> {
+    let mut builder = DomainParticipantBuilder::new(config.domain);
+    if config.loopback_only {
+        builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
+    }
+    builder.build().map_err(|source| EndpointError::Participant { domain: config.domain, source })
+}
+
+/// Returns the name of the endpoint's ROS node.
+pub fn node_name(config: &DdsConfig) -> Result<NodeName, EndpointError> {
+    let namespace = if config.namespace.is_empty() { "/" } else { &config.namespace };
+    NodeName::new(namespace, &config.node).map_err(|reason| EndpointError::NodeName {
+        name: config.node.clone(),
+        reason: format!("{reason:?}"),
+    })
+}
+
+/// Creates topics, readers and writers of one participant.
+pub struct EntityFactory<'a> {
+    participant: &'a DomainParticipant,
+    publisher: Publisher,
+    subscriber: Subscriber,
+    node: NodeName,
+    namespace: &'a str,
+}
+
+impl<'a> EntityFactory<'a> {
+    /// Creates the factory with its DDS publisher and subscriber.
+    pub fn new(
+        participant: &'a DomainParticipant,
+        node: NodeName,
+        namespace: &'a str,
+    ) -> Result<Self, EndpointError> {
+        let qos = QosPolicyBuilder::new().build();
+        let publisher = participant.create_publisher(&qos).map_err(cannot_create("a publisher"))?;
+        let subscriber = participant.create_subscriber(&qos).map_err(cannot_create("a subscriber"))?;
+        Ok(Self { participant, publisher, subscriber, node, namespace })
+    }
+
+    /// Returns DDS's publisher, which owns the writers.
+    pub fn publisher(&self) -> &Publisher {
+        &self.publisher
+    }
+
+    /// Returns what stands before the names of all topics but the global ones.
+    pub fn namespace(&self) -> &str {
+        self.namespace
+    }
+
+    /// Creates a topic by its ROS name and `package/Type`.
+    fn topic(&self, name: &str, message_type: &str, qos: &QosPolicies) -> Result<Topic, EndpointError> {
+        let ros_name = Name::parse(name).map_err(|reason| EndpointError::TopicName {
+            name: name.to_owned(),
+            reason: format!("{reason:?}"),
+        })?;
+        let dds_name = ros_name.to_dds_name("rt", &self.node, "");
+        let (package, class) = message_type.split_once('/').unwrap_or(("", message_type));
+        self.dds_topic(&dds_name, MessageTypeName::new(package, class).dds_msg_type(), qos)
+    }
+
+    /// Creates a topic by its name and type on DDS.
+    fn dds_topic(&self, name: &str, dds_type: String, qos: &QosPolicies) -> Result<Topic, EndpointError> {
+        let topic = self.participant.create_topic(name.to_owned(), dds_type, qos, TopicKind::NoKey);
+        topic.map_err(cannot_create(name))
+    }
+
+    /// Creates the writer of a topic of the fleet.
+    pub fn topic_writer(
+        &self,
+        name: &str,
+        message_type: &str,
+        qos: QosPolicies,
+    ) -> Result<TopicWriter, EndpointError> {
+        let topic = self.topic(name, message_type, &qos)?;
+        TopicWriter::new(&self.publisher, topic, qos).map_err(cannot_create(name))
+    }
+
+    /// Creates the reader of an input topic.
+    pub fn input_reader(&self, input: &InputTopic) -> Result<Rc<RawReader>, EndpointError> {
+        let history = History::KeepLast { depth: INPUT_DEPTH };
+        let qos = QosPolicyBuilder::new().durability(Durability::Volatile).history(history);
+        // Best-effort readers accept best-effort and reliable writers; a single event must be reliable.
+        let qos = if input.is_stream() { qos.best_effort() } else { qos.reliable(Duration::ZERO) }.build();
+        let namespace = if input.is_global() { "" } else { self.namespace };
+        let name = format!("{namespace}{}", input.name);
+        let topic = self.topic(&name, input.message_type, &qos)?;
+        let reader = self.subscriber.create_simple_datareader_no_key(&topic, Some(qos));
+        reader.map(Rc::new).map_err(cannot_create(name))
+    }
+
+    /// Creates the reader of a service's requests. `name` and `dds_type` are DDS's.
+    pub fn request_reader(
+        &self,
+        name: &str,
+        dds_type: String,
+        qos: &QosPolicies,
+    ) -> Result<Rc<RawReader>, EndpointError> {
+        let topic = self.dds_topic(name, dds_type, qos)?;
+        let reader = self.subscriber.create_simple_datareader_no_key(&topic, Some(qos.clone()));
+        reader.map(Rc::new).map_err(cannot_create(name))
+    }
+
+    /// Creates the writer of a service's replies. `name` and `dds_type` are DDS's.
+    pub fn reply_writer(
+        &self,
+        name: &str,
+        dds_type: String,
+        qos: &QosPolicies,
+    ) -> Result<RawWriter, EndpointError> {
+        let topic = self.dds_topic(name, dds_type, qos)?;
+        let writer = self.publisher.create_datawriter_no_key(&topic, Some(qos.clone()));
+        writer.map_err(cannot_create(name))
+    }
+}

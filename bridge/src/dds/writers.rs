@@ -1,0 +1,198 @@
+//! The writers of all topics that the fleet publishes on DDS.
+
+use super::endpoint::DdsCounters;
+use super::entities::{EndpointError, EntityFactory};
+use super::topic_writer::{TopicWriter, WriteOutcome, latched_qos, stream_qos};
+use crate::cdr::Writer;
+use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
+use crate::ros::{FrameNames, Message, Twist, TwistStamped, write};
+use msg::{Link, Monotonic, RobotId, VelocityCommand};
+use ros2_client::dds::rustdds::dds::CreateResult;
+use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
+
+/// Velocities that a writer keeps for a slow robot: half a minute at 20 Hz.
+const VELOCITY_DEPTH: usize = 1024;
+
+/// How velocities are published to robots of an external world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VelocityType {
+    /// Not at all: the robots are simulated.
+    None,
+    /// geometry_msgs/Twist.
+    Twist,
+    /// geometry_msgs/TwistStamped, as TurtleBots expect from Jazzy on.
+    TwistStamped,
+}
+
+/// All writers of the fleet's topics.
+pub struct TopicWriters {
+    writers: Vec<TopicWriter>,
+    /// Indices of writers, by row of [`OUTGOING_TOPICS`], then by robot; empty if the topic is not on DDS.
+    by_topic: [Vec<usize>; OUTGOING_TOPICS.len()],
+    /// Indices of the writers of `/robotN/cmd_vel`, by robot.
+    velocity: Vec<usize>,
+    velocity_type: VelocityType,
+    counted: DdsCounters,
+}
+
+impl TopicWriters {
+    /// Creates the writers of a fleet of `robot_count`.
+    pub fn open(
+        factory: &EntityFactory<'_>,
+        robot_count: usize,
+        velocity_type: VelocityType,
+    ) -> Result<Self, EndpointError> {
+        let mut all = Self {
+            writers: Vec::new(),
+            by_topic: [const { Vec::new() }; OUTGOING_TOPICS.len()],
+            velocity: Vec::new(),
+            velocity_type,
+            counted: DdsCounters::default(),
+        };
+        let is_external = velocity_type != VelocityType::None;
+        for row in OUTGOING_TOPICS.iter().filter(|row| !(is_external && row.robots_publish_it)) {
+            all.by_topic[row.topic as usize] = all.open_topic(factory, row, robot_count)?;
+        }
+        let message_type = match velocity_type {
+            VelocityType::None => return Ok(all),
+            VelocityType::Twist => Twist::TYPE,
+            VelocityType::TwistStamped => TwistStamped::TYPE,
+        };
+        for robot in RobotId::first(robot_count) {
+            let name = format!("{}/{robot}/cmd_vel", factory.namespace());
+            let writer = factory.topic_writer(&name, message_type, stream_qos(VELOCITY_DEPTH))?;
+            all.velocity.push(all.writers.len());
+            all.writers.push(writer);
+        }
+        Ok(all)
+    }
+
+    fn open_topic(
+        &mut self,
+        factory: &EntityFactory<'_>,
+        row: &OutgoingTopic,
+        robot_count: usize,
+    ) -> Result<Vec<usize>, EndpointError> {
+        let Some(delivery) = row.dds else { return Ok(Vec::new()) };
+        let qos = match delivery {
+            Delivery::Latched => latched_qos(),
+            stream => stream_qos(stream.depth(robot_count)),
+        };
+        let namespace = if row.is_global() { "" } else { factory.namespace() };
+        let mut indices = Vec::new();
+        for name in row.names(robot_count) {
+            let name = format!("{namespace}{name}");
+            indices.push(self.writers.len());
+            self.writers.push(factory.topic_writer(&name, row.message_type, qos.clone())?);
+        }
+        Ok(indices)
+    }
+
+    /// Returns the counters.
+    pub fn counters(&self) -> DdsCounters {
+        let readers = self.writers.iter().map(TopicWriter::readers).sum::<usize>() as u32;
+        DdsCounters { readers, ..self.counted }
+    }
+
+    /// Counts a message from another participant.
+    pub fn count_received(&mut self) {
+        self.counted.received += 1;
+    }
+
+    /// Returns the writers' identifiers.
+    pub fn guids(&self) -> impl Iterator<Item = GUID> + '_ {
+        self.writers.iter().map(TopicWriter::guid)
+    }
+
+    /// Publishes a velocity to a robot of an external world.
+    pub fn publish_velocity(
+        &mut self,
+        robot: RobotId,
+        command: &VelocityCommand,
+        names: &FrameNames,
+        now: Monotonic,
+    ) {
+        let Some(index) = self.velocity.get(robot.index()).copied() else { return };
+        let is_stamped = self.velocity_type == VelocityType::TwistStamped;
+        self.write(index, now, |to| {
+            if is_stamped {
+                write::header(to, command.header.stamp, names.link(robot, Link::BaseFootprint));
+            }
+            to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
+        });
+    }
+
+    fn write(&mut self, index: usize, now: Monotonic, encode: impl FnOnce(&mut Writer<'_>)) {
+        let outcome = self.writers[index].write(now, encode);
+        self.count(outcome);
+    }
+
+    fn count(&mut self, outcome: WriteOutcome) {
+        match outcome {
+            WriteOutcome::Written => self.counted.sent += 1,
+            WriteOutcome::Dropped => self.counted.dropped += 1,
+            WriteOutcome::NoReader => {}
+        }
+    }
+
+    /// Handles a reader of another participant that has come or gone; returns whether a writer was replaced.
+    pub fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) -> bool {
+        use DomainParticipantStatusEvent::{ParticipantLost, ReaderLost, RemoteReaderMatched};
+        let mut replaced = false;
+        let mut record = |result: CreateResult<bool>| replaced |= result.unwrap_or(false);
+        match event {
+            RemoteReaderMatched { local_writer, remote_reader } => {
+                let matched = self.writers.iter_mut().find(|writer| writer.guid() == *local_writer);
+                matched.into_iter().for_each(|writer| record(writer.add_reader(*remote_reader, now)));
+            }
+            ReaderLost { guid, .. } => {
+                let is_lost = |reader: &GUID| reader == guid;
+                self.writers.iter_mut().for_each(|writer| record(writer.remove_readers(is_lost)));
+            }
+            ParticipantLost { id, .. } => {
+                let is_lost = |reader: &GUID| reader.prefix == *id;
+                self.writers.iter_mut().for_each(|writer| record(writer.remove_readers(is_lost)));
+            }
+            _ => {}
+        }
+        replaced
+    }
+
+    /// Retries what could not be written; returns whether a writer was replaced.
+    pub fn tick(&mut self, now: Monotonic) -> bool {
+        let mut replaced = false;
+        for writer in &mut self.writers {
+            replaced |= writer.retry(now).unwrap_or(false);
+        }
+        replaced
+    }
+
+    /// Returns the writers as a sink of the fleet's messages.
+    pub fn sink(&mut self, now: Monotonic) -> DdsSink<'_> {
+        DdsSink { writers: self, now }
+    }
+}
+
+/// The writers at one moment.
+pub struct DdsSink<'a> {
+    writers: &'a mut TopicWriters,
+    now: Monotonic,
+}
+
+impl TopicSink for DdsSink<'_> {
+    fn send(&mut self, topic: FleetTopic, robot: Option<RobotId>, encode: impl FnOnce(&mut Writer<'_>)) {
+        let index = self.writers.by_topic[topic as usize].get(robot.map_or(0, RobotId::index)).copied();
+        if let Some(index) = index {
+            self.writers.write(index, self.now, encode);
+        }
+    }
+
+    fn send_again(&mut self, topic: FleetTopic, newest_of: FleetTopic) {
+        let index = |topic: FleetTopic| self.writers.by_topic[topic as usize].first().copied();
+        let (Some(to), Some(from)) = (index(topic), index(newest_of)) else { return };
+        if let Some(bytes) = self.writers.writers[from].newest() {
+            let outcome = self.writers.writers[to].write_bytes(self.now, bytes);
+            self.writers.count(outcome);
+        }
+    }
+}

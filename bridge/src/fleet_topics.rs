@@ -1,0 +1,154 @@
+//! The fleet's topics towards ros_tcp clients.
+
+mod publisher;
+mod table;
+
+pub use publisher::{FleetMessage, FleetPublisher, LinkTransforms, TopicSink};
+pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
+
+use crate::cdr::Writer;
+use crate::input::Input;
+use crate::ros::{
+    Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PoseWithCovarianceStamped, Text, Twist,
+};
+use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
+use msg::{Monotonic, RobotId, Stamp};
+
+/// The fleet's topics in the router, and what is published on them.
+pub struct FleetTopics {
+    publisher: FleetPublisher,
+    /// Topics by row of [`OUTGOING_TOPICS`], then by robot; empty for a topic that is not on TCP.
+    ids: [Vec<TopicId>; OUTGOING_TOPICS.len()],
+    /// Topics on which a robot of an external world receives its velocities.
+    velocity: Vec<[TopicId; 2]>,
+}
+
+/// The topics that clients alone publish, and their meaning.
+fn add_input_topics(table: &mut TopicTable, robot_count: usize) -> Vec<[TopicId; 2]> {
+    let mut add = |name: String, message_type: &str, input: Input| {
+        table.add(name, message_type, Source::Input(input), Retention { depth: DEPTH_DEFAULT, latch: false })
+    };
+    add("/cmd_vel".into(), Twist::TYPE, Input::SelectedCommand);
+    let velocity = RobotId::first(robot_count)
+        .map(|robot| {
+            let names = [format!("/cmd_vel_{}", robot.number()), format!("/{robot}/cmd_vel")];
+            names.map(|name| add(name, Twist::TYPE, Input::Command(robot)))
+        })
+        .collect();
+    add("/initialpose".into(), PoseWithCovarianceStamped::TYPE, Input::InitialPose(None));
+    for robot in RobotId::first(robot_count) {
+        let name = format!("/{robot}/initialpose");
+        add(name, PoseWithCovarianceStamped::TYPE, Input::InitialPose(Some(robot)));
+    }
+    add("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
+    add("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
+    add("/take_control".into(), Int32::TYPE, Input::TakeControl);
+    add("/emergency_stop_release".into(), Empty::TYPE, Input::ReleaseStop);
+    add("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);
+    velocity
+}
+
+/// Returns who may publish a topic of the table: a few are clients' as well as the fleet's.
+fn source(topic: FleetTopic, robot: RobotId, is_external: bool) -> Source {
+    match topic {
+        FleetTopic::Transforms => Source::Input(Input::Transforms),
+        FleetTopic::SelectedRobot => Source::Input(Input::SelectRobot),
+        FleetTopic::EmergencyStop => Source::Input(Input::EmergencyStop),
+        FleetTopic::Scan if is_external => Source::Input(Input::Scan(robot)),
+        FleetTopic::Clock if is_external => Source::Input(Input::Clock),
+        _ => Source::Fleet,
+    }
+}
+
+impl FleetTopics {
+    /// Adds the fleet's topics to the table. In an external world clients publish scans and the clock.
+    pub fn new(table: &mut TopicTable, style: NameStyle, robot_count: usize, is_external: bool) -> Self {
+        let velocity = add_input_topics(table, robot_count);
+        let ids = OUTGOING_TOPICS.each_ref().map(|row| {
+            let Some(delivery) = row.tcp else { return Vec::new() };
+            let retention =
+                Retention { depth: delivery.depth(robot_count), latch: delivery == Delivery::Latched };
+            let named = RobotId::first(robot_count).zip(row.names(robot_count));
+            let add = |(robot, name)| {
+                let source = source(row.topic, robot, is_external);
+                table.add(name, row.message_type, source, retention)
+            };
+            named.map(add).collect()
+        });
+        let publisher = FleetPublisher::new(style, robot_count, LinkTransforms::OnTf);
+        Self { publisher, ids, velocity }
+    }
+
+    /// Publishes a message of the fleet.
+    pub fn publish(&mut self, router: &mut TopicRouter, message: FleetMessage<'_>) {
+        self.publisher.publish(message, &mut RouterSink { router, ids: &self.ids });
+    }
+
+    /// Publishes which robot `/cmd_vel` drives.
+    pub fn publish_selected(&self, router: &mut TopicRouter, robot: RobotId) {
+        let selected = Int32(robot.number() as i32);
+        RouterSink { router, ids: &self.ids }.send(FleetTopic::SelectedRobot, None, |to| selected.write(to));
+    }
+
+    /// Publishes whether the emergency stop is set.
+    pub fn publish_stop(&self, router: &mut TopicRouter, is_stopped: bool) {
+        let stop = Bool(is_stopped);
+        RouterSink { router, ids: &self.ids }.send(FleetTopic::EmergencyStop, None, |to| stop.write(to));
+    }
+
+    /// Publishes a velocity to a robot of an external world.
+    pub fn publish_velocity(&self, router: &mut TopicRouter, robot: RobotId, twist: &Twist) {
+        self.velocity[robot.index()].iter().for_each(|topic| router.publish(*topic, |to| twist.write(to)));
+    }
+
+    /// Returns whether a robot of an external world receives its velocities on this topic.
+    pub fn is_velocity_topic(&self, robot: RobotId, topic: TopicId) -> bool {
+        self.velocity[robot.index()].contains(&topic)
+    }
+
+    /// Publishes again what late subscribers would miss; call it a few times a second.
+    pub fn tick(&mut self, router: &mut TopicRouter, now: Monotonic) {
+        self.publisher.tick(now, &mut RouterSink { router, ids: &self.ids });
+    }
+
+    /// Publishes the map transforms if `topic` is `/tf`: its new subscriber knows none yet.
+    pub fn subscribed(&mut self, router: &mut TopicRouter, topic: TopicId) {
+        if self.ids[FleetTopic::Transforms as usize].contains(&topic) {
+            self.publisher.publish_map_transforms(&mut RouterSink { router, ids: &self.ids });
+        }
+    }
+
+    /// Returns the number of robots.
+    pub fn robot_count(&self) -> usize {
+        self.publisher.robot_count()
+    }
+
+    /// Returns the fleet's robots.
+    pub fn robots(&self) -> impl Iterator<Item = RobotId> + use<> {
+        RobotId::first(self.publisher.robot_count())
+    }
+
+    /// Returns the newest time of the run that was published.
+    pub fn now(&self) -> Stamp {
+        self.publisher.now()
+    }
+
+    /// Returns the newest transforms from the robots' maps to the merged map.
+    pub fn map_transforms(&self) -> Option<&msg::MapTransforms> {
+        self.publisher.map_transforms()
+    }
+}
+
+/// The router as a transport.
+struct RouterSink<'a> {
+    router: &'a mut TopicRouter,
+    ids: &'a [Vec<TopicId>],
+}
+
+impl TopicSink for RouterSink<'_> {
+    fn send(&mut self, topic: FleetTopic, robot: Option<RobotId>, encode: impl FnOnce(&mut Writer<'_>)) {
+        if let Some(id) = self.ids[topic as usize].get(robot.map_or(0, RobotId::index)) {
+            self.router.publish(*id, encode);
+        }
+    }
+}

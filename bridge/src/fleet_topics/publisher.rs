@@ -1,0 +1,234 @@
+//! Says on which topics a message of the fleet goes out, and encodes it there. The same on every transport.
+
+use super::table::FleetTopic;
+use crate::cdr::Writer;
+use crate::ros::{FrameNames, NameStyle, names, write};
+use msg::{
+    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, RobotId, Scan, Stamp,
+    Transforms,
+};
+use std::time::Duration;
+
+/// The transforms from the robots' maps to the merged map are published again after this time, because `/tf` keeps
+/// no message for late subscribers.
+const MAP_TRANSFORMS_PERIOD: Duration = Duration::from_secs(1);
+
+/// A message of the fleet, as its channel carries it.
+#[derive(Clone, Copy)]
+pub enum FleetMessage<'a> {
+    /// A robot's laser scan: `/robotN/scan`.
+    Scan(RobotId, &'a Scan),
+    /// The transforms between a robot's own links: `/tf`, and `/tf_static` on DDS.
+    Transforms(RobotId, &'a Transforms),
+    /// A robot's wheel odometry: `/robotN/odom`.
+    Odometry(RobotId, &'a Odometry),
+    /// SLAM's transform map -> odom and pose of a robot: `/tf` and `/robotN/pose`.
+    Correction(RobotId, &'a Correction),
+    /// The transforms from the robots' maps to the merged map: `/tf`, on change and once a second.
+    MapTransforms(&'a MapTransforms),
+    /// The run's time: `/clock`.
+    Clock(&'a Clock),
+    /// A robot's whole map: `/robotN/map`.
+    Map(RobotId, GridView<'a>),
+    /// The map of all robots: `/merged_map`, and `/map` on DDS.
+    MergedMap(GridView<'a>),
+    /// The fleet's statistics: `/robotN/slam_stats` of every robot.
+    Stats(&'a FleetStats),
+    /// The edges between the robots' maps as JSON: `/merge_edges`.
+    MergeEdges(&'a str),
+}
+
+/// Where a transport accepts encoded messages.
+pub trait TopicSink {
+    /// Encodes and sends a message, if the topic exists on this transport and somebody needs the message.
+    fn send(&mut self, topic: FleetTopic, robot: Option<RobotId>, encode: impl FnOnce(&mut Writer<'_>));
+
+    /// Sends the newest message of a latched topic on another topic, without encoding it again.
+    fn send_again(&mut self, _topic: FleetTopic, _newest_of: FleetTopic) {}
+}
+
+/// How the transforms between a robot's own links are published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinkTransforms {
+    /// All of them on `/tf`: ros_tcp clients know no `/tf_static`.
+    OnTf,
+    /// The moving ones on `/tf`, the fixed ones once on `/tf_static`.
+    Split,
+    /// Not at all: the robots publish them themselves.
+    ByRobots,
+}
+
+/// Publishes the fleet's messages on a transport's topics.
+pub struct FleetPublisher {
+    robot_count: usize,
+    names: FrameNames,
+    /// Percent of occupation for each cell value.
+    percent: [i8; 256],
+    link_transforms: LinkTransforms,
+    /// Each robot's transforms, once seen; filled only if they are [`LinkTransforms::Split`].
+    static_transforms: Vec<Option<Transforms>>,
+    map_transforms: Option<MapTransforms>,
+    map_transforms_due: Option<Monotonic>,
+    now: Stamp,
+}
+
+impl FleetPublisher {
+    /// Creates the publisher of robots 1 to `robot_count`.
+    pub fn new(style: NameStyle, robot_count: usize, link_transforms: LinkTransforms) -> Self {
+        Self {
+            robot_count,
+            names: FrameNames::new(style),
+            percent: msg::grid::percent_table(),
+            link_transforms,
+            static_transforms: vec![None; robot_count],
+            map_transforms: None,
+            map_transforms_due: None,
+            now: Stamp(0),
+        }
+    }
+
+    /// Returns the number of robots.
+    pub fn robot_count(&self) -> usize {
+        self.robot_count
+    }
+
+    /// Returns the names of the robots' frames.
+    pub fn names(&self) -> &FrameNames {
+        &self.names
+    }
+
+    /// Returns the newest time of the run that was published.
+    pub fn now(&self) -> Stamp {
+        self.now
+    }
+
+    /// Returns the newest transforms from the robots' maps to the merged map.
+    pub fn map_transforms(&self) -> Option<&MapTransforms> {
+        self.map_transforms.as_ref()
+    }
+
+    fn has(&self, robot: RobotId) -> bool {
+        robot.number() <= self.robot_count
+    }
+
+    /// Publishes a message on its topics. Messages of robots that the fleet does not have are dropped.
+    pub fn publish(&mut self, message: FleetMessage<'_>, sink: &mut impl TopicSink) {
+        match message {
+            FleetMessage::Scan(robot, scan) if self.has(robot) => {
+                let frame = self.names.link(robot, Link::BaseScan);
+                sink.send(FleetTopic::Scan, Some(robot), |to| write::laser_scan(to, frame, scan));
+            }
+            FleetMessage::Transforms(robot, transforms) if self.has(robot) => {
+                self.publish_links(robot, transforms, sink);
+            }
+            FleetMessage::Odometry(robot, odometry) if self.has(robot) => {
+                let frame = self.names.link(robot, Link::Odom);
+                let child = self.names.link(robot, Link::BaseFootprint);
+                let encode = |to: &mut Writer<'_>| write::odometry(to, frame, child, odometry);
+                sink.send(FleetTopic::Odometry, Some(robot), encode);
+            }
+            FleetMessage::Correction(robot, correction) if self.has(robot) => {
+                self.publish_correction(robot, correction, sink);
+            }
+            FleetMessage::Map(robot, map) if self.has(robot) => {
+                let (frame, percent) = (self.names.map(robot), &self.percent);
+                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, frame, percent, map);
+                sink.send(FleetTopic::Map, Some(robot), encode);
+            }
+            FleetMessage::Scan(..)
+            | FleetMessage::Transforms(..)
+            | FleetMessage::Odometry(..)
+            | FleetMessage::Correction(..)
+            | FleetMessage::Map(..) => {}
+            FleetMessage::MapTransforms(transforms) => self.set_map_transforms(transforms, sink),
+            FleetMessage::Clock(clock) => {
+                self.now = clock.header.stamp;
+                sink.send(FleetTopic::Clock, None, |to| write::stamp(to, clock.header.stamp));
+            }
+            FleetMessage::MergedMap(map) => {
+                let percent = &self.percent;
+                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, percent, map);
+                sink.send(FleetTopic::MergedMap, None, encode);
+                sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
+            }
+            FleetMessage::Stats(stats) => {
+                for robot in RobotId::first(self.robot_count) {
+                    let encode = |to: &mut Writer<'_>| write::slam_stats(to, &stats.robots[robot.index()]);
+                    sink.send(FleetTopic::SlamStats, Some(robot), encode);
+                }
+            }
+            FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
+        }
+    }
+
+    fn publish_links(&mut self, robot: RobotId, transforms: &Transforms, sink: &mut impl TopicSink) {
+        let names = &self.names;
+        match self.link_transforms {
+            LinkTransforms::OnTf => {
+                let encode = |to: &mut Writer<'_>| write::transforms(to, names, robot, transforms);
+                sink.send(FleetTopic::Transforms, None, encode);
+            }
+            LinkTransforms::Split => {
+                sink.send(FleetTopic::Transforms, None, |to| {
+                    write::some_transforms(to, names, &[(robot, transforms)], |link| !link.is_fixed());
+                });
+                if self.static_transforms[robot.index()].is_none() {
+                    self.static_transforms[robot.index()] = Some(*transforms);
+                    self.publish_static_transforms(sink);
+                }
+            }
+            LinkTransforms::ByRobots => {}
+        }
+    }
+
+    /// Publishes the fixed transforms of all robots seen so far: the newest message is the only one kept.
+    fn publish_static_transforms(&self, sink: &mut impl TopicSink) {
+        let all = RobotId::first(self.robot_count).zip(&self.static_transforms);
+        let seen: Vec<_> = all.filter_map(|(robot, seen)| Some((robot, seen.as_ref()?))).collect();
+        sink.send(FleetTopic::StaticTransforms, None, |to| {
+            write::some_transforms(to, &self.names, &seen, Link::is_fixed);
+        });
+    }
+
+    fn publish_correction(&mut self, robot: RobotId, correction: &Correction, sink: &mut impl TopicSink) {
+        if self.link_transforms == LinkTransforms::ByRobots {
+            // Nobody else may say the time there.
+            self.now = self.now.max(correction.header.stamp);
+        }
+        let (names, frame) = (&self.names, self.names.map(robot));
+        sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, correction));
+        let encode = |to: &mut Writer<'_>| write::correction(to, names, robot, correction);
+        sink.send(FleetTopic::Transforms, None, encode);
+    }
+
+    fn set_map_transforms(&mut self, transforms: &MapTransforms, sink: &mut impl TopicSink) {
+        let has_changed = self.map_transforms.is_none_or(|before| before.robots != transforms.robots);
+        self.map_transforms = Some(*transforms);
+        if has_changed {
+            self.publish_map_transforms(sink);
+        }
+    }
+
+    /// Publishes the transforms from the robots' maps to the merged map with the newest time of the run.
+    pub fn publish_map_transforms(&mut self, sink: &mut impl TopicSink) {
+        let Some(transforms) = &self.map_transforms else { return };
+        if transforms.robots.iter().all(|robot| robot.known != 1) {
+            return;
+        }
+        let stamp = self.now.max(transforms.header.stamp);
+        let encode = |to: &mut Writer<'_>| write::map_transforms(to, &self.names, stamp, transforms);
+        sink.send(FleetTopic::Transforms, None, encode);
+        // The next tick begins the period.
+        self.map_transforms_due = None;
+    }
+
+    /// Publishes again what late subscribers would miss.
+    pub fn tick(&mut self, now: Monotonic, sink: &mut impl TopicSink) {
+        match self.map_transforms_due {
+            Some(due) if now < due => return,
+            Some(_) => self.publish_map_transforms(sink),
+            None => {}
+        }
+        self.map_transforms_due = Some(now + MAP_TRANSFORMS_PERIOD);
+    }
+}

@@ -1,0 +1,36 @@
+//! What the fleet does with a message on a topic that clients may publish.
+
+use msg::RobotId;
+
+/// The meaning of a message from a client or from DDS.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// A velocity for the selected robot.
+    SelectedCommand,
+    /// A velocity for one robot.
+    Command(RobotId),
+    /// A thumb stick and a grip, as sensor_msgs/Joy, for the selected robot.
+    Joystick,
+    /// A thumb stick and a grip, as quest2ros/OVR2ROSInputs, for the selected robot.
+    HandInputs,
+    /// A robot's pose as a person gives it. `None`: the message's frame or the selection names the robot.
+    InitialPose(Option<RobotId>),
+    /// The number of the robot to select.
+    SelectRobot,
+    /// The number of the robot to take over from its driver; 0 for all robots.
+    TakeControl,
+    /// `true` sets the emergency stop.
+    EmergencyStop,
+    /// Releases the emergency stop.
+    ReleaseStop,
+    /// `pin 1 2`, `unpin 1 2` or `undo 1 2`: what merging is to do with the edges between two robots' maps.
+    MergeEdge,
+    /// Transforms. Those of the fleet's own frames are refused, or taken as the robots' own in an external world.
+    Transforms,
+    /// A robot's scan, in an external world.
+    Scan(RobotId),
+    /// A robot's wheel odometry, in an external world.
+    Odometry(RobotId),
+    /// The time of an external world.
+    Clock,
+}

@@ -1,0 +1,365 @@
+//! Routes messages from one publisher to many clients: topics on one side, clients on the other.
+//!
+//! A message is encoded once for all of its subscribers, which share its frame.
+
+mod buffers;
+mod client;
+mod outgoing;
+mod topics;
+
+pub use buffers::BufferPool;
+pub use client::{Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, Publication, RefusalKind};
+pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
+pub use topics::{DEPTH_DEFAULT, Retention, Source, TopicError, TopicId, TopicTable};
+
+use crate::cdr::{Dialect, Writer};
+use crate::command::{Notice, name};
+use crate::config::BridgeConfig;
+use crate::frame::Side;
+use buffers::SharedFrame;
+use msg::Monotonic;
+use serde::Serialize;
+use std::io::{IoSlice, Write};
+use std::net::SocketAddr;
+use std::rc::Rc;
+use topics::{Subscriber, Topic};
+
+/// Room for a reply's first bytes: a topic list or a service frame of usual length.
+const REPLY_BYTES: usize = 1024;
+
+/// What the bridge has counted since its start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Clients that are connected now.
+    pub clients: u32,
+    /// Connections that were accepted.
+    pub accepted: u64,
+    /// Frames queued for clients, counted once for each client.
+    pub sent: u64,
+    /// Frames received from clients, and messages from DDS.
+    pub received: u64,
+    /// Messages dropped or replaced by newer ones because a client was slow.
+    pub dropped: u64,
+    /// Frames, commands and connections that were refused.
+    pub refused: u64,
+    /// Velocities passed to robots.
+    pub commands: u64,
+}
+
+/// The topics, the clients and the frames between them.
+pub struct TopicRouter {
+    /// The table of topics.
+    pub topics: TopicTable,
+    /// Counters; [`TopicRouter::counters`] adds the clients that are connected.
+    pub counted: Counters,
+    clients: Vec<Option<Client>>,
+    /// Slots of the clients with [`Client::needs_flush`].
+    unflushed: Vec<usize>,
+    pool: BufferPool,
+    dialect: Dialect,
+    queue_bytes_max: usize,
+    /// Bytes of the latched messages on clients' topics.
+    latched_bytes: usize,
+    latched_bytes_max: usize,
+}
+
+impl TopicRouter {
+    /// Creates a router without clients.
+    pub fn new(topics: TopicTable, config: &BridgeConfig) -> Self {
+        Self {
+            topics,
+            counted: Counters::default(),
+            clients: Vec::new(),
+            unflushed: Vec::new(),
+            pool: BufferPool::default(),
+            dialect: config.payloads,
+            queue_bytes_max: config.outbox_bytes_max,
+            latched_bytes: 0,
+            latched_bytes_max: config.latched_bytes_max,
+        }
+    }
+
+    /// Adds a client. Without a socket its frames wait for [`TopicRouter::take_outgoing`].
+    pub fn connect(&mut self, peer: SocketAddr, socket: Option<Box<dyn ClientSocket>>) -> ClientId {
+        self.counted.accepted += 1;
+        let slot = self.clients.iter().position(Option::is_none).unwrap_or_else(|| {
+            self.clients.push(None);
+            self.clients.len() - 1
+        });
+        let id = ClientId { slot, serial: self.counted.accepted };
+        let outgoing = OutgoingQueue::new(self.queue_bytes_max);
+        self.clients[slot] = Some(Client::new(id, peer, socket, outgoing));
+        id
+    }
+
+    /// Removes a client with its subscriptions and publications; returns its unsent frames.
+    pub fn disconnect(&mut self, id: ClientId) -> Option<OutgoingQueue> {
+        self.client(id)?;
+        let client = self.clients[id.slot].take()?;
+        self.counted.dropped += client.outgoing.dropped();
+        for topic in client.subscriptions {
+            self.unsubscribe(id.slot, topic, None);
+        }
+        for publication in client.publications {
+            self.remove_publisher(id.slot, publication.topic);
+        }
+        Some(client.outgoing)
+    }
+
+    /// Returns a client, or `None` once it is disconnected.
+    pub fn client(&self, id: ClientId) -> Option<&Client> {
+        self.clients.get(id.slot)?.as_ref().filter(|client| client.id == id)
+    }
+
+    /// Returns a client, or `None` once it is disconnected.
+    pub fn client_mut(&mut self, id: ClientId) -> Option<&mut Client> {
+        self.clients.get_mut(id.slot)?.as_mut().filter(|client| client.id == id)
+    }
+
+    /// Returns all connected clients.
+    pub fn clients(&self) -> impl Iterator<Item = &Client> {
+        self.clients.iter().flatten()
+    }
+
+    /// Returns the counters, connected clients included.
+    pub fn counters(&self) -> Counters {
+        let clients = self.clients().count() as u32;
+        let dropped =
+            self.counted.dropped + self.clients().map(|client| client.outgoing.dropped()).sum::<u64>();
+        Counters { clients, dropped, ..self.counted }
+    }
+
+    /// Subscribes a client to a topic and sends it the latched message; `false` if it was subscribed already.
+    pub fn subscribe(&mut self, id: ClientId, topic: TopicId, without_slash: bool) -> bool {
+        let subscriber = Subscriber { slot: id.slot, without_slash };
+        let Some(entry) = self.topics.get_mut(topic) else { return false };
+        if entry.subscribers.contains(&subscriber) {
+            return false;
+        }
+        entry.subscribers.push(subscriber);
+        let latched = entry.latched.clone();
+        if let Some(client) = self.client_mut(id)
+            && !client.subscriptions.contains(&topic)
+        {
+            client.subscriptions.push(topic);
+        }
+        if let Some(frame) = latched {
+            self.queue_frame(topic, frame, Some(subscriber));
+        }
+        true
+    }
+
+    /// Ends a subscription and removes its waiting messages. `without_slash` selects one spelling, `None` both.
+    pub fn unsubscribe(&mut self, slot: usize, topic: TopicId, without_slash: Option<bool>) {
+        let Some(entry) = self.topics.get_mut(topic) else { return };
+        let stays = |subscriber: &Subscriber| {
+            subscriber.slot != slot || without_slash.is_some_and(|which| subscriber.without_slash != which)
+        };
+        entry.subscribers.retain(stays);
+        if entry.subscribers.iter().all(|subscriber| subscriber.slot != slot)
+            && let Some(client) = self.clients.get_mut(slot).and_then(Option::as_mut)
+        {
+            client.subscriptions.retain(|subscribed| *subscribed != topic);
+            client.outgoing.remove_topic(topic, &mut self.pool);
+        }
+        self.remove_if_unused(topic);
+    }
+
+    /// Registers a client as publisher of a topic.
+    pub fn add_publisher(&mut self, id: ClientId, publication: Publication, queue_size: i64) {
+        self.topics.add_publisher(id, publication.topic, queue_size, publication.latch);
+        let Some(client) = self.client_mut(id) else { return };
+        client.publications.retain(|known| known.topic != publication.topic);
+        client.publications.push(publication);
+    }
+
+    /// Removes a client from the publishers of a topic. The last one takes the latched message with it.
+    pub fn remove_publisher(&mut self, slot: usize, topic: TopicId) {
+        if let Some(client) = self.clients.get_mut(slot).and_then(Option::as_mut) {
+            client.publications.retain(|known| known.topic != topic);
+        }
+        let Some(entry) = self.topics.get_mut(topic) else { return };
+        entry.publishers.retain(|publisher| *publisher != slot);
+        if entry.publishers.is_empty() && entry.source == Source::Clients {
+            entry.retention.latch = false;
+            if let Some(frame) = entry.latched.take() {
+                self.latched_bytes -= frame.len();
+                self.pool.recycle(frame);
+            }
+        }
+        self.remove_if_unused(topic);
+    }
+
+    fn remove_if_unused(&mut self, topic: TopicId) {
+        if let Some(frame) = self.topics.remove_if_unused(topic) {
+            self.latched_bytes -= frame.len();
+            self.pool.recycle(frame);
+        }
+    }
+
+    /// Encodes a message once, if anybody needs it, and queues it for all subscribers.
+    pub fn publish(&mut self, topic: TopicId, encode: impl FnOnce(&mut Writer<'_>)) {
+        let dialect = self.dialect;
+        self.publish_with(topic, |out| encode(&mut Writer::with(dialect, out)));
+    }
+
+    /// Queues a payload that is encoded already for all subscribers.
+    pub fn forward(&mut self, topic: TopicId, payload: &[u8]) {
+        if let Some(topic) = self.topics.get_mut(topic) {
+            topic.last_frame_bytes = 8 + topic.name.len() + payload.len();
+        }
+        self.publish_with(topic, |out| out.extend_from_slice(payload));
+    }
+
+    fn publish_with(&mut self, id: TopicId, payload: impl FnOnce(&mut Vec<u8>)) {
+        let Some(topic) = self.topics.get_mut(id) else { return };
+        if !topic.retention.latch && topic.subscribers.is_empty() {
+            return;
+        }
+        let mut frame = self.pool.acquire(topic.last_frame_bytes);
+        // The buffer has no other holder yet, so that this makes no copy.
+        Side::Server.write_with(Rc::make_mut(&mut frame), &topic.name, payload);
+        topic.last_frame_bytes = frame.len();
+        if topic.retention.latch {
+            self.latch(id, &frame);
+        }
+        self.queue_frame(id, frame, None);
+    }
+
+    /// Keeps the newest message for late subscribers. On clients' topics the total of bytes is limited.
+    fn latch(&mut self, id: TopicId, frame: &SharedFrame) {
+        let Some(topic) = self.topics.get_mut(id) else { return };
+        let is_clients = topic.source == Source::Clients;
+        if let Some(old) = topic.latched.take() {
+            self.latched_bytes -= if is_clients { old.len() } else { 0 };
+            self.pool.recycle(old);
+        }
+        let fits = self.latched_bytes + frame.len() <= self.latched_bytes_max;
+        if !is_clients || fits {
+            topic.latched = Some(frame.clone());
+            self.latched_bytes += if is_clients { frame.len() } else { 0 };
+        }
+    }
+
+    /// Queues a topic's frame for one subscriber, or for all.
+    fn queue_frame(&mut self, id: TopicId, frame: SharedFrame, only: Option<Subscriber>) {
+        let Some(topic) = self.topics.get(id) else { return };
+        let depth = topic.retention.depth;
+        // All clients share the fleet's newest map and states, so that slow clients cost no memory for them.
+        let counted = !(topic.source == Source::Fleet && depth == 1);
+        let kind = FrameKind::Topic { id, depth, counted };
+        let mut renamed: Option<SharedFrame> = None;
+        let all = topic.subscribers.iter().filter(|_| only.is_none());
+        for subscriber in all.chain(&only) {
+            let Some(client) = self.clients.get_mut(subscriber.slot).and_then(Option::as_mut) else {
+                continue;
+            };
+            let own = match subscriber.without_slash {
+                false => frame.clone(),
+                true => renamed.get_or_insert_with(|| without_slash(&frame, topic, &mut self.pool)).clone(),
+            };
+            client.push(kind, own, &mut self.pool);
+            mark_unflushed(&mut self.unflushed, client);
+            self.counted.sent += 1;
+        }
+        renamed.into_iter().for_each(|frame| self.pool.recycle(frame));
+        self.pool.recycle(frame);
+    }
+
+    /// Sends one client a command with its JSON.
+    pub fn send_command(&mut self, id: ClientId, name: &str, body: &impl Serialize) {
+        self.send_frames(id, FrameKind::Reply, |out| Side::Server.write_command(out, name, body));
+    }
+
+    /// Sends one client whole frames that must stay adjacent on its connection.
+    pub fn send_frames(&mut self, id: ClientId, kind: FrameKind, write: impl FnOnce(&mut Vec<u8>)) {
+        let Some(client) = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|c| c.id == id)
+        else {
+            return;
+        };
+        let mut frames = self.pool.acquire(REPLY_BYTES);
+        write(Rc::make_mut(&mut frames));
+        client.push(kind, frames, &mut self.pool);
+        mark_unflushed(&mut self.unflushed, client);
+        self.counted.sent += 1;
+    }
+
+    /// Counts a refusal and sends the client its reason.
+    pub fn refuse(&mut self, id: ClientId, text: String) {
+        self.counted.refused += 1;
+        self.send_notice(id, name::ERROR, text);
+    }
+
+    /// Counts the refusal of a data frame and sends the client its reason, the same one once a second.
+    pub fn refuse_data(
+        &mut self,
+        id: ClientId,
+        kind: RefusalKind,
+        topic: Option<TopicId>,
+        now: Monotonic,
+        text: impl FnOnce() -> String,
+    ) {
+        self.counted.refused += 1;
+        if self.client_mut(id).is_some_and(|client| client.should_report(kind, topic, now)) {
+            self.send_notice(id, name::ERROR, text());
+        }
+    }
+
+    /// Sends a client text for a person: [`name::LOG`], [`name::WARN`] or [`name::ERROR`].
+    pub fn send_notice(&mut self, id: ClientId, kind: &str, text: String) {
+        let notice = Notice { text };
+        self.send_frames(id, FrameKind::Notice, |out| Side::Server.write_command(out, kind, &notice));
+    }
+
+    /// Writes waiting frames to the sockets.
+    pub fn flush(&mut self) {
+        while let Some(slot) = self.unflushed.pop() {
+            let Some(client) = self.clients.get_mut(slot).and_then(Option::as_mut) else { continue };
+            client.needs_flush = false;
+            client.flush(&mut self.pool);
+        }
+    }
+
+    /// Returns whether frames of a client wait until its socket accepts bytes.
+    pub fn is_blocked(&self, id: ClientId) -> Result<bool, ConnectionEnded> {
+        let client = self.client(id).filter(|client| !client.has_failed).ok_or(ConnectionEnded)?;
+        Ok(client.is_blocked)
+    }
+
+    /// Continues writing for one client whose socket accepts bytes again; returns whether it is blocked still.
+    pub fn flush_client(&mut self, id: ClientId) -> bool {
+        let Some(client) = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|c| c.id == id)
+        else {
+            return false;
+        };
+        client.is_blocked = false;
+        client.flush(&mut self.pool);
+        client.is_blocked
+    }
+
+    /// Appends the waiting frames of a client without a socket to `out`, and removes them from its queue.
+    pub fn take_outgoing(&mut self, id: ClientId, out: &mut Vec<u8>) -> Result<(), ConnectionEnded> {
+        let client = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|client| client.id == id);
+        let client = client.filter(|client| !client.has_failed).ok_or(ConnectionEnded)?;
+        let mut write = |slices: &[IoSlice<'_>]| out.write_vectored(slices);
+        while client.outgoing.flush(&mut write, &mut self.pool).map_err(|_| ConnectionEnded)?
+            != FlushOutcome::Complete
+        {}
+        Ok(())
+    }
+}
+
+fn mark_unflushed(unflushed: &mut Vec<usize>, client: &mut Client) {
+    if !client.needs_flush {
+        client.needs_flush = true;
+        unflushed.push(client.id.slot);
+    }
+}
+
+/// Returns the same frame for a subscriber that knows the topic without its slash.
+fn without_slash(frame: &SharedFrame, topic: &Topic, pool: &mut BufferPool) -> SharedFrame {
+    let payload = &frame[8 + topic.name.len()..];
+    let mut renamed = pool.acquire(frame.len());
+    Side::Server.write(Rc::make_mut(&mut renamed), topic.name.trim_start_matches('/'), payload);
+    renamed
+}

@@ -1,0 +1,166 @@
+//! One connected client: its subscriptions, its publications and the frames that wait for it.
+
+use super::buffers::{BufferPool, SharedFrame};
+use super::outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
+use super::topics::TopicId;
+use msg::Monotonic;
+use std::io::{self, IoSlice};
+use std::net::SocketAddr;
+use thiserror::Error;
+
+/// Identifies one connection, and never a later one that uses the same slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ClientId {
+    /// Index in the router's table of clients.
+    pub(crate) slot: usize,
+    /// Number of the connection, counted from 1.
+    pub(crate) serial: u64,
+}
+
+impl ClientId {
+    /// All participants on DDS: DDS does not name its publishers, so that together they are one driver.
+    pub(crate) const DDS: Self = Self { slot: usize::MAX, serial: u64::MAX };
+}
+
+/// The connection is closed, or must be: it is broken, or the client does not read the replies that it asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("the connection is closed")]
+pub struct ConnectionEnded;
+
+/// The socket of a client, as the router sees it.
+pub trait ClientSocket {
+    /// Writes as many bytes as the socket accepts now; [`io::ErrorKind::WouldBlock`] if it accepts none.
+    fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize>;
+    /// Wakes the task that serves this client: frames wait for the socket, or the connection must end.
+    fn wake(&self);
+}
+
+/// The service frame that must come next on a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExpectedFrame {
+    /// The request of the client's call with this number.
+    Request(i64),
+    /// The client's response to the bridge's call with this number.
+    Response(i64),
+}
+
+/// The kind of a refused data frame; the client is told of the same kind once a second.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RefusalKind {
+    /// The client has not registered the topic for publication.
+    NotRegistered,
+    /// The payload is not the topic's message.
+    Payload,
+    /// The client's address has no permission.
+    Permission,
+    /// Another client drives the robot, or is the source of its data.
+    OtherClient,
+    /// The emergency stop is set.
+    EmergencyStop,
+    /// The message is well formed, but its values are not accepted.
+    Content,
+}
+
+/// The client is told of the same refusal again after this time, nanoseconds: 1 s.
+const REFUSAL_REPEAT_NS: u64 = 1_000_000_000;
+/// Recent refusals that are remembered for each client.
+const REFUSALS_MAX: usize = 16;
+
+/// A topic that a client has registered to publish.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Publication {
+    /// The topic's index in the table of topics.
+    pub topic: TopicId,
+    /// Whether the client publishes TwistStamped on a topic of Twist.
+    pub stamped: bool,
+    /// Whether the client asked for its newest message to be kept for late subscribers.
+    pub latch: bool,
+}
+
+/// One connected client.
+pub struct Client {
+    /// Identifies the connection.
+    pub id: ClientId,
+    /// The client's address.
+    pub peer: SocketAddr,
+    /// Topics that are sent to the client.
+    pub subscriptions: Vec<TopicId>,
+    /// Topics that the client may publish.
+    pub publications: Vec<Publication>,
+    /// The service frame that must come next from the client.
+    pub expected: Option<ExpectedFrame>,
+    /// Frames that wait for the client.
+    pub outgoing: OutgoingQueue,
+    /// `None` for a client in this process, which takes its frames itself.
+    socket: Option<Box<dyn ClientSocket>>,
+    /// Frames wait that no flush has tried to write yet.
+    pub needs_flush: bool,
+    /// The client's task waits until the socket accepts bytes, and continues writing then.
+    pub is_blocked: bool,
+    /// The connection must end.
+    pub has_failed: bool,
+    recent_refusals: Vec<(RefusalKind, Option<TopicId>, Monotonic)>,
+}
+
+impl Client {
+    /// Creates a client without registrations.
+    pub fn new(
+        id: ClientId,
+        peer: SocketAddr,
+        socket: Option<Box<dyn ClientSocket>>,
+        outgoing: OutgoingQueue,
+    ) -> Self {
+        Self {
+            id,
+            peer,
+            subscriptions: Vec::new(),
+            publications: Vec::new(),
+            expected: None,
+            outgoing,
+            socket,
+            needs_flush: false,
+            is_blocked: false,
+            has_failed: false,
+            recent_refusals: Vec::new(),
+        }
+    }
+
+    /// Puts a frame into the client's queue.
+    pub fn push(&mut self, kind: FrameKind, frame: SharedFrame, pool: &mut BufferPool) {
+        if self.outgoing.is_full(kind, &frame) {
+            // The queue may be full only because this turn's frames have not been written yet.
+            self.flush(pool);
+        }
+        if self.outgoing.push(kind, frame, pool).is_err() {
+            self.fail();
+        }
+    }
+
+    /// Writes waiting frames to the socket, unless the client's task already waits for the socket.
+    pub fn flush(&mut self, pool: &mut BufferPool) {
+        let Some(socket) = self.socket.as_ref().filter(|_| !self.is_blocked) else { return };
+        match self.outgoing.flush(|slices| socket.try_write(slices), pool) {
+            Ok(FlushOutcome::Complete) => {}
+            Ok(FlushOutcome::Blocked | FlushOutcome::TurnEnded) => {
+                self.is_blocked = true;
+                socket.wake();
+            }
+            Err(_) => self.fail(),
+        }
+    }
+
+    fn fail(&mut self) {
+        self.has_failed = true;
+        self.socket.iter().for_each(|socket| socket.wake());
+    }
+
+    /// Returns whether the client has not been told of this refusal within the last second, and records it.
+    pub fn should_report(&mut self, kind: RefusalKind, topic: Option<TopicId>, now: Monotonic) -> bool {
+        self.recent_refusals.retain(|(.., at)| now.since(*at) < REFUSAL_REPEAT_NS);
+        let is_recent = self.recent_refusals.iter().any(|(known, of, _)| (*known, *of) == (kind, topic));
+        if !is_recent && self.recent_refusals.len() < REFUSALS_MAX {
+            self.recent_refusals.push((kind, topic, now));
+        }
+        !is_recent
+    }
+}

@@ -1,0 +1,59 @@
+//! The external world as a part of the bridge: tells its sources apart and converts their time.
+
+use super::{ClockEstimate, ClockOffset, ExternalWorld, Incoming, SourceClock, SourceId, WorldError};
+use msg::{Monotonic, Stamp};
+use std::collections::BTreeMap;
+
+/// The source of everything from DDS. Clients count from 1 and never reach it.
+pub const DDS_SOURCE: SourceId = 1 << 48;
+
+/// Receives sensor data of an external world from several sources.
+pub struct WorldInput {
+    world: ExternalWorld,
+    /// Converts the bridge's monotonic time into the run's.
+    stamp_at: Box<dyn Fn(Monotonic) -> Stamp>,
+    /// How the clocks of clients are treated.
+    clock_offset: ClockOffset,
+    clocks: BTreeMap<SourceId, SourceClock>,
+}
+
+impl WorldInput {
+    /// Creates the input of a world without sources.
+    pub fn new(
+        world: ExternalWorld,
+        clock_offset: ClockOffset,
+        stamp_at: Box<dyn Fn(Monotonic) -> Stamp>,
+    ) -> Self {
+        // ROS's stamps are taken as they are: all of ROS goes by one clock.
+        let dds_clock = SourceClock::new(ClockOffset::Fixed(0.0));
+        Self { world, stamp_at, clock_offset, clocks: BTreeMap::from([(DDS_SOURCE, dds_clock)]) }
+    }
+
+    /// Takes a message of a source.
+    pub fn receive(
+        &mut self,
+        source: SourceId,
+        message: Incoming<'_>,
+        now: Monotonic,
+    ) -> Result<(), WorldError> {
+        let clock_offset = self.clock_offset;
+        let clock = self.clocks.entry(source).or_insert_with(|| SourceClock::new(clock_offset));
+        self.world.receive(source, clock, message, (self.stamp_at)(now))
+    }
+
+    /// Forgets a source that has left, so that another may take its robots at once.
+    pub fn disconnect(&mut self, source: SourceId) {
+        self.world.disconnect(source);
+        self.clocks.remove(&source);
+    }
+
+    /// Converts a source's stamp into the run's time.
+    pub fn translate(&self, source: SourceId, stamp: Stamp) -> Stamp {
+        self.clocks.get(&source).map_or(stamp, |clock| clock.translate(stamp))
+    }
+
+    /// Returns what is known of a source's clock.
+    pub fn clock_estimate(&self, source: SourceId) -> Option<ClockEstimate> {
+        self.clocks.get(&source).and_then(SourceClock::estimate)
+    }
+}

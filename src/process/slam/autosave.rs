@@ -1,0 +1,83 @@
+//! When SLAM saves its session by itself.
+
+use super::files::JobOutcome;
+use crate::run::Run;
+use crate::sessions;
+use msg::{Monotonic, RobotId};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Saving takes this part of the time at most: a large map is saved less often.
+const SAVING_SHARE_MAX: u32 = 20;
+/// The first save comes this soon after the first node: a process that dies before has no map to go on with.
+const FIRST_SAVE: Duration = Duration::from_secs(1);
+
+/// The times of the saves, and whether there is something to save.
+pub(super) struct Autosave {
+    pub path: PathBuf,
+    /// None: never.
+    every: Option<Duration>,
+    due: Monotonic,
+    /// The map is no longer the one that was saved.
+    pub changed: bool,
+    busy: bool,
+    /// The robots' turns are spread, so that a fleet does not save all at once: the part of a period that this
+    /// robot's turn is late.
+    turn: Duration,
+    saved: bool,
+    /// The error that was reported last: it is not reported again.
+    reported: Option<String>,
+}
+
+impl Autosave {
+    pub fn new(run: &Run, robot: RobotId, now: Monotonic) -> Self {
+        let seconds = run.config.sessions.autosave_s;
+        let every = (seconds > 0.0).then(|| Duration::from_secs_f64(seconds));
+        let turn = every.unwrap_or_default() * robot.number() as u32 / run.config.fleet.robots as u32;
+        Self {
+            path: sessions::file(&sessions::folder(run), robot),
+            every,
+            due: after(now, FIRST_SAVE.min(turn)),
+            changed: false,
+            busy: false,
+            turn,
+            saved: false,
+            reported: None,
+        }
+    }
+
+    pub fn is_wanted(&self) -> bool {
+        self.changed && self.every.is_some()
+    }
+
+    pub fn is_due(&self, now: Monotonic) -> bool {
+        self.is_wanted() && !self.busy && now >= self.due
+    }
+
+    pub fn begin(&mut self) {
+        (self.busy, self.changed) = (true, false);
+    }
+
+    /// There was no room for it.
+    pub fn put_off(&mut self, now: Monotonic) {
+        (self.busy, self.changed) = (false, true);
+        self.due = after(now, self.every.unwrap_or_default());
+    }
+
+    pub fn finish(&mut self, outcome: &JobOutcome, now: Monotonic) {
+        self.busy = false;
+        let first = !std::mem::replace(&mut self.saved, true);
+        let pause = if first { self.turn } else { self.every.unwrap_or_default() };
+        self.due = after(now, pause.max(outcome.took * SAVING_SHARE_MAX));
+        let why = outcome.result.as_ref().err();
+        if let Some(why) = why.filter(|why| self.reported.as_ref() != Some(why)) {
+            eprintln!("slam: not saved: {why}; tried again later");
+        }
+        self.changed |= why.is_some();
+        self.reported = why.cloned();
+    }
+}
+
+fn after(now: Monotonic, pause: Duration) -> Monotonic {
+    Monotonic(now.0 + pause.as_nanos() as u64)
+}

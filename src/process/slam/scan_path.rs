@@ -1,0 +1,195 @@
+//! The scan path: answers each scan with a pose, and hands nodes to the back end. It waits for nothing but scans.
+
+use super::{BackEndInput, FrontCommand, FrontEvent};
+use crate::channel;
+use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
+use crate::process::heartbeat::{HealthCounters, Heartbeat};
+use crate::process::{Component, Listens};
+use crate::run::Run;
+use ::slam::FrontEnd;
+use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan};
+use std::sync::mpsc::{Receiver, SyncSender};
+
+/// The scan path with its channels.
+pub struct ScanPath<P: Ports> {
+    core: Core,
+    scans: P::Reader<Scan>,
+    scan_listener: P::Listener,
+    odometry: P::Reader<Odometry>,
+    corrections: P::Writer<Correction>,
+    heartbeat: Heartbeat<P>,
+    refused: u64,
+}
+
+impl<P: Ports> ScanPath<P> {
+    /// Opens the channels. `odom_pose`: where `odom` lies in the map when the first scan comes, if the front end does
+    /// not know.
+    pub fn open(
+        ports: &P,
+        run: &Run,
+        robot: RobotId,
+        (front, odom_pose): (FrontEnd, Option<Pose2>),
+        events: SyncSender<BackEndInput>,
+        commands: Receiver<FrontCommand>,
+    ) -> Result<Self, ChannelError> {
+        Ok(Self {
+            heartbeat: Heartbeat::new(ports, run, Role::Slam, Some(robot))?,
+            scans: ports.reader(&channel::scan(robot))?,
+            scan_listener: ports.listener(&channel::scan(robot))?,
+            odometry: ports.reader(&channel::odometry(robot))?,
+            corrections: ports.writer(&channel::correction(robot))?,
+            core: Core::new(front, odom_pose, events, commands),
+            refused: 0,
+        })
+    }
+
+    /// The process ends: reports where the front end is.
+    pub fn end(self) {
+        let state = Box::new(self.core.front.state());
+        self.core.report(FrontEvent::Ended(state));
+    }
+
+    /// Events that found the queue full since the process began.
+    pub fn events_lost(&self) -> u64 {
+        self.core.events_lost.get()
+    }
+}
+
+impl<P: Ports> Component for ScanPath<P> {
+    fn step(&mut self) -> Monotonic {
+        let Self { core, scans, odometry, corrections, heartbeat, refused, .. } = self;
+        core.apply_commands();
+        while let Some(scan) = scans.receive() {
+            while let Some(odometry) = odometry.receive() {
+                core.add_odometry(&odometry);
+            }
+            core.apply_commands();
+            let (correction, used) = heartbeat.measure(|| core.process(&scan));
+            *refused += u64::from(!used);
+            if let Some(correction) = correction {
+                corrections.send(&correction);
+            }
+        }
+        let dropped = core.events_lost.get();
+        let counters =
+            HealthCounters { gaps: scans.gaps(), refused: *refused, dropped, ..HealthCounters::default() };
+        heartbeat.publish_if_due(|| counters);
+        heartbeat.due()
+    }
+}
+
+impl<P: Ports> Listens<P::Listener> for ScanPath<P> {
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        std::iter::once(&self.scan_listener)
+    }
+}
+
+/// The front end, and its queues to and from the back end.
+struct Core {
+    front: Box<FrontEnd>,
+    /// Counts the front ends that were put in place.
+    number: u32,
+    paused: bool,
+    /// The first scan is taken where `odom` lies here in the map.
+    odom_pose: Option<Pose2>,
+    /// The map from the front end's frame, to be reported with the next node.
+    started_at: Option<Pose2>,
+    last: Option<Correction>,
+    odom_from_base: Pose2,
+    events: SyncSender<BackEndInput>,
+    events_lost: std::cell::Cell<u64>,
+    commands: Receiver<FrontCommand>,
+}
+
+impl Core {
+    fn new(
+        front: FrontEnd,
+        odom_pose: Option<Pose2>,
+        events: SyncSender<BackEndInput>,
+        commands: Receiver<FrontCommand>,
+    ) -> Self {
+        Self {
+            front: Box::new(front),
+            number: 0,
+            paused: false,
+            odom_pose,
+            started_at: None,
+            last: None,
+            odom_from_base: Pose2::IDENTITY,
+            events,
+            events_lost: std::cell::Cell::new(0),
+            commands,
+        }
+    }
+
+    /// Hands an event over and never waits. False if the queue is full: the event is lost, which the back end must
+    /// survive.
+    fn report(&self, event: FrontEvent) -> bool {
+        let sent = self.events.try_send(BackEndInput::FrontEnd(self.number, event)).is_ok();
+        self.events_lost.set(self.events_lost.get() + u64::from(!sent));
+        sent
+    }
+
+    fn apply_commands(&mut self) {
+        while let Ok(command) = self.commands.try_recv() {
+            match command {
+                FrontCommand::Revise(revision) => self.front.add_revision(revision),
+                FrontCommand::Pause(paused) => self.paused = paused,
+                FrontCommand::ReportState => {
+                    self.report(FrontEvent::State(Box::new(self.front.state())));
+                }
+                FrontCommand::Replace { number, front, in_place } => {
+                    let old = core::mem::replace(&mut self.front, front);
+                    self.odom_pose = self.last.filter(|_| in_place).map(|last| last.map_from_odom);
+                    self.started_at = None;
+                    // Dropping it takes a while: the back end does that.
+                    self.report(FrontEvent::Replaced(old));
+                    self.number = number;
+                }
+                FrontCommand::SetPose(map_from_local) => self.front.set_map_from_local(map_from_local),
+                FrontCommand::WantNode => self.front.request_node(),
+            }
+        }
+    }
+
+    fn add_odometry(&mut self, odometry: &Odometry) {
+        self.odom_from_base = odometry.odom_from_base;
+        self.front.add_odometry(odometry);
+    }
+
+    /// The answer to a scan, if there is one, and whether the scan was sound.
+    fn process(&mut self, scan: &Scan) -> (Option<Correction>, bool) {
+        if self.paused {
+            self.last = self.last.map(|last| self.dead_reckoned(last, scan));
+            return (self.last, true);
+        }
+        let mut step = self.front.process(scan);
+        if step.rejected.is_none()
+            && let Some(map_from_odom) = self.odom_pose.take()
+        {
+            let map_from_local = map_from_odom * step.correction.map_from_odom.inverse();
+            self.front.set_map_from_local(Some(map_from_local));
+            step.correction.map_from_base = map_from_local * step.correction.map_from_base;
+            step.correction.map_from_odom = map_from_odom;
+            self.started_at = Some(map_from_local);
+        }
+        if let Some(node) = step.node
+            && self.report(FrontEvent::Node(node, self.started_at))
+        {
+            self.started_at = None;
+        }
+        self.last = Some(step.correction);
+        (self.last, step.rejected.is_none())
+    }
+
+    /// The pose by odometry alone, while scans are ignored.
+    fn dead_reckoned(&self, last: Correction, scan: &Scan) -> Correction {
+        Correction {
+            header: Header { stamp: scan.header.stamp, ..Default::default() },
+            scan_seq: scan.header.seq,
+            scan_sent: scan.header.sent,
+            map_from_base: last.map_from_odom * self.odom_from_base,
+            ..last
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! A robot's submaps on their way out of SLAM, to the fleet's pose graph.
+
+use crate::channel;
+use crate::ports::{ChannelError, Clock, Ports, ReadPort, WritePort};
+use ::slam::{BackEnd, SlamConfig, Submaps};
+use msg::{Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest};
+use std::time::Duration;
+
+/// The shortest time between two submaps: readers have room for eight.
+const PAUSE: Duration = Duration::from_millis(100);
+/// How often late readers are let in and requests are looked for.
+const POLL_PERIOD: Duration = Duration::from_millis(500);
+
+/// Draws and sends submaps beside other work: a step draws one at most.
+pub struct SubmapPublisher<P: Ports> {
+    submaps: Submaps,
+    writer: P::Writer<Submap>,
+    poses: P::Writer<SubmapPoses>,
+    requests: P::Reader<SubmapRequest>,
+    /// There may be submaps to send.
+    sending: bool,
+    sent: Monotonic,
+    polled: Monotonic,
+}
+
+impl<P: Ports> SubmapPublisher<P> {
+    /// Opens the channels.
+    pub fn open(ports: &P, robot: RobotId, config: &SlamConfig) -> Result<Self, ChannelError> {
+        let now = ports.clock().now();
+        Ok(Self {
+            submaps: Submaps::new(config),
+            writer: ports.writer(&channel::submap(robot))?,
+            poses: ports.writer(&channel::submap_poses(robot))?,
+            requests: ports.reader(&channel::submap_request(robot))?,
+            sending: false,
+            sent: now,
+            polled: now,
+        })
+    }
+
+    /// The back end is another: none of its nodes has been looked at.
+    pub fn restart(&mut self) {
+        self.submaps.begin_again();
+    }
+
+    /// The back end has new nodes, or its graph has changed.
+    pub fn update(&mut self, back: &BackEnd) {
+        self.submaps.update(back);
+        let submaps = &self.submaps;
+        self.poses.send_with(|poses| submaps.poses(back, poses));
+        self.sending = true;
+    }
+
+    /// Sends a submap that has changed, if it is time. Returns when the next step is due.
+    pub fn step(&mut self, back: &BackEnd, now: Monotonic) -> Monotonic {
+        if now.since(self.polled) >= POLL_PERIOD.as_nanos() as u64 {
+            self.polled = now;
+            self.poses.refresh();
+            if self.requests.newest().is_some() {
+                self.submaps.give_again();
+                self.sending = true;
+            }
+        }
+        if self.sending && now.since(self.sent) >= PAUSE.as_nanos() as u64 {
+            match self.submaps.next_changed(back) {
+                Some(submap) => self.writer.send(submap),
+                None => self.sending = false,
+            }
+            self.sent = now;
+        }
+        let patience = if self.sending { PAUSE } else { POLL_PERIOD };
+        Monotonic(now.0 + patience.as_nanos() as u64)
+    }
+}

@@ -1,0 +1,54 @@
+//! Where processes keep what outlives them: the run's folder on the disk, or a folder in memory for lockstep.
+
+use formats::atomic::write_durably;
+use formats::map_file::{self, MapFileError};
+use msg::{Grid, GridView};
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+/// Reads and writes whole files.
+pub trait Storage: Clone {
+    /// Reads a file of at most `bytes_max` bytes.
+    fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>>;
+    /// Writes a file, and its folder if need be. At any moment the file is the old one or the new one.
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Writes a map as PGM with YAML, and as PNG.
+    fn write_map(&self, stem: &Path, map: GridView<'_>) -> Result<(), MapFileError>;
+    /// Reads a map from its YAML file.
+    fn read_map(&self, path: &Path) -> Result<Grid, MapFileError>;
+}
+
+/// The disk.
+#[derive(Clone, Copy, Debug)]
+pub struct DiskStorage;
+
+impl Storage for DiskStorage {
+    fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        File::open(path)?.take(bytes_max.saturating_add(1)).read_to_end(&mut bytes)?;
+        if bytes.len() as u64 > bytes_max {
+            return Err(io::Error::other(format!("is longer than {bytes_max} bytes")));
+        }
+        Ok(bytes)
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        create_folder_of(path)?;
+        write_durably(path, |file| file.write_all(bytes))
+    }
+
+    fn write_map(&self, stem: &Path, map: GridView<'_>) -> Result<(), MapFileError> {
+        // Should it fail, writing the file will say so.
+        let _ = create_folder_of(stem);
+        map_file::write_map(stem, map)
+    }
+
+    fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {
+        map_file::read_map(path)
+    }
+}
+
+fn create_folder_of(path: &Path) -> io::Result<()> {
+    path.parent().map_or(Ok(()), std::fs::create_dir_all)
+}

@@ -1,0 +1,110 @@
+//! When a process that ended is started again: decisions only, so that lockstep can make the same ones.
+
+use msg::Monotonic;
+use std::time::Duration;
+
+/// The shortest time between a death and the next start: leaves a moment to be seen in the table,
+/// and keeps a child that cannot start from taking a core.
+const RESTART_DELAY: Duration = Duration::from_millis(200);
+/// The longest: back-off doubles up to here.
+const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
+/// A child that lived this long has recovered; its next death starts the back-off anew.
+const HEALTHY_AFTER: Duration = Duration::from_secs(10);
+/// After so many deaths in a row it is held: something is wrong that no restart mends.
+pub const DEATHS_MAX: u32 = 8;
+
+/// The state of one process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// It runs.
+    Running {
+        /// When it was started.
+        since: Monotonic,
+    },
+    /// It is to be started.
+    Waiting {
+        /// When it is to be started.
+        until: Monotonic,
+    },
+    /// It is not started again.
+    Held,
+}
+
+/// Decides when one process is started again.
+#[derive(Clone, Debug)]
+pub struct RestartPolicy {
+    state: State,
+    /// Deaths in a row.
+    deaths: u32,
+}
+
+impl RestartPolicy {
+    /// A process that is to be started now.
+    pub fn new(now: Monotonic) -> Self {
+        Self { state: State::Waiting { until: now }, deaths: 0 }
+    }
+
+    /// What the process does.
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// Whether it is to be started now.
+    pub fn is_due(&self, now: Monotonic) -> bool {
+        matches!(self.state, State::Waiting { until } if now >= until)
+    }
+
+    /// It was started.
+    pub fn on_started(&mut self, now: Monotonic) {
+        self.state = State::Running { since: now };
+    }
+
+    /// It ended, or could not be started. Returns what follows.
+    pub fn on_death(&mut self, now: Monotonic) -> State {
+        if let State::Running { since } = self.state
+            && now.since(since) >= HEALTHY_AFTER.as_nanos() as u64
+        {
+            self.deaths = 0;
+        }
+        self.deaths += 1;
+        self.state = if self.deaths > DEATHS_MAX {
+            State::Held
+        } else {
+            let delay = RESTART_DELAY.saturating_mul(1 << (self.deaths - 1)).min(RESTART_DELAY_MAX);
+            State::Waiting { until: Monotonic(now.0 + delay.as_nanos() as u64) }
+        };
+        self.state
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: u64 = 1_000_000_000;
+
+    /// How long it waits after each death, until it is held.
+    fn delays(lives: u64) -> Vec<u64> {
+        let (mut policy, mut now) = (RestartPolicy::new(Monotonic(0)), 0);
+        let mut delays = Vec::new();
+        for _ in 0..2 * DEATHS_MAX {
+            policy.on_started(Monotonic(now));
+            now += lives;
+            let State::Waiting { until } = policy.on_death(Monotonic(now)) else { break };
+            assert!(!policy.is_due(Monotonic(until.0 - 1)) && policy.is_due(until));
+            delays.push((until.0 - now) / 1_000_000);
+            now = until.0;
+        }
+        delays
+    }
+
+    #[test]
+    fn back_off_doubles_to_five_seconds_and_ends_after_eight_deaths() {
+        assert_eq!(delays(SECOND), [200, 400, 800, 1600, 3200, 5000, 5000, 5000]);
+    }
+
+    #[test]
+    fn a_process_that_lived_ten_seconds_starts_the_back_off_anew() {
+        assert_eq!(delays(10 * SECOND), vec![200; 2 * DEATHS_MAX as usize]);
+    }
+}
