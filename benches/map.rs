@@ -5,7 +5,7 @@
 
 use msg::tiles::{PatchReceiver, PatchSender};
 use msg::{DenseMap, Header, MapTile, PatchHeader, Pose2};
-use slam::{Canvas, Cloud, MapConfig, Node, Rays};
+use slam::{Cloud, MapConfig, Node, OccupancyMapper, Rays};
 use std::sync::Arc;
 
 /// Cells of beams a slice may draw, as the live process has it.
@@ -30,7 +30,7 @@ fn map(side_m: f64, range_m: f32) {
     };
     let mut nodes: Vec<Node> = (0..along * along).map(|id| node(id, range_m)).collect();
     let mut poses: Vec<Pose2> = (0..nodes.len()).map(place).collect();
-    let (mut canvas, mut reader) = (Canvas::new(MapConfig::default()), Reader::default());
+    let (mut canvas, mut reader) = (OccupancyMapper::new(MapConfig::default()), Reader::default());
     while canvas.work(&nodes, &poses, usize::MAX) {}
     reader.follow(&canvas);
     let known = *reader.grid.view().header;
@@ -83,11 +83,11 @@ fn node(id: usize, range_m: f32) -> Node {
         local_from_base: Pose2::IDENTITY,
         previous_from_this: None,
         fits: true,
-        torn: false,
-        adrift: None,
+        odometry_break: false,
+        disconnected: None,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),
-        way: slam::Way::default(),
+        swept_path: slam::SweptPath::default(),
     }
 }
 
@@ -103,7 +103,7 @@ struct Reader {
 
 impl Reader {
     /// Brings the reader up to date: milliseconds to write, to read, to show.
-    fn follow(&mut self, canvas: &Canvas) -> [f64; 3] {
+    fn follow(&mut self, canvas: &OccupancyMapper) -> [f64; 3] {
         let mut times = [0.0; 3];
         loop {
             let mut patch = None;

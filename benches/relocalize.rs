@@ -7,7 +7,7 @@
 use formats::carmen::{Reader, Record};
 use msg::{Odometry, Pose2, Scan, SlamMode, Stamp, pose::wrap_angle};
 use rustix::time::{ClockId, clock_gettime};
-use slam::{Identity, Session, Slam, SlamConfig, Start};
+use slam::{Identity, InitialPose, Session, Slam, SlamConfig};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -38,7 +38,7 @@ fn read(path: &Path) -> Vec<Line> {
 }
 
 fn feed(slam: &mut Slam, line: &Line) -> msg::Correction {
-    slam.odometry(&line.0);
+    slam.add_odometry(&line.0);
     slam.process(&line.1).correction
 }
 
@@ -104,15 +104,15 @@ fn main() {
 /// How many scans it took, and where the robot was then said to be.
 fn put_down(session: &Session, lines: &[Line], costs: &mut Vec<f64>) -> (usize, Option<(Stamp, Pose2)>) {
     let kept = Some(session.clone());
-    let mut slam = Slam::begin(SlamConfig::default(), kept, SlamMode::Localization, Start::Unknown);
+    let mut slam = Slam::begin(SlamConfig::default(), kept, SlamMode::Localization, InitialPose::Unknown);
     for (n, line) in lines.iter().enumerate() {
         let correction = feed(&mut slam, line);
-        let (before, searches) = (cpu_ms(), slam.back_counts().sought.searches);
+        let (before, searches) = (cpu_ms(), slam.back_counts().relocalization.searches);
         slam.work();
-        if slam.back_counts().sought.searches > searches {
+        if slam.back_counts().relocalization.searches > searches {
             costs.push(cpu_ms() - before);
         }
-        if slam.back_counts().sought.believed > 0 {
+        if slam.back_counts().relocalization.accepted > 0 {
             let pose = slam.back().map_from_base().unwrap_or_default();
             return (n + 1, Some((correction.header.stamp, pose)));
         }

@@ -53,7 +53,7 @@ fn map_log(slam: &mut Slam, path: &str) -> Result<(), Error> {
         _ => None,
     });
     for (seq, line) in (0..).zip(lasers) {
-        slam.odometry(&odometry_of(&line));
+        slam.add_odometry(&odometry_of(&line));
         line.write_to(&mut scan, seq, None);
         slam.process(&scan);
         slam.work();
@@ -77,7 +77,7 @@ fn map_simulation(slam: &mut Slam) -> Result<(), Error> {
         simulator.command(&command);
         let tick = simulator.step();
         if let Some(odometry) = tick.odometry {
-            slam.odometry(&odometry);
+            slam.add_odometry(&odometry);
         }
         if tick.scan_due {
             simulator.scan_into(&mut scan);

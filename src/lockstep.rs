@@ -23,7 +23,7 @@ use msg::{
 use nav::{ExplorationTour, FleetObservation, MapView, RobotObservation, ScanView, TourConfig};
 use operator::joystick::SimulatedJoystick;
 use sim::{Simulator, Tick};
-use slam::{Identity, Session, Slam, Start, Submaps};
+use slam::{Identity, InitialPose, Session, Slam, Submaps};
 use std::collections::BTreeMap;
 use telemetry::Telemetry;
 
@@ -217,7 +217,7 @@ impl Lockstep {
                 truths.iter().enumerate().filter(|(peer, _)| *peer != index && self.ticks > 0)
             {
                 if let Some(peer) = RobotId::new(peer + 1) {
-                    member.simulator.see(peer, truth);
+                    member.simulator.update_peer(peer, truth);
                 }
             }
             let tick = member.simulator.step();
@@ -277,9 +277,9 @@ impl Lockstep {
 fn slam(config: &FleetConfig, robot: RobotId) -> Result<Slam, FleetError> {
     let first = sessions::first(config, robot).map_err(SessionsError::from)?;
     let mode = sessions::first_mode(config, first.is_some());
-    let mut slam = Slam::begin(config.slam.clone(), first, mode, Start::Unknown);
+    let mut slam = Slam::begin(config.slam.clone(), first, mode, InitialPose::Unknown);
     // No scan of this run is in it yet.
-    slam.back_mut().date_map(Header::default(), Monotonic::default());
+    slam.back_mut().set_map_header(Header::default(), Monotonic::default());
     Ok(slam)
 }
 
@@ -298,7 +298,7 @@ impl Member {
         if let Some(mut odometry) = tick.odometry {
             voice.say(&channel::odometry(robot), &mut odometry, listener);
             self.odom_from_base = odometry.odom_from_base;
-            self.slam.odometry(&odometry);
+            self.slam.add_odometry(&odometry);
         }
         if let Some(mut transforms) = tick.transforms {
             voice.say(&channel::transforms(robot), &mut transforms, listener);

@@ -15,7 +15,7 @@ use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
 use formats::map_file::{MapFileError, write_map};
 use msg::{Odometry, Pose2, Scan, Stamp};
-use slam::{Back, Front, Hint, Identity, Node, Revision, SlamConfig, Start};
+use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PoseEstimate, Revision, SlamConfig};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ const LOG_MAX: u64 = 1 << 30;
 /// Malformed lines that are shown; the others are counted.
 const ERRORS_SHOWN: usize = 5;
 /// Nodes that may wait for the back end: the log waits then, and no node is held back.
-const WAITING_MAX: usize = slam::NODES_UNDER_WAY_MAX - 2;
+const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
 /// Between two lines of progress.
 const PROGRESS: Duration = Duration::from_secs(1);
 
@@ -172,7 +172,7 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
     }
     if let Some(path) = &args.save_session {
         let identity = Identity::new(0, 0, back.config());
-        session_file::write(path, &back.session(identity, Some(front.state()), front.rides()))?;
+        session_file::write(path, &back.session(identity, Some(front.state()), front.samples()))?;
     }
     let drawing = Instant::now();
     let grid = back.map();
@@ -194,8 +194,8 @@ fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
 
 /// A log gone through.
 struct Replayed {
-    front: Front,
-    back: Back,
+    front: FrontEnd,
+    back: BackEnd,
     summary: Summary,
     duration_s: f64,
 }
@@ -222,7 +222,7 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
         let mut next = Some(first);
         while let Some(line) = next {
             ended = line.stamp;
-            revisions.try_iter().for_each(|revision| front.revise(revision));
+            revisions.try_iter().for_each(|revision| front.add_revision(revision));
             if let Some(node) = feeder.scan(front, &line) {
                 let _ = to_back.send(node);
             }
@@ -236,15 +236,15 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
     summary.count(&front, &back);
-    let Pose2 { x_m, y_m, yaw_rad } = back.newest_revision().map_from_local * front.local_from_base();
+    let Pose2 { x_m, y_m, yaw_rad } = back.latest_revision().map_from_local * front.local_from_base();
     summary.ends_at = [x_m, y_m, yaw_rad];
     Ok(Replayed { front, back, summary, duration_s: ended - started })
 }
 
 /// A scan path and a back end, new or from a session.
-fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(Front, Back), ReplayError> {
+fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), ReplayError> {
     let Some(path) = &args.session else {
-        return Ok(slam::begin(config, None, args.mode.into(), Start::Unknown));
+        return Ok(slam::begin(config, None, args.mode.into(), InitialPose::Unknown));
     };
     if session_file::is_map(path) && args.mode != Mode::Localization {
         return Err(ReplayError::MapOnly(path.clone()));
@@ -252,23 +252,23 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(Front, Back), ReplayE
     let session = session_file::read_any(path, &Identity::new(0, 0, &config), &config)?;
     let [sigma_m, sigma_rad] = TOLD_SIGMA;
     let start = match args.at {
-        Some(map_from_local) => Start::At(Hint { map_from_local, sigma_m, sigma_rad }),
-        None if args.go_on => Start::GoOn,
-        None => Start::Unknown,
+        Some(map_from_local) => InitialPose::Near(PoseEstimate { map_from_local, sigma_m, sigma_rad }),
+        None if args.go_on => InitialPose::Continue,
+        None => InitialPose::Unknown,
     };
     Ok(slam::begin(config, Some(session), args.mode.into(), start))
 }
 
 /// Works off nodes until there are no more to come. Returns how long each took, and the last word.
 fn work_beside(
-    back: &mut Back,
+    back: &mut BackEnd,
     nodes: mpsc::Receiver<Node>,
     to_front: mpsc::Sender<Revision>,
 ) -> Vec<Duration> {
     let mut times = Vec::new();
     for node in nodes {
         let start = Instant::now();
-        let revision = back.add(node);
+        let revision = back.add_node(node);
         times.push(start.elapsed());
         // The log may have ended, then nobody listens.
         let _ = to_front.send(revision);
@@ -319,16 +319,16 @@ impl Feeder {
         Self { scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now(), not_located: 0 }
     }
 
-    fn scan(&mut self, front: &mut Front, line: &LaserLine) -> Option<Node> {
+    fn scan(&mut self, front: &mut FrontEnd, line: &LaserLine) -> Option<Node> {
         line.write_to(&mut self.scan, self.seq, self.fov_rad);
         self.seq += 1;
         let header = msg::Header { stamp: line.stamp, ..Default::default() };
         let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
-        front.odometry(&odometry);
+        front.add_odometry(&odometry);
         let start = Instant::now();
         let step = front.process(&self.scan);
         self.times.push(start.elapsed());
-        self.not_located += u64::from(!front.located());
+        self.not_located += u64::from(!front.is_located());
         if self.told.elapsed() > PROGRESS {
             self.told = Instant::now();
             eprintln!("{} scans, {} nodes", self.seq, step.correction.nodes);

@@ -9,14 +9,14 @@ use formats::map_file::write_map;
 use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
-use slam::{Back, EdgeKind, Front, Node, Revision, Slam, SlamConfig, Stage, StageWatch, Step};
+use slam::{BackEnd, EdgeKind, FrontEnd, Node, Revision, ScanResult, Slam, SlamConfig, Stage, StageObserver};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Instant;
 
 /// Nodes that may wait for the back end: the log waits then, and no node is held back.
-const WAITING_MAX: usize = slam::NODES_UNDER_WAY_MAX - 2;
+const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
 /// Nodes until the scan path is in its steady state.
 const WARM_UP_NODES: u32 = 100;
 /// A measurement this far from the truth is wrong: metres, radians. What is taken for the truth is
@@ -69,7 +69,7 @@ pub struct Outcome {
     /// Closures taken back.
     pub retracted: u64,
     /// Nodes that are not tied to the map.
-    pub adrift: usize,
+    pub disconnected: usize,
     /// Closures in force that are not true, if the truth is known.
     pub wrong_closures: usize,
     /// The same of links between scans.
@@ -168,8 +168,8 @@ impl Stopwatch {
     }
 }
 
-impl StageWatch for Stopwatch {
-    fn begins(&mut self, stage: Stage) {
+impl StageObserver for Stopwatch {
+    fn stage_started(&mut self, stage: Stage) {
         let now = thread_cpu_ns();
         if self.stage != Stage::Idle {
             let took = now - self.since_ns;
@@ -234,14 +234,14 @@ impl Outcome {
             steady.fold((0, 0), |(sum, count), took| (sum + took.allocations, count + 1));
     }
 
-    fn count(&mut self, front: &Front, back: &Back) {
+    fn count(&mut self, front: &FrontEnd, back: &BackEnd) {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
-        (self.retracted, self.adrift) = (done.retracted, done.adrift);
+        (self.retracted, self.disconnected) = (done.retracted, done.disconnected);
     }
 
-    fn score(&mut self, task: &Task, front: &Front, back: &Back) -> Result<(), String> {
+    fn score(&mut self, task: &Task, front: &FrontEnd, back: &BackEnd) -> Result<(), String> {
         let poses = slam::trajectory(front, back).map(|(stamp, pose)| (stamp.0 as f64 * 1e-9, pose));
         let estimate = Trajectory::new(poses.collect());
         let (begins_s, cut) = (estimate.begins_s(), task.varied.begins_at > 0.0);
@@ -251,11 +251,11 @@ impl Outcome {
         let errors = |which| relations::errors(&estimate, odometry.as_ref(), &relations, which);
         (self.all, self.revisit) = (errors(Which::All), errors(Which::Revisits));
         self.both_kept = errors(Which::BothKept);
-        let tied = |ride: &slam::Ride| {
-            let node = back.node_of(ride.node).map(|id| &back.nodes()[id as usize]);
-            node.is_some_and(|node| node.adrift.is_none())
+        let tied = |ride: &slam::TrajectorySample| {
+            let node = back.node_from_front_end(ride.node).map(|id| &back.nodes()[id as usize]);
+            node.is_some_and(|node| node.disconnected.is_none())
         };
-        let tied: Vec<bool> = front.rides().iter().map(tied).collect();
+        let tied: Vec<bool> = front.samples().iter().map(tied).collect();
         relations
             .retain(|relation| relation.ends(&estimate).into_iter().all(|at| tied.get(at) == Some(&true)));
         self.in_map = relations::errors(&estimate, odometry.as_ref(), &relations, Which::All);
@@ -273,7 +273,7 @@ impl Outcome {
 }
 
 /// How many edges in force say something else than the truth.
-fn wrong(back: &Back, truth: &Trajectory, kind: EdgeKind) -> usize {
+fn wrong(back: &BackEnd, truth: &Trajectory, kind: EdgeKind) -> usize {
     let at = |id: u32| truth.scan_at(back.nodes()[id as usize].header.stamp.0 as f64 * 1e-9);
     let wrong = |edge: &&slam::Edge| {
         let Some((a, b)) = at(edge.a).zip(at(edge.b)) else { return false };
@@ -307,8 +307,8 @@ fn memory_peak_mb() -> Result<f64, String> {
 }
 
 struct Replayed {
-    front: Front,
-    back: Back,
+    front: FrontEnd,
+    back: BackEnd,
     scans: Vec<Took>,
     besides: Vec<Took>,
 }
@@ -330,8 +330,8 @@ fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, St
     let on_robot = first.base_from_scan;
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
     let (mut front, mut back) = Slam::new(config).split();
-    front.watch(Stopwatch::new(sums));
-    back.watch(Stopwatch::new(sums));
+    front.observe_stages(Stopwatch::new(sums));
+    back.observe_stages(Stopwatch::new(sums));
     let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
     let (to_front, revisions) = mpsc::channel::<Revision>();
     let mut scans = Vec::new();
@@ -356,18 +356,18 @@ fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, St
 
 /// All that the live worker does on its scan path.
 fn scan(
-    front: &mut Front,
+    front: &mut FrontEnd,
     line: &LaserLine,
     message: &Scan,
     revisions: &mpsc::Receiver<Revision>,
-) -> (Took, Step) {
+) -> (Took, ScanResult) {
     let header = msg::Header { stamp: line.stamp, ..Default::default() };
     let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
     let mut step = None;
     let (wall, cpu) = (Instant::now(), thread_cpu_ns());
     let counted = measure(|| {
-        front.odometry(&odometry);
-        revisions.try_iter().for_each(|revision| front.revise(revision));
+        front.add_odometry(&odometry);
+        revisions.try_iter().for_each(|revision| front.add_revision(revision));
         step = Some(front.process(message));
     });
     let (wall_ns, cpu_ns) = (wall.elapsed().as_nanos() as u64, thread_cpu_ns() - cpu);
@@ -376,7 +376,11 @@ fn scan(
     (Took { wall_ns, cpu_ns, nodes, allocations: counted.count_total }, step)
 }
 
-fn work_beside(back: &mut Back, nodes: mpsc::Receiver<Node>, to_front: mpsc::Sender<Revision>) -> Vec<Took> {
+fn work_beside(
+    back: &mut BackEnd,
+    nodes: mpsc::Receiver<Node>,
+    to_front: mpsc::Sender<Revision>,
+) -> Vec<Took> {
     let mut besides = Vec::new();
     let mut timed = |work: &mut dyn FnMut()| {
         let (wall, cpu) = (Instant::now(), thread_cpu_ns());
@@ -387,7 +391,7 @@ fn work_beside(back: &mut Back, nodes: mpsc::Receiver<Node>, to_front: mpsc::Sen
     for node in nodes {
         let mut node = Some(node);
         timed(&mut || {
-            let revision = node.take().map(|node| back.add(node));
+            let revision = node.take().map(|node| back.add_node(node));
             // The log may have ended, then nobody listens.
             let _ = revision.map(|revision| to_front.send(revision));
         });

@@ -130,13 +130,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             None => not_checked.push(row.name),
         }
     }
-    let mut sought = Vec::new();
+    let mut relocalization = Vec::new();
     let all = |name: &str| args.data.join(name).join(format!("{name}.log.gz"));
     if args.logs.as_ref().is_some_and(|logs| logs.iter().any(|log| log == "relocalize")) {
         for (name, fov_deg, places) in SOUGHT {
             let task = relocalize::Task { map: all("intel"), robot: all(name), fov_deg, places };
             if task.map.is_file() && task.robot.is_file() {
-                sought.push((task.clone(), in_a_process("relocalize", &task, &task.robot)?));
+                relocalization.push((task.clone(), in_a_process("relocalize", &task, &task.robot)?));
             } else {
                 not_checked.push(name);
             }
@@ -146,13 +146,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if !done.is_empty() {
         table::print(&done);
     }
-    table::relocalized(&sought);
+    table::relocalized(&relocalization);
     table::varied(&varied);
     if let Some(path) = args.json {
-        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done, &sought, &varied))?)?;
+        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done, &relocalization, &varied))?)?;
     }
     let wrong = |(_, outcome): &(relocalize::Task, relocalize::Outcome)| outcome.wrong > 0;
-    let missed = done.iter().any(|(row, outcome)| !table::met(row, outcome)) || sought.iter().any(wrong);
+    let missed =
+        done.iter().any(|(row, outcome)| !table::met(row, outcome)) || relocalization.iter().any(wrong);
     if !not_checked.is_empty() {
         let absent = format!(
             "not checked: {}: no such logs in {} (scripts/fetch-logs says where they come from)",

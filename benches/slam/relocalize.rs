@@ -9,7 +9,7 @@ use crate::drive::{Spread, thread_cpu_ns, unpack};
 use formats::carmen::{LaserLine, Reader, Record};
 use msg::{Odometry, Pose2, Scan, SlamMode, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
-use slam::{Identity, Session, Slam, SlamConfig, Start};
+use slam::{Identity, InitialPose, Session, Slam, SlamConfig};
 use std::path::PathBuf;
 
 /// Scans after which a robot counts as not found.
@@ -49,7 +49,7 @@ pub struct Outcome {
     /// Said to be found where it was not.
     pub wrong: usize,
     /// Not found.
-    pub refused: usize,
+    pub rejected: usize,
     /// Way until found, metres.
     pub way_m: Vec<f64>,
     /// The searches, processor time.
@@ -100,7 +100,7 @@ pub fn drive(task: &Task) -> Result<Outcome, String> {
         outcome.places += 1;
         outcome.known += usize::from(known);
         let Some((after, pose, way_m)) = found else {
-            outcome.refused += 1;
+            outcome.rejected += 1;
             continue;
         };
         let right = truth.get(at + after).is_some_and(|truth| {
@@ -126,18 +126,18 @@ fn put_down(
 ) -> Option<(usize, Pose2, f64)> {
     let session = Session { front: None, ..session.clone() };
     let begun = thread_cpu_ns();
-    let mut slam = Slam::begin(config.clone(), Some(session), SlamMode::Localization, Start::Unknown);
+    let mut slam = Slam::begin(config.clone(), Some(session), SlamMode::Localization, InitialPose::Unknown);
     prepared.push(thread_cpu_ns() - begun);
     let mut way_m = 0.0;
     for (i, line) in lines.iter().enumerate() {
         way_m += i.checked_sub(1).map_or(0.0, |b| lines[b].odom_from_base.distance_m(line.odom_from_base));
         step(&mut slam, line, task.fov_deg);
-        let (before, begun) = (slam.back_counts().sought.searches, thread_cpu_ns());
+        let (before, begun) = (slam.back_counts().relocalization.searches, thread_cpu_ns());
         slam.work();
-        if slam.back_counts().sought.searches > before {
+        if slam.back_counts().relocalization.searches > before {
             searches.push(thread_cpu_ns() - begun);
         }
-        if slam.back().located() {
+        if slam.back().is_located() {
             return slam.back().map_from_base().map(|pose| (i, pose, way_m));
         }
     }
@@ -164,6 +164,6 @@ fn step(slam: &mut Slam, line: &LaserLine, fov_deg: Option<f64>) {
     let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     line.write_to(&mut scan, 0, fov_deg.map(f64::to_radians));
     let header = msg::Header { stamp: line.stamp, ..Default::default() };
-    slam.odometry(&Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() });
+    slam.add_odometry(&Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() });
     slam.process(&scan);
 }

@@ -144,8 +144,8 @@ fn intel(done: &[(&Row, Outcome)]) {
 }
 
 /// Robots looked for in the first half of a log's map without a guess.
-pub fn relocalized(sought: &[(relocalize::Task, relocalize::Outcome)]) {
-    if sought.is_empty() {
+pub fn relocalized(relocalization: &[(relocalize::Task, relocalize::Outcome)]) {
+    if relocalization.is_empty() {
         return;
     }
     println!();
@@ -153,7 +153,7 @@ pub fn relocalized(sought: &[(relocalize::Task, relocalize::Outcome)]) {
         "{:<24} places  in map  right (of these)  wrong  refused  search cpu p50 / max, ms  prepare, ms  way p50 / max, m",
         "looked for, no guess"
     );
-    for (task, o) in sought {
+    for (task, o) in relocalization {
         let name =
             |path: &std::path::Path| path.file_stem().map(|name| name.to_string_lossy().replace(".log", ""));
         let robot = name(&task.robot).unwrap_or_default();
@@ -170,7 +170,7 @@ pub fn relocalized(sought: &[(relocalize::Task, relocalize::Outcome)]) {
             o.right,
             format!("({})", o.right_of_known),
             o.wrong,
-            o.refused,
+            o.rejected,
             o.search_ms.p50,
             o.search_ms.max,
             o.prepare_ms.max,
@@ -200,7 +200,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
         "scans",
         "lost",
         "nodes",
-        "adrift",
+        "disconnected",
         "closures",
         "wrong",
         "wall s",
@@ -225,7 +225,7 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
             o.scans,
             o.lost,
             o.nodes,
-            o.adrift,
+            o.disconnected,
             format!("{}-{}", o.closures, o.retracted),
             format!("{}, {}", o.wrong_closures, o.wrong_links),
             o.wall_s,
@@ -233,14 +233,14 @@ pub fn varied(outcomes: &[crate::VariedLog]) {
         );
     }
     println!(
-        "in map: relations between places that are tied to the map; adrift: nodes that are not; wrong: closures and links in force that the log as it is contradicts"
+        "in map: relations between places that are tied to the map; disconnected: nodes that are not; wrong: closures and links in force that the log as it is contradicts"
     );
 }
 
 /// Everything, by log.
 pub fn json(
     done: &[(&Row, Outcome)],
-    sought: &[(relocalize::Task, relocalize::Outcome)],
+    relocalization: &[(relocalize::Task, relocalize::Outcome)],
     varied: &[crate::VariedLog],
 ) -> Value {
     let rows = done.iter().map(|(row, outcome)| {
@@ -249,12 +249,13 @@ pub fn json(
             "met": met(row, outcome), "outcome": outcome,
         })
     });
-    let sought = sought.iter().map(|(task, outcome)| json!({ "task": task, "outcome": outcome }));
+    let relocalization =
+        relocalization.iter().map(|(task, outcome)| json!({ "task": task, "outcome": outcome }));
     let varied =
         varied.iter().map(|(log, label, outcome)| json!({ "log": log, "varied": label, "outcome": outcome }));
     json!({
         "rows": rows.collect::<Vec<Value>>(),
-        "relocalized": sought.collect::<Vec<Value>>(),
+        "relocalized": relocalization.collect::<Vec<Value>>(),
         "varied": varied.collect::<Vec<Value>>(),
     })
 }

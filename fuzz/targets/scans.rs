@@ -45,7 +45,7 @@ fuzz_target!(|bytes: &[u8]| {
         let odom_from_base = Pose2::new(bytes.any(), bytes.any(), bytes.any());
         let mut odometry = Odometry { odom_from_base, ..Default::default() };
         odometry.header.stamp = Stamp::from_seconds(stamp_s);
-        slam.odometry(&odometry);
+        slam.add_odometry(&odometry);
         scan.header.stamp = odometry.header.stamp;
         scan.angle_min_rad = bytes.any() as f32;
         scan.angle_increment_rad = bytes.any() as f32 / 30.0;

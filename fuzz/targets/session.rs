@@ -4,7 +4,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use msg::SlamMode;
-use slam::{Session, Slam, SlamConfig, Start};
+use slam::{Session, Slam, SlamConfig, InitialPose};
 
 fuzz_target!(|bytes: &[u8]| {
     let _ = Session::decode_any(bytes);
@@ -13,7 +13,7 @@ fuzz_target!(|bytes: &[u8]| {
     let again = Session::decode_any(&session.encode());
     assert!(again.is_ok_and(|again| again.encode() == session.encode()));
     for mode in SlamMode::ALL {
-        for start in [Start::GoOn, Start::Unknown] {
+        for start in [InitialPose::Continue, InitialPose::Unknown] {
             let mut slam = Slam::begin(SlamConfig::default(), Some(session.clone()), mode, start);
             let _ = slam.map();
             let _ = slam.trajectory().count();

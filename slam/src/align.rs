@@ -1,7 +1,7 @@
 //! Fine alignment: Gauss-Newton on point-to-line distances with robust weights
 //! (Censi, "An ICP variant using a point-to-line metric", ICRA 2008; weights: Cauchy).
 
-use crate::cloud::{Cloud, Placement};
+use crate::cloud::{Cloud, PointTransform};
 use crate::config::LinkConfig;
 use msg::Pose2;
 use nalgebra::{Matrix3, Vector3};
@@ -167,8 +167,8 @@ fn normal_equations<'a>(
     for reference in references {
         // Work in the reference's frame, where its index and normals are.
         let reference_from_frame = reference.frame_from_cloud.inverse();
-        let place = Placement::new(reference_from_frame * pose);
-        let turn = Placement::new(reference.frame_from_cloud);
+        let place = PointTransform::new(reference_from_frame * pose);
+        let turn = PointTransform::new(reference.frame_from_cloud);
         for (i, p) in points.iter().enumerate() {
             let at = place.point(p.at);
             let Some(surface) = reference.cloud.nearest(at, place.direction(p.normal), gate_m) else {

@@ -8,8 +8,8 @@
 use crate::align::{Alignment, Reference, align};
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
-use crate::field::{Field, Limits, Peak, Scratch, Window};
-use crate::graph::{Graph, Relative};
+use crate::graph::{Graph, RelativeUncertainty};
+use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchPeak, SearchWindow};
 use crate::node::Node;
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
@@ -32,7 +32,7 @@ const AGO_NODES: u32 = 12;
 
 /// A node found from a later one.
 #[derive(Clone, Copy, Debug)]
-pub struct Find {
+pub struct ClosureCandidate {
     /// The later node.
     pub node: u32,
     /// The place seen before.
@@ -47,18 +47,18 @@ pub struct Find {
 
 /// A detector's memory, to be kept.
 #[derive(Clone, Debug, Default)]
-pub struct DetectorState {
+pub struct ClosureDetectorState {
     /// Finds that wait for a witness.
-    pub pending: Vec<Find>,
+    pub pending: Vec<ClosureCandidate>,
     /// How searches ended.
-    pub counts: SearchCounts,
+    pub counts: ClosureSearchCounts,
     /// The way at the last search, metres.
     pub last_search_m: Option<f64>,
 }
 
 /// How searches ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct SearchCounts {
+pub struct ClosureSearchCounts {
     /// Searches made.
     pub searches: u64,
     /// Without a pose that scores enough.
@@ -70,21 +70,21 @@ pub struct SearchCounts {
     /// Finds that waited for a witness in vain.
     pub unconfirmed: u64,
     /// Finds believed.
-    pub believed: u64,
+    pub accepted: u64,
 }
 
 /// A node and its pose in some other node's frame.
 pub(crate) type Placed<'a> = (&'a Node, Pose2);
 
 /// What a search looks at.
-pub struct View<'a> {
+pub struct GraphView<'a> {
     /// All nodes, by id.
     pub nodes: &'a [Node],
     /// Their poses.
     pub graph: &'a Graph,
 }
 
-impl<'a> View<'a> {
+impl<'a> GraphView<'a> {
     fn placed(&self, from: u32, id: u32) -> Placed<'a> {
         let poses = self.graph.poses();
         (&self.nodes[id as usize], poses[from as usize].between(poses[id as usize]))
@@ -98,7 +98,7 @@ impl<'a> View<'a> {
             let (mut id, mut way) = (i64::from(middle), 0.0);
             while (id - i64::from(middle)).unsigned_abs() < u64::from(half_nodes) {
                 let Some(next) = poses.get((id + step) as usize) else { break };
-                if self.nodes[(id + step) as usize].adrift != self.nodes[middle as usize].adrift {
+                if self.nodes[(id + step) as usize].disconnected != self.nodes[middle as usize].disconnected {
                     break;
                 }
                 way += poses[id as usize].distance_m(*next);
@@ -114,51 +114,51 @@ impl<'a> View<'a> {
 }
 
 /// How a search ended.
-pub enum Search {
+pub enum ClosureSearch {
     /// No place seen before can be here, or it is known already.
     NoCandidate,
     /// Looked for and not found.
-    Nothing,
+    NotFound,
     /// Found, but not yet believed.
-    Waits,
+    Unconfirmed,
     /// Found and believed, with its witnesses.
-    Believed(Vec<Find>),
+    Accepted(Vec<ClosureCandidate>),
 }
 
 /// See the module.
-pub struct Detector {
+pub struct ClosureDetector {
     config: SlamConfig,
-    field: Field,
-    scratch: Scratch,
-    pending: VecDeque<Find>,
-    counts: SearchCounts,
+    field: LikelihoodField,
+    scratch: SearchBuffers,
+    pending: VecDeque<ClosureCandidate>,
+    counts: ClosureSearchCounts,
     last_search_m: Option<f64>,
 }
 
-impl Detector {
+impl ClosureDetector {
     /// Nothing found yet.
     pub fn new(config: SlamConfig) -> Self {
         let t = &config.tracking;
         Self {
-            field: Field::new(t.cell_m, REACH_M, t.blur_m),
-            scratch: Scratch::default(),
+            field: LikelihoodField::new(t.cell_m, REACH_M, t.blur_m),
+            scratch: SearchBuffers::default(),
             pending: VecDeque::with_capacity(PENDING_MAX),
-            counts: SearchCounts::default(),
+            counts: ClosureSearchCounts::default(),
             last_search_m: None,
             config,
         }
     }
 
     /// Goes on from another detector's memory.
-    pub fn resume(config: SlamConfig, state: DetectorState) -> Self {
-        let DetectorState { pending, counts, last_search_m } = state;
+    pub fn resume(config: SlamConfig, state: ClosureDetectorState) -> Self {
+        let ClosureDetectorState { pending, counts, last_search_m } = state;
         Self { pending: pending.into(), counts, last_search_m, ..Self::new(config) }
     }
 
     /// Its memory.
-    pub fn state(&self) -> DetectorState {
+    pub fn state(&self) -> ClosureDetectorState {
         let pending = self.pending.iter().copied().collect();
-        DetectorState { pending, counts: self.counts, last_search_m: self.last_search_m }
+        ClosureDetectorState { pending, counts: self.counts, last_search_m: self.last_search_m }
     }
 
     /// The next node does not follow from the ones before: finds wait for no witness any more.
@@ -176,7 +176,7 @@ impl Detector {
     }
 
     /// How searches ended.
-    pub fn counts(&self) -> SearchCounts {
+    pub fn counts(&self) -> ClosureSearchCounts {
         self.counts
     }
 
@@ -190,26 +190,30 @@ impl Detector {
     /// known as seen from it. Returns the finds that are believed now.
     pub fn search(
         &mut self,
-        view: &View<'_>,
+        view: &GraphView<'_>,
         node: u32,
-        relative: &[Option<Relative>],
+        relative: &[Option<RelativeUncertainty>],
         travelled_m: f64,
-    ) -> Search {
+    ) -> ClosureSearch {
         self.forget_old(node);
         let candidates = self.candidates(view, relative, node);
         if candidates.is_empty() {
-            return Search::NoCandidate;
+            return ClosureSearch::NoCandidate;
         }
         self.last_search_m = Some(travelled_m);
         for candidate in candidates {
             self.counts.searches += 1;
             let window = self.window(view.graph, relative[candidate as usize], candidate, node);
             if let Some(find) = self.try_candidate(view, window, candidate, node) {
-                let believed = self.witnesses(view.graph, find);
-                return if believed.is_empty() { Search::Waits } else { Search::Believed(believed) };
+                let accepted = self.witnesses(view.graph, find);
+                return if accepted.is_empty() {
+                    ClosureSearch::Unconfirmed
+                } else {
+                    ClosureSearch::Accepted(accepted)
+                };
             }
         }
-        Search::Nothing
+        ClosureSearch::NotFound
     }
 
     fn forget_old(&mut self, node: u32) {
@@ -220,13 +224,20 @@ impl Detector {
 
     /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
     /// A piece that is adrift may be anywhere: it is not to be found by looking around where it is not.
-    fn candidates(&self, view: &View<'_>, relative: &[Option<Relative>], node: u32) -> Vec<u32> {
-        let (graph, piece) = (view.graph, view.nodes[node as usize].adrift);
+    fn candidates(
+        &self,
+        view: &GraphView<'_>,
+        relative: &[Option<RelativeUncertainty>],
+        node: u32,
+    ) -> Vec<u32> {
+        let (graph, piece) = (view.graph, view.nodes[node as usize].disconnected);
         let (c, l) = (&self.config.closures, &self.config.links);
         let here = graph.poses()[node as usize];
-        let known = |r: &Relative| r.position < l.sigma_max_m.powi(2) && r.heading < l.sigma_max_rad.powi(2);
+        let known = |r: &RelativeUncertainty| {
+            r.position < l.sigma_max_m.powi(2) && r.heading < l.sigma_max_rad.powi(2)
+        };
         let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
-            .filter(|id| id.abs_diff(node) > AGO_NODES && view.nodes[*id as usize].adrift == piece)
+            .filter(|id| id.abs_diff(node) > AGO_NODES && view.nodes[*id as usize].disconnected == piece)
             .filter_map(|id| {
                 if relative[id as usize].as_ref().is_some_and(known) {
                     return None;
@@ -258,17 +269,29 @@ impl Detector {
         way < c.chain_m && poses.len() <= c.chain_nodes
     }
 
-    fn try_candidate(&mut self, view: &View<'_>, window: Window, candidate: u32, node: u32) -> Option<Find> {
+    fn try_candidate(
+        &mut self,
+        view: &GraphView<'_>,
+        window: SearchWindow,
+        candidate: u32,
+        node: u32,
+    ) -> Option<ClosureCandidate> {
         let query = self.query(view, node);
         let chain = self.chain(view, candidate, &query);
         let peak = self.correlate(&query, &window)?;
         let fit = self.settle(&chain, &query, peak)?;
         let (candidate_from_node, information) = (fit.frame_from_cloud, fit.information);
-        Some(Find { node, candidate, candidate_from_node, information, response: peak.score.clamp(0.0, 1.0) })
+        Some(ClosureCandidate {
+            node,
+            candidate,
+            candidate_from_node,
+            information,
+            response: peak.score.clamp(0.0, 1.0),
+        })
     }
 
     /// The pass around the candidate, as seen from it.
-    fn chain<'a>(&mut self, view: &View<'a>, candidate: u32, query: &[Placed<'a>]) -> Vec<Placed<'a>> {
+    fn chain<'a>(&mut self, view: &GraphView<'a>, candidate: u32, query: &[Placed<'a>]) -> Vec<Placed<'a>> {
         let c = &self.config.closures;
         let (first, last) = view.pass(candidate, c.chain_m / 2.0, c.chain_nodes as u32 / 2);
         let (from, to) = (query[0].0.id, query[query.len() - 1].0.id);
@@ -283,7 +306,7 @@ impl Detector {
     }
 
     /// The nodes around `node`, as seen from it: those before it, or both sides of an older one.
-    fn query<'a>(&self, view: &View<'a>, node: u32) -> Vec<Placed<'a>> {
+    fn query<'a>(&self, view: &GraphView<'a>, node: u32) -> Vec<Placed<'a>> {
         let c = &self.config.closures;
         let most = c.query_nodes as u32;
         let (mut first, last) = view.pass(node, c.query_m / 2.0, most / 2);
@@ -297,10 +320,16 @@ impl Detector {
         (first..=last).map(|id| view.placed(node, id)).collect()
     }
 
-    fn window(&self, graph: &Graph, relative: Option<Relative>, candidate: u32, node: u32) -> Window {
+    fn window(
+        &self,
+        graph: &Graph,
+        relative: Option<RelativeUncertainty>,
+        candidate: u32,
+        node: u32,
+    ) -> SearchWindow {
         let c = &self.config.closures;
-        let sigmas = relative.unwrap_or(Relative { position: 1e6, heading: 1e6 });
-        Window {
+        let sigmas = relative.unwrap_or(RelativeUncertainty { position: 1e6, heading: 1e6 });
+        SearchWindow {
             centre: graph.poses()[candidate as usize].between(graph.poses()[node as usize]),
             half_m: (c.window_sigmas * sigmas.position.sqrt()).clamp(0.5, c.window_max_m),
             half_rad: (c.window_sigmas * sigmas.heading.sqrt()).clamp(0.1, c.window_max_rad),
@@ -308,22 +337,26 @@ impl Detector {
         }
     }
 
-    fn correlate(&mut self, query: &[Placed<'_>], window: &Window) -> Option<Peak> {
+    fn correlate(&mut self, query: &[Placed<'_>], window: &SearchWindow) -> Option<SearchPeak> {
         let c = &self.config.closures;
         let total: usize = query.iter().map(|(n, _)| n.cloud.points().len()).sum();
         let stride = total.div_ceil(c.query_points_max).max(1);
         let mut points = Vec::with_capacity(c.query_points_max + query.len());
         for (node, query_from_node) in query {
-            let place = crate::cloud::Placement::new(*query_from_node);
+            let place = crate::cloud::PointTransform::new(*query_from_node);
             points.extend(node.cloud.points().iter().step_by(stride).map(|p| place.point(p.at)));
         }
-        let limits = Limits { score_min: c.response_min, evaluations_max: c.evaluations_max, except: None };
+        let limits =
+            SearchLimits { score_min: c.response_min, evaluations_max: c.evaluations_max, except: None };
         let Some(peak) = self.field.search(&points, window, &limits, &mut self.scratch) else {
             self.counts.no_response += 1;
             return None;
         };
-        let rival =
-            Limits { score_min: peak.score * c.rival_max, except: Some((peak.pose, 0.6, 0.2)), ..limits };
+        let rival = SearchLimits {
+            score_min: peak.score * c.rival_max,
+            except: Some((peak.pose, 0.6, 0.2)),
+            ..limits
+        };
         let other = self.field.search(&points, window, &rival, &mut self.scratch);
         if peak.given_up || other.is_some() {
             self.counts.ambiguous += 1;
@@ -333,7 +366,7 @@ impl Detector {
     }
 
     /// Aligns the newest scan at the peak and asks the scans of both passes whether they agree.
-    fn settle(&mut self, chain: &[Placed<'_>], query: &[Placed<'_>], peak: Peak) -> Option<Alignment> {
+    fn settle(&mut self, chain: &[Placed<'_>], query: &[Placed<'_>], peak: SearchPeak) -> Option<Alignment> {
         let c = &self.config.closures;
         let mut near: Vec<&Placed<'_>> = chain.iter().collect();
         let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
@@ -354,9 +387,9 @@ impl Detector {
     }
 
     /// Finds that agree with this one, and this one, if they are enough; else it waits.
-    fn witnesses(&mut self, graph: &Graph, find: Find) -> Vec<Find> {
+    fn witnesses(&mut self, graph: &Graph, find: ClosureCandidate) -> Vec<ClosureCandidate> {
         let c = &self.config.closures;
-        let agrees = |other: &Find| {
+        let agrees = |other: &ClosureCandidate| {
             let poses = graph.poses();
             let to = poses[find.candidate as usize].between(poses[other.candidate as usize]);
             let back = poses[other.node as usize].between(poses[find.node as usize]);
@@ -364,7 +397,8 @@ impl Detector {
             let turned = wrap_angle(implied.yaw_rad - find.candidate_from_node.yaw_rad).abs();
             implied.distance_m(find.candidate_from_node) < c.agree_m && turned < c.agree_rad
         };
-        let mut together: Vec<Find> = self.pending.iter().filter(|f| agrees(f)).copied().collect();
+        let mut together: Vec<ClosureCandidate> =
+            self.pending.iter().filter(|f| agrees(f)).copied().collect();
         together.push(find);
         if together.len() < c.witnesses {
             if self.pending.len() == PENDING_MAX {
@@ -374,7 +408,7 @@ impl Detector {
             return Vec::new();
         }
         self.pending.retain(|f| together.iter().all(|t| t.node != f.node || t.candidate != f.candidate));
-        self.counts.believed += together.len() as u64;
+        self.counts.accepted += together.len() as u64;
         together
     }
 }

@@ -1,8 +1,8 @@
 //! One scan as surface points: thinned to an even spacing, with normals, and a small index that
 //! finds the surface nearest to a point. All in `base_footprint`.
 
+use crate::beam_poses::BeamPoses;
 use crate::config::LidarConfig;
-use crate::sweep::Sweep;
 use msg::{Pose2, Scan};
 
 /// Side of an index cell, metres. A search covers half of it in every direction.
@@ -56,7 +56,7 @@ pub struct Cloud {
 
 impl Cloud {
     /// Without points, with room for so many.
-    pub fn with_room(points_max: usize) -> Self {
+    pub fn with_capacity(points_max: usize) -> Self {
         let mut heads = Vec::with_capacity(buckets(points_max) + 1);
         heads.resize(2, 0);
         Self {
@@ -69,7 +69,7 @@ impl Cloud {
     }
 
     /// Becomes the surfaces of a scan. Allocates nothing if there is room.
-    pub fn fill(&mut self, scan: &Scan, sweep: &Sweep, config: &LidarConfig, scratch: &mut CloudScratch) {
+    pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &LidarConfig, scratch: &mut CloudScratch) {
         let CloudScratch { hits, kept, points } = scratch;
         find_hits(hits, scan, sweep, config.range_use_max_m);
         let gap_per_m = 2.0 * scan.angle_increment_rad.abs();
@@ -88,7 +88,7 @@ impl Cloud {
         let stride = total.div_ceil(points_max.max(1)).max(1);
         let mut points = Vec::with_capacity(total / stride + 1);
         for (cloud, pose) in clouds {
-            let place = Placement::new(pose);
+            let place = PointTransform::new(pose);
             points.extend(
                 cloud
                     .points
@@ -97,7 +97,7 @@ impl Cloud {
                     .map(|p| SurfacePoint { at: place.point(p.at), normal: place.direction(p.normal) }),
             );
         }
-        let mut cloud = Self::with_room(points.len());
+        let mut cloud = Self::with_capacity(points.len());
         cloud.index(&points);
         cloud
     }
@@ -142,7 +142,7 @@ impl Cloud {
         seen_cm: Box<[u16; BEARINGS]>,
     ) -> Self {
         // Points are grouped already, and grouping keeps the order within a group: nothing moves.
-        let mut cloud = Self::with_room(points.len());
+        let mut cloud = Self::with_capacity(points.len());
         cloud.index(&points);
         Self { sensor, middle, seen_cm, ..cloud }
     }
@@ -157,7 +157,7 @@ impl Cloud {
         self.middle.map(f64::from)
     }
 
-    /// The point nearest to `at`, not farther than `gate_m` (at most [`SEARCH_MAX_M`]), whose normal
+    /// The point nearest to `at`, not farther than `gate_m` (at most `SEARCH_MAX_M`), whose normal
     /// is within about 45° of `normal`, if both are known.
     pub fn nearest(&self, at: [f32; 2], normal: [f32; 2], gate_m: f32) -> Option<&SurfacePoint> {
         let buckets = self.heads.len() - 1;
@@ -190,7 +190,7 @@ impl Cloud {
     /// How a cloud placed at `self_from_other` agrees with this one: (points that lie on a surface
     /// of this scan, points where this scan saw through).
     pub fn judge(&self, other: &Cloud, self_from_other: Pose2, near_m: f32, margin_m: f32) -> (usize, usize) {
-        let place = Placement::new(self_from_other);
+        let place = PointTransform::new(self_from_other);
         let (mut agree, mut contradict) = (0, 0);
         for p in &other.points {
             let at = place.point(p.at);
@@ -206,14 +206,14 @@ impl Cloud {
 
 /// A pose ready to move single precision points.
 #[derive(Clone, Copy, Debug)]
-pub struct Placement {
+pub struct PointTransform {
     x: f32,
     y: f32,
     sin: f32,
     cos: f32,
 }
 
-impl Placement {
+impl PointTransform {
     /// From a pose.
     pub fn new(pose: Pose2) -> Self {
         let (sin, cos) = pose.yaw_rad.sin_cos();
@@ -279,7 +279,7 @@ pub struct CloudScratch {
 
 impl CloudScratch {
     /// Enough for any scan.
-    pub fn with_room(points_max: usize) -> Self {
+    pub fn with_capacity(points_max: usize) -> Self {
         Self {
             hits: Vec::with_capacity(msg::BEAMS_MAX),
             kept: Vec::with_capacity(points_max + 1),
@@ -288,7 +288,7 @@ impl CloudScratch {
     }
 }
 
-fn find_hits(hits: &mut Vec<Hit>, scan: &Scan, sweep: &Sweep, range_use_max_m: f32) {
+fn find_hits(hits: &mut Vec<Hit>, scan: &Scan, sweep: &BeamPoses, range_use_max_m: f32) {
     let useful = |range: f32| {
         (scan.range_min_m..scan.range_max_m).contains(&range) && range > 0.0 && range <= range_use_max_m
     };

@@ -14,16 +14,16 @@ pub(crate) const UNOBSERVED: f64 = 1e-2;
 /// Where a measurement comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EdgeKind {
-    /// Wheels, between a node and the next.
+    /// Odometry between a node and the next.
     Odometry,
-    /// Two scans that see the same surfaces.
+    /// Alignment of two scans that see the same surfaces.
     Link,
-    /// A place recognised after a long way.
+    /// A place recognised after a long path.
     Closure,
-    /// Where a robot was put down, as it was told or found out.
-    Placed,
-    /// Wheels, where the scans contradict them: no more than the order.
-    Torn,
+    /// Pose of the first node after the robot was located in a loaded map, as seen from the nearest node.
+    InitialPose,
+    /// Odometry that the scans contradict: it keeps the order of the nodes and measures nothing.
+    OdometryBreak,
 }
 
 /// A measured relative pose.
@@ -62,7 +62,7 @@ impl Edge {
 
 /// How well a node is known as seen from another one.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Relative {
+pub struct RelativeUncertainty {
     /// Variance of the position, m².
     pub position: f64,
     /// Variance of the heading, rad².
@@ -127,7 +127,7 @@ impl Graph {
     }
 
     /// Adds a measurement. `drift` (metres, radians, one standard deviation) is added to its
-    /// uncertainty when that is propagated, see [`Graph::relative_to`]; not when the graph is solved.
+    /// uncertainty when that is propagated, see [`Graph::uncertainty_from`]; not when the graph is solved.
     pub fn add_edge(
         &mut self,
         [a, b]: [u32; 2],
@@ -162,10 +162,10 @@ impl Graph {
     /// How well the nodes around `from` are known as seen from it: the best single way through the
     /// graph to each, which overestimates what all ways together would give. Nodes beyond
     /// `position_max` (m²) are `None`.
-    pub fn relative_to(&self, from: u32, position_max: f64) -> Vec<Option<Relative>> {
-        let mut known: Vec<Option<Relative>> = vec![None; self.poses.len()];
+    pub fn uncertainty_from(&self, from: u32, position_max: f64) -> Vec<Option<RelativeUncertainty>> {
+        let mut known: Vec<Option<RelativeUncertainty>> = vec![None; self.poses.len()];
         let mut open = std::collections::BinaryHeap::new();
-        known[from as usize] = Some(Relative { position: 0.0, heading: 0.0 });
+        known[from as usize] = Some(RelativeUncertainty { position: 0.0, heading: 0.0 });
         open.push((core::cmp::Reverse(0_u64), from));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
             let Some(here) = known[node as usize] else { continue };
@@ -175,7 +175,7 @@ impl Graph {
             for edge in self.edges_of(node) {
                 let next = if edge.a == node { edge.b } else { edge.a };
                 let lever_squared = edge.a_from_b.x_m.powi(2) + edge.a_from_b.y_m.powi(2);
-                let there = Relative {
+                let there = RelativeUncertainty {
                     position: here.position + here.heading * lever_squared + edge.variance[0],
                     heading: here.heading + edge.variance[1],
                 };

@@ -1,8 +1,8 @@
 //! What the scan path hands to the back end, and what comes back: plain values.
 
+use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
-use crate::sweep::Sweep;
 use msg::{Header, Pose2, Scan};
 use std::sync::Arc;
 
@@ -21,66 +21,66 @@ pub struct Node {
     pub fits: bool,
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
     /// ties this node to the ones before until its place is found.
-    pub torn: bool,
+    pub odometry_break: bool,
     /// The back end's: set while the node is in a piece that is not tied to the map; the piece's first node.
-    pub adrift: Option<u32>,
+    pub disconnected: Option<u32>,
     /// Surfaces, for matching.
     pub cloud: Arc<Cloud>,
     /// Beams, for drawing.
     pub rays: Arc<Rays>,
     /// What the robot's body has come over since the node before.
-    pub way: Way,
+    pub swept_path: SweptPath,
 }
 
 /// The most places of a way.
-pub const WAY_PLACES_MAX: usize = 24;
+pub const SWEPT_PATH_POSITIONS_MAX: usize = 24;
 /// Between two of them, metres: a body drawn at each of them covers what it came over.
-const WAY_STEP_M: f32 = 0.05;
+const SWEPT_PATH_STEP_M: f32 = 0.05;
 
 /// Places of the robot between two nodes, wherever it went meanwhile, metres. Of a node: in its `base_footprint`, its own
 /// place among them; none: it is not known how the robot came there, or how large it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Way {
-    places_m: [[f32; 2]; WAY_PLACES_MAX],
+pub struct SweptPath {
+    positions_m: [[f32; 2]; SWEPT_PATH_POSITIONS_MAX],
     len: usize,
 }
 
-impl Way {
+impl SweptPath {
     /// Of these places, the first so many that there may be.
-    pub fn of(places_m: &[[f32; 2]]) -> Self {
-        let mut way = Self { len: places_m.len().min(WAY_PLACES_MAX), ..Self::default() };
-        way.places_m[..way.len].copy_from_slice(&places_m[..way.len]);
-        way
+    pub fn of(positions_m: &[[f32; 2]]) -> Self {
+        let mut path = Self { len: positions_m.len().min(SWEPT_PATH_POSITIONS_MAX), ..Self::default() };
+        path.positions_m[..path.len].copy_from_slice(&positions_m[..path.len]);
+        path
     }
 
     /// The places.
-    pub fn places_m(&self) -> &[[f32; 2]] {
-        &self.places_m[..self.len]
+    pub fn positions_m(&self) -> &[[f32; 2]] {
+        &self.positions_m[..self.len]
     }
 
     /// The robot is here. Where it was before is not noted again; of too many places, the oldest goes.
     pub(crate) fn note(&mut self, [x, y]: [f32; 2]) {
-        if self.places_m().iter().any(|[u, v]| (x - u).hypot(y - v) < WAY_STEP_M) {
+        if self.positions_m().iter().any(|[u, v]| (x - u).hypot(y - v) < SWEPT_PATH_STEP_M) {
             return;
         }
-        if self.len == WAY_PLACES_MAX {
-            self.places_m.rotate_left(1);
+        if self.len == SWEPT_PATH_POSITIONS_MAX {
+            self.positions_m.rotate_left(1);
             self.len -= 1;
         }
-        self.places_m[self.len] = [x, y];
+        self.positions_m[self.len] = [x, y];
         self.len += 1;
     }
 
     /// As seen from a pose in the same frame, with its own place.
     pub(crate) fn seen_from(mut self, pose: Pose2) -> Self {
         let pose_from_frame = pose.inverse();
-        for place in &mut self.places_m[..self.len] {
+        for place in &mut self.positions_m[..self.len] {
             *place = pose_from_frame.apply(place.map(f64::from)).map(|v| v as f32);
         }
         // It may be nearer to one of them than places are apart: it replaces the newest of those.
-        let near = self.places_m().iter().rposition(|[x, y]| x.hypot(*y) < WAY_STEP_M);
+        let near = self.positions_m().iter().rposition(|[x, y]| x.hypot(*y) < SWEPT_PATH_STEP_M);
         match near {
-            Some(index) => self.places_m[index] = [0.0; 2],
+            Some(index) => self.positions_m[index] = [0.0; 2],
             None => self.note([0.0; 2]),
         }
         self
@@ -116,7 +116,7 @@ pub struct Rays {
 impl Node {
     /// Whether the node is part of the map: drawn, matched against, given out.
     pub fn in_map(&self) -> bool {
-        self.fits && self.adrift.is_none()
+        self.fits && self.disconnected.is_none()
     }
 
     /// A copy that owns what it needs, and no more: for whoever keeps nodes. The scan path's buffers
@@ -129,12 +129,12 @@ impl Node {
 
 impl Rays {
     /// Without beams, with room for so many.
-    pub fn with_room(beams: usize) -> Self {
+    pub fn with_capacity(beams: usize) -> Self {
         Self { sensor: [0.0; 2], hits: Vec::with_capacity(beams), misses: Vec::with_capacity(beams) }
     }
 
     /// The beams worth drawing, see [`Rays::fill`].
-    pub fn new(scan: &Scan, sweep: &Sweep, config: &SlamConfig) -> Self {
+    pub fn new(scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) -> Self {
         let mut rays = Self::default();
         rays.fill(scan, sweep, config);
         rays
@@ -142,7 +142,7 @@ impl Rays {
 
     /// Becomes the beams of a scan that are worth drawing: REP-117's +inf and ranges beyond the
     /// maximum saw nothing, NaN and ranges below the minimum say nothing.
-    pub fn fill(&mut self, scan: &Scan, sweep: &Sweep, config: &SlamConfig) {
+    pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) {
         let clear_m = config.map.clear_without_return_m.min(scan.range_max_m);
         let still = sweep.place(0);
         self.sensor = sweep.middle();
@@ -169,22 +169,25 @@ mod tests {
 
     #[test]
     fn a_way_has_each_place_once_and_the_newest_of_too_many() {
-        let mut way = Way::default();
+        let mut way = SweptPath::default();
         // Forth, back, and forth again.
         for k in (0..20).chain((0..20).rev()).chain(0..30) {
             way.note([0.02 * k as f32, 1.0]);
         }
-        assert_eq!(way.places_m().len(), 10);
+        assert_eq!(way.positions_m().len(), 10);
         let seen = way.seen_from(Pose2::new(0.58, 1.0, core::f64::consts::PI));
-        assert_eq!(seen.places_m().len(), 10);
-        assert_eq!(*seen.places_m().last().unwrap(), [0.0; 2]);
-        let first = seen.places_m()[0];
+        assert_eq!(seen.positions_m().len(), 10);
+        assert_eq!(*seen.positions_m().last().unwrap(), [0.0; 2]);
+        let first = seen.positions_m()[0];
         assert!((first[0] - 0.58).abs() < 1e-5 && first[1].abs() < 1e-5, "{first:?}");
         for k in 0..100 {
             way.note([k as f32, 0.0]);
         }
-        assert_eq!(way.places_m().len(), WAY_PLACES_MAX);
-        assert_eq!(way.places_m()[WAY_PLACES_MAX - 1], [99.0, 0.0]);
-        assert_eq!(way.seen_from(Pose2::new(50.0, 3.0, 0.0)).places_m()[WAY_PLACES_MAX - 1], [0.0; 2]);
+        assert_eq!(way.positions_m().len(), SWEPT_PATH_POSITIONS_MAX);
+        assert_eq!(way.positions_m()[SWEPT_PATH_POSITIONS_MAX - 1], [99.0, 0.0]);
+        assert_eq!(
+            way.seen_from(Pose2::new(50.0, 3.0, 0.0)).positions_m()[SWEPT_PATH_POSITIONS_MAX - 1],
+            [0.0; 2]
+        );
     }
 }

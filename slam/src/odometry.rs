@@ -1,6 +1,6 @@
 //! What the wheels said lately: a bounded buffer, read at any stamp.
 
-use crate::backward::Backward;
+use crate::clock_reset::ClockResetDetector;
 use crate::config::OdometryConfig;
 use msg::{Odometry, Pose2, Stamp, pose::wrap_angle};
 use std::collections::VecDeque;
@@ -12,16 +12,16 @@ pub struct OdometryBuffer {
     poses: VecDeque<Odometry>,
     continuous_from_odom: Pose2,
     config: OdometryConfig,
-    refused: u64,
-    backward: Backward,
+    rejected: u64,
+    backward: ClockResetDetector,
 }
 
 impl OdometryBuffer {
     /// Empty, with room for all it will ever hold.
     pub fn new(config: OdometryConfig) -> Self {
         let poses = VecDeque::with_capacity(config.buffer_len + 1);
-        let backward = Backward::default();
-        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, refused: 0, backward }
+        let backward = ClockResetDetector::default();
+        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, rejected: 0, backward }
     }
 
     /// Takes one message; refuses (and counts) those that are not numbers or not newer than the last,
@@ -31,10 +31,10 @@ impl OdometryBuffer {
         let back = last.is_some_and(|last| stamp < last.header.stamp);
         let repeated = last.is_some_and(|last| stamp == last.header.stamp);
         if repeated || !odometry.odom_from_base.is_finite() || (back && self.backward.note(stamp).is_none()) {
-            self.refused += 1;
+            self.rejected += 1;
             return;
         }
-        self.backward = Backward::default();
+        self.backward = ClockResetDetector::default();
         if back {
             self.poses.clear();
         }
@@ -55,9 +55,9 @@ impl OdometryBuffer {
         self.continuous_from_odom
     }
 
-    /// What it holds, to be kept: the newest messages, the frame they are in, and how many were refused.
+    /// What it holds, to be kept: the newest messages, the frame they are in, and how many were rejected.
     pub fn parts(&self) -> (Vec<Odometry>, Pose2, u64) {
-        (self.poses.iter().copied().collect(), self.continuous_from_odom, self.refused)
+        (self.poses.iter().copied().collect(), self.continuous_from_odom, self.rejected)
     }
 
     /// The same buffer from what [`OdometryBuffer::parts`] gave.
@@ -65,17 +65,17 @@ impl OdometryBuffer {
         config: OdometryConfig,
         poses: &[Odometry],
         continuous_from_odom: Pose2,
-        refused: u64,
+        rejected: u64,
     ) -> Self {
         let mut buffer = Self::new(config);
         let newest = &poses[poses.len().saturating_sub(buffer.config.buffer_len)..];
         buffer.poses.extend(newest);
-        Self { continuous_from_odom, refused, ..buffer }
+        Self { continuous_from_odom, rejected, ..buffer }
     }
 
-    /// How many messages were refused.
-    pub fn refused(&self) -> u64 {
-        self.refused
+    /// How many messages were rejected.
+    pub fn rejected(&self) -> u64 {
+        self.rejected
     }
 
     /// `odom_from_base` at a stamp: interpolated, or carried on a little way with the last speed.

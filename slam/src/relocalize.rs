@@ -32,7 +32,7 @@ const PENDING_MAX: usize = 16;
 
 /// Where the scan path's frame lies in the map, as somebody says.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Hint {
+pub struct PoseEstimate {
     /// The map from the scan path's frame.
     pub map_from_local: Pose2,
     /// One standard deviation of the robot's position, metres.
@@ -43,7 +43,7 @@ pub struct Hint {
 
 /// How searches for the robot ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct SeekCounts {
+pub struct RelocalizationCounts {
     /// Searches made.
     pub searches: u64,
     /// No place scores enough.
@@ -55,7 +55,7 @@ pub struct SeekCounts {
     /// One place remained.
     pub found: u64,
     /// Robots believed to be found.
-    pub believed: u64,
+    pub accepted: u64,
     /// Nodes dropped while nothing was found.
     pub dropped: u64,
 }
@@ -70,10 +70,10 @@ pub struct Placed<'a> {
 }
 
 /// A robot that is looked for.
-pub struct Seeker {
+pub struct Relocalizer {
     config: SlamConfig,
     whole: WholeMap,
-    hint: Option<Hint>,
+    hint: Option<PoseEstimate>,
     /// The newest nodes since the search began.
     waiting: VecDeque<Node>,
     nodes: usize,
@@ -82,23 +82,28 @@ pub struct Seeker {
     searched: u32,
     /// Finds that wait for a witness: the map from the scan path's frame, and the way when found.
     pending: VecDeque<(Pose2, f64)>,
-    counts: SeekCounts,
+    counts: RelocalizationCounts,
 }
 
 /// What a seeker knows after a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Sought {
-    /// Nothing yet.
-    Nothing,
+pub enum RelocalizationOutcome {
+    /// Not found yet.
+    NotFound,
     /// The map from the scan path's frame.
     Found(Pose2),
     /// Not found where it should be; the hint is taken for the truth.
-    HintTaken(Hint),
+    HintAccepted(PoseEstimate),
 }
 
-impl Seeker {
+impl Relocalizer {
     /// Of a robot in this map; the map must stay the same while it is looked for.
-    pub fn new(config: SlamConfig, map: Placed<'_>, hint: Option<Hint>, counts: SeekCounts) -> Self {
+    pub fn new(
+        config: SlamConfig,
+        map: Placed<'_>,
+        hint: Option<PoseEstimate>,
+        counts: RelocalizationCounts,
+    ) -> Self {
         Self {
             whole: WholeMap::new(&config, map),
             hint,
@@ -114,12 +119,12 @@ impl Seeker {
     }
 
     /// Where it is said to be.
-    pub fn hint(&self) -> Option<Hint> {
+    pub fn hint(&self) -> Option<PoseEstimate> {
         self.hint
     }
 
     /// How searches ended.
-    pub fn counts(&self) -> SeekCounts {
+    pub fn counts(&self) -> RelocalizationCounts {
         self.counts
     }
 
@@ -129,7 +134,7 @@ impl Seeker {
     }
 
     /// Looks at one more node.
-    pub fn seek(&mut self, node: Node, map: Placed<'_>) -> Sought {
+    pub fn seek(&mut self, node: Node, map: Placed<'_>) -> RelocalizationOutcome {
         let moved = self
             .waiting
             .back()
@@ -139,7 +144,7 @@ impl Seeker {
             // What was seen before is tied to what is seen now by odometry alone,
             self.pending.clear();
         }
-        if node.torn {
+        if node.odometry_break {
             // or not even by that.
             self.counts.dropped += self.waiting.len() as u64;
             self.waiting.clear();
@@ -159,13 +164,15 @@ impl Seeker {
             if let Some(map_from_local) = self.search(map)
                 && self.witnessed(map_from_local)
             {
-                self.counts.believed += 1;
-                return Sought::Found(map_from_local);
+                self.counts.accepted += 1;
+                return RelocalizationOutcome::Found(map_from_local);
             }
         }
         match self.hint {
-            Some(hint) if self.nodes >= self.config.relocalize.hint_nodes => Sought::HintTaken(hint),
-            _ => Sought::Nothing,
+            Some(hint) if self.nodes >= self.config.relocalize.hint_nodes => {
+                RelocalizationOutcome::HintAccepted(hint)
+            }
+            _ => RelocalizationOutcome::NotFound,
         }
     }
 

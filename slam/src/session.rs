@@ -11,9 +11,9 @@ mod bytes;
 mod from_grid;
 mod records;
 
-use crate::back::BackState;
+use crate::back_end::BackEndState;
 use crate::config::SlamConfig;
-use crate::front::{FrontState, Ride};
+use crate::front_end::{FrontEndState, TrajectorySample};
 use bytes::{In, Out};
 use msg::{SlamMode, pose::wrap_angle};
 use records::*;
@@ -142,11 +142,11 @@ pub struct Session {
     /// What was done with the map.
     pub mode: SlamMode,
     /// The map: nodes, graph, and how far the work on them is.
-    pub back: BackState,
+    pub back: BackEndState,
     /// Where the scan path was; without it, a loaded map has no robot in it yet.
-    pub front: Option<FrontState>,
+    pub front: Option<FrontEndState>,
     /// Every scan's pose, where they were kept.
-    pub rides: Vec<Ride>,
+    pub samples: Vec<TrajectorySample>,
 }
 
 impl Session {
@@ -159,7 +159,7 @@ impl Session {
         put_back(&mut out, &self.back);
         out.put(&u64::from(self.front.is_some()));
         self.front.iter().for_each(|front| put_front(&mut out, front));
-        put_rides(&mut out, &self.rides);
+        put_rides(&mut out, &self.samples);
         let mut bytes = out.bytes;
         let (checksum, length) = (crc32fast::hash(&bytes[HEAD..]), (bytes.len() - HEAD) as u64);
         bytes[..8].copy_from_slice(&MAGIC);
@@ -211,10 +211,10 @@ impl Session {
             0 => None,
             _ => Some(take_front(&mut from, back.nodes.len())?),
         };
-        let rides = take_rides(&mut from, back.nodes.len())?;
+        let samples = take_rides(&mut from, back.nodes.len())?;
         if !from.is_empty() {
             return Err(SessionError::Value { what: "length (something follows its content)" });
         }
-        Ok(Self { identity, mode, back, front, rides })
+        Ok(Self { identity, mode, back, front, samples })
     }
 }

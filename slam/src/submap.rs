@@ -2,10 +2,10 @@
 //! fleet's joint pose graph can move one by one. They follow this robot's graph: a submap's pose is
 //! its first node's, and it is drawn again when the graph has bent it.
 
-use crate::back::Back;
-use crate::canvas::Canvas;
+use crate::back_end::BackEnd;
 use crate::config::{LinkConfig, MapConfig, SlamConfig};
 use crate::graph::Graph;
+use crate::mapper::OccupancyMapper;
 use msg::{Pose2, SUBMAP_EDGES_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ pub struct Submaps {
     nodes: u32,
     way_m: f64,
     /// Draws the newest group.
-    canvas: Canvas,
+    mapper: OccupancyMapper,
     /// Nodes after the last submap that there may be.
     not_kept: u64,
     generation: u32,
@@ -60,7 +60,7 @@ impl Submaps {
             groups: Vec::new(),
             nodes: 0,
             way_m: 0.0,
-            canvas: Canvas::new(config.map.clone()),
+            mapper: OccupancyMapper::new(config.map.clone()),
             not_kept: 0,
             generation: 0,
             retired: 0,
@@ -82,7 +82,7 @@ impl Submaps {
 
     /// Takes in the nodes that the back end has got since the last call. If it has forgotten some (those left have
     /// new numbers then) or began a new map, so do the submaps.
-    pub fn update(&mut self, back: &Back) {
+    pub fn update(&mut self, back: &BackEnd) {
         if back.retired() != self.retired || back.nodes().len() < self.nodes as usize {
             self.begin_again();
             self.retired = back.retired();
@@ -97,7 +97,7 @@ impl Submaps {
             self.way_m += step_m;
             let full = self.groups.last().is_none_or(|group| {
                 let full = group.nodes >= NODES_MAX || self.way_m > WAY_MAX_M;
-                full || node.torn || (!node.fits && group.nodes >= NODES_MIN)
+                full || node.odometry_break || (!node.fits && group.nodes >= NODES_MIN)
             });
             if full {
                 if let Some(group) = self.groups.last_mut() {
@@ -157,7 +157,7 @@ impl Submaps {
 
     /// A submap that is new, has grown, was finished or bent since it was given out; call it until
     /// there is none. `header.incarnation` and `seq` are left to the channel.
-    pub fn next_changed(&mut self, back: &Back) -> Option<&Submap> {
+    pub fn next_changed(&mut self, back: &BackEnd) -> Option<&Submap> {
         let poses = back.graph().poses();
         let newest = self.groups.len().checked_sub(1)?;
         let id = (0..=newest).find(|id| self.is_due(&self.groups[*id], back))?;
@@ -169,19 +169,19 @@ impl Submaps {
         group.given_in_map = in_map(group, back);
         // The newest is drawn on as it grows; the others are rarely drawn at all.
         if fresh || id != newest {
-            self.canvas = Canvas::new(self.map.clone());
+            self.mapper = OccupancyMapper::new(self.map.clone());
         }
-        self.out.set_grid(self.canvas.finish(&back.nodes()[range], &group.given));
+        self.out.set_grid(self.mapper.finish(&back.nodes()[range], &group.given));
         let out = &mut self.out;
         (out.id, out.first_node, out.nodes) = (id as u32, group.first, group.nodes);
         (out.finished, out.generation) = (u32::from(group.finished), self.generation);
         if id != newest {
-            self.canvas = Canvas::new(self.map.clone());
+            self.mapper = OccupancyMapper::new(self.map.clone());
         }
         Some(&self.out)
     }
 
-    fn is_due(&self, group: &Group, back: &Back) -> bool {
+    fn is_due(&self, group: &Group, back: &BackEnd) -> bool {
         let (given, poses) = (group.given.len(), back.graph().poses());
         if in_map(group, back) != group.given_in_map {
             return true;
@@ -202,7 +202,7 @@ impl Submaps {
     }
 
     /// Where the submaps lie, and what the graph's links say of pairs of them.
-    pub fn poses(&self, back: &Back, out: &mut SubmapPoses) {
+    pub fn poses(&self, back: &BackEnd, out: &mut SubmapPoses) {
         let poses = back.graph().poses();
         for (pose, group) in out.robot_map_from_submap.iter_mut().zip(&self.groups) {
             *pose = poses[group.first as usize];
@@ -267,8 +267,8 @@ impl Submaps {
 }
 
 /// Whether a submap is part of the map: no submap is in two pieces.
-fn in_map(group: &Group, back: &Back) -> bool {
-    back.nodes().get(group.first as usize).is_some_and(|node| node.adrift.is_none())
+fn in_map(group: &Group, back: &BackEnd) -> bool {
+    back.nodes().get(group.first as usize).is_some_and(|node| node.disconnected.is_none())
 }
 
 fn relative(poses: &[Pose2]) -> Vec<Pose2> {

@@ -14,7 +14,7 @@ fn allocations(walls: &[Wall], lidar: impl Fn(usize) -> Lidar, odometry: bool) -
     let mut noise = Noise::new(4);
     let mut robot = Robot::new(Pose2::new(-1.0, -1.4, 0.0));
     let (mut front, mut back) = Slam::new(SlamConfig::default()).split();
-    let (send, receive) = sync_channel(slam::NODES_UNDER_WAY_MAX);
+    let (send, receive) = sync_channel(slam::NODES_IN_FLIGHT_MAX);
     let (answer, answers) = sync_channel(64);
     let (mut counted, mut nodes) = (0, 0);
     for i in 0..900 {
@@ -25,9 +25,9 @@ fn allocations(walls: &[Wall], lidar: impl Fn(usize) -> Lidar, odometry: bool) -
         let steady = i >= 100;
         let allocated = measure(|| {
             if odometry {
-                front.odometry(&robot.odometry());
+                front.add_odometry(&robot.odometry());
             }
-            answers.try_iter().for_each(|revision| front.revise(revision));
+            answers.try_iter().for_each(|revision| front.add_revision(revision));
             let step = front.process(&scan);
             nodes += usize::from(steady && step.node.is_some());
             if let Some(node) = step.node {
@@ -38,7 +38,7 @@ fn allocations(walls: &[Wall], lidar: impl Fn(usize) -> Lidar, odometry: bool) -
         // The back end falls behind now and then.
         if i % 40 == 0 {
             for node in receive.try_iter() {
-                let _ = answer.try_send(back.add(node));
+                let _ = answer.try_send(back.add_node(node));
             }
         }
     }

@@ -29,7 +29,7 @@ fn spin(known: Known) -> (f64, f64, usize) {
     let start = robot.world_from_base;
     let mut slam = Slam::new(SlamConfig::default());
     if known != Known::Times {
-        slam.odometry(&robot.odometry());
+        slam.add_odometry(&robot.odometry());
     }
     let (mut away_m, mut turned_rad) = (Vec::new(), Vec::new());
     for i in 0..200 {
@@ -44,7 +44,7 @@ fn spin(known: Known) -> (f64, f64, usize) {
         for _ in 0..4 {
             robot.drive(twist.0, twist.1, TURN_S / 4.0, &mut noise);
             if known != Known::Times {
-                slam.odometry(&robot.odometry());
+                slam.add_odometry(&robot.odometry());
             }
         }
         let pose = slam.process(&scan).correction.map_from_base;

@@ -5,7 +5,7 @@ mod common;
 use common::{FULL, NARROW, Noise, Robot, cast, laboratory};
 use msg::{Pose2, Scan, Stamp, TrackingState};
 use proptest::prelude::*;
-use slam::{Refusal, Slam, SlamConfig};
+use slam::{ScanRejection, Slam, SlamConfig};
 
 fn scan_at(seconds: f64) -> Box<Scan> {
     cast(&laboratory(), &FULL, Pose2::new(0.0, -0.5, 0.3), Stamp::from_seconds(seconds), &mut Noise::new(1))
@@ -14,10 +14,10 @@ fn scan_at(seconds: f64) -> Box<Scan> {
 #[test]
 fn stamps_that_repeat_or_go_back_are_refused_and_counted() {
     let mut slam = Slam::new(SlamConfig::default());
-    assert_eq!(slam.process(&scan_at(5.0)).refused, None);
-    assert_eq!(slam.process(&scan_at(5.0)).refused, Some(Refusal::StampRepeated));
-    assert_eq!(slam.process(&scan_at(4.0)).refused, Some(Refusal::StampWentBack));
-    assert_eq!(slam.process(&scan_at(6.0)).refused, None);
+    assert_eq!(slam.process(&scan_at(5.0)).rejected, None);
+    assert_eq!(slam.process(&scan_at(5.0)).rejected, Some(ScanRejection::StampRepeated));
+    assert_eq!(slam.process(&scan_at(4.0)).rejected, Some(ScanRejection::StampWentBack));
+    assert_eq!(slam.process(&scan_at(6.0)).rejected, None);
     let counts = slam.counts();
     assert_eq!((counts.accepted, counts.stamp_repeated, counts.stamp_went_back), (2, 1, 1));
     slam.finish();
@@ -29,9 +29,9 @@ fn a_scan_without_beams_or_sense_is_refused() {
     let mut slam = Slam::new(SlamConfig::default());
     let mut scan = scan_at(1.0);
     scan.len = 0;
-    assert_eq!(slam.process(&scan).refused, Some(Refusal::BeamCount));
+    assert_eq!(slam.process(&scan).rejected, Some(ScanRejection::BeamCount));
     scan.len = u32::MAX;
-    assert_eq!(slam.process(&scan).refused, Some(Refusal::BeamCount));
+    assert_eq!(slam.process(&scan).rejected, Some(ScanRejection::BeamCount));
     for broken in [
         |s: &mut Scan| s.angle_min_rad = f32::NAN,
         |s: &mut Scan| s.angle_increment_rad = f32::INFINITY,
@@ -40,7 +40,7 @@ fn a_scan_without_beams_or_sense_is_refused() {
     ] {
         let mut scan = scan_at(1.0);
         broken(&mut scan);
-        assert_eq!(slam.process(&scan).refused, Some(Refusal::Geometry));
+        assert_eq!(slam.process(&scan).rejected, Some(ScanRejection::Geometry));
     }
 }
 
@@ -64,10 +64,10 @@ fn the_number_of_beams_may_change() {
     let start = robot.world_from_base;
     for i in 0..60 {
         robot.drive(0.15, 0.05, 0.1, &mut noise);
-        slam.odometry(&robot.odometry());
+        slam.add_odometry(&robot.odometry());
         let lidar = if i % 2 == 0 { FULL } else { common::Lidar { beams: 97, ..NARROW } };
         let step = slam.process(&cast(&walls, &lidar, robot.world_from_base, robot.stamp(), &mut noise));
-        assert_eq!(step.refused, None);
+        assert_eq!(step.rejected, None);
         let wanted = start.between(robot.world_from_base);
         assert!(step.correction.map_from_base.distance_m(wanted) < 0.1);
     }
@@ -78,10 +78,10 @@ fn a_scan_that_sees_nothing_rides_on_odometry() {
     let mut slam = Slam::new(SlamConfig::default());
     let mut noise = Noise::new(2);
     let mut robot = Robot::new(Pose2::new(-1.0, -1.4, 0.0));
-    slam.odometry(&robot.odometry());
+    slam.add_odometry(&robot.odometry());
     slam.process(&cast(&laboratory(), &FULL, robot.world_from_base, robot.stamp(), &mut noise));
     robot.drive(0.15, 0.0, 0.2, &mut noise);
-    slam.odometry(&robot.odometry());
+    slam.add_odometry(&robot.odometry());
     for (i, empty) in [f32::INFINITY, f32::NAN, 0.0, 0.05, 99.0].into_iter().enumerate() {
         let mut scan = scan_at(10.3 + i as f64);
         scan.header.stamp = Stamp(robot.stamp().0 + i as i64);
@@ -107,7 +107,7 @@ fn wheels_that_leap_while_the_beams_turn_break_nothing() {
                     ..Default::default()
                 };
                 odometry.header.stamp = Stamp::from_seconds(1.0 + 0.1 * i as f64 + after);
-                slam.odometry(&odometry);
+                slam.add_odometry(&odometry);
             }
             assert!(slam.process(&scan).correction.map_from_base.is_finite());
             slam.work();
@@ -122,7 +122,7 @@ fn every_range_is_drawn_as_what_it_means() {
     scan.len = ranges.len() as u32;
     scan.ranges_m[..ranges.len()].copy_from_slice(&ranges);
     let config = SlamConfig::default();
-    let rays = slam::Rays::new(&scan, &slam::Sweep::still(Pose2::IDENTITY), &config);
+    let rays = slam::Rays::new(&scan, &slam::BeamPoses::still(Pose2::IDENTITY), &config);
     // REP-117: +inf and beyond the maximum are free space, up to as far as the sensor sees.
     assert_eq!(rays.misses.len(), 2);
     let reach = |p: &[f32; 2]| p[0].hypot(p[1]);
@@ -140,7 +140,7 @@ fn one_beam_and_4096_are_scans() {
         let stamp = Stamp::from_seconds(1.0 + i as f64);
         let scan = cast(&laboratory(), &lidar, Pose2::new(0.0, -0.5, 0.3), stamp, &mut Noise::new(1));
         let step = slam.process(&scan);
-        assert_eq!(step.refused, None);
+        assert_eq!(step.rejected, None);
         let correction = step.correction;
         assert!(correction.map_from_base.distance_m(Pose2::IDENTITY) < 0.05, "{beams} beams: {correction:?}");
         assert!(correction.covariance.iter().all(|v| v.is_finite()));
@@ -185,7 +185,7 @@ proptest! {
             (scan.angle_min_rad, scan.angle_increment_rad) = (angle_min, increment % 0.1);
             (scan.range_min_m, scan.range_max_m) = (0.1, 25.0);
             let odom_from_base = Pose2::new(x, -x, x);
-            slam.odometry(&msg::Odometry { header: scan.header, odom_from_base, ..Default::default() });
+            slam.add_odometry(&msg::Odometry { header: scan.header, odom_from_base, ..Default::default() });
             let step = slam.process(&scan);
             prop_assert!(step.correction.map_from_base.is_finite());
             slam.work();

@@ -41,7 +41,7 @@ impl Drive {
         for &(linear, angular, seconds) in legs {
             for _ in 0..(seconds * 10.0).round() as usize {
                 self.robot.drive(linear, angular, 0.1, &mut self.noise);
-                self.slam.odometry(&self.robot.odometry());
+                self.slam.add_odometry(&self.robot.odometry());
                 let (pose, stamp) = (self.robot.world_from_base, self.robot.stamp());
                 let scan = cast(&self.walls, &self.lidar, pose, stamp, &mut self.noise);
                 let correction = self.slam.process(&scan).correction;
@@ -117,7 +117,7 @@ fn a_robot_carried_off_within_its_map_is_lost_draws_nothing_and_is_found() {
         assert_eq!(drive.wrong(world_from_map, 0.2), 0, "it said to know where it was, and was wrong");
         let last = drive.said[drive.said.len() - 1];
         assert_ne!(last.0, TrackingState::Lost, "not found: {:?}", drive.slam.back_counts());
-        assert_eq!(drive.slam.back_counts().adrift, 0);
+        assert_eq!(drive.slam.back_counts().disconnected, 0);
         // What it saw before it was found is in its place now, and so are all poses.
         let (ghosts, occupied) = drive.ghosts(world_from_map);
         assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
@@ -151,7 +151,7 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
     let world_from_map = drive.said[0].2;
     assert!(drive.said[carried..].iter().all(|(state, ..)| *state == TrackingState::Lost));
     let counts = drive.slam.back_counts();
-    assert!(counts.adrift > 15 && counts.adrift < nodes, "{counts:?}");
+    assert!(counts.disconnected > 15 && counts.disconnected < nodes, "{counts:?}");
     let (ghosts, occupied) = drive.ghosts(world_from_map);
     assert!(ghosts == 0 && occupied > 500, "{ghosts} of {occupied} cells are no walls");
     // The larger piece is the map in the end: the other one is held back then.
@@ -159,7 +159,7 @@ fn a_robot_carried_to_another_room_stays_lost_until_it_knows_that_one_better() {
         drive.drive(&wander());
     }
     let counts = drive.slam.back_counts();
-    assert_eq!(counts.adrift, nodes, "{counts:?}");
+    assert_eq!(counts.disconnected, nodes, "{counts:?}");
     let (state, said, truth) = drive.said[drive.said.len() - 1];
     assert_eq!(state, TrackingState::Tracking);
     let world_from_map = truth * said.inverse();
@@ -184,7 +184,7 @@ fn in_a_corridor_the_covariance_is_long_and_the_state_says_so() {
     let mut degenerate = 0;
     for i in 0..100 {
         drive.robot.drive(0.3, 0.0, 0.1, &mut drive.noise);
-        drive.slam.odometry(&drive.robot.odometry());
+        drive.slam.add_odometry(&drive.robot.odometry());
         let (pose, stamp) = (drive.robot.world_from_base, drive.robot.stamp());
         let scan = cast(&drive.walls, &drive.lidar, pose, stamp, &mut drive.noise);
         let correction = drive.slam.process(&scan).correction;
@@ -221,7 +221,7 @@ fn the_covariance_is_about_what_the_error_is() {
             for _ in 0..(seconds * 2.0) as usize {
                 for _ in 0..5 {
                     drive.robot.drive(linear, angular, 0.1, &mut drive.noise);
-                    drive.slam.odometry(&drive.robot.odometry());
+                    drive.slam.add_odometry(&drive.robot.odometry());
                 }
                 let (truth, stamp) = (drive.robot.world_from_base, drive.robot.stamp());
                 let scan = cast(&drive.walls, &lidar, truth, stamp, &mut drive.noise);
@@ -257,7 +257,7 @@ fn a_blind_robot_is_less_sure_with_every_metre_and_a_standing_one_is_not() {
     drive.drive(&[(0.15, 0.0, 5.0)]);
     let blind = |drive: &mut Drive, linear: f64| {
         drive.robot.drive(linear, 0.0, 0.1, &mut drive.noise);
-        drive.slam.odometry(&drive.robot.odometry());
+        drive.slam.add_odometry(&drive.robot.odometry());
         let mut scan = cast(&[], &drive.lidar, Pose2::IDENTITY, drive.robot.stamp(), &mut drive.noise);
         scan.ranges_m.fill(f32::INFINITY);
         let correction = drive.slam.process(&scan).correction;
@@ -275,7 +275,7 @@ fn a_blind_robot_is_less_sure_with_every_metre_and_a_standing_one_is_not() {
     drive.carry_to(Pose2::new(1.8, 0.4, 2.0));
     drive.drive(&[(0.15, 0.1, 4.0)]);
     drive.robot.drive(0.15, 0.0, 0.1, &mut drive.noise);
-    drive.slam.odometry(&drive.robot.odometry());
+    drive.slam.add_odometry(&drive.robot.odometry());
     let (pose, stamp) = (drive.robot.world_from_base, drive.robot.stamp());
     let correction =
         drive.slam.process(&cast(&drive.walls, &drive.lidar, pose, stamp, &mut drive.noise)).correction;
@@ -311,7 +311,7 @@ fn single_jumps_stalls_and_scans_out_of_order_are_refused() {
     for back_s in [5.0, 5.0, 3.0, 15.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 1.9, 1.8, 1.7] {
         let stamp = msg::Stamp::from_seconds(now_s - back_s);
         let scan = cast(&drive.walls, &drive.lidar, drive.robot.world_from_base, stamp, &mut drive.noise);
-        assert!(drive.slam.process(&scan).refused.is_some(), "{back_s} s back");
+        assert!(drive.slam.process(&scan).rejected.is_some(), "{back_s} s back");
     }
     let counts = drive.slam.counts();
     assert_eq!((counts.stamp_repeated, counts.stamp_went_back, counts.clock_set_back), (6, 8, 0));

@@ -43,11 +43,11 @@ fn drive(walls: &[Wall], lidar: &Lidar, start: Pose2, legs: &[(f64, f64, f64)], 
         for _ in 0..(seconds * 10.0).round() as usize {
             for _ in 0..2 {
                 robot.drive(linear, angular, 0.05, &mut noise);
-                slam.odometry(&robot.odometry());
+                slam.add_odometry(&robot.odometry());
             }
             let scan = cast(walls, lidar, robot.world_from_base, robot.stamp(), &mut noise);
             let step = slam.process(&scan);
-            assert_eq!(step.refused, None);
+            assert_eq!(step.rejected, None);
             states.push(step.correction.state());
             truth.push(robot.world_from_base);
             if work {
@@ -57,8 +57,8 @@ fn drive(walls: &[Wall], lidar: &Lidar, start: Pose2, legs: &[(f64, f64, f64)], 
     }
     slam.finish();
     let world_from_map = truth[0];
-    let believed = robot.odom_from_base;
-    let odometry_error_m = (start * believed).distance_m(robot.world_from_base);
+    let accepted = robot.odom_from_base;
+    let odometry_error_m = (start * accepted).distance_m(robot.world_from_base);
     Drive { slam, world_from_map, truth, odometry_error_m, states }
 }
 
@@ -129,7 +129,7 @@ fn ring_log(lidar: &Lidar) -> (Vec<(msg::Odometry, Box<msg::Scan>)>, Vec<Pose2>)
 fn run(log: &[(msg::Odometry, Box<msg::Scan>)], config: SlamConfig, work_each: usize) -> Slam {
     let mut slam = Slam::new(config);
     for (i, (odometry, scan)) in log.iter().enumerate() {
-        slam.odometry(odometry);
+        slam.add_odometry(odometry);
         slam.process(scan);
         if i % work_each == 0 {
             slam.work();
@@ -174,16 +174,16 @@ fn the_same_log_gives_the_same_bits() {
     assert!(wanted == late);
     // Nor does another thread.
     let (mut front, mut back) = Slam::new(SlamConfig::default()).split();
-    let (send, receive) = std::sync::mpsc::sync_channel(slam::NODES_UNDER_WAY_MAX - 2);
+    let (send, receive) = std::sync::mpsc::sync_channel(slam::NODES_IN_FLIGHT_MAX - 2);
     std::thread::scope(|scope| {
         scope.spawn(|| {
             for node in receive {
-                back.add(node);
+                back.add_node(node);
             }
             back.finish();
         });
         for (odometry, scan) in &log {
-            front.odometry(odometry);
+            front.add_odometry(odometry);
             if let Some(node) = front.process(scan).node {
                 let _ = send.send(node);
             }
@@ -230,24 +230,24 @@ fn a_back_end_that_falls_behind_holds_nothing_up_and_leaves_no_gap() {
     for (linear, angular, seconds) in round() {
         for _ in 0..(seconds * 10.0) as usize {
             robot.drive(linear, angular, 0.1, &mut noise);
-            front.odometry(&robot.odometry());
+            front.add_odometry(&robot.odometry());
             let scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
             waiting.extend(front.process(&scan).node);
             truth.push(robot.world_from_base);
         }
         // It wakes up once, half way.
         if truth.len() > 500 && back.nodes().is_empty() {
-            assert_eq!(waiting.len(), slam::NODES_UNDER_WAY_MAX);
+            assert_eq!(waiting.len(), slam::NODES_IN_FLIGHT_MAX);
             for node in waiting.drain(..) {
-                back.add(node);
+                back.add_node(node);
             }
         }
     }
     assert!(front.counts().nodes_held_back > 10, "{:?}", front.counts());
     let count = back.nodes().len() + waiting.len();
-    assert!(count > slam::NODES_UNDER_WAY_MAX, "{count}");
+    assert!(count > slam::NODES_IN_FLIGHT_MAX, "{count}");
     for node in waiting.drain(..) {
-        back.add(node);
+        back.add_node(node);
     }
     back.finish();
     let poses: Vec<Pose2> = slam::trajectory(&front, &back).map(|(_, pose)| pose).collect();

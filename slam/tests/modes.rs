@@ -4,7 +4,7 @@ mod common;
 
 use common::{FULL, Noise, Robot, cast, laboratory};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
-use slam::{Back, Front, Hint, Identity, Slam, SlamConfig};
+use slam::{BackEnd, FrontEnd, Identity, PoseEstimate, Slam, SlamConfig};
 
 type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
 
@@ -23,7 +23,7 @@ fn log(robot: &mut Robot, seconds: usize, seed: u64) -> Log {
 fn error_m(slam: &mut Slam, log: &Log, world_from_map: Pose2) -> f64 {
     let mut worst = 0.0_f64;
     for (odometry, scan, truth) in log {
-        slam.odometry(odometry);
+        slam.add_odometry(odometry);
         let correction = slam.process(scan).correction;
         slam.work();
         assert_ne!(correction.state(), TrackingState::Lost);
@@ -60,7 +60,7 @@ fn a_robot_keeps_its_place_when_the_mode_changes() {
     let (_, last) = slam.trajectory().last().unwrap();
     assert!((world_from_map * last).distance_m(robot.world_from_base) < 0.1);
 
-    slam.back_mut().seek(None);
+    slam.back_mut().start_relocalization(None);
     assert!(!has_front(&mut slam), "nor while it is looked for");
 }
 
@@ -68,19 +68,19 @@ fn a_robot_keeps_its_place_when_the_mode_changes() {
 fn a_map_begins_where_it_is_told_to() {
     let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
     let log = log(&mut robot, 16, 4);
-    let (mut front, mut back) = (Front::new(SlamConfig::default()), Back::new(SlamConfig::default()));
+    let (mut front, mut back) = (FrontEnd::new(SlamConfig::default()), BackEnd::new(SlamConfig::default()));
     let told = Pose2::new(5.0, -3.0, 2.0);
-    back.seek(Some(Hint { map_from_local: told, sigma_m: 0.1, sigma_rad: 0.05 }));
-    front.place(Some(told));
+    back.start_relocalization(Some(PoseEstimate { map_from_local: told, sigma_m: 0.1, sigma_rad: 0.05 }));
+    front.set_map_from_local(Some(told));
     let world_from_map = log[0].2 * told.inverse();
     for (odometry, scan, truth) in &log {
-        front.odometry(odometry);
+        front.add_odometry(odometry);
         let step = front.process(scan);
         let at = world_from_map * step.correction.map_from_base;
         assert!(at.distance_m(*truth) < 0.1, "{at:?} instead of {truth:?}");
-        step.node.into_iter().for_each(|node| front.revise(back.add(node)));
+        step.node.into_iter().for_each(|node| front.add_revision(back.add_node(node)));
     }
-    assert!(back.located() && back.nodes().len() > 10);
+    assert!(back.is_located() && back.nodes().len() > 10);
     assert_eq!(back.graph().poses()[0], told);
 }
 
@@ -88,14 +88,14 @@ fn a_map_begins_where_it_is_told_to() {
 fn a_standing_robot_makes_a_node_when_somebody_waits_for_one() {
     let (walls, mut noise) = (laboratory(), Noise::new(5));
     let mut robot = Robot::new(Pose2::new(0.0, -0.75, 0.0));
-    let mut front = Front::new(SlamConfig::default());
-    let mut made = |front: &mut Front| {
+    let mut front = FrontEnd::new(SlamConfig::default());
+    let mut made = |front: &mut FrontEnd| {
         robot.drive(0.0, 0.0, 0.1, &mut noise);
-        front.odometry(&robot.odometry());
+        front.add_odometry(&robot.odometry());
         let scan = cast(&walls, &FULL, robot.world_from_base, robot.stamp(), &mut noise);
-        front.process(&scan).made_node
+        front.process(&scan).node_id
     };
     assert_eq!([0; 4].map(|_| made(&mut front)), [Some(0), None, None, None]);
-    front.want_node();
+    front.request_node();
     assert_eq!([0; 3].map(|_| made(&mut front)), [Some(1), None, None]);
 }

@@ -6,7 +6,7 @@ mod common;
 use common::{FULL, HALF, Lidar, Noise, Robot, Wall, cast, laboratory, rectangle, ring};
 use msg::grid::{Occupancy, occupancy};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
-use slam::{Hint, Identity, Session, SessionError, Slam, SlamConfig, Start, Way};
+use slam::{Identity, InitialPose, PoseEstimate, Session, SessionError, Slam, SlamConfig, SweptPath};
 
 type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
 
@@ -27,7 +27,7 @@ fn log(walls: &[Wall], lidar: &Lidar, robot: &mut Robot, legs: &[(f64, f64, f64)
 /// Feeds a log; every scan's pose as it was said then, and its state.
 fn feed(slam: &mut Slam, log: &Log) -> Vec<(Pose2, TrackingState)> {
     let one = |(odometry, scan, _): &(Odometry, Box<Scan>, Pose2)| {
-        slam.odometry(odometry);
+        slam.add_odometry(odometry);
         let correction = slam.process(scan).correction;
         slam.work();
         (correction.map_from_base, correction.state())
@@ -104,7 +104,7 @@ fn going_on_gives_the_bits_of_never_having_stopped() {
         let bytes = first.session(identity()).encode();
         let session = Session::decode(&bytes, &identity()).unwrap();
         assert!(drawn.cells.contains(&msg::grid::SWEPT_FREE));
-        let mut second = Slam::begin(config.clone(), Some(session), SlamMode::Mapping, Start::GoOn);
+        let mut second = Slam::begin(config.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue);
         assert!(drawn == second.map().to_owned(), "another map after loading");
         feed(&mut second, &after);
         second.finish();
@@ -137,7 +137,8 @@ fn what_is_not_a_session_is_refused_with_the_reason() {
     // Of a robot that says nothing of its way, the version before had the same bytes.
     let mut older = bytes.clone();
     older[8] = 3;
-    let nowhere = |session: &Session| session.back.nodes.iter().all(|node| node.way == Way::default());
+    let nowhere =
+        |session: &Session| session.back.nodes.iter().all(|node| node.swept_path == SweptPath::default());
     assert_eq!(Session::decode(&older, &identity()).is_ok(), nowhere(&session));
     let mut other = bytes.clone();
     other[8] = 9;
@@ -177,14 +178,14 @@ fn a_robot_put_down_anywhere_is_found_and_the_map_gone_on_with() {
     let (session, world_from_map) = mapped(&FULL);
     let nodes = session.back.nodes.len();
     let log = elsewhere(&FULL, 3);
-    let mut slam = Slam::begin(SlamConfig::default(), Some(session), SlamMode::Mapping, Start::Unknown);
+    let mut slam = Slam::begin(SlamConfig::default(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
     let said = feed(&mut slam, &log);
     slam.finish();
     let (mean, most, located) = errors(&said, &log, world_from_map);
     assert!(located * 2 > log.len(), "located in {located} of {}: {:?}", log.len(), slam.back_counts());
     assert!(mean < 0.05 && most < 0.15, "mean {mean} m, most {most} m");
     let counts = slam.back_counts();
-    assert_eq!(counts.sought.believed, 1);
+    assert_eq!(counts.relocalization.accepted, 1);
     assert!(counts.nodes > nodes + 10, "{} nodes after {nodes}", counts.nodes);
     // Every scan since it was put down is in the trajectory, at its place in the old map.
     let newer = slam.trajectory().skip(slam.trajectory().count() - log.len());
@@ -199,9 +200,10 @@ fn a_robot_that_is_told_where_it_is_is_there_at_once() {
     let log = elsewhere(&FULL, 4);
     let truth = world_from_map.between(log[0].2);
     let guess = Pose2::new(truth.x_m + 0.25, truth.y_m - 0.2, truth.yaw_rad + 0.15);
-    let hint = Hint { map_from_local: guess, sigma_m: 0.3, sigma_rad: 0.2 };
+    let hint = PoseEstimate { map_from_local: guess, sigma_m: 0.3, sigma_rad: 0.2 };
     for mode in [SlamMode::Mapping, SlamMode::Localization] {
-        let mut slam = Slam::begin(SlamConfig::default(), Some(session.clone()), mode, Start::At(hint));
+        let mut slam =
+            Slam::begin(SlamConfig::default(), Some(session.clone()), mode, InitialPose::Near(hint));
         let said = feed(&mut slam, &log);
         assert!(said.iter().all(|(_, state)| *state != TrackingState::Lost), "{mode:?}");
         let (mean, most, _) = errors(&said[60..], &log[60..].to_vec(), world_from_map);
@@ -212,8 +214,12 @@ fn a_robot_that_is_told_where_it_is_is_there_at_once() {
 #[test]
 fn localization_changes_nothing_and_needs_no_more_memory() {
     let (session, world_from_map) = mapped(&FULL);
-    let mut slam =
-        Slam::begin(SlamConfig::default(), Some(session.clone()), SlamMode::Localization, Start::Unknown);
+    let mut slam = Slam::begin(
+        SlamConfig::default(),
+        Some(session.clone()),
+        SlamMode::Localization,
+        InitialPose::Unknown,
+    );
     let before = slam.map().to_owned();
     for seed in 0..4 {
         // Carried to its start each time: lost, and found again.
@@ -242,11 +248,15 @@ fn a_robot_in_another_building_is_not_found() {
     for seed in 3..6 {
         let mut robot = Robot::new(Pose2::new(-7.8, -5.8, 0.0));
         let log = log(&ring(seed), &lidar, &mut robot, &[(0.15, 0.0, 60.0)], seed);
-        let mut slam =
-            Slam::begin(SlamConfig::default(), Some(session.clone()), SlamMode::Localization, Start::Unknown);
+        let mut slam = Slam::begin(
+            SlamConfig::default(),
+            Some(session.clone()),
+            SlamMode::Localization,
+            InitialPose::Unknown,
+        );
         let said = feed(&mut slam, &log);
-        let counts = slam.back_counts().sought;
-        assert!(counts.searches > 5 && counts.believed == 0, "{counts:?}");
+        let counts = slam.back_counts().relocalization;
+        assert!(counts.searches > 5 && counts.accepted == 0, "{counts:?}");
         assert!(said.iter().all(|(_, state)| *state == TrackingState::Lost));
     }
 }
@@ -255,11 +265,12 @@ fn a_robot_in_another_building_is_not_found() {
 fn a_grid_is_enough_to_be_found_in() {
     let (session, world_from_map) = mapped(&FULL);
     let config = SlamConfig::default();
-    let grid = Slam::begin(config.clone(), Some(session), SlamMode::Mapping, Start::GoOn).map().to_owned();
+    let grid =
+        Slam::begin(config.clone(), Some(session), SlamMode::Mapping, InitialPose::Continue).map().to_owned();
     let session = Session::from_grid(identity(), grid.view(), &config);
     assert!(session.back.nodes.len() > 10, "{} places", session.back.nodes.len());
     let log = elsewhere(&FULL, 5);
-    let mut slam = Slam::begin(config, Some(session), SlamMode::Localization, Start::Unknown);
+    let mut slam = Slam::begin(config, Some(session), SlamMode::Localization, InitialPose::Unknown);
     let said = feed(&mut slam, &log);
     let (mean, most, located) = errors(&said, &log, world_from_map);
     assert!(located * 2 > log.len(), "located in {located} of {}: {:?}", log.len(), slam.back_counts());
@@ -303,7 +314,7 @@ fn occupied(slam: &mut Slam, world_from_map: Pose2) -> usize {
 #[test]
 fn a_map_that_lasts_forgets_a_box_that_left_and_stays_small() {
     let world_from_map = log(&laboratory(), &FULL, &mut Robot::new(start()), &[(0.15, 0.0, 0.1)], 7)[0].2;
-    let mut slam = Slam::begin(SlamConfig::default(), None, SlamMode::Lifelong, Start::Unknown);
+    let mut slam = Slam::begin(SlamConfig::default(), None, SlamMode::Lifelong, InitialPose::Unknown);
     let with = rounds(&mut slam, &|_| laboratory_with_a_box(true), 1);
     let seen = occupied(&mut slam, world_from_map);
     assert!(seen > 15, "the box is {seen} cells");
@@ -362,5 +373,5 @@ fn a_closure_can_be_looked_at_undone_and_stays_undone() {
     let apart = |e: &&slam::Edge| e.in_force && e.kind == slam::EdgeKind::Link && e.a.abs_diff(e.b) > 60;
     assert_eq!(slam.back().graph().edges().iter().filter(apart).count(), 0);
     slam.finish();
-    assert_eq!(slam.back_counts().closures, 0, "an undone closure was believed again");
+    assert_eq!(slam.back_counts().closures, 0, "an undone closure was accepted again");
 }

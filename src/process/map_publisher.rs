@@ -3,7 +3,7 @@
 use super::MAP_PERIOD;
 use crate::channel;
 use crate::ports::{ChannelError, MAP_PAUSE, Ports, WriteMapPort};
-use ::slam::Back;
+use ::slam::BackEnd;
 use msg::{Monotonic, RobotId};
 use std::time::Duration;
 
@@ -36,7 +36,7 @@ impl<P: Ports> MapPublisher<P> {
     }
 
     /// Draws a slice, and sends what has changed if it is time. Returns when the next step is due.
-    pub fn step(&mut self, back: &mut Back, now: Monotonic) -> Monotonic {
+    pub fn step(&mut self, back: &mut BackEnd, now: Monotonic) -> Monotonic {
         self.drawing = self.drawing && back.draw(SLICE_CELLS);
         if self.pause_left(now).is_zero() {
             let before = self.writer.bytes();

@@ -21,7 +21,9 @@ use crate::sessions;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
-use ::slam::{Back, Front, FrontState, NODES_UNDER_WAY_MAX, Node, Revision, SlamConfig, Start};
+use ::slam::{
+    BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, SlamConfig,
+};
 use back_end::BackEndWorker;
 use files::{FileWorker, Job, JobOutcome};
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
@@ -32,13 +34,13 @@ use std::time::Duration;
 /// Commands that the scan path may fall behind; at each scan it takes all there are.
 const COMMANDS_MAX: usize = 256;
 /// Nodes of a scan path, and of the one before it that was just replaced, and a few other events.
-const EVENTS_MAX: usize = 2 * NODES_UNDER_WAY_MAX + 16;
+const EVENTS_MAX: usize = 2 * NODES_IN_FLIGHT_MAX + 16;
 
 /// What reaches the back-end thread.
 #[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
 pub enum BackEndInput {
     /// An event of the front end with this number; the numbers count the front ends that were put in place.
-    Front(u32, FrontEvent),
+    FrontEnd(u32, FrontEvent),
     /// A file was read or written.
     File(Box<JobOutcome>),
 }
@@ -50,11 +52,11 @@ pub enum FrontEvent {
     /// the front end's own frame.
     Node(Node, Option<Pose2>),
     /// Where the front end is, after the nodes reported before: answers [`FrontCommand::ReportState`].
-    State(Box<FrontState>),
+    State(Box<FrontEndState>),
     /// Another front end has taken its place; this one may be dropped.
-    Replaced(Box<Front>),
+    Replaced(Box<FrontEnd>),
     /// The process ends, and the front end is here.
-    Ended(Box<FrontState>),
+    Ended(Box<FrontEndState>),
 }
 
 /// What the back-end thread wants of the scan path.
@@ -70,7 +72,7 @@ pub enum FrontCommand {
         /// The number of the new front end.
         number: u32,
         /// The new front end.
-        front: Box<Front>,
+        front: Box<FrontEnd>,
         /// Whether the robot is where it was, in a map of the same frame.
         in_place: bool,
     },
@@ -164,8 +166,8 @@ fn serve_back_end(
 
 /// What SLAM begins with.
 struct Beginning {
-    front: Front,
-    back: Back,
+    front: FrontEnd,
+    back: BackEnd,
     /// Where `odom` lies in the map, as it was seen last, if the front end itself does not go on.
     odom_pose: Option<Pose2>,
 }
@@ -186,7 +188,7 @@ fn begin(
             let mode = kept.mode;
             // A robot that was localized is looked for where it was; one that was looked for, everywhere.
             let odom_pose = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
-            let (front, back) = ::slam::begin(config, Some(kept), mode, Start::GoOn);
+            let (front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
             return Ok(Beginning { front, back, odom_pose });
         }
         Err(why) if !why.is_missing() => eprintln!("slam of {robot}: {why}; goes on without it"),
@@ -195,9 +197,9 @@ fn begin(
     }
     let first = sessions::first(&run.config, robot)?;
     let mode = sessions::first_mode(&run.config, first.is_some());
-    let (front, mut back) = ::slam::begin(config, first, mode, Start::Unknown);
+    let (front, mut back) = ::slam::begin(config, first, mode, InitialPose::Unknown);
     // No scan of this run is in it yet.
-    back.date_map(Header::default(), clock.now());
+    back.set_map_header(Header::default(), clock.now());
     // Whether the robot had been found in a session's map is not known.
     let odom_pose = at.filter(|_| back.nodes().is_empty());
     Ok(Beginning { front, back, odom_pose })

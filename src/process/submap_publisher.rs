@@ -2,7 +2,7 @@
 
 use crate::channel;
 use crate::ports::{ChannelError, Clock, Ports, ReadPort, WritePort};
-use ::slam::{Back, SlamConfig, Submaps};
+use ::slam::{BackEnd, SlamConfig, Submaps};
 use msg::{Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest};
 use std::time::Duration;
 
@@ -44,7 +44,7 @@ impl<P: Ports> SubmapPublisher<P> {
     }
 
     /// The back end has new nodes, or its graph has changed.
-    pub fn update(&mut self, back: &Back) {
+    pub fn update(&mut self, back: &BackEnd) {
         self.submaps.update(back);
         let submaps = &self.submaps;
         self.poses.send_with(|poses| submaps.poses(back, poses));
@@ -52,7 +52,7 @@ impl<P: Ports> SubmapPublisher<P> {
     }
 
     /// Sends a submap that has changed, if it is time. Returns when the next step is due.
-    pub fn step(&mut self, back: &Back, now: Monotonic) -> Monotonic {
+    pub fn step(&mut self, back: &BackEnd, now: Monotonic) -> Monotonic {
         if now.since(self.polled) >= POLL_PERIOD.as_nanos() as u64 {
             self.polled = now;
             self.poses.refresh();

@@ -10,7 +10,7 @@ use formats::map_file::write_map;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
 use serde::Serialize;
-use slam::{Back, Front, Slam, SlamConfig, Submaps};
+use slam::{BackEnd, FrontEnd, Slam, SlamConfig, Submaps};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
@@ -83,8 +83,8 @@ struct Robot<'a> {
     id: RobotId,
     records: Records<'a>,
     next: Option<LaserLine>,
-    front: Front,
-    back: Back,
+    front: FrontEnd,
+    back: BackEnd,
     submaps: Submaps,
     feeder: Feeder,
     summary: Summary,
@@ -152,8 +152,8 @@ impl<'a> Robot<'a> {
         self.next = self.records.next_laser();
         let made = node.is_some();
         if let Some(node) = node {
-            let revision = self.back.add(node);
-            self.front.revise(revision);
+            let revision = self.back.add_node(node);
+            self.front.add_revision(revision);
             self.submaps.update(&self.back);
         }
         made
@@ -277,7 +277,7 @@ fn write_trajectories(
     for robot in robots {
         let path = folder.join(format!("{}.tum", robot.id));
         let poses = robot.back.graph().poses();
-        let known = robot.front.rides().iter().filter(|ride| (ride.node as usize) < poses.len());
+        let known = robot.front.samples().iter().filter(|ride| (ride.node as usize) < poses.len());
         let trajectory = known.map(|ride| {
             let in_robot_map = poses[ride.node as usize] * ride.node_from_base;
             (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map)

@@ -1,7 +1,7 @@
 //! What a replay did, and how that is said.
 
 use serde::Serialize;
-use slam::{Back, Front, SearchCounts, SeekCounts};
+use slam::{BackEnd, ClosureSearchCounts, FrontEnd, RelocalizationCounts};
 use std::time::Duration;
 
 /// What a replay did.
@@ -22,7 +22,7 @@ pub struct Summary {
     /// Scans while it was not known where the robot is in the session's map.
     pub not_located: u64,
     /// How searches for the robot ended.
-    pub sought: SeekCounts,
+    pub relocalization: RelocalizationCounts,
     /// Where the robot is said to be at the end: x m, y m, yaw rad.
     pub ends_at: [f64; 3],
     /// Malformed lines.
@@ -38,7 +38,7 @@ pub struct Summary {
     /// Loop closures taken back.
     pub retracted: u64,
     /// How closure searches ended.
-    pub closure_searches: SearchCounts,
+    pub closure_searches: ClosureSearchCounts,
     /// Solutions of the whole graph.
     pub solutions: u64,
     /// Reading to final trajectory, seconds.
@@ -58,7 +58,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    pub(super) fn count(&mut self, front: &Front, back: &Back) {
+    pub(super) fn count(&mut self, front: &FrontEnd, back: &BackEnd) {
         let (counts, done) = (front.counts(), back.counts());
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.stamp_repeated, self.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
@@ -66,7 +66,7 @@ impl Summary {
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
         self.closure_searches = done.searches;
-        self.sought = done.sought;
+        self.relocalization = done.relocalization;
     }
 }
 
@@ -104,10 +104,14 @@ pub(super) fn print(summary: &Summary, json: bool) {
         "  graph     {} nodes, {} links, {} closures ({} taken back)",
         s.nodes, s.links, s.closures, s.retracted
     );
-    if s.sought.searches > 0 {
+    if s.relocalization.searches > 0 {
         println!(
             "  located   after {} scans; {} searches, {} found, {} ambiguous, {} contradicted",
-            s.not_located, s.sought.searches, s.sought.found, s.sought.ambiguous, s.sought.contradicted
+            s.not_located,
+            s.relocalization.searches,
+            s.relocalization.found,
+            s.relocalization.ambiguous,
+            s.relocalization.contradicted
         );
     }
     println!("  map       {} x {} cells, drawn in {:.1} ms", s.map_width, s.map_height, s.map_ms);

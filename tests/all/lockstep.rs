@@ -59,7 +59,7 @@ fn a_recording_replays_to_the_same_corrections() {
     for (seq, scan) in said["robot1/scan"].chunks_exact(size_of::<Scan>()).enumerate() {
         let scan: Box<Scan> = Box::new(bytemuck::pod_read_unaligned(scan));
         while let Some(odometry) = odometry.next_if(|odometry| odometry.header.stamp <= scan.header.stamp) {
-            slam.odometry(&odometry);
+            slam.add_odometry(&odometry);
         }
         let mut correction = slam.process(&scan).correction;
         slam.work();

@@ -5,9 +5,9 @@
 //! for, so that a coarse score is never below a finer one), best first.
 
 use super::{Placed, same};
-use crate::cloud::{Cloud, Placement, floor_i32};
+use crate::cloud::{Cloud, PointTransform, floor_i32};
 use crate::config::{RelocalizeConfig, SlamConfig};
-use crate::field::kernel;
+use crate::likelihood_field::kernel;
 use msg::{Pose2, pose::wrap_angle};
 use std::collections::BinaryHeap;
 
@@ -52,7 +52,7 @@ impl WholeMap {
         let placed = || map.nodes.iter().zip(map.poses).filter(|(node, _)| node.in_map());
         let (mut low, mut high) = ([f32::MAX; 2], [f32::MIN; 2]);
         for (node, pose) in placed() {
-            let place = Placement::new(*pose);
+            let place = PointTransform::new(*pose);
             for p in node.cloud.points().iter().map(|p| p.at).chain([[0.0; 2]]) {
                 let at = place.point(p);
                 for k in 0..2 {
@@ -72,7 +72,7 @@ impl WholeMap {
         let kernel = kernel(cell_m, config.tracking.blur_m.max(cell_m));
         let cell = |at: [f32; 2]| [0, 1].map(|k| floor_i32((at[k] - corner[k]) / cell_m));
         for (node, pose) in placed() {
-            let place = Placement::new(*pose);
+            let place = PointTransform::new(*pose);
             for p in node.cloud.points() {
                 let [x, y] = cell(place.point(p.at));
                 for &(dx, dy, value) in &kernel {
@@ -166,41 +166,46 @@ impl WholeMap {
         let count = points.len();
         let mut cells: Vec<[i16; 2]> = Vec::with_capacity(count * (2 * turns + 1) as usize);
         for turn in first..=turns {
-            let place = Placement::new(Pose2::new(0.0, 0.0, yaw(turn)));
+            let place = PointTransform::new(Pose2::new(0.0, 0.0, yaw(turn)));
             let to_cell = |v: f32| floor_i32(v / self.cell_m).clamp(-16_000, 16_000) as i16;
             cells.extend(points.iter().map(|p| place.point(*p).map(to_cell)));
         }
         let turned = |turn: i32| &cells[(turn - first) as usize * count..][..count];
-        let mut hunt =
-            Hunt { whole: self, bounds, least: config.response_min, evaluations: 0, open: BinaryHeap::new() };
+        let mut search = BranchAndBound {
+            whole: self,
+            bounds,
+            least: config.response_min,
+            evaluations: 0,
+            open: BinaryHeap::new(),
+        };
         let stride = 1 << (LEVELS - 1);
         for turn in first..=turns {
             for y in (0..self.height).step_by(stride as usize) {
                 for x in (0..self.width).step_by(stride as usize) {
-                    hunt.try_block(turned(turn), Block { level: LEVELS - 1, turn, x, y });
+                    search.try_block(turned(turn), Block { level: LEVELS - 1, turn, x, y });
                 }
             }
         }
         let mut places: Vec<Pose2> = Vec::new();
-        while let Some((bound, core::cmp::Reverse(block))) = hunt.open.pop() {
-            if f32::from_bits(bound) < hunt.least {
+        while let Some((bound, core::cmp::Reverse(block))) = search.open.pop() {
+            if f32::from_bits(bound) < search.least {
                 break;
             }
-            if hunt.evaluations > config.evaluations_max {
+            if search.evaluations > config.evaluations_max {
                 return (places, true);
             }
             if block.level > 0 {
                 let half = 1 << (block.level - 1);
                 for (dx, dy) in [(0, 0), (half, 0), (0, half), (half, half)] {
                     let child = Block { level: block.level - 1, x: block.x + dx, y: block.y + dy, ..block };
-                    hunt.try_block(turned(block.turn), child);
+                    search.try_block(turned(block.turn), child);
                 }
                 continue;
             }
             let pose = self.pose(block, yaw(block.turn));
             if places.iter().all(|place| !same(*place, pose)) {
                 if places.is_empty() {
-                    hunt.least = hunt.least.max(config.rival_share * f32::from_bits(bound));
+                    search.least = search.least.max(config.rival_share * f32::from_bits(bound));
                 }
                 places.push(pose);
                 if places.len() == config.places_max {
@@ -227,7 +232,7 @@ struct Block {
     y: i32,
 }
 
-struct Hunt<'a> {
+struct BranchAndBound<'a> {
     whole: &'a WholeMap,
     bounds: Option<Bounds>,
     least: f32,
@@ -236,7 +241,7 @@ struct Hunt<'a> {
     open: BinaryHeap<(u32, core::cmp::Reverse<Block>)>,
 }
 
-impl Hunt<'_> {
+impl BranchAndBound<'_> {
     fn try_block(&mut self, points: &[[i16; 2]], block: Block) {
         if !self.may_be_here(block) {
             return;

@@ -2,11 +2,11 @@
 //! places a metre apart. Good for localization; there is no graph that could be gone on with.
 
 use super::{Identity, Session};
-use crate::back::BackState;
+use crate::back_end::BackEndState;
+use crate::beam_poses::BeamPoses;
 use crate::cloud::{Cloud, CloudScratch};
 use crate::config::{LidarConfig, SlamConfig};
-use crate::node::{Node, Rays, Way};
-use crate::sweep::Sweep;
+use crate::node::{Node, Rays, SweptPath};
 use bytemuck::Zeroable;
 use msg::grid::{Occupancy, occupancy};
 use msg::{GridView, Header, Pose2, Scan, SlamMode};
@@ -35,17 +35,17 @@ impl Session {
         let lidar = LidarConfig { base_from_scan: [0.0; 3], ..config.lidar.clone() };
         let config = SlamConfig { lidar, ..config.clone() };
         let mut scan = Box::new(Scan::zeroed());
-        let sweep = Sweep::still(Pose2::IDENTITY);
-        let mut scratch = CloudScratch::with_room(config.lidar.points_max);
-        let mut back = BackState::default();
+        let sweep = BeamPoses::still(Pose2::IDENTITY);
+        let mut scratch = CloudScratch::with_capacity(config.lidar.points_max);
+        let mut back = BackEndState::default();
         for (id, at) in places.into_iter().enumerate() {
             take_scan(grid, at, &mut scan);
-            let mut cloud = Cloud::with_room(config.lidar.points_max);
+            let mut cloud = Cloud::with_capacity(config.lidar.points_max);
             cloud.fill(&scan, &sweep, &config.lidar, &mut scratch);
             let map_from_base = Pose2::new(at[0], at[1], 0.0);
             back.nodes.push(Node {
-                torn: false,
-                adrift: None,
+                odometry_break: false,
+                disconnected: None,
                 id: id as u32,
                 header: Header::default(),
                 local_from_base: map_from_base,
@@ -54,12 +54,12 @@ impl Session {
                 cloud: Arc::new(cloud),
                 rays: Arc::new(Rays::new(&scan, &sweep, &config)),
                 // No robot was there.
-                way: Way::default(),
+                swept_path: SweptPath::default(),
             });
             back.front_ids.push(id as u32);
             back.poses.push(map_from_base);
         }
-        Self { identity, mode: SlamMode::Localization, back, front: None, rides: Vec::new() }
+        Self { identity, mode: SlamMode::Localization, back, front: None, samples: Vec::new() }
     }
 }
 

@@ -2,12 +2,12 @@
 
 use super::bytes::{In, Out};
 use super::{Identity, SessionError};
-use crate::back::{BackState, Ban};
-use crate::closure::{DetectorState, Find, SearchCounts};
+use crate::back_end::{BackEndState, RejectedClosure};
+use crate::closure::{ClosureCandidate, ClosureDetectorState, ClosureSearchCounts};
 use crate::cloud::{BEARINGS, Cloud, SurfacePoint};
-use crate::front::{Counts, FrontState, Last, Ride};
+use crate::front_end::{FrontEndCounts, FrontEndState, LastScan, TrajectorySample};
 use crate::graph::{Edge, EdgeKind};
-use crate::node::{Node, Rays, Revision, WAY_PLACES_MAX, Way};
+use crate::node::{Node, Rays, Revision, SWEPT_PATH_POSITIONS_MAX, SweptPath};
 use bytemuck::{Pod, Zeroable};
 use msg::{BEAMS_MAX, Header, Odometry, Pose2, SlamMode, Stamp};
 use nalgebra::Matrix3;
@@ -111,8 +111,8 @@ fn put_node(out: &mut Out, node: &Node) {
         previous_from_this: node.previous_from_this.unwrap_or_default(),
         flags: u32::from(node.previous_from_this.is_some())
             | u32::from(node.fits) << 1
-            | u32::from(node.torn) << 2
-            | (node.way.places_m().len() as u32) << 8,
+            | u32::from(node.odometry_break) << 2
+            | (node.swept_path.positions_m().len() as u32) << 8,
         points: points.len() as u32,
         hits: rays.hits.len() as u32,
         misses: rays.misses.len() as u32,
@@ -124,7 +124,7 @@ fn put_node(out: &mut Out, node: &Node) {
     out.bytes.extend_from_slice(bytemuck::cast_slice(&rays.hits));
     out.bytes.extend_from_slice(bytemuck::cast_slice(&rays.misses));
     out.put(seen_cm);
-    out.bytes.extend_from_slice(bytemuck::cast_slice(node.way.places_m()));
+    out.bytes.extend_from_slice(bytemuck::cast_slice(node.swept_path.positions_m()));
 }
 
 fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
@@ -139,7 +139,7 @@ fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
     let hits: Vec<[f32; 2]> = from.values(sizes[1], WHAT)?;
     let misses: Vec<[f32; 2]> = from.values(sizes[2], WHAT)?;
     let seen_cm: [u16; BEARINGS] = from.take(WHAT)?;
-    let way = take_way(from, record.flags >> 8, BEAM_M_MAX)?;
+    let swept_path = take_way(from, record.flags >> 8, BEAM_M_MAX)?;
     for p in &points {
         check_points(&[p.at], "point of a node")?;
         check(p.normal.iter().all(|v| v.abs() <= 1.01), "surface's direction")?;
@@ -156,24 +156,24 @@ fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
         local_from_base,
         previous_from_this: (record.flags & 1 != 0).then_some(previous),
         fits: record.flags & 2 != 0,
-        torn: record.flags & 4 != 0,
-        adrift: None,
+        odometry_break: record.flags & 4 != 0,
+        disconnected: None,
         cloud: Arc::new(cloud),
         rays: Arc::new(Rays { sensor: record.rays_sensor, hits, misses }),
-        way,
+        swept_path,
     })
 }
 
 /// So many places, none farther than so many metres.
-fn take_way(from: &mut In<'_>, places: u32, most_m: f32) -> Result<Way> {
+fn take_way(from: &mut In<'_>, places: u32, most_m: f32) -> Result<SweptPath> {
     const WHAT: &str = "way";
-    if places as usize > WAY_PLACES_MAX {
+    if places as usize > SWEPT_PATH_POSITIONS_MAX {
         let found = u64::from(places);
-        return Err(SessionError::TooMany { what: "places in a way", found, most: WAY_PLACES_MAX });
+        return Err(SessionError::TooMany { what: "places in a way", found, most: SWEPT_PATH_POSITIONS_MAX });
     }
     let way: Vec<[f32; 2]> = from.values(places as usize, WHAT)?;
     check(way.iter().flatten().all(|v| v.abs() <= most_m), WHAT)?;
-    Ok(Way::of(&way))
+    Ok(SweptPath::of(&way))
 }
 
 #[repr(C)]
@@ -191,7 +191,7 @@ struct EdgeRecord {
 }
 
 const KINDS: [EdgeKind; 5] =
-    [EdgeKind::Odometry, EdgeKind::Link, EdgeKind::Closure, EdgeKind::Placed, EdgeKind::Torn];
+    [EdgeKind::Odometry, EdgeKind::Link, EdgeKind::Closure, EdgeKind::InitialPose, EdgeKind::OdometryBreak];
 
 fn edge_record(edge: &Edge) -> EdgeRecord {
     EdgeRecord {
@@ -236,7 +236,7 @@ struct FindRecord {
     reserved: u32,
 }
 
-fn find_record(find: &Find) -> FindRecord {
+fn find_record(find: &ClosureCandidate) -> FindRecord {
     FindRecord {
         node: find.node,
         candidate: find.candidate,
@@ -247,11 +247,11 @@ fn find_record(find: &Find) -> FindRecord {
     }
 }
 
-fn find(record: FindRecord, nodes: usize) -> Result<Find> {
+fn find(record: FindRecord, nodes: usize) -> Result<ClosureCandidate> {
     let there = (record.node as usize) < nodes && (record.candidate as usize) < nodes;
     check(there && record.node != record.candidate, "find of a node that is not there")?;
     check((0.0..=1.0).contains(&record.response), "find's response")?;
-    Ok(Find {
+    Ok(ClosureCandidate {
         node: record.node,
         candidate: record.candidate,
         candidate_from_node: check_pose(record.candidate_from_node, "find's measurement")?,
@@ -268,7 +268,7 @@ struct BanRecord {
     a_from_b: Pose2,
 }
 
-pub fn put_back(out: &mut Out, back: &BackState) {
+pub fn put_back(out: &mut Out, back: &BackEndState) {
     out.put(&(back.nodes.len() as u64));
     back.nodes.iter().for_each(|node| put_node(out, node));
     out.list(&back.front_ids);
@@ -278,18 +278,19 @@ pub fn put_back(out: &mut Out, back: &BackState) {
     out.put(&back.travelled_m);
     out.list(&back.not_found);
     out.list(&back.again);
-    let SearchCounts { searches, no_response, ambiguous, contradicted, unconfirmed, believed } =
+    let ClosureSearchCounts { searches, no_response, ambiguous, contradicted, unconfirmed, accepted } =
         back.detector.counts;
-    out.put(&[searches, no_response, ambiguous, contradicted, unconfirmed, believed]);
+    out.put(&[searches, no_response, ambiguous, contradicted, unconfirmed, accepted]);
     out.put(&[back.unsolved as u64, back.solutions, back.retracted, back.retired]);
-    out.maybe(back.joint.map(u64::from));
+    out.maybe(back.unverified_edge.map(u64::from));
     out.list(&back.detector.pending.iter().map(find_record).collect::<Vec<_>>());
     out.maybe(back.detector.last_search_m);
-    let bans = back.bans.iter().map(|ban| BanRecord { a: ban.a, b: ban.b, a_from_b: ban.a_from_b });
-    out.list(&bans.collect::<Vec<_>>());
+    let rejected_closures =
+        back.rejected_closures.iter().map(|ban| BanRecord { a: ban.a, b: ban.b, a_from_b: ban.a_from_b });
+    out.list(&rejected_closures.collect::<Vec<_>>());
 }
 
-pub fn take_back(from: &mut In<'_>) -> Result<BackState> {
+pub fn take_back(from: &mut In<'_>) -> Result<BackEndState> {
     let count = from.count(NODES_MAX, "nodes")?;
     let mut nodes = Vec::new();
     for id in 0..count {
@@ -313,25 +314,26 @@ pub fn take_back(from: &mut In<'_>) -> Result<BackState> {
         Ok(ids)
     };
     let (not_found, again) = (ids("nodes not found")?, ids("nodes to look for again")?);
-    let [searches, no_response, ambiguous, contradicted, unconfirmed, believed]: [u64; 6] =
+    let [searches, no_response, ambiguous, contradicted, unconfirmed, accepted]: [u64; 6] =
         from.take("counts")?;
     let [unsolved, solutions, retracted, retired]: [u64; 4] = from.take("counts")?;
-    let joint: Option<u64> = from.maybe("joint")?;
-    check(joint.is_none_or(|id| id < count as u64), "joint")?;
+    let unverified_edge: Option<u64> = from.maybe("unverified_edge")?;
+    check(unverified_edge.is_none_or(|id| id < count as u64), "unverified_edge")?;
     let pending: Vec<FindRecord> = from.list(WAITING_MAX, "finds")?;
     let pending = pending.into_iter().map(|record| find(record, count)).collect::<Result<Vec<_>>>()?;
     let last_search_m: Option<f64> = from.maybe("last search")?;
     check(last_search_m.is_none_or(|m| (0.0..1e12).contains(&m)), "last search")?;
-    let bans: Vec<BanRecord> = from.list(WAITING_MAX, "undone closures")?;
+    let rejected_closures: Vec<BanRecord> = from.list(WAITING_MAX, "undone closures")?;
     let ban = |ban: BanRecord| {
         check((ban.a as usize) < count && (ban.b as usize) < count, "undone closure")?;
-        Ok(Ban { a: ban.a, b: ban.b, a_from_b: check_pose(ban.a_from_b, "undone closure")? })
+        Ok(RejectedClosure { a: ban.a, b: ban.b, a_from_b: check_pose(ban.a_from_b, "undone closure")? })
     };
-    let bans = bans.into_iter().map(ban).collect::<Result<Vec<_>>>()?;
-    let counts = SearchCounts { searches, no_response, ambiguous, contradicted, unconfirmed, believed };
-    let detector = DetectorState { pending, counts, last_search_m };
+    let rejected_closures = rejected_closures.into_iter().map(ban).collect::<Result<Vec<_>>>()?;
+    let counts =
+        ClosureSearchCounts { searches, no_response, ambiguous, contradicted, unconfirmed, accepted };
+    let detector = ClosureDetectorState { pending, counts, last_search_m };
     let unsolved = unsolved.min(count as u64) as usize;
-    Ok(BackState {
+    Ok(BackEndState {
         nodes,
         front_ids,
         poses,
@@ -344,9 +346,9 @@ pub fn take_back(from: &mut In<'_>) -> Result<BackState> {
         solutions,
         retracted,
         retired,
-        joint: joint.map(|id| id as u32),
+        unverified_edge: unverified_edge.map(|id| id as u32),
         detector,
-        bans,
+        rejected_closures,
     })
 }
 
@@ -368,15 +370,15 @@ struct LastRecord {
     covariance: [f64; 9],
 }
 
-pub fn put_front(out: &mut Out, front: &FrontState) {
+pub fn put_front(out: &mut Out, front: &FrontEndState) {
     out.put(&[front.next_node, front.recent, front.local_maps[0], front.local_maps[1]]);
     // Above the lowest eight bits of the last: the places of its way.
-    let unsure = u32::from(front.unsure) | (front.way.places_m().len() as u32) << 8;
-    out.put(&[front.lost_in_row, front.closures, u32::from(front.located), unsure]);
+    let last_scan_lost = u32::from(front.last_scan_lost) | (front.swept_path.positions_m().len() as u32) << 8;
+    out.put(&[front.lost_in_row, front.closures, u32::from(front.located), last_scan_lost]);
     out.put(&front.map_from_local);
     out.maybe(front.node_odom_from_base);
     out.put(&matrix(&front.node_covariance));
-    out.maybe(front.torn_at.map(u64::from));
+    out.maybe(front.last_break.map(u64::from));
     out.maybe(front.last.as_ref().map(|last| LastRecord {
         stamp: last.stamp,
         local_from_base: last.local_from_base,
@@ -386,11 +388,11 @@ pub fn put_front(out: &mut Out, front: &FrontState) {
     let motion = front.last.as_ref().and_then(|last| last.motion);
     out.maybe(motion.map(|(motion, _)| motion));
     out.put(&motion.map_or(0.0, |(_, seconds)| seconds));
-    out.maybe(front.handed_from_recent);
+    out.maybe(front.published_from_newest);
     let c = front.counts;
     out.put(&[c.accepted, c.stamp_repeated, c.stamp_went_back, c.beam_count, c.geometry]);
-    out.put(&[c.lost, c.odometry_refused, c.slips, c.trajectory_dropped, c.nodes_held_back, c.not_deskewed]);
-    out.put(&[c.clock_set_back, c.torn]);
+    out.put(&[c.lost, c.odometry_rejected, c.slips, c.trajectory_dropped, c.nodes_held_back, c.not_deskewed]);
+    out.put(&[c.clock_set_back, c.odometry_breaks]);
     let waiting = front.waiting.iter().map(|r| RevisionRecord {
         cause: r.cause,
         effective_from: r.effective_from,
@@ -401,29 +403,29 @@ pub fn put_front(out: &mut Out, front: &FrontState) {
     out.list(&waiting.collect::<Vec<_>>());
     out.list(&front.odometry);
     out.put(&front.continuous_from_odom);
-    out.put(&front.odometry_refused);
-    out.bytes.extend_from_slice(bytemuck::cast_slice(front.way.places_m()));
+    out.put(&front.odometry_rejected);
+    out.bytes.extend_from_slice(bytemuck::cast_slice(front.swept_path.positions_m()));
 }
 
-pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
+pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontEndState> {
     const WHAT: &str = "the scan path";
     let [next_node, recent, older, younger]: [u32; 4] = from.take(WHAT)?;
     let fits = [recent, older, younger].iter().all(|n| *n as usize <= nodes.min(4096));
     check(fits, "number of nodes in the local map")?;
-    let [lost_in_row, closures, located, unsure]: [u32; 4] = from.take(WHAT)?;
+    let [lost_in_row, closures, located, last_scan_lost]: [u32; 4] = from.take(WHAT)?;
     let map_from_local = check_pose(from.take(WHAT)?, "scan path's place in the map")?;
     let pose = |pose: Option<Pose2>| pose.map(|pose| check_pose(pose, "scan path's odometry")).transpose();
     let node_odom_from_base = pose(from.maybe(WHAT)?)?;
     let node_covariance = check_matrix(from.take(WHAT)?, INFORMATION_MAX, "newest node's covariance")?;
-    let torn_at: Option<u64> = from.maybe(WHAT)?;
+    let last_break: Option<u64> = from.maybe(WHAT)?;
     let last: Option<LastRecord> = from.maybe(WHAT)?;
     let odom_from_base = pose(from.maybe(WHAT)?)?;
     let motion = pose(from.maybe(WHAT)?)?;
     let motion_s: f64 = from.take(WHAT)?;
     check((0.0..1e9).contains(&motion_s), "duration of the last motion")?;
-    let handed_from_recent = pose(from.maybe(WHAT)?)?;
+    let published_from_newest = pose(from.maybe(WHAT)?)?;
     let last = last.map(|last| {
-        Ok(Last {
+        Ok(LastScan {
             stamp: last.stamp,
             local_from_base: check_pose(last.local_from_base, "last pose")?,
             odom_from_base,
@@ -432,19 +434,19 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
         })
     });
     let [accepted, stamp_repeated, stamp_went_back, beam_count, geometry]: [u64; 5] = from.take(WHAT)?;
-    let [lost, odometry_refused_before, slips, trajectory_dropped, nodes_held_back, not_deskewed]: [u64; 6] =
+    let [lost, odometry_rejected_before, slips, trajectory_dropped, nodes_held_back, not_deskewed]: [u64; 6] =
         from.take(WHAT)?;
-    let [clock_set_back, torn]: [u64; 2] = from.take(WHAT)?;
-    let counts = Counts {
+    let [clock_set_back, odometry_breaks]: [u64; 2] = from.take(WHAT)?;
+    let counts = FrontEndCounts {
         clock_set_back,
-        torn,
+        odometry_breaks,
         accepted,
         stamp_repeated,
         stamp_went_back,
         beam_count,
         geometry,
         lost,
-        odometry_refused: odometry_refused_before,
+        odometry_rejected: odometry_rejected_before,
         slips,
         trajectory_dropped,
         nodes_held_back,
@@ -465,26 +467,26 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontState> {
         check_pose(o.odom_from_base, "odometry")?;
     }
     check(odometry.is_sorted_by(|a, b| a.header.stamp < b.header.stamp), "order of odometry")?;
-    Ok(FrontState {
+    Ok(FrontEndState {
         next_node,
         recent,
         local_maps: [older, younger],
         lost_in_row,
-        unsure: unsure & 1 != 0,
+        last_scan_lost: last_scan_lost & 1 != 0,
         closures,
         located: located != 0,
         map_from_local,
-        handed_from_recent,
+        published_from_newest,
         node_odom_from_base,
         node_covariance,
-        torn_at: torn_at.map(|id| u32::try_from(id).unwrap_or(u32::MAX)),
+        last_break: last_break.map(|id| u32::try_from(id).unwrap_or(u32::MAX)),
         last: last.transpose()?,
         counts,
         waiting: waiting.into_iter().map(revision).collect::<Result<Vec<_>>>()?,
         odometry,
         continuous_from_odom: check_pose(from.take(WHAT)?, "odometry's frame")?,
-        odometry_refused: from.take(WHAT)?,
-        way: take_way(from, unsure >> 8, PLACE_M_MAX as f32)?,
+        odometry_rejected: from.take(WHAT)?,
+        swept_path: take_way(from, last_scan_lost >> 8, PLACE_M_MAX as f32)?,
     })
 }
 
@@ -497,18 +499,22 @@ struct RideRecord {
     reserved: u32,
 }
 
-pub fn put_rides(out: &mut Out, rides: &[Ride]) {
-    let record =
-        |r: &Ride| RideRecord { stamp: r.stamp, node_from_base: r.node_from_base, node: r.node, reserved: 0 };
-    out.list(&rides.iter().map(record).collect::<Vec<_>>());
+pub fn put_rides(out: &mut Out, samples: &[TrajectorySample]) {
+    let record = |r: &TrajectorySample| RideRecord {
+        stamp: r.stamp,
+        node_from_base: r.node_from_base,
+        node: r.node,
+        reserved: 0,
+    };
+    out.list(&samples.iter().map(record).collect::<Vec<_>>());
 }
 
-pub fn take_rides(from: &mut In<'_>, nodes: usize) -> Result<Vec<Ride>> {
+pub fn take_rides(from: &mut In<'_>, nodes: usize) -> Result<Vec<TrajectorySample>> {
     let records: Vec<RideRecord> = from.list(RIDES_MAX, "scans")?;
     let ride = |r: RideRecord| {
         check((r.node as usize) < nodes, "scan of a node that is not there")?;
         let node_from_base = check_pose(r.node_from_base, "scan's pose")?;
-        Ok(Ride { stamp: r.stamp, node: r.node, node_from_base })
+        Ok(TrajectorySample { stamp: r.stamp, node: r.node, node_from_base })
     };
     records.into_iter().map(ride).collect()
 }

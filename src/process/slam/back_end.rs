@@ -10,7 +10,7 @@ use crate::process::map_publisher::MapPublisher;
 use crate::process::submap_publisher::SubmapPublisher;
 use crate::run::Run;
 use crate::sessions;
-use ::slam::{Back, Front, FrontState, Hint, Identity, Node, Session};
+use ::slam::{BackEnd, FrontEnd, FrontEndState, Identity, Node, PoseEstimate, Session};
 use msg::{Monotonic, Pose2, RobotId, SlamMode, SlamRequest};
 use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
@@ -39,7 +39,7 @@ impl<P: Ports> BackEndWorker<P> {
         ports: &P,
         run: &Run,
         robot: RobotId,
-        back: Back,
+        back: BackEnd,
         commands: SyncSender<FrontCommand>,
         jobs: SyncSender<Job>,
     ) -> Result<Self, ChannelError> {
@@ -73,12 +73,12 @@ impl<P: Ports> BackEndWorker<P> {
         state.now = self.clock.now();
         state.commands.flush();
         match input {
-            Some(BackEndInput::Front(number, FrontEvent::Ended(front))) => {
+            Some(BackEndInput::FrontEnd(number, FrontEvent::Ended(front))) => {
                 self.ended = true;
                 state.end(number, &front);
                 return state.now;
             }
-            Some(BackEndInput::Front(number, event)) => state.apply_event(number, event, services),
+            Some(BackEndInput::FrontEnd(number, event)) => state.apply_event(number, event, services),
             Some(BackEndInput::File(outcome)) if outcome.request.is_some() => {
                 services.finish_job(state, *outcome);
             }
@@ -107,7 +107,7 @@ impl<P: Ports> BackEndWorker<P> {
     }
 
     /// The back end.
-    pub fn back(&self) -> &Back {
+    pub fn back(&self) -> &BackEnd {
         &self.state.back
     }
 
@@ -117,7 +117,7 @@ impl<P: Ports> BackEndWorker<P> {
     }
 
     /// All that must be kept to go on, with the scan path at `front`.
-    pub fn session(&self, front: &FrontState) -> Session {
+    pub fn session(&self, front: &FrontEndState) -> Session {
         self.state.session(front)
     }
 }
@@ -125,7 +125,7 @@ impl<P: Ports> BackEndWorker<P> {
 /// The back end, and what goes on around it.
 pub struct BackEndState {
     /// The back end itself.
-    pub back: Back,
+    pub back: BackEnd,
     /// The robot, the run and the configuration that a session is for.
     pub identity: Identity,
     /// Commands to the scan path.
@@ -165,10 +165,10 @@ impl BackEndState {
     fn add_node(&mut self, node: Node, started_at: Option<Pose2>) {
         if let Some(map_from_local) = started_at {
             let [sigma_m, sigma_rad] = CARRIED_SIGMA;
-            self.back.seek(Some(Hint { map_from_local, sigma_m, sigma_rad }));
+            self.back.start_relocalization(Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }));
         }
         let was_found = self.back.map_from_base().is_some();
-        let revision = self.back.add(node);
+        let revision = self.back.add_node(node);
         self.commands.send_or_drop(FrontCommand::Revise(revision));
         if self.back.mode() != SlamMode::Localization {
             self.mark_changed();
@@ -184,11 +184,11 @@ impl BackEndState {
     }
 
     /// Goes on with another map.
-    pub fn replace(&mut self, front: Front, back: Back, in_place: bool) {
+    pub fn replace(&mut self, front: FrontEnd, back: BackEnd, in_place: bool) {
         // Its scans may be of another time; readers want maps in order.
         let before = self.back.tiles().header;
         self.back = back;
-        self.back.date_map(before.header, before.scan_sent);
+        self.back.set_map_header(before.header, before.scan_sent);
         (self.front_number, self.is_new) = (self.front_number + 1, true);
         self.mark_changed();
         let (number, front) = (self.front_number, Box::new(front));
@@ -235,7 +235,7 @@ impl BackEndState {
     }
 
     /// All that must be kept, with the scan path at `state`.
-    pub fn session(&self, state: &FrontState) -> Session {
+    pub fn session(&self, state: &FrontEndState) -> Session {
         self.back.session(self.identity, Some(state.clone()), &[])
     }
 
@@ -247,7 +247,7 @@ impl BackEndState {
     }
 
     /// Saves in the background.
-    pub fn save(&mut self, state: &FrontState) {
+    pub fn save(&mut self, state: &FrontEndState) {
         let session = Box::new(self.session(state));
         if !self.give(None, self.autosave.path.clone(), Work::Save(session)) {
             self.autosave.put_off(self.now);
@@ -255,7 +255,7 @@ impl BackEndState {
     }
 
     /// The process ends, with the front end of this number at `state`.
-    fn end(&mut self, number: u32, state: &FrontState) {
+    fn end(&mut self, number: u32, state: &FrontEndState) {
         let same_front = number == self.front_number;
         if self.autosave.is_wanted() && same_front && !self.back.nodes().is_empty() {
             let work = Work::Save(Box::new(self.session(state)));

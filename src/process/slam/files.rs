@@ -8,7 +8,7 @@ use crate::ports::Clock;
 use crate::session_file;
 use crate::sessions::{self, TOLD_SIGMA};
 use crate::storage::Storage;
-use ::slam::{Back, Front, Hint, Identity, Session, SlamConfig, Start};
+use ::slam::{BackEnd, FrontEnd, Identity, InitialPose, PoseEstimate, Session, SlamConfig};
 use msg::{Grid, Pose2, SlamMode, SlamRequest, StartPose};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, TrySendError};
@@ -52,9 +52,9 @@ pub struct JobOutcome {
 /// A session that can be gone on with.
 pub struct Loaded {
     /// The front end.
-    pub front: Front,
+    pub front: FrontEnd,
     /// The back end.
-    pub back: Back,
+    pub back: BackEnd,
 }
 
 /// Does jobs, one after the other.
@@ -140,13 +140,14 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
         let [m, rad] = TOLD_SIGMA;
         let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
         let (sigma_m, sigma_rad) = (or(request.sigma_m, m), or(request.sigma_rad, rad));
-        let at = |map_from_local: Pose2| Start::At(Hint { map_from_local, sigma_m, sigma_rad });
+        let at =
+            |map_from_local: Pose2| InitialPose::Near(PoseEstimate { map_from_local, sigma_m, sigma_rad });
         let poses = &session.back.poses;
         let start = match StartPose::from_code(request.start) {
             Some(StartPose::Given) => at(request.pose),
-            Some(StartPose::FirstNode) => poses.first().copied().map_or(Start::Unknown, at),
-            Some(StartPose::LastNode) => poses.last().copied().map_or(Start::Unknown, at),
-            Some(StartPose::Unknown) | None => Start::Unknown,
+            Some(StartPose::FirstNode) => poses.first().copied().map_or(InitialPose::Unknown, at),
+            Some(StartPose::LastNode) => poses.last().copied().map_or(InitialPose::Unknown, at),
+            Some(StartPose::Unknown) | None => InitialPose::Unknown,
         };
         let (front, back) = ::slam::begin(self.config.clone(), Some(session), mode, start);
         Ok(Loaded { front, back })

@@ -6,7 +6,7 @@ use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::process::heartbeat::{HealthCounters, Heartbeat};
 use crate::process::{Component, Listens};
 use crate::run::Run;
-use ::slam::Front;
+use ::slam::FrontEnd;
 use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan};
 use std::sync::mpsc::{Receiver, SyncSender};
 
@@ -28,7 +28,7 @@ impl<P: Ports> ScanPath<P> {
         ports: &P,
         run: &Run,
         robot: RobotId,
-        (front, odom_pose): (Front, Option<Pose2>),
+        (front, odom_pose): (FrontEnd, Option<Pose2>),
         events: SyncSender<BackEndInput>,
         commands: Receiver<FrontCommand>,
     ) -> Result<Self, ChannelError> {
@@ -86,7 +86,7 @@ impl<P: Ports> Listens<P::Listener> for ScanPath<P> {
 
 /// The front end, and its queues to and from the back end.
 struct Core {
-    front: Box<Front>,
+    front: Box<FrontEnd>,
     /// Counts the front ends that were put in place.
     number: u32,
     paused: bool,
@@ -103,7 +103,7 @@ struct Core {
 
 impl Core {
     fn new(
-        front: Front,
+        front: FrontEnd,
         odom_pose: Option<Pose2>,
         events: SyncSender<BackEndInput>,
         commands: Receiver<FrontCommand>,
@@ -125,7 +125,7 @@ impl Core {
     /// Hands an event over and never waits. False if the queue is full: the event is lost, which the back end must
     /// survive.
     fn report(&self, event: FrontEvent) -> bool {
-        let sent = self.events.try_send(BackEndInput::Front(self.number, event)).is_ok();
+        let sent = self.events.try_send(BackEndInput::FrontEnd(self.number, event)).is_ok();
         self.events_lost.set(self.events_lost.get() + u64::from(!sent));
         sent
     }
@@ -133,7 +133,7 @@ impl Core {
     fn apply_commands(&mut self) {
         while let Ok(command) = self.commands.try_recv() {
             match command {
-                FrontCommand::Revise(revision) => self.front.revise(revision),
+                FrontCommand::Revise(revision) => self.front.add_revision(revision),
                 FrontCommand::Pause(paused) => self.paused = paused,
                 FrontCommand::ReportState => {
                     self.report(FrontEvent::State(Box::new(self.front.state())));
@@ -146,15 +146,15 @@ impl Core {
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
                 }
-                FrontCommand::SetPose(map_from_local) => self.front.place(map_from_local),
-                FrontCommand::WantNode => self.front.want_node(),
+                FrontCommand::SetPose(map_from_local) => self.front.set_map_from_local(map_from_local),
+                FrontCommand::WantNode => self.front.request_node(),
             }
         }
     }
 
     fn add_odometry(&mut self, odometry: &Odometry) {
         self.odom_from_base = odometry.odom_from_base;
-        self.front.odometry(odometry);
+        self.front.add_odometry(odometry);
     }
 
     /// The answer to a scan, if there is one, and whether the scan was sound.
@@ -164,11 +164,11 @@ impl Core {
             return (self.last, true);
         }
         let mut step = self.front.process(scan);
-        if step.refused.is_none()
+        if step.rejected.is_none()
             && let Some(map_from_odom) = self.odom_pose.take()
         {
             let map_from_local = map_from_odom * step.correction.map_from_odom.inverse();
-            self.front.place(Some(map_from_local));
+            self.front.set_map_from_local(Some(map_from_local));
             step.correction.map_from_base = map_from_local * step.correction.map_from_base;
             step.correction.map_from_odom = map_from_odom;
             self.started_at = Some(map_from_local);
@@ -179,7 +179,7 @@ impl Core {
             self.started_at = None;
         }
         self.last = Some(step.correction);
-        (self.last, step.refused.is_none())
+        (self.last, step.rejected.is_none())
     }
 
     /// The pose by odometry alone, while scans are ignored.

@@ -7,7 +7,7 @@ use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use crate::sessions::TOLD_SIGMA;
-use ::slam::{ClosureReport, FrontState, Hint, Start};
+use ::slam::{ClosureReport, FrontEndState, InitialPose, PoseEstimate};
 use msg::{
     CLOSURES_MAX, ClosureInfo, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
@@ -104,7 +104,7 @@ impl<P: Ports> Services<P> {
             }
             SlamRequestKind::Relocalize => {
                 has_map(state)?;
-                state.back.seek(None);
+                state.back.start_relocalization(None);
                 state.commands.send(FrontCommand::SetPose(None));
                 state.commands.send(FrontCommand::WantNode);
                 done("the robot is looked for in the whole map: from where it stands, and as it moves")
@@ -131,7 +131,7 @@ impl<P: Ports> Services<P> {
             mode => mode,
         };
         let config = state.back.config().clone();
-        let (front, back) = ::slam::begin(config, None, mode, Start::Unknown);
+        let (front, back) = ::slam::begin(config, None, mode, InitialPose::Unknown);
         state.replace(front, back, true);
         done("the map begins anew")
     }
@@ -169,7 +169,7 @@ impl<P: Ports> Services<P> {
             return Err(why);
         }
         publish_changed_graph(state);
-        done(&format!("closure {} is taken back, and not believed again", request.number))
+        done(&format!("closure {} is taken back, and not accepted again", request.number))
     }
 
     fn clear_closures(&mut self, state: &mut BackEndState) -> RequestResult {
@@ -179,11 +179,11 @@ impl<P: Ports> Services<P> {
             return done("there was no closure in force");
         }
         publish_changed_graph(state);
-        done(&format!("{count} taken back, and not believed again"))
+        done(&format!("{count} taken back, and not accepted again"))
     }
 
     /// Goes on with what waited for the scan path's state.
-    pub fn resume(&mut self, state: &mut BackEndState, pending: PendingRequest, front: &FrontState) {
+    pub fn resume(&mut self, state: &mut BackEndState, pending: PendingRequest, front: &FrontEndState) {
         match pending {
             PendingRequest::Autosave => state.save(front),
             PendingRequest::Save(request, path) => {
@@ -196,7 +196,7 @@ impl<P: Ports> Services<P> {
                 let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };
                 let local_from_base = front.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
                 let map_from_local = request.pose * local_from_base.inverse();
-                state.back.seek(Some(Hint {
+                state.back.start_relocalization(Some(PoseEstimate {
                     map_from_local,
                     sigma_m: or(request.sigma_m, m),
                     sigma_rad: or(request.sigma_rad, rad),
@@ -249,7 +249,7 @@ impl<P: Ports> Services<P> {
             outcome: outcome as u32,
             mode: back.mode() as u32,
             paused: self.paused.into(),
-            located: (back.located() && back.map_from_base().is_some()).into(),
+            located: (back.is_located() && back.map_from_base().is_some()).into(),
             nodes: counts.nodes as u32,
             links: counts.links as u32,
             closures: counts.closures as u32,
@@ -322,7 +322,7 @@ fn may_change(state: &BackEndState) -> Result<(), String> {
 /// The graph has changed: tells the scan path where it is now.
 fn publish_changed_graph(state: &mut BackEndState) {
     state.mark_changed();
-    state.commands.send(FrontCommand::SetPose(Some(state.back.newest_revision().map_from_local)));
+    state.commands.send(FrontCommand::SetPose(Some(state.back.latest_revision().map_from_local)));
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, String> {

@@ -1,0 +1,185 @@
+//! What a map that is to last forgets, and at what rate:
+//!
+//! - Of scans of the same view (`lifelong.view_m`, `view_rad`) the newest `lifelong.views` are kept.
+//! - A scan that `lifelong.contradictions` later ones contradict (they see through
+//!   `contradicted_share` of it) goes as soon as a later scan has much the same view.
+//!
+//! So what stood in the room is gone from the map when a robot has looked at its place a few times
+//! more, people and opened doors too, and the number of nodes is bounded by the area, not by time.
+//! A node that goes leaves its knowledge in the graph: what it was linked to is linked to one of
+//! its neighbours instead, as the graph has them now (after Kretzschmar and Stachniss,
+//! "Information-theoretic compression of pose graphs for laser-based SLAM", IJRR 2012: marginalising
+//! onto a tree keeps the graph sparse).
+
+use super::BackEnd;
+use crate::graph::{Edge, EdgeKind, Graph};
+use msg::{Pose2, pose::wrap_angle};
+use nalgebra::Matrix3;
+
+/// Links of a node that others inherit.
+const INHERITED_MAX: usize = 16;
+
+impl BackEnd {
+    /// Called after each node of a map that is to last.
+    pub(super) fn forget(&mut self) {
+        let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_in_map()) else { return };
+        self.note_contradictions(newest);
+        self.note_views(newest);
+        let full = self.nodes.len() >= self.config.lifelong.nodes_max.min(self.config.graph.nodes_max);
+        if full && self.retiring.is_empty() {
+            self.retire_later(0);
+        }
+        if self.retiring.len() >= self.config.lifelong.batch || full {
+            self.retire();
+        }
+    }
+
+    fn retire_later(&mut self, id: u32) {
+        if !self.retiring.contains(&id) {
+            self.retiring.push(id);
+        }
+    }
+
+    /// Whether a node is old enough to be touched.
+    fn is_old(&self, id: usize) -> bool {
+        id + self.config.lifelong.newest < self.nodes.len() && !self.retiring.contains(&(id as u32))
+    }
+
+    fn same_view(&self, a: usize, b: usize, scale: f64) -> bool {
+        let l = &self.config.lifelong;
+        let (p, q) = (self.graph.poses()[a], self.graph.poses()[b]);
+        let together = self.nodes[a].disconnected == self.nodes[b].disconnected;
+        together
+            && p.distance_m(q) < scale * l.view_m
+            && wrap_angle(p.yaw_rad - q.yaw_rad).abs() < scale * l.view_rad
+    }
+
+    /// Old nodes linked to the newest one, that it sees through.
+    fn note_contradictions(&mut self, newest: usize) {
+        let linked: Vec<u32> = self
+            .graph
+            .edges_of(newest as u32)
+            .filter(|e| e.kind == EdgeKind::Link)
+            .map(|e| if e.a as usize == newest { e.b } else { e.a })
+            .collect();
+        for old in linked.into_iter().map(|id| id as usize) {
+            if !self.is_old(old) {
+                continue;
+            }
+            let new_from_old = self.graph.poses()[newest].between(self.graph.poses()[old]);
+            let (agree, contradict) =
+                self.nodes[newest].cloud.judge(&self.nodes[old].cloud, new_from_old, 0.15, 0.3);
+            let l = &self.config.lifelong;
+            if contradict as f32 <= l.contradicted_share * (agree + contradict) as f32 {
+                continue;
+            }
+            self.contradicted[old] = self.contradicted[old].saturating_add(1);
+            let covered = (old + 1..=newest).any(|later| self.same_view(old, later, 1.5));
+            if self.contradicted[old] >= l.contradictions && covered {
+                self.retire_later(old as u32);
+            }
+        }
+    }
+
+    /// Of the views like the newest one's, the oldest beyond the allowed number.
+    fn note_views(&mut self, newest: usize) {
+        let same: Vec<usize> = (0..=newest).filter(|&id| self.same_view(id, newest, 1.0)).collect();
+        let beyond = same.len().saturating_sub(self.config.lifelong.views);
+        for id in same.into_iter().take(beyond) {
+            if self.is_old(id) {
+                self.retire_later(id as u32);
+            }
+        }
+    }
+
+    /// Takes the noted nodes out of everything, and numbers the others anew.
+    fn retire(&mut self) {
+        let mut gone = core::mem::take(&mut self.retiring);
+        gone.sort_unstable();
+        let mut edges = self.graph.edges().to_vec();
+        for &id in &gone {
+            bequeath(&mut edges, self.graph.poses(), id);
+        }
+        let mut numbers: Vec<Option<u32>> = Vec::with_capacity(self.nodes.len());
+        let mut next = 0;
+        for id in 0..self.nodes.len() as u32 {
+            let stays = gone.binary_search(&id).is_err();
+            numbers.push(stays.then_some(next));
+            next += u32::from(stays);
+        }
+        let number = |id: u32| numbers[id as usize];
+        let keep = |id: usize| numbers[id].is_some();
+        let kept_poses = self.graph.poses().iter().enumerate().filter(|(id, _)| keep(*id)).map(|(_, p)| *p);
+        let kept_edges = edges.into_iter().filter_map(|e| {
+            // Links that were taken back long ago say nothing any more.
+            let speaks = e.in_force || e.kind == EdgeKind::Closure;
+            speaks.then_some(Edge { a: number(e.a)?, b: number(e.b)?, ..e })
+        });
+        self.graph = Graph::from_parts(self.config.graph.clone(), kept_poses.collect(), kept_edges.collect());
+        let mut id = 0;
+        self.nodes.retain(|_| (keep(id), id += 1).0);
+        for (id, node) in self.nodes.iter_mut().enumerate() {
+            node.id = id as u32;
+        }
+        let mut id = 0;
+        self.front_ids.retain(|_| (keep(id), id += 1).0);
+        let mut id = 0;
+        self.contradicted.retain(|_| (keep(id), id += 1).0);
+        self.not_found = self.not_found.iter().filter_map(|id| number(*id)).collect();
+        self.again = self.again.iter().filter_map(|id| number(*id)).collect();
+        self.rejected_closures.retain_mut(|ban| match (number(ban.a), number(ban.b)) {
+            (Some(a), Some(b)) => ((ban.a, ban.b) = (a, b), true).1,
+            _ => false,
+        });
+        self.detector.renumber(&number);
+        self.retired += gone.len() as u64;
+        self.count_closures();
+        self.earlier.clear();
+        // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
+        self.mapper.restore(&self.nodes, self.graph.poses());
+    }
+}
+
+/// What a node was linked to is linked to the neighbour that knows it best, as the graph has them.
+fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
+    let mine: Vec<usize> =
+        (0..edges.len()).filter(|&i| edges[i].in_force && (edges[i].a == id || edges[i].b == id)).collect();
+    let other = |e: &Edge| if e.a == id { e.b } else { e.a };
+    // Several edges to one neighbour count as one.
+    let mut neighbours: Vec<(u32, Matrix3<f64>, [f64; 2], EdgeKind)> = Vec::new();
+    for e in mine.iter().map(|&i| &edges[i]) {
+        match neighbours.iter_mut().find(|n| n.0 == other(e)) {
+            Some(n) => {
+                n.1 += e.information;
+                n.3 = if n.3 == EdgeKind::OdometryBreak { e.kind } else { n.3 };
+            }
+            None => neighbours.push((other(e), e.information, e.variance, e.kind)),
+        }
+    }
+    neighbours.sort_by(|a, b| b.1.trace().total_cmp(&a.1.trace()).then(a.0.cmp(&b.0)));
+    for &i in &mine {
+        edges[i].in_force = false;
+    }
+    let Some(&(heir, known, heir_variance, _)) = neighbours.first() else { return };
+    for &(to, information, variance, kind) in neighbours.iter().skip(1).take(INHERITED_MAX) {
+        let linked = |e: &Edge| e.in_force && ((e.a == heir && e.b == to) || (e.a == to && e.b == heir));
+        // The order along the way is held by odometry's edges: they are always handed on.
+        let along = matches!(kind, EdgeKind::Odometry | EdgeKind::OdometryBreak);
+        if !along && edges.iter().any(linked) {
+            continue;
+        }
+        let (a, b) = (heir.min(to), heir.max(to));
+        let sum = known.try_inverse().zip(information.try_inverse()).and_then(|(p, q)| (p + q).try_inverse());
+        let information = sum.unwrap_or(information * 0.5);
+        edges.push(Edge {
+            a,
+            b,
+            a_from_b: poses[a as usize].between(poses[b as usize]),
+            information: (information + information.transpose()) * 0.5,
+            kind: if along { kind } else { EdgeKind::Link },
+            in_force: true,
+            variance: [variance[0] + heir_variance[0], variance[1] + heir_variance[1]],
+            response: 0.0,
+        });
+    }
+}

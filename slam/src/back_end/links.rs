@@ -1,0 +1,111 @@
+//! Links: which older nodes a node is aligned with, and what the alignment must stand up to.
+
+use super::BackEnd;
+use crate::align::{Reference, align};
+use crate::config::LinkConfig;
+use crate::graph::{EdgeKind, RelativeUncertainty, UNOBSERVED};
+use msg::{Pose2, pose::wrap_angle};
+use nalgebra::Matrix3;
+use posegraph::limit_information;
+
+/// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre
+/// between what is looked at.
+const VIEWPOINT: f64 = 0.5;
+/// Near links are spread: not two to nodes this close in order.
+const NEAR_SPREAD: u32 = 3;
+
+/// Whether two scans are so well known to each other that they may be held against each other.
+pub(super) fn is_sure(known: RelativeUncertainty, l: &LinkConfig) -> bool {
+    known.position < l.sigma_max_m.powi(2) && known.heading < l.sigma_max_rad.powi(2)
+}
+
+impl BackEnd {
+    pub(super) fn link_sequential(&mut self, id: u32) {
+        for back in 1..=self.config.links.sequential as u32 {
+            if let Some(older) = id.checked_sub(back) {
+                self.link(older, id, RelativeUncertainty { position: 0.01, heading: 0.003 });
+            }
+        }
+    }
+
+    pub(super) fn uncertainty_from(&self, id: u32) -> Vec<Option<RelativeUncertainty>> {
+        self.graph.uncertainty_from(id, self.config.closures.window_max_m.powi(2))
+    }
+
+    /// Links a node to nearby nodes whose relative pose is well known. Returns how many.
+    pub(super) fn link_near(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> usize {
+        let l = &self.config.links;
+        let here = self.graph.poses()[id as usize];
+        let seen = here.apply(self.nodes[id as usize].cloud.middle());
+        let mut near: Vec<(f64, u32)> = (0..self.nodes.len() as u32)
+            .filter(|other| other.abs_diff(id) > l.sequential as u32)
+            .filter_map(|other| {
+                let known = relative.get(other as usize).copied().flatten()?;
+                let pose = self.graph.poses()[other as usize];
+                let [x, y] = pose.apply(self.nodes[other as usize].cloud.middle());
+                let apart = (x - seen[0]).hypot(y - seen[1]);
+                (is_sure(known, l) && apart < l.distance_max_m)
+                    .then_some((apart + VIEWPOINT * here.distance_m(pose), other))
+            })
+            .collect();
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut chosen: Vec<u32> = Vec::with_capacity(l.near);
+        for (_, other) in near {
+            if chosen.len() < l.near && chosen.iter().all(|c| c.abs_diff(other) >= NEAR_SPREAD) {
+                chosen.push(other);
+            }
+        }
+        let known = |other: u32| {
+            relative[other as usize].unwrap_or(RelativeUncertainty { position: 0.0, heading: 0.0 })
+        };
+        chosen.iter().filter(|&&other| self.link(other.min(id), other.max(id), known(other))).count()
+    }
+
+    /// Aligns b's scan with a's and keeps the measurement if the scans agree.
+    fn link(&mut self, a: u32, b: u32, known: RelativeUncertainty) -> bool {
+        let l = &self.config.links;
+        let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
+        let enough = older.cloud.points().len().min(newer.cloud.points().len());
+        if !newer.fits
+            || older.disconnected != newer.disconnected
+            || enough < self.config.tracking.points_min
+            || self.linked(a, b)
+        {
+            return false;
+        }
+        let guess = self.graph.poses()[a as usize].between(self.graph.poses()[b as usize]);
+        let reference = Reference { cloud: &older.cloud, frame_from_cloud: Pose2::IDENTITY };
+        let fit = align(&newer.cloud, guess, core::iter::once(reference), None, l);
+        if fit.overlap < l.overlap_min {
+            return false;
+        }
+        let moved = fit.frame_from_cloud.distance_m(guess);
+        let turned = wrap_angle(fit.frame_from_cloud.yaw_rad - guess.yaw_rad).abs();
+        if moved > 3.0 * known.position.sqrt() + 0.05 || turned > 3.0 * known.heading.sqrt() + 0.02 {
+            return false;
+        }
+        let (agree, contradict) = older.cloud.judge(&newer.cloud, fit.frame_from_cloud, 0.15, 0.4);
+        if (agree as f32) < l.agreement_min * (agree + contradict) as f32 {
+            return false;
+        }
+        let information = self.floored(fit.information_for_links(l));
+        let drift = self.drift(fit.frame_from_cloud);
+        self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::Link, drift);
+        true
+    }
+
+    pub(super) fn drift(&self, a_from_b: Pose2) -> [f64; 2] {
+        let way = a_from_b.x_m.hypot(a_from_b.y_m);
+        [self.config.links.drift_m_per_m * way, self.config.links.drift_rad_per_m * way]
+    }
+
+    fn linked(&self, a: u32, b: u32) -> bool {
+        self.graph.edges_of(b).any(|e| e.kind == EdgeKind::Link && e.a == a && e.b == b)
+    }
+
+    /// Information that claims no more than the floor allows, and nothing where nothing was seen.
+    pub(super) fn floored(&self, information: Matrix3<f64>) -> Matrix3<f64> {
+        let l = &self.config.links;
+        limit_information(information, [l.floor_m, l.floor_rad], UNOBSERVED)
+    }
+}

@@ -1,0 +1,185 @@
+//! Pieces of the way that are not tied to the map: a robot that was carried off, or whose odometry
+//! failed while it saw nothing known. From a node that contradicts those before it on, odometry's edge
+//! says no more than the order. The piece is held back (not drawn, not given out, the robot reads as
+//! lost) until a closure, or a search through the whole map, ties it to the rest; then it is part of
+//! the map like any other, and if the closure is taken back, no longer.
+//!
+//! The map is the largest piece, so that a robot that never comes back to where it was carried off
+//! from begins anew in the end.
+
+use super::links::is_sure;
+use super::modes::{FOUND_M, FOUND_RAD};
+use super::{BackEnd, TORN_M, TORN_RAD, TORN_VARIANCE};
+use crate::closure::ClosureCandidate;
+use crate::graph::{EdgeKind, RelativeUncertainty};
+use crate::relocalize::{Placed, RelocalizationOutcome, Relocalizer};
+use msg::Pose2;
+use posegraph::information_from_sigmas;
+
+/// A piece so long is looked for in the whole map; something passing by is over sooner.
+const NODES_MIN: u32 = 5;
+
+/// Nodes of the map that a node on probation is held against, no two next to each other.
+const WITNESSES: usize = 8;
+/// If this share of what they can compare is contradicted, and it is so many points, the joint is none.
+const TORN_SHARE: f32 = 0.3;
+const TORN_POINTS_MIN: usize = 60;
+/// A way so short has not drifted by what counts as a contradiction, metres, whatever was not known on it.
+const STRAIGHT_M: f64 = 20.0;
+
+impl BackEnd {
+    /// A node that did not fit is joined to the ones before by odometry alone. Whether that is right
+    /// shows when it, or one after it, sees what older nodes saw: if they agree, a link says so; if
+    /// they contradict each other, the joint is taken back.
+    pub(super) fn check_unverified_edge(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
+        let node = &self.nodes[id as usize];
+        if !node.fits {
+            self.unverified_edge = Some(id).filter(|_| !node.odometry_break);
+        }
+        let Some(unverified_edge) = self.unverified_edge else { return };
+        let across = |e: &crate::graph::Edge| e.kind == EdgeKind::Link && e.a.min(e.b) < unverified_edge;
+        if self.graph.edges_of(id).any(across) {
+            self.unverified_edge = None;
+            return;
+        }
+        // Where the way since the joint, or before it, may have drifted, a contradiction says nothing of the joint.
+        let l = &self.config.links;
+        let sure = |known: &Option<RelativeUncertainty>| known.is_some_and(|known| is_sure(known, l));
+        if !sure(&relative[unverified_edge as usize]) {
+            return;
+        }
+        let before = self.graph.uncertainty_from(unverified_edge.saturating_sub(1), l.sigma_max_m.powi(2));
+        let poses = self.graph.poses();
+        let mut way_m = 0.0;
+        let not_drifted = (0..unverified_edge).rev().take_while(|old| {
+            way_m += poses[*old as usize].distance_m(poses[*old as usize + 1]);
+            way_m < STRAIGHT_M
+        });
+        let not_drifted = not_drifted.last().unwrap_or(unverified_edge);
+        let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.middle());
+        let [x, y] = looks_at(id);
+        let mut near: Vec<(f64, u32)> = (0..unverified_edge)
+            .filter(|old| *old >= not_drifted || sure(&before[*old as usize]))
+            .filter(|old| {
+                self.nodes[*old as usize].fits && self.nodes[*old as usize].disconnected == node.disconnected
+            })
+            .map(|old| (looks_at(old), old))
+            .map(|([u, v], old)| ((u - x).hypot(v - y), old))
+            .filter(|(apart, _)| *apart < self.config.links.distance_max_m)
+            .collect();
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (mut agree, mut contradict) = (0, 0);
+        for (_, old) in near.into_iter().take(WITNESSES) {
+            let old_from_new = poses[old as usize].between(poses[id as usize]);
+            let old = &self.nodes[old as usize].cloud;
+            for (a, c) in [
+                old.judge(&node.cloud, old_from_new, 0.15, 0.4),
+                node.cloud.judge(old, old_from_new.inverse(), 0.15, 0.4),
+            ] {
+                agree += a;
+                contradict += c;
+            }
+        }
+        if contradict < TORN_POINTS_MIN || contradict as f32 <= TORN_SHARE * (agree + contradict) as f32 {
+            return;
+        }
+        let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == unverified_edge;
+        let Some(index) = self.graph.edges().iter().position(before) else { return };
+        let edge = self.graph.edge_mut(index);
+        (edge.kind, edge.information) = (EdgeKind::OdometryBreak, information_from_sigmas(TORN_M, TORN_RAD));
+        edge.variance = TORN_VARIANCE;
+        self.nodes[unverified_edge as usize].odometry_break = true;
+        self.unverified_edge = None;
+        self.detector.tear();
+        self.component_relocalizer = None;
+        self.update_components();
+    }
+
+    /// Whether the newest node is part of the map.
+    pub(super) fn newest_in_map(&self) -> bool {
+        self.nodes.last().is_none_or(|node| node.disconnected.is_none())
+    }
+
+    /// Which node is in which piece, from the edges in force.
+    pub(super) fn update_components(&mut self) {
+        let torn = |e: &crate::graph::Edge| e.kind == EdgeKind::OdometryBreak;
+        if !self.graph.edges().iter().any(torn) {
+            return;
+        }
+        // Union-find; a piece is called by its first node.
+        let mut up: Vec<u32> = (0..self.nodes.len() as u32).collect();
+        let first = |up: &mut [u32], mut id: u32| {
+            while up[id as usize] != id {
+                up[id as usize] = up[up[id as usize] as usize];
+                id = up[id as usize];
+            }
+            id
+        };
+        for edge in self.graph.edges().iter().filter(|e| e.in_force && !torn(e)) {
+            let (a, b) = (first(&mut up, edge.a), first(&mut up, edge.b));
+            up[a.max(b) as usize] = a.min(b);
+        }
+        let mut sizes = vec![0_usize; up.len()];
+        for id in 0..up.len() as u32 {
+            up[id as usize] = first(&mut up, id);
+            sizes[up[id as usize] as usize] += 1;
+        }
+        let largest = (0..sizes.len()).max_by_key(|&id| (sizes[id], core::cmp::Reverse(id)));
+        for (node, piece) in self.nodes.iter_mut().zip(up) {
+            node.disconnected = Some(piece).filter(|piece| Some(*piece as usize) != largest);
+        }
+    }
+
+    /// Looks for the newest node's piece in the whole map.
+    pub(super) fn relocalize_component(&mut self, id: u32) {
+        let Some(first) = self.nodes[id as usize].disconnected else { return };
+        if id - first < NODES_MIN {
+            return;
+        }
+        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let relocalizer = self
+            .component_relocalizer
+            .get_or_insert_with(|| Relocalizer::new(self.config.clone(), map, None, self.relocalization));
+        let newest = self.nodes[id as usize].clone();
+        let local_from_node = newest.local_from_base;
+        let relocalization = relocalizer.seek(newest, map);
+        self.relocalization = relocalizer.counts();
+        let RelocalizationOutcome::Found(map_from_local) = relocalization else { return };
+        self.component_relocalizer = None;
+        let map_from_node = map_from_local * local_from_node;
+        let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
+        self.close(&[ClosureCandidate {
+            node: id,
+            candidate,
+            candidate_from_node: self.graph.poses()[candidate as usize].between(map_from_node),
+            information: information_from_sigmas(FOUND_M, FOUND_RAD),
+            response: self.config.relocalize.response_min,
+        }]);
+    }
+
+    /// The node of the map nearest to a place.
+    pub(super) fn nearest_in_map(&self, at: Pose2) -> Option<u32> {
+        let poses = self.graph.poses();
+        let away = |id: u32| poses[id as usize].distance_m(at);
+        let in_map = self.nodes.iter().filter(|node| node.in_map()).map(|node| node.id);
+        in_map.min_by(|a, b| away(*a).total_cmp(&away(*b)))
+    }
+
+    /// Before a find ties two pieces together, one of them is moved to where the find has it: a solver
+    /// finds small movements, not half a turn.
+    pub(super) fn align_components(&mut self, find: &ClosureCandidate) {
+        let [old, new] = [find.candidate, find.node].map(|id| self.nodes[id as usize].disconnected);
+        if old == new {
+            return;
+        }
+        let poses = self.graph.poses();
+        let (a, b) = (poses[find.candidate as usize], poses[find.node as usize]);
+        let (moves, shift) = match new {
+            Some(_) => (new, a * find.candidate_from_node * b.inverse()),
+            None => (old, b * find.candidate_from_node.inverse() * a.inverse()),
+        };
+        for node in self.nodes.iter().filter(|node| node.disconnected == moves) {
+            self.graph.move_node(node.id, shift);
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Closures that people look at and take back.
+
+use super::BackEnd;
+use crate::closure::ClosureCandidate;
+use crate::graph::{Edge, EdgeKind};
+use msg::{Pose2, pose::wrap_angle};
+
+/// Links between nodes this far apart in order exist only because a closure brought passes together.
+const PASS_NODES: u32 = 12;
+/// A find this near to an undone closure, in order and in place, is the same mistake.
+const REJECTED_NODES: u32 = 20;
+const REJECTED_M: f64 = 1.0;
+const REJECTED_RAD: f64 = 0.3;
+/// Bans remembered.
+const REJECTED_MAX: usize = 256;
+
+/// A closure that was undone: it is not believed again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RejectedClosure {
+    /// The earlier node.
+    pub a: u32,
+    /// The later node.
+    pub b: u32,
+    /// The later as seen from the earlier, as it was measured.
+    pub a_from_b: Pose2,
+}
+
+/// A closure and what speaks for it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClosureReport {
+    /// Its number, for [`BackEnd::undo_closure`].
+    pub number: u32,
+    /// The earlier node.
+    pub older: u32,
+    /// The later node.
+    pub newer: u32,
+    /// False if it was taken back.
+    pub in_force: bool,
+    /// The later node as seen from the earlier one, as measured.
+    pub older_from_newer: Pose2,
+    /// The map from both.
+    pub poses: [Pose2; 2],
+    /// How well the scans fitted, 0 to 1.
+    pub response: f32,
+    /// Squared error in the graph, in standard deviations.
+    pub chi_squared: f64,
+}
+
+impl BackEnd {
+    /// All closures, in force or not, in the order in which they were found.
+    pub fn closures(&self) -> impl Iterator<Item = ClosureReport> + '_ {
+        let closures = self.graph.edges().iter().filter(|e| e.kind == EdgeKind::Closure);
+        closures.enumerate().map(|(number, edge)| ClosureReport {
+            number: number as u32,
+            older: edge.a,
+            newer: edge.b,
+            in_force: edge.in_force,
+            older_from_newer: edge.a_from_b,
+            poses: [edge.a, edge.b].map(|id| self.graph.poses()[id as usize]),
+            response: edge.response,
+            chi_squared: self.graph.chi_squared(edge),
+        })
+    }
+
+    /// Takes a closure back, with all links that it made possible and that do not stand without it.
+    /// False if there is none of that number in force.
+    pub fn undo_closure(&mut self, number: u32) -> bool {
+        let is_closure = |(_, e): &(usize, &Edge)| e.kind == EdgeKind::Closure;
+        let found = self.graph.edges().iter().enumerate().filter(is_closure).nth(number as usize);
+        let Some((index, edge)) = found.filter(|(_, e)| e.in_force) else { return false };
+        let wrong = *edge;
+        // A closure is found together with its witnesses: they say the same and fall with it.
+        let same = |e: &Edge| {
+            let near = e.a.abs_diff(wrong.a) <= REJECTED_NODES && e.b.abs_diff(wrong.b) <= REJECTED_NODES;
+            e.kind == EdgeKind::Closure && near && self.says_the_same(e, &wrong)
+        };
+        let edges = self.graph.edges();
+        let fallen: Vec<usize> = (0..edges.len()).filter(|&i| i == index || same(&edges[i])).collect();
+        self.take_back(&fallen);
+        true
+    }
+
+    /// Takes all closures back. Returns how many.
+    pub fn clear_closures(&mut self) -> usize {
+        let edges = self.graph.edges();
+        let closures: Vec<usize> =
+            (0..edges.len()).filter(|&i| edges[i].in_force && edges[i].kind == EdgeKind::Closure).collect();
+        let count = closures.len();
+        if count > 0 {
+            self.take_back(&closures);
+        }
+        count
+    }
+
+    fn says_the_same(&self, a: &Edge, b: &Edge) -> bool {
+        let poses = self.graph.poses();
+        let to = poses[b.a as usize].between(poses[a.a as usize]);
+        let back = poses[a.b as usize].between(poses[b.b as usize]);
+        let implied = to * a.a_from_b * back;
+        let turned = wrap_angle(implied.yaw_rad - b.a_from_b.yaw_rad).abs();
+        implied.distance_m(b.a_from_b) < REJECTED_M && turned < REJECTED_RAD
+    }
+
+    /// Takes closures back, and the links between passes made since; then links again what is known
+    /// well enough without them, and solves.
+    fn take_back(&mut self, closures: &[usize]) {
+        let first = closures.iter().copied().min().unwrap_or(0);
+        for &index in closures {
+            let edge = self.graph.edge_mut(index);
+            edge.in_force = false;
+            let ban = RejectedClosure { a: edge.a, b: edge.b, a_from_b: edge.a_from_b };
+            if self.rejected_closures.len() == REJECTED_MAX {
+                self.rejected_closures.remove(0);
+            }
+            self.rejected_closures.push(ban);
+            self.retracted += 1;
+        }
+        let between_passes: Vec<usize> = (first..self.graph.edges().len())
+            .filter(|&i| {
+                let e = &self.graph.edges()[i];
+                e.in_force && e.kind == EdgeKind::Link && e.a.abs_diff(e.b) > PASS_NODES
+            })
+            .collect();
+        let mut again: Vec<u32> = between_passes.iter().map(|&i| self.graph.edges()[i].b).collect();
+        for index in between_passes {
+            self.graph.edge_mut(index).in_force = false;
+        }
+        self.solve(true);
+        again.sort_unstable();
+        again.dedup();
+        for id in again {
+            let relative = self.uncertainty_from(id);
+            self.link_near(id, &relative);
+        }
+        self.solve(false);
+    }
+
+    /// Whether a find is a closure that was undone.
+    pub(super) fn is_rejected(&self, find: &ClosureCandidate) -> bool {
+        self.rejected_closures.iter().any(|ban| {
+            let near = find.candidate.abs_diff(ban.a) <= REJECTED_NODES
+                && find.node.abs_diff(ban.b) <= REJECTED_NODES;
+            let turned = wrap_angle(find.candidate_from_node.yaw_rad - ban.a_from_b.yaw_rad).abs();
+            near && find.candidate_from_node.distance_m(ban.a_from_b) < REJECTED_M + 2.0
+                && turned < REJECTED_RAD
+        })
+    }
+}
