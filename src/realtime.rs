@@ -16,14 +16,14 @@ use thread_priority::{ThreadPriority, ThreadPriorityValue};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RealtimeConfig {
-    /// SCHED_FIFO with this priority, 1 to 99, for the processes of `roles`; 0: like any other process.
+    /// Priority under SCHED_FIFO of the processes of `roles`, 1 to 99; 0: no real-time priority.
     pub priority: u8,
-    /// Whose priority it is, as `sim` and `bridge`: those with deadlines and little to do. SLAM and merging compute
-    /// for long, and would keep others off a core.
+    /// Roles with real-time priority. The default has those with deadlines and little work; SLAM and merging compute
+    /// for long and would keep others off a core.
     pub roles: Vec<String>,
     /// Whether the processes of `roles` keep all their memory resident.
     pub lock_memory: bool,
-    /// The cores, from 0, that the processes of a role may run on; a role that is not named: any.
+    /// Cores, from 0, on which the processes of a role may run, such as `merge = [1]`; other roles run on any core.
     pub cores: BTreeMap<String, Vec<usize>>,
 }
 

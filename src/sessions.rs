@@ -53,12 +53,13 @@ impl From<Mode> for SlamMode {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SessionsConfig {
-    /// What is done with the map at the start.
+    /// Use of the map at the start: `mapping`, `localization` or `lifelong`.
     pub mode: Mode,
-    /// A folder of sessions to begin with, such as `runs/TIME/sessions`; empty: with nothing. Robots without a file
-    /// in it begin a map of their own.
+    /// Folder of sessions to begin with, such as `runs/TIME/sessions`; empty: none. Robots without a file in it begin a
+    /// new map.
     pub begin_with: PathBuf,
-    /// How often each SLAM process saves what has changed, seconds; 0: never.
+    /// Period at which each SLAM process saves what has changed, seconds, 1 to 86400; 0: never. After a crash of SLAM,
+    /// at most this much of the map is lost.
     pub autosave_s: f64,
 }
 

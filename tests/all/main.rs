@@ -6,6 +6,7 @@
 mod channels;
 mod command_line;
 mod config;
+mod default_config;
 mod doors;
 mod edges;
 mod fleet;
