@@ -283,3 +283,21 @@ pub(super) fn on_notification(
         }
     }))
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::channel::{CHANNELS, Scope};
+    use bridge::OUTGOING_TOPICS;
+
+    #[test]
+    fn every_outgoing_topic_names_a_channel_of_the_table() {
+        for row in OUTGOING_TOPICS.iter().filter(|row| !row.channel.is_empty()) {
+            let (scope, name) = match row.channel.strip_prefix("robotN/") {
+                Some(name) => (Scope::Robot, name),
+                None => (Scope::Fleet, row.channel),
+            };
+            let is_there = CHANNELS.iter().any(|channel| channel.name == name && channel.scope == scope);
+            assert!(is_there, "{} is fed by {}, which is no channel", row.name, row.channel);
+        }
+    }
+}

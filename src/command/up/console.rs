@@ -36,7 +36,7 @@ impl<'a> OperatorConsole<'a> {
 
     /// Keys that work now, for people.
     pub fn help(&self) -> &'static str {
-        match self.keys.work() {
+        match self.keys.available() {
             true => "a allows who asks to drive, d denies; s stops all robots, r releases; Ctrl-C ends",
             false => "Ctrl-C ends",
         }
@@ -45,7 +45,7 @@ impl<'a> OperatorConsole<'a> {
     /// Does what the next key asks for. Returns what was done, or why not.
     pub fn handle_key(&mut self) -> Option<String> {
         let first_waiting = || self.newest.as_ref().and_then(|bridge| bridge.waiting.first().copied());
-        let (request, done) = match self.keys.pressed()? {
+        let (request, done) = match self.keys.next_key()? {
             'a' => first_waiting()
                 .map(|who| (Request::Allow(who), format!("{who} may drive, now and in later runs")))?,
             'd' => first_waiting().map(|who| (Request::Deny(who), format!("{who} may not drive")))?,
