@@ -63,7 +63,10 @@ fn read_file(crate_name: &str, text: &str, fields: &mut Fields) {
         {
             let kind = kind.trim_end_matches(',');
             let (path, type_name) = kind.rsplit_once("::").unwrap_or((crate_name, kind));
-            let type_crate = if path == "crate" { crate_name } else { path };
+            let type_crate = match path.split("::").next() {
+                Some("crate" | "super") | None => crate_name,
+                Some(other) => other,
+            };
             let field =
                 Field { type_name: type_name.into(), type_crate: type_crate.into(), doc: doc.trim().into() };
             fields.insert((crate_name.into(), of_struct.clone(), name.into()), field);
