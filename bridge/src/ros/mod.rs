@@ -1,7 +1,7 @@
 //! ROS messages and their encoding.
 //!
 //! [`message`], [`sensor`] and [`joystick`] have owned messages with ROS's fields, for clients, tests and the bridge's
-//! inputs. [`write`] and [`read`] convert between CDR and the fleet's messages without allocating, for the frequent
+//! inputs. [`mod@write`] and [`read`] convert between CDR and the fleet's messages without allocating, for the frequent
 //! ones. [`names`] has the names of frames.
 
 pub mod joystick;
