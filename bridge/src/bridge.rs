@@ -197,7 +197,7 @@ impl Bridge {
 
     /// Handles one frame from a client. Its commands reach the robots before this returns.
     ///
-    /// Frames for clients wait until [`Bridge::flush`], so that a client that sends much is not answered frame by
+    /// Frames for clients wait until `flush`, so that a client that sends much is not answered frame by
     /// frame.
     pub fn receive(&self, client: ClientId, frame: Frame<'_>, now: Monotonic) {
         self.core.borrow_mut().receive(client, frame, now);

@@ -1,20 +1,22 @@
-//! CDR as ROS 2 puts it on the wire: XCDR1, little-endian, behind a 4-byte encapsulation header
-//! (OMG DDS-XTypes 1.3, 7.4.1 and 7.6.2.1.2). Primitives of 2, 4 and 8 bytes are aligned to their size,
-//! counted from the first byte after that header.
+//! Reads and writes CDR, the encoding of ROS 2 messages.
 //!
-//! ROS 1's serialisation differs in little ([`Dialect::Ros1`]): no header, no alignment, strings without NUL.
+//! It is XCDR1, little-endian, behind a 4-byte encapsulation header (OMG DDS-XTypes 1.3, 7.4.1 and 7.6.2.1.2).
+//! Primitives of 2, 4 and 8 bytes are aligned to their size, counted from the first byte after the header. ROS 1's
+//! encoding ([`Dialect::Ros1`]) has no header, no alignment, and strings without NUL.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Representation "CDR, little-endian", no options.
+/// Encapsulation header: CDR, little-endian, no options.
 pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// A message without fields has one byte in ROS 2 all the same.
+/// A message without fields, which has one byte in ROS 2.
 const EMPTY_MESSAGE: [u8; 5] = [0, 1, 0, 0, 0];
 
-/// A payload as ROS 2 wants it: Unity's connector writes nothing behind the header of a message without fields, and
-/// Fast CDR refuses that. All other payloads stay as they are.
+/// Returns a payload as ROS 2 expects it.
+///
+/// Unity's connector writes nothing behind the header of a message without fields, which Fast CDR refuses: such a
+/// payload gets one zero byte. All others stay as they are.
 pub fn with_dummy_byte(dialect: Dialect, payload: &[u8]) -> &[u8] {
     match payload {
         [0, 1, _, _] if dialect == Dialect::Ros2 => &EMPTY_MESSAGE,
@@ -22,24 +24,24 @@ pub fn with_dummy_byte(dialect: Dialect, payload: &[u8]) -> &[u8] {
     }
 }
 
-/// Which ROS the clients were built for.
+/// The ROS version whose encoding a payload has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dialect {
-    /// CDR behind its encapsulation header.
+    /// CDR behind an encapsulation header.
     #[default]
     Ros2,
-    /// Packed; std_msgs/Header begins with `seq`.
+    /// Packed fields; std_msgs/Header begins with `seq`.
     Ros1,
 }
 
-/// Why bytes are not the message they should be.
+/// Why bytes are not the expected message.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DecodeError {
     /// The encapsulation header is missing or names another representation.
     #[error("the payload must begin with 00 01 00 00 (little-endian CDR), not with {0:02x?}")]
     Encapsulation(Vec<u8>),
-    /// The payload ends inside a field.
+    /// The payload ends within a field.
     #[error("{field} needs {need} bytes at offset {at}, {left} are left")]
     Short {
         /// The field being read.
@@ -48,7 +50,7 @@ pub enum DecodeError {
         at: usize,
         /// Bytes the field needs.
         need: u64,
-        /// Bytes that are there.
+        /// Bytes that are left.
         left: usize,
     },
     /// A string that is not UTF-8 or does not end in NUL.
@@ -57,23 +59,46 @@ pub enum DecodeError {
         /// The field being read.
         field: &'static str,
     },
-    /// NaN or infinity where a number is needed.
+    /// The number is NaN or infinite.
     #[error("{field} is {value}: a finite number is needed")]
     NotFinite {
         /// The field being read.
         field: &'static str,
-        /// As text.
+        /// The value as text.
         value: String,
     },
-    /// Numbers that contradict each other.
-    #[error("{what}")]
-    Inconsistent {
-        /// Which, and how.
-        what: String,
+    /// A grid's size and its number of cells differ.
+    #[error("a grid of {width} x {height} cells comes with {cells} cells")]
+    GridSize {
+        /// Cells along x.
+        width: u32,
+        /// Cells along y.
+        height: u32,
+        /// Cells in the message.
+        cells: usize,
+    },
+    /// A scan has too many beams.
+    #[error("a scan has {beams} beams; at most {limit} can be used")]
+    TooManyBeams {
+        /// Beams in the message.
+        beams: usize,
+        /// The limit.
+        limit: usize,
     },
 }
 
 /// Appends a CDR message to a buffer that may already hold other bytes.
+///
+/// ```
+/// use bridge::cdr::{Reader, Writer};
+/// let mut bytes = Vec::new();
+/// let mut writer = Writer::new(&mut bytes);
+/// writer.string("map");
+/// writer.f64(2.5);
+/// let mut reader = Reader::new(&bytes)?;
+/// assert_eq!((reader.string("frame")?, reader.f64("x")?), ("map", 2.5));
+/// # Ok::<(), bridge::cdr::DecodeError>(())
+/// ```
 pub struct Writer<'a> {
     out: &'a mut Vec<u8>,
     origin: usize,
@@ -81,12 +106,12 @@ pub struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Writes the encapsulation header; what follows is aligned to the byte after it.
+    /// Writes ROS 2's encapsulation header, and aligns what follows to the byte after it.
     pub fn new(out: &'a mut Vec<u8>) -> Self {
         Self::with(Dialect::Ros2, out)
     }
 
-    /// The same in either dialect; ROS 1 has no such header.
+    /// Begins a message in either encoding; ROS 1's has no header.
     pub fn with(dialect: Dialect, out: &'a mut Vec<u8>) -> Self {
         if dialect == Dialect::Ros2 {
             out.extend_from_slice(&ENCAPSULATION);
@@ -95,7 +120,7 @@ impl<'a> Writer<'a> {
         Self { out, origin, dialect }
     }
 
-    /// For the few messages whose fields differ.
+    /// Returns the encoding, for the few messages whose fields differ.
     pub fn dialect(&self) -> Dialect {
         self.dialect
     }
@@ -110,46 +135,46 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// One byte.
+    /// Writes one byte.
     pub fn u8(&mut self, value: u8) {
         self.out.push(value);
     }
 
-    /// 1 or 0 in one byte.
+    /// Writes 1 or 0 in one byte.
     pub fn bool(&mut self, value: bool) {
         self.out.push(u8::from(value));
     }
 
-    /// Aligned to 4.
+    /// Writes a signed integer, aligned to 4 bytes.
     pub fn i32(&mut self, value: i32) {
         self.align(4);
         self.out.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// Aligned to 4.
+    /// Writes an unsigned integer, aligned to 4 bytes.
     pub fn u32(&mut self, value: u32) {
         self.align(4);
         self.out.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// Aligned to 4.
+    /// Writes a float, aligned to 4 bytes.
     pub fn f32(&mut self, value: f32) {
         self.align(4);
         self.out.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// Aligned to 8.
+    /// Writes a double, aligned to 8 bytes.
     pub fn f64(&mut self, value: f64) {
         self.align(8);
         self.out.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// A fixed array of doubles: elements only.
+    /// Writes a fixed array of doubles: elements without a count.
     pub fn f64s(&mut self, values: &[f64]) {
         values.iter().for_each(|value| self.f64(*value));
     }
 
-    /// Length with the NUL, bytes, NUL (ROS 1: without). A NUL inside ends the string, as in C.
+    /// Writes a string: length with the NUL, bytes, NUL (ROS 1: without). A NUL inside ends the string, as in C.
     pub fn string(&mut self, text: &str) {
         let text = text.split('\0').next().unwrap_or_default();
         let nul: &[u8] = if self.dialect == Dialect::Ros2 { b"\0" } else { b"" };
@@ -158,12 +183,12 @@ impl<'a> Writer<'a> {
         self.out.extend_from_slice(nul);
     }
 
-    /// The element count of a sequence. All of ours are bounded far below `u32::MAX`.
+    /// Writes the element count of a sequence; the fleet's sequences are far shorter than `u32::MAX`.
     pub fn count(&mut self, elements: usize) {
         self.u32(u32::try_from(elements).unwrap_or(u32::MAX));
     }
 
-    /// A sequence of floats.
+    /// Writes a sequence of floats.
     pub fn f32_seq(&mut self, values: &[f32]) {
         self.count(values.len());
         let begin = self.out.len();
@@ -173,7 +198,7 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// A sequence of bytes that `fill` writes in place.
+    /// Writes a sequence of bytes that `fill` fills in place.
     pub fn byte_seq_with(&mut self, length: usize, fill: impl FnOnce(&mut [u8])) {
         self.count(length);
         let begin = self.out.len();
@@ -182,7 +207,7 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Reads a CDR message. Never panics; a length is believed only if that many bytes are there.
+/// Reads a CDR message. It never panics, and checks each length against the bytes that are left.
 #[derive(Clone, Debug)]
 pub struct Reader<'a> {
     body: &'a [u8],
@@ -191,16 +216,16 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Checks the encapsulation header.
+    /// Checks ROS 2's encapsulation header, and reads what follows.
     pub fn new(payload: &'a [u8]) -> Result<Self, DecodeError> {
         match payload {
-            // The options (last two bytes) tell of padding at the end; there is nothing to obey.
+            // The options (last two bytes) give the padding at the end, which needs no treatment.
             [0, 1, _, _, body @ ..] => Ok(Self { body, at: 0, dialect: Dialect::Ros2 }),
             _ => Err(DecodeError::Encapsulation(payload[..payload.len().min(4)].to_vec())),
         }
     }
 
-    /// The same in either dialect; ROS 1 has no header to check.
+    /// Begins a message in either encoding; ROS 1's has no header to check.
     pub fn with(dialect: Dialect, payload: &'a [u8]) -> Result<Self, DecodeError> {
         match dialect {
             Dialect::Ros2 => Self::new(payload),
@@ -208,12 +233,12 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// For the few messages whose fields differ.
+    /// Returns the encoding, for the few messages whose fields differ.
     pub fn dialect(&self) -> Dialect {
         self.dialect
     }
 
-    /// Bytes not read yet. Up to 3 may remain behind a whole message: padding.
+    /// Returns the number of bytes that are not read yet. Up to 3 bytes of padding may follow a whole message.
     pub fn left(&self) -> usize {
         self.body.len().saturating_sub(self.at)
     }
@@ -234,37 +259,37 @@ impl<'a> Reader<'a> {
         Ok(array)
     }
 
-    /// One byte.
+    /// Reads one byte.
     pub fn u8(&mut self, field: &'static str) -> Result<u8, DecodeError> {
         self.array(field).map(u8::from_le_bytes)
     }
 
-    /// Any byte but 0 is true.
+    /// Reads a boolean: any byte but 0 is true.
     pub fn bool(&mut self, field: &'static str) -> Result<bool, DecodeError> {
         self.u8(field).map(|byte| byte != 0)
     }
 
-    /// Aligned to 4.
+    /// Reads a signed integer, aligned to 4 bytes.
     pub fn i32(&mut self, field: &'static str) -> Result<i32, DecodeError> {
         self.array(field).map(i32::from_le_bytes)
     }
 
-    /// Aligned to 4.
+    /// Reads an unsigned integer, aligned to 4 bytes.
     pub fn u32(&mut self, field: &'static str) -> Result<u32, DecodeError> {
         self.array(field).map(u32::from_le_bytes)
     }
 
-    /// Aligned to 4.
+    /// Reads a float, aligned to 4 bytes.
     pub fn f32(&mut self, field: &'static str) -> Result<f32, DecodeError> {
         self.array(field).map(f32::from_le_bytes)
     }
 
-    /// Aligned to 8.
+    /// Reads a double, aligned to 8 bytes.
     pub fn f64(&mut self, field: &'static str) -> Result<f64, DecodeError> {
         self.array(field).map(f64::from_le_bytes)
     }
 
-    /// A double that is a number.
+    /// Reads a double and refuses NaN and infinities.
     pub fn finite(&mut self, field: &'static str) -> Result<f64, DecodeError> {
         let value = self.f64(field)?;
         if value.is_finite() {
@@ -274,7 +299,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// A fixed array of doubles.
+    /// Reads a fixed array of doubles.
     pub fn f64s<const N: usize>(&mut self, field: &'static str) -> Result<[f64; N], DecodeError> {
         let mut values = [0.0; N];
         for value in &mut values {
@@ -283,7 +308,7 @@ impl<'a> Reader<'a> {
         Ok(values)
     }
 
-    /// The text without its NUL. A length of 0 is an empty string, too.
+    /// Reads a string without its NUL. A length of 0 is an empty string too.
     pub fn string(&mut self, field: &'static str) -> Result<&'a str, DecodeError> {
         let length = self.u32(field)?;
         let bytes = self.take(field, 1, u64::from(length))?;
@@ -295,7 +320,8 @@ impl<'a> Reader<'a> {
         core::str::from_utf8(text).map_err(|_| DecodeError::Text { field })
     }
 
-    /// The count of a sequence whose elements take at least `element` bytes each, all of them there.
+    /// Reads the count of a sequence whose elements take at least `element` bytes each, and checks that so many are
+    /// left.
     pub fn count(&mut self, field: &'static str, element: usize) -> Result<usize, DecodeError> {
         let count = self.u32(field)?;
         let need = u64::from(count) * element as u64;
@@ -305,7 +331,7 @@ impl<'a> Reader<'a> {
         Ok(count as usize)
     }
 
-    /// A sequence of floats, read as they are taken.
+    /// Reads a sequence of floats as an iterator.
     pub fn f32s(
         &mut self,
         field: &'static str,
@@ -315,12 +341,12 @@ impl<'a> Reader<'a> {
         Ok(bytes.as_chunks::<4>().0.iter().map(|chunk| f32::from_le_bytes(*chunk)))
     }
 
-    /// A sequence of floats.
+    /// Reads a sequence of floats.
     pub fn f32_seq(&mut self, field: &'static str) -> Result<Vec<f32>, DecodeError> {
         self.f32s(field).map(Iterator::collect)
     }
 
-    /// A sequence of bytes, borrowed.
+    /// Reads a sequence of bytes, borrowed.
     pub fn byte_seq(&mut self, field: &'static str) -> Result<&'a [u8], DecodeError> {
         let count = self.u32(field)?;
         self.take(field, 1, u64::from(count))

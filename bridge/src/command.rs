@@ -1,16 +1,18 @@
-//! The JSON bodies of ros_tcp's `__` commands, both ways. Unknown fields are ignored, as Unity's reader does.
+//! JSON bodies of the ros_tcp protocol's `__` commands, in both directions.
+//!
+//! Unknown fields are ignored, as Unity's JSON reader does.
 
 use crate::cdr::Dialect;
 use serde::{Deserialize, Serialize};
 
-/// The endpoint's version Unity's connector checks for (`v0.7.`).
+/// Version of the endpoint: Unity's connector expects `v0.7.` at its beginning.
 pub const VERSION: &str = "v0.7.0";
-/// The handshake's payload, byte for byte as the reference endpoint writes it: `metadata` is JSON in a string.
+/// The handshake's payload, byte for byte as the reference endpoint's. `metadata` is JSON in a string.
 pub const HANDSHAKE: &[u8] = br#"{"version": "v0.7.0", "metadata": "{\"protocol\": \"ROS2\"}"}"#;
-/// The same toward clients built for ROS 1.
+/// The handshake's payload for clients built for ROS 1.
 pub const HANDSHAKE_ROS1: &[u8] = br#"{"version": "v0.7.0", "metadata": "{\"protocol\": \"ROS1\"}"}"#;
 
-/// The handshake for clients of one ROS.
+/// Returns the handshake's payload for clients of a ROS version.
 pub fn handshake(dialect: Dialect) -> &'static [u8] {
     match dialect {
         Dialect::Ros2 => HANDSHAKE,
@@ -20,66 +22,66 @@ pub fn handshake(dialect: Dialect) -> &'static [u8] {
 
 /// Names of the commands.
 pub mod name {
-    /// Server to client, its first frame.
+    /// From the server, as its first frame: [`super::Handshake`].
     pub const HANDSHAKE: &str = "__handshake";
-    /// Client: [`super::Registration`], send me this topic.
+    /// From a client: [`super::Registration`] of a topic that it wants to receive.
     pub const SUBSCRIBE: &str = "__subscribe";
-    /// Client: [`super::Registration`], I shall publish this topic.
+    /// From a client: [`super::Registration`] of a topic that it will publish.
     pub const PUBLISH: &str = "__publish";
-    /// Client: [`super::Registration`], I shall call this service.
+    /// From a client: [`super::Registration`] of a service that it will call.
     pub const ROS_SERVICE: &str = "__ros_service";
-    /// Client: [`super::Registration`], I answer this service.
+    /// From a client: [`super::Registration`] of a service that it provides.
     pub const UNITY_SERVICE: &str = "__unity_service";
-    /// Either: [`super::Call`], the next frame is a service's request.
+    /// From either side: [`super::Call`]; the next frame is the service's request.
     pub const REQUEST: &str = "__request";
-    /// Either: [`super::Call`], the next frame is a service's response.
+    /// From either side: [`super::Call`]; the next frame is the service's response.
     pub const RESPONSE: &str = "__response";
-    /// Client: send me the list. Server: [`super::TopicList`].
+    /// From a client: asks for the list. From the server: [`super::TopicList`].
     pub const TOPIC_LIST: &str = "__topic_list";
-    /// Client: [`super::Registration`], undo [`SUBSCRIBE`].
+    /// From a client: [`super::Registration`]; ends [`SUBSCRIBE`].
     pub const REMOVE_SUBSCRIBER: &str = "__remove_subscriber";
-    /// Client: [`super::Registration`], undo [`PUBLISH`].
+    /// From a client: [`super::Registration`]; ends [`PUBLISH`].
     pub const REMOVE_PUBLISHER: &str = "__remove_publisher";
-    /// Client: [`super::Registration`], undo [`ROS_SERVICE`].
+    /// From a client: [`super::Registration`]; ends [`ROS_SERVICE`].
     pub const REMOVE_ROS_SERVICE: &str = "__remove_ros_service";
-    /// Client: [`super::Registration`], undo [`UNITY_SERVICE`].
+    /// From a client: [`super::Registration`]; ends [`UNITY_SERVICE`].
     pub const REMOVE_UNITY_SERVICE: &str = "__remove_unity_service";
-    /// Server: [`super::Notice`], for the client's log.
+    /// From the server: [`super::Notice`] for the client's log.
     pub const LOG: &str = "__log";
-    /// Server: [`super::Notice`], something to look at.
+    /// From the server: [`super::Notice`] of something that needs attention.
     pub const WARN: &str = "__warn";
-    /// Server: [`super::Notice`], something was refused.
+    /// From the server: [`super::Notice`] of something that was refused.
     pub const ERROR: &str = "__error";
 }
 
-/// Of a topic or service, by its client.
+/// A client's registration of a topic or service.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Registration {
-    /// `/robot1/scan`; a service's name, too, is called topic.
+    /// Name of the topic or service, such as `/robot1/scan`.
     pub topic: String,
-    /// `sensor_msgs/LaserScan`; for a service `nav_msgs/GetPlan`. Empty in removals.
+    /// Type, such as `sensor_msgs/LaserScan` or, for a service, `nav_msgs/GetPlan`. Empty in removals.
     pub message_name: String,
-    /// How many newest messages are kept for a slow reader. 0: as many as usual.
+    /// Newest messages that wait for a slow subscriber; 0 stands for the default of 10.
     pub queue_size: i64,
     /// Whether the newest message is kept for late subscribers.
     pub latch: bool,
 }
 
-/// The handshake as a client reads it.
+/// The handshake, as a client reads it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Handshake {
-    /// [`VERSION`].
+    /// Version of the endpoint: [`VERSION`].
     pub version: String,
     /// JSON in a string: `{"protocol": "ROS2"}`.
     pub metadata: String,
 }
 
-/// Which call the next frame belongs to.
+/// Announces that the next frame belongs to a service call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Call {
-    /// Unique among the sender's calls on this connection.
+    /// Number of the call, unique among the sender's calls on this connection.
     pub srv_id: i64,
 }
 
@@ -87,17 +89,17 @@ pub struct Call {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Notice {
-    /// One sentence.
+    /// A sentence for a person.
     pub text: String,
 }
 
-/// All topics; the arrays have the same length.
+/// All topics and their types, in arrays of the same length.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct TopicList {
-    /// Names.
+    /// Names with leading slash.
     pub topics: Vec<String>,
-    /// `package/Type` of each.
+    /// `package/Type` of each topic.
     pub types: Vec<String>,
 }
 
@@ -107,36 +109,36 @@ mod tests {
     use crate::interfaces::{self, Kind};
     use proptest::prelude::*;
 
-    /// What the bridge does with a command's JSON before it believes any of it.
-    fn take(json: &[u8]) {
+    /// Parses a command's JSON as the bridge does.
+    fn parse(json: &[u8]) {
         let _ = serde_json::from_slice::<Call>(json);
-        let Ok(about) = serde_json::from_slice::<Registration>(json) else { return };
-        if let Ok(name) = interfaces::resolve_name(&about.topic) {
-            assert!(name.starts_with('/') && name.len() <= about.topic.len() + 1);
+        let Ok(registration) = serde_json::from_slice::<Registration>(json) else { return };
+        if let Ok(name) = interfaces::resolve_name(&registration.topic) {
+            assert!(name.starts_with('/') && name.len() <= registration.topic.len() + 1);
         }
         for kind in [Kind::Message, Kind::Service] {
-            let _ = interfaces::resolve(kind, &about.message_name, &[]);
+            let _ = interfaces::resolve(kind, &registration.message_name, &[]);
         }
     }
 
-    fn sound() -> impl Strategy<Value = Vec<u8>> {
+    fn valid() -> impl Strategy<Value = Vec<u8>> {
         let text = "(/?[a-z_0-9/]{0,24}|\\PC{0,12})";
         (text, text, any::<i64>(), any::<bool>()).prop_map(|(topic, message_name, queue_size, latch)| {
-            let about = Registration { topic, message_name, queue_size, latch };
-            serde_json::to_vec(&about).unwrap_or_default()
+            let registration = Registration { topic, message_name, queue_size, latch };
+            serde_json::to_vec(&registration).unwrap_or_default()
         })
     }
 
     proptest! {
         // `PROPTEST_CASES=5000000 cargo test -p bridge --release command` is 10^7 executions.
         #[test]
-        fn noise_is_no_command(json in proptest::collection::vec(any::<u8>(), 0..96)) {
-            take(&json);
+        fn random_bytes_are_an_error(json in proptest::collection::vec(any::<u8>(), 0..96)) {
+            parse(&json);
         }
 
         #[test]
-        fn a_damaged_command_is_survived(
-            mut json in sound(),
+        fn a_damaged_command_is_parsed_or_an_error(
+            mut json in valid(),
             damage in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..3_u8), 0..4),
         ) {
             for (place, byte, kind) in damage {
@@ -147,13 +149,13 @@ mod tests {
                     _ => json.insert(place.min(json.len()), byte),
                 }
             }
-            take(&json);
+            parse(&json);
         }
 
         #[test]
-        fn depth_and_numbers_are_survived(depth in 0..4000_usize, number in "-?[0-9]{1,400}(\\.[0-9]{1,9})?(e-?[0-9]{1,5})?") {
-            take(format!("{{\"topic\":{}", "[".repeat(depth)).as_bytes());
-            take(format!("{{\"queue_size\":{number},\"srv_id\":{number}}}").as_bytes());
+        fn deep_nesting_and_huge_numbers_are_parsed_or_an_error(depth in 0..4000_usize, number in "-?[0-9]{1,400}(\\.[0-9]{1,9})?(e-?[0-9]{1,5})?") {
+            parse(format!("{{\"topic\":{}", "[".repeat(depth)).as_bytes());
+            parse(format!("{{\"queue_size\":{number},\"srv_id\":{number}}}").as_bytes());
         }
     }
 }

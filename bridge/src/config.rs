@@ -1,4 +1,4 @@
-//! What the bridge may be told at start.
+//! The settings of the bridge.
 
 use crate::dds::DdsConfig;
 use crate::ros::{Dialect, NameStyle};
@@ -8,60 +8,60 @@ use std::net::IpAddr;
 use std::time::Duration;
 use thiserror::Error;
 
-/// What anyone who reaches the port may do without being on the allow list. Loopback may do everything.
+/// Who has a permission. Loopback has every permission, unless `trust_loopback` is off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Permission {
-    /// Whoever reaches the port.
+    /// Everybody who reaches the port.
     Anyone,
-    /// Loopback, the allow list, and whom the person at the laptop has let in.
+    /// Loopback, the allow list, and the addresses that the operator allows while the fleet runs.
     Allowed,
 }
 
-/// The bridge's table of the fleet file. Every bound has its name here.
+/// The table `bridge` of the fleet file. It has one field for each key, and so more than 12.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BridgeConfig {
-    /// The longest payload a client may send, bytes. A 4096 x 4096 map has 16.8 million.
+    /// The longest payload that a client may send, bytes. A map of 4096 x 4096 cells has 16.8 million.
     pub frame_bytes_max: usize,
-    /// What may wait for one slow client, bytes, beside the newest map and the frame being written.
+    /// Bytes that may wait for one slow client, besides the newest map and the frame that is being written.
     pub outbox_bytes_max: usize,
-    /// Unsent bytes the kernel may hold for one client. Small: what waits with us can still be replaced by
-    /// something newer, what waits in the kernel cannot.
+    /// Unsent bytes that the kernel may hold for one client. It is small because a message that waits in the bridge
+    /// can still be replaced by a newer one, and a message in the kernel cannot.
     pub unsent_bytes_max: u32,
-    /// Clients at one time.
+    /// Clients that may be connected at a time, 1 to 1024.
     pub clients_max: usize,
-    /// Topics and services that clients may bring into being, all together.
+    /// Topics that all clients together may create; the same number of services.
     pub client_topics_max: usize,
-    /// Bytes of latched messages on clients' topics, all together.
+    /// Bytes of latched messages on all topics of clients together.
     pub latched_bytes_max: usize,
-    /// Which ROS the clients were built for. One for all of them.
+    /// The ROS version that all clients were built for: it determines how payloads are encoded.
     pub payloads: Dialect,
-    /// How robots are told apart in frame names.
+    /// How frame names carry the robot: `base_link_1`, or `robot1/base_link`.
     pub frame_names: NameStyle,
-    /// ROS packages of your own whose types clients may use.
+    /// Your own ROS packages whose types clients may use.
     pub message_packages: Vec<String>,
-    /// Who may subscribe.
+    /// Who may subscribe to topics.
     pub watch: Permission,
-    /// Who may publish to the fleet: commands, selection. The emergency stop is anyone's.
+    /// Who may publish to the fleet: velocities, selection, poses. Everybody may set the emergency stop.
     pub drive: Permission,
-    /// Addresses that may watch and drive.
+    /// Addresses on the allow list, which may watch and drive.
     pub allow: Vec<IpAddr>,
-    /// Whether an address that the person at the laptop let in may drive in later runs, too.
+    /// Whether an address that the operator allows may drive in later runs too.
     pub remember: bool,
-    /// Whether 127.0.0.1 and ::1 may do everything. Off only to rehearse permissions on one machine.
+    /// Whether 127.0.0.1 and ::1 have every permission. Switch it off only to try permissions on one machine.
     pub trust_loopback: bool,
-    /// How long after its last moving command a client keeps a robot to itself, seconds.
+    /// How long a client holds a robot after its last moving velocity, seconds: others are refused meanwhile.
     pub lease_s: f64,
-    /// Forward speed of a fully pushed thumb stick, m/s.
+    /// Forward speed at full deflection of a thumb stick, m/s.
     pub stick_linear_m_s: f64,
-    /// Turning speed of a fully pushed thumb stick, rad/s.
+    /// Turning speed at full deflection of a thumb stick, rad/s.
     pub stick_angular_rad_s: f64,
-    /// Where the world is a client's or real: how far its clock is ahead of ours, seconds, or `"measured"`.
+    /// Seconds that the clock of an external world is ahead of ours, or `"measured"`.
     pub clock_offset: ClockOffset,
-    /// How long a service call may take before its caller is told that it failed, seconds.
+    /// How long a service call may wait for its response, seconds; then it fails.
     pub service_timeout_s: f64,
-    /// The ROS 2 door.
+    /// The ROS 2 endpoint.
     pub dds: DdsConfig,
 }
 
@@ -108,14 +108,15 @@ impl ConfigError {
 }
 
 impl BridgeConfig {
-    /// Refuses values that cannot work, by name.
+    /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
         if self.dds.enabled && self.payloads != Dialect::Ros2 {
-            return Err(ConfigError::new("payloads", "ros1".into(), "the ROS 2 door needs ros2"));
+            return Err(ConfigError::new("payloads", "ros1".into(), "ROS 2 (bridge.dds) needs \"ros2\""));
         }
         if self.dds.enabled && !self.dds.loopback_only && self.watch != Permission::Anyone {
-            let expected = "DDS does not say who listens: watch = \"anyone\", or loopback_only = true";
+            let expected =
+                "DDS does not identify subscribers: set watch = \"anyone\", or loopback_only = true";
             return Err(ConfigError::new("watch", "allowed".into(), expected));
         }
         let refuse = |field, value: String, expected| Err(ConfigError { field, value, expected });
@@ -179,12 +180,12 @@ impl BridgeConfig {
         Ok(())
     }
 
-    /// [`Self::lease_s`].
+    /// Returns [`Self::lease_s`] as a duration.
     pub fn lease(&self) -> Duration {
         Duration::from_secs_f64(self.lease_s)
     }
 
-    /// [`Self::service_timeout_s`].
+    /// Returns [`Self::service_timeout_s`] as a duration.
     pub fn service_timeout(&self) -> Duration {
         Duration::from_secs_f64(self.service_timeout_s)
     }
@@ -195,17 +196,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_is_sound_and_nonsense_is_named() {
-        let sound = BridgeConfig::default();
-        assert_eq!(sound.validate(), Ok(()));
+    fn the_default_is_valid_and_an_error_names_the_key() {
+        let valid = BridgeConfig::default();
+        assert_eq!(valid.validate(), Ok(()));
         let text = |config: BridgeConfig| config.validate().unwrap_err().to_string();
         assert!(
-            text(BridgeConfig { frame_bytes_max: 3, ..sound.clone() })
+            text(BridgeConfig { frame_bytes_max: 3, ..valid.clone() })
                 .contains("bridge.frame_bytes_max is 3")
         );
-        assert!(text(BridgeConfig { lease_s: f64::NAN, ..sound.clone() }).contains("bridge.lease_s is NaN"));
+        assert!(text(BridgeConfig { lease_s: f64::NAN, ..valid.clone() }).contains("bridge.lease_s is NaN"));
         let packages = vec!["my-msgs".to_owned()];
-        assert!(text(BridgeConfig { message_packages: packages, ..sound }).contains("'my-msgs'"));
+        assert!(text(BridgeConfig { message_packages: packages, ..valid }).contains("'my-msgs'"));
         assert!(serde_json::from_str::<BridgeConfig>(r#"{"lease_seconds": 3}"#).is_err());
         let partial: BridgeConfig = serde_json::from_str(r#"{"frame_names": "slash"}"#).unwrap();
         assert_eq!(partial.frame_names, NameStyle::Slash);

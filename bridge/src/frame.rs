@@ -1,39 +1,41 @@
-//! ros_tcp framing: `u32 name length, name, u32 payload length, payload`, little-endian, one stream each way.
-//! A name that begins with `__` is a command with JSON as payload, an empty one a keepalive, any other a topic.
-//! Names and JSON from a client end in one NUL that counts; those from the server have none.
+//! Frames of the ros_tcp protocol, and the parser that cuts a byte stream into them.
+//!
+//! A frame is `u32 name length, name, u32 payload length, payload`, little-endian. A name that begins with `__` is a
+//! command with JSON as payload, an empty name is a keepalive, and any other name is a topic. Names and JSON from a
+//! client end in one NUL, which counts in the length; those from the server have none.
 
 use thiserror::Error;
 
-/// The longest topic or command name.
+/// The longest topic or command name, bytes.
 pub const NAME_MAX: usize = 1024;
-/// What a client writes when it has nothing to say: no name, no payload.
+/// The frame that a client sends when it has sent nothing for a second: no name and no payload.
 pub const KEEPALIVE: [u8; 8] = [0; 8];
-/// Bytes a parser holds at rest: what one read can bring.
-const REST_BYTES: usize = 64 * 1024;
-/// At most this much is asked of one read while a long frame arrives.
+/// Size of an idle parser's buffer, bytes: as much as one read returns.
+const IDLE_BYTES: usize = 64 * 1024;
+/// The largest growth of the buffer for one read while a long frame arrives, bytes.
 const GROWTH_MAX: usize = 4 * 1024 * 1024;
-/// A buffer that has grown beyond this is given back once it is empty.
+/// A buffer that has grown beyond this is shrunk once it is empty, bytes.
 const KEPT_BYTES: usize = 64 * 1024 * 1024;
 
-/// The stream can no longer be told apart into frames: it must be closed.
+/// The stream cannot be cut into frames any more: the connection must be closed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FrameError {
-    /// A name longer than [`NAME_MAX`]: most often a peer that speaks another protocol.
+    /// A name is longer than [`NAME_MAX`]: usually the peer uses another protocol.
     #[error(
         "a frame announces a name of {announced} bytes, the limit is {NAME_MAX}: this port speaks ros_tcp"
     )]
     Name {
-        /// Announced length in bytes.
+        /// Announced length, bytes.
         announced: u32,
     },
-    /// A payload longer than allowed.
+    /// A payload is longer than the limit.
     #[error("a frame for '{name}' announces {announced} bytes, the limit is {limit}")]
     Payload {
-        /// The frame's name.
+        /// Name of the frame.
         name: String,
-        /// Announced length in bytes.
+        /// Announced length, bytes.
         announced: u32,
-        /// The limit in bytes.
+        /// The limit, bytes.
         limit: usize,
     },
 }
@@ -41,19 +43,19 @@ pub enum FrameError {
 /// One frame, borrowed from its parser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// Without trailing NULs. Perhaps not UTF-8.
+    /// The name without trailing NULs. It may be invalid UTF-8.
     pub name: &'a [u8],
-    /// As sent.
+    /// The payload as sent.
     pub payload: &'a [u8],
 }
 
 impl<'a> Frame<'a> {
-    /// No name: sent to show that the link lives. (A payload would be a mistake, and harmless.)
+    /// Returns whether the frame is a keepalive: it has no name.
     pub fn is_keepalive(&self) -> bool {
         self.name.is_empty()
     }
 
-    /// The payload without trailing NULs: a command's JSON.
+    /// Returns the payload without trailing NULs: a command's JSON.
     pub fn json(&self) -> &'a [u8] {
         without_nuls(self.payload)
     }
@@ -64,10 +66,10 @@ fn without_nuls(bytes: &[u8]) -> &[u8] {
     &bytes[..end]
 }
 
-/// Cuts a byte stream into frames, however it was cut before.
+/// Cuts a byte stream into frames, whatever the sizes of its reads.
 ///
-/// Memory grows with bytes that have arrived, never with a length that was announced: to the longest
-/// frame allowed at most.
+/// Its memory grows with the bytes that have arrived, never with an announced length, and at most to the longest
+/// allowed frame.
 /// ```
 /// # use bridge::frame::{Parser, Side};
 /// let mut sent = Vec::new();
@@ -87,24 +89,25 @@ pub struct Parser {
 }
 
 impl Parser {
-    /// Refuses payloads longer than `payload_max` bytes.
+    /// Creates a parser that refuses payloads longer than `payload_max` bytes.
     pub fn new(payload_max: usize) -> Self {
-        Self { buffer: vec![0; REST_BYTES], begin: 0, end: 0, payload_max, kept_bytes: KEPT_BYTES }
+        Self { buffer: vec![0; IDLE_BYTES], begin: 0, end: 0, payload_max, kept_bytes: KEPT_BYTES }
     }
 
-    /// Keeps up to `bytes` of a buffer that has grown. For one who reads large frames again and again: fresh
-    /// memory for a 16 MB map costs more time than the map.
+    /// Keeps up to `bytes` of a buffer that has grown, for a client that reads many large frames: allocating memory
+    /// for a map of 16 MB takes longer than reading it.
     pub fn keep(self, bytes: usize) -> Self {
         Self { kept_bytes: bytes, ..self }
     }
 
-    /// Where to read the stream's next bytes to; never empty. Tell by [`Parser::filled`] how many came.
-    /// Take all frames out before asking for more space, or it grows.
+    /// Returns the space for the stream's next bytes, which is never empty. Call [`Parser::filled`] after the read.
+    ///
+    /// Take all frames before asking for space again, or the buffer grows.
     pub fn space(&mut self) -> &mut [u8] {
         if self.begin == self.end {
             (self.begin, self.end) = (0, 0);
             if self.buffer.len() > self.kept_bytes {
-                self.buffer.truncate(REST_BYTES);
+                self.buffer.truncate(IDLE_BYTES);
                 self.buffer.shrink_to_fit();
             }
         } else {
@@ -113,11 +116,11 @@ impl Parser {
         &mut self.buffer[self.end..]
     }
 
-    /// A frame is under way: see that its rest, or a good part of it, fits behind what is there.
+    /// Makes space for the rest of an incomplete frame, or for a large part of it.
     fn make_room(&mut self) {
         let have = self.end - self.begin;
         let rest = self.announced().unwrap_or(0).saturating_sub(have).max(1);
-        let want = rest.min(have.max(REST_BYTES)).min(GROWTH_MAX);
+        let want = rest.min(have.max(IDLE_BYTES)).min(GROWTH_MAX);
         if self.buffer.len() - self.end >= want {
             return;
         }
@@ -129,7 +132,7 @@ impl Parser {
         }
     }
 
-    /// `count` bytes of [`Parser::space`] now hold the stream's next bytes.
+    /// Adds the first `count` bytes of [`Parser::space`] to the stream.
     pub fn filled(&mut self, count: usize) {
         self.end = (self.end + count).min(self.buffer.len());
     }
@@ -145,12 +148,12 @@ impl Parser {
         }
     }
 
-    /// Bytes taken from the stream and not yet given out as frames.
+    /// Returns the number of bytes that are not part of a returned frame yet.
     pub fn pending(&self) -> usize {
         self.end - self.begin
     }
 
-    /// Bytes this parser occupies.
+    /// Returns the size of the buffer, bytes.
     pub fn capacity(&self) -> usize {
         self.buffer.capacity()
     }
@@ -160,7 +163,7 @@ impl Parser {
         bytes.try_into().ok().map(u32::from_le_bytes)
     }
 
-    /// The whole length of the frame under way, once it is known.
+    /// Returns the whole length of the incomplete frame, once it is known.
     fn announced(&self) -> Option<usize> {
         let name = self.length_at(0)? as usize;
         if name > NAME_MAX {
@@ -170,7 +173,7 @@ impl Parser {
         Some(8 + name + payload)
     }
 
-    /// The next whole frame; `None` if more bytes are needed first.
+    /// Returns the next whole frame, or `None` if it needs more bytes.
     pub fn next_frame(&mut self) -> Result<Option<Frame<'_>>, FrameError> {
         let Some(name_announced) = self.length_at(0) else { return Ok(None) };
         let name_length = name_announced as usize;
@@ -192,17 +195,26 @@ impl Parser {
     }
 }
 
-/// Who writes: clients end names and JSON with a NUL, the server must not.
+/// The side that writes a frame: clients end names and JSON with a NUL, the server must not.
+///
+/// ```
+/// use bridge::frame::Side;
+/// use bridge::ros::{Twist, encode};
+/// let mut bytes = Vec::new();
+/// Side::Client.write_with(&mut bytes, "/cmd_vel", |out| encode(&Twist::default(), out));
+/// // Length and name with its NUL, length of the payload, 4 bytes of encapsulation header, 6 doubles.
+/// assert_eq!(bytes.len(), 4 + 9 + 4 + 4 + 6 * 8);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// A headset, an operator, a test.
+    /// A client, such as a headset's application.
     Client,
-    /// The bridge.
+    /// The server: the bridge.
     Server,
 }
 
 impl Side {
-    /// Appends a frame for a topic.
+    /// Appends a frame of a topic.
     pub fn write(self, out: &mut Vec<u8>, name: &str, payload: &[u8]) {
         self.write_with(out, name, |out| out.extend_from_slice(payload));
     }
@@ -223,7 +235,7 @@ impl Side {
     /// Appends a command (`__subscribe`, `__error`, ...) with its JSON.
     pub fn write_command(self, out: &mut Vec<u8>, name: &str, body: &impl serde::Serialize) {
         self.write_with(out, name, |out| {
-            // Our bodies are plain structs of strings and numbers, for which JSON cannot fail.
+            // Bodies are structs of strings and numbers, which serialize without errors.
             if serde_json::to_writer(&mut *out, body).is_ok() && self == Self::Client {
                 out.push(0);
             }
@@ -231,7 +243,7 @@ impl Side {
     }
 }
 
-/// Payloads are bounded by configuration far below `u32::MAX`.
+/// Encodes a length. The configuration limits payloads far below `u32::MAX`.
 fn length(bytes: usize) -> [u8; 4] {
     u32::try_from(bytes).unwrap_or(u32::MAX).to_le_bytes()
 }

@@ -162,7 +162,7 @@ impl Cloud {
         self.middle.map(f64::from)
     }
 
-    /// The point nearest to `at`, not farther than `gate_m` (at most [`SEARCH_MAX_M`]), whose normal
+    /// The point nearest to `at`, not farther than `gate_m` (at most `SEARCH_MAX_M`), whose normal
     /// is within about 45° of `normal`, if both are known.
     pub fn nearest(&self, at: [f32; 2], normal: [f32; 2], gate_m: f32) -> Option<&SurfacePoint> {
         let buckets = self.heads.len() - 1;

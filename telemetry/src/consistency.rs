@@ -7,6 +7,8 @@
 
 use msg::grid::{Occupancy, occupancy};
 use msg::{GridView, Pose2};
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// A wrong transform of the null moves by this much, metres.
 const NULL_SHIFT_M: core::ops::Range<f64> = 2.0..8.0;
@@ -74,9 +76,10 @@ pub fn compare(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Cons
 pub fn null(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, count: usize, seed: u64) -> Vec<Consistency> {
     let Some(right) = compare(a, b, a_from_b) else { return Vec::new() };
     let Some(centre_m) = overlap_centre_m(a, b, a_from_b) else { return Vec::new() };
-    let mut random = SplitMix(seed);
+    let mut random = RandomNumbers::new(seed);
     let tries = 0..count.saturating_mul(NULL_TRIES);
-    let wrong = tries.filter_map(|_| one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), random.next()));
+    let wrong =
+        tries.filter_map(|_| one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), random.next_u64()));
     wrong.take(count).collect()
 }
 
@@ -89,7 +92,7 @@ pub fn one_wrong(
     ([x, y], overlap_m2): ([f64; 2], f64),
     seed: u64,
 ) -> Option<Consistency> {
-    let mut random = SplitMix(seed);
+    let mut random = RandomNumbers::new(seed);
     let turn = random.within(NULL_TURN_RAD) * random.sign();
     let shift = random.within(NULL_SHIFT_M);
     let towards = random.within(0.0..core::f64::consts::TAU);
@@ -194,25 +197,25 @@ pub fn overlap_centre_m(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Op
     (count > 0.0).then(|| sum.map(|s| s / count))
 }
 
-/// Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
-struct SplitMix(u64);
+/// Random numbers of one seed (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
+struct RandomNumbers(SplitMix64);
 
-impl SplitMix {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+impl RandomNumbers {
+    fn new(seed: u64) -> Self {
+        Self(SplitMix64::seed_from_u64(seed))
+    }
+
+    fn next_u64(&mut self) -> u64 {
+        self.0.next_u64()
     }
 
     fn within(&mut self, range: core::ops::Range<f64>) -> f64 {
-        let unit = (self.next() >> 11) as f64 / (1_u64 << 53) as f64;
+        let unit = (self.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
         range.start + unit * (range.end - range.start)
     }
 
     fn sign(&mut self) -> f64 {
-        if self.next() & 1 == 0 { 1.0 } else { -1.0 }
+        if self.next_u64() & 1 == 0 { 1.0 } else { -1.0 }
     }
 }
 

@@ -44,7 +44,7 @@ proptest! {
                                              cuts in prop::collection::vec(1_usize..100, 0..50)) {
         let mut parser = Parser::new(4096);
         let _ = parse(&mut parser, &bytes, &cuts);
-        prop_assert!(parser.capacity() <= REST_BYTES + 8 + NAME_MAX + 4096);
+        prop_assert!(parser.capacity() <= IDLE_BYTES + 8 + NAME_MAX + 4096);
     }
 
     #[test]
@@ -88,7 +88,7 @@ fn lengths_are_refused_before_anything_is_allocated() {
     let mut parser = Parser::new(64 << 20);
     assert_eq!(parse(&mut parser, &announce(b"/x\0", 64 << 20), &[]), Ok(vec![]));
     parser.space();
-    assert!(parser.capacity() <= 2 * REST_BYTES, "announced, not sent: {}", parser.capacity());
+    assert!(parser.capacity() <= 2 * IDLE_BYTES, "announced, not sent: {}", parser.capacity());
 }
 
 #[test]

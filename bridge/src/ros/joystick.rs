@@ -1,20 +1,20 @@
-//! What hand controllers say, as the two Quest applications in use send it.
+//! Messages of hand controllers, as two Quest applications send them.
 
 use crate::cdr::{DecodeError, Reader, Writer};
 use crate::ros::message::{Message, read_header};
 use crate::ros::write;
 use msg::Stamp;
 
-/// sensor_msgs/Joy.
+/// sensor_msgs/Joy: a hand controller's axes and buttons.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Joy {
-    /// When it was read.
+    /// Time of the reading.
     pub stamp: Stamp,
-    /// Of the device.
+    /// Frame of the device.
     pub frame_id: String,
-    /// -1 to 1.
+    /// Positions of the axes, -1 to 1.
     pub axes: Vec<f32>,
-    /// 0 or 1.
+    /// States of the buttons, 0 or 1.
     pub buttons: Vec<i32>,
 }
 
@@ -35,20 +35,20 @@ impl Message for Joy {
     }
 }
 
-/// quest2ros/OVR2ROSInputs: one hand's controller.
+/// quest2ros/OVR2ROSInputs: the controller of one hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HandInputs {
-    /// B or Y.
+    /// Button B or Y.
     pub button_upper: bool,
-    /// A or X.
+    /// Button A or X.
     pub button_lower: bool,
-    /// -1 left to 1 right.
+    /// Deflection from -1 (left) to 1 (right).
     pub thumb_stick_horizontal: f32,
-    /// -1 towards the hand to 1 away from it.
+    /// Deflection from -1 (towards the hand) to 1 (away from it).
     pub thumb_stick_vertical: f32,
-    /// The trigger, 0 to 1.
+    /// Pressure of the trigger, 0 to 1.
     pub press_index: f32,
-    /// The grip, 0 to 1.
+    /// Pressure of the grip, 0 to 1.
     pub press_middle: f32,
 }
 

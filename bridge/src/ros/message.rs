@@ -1,54 +1,58 @@
-//! ROS 2 messages, owned, with the fields of their definitions (common_interfaces, Jazzy), units SI.
+//! Owned ROS messages with the fields of their definitions (common_interfaces, Jazzy); units are SI.
 
 use crate::cdr::{DecodeError, Dialect, Reader, Writer};
 use crate::ros::{read, write};
 use msg::Stamp;
 
-/// Something with a definition in ROS.
+/// A message with a definition in ROS.
 pub trait Message: Sized {
-    /// `package/Type`, as ros_tcp and rosbridge write it.
+    /// Type as `package/Type`.
     const TYPE: &'static str;
-    /// Takes the fields off a reader.
+    /// Reads the fields.
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError>;
-    /// Appends the fields to a writer.
+    /// Writes the fields.
     fn write(&self, to: &mut Writer<'_>);
 }
 
-/// One message from its payload. Bytes behind its end are ignored: writers pad.
+/// Decodes a message from its payload. Bytes behind its end are ignored, because writers pad.
 pub fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
     M::read(&mut Reader::new(payload)?)
 }
 
-/// Appends one message's payload, encapsulation header included.
+/// Appends a message's payload with its encapsulation header.
+///
+/// ```
+/// use bridge::ros::{Int32, decode, encode};
+/// let mut payload = Vec::new();
+/// encode(&Int32(7), &mut payload);
+/// assert_eq!(payload, [0, 1, 0, 0, 7, 0, 0, 0]);
+/// assert_eq!(decode(&payload), Ok(Int32(7)));
+/// ```
 pub fn encode<M: Message>(message: &M, out: &mut Vec<u8>) {
     message.write(&mut Writer::new(out));
 }
 
-/// [`decode`] in either dialect.
+/// Decodes a message in either encoding.
 pub fn decode_as<M: Message>(dialect: Dialect, payload: &[u8]) -> Result<M, DecodeError> {
     M::read(&mut Reader::with(dialect, payload)?)
 }
 
-/// [`encode`] in either dialect.
+/// Appends a message's payload in either encoding.
 pub fn encode_as<M: Message>(dialect: Dialect, message: &M, out: &mut Vec<u8>) {
     message.write(&mut Writer::with(dialect, out));
 }
 
-/// std_msgs/Header: stamp and frame.
+/// Reads std_msgs/Header: stamp and frame.
 pub(super) fn read_header(from: &mut Reader<'_>) -> Result<(Stamp, String), DecodeError> {
     read::header(from).map(|(stamp, frame_id)| (stamp, frame_id.to_owned()))
 }
 
-fn read_pose(from: &mut Reader<'_>) -> Result<([f64; 3], [f64; 4]), DecodeError> {
-    Ok((from.f64s("position")?, from.f64s("orientation")?))
-}
-
-/// geometry_msgs/Twist: a wished velocity. Reading refuses NaN and infinities.
+/// geometry_msgs/Twist: a commanded velocity. Reading refuses NaN and infinities.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Twist {
-    /// m/s: forward, left, up.
+    /// Linear velocity forward, left and up, m/s.
     pub linear: [f64; 3],
-    /// rad/s about the same axes.
+    /// Angular velocity about the same axes, rad/s.
     pub angular: [f64; 3],
 }
 
@@ -65,14 +69,14 @@ impl Message for Twist {
     }
 }
 
-/// geometry_msgs/TwistStamped.
+/// geometry_msgs/TwistStamped: a commanded velocity with its time and frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TwistStamped {
-    /// When it was wished.
+    /// Time of the command.
     pub stamp: Stamp,
-    /// The frame it is in.
+    /// Frame of the velocity.
     pub frame_id: String,
-    /// The velocity.
+    /// The commanded velocity.
     pub twist: Twist,
 }
 
@@ -88,7 +92,7 @@ impl Message for TwistStamped {
     }
 }
 
-/// std_msgs/Int32.
+/// std_msgs/Int32: one signed integer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Int32(pub i32);
 
@@ -102,7 +106,7 @@ impl Message for Int32 {
     }
 }
 
-/// std_msgs/Bool.
+/// std_msgs/Bool: one boolean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Bool(pub bool);
 
@@ -116,7 +120,7 @@ impl Message for Bool {
     }
 }
 
-/// std_msgs/Empty. ROS 2 puts one zero byte where nothing is; Unity's connector and ROS 1 put none.
+/// std_msgs/Empty. ROS 2 encodes it as one zero byte; Unity's connector and ROS 1 as none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Empty;
 
@@ -132,7 +136,7 @@ impl Message for Empty {
     }
 }
 
-/// std_msgs/String.
+/// std_msgs/String: a text.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Text(pub String);
 
@@ -146,10 +150,10 @@ impl Message for Text {
     }
 }
 
-/// rosgraph_msgs/Clock.
+/// rosgraph_msgs/Clock: the simulated time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Clock {
-    /// Now.
+    /// The present time.
     pub clock: Stamp,
 }
 
@@ -163,17 +167,20 @@ impl Message for Clock {
     }
 }
 
-/// std_msgs/Float32MultiArray without dimensions.
+/// Length of the shortest std_msgs/MultiArrayDimension, bytes: an empty string, size and stride.
+const DIMENSION_BYTES_MIN: usize = 12;
+
+/// std_msgs/Float32MultiArray: floats without dimensions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Float32MultiArray {
-    /// The values, in order.
+    /// The values in order.
     pub data: Vec<f32>,
 }
 
 impl Message for Float32MultiArray {
     const TYPE: &'static str = "std_msgs/Float32MultiArray";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        for _ in 0..from.count("layout.dim", 12)? {
+        for _ in 0..from.count("layout.dim", DIMENSION_BYTES_MIN)? {
             from.string("layout.dim.label")?;
             from.u32("layout.dim.size")?;
             from.u32("layout.dim.stride")?;
@@ -186,74 +193,18 @@ impl Message for Float32MultiArray {
     }
 }
 
-/// sensor_msgs/LaserScan.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct LaserScan {
-    /// The first beam's.
-    pub stamp: Stamp,
-    /// The LiDAR's frame.
-    pub frame_id: String,
-    /// Radians.
-    pub angle_min: f32,
-    /// Radians.
-    pub angle_max: f32,
-    /// Radians.
-    pub angle_increment: f32,
-    /// Seconds between beams.
-    pub time_increment: f32,
-    /// Seconds between scans.
-    pub scan_time: f32,
-    /// Metres.
-    pub range_min: f32,
-    /// Metres.
-    pub range_max: f32,
-    /// Metres.
-    pub ranges: Vec<f32>,
-    /// The device's own units; perhaps none.
-    pub intensities: Vec<f32>,
-}
-
-impl Message for LaserScan {
-    const TYPE: &'static str = "sensor_msgs/LaserScan";
-    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let (stamp, frame_id) = read_header(from)?;
-        Ok(Self {
-            stamp,
-            frame_id,
-            angle_min: from.f32("angle_min")?,
-            angle_max: from.f32("angle_max")?,
-            angle_increment: from.f32("angle_increment")?,
-            time_increment: from.f32("time_increment")?,
-            scan_time: from.f32("scan_time")?,
-            range_min: from.f32("range_min")?,
-            range_max: from.f32("range_max")?,
-            ranges: from.f32_seq("ranges")?,
-            intensities: from.f32_seq("intensities")?,
-        })
-    }
-    fn write(&self, to: &mut Writer<'_>) {
-        write::header(to, self.stamp, &self.frame_id);
-        let angles = [self.angle_min, self.angle_max, self.angle_increment];
-        let times = [self.time_increment, self.scan_time];
-        let limits = [self.range_min, self.range_max];
-        angles.iter().chain(&times).chain(&limits).for_each(|value| to.f32(*value));
-        to.f32_seq(&self.ranges);
-        to.f32_seq(&self.intensities);
-    }
-}
-
-/// geometry_msgs/TransformStamped: `frame_id` from `child_frame_id`.
+/// geometry_msgs/TransformStamped: the transform `frame_id` from `child_frame_id`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TransformStamped {
-    /// When it holds.
+    /// Time of the transform.
     pub stamp: Stamp,
-    /// The parent.
+    /// The parent frame.
     pub frame_id: String,
-    /// The child.
+    /// The child frame.
     pub child_frame_id: String,
-    /// Metres.
+    /// Position of the child in the parent, metres.
     pub translation: [f64; 3],
-    /// Unit quaternion x, y, z, w.
+    /// Orientation of the child in the parent: unit quaternion x, y, z, w.
     pub rotation: [f64; 4],
 }
 
@@ -275,137 +226,22 @@ impl Message for TransformStamped {
     }
 }
 
-/// tf2_msgs/TFMessage.
+/// tf2_msgs/TFMessage: transforms between frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TfMessage {
-    /// Edges of the transform tree.
+    /// Edges of the tree of transforms.
     pub transforms: Vec<TransformStamped>,
 }
 
 impl Message for TfMessage {
     const TYPE: &'static str = "tf2_msgs/TFMessage";
     fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        // The shortest transform: stamp 8, two empty strings of 4, seven doubles.
-        let count = from.count("transforms", 72)?;
+        let count = from.count("transforms", read::TRANSFORM_BYTES_MIN)?;
         let transforms = (0..count).map(|_| TransformStamped::read(from)).collect::<Result<_, _>>()?;
         Ok(Self { transforms })
     }
     fn write(&self, to: &mut Writer<'_>) {
         to.count(self.transforms.len());
         self.transforms.iter().for_each(|transform| transform.write(to));
-    }
-}
-
-/// geometry_msgs/PoseWithCovarianceStamped.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PoseWithCovarianceStamped {
-    /// When it held.
-    pub stamp: Stamp,
-    /// The frame of the pose.
-    pub frame_id: String,
-    /// Metres.
-    pub position: [f64; 3],
-    /// Unit quaternion x, y, z, w.
-    pub orientation: [f64; 4],
-    /// Row-major over x, y, z (metres) and rotations about them (radians).
-    pub covariance: [f64; 36],
-}
-
-impl Message for PoseWithCovarianceStamped {
-    const TYPE: &'static str = "geometry_msgs/PoseWithCovarianceStamped";
-    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let (stamp, frame_id) = read_header(from)?;
-        let (position, orientation) = read_pose(from)?;
-        Ok(Self { stamp, frame_id, position, orientation, covariance: from.f64s("covariance")? })
-    }
-    fn write(&self, to: &mut Writer<'_>) {
-        write::header(to, self.stamp, &self.frame_id);
-        write::pose(to, self.position, self.orientation);
-        to.f64s(&self.covariance);
-    }
-}
-
-/// nav_msgs/Odometry; covariances, which our robots leave zero, are passed over.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Odometry {
-    /// When it held.
-    pub stamp: Stamp,
-    /// The frame of the pose.
-    pub frame_id: String,
-    /// The frame of the velocity.
-    pub child_frame_id: String,
-    /// Metres.
-    pub position: [f64; 3],
-    /// Unit quaternion x, y, z, w.
-    pub orientation: [f64; 4],
-    /// m/s and rad/s.
-    pub twist: Twist,
-}
-
-impl Message for Odometry {
-    const TYPE: &'static str = "nav_msgs/Odometry";
-    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let (stamp, frame_id) = read_header(from)?;
-        let child_frame_id = from.string("child_frame_id")?.to_owned();
-        let (position, orientation) = read_pose(from)?;
-        from.f64s::<36>("pose.covariance")?;
-        let twist = Twist::read(from)?;
-        from.f64s::<36>("twist.covariance")?;
-        Ok(Self { stamp, frame_id, child_frame_id, position, orientation, twist })
-    }
-    fn write(&self, to: &mut Writer<'_>) {
-        write::header(to, self.stamp, &self.frame_id);
-        to.string(&self.child_frame_id);
-        write::pose(to, self.position, self.orientation);
-        to.f64s(&[0.0; 36]);
-        self.twist.write(to);
-        to.f64s(&[0.0; 36]);
-    }
-}
-
-/// nav_msgs/OccupancyGrid.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct OccupancyGrid {
-    /// Of the newest content.
-    pub stamp: Stamp,
-    /// The map's frame.
-    pub frame_id: String,
-    /// Side of a cell, metres.
-    pub resolution: f32,
-    /// Cells along x.
-    pub width: u32,
-    /// Cells along y.
-    pub height: u32,
-    /// Of the lower left corner of cell (0, 0), metres.
-    pub position: [f64; 3],
-    /// Unit quaternion x, y, z, w.
-    pub orientation: [f64; 4],
-    /// Row-major percent of occupation, row 0 lowest; -1 unknown.
-    pub data: Vec<i8>,
-}
-
-impl Message for OccupancyGrid {
-    const TYPE: &'static str = "nav_msgs/OccupancyGrid";
-    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
-        let (stamp, frame_id) = read_header(from)?;
-        read::stamp(from, "info.map_load_time")?;
-        let resolution = from.f32("info.resolution")?;
-        let (width, height) = (from.u32("info.width")?, from.u32("info.height")?);
-        let (position, orientation) = read_pose(from)?;
-        let data = from.byte_seq("data")?;
-        if u64::from(width) * u64::from(height) != data.len() as u64 {
-            let what = format!("a grid of {width} x {height} cells comes with {} cells", data.len());
-            return Err(DecodeError::Inconsistent { what });
-        }
-        let data = data.iter().map(|byte| *byte as i8).collect();
-        Ok(Self { stamp, frame_id, resolution, width, height, position, orientation, data })
-    }
-    fn write(&self, to: &mut Writer<'_>) {
-        write::header(to, self.stamp, &self.frame_id);
-        let size = (self.width, self.height);
-        write::map_info(to, self.stamp, self.resolution, size, self.position, self.orientation);
-        to.byte_seq_with(self.data.len(), |bytes| {
-            bytes.iter_mut().zip(&self.data).for_each(|(byte, cell)| *byte = *cell as u8);
-        });
     }
 }

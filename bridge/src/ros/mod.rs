@@ -1,24 +1,24 @@
-//! ROS 2 messages as CDR.
+//! ROS messages and their encoding.
 //!
-//! [`message`] has the messages as ROS means them, owned, for those who read them (an operator, a test, the
-//! bridge's own inputs). [`write`] goes from the fleet's nouns straight into a buffer, for the hot path out;
-//! [`read`] the other way, for the hot path in.
-//! [`names`] says what frames are called on the wire.
+//! [`message`], [`sensor`] and [`joystick`] have owned messages with ROS's fields, for clients, tests and the bridge's
+//! inputs. [`mod@write`] and [`read`] convert between CDR and the fleet's messages without allocating, for the frequent
+//! ones. [`names`] has the names of frames.
 
 pub mod joystick;
 pub mod message;
 pub mod names;
 pub mod read;
+pub mod sensor;
 pub mod write;
 
 pub use crate::cdr::{DecodeError, Dialect};
 pub use joystick::{HandInputs, Joy};
 pub use message::{
-    Bool, Clock, Empty, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, Odometry,
-    PoseWithCovarianceStamped, Text, TfMessage, TransformStamped, Twist, TwistStamped, decode, decode_as,
-    encode, encode_as,
+    Bool, Clock, Empty, Float32MultiArray, Int32, Message, Text, TfMessage, TransformStamped, Twist,
+    TwistStamped, decode, decode_as, encode, encode_as,
 };
 pub use names::{FrameNames, NameStyle};
+pub use sensor::{LaserScan, OccupancyGrid, Odometry, PoseWithCovarianceStamped};
 
 #[cfg(test)]
 mod tests;

@@ -1,4 +1,4 @@
-//! What a robot's frames are called on /tf and in headers.
+//! Names of the robots' frames on /tf and in headers.
 
 use msg::{Link, ROBOTS_MAX, RobotId};
 use serde::{Deserialize, Serialize};
@@ -6,20 +6,20 @@ use serde::{Deserialize, Serialize};
 /// The frame of the fleet's merged map.
 pub const MAP: &str = "map";
 
-/// How a robot is told apart in a frame's name.
+/// How a frame's name carries its robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NameStyle {
-    /// `base_link_1`. Unity's connector keys frames by the last path element: with slashes the robots would
-    /// all share one `base_link`.
+    /// `base_link_1`. Unity's connector keeps frames by the last path element: with slashes all robots would share
+    /// one `base_link`.
     #[default]
     Flat,
-    /// `robot1/base_link`: what ROS tools group by.
+    /// `robot1/base_link`, which ROS tools group by robot.
     Slash,
 }
 
 impl NameStyle {
-    /// The wire's name of one robot's frame.
+    /// Returns the name of one robot's frame.
     pub fn frame(self, robot: RobotId, frame: &str) -> String {
         match self {
             Self::Flat => format!("{frame}_{}", robot.number()),
@@ -28,7 +28,7 @@ impl NameStyle {
     }
 }
 
-/// All frame names of the largest fleet, made once.
+/// The frame names of all robots, built once.
 #[derive(Clone, Debug)]
 pub struct FrameNames {
     robots: Vec<RobotNames>,
@@ -41,7 +41,7 @@ struct RobotNames {
 }
 
 impl FrameNames {
-    /// In one style for all.
+    /// Builds the names in one style.
     pub fn new(style: NameStyle) -> Self {
         let robot = |robot| RobotNames {
             map: style.frame(robot, MAP),
@@ -50,28 +50,29 @@ impl FrameNames {
         Self { robots: RobotId::first(ROBOTS_MAX).map(robot).collect() }
     }
 
-    /// The frame of one robot's own map: `map_1`.
+    /// Returns the frame of one robot's own map: `map_1`.
     pub fn map(&self, robot: RobotId) -> &str {
         &self.robots[robot.index()].map
     }
 
-    /// A frame of the robot's body: `base_scan_1`.
+    /// Returns a frame of the robot's body: `base_scan_1`.
     pub fn link(&self, robot: RobotId, link: Link) -> &str {
         &self.robots[robot.index()].links[link as usize - 1]
     }
 }
 
-/// What a frame is to its robot.
+/// A frame of one robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FleetFrame {
     /// The robot's own map.
     Map,
-    /// A part of its body, or where its odometry began.
+    /// A part of the robot's body, or the origin of its odometry.
     Link(Link),
 }
 
-/// Which robot's frame a name means, in whatever style it is written: `odom_2` and `robot2/odom`, and plain `odom`
-/// in a fleet of one. `None`: not a frame of the fleet's. Robots beyond the fleet are understood, too.
+/// Returns the robot and the frame that a name means, or `None` if it is not a frame of the fleet.
+///
+/// `odom_2` and `robot2/odom` are accepted, and plain `odom` in a fleet of one. The robot may be beyond the fleet.
 pub fn parse_frame(name: &str, robot_count: usize) -> Option<(RobotId, FleetFrame)> {
     let name = name.strip_prefix('/').unwrap_or(name);
     let number = |digits: &str| {
@@ -86,7 +87,7 @@ pub fn parse_frame(name: &str, robot_count: usize) -> Option<(RobotId, FleetFram
         let (frame, robot) = name.rsplit_once('_')?;
         Some((number(robot)?, frame_called(frame)?))
     };
-    // Plain `map` is the merged map's.
+    // Plain `map` is the merged map's frame.
     let alone = || Some((RobotId::new(1)?, frame_called(name).filter(|frame| *frame != FleetFrame::Map)?));
     slash().or_else(flat).or_else(|| alone().filter(|_| robot_count == 1))
 }
@@ -98,8 +99,8 @@ fn frame_called(name: &str) -> Option<FleetFrame> {
     Link::ALL.into_iter().find(|link| link.name() == name).map(FleetFrame::Link)
 }
 
-/// Whether a transform is `map` -> `odom`, which SLAM alone publishes (REP-105), or the place of a robot's map,
-/// which is merging's, by any name.
+/// Returns whether a transform is `map` -> `odom`, which SLAM alone publishes (REP-105), or `map` -> `map_N`, which
+/// merging does, in any naming style.
 pub fn is_correction(parent: &str, child: &str, robot_count: usize) -> bool {
     let is_plain = |name: &str, plain: &str| name.strip_prefix('/').unwrap_or(name) == plain;
     match parse_frame(child, robot_count) {
@@ -117,30 +118,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_spelling_of_a_frame_is_understood_and_nothing_else() {
+    fn a_frame_is_parsed_in_every_style_and_other_names_are_not() {
         let robot = |number| RobotId::new(number).unwrap();
         for style in [NameStyle::Flat, NameStyle::Slash] {
             for id in RobotId::first(ROBOTS_MAX) {
                 for link in Link::ALL {
-                    let meant = Some((id, FleetFrame::Link(link)));
+                    let expected = Some((id, FleetFrame::Link(link)));
                     let name = style.frame(id, link.name());
-                    assert_eq!(parse_frame(&name, 3), meant, "{name}");
-                    assert_eq!(parse_frame(&format!("/{name}"), 3), meant, "{name}");
+                    assert_eq!(parse_frame(&name, 3), expected, "{name}");
+                    assert_eq!(parse_frame(&format!("/{name}"), 3), expected, "{name}");
                 }
                 assert_eq!(parse_frame(&style.frame(id, MAP), 3), Some((id, FleetFrame::Map)));
             }
         }
         assert_eq!(parse_frame("odom", 1), Some((robot(1), FleetFrame::Link(Link::Odom))));
-        for stranger in
+        for other in
             ["odom", "map", "base_link", "base_link_0", "base_link_17", "robot1", "robot/odom", "odom_+1"]
         {
-            assert_eq!(parse_frame(stranger, 3), None, "{stranger}");
+            assert_eq!(parse_frame(other, 3), None, "{other}");
         }
         assert_eq!(parse_frame("map", 1), None, "the merged map's");
     }
 
     #[test]
-    fn slams_transform_is_known_by_any_name() {
+    fn slams_transform_is_recognized_in_every_style() {
         for (parent, child) in [
             ("map", "odom"),
             ("/map", "/odom"),

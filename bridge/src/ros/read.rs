@@ -1,16 +1,16 @@
-//! From CDR straight into the fleet's nouns, as [`super::write`] is the other way: nothing is allocated.
+//! Decodes CDR into the fleet's messages without allocating: the reverse of [`super::write`].
 
 use crate::cdr::{DecodeError, Dialect, Reader};
 use msg::{BEAMS_MAX, Scan, Stamp};
 
-/// builtin_interfaces/Time.
+/// Reads builtin_interfaces/Time.
 pub fn stamp(from: &mut Reader<'_>, field: &'static str) -> Result<Stamp, DecodeError> {
     let sec = i64::from(from.i32(field)?);
     let nanosec = i64::from(from.u32(field)?);
     Ok(Stamp(sec * 1_000_000_000 + nanosec))
 }
 
-/// std_msgs/Header: stamp and frame.
+/// Reads std_msgs/Header: stamp and frame.
 pub fn header<'a>(from: &mut Reader<'a>) -> Result<(Stamp, &'a str), DecodeError> {
     if from.dialect() == Dialect::Ros1 {
         from.u32("header.seq")?;
@@ -18,8 +18,9 @@ pub fn header<'a>(from: &mut Reader<'a>) -> Result<(Stamp, &'a str), DecodeError
     Ok((stamp(from, "header.stamp")?, from.string("header.frame_id")?))
 }
 
-/// sensor_msgs/LaserScan, all of it but the intensities; its frame. `into.header.stamp` is as the message says.
-/// Whether the numbers make a scan is not looked at, but for the count of its beams.
+/// Reads sensor_msgs/LaserScan without its intensities; returns its frame.
+///
+/// `into.header.stamp` is the message's. Only the number of beams is checked.
 pub fn laser_scan<'a>(from: &mut Reader<'a>, into: &mut Scan) -> Result<&'a str, DecodeError> {
     let (stamp, frame_id) = header(from)?;
     into.header.stamp = stamp;
@@ -32,33 +33,34 @@ pub fn laser_scan<'a>(from: &mut Reader<'a>, into: &mut Scan) -> Result<&'a str,
     into.range_max_m = from.f32("range_max")?;
     let ranges = from.f32s("ranges")?;
     if ranges.len() > BEAMS_MAX {
-        let what = format!("a scan has {} beams; at most {BEAMS_MAX} can be used", ranges.len());
-        return Err(DecodeError::Inconsistent { what });
+        return Err(DecodeError::TooManyBeams { beams: ranges.len(), limit: BEAMS_MAX });
     }
     into.len = ranges.len() as u32;
     into.ranges_m.iter_mut().zip(ranges).for_each(|(place, range)| *place = range);
     Ok(frame_id)
 }
 
-/// geometry_msgs/TransformStamped, borrowed: `frame_id` from `child_frame_id`.
+/// geometry_msgs/TransformStamped with borrowed names: the transform `frame_id` from `child_frame_id`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transform<'a> {
-    /// When it holds.
+    /// Time of the transform.
     pub stamp: Stamp,
-    /// The parent.
+    /// The parent frame.
     pub frame_id: &'a str,
-    /// The child.
+    /// The child frame.
     pub child_frame_id: &'a str,
-    /// Metres.
+    /// Position of the child in the parent, metres.
     pub translation: [f64; 3],
-    /// Quaternion x, y, z, w; perhaps not of unit length.
+    /// Quaternion x, y, z, w, of any length.
     pub rotation: [f64; 4],
 }
 
-/// tf2_msgs/TFMessage, one edge after the other. An error may come after some of them.
+/// Length of the shortest TransformStamped, bytes: stamp 8, two empty strings of 4, seven doubles.
+pub const TRANSFORM_BYTES_MIN: usize = 72;
+
+/// Reads tf2_msgs/TFMessage, one transform after the other. An error may follow some of them.
 pub fn transforms<'a>(from: &mut Reader<'a>, mut each: impl FnMut(Transform<'a>)) -> Result<(), DecodeError> {
-    // The shortest transform: stamp 8, two empty strings of 4, seven doubles.
-    for _ in 0..from.count("transforms", 72)? {
+    for _ in 0..from.count("transforms", TRANSFORM_BYTES_MIN)? {
         let (stamp, frame_id) = header(from)?;
         each(Transform {
             stamp,
@@ -71,8 +73,7 @@ pub fn transforms<'a>(from: &mut Reader<'a>, mut each: impl FnMut(Transform<'a>)
     Ok(())
 }
 
-/// nav_msgs/Odometry's pose as the transform it is: `frame_id` from `child_frame_id`. Covariances and velocities are
-/// not looked at.
+/// Reads nav_msgs/Odometry's pose as the transform `frame_id` from `child_frame_id`, without covariances and velocities.
 pub fn odometry<'a>(from: &mut Reader<'a>) -> Result<Transform<'a>, DecodeError> {
     let (stamp, frame_id) = header(from)?;
     Ok(Transform {

@@ -1,4 +1,4 @@
-//! From the fleet's nouns straight into CDR: no message in between, nothing allocated but the buffer's growth.
+//! Encodes the fleet's messages as CDR, without an intermediate message and without allocating.
 
 use crate::cdr::{Dialect, Writer};
 use crate::ros::names::{FrameNames, MAP};
@@ -7,14 +7,14 @@ use msg::{
     Stamp, Transforms,
 };
 
-/// builtin_interfaces/Time.
+/// Writes builtin_interfaces/Time.
 pub fn stamp(to: &mut Writer<'_>, stamp: Stamp) {
     let (sec, nanosec) = stamp.sec_nanosec();
     to.i32(sec);
     to.u32(nanosec);
 }
 
-/// std_msgs/Header. ROS 1's `seq`, which its publishers count for themselves, is 0.
+/// Writes std_msgs/Header. ROS 1's `seq`, which its publishers set themselves, is 0.
 pub fn header(to: &mut Writer<'_>, at: Stamp, frame_id: &str) {
     if to.dialect() == Dialect::Ros1 {
         to.u32(0);
@@ -23,13 +23,13 @@ pub fn header(to: &mut Writer<'_>, at: Stamp, frame_id: &str) {
     to.string(frame_id);
 }
 
-/// geometry_msgs/Pose, and geometry_msgs/Transform, which looks the same: metres; x, y, z, w.
+/// Writes geometry_msgs/Pose, or geometry_msgs/Transform, which has the same layout: metres; quaternion x, y, z, w.
 pub fn pose(to: &mut Writer<'_>, position: [f64; 3], orientation: [f64; 4]) {
     to.f64s(&position);
     to.f64s(&orientation);
 }
 
-/// geometry_msgs/TransformStamped.
+/// Writes geometry_msgs/TransformStamped.
 pub fn transform(
     to: &mut Writer<'_>,
     at: Stamp,
@@ -43,7 +43,7 @@ pub fn transform(
     pose(to, translation, rotation);
 }
 
-/// nav_msgs/MapMetaData; `loaded` is when the content was new.
+/// Writes nav_msgs/MapMetaData; `loaded` is the time of the content.
 pub fn map_info(
     to: &mut Writer<'_>,
     loaded: Stamp,
@@ -59,14 +59,14 @@ pub fn map_info(
     pose(to, position, orientation);
 }
 
-/// std_msgs/Float32MultiArray without dimensions.
+/// Writes std_msgs/Float32MultiArray without dimensions.
 pub fn float_array(to: &mut Writer<'_>, data: &[f32]) {
     to.count(0);
     to.u32(0);
     to.f32_seq(data);
 }
 
-/// A planar pose in space: position, quaternion.
+/// Converts a planar pose into position and quaternion (x, y, z, w).
 pub fn spatial(planar: Pose2) -> ([f64; 3], [f64; 4]) {
     let (sin, cos) = (0.5 * planar.yaw_rad).sin_cos();
     ([planar.x_m, planar.y_m, 0.0], [0.0, 0.0, sin, cos])
@@ -77,7 +77,7 @@ fn planar_transform(to: &mut Writer<'_>, at: Stamp, frame: &str, child: &str, fr
     transform(to, at, frame, child, translation, rotation);
 }
 
-/// sensor_msgs/LaserScan.
+/// Writes sensor_msgs/LaserScan.
 pub fn laser_scan(to: &mut Writer<'_>, frame_id: &str, scan: &Scan) {
     let ranges = scan.ranges_m();
     let angle_max = scan.angle_rad(ranges.len().saturating_sub(1));
@@ -93,12 +93,12 @@ pub fn laser_scan(to: &mut Writer<'_>, frame_id: &str, scan: &Scan) {
     to.count(0);
 }
 
-/// tf2_msgs/TFMessage with one robot's links. A link whose code nobody knows is left out.
+/// Writes tf2_msgs/TFMessage with one robot's links. Links of unknown code are left out.
 pub fn transforms(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Transforms) {
     some_transforms(to, names, &[(robot, message)], |_| true);
 }
 
-/// tf2_msgs/TFMessage with those links of several robots whose child is `wanted`.
+/// Writes tf2_msgs/TFMessage with those links of several robots whose child is `wanted`.
 pub fn some_transforms(
     to: &mut Writer<'_>,
     names: &FrameNames,
@@ -118,15 +118,16 @@ pub fn some_transforms(
     }
 }
 
-/// tf2_msgs/TFMessage with the one transform SLAM owns: the robot's map from its odometry (REP-105).
+/// Writes tf2_msgs/TFMessage with the transform that SLAM owns: the robot's map from its odometry (REP-105).
 pub fn correction(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Correction) {
     to.count(1);
     let (map, odom) = (names.map(robot), names.link(robot, Link::Odom));
     planar_transform(to, message.header.stamp, map, odom, message.map_from_odom);
 }
 
-/// geometry_msgs/PoseWithCovarianceStamped: where SLAM says the robot is in its map. Covariance is row-major over
-/// x, y, z and rotations about them; the plane's own axes are exact.
+/// Writes geometry_msgs/PoseWithCovarianceStamped: SLAM's pose of the robot in its map.
+///
+/// The covariance is row-major over x, y, z and the rotations about them; z, roll and pitch have none.
 pub fn pose_estimate(to: &mut Writer<'_>, frame_id: &str, message: &Correction) {
     header(to, message.header.stamp, frame_id);
     let (position, orientation) = spatial(message.map_from_base);
@@ -140,7 +141,7 @@ pub fn pose_estimate(to: &mut Writer<'_>, frame_id: &str, message: &Correction) 
     to.f64s(&covariance);
 }
 
-/// tf2_msgs/TFMessage: the merged map from each robot's map, where known.
+/// Writes tf2_msgs/TFMessage: the merged map from each robot's map, where known.
 pub fn map_transforms(to: &mut Writer<'_>, names: &FrameNames, at: Stamp, message: &MapTransforms) {
     let placed =
         || RobotId::first(message.robots.len()).filter(|robot| message.robots[robot.index()].known == 1);
@@ -151,7 +152,7 @@ pub fn map_transforms(to: &mut Writer<'_>, names: &FrameNames, at: Stamp, messag
     }
 }
 
-/// nav_msgs/Odometry. What the wheels' covariance is, nobody says: zero.
+/// Writes nav_msgs/Odometry. The covariance of wheel odometry is unknown: zero.
 pub fn odometry(to: &mut Writer<'_>, frame_id: &str, child_frame_id: &str, message: &Odometry) {
     header(to, message.header.stamp, frame_id);
     to.string(child_frame_id);
@@ -162,7 +163,7 @@ pub fn odometry(to: &mut Writer<'_>, frame_id: &str, child_frame_id: &str, messa
     to.f64s(&[0.0; 36]);
 }
 
-/// std_msgs/Float32MultiArray as the paper's `slam_stats`:
+/// Writes std_msgs/Float32MultiArray as the paper's `slam_stats`:
 /// [free, occupied, unknown, total, width, height, resolution], cells and metres.
 pub fn slam_stats(to: &mut Writer<'_>, stats: &RobotStats) {
     let total =
@@ -173,7 +174,7 @@ pub fn slam_stats(to: &mut Writer<'_>, stats: &RobotStats) {
     float_array(to, &[free, occupied, unknown, total as f32, size[0], size[1], size[2]]);
 }
 
-/// nav_msgs/OccupancyGrid. `percent` is [`msg::grid::percent_table`].
+/// Writes nav_msgs/OccupancyGrid. `percent` is [`msg::grid::percent_table`].
 pub fn occupancy_grid(to: &mut Writer<'_>, frame_id: &str, percent: &[i8; 256], grid: GridView<'_>) {
     let GridView { header: about, cells } = grid;
     let (position, orientation) = spatial(about.origin);
@@ -183,7 +184,7 @@ pub fn occupancy_grid(to: &mut Writer<'_>, frame_id: &str, percent: &[i8; 256], 
     to.byte_seq_with(cells.len(), |bytes| percents(bytes, cells, percent));
 }
 
-/// Cells looked at together: most of a map is blocks of one value, and these are filled without looking up.
+/// Cells converted together: most of a map is blocks of one value, which are filled without a table look-up each.
 const BLOCK: usize = 64;
 
 fn percents(bytes: &mut [u8], cells: &[i8], percent: &[i8; 256]) {

@@ -45,7 +45,7 @@ pub struct FrontEndState {
     pub waiting: Vec<Revision>,
     /// The newest odometry.
     pub odometry: Vec<Odometry>,
-    /// Its frame, see [`crate::odometry`].
+    /// Its frame, see `odometry`.
     pub continuous_from_odom: Pose2,
     /// Messages refused.
     pub odometry_rejected: u64,

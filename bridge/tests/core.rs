@@ -1,0 +1,192 @@
+//! The routing core without sockets and with a simulated clock: clients of this process drive robots.
+
+use bridge::command::{Notice, Registration, name};
+use bridge::frame::{Parser, Side};
+use bridge::ros::{Bool, Clock, Empty, Int32, Joy, Message, Twist, encode};
+use bridge::{Bridge, BridgeConfig, ClientId, FleetMessage};
+use msg::{Monotonic, VelocityCommand};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// A velocity that reached a robot: robot, m/s, rad/s.
+type Velocity = (usize, f64, f64);
+
+/// A bridge of two robots, its simulated clock and the velocities that it has sent.
+struct Simulation {
+    bridge: Bridge,
+    now: Monotonic,
+    velocities: Rc<RefCell<Vec<Velocity>>>,
+}
+
+impl Simulation {
+    fn new() -> Self {
+        let velocities = Rc::new(RefCell::new(Vec::new()));
+        let sink = velocities.clone();
+        let on_command = move |robot: msg::RobotId, command: VelocityCommand| {
+            sink.borrow_mut().push((robot.number(), command.linear_m_s, command.angular_rad_s));
+        };
+        let bridge = Bridge::new(BridgeConfig::default(), 2, on_command).unwrap();
+        Self { bridge, now: Monotonic(0), velocities }
+    }
+
+    fn advance_ms(&mut self, ms: u64) {
+        self.now = Monotonic(self.now.0 + ms * 1_000_000);
+        self.bridge.tick(self.now);
+    }
+
+    /// Connects a client that may publish these topics.
+    fn connect(&self, port: u16, topics: &[(&str, &str)]) -> ClientId {
+        let client = self.bridge.connect(([127, 0, 0, 1], port).into()).unwrap();
+        for (topic, message_type) in topics {
+            self.register(client, name::PUBLISH, topic, message_type);
+        }
+        client
+    }
+
+    fn register(&self, client: ClientId, command: &str, topic: &str, message_type: &str) {
+        let registration = Registration {
+            topic: topic.to_owned(),
+            message_name: message_type.to_owned(),
+            ..Registration::default()
+        };
+        let mut bytes = Vec::new();
+        Side::Client.write_command(&mut bytes, command, &registration);
+        self.receive(client, &bytes);
+    }
+
+    fn send<M: Message>(&self, client: ClientId, topic: &str, message: &M) {
+        let mut bytes = Vec::new();
+        Side::Client.write_with(&mut bytes, topic, |out| encode(message, out));
+        self.receive(client, &bytes);
+    }
+
+    fn receive(&self, client: ClientId, bytes: &[u8]) {
+        let mut parser = Parser::new(1 << 20);
+        parser.push(bytes);
+        while let Some(frame) = parser.next_frame().unwrap() {
+            self.bridge.receive(client, frame, self.now);
+        }
+    }
+
+    /// Takes the frames that wait for a client: name and payload.
+    fn take_frames(&self, client: ClientId) -> Vec<(String, Vec<u8>)> {
+        let mut bytes = Vec::new();
+        self.bridge.take_outgoing(client, &mut bytes).unwrap();
+        let mut parser = Parser::new(1 << 20);
+        parser.push(&bytes);
+        let mut frames = Vec::new();
+        while let Some(frame) = parser.next_frame().unwrap() {
+            frames.push((String::from_utf8(frame.name.to_vec()).unwrap(), frame.payload.to_vec()));
+        }
+        assert_eq!(parser.pending(), 0, "whole frames only");
+        frames
+    }
+
+    fn errors(&self, client: ClientId) -> Vec<String> {
+        let frames = self.take_frames(client);
+        let errors = frames.iter().filter(|(name, _)| name == name::ERROR);
+        errors.map(|(_, payload)| serde_json::from_slice::<Notice>(payload).unwrap().text).collect()
+    }
+
+    fn take_velocities(&self) -> Vec<Velocity> {
+        std::mem::take(&mut self.velocities.borrow_mut())
+    }
+}
+
+fn forward(linear_m_s: f64) -> Twist {
+    Twist { linear: [linear_m_s, 0.0, 0.0], ..Twist::default() }
+}
+
+const DRIVE_1: [(&str, &str); 1] = [("/cmd_vel_1", Twist::TYPE)];
+
+#[test]
+fn a_client_of_this_process_gets_the_handshake_and_its_topics() {
+    let simulation = Simulation::new();
+    let client = simulation.connect(1, &[]);
+    simulation.register(client, name::SUBSCRIBE, "/clock", Clock::TYPE);
+    simulation.bridge.publish(FleetMessage::Clock(&msg::Clock::default()));
+    let frames = simulation.take_frames(client);
+    let names: Vec<&str> = frames.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, [name::HANDSHAKE, "/clock"]);
+    assert!(simulation.take_frames(client).is_empty());
+}
+
+#[test]
+fn a_lease_ends_one_second_after_the_last_moving_velocity() {
+    let mut simulation = Simulation::new();
+    let (one, two) = (simulation.connect(1, &DRIVE_1), simulation.connect(2, &DRIVE_1));
+    simulation.send(one, "/cmd_vel_1", &forward(0.1));
+    simulation.advance_ms(999);
+    simulation.send(two, "/cmd_vel_1", &forward(0.2));
+    assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0)]);
+    assert!(simulation.errors(two)[0].contains("robot1 is driven by 127.0.0.1:1"));
+    simulation.advance_ms(1);
+    simulation.send(two, "/cmd_vel_1", &forward(0.2));
+    assert_eq!(simulation.take_velocities(), [(1, 0.2, 0.0)]);
+    assert_eq!(simulation.bridge.clients(simulation.now)[1].drives.len(), 1);
+}
+
+#[test]
+fn releasing_the_grip_stops_the_robot_that_the_stick_moved() {
+    let simulation = Simulation::new();
+    let client = simulation.connect(1, &[("/quest/joystick", Joy::TYPE), ("/selected_robot", Int32::TYPE)]);
+    let joy = |grip: f32| Joy { axes: vec![0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, grip], ..Joy::default() };
+    simulation.send(client, "/quest/joystick", &joy(1.0));
+    simulation.send(client, "/selected_robot", &Int32(2));
+    simulation.send(client, "/quest/joystick", &joy(0.0));
+    assert_eq!(simulation.take_velocities(), [(1, 0.15, 0.0), (1, 0.0, 0.0)]);
+}
+
+#[test]
+fn the_emergency_stop_stops_all_robots_until_it_is_released() {
+    let simulation = Simulation::new();
+    let topics = [DRIVE_1[0], ("/emergency_stop", Bool::TYPE), ("/emergency_stop_release", Empty::TYPE)];
+    let client = simulation.connect(1, &topics);
+    simulation.send(client, "/cmd_vel_1", &forward(0.1));
+    simulation.send(client, "/emergency_stop", &Bool(true));
+    simulation.send(client, "/cmd_vel_1", &forward(0.1));
+    assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0), (1, 0.0, 0.0), (2, 0.0, 0.0)]);
+    assert!(simulation.bridge.is_stopped());
+    assert!(simulation.errors(client)[0].contains("emergency stop is set"));
+    simulation.send(client, "/emergency_stop_release", &Empty);
+    simulation.send(client, "/cmd_vel_1", &forward(0.1));
+    assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0)]);
+}
+
+#[test]
+fn a_robot_stops_when_its_client_leaves() {
+    let simulation = Simulation::new();
+    let client = simulation.connect(1, &DRIVE_1);
+    simulation.send(client, "/cmd_vel_1", &forward(0.1));
+    simulation.bridge.disconnect(client);
+    assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0), (1, 0.0, 0.0)]);
+    assert!(simulation.bridge.take_outgoing(client, &mut Vec::new()).is_err());
+}
+
+#[test]
+fn a_service_call_fails_after_its_timeout() {
+    let mut simulation = Simulation::new();
+    let (caller, provider) = (simulation.connect(1, &[]), simulation.connect(2, &[]));
+    simulation.register(provider, name::UNITY_SERVICE, "/save", "std_srvs/Trigger");
+    simulation.register(caller, name::ROS_SERVICE, "/save", "std_srvs/Trigger");
+    let mut bytes = Vec::new();
+    Side::Client.write_command(&mut bytes, name::REQUEST, &bridge::command::Call { srv_id: 101 });
+    Side::Client.write(&mut bytes, "/save", &[0, 1, 0, 0]);
+    simulation.receive(caller, &bytes);
+    simulation.advance_ms(9_999);
+    assert!(simulation.errors(caller).is_empty());
+    simulation.advance_ms(1);
+    assert!(simulation.errors(caller)[0].contains("no answer came in time"));
+}
+
+#[test]
+fn a_client_that_takes_no_replies_must_be_disconnected() {
+    let simulation = Simulation::new();
+    let client = simulation.connect(1, &[]);
+    let mut bytes = Vec::new();
+    Side::Client.write_command(&mut bytes, name::TOPIC_LIST, &serde_json::json!({}));
+    for _ in 0..10_000 {
+        simulation.receive(client, &bytes);
+    }
+    assert!(simulation.bridge.take_outgoing(client, &mut Vec::new()).is_err());
+}
