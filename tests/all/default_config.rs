@@ -157,7 +157,8 @@ fn the_shipped_file_has_every_key_with_its_default() {
     let file: toml::Table = std::fs::read_to_string(shipped()).unwrap().parse().unwrap();
     let (mut shipped, mut expected) = (BTreeMap::new(), BTreeMap::new());
     keys(&file, "", &mut shipped);
-    keys(&toml::Table::try_from(FleetConfig::default()).unwrap(), "", &mut expected);
+    // By way of text: single precision has fewer digits there than as a table.
+    keys(&FleetConfig::default().to_toml().parse().unwrap(), "", &mut expected);
     for (key, value) in &expected {
         assert_eq!(shipped.get(key), Some(value), "{key} in config/default.toml");
     }
