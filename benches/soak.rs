@@ -1,6 +1,7 @@
-//! A fleet of three, for as long as one likes, with clients that come, go and stall: memory and jitter, minute by
-//! minute, and beside them the same wake-ups without a fleet: what the machine's other load does to both. It passes if
-//! neither grows.
+//! Soak test: memory and jitter of a fleet of three over many minutes, with clients that connect, leave and stall.
+//!
+//! Each minute it also measures the same wake-ups without a fleet, which shows the effect of other load on the
+//! machine. The test passes if neither memory nor jitter grows.
 //!
 //! `cargo bench --bench soak [-- --minutes 20 --json FILE]`
 
@@ -24,20 +25,23 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 const ROBOTS: usize = 3;
+/// Time until processes have started and SLAM has its first maps.
 const WARM_UP: Duration = Duration::from_secs(10);
+/// Length of one measurement, which is one row of the table.
 const MINUTE: Duration = Duration::from_secs(60);
-/// A client comes and goes so often.
+/// Time between two connections of the client that connects and leaves.
 const VISIT: Duration = Duration::from_millis(100);
-/// One that reads nothing stays so long.
+/// Time for which a stalled client stays connected.
 const STALL: Duration = Duration::from_secs(15);
-/// Memory may differ by so much between the first and the last third: pools and parsers find their sizes late.
+/// Largest growth of memory from the first third to the last, MB. Pools and parsers reach their sizes late.
 const GROWTH_MAX_MB: f64 = 3.0;
-/// Jitter's P95, in that of the bare hops, may become so many times as large, if it is above a bound at all.
+/// Largest growth factor of the 95th percentile of jitter, relative to that of the bare hops.
 const JITTER_RATIO_MAX: f64 = 2.0;
+/// Jitter up to which growth does not count, 95th percentile, milliseconds.
 const JITTER_FLOOR_MS: f64 = 0.5;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // This program is also the two processes of the bare hops.
+    // The bare hops run this program again as their two processes.
     let words: Vec<String> = std::env::args().collect();
     match words.get(1).map(String::as_str) {
         Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
@@ -51,7 +55,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     fleet.measure(WARM_UP, Duration::from_secs(1))?;
 
     let (over, visits) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
-    let crowd = [visitor(port, &over, &visits), staller(port, &over), staller(port, &over)];
+    let clients = [visitor(port, &over, &visits), staller(port, &over), staller(port, &over)];
     println!(
         "{:>6} {:>10} {:>10} {:>9} {:>9} {:>9} {:>6} {:>9} {:>9} {:>9}",
         "minute", "bridge MB", "others MB", "TF p50", "P95", "P99 ms", "lost", "bare p50", "P95 ms", "visits"
@@ -72,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         rows.push(Minute { bridge_mb, tf, floor });
     }
     over.store(true, Ordering::Relaxed);
-    crowd.into_iter().for_each(|thread| drop(thread.join()));
+    clients.into_iter().for_each(|thread| drop(thread.join()));
 
     let third = rows.len().div_ceil(3);
     let median = |rows: &[Minute], of: fn(&Minute) -> f64| {
@@ -106,7 +110,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if flat { Ok(()) } else { Err("memory or jitter grew".into()) }
 }
 
-/// What one minute was like.
+/// Measurements of one minute.
 struct Minute {
     bridge_mb: f64,
     tf: measure::Spread,
@@ -115,14 +119,14 @@ struct Minute {
 
 type Thread = std::thread::JoinHandle<()>;
 
-/// Comes with ten subscriptions, hears them all begin, and vanishes, ten times a second.
+/// Starts a client that connects with ten subscriptions, waits for all of them, and leaves, ten times a second.
 fn visitor(port: u16, over: &Arc<AtomicBool>, visits: &Arc<AtomicU64>) -> Thread {
     let (over, visits) = (over.clone(), visits.clone());
     std::thread::spawn(move || {
         while !over.load(Ordering::Relaxed) {
             if let Ok(client) = Client::connect(port, &EVERYTHING) {
                 visits.fetch_add(1, Ordering::Relaxed);
-                // Every second one goes without a word.
+                // Every second client aborts its connection instead of closing it.
                 if visits.load(Ordering::Relaxed).is_multiple_of(2) {
                     let _ = client.abort();
                 }
@@ -132,7 +136,7 @@ fn visitor(port: u16, over: &Arc<AtomicBool>, visits: &Arc<AtomicU64>) -> Thread
     })
 }
 
-/// Subscribes to everything and reads nothing, until it is another's turn.
+/// Starts a client that subscribes to everything and reads nothing, and reconnects from time to time.
 fn staller(port: u16, over: &Arc<AtomicBool>) -> Thread {
     let over = over.clone();
     std::thread::spawn(move || {

@@ -1,16 +1,19 @@
-//! The machine's clock, and the run's.
+//! The machine's monotonic clock, the run's clock, and the process's use of the machine.
 
 use crate::ports::{Clock, ProcessUsage};
 use msg::{Monotonic, Stamp};
 use rustix::time::{ClockId, clock_gettime};
 
-/// CLOCK_MONOTONIC now. It is the same clock in every process of the machine.
+/// Nanoseconds in a second.
+const NS_PER_S: i64 = 1_000_000_000;
+
+/// Reads CLOCK_MONOTONIC, which is the same clock in every process of the machine.
 pub fn now() -> Monotonic {
     let t = clock_gettime(ClockId::Monotonic);
-    Monotonic(t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64)
+    Monotonic((t.tv_sec * NS_PER_S + t.tv_nsec) as u64)
 }
 
-/// The machine's clock, as loops see it.
+/// The machine's clock as a port of the process loops.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock;
 
@@ -24,43 +27,43 @@ impl Clock for SystemClock {
     }
 }
 
-/// Where a run's stamps count from. Every process of the run has the same.
+/// Epoch of a run: the moment of stamp 0. It is the same in every process of the run.
 #[derive(Clone, Copy, Debug)]
 pub struct Epoch {
-    /// CLOCK_MONOTONIC at stamp 0, nanoseconds; negative if that was before the machine started.
+    /// CLOCK_MONOTONIC at stamp 0, nanoseconds. It is negative if the machine started later.
     pub monotonic_ns: i64,
 }
 
 impl Epoch {
-    /// Stamps count from now.
+    /// Starts the run's clock at zero now.
     pub fn now() -> Self {
         Self { monotonic_ns: now().0 as i64 }
     }
 
-    /// Stamps are the time of day, as real robots' are: since 1970, as the machine's clock has it now.
+    /// Makes stamps the time since 1970, as on real robots, by the machine's wall clock now.
     pub fn unix() -> Self {
         let t = clock_gettime(ClockId::Realtime);
-        Self { monotonic_ns: now().0 as i64 - (t.tv_sec * 1_000_000_000 + t.tv_nsec) }
+        Self { monotonic_ns: now().0 as i64 - (t.tv_sec * NS_PER_S + t.tv_nsec) }
     }
 
-    /// The stamp of a moment; before the epoch it is negative.
+    /// Converts a moment to its stamp, which is negative before the epoch.
     pub fn stamp(self, at: Monotonic) -> Stamp {
         Stamp((at.0 as i64).saturating_sub(self.monotonic_ns))
     }
 
-    /// The moment of a stamp.
+    /// Converts a stamp to its moment.
     pub fn moment(self, stamp: Stamp) -> Monotonic {
         Monotonic(self.monotonic_ns.saturating_add(stamp.0).max(0) as u64)
     }
 }
 
-/// Processor time this process has used, nanoseconds.
+/// Returns the processor time that this process has used, nanoseconds.
 pub fn cpu_ns() -> u64 {
     let t = clock_gettime(ClockId::ProcessCPUTime);
-    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
+    (t.tv_sec * NS_PER_S + t.tv_nsec) as u64
 }
 
-/// Resident memory of a process, bytes; 0 if the system does not say.
+/// Returns the resident memory of this process, bytes; 0 if the system does not report it.
 pub fn memory_bytes() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm")
         .ok()

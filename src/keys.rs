@@ -1,40 +1,42 @@
-//! Single keys from the terminal, while a fleet is watched. Nothing is touched unless both ends are a terminal and
-//! this process is in its foreground; what was changed is put back.
+//! Single keys from the terminal, for the live view of a fleet.
+//!
+//! The terminal's mode is changed only if this process is in its foreground. It is restored at the end.
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::termios::{LocalModes, OptionalActions, Termios, isatty, tcgetattr, tcgetpgrp, tcsetattr};
 use std::io::stdin;
 
-/// The keyboard, or none.
+/// Keyboard of the terminal, if there is one.
 pub struct Keys {
-    before: Option<Termios>,
+    /// Mode of the terminal before it was changed.
+    original_mode: Option<Termios>,
 }
 
 impl Keys {
-    /// Keys come one by one from now on, and are not shown. Ctrl-C goes on meaning what it does.
+    /// Makes the terminal deliver keys one by one without echo. Ctrl-C keeps its meaning.
     pub fn new() -> Self {
         let keyboard = stdin();
         let foreground = || {
             isatty(&keyboard) && tcgetpgrp(&keyboard).is_ok_and(|group| group == rustix::process::getpgrp())
         };
         let set = || {
-            let before = tcgetattr(&keyboard).ok()?;
-            let mut single = before.clone();
-            single.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
-            tcsetattr(&keyboard, OptionalActions::Now, &single).ok()?;
-            Some(before)
+            let original_mode = tcgetattr(&keyboard).ok()?;
+            let mut single_keys = original_mode.clone();
+            single_keys.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+            tcsetattr(&keyboard, OptionalActions::Now, &single_keys).ok()?;
+            Some(original_mode)
         };
-        Self { before: foreground().then(set).flatten() }
+        Self { original_mode: foreground().then(set).flatten() }
     }
 
-    /// Whether there is a keyboard at all.
-    pub fn work(&self) -> bool {
-        self.before.is_some()
+    /// Returns whether keys can be read.
+    pub fn available(&self) -> bool {
+        self.original_mode.is_some()
     }
 
-    /// The next key that was pressed, if one was. Never waits.
-    pub fn pressed(&self) -> Option<char> {
-        self.before.as_ref()?;
+    /// Returns the next pressed key, if there is one. It never waits.
+    pub fn next_key(&self) -> Option<char> {
+        self.original_mode.as_ref()?;
         let keyboard = stdin();
         let mut ready = [PollFd::new(&keyboard, PollFlags::IN)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };
@@ -54,8 +56,8 @@ impl Default for Keys {
 
 impl Drop for Keys {
     fn drop(&mut self) {
-        if let Some(before) = &self.before {
-            let _ = tcsetattr(stdin(), OptionalActions::Now, before);
+        if let Some(mode) = &self.original_mode {
+            let _ = tcsetattr(stdin(), OptionalActions::Now, mode);
         }
     }
 }

@@ -217,7 +217,7 @@ impl Lockstep {
                 truths.iter().enumerate().filter(|(peer, _)| *peer != index && self.ticks > 0)
             {
                 if let Some(peer) = RobotId::new(peer + 1) {
-                    member.simulator.see(peer, truth);
+                    member.simulator.update_peer(peer, truth);
                 }
             }
             let tick = member.simulator.step();

@@ -1,5 +1,6 @@
-//! What the machine may be asked beyond the ordinary: real-time priority, cores of one's own, memory that is never
-//! paged out. The defaults ask for nothing; what is asked for and not permitted is said, and the process goes on
+//! Real-time settings of processes: scheduling priority, processor cores and locked memory.
+//!
+//! The defaults change nothing. A process reports a setting that the system does not permit, and continues
 //! without it.
 
 use msg::Role;
@@ -12,18 +13,18 @@ use thread_priority::unix::{
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
-/// The fleet file's `[realtime]`.
+/// Section `[realtime]` of the fleet's configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RealtimeConfig {
-    /// SCHED_FIFO with this priority, 1 to 99, for the processes of `roles`; 0: like any other process.
+    /// SCHED_FIFO priority of the processes of `roles`, 1 to 99; 0 keeps the normal scheduling.
     pub priority: u8,
-    /// Whose priority it is, as `sim` and `bridge`: those with deadlines and little to do. SLAM and merging compute
-    /// for long, and would keep others off a core.
+    /// Roles with the priority and locked memory, such as `sim` and `bridge`, which have deadlines and little
+    /// work. SLAM and merging compute for long and would block other processes on their core.
     pub roles: Vec<String>,
     /// Whether the processes of `roles` keep all their memory resident.
     pub lock_memory: bool,
-    /// The cores, from 0, that the processes of a role may run on; a role that is not named: any.
+    /// Cores, from 0, that the processes of a role may run on. A role that is missing may use all cores.
     pub cores: BTreeMap<String, Vec<usize>>,
 }
 
@@ -38,17 +39,17 @@ impl Default for RealtimeConfig {
     }
 }
 
-/// One wish, and what came of it.
+/// A requested setting with its result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcome {
-    /// What was asked for.
-    pub wish: String,
-    /// `Err`: why it is not so, and what would permit it.
+    /// Description of the setting, for people.
+    pub setting: String,
+    /// Success, or the reason of the refusal with the permission that is missing.
     pub result: Result<(), String>,
 }
 
 impl RealtimeConfig {
-    /// Refuses what cannot be meant.
+    /// Checks all values. The error names the first invalid one and its range.
     pub fn validate(&self) -> Result<(), String> {
         if self.priority > 99 {
             return Err(format!("priority {}; expected 0 (none) to 99", self.priority));
@@ -56,7 +57,7 @@ impl RealtimeConfig {
         let known = |name: &String| Role::ALL.iter().any(|role| role.name() == name);
         if let Some(name) = self.roles.iter().chain(self.cores.keys()).find(|name| !known(name)) {
             let names = Role::ALL.map(Role::name).join(", ");
-            return Err(format!("`{name}` is no process of a fleet; there are {names}"));
+            return Err(format!("`{name}` is no process of a fleet; expected one of {names}"));
         }
         match self.cores.iter().find(|(_, cores)| cores.iter().any(|core| *core >= CpuSet::MAX_CPU)) {
             Some((name, cores)) => {
@@ -66,32 +67,33 @@ impl RealtimeConfig {
         }
     }
 
-    /// Asks the system for what a role is to have, for the calling thread and those it starts. Nothing asked for:
-    /// nothing happens. `mr-slam doctor` may call it in a process of its own to learn what is permitted.
+    /// Applies a role's settings to the calling thread and to the threads that it starts. `mr-slam doctor`
+    /// calls it in a process of its own to find out what is permitted.
     pub fn apply(&self, role: Role) -> Vec<Outcome> {
         let mut outcomes = Vec::new();
-        let mut ask = |wish: String, result: Result<(), String>| outcomes.push(Outcome { wish, result });
+        let mut record =
+            |setting: String, result: Result<(), String>| outcomes.push(Outcome { setting, result });
         if let Some(cores) = self.cores.get(role.name()).filter(|cores| !cores.is_empty()) {
-            ask(format!("cores {cores:?}"), pin(cores));
+            record(format!("cores {cores:?}"), set_cores(cores));
         }
         let named = self.roles.iter().any(|name| name == role.name());
         if named && self.priority > 0 {
-            ask(format!("SCHED_FIFO priority {}", self.priority), prioritise(self.priority));
+            record(format!("SCHED_FIFO priority {}", self.priority), set_priority(self.priority));
         }
         if named && self.lock_memory {
-            ask("locked memory".into(), lock());
+            record("locked memory".into(), lock_memory());
         }
         outcomes
     }
 }
 
-fn pin(cores: &[usize]) -> Result<(), String> {
+fn set_cores(cores: &[usize]) -> Result<(), String> {
     let mut set = CpuSet::new();
     cores.iter().filter(|core| **core < CpuSet::MAX_CPU).for_each(|core| set.set(*core));
     sched_setaffinity(None, &set).map_err(|why| format!("{why}; does the machine have these cores?"))
 }
 
-fn prioritise(priority: u8) -> Result<(), String> {
+fn set_priority(priority: u8) -> Result<(), String> {
     let value = ThreadPriorityValue::try_from(priority)?;
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), policy).map_err(
@@ -99,7 +101,7 @@ fn prioritise(priority: u8) -> Result<(), String> {
     )
 }
 
-fn lock() -> Result<(), String> {
+fn lock_memory() -> Result<(), String> {
     mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(|why| {
         format!("{why}; it needs CAP_IPC_LOCK, or `ulimit -l unlimited` (memlock in limits.conf)")
     })
@@ -110,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_asks_for_nothing_and_nonsense_is_named() {
+    fn the_default_changes_nothing_and_invalid_values_are_named() {
         let config = RealtimeConfig::default();
         assert_eq!(config.validate(), Ok(()));
         assert!(Role::ALL.iter().all(|role| config.apply(*role).is_empty()));
@@ -120,10 +122,10 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_had_is_said() {
+    fn a_setting_that_is_not_permitted_is_reported() {
         let cores = BTreeMap::from([("merge".to_string(), vec![CpuSet::MAX_CPU - 1])]);
         let config = RealtimeConfig { cores, ..RealtimeConfig::default() };
-        // On a thread of its own, which ends with the test.
+        // The setting applies to a thread of its own, which ends with the test.
         let outcomes = std::thread::spawn(move || config.apply(Role::Merge)).join().unwrap();
         assert_eq!(outcomes.len(), 1);
         assert!(outcomes[0].result.as_ref().unwrap_err().contains("these cores"), "{outcomes:?}");

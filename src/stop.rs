@@ -1,14 +1,14 @@
-//! Asking a process to end: SIGINT, SIGTERM, or the launcher's death.
+//! Requests to end this process: SIGINT, SIGTERM, or the death of the launcher.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Set once somebody wants this process to end.
+/// Flag that is set when this process should end. Clones share the flag.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Set by SIGINT and SIGTERM from now on.
+    /// Creates a flag that SIGINT and SIGTERM set.
     pub fn on_signals() -> std::io::Result<Self> {
         let stop = Self::default();
         for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
@@ -17,7 +17,7 @@ impl Stop {
         Ok(stop)
     }
 
-    /// As [`Stop::on_signals`], for a child of the launcher: it does not outlive it.
+    /// Creates a flag for a child of the launcher. It is set by signals and by the death of the launcher.
     pub fn for_child(launcher_pid: u32) -> std::io::Result<Self> {
         let stop = Self::on_signals()?;
         rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))?;
@@ -28,17 +28,17 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Asks from within.
+    /// Sets the flag.
     pub fn request(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether to end.
+    /// Returns whether the process should end.
     pub fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// The flag itself.
+    /// Returns the flag, for libraries that poll it.
     pub fn flag(&self) -> &AtomicBool {
         &self.0
     }

@@ -292,7 +292,7 @@ impl<'a> Desk<'a> {
     }
 
     fn help(&self) -> &'static str {
-        match self.keys.work() {
+        match self.keys.available() {
             true => "a lets in who asks, d refuses; s stops all robots, r releases; Ctrl-C ends",
             false => "Ctrl-C ends",
         }
@@ -301,7 +301,7 @@ impl<'a> Desk<'a> {
     /// What a key has done, if one was pressed that means something.
     fn pressed(&mut self) -> Option<String> {
         let who = || self.last.as_ref().and_then(|doors| doors.waiting.first().copied());
-        let (request, done) = match self.keys.pressed()? {
+        let (request, done) = match self.keys.next_key()? {
             'a' => (Request::Allow(who()?), format!("{} may drive, now and in later runs", who()?)),
             'd' => (Request::Deny(who()?), format!("{} may not drive", who()?)),
             's' => (Request::Stop, "every robot stands until r is pressed".into()),

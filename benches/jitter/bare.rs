@@ -1,4 +1,6 @@
-//! The bare hops: a timer, a relay it wakes, TCP. No fleet, no messages, no maps; as many wake-ups.
+//! The bare hops: a timer process that wakes a relay process, and TCP to a client.
+//!
+//! There are as many wake-ups as in a fleet, but no fleet, messages or maps.
 
 use crate::measure::{Spread, Streams};
 use mr_slam::clock::now;
@@ -11,12 +13,14 @@ use std::path::PathBuf;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-/// As /tf: 20 Hz.
+/// Period of the messages, nanoseconds: 20 Hz, as /tf.
 const PERIOD_NS: u64 = 50_000_000;
-/// As a robot's part of /tf: six links.
+/// Time between the messages of two robots, nanoseconds, as between the simulators' ticks.
+const ROBOT_OFFSET_NS: u64 = 10_000_000;
+/// Size of a message, bytes: that of a robot's six links on /tf.
 const MESSAGE_BYTES: usize = 640;
 
-/// The two processes, and the client's end.
+/// The two processes of the bare hops and the client's connection.
 pub struct Bare {
     children: Vec<Child>,
     socket: PathBuf,
@@ -24,7 +28,7 @@ pub struct Bare {
 }
 
 impl Bare {
-    /// Starts them.
+    /// Starts the two processes and connects to the relay.
     pub fn start(robots: usize) -> io::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let port = listener.local_addr()?.port().to_string();
@@ -37,7 +41,7 @@ impl Bare {
         Ok(Self { children: vec![relay, timer], socket, client })
     }
 
-    /// Reads what comes.
+    /// Reads messages for `length` after `warm_up`, and measures their jitter.
     pub fn measure(mut self, warm_up: Duration, length: Duration) -> io::Result<Spread> {
         let mut streams = Streams::new(PERIOD_NS as i64);
         let mut message = [0; MESSAGE_BYTES];
@@ -47,7 +51,7 @@ impl Bare {
             let received = now();
             let stamp = u64::from_le_bytes(message[..8].try_into().unwrap_or_default());
             if begun.elapsed() >= warm_up {
-                streams.note(&message[8].to_string(), stamp as i64, received.0);
+                streams.record(&message[8].to_string(), stamp as i64, received.0);
             }
         }
         Ok(streams.spread())
@@ -64,7 +68,7 @@ impl Drop for Bare {
     }
 }
 
-/// Sends each robot's message on time, the robots 10 ms apart.
+/// Runs the timer process: sends each robot's message on time.
 pub fn timer(socket: &str, robots: u64) -> io::Result<()> {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
     let sender = UnixDatagram::unbound()?;
@@ -73,7 +77,7 @@ pub fn timer(socket: &str, robots: u64) -> io::Result<()> {
     let start = now().0;
     for round in 1.. {
         for robot in 0..robots {
-            let due = start + round * PERIOD_NS + robot * 10_000_000;
+            let due = start + round * PERIOD_NS + robot * ROBOT_OFFSET_NS;
             wait([], Monotonic(due));
             message[..8].copy_from_slice(&due.to_le_bytes());
             message[8] = robot as u8;
@@ -83,7 +87,7 @@ pub fn timer(socket: &str, robots: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Passes messages on.
+/// Runs the relay process: forwards each message to the client.
 pub fn relay(socket: &str, port: u16) -> io::Result<()> {
     let receiver = UnixDatagram::bind(socket)?;
     let mut client = TcpStream::connect(("127.0.0.1", port))?;
@@ -95,7 +99,8 @@ pub fn relay(socket: &str, port: u16) -> io::Result<()> {
     }
 }
 
-/// Milliseconds that `size` bytes take over a plain socket to another thread, `count` times, sorted.
+/// Measures the time that `size` bytes take over a plain socket from another thread, `count` times. Returns
+/// the times in milliseconds, sorted.
 #[allow(dead_code, reason = "the jitter bench has no bulk")]
 pub fn bulk(size: usize, count: usize) -> io::Result<Vec<f64>> {
     let listener = TcpListener::bind("127.0.0.1:0")?;

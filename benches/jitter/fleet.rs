@@ -1,4 +1,4 @@
-//! The fleet under measurement, and a client that reads it as a headset does.
+//! The fleet under measurement, and a ros_tcp client that reads from it as a headset does.
 
 use crate::measure::{Figures, Streams};
 use bridge::command::{Registration, name};
@@ -16,19 +16,19 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Larger than any frame of a fleet in the laboratory.
+/// Largest frame that the client accepts, bytes. Frames of a fleet in the laboratory are smaller.
 const FRAME_MAX: usize = 16 << 20;
 
-/// One process's share of the machine.
+/// Processor time and punctuality of one process.
 #[derive(Clone, Debug, Serialize)]
 pub struct Cpu {
-    /// `bridge`, `sim of robot1` ...
+    /// Name of the process, such as `bridge` or `sim of robot1`.
     pub process: String,
-    /// Of one core, over the measurement.
+    /// Processor time over the measurement, percent of one core.
     pub percent: f64,
-    /// How late its ticks began, median of the last second.
+    /// Median delay of its ticks over the last second, milliseconds.
     pub late_p50_ms: f32,
-    /// The latest of the last second.
+    /// Longest delay of its ticks over the last second, milliseconds.
     pub late_max_ms: f32,
 }
 
@@ -43,12 +43,12 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Launches it.
+    /// Starts a fleet with the default configuration.
     pub fn start(robots: usize) -> Result<Self, Box<dyn Error>> {
         Self::start_with(robots, &[])
     }
 
-    /// The same with further words on the command line.
+    /// Starts a fleet with further arguments on the command line.
     pub fn start_with(robots: usize, words: &[&str]) -> Result<Self, Box<dyn Error>> {
         let dir = std::env::temp_dir().join(format!("mr-slam-bench-{}", std::process::id()));
         let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
@@ -57,24 +57,24 @@ impl Fleet {
             .args(words)
             .stderr(Stdio::piped())
             .spawn()?;
-        let mut said = BufReader::new(launcher.stderr.take().ok_or("no stderr")?);
+        let mut output = BufReader::new(launcher.stderr.take().ok_or("no stderr")?);
         let mut line = String::new();
-        said.read_line(&mut line)?;
-        // Nobody reads the rest; the pipe must not fill.
-        std::thread::spawn(move || said.lines().for_each(drop));
+        output.read_line(&mut line)?;
+        // The rest of the output is discarded, so that the pipe does not fill.
+        std::thread::spawn(move || output.lines().for_each(drop));
         let run = Run::open(&dir).map_err(|why| format!("{why}; the launcher said: {line}"))?;
         let observer = Observer::attach(&run, "jitter")?;
         Ok(Self { launcher, dir, observer, run, before: None, after: None })
     }
 
-    /// Attaches, subscribes, and reads.
+    /// Connects a client, subscribes, and measures for `length` after `warm_up`.
     pub fn measure(&mut self, warm_up: Duration, length: Duration) -> Result<Figures, Box<dyn Error>> {
         (self.before, self.after) = (None, None);
         let mut stream = TcpStream::connect(("127.0.0.1", self.run.port))?;
         stream.set_nodelay(true)?;
         stream.write_all(&registrations(&self.run))?;
         let mut parser = Parser::new(FRAME_MAX);
-        let mut ears = Ears::new();
+        let mut received_streams = ReceivedStreams::new();
         let begun = Instant::now();
         while begun.elapsed() < warm_up + length {
             let count = stream.read(parser.space())?;
@@ -85,21 +85,22 @@ impl Fleet {
             parser.filled(count);
             while let Some(frame) = parser.next_frame()? {
                 if begun.elapsed() >= warm_up {
-                    ears.hear(&frame, received);
+                    received_streams.record(&frame, received);
                 }
             }
             self.observe(begun.elapsed() >= warm_up);
         }
-        Ok(Figures { tf: ears.tf.spread(), clock: ears.clock.spread(), scans: ears.scans.spread() })
+        let ReceivedStreams { tf, clock, scans } = &received_streams;
+        Ok(Figures { tf: tf.spread(), clock: clock.spread(), scans: scans.spread() })
     }
 
-    /// The run.
+    /// Returns the run of the fleet.
     #[allow(dead_code, reason = "other benches attach to it")]
     pub fn run(&self) -> &Run {
         &self.run
     }
 
-    /// A process's id, by the newest figures.
+    /// Returns the id of a process by the newest statistics.
     #[allow(dead_code, reason = "other benches look at its memory")]
     pub fn pid(&mut self, process: &str) -> Option<u32> {
         self.observer.wait(Duration::from_secs(3));
@@ -107,7 +108,7 @@ impl Fleet {
         view.processes.iter().find(|known| known.process == process).map(|known| known.pid)
     }
 
-    /// Resident megabytes of the bridge, and of all other processes together.
+    /// Returns the resident memory of the bridge and of all other processes together, MB.
     #[allow(dead_code, reason = "the soak looks at it")]
     pub fn memory_mb(&mut self) -> (f64, f64) {
         self.observer.wait(Duration::from_secs(3));
@@ -132,7 +133,7 @@ impl Fleet {
         }
     }
 
-    /// What each process took of the machine while measuring.
+    /// Returns the processor time and punctuality of each process during the measurement.
     pub fn processes(&self) -> Vec<Cpu> {
         let (Some(before), Some(after)) = (&self.before, &self.after) else { return Vec::new() };
         let seconds = (after.time_s - before.time_s).max(1e-9);
@@ -173,39 +174,39 @@ fn registrations(run: &Run) -> Vec<u8> {
     out
 }
 
-/// What the client hears.
-struct Ears {
+/// Jitter of the streams that the client receives.
+struct ReceivedStreams {
     tf: Streams,
     clock: Streams,
     scans: Streams,
 }
 
-impl Ears {
+impl ReceivedStreams {
     fn new() -> Self {
         let ms = 1_000_000;
         Self { tf: Streams::new(50 * ms), clock: Streams::new(10 * ms), scans: Streams::new(100 * ms) }
     }
 
-    fn hear(&mut self, frame: &Frame<'_>, received_ns: u64) {
+    fn record(&mut self, frame: &Frame<'_>, received_ns: u64) {
         match frame.name {
             b"/tf" => {
                 let Ok(message) = ros::decode::<ros::TfMessage>(frame.payload) else { return };
                 for transform in &message.transforms {
-                    // What SLAM and merging say has other rates than the robots' links.
+                    // The transforms of SLAM and merging have other rates than the robots' links.
                     if !transform.child_frame_id.starts_with("odom")
                         && !transform.child_frame_id.starts_with("map")
                     {
-                        self.tf.note(&transform.child_frame_id, transform.stamp.0, received_ns);
+                        self.tf.record(&transform.child_frame_id, transform.stamp.0, received_ns);
                     }
                 }
             }
             b"/clock" => {
                 let Ok(message) = ros::decode::<ros::Clock>(frame.payload) else { return };
-                self.clock.note("clock", message.clock.0, received_ns);
+                self.clock.record("clock", message.clock.0, received_ns);
             }
             topic if topic.ends_with(b"/scan") => {
                 let Ok(message) = ros::decode::<ros::LaserScan>(frame.payload) else { return };
-                self.scans.note(&String::from_utf8_lossy(topic), message.stamp.0, received_ns);
+                self.scans.record(&String::from_utf8_lossy(topic), message.stamp.0, received_ns);
             }
             _ => {}
         }

@@ -1,11 +1,12 @@
-//! The TF jitter of a running fleet, where a headset would feel it: at a TCP client over loopback,
-//! beside the bare cost of the same hops on the same machine at the same time.
+//! TF jitter of a running fleet as a headset experiences it: at a TCP client over loopback.
+//!
+//! The cost of the same hops without a fleet is measured on the same machine at the same time.
 //!
 //! `cargo bench --bench jitter [-- --seconds 60 --robots 3 --json FILE]`
 //!
-//! Jitter is the paper's: |(receive - stamp) - its mean|, for each link, pooled over the links.
-//! The bare hops are a timer process, a relay process it wakes through a socket, and TCP to a
-//! client: what any fleet of processes must pay on this machine.
+//! Jitter is defined as in the MR-SLAM paper: |(receive - stamp) - its mean|, for each link, pooled over the
+//! links. The bare hops are a timer process, a relay process that it wakes through a socket, and TCP to a
+//! client. Any fleet of processes has at least this cost on the machine.
 
 mod bare;
 mod fleet;
@@ -15,7 +16,7 @@ use measure::{Figures, Spread};
 use serde_json::json;
 use std::time::Duration;
 
-/// Until processes have started and SLAM has its first maps.
+/// Time until processes have started and SLAM has its first maps.
 const WARM_UP: Duration = Duration::from_secs(3);
 
 struct Args {
@@ -28,12 +29,12 @@ fn args() -> Result<Args, String> {
     let mut args = Args { seconds: 60.0, robots: 3, json: None };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
-        let mut value = || given.next().ok_or(format!("{name} wants a value"));
+        let mut value = || given.next().ok_or(format!("{name} needs a value"));
         match name.as_str() {
             "--seconds" => args.seconds = value()?.parse().map_err(|why| format!("--seconds: {why}"))?,
             "--robots" => args.robots = value()?.parse().map_err(|why| format!("--robots: {why}"))?,
             "--json" => args.json = Some(value()?),
-            // cargo bench says this to every bench.
+            // `cargo bench` passes this argument to every bench.
             "--bench" => {}
             other => return Err(format!("{other}: expected --seconds S, --robots N or --json FILE")),
         }
@@ -42,7 +43,7 @@ fn args() -> Result<Args, String> {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    // This program is also the two processes of the bare hops.
+    // The bare hops run this program again as their two processes.
     let words: Vec<String> = std::env::args().collect();
     match words.get(1).map(String::as_str) {
         Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
@@ -87,7 +88,7 @@ fn print(measured: &Figures, bare: &Spread, processes: &[fleet::Cpu]) {
     row("scans, each robot", &measured.scans);
     row("bare: timer, socket, relay, TCP", bare);
     println!("TF median over bare: {:.2}", measured.tf.p50_ms / bare.p50_ms.max(1e-6));
-    println!("the paper: 6.3 ms median; the Python endpoint: 1.4 to 4.8 ms mean, 0.2 to 8 % lost");
+    println!("MR-SLAM paper: 6.3 ms median; ROS-TCP-Endpoint in Python: 1.4 to 4.8 ms mean, 0.2 to 8 % lost");
     for cpu in processes {
         println!(
             "{:<16} {:>5.1} % of a core, ticks late by {:.3} ms (median), {:.3} (max of the last second)",

@@ -1,52 +1,52 @@
-//! Jitter from pairs of stamp and receive time.
+//! Jitter computed from pairs of stamp and receive time.
 
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Median and tail of |(receive - stamp) - mean|, and what did not come.
+/// Percentiles of |(receive - stamp) - mean|, with the rate and the losses.
 #[derive(Clone, Debug, Serialize)]
 pub struct Spread {
-    /// Milliseconds.
+    /// Median, milliseconds.
     pub p50_ms: f64,
-    /// Milliseconds.
+    /// 95th percentile, milliseconds.
     pub p95_ms: f64,
-    /// Milliseconds.
+    /// 99th percentile, milliseconds.
     pub p99_ms: f64,
-    /// Milliseconds.
+    /// Largest value, milliseconds.
     pub max_ms: f64,
-    /// Messages of one stream, a second: the slowest stream's.
+    /// Rate of the slowest stream, Hz.
     pub hz: f64,
-    /// Stamps that a stream skipped, or that came twice.
+    /// Number of stamps that a stream skipped or received twice.
     pub lost: u64,
-    /// Values.
+    /// Number of values.
     pub count: usize,
 }
 
-/// A fleet's.
+/// Jitter of all streams of a fleet.
 #[derive(Clone, Debug)]
 pub struct Figures {
-    /// Each link a stream.
+    /// Jitter of /tf, each link as a stream.
     pub tf: Spread,
-    /// One stream.
+    /// Jitter of /clock.
     pub clock: Spread,
-    /// Each robot a stream.
+    /// Jitter of the scans, each robot as a stream.
     pub scans: Spread,
 }
 
-/// Collects (stamp, receive) of streams that have one period.
+/// Stamps and receive times of streams with the same period.
 pub struct Streams {
     period_ns: i64,
     delays_ns: BTreeMap<String, Vec<(i64, i64)>>,
 }
 
 impl Streams {
-    /// Streams whose stamps are `period_ns` apart.
+    /// Creates streams whose stamps are `period_ns` apart.
     pub fn new(period_ns: i64) -> Self {
         Self { period_ns, delays_ns: BTreeMap::new() }
     }
 
-    /// A message of a stream. The two clocks need not agree.
-    pub fn note(&mut self, stream: &str, stamp_ns: i64, received_ns: u64) {
+    /// Records a message of a stream. The clocks of stamp and receive time need not agree.
+    pub fn record(&mut self, stream: &str, stamp_ns: i64, received_ns: u64) {
         let delay = received_ns as i64 - stamp_ns;
         match self.delays_ns.get_mut(stream) {
             Some(delays) => delays.push((stamp_ns, delay)),
@@ -54,7 +54,7 @@ impl Streams {
         }
     }
 
-    /// Pools the streams.
+    /// Computes the jitter of all streams together.
     pub fn spread(&self) -> Spread {
         let mut deviations_ms = Vec::new();
         let (mut lost, mut hz) = (0, f64::INFINITY);

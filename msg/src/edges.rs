@@ -50,6 +50,7 @@ impl EdgeState {
 }
 
 /// Transform between two robots' maps, with its evidence.
+// More than 12 fields: the message is one row of measurements, in a fixed layout.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct MergeEdge {

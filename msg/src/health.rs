@@ -41,6 +41,7 @@ impl Role {
 }
 
 /// Health of a process over the last second. Each process sends it once a second.
+// More than 12 fields: the message is one row of measurements, in a fixed layout.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct ProcessHealth {

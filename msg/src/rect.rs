@@ -1,6 +1,7 @@
 //! Rectangles on an integer lattice of cells or of tiles.
 
-use crate::tiles::TILE;
+/// Number of cells along a tile's side: 3.2 m at 0.05 m.
+pub const TILE: i64 = 64;
 
 /// Rectangle of the squares `x0..x1` by `y0..y1` of a lattice of cells or tiles.
 ///

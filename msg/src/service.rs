@@ -238,6 +238,7 @@ pub struct ClosureInfo {
 }
 
 /// Response to one request.
+// More than 12 fields: the message is one row of measurements, in a fixed layout.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct SlamResponse {

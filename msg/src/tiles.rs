@@ -6,6 +6,7 @@
 mod dense_map;
 mod patch;
 
+pub use crate::rect::TILE;
 pub use dense_map::DenseMap;
 pub use patch::{PATCH_TILES_MAX, Patch, PatchHeader, PatchReceiver, PatchSender};
 
@@ -15,8 +16,6 @@ use crate::{GridHeader, GridView, Header, Monotonic, Pose2};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 
-/// Number of cells along a tile's side: 3.2 m at 0.05 m.
-pub const TILE: i64 = 64;
 /// Number of cells of a tile.
 pub const TILE_CELLS: usize = (TILE * TILE) as usize;
 /// Largest number of tiles that a robot's map may span, known or not.

@@ -42,7 +42,7 @@ fn measure(room: &Room, peers: usize, lidar: LidarConfig) -> Result<(), Box<dyn 
             for (peer, at) in &others {
                 let mut truth = GroundTruth { world_from_base: *at, ..GroundTruth::default() };
                 truth.header.stamp = simulator.now();
-                simulator.see(*peer, &truth);
+                simulator.update_peer(*peer, &truth);
             }
         }
         let angular_rad_s = if tick % 1000 < 300 { 1.0 } else { -0.1 };

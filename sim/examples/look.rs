@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for driver in &mut fleet {
             if tick > 0 && tick % 5 == 0 {
                 let peers = truths.iter().filter(|(robot, _)| *robot != driver.robot);
-                peers.for_each(|(robot, truth)| driver.simulator.see(*robot, truth));
+                peers.for_each(|(robot, truth)| driver.simulator.update_peer(*robot, truth));
             }
             driver.step();
             let Pose2 { x_m, y_m, .. } = driver.truth.world_from_base;

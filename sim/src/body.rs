@@ -1,8 +1,8 @@
-//! The robot's body: an articulated differential drive on an ideal floor.
+//! Physics of the robot: a differential drive of three rigid bodies on an ideal floor.
 //!
-//! Three rigid bodies (chassis, two wheels) and two revolute joints with velocity motors. The
-//! wheels and the caster touch the floor alone, a plane at z = 0; the hull touches the room, the
-//! peers, and the floor once the robot lies on its side.
+//! The bodies are the chassis and two wheels, joined by two revolute joints with velocity motors. The
+//! wheels and the caster touch only the floor, a plane at z = 0. The hull touches the room, the peers, and
+//! the floor when the robot lies on its side.
 
 use crate::burger::{
     self, CASTER_CENTRE_M, CASTER_RADIUS_M, CHASSIS_CENTRE_M, CHASSIS_INERTIA, CHASSIS_MASS_KG,
@@ -13,17 +13,19 @@ use glam::{Quat, Vec3};
 use msg::Pose2;
 use rapier3d::prelude::*;
 
-/// Seconds in one physics step.
+/// Duration of one physics step, seconds.
 const STEP_S: f32 = 0.01;
-/// Torque per error of a wheel's speed, N m s: 0.2 % of a speed is lost under the load of driving.
+/// Standard gravity, m/s².
+const GRAVITY_M_S2: f32 = 9.81;
+/// Motor torque per error of a wheel's speed, N m s. The load of driving then reduces a speed by 0.2 %.
 const MOTOR_GAIN: f32 = 0.5;
-/// Torque of a wheel's motor, N m: 1.4 m/s² for the whole robot, half of what would make it slip. The
-/// real motors are stronger and held back by their firmware; at an obstacle ours stall, where those may
-/// slip or climb.
+/// Largest torque of a wheel's motor, N m: 1.4 m/s² for the whole robot, half of what would make it slip.
+/// The real motors are stronger and limited by their firmware. At an obstacle the simulated motors stall,
+/// where the real ones may slip or climb.
 const MOTOR_TORQUE_MAX: f32 = 0.025;
-/// Rubber on a floor.
+/// Coefficient of friction of a rubber tyre on a floor.
 const WHEEL_FRICTION: f32 = 1.0;
-/// Plastic on furniture.
+/// Coefficient of friction of the plastic hull on furniture.
 const HULL_FRICTION: f32 = 0.3;
 
 const FLOOR: Group = Group::GROUP_1;
@@ -36,31 +38,31 @@ fn groups(member: Group, touches: Group) -> InteractionGroups {
     InteractionGroups::new(member, touches, InteractionTestMode::And)
 }
 
-/// One robot among a room's obstacles and its peers.
+/// Physics of one robot among the room's obstacles and its peers.
 pub(crate) struct Body {
     world: PhysicsWorld,
     chassis: RigidBodyHandle,
     hull: ColliderHandle,
     floor: ColliderHandle,
-    /// Left, right.
+    /// Left and right wheel.
     wheels: [Wheel; 2],
-    /// Of the three bodies when they were last all finite: chassis, left, right wheel.
-    sound: [Pose; 3],
+    /// Last finite poses of chassis, left and right wheel.
+    finite_poses: [Pose; 3],
 }
 
 #[derive(Clone, Copy)]
 struct Wheel {
     body: RigidBodyHandle,
     joint: ImpulseJointHandle,
-    /// How far it has turned since the start, radians; unbounded.
+    /// Angle by which the wheel has turned since the start, radians; unbounded.
     angle_rad: f64,
 }
 
 impl Body {
     pub(crate) fn new(obstacles: SharedShape, world_from_base: Pose2) -> Self {
         let mut world = PhysicsWorld::new();
-        world.gravity = Vec3::new(0.0, 0.0, -9.81);
-        world.integration_parameters = solver();
+        world.gravity = Vec3::new(0.0, 0.0, -GRAVITY_M_S2);
+        world.integration_parameters = solver_parameters();
 
         let floor = ColliderBuilder::new(SharedShape::halfspace(Vec3::Z))
             .friction(WHEEL_FRICTION)
@@ -69,17 +71,17 @@ impl Body {
         let room = ColliderBuilder::new(obstacles).collision_groups(groups(ROOM, HULL));
         world.insert_collider(room, None);
 
-        let world_from_chassis = upright(world_from_base);
+        let world_from_chassis = upright_pose(world_from_base);
         let (chassis, hull) = insert_chassis(&mut world, world_from_chassis);
         let wheels = [1.0, -1.0].map(|side| insert_wheel(&mut world, chassis, world_from_chassis, side));
-        let sound = [Pose::IDENTITY; 3];
-        let mut body = Self { world, chassis, hull, floor, wheels, sound };
-        body.remember();
+        let finite_poses = [Pose::IDENTITY; 3];
+        let mut body = Self { world, chassis, hull, floor, wheels, finite_poses };
+        body.save_finite_poses();
         body
     }
 
-    /// Wished velocity of `base_footprint`, turned into wheel speeds.
-    pub(crate) fn drive(&mut self, linear_m_s: f64, angular_rad_s: f64) {
+    /// Sets the motors' speeds from a velocity of `base_footprint`.
+    pub(crate) fn set_velocity(&mut self, linear_m_s: f64, angular_rad_s: f64) {
         for (wheel, side) in self.wheels.iter().zip([-1.0, 1.0]) {
             let rim_m_s = linear_m_s + side * angular_rad_s * WHEEL_SEPARATION_M / 2.0;
             let joint = self.world.impulse_joints.get_mut(wheel.joint, false);
@@ -89,11 +91,11 @@ impl Body {
         }
     }
 
-    /// One physics step of 10 ms. Returns how far the wheels turned: left, right; radians.
+    /// Simulates one physics step of 10 ms. Returns the angles by which the wheels turned: left, right; radians.
     pub(crate) fn step(&mut self) -> [f64; 2] {
         self.world.step();
-        if !self.remember() {
-            self.restore();
+        if !self.save_finite_poses() {
+            self.restore_finite_poses();
         }
         let chassis = self.world_from_chassis().rotation;
         let mut deltas_rad = [0.0; 2];
@@ -106,12 +108,12 @@ impl Body {
         deltas_rad
     }
 
-    /// `world` from `base_footprint`, in three dimensions.
+    /// Returns the pose of `base_footprint` in `world`, in three dimensions.
     pub(crate) fn world_from_chassis(&self) -> Pose {
         *self.world.bodies[self.chassis].position()
     }
 
-    /// The chassis's pose on the floor.
+    /// Returns the pose of `base_footprint` in `world`, projected onto the floor.
     pub(crate) fn world_from_base(&self) -> Pose2 {
         let pose = self.world_from_chassis();
         let forward = pose.rotation * Vec3::X;
@@ -119,7 +121,7 @@ impl Body {
         Pose2::new(pose.translation.x.into(), pose.translation.y.into(), yaw_rad)
     }
 
-    /// Velocity of `base_footprint` forward and about z: m/s, rad/s.
+    /// Returns the velocity of `base_footprint`: forward in m/s, and about z in rad/s.
     pub(crate) fn velocity(&self) -> (f64, f64) {
         let chassis = &self.world.bodies[self.chassis];
         let pose = chassis.position();
@@ -127,40 +129,40 @@ impl Body {
         (chassis.velocity_at_point(pose.translation).dot(forward).into(), chassis.angvel().z.into())
     }
 
-    /// Angles of the wheels, left and right, radians.
+    /// Returns the angles of the left and the right wheel, radians.
     pub(crate) fn wheel_angles_rad(&self) -> [f64; 2] {
         self.wheels.map(|wheel| wheel.angle_rad)
     }
 
-    /// Does the hull touch something other than the floor?
-    pub(crate) fn touches(&self) -> bool {
+    /// Returns whether the hull touches anything but the floor.
+    pub(crate) fn touches_obstacle(&self) -> bool {
         let mut pairs = self.world.contact_pairs_with(self.hull);
         pairs.any(|pair| {
             pair.collider1 != self.floor && pair.collider2 != self.floor && pair.has_any_active_contact()
         })
     }
 
-    /// Puts a peer's body into the world.
+    /// Adds the body of a peer to the world.
     pub(crate) fn insert_peer(&mut self, world_from_base: Pose2) -> RigidBodyHandle {
-        let body = RigidBodyBuilder::kinematic_position_based().pose(upright(world_from_base));
+        let body = RigidBodyBuilder::kinematic_position_based().pose(upright_pose(world_from_base));
         let hull =
             ColliderBuilder::new(burger::hull()).friction(HULL_FRICTION).collision_groups(groups(PEER, HULL));
         self.world.insert(body, hull).0
     }
 
-    /// Makes a peer's body be somewhere at once.
+    /// Sets the pose of a peer's body at once, without motion.
     pub(crate) fn place_peer(&mut self, peer: RigidBodyHandle, world_from_base: Pose2) {
         let body = &mut self.world.bodies[peer];
         body.set_enabled(true);
-        body.set_position(upright(world_from_base), true);
+        body.set_position(upright_pose(world_from_base), true);
     }
 
-    /// Makes a peer's body move to a pose in the next physics step, and push what is in its way.
+    /// Moves a peer's body to a pose in the next physics step, so that it pushes what it meets.
     pub(crate) fn move_peer(&mut self, peer: RigidBodyHandle, world_from_base: Pose2) {
-        self.world.bodies[peer].set_next_kinematic_position(upright(world_from_base));
+        self.world.bodies[peer].set_next_kinematic_position(upright_pose(world_from_base));
     }
 
-    /// Takes a peer's body away until it is placed again.
+    /// Removes a peer's body until it is placed again.
     pub(crate) fn hide_peer(&mut self, peer: RigidBodyHandle) {
         self.world.bodies[peer].set_enabled(false);
     }
@@ -169,19 +171,19 @@ impl Body {
         [self.chassis, self.wheels[0].body, self.wheels[1].body]
     }
 
-    /// Keeps the poses if all are finite; says whether they are.
-    fn remember(&mut self) -> bool {
+    /// Saves the bodies' poses if all are finite. Returns whether they are.
+    fn save_finite_poses(&mut self) -> bool {
         let poses = self.handles().map(|handle| *self.world.bodies[handle].position());
         let finite = poses.iter().all(Pose::is_finite);
         if finite {
-            self.sound = poses;
+            self.finite_poses = poses;
         }
         finite
     }
 
-    /// Back to the last finite poses, at rest.
-    fn restore(&mut self) {
-        for (handle, pose) in self.handles().into_iter().zip(self.sound) {
+    /// Sets the bodies to their last finite poses, at rest.
+    fn restore_finite_poses(&mut self) {
+        for (handle, pose) in self.handles().into_iter().zip(self.finite_poses) {
             let body = &mut self.world.bodies[handle];
             body.set_position(pose, true);
             body.set_linvel(Vec3::ZERO, true);
@@ -190,26 +192,31 @@ impl Body {
     }
 }
 
-/// A robot standing on the floor.
-pub(crate) fn upright(world_from_base: Pose2) -> Pose {
+/// Returns the pose in three dimensions of a robot that stands on the floor.
+pub(crate) fn upright_pose(world_from_base: Pose2) -> Pose {
     let Pose2 { x_m, y_m, yaw_rad } = world_from_base;
     Pose::from_parts(Vec3::new(x_m as f32, y_m as f32, 0.0), Quat::from_rotation_z(yaw_rad as f32))
 }
 
-/// rapier's settings for wheels of 28 g that carry 1 kg. With the defaults they sink in by 0.8 mm, roll
-/// 1.2 % short, and creep while the robot stands: soft contacts yield by their own body's mass, and one
-/// sweep of the solver does not carry the load over the joints.
-fn solver() -> IntegrationParameters {
+/// Size of the smallest parts, metres. rapier scales its tolerances, which suit parts of 1 m, by it.
+const LENGTH_UNIT_M: f32 = 0.02;
+/// Natural frequency of the contacts with the floor, Hz. rapier's default is too soft for light wheels.
+const CONTACT_FREQUENCY_HZ: f32 = 300.0;
+
+/// Returns rapier's settings for wheels of 28 g that carry 1 kg.
+///
+/// With rapier's defaults the wheels sink in by 0.8 mm, roll 1.2 % short, and creep while the robot stands.
+/// Soft contacts yield by their own body's mass, and one iteration does not carry the load over the joints.
+fn solver_parameters() -> IntegrationParameters {
     let mut parameters = IntegrationParameters {
         dt: STEP_S,
-        // Tolerances are meant for things of 1 m.
-        length_unit: 0.02,
+        length_unit: LENGTH_UNIT_M,
         num_solver_iterations: 2,
         num_internal_pgs_iterations: 8,
         num_internal_stabilization_iterations: 4,
         ..IntegrationParameters::default()
     };
-    parameters.static_contact_softness.natural_frequency = 300.0;
+    parameters.static_contact_softness.natural_frequency = CONTACT_FREQUENCY_HZ;
     parameters
 }
 
@@ -221,7 +228,7 @@ fn insert_chassis(world: &mut PhysicsWorld, pose: Pose) -> (RigidBodyHandle, Col
         .density(0.0)
         .friction(HULL_FRICTION)
         .collision_groups(groups(HULL, ROOM | PEER | FLOOR));
-    // Without friction, and Min: by default the floor's would be averaged in.
+    // `Min` keeps the caster without friction. By default rapier averages it with the floor's friction.
     let caster = ColliderBuilder::ball(CASTER_RADIUS_M)
         .translation(CASTER_CENTRE_M)
         .density(0.0)
@@ -232,8 +239,10 @@ fn insert_chassis(world: &mut PhysicsWorld, pose: Pose) -> (RigidBodyHandle, Col
     (chassis, world.insert_collider(hull, Some(chassis)))
 }
 
-/// `side` is 1 for the left wheel, -1 for the right. The tyre is a ball: it touches the floor in one
-/// point, right under the middle of the wheel, where the kinematic model wants it.
+/// Adds a wheel; `side` is 1 for the left wheel and -1 for the right.
+///
+/// The tyre is a ball, which touches the floor in one point below the wheel's centre, as the kinematic
+/// model assumes.
 fn insert_wheel(world: &mut PhysicsWorld, chassis: RigidBodyHandle, at: Pose, side: f32) -> Wheel {
     let radius_m = WHEEL_RADIUS_M as f32;
     let hub = Vec3::new(0.0, side * WHEEL_SEPARATION_M as f32 / 2.0, radius_m);
@@ -247,7 +256,7 @@ fn insert_wheel(world: &mut PhysicsWorld, chassis: RigidBodyHandle, at: Pose, si
         .friction(WHEEL_FRICTION)
         .collision_groups(groups(ROLLING, FLOOR));
     let (body, _) = world.insert(body, tyre);
-    // rapier's default motor scales with inertia and would hardly move a wheel this light.
+    // rapier's default motor scales with inertia and would hardly move so light a wheel.
     let joint = RevoluteJointBuilder::new(Vec3::Y)
         .local_anchor1(hub)
         .local_anchor2(Vec3::ZERO)

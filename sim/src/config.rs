@@ -1,5 +1,4 @@
-//! What can be set about a simulated robot. Angles of a configuration are in degrees, as people
-//! write them; everything else is SI.
+//! Configuration of a simulated robot. Angles are in degrees; all other values are in SI units.
 
 use crate::burger;
 use msg::BEAMS_MAX;
@@ -8,20 +7,20 @@ use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 
-/// One robot's sensors, flaws and limits.
+/// Sensors, sensor errors and limits of one robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimConfig {
-    /// The LiDAR: a preset's name or a table of numbers.
+    /// LiDAR: the name of a preset or a table of values.
     pub lidar: LidarConfig,
-    /// How wrong the sensors are.
+    /// Errors of the sensors.
     pub noise: NoiseConfig,
-    /// How fast the robot may go.
+    /// Limits of velocity commands.
     pub limits: Limits,
 }
 
 impl SimConfig {
-    /// The first value that makes no sense, by name.
+    /// Checks all values and returns the first invalid one.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.lidar.validate()?;
         self.noise.validate()?;
@@ -29,46 +28,48 @@ impl SimConfig {
     }
 }
 
-/// A value that makes no sense.
+/// An invalid value of the configuration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{field} is {value}, but must be {expected}")]
 pub struct ConfigError {
-    /// Its path, as in `lidar.beams`.
+    /// Path of the key, such as `lidar.beams`.
     pub field: &'static str,
-    /// What it is.
+    /// Value that was found.
     pub value: f64,
-    /// What it may be.
+    /// Range of valid values, for the error message.
     pub expected: &'static str,
 }
 
-fn check(field: &'static str, value: f64, sound: bool, expected: &'static str) -> Result<(), ConfigError> {
-    if sound && value.is_finite() { Ok(()) } else { Err(ConfigError { field, value, expected }) }
+fn check(field: &'static str, value: f64, valid: bool, expected: &'static str) -> Result<(), ConfigError> {
+    if valid && value.is_finite() { Ok(()) } else { Err(ConfigError { field, value, expected }) }
 }
 
-/// A planar LiDAR. In a file either a preset's name (`lidar = "lds01"`) or a table of these numbers;
-/// numbers left out are those of [`LidarConfig::PAPER`].
+/// Configuration of a planar LiDAR.
+///
+/// In a file it is the name of a preset (`lidar = "lds01"`) or a table of these values. Missing values are
+/// those of [`LidarConfig::PAPER`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LidarConfig {
-    /// Rays in a scan, 1 to [`BEAMS_MAX`].
+    /// Number of beams in a scan, 1 to [`BEAMS_MAX`].
     pub beams: usize,
-    /// Direction of the first ray in `base_scan`, degrees, counter-clockwise from forward.
+    /// Direction of the first beam in `base_scan`, degrees, counter-clockwise from forward.
     pub angle_min_deg: f64,
-    /// From the first ray to the last, degrees; at 360 the circle is divided evenly and no ray doubles.
+    /// Angle from the first beam to the last, degrees. With 360 the beams divide the circle evenly.
     pub fov_deg: f64,
-    /// Nearer things are not measured, metres.
+    /// Smallest range that is measured, metres.
     pub range_min_m: f64,
-    /// Farther things are not measured, metres.
+    /// Largest range that is measured, metres.
     pub range_max_m: f64,
-    /// Scans a second: 20, 10, 5, 4, 2 or 1, so that a scan never lies between two odometry poses.
+    /// Scan rate, Hz: 20, 10, 5, 4, 2 or 1, so that each scan has an odometry pose with the same stamp.
     pub rate_hz: f64,
 }
 
 impl LidarConfig {
-    /// The paper's sensor: 180 rays over 90° forward at 10 Hz. The paper names no range; these are
-    /// the LDS-01's, the LiDAR that the Burger it models is sold with.
+    /// Sensor of the MR-SLAM paper: 180 beams over 90° forward at 10 Hz. The paper gives no range; the
+    /// ranges are those of the LDS-01, with which the Burger is sold.
     pub const PAPER: Self =
         Self { beams: 180, angle_min_deg: -45.0, fov_deg: 90.0, rate_hz: 10.0, ..Self::LDS_01 };
-    /// HLS-LFCD LDS-01, ROBOTIS e-Manual: 360 rays, 0.12 to 3.5 m, 300 rpm.
+    /// HLS-LFCD LDS-01 by ROBOTIS's e-Manual: 360 beams, 0.12 to 3.5 m, 300 rpm.
     pub const LDS_01: Self = Self {
         beams: 360,
         angle_min_deg: 0.0,
@@ -77,25 +78,25 @@ impl LidarConfig {
         range_max_m: 3.5,
         rate_hz: 5.0,
     };
-    /// LDS-02, ROBOTIS e-Manual: 360 rays, 0.16 to 8 m, 5 Hz.
+    /// LDS-02 by ROBOTIS's e-Manual: 360 beams, 0.16 to 8 m, 5 Hz.
     pub const LDS_02: Self = Self { range_min_m: 0.16, range_max_m: 8.0, ..Self::LDS_01 };
 
-    /// The presets by the names that a file calls them.
+    /// All presets with their names in a configuration file.
     pub const PRESETS: [(&str, Self); 3] =
         [("paper", Self::PAPER), ("lds01", Self::LDS_01), ("lds02", Self::LDS_02)];
 
-    /// `None` if no preset has this name.
+    /// Returns the preset with this name; `None` if there is none.
     pub fn preset(name: &str) -> Option<Self> {
         Self::PRESETS.iter().find(|(known, _)| *known == name).map(|(_, config)| *config)
     }
 
-    /// Radians between two rays.
+    /// Returns the angle between two beams, radians.
     pub fn angle_increment_rad(&self) -> f64 {
         let gaps = if self.fov_deg >= 360.0 { self.beams } else { self.beams.saturating_sub(1).max(1) };
         self.fov_deg.to_radians() / gaps as f64
     }
 
-    /// The first value that makes no sense, by name.
+    /// Checks all values and returns the first invalid one.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let beams = self.beams as f64;
         check("lidar.beams", beams, (1..=BEAMS_MAX).contains(&self.beams), "1 to 4096")?;
@@ -116,7 +117,7 @@ impl Default for LidarConfig {
     }
 }
 
-/// [`LidarConfig`] as a table.
+/// [`LidarConfig`] as a table in a file.
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct LidarTable {
@@ -162,46 +163,46 @@ impl<'de> Visitor<'de> for PresetOrTable {
     }
 }
 
-/// How wrong the sensors are: standard deviations of zero-mean Gaussians. 0 switches one off.
+/// Errors of the sensors: standard deviations of zero-mean Gaussians. 0 switches an error off.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseConfig {
-    /// Of a range, metres. ROBOTIS's Gazebo model of the Burger has 0.01.
+    /// Error of a range, metres. ROBOTIS's Gazebo model of the Burger has 0.01.
     pub range_std_m: f64,
-    /// Of a range, as a part of it; adds to `range_std_m`.
+    /// Error of a range relative to the range. It adds to `range_std_m`.
     pub range_std_ratio: f64,
-    /// Probability that a ray yields no measurement (NaN).
+    /// Probability that a beam yields no measurement (NaN).
     pub dropout_probability: f64,
-    /// Of each wheel's radius as odometry believes it, as a part of it; drawn once a run. Unequal
-    /// wheels bend a straight line (Borenstein and Feng 1996, E_d).
+    /// Relative error of each wheel's radius in odometry, drawn once per run. Unequal wheels bend a
+    /// straight line (Borenstein and Feng 1996, E_d).
     pub wheel_scale_std: f64,
-    /// Of the wheels' distance as odometry believes it, as a part of it; drawn once a run
-    /// (Borenstein and Feng 1996, E_b).
+    /// Relative error of the distance between the wheels in odometry, drawn once per run (Borenstein and
+    /// Feng 1996, E_b).
     pub wheel_separation_std: f64,
-    /// Of each wheel's measured way, metres after one metre: a random walk, which grows with the
-    /// square root of the way.
+    /// Error of each wheel's measured distance after one metre, metres: a random walk, which grows with the
+    /// square root of the distance.
     pub wheel_walk_m_per_sqrt_m: f64,
-    /// What odometry takes the heading from.
+    /// Sensor from which odometry takes the heading.
     pub heading: Heading,
-    /// Of the gyroscope's scale; drawn once a run.
+    /// Relative error of the gyroscope's scale, drawn once per run.
     pub gyro_scale_std: f64,
-    /// Of the gyroscope's heading, radians after one radian turned: a random walk.
+    /// Error of the gyroscope's heading after one radian of turning, radians: a random walk.
     pub gyro_walk_rad_per_sqrt_rad: f64,
 }
 
-/// What odometry takes the heading from.
+/// Sensor from which odometry takes the heading.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Heading {
-    /// The gyroscope, as TurtleBot3's own driver does by default.
+    /// Uses the gyroscope, as TurtleBot3's driver does by default.
     #[default]
     Gyro,
-    /// The wheels: their slip turns the robot's belief.
+    /// Uses the wheels, whose slip then causes errors of the heading.
     Wheels,
 }
 
 impl NoiseConfig {
-    /// Perfect sensors.
+    /// Sensors without errors.
     pub const OFF: Self = Self {
         range_std_m: 0.0,
         range_std_ratio: 0.0,
@@ -214,7 +215,7 @@ impl NoiseConfig {
         gyro_walk_rad_per_sqrt_rad: 0.0,
     };
 
-    /// The first value that makes no sense, by name.
+    /// Checks all values and returns the first invalid one.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let deviations = [
             ("noise.range_std_m", self.range_std_m),
@@ -227,7 +228,7 @@ impl NoiseConfig {
         }
         let p = self.dropout_probability;
         check("noise.dropout_probability", p, (0.0..=1.0).contains(&p), "0 to 1")?;
-        // Larger ones could draw a wheel of no size.
+        // With larger values a wheel of size zero could be drawn.
         let scales = [
             ("noise.wheel_scale_std", self.wheel_scale_std),
             ("noise.wheel_separation_std", self.wheel_separation_std),
@@ -241,7 +242,7 @@ impl NoiseConfig {
 }
 
 impl Default for NoiseConfig {
-    /// A robot as one buys it: about 0.3° of heading lost per radian turned, and some way per metre.
+    /// Errors of a robot as sold: about 0.3° of heading per radian of turning, and 1 mm per metre.
     fn default() -> Self {
         Self {
             range_std_m: 0.01,
@@ -257,27 +258,27 @@ impl Default for NoiseConfig {
     }
 }
 
-/// What a command may ask for. Beyond it is clamped.
+/// Limits of velocity commands. A command beyond them is clamped.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// m/s, forward and backward.
+    /// Largest speed forward and backward, m/s.
     pub linear_m_s: f64,
-    /// rad/s, either way.
+    /// Largest turning rate in either direction, rad/s.
     pub angular_rad_s: f64,
-    /// Without a command for so long, the robot stops; seconds.
+    /// Time after the last command at which the robot stops (dead man), seconds.
     pub command_timeout_s: f64,
 }
 
 impl Limits {
-    /// The first value that makes no sense, by name.
+    /// Checks all values and returns the first invalid one.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let linear = self.linear_m_s;
-        let sound = linear > 0.0 && linear <= burger::LINEAR_MAX_M_S;
-        check("limits.linear_m_s", linear, sound, "more than 0, at most the Burger's 0.22")?;
+        let valid = linear > 0.0 && linear <= burger::LINEAR_MAX_M_S;
+        check("limits.linear_m_s", linear, valid, "more than 0, at most the Burger's 0.22")?;
         let angular = self.angular_rad_s;
-        let sound = angular > 0.0 && angular <= burger::ANGULAR_MAX_RAD_S;
-        check("limits.angular_rad_s", angular, sound, "more than 0, at most the Burger's 2.84")?;
+        let valid = angular > 0.0 && angular <= burger::ANGULAR_MAX_RAD_S;
+        check("limits.angular_rad_s", angular, valid, "more than 0, at most the Burger's 2.84")?;
         let timeout = self.command_timeout_s;
         check("limits.command_timeout_s", timeout, (0.01..=10.0).contains(&timeout), "0.01 to 10")
     }
@@ -309,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_configuration_is_read_back() {
         let text =
             toml::to_string(&SimConfig { lidar: LidarConfig::LDS_01, ..SimConfig::default() }).unwrap();
         assert_eq!(read(&text).unwrap().lidar, LidarConfig::LDS_01);
@@ -331,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_refused_by_name() {
+    fn invalid_values_are_refused_with_their_key() {
         let refused = |text: &str| read(text).unwrap().validate().unwrap_err();
         for (text, field) in [
             ("[lidar]\nbeams = 0", "lidar.beams"),

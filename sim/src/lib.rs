@@ -1,14 +1,14 @@
-//! One robot in a room: commands in; scans, odometry, transforms and truth out.
+//! Simulation of one robot in a room: velocity commands in; scans, odometry, transforms and ground truth out.
 //!
 //! ```text
-//!   VelocityCommand ─▶ Limits ─▶ Body (rapier3d) ─┬─▶ GroundTruth
-//!   peers' GroundTruth ─▶ Peers ──────▲         ├─▶ WheelOdometry ─▶ Odometry, Transforms
-//!   Room ───────────────────────┘─────────┴─▶ Lidar (parry3d) ─▶ Scan
+//!   VelocityCommand ─────▶ Limits ─▶ Body (rapier3d) ─┬─▶ GroundTruth
+//!   peers' GroundTruth ─▶ Peers ──────▲               ├─▶ WheelOdometry ─▶ Odometry, Transforms
+//!   Room ─────────────────────────────┴───────────────┴─▶ Lidar (parry3d) ─▶ Scan
 //! ```
 //!
-//! The robot is a TurtleBot3 Burger with ROBOTIS's published dimensions ([`burger`]). One
-//! [`Simulator`] holds one robot; the other robots of the fleet are mirrored from their [`msg::GroundTruth`].
-//! Pure: no clock, file, thread or socket. The same inputs and seed give the same bytes.
+//! The robot is a TurtleBot3 Burger with ROBOTIS's published dimensions ([`burger`]). One [`Simulator`]
+//! simulates one robot. The other robots of the fleet are mirrored from their [`msg::GroundTruth`].
+//! The crate uses no clock, file, thread or socket. The same inputs and seed give the same bytes.
 
 mod body;
 pub mod burger;

@@ -1,4 +1,4 @@
-//! A planar LiDAR by ray casting. The room and the peers are seen; the robot itself is not.
+//! Simulation of a planar LiDAR by ray casting. It sees the room and the peers but not its own robot.
 
 use crate::burger::{self, HOUSING_CENTRE_M, HOUSING_HALF_HEIGHT_M, HOUSING_RADIUS_M};
 use crate::config::{LidarConfig, NoiseConfig};
@@ -9,14 +9,15 @@ use parry3d::math::Pose;
 use parry3d::query::{Ray, RayCast};
 use parry3d::shape::{Cuboid, Shape};
 
-/// Middle and radius of a ball around all of a peer that a ray can hit, in its `base_footprint`, metres.
+/// Centre of a ball that contains all parts of a peer, in the peer's `base_footprint`, metres.
 const PEER_BALL_CENTRE: Vec3 = Vec3::new(-0.025, 0.0, 0.096);
+/// Radius of that ball, metres: from the centre to the farthest corner of [`burger::BOXES_M`].
 const PEER_BALL_RADIUS_M: f32 = 0.16;
 
-/// The sensor.
+/// LiDAR of one robot.
 pub(crate) struct Lidar {
     config: LidarConfig,
-    /// Unit directions of the rays in `base_scan`.
+    /// Unit directions of the beams in `base_scan`.
     directions: Vec<Vec3>,
     errors: RangeErrors,
 }
@@ -32,7 +33,8 @@ impl Lidar {
         Self { config, directions, errors }
     }
 
-    /// Writes all of `scan` but its header. All rays are cast at once (`time_increment_s` 0).
+    /// Measures a scan. Writes all of `scan` except its header. All beams have the same time
+    /// (`time_increment_s` 0).
     pub(crate) fn scan_into(
         &mut self,
         scan: &mut Scan,
@@ -71,11 +73,11 @@ impl Lidar {
     }
 }
 
-/// A peer for the rays of one scan. It stands upright, as mirrored peers do.
+/// A peer as a target of the beams of one scan. It stands upright, as all mirrored peers do.
 #[derive(Clone, Copy, Default)]
 struct Target {
     peer_from_world: Pose,
-    /// Middle of the ball around it, in `world`.
+    /// Centre of the ball around the peer, in `world`.
     ball_centre: Vec3,
 }
 
@@ -85,7 +87,7 @@ impl Target {
         Self { peer_from_world: world_from_peer.inverse(), ball_centre }
     }
 
-    /// Distance, if it is hit before `far_m`.
+    /// Returns the distance along a ray to the peer, metres; `None` if it is `far_m` or more.
     fn cast(&self, ray: &Ray, far_m: f32) -> Option<f32> {
         let to_centre = self.ball_centre - ray.origin;
         let along_m = to_centre.dot(ray.dir);
@@ -104,8 +106,10 @@ impl Target {
     }
 }
 
-/// On the round side of the housing, from outside; ray in the peer's `base_footprint`. In closed form:
-/// parry finds a cylinder by iterating, which takes a microsecond a ray.
+/// Returns the distance to the round side of the housing, from outside, along a ray in the peer's
+/// `base_footprint`.
+///
+/// The closed form is much faster than parry's iteration for cylinders, which takes a microsecond per ray.
 fn cast_on_housing(ray: &Ray, far_m: f32) -> Option<f32> {
     let (from, direction) = ((ray.origin - HOUSING_CENTRE_M).truncate(), ray.dir.truncate());
     // |from + t direction| = radius
@@ -120,7 +124,7 @@ fn cast_on_housing(ray: &Ray, far_m: f32) -> Option<f32> {
     ((0.0..far_m).contains(&t) && above_m.abs() <= HOUSING_HALF_HEIGHT_M).then_some(t)
 }
 
-/// What comes between a distance and its measurement.
+/// Errors of range measurements.
 pub(crate) struct RangeErrors {
     pub(crate) config: NoiseConfig,
     pub(crate) range: Noise,
@@ -128,11 +132,12 @@ pub(crate) struct RangeErrors {
 }
 
 impl RangeErrors {
-    /// REP-117: +inf is no return; NaN is no measurement, also for what is too near to measure.
+    /// Returns the measured range of a distance by REP-117: +inf is no return; NaN is no measurement, also
+    /// for a distance below the smallest range.
     fn measure(&mut self, distance_m: Option<f32>, lidar: &LidarConfig) -> f32 {
-        // Drawn for every ray, so that what one ray meets does not change the others' noise.
+        // A number is drawn for every beam, so that one beam's target does not change the others' noise.
         let error = self.range.gaussian();
-        if self.dropout.happens(self.config.dropout_probability) {
+        if self.dropout.bernoulli(self.config.dropout_probability) {
             return f32::NAN;
         }
         let Some(distance_m) = distance_m.map(f64::from) else { return f32::INFINITY };

@@ -1,10 +1,11 @@
-//! Seeded noise. Each purpose has its own stream, so that switching one off leaves the others' numbers.
+//! Seeded random numbers. Each purpose has a stream of its own, so that switching one off does not change
+//! the numbers of the others.
 
 use msg::RobotId;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 use rand_pcg::Pcg64Mcg;
 
-/// What noise is drawn for.
+/// Purpose of a stream of random numbers.
 #[derive(Clone, Copy)]
 pub(crate) enum Purpose {
     Odometry = 1,
@@ -12,7 +13,7 @@ pub(crate) enum Purpose {
     Dropout = 3,
 }
 
-/// A stream of numbers that depends on seed, robot and purpose alone.
+/// A stream of random numbers that depends only on seed, robot and purpose.
 pub(crate) struct Noise(Pcg64Mcg);
 
 impl Noise {
@@ -21,19 +22,20 @@ impl Noise {
         Self(Pcg64Mcg::new(u128::from(mix(seed)) << 64 | u128::from(mix(seed ^ mix(stream)))))
     }
 
-    /// Mean 0, standard deviation 1.
+    /// Draws from the Gaussian with mean 0 and standard deviation 1.
     pub(crate) fn gaussian(&mut self) -> f64 {
         StandardNormal.sample(&mut self.0)
     }
 
-    /// True with this probability.
-    pub(crate) fn happens(&mut self, probability: f64) -> bool {
+    /// Draws true with this probability.
+    pub(crate) fn bernoulli(&mut self, probability: f64) -> bool {
         let uniform: f64 = StandardUniform.sample(&mut self.0);
         uniform < probability
     }
 }
 
-/// SplitMix64's finaliser (Steele, Lea, Flood 2014): seeds that are neighbours give streams that are not.
+/// Mixes the bits of a seed with SplitMix64's finaliser (Steele, Lea, Flood 2014), so that consecutive seeds
+/// give unrelated streams.
 fn mix(seed: u64) -> u64 {
     let z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -1,25 +1,26 @@
-//! Where the robot believes it is: dead reckoning of a differential drive (Siegwart, Nourbakhsh,
-//! Scaramuzza, "Autonomous Mobile Robots", 2nd ed., eq. 5.7), with the errors of real ones. As on a
-//! TurtleBot3 the way is the wheels' and the heading the gyroscope's (turtlebot3_node, parameter
-//! `odometry.use_imu`), so that wheels that spin against a table leg do not turn the map; by
-//! configuration the heading is the wheels' too.
+//! Odometry of a differential drive with the errors of real sensors.
+//!
+//! It is dead reckoning (Siegwart, Nourbakhsh, Scaramuzza, "Autonomous Mobile Robots", 2nd ed., eq. 5.7). As
+//! on a TurtleBot3, the distance comes from the wheels and the heading from the gyroscope (turtlebot3_node,
+//! parameter `odometry.use_imu`). Wheels that spin at a table leg therefore do not turn the map. The
+//! configuration can take the heading from the wheels too.
 
 use crate::burger::{WHEEL_RADIUS_M, WHEEL_SEPARATION_M};
 use crate::config::{Heading, NoiseConfig};
 use crate::noise::Noise;
 use msg::Pose2;
 
-/// Integrates wheel angles and turns; starts at the identity of `odom`.
+/// Dead reckoning from wheel angles and turns. It starts at the origin of `odom`.
 pub(crate) struct WheelOdometry {
     odom_from_base: Pose2,
-    /// Way and turn since [`WheelOdometry::take_way`], metres and radians.
-    way: (f64, f64),
-    /// Metres that odometry believes a wheel rolls per radian: left, right.
+    /// Distance and turn since the last [`WheelOdometry::take_motion`], metres and radians.
+    motion: (f64, f64),
+    /// Radii of the left and the right wheel as odometry assumes them, metres.
     radii_m: [f64; 2],
     separation_m: f64,
     walk_m_per_sqrt_m: f64,
     heading: Heading,
-    /// Radians that the gyroscope reports per radian turned.
+    /// Angle that the gyroscope reports per radian of turning, radians.
     gyro_scale: f64,
     gyro_walk_rad_per_sqrt_rad: f64,
     noise: Noise,
@@ -33,7 +34,7 @@ impl WheelOdometry {
         let gyro_scale = drawn(config.gyro_scale_std);
         Self {
             odom_from_base: Pose2::IDENTITY,
-            way: (0.0, 0.0),
+            motion: (0.0, 0.0),
             radii_m,
             separation_m,
             walk_m_per_sqrt_m: config.wheel_walk_m_per_sqrt_m,
@@ -44,7 +45,7 @@ impl WheelOdometry {
         }
     }
 
-    /// The wheels, left and right, turned on by `delta_rad`, and the body by `yaw_rad`.
+    /// Adds a motion in which the left and right wheel turned by `delta_rad` and the body by `yaw_rad`.
     pub(crate) fn advance(&mut self, delta_rad: [f64; 2], yaw_rad: f64) {
         let mut measured_m = [0.0; 2];
         for ((way_m, delta_rad), radius_m) in measured_m.iter_mut().zip(delta_rad).zip(self.radii_m) {
@@ -58,18 +59,18 @@ impl WheelOdometry {
             Heading::Gyro => self.gyro_scale * yaw_rad + walk_rad,
             Heading::Wheels => (right_m - left_m) / self.separation_m,
         };
-        // To second order: along the chord, whose direction is half the turn.
+        // The step follows the chord of the arc, whose direction is half of the turn (second order).
         let (sin, cos) = (turn_rad / 2.0).sin_cos();
         self.odom_from_base = self.odom_from_base * Pose2::new(way_m * cos, way_m * sin, turn_rad);
-        self.way = (self.way.0 + way_m, self.way.1 + turn_rad);
+        self.motion = (self.motion.0 + way_m, self.motion.1 + turn_rad);
     }
 
     pub(crate) fn odom_from_base(&self) -> Pose2 {
         self.odom_from_base
     }
 
-    /// Metres and radians measured since this was last asked.
-    pub(crate) fn take_way(&mut self) -> (f64, f64) {
-        core::mem::take(&mut self.way)
+    /// Returns the distance and turn since the last call, metres and radians.
+    pub(crate) fn take_motion(&mut self) -> (f64, f64) {
+        core::mem::take(&mut self.motion)
     }
 }

@@ -1,23 +1,23 @@
-//! The other robots as this one meets them: kinematic bodies, moved by what their simulators say.
+//! The other robots as obstacles: kinematic bodies that follow the ground truth of their simulators.
 
 use crate::body::Body;
 use msg::{GroundTruth, Pose2, ROBOTS_MAX, RobotId, Stamp};
 use rapier3d::dynamics::RigidBodyHandle;
 
-/// A peer silent for so long is no longer there, seconds.
+/// Time without a message after which a peer is removed, seconds.
 pub(crate) const SILENT_MAX_S: f64 = 1.0;
-/// A peer's last velocity is believed for so long, seconds: two of its truths may be lost.
+/// Longest extrapolation with a peer's last velocity, seconds. Two of its messages may be lost.
 const EXTRAPOLATE_MAX_S: f64 = 0.15;
-/// A peer that is farther from where it was expected is placed there instead of moved, metres:
-/// a body that sweeps through the room would push everything away.
+/// Distance between two poses of a peer above which it is placed instead of moved, metres. A body that sweeps
+/// through the room would push everything away.
 const JUMP_MIN_M: f64 = 0.1;
 
-/// One peer.
+/// Another robot of the fleet.
 #[derive(Clone, Copy)]
 struct Peer {
     body: RigidBodyHandle,
     truth: GroundTruth,
-    /// Where its body is now.
+    /// Pose of the peer's body in this simulation.
     world_from_base: Pose2,
     present: bool,
 }
@@ -27,8 +27,8 @@ struct Peer {
 pub(crate) struct Peers([Option<Peer>; ROBOTS_MAX]);
 
 impl Peers {
-    /// The caller has checked that `truth` is finite.
-    pub(crate) fn see(&mut self, body: &mut Body, robot: RobotId, truth: &GroundTruth) {
+    /// Records the pose of a peer. The caller has checked that `truth` is finite.
+    pub(crate) fn update(&mut self, body: &mut Body, robot: RobotId, truth: &GroundTruth) {
         let peer = self.0[robot.index()].get_or_insert_with(|| Peer {
             body: body.insert_peer(truth.world_from_base),
             truth: *truth,
@@ -46,7 +46,7 @@ impl Peers {
         }
     }
 
-    /// Sends every peer's body to where it is at `now`, the end of the next physics step.
+    /// Moves every peer's body to its pose at `now`, the end of the next physics step.
     pub(crate) fn advance(&mut self, body: &mut Body, now: Stamp) {
         for peer in self.0.iter_mut().flatten().filter(|peer| peer.present) {
             let age_s = now - peer.truth.header.stamp;
@@ -65,13 +65,13 @@ impl Peers {
         }
     }
 
-    /// Where the present peers are.
+    /// Iterates over the poses of the present peers.
     pub(crate) fn poses(&self) -> impl Iterator<Item = Pose2> + '_ {
         self.0.iter().flatten().filter(|peer| peer.present).map(|peer| peer.world_from_base)
     }
 }
 
-/// Along an arc, at the velocity the peer had.
+/// Extrapolates a peer's pose along an arc with its last velocity.
 fn extrapolate(truth: &GroundTruth, age_s: f64) -> Pose2 {
     let ahead_s = age_s.clamp(-EXTRAPOLATE_MAX_S, EXTRAPOLATE_MAX_S);
     let turn_rad = truth.angular_rad_s * ahead_s;

@@ -1,6 +1,6 @@
-//! One robot's time, tick by tick.
+//! Simulation of one robot, tick by tick.
 
-use crate::body::{Body, upright};
+use crate::body::{Body, upright_pose};
 use crate::burger;
 use crate::config::{Limits, SimConfig};
 use crate::lidar::{Lidar, RangeErrors};
@@ -19,15 +19,41 @@ use msg::{
 use parry3d::math::Pose;
 use parry3d::shape::SharedShape;
 
-/// Ticks between two odometry poses and their transforms: 20 Hz.
+/// Ticks between two odometry poses with their transforms: 20 Hz.
 const ODOMETRY_TICKS: i64 = 5;
-/// A touch counts as a new one after so many ticks without.
-const APART_TICKS: i64 = 20;
+/// Ticks per second, 1 / [`Simulator::TICK`].
+const TICKS_PER_SECOND: f64 = 100.0;
+/// Ticks without contact after which the next contact counts as a new one: 0.2 s.
+const CONTACT_GAP_TICKS: i64 = 20;
 
-/// One robot in its room.
+/// Simulation of one robot in a room.
 ///
-/// Time advances in ticks of 10 ms. Odometry and transforms come with every fifth, scans with some of
-/// those; robot k's come k - 1 ticks later than robot 1's, so that a fleet's scans do not all come at once.
+/// Time advances in ticks of 10 ms. Every fifth tick has odometry and transforms, and some of these have a
+/// scan. Those of robot k are k - 1 ticks later than those of robot 1, which spreads the fleet's scans in time.
+///
+/// ```
+/// use msg::{Pose2, RobotId, Scan, VelocityCommand};
+/// use sim::{Room, SimConfig, Simulator};
+///
+/// let room = Room::laboratory();
+/// let start: Pose2 = room.starts(1)?[0];
+/// let robot = RobotId::new(1).unwrap();
+/// let mut simulator = Simulator::new(&room, &SimConfig::default(), robot, start, 42)?;
+/// simulator.command(&VelocityCommand { linear_m_s: 0.1, ..VelocityCommand::default() });
+///
+/// let mut scan: Scan = bytemuck::Zeroable::zeroed();
+/// let mut scans = 0;
+/// for _ in 0..20 {
+///     let tick = simulator.step();
+///     if tick.scan_due {
+///         simulator.scan_into(&mut scan);
+///         scans += 1;
+///     }
+/// }
+/// assert_eq!((scans, scan.ranges_m().len()), (2, 180));
+/// # Ok::<(), sim::StartError>(())
+/// ```
+// More than 12 fields: each part of the simulation is one field, and the rest is the state of a tick.
 pub struct Simulator {
     robot: RobotId,
     limits: Limits,
@@ -39,36 +65,36 @@ pub struct Simulator {
     /// Ticks since the epoch of the run.
     ticks: i64,
     scan_ticks: i64,
-    /// Clamped, and the tick it was given at.
+    /// Newest command, clamped, and the tick of its arrival.
     command: Option<(VelocityCommand, i64)>,
     contacts: u64,
-    last_touch: Option<i64>,
+    last_contact: Option<i64>,
     refused: u64,
 }
 
-/// What one tick brought. Of each header only the stamp is set: the channel does the rest.
+/// Results of one tick. Only the stamp of each header is set; the channel sets the other fields.
 #[derive(Clone, Copy, Debug)]
 pub struct Tick {
-    /// The run's time after the tick: what /clock says.
+    /// Time of the run after the tick, as published on /clock.
     pub stamp: Stamp,
-    /// Where the robot is.
+    /// True pose of the robot after the tick.
     pub truth: GroundTruth,
-    /// At 20 Hz.
+    /// Transforms of the robot's links, at 20 Hz.
     pub transforms: Option<Transforms>,
-    /// At 20 Hz, with the transforms.
+    /// Odometry with the same stamp as the transforms, at 20 Hz.
     pub odometry: Option<Odometry>,
-    /// At the LiDAR's rate, on a tick that has odometry: call [`Simulator::scan_into`] now.
+    /// Whether a scan is due, at the LiDAR's rate. If so, call [`Simulator::scan_into`] before the next step.
     pub scan_due: bool,
 }
 
 impl Simulator {
-    /// One tick: /clock runs at 100 Hz.
+    /// Duration of one tick, so that /clock runs at 100 Hz.
     pub const TICK: Duration = Duration::from_millis(10);
 
-    /// Puts a robot into a room at the epoch of the run, standing still.
+    /// Creates a robot at rest in a room, at the epoch of the run.
     ///
     /// # Errors
-    /// The configuration makes no sense; the start is not a number, off the floor, or in furniture.
+    /// The configuration is invalid, or the start is not finite, off the floor, or in furniture.
     pub fn new(
         room: &Room,
         config: &SimConfig,
@@ -92,29 +118,29 @@ impl Simulator {
             body: Body::new(room.obstacles(), world_from_start),
             peers: Peers::default(),
             odometry: WheelOdometry::new(&config.noise, noise(Purpose::Odometry)),
-            scan_ticks: (100.0 / config.lidar.rate_hz).round() as i64,
+            scan_ticks: (TICKS_PER_SECOND / config.lidar.rate_hz).round() as i64,
             lidar,
             ticks: 0,
             command: None,
             contacts: 0,
-            last_touch: None,
+            last_contact: None,
             refused: 0,
         })
     }
 
-    /// Sets the run's time, as a simulator does that joins a run under way. Rounded down to a whole
-    /// tick, so that all robots of a run tick at the same stamps. Call it before the first step.
+    /// Sets the time of the run, for a simulator that joins a running fleet. The time is rounded down to a
+    /// whole tick, so that all robots of a run tick at the same stamps. Call it before the first step.
     pub fn join_at(&mut self, now: Stamp) {
         self.ticks = now.0.div_euclid(Self::TICK.as_nanos() as i64);
     }
 
-    /// The run's time now.
+    /// Returns the current time of the run.
     pub fn now(&self) -> Stamp {
         Stamp(self.ticks * Self::TICK.as_nanos() as i64)
     }
 
-    /// Takes a wished velocity, valid from now until the timeout of the limits, and clamps it to them.
-    /// One that is not a number is refused and counted; the one before stays valid.
+    /// Sets the commanded velocity, clamped to the limits. It is valid until the timeout of the limits. A
+    /// command that is not finite is refused and counted; the previous command stays valid.
     pub fn command(&mut self, command: &VelocityCommand) {
         if !(command.linear_m_s.is_finite() && command.angular_rad_s.is_finite()) {
             self.refused += 1;
@@ -129,30 +155,30 @@ impl Simulator {
         self.command = Some((clamped, self.ticks));
     }
 
-    /// Mirrors a peer: the LiDAR sees it and the robot bumps into it, until it is silent for a second.
-    /// A truth that is not a number, of the robot itself, or of another time than now (by over a
-    /// second) is refused and counted.
-    pub fn see(&mut self, peer: RobotId, truth: &GroundTruth) {
+    /// Sets the pose of a peer, which the LiDAR sees and the robot collides with. A peer without a message
+    /// for a second is removed. A message that is not finite, is of the robot itself, or differs from the
+    /// current time by over a second is refused and counted.
+    pub fn update_peer(&mut self, peer: RobotId, truth: &GroundTruth) {
         let finite = truth.world_from_base.is_finite()
             && truth.linear_m_s.is_finite()
             && truth.angular_rad_s.is_finite();
         let timely = (self.now() - truth.header.stamp).abs() <= SILENT_MAX_S;
         if finite && timely && peer != self.robot {
-            self.peers.see(&mut self.body, peer, truth);
+            self.peers.update(&mut self.body, peer, truth);
         } else {
             self.refused += 1;
         }
     }
 
-    /// How many commands and truths were refused.
+    /// Returns the number of refused commands and messages of peers.
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
-    /// One tick of [`Simulator::TICK`].
+    /// Simulates one tick of [`Simulator::TICK`].
     pub fn step(&mut self) -> Tick {
-        let (linear_m_s, angular_rad_s) = self.wished_velocity();
-        self.body.drive(linear_m_s, angular_rad_s);
+        let (linear_m_s, angular_rad_s) = self.commanded_velocity();
+        self.body.set_velocity(linear_m_s, angular_rad_s);
         self.ticks += 1;
         let now = self.now();
         self.peers.advance(&mut self.body, now);
@@ -173,20 +199,21 @@ impl Simulator {
         }
     }
 
-    /// Measures at the end of the last tick. Writes all of `scan` but `sent`, `seq` and `run` of its header.
+    /// Measures a scan at the end of the last tick. Writes all of `scan` except `sent`, `seq` and
+    /// `incarnation` of its header.
     pub fn scan_into(&mut self, scan: &mut Scan) {
         scan.header.stamp = self.now();
         let mut peers = [Pose::IDENTITY; ROBOTS_MAX];
         let mut count = 0;
         for (slot, world_from_peer) in peers.iter_mut().zip(self.peers.poses()) {
-            *slot = upright(world_from_peer);
+            *slot = upright_pose(world_from_peer);
             count += 1;
         }
         self.lidar.scan_into(scan, &*self.obstacles, self.body.world_from_chassis(), &peers[..count]);
     }
 
-    /// Forward m/s and rad/s that are in force now: zero once the last command is too old.
-    fn wished_velocity(&self) -> (f64, f64) {
+    /// Returns the commanded velocity, m/s and rad/s: zero if the newest command is too old.
+    fn commanded_velocity(&self) -> (f64, f64) {
         let timeout_ticks = (self.limits.command_timeout_s / Self::TICK.as_secs_f64()).round() as i64;
         match self.command {
             Some((command, given)) if self.ticks - given < timeout_ticks => {
@@ -197,10 +224,10 @@ impl Simulator {
     }
 
     fn count_contacts(&mut self) {
-        if self.body.touches() {
-            let apart = self.last_touch.is_none_or(|last| self.ticks - last > APART_TICKS);
-            self.contacts += u64::from(apart);
-            self.last_touch = Some(self.ticks);
+        if self.body.touches_obstacle() {
+            let is_new = self.last_contact.is_none_or(|last| self.ticks - last > CONTACT_GAP_TICKS);
+            self.contacts += u64::from(is_new);
+            self.last_contact = Some(self.ticks);
         }
     }
 
@@ -221,7 +248,7 @@ impl Simulator {
 
     fn odometry(&mut self) -> Odometry {
         let period_s = ODOMETRY_TICKS as f64 * Self::TICK.as_secs_f64();
-        let (way_m, turn_rad) = self.odometry.take_way();
+        let (way_m, turn_rad) = self.odometry.take_motion();
         Odometry {
             header: self.header(),
             odom_from_base: self.odometry.odom_from_base(),
@@ -234,7 +261,7 @@ impl Simulator {
         let Pose2 { x_m, y_m, yaw_rad } = self.odometry.odom_from_base();
         let [wx, wy, wz] = burger::WHEEL_IN_BASE_LINK_M;
         let [left_rad, right_rad] = self.body.wheel_angles_rad();
-        // A wheel's frame lies on its side, z along the axle (URDF: rpy -1.57 0 0), and turns about it.
+        // In the URDF (rpy -1.57 0 0), the z axis of a wheel's frame points along the axle.
         let wheel = |angle_rad| DQuat::from_rotation_x(-FRAC_PI_2) * DQuat::from_rotation_z(angle_rad);
         let still = DQuat::IDENTITY;
         let links = [

@@ -22,7 +22,10 @@ fn scans_allocate_nothing_and_ticks_grow_nothing() {
             if tick % 5 == 0 {
                 let header = Header { stamp: simulator.now(), ..Header::default() };
                 let world_from_base = Pose2::new(-2.0, 1.3, 0.1);
-                simulator.see(robot(2), &GroundTruth { header, world_from_base, ..GroundTruth::default() });
+                simulator.update_peer(
+                    robot(2),
+                    &GroundTruth { header, world_from_base, ..GroundTruth::default() },
+                );
             }
             simulator.command(&drive(0.15, if tick % 500 < 250 { 0.6 } else { -0.4 }));
             simulator.step();

@@ -197,7 +197,7 @@ fn peers_are_seen_and_vanish_when_silent() {
     assert!((ahead(&mut simulator) - 2.032).abs() < 0.002);
     for _ in 0..20 {
         let peer = truth(&simulator, Pose2::new(1.0, 0.0, 2.0), 0.0);
-        simulator.see(robot(2), &peer);
+        simulator.update_peer(robot(2), &peer);
         simulator.step();
     }
     // The LiDAR's housing, 0.055 m in radius, sits 0.017 m behind the peer's middle.
@@ -210,7 +210,7 @@ fn peers_are_seen_and_vanish_when_silent() {
     }
     assert!((ahead(&mut simulator) - 2.032).abs() < 0.002, "silent for a second");
     let peer = truth(&simulator, Pose2::new(0.5, 0.0, 0.0), 0.0);
-    simulator.see(robot(2), &peer);
+    simulator.update_peer(robot(2), &peer);
     simulator.step();
     assert!(ahead(&mut simulator) < 0.6, "and back");
     assert_eq!(simulator.refused(), 0);
@@ -222,7 +222,7 @@ fn peers_are_bumped_into() {
     let mut last = GroundTruth::default();
     for _ in 0..1000 {
         let peer = truth(&simulator, Pose2::new(0.5, 0.0, 0.0), 0.0);
-        simulator.see(robot(2), &peer);
+        simulator.update_peer(robot(2), &peer);
         simulator.command(&drive(0.15, 0.0));
         last = simulator.step().truth;
     }
@@ -241,7 +241,7 @@ fn a_moving_peer_pushes() {
         // Heard at 20 Hz: in between its motion is carried on.
         if tick % 5 == 0 {
             peer = truth(&simulator, Pose2::new(x_m, 0.0, 0.0), 0.15);
-            simulator.see(robot(2), &peer);
+            simulator.update_peer(robot(2), &peer);
         }
         last = simulator.step().truth;
     }
@@ -254,11 +254,12 @@ fn a_moving_peer_pushes() {
 fn impossible_peers_are_refused() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
     let sound = truth(&simulator, Pose2::new(1.0, 0.0, 0.0), 0.0);
-    simulator.see(robot(1), &sound);
-    simulator.see(robot(2), &GroundTruth { world_from_base: Pose2::new(f64::NAN, 0.0, 0.0), ..sound });
-    simulator.see(robot(2), &GroundTruth { linear_m_s: f64::INFINITY, ..sound });
+    simulator.update_peer(robot(1), &sound);
+    simulator
+        .update_peer(robot(2), &GroundTruth { world_from_base: Pose2::new(f64::NAN, 0.0, 0.0), ..sound });
+    simulator.update_peer(robot(2), &GroundTruth { linear_m_s: f64::INFINITY, ..sound });
     let late = Header { stamp: Stamp(60_000_000_000), ..Header::default() };
-    simulator.see(robot(2), &GroundTruth { header: late, ..sound });
+    simulator.update_peer(robot(2), &GroundTruth { header: late, ..sound });
     assert_eq!(simulator.refused(), 4);
 }
 
@@ -272,7 +273,7 @@ fn abuse_yields_no_nan() {
         let at = simulator_pose(&mut simulator).apply([0.09 * angle.cos(), 0.09 * angle.sin()]);
         let mut peer = truth(&simulator, Pose2::new(at[0], at[1], angle), 1e3);
         peer.angular_rad_s = -1e3;
-        simulator.see(robot(2 + k as usize % 3), &peer);
+        simulator.update_peer(robot(2 + k as usize % 3), &peer);
         let run = Run::of(&mut simulator, 0.15, 1.5, 1);
         assert!(run.truths[0].world_from_base.is_finite() && run.truths[0].linear_m_s.is_finite());
         assert!(run.odometry.iter().all(|odometry| odometry.odom_from_base.is_finite()));

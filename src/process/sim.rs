@@ -145,7 +145,7 @@ impl<P: Ports> Inputs<P> {
     fn see_peers(&mut self, simulator: &mut Simulator) {
         for (peer, truths) in &mut self.peers {
             if let Some(truth) = truths.newest() {
-                simulator.see(*peer, &truth);
+                simulator.update_peer(*peer, &truth);
             }
         }
     }

@@ -17,19 +17,19 @@ fn refused(text: &str, line: usize, words: &[&str]) {
 }
 
 #[test]
-fn unknown_names() {
+fn unknown_keys_are_refused() {
     refused("[fleet]\nrobots = 2\nrobotz = 3\n", 3, &["robotz"]);
     refused("\n[fleeet]\n", 2, &["fleeet"]);
 }
 
 #[test]
-fn wrong_types() {
+fn values_of_the_wrong_type_are_refused() {
     refused("[fleet]\n\nrobots = \"three\"\n", 3, &["three"]);
     refused("[fleet\n", 1, &[]);
 }
 
 #[test]
-fn out_of_range() {
+fn values_out_of_range_are_refused() {
     refused("[fleet]\nseed = 1\nrobots = 17\n", 3, &["17", "16"]);
     refused("[fleet]\nrobots = 0\n", 2, &["1 to 16"]);
     refused("[fleet]\nrobots = 2\nstarts = [[0.0, 0.0, 0.0]]\n", 3, &["1 poses for 2"]);
@@ -38,7 +38,7 @@ fn out_of_range() {
 }
 
 #[test]
-fn rooms_that_are_not_there_or_not_rooms() {
+fn missing_or_invalid_room_files_are_refused() {
     let folder = Folder::new();
     let text = folder.file("room.obj", "v 1 2 nan\n");
     for (room, word) in [("/nowhere/room.glb", "/nowhere/room.glb"), (text.to_str().unwrap(), "room.obj")] {
@@ -50,7 +50,7 @@ fn rooms_that_are_not_there_or_not_rooms() {
 }
 
 #[test]
-fn the_default_written_out_is_the_default() {
+fn the_written_default_equals_the_built_in_default() {
     let config = mr_slam::config::FleetConfig::default();
     let folder = Folder::new();
     let file = folder.file("fleet.toml", config.to_toml());
@@ -60,7 +60,7 @@ fn the_default_written_out_is_the_default() {
 }
 
 #[test]
-fn what_a_file_leaves_out_is_as_in_the_default() {
+fn missing_keys_have_their_default() {
     let folder = Folder::new();
     let file = folder.file("fleet.toml", "[slam.tracking]\nreferences = 5\n");
     let config = mr_slam::config::FleetConfig::from_file(&file).unwrap();

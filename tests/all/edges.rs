@@ -1,6 +1,6 @@
-//! What holds the maps of a running fleet together can be seen, held and taken back from the command line.
+//! The merge edges of a running fleet are listed, pinned and undone from the command line.
 
-use crate::harness::{Fleet, mr_slam, process, send};
+use crate::harness::{Fleet, mr_slam, output_of, process, send};
 use mr_slam::channel::{self, Opener, Program};
 use mr_slam::fleet::known_starts;
 use mr_slam::shared_memory::Participant;
@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::Output;
 
 fn edges(run_dir: &Path, words: &[&str]) -> Output {
-    mr_slam().args(["edges", "--json", "--run-dir"]).arg(run_dir).args(words).output().unwrap()
+    output_of(mr_slam().args(["edges", "--json", "--run-dir"]).arg(run_dir).args(words))
 }
 
 /// The only edge of a fleet of two, after what was asked for.
@@ -24,7 +24,7 @@ fn edge(run_dir: &Path, words: &[&str]) -> Value {
 }
 
 #[test]
-fn an_edge_is_pinned_let_loose_and_undone_while_the_fleet_runs() {
+fn an_edge_is_pinned_unpinned_and_undone_while_the_fleet_runs() {
     let mut fleet = Fleet::start("up", &["--robots", "2"]);
     fleet.until("scans of both robots", |view| view.robots.iter().filter(|r| r.scans >= 20).count() == 2);
     let run_dir = fleet.folder.path().to_owned();
@@ -70,7 +70,7 @@ fn kill_merge(fleet: &mut Fleet) -> [MapTransforms; 2] {
 }
 
 #[test]
-fn what_the_operator_pinned_outlives_the_merge_process_and_the_map_does_not_move() {
+fn a_pinned_edge_survives_the_merge_process_and_the_map_does_not_move() {
     let mut fleet = Fleet::start("up", &["--robots", "2"]);
     fleet.until("scans of both robots", |view| view.robots.iter().filter(|r| r.scans >= 20).count() == 2);
     let run_dir = fleet.folder.path().to_owned();
@@ -87,7 +87,7 @@ fn what_the_operator_pinned_outlives_the_merge_process_and_the_map_does_not_move
 }
 
 #[test]
-fn robots_that_were_found_are_where_they_were_when_merging_begins_again() {
+fn merged_robots_keep_their_poses_when_the_merge_process_restarts() {
     let mut fleet = Fleet::start("up", &["--robots", "2", "--starts", "unknown"]);
     fleet.until("the first robot's map", |view| view.robots[0].merged && view.robots[1].scans >= 20);
     let path = fleet.folder.path().join("merge.json");

@@ -1,14 +1,14 @@
-//! A whole fleet of real processes: it comes up, maps, answers, and ends without a trace.
+//! A whole fleet of real processes starts, maps, answers and ends without leaving anything.
 
 use crate::harness::{Fleet, output};
 use rustix::process::Signal;
 use std::time::Duration;
 
-/// Asked to end, a fleet has this long.
+/// Time within which a fleet ends after a signal.
 const END_MAX: Duration = Duration::from_secs(5);
 
 #[test]
-fn maps_and_ends_without_a_trace() {
+fn a_fleet_maps_and_leaves_no_process_or_shared_memory() {
     let mut fleet = Fleet::start("up", &["--robots", "2", "--seed", "7"]);
     let view = fleet.until("maps of both robots, merged", |view| {
         view.robots.len() == 2
@@ -46,7 +46,7 @@ fn maps_and_ends_without_a_trace() {
 }
 
 #[test]
-fn an_operator_drives_it_over_tcp() {
+fn an_operator_drives_a_fleet_over_tcp() {
     let mut fleet = Fleet::start("demo", &["--robots", "1"]);
     let moved = |pose: [f64; 3]| pose[0].hypot(pose[1]);
     let view = fleet.until("a robot half a metre away", |view| {
@@ -63,14 +63,14 @@ fn an_operator_drives_it_over_tcp() {
 }
 
 #[test]
-fn ends_by_itself_when_told_how_long() {
+fn a_fleet_with_a_time_limit_ends_by_itself() {
     let ended = Fleet::start("up", &["--robots", "1", "--seconds", "1.5"]).wait();
     assert!(ended.success);
     assert!(ended.folder.path().join("report.json").exists());
 }
 
 #[test]
-fn status_without_a_fleet_says_what_to_do() {
+fn status_without_a_fleet_reports_the_missing_run() {
     let nowhere = crate::harness::Folder::new();
     let status = output(&["status", "--run-dir", nowhere.path().to_str().unwrap()]);
     assert!(!status.status.success());
@@ -79,7 +79,7 @@ fn status_without_a_fleet_says_what_to_do() {
 }
 
 #[test]
-fn a_taken_port_is_named() {
+fn a_port_in_use_is_reported_with_the_option_to_change_it() {
     let taken = std::net::TcpListener::bind("0.0.0.0:0").unwrap();
     let port = taken.local_addr().unwrap().port().to_string();
     let folder = crate::harness::Folder::new();

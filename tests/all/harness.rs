@@ -1,4 +1,4 @@
-//! A fleet to test: the real binary, in a folder and on a port of its own.
+//! A fleet under test: the real binary, with a folder and a port of its own.
 
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
@@ -10,15 +10,15 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-/// No step of a test takes this long unless it hangs.
+/// Time limit of every wait of a test. A step that takes longer hangs.
 pub const WATCHDOG: Duration = Duration::from_secs(120);
 
-/// The binary under test.
+/// Returns a command that runs the binary under test.
 pub fn mr_slam() -> Command {
     Command::new(env!("CARGO_BIN_EXE_mr-slam"))
 }
 
-/// A folder of this test's own, removed with it.
+/// A folder of one test, removed at its end.
 pub struct Folder(PathBuf);
 
 impl Folder {
@@ -47,11 +47,36 @@ impl Drop for Folder {
     }
 }
 
-/// A launcher that does not outlive its test.
+/// Time limit of one command. Some simulate minutes, which takes long on a busy machine.
+const COMMAND_LIMIT: Duration = Duration::from_secs(600);
+
+/// Kills a process after a time limit unless it is dropped before, so that no wait for the process can hang.
+struct KillAfter(Option<std::sync::mpsc::Sender<()>>);
+
+impl KillAfter {
+    fn new(pid: u32, limit: Duration) -> Self {
+        let (ended, wait) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            if wait.recv_timeout(limit) == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
+                send(pid, Signal::KILL);
+            }
+        });
+        Self(Some(ended))
+    }
+}
+
+impl Drop for KillAfter {
+    fn drop(&mut self) {
+        drop(self.0.take());
+    }
+}
+
+/// The launcher's process, which ends with its test.
 struct Launcher(Child);
 
 impl Drop for Launcher {
     fn drop(&mut self) {
+        let _limit = KillAfter::new(self.0.id(), WATCHDOG);
         send(self.0.id(), Signal::TERM);
         let _ = self.0.wait();
     }
@@ -65,7 +90,7 @@ pub struct Fleet {
     pub folder: Folder,
 }
 
-/// What a fleet left behind.
+/// The end of a fleet, with the run and the folder that it leaves.
 pub struct Ended {
     pub success: bool,
     pub took: Duration,
@@ -74,76 +99,90 @@ pub struct Ended {
 }
 
 impl Fleet {
-    /// `mr-slam COMMAND --port 0 ARGS`, up and known to be.
+    /// Starts `mr-slam COMMAND --port 0 ARGS` and waits until its run folder is complete.
     pub fn start(command: &str, args: &[&str]) -> Self {
         let folder = Folder::new();
         let mut child = mr_slam()
             .args([command, "--port", "0", "--run-dir"])
             .arg(folder.path())
             .args(args)
-            // Whom these fleets let in is not for the person's own to remember.
+            // The clients that these fleets allow must not enter the user's own list.
             .env("XDG_STATE_HOME", folder.path().join("state"))
             .stdin(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        let mut said = BufReader::new(child.stderr.take().unwrap());
+        let mut messages = BufReader::new(child.stderr.take().unwrap());
         let launcher = Launcher(child);
-        // The launcher's first line comes when the run's folder is complete.
+        // The launcher prints its first line when the run's folder is complete.
         let mut line = String::new();
-        said.read_line(&mut line).unwrap();
-        assert!(line.starts_with("fleet of"), "the launcher said: {line}");
-        std::thread::spawn(move || said.lines().map_while(Result::ok).for_each(|line| eprintln!("{line}")));
+        let limit = KillAfter::new(launcher.0.id(), WATCHDOG);
+        messages.read_line(&mut line).unwrap();
+        drop(limit);
+        assert!(line.starts_with("fleet of"), "the launcher printed: {line}");
+        std::thread::spawn(move || {
+            messages.lines().map_while(Result::ok).for_each(|line| eprintln!("{line}"))
+        });
         let run = Run::open(folder.path()).unwrap();
         let observer = Observer::attach(&run, "test").unwrap();
         Self { launcher, run, observer, folder }
     }
 
-    /// Watches the fleet's figures, second by second, until they are as wished.
-    pub fn until(&mut self, what: &str, mut wish: impl FnMut(&FleetView) -> bool) -> FleetView {
+    /// Waits until the fleet's statistics meet a condition, and returns them.
+    pub fn until(&mut self, what: &str, mut condition: impl FnMut(&FleetView) -> bool) -> FleetView {
         let begun = Instant::now();
         let mut newest = None;
         while begun.elapsed() < WATCHDOG {
             if self.observer.wait(Duration::from_secs(1)) {
                 let view = FleetView::new(self.observer.stats().unwrap());
-                if wish(&view) {
+                if condition(&view) {
                     return view;
                 }
                 newest = Some(view);
             }
             let lives = matches!(self.launcher.0.try_wait(), Ok(None));
-            assert!(lives, "the launcher ended while waiting for {what}");
+            assert!(lives, "the launcher ended during the wait for {what}");
         }
-        panic!("no {what} within {WATCHDOG:?}; newest figures: {newest:#?}");
+        panic!("no {what} within {WATCHDOG:?}; newest statistics: {newest:#?}");
     }
 
-    /// Asks the launcher to end, as Ctrl-C or `kill` would.
+    /// Ends the launcher with a signal, as Ctrl-C or `kill` does, and waits for it.
     pub fn end(self, signal: Signal) -> Ended {
         send(self.launcher.0.id(), signal);
         self.wait()
     }
 
-    /// Waits for the launcher to end.
+    /// Waits until the launcher ends.
     pub fn wait(self) -> Ended {
         let begun = Instant::now();
         let Self { mut launcher, run, observer, folder } = self;
         drop(observer);
+        let limit = KillAfter::new(launcher.0.id(), WATCHDOG);
         let status = launcher.0.wait().unwrap();
+        drop(limit);
         Ended { success: status.success(), took: begun.elapsed(), run, folder }
     }
 }
 
-/// A process of a fleet, by the name that figures give it.
+/// Finds a process of a fleet by its name in the statistics.
 pub fn process<'a>(view: &'a FleetView, name: &str) -> Option<&'a ProcessView> {
     view.processes.iter().find(|process| process.process == name)
 }
 
-/// What one run of the binary said.
+/// Runs the binary and returns its output.
 pub fn output(args: &[&str]) -> Output {
-    mr_slam().args(args).stdin(Stdio::null()).output().unwrap()
+    output_of(mr_slam().args(args))
 }
 
-/// Sends a signal to a process, if it lives.
+/// Runs a command and returns its output. A command that hangs is killed.
+pub fn output_of(command: &mut Command) -> Output {
+    let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().unwrap();
+    let _limit = KillAfter::new(child.id(), COMMAND_LIMIT);
+    child.wait_with_output().unwrap()
+}
+
+/// Sends a signal to a process if it exists.
 pub fn send(pid: u32, signal: Signal) {
     if let Some(pid) = Pid::from_raw(pid as i32) {
         let _ = kill_process(pid, signal);

@@ -1,6 +1,7 @@
-//! The paper's own mode: scans, transforms and the clock come from a headset, whose clock is five seconds ahead.
+//! The mode of the MR-SLAM paper: scans, transforms and the clock come from a headset, whose clock is five seconds
+//! ahead.
 
-use crate::harness::{Fleet, Folder, output};
+use crate::harness::{Fleet, Folder, WATCHDOG, output};
 use bridge::cdr::Writer;
 use bridge::command::{Notice, Registration, name};
 use bridge::frame::{Parser, Side};
@@ -19,7 +20,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 const ROBOTS: usize = 2;
-/// The paper's clocks differed by so much.
+/// Difference of the two clocks in the MR-SLAM paper.
 const AHEAD: Duration = Duration::from_secs(5);
 const OUT: [(&str, &str); 4] = [
     ("/tf", "tf2_msgs/TFMessage"),
@@ -33,7 +34,7 @@ const IN: [(&str, &str); 3] = [
     ("/robot2/slam_stats", "std_msgs/Float32MultiArray"),
 ];
 
-/// The application in the headset: robots that turn where they stand.
+/// The headset's application: it simulates robots that turn in place.
 struct Headset {
     stream: TcpStream,
     robots: Vec<(RobotId, Simulator)>,
@@ -137,6 +138,7 @@ struct Heard {
 }
 
 fn listen(mut stream: TcpStream) -> Heard {
+    stream.set_read_timeout(Some(WATCHDOG)).unwrap();
     let (mut heard, mut parser) = (Heard::default(), Parser::new(64 << 20));
     while let Ok(count @ 1..) = stream.read(parser.space()) {
         parser.filled(count);
@@ -160,7 +162,7 @@ fn listen(mut stream: TcpStream) -> Heard {
 }
 
 #[test]
-fn a_headsets_world_is_mapped_on_our_clock() {
+fn the_world_of_a_headset_is_mapped_on_the_runs_clock() {
     let room = fleet::room(&FleetConfig::default()).unwrap();
     let starts = room.starts(ROBOTS).unwrap().iter().map(|p| [p.x_m, p.y_m, p.yaw_rad]).collect::<Vec<_>>();
     let folder = Folder::new();
@@ -208,14 +210,14 @@ fn a_headsets_world_is_mapped_on_our_clock() {
 }
 
 #[test]
-fn lockstep_has_no_world_outside() {
+fn lockstep_refuses_an_external_world() {
     let refused = output(&["lockstep", "--world", "headset", "--seconds", "1"]);
     assert!(!refused.status.success());
     assert!(String::from_utf8_lossy(&refused.stderr).contains("simulator"));
 }
 
 #[test]
-fn maps_lie_where_they_are_known_to() {
+fn maps_with_known_starts_are_merged_at_their_starts() {
     let mut config = FleetConfig { world: mr_slam::config::World::Headset, ..FleetConfig::default() };
     let known = fleet::known_starts(&config).unwrap();
     assert_eq!(known, [Some(Pose2::IDENTITY), None, None]);

@@ -1,130 +1,185 @@
-//! The house keeps its walls: who may import whom, and what the pure rooms must not know.
+//! Keeps the crates apart: which crate may import which, and what the pure crates must not use.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use crate::sources::{Source, all_files, crates, product_files, read};
+use std::collections::{BTreeMap, BTreeSet};
 
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
+/// The crates of the workspace that each crate may import. The binary `mr-slam` may import all.
+const ARROWS: &[(&str, &[&str])] = &[
+    ("msg", &[]),
+    ("posegraph", &["msg"]),
+    ("sim", &["msg"]),
+    ("slam", &["msg", "posegraph"]),
+    ("merge", &["msg", "posegraph"]),
+    ("telemetry", &["msg"]),
+    ("nav", &["msg"]),
+    ("formats", &["msg"]),
+    ("bridge", &["msg"]),
+    // The operator is a client: it plans with `nav`, and writes and reads ros_tcp with `bridge`.
+    ("operator", &["msg", "nav", "bridge"]),
+];
 
-fn sources(room: &str) -> Vec<(PathBuf, String)> {
-    let mut found = Vec::new();
-    let mut folders = vec![root().join(room).join("src")];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).unwrap_or_else(|why| panic!("{}: {why}", folder.display())) {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else if path.extension().is_some_and(|ending| ending == "rs") {
-                let text = fs::read_to_string(&path).unwrap();
-                found.push((path, text));
-            }
-        }
-    }
-    assert!(!found.is_empty(), "{room} has no sources");
-    found
-}
+/// Crates of pure computation: the same input gives the same output.
+const PURE: &[&str] = &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav"];
 
-/// The names in a manifest's `[dependencies]`.
-fn dependencies(room: &str) -> Vec<String> {
-    let text = fs::read_to_string(root().join(room).join("Cargo.toml")).unwrap();
-    let manifest: toml::Table = text.parse().unwrap();
+/// What a pure crate must not use, because it depends on the machine or talks to the outside.
+const IMPURE: &[&str] = &[
+    "std::fs",
+    "std::net",
+    "std::thread",
+    "std::process",
+    "std::env",
+    "Instant::now",
+    "SystemTime",
+    "println!",
+    "eprintln!",
+];
+
+/// Top-level modules of all crates that import each other in a cycle. It must not grow.
+const MODULES_IN_CYCLES_MAX: usize = 27;
+
+/// Names in a manifest's table, such as `[dependencies]`.
+fn dependencies(folder: &str) -> Vec<String> {
+    let manifest: toml::Table = read(&format!("{folder}/Cargo.toml")).parse().unwrap();
     let table = manifest.get("dependencies").and_then(|table| table.as_table());
     table.map(|table| table.keys().cloned().collect()).unwrap_or_default()
 }
 
 #[test]
-fn rooms_import_only_to_the_right() {
-    let rooms =
-        ["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "bridge", "operator", "formats"];
-    for room in rooms {
-        for dependency in dependencies(room) {
-            // The operator is a client: it plans with `nav` and writes and reads ros_tcp with `bridge`.
-            let client = room == "operator" && ["nav", "bridge"].contains(&dependency.as_str());
-            let shared = dependency == "msg" || (dependency == "posegraph" && room != "msg");
-            let allowed = client || shared || !rooms.contains(&dependency.as_str());
-            assert!(allowed, "{room} imports {dependency}; crates may import msg and posegraph alone");
-            assert_ne!(dependency, "mr-slam", "{room} imports the shell");
-        }
-    }
-}
-
-#[test]
-fn shared_memory_is_the_shells_and_sockets_the_bridges() {
-    for room in
-        ["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "bridge", "operator", "formats"]
-    {
-        for dependency in dependencies(room) {
-            assert!(!dependency.starts_with("iceoryx2"), "{room} knows iceoryx2");
-            assert!(room == "bridge" || dependency != "tokio", "{room} knows tokio");
-        }
-    }
-    for (path, text) in sources(".") {
-        let folder = path.parent().is_some_and(|folder| folder.ends_with("shared_memory"));
-        let owns = path.ends_with("shared_memory.rs") || folder;
-        assert!(owns || !text.contains("iceoryx2::"), "{} uses iceoryx2", path.display());
-    }
-}
-
-#[test]
-fn pure_rooms_know_no_clock_file_socket_or_thread() {
-    let banned = [
-        "std::fs",
-        "std::net",
-        "std::thread",
-        "std::process",
-        "std::env",
-        "Instant::now",
-        "SystemTime",
-        "println!",
-        "eprintln!",
-    ];
-    for room in ["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav"] {
-        for (path, text) in sources(room) {
-            for word in banned {
-                assert!(!text.contains(word), "{} knows {word}", path.display());
-            }
-        }
-    }
-}
-
-#[test]
-fn unsafe_lives_in_one_file() {
-    for room in
-        [".", "msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "bridge", "operator", "formats"]
-    {
-        for (path, text) in sources(room) {
-            let found = text.lines().any(|line| {
-                let code = line.split("//").next().unwrap_or("");
-                code.split(|c: char| !c.is_alphanumeric() && c != '_').any(|word| word == "unsafe")
-            });
-            assert!(!found || path.ends_with("shared_memory.rs"), "{} has unsafe code", path.display());
-        }
-    }
-}
-
-#[test]
-fn every_file_says_what_it_is() {
-    for room in
-        [".", "msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "bridge", "operator", "formats"]
-    {
-        for (path, text) in sources(room) {
-            let tests =
-                path.components().any(|part| part.as_os_str() == "tests.rs" || part.as_os_str() == "tests");
+fn crates_import_only_along_the_arrows() {
+    let crates = crates();
+    for (name, folder) in crates.iter().filter(|(name, _)| name != "mr-slam") {
+        let arrow = ARROWS.iter().find(|(known, _)| known == name);
+        let (_, allowed) = arrow.unwrap_or_else(|| panic!("add the new crate {name} to ARROWS"));
+        for dependency in dependencies(folder) {
+            let is_ours = crates.iter().any(|(known, _)| *known == dependency);
             assert!(
-                tests || text.starts_with("//!"),
-                "{} begins without a word about itself",
-                path.display()
+                !is_ours || allowed.contains(&dependency.as_str()),
+                "{name} must not import {dependency}"
             );
         }
     }
 }
 
 #[test]
-fn slam_and_merge_never_see_the_truth() {
-    for room in ["slam", "merge"] {
-        for (path, text) in sources(room) {
-            assert!(!text.contains("GroundTruth"), "{} mentions the truth", path.display());
+fn only_the_binary_uses_shared_memory_and_only_the_bridge_uses_sockets() {
+    for (name, folder) in crates().iter().filter(|(name, _)| name != "mr-slam") {
+        for dependency in dependencies(folder) {
+            assert!(!dependency.starts_with("iceoryx2"), "{name} must not import {dependency}");
+            assert!(name == "bridge" || dependency != "tokio", "{name} must not import tokio");
         }
     }
+    for source in product_files(".") {
+        let owns = source.path.starts_with("src/shared_memory");
+        assert!(owns || !source.text.contains("iceoryx2::"), "{} uses iceoryx2", source.path);
+    }
+}
+
+#[test]
+fn pure_crates_use_no_clock_file_socket_or_thread() {
+    for (name, folder) in crates().iter().filter(|(name, _)| PURE.contains(&name.as_str())) {
+        for source in product_files(folder) {
+            for word in IMPURE {
+                assert!(!source.text.contains(word), "{name} is pure, but {} uses {word}", source.path);
+            }
+        }
+    }
+}
+
+#[test]
+fn only_shared_memory_has_unsafe_code() {
+    for source in all_files().iter().filter(|source| source.path.contains("src/")) {
+        let unsafe_line = source.text.lines().find(|line| {
+            let code = line.split("//").next().unwrap_or("");
+            code.split(|c: char| !c.is_alphanumeric() && c != '_').any(|word| word == "unsafe")
+        });
+        let owns = source.path.starts_with("src/shared_memory");
+        assert!(owns || unsafe_line.is_none(), "{} has unsafe code: {unsafe_line:?}", source.path);
+    }
+}
+
+#[test]
+fn every_file_begins_with_a_description() {
+    for (_, folder) in crates() {
+        for source in product_files(&folder) {
+            assert!(source.text.starts_with("//!"), "{} begins without a `//!` description", source.path);
+        }
+    }
+}
+
+#[test]
+fn slam_and_merge_never_use_the_ground_truth() {
+    for folder in ["slam", "merge"] {
+        for source in product_files(folder) {
+            assert!(!source.text.contains("GroundTruth"), "{} uses the ground truth", source.path);
+        }
+    }
+}
+
+#[test]
+fn modules_do_not_import_each_other_in_cycles() {
+    let mut cyclic = Vec::new();
+    for (name, folder) in crates() {
+        let imports = imports(&product_files(&folder), &folder);
+        let reached = |from: &str| {
+            let (mut seen, mut open) = (BTreeSet::new(), vec![from.to_owned()]);
+            while let Some(module) = open.pop() {
+                let next = imports.get(&module).into_iter().flatten();
+                open.extend(next.filter(|next| seen.insert((*next).clone())).cloned());
+            }
+            seen
+        };
+        cyclic.extend(
+            imports.keys().filter(|module| reached(module).contains(*module)).map(|m| format!("{name}::{m}")),
+        );
+    }
+    let count = cyclic.len();
+    assert!(count <= MODULES_IN_CYCLES_MAX, "{count} modules import each other in cycles: {cyclic:#?}");
+}
+
+/// The other top-level modules that each top-level module of a crate names with `crate::`.
+fn imports(files: &[Source], folder: &str) -> BTreeMap<String, BTreeSet<String>> {
+    let module_of = |path: &str| {
+        let inside = path.trim_start_matches(folder).trim_start_matches('/').trim_start_matches("src/");
+        inside.split('/').next().unwrap_or("").trim_end_matches(".rs").to_owned()
+    };
+    let modules: BTreeSet<String> = files.iter().map(|source| module_of(&source.path)).collect();
+    let mut found: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    for source in files {
+        let module = module_of(&source.path);
+        if ["lib", "main"].contains(&module.as_str()) {
+            continue;
+        }
+        let product = source.text.split("\n#[cfg(test)]\n").next().unwrap_or("");
+        let code: String = product.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
+        let named = code.split("crate::").skip(1).flat_map(first_names);
+        let others = named.filter(|name| *name != module && modules.contains(name));
+        found.entry(module.clone()).or_default().extend(others);
+    }
+    found
+}
+
+/// First path segments after `crate::`: one, or those of a list in braces.
+fn first_names(after: &str) -> Vec<String> {
+    let Some(list) = after.strip_prefix('{') else { return vec![first_name(after)] };
+    let (mut depth, mut names) = (0, vec![first_name(list)]);
+    for (at, c) in list.char_indices() {
+        depth += i32::from(c == '{') - i32::from(c == '}');
+        if depth < 0 {
+            break;
+        }
+        if depth == 0 && c == ',' {
+            names.push(first_name(&list[at + 1..]));
+        }
+    }
+    names
+}
+
+fn first_name(text: &str) -> String {
+    text.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
+}
+
+#[test]
+fn names_after_crate_are_found_in_lists_and_alone() {
+    assert_eq!(first_names("run::Run;"), ["run"]);
+    assert_eq!(first_names("{a::{b, c}, d, e::F};"), ["a", "d", "e"]);
 }

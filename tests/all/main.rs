@@ -1,13 +1,14 @@
-//! The real binary and the whole fleet, from outside. One target, so that it links once.
+//! Tests of the real binary and of whole fleets. They are one target, so that it links once.
 //!
-//! Every test has its own names in shared memory and its own port, so that tests run beside each
-//! other and beside another run of the same tests.
+//! Every test has its own names in shared memory and its own port. Tests therefore run in parallel, also
+//! with another run of the same tests.
 
+mod access;
 mod channels;
 mod config;
-mod doors;
 mod edges;
 mod fleet;
+mod glossary;
 mod harness;
 mod headset;
 mod layering;
@@ -19,3 +20,5 @@ mod relation_metric;
 mod restart;
 mod services;
 mod sessions;
+mod sources;
+mod tidy;

@@ -1,6 +1,6 @@
-//! Logs and frames that are not what they should be: refused with the reason, and nothing else is lost.
+//! Malformed logs and frames are refused with the reason, and nothing else is lost.
 
-use crate::harness::{Fleet, Folder, output};
+use crate::harness::{Fleet, Folder, WATCHDOG, output};
 use bridge::command::{Notice, name};
 use bridge::frame::{KEEPALIVE, Parser, Side};
 use flate2::{Compression, write::GzEncoder};
@@ -19,7 +19,7 @@ fn replay(log: &[u8]) -> (bool, String) {
 }
 
 #[test]
-fn a_sound_log_is_mapped_plain_and_zipped() {
+fn a_valid_log_is_mapped_plain_and_gzipped() {
     let log = LASER.replace("5.0 host 5.0", "6.0 host 6.0");
     let log = format!("# a comment\n{LASER}{log}");
     let mut zipped = GzEncoder::new(Vec::new(), Compression::fast());
@@ -32,7 +32,7 @@ fn a_sound_log_is_mapped_plain_and_zipped() {
 }
 
 #[test]
-fn broken_lines_are_named() {
+fn malformed_lines_are_reported_with_their_number() {
     let cut = &LASER[..LASER.len() / 2];
     let (_, said) = replay(format!("{LASER}{cut}\n").as_bytes());
     assert!(said.contains("line 2") || said.contains(":2"), "{said}");
@@ -42,13 +42,17 @@ fn broken_lines_are_named() {
     assert!(!success, "a torn gzip: {said}");
 }
 
-/// Connects, sends `bytes`, and reads until the bridge has said `__error` or closed.
+/// Connects, sends `bytes`, and reads until the bridge sends `__error` or closes the connection. A bridge
+/// that is silent for [`WATCHDOG`] ends the read with an error.
 fn error_for(port: u16, bytes: &[u8]) -> Option<String> {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(WATCHDOG)).unwrap();
+    let begun = std::time::Instant::now();
     stream.write_all(&KEEPALIVE).unwrap();
     stream.write_all(bytes).unwrap();
     let mut parser = Parser::new(1 << 20);
     loop {
+        assert!(begun.elapsed() < WATCHDOG, "the bridge neither answers nor closes the connection");
         while let Some(frame) = parser.next_frame().unwrap() {
             if frame.name == name::ERROR.as_bytes() {
                 return Some(serde_json::from_slice::<Notice>(frame.json()).unwrap().text);
@@ -62,7 +66,7 @@ fn error_for(port: u16, bytes: &[u8]) -> Option<String> {
 }
 
 #[test]
-fn frames_that_make_no_sense_are_answered_and_cost_the_fleet_nothing() {
+fn invalid_frames_are_answered_with_an_error_and_the_fleet_continues() {
     let mut fleet = Fleet::start("up", &["--robots", "1"]);
     fleet.until("scans", |view| view.robots.first().is_some_and(|robot| robot.scans > 5));
     let port = fleet.run.port;

@@ -1,4 +1,4 @@
-//! Maps through shared memory: readers that come late, sleep, or see their writer die have its map in the end.
+//! Maps through shared memory: readers that start late, sleep, or lose their writer get its map in the end.
 
 use crate::harness::WATCHDOG;
 use mr_slam::channel::{self, Opener, Program};
@@ -8,7 +8,7 @@ use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
 use msg::{MapHeader, Rect, TileMap};
 use std::time::Instant;
 
-/// A run's shared memory, removed in the end.
+/// Shared memory of one test, removed at its end.
 struct Memory(Domain);
 
 impl Memory {
@@ -35,7 +35,7 @@ impl Drop for Memory {
     }
 }
 
-/// A map of so many tiles, each with a cell of its own.
+/// Creates a map with one known cell in each tile.
 fn map(columns: i64, rows: i64) -> TileMap {
     let mut map = TileMap::new(MapHeader { resolution_m: 0.05, ..Default::default() });
     assert!(map.grow_to(Rect { x0: 0, y0: 0, x1: columns, y1: rows }, MAP_TILES_MAX));
@@ -55,7 +55,7 @@ fn same(a: &TileMap, b: &TileMap) -> bool {
     a.header.header.stamp == b.header.header.stamp && all.points().all(|at| tile(a, at) == tile(b, at))
 }
 
-/// Writer and readers take turns until all have the map.
+/// Lets writer and readers take turns until all readers have the map.
 fn settle(writer: &mut MapWriter, map: &TileMap, readers: &mut [&mut MapReader]) {
     let begun = Instant::now();
     loop {
@@ -71,7 +71,7 @@ fn settle(writer: &mut MapWriter, map: &TileMap, readers: &mut [&mut MapReader])
 }
 
 #[test]
-fn only_what_changed_crosses() {
+fn only_changed_tiles_are_sent() {
     let memory = Memory::new("changes");
     let (mut writer, mut reader, mut map) = (memory.writer(), memory.reader(), map(9, 9));
     settle(&mut writer, &map, &mut [&mut reader]);
@@ -86,7 +86,7 @@ fn only_what_changed_crosses() {
 }
 
 #[test]
-fn a_reader_that_comes_late_or_again_gets_the_whole() {
+fn a_late_or_restarted_reader_gets_the_whole_map() {
     let memory = Memory::new("late");
     let (mut writer, mut early, mut map) = (memory.writer(), memory.reader(), map(20, 20));
     settle(&mut writer, &map, &mut [&mut early]);
@@ -102,7 +102,7 @@ fn a_reader_that_comes_late_or_again_gets_the_whole() {
 }
 
 #[test]
-fn a_reader_that_slept_is_lapped_and_catches_up() {
+fn a_reader_that_lost_messages_catches_up() {
     let memory = Memory::new("lapped");
     let (mut writer, mut reader, mut map) = (memory.writer(), memory.reader(), map(12, 12));
     settle(&mut writer, &map, &mut [&mut reader]);
@@ -118,7 +118,7 @@ fn a_reader_that_slept_is_lapped_and_catches_up() {
 }
 
 #[test]
-fn a_writer_that_is_started_again_replaces_its_map() {
+fn a_restarted_writer_replaces_its_map() {
     let memory = Memory::new("writer");
     let (old, new) = (map(12, 9), map(2, 17));
     let mut reader = memory.reader();

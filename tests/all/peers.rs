@@ -1,4 +1,4 @@
-//! A robot is no obstacle: not where it stands, not where it stood, whatever its peers saw there.
+//! A robot is not mapped as an obstacle, neither where it stands nor where it stood, though others see it there.
 
 use crate::harness::{Fleet, Folder, WATCHDOG};
 use bridge::command::{Registration, name};
@@ -74,7 +74,7 @@ impl Duo {
         let truths: Vec<GroundTruth> = self.members.iter().map(|member| member.truth).collect();
         for member in &mut self.members {
             for (peer, truth) in RobotId::first(2).zip(&truths).filter(|(peer, _)| *peer != member.robot) {
-                member.simulator.see(peer, truth);
+                member.simulator.update_peer(peer, truth);
             }
             let tick = member.simulator.step();
             member.truth = tick.truth;
@@ -181,7 +181,7 @@ fn drive_around(robot_radius_m: f64) -> [usize; 2] {
 }
 
 #[test]
-fn a_robot_is_no_obstacle_where_it_stands_nor_where_it_stood() {
+fn a_robot_is_not_mapped_where_it_stands_or_stood() {
     assert_eq!(drive_around(ROBOT_RADIUS_M), [0, 0]);
     // Whose size is not known is one: the scene is what it should be.
     let [stands, stood] = drive_around(0.0);
@@ -214,7 +214,7 @@ fn on_all_ways(robot_radius_m: f64) -> Vec<usize> {
 }
 
 #[test]
-fn no_robot_of_a_fleet_is_an_obstacle_wherever_it_has_been() {
+fn no_robot_of_a_driving_fleet_is_mapped_as_an_obstacle() {
     let obstacles = on_all_ways(ROBOT_RADIUS_M);
     assert!(obstacles.iter().all(|count| *count == 0), "{obstacles:?}");
     let obstacles = on_all_ways(0.0);
@@ -273,7 +273,7 @@ impl Scene {
 }
 
 #[test]
-fn in_a_running_fleet_a_robot_that_backed_up_and_stands_is_no_obstacle() {
+fn a_robot_that_backed_up_in_a_running_fleet_is_not_mapped_as_an_obstacle() {
     let starts = [[-2.5, -1.3, 0.0], [-1.7, -1.3, 0.0]];
     let mut scene = Scene::new(starts);
     scene

@@ -24,7 +24,7 @@ fn relation(from_s: f64, to_s: f64) -> Relation {
 }
 
 #[test]
-fn a_shift_is_an_error_of_the_relations_across_it() {
+fn a_shift_causes_errors_only_in_relations_across_it() {
     let relations = [relation(1.0, 2.0), relation(3.0, 45.0), relation(41.0, 55.0)];
     let all = errors(&estimate(0.3), None, &relations, Which::All);
     assert_eq!(all.count, 3);
@@ -35,7 +35,7 @@ fn a_shift_is_an_error_of_the_relations_across_it() {
 }
 
 #[test]
-fn stamps_between_scans_are_reached_or_left_out() {
+fn stamps_between_scans_are_interpolated_or_left_out() {
     let between = [relation(1.0, 2.4)];
     assert_eq!(errors(&estimate(0.0), None, &between, Which::BothKept).count, 0);
     let interpolated = errors(&estimate(0.0), None, &between, Which::All);
@@ -54,7 +54,7 @@ fn stamps_between_scans_are_reached_or_left_out() {
 }
 
 #[test]
-fn a_malformed_line_is_named() {
+fn a_malformed_line_is_reported_with_its_number() {
     let error = parse("1 2 0 0 0 0 0 0\n1 2 x 0 0 0 0 0\n").err().unwrap();
     assert!(error.contains("line 2") && error.contains("t1 t2"), "{error}");
 }

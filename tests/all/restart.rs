@@ -1,4 +1,4 @@
-//! A process that is killed comes back, and its peers notice nothing.
+//! A killed process is restarted, and the other processes are not affected.
 
 use crate::harness::{Fleet, process, send};
 use rustix::process::Signal;
@@ -31,16 +31,16 @@ fn kill_and_recover(name: &str) {
 }
 
 #[test]
-fn slam_killed() {
+fn a_fleet_survives_a_killed_slam_process() {
     kill_and_recover("slam of robot2");
 }
 
 #[test]
-fn bridge_killed() {
+fn a_fleet_survives_a_killed_bridge() {
     kill_and_recover("bridge");
 }
 
 #[test]
-fn sim_killed() {
+fn a_fleet_survives_a_killed_simulator() {
     kill_and_recover("sim of robot3");
 }

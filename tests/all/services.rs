@@ -1,35 +1,34 @@
-//! SLAM's modes and services in a running fleet, from the command line: asked, saved, killed, loaded, found, gone on
-//! with; and what is refused.
+//! SLAM's modes and services in a running fleet from the command line, and the requests that are refused.
 
-use crate::harness::{Fleet, Folder, mr_slam, output, send};
+use crate::harness::{Fleet, Folder, mr_slam, output, output_of, send};
 use mr_slam::sessions::FOLDER;
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-/// `mr-slam slam ROBOT ARGS` in a run.
+/// Runs `mr-slam slam ROBOT ARGS` in a run.
 fn ask(run_dir: &Path, robot: &str, args: &[&str]) -> Output {
     let mut command = mr_slam();
     command.args(["slam", robot]).args(args).arg("--json").arg("--run-dir").arg(run_dir);
-    command.output().unwrap()
+    output_of(&mut command)
 }
 
-/// What it answered.
+/// Sends a request and returns the response as JSON.
 fn answer(run_dir: &Path, robot: &str, args: &[&str]) -> Value {
     let done = ask(run_dir, robot, args);
     assert!(done.status.success(), "{args:?}: {}", String::from_utf8_lossy(&done.stderr));
     serde_json::from_slice(&done.stdout).unwrap()
 }
 
-/// Why it refused.
+/// Sends a request that must be refused, and returns the reason.
 fn refusal(run_dir: &Path, robot: &str, args: &[&str]) -> String {
     let done = ask(run_dir, robot, args);
     assert!(!done.status.success(), "{args:?} was done");
     String::from_utf8(done.stderr).unwrap()
 }
 
-/// Whether it knows where its robot is.
+/// Returns whether SLAM knows its robot's pose in the map.
 fn located(run_dir: &Path) -> bool {
     answer(run_dir, "robot1", &["state"])["located"] == true
 }
@@ -90,7 +89,7 @@ fn elsewhere(folder: &Folder) -> PathBuf {
 }
 
 #[test]
-fn a_seed_and_its_sessions_are_a_run() {
+fn a_lockstep_run_depends_on_its_seed_and_sessions_alone() {
     let folder = Folder::new();
     let (sessions, _) = mapped(&folder, 60);
     let config = elsewhere(&folder);
@@ -109,7 +108,7 @@ fn a_seed_and_its_sessions_are_a_run() {
 }
 
 #[test]
-fn a_killed_worker_comes_back_with_its_map() {
+fn a_killed_slam_process_comes_back_with_its_map() {
     let folder = Folder::new();
     let config = config(&folder, 1.0);
     let mut fleet = Fleet::start("demo", &["--robots", "1", "--config", text(&config)]);
@@ -136,7 +135,7 @@ fn a_killed_worker_comes_back_with_its_map() {
 }
 
 #[test]
-fn a_worker_whose_session_is_damaged_begins_a_map_in_the_same_frame() {
+fn a_slam_process_with_a_damaged_session_starts_a_new_map_in_the_same_frame() {
     let folder = Folder::new();
     let config = config(&folder, 0.0);
     let mut fleet = Fleet::start("demo", &["--robots", "1", "--config", text(&config)]);
@@ -161,13 +160,18 @@ fn a_worker_whose_session_is_damaged_begins_a_map_in_the_same_frame() {
 }
 
 #[test]
-fn saved_killed_loaded_found_and_gone_on_with() {
+fn a_session_is_localized_in_continued_saved_and_loaded_again() {
     let folder = Folder::new();
-    // Most of the room, so that the robot does not leave the map before it is found.
+    // The map covers most of the room, so that the robot does not leave it before it is localized.
     let (sessions, mapped) = mapped(&folder, 120);
-    // The fleet begins in its sessions: the robot is looked for, and found where the truth has it.
-    let config = elsewhere(&folder);
-    let args = ["--config", text(&config), "--sessions", text(&sessions), "--localize"];
+    let (kept, map) = localize_and_continue(&folder, &sessions, mapped);
+    load_into_another_fleet(&folder, &map, &kept, mapped);
+}
+
+/// Starts a fleet in `sessions`, localizes its robot, continues the map, and saves it as session and picture.
+fn localize_and_continue(folder: &Folder, sessions: &Path, mapped: u64) -> (PathBuf, PathBuf) {
+    let config = elsewhere(folder);
+    let args = ["--config", text(&config), "--sessions", text(sessions), "--localize"];
     let mut fleet = Fleet::start("demo", &args);
     let dir = fleet.run.dir.clone();
     fleet.until("the robot found in its map", |view| {
@@ -177,7 +181,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     let state = answer(&dir, "robot1", &["state"]);
     assert_eq!((&state["mode"], nodes(&state)), (&"localization".into(), mapped), "{state}");
     assert!(refusal(&dir, "robot1", &["clear"]).contains("localization"));
-    // A worker that dies here comes back in the same mode, and knows where to look.
+    // A killed SLAM process returns in the same mode with its session.
     let own = dir.join(FOLDER).join("robot1.slam");
     fleet.until("its session", |_| own.exists());
     let killed = worker(&mut fleet, "slam of robot1");
@@ -191,7 +195,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     });
     let state = answer(&dir, "robot1", &["state"]);
     assert_eq!((&state["mode"], nodes(&state)), (&"localization".into(), mapped), "{state}");
-    // Gone on with: the map grows.
+    // In mapping mode the map grows.
     assert_eq!(answer(&dir, "robot1", &["mode", "mapping"])["mode"], "mapping");
     fleet.until("a map that grows", |view| {
         let grown = nodes(&answer(&dir, "robot1", &["state"])) > mapped + 3;
@@ -203,7 +207,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     assert_eq!(closures["closures"].as_u64().unwrap(), in_force, "{closures}");
     let cleared = answer(&dir, "robot1", &["clear"]);
     assert_eq!(cleared["closures"], 0, "{cleared}");
-    // Saved, by a name without ending; and drawn.
+    // The session is saved under a name without an extension, and the map as a picture.
     let kept = folder.path().join("kept");
     answer(&dir, "robot1", &["save", text(&kept)]);
     let kept = kept.with_extension("slam");
@@ -211,18 +215,21 @@ fn saved_killed_loaded_found_and_gone_on_with() {
     let map = folder.path().join("room.yaml");
     answer(&dir, "robot1", &["map", text(&map)]);
     assert!(map.exists() && map.with_extension("pgm").exists() && map.with_extension("png").exists());
-    // Killed as soon as it has said so: the file is whole.
+    // The file is whole although the process is killed directly after its response.
     let killed = worker(&mut fleet, "slam of robot1");
     send(killed, Signal::KILL);
     assert!(nodes_in(&kept).unwrap() > mapped);
     fleet.end(Signal::TERM);
+    (kept, map)
+}
 
-    // Another fleet maps anew, then loads what was kept: as session, and as a picture.
+/// Starts a fleet with a new map, loads the picture and then the session, sets the pose and resets the map.
+fn load_into_another_fleet(folder: &Folder, map: &Path, kept: &Path, mapped: u64) {
     let config = folder.file("mapping.toml", ALL_AROUND);
     let mut fleet = Fleet::start("demo", &["--robots", "1", "--config", text(&config)]);
     let dir = fleet.run.dir.clone();
     fleet.until("scans", |view| view.robots.first().is_some_and(|robot| robot.scans > 20));
-    for (file, args, mode) in [(&map, vec!["--localize"], "localization"), (&kept, vec![], "mapping")] {
+    for (file, args, mode) in [(map, vec!["--localize"], "localization"), (kept, vec![], "mapping")] {
         let loaded = answer(&dir, "robot1", &[vec!["load", text(file)], args].concat());
         assert_eq!(loaded["mode"], mode, "{loaded}");
         fleet.until("the robot found in what was loaded", |view| {
@@ -230,7 +237,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
             found && view.robots[0].pose_error_m.is_some_and(|error| error < 0.15)
         });
     }
-    // Told where it is, and looked for again.
+    // SLAM accepts a pose from outside, and then localizes the robot in the whole map.
     let at = answer(&dir, "robot1", &["state"])["map_from_base"].to_string();
     let at = at.trim_matches(['[', ']']).to_owned();
     answer(&dir, "robot1", &["pose", &at]);
@@ -239,7 +246,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
         let found = located(&dir);
         found && view.robots[0].pose_error_m.is_some_and(|error| error < 0.15)
     });
-    // Reset, the map begins anew in the same frame.
+    // After a reset a new map starts in the same frame.
     let reset = answer(&dir, "robot1", &["reset"]);
     assert!(nodes(&reset) <= 1, "{reset}");
     fleet.until("a new map", |view| {
@@ -250,7 +257,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_the_reason() {
+fn invalid_requests_are_refused_with_the_reason() {
     let folder = Folder::new();
     let mut fleet = Fleet::start("up", &["--robots", "2"]);
     let dir = fleet.run.dir.clone();

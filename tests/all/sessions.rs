@@ -1,6 +1,6 @@
-//! Sessions from the command line: saved, killed, loaded, found in, gone on with, refused.
+//! Sessions on the command line: saving, loading, localization, continuation and refusals.
 
-use crate::harness::{Folder, mr_slam, output, send};
+use crate::harness::{Folder, mr_slam, output, output_of, send};
 use rustix::process::Signal;
 use serde_json::Value;
 use slam::{Identity, SlamConfig};
@@ -58,7 +58,7 @@ fn log(from_deg: f64, scans: usize) -> (String, [f64; 3]) {
 }
 
 fn replay(log: &Path, args: &[&str]) -> Value {
-    let done = mr_slam().arg("replay").arg(log).args(args).arg("--json").output().unwrap();
+    let done = output_of(mr_slam().arg("replay").arg(log).args(args).arg("--json"));
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     serde_json::from_slice(&done.stdout).unwrap()
 }
@@ -67,8 +67,36 @@ fn ends_at(summary: &Value) -> [f64; 3] {
     [0, 1, 2].map(|k| summary["ends_at"][k].as_f64().unwrap())
 }
 
+/// Checks that a session file stays whole when its process is killed or the disk is full while it is saved.
+fn assert_kept_whole(log: &Path, file: &str, is_whole: &dyn Fn() -> bool) {
+    // The process is killed before, during or after saving. The file is whole every time.
+    for milliseconds in 0..12 {
+        let mut child = mr_slam()
+            .args(["replay", log.to_str().unwrap(), "--save-session", file])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(15 * milliseconds));
+        send(child.id(), Signal::KILL);
+        child.wait().unwrap();
+        assert!(is_whole(), "killed after {} ms", 15 * milliseconds);
+    }
+
+    // A limit on the file's size causes the same error as a full disk.
+    let limited = format!(
+        "trap '' XFSZ; ulimit -f 40; exec '{}' replay '{}' --save-session '{file}'",
+        env!("CARGO_BIN_EXE_mr-slam"),
+        log.display()
+    );
+    let done = output_of(Command::new("bash").args(["-c", &limited]));
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert!(!done.status.success() && said.contains("room.slam"), "{said}");
+    assert!(is_whole());
+}
+
 #[test]
-fn saved_killed_loaded_found_and_gone_on_with() {
+fn a_saved_session_survives_kills_and_is_continued_in_every_mode() {
     let folder = Folder::new();
     let (text, start) = log(0.0, 100);
     let first = folder.file("first.log", text);
@@ -85,31 +113,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
         back.poses.iter().flat_map(|p| [p.x_m, p.y_m, p.yaw_rad]).map(f64::to_bits).collect::<Vec<_>>()
     };
     let whole = kept();
-
-    // Killed while it saves, or before, or after: the file is there and whole, every time.
-    for milliseconds in 0..12 {
-        let mut child = mr_slam()
-            .args(["replay", first.to_str().unwrap(), "--save-session", file])
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        std::thread::sleep(std::time::Duration::from_millis(15 * milliseconds));
-        send(child.id(), Signal::KILL);
-        child.wait().unwrap();
-        assert!(kept() == whole, "killed after {} ms", 15 * milliseconds);
-    }
-
-    // A file that may not become as large as it must: a full disk's error without one.
-    let limited = format!(
-        "trap '' XFSZ; ulimit -f 40; exec '{}' replay '{}' --save-session '{file}'",
-        env!("CARGO_BIN_EXE_mr-slam"),
-        first.display()
-    );
-    let done = Command::new("bash").args(["-c", &limited]).output().unwrap();
-    let said = String::from_utf8_lossy(&done.stderr);
-    assert!(!done.status.success() && said.contains("room.slam"), "{said}");
-    assert!(kept() == whole);
+    assert_kept_whole(&first, file, &|| kept() == whole);
 
     // The last scan of the second log, in the map of the first: the truth to compare with.
     let pose = |i: f64| {
@@ -141,7 +145,7 @@ fn saved_killed_loaded_found_and_gone_on_with() {
 }
 
 #[test]
-fn a_session_that_is_none_is_refused_with_file_and_reason() {
+fn an_invalid_session_file_is_refused_with_its_path_and_the_reason() {
     let folder = Folder::new();
     let log = folder.file("a.log", log(0.0, 12).0);
     let (log, good) = (log.to_str().unwrap(), folder.path().join("good.slam"));

@@ -1,7 +1,7 @@
-//! glTF 2.0, binary or JSON, with its buffers inside. Right-handed, y up, metres.
+//! Rooms in glTF 2.0 files, binary or JSON, with embedded buffers. Right-handed, y up, metres.
 //!
-//! The library splits the container and knows the document's types. Its validation and its iterators
-//! panic at some malformed documents, so every index is looked up here, and checked.
+//! The library splits the container and has the document's types. Its validation and its iterators panic
+//! at some malformed documents. This module therefore checks every index itself.
 
 use super::mesh::Mesh;
 use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
@@ -14,12 +14,12 @@ use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::validation::Checked;
 use gltf::json::{Accessor, Index, Node, Root};
 
-/// The deepest nesting of nodes.
+/// Largest depth of nested nodes.
 const DEPTH_MAX: usize = 64;
-/// Extensions whose names begin so change how things look, not where they are.
+/// Prefixes of extensions that change the looks of a mesh but not its geometry.
 const HARMLESS: [&str; 4] = ["KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_"];
 
-/// The triangles of the default scene, or of the first, with their nodes' transforms.
+/// Reads the triangles of the default scene, or of the first one, with their nodes' transforms.
 pub(crate) fn read(bytes: &[u8]) -> Result<Mesh, RoomError> {
     read_scene(bytes).map(Mesh::with_z_up).map_err(|reason| RoomError::Malformed { format: "glTF", reason })
 }
@@ -51,9 +51,9 @@ fn read_scene(bytes: &[u8]) -> Result<Mesh, String> {
     Ok(walk.mesh)
 }
 
-/// The chunks of a .glb.
+/// Splits a .glb into its chunks.
 fn split(bytes: &[u8]) -> Result<Glb<'_>, String> {
-    // The library subtracts the header's size from this length.
+    // The library subtracts the header's size from this length without a check.
     let stated = bytes.get(8..12).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     if stated < 12 || stated > bytes.len() {
         return Err(format!("its header says {stated} bytes, but there are {}", bytes.len()));
@@ -61,7 +61,7 @@ fn split(bytes: &[u8]) -> Result<Glb<'_>, String> {
     Glb::from_slice(bytes).map_err(|error| error.to_string())
 }
 
-/// A buffer that is a data URI.
+/// Decodes a buffer that is a data URI.
 fn embedded(uri: &str) -> Result<Vec<u8>, String> {
     let data = uri.strip_prefix("data:").and_then(|rest| rest.split_once(";base64,"));
     let (_, text) = data.ok_or("a buffer is in another file: pack the model into one .glb")?;
@@ -72,7 +72,7 @@ struct Walk<'a> {
     root: &'a Root,
     buffers: Vec<Vec<u8>>,
     mesh: Mesh,
-    /// A tree visits each node once at most; anything else is a loop.
+    /// Number of nodes that may still be visited. A tree visits each node once; more visits mean a cycle.
     nodes_left: usize,
 }
 
@@ -118,7 +118,7 @@ impl Walk<'_> {
         if let Some(wrong) = corners.iter().find(|index| **index as usize >= count) {
             return Err(format!("an index is {wrong}, but there are {count} vertices"));
         }
-        // Nodes may share a mesh: the sum counts.
+        // Nodes may share a mesh, so the sum over all nodes is limited.
         if self.mesh.vertices.len() + count > VERTICES_MAX
             || self.mesh.triangles.len() + corners.len() / 3 > TRIANGLES_MAX
         {
@@ -195,7 +195,7 @@ impl Walk<'_> {
     }
 }
 
-/// `count` records of `size` bytes, `stride` apart; all are inside `bytes`.
+/// `count` records of `size` bytes at distances of `stride`. All lie inside `bytes`.
 struct Records<'a> {
     bytes: &'a [u8],
     component: ComponentType,
@@ -211,7 +211,7 @@ impl<'a> Records<'a> {
     }
 }
 
-/// A node's own transform.
+/// Returns the transform from a node to its parent.
 fn parent_from(node: &Node) -> Mat4 {
     if let Some(matrix) = node.matrix {
         return Mat4::from_cols_array(&matrix);

@@ -1,46 +1,52 @@
-//! The floor from above: where it is, what stands on it, where a robot fits.
+//! The floor seen from above: its cells, the obstacles on it, and the cells where a robot fits.
 
-use super::cells::Raster;
 use super::mesh::Mesh;
+use super::raster::Raster;
 use crate::burger;
 use glam::Vec3;
 
-/// Lower than this belongs to the floor: carpets' edges, thresholds, the noise of a scan. Metres.
+/// Height up to which triangles belong to the floor, metres: edges of carpets, thresholds, noise of a scan.
 pub(crate) const FLOOR_RELIEF_M: f32 = 0.03;
-/// Side of a cell of the ground, metres.
+/// Length of a cell's side, metres.
 const CELL_M: f64 = 0.05;
-/// A hole of a scanned floor up to twice this is floor nevertheless, metres.
+/// Radius up to which a hole in a scanned floor is closed, metres.
 const HOLE_RADIUS_M: f32 = 0.15;
-/// A cell counts as room for a robot's middle if obstacles are so far from it, metres.
-const FIT_M: f32 = burger::RADIUS_M as f32 + 0.02;
+/// Margin between a robot and an obstacle in a cell where the robot fits, metres.
+const FIT_MARGIN_M: f32 = 0.02;
+/// Clearance of a cell where a robot's centre fits, metres.
+const FIT_M: f32 = burger::RADIUS_M as f32 + FIT_MARGIN_M;
+/// Height above the robot up to which obstacles count, metres.
+const HEAD_MARGIN_M: f32 = 0.01;
+/// Smallest z of the normal of a triangle of the floor: a slope of 46°, because scans are rough.
+const FLOOR_NORMAL_Z_MIN: f32 = 0.7;
 
-/// A room's floor in cells.
+/// Floor of a room in cells.
 #[derive(Debug)]
 pub(crate) struct Ground {
     pub(crate) raster: Raster,
-    /// There is floor, or a hole that floor encloses.
+    /// Cells of the floor, and of holes that the floor encloses.
     pub(crate) floor: Vec<bool>,
-    /// From a cell's middle to the nearest obstacle that a robot could touch, metres.
+    /// Distance from each cell's centre to the nearest obstacle that a robot could touch, metres.
     pub(crate) clearance_m: Vec<f32>,
-    /// Region of floor without obstacles, from 1; 0 elsewhere.
+    /// Number, from 1, of the region of free floor that each cell belongs to; 0 elsewhere.
     pub(crate) open: Vec<u32>,
-    /// Cells in each region of `open`.
+    /// Number of cells in each region of `open`.
     pub(crate) open_sizes: Vec<usize>,
-    /// The largest region over which a robot can drive.
+    /// Cells of the largest region that a robot can drive in.
     pub(crate) drivable: Vec<bool>,
 }
 
 impl Ground {
-    /// `mesh` is checked, its floor at z = 0.
-    pub(crate) fn of(mesh: &Mesh) -> Self {
+    /// Finds the floor of a mesh that was checked and whose floor is at z = 0.
+    pub(crate) fn new(mesh: &Mesh) -> Self {
         let (min, max) = mesh.bounds();
         let raster = Raster::covering([min.x.into(), min.y.into()], [max.x.into(), max.y.into()], CELL_M);
         let floor = floor_cells(&raster, mesh);
         let mut obstacles = vec![false; raster.len()];
         for triangle in &mesh.triangles {
             let corners = mesh.corners(*triangle);
-            let seen_from_above = slab(&corners, FLOOR_RELIEF_M, burger::HEIGHT_M as f32 + 0.01);
-            raster.draw_convex(&mut obstacles, &seen_from_above);
+            let outline = slab(&corners, FLOOR_RELIEF_M, burger::HEIGHT_M as f32 + HEAD_MARGIN_M);
+            raster.mark_polygon(&mut obstacles, &outline);
         }
         let clearance_m = raster.distances_m(&obstacles);
         let free: Vec<bool> =
@@ -53,18 +59,18 @@ impl Ground {
         Self { raster, floor, clearance_m, open, open_sizes, drivable }
     }
 
-    /// Square metres of a region of `open`.
+    /// Returns the area of a region of `open`, square metres.
     pub(crate) fn open_area_m2(&self, region: u32) -> f64 {
         self.open_sizes[region as usize] as f64 * CELL_M * CELL_M
     }
 
-    /// The largest region of `open`, 0 if there is none.
+    /// Returns the number of the largest region of `open`; 0 if there is none.
     pub(crate) fn open_largest(&self) -> u32 {
         largest(&self.open_sizes)
     }
 }
 
-/// Which region has most cells; 0 if there is none.
+/// Returns the number of the region with most cells; 0 if there is none.
 fn largest(sizes: &[usize]) -> u32 {
     let regions = sizes.iter().enumerate().skip(1);
     regions
@@ -72,24 +78,26 @@ fn largest(sizes: &[usize]) -> u32 {
         .map_or(0, |(label, _)| label as u32)
 }
 
-/// Cells with triangles near z = 0, small holes closed, large holes filled if floor is all around:
-/// what a scanner could not see below a table.
+/// Finds the cells of the floor: those with triangles near z = 0.
+///
+/// Small holes are closed. Larger holes are filled if the floor encloses them, because a scanner cannot see
+/// the floor below a table.
 fn floor_cells(raster: &Raster, mesh: &Mesh) -> Vec<bool> {
     let mut scanned = vec![false; raster.len()];
     for triangle in &mesh.triangles {
         let corners = mesh.corners(*triangle);
         let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-        if normal.z.abs() > 0.7 * normal.length() {
+        if normal.z.abs() > FLOOR_NORMAL_Z_MIN * normal.length() {
             let flat = slab(&corners, -2.0 * FLOOR_RELIEF_M, 2.0 * FLOOR_RELIEF_M);
-            raster.draw_convex(&mut scanned, &flat);
+            raster.mark_polygon(&mut scanned, &flat);
         }
     }
-    // Closing: grow, then shrink by as much.
+    // Morphological closing: grow the floor, then shrink it by as much.
     let grown: Vec<bool> = raster.distances_m(&scanned).iter().map(|d| *d <= HOLE_RADIUS_M).collect();
     let rest: Vec<bool> = grown.iter().map(|g| !g).collect();
     let closed: Vec<bool> = raster.distances_m(&rest).iter().map(|d| *d > HOLE_RADIUS_M).collect();
     let floor: Vec<bool> = closed.iter().zip(&scanned).map(|(closed, scanned)| *closed || *scanned).collect();
-    // What cannot be reached from the rim without crossing floor is a hole.
+    // A hole is what cannot be reached from the rim without crossing the floor.
     let mut outside = vec![0; raster.len()];
     let on_rim = |cell: &usize| {
         let (column, row) = (cell % raster.width, cell / raster.width);
@@ -100,7 +108,7 @@ fn floor_cells(raster: &Raster, mesh: &Mesh) -> Vec<bool> {
     outside.iter().map(|label| *label == 0).collect()
 }
 
-/// The part of a triangle between two heights, from above: a convex polygon, empty if there is none
+/// Returns the part of a triangle between two heights, seen from above: a convex polygon, perhaps empty
 /// (Sutherland and Hodgman 1974).
 fn slab(corners: &[Vec3; 3], low_m: f32, high_m: f32) -> Vec<[f64; 2]> {
     let above = clip(corners, |v| v.z - low_m);

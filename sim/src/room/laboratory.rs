@@ -1,4 +1,4 @@
-//! The room that is built in: a furnished laboratory of 6 m x 8 m.
+//! The built-in room: a furnished laboratory of 8 m x 6 m.
 //!
 //! ```text
 //!   y ▲   ┌──────────────────────────────────────────────┐  3
@@ -12,24 +12,26 @@
 //!     │ └──────────────────────────────────────────────────┘ -3
 //!       -4                           0.9                  4  ▶ x
 //! ```
-//! No two corners look alike, and no lane that leads anywhere is narrower than 0.6 m.
+//! No two corners look alike, and every passage is at least 0.6 m wide.
 
 use super::Room;
 use super::mesh::Mesh;
 use glam::{Quat, Vec2, Vec3};
 
+/// Height of the outer walls, metres.
 const WALL_HEIGHT_M: f32 = 2.5;
+/// Thickness of the outer walls, metres.
 const WALL_THICKNESS_M: f32 = 0.12;
 
 impl Room {
-    /// The built-in laboratory, 8 m along x, 6 m along y, the origin in its middle.
+    /// Creates the built-in laboratory: 8 m along x, 6 m along y, with the origin in its centre.
     pub fn laboratory() -> Room {
         let mut lab = Builder::default();
         walls(&mut lab);
         west(&mut lab);
         east(&mut lab);
         Room::from_mesh("laboratory", lab.0, Some(0.0))
-            .unwrap_or_else(|error| unreachable!("the built-in laboratory is sound: {error}"))
+            .unwrap_or_else(|error| unreachable!("the built-in laboratory is valid: {error}"))
     }
 }
 
@@ -52,7 +54,7 @@ fn walls(lab: &mut Builder) {
     lab.column([-0.35, 1.15], 0.2, WALL_HEIGHT_M);
 }
 
-/// The workshop.
+/// Furniture of the workshop in the west.
 fn west(lab: &mut Builder) {
     lab.table([-1.95, 2.63], [1.7, 0.7], 0.0, 0.9, 0.07);
     lab.block([-1.35, 2.7], [0.4, 0.5], 0.0, 0.0, 0.6);
@@ -69,7 +71,7 @@ fn west(lab: &mut Builder) {
     lab.stool([-0.55, -0.95]);
 }
 
-/// The office behind the partition, and the meeting corner.
+/// Furniture of the office behind the partition, and of the meeting corner.
 fn east(lab: &mut Builder) {
     lab.table([3.6, -1.7], [0.75, 1.6], 0.0, 0.74, 0.05);
     lab.block([3.68, -2.2], [0.55, 0.42], 0.0, 0.0, 0.6);
@@ -87,7 +89,7 @@ fn east(lab: &mut Builder) {
     lab.column([3.82, -0.45], 0.14, 0.45);
 }
 
-/// Collects closed bodies. Positions of middles and sizes in metres, angles in degrees.
+/// Builds a mesh of closed bodies. Positions of centres and sizes are in metres, angles in degrees.
 #[derive(Default)]
 struct Builder(Mesh);
 
@@ -103,21 +105,21 @@ impl Builder {
         self.block(middle, [max[0] - min[0], max[1] - min[1]], 0.0, 0.0, WALL_HEIGHT_M);
     }
 
-    /// A cuboid between two heights.
+    /// Adds a cuboid between two heights.
     fn block(&mut self, middle: [f32; 2], size: [f32; 2], yaw_deg: f32, bottom: f32, top: f32) {
         let half = Vec2::from(size) / 2.0;
         let base = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|s| Vec2::from(s) * half);
         self.prism(&base, middle, yaw_deg, bottom, top);
     }
 
-    /// A round column of 16 sides.
+    /// Adds a round column of 16 sides.
     fn column(&mut self, middle: [f32; 2], radius: f32, top: f32) {
         let base: [Vec2; 16] =
             core::array::from_fn(|i| Vec2::from_angle(i as f32 * core::f32::consts::TAU / 16.0) * radius);
         self.prism(&base, middle, 0.0, 0.0, top);
     }
 
-    /// A convex base, counter-clockwise, pulled up; all faces look out.
+    /// Adds a prism over a convex, counter-clockwise base. All faces point outwards.
     fn prism(&mut self, base: &[Vec2], [x, y]: [f32; 2], yaw_deg: f32, bottom: f32, top: f32) {
         let Mesh { vertices, triangles } = &mut self.0;
         let first = vertices.len() as u32;
@@ -137,7 +139,7 @@ impl Builder {
         }
     }
 
-    /// A top on four legs.
+    /// Adds a table: a top on four legs.
     fn table(&mut self, middle: [f32; 2], size: [f32; 2], yaw_deg: f32, height: f32, leg: f32) {
         self.block(middle, size, yaw_deg, height - 0.04, height);
         self.legs(middle, size, yaw_deg, height - 0.04, leg);
@@ -151,7 +153,7 @@ impl Builder {
         }
     }
 
-    /// Four legs, a seat and a back; `yaw_deg` is where one who sits looks.
+    /// Adds a chair: four legs, a seat and a back. `yaw_deg` is the viewing direction of a sitting person.
     fn chair(&mut self, middle: [f32; 2], yaw_deg: f32) {
         self.legs(middle, [0.42, 0.42], yaw_deg, 0.42, 0.04);
         self.block(middle, [0.42, 0.42], yaw_deg, 0.42, 0.46);
@@ -159,12 +161,12 @@ impl Builder {
         self.block(behind.into(), [0.04, 0.42], yaw_deg, 0.46, 0.9);
     }
 
-    /// A stool on one round foot.
+    /// Adds a stool on one round foot.
     fn stool(&mut self, middle: [f32; 2]) {
         self.column(middle, 0.12, 0.5);
     }
 
-    /// Back to the south; seat and arms reach the floor.
+    /// Adds a couch with its back to the south. Its seat and arms reach the floor.
     fn couch(&mut self, [x, y]: [f32; 2], width: f32, depth: f32) {
         self.block([x, y], [width, depth], 0.0, 0.0, 0.4);
         self.block([x, y - depth / 2.0 + 0.1], [width, 0.2], 0.0, 0.4, 0.8);
@@ -174,7 +176,8 @@ impl Builder {
         }
     }
 
-    /// Back and sides stand on the floor, open to the north; boards above the LiDAR's plane; one box in it.
+    /// Adds a shelf that is open to the north, with one box in it. Its back and sides stand on the floor; its
+    /// boards are above the LiDAR's plane.
     fn shelf(&mut self, [x, y]: [f32; 2], width: f32, depth: f32) {
         self.block([x, y - depth / 2.0 + 0.01], [width, 0.02], 0.0, 0.0, 1.8);
         for side in [-1.0, 0.2, 1.0] {

@@ -1,31 +1,31 @@
-//! Triangles, z up: checked, and their floor found.
+//! Triangle meshes with z up: their validation, and the estimation of the floor's height.
 
 use super::{EXTENT_MAX_M, RoomError, TRIANGLES_MAX, VERTICES_MAX};
 use glam::Vec3;
 
-/// Triangles in a frame with z up; not yet checked.
+/// Triangles in a frame with z up.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Mesh {
     pub(crate) vertices: Vec<Vec3>,
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
-/// Steeper than this is not a floor: the normal's z of 26°.
+/// Smallest z of the normal of a level triangle: a slope of 26°.
 const LEVEL_MIN: f32 = 0.9;
-/// A height is looked for in bins of this size, metres.
+/// Size of the bins in the histogram of heights, metres.
 const BIN_M: f32 = 0.02;
-/// A floor is the lowest level with this part of the largest level's area: lower than the ceiling
-/// and the tables, larger than a cellar seen through a hole.
+/// Share of the largest level's area that the floor has at least. The floor is the lowest such level: below
+/// the ceiling and the tables, but larger than a cellar seen through a hole.
 const FLOOR_SHARE: f64 = 0.4;
-/// The smallest floor, square metres.
+/// Smallest area of a floor, square metres.
 const FLOOR_MIN_M2: f64 = 0.5;
-/// How far a floor that a scene states may be from that of its mesh, metres.
+/// Largest distance between the stated height of the floor and that of the mesh, metres.
 const STATED_FLOOR_M: f32 = 0.2;
-/// A scanned floor is this thick to either side, metres.
+/// Half of the thickness of a scanned floor, metres.
 const FLOOR_BAND_M: f32 = 0.05;
 
 impl Mesh {
-    /// y up (x right, z towards the viewer) to z up: a quarter turn about x.
+    /// Converts from y up (x right, z towards the viewer) to z up: a quarter turn about x.
     pub(crate) fn with_z_up(mut self) -> Self {
         self.vertices.iter_mut().for_each(|v| *v = Vec3::new(v.x, -v.z, v.y));
         self
@@ -35,7 +35,7 @@ impl Mesh {
         triangle.map(|i| self.vertices[i as usize])
     }
 
-    /// Numbers are numbers, indices point to vertices, sizes are those of a room.
+    /// Checks that coordinates are finite, indices exist, and sizes are those of a room.
     pub(crate) fn check(&self) -> Result<(), RoomError> {
         let count = |what, count: usize, max| {
             if count > max { Err(RoomError::TooMany { what, count, max }) } else { Ok(()) }
@@ -64,14 +64,14 @@ impl Mesh {
         Ok(())
     }
 
-    /// Corners of the box around all vertices that a triangle uses.
+    /// Returns the corners of the box around all vertices that a triangle uses.
     pub(crate) fn bounds(&self) -> (Vec3, Vec3) {
         let used = self.triangles.iter().flat_map(|t| self.corners(*t));
         let nothing = (Vec3::INFINITY, Vec3::NEG_INFINITY);
         used.fold(nothing, |(min, max), v| (min.min(v), max.max(v)))
     }
 
-    /// Middle height and area of every triangle that lies level, whichever side is up.
+    /// Iterates over the mean height and the area of every level triangle, whichever side is up.
     fn level_triangles(&self) -> impl Iterator<Item = (f32, f64)> + '_ {
         self.triangles.iter().filter_map(|triangle| {
             let [a, b, c] = self.corners(*triangle);
@@ -82,8 +82,8 @@ impl Mesh {
         })
     }
 
-    /// Height of the floor; with a stated one, that of the mesh near it. Also the floor's area,
-    /// square metres.
+    /// Estimates the height of the floor, near the stated height if there is one. Returns the height in
+    /// metres and the floor's area in square metres.
     pub(crate) fn find_floor(&self, stated_m: Option<f32>) -> Result<(f32, f64), RoomError> {
         let (min, max) = self.bounds();
         let bins = ((max.z - min.z) / BIN_M) as usize + 1;
@@ -103,7 +103,7 @@ impl Mesh {
             return Err(RoomError::NoFloor { area_m2: most });
         }
         let lowest = candidates().find(|bin| thick(*bin) >= FLOOR_SHARE * most).unwrap_or(0);
-        // Up from the lower edge of the floor to where it is densest.
+        // The floor's height is where its area is densest, at or above its lower edge.
         let end = (lowest + 2 * half + 1).min(bins);
         let densest = (lowest..end).max_by(|a, b| thick(*a).total_cmp(&thick(*b)).then(b.cmp(a)));
         let centre_m = height_m(densest.unwrap_or(lowest));
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn floor_is_below_tables_and_ceiling() {
+    fn the_floor_is_found_below_tables_and_ceiling() {
         let room = join(&[square(5.0, 2.9), square(4.0, 0.31), square(2.0, 1.1), square(0.9, -0.6)]);
         let (height, area) = room.find_floor(None).unwrap();
         assert!((height - 0.31).abs() < 1e-3, "{height}");

@@ -1,12 +1,12 @@
-//! A room: triangles, z up, in frame `world`, the floor at z = 0.
+//! Rooms: triangle meshes in frame `world`, z up, with the floor at z = 0.
 
-mod cells;
 mod gltf;
 mod ground;
 mod laboratory;
 mod mesh;
 mod obj;
 mod plan;
+mod raster;
 mod read;
 mod scene;
 
@@ -16,155 +16,157 @@ use mesh::Mesh;
 use parry3d::shape::{SharedShape, TriMesh};
 use std::sync::Arc;
 
-/// The most triangles of a room.
+/// Largest number of triangles of a room.
 pub const TRIANGLES_MAX: usize = 2_000_000;
-/// The most vertices of a room.
+/// Largest number of vertices of a room.
 pub const VERTICES_MAX: usize = 3 * TRIANGLES_MAX;
-/// The farthest that a room reaches in any direction, metres: a floor plan at 0.05 m still fits a grid.
+/// Largest extent of a room in any direction, metres. A floor plan at 0.05 m still fits into a grid.
 pub const EXTENT_MAX_M: f32 = 200.0;
-/// The largest file of a room, after decompression, bytes.
+/// Largest size of a room's file after decompression, bytes.
 pub const BYTES_MAX: usize = 256 << 20;
+/// Largest number of objects in a room's JSON document. Each takes up to 100 times its text in memory.
+pub const JSON_OBJECTS_MAX: usize = 500_000;
 
-/// Walls, furniture and floor. Cheap to clone.
+/// Walls, furniture and floor of a place that robots drive in. It is cheap to clone.
 #[derive(Clone)]
 pub struct Room {
     name: String,
-    /// Without the floor.
+    /// Triangles of walls and furniture, without the floor.
     mesh: Arc<TriMesh>,
     ground: Arc<Ground>,
 }
 
-/// Why a room cannot be used.
+/// Reason why a file is not a usable room.
 #[derive(Debug, thiserror::Error)]
 pub enum RoomError {
-    /// Nothing known: neither content nor name says what it is.
+    /// Neither the content nor the name tells a known format.
     #[error("{name}: is neither a scene (.json, .json.gz), nor glTF (.glb, .gltf), nor OBJ (.obj)")]
     UnknownFormat {
-        /// As given.
+        /// Name of the file as given.
         name: String,
     },
-    /// The format's own reader says why.
+    /// The reader of the format refuses the content.
     #[error("not a readable {format} room: {reason}")]
     Malformed {
-        /// Which format.
+        /// Name of the format.
         format: &'static str,
-        /// What is wrong, and where.
+        /// Description of what is wrong and where.
         reason: String,
     },
-    /// More bytes than `BYTES_MAX`.
+    /// The file has more bytes than `BYTES_MAX`.
     #[error("the room has over {max} bytes")]
     TooManyBytes {
-        /// `BYTES_MAX`.
+        /// Largest supported size, `BYTES_MAX`.
         max: usize,
     },
-    /// More vertices or triangles than a room may have.
+    /// The file has more vertices, triangles or JSON objects than are supported.
     #[error("the room has {count} {what}, at most {max} are supported: simplify the mesh")]
     TooMany {
-        /// Of what.
+        /// Name of the elements that are too many.
         what: &'static str,
-        /// How many.
+        /// Number of elements found.
         count: usize,
-        /// How many are supported.
+        /// Largest supported number of elements.
         max: usize,
     },
-    /// No triangles.
+    /// The mesh has no triangles.
     #[error("the room has no triangles")]
     Empty,
     /// A vertex is NaN or infinite.
     #[error("vertex {vertex} is not finite")]
     NotFinite {
-        /// Counted from 0.
+        /// Number of the vertex, from 0.
         vertex: usize,
     },
-    /// A triangle of a vertex that is not there.
+    /// A triangle uses a vertex that does not exist.
     #[error("triangle {triangle} uses vertex {index}, but there are {vertices}")]
     BadIndex {
-        /// Counted from 0.
+        /// Number of the triangle, from 0.
         triangle: usize,
-        /// What it uses.
+        /// Number of the vertex that it uses.
         index: u32,
-        /// How many there are.
+        /// Number of vertices in the mesh.
         vertices: usize,
     },
-    /// Larger than `EXTENT_MAX_M`, or that far from its origin.
+    /// The room is larger than `EXTENT_MAX_M`, or lies that far from its origin.
     #[error("the room reaches over {extent_m} m, at most 200 m are supported: is it in metres?")]
     TooLarge {
-        /// How far, metres.
+        /// Extent of the room, metres.
         extent_m: f32,
     },
-    /// No level surface to drive on.
+    /// The room has no level surface to drive on.
     #[error(
         "the room has no floor: its largest low level surface has {area_m2:.2} m²; is its up axis right?"
     )]
     NoFloor {
-        /// Square metres.
+        /// Area of the largest level surface, square metres.
         area_m2: f64,
     },
-    /// A floor alone, or a floor that is full.
+    /// The floor has no obstacles, or no space for a robot.
     #[error("the room has a floor, but {reason}")]
     NoPlace {
-        /// What is missing.
+        /// Description of what is missing.
         reason: &'static str,
     },
 }
 
-/// Why a robot cannot start.
+/// Reason why a robot cannot start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StartError {
-    /// The configuration makes no sense.
+    /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// NaN or infinite.
+    /// The start pose is NaN or infinite.
     #[error("the start pose is not finite")]
     NotFinite,
-    /// No floor there.
+    /// The start lies outside of the floor.
     #[error("the start ({x_m:.2}, {y_m:.2}) m is off the floor")]
     OffFloor {
-        /// Metres.
+        /// Start along x, metres.
         x_m: f64,
-        /// Metres.
+        /// Start along y, metres.
         y_m: f64,
     },
     /// The robot's body would touch a wall or furniture.
     #[error("the start ({x_m:.2}, {y_m:.2}) m is in furniture or a wall: the robot would touch it")]
     InObstacle {
-        /// Metres.
+        /// Start along x, metres.
         x_m: f64,
-        /// Metres.
+        /// Start along y, metres.
         y_m: f64,
     },
-    /// Inside a closed piece of furniture.
+    /// The start lies inside of a closed piece of furniture.
     #[error("the start ({x_m:.2}, {y_m:.2}) m is inside furniture: only {area_m2:.2} m² of floor around it")]
     Enclosed {
-        /// Metres.
+        /// Start along x, metres.
         x_m: f64,
-        /// Metres.
+        /// Start along y, metres.
         y_m: f64,
-        /// Square metres.
+        /// Area of the enclosed floor, square metres.
         area_m2: f64,
     },
-    /// More robots than find a place.
+    /// The room has space for fewer robots.
     #[error("the room has no place for {count} robots, only for {found}")]
     Full {
-        /// How many were wished.
+        /// Number of robots requested.
         count: usize,
-        /// How many there is place for.
+        /// Number of robots that fit.
         found: usize,
     },
 }
 
 impl Room {
-    /// A room's name, for people.
+    /// Returns the room's name, for people.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// `stated_floor_m`: height of the floor if a file says so.
+    /// Checks a mesh and finds its floor. `stated_floor_m` is the floor's height if the file states it.
     fn from_mesh(name: &str, mut mesh: Mesh, stated_floor_m: Option<f32>) -> Result<Self, RoomError> {
         mesh.check()?;
         let (floor_m, _) = mesh.find_floor(stated_floor_m)?;
         mesh.vertices.iter_mut().for_each(|v| v.z -= floor_m);
-        let ground = Ground::of(&mesh);
+        let ground = Ground::new(&mesh);
         if !ground.drivable.contains(&true) {
             return Err(RoomError::NoPlace { reason: "a robot fits nowhere on it" });
         }
@@ -174,7 +176,7 @@ impl Room {
         Ok(Self { name: name.to_owned(), mesh: Arc::new(obstacles), ground: Arc::new(ground) })
     }
 
-    /// The room without its floor.
+    /// Returns the walls and furniture, without the floor.
     pub(crate) fn obstacles(&self) -> SharedShape {
         SharedShape(self.mesh.clone())
     }

@@ -1,22 +1,25 @@
-//! Wavefront OBJ.
+//! Rooms in Wavefront OBJ files.
 
-use super::RoomError;
 use super::mesh::Mesh;
+use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
 use glam::Vec3;
 use tobj::{LoadError, LoadOptions};
 
-/// How many of the first lines may say which axis is up.
+/// Number of lines at the beginning of a file that may state the up axis.
 const HEAD_LINES: usize = 32;
 
-/// Triangles of all objects. OBJ does not say which axis is up: a comment `# up y` or `# up z` among
-/// the first lines does. Without one it is the axis, y or z, on whose side the larger floor lies; a
-/// room is wider than it is high.
+/// Reads the triangles of all objects.
+///
+/// OBJ does not define the up axis. A comment `# up y` or `# up z` among the first lines states it. Without
+/// one it is the axis, y or z, with the larger floor, because a room is wider than it is high.
 pub(crate) fn read(bytes: &[u8]) -> Result<Mesh, RoomError> {
     let malformed = |reason: String| RoomError::Malformed { format: "OBJ", reason };
-    check_text(bytes).map_err(malformed)?;
+    let text = core::str::from_utf8(bytes)
+        .map_err(|error| malformed(format!("byte {} is not text", error.valid_up_to())))?;
+    check_counts(text)?;
     let options =
         LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
-    // Colours do not matter: no material is ever loaded.
+    // Colours have no effect, so no material is loaded.
     let no_materials = |_: &std::path::Path| Err(LoadError::GenericFailure);
     let (models, _) = tobj::load_obj_buf(&mut &*bytes, &options, no_materials)
         .map_err(|error| malformed(error.to_string()))?;
@@ -30,21 +33,35 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Mesh, RoomError> {
     mesh.check()?;
     let y_up = mesh.clone().with_z_up();
     let floor_m2 = |mesh: &Mesh| mesh.find_floor(None).map_or(0.0, |(_, area)| area);
-    let is_y_up = stated_up(bytes).map_or_else(|| floor_m2(&y_up) > floor_m2(&mesh), |up| up == "y");
+    let is_y_up = stated_up_axis(text).map_or_else(|| floor_m2(&y_up) > floor_m2(&mesh), |up| up == "y");
     Ok(if is_y_up { y_up } else { mesh })
 }
 
-/// Text, with vertices and faces in it.
-fn check_text(bytes: &[u8]) -> Result<(), String> {
-    let text =
-        core::str::from_utf8(bytes).map_err(|error| format!("byte {} is not text", error.valid_up_to()))?;
-    let has = |kind: &str| text.lines().any(|line| line.split_whitespace().next() == Some(kind));
-    if has("v") && has("f") { Ok(()) } else { Err("it has no vertices (v) or no faces (f)".to_owned()) }
+/// Counts vertices and triangles before the library allocates memory for them.
+fn check_counts(text: &str) -> Result<(), RoomError> {
+    let (mut vertices, mut triangles) = (0, 0);
+    for mut words in text.lines().map(str::split_whitespace) {
+        match words.next() {
+            Some("v") => vertices += 1,
+            // A face of n corners becomes n - 2 triangles.
+            Some("f") => triangles += words.count().saturating_sub(2),
+            _ => {}
+        }
+    }
+    if vertices == 0 || triangles == 0 {
+        let reason = "it has no vertices (v) or no faces (f)".to_owned();
+        return Err(RoomError::Malformed { format: "OBJ", reason });
+    }
+    let counts = [("vertices", vertices, VERTICES_MAX), ("triangles", triangles, TRIANGLES_MAX)];
+    match counts.into_iter().find(|(_, count, max)| count > max) {
+        Some((what, count, max)) => Err(RoomError::TooMany { what, count, max }),
+        None => Ok(()),
+    }
 }
 
-/// `# up y` or `# up z`.
-fn stated_up(bytes: &[u8]) -> Option<&str> {
-    let lines = core::str::from_utf8(bytes).ok()?.lines().take(HEAD_LINES);
+/// Returns the axis of a comment `# up y` or `# up z`, if there is one.
+fn stated_up_axis(text: &str) -> Option<&str> {
+    let lines = text.lines().take(HEAD_LINES);
     let mut stated = lines.filter_map(|line| line.trim_start().strip_prefix('#')?.trim().strip_prefix("up "));
     stated.find_map(|axis| Some(axis.trim()).filter(|axis| ["y", "z"].contains(axis)))
 }

@@ -1,10 +1,10 @@
-//! What a perfect map of a room would show, and where robots can start.
+//! Floor plans of rooms, and start poses of robots.
 
-use super::cells::Raster;
 use super::ground::Ground;
 use super::mesh::Mesh;
+use super::raster::Raster;
 use super::{Room, StartError};
-use crate::body::upright;
+use crate::body::upright_pose;
 use crate::burger;
 use core::f64::consts::TAU;
 use glam::Vec3;
@@ -12,47 +12,58 @@ use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, UNKNOWN};
 use msg::{Grid, GridHeader, Pose2, ROBOTS_MAX};
 use parry3d::query::{Ray, RayCast, intersection_test};
 
-/// Finer plans are not drawn, metres.
+/// Smallest length of a plan's cells, metres.
 const RESOLUTION_MIN_M: f64 = 0.01;
-/// Coarser plans are not drawn, metres.
+/// Largest length of a plan's cells, metres.
 const RESOLUTION_MAX_M: f64 = 1.0;
-/// Open floor of this size is a room of its own, not the inside of a cupboard, square metres.
+/// Length of a plan's cells if the requested one is not a number, metres.
+const RESOLUTION_DEFAULT_M: f64 = 0.05;
+/// Smallest area of a free floor that is a room and not the inside of a cupboard, square metres.
 const ROOM_MIN_M2: f64 = 3.0;
-/// How far from obstacles robots start: as far as the room allows, metres.
+/// Distances from obstacles at which robots may start, metres. The largest that the room allows is used.
 const START_CLEARANCES_M: [f32; 3] = [0.4, 0.25, 0.15];
-/// How far from each other robots start at least, metres: they can turn and pass.
+/// Smallest distance between two starting robots, metres, so that they can turn and pass.
 const START_DISTANCE_MIN_M: f64 = 0.5;
-/// A robot starts in the direction in which it sees most, within this range, metres.
+/// Range within which the free view decides a robot's first heading, metres: that of the LDS-01.
 const VIEW_M: f32 = 3.5;
-/// A plan is drawn from rays of so many places at most, at best every so many cells of the ground (0.2 m).
+/// Largest number of viewpoints from which a plan is computed. More take longer and show little more.
 const VIEWPOINTS_MAX: usize = 1000;
+/// Smallest distance between two viewpoints in cells of the ground: 0.2 m.
 const VIEWPOINT_STRIDE: usize = 4;
-/// Rays from each of them, and their range, metres.
+/// Number of rays from each viewpoint: one per degree.
 const PLAN_RAYS: usize = 360;
+/// Range of the rays from a viewpoint, metres: the longest LiDAR preset and some more.
 const PLAN_RANGE_M: f32 = 12.0;
-/// Directions tried, and how many of them a forward LiDAR of 90° sees.
+/// Points per cell that mark a ray: at least one in each cell that it crosses along its longer side.
+const RAY_POINTS_PER_CELL: f64 = 1.5;
+/// Number of headings that are compared for a start pose: one per 5°.
 const VIEW_RAYS: usize = 72;
+/// Number of those headings that a forward LiDAR of 90° covers.
 const VIEW_WIDTH: usize = VIEW_RAYS / 4;
 
 impl Room {
-    /// The truth as the LiDAR's plane sees it, frame `world`: cells with a visible surface at the
-    /// LiDAR's height are occupied, floor that its rays cross from where robots drive is free, the rest
-    /// is unknown. `resolution_m` is kept within 0.01 to 1 m and coarse enough for [`CELLS_MAX`].
+    /// Computes the map that a perfect LiDAR would make, in frame `world`.
+    ///
+    /// Cells with a visible surface at the LiDAR's height are occupied. Floor that rays cross from drivable
+    /// places is free. All other cells are unknown. `resolution_m` is clamped to 0.01 to 1 m, and made
+    /// coarser until the plan has at most [`CELLS_MAX`] cells.
     pub fn floor_plan(&self, resolution_m: f64) -> Grid {
         let raster = self.plan_raster(resolution_m);
         let mut walls = vec![false; raster.len()];
         for (from, to) in self.lidar_slice() {
-            raster.draw_segment(&mut walls, from, to);
+            raster.mark_segment(&mut walls, from, to);
         }
-        // Cells between two rays count as seen, those behind a wall do not: no wall opens over an edge.
+        // Cells next to a seen one lie between two rays and count as seen. Walls have no gaps over edges, so
+        // cells behind them do not.
         let seen = self.seen_floor(&raster);
         let is_seen = |cell: usize| seen[cell] && !walls[cell];
-        let beside = |cell: usize| raster.around(cell).any(|(near, over_edge)| over_edge && is_seen(near));
-        let is_free = |cell: usize| !walls[cell] && (is_seen(cell) || beside(cell));
+        let has_seen_neighbour =
+            |cell: usize| raster.neighbours(cell).any(|(near, over_edge)| over_edge && is_seen(near));
+        let is_free = |cell: usize| !walls[cell] && (is_seen(cell) || has_seen_neighbour(cell));
         let mut cells = vec![UNKNOWN; raster.len()];
         for cell in (0..raster.len()).filter(|cell| is_free(*cell)) {
             cells[cell] = -LOG_ODDS_MAX;
-            for (near, _) in raster.around(cell).filter(|(near, _)| walls[*near]) {
+            for (near, _) in raster.neighbours(cell).filter(|(near, _)| walls[*near]) {
                 cells[near] = LOG_ODDS_MAX;
             }
         }
@@ -66,11 +77,11 @@ impl Room {
         Grid { header, cells }
     }
 
-    /// Cells of floor that a ray of the LiDAR crosses, from one of many places where robots drive.
+    /// Finds the cells of the floor that the LiDAR's rays cross from many drivable places.
     fn seen_floor(&self, raster: &Raster) -> Vec<bool> {
         let ground = &self.ground;
         let places = ground.drivable.iter().filter(|drivable| **drivable).count();
-        // Every so many rows and columns.
+        // Viewpoints lie on every `stride`-th row and column.
         let mut stride = VIEWPOINT_STRIDE;
         while places / (stride * stride) > VIEWPOINTS_MAX {
             stride += 1;
@@ -84,11 +95,11 @@ impl Room {
             let from = ground.raster.centre_m(place);
             for ray in 0..PLAN_RAYS {
                 let (sin, cos) = (TAU * ray as f64 / PLAN_RAYS as f64).sin_cos();
-                // Short of the wall, which may lie on the edge of the next cell.
+                // The ray ends before the wall, which may lie on the edge of the next cell.
                 let range_m =
                     f64::from(self.view_m(from, [cos, sin], PLAN_RANGE_M)) - raster.resolution_m / 2.0;
                 let to = [from[0] + range_m * cos, from[1] + range_m * sin];
-                raster.draw_points(&mut crossed, from, to, 1.5);
+                raster.mark_points(&mut crossed, from, to, RAY_POINTS_PER_CELL);
             }
         }
         let is_floor =
@@ -96,7 +107,7 @@ impl Room {
         crossed.into_iter().enumerate().map(|(cell, crossed)| crossed && is_floor(cell)).collect()
     }
 
-    /// How far the LiDAR sees from a point in a unit direction, metres.
+    /// Returns the LiDAR's range from a point in a unit direction, at most `max_m`, metres.
     fn view_m(&self, [x, y]: [f64; 2], [cos, sin]: [f64; 2], max_m: f32) -> f32 {
         let origin = Vec3::new(x as f32, y as f32, burger::SCAN_HEIGHT_M as f32);
         let ray = Ray::new(origin, Vec3::new(cos as f32, sin as f32, 0.0));
@@ -104,8 +115,8 @@ impl Room {
     }
 
     fn plan_raster(&self, resolution_m: f64) -> Raster {
-        let wished_m = if resolution_m.is_nan() { 0.05 } else { resolution_m };
-        let mut resolution_m = wished_m.clamp(RESOLUTION_MIN_M, RESOLUTION_MAX_M);
+        let requested_m = if resolution_m.is_nan() { RESOLUTION_DEFAULT_M } else { resolution_m };
+        let mut resolution_m = requested_m.clamp(RESOLUTION_MIN_M, RESOLUTION_MAX_M);
         let ground = &self.ground.raster;
         let size_m = [ground.width, ground.height].map(|cells| cells as f64 * ground.resolution_m);
         let corner_m = [ground.origin_m[0] + size_m[0], ground.origin_m[1] + size_m[1]];
@@ -118,7 +129,7 @@ impl Room {
         }
     }
 
-    /// Where the LiDAR's plane cuts the room: segments in `world`, metres.
+    /// Iterates over the segments in which the LiDAR's plane cuts the room, in `world`, metres.
     fn lidar_slice(&self) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + '_ {
         let height_m = burger::SCAN_HEIGHT_M as f32;
         self.mesh().triangles().filter_map(move |triangle| {
@@ -133,11 +144,13 @@ impl Room {
         })
     }
 
-    /// Start poses for a fleet, deterministic: on the largest floor that a robot can drive over, apart
-    /// from furniture and from each other, each looking to where it sees most.
+    /// Chooses start poses for a fleet, always the same ones.
+    ///
+    /// The poses lie on the largest floor that a robot can drive on, apart from furniture and from each
+    /// other. Each heading has the largest free view.
     ///
     /// # Errors
-    /// The room cannot hold so many.
+    /// The room has no space for `count` robots.
     pub fn starts(&self, count: usize) -> Result<Vec<Pose2>, StartError> {
         if count > ROBOTS_MAX {
             return Err(StartError::Full { count, found: ROBOTS_MAX });
@@ -152,7 +165,7 @@ impl Room {
         Err(StartError::Full { count, found: found.len() })
     }
 
-    /// Up to `count` points: first the one with most space around it, then always the one farthest
+    /// Chooses up to `count` points: first the one with the largest clearance, then always the one farthest
     /// from those chosen (Gonzalez 1985).
     fn spread(&self, count: usize, clearance_m: f32) -> Vec<[f64; 2]> {
         let Ground { raster, drivable, clearance_m: clearances, .. } = &*self.ground;
@@ -179,7 +192,7 @@ impl Room {
         chosen
     }
 
-    /// A pose at a point, turned to where 90° hold most free view.
+    /// Returns the pose at a point with the heading whose 90° have the largest free view.
     fn look_around(&self, [x, y]: [f64; 2]) -> Pose2 {
         let angle = |ray: usize| TAU * ray as f64 / VIEW_RAYS as f64;
         let view = |ray: usize| {
@@ -195,7 +208,7 @@ impl Room {
         Pose2::new(x, y, msg::pose::wrap_angle(angle(best.unwrap_or(0))))
     }
 
-    /// Can a robot stand here?
+    /// Checks that a robot can stand at a pose.
     pub(crate) fn check_start(&self, start: Pose2) -> Result<(), StartError> {
         let Pose2 { x_m, y_m, .. } = start;
         if !start.is_finite() {
@@ -204,12 +217,13 @@ impl Room {
         let ground = &self.ground;
         let cell = ground.raster.index([x_m, y_m]).filter(|cell| ground.floor[*cell]);
         let Some(cell) = cell else { return Err(StartError::OffFloor { x_m, y_m }) };
-        let here = intersection_test(&upright(start), &*burger::hull(), &Default::default(), self.mesh());
+        let here =
+            intersection_test(&upright_pose(start), &*burger::hull(), &Default::default(), self.mesh());
         if here.map_or(true, |hit| hit.intersecting) {
             return Err(StartError::InObstacle { x_m, y_m });
         }
-        // The cell itself may be marked by something beside the robot; its neighbours tell.
-        let near = ground.raster.around(cell).map(|(near, _)| near);
+        // An obstacle next to the robot may mark the robot's own cell, so its neighbours are tested too.
+        let near = ground.raster.neighbours(cell).map(|(near, _)| near);
         let region = core::iter::once(cell).chain(near).map(|c| ground.open[c]).find(|region| *region != 0);
         let region = region.unwrap_or(0);
         let area_m2 = if region == 0 { 0.0 } else { ground.open_area_m2(region) };
@@ -220,7 +234,7 @@ impl Room {
     }
 }
 
-/// Removes what belongs to the floor and what has no area.
+/// Removes the triangles that belong to the floor or have no area.
 pub(crate) fn obstacles_of(mesh: &Mesh, relief_m: f32) -> Mesh {
     let stands_up = |triangle: &&[u32; 3]| {
         let [a, b, c] = mesh.corners(**triangle);
@@ -235,9 +249,9 @@ pub(crate) fn obstacles_of(mesh: &Mesh, relief_m: f32) -> Mesh {
 mod tests {
     use super::*;
 
-    /// Lanes of 0.6 m lead through the whole laboratory.
+    /// Lanes of 0.6 m connect all parts of the laboratory.
     #[test]
-    fn laboratory_has_wide_lanes() {
+    fn wide_lanes_connect_the_laboratory() {
         let ground = &Room::laboratory().ground;
         let wide: Vec<bool> =
             ground.clearance_m.iter().zip(&ground.floor).map(|(c, floor)| *floor && *c >= 0.3).collect();

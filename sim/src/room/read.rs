@@ -1,31 +1,38 @@
-//! Which format a room's bytes have, and their decompression.
+//! Files of rooms: recognition of the format, and decompression.
 
-use super::{BYTES_MAX, Room, RoomError, gltf, obj, scene};
+use super::{BYTES_MAX, JSON_OBJECTS_MAX, Room, RoomError, gltf, obj, scene};
 use std::borrow::Cow;
 use std::io::Read;
 
 impl Room {
-    /// Reads a room: scene JSON as WebXR's emulators record it (y up; `.json`), glTF with its buffers
-    /// inside (y up; `.glb`, `.gltf`), or Wavefront OBJ (`.obj`; y or z up: a line `# up y` or `# up z` near its
-    /// head says which, else the axis is taken on whose side the larger floor lies); any of
-    /// them gzipped. What it is, its content says; `name` helps to tell OBJ and is the room's name.
+    /// Reads a room from the bytes of a file, which may be gzipped. Supported formats are:
     ///
-    /// Floors of scans are not flat: the floor's height is found, robots drive on a plane there, and
-    /// triangles wholly below 3 cm above it are the floor's and not obstacles.
+    /// - scene JSON as WebXR's emulators record it (`.json`, y up);
+    /// - glTF with embedded buffers (`.glb`, `.gltf`, y up);
+    /// - Wavefront OBJ (`.obj`, y or z up). A line `# up y` or `# up z` near the beginning tells the axis. Without
+    ///   one, the axis with the larger floor is used.
+    ///
+    /// The content tells the format; `name` becomes the room's name and tells OBJ by its ending.
+    ///
+    /// Scanned floors are not flat. The floor's height is estimated, and robots drive on a plane there.
+    /// Triangles that lie completely below 3 cm above it belong to the floor and are no obstacles.
     ///
     /// # Errors
-    /// Unknown or malformed content; numbers that are none; too much of anything; no floor, nothing on
-    /// it, or no place for a robot.
+    /// The content is unknown or malformed, has numbers that are not finite or too many elements, or has no
+    /// floor, no obstacles or no space for a robot.
     pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Room, RoomError> {
         let bytes = inflate(bytes)?;
         if bytes.len() > BYTES_MAX {
             return Err(RoomError::TooManyBytes { max: BYTES_MAX });
         }
         let first = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
+        if first == Some(&b'{') {
+            check_json_objects(&bytes)?;
+        }
         let (mesh, stated_floor_m) = if bytes.starts_with(b"glTF") {
             (gltf::read(&bytes)?, None)
         } else if first == Some(&b'{') {
-            // A glTF document has to have an `asset`, a scene its `spatialEntities`.
+            // Every glTF document has an `asset`, every scene has `spatialEntities`.
             if is_gltf_json(&bytes) { (gltf::read(&bytes)?, None) } else { scene::read(&bytes)? }
         } else if has_ending(name, ".obj") {
             (obj::read(&bytes)?, None)
@@ -49,7 +56,14 @@ fn is_gltf_json(bytes: &[u8]) -> bool {
     serde_json::from_slice::<Either>(bytes).is_ok_and(|either| either.asset.is_some())
 }
 
-/// Unpacks gzip, up to one byte over the limit.
+/// Refuses documents whose many small objects would take far more memory than their text.
+fn check_json_objects(bytes: &[u8]) -> Result<(), RoomError> {
+    let count = bytes.iter().filter(|byte| **byte == b'{').count();
+    let fits = count <= JSON_OBJECTS_MAX;
+    if fits { Ok(()) } else { Err(RoomError::TooMany { what: "JSON objects", count, max: JSON_OBJECTS_MAX }) }
+}
+
+/// Decompresses gzip, up to one byte over the limit.
 fn inflate(bytes: &[u8]) -> Result<Cow<'_, [u8]>, RoomError> {
     if !bytes.starts_with(&[0x1f, 0x8b]) {
         return Ok(Cow::Borrowed(bytes));

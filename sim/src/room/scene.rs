@@ -1,5 +1,6 @@
-//! Scanned rooms: scene JSON with spatial entities, as Quest headsets and WebXR's emulators record
-//! them. Right-handed, y up, metres.
+//! Scanned rooms: scene JSON with spatial entities, as Quest headsets and WebXR's emulators record it.
+//!
+//! The frame is right-handed with y up, in metres.
 
 use super::mesh::Mesh;
 use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
@@ -45,14 +46,14 @@ struct Xyzw {
     w: f32,
 }
 
-/// Base64 of little-endian numbers: f32 x, y, z, and u32.
+/// Mesh of an entity, as base64 of little-endian numbers: f32 x, y, z, and u32 indices.
 #[derive(Deserialize)]
 struct Triangles {
     vertices: String,
     indices: String,
 }
 
-/// All entities' triangle meshes, whatever their labels; and the floor's height, if a `FLOOR` says it.
+/// Reads the triangles of all entities, and the floor's height if an entity `FLOOR` states it.
 pub(crate) fn read(bytes: &[u8]) -> Result<(Mesh, Option<f32>), RoomError> {
     let scene: Scene = serde_json::from_slice(bytes).map_err(|error| malformed(error.to_string()))?;
     let mut mesh = Mesh::default();
@@ -107,7 +108,7 @@ fn append(mesh: &mut Mesh, entity: &Entity, triangles: &Triangles) -> Result<(),
     Ok(())
 }
 
-/// Records of `N` bytes out of base64.
+/// Decodes records of `N` bytes from base64.
 fn decode<const N: usize>(what: &str, text: &str, max: usize) -> Result<Vec<[u8; N]>, String> {
     let bytes = STANDARD.decode(text).map_err(|error| format!("{what}: {error}"))?;
     let (records, rest) = bytes.as_chunks::<N>();

@@ -1,20 +1,20 @@
-//! Which closures between two robots can be true together: pairwise consistency maximisation
-//! (Mangelson, Dominic, Eustice, Vasudevan, "Pairwise consistent measurement set maximization for
-//! robust multi-robot map merging", ICRA 2018).
+//! Pairwise consistency maximisation: which closures between two robots can be right together (Mangelson, Dominic,
+//! Eustice, Vasudevan, "Pairwise consistent measurement set maximization for robust multi-robot map merging", ICRA 2018).
 
-/// The largest set found whose members are all consistent with each other, in order. Greedy from each
-/// member in turn, as in the fast variant of the paper (Pattabiraman et al. 2015): at most `count`³
-/// questions. Of equally large sets the one with more `weight`.
-pub(crate) fn largest_consistent(
+/// Finds a large set of measurements that are all consistent with each other, in ascending order.
+///
+/// Greedy from each measurement in turn, as in the paper's fast variant (Pattabiraman et al. 2015): at most `count`³
+/// comparisons. Of two sets of equal size the one of more `weight` wins.
+pub(crate) fn largest_consistent_set(
     count: usize,
     weight: impl Fn(usize) -> f64,
-    consistent: impl Fn(usize, usize) -> bool,
+    is_consistent: impl Fn(usize, usize) -> bool,
 ) -> Vec<usize> {
     let mut table = vec![false; count * count];
     for a in 0..count {
         for b in 0..a {
-            let agree = consistent(b, a);
-            (table[a * count + b], table[b * count + a]) = (agree, agree);
+            let consistent = is_consistent(b, a);
+            (table[a * count + b], table[b * count + a]) = (consistent, consistent);
         }
     }
     let degree: Vec<usize> =
@@ -47,19 +47,19 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn finds_the_larger_of_two_camps() {
-        let camp = [0, 1, 0, 1, 1, 0, 1, 1];
-        let found = largest_consistent(8, |_| 1.0, |a, b| camp[a] == camp[b]);
+    fn the_larger_of_two_groups_is_found() {
+        let group = [0, 1, 0, 1, 1, 0, 1, 1];
+        let found = largest_consistent_set(8, |_| 1.0, |a, b| group[a] == group[b]);
         assert_eq!(found, [1, 3, 4, 6, 7]);
-        assert!(largest_consistent(0, |_| 1.0, |_, _| true).is_empty());
-        assert_eq!(largest_consistent(3, |i| i as f64, |_, _| false), [2]);
+        assert!(largest_consistent_set(0, |_| 1.0, |_, _| true).is_empty());
+        assert_eq!(largest_consistent_set(3, |i| i as f64, |_, _| false), [2]);
     }
 
     proptest! {
         #[test]
         fn all_members_are_consistent_with_each_other(bits in prop::collection::vec(any::<bool>(), 144)) {
             let consistent = |a: usize, b: usize| bits[a.min(b) * 12 + a.max(b)];
-            let found = largest_consistent(12, |_| 1.0, consistent);
+            let found = largest_consistent_set(12, |_| 1.0, consistent);
             prop_assert!(!found.is_empty());
             for (k, a) in found.iter().enumerate() {
                 for b in &found[..k] {

@@ -1,20 +1,24 @@
-//! Squares of the floor: rasters of triangles seen from above, distances, regions.
+//! Rasters of the floor: marked cells, regions and distances.
 
 use std::collections::VecDeque;
 
-/// A raster over the x-y plane; row 0 is the lowest y.
+/// Points per cell that mark a segment. More points find smaller cut corners and take longer.
+const POINTS_PER_CELL: f64 = 8.0;
+
+/// A raster over the x-y plane. Cells are row-major; row 0 has the lowest y.
 #[derive(Clone, Debug)]
 pub(crate) struct Raster {
-    /// Lower left corner, metres.
+    /// Position of the lower left corner, metres.
     pub(crate) origin_m: [f64; 2],
-    /// Side of a cell, metres.
+    /// Length of a cell's side, metres.
     pub(crate) resolution_m: f64,
     pub(crate) width: usize,
     pub(crate) height: usize,
 }
 
 impl Raster {
-    /// Covers a rectangle and one cell around it; cells' edges lie on multiples of the resolution.
+    /// Creates a raster over a rectangle and one cell around it. Edges of cells lie on multiples of the
+    /// resolution.
     pub(crate) fn covering(min_m: [f64; 2], max_m: [f64; 2], resolution_m: f64) -> Self {
         let first = min_m.map(|m| (m / resolution_m).floor() - 1.0);
         let last = max_m.map(|m| (m / resolution_m).floor() + 1.0);
@@ -30,7 +34,7 @@ impl Raster {
         self.width * self.height
     }
 
-    /// The cell under a point, if it is inside.
+    /// Returns the index of the cell under a point; `None` outside of the raster.
     pub(crate) fn index(&self, [x, y]: [f64; 2]) -> Option<usize> {
         let column = ((x - self.origin_m[0]) / self.resolution_m).floor();
         let row = ((y - self.origin_m[1]) / self.resolution_m).floor();
@@ -38,15 +42,15 @@ impl Raster {
         inside.then(|| row as usize * self.width + column as usize)
     }
 
-    /// The middle of a cell, metres.
+    /// Returns the centre of a cell, metres.
     pub(crate) fn centre_m(&self, index: usize) -> [f64; 2] {
         let (column, row) = (index % self.width, index / self.width);
         let [x, y] = self.origin_m;
         [x + (column as f64 + 0.5) * self.resolution_m, y + (row as f64 + 0.5) * self.resolution_m]
     }
 
-    /// Up to eight cells around one: first the four that share an edge.
-    pub(crate) fn around(&self, index: usize) -> impl Iterator<Item = (usize, bool)> + '_ {
+    /// Iterates over up to eight neighbours of a cell, each with whether it shares an edge. Those come first.
+    pub(crate) fn neighbours(&self, index: usize) -> impl Iterator<Item = (usize, bool)> + '_ {
         const STEPS: [(isize, isize); 8] =
             [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
         let (column, row) = (index % self.width, index / self.width);
@@ -57,15 +61,15 @@ impl Raster {
         })
     }
 
-    /// Marks the cells under a segment, but for corners cut by less than an eighth of a cell.
-    pub(crate) fn draw_segment(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2]) {
-        self.draw_points(cells, from, to, 8.0);
+    /// Marks the cells under a segment. A corner that it cuts by less than an eighth of a cell may be missed.
+    pub(crate) fn mark_segment(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2]) {
+        self.mark_points(cells, from, to, POINTS_PER_CELL);
     }
 
-    /// Marks the cells under points of a segment, so many in a cell.
-    pub(crate) fn draw_points(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2], in_a_cell: f64) {
+    /// Marks the cells under points of a segment, `points_per_cell` of them along a cell's side.
+    pub(crate) fn mark_points(&self, cells: &mut [bool], from: [f64; 2], to: [f64; 2], points_per_cell: f64) {
         let length_m = (to[0] - from[0]).hypot(to[1] - from[1]);
-        let steps = (length_m / self.resolution_m * in_a_cell).ceil().max(1.0) as usize;
+        let steps = (length_m / self.resolution_m * points_per_cell).ceil().max(1.0) as usize;
         for step in 0..=steps {
             let t = step as f64 / steps as f64;
             let point = [from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])];
@@ -75,15 +79,15 @@ impl Raster {
         }
     }
 
-    /// Marks the cells under a convex polygon: its outline, and the cells whose middles are within.
-    pub(crate) fn draw_convex(&self, cells: &mut [bool], polygon: &[[f64; 2]]) {
+    /// Marks the cells under a convex polygon: those of its outline, and those whose centres lie inside.
+    pub(crate) fn mark_polygon(&self, cells: &mut [bool], polygon: &[[f64; 2]]) {
         let edges = || polygon.iter().zip(polygon.iter().cycle().skip(1));
         for (from, to) in edges() {
-            self.draw_segment(cells, *from, *to);
+            self.mark_segment(cells, *from, *to);
         }
         let rows = bounds(polygon.iter().map(|p| (p[1] - self.origin_m[1]) / self.resolution_m), self.height);
         for row in rows {
-            // The row's middle line enters and leaves a convex polygon once.
+            // The centre line of a row enters and leaves a convex polygon once.
             let y = self.origin_m[1] + (row as f64 + 0.5) * self.resolution_m;
             let crossings = edges().filter(|(a, b)| (a[1] > y) != (b[1] > y));
             let crossings = crossings.map(|(a, b)| a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]));
@@ -94,8 +98,8 @@ impl Raster {
         }
     }
 
-    /// Regions of `cells` connected over edges: each cell's region, from 1, or 0; and the regions' sizes in
-    /// cells, that of "none" first.
+    /// Finds the regions of `cells` that are connected over edges. Returns each cell's region, from 1, or 0;
+    /// and the number of cells of each region, starting with that of region 0, which counts none.
     pub(crate) fn regions(&self, cells: &[bool]) -> (Vec<u32>, Vec<usize>) {
         let mut labels = vec![0; self.len()];
         let mut sizes = vec![0];
@@ -110,7 +114,7 @@ impl Raster {
         (labels, sizes)
     }
 
-    /// Labels what `open` cells can be reached over edges; returns how many.
+    /// Labels the `open` cells that can be reached over edges. Returns their number.
     pub(crate) fn flood(
         &self,
         labels: &mut [u32],
@@ -122,7 +126,7 @@ impl Raster {
         queue.iter().for_each(|cell| labels[*cell] = label);
         let mut reached = queue.len();
         while let Some(cell) = queue.pop_front() {
-            for (next, _) in self.around(cell).filter(|(_, over_edge)| *over_edge) {
+            for (next, _) in self.neighbours(cell).filter(|(_, over_edge)| *over_edge) {
                 if labels[next] == 0 && open(next) {
                     labels[next] = label;
                     reached += 1;
@@ -133,8 +137,9 @@ impl Raster {
         reached
     }
 
-    /// From each cell's middle to the nearest marked cell's middle, metres; infinite without one.
-    /// Exact: Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions", 2012.
+    /// Computes the distance from each cell's centre to the nearest marked cell's centre, metres; infinite
+    /// without one. It is exact (Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions",
+    /// 2012).
     pub(crate) fn distances_m(&self, marked: &[bool]) -> Vec<f32> {
         let far = (self.width + self.height).pow(2) as f64;
         let mut squared: Vec<f64> = marked.iter().map(|m| if *m { 0.0 } else { far }).collect();
@@ -155,23 +160,24 @@ impl Raster {
     }
 }
 
-/// Whole cells from the smallest to the largest of some coordinates, counted in cells; inside 0..limit.
+/// Returns the cells whose centres lie between the smallest and the largest of some coordinates, which are
+/// in units of cells. The result lies inside `0..limit`.
 fn bounds(cells: impl Iterator<Item = f64>, limit: usize) -> core::ops::Range<usize> {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     cells.for_each(|c| (low, high) = (low.min(c), high.max(c)));
-    // Middles are at half cells.
+    // Centres of cells are at half units.
     let first = (low - 0.5).ceil().max(0.0);
     let end = ((high - 0.5).floor() + 1.0).min(limit as f64);
     if first < end { first as usize..end as usize } else { 0..0 }
 }
 
-/// min over q of (p - q)² + f(q), for every p.
+/// Computes the minimum over q of (p - q)² + f(q), for every p.
 fn lower_envelope(f: &[f64]) -> Vec<f64> {
     let meet = |p: usize, q: usize| {
         let (pf, qf) = (p as f64, q as f64);
         ((f[q] + qf * qf) - (f[p] + pf * pf)) / (2.0 * (qf - pf))
     };
-    // Parabolas of the envelope, and where each begins.
+    // Parabolas of the envelope with the coordinate at which each begins.
     let mut hull: Vec<(usize, f64)> = vec![(0, f64::NEG_INFINITY)];
     for q in 1..f.len() {
         while let Some((p, begin)) = hull.last().copied() {
@@ -206,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_those_of_brute_force() {
+    fn distances_equal_those_of_brute_force() {
         let raster = raster();
         let marked: Vec<bool> = (0..raster.len()).map(|i| i % 37 == 5).collect();
         let distances = raster.distances_m(&marked);
@@ -226,12 +232,12 @@ mod tests {
     fn polygons_are_filled() {
         let raster = raster();
         let mut cells = vec![false; raster.len()];
-        raster.draw_convex(&mut cells, &[[0.11, 0.11], [0.49, 0.11], [0.49, 0.29], [0.11, 0.29]]);
+        raster.mark_polygon(&mut cells, &[[0.11, 0.11], [0.49, 0.11], [0.49, 0.29], [0.11, 0.29]]);
         assert_eq!(cells.iter().filter(|c| **c).count(), 4 * 2);
     }
 
     #[test]
-    fn regions_do_not_leak_over_corners() {
+    fn regions_are_not_connected_over_corners() {
         let raster = Raster { origin_m: [0.0; 2], resolution_m: 1.0, width: 2, height: 2 };
         let (labels, sizes) = raster.regions(&[true, false, false, true]);
         assert_eq!((labels, sizes), (vec![1, 0, 0, 2], vec![0, 1, 1]));

@@ -1,4 +1,4 @@
-//! Who may drive, said while the fleet runs; and the emergency stop, which outlives the process that set it.
+//! Access control of clients in a running fleet, and the emergency stop, which survives the bridge's process.
 
 use crate::harness::{Fleet, output, send};
 use bridge::command::{Notice, Registration, name};
@@ -9,7 +9,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-/// A headset that drives robot 1 forward and hears what it is told.
+/// A headset that drives robot 1 forward and receives notices.
 struct Headset {
     stream: TcpStream,
     parser: Parser,
@@ -34,7 +34,7 @@ impl Headset {
         Self { stream, parser: Parser::new(1 << 20), frame }
     }
 
-    /// Drives on; what it is told meanwhile. Its connection may be gone.
+    /// Sends a velocity command and returns the notices received meanwhile. The connection may be closed.
     fn drive(&mut self) -> Vec<(String, String)> {
         let _ = self.stream.write_all(&self.frame);
         let mut told = Vec::new();
@@ -49,11 +49,11 @@ impl Headset {
         told
     }
 
-    /// Drives until it is told `words`.
+    /// Drives until it receives a notice with `words`.
     fn drive_until_told(&mut self, kind: &str, words: &str) {
         let begun = std::time::Instant::now();
         while !self.drive().iter().any(|(name, text)| name == kind && text.contains(words)) {
-            assert!(begun.elapsed() < crate::harness::WATCHDOG, "nobody said {words}");
+            assert!(begun.elapsed() < crate::harness::WATCHDOG, "no notice with {words}");
         }
     }
 }
@@ -69,7 +69,7 @@ fn distance(view: &mr_slam::view::FleetView) -> f64 {
 }
 
 #[test]
-fn a_headset_is_let_in_once_and_a_stop_outlives_the_bridge() {
+fn an_allowed_headset_and_an_emergency_stop_survive_the_bridge() {
     let folder = crate::harness::Folder::new();
     let text = "[bridge]\ntrust_loopback = false\n[fleet]\nrobots = 1\n";
     let file = folder.file("fleet.toml", text);
@@ -92,7 +92,7 @@ fn a_headset_is_let_in_once_and_a_stop_outlives_the_bridge() {
     let view = moved(&mut fleet, &mut headset, 0.1);
     let bridge = view.processes.iter().find(|process| process.process == "bridge").unwrap().pid;
 
-    // Stopped by the person at the laptop; the bridge dies; it is still stopped, and who was let in still may drive.
+    // The operator stops the fleet, and the bridge is killed. The stop and the allowed client remain.
     say(&["stop"], &dir);
     headset.drive_until_told("__error", "emergency stop is set");
     send(bridge, Signal::KILL);
@@ -116,7 +116,7 @@ fn a_headset_is_let_in_once_and_a_stop_outlives_the_bridge() {
 }
 
 #[test]
-fn nobody_answers_where_no_fleet_is() {
+fn commands_without_a_fleet_report_the_missing_run() {
     let nowhere = crate::harness::Folder::new();
     for words in [&["allow", "10.0.0.1"][..], &["stop"], &["release"]] {
         let said = output(&[words, &["--run-dir", nowhere.path().to_str().unwrap()]].concat());

@@ -1,0 +1,111 @@
+//! Keeps `docs/GLOSSARY.md` true: its names exist, and its retired words are gone from the code.
+
+use crate::sources::{all_files, crates, product_files, read};
+use std::collections::BTreeSet;
+
+/// Declarations that make a name exist.
+const DECLARATIONS: &[&str] = &["struct ", "enum ", "trait ", "type ", "fn ", "const ", "static ", "mod "];
+/// Number of retired names that are still declared, or that have no successor yet. It must not grow.
+const RETIRED_NAMES_MAX: usize = 1;
+/// Number of lines of product code that contain a retired phrase. It must not grow.
+const RETIRED_PHRASES_MAX: usize = 197;
+
+/// Rows of the table below a heading: the cells of each.
+fn table(heading: &str) -> Vec<Vec<String>> {
+    let glossary = read("docs/GLOSSARY.md");
+    let (_, section) = glossary.split_once(heading).unwrap_or_else(|| panic!("no heading {heading}"));
+    let section = section.split("\n## ").next().unwrap_or("");
+    let rows = section.lines().filter(|line| line.starts_with('|')).skip(2);
+    rows.map(|row| row.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect()).collect()
+}
+
+/// Names in backticks in a cell, without what follows a name's last `::` or precedes its brackets.
+fn names(cell: &str) -> Vec<String> {
+    let quoted = cell.split('`').skip(1).step_by(2);
+    quoted.map(|name| name.rsplit("::").next().unwrap_or(name).trim_end_matches("()").to_owned()).collect()
+}
+
+/// Every name that is declared anywhere in the workspace.
+fn declared(keywords: &[&str]) -> BTreeSet<String> {
+    let files = all_files();
+    let items = files.iter().flat_map(|source| source.items(keywords));
+    items.map(|item| item.name.to_owned()).collect()
+}
+
+#[test]
+fn every_name_in_the_glossary_exists() {
+    let known = declared(DECLARATIONS);
+    let code: String =
+        crates().iter().flat_map(|(_, folder)| product_files(folder)).map(|s| s.text).collect();
+    for row in table("## Terms") {
+        for name in names(&row[1]) {
+            // Fields, variants and frames are no declarations of their own; they are found as text.
+            assert!(
+                known.contains(&name) || code.contains(&name),
+                "{}: `{name}` is nowhere in the code",
+                row[0]
+            );
+        }
+    }
+}
+
+#[test]
+fn every_term_has_one_sentence_and_a_source() {
+    let mut seen = BTreeSet::new();
+    for row in table("## Terms") {
+        assert_eq!(row.len(), 4, "term, name, meaning, source: {row:?}");
+        assert!(seen.insert(row[0].to_lowercase()), "{} is explained twice", row[0]);
+        assert!(row[2].ends_with('.') && row[2].split_whitespace().count() <= 30, "one sentence: {}", row[2]);
+        assert!(!row[3].is_empty(), "{} has no source", row[0]);
+    }
+}
+
+#[test]
+fn retired_names_are_gone_and_have_a_successor() {
+    let types = declared(&["struct ", "enum ", "trait ", "type "]);
+    let functions = declared(&["fn "]);
+    let all = declared(DECLARATIONS);
+    let mut left = Vec::new();
+    for row in table("## Retired names") {
+        for old in row[0].split('`').skip(1).step_by(2) {
+            let declared = if old.ends_with("()") { &functions } else { &types };
+            let is_declared = declared.contains(old.trim_end_matches("()"));
+            left.extend(is_declared.then(|| format!("{old} is retired: use {}", row[1])));
+        }
+        for new in names(&row[1]) {
+            let exists = all.contains(&new);
+            left.extend((!exists).then(|| format!("{} is retired, but there is no {new}", row[0])));
+        }
+    }
+    assert!(left.len() <= RETIRED_NAMES_MAX, "{} names, at most {RETIRED_NAMES_MAX}: {left:#?}", left.len());
+}
+
+#[test]
+fn retired_phrases_do_not_grow() {
+    let phrases: Vec<(String, String)> =
+        table("## Retired phrases").into_iter().map(|row| (row[0].to_lowercase(), row[1].clone())).collect();
+    let mut found = Vec::new();
+    for (_, folder) in crates() {
+        for source in product_files(&folder) {
+            for (number, line) in source.text.lines().enumerate() {
+                let lower = line.to_lowercase();
+                let hit = phrases.iter().find(|(phrase, _)| contains_words(&lower, phrase));
+                let place = || format!("{}:{}", source.path, number + 1);
+                found.extend(hit.map(|(old, new)| format!("{}: \"{old}\" -> {new}", place())));
+            }
+        }
+    }
+    let count = found.len();
+    assert!(
+        count <= RETIRED_PHRASES_MAX,
+        "{count} retired phrases, at most {RETIRED_PHRASES_MAX}: {found:#?}"
+    );
+}
+
+/// Whether a line contains a phrase that neither begins nor ends within a word.
+fn contains_words(line: &str, phrase: &str) -> bool {
+    let is_word = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
+    line.match_indices(phrase).any(|(at, _)| {
+        !is_word(line[..at].chars().next_back()) && !is_word(line[at + phrase.len()..].chars().next())
+    })
+}
