@@ -4,6 +4,8 @@
 use msg::RobotId;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 use rand_pcg::Pcg64Mcg;
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// Purpose of a stream of random numbers.
 #[derive(Clone, Copy)]
@@ -34,11 +36,7 @@ impl Noise {
     }
 }
 
-/// Mixes the bits of a seed with SplitMix64's finaliser (Steele, Lea, Flood 2014), so that consecutive seeds
-/// give unrelated streams.
+/// First number of SplitMix64 (Steele, Lea, Flood 2014), so that neighbouring seeds give unrelated streams.
 fn mix(seed: u64) -> u64 {
-    let z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    SplitMix64::seed_from_u64(seed).next_u64()
 }

@@ -1,10 +1,11 @@
-//! `mr-slam replay A B ... --merge`: the logs of several robots, merged as if they were live.
+//! `mr-slam replay A B ... --merge`: maps the logs of several robots and merges them as a live fleet would.
 //!
-//! Scans are taken in the order of their stamps; each robot has its SLAM, and the fleet's joint
-//! graph gets each submap when it would get it live. One thread: the same logs give the same maps.
+//! Scans are used in the order of their stamps. Each robot has its own SLAM, and the fleet's pose graph gets each
+//! submap when it would get it live. One thread: the same logs give the same maps.
 
 use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, write_trajectory};
-use crate::merge_edges::EdgeView;
+use crate::command::output;
+use crate::view::{EdgeView, edge_table};
 use formats::carmen::{LaserLine, Reader};
 use formats::map_file::write_map;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
@@ -15,17 +16,17 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
 
-/// Work done after one scan: what is left over waits for the next.
+/// Number of merging tasks after one node; the others wait for the next.
 const TASKS_PER_SCAN: usize = 16;
-/// Work done when all logs have ended.
+/// Largest number of merging tasks when all logs have ended.
 const LAST_TASKS_MAX: usize = 20_000;
 
-/// What is known of where the robots started.
+/// Knowledge of the robots' starts.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Starts {
-    /// A file: a line each robot, `index time x y theta`, metres and radians.
+    /// File with a line for each robot: `index time x y theta`, metres and radians.
     Known(PathBuf),
-    /// Anywhere.
+    /// Nothing is known.
     Unknown,
 }
 
@@ -40,45 +41,47 @@ impl FromStr for Starts {
     }
 }
 
-/// What came of it.
+/// Figures of a replay of several logs.
 #[derive(Debug, Serialize)]
 pub struct FleetSummary {
-    /// Each log's robot.
+    /// Figures of each log's robot.
     pub robots: Vec<RobotSummary>,
-    /// What is believed of each pair of robots, and why.
+    /// Edges between robots' maps, with their evidence.
     pub edges: Vec<EdgeView>,
-    /// Cells of the merged map.
+    /// Width of the merged map, cells.
     pub map_width: u32,
-    /// See [`FleetSummary::map_width`].
+    /// Height of the merged map, cells.
     pub map_height: u32,
-    /// Solutions of the joint graph.
+    /// Number of solutions of the fleet's pose graph.
     pub solutions: u64,
-    /// Reading to merged map, seconds.
+    /// Number of times that the graph could not be solved; the estimate then stayed what it was.
+    pub failed_solutions: u64,
+    /// Duration from reading to the merged map, seconds.
     pub wall_s: f64,
-    /// Of which merging, seconds.
+    /// Duration of merging, seconds.
     pub merge_s: f64,
-    /// The longest piece of work for the thread beside merging, milliseconds.
+    /// Longest task of the thread that aligns maps, milliseconds.
     pub task_max_ms: f64,
-    /// The longest time that merging itself was busy with one message, milliseconds.
+    /// Longest time that merging needed for one message, milliseconds.
     pub update_max_ms: f64,
 }
 
-/// One robot of it.
+/// Figures of one robot in a replay of several logs.
 #[derive(Debug, Serialize)]
 pub struct RobotSummary {
-    /// Whether its map is in the merged one.
+    /// Whether its map is part of the merged map.
     pub merged: bool,
-    /// The merged map's frame from the robot's map's, where the robot was last: x, y in metres, yaw in radians.
+    /// Pose of the robot's map in the merged map, at the robot's last place: x m, y m, yaw rad.
     pub map_from_robot_map: Option<[f64; 3]>,
-    /// Whether its map was redrawn from its submaps, since no rigid transform puts all of it right.
-    pub straightened: bool,
-    /// How many submaps it has.
+    /// Whether its map was redrawn from its submaps because no rigid transform fits all of it.
+    pub redrawn: bool,
+    /// Number of submaps.
     pub submaps: usize,
-    /// Its own SLAM's account.
+    /// Figures of its own SLAM.
     pub slam: Summary,
 }
 
-/// A robot on its log.
+/// Robot of one log.
 struct Robot<'a> {
     id: RobotId,
     records: Records<'a>,
@@ -90,8 +93,13 @@ struct Robot<'a> {
     summary: Summary,
 }
 
-/// Replays all logs, writes what was asked for, prints the summary.
-pub fn run(args: &ReplayArgs, starts: &Starts, config: &SlamConfig) -> Result<(), ReplayError> {
+/// Replays all logs, writes the requested files and prints the summary.
+pub fn run(
+    args: &ReplayArgs,
+    starts: &Starts,
+    config: &SlamConfig,
+    merging: &MergeConfig,
+) -> Result<(), ReplayError> {
     let began = Instant::now();
     let logs = args.logs.iter().map(|path| read_log(path)).collect::<Result<Vec<_>, _>>()?;
     let known = match starts {
@@ -102,7 +110,6 @@ pub fn run(args: &ReplayArgs, starts: &Starts, config: &SlamConfig) -> Result<()
     let robots = robots
         .map(|((id, log), path)| Robot::new(id, log, path, args, config))
         .collect::<Result<Vec<_>, _>>()?;
-    let merging = MergeConfig::default();
     let mut merged = Merged {
         fleet: FleetPoseGraph::new(&merging.align, &known),
         poses: bytemuck::allocation::zeroed_box(),
@@ -111,7 +118,7 @@ pub fn run(args: &ReplayArgs, starts: &Starts, config: &SlamConfig) -> Result<()
         update_max_ms: 0.0,
     };
     let mut robots = merged.replay(robots);
-    let map = merged.map(&merging, &mut robots);
+    let map = merged.map(merging, &mut robots);
     if let Some(path) = &args.map {
         write_map(&path.with_extension(""), map.view())?;
     }
@@ -119,8 +126,7 @@ pub fn run(args: &ReplayArgs, starts: &Starts, config: &SlamConfig) -> Result<()
         write_trajectories(folder, &robots, &merged.fleet)?;
     }
     let summary = merged.summary(robots, &map, began);
-    print(&summary, args.json);
-    Ok(())
+    Ok(output::print_either(args.json, &summary, || summary.text())?)
 }
 
 impl<'a> Robot<'a> {
@@ -145,7 +151,7 @@ impl<'a> Robot<'a> {
         Ok(Self { id, records, next: Some(first), front, back, submaps, feeder, summary })
     }
 
-    /// The next scan through SLAM. True if it made a node.
+    /// Feeds the next scan to SLAM. Returns whether it became a node.
     fn scan(&mut self) -> bool {
         let Some(line) = self.next.take() else { return false };
         let node = self.feeder.scan(&mut self.front, &line);
@@ -169,7 +175,7 @@ struct Merged {
 }
 
 impl Merged {
-    /// All scans in the order of their stamps.
+    /// Feeds all scans in the order of their stamps.
     fn replay<'a>(&mut self, mut robots: Vec<Robot<'a>>) -> Vec<Robot<'a>> {
         let due = |robot: &&mut Robot<'a>| robot.next.as_ref().map(|line| (line.stamp, robot.id.index()));
         while let Some(robot) = robots.iter_mut().filter(|r| r.next.is_some()).min_by_key(due) {
@@ -188,7 +194,7 @@ impl Merged {
         robots
     }
 
-    /// What a robot's SLAM has new for the fleet.
+    /// Sends a robot's new submaps and poses to the fleet's pose graph.
     fn send(&mut self, robot: &mut Robot<'_>) {
         robot.submaps.poses(&robot.back, &mut self.poses);
         let began = Instant::now();
@@ -222,7 +228,7 @@ impl Merged {
         self.update_max_ms = self.update_max_ms.max(1e3 * spent_s);
     }
 
-    /// Every robot that has a place, straightened where need be.
+    /// Draws the merged map of every robot that has a place, redrawn where necessary.
     fn map(&self, config: &MergeConfig, robots: &mut [Robot<'_>]) -> Grid {
         let anchors: Vec<_> = robots.iter().map(|robot| self.fleet.map_from_robot_map(robot.id)).collect();
         let mut merger = Merger::new(config, &anchors);
@@ -247,7 +253,7 @@ impl Merged {
             RobotSummary {
                 merged: place.is_some(),
                 map_from_robot_map: place.map(|p| [p.x_m, p.y_m, p.yaw_rad]),
-                straightened: self.fleet.redrawn_map(robot.id).is_some(),
+                redrawn: self.fleet.redrawn_map(robot.id).is_some(),
                 submaps: robot.submaps.len(),
                 slam: robot.summary,
             }
@@ -258,6 +264,7 @@ impl Merged {
             map_width: map.header.width,
             map_height: map.header.height,
             solutions: self.fleet.solve_count(),
+            failed_solutions: self.fleet.failed_solve_count(),
             wall_s: began.elapsed().as_secs_f64(),
             merge_s: self.merge_s,
             task_max_ms: self.task_max_ms,
@@ -266,7 +273,8 @@ impl Merged {
     }
 }
 
-/// A file for each robot, `robotK.tum`: in the merged map's frame if the robot has a place there, else in its own.
+/// Writes a file for each robot, `robotK.tum`, in the merged map's frame if the robot has a place there, otherwise in
+/// its own.
 fn write_trajectories(
     folder: &Path,
     robots: &[Robot<'_>],
@@ -287,14 +295,14 @@ fn write_trajectories(
     Ok(())
 }
 
-/// `map` from `robotK/map` at a node.
+/// Returns the pose of `robotK/map` in `map` at a node.
 fn correction(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -> Pose2 {
     let at = |id: u32| fleet.map_from_robot_map_at(robot.id, id);
     let place = robot.submaps.submap_of(node).and_then(|(id, _)| at(id));
     place.or(fleet.map_from_robot_map(robot.id)).unwrap_or(Pose2::IDENTITY)
 }
 
-/// Lines `index time x y theta`; `#` begins a comment.
+/// Reads lines `index time x y theta`; `#` begins a comment.
 fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayError> {
     let text = std::fs::read_to_string(path)
         .map_err(|source| ReplayError::Read { path: path.to_owned(), source })?;
@@ -315,28 +323,30 @@ fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayEr
     Ok(starts)
 }
 
-fn print(summary: &FleetSummary, json: bool) {
-    if json {
-        println!("{}", serde_json::to_string_pretty(summary).unwrap_or_default());
-        return;
+impl FleetSummary {
+    /// Formats the summary for a terminal.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        for robot in &self.robots {
+            let place = match robot.map_from_robot_map {
+                Some([x, y, yaw]) => format!("x {x:.3} m, y {y:.3} m, {:.2} degrees", yaw.to_degrees()),
+                None => "not merged".into(),
+            };
+            let bent = if robot.redrawn { ", redrawn" } else { "" };
+            let RobotSummary { slam, submaps, .. } = robot;
+            text += &format!("{}: {} scans, {submaps} submaps, {place}{bent}\n", slam.log, slam.scans);
+        }
+        text += &edge_table(&self.edges);
+        text + &format!(
+            "merged map {} x {} cells; {:.2} s, merging {:.2} s ({} solutions, {} failed; longest task {:.0} ms, update {:.2} ms)\n",
+            self.map_width,
+            self.map_height,
+            self.wall_s,
+            self.merge_s,
+            self.solutions,
+            self.failed_solutions,
+            self.task_max_ms,
+            self.update_max_ms
+        )
     }
-    for robot in &summary.robots {
-        let place = match robot.map_from_robot_map {
-            Some([x, y, yaw]) => format!("x {x:.3} m, y {y:.3} m, {:.2} degrees", yaw.to_degrees()),
-            None => "not merged".into(),
-        };
-        let bent = if robot.straightened { ", straightened" } else { "" };
-        println!("{}: {} scans, {} submaps, {place}{bent}", robot.slam.log, robot.slam.scans, robot.submaps);
-    }
-    print!("{}", crate::merge_edges::table(&summary.edges));
-    println!(
-        "merged map {} x {} cells; {:.2} s, merging {:.2} s ({} solutions; longest task {:.0} ms, update {:.2} ms)",
-        summary.map_width,
-        summary.map_height,
-        summary.wall_s,
-        summary.merge_s,
-        summary.solutions,
-        summary.task_max_ms,
-        summary.update_max_ms
-    );
 }

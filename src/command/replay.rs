@@ -1,7 +1,7 @@
-//! `mr-slam replay`: a recorded log through the same SLAM, as fast as it goes.
+//! `mr-slam replay`: maps recorded logs with the fleet's SLAM, as fast as the machine can.
 //!
-//! Two threads as in the live process: this one is the scan path, the other one does the work
-//! beside it. Unlike the live one, this one waits when the other is far behind: a log has time.
+//! Two threads as in the live process: this one runs the front end, the other one the back end. Unlike the live
+//! process, the front end waits when the back end is far behind: a log has time.
 
 mod fleet;
 mod summary;
@@ -9,11 +9,14 @@ mod summary;
 pub use fleet::Starts;
 pub use summary::{Percentiles, Summary};
 
+use super::output;
+use crate::config::{ConfigError, FleetConfig, recorded_log_slam};
 use crate::session_file::{self, SessionFileError};
 use crate::sessions::{Mode, TOLD_SIGMA};
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
 use formats::map_file::{MapFileError, write_map};
+use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PoseEstimate, Revision, SlamConfig};
 use std::fs::File;
@@ -22,137 +25,151 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-/// A log may be this large when unpacked, bytes.
+/// Largest log when unpacked, bytes.
 const LOG_MAX: u64 = 1 << 30;
-/// Malformed lines that are shown; the others are counted.
+/// Number of malformed lines that are shown; the others are counted.
 const ERRORS_SHOWN: usize = 5;
-/// Nodes that may wait for the back end: the log waits then, and no node is held back.
+/// Nodes that may wait for the back end before the log waits: then no node is held back.
 const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
-/// Between two lines of progress.
+/// Time between two lines of progress.
 const PROGRESS: Duration = Duration::from_secs(1);
 
-/// `mr-slam replay LOG`.
+/// Map recorded CARMEN logs, as fast as the machine can
 #[derive(clap::Args, Clone, Debug)]
 pub struct ReplayArgs {
-    /// CARMEN logs, plain or gzip; more than one: a fleet, see --merge
+    /// CARMEN logs, plain or gzip; several logs are a fleet, see --merge
     #[arg(value_name = "LOG", required = true)]
     pub logs: Vec<PathBuf>,
-    /// Merge the robots of several logs: `known:FILE` (a line each robot: index, time, x, y, theta) or `unknown`
+    /// Fleet file whose [slam] and [merge] are used [default: built-in values for recorded logs]
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Merge several logs; starts are `unknown` or `known:FILE` with lines `index time x y theta`
     #[arg(long, value_name = "STARTS")]
     pub merge: Option<Starts>,
-    /// Write the final trajectory: one line a scan, `t x y z qx qy qz qw`; of several logs, a folder of them
+    /// File for the final trajectory, one line a scan: `t x y z qx qy qz qw`; for several logs a folder
     #[arg(long, value_name = "FILE")]
     pub trajectory: Option<PathBuf>,
-    /// Write the map: FILE.yaml with its PGM, and a PNG
+    /// File for the map: FILE.yaml with its PGM, and a PNG
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
-    /// Print the summary as JSON
+    /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// Keep only the central beams of every scan, degrees
+    /// Field of view of the central beams that are used, degrees
     #[arg(long, value_name = "DEGREES")]
     pub fov_deg: Option<f64>,
-    /// Use the scans alone
+    /// Ignore odometry
     #[arg(long)]
     pub no_odometry: bool,
-    /// Never close a loop
+    /// Do not close loops
     #[arg(long)]
     pub no_closures: bool,
-    /// Begin with this session file; or with a map (.yaml), to localize in it
+    /// Session file to begin with; or a map (.yaml) to localize in
     #[arg(long, value_name = "FILE")]
     pub session: Option<PathBuf>,
-    /// Keep the session in this file
+    /// File for the session at the end
     #[arg(long, value_name = "FILE")]
     pub save_session: Option<PathBuf>,
-    /// What to do with the map: let it grow, stay as it is, or forget what is no longer so
+    /// Use of the map
     #[arg(long, value_enum, default_value_t)]
     pub mode: Mode,
-    /// The robot stands here in the session's map, about; without it, it is looked for
+    /// Approximate pose of the robot in the session's map: metres, metres, radians [default: relocalize]
     #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose, allow_hyphen_values = true, requires = "session")]
     pub at: Option<Pose2>,
-    /// The robot goes on where the session's ended, as if it had never stopped
+    /// Continue where the session ended, as if it had never stopped
     #[arg(long, requires = "session", conflicts_with = "at")]
     pub go_on: bool,
-    /// Leave out the log's first scans
+    /// Number of scans to skip at the beginning
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub skip: usize,
-    /// End after so many scans
+    /// Number of scans to use [default: all]
     #[arg(long, value_name = "N")]
     pub scans: Option<usize>,
 }
 
-/// What stops a replay.
+/// Reason why a replay ended without a result.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// The log cannot be read.
+    /// A log cannot be read.
     #[error("cannot read {path}: {source}")]
     Read {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
     /// A result cannot be written.
     #[error("cannot write {path}: {source}")]
     Write {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
     /// The map cannot be written.
     #[error(transparent)]
     Map(#[from] MapFileError),
-    /// Nothing to do.
+    /// A log has no scan.
     #[error(
         "{path} has no usable scan: expected FLASER or ROBOTLASER1 lines ({skipped} other lines, {malformed} malformed)"
     )]
     NoScan {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// Lines of other kinds.
+        /// Number of lines of other kinds.
         skipped: u64,
-        /// Malformed lines.
+        /// Number of malformed lines.
         malformed: u64,
     },
     /// A session cannot be read or written.
     #[error(transparent)]
     Session(#[from] SessionFileError),
-    /// A map has no graph.
-    #[error("--session {0} is a map: nothing but --mode localize can be done with it")]
+    /// A map file has no pose graph that could grow.
+    #[error(
+        "--session {0} is a map file, which has no pose graph; expected --mode localize, or a session file"
+    )]
     MapOnly(PathBuf),
-    /// An option makes no sense.
-    #[error("--fov-deg is {0}, expected 1 to 360")]
+    /// `--fov-deg` is out of range.
+    #[error("--fov-deg is {0}; expected 1 to 360 degrees")]
     FieldOfView(f64),
-    /// Several logs, and nobody said what to do with them; or too many.
+    /// Several logs without `--merge`, or too many.
     #[error("{0} logs: expected one, or 2 to {max} with --merge", max = msg::ROBOTS_MAX)]
     Logs(usize),
-    /// A line of the file with the starts.
+    /// A line of the file with the starts is malformed.
     #[error(
         "{path}:{line}: `{found}`: expected `index time x y theta`, a robot of the fleet and finite numbers"
     )]
     Starts {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// From 1.
+        /// Line number, from 1.
         line: usize,
-        /// What it says.
+        /// Text of the line.
         found: String,
     },
+    /// The fleet file is refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Standard output.
+    #[error("cannot print the summary: {0}")]
+    Print(#[from] std::io::Error),
 }
 
-/// Replays a log, writes what was asked for, prints the summary.
+/// Replays the logs, writes the requested files and prints the summary.
 pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     if let Some(fov) = args.fov_deg.filter(|fov| !(1.0..=360.0).contains(fov)) {
         return Err(ReplayError::FieldOfView(fov));
     }
-    let mut config = SlamConfig::default();
-    config.odometry.used = !args.no_odometry;
-    config.closures.enabled = !args.no_closures;
+    let (mut config, merging) = match &args.config {
+        Some(file) => FleetConfig::from_file(file).map(|config| (config.slam, config.merge))?,
+        None => (recorded_log_slam(), MergeConfig::default()),
+    };
+    config.odometry.used &= !args.no_odometry;
+    config.closures.enabled &= !args.no_closures;
     let log = match (args.logs.as_slice(), &args.merge) {
         ([log], None) => log,
         (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
-            return fleet::run(args, starts, &config);
+            return fleet::run(args, starts, &config, &merging);
         }
         (logs, _) => return Err(ReplayError::Logs(logs.len())),
     };
@@ -181,18 +198,17 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
     if let Some(path) = &args.map {
         write_map(&path.with_extension(""), grid)?;
     }
-    summary::print(&summary, args.json);
-    Ok(())
+    Ok(output::print_either(args.json, &summary, || summary.text())?)
 }
 
-/// The log's bytes, unpacked if they are gzip.
+/// Reads a log, unpacked if it is gzip.
 fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
     let fail = |source| ReplayError::Read { path: path.to_owned(), source };
     let bytes = std::fs::read(path).map_err(fail)?;
     gzip::unpack(bytes, LOG_MAX).map_err(fail)
 }
 
-/// A log gone through.
+/// Result of a replay.
 struct Replayed {
     front: FrontEnd,
     back: BackEnd,
@@ -216,7 +232,7 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
     let mut ended = started;
     std::thread::scope(|scope| {
         let back = &mut back;
-        let beside = scope.spawn(move || work_beside(back, nodes, to_front));
+        let back_end = scope.spawn(move || run_back_end(back, nodes, to_front));
         let mut feeder = Feeder::new(args);
         let front = &mut front;
         let mut next = Some(first);
@@ -232,7 +248,7 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
         drop(to_back);
         summary.not_located = feeder.not_located;
         summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
-        summary.beside_ms = Percentiles::of(beside.join().unwrap_or_default());
+        summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
     });
     (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
     summary.count(&front, &back);
@@ -241,7 +257,7 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
     Ok(Replayed { front, back, summary, duration_s: ended - started })
 }
 
-/// A scan path and a back end, new or from a session.
+/// Creates front end and back end, new or from a session.
 fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), ReplayError> {
     let Some(path) = &args.session else {
         return Ok(slam::begin(config, None, args.mode.into(), InitialPose::Unknown));
@@ -259,8 +275,8 @@ fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), R
     Ok(slam::begin(config, Some(session), args.mode.into(), start))
 }
 
-/// Works off nodes until there are no more to come. Returns how long each took, and the last word.
-fn work_beside(
+/// Adds nodes to the back end until no more come. Returns the duration of each, and of the final work.
+fn run_back_end(
     back: &mut BackEnd,
     nodes: mpsc::Receiver<Node>,
     to_front: mpsc::Sender<Revision>,
@@ -270,7 +286,7 @@ fn work_beside(
         let start = Instant::now();
         let revision = back.add_node(node);
         times.push(start.elapsed());
-        // The log may have ended, then nobody listens.
+        // The front end is gone if the log has ended.
         let _ = to_front.send(revision);
     }
     let start = Instant::now();
@@ -279,13 +295,14 @@ fn work_beside(
     times
 }
 
+/// Laser scans of a log.
 struct Records<'a> {
     reader: Reader<'a>,
     malformed: u64,
 }
 
 impl Records<'_> {
-    /// Scan lines carry the odometry they were taken at, so ODOM lines add nothing.
+    /// Returns the next scan. Scan lines carry the odometry at which they were taken, so ODOM lines add nothing.
     fn next_laser(&mut self) -> Option<LaserLine> {
         loop {
             match self.reader.next()? {
@@ -294,7 +311,7 @@ impl Records<'_> {
                 Err(error) => {
                     self.malformed += 1;
                     if self.malformed as usize <= ERRORS_SHOWN {
-                        eprintln!("{error}; line skipped");
+                        output::note(&format!("{error}; line skipped"));
                     }
                 }
             }
@@ -302,13 +319,13 @@ impl Records<'_> {
     }
 }
 
-/// Log lines to messages.
+/// Converts log lines to messages and feeds them to the front end.
 struct Feeder {
     scan: Box<Scan>,
     seq: u64,
     fov_rad: Option<f64>,
     times: Vec<Duration>,
-    told: Instant,
+    noted: Instant,
     not_located: u64,
 }
 
@@ -316,7 +333,7 @@ impl Feeder {
     fn new(args: &ReplayArgs) -> Self {
         let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
         let fov_rad = args.fov_deg.map(f64::to_radians);
-        Self { scan, seq: 0, fov_rad, times: Vec::new(), told: Instant::now(), not_located: 0 }
+        Self { scan, seq: 0, fov_rad, times: Vec::new(), noted: Instant::now(), not_located: 0 }
     }
 
     fn scan(&mut self, front: &mut FrontEnd, line: &LaserLine) -> Option<Node> {
@@ -329,15 +346,15 @@ impl Feeder {
         let step = front.process(&self.scan);
         self.times.push(start.elapsed());
         self.not_located += u64::from(!front.is_located());
-        if self.told.elapsed() > PROGRESS {
-            self.told = Instant::now();
-            eprintln!("{} scans, {} nodes", self.seq, step.correction.nodes);
+        if self.noted.elapsed() > PROGRESS {
+            self.noted = Instant::now();
+            output::note(&format!("{} scans, {} nodes", self.seq, step.correction.nodes));
         }
         step.node
     }
 }
 
-/// `t x y z qx qy qz qw`, one line a scan.
+/// Writes one line a scan, `t x y z qx qy qz qw`: seconds, metres, unit quaternion.
 fn write_trajectory(path: &Path, poses: impl Iterator<Item = (Stamp, Pose2)>) -> std::io::Result<()> {
     let mut file = BufWriter::new(File::create(path)?);
     for (stamp, pose) in poses {
@@ -355,82 +372,4 @@ fn write_trajectory(path: &Path, poses: impl Iterator<Item = (Stamp, Pose2)>) ->
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A robot that drives 2 m through a box of 8 m x 6 m, one scan each 0.25 m.
-    fn log() -> String {
-        let mut log = String::from("# a box\nPARAM robot none\n");
-        for step in 0..9 {
-            let x = f64::from(step) * 0.25;
-            log += "FLASER 181";
-            for beam in 0..181 {
-                let (sin, cos) = (f64::from(beam) - 90.0).to_radians().sin_cos();
-                let range = ((6.0 - x) / cos.max(1e-9)).min(3.0 / sin.abs().max(1e-9));
-                log += &format!(" {range:.3}");
-            }
-            let odometry = x * 1.02;
-            log += &format!(" 0 0 0 {odometry} 0 0 976052890.24411{step} host 0\n");
-            log += "FLASER 3 1 2 oops\n";
-        }
-        log
-    }
-
-    fn args(log: &Path) -> ReplayArgs {
-        ReplayArgs {
-            logs: vec![log.to_owned()],
-            merge: None,
-            trajectory: None,
-            map: None,
-            json: false,
-            fov_deg: None,
-            no_odometry: false,
-            no_closures: false,
-            session: None,
-            save_session: None,
-            mode: Mode::Mapping,
-            at: None,
-            go_on: false,
-            skip: 0,
-            scans: None,
-        }
-    }
-
-    #[test]
-    fn every_scan_gets_a_pose_at_its_own_stamp() {
-        let folder = std::env::temp_dir().join(format!("mr-slam-replay-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let (path, trajectory) = (folder.join("box.log.gz"), folder.join("box.tum"));
-        let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        packed.write_all(log().as_bytes()).unwrap();
-        std::fs::write(&path, packed.finish().unwrap()).unwrap();
-        let map = Some(folder.join("box.yaml"));
-        run(&ReplayArgs { trajectory: Some(trajectory.clone()), map, ..args(&path) }).unwrap();
-
-        let text = std::fs::read_to_string(&trajectory).unwrap();
-        let rows: Vec<Vec<&str>> = text.lines().map(|l| l.split(' ').collect()).collect();
-        assert_eq!(rows.len(), 9);
-        for (step, row) in rows.iter().enumerate() {
-            assert_eq!(row[0], format!("976052890.24411{step}"));
-            let x: f64 = row[1].parse().unwrap();
-            assert!((x - 0.25 * step as f64).abs() < 0.02, "{x} at scan {step}");
-        }
-        assert!(folder.join("box.pgm").exists() && folder.join("box.yaml").exists());
-        std::fs::remove_dir_all(&folder).unwrap();
-    }
-
-    #[test]
-    fn malformed_lines_are_counted() {
-        let replayed = feed(log().as_bytes(), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
-        let summary = replayed.summary;
-        assert_eq!((summary.scans, summary.malformed_lines, summary.skipped_lines), (9, 9, 2));
-    }
-
-    #[test]
-    fn a_log_without_scans_says_what_was_expected() {
-        let error = feed(b"ODOM 1 2\nhello\n", SlamConfig::default(), &args(Path::new("x.log")));
-        let message = error.err().unwrap().to_string();
-        assert!(message.contains("x.log") && message.contains("FLASER"), "{message}");
-        assert!(message.contains("1 other lines, 1 malformed"), "{message}");
-    }
-}
+mod tests;

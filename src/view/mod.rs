@@ -1,78 +1,84 @@
-//! The fleet's figures as people and programs read them: a table, and JSON.
+//! Figures of a fleet as people and programs read them: tables and JSON.
 
-use crate::control::Doors;
-use crate::merge_edges::EdgeView;
+mod edges;
+mod slam;
+mod table;
+
+pub use edges::{EdgeView, edge_table, edges_json};
+pub use slam::{ClosureView, SlamView};
+
+use crate::control::BridgeState;
+
 use msg::{Distribution, FleetStats, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState};
 use serde::Serialize;
-use std::fmt::Write;
 
-/// A fleet's figures with names and units.
+/// Figures of a fleet, with names and units; JSON of `status`, `report.json` and `lockstep`.
 #[derive(Clone, Debug, Serialize)]
 pub struct FleetView {
-    /// The run's time: seconds since it began, or since 1970 where the world is not simulated here.
+    /// Time of the run: seconds since its start, or since 1970 if the world is not simulated here.
     pub time_s: f64,
-    /// Each robot's.
+    /// Figures of each robot, robot1 first.
     pub robots: Vec<RobotView>,
-    /// The merged map's.
+    /// Figures of the merged map.
     pub merged_map: MapView,
-    /// Known cells of the merged map over those that can be known in the room; `None`: not a simulation.
+    /// Known cells of the merged map over the room's observable cells, 0 to 1; `None`: not a simulation.
     pub room_coverage: Option<f64>,
-    /// How many pairs of maps overlap.
+    /// Number of pairs of maps that overlap.
     pub pairs: u32,
-    /// The paper's cross-instance consistency, mean over pairs, 0 to 1.
+    /// Cross-instance consistency of the paper, mean over pairs, 0 to 1.
     pub consistency: Option<f64>,
-    /// The same, tolerant of one cell.
+    /// Cross-instance consistency with a tolerance of one cell.
     pub consistency_one_cell: Option<f64>,
-    /// F1 of occupied cells at one cell's tolerance.
+    /// F1 of occupied cells with a tolerance of one cell, mean over pairs.
     pub occupied_f1: Option<f64>,
-    /// Mean floor two maps share, square metres.
+    /// Area that two maps share, mean over pairs, square metres.
     pub overlap_m2: Option<f64>,
-    /// What chance gives: the same maps under wrong transforms with at least half the overlap; their number.
+    /// Number of wrong transforms with at least half the overlap, under which the same maps were compared.
     pub null_transforms: u32,
-    /// Mean of the paper's consistency under them.
+    /// Cross-instance consistency under wrong transforms, mean: what chance gives.
     pub null_consistency_mean: Option<f64>,
-    /// Mean F1 of occupied cells under them.
+    /// F1 of occupied cells under wrong transforms, mean: what chance gives.
     pub null_f1_mean: Option<f64>,
-    /// The merged map against the room; `None`: not a simulation, or nothing merged.
+    /// Merged map compared with the room; `None`: not a simulation, or nothing merged.
     pub against_room: Option<AgainstRoomView>,
-    /// What merging believes of each pair of robots, and why, if somebody asked.
+    /// Edges between robots' maps, with their evidence; empty if merging was not asked.
     pub merge_edges: Vec<EdgeView>,
-    /// Each process's health.
+    /// Health of each process.
     pub processes: Vec<ProcessView>,
-    /// Who is at the doors, by the bridge's account; `None`: it was not asked, or did not answer.
-    pub doors: Option<Doors>,
+    /// State of the bridge; `None`: it was not asked, or did not answer.
+    pub bridge: Option<BridgeState>,
 }
 
-/// One robot's figures.
+/// Figures of one robot.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotView {
     /// `robot1`.
     pub robot: String,
     /// `tracking`, `lost` ...
     pub state: &'static str,
-    /// Scans that reach SLAM, a second.
+    /// Scans that SLAM receives per second.
     pub scan_hz: f64,
-    /// Since the start.
+    /// Scans that SLAM received since its start.
     pub scans: u64,
-    /// Since the start.
+    /// Scans that were sent and not received since the start.
     pub scans_lost: u64,
-    /// Its own map.
+    /// Figures of the robot's own map.
     pub map: MapView,
-    /// |(receive - stamp) - its mean|, pooled over the robot's links.
+    /// TF jitter: |(receive - stamp) - its mean|, pooled over the robot's transforms, milliseconds.
     pub tf_jitter_ms: DistributionView,
-    /// From the simulator to SLAM's pose.
+    /// Delay from the simulator's scan to SLAM's pose, milliseconds.
     pub scan_to_pose_ms: DistributionView,
-    /// From the simulator to the map that contains the scan.
+    /// Delay from the simulator's scan to the map that contains it, milliseconds.
     pub scan_to_map_ms: DistributionView,
-    /// `robotK/map` from `base_footprint`: x, y in metres, yaw in radians.
+    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad.
     pub pose: [f64; 3],
-    /// Distance of SLAM's pose from the truth; `None`: not a simulation.
+    /// Distance of SLAM's pose from the true pose, metres; `None`: not a simulation.
     pub pose_error_m: Option<f64>,
-    /// Nodes in the pose graph.
+    /// Number of nodes in the pose graph.
     pub nodes: u32,
-    /// Loop closures in force.
+    /// Number of loop closures in force.
     pub closures: u32,
-    /// Whether its map is in the merged one.
+    /// Whether the robot's map is part of the merged map.
     pub merged: bool,
     /// Where merging puts its map, against the truth as seen from the first merged robot: metres.
     pub map_transform_error_m: Option<f64>,
@@ -80,53 +86,53 @@ pub struct RobotView {
     pub map_transform_error_deg: Option<f64>,
 }
 
-/// The merged map's walls against the room's, in a simulation.
+/// Walls of the merged map compared with the simulated room's.
 #[derive(Clone, Debug, Serialize)]
 pub struct AgainstRoomView {
-    /// F1 of occupied cells at one cell's tolerance.
+    /// F1 of occupied cells with a tolerance of one cell.
     pub occupied_f1: f64,
-    /// Mean distance from the map's occupied cells to the nearest visible wall, each at most 1 m.
+    /// Mean distance from occupied cells to the nearest visible wall, metres, each at most 1 m.
     pub map_to_room_m: f64,
-    /// Mean distance from visible walls to the map's nearest occupied cell, each at most 1 m.
+    /// Mean distance from visible walls to the nearest occupied cell, metres, each at most 1 m.
     pub room_to_map_m: f64,
-    /// Mean thickness of the map's walls.
+    /// Mean thickness of the map's walls, metres.
     pub wall_thickness_m: f64,
 }
 
-/// A map's figures.
+/// Figures of a map.
 #[derive(Clone, Debug, Serialize)]
 pub struct MapView {
-    /// The paper's seven: free, occupied, unknown, total, width, height, resolution.
+    /// The paper's seven figures: free, occupied, unknown, total cells, width, height (cells), resolution (m).
     pub slam_stats: [f64; 7],
-    /// Known over all cells, 0 to 1.
+    /// Known cells over all cells, 0 to 1.
     pub coverage: f64,
 }
 
-/// Median and tail.
+/// Median and tail of a distribution, in the unit of the field that holds it.
 #[derive(Clone, Debug, Serialize)]
 pub struct DistributionView {
-    /// How many values.
+    /// Number of values.
     pub count: u64,
-    /// Median.
+    /// 50th percentile.
     pub p50: f32,
     /// 95th percentile.
     pub p95: f32,
     /// 99th percentile.
     pub p99: f32,
-    /// Largest.
+    /// Largest value.
     pub max: f32,
 }
 
-/// One process's health.
+/// Health of one process.
 #[derive(Clone, Debug, Serialize)]
 pub struct ProcessView {
     /// `sim of robot2`, `merge` ...
     pub process: String,
-    /// Its process id.
+    /// Process id of the operating system.
     pub pid: u32,
-    /// `up`, or `silent` if it has not been heard of for two seconds.
+    /// `up`, or `silent` if no heartbeat came for 2.5 s.
     pub state: &'static str,
-    /// Incarnations before this one.
+    /// Number of restarts.
     pub restarts: u64,
     /// Messages of its main input received.
     pub received: u64,
@@ -138,25 +144,25 @@ pub struct ProcessView {
     pub refused: u64,
     /// Clients attached (bridge).
     pub clients: u32,
-    /// Time per unit of work, median of the last second.
+    /// Time per unit of work, median of the last second, microseconds.
     pub work_p50_us: f32,
-    /// The slowest of the last second.
+    /// Time per unit of work, largest of the last second, microseconds.
     pub work_max_us: f32,
-    /// How late periodic work began, median of the last second.
+    /// Delay of periodic work, median of the last second, microseconds.
     pub late_p50_us: f32,
-    /// The latest of the last second.
+    /// Delay of periodic work, largest of the last second, microseconds.
     pub late_max_us: f32,
-    /// Resident memory.
+    /// Resident memory, megabytes.
     pub memory_mb: f64,
-    /// Processor time since its start.
+    /// CPU time since its start, seconds.
     pub cpu_s: f64,
 }
 
-/// A process is silent after missing one health message.
+/// Age of the newest heartbeat after which a process counts as silent, seconds: two are missing then.
 const SILENT_AFTER_S: f64 = 2.5;
 
 impl FleetView {
-    /// Names the figures.
+    /// Converts telemetry's message; edges and the bridge's state are added by the caller.
     pub fn new(stats: &FleetStats) -> Self {
         let count = (stats.robot_count as usize).min(stats.robots.len());
         let pairs = stats.pair_count > 0;
@@ -184,109 +190,8 @@ impl FleetView {
             }),
             merge_edges: Vec::new(),
             processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
-            doors: None,
+            bridge: None,
         }
-    }
-
-    /// A table for a terminal.
-    pub fn table(&self) -> String {
-        let mut text = String::new();
-        let _ = writeln!(
-            text,
-            "{:<8} {:<10} {:>7} {:>6} {:>9} {:>16} {:>16} {:>9}",
-            "robot", "state", "scan Hz", "lost", "coverage", "TF jitter ms", "scan→pose ms", "error m"
-        );
-        let _ = writeln!(
-            text,
-            "{:<8} {:<10} {:>7} {:>6} {:>9} {:>16} {:>16}",
-            "", "", "", "", "", "p50 / p99", "p50 / p99"
-        );
-        for robot in &self.robots {
-            let _ = writeln!(
-                text,
-                "{:<8} {:<10} {:>7.2} {:>6} {:>8.1}% {:>16} {:>16} {:>9}",
-                robot.robot,
-                robot.state,
-                robot.scan_hz,
-                robot.scans_lost,
-                100.0 * robot.map.coverage,
-                robot.tf_jitter_ms.short(),
-                robot.scan_to_pose_ms.short(),
-                robot.pose_error_m.map_or_else(|| "-".into(), |error| format!("{error:.3}")),
-            );
-        }
-        let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
-        let _ = writeln!(
-            text,
-            "merged   room {}   consistency {} ({} within a cell)   occupied F1 {} (chance: {}, F1 {})",
-            percent(self.room_coverage),
-            percent(self.consistency),
-            percent(self.consistency_one_cell),
-            percent(self.occupied_f1),
-            percent(self.null_consistency_mean),
-            percent(self.null_f1_mean),
-        );
-        text += &self.merge_lines();
-        if let Some(doors) = &self.doors {
-            text += &doors.table();
-        }
-        text
-    }
-
-    /// Who is in the merged map and who is not; what is not as it should be between two of them.
-    fn merge_lines(&self) -> String {
-        let of = |merged: bool| {
-            let robots = self.robots.iter().filter(|robot| robot.merged == merged);
-            robots.map(|robot| robot.robot.as_str()).collect::<Vec<_>>().join(", ")
-        };
-        let mut text = String::new();
-        let (there, apart) = (of(true), of(false));
-        if !apart.is_empty() {
-            let there = if there.is_empty() { "nobody" } else { &there };
-            let _ = writeln!(
-                text,
-                "         the map is of {there}; not known where {apart} is (each has its own map)"
-            );
-        }
-        for edge in self.merge_edges.iter().filter(|edge| edge.is_news()) {
-            let _ = writeln!(text, "         {edge}");
-        }
-        text
-    }
-
-    /// The processes' table.
-    pub fn process_table(&self) -> String {
-        let mut text = format!(
-            "{:<16} {:>8} {:<7} {:>8} {:>9} {:>6} {:>8} {:>11} {:>9} {:>8}\n",
-            "process",
-            "pid",
-            "state",
-            "restarts",
-            "received",
-            "lost",
-            "dropped",
-            "work us",
-            "memory MB",
-            "cpu s"
-        );
-        for p in &self.processes {
-            let _ = writeln!(
-                text,
-                "{:<16} {:>8} {:<7} {:>8} {:>9} {:>6} {:>8} {:>5.0}/{:<5.0} {:>9.1} {:>8.1}",
-                p.process,
-                p.pid,
-                p.state,
-                p.restarts,
-                p.received,
-                p.lost,
-                p.dropped,
-                p.work_p50_us,
-                p.work_max_us,
-                p.memory_mb,
-                p.cpu_s
-            );
-        }
-        text
     }
 }
 
@@ -329,10 +234,6 @@ impl DistributionView {
     fn new(distribution: &Distribution) -> Self {
         let Distribution { count, p50, p95, p99, max } = *distribution;
         Self { count, p50, p95, p99, max }
-    }
-
-    fn short(&self) -> String {
-        if self.count == 0 { "-".into() } else { format!("{:.3} / {:.3}", self.p50, self.p99) }
     }
 }
 

@@ -1,5 +1,6 @@
-//! What a run leaves behind for people and programs: `report.json`, and a summary.
+//! Report of a run: `report.json` for programs, and a summary for people.
 
+use super::events::Events;
 use crate::run::{Run, RunError};
 use crate::view::{DistributionView, FleetView, RobotView};
 use serde::Serialize;
@@ -7,42 +8,43 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// `report.json`.
+/// Content of `report.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// How long the fleet ran, seconds.
+    /// Duration of the run, seconds.
     pub seconds: f64,
-    /// Which room, or whose world.
+    /// Room, or source of the world.
     pub room: String,
-    /// The noise's seed.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// The five figures of the paper; `None` if no figures came.
+    /// Figures of the paper; `None` if telemetry sent none.
     pub paper: Option<Paper>,
-    /// All figures at the end of the run.
+    /// All figures at the end of the run; `None` if telemetry sent none.
     pub fleet: Option<FleetView>,
-    /// What the operator measured at its end of TCP.
+    /// Measurements of the scripted operator at its end of TCP; `None` without one.
     pub operator: Option<serde_json::Value>,
-    /// The maps' files, without their endings (.pgm, .yaml, .png).
+    /// Paths of the maps without extension (.pgm, .yaml, .png).
     pub maps: Vec<PathBuf>,
-    /// Deaths and restarts.
+    /// Deaths, restarts and changed edges, oldest first; the newest 1000.
     pub events: Vec<String>,
+    /// Number of older events that were dropped.
+    pub events_dropped: u64,
 }
 
-/// The paper's five figures over the whole fleet, worst robot first where there are several.
+/// Figures of the paper for the whole fleet.
 #[derive(Clone, Debug, Serialize)]
 pub struct Paper {
-    /// Scans that reach SLAM, a second: the slowest robot's mean over the run (paper: 8.83).
+    /// Scans that SLAM receives per second: mean over the run of the slowest robot (paper: 8.83).
     pub scan_hz: f64,
-    /// Scans sent and not received by SLAM, all robots.
+    /// Scans that were sent and not received by SLAM, all robots.
     pub scans_lost: u64,
-    /// Known over all cells, mean over the robots' maps, 0 to 1.
+    /// Known cells over all cells, mean over the robots' maps, 0 to 1.
     pub coverage: f64,
     /// Cross-instance consistency, 0 to 1 (paper: 0.947).
     pub consistency: Option<f64>,
-    /// TF jitter, median in milliseconds, the worst robot's (paper: 6.3).
+    /// TF jitter of the worst robot, median, milliseconds (paper: 6.3).
     pub tf_jitter_ms: f32,
-    /// From a scan's leaving the simulator to the map that contains it, median in milliseconds,
-    /// the worst robot's.
+    /// Delay from the simulator's scan to the map that contains it, of the worst robot, median, milliseconds.
     pub scan_to_map_ms: f32,
 }
 
@@ -65,15 +67,16 @@ impl Paper {
 }
 
 impl Report {
-    /// Collects what is known at the end of a run.
-    pub fn new(
+    /// Collects the figures at the end of a run.
+    pub(super) fn new(
         run: &Run,
         elapsed: Duration,
         fleet: Option<FleetView>,
         operator: Option<serde_json::Value>,
         maps: Vec<PathBuf>,
-        events: Vec<String>,
+        events: Events,
     ) -> Self {
+        let (events, events_dropped) = events.into_parts();
         Self {
             seconds: elapsed.as_secs_f64(),
             room: run.config.world_name().into(),
@@ -83,6 +86,7 @@ impl Report {
             operator,
             maps,
             events,
+            events_dropped,
         }
     }
 
@@ -93,7 +97,7 @@ impl Report {
         std::fs::write(&path, json).map_err(|why| RunError::File { path, why: why.to_string() })
     }
 
-    /// A screenful for people.
+    /// Formats the report for a terminal.
     pub fn summary(&self) -> String {
         let mut text = format!("\n{:.0} s in {}\n", self.seconds, self.room);
         if let Some(fleet) = &self.fleet {
@@ -121,27 +125,27 @@ impl Report {
     }
 }
 
-/// How well robots agree beyond the paper's figure, and with the room: figures that a wrong merge cannot reach.
+/// Formats how well the maps agree with each other and with the room: figures that a wrong merge cannot reach.
 fn map_figures(fleet: &FleetView) -> String {
     let mut text = String::new();
     let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1} %", 100.0 * v));
-    let _ = writeln!(text, "\n{:<28} {:>9} {:>20}", "robots' maps on each other", "here", "by chance");
+    let _ = writeln!(text, "\n{:<28} {:>9} {:>20}", "agreement of the robots' maps", "this run", "by chance");
     let rows = [
         ("consistency", fleet.consistency, fleet.null_consistency_mean),
-        ("consistency within a cell", fleet.consistency_one_cell, None),
-        ("occupied F1 within a cell", fleet.occupied_f1, fleet.null_f1_mean),
+        ("consistency within one cell", fleet.consistency_one_cell, None),
+        ("occupied F1 within one cell", fleet.occupied_f1, fleet.null_f1_mean),
     ];
     for (name, here, chance) in rows {
         let _ = writeln!(text, "{name:<28} {:>9} {:>20}", percent(here), percent(chance));
     }
     let shared = fleet.overlap_m2.map_or_else(|| "-".into(), |m2| format!("{m2:.1} m2"));
-    let chance = format!("{} wrong ones", fleet.null_transforms);
-    let _ = writeln!(text, "{:<28} {shared:>9} {chance:>20}", "shared, mean of pairs");
+    let chance = format!("{} wrong transforms", fleet.null_transforms);
+    let _ = writeln!(text, "{:<28} {shared:>9} {chance:>20}", "shared area, mean of pairs");
     if let Some(room) = &fleet.against_room {
         let _ = writeln!(
             text,
-            "merged map against the room: {} of what can be known, occupied F1 {:.1} %, walls {:.3} m from the room's, \
-             the room's {:.3} m from its, {:.3} m thick",
+            "merged map and room: {} of the observable area known, occupied F1 {:.1} %, map to room {:.3} m, \
+             room to map {:.3} m, walls {:.3} m thick",
             percent(fleet.room_coverage),
             100.0 * room.occupied_f1,
             room.map_to_room_m,
@@ -152,8 +156,11 @@ fn map_figures(fleet: &FleetView) -> String {
     for robot in fleet.robots.iter().filter(|robot| robot.map_transform_error_m.is_some()) {
         let (m, deg) =
             (robot.map_transform_error_m.unwrap_or(0.0), robot.map_transform_error_deg.unwrap_or(0.0));
-        let _ =
-            writeln!(text, "{}'s map lies {m:.3} m and {deg:.2} degrees from its true place", robot.robot);
+        let _ = writeln!(
+            text,
+            "{}'s map is {m:.3} m and {deg:.2} degrees from its true pose in the merged map",
+            robot.robot
+        );
     }
     text
 }

@@ -1,42 +1,42 @@
-//! What a person sees while a fleet runs: a table that renews itself on a terminal, a line now and
-//! then in a log.
+//! Display of a running fleet: a table that is redrawn on a terminal, or printed every 10 s into a log.
 
-use crate::report::Report;
+use super::report::Report;
+use crate::command::output::{note, note_text};
 use crate::run::Run;
 use crate::view::FleetView;
-use std::io::{IsTerminal, Write, stderr};
+use std::io::{IsTerminal, stderr};
 use std::time::{Duration, Instant};
 
-/// How often a log gets a line.
+/// Period of the tables in a log.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
-/// The launcher's terminal. It writes to stderr; stdout is for results.
-pub struct Screen {
+/// Terminal or log of the launcher. It writes to standard error; standard output is for results.
+pub(super) struct Screen {
     live: bool,
     lines_shown: usize,
     logged: Option<Instant>,
 }
 
 impl Screen {
-    /// Says what is being started.
+    /// Prints what is being started.
     pub fn new(run: &Run) -> Self {
         let Run { dir, port, config, .. } = run;
-        eprintln!(
-            "fleet of {} in {}: headsets attach on port {port}; maps and report go to {}",
+        note(&format!(
+            "fleet of {} robots in {}; headsets connect to port {port}; maps and report go to {}",
             config.fleet.robots,
             config.world_name(),
             dir.display()
-        );
+        ));
         Self { live: stderr().is_terminal(), lines_shown: 0, logged: None }
     }
 
-    /// Something happened.
-    pub fn tell(&mut self, event: &str) {
+    /// Prints an event.
+    pub fn show_event(&mut self, event: &str) {
         self.lines_shown = 0;
-        eprintln!("! {event}");
+        note(&format!("! {event}"));
     }
 
-    /// The newest figures. `help` says which keys work.
+    /// Shows the newest figures; `help` lists the keys that work.
     pub fn show(&mut self, fleet: &FleetView, help: &str, elapsed: Duration, seconds: Option<f64>) {
         let elapsed = elapsed.as_secs_f64();
         let clock = seconds.map_or(format!("{elapsed:.0} s"), |s| format!("{elapsed:.0} of {s:.0} s"));
@@ -47,17 +47,17 @@ impl Screen {
             } else {
                 String::new()
             };
-            let _ = write!(stderr(), "{up}{text}");
+            note_text(&format!("{up}{text}"));
             self.lines_shown = text.lines().count();
         } else if self.logged.is_none_or(|logged| logged.elapsed() >= LOG_PERIOD) {
             self.logged = Some(Instant::now());
-            eprintln!("{clock}\n{}", fleet.table());
+            note(&format!("{clock}\n{}", fleet.table()));
         }
     }
 
-    /// The run is over.
+    /// Prints the summary of the run.
     pub fn end(&mut self, report: &Report) {
         self.lines_shown = 0;
-        eprint!("{}", report.summary());
+        note_text(&report.summary());
     }
 }

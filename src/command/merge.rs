@@ -1,6 +1,6 @@
-//! `mr-slam merge A.yaml B.yaml ...`: maps of robots that started anywhere, put together.
+//! `mr-slam merge A.yaml B.yaml ...`: merges map files of robots that started anywhere.
 
-use crate::process::{self, Process, ProcessArgs};
+use super::output;
 use formats::map_file::{MapFileError, read_map, write_map};
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
 use msg::{Grid, Pose2, ROBOTS_MAX, RobotId};
@@ -8,46 +8,46 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// `mr-slam merge`: map files, or (started by `up`) the fleet's process.
+/// Merge map files of robots that started anywhere
 #[derive(clap::Args, Clone, Debug)]
 pub struct MergeArgs {
-    /// Maps to put together, as map_server reads them; the first one's frame is the result's
-    #[arg(value_name = "MAP.yaml", required_unless_present = "run_dir", num_args = 2..)]
+    /// Map files of map_server; the result has the first one's frame
+    #[arg(value_name = "MAP.yaml", required = true, num_args = 2..)]
     pub maps: Vec<PathBuf>,
-    /// Write the merged map: FILE.yaml with its PGM, and a PNG
-    #[arg(long, value_name = "FILE", conflicts_with = "run_dir")]
+    /// File for the merged map: FILE.yaml with its PGM, and a PNG
+    #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Print one JSON object a line for each further map
-    #[arg(long, conflicts_with = "run_dir")]
+    /// Print JSON: one object a line for each map but the first
+    #[arg(long)]
     pub json: bool,
-    /// Be the fleet's process: the folder of the run to take part in
-    #[arg(long, value_name = "DIR", conflicts_with = "maps")]
-    pub run_dir: Option<PathBuf>,
 }
 
-/// What stops it.
+/// Reason why maps could not be merged.
 #[derive(Debug, thiserror::Error)]
 pub enum MergeMapsError {
-    /// A map cannot be read or written.
+    /// A map file cannot be read or written.
     #[error(transparent)]
     File(#[from] MapFileError),
-    /// A map cannot be drawn.
+    /// The merger refuses a map.
     #[error("{}: {why}", file.display())]
     Refused {
-        /// Which.
+        /// Path of the map's YAML file.
         file: PathBuf,
-        /// Why.
+        /// Reason of the merger.
         why: MapRejected,
     },
-    /// More than a fleet has.
+    /// More maps than robots in the largest fleet.
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
     TooMany(usize),
+    /// Standard output.
+    #[error("cannot print the result: {0}")]
+    Print(#[from] std::io::Error),
 }
 
-/// Where a further map lies, or would lie best if that could be believed.
+/// Best alignment of a map with the merged one, accepted or not.
 struct Place {
     alignment: Option<Alignment>,
-    /// Of the newest attempt.
+    /// Duration of the newest attempt, milliseconds.
     ms: f64,
 }
 
@@ -57,15 +57,8 @@ impl Place {
     }
 }
 
-/// Runs the subcommand, whichever of the two it is.
-pub fn run(args: &MergeArgs) -> Result<(), process::Error> {
-    if let Some(run_dir) = &args.run_dir {
-        return process::run(&Process::Merge(ProcessArgs { run_dir: run_dir.clone() }));
-    }
-    Ok(merge_files(args)?)
-}
-
-fn merge_files(args: &MergeArgs) -> Result<(), MergeMapsError> {
+/// Merges the map files and prints where each lies.
+pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
     if args.maps.len() > ROBOTS_MAX {
         return Err(MergeMapsError::TooMany(args.maps.len()));
     }
@@ -75,7 +68,8 @@ fn merge_files(args: &MergeArgs) -> Result<(), MergeMapsError> {
     for (yaml, place) in args.maps.iter().zip(&places).skip(1) {
         let Some(place) = place else { continue };
         let name = yaml.display().to_string();
-        println!("{}", if args.json { as_json(&name, place).to_string() } else { as_text(&name, place) });
+        let line = if args.json { as_json(&name, place).to_string() } else { as_text(&name, place) };
+        output::print(&(line + "\n"))?;
     }
     if let Some(out) = &args.out {
         let stem =
@@ -85,7 +79,7 @@ fn merge_files(args: &MergeArgs) -> Result<(), MergeMapsError> {
     Ok(())
 }
 
-/// All maps in, the first one placed.
+/// Creates a merger with all maps, of which the first has a place.
 fn start(args: &MergeArgs, maps: &[Grid]) -> Result<Merger, MergeMapsError> {
     let config = MergeConfig { resolution_m: maps[0].header.resolution_m, ..MergeConfig::default() };
     let mut starts = vec![None; maps.len()];
@@ -99,7 +93,7 @@ fn start(args: &MergeArgs, maps: &[Grid]) -> Result<Merger, MergeMapsError> {
     Ok(merger)
 }
 
-/// Each further map against what is merged so far; those refused again whenever that has grown.
+/// Aligns each map but the first with the merged map; refused ones again whenever the merged map has grown.
 fn place_all(
     args: &MergeArgs,
     maps: &[Grid],
@@ -130,7 +124,7 @@ fn place_all(
     }
 }
 
-/// p_a = R(theta) p_b + (x, y), metres and radians; null where nothing was found.
+/// Formats the alignment as JSON: p_a = R(theta) p_b + (x, y), metres and radians.
 fn as_json(name: &str, place: &Place) -> serde_json::Value {
     let Some(found) = &place.alignment else {
         return json!({"map": name, "accepted": false, "inliers": 0, "score": 0.0, "ms": place.ms});
@@ -156,11 +150,11 @@ fn as_json(name: &str, place: &Place) -> serde_json::Value {
 
 fn as_text(name: &str, place: &Place) -> String {
     let Some(found) = &place.alignment else {
-        return format!("{name}: refused: no walls in common anywhere ({:.0} ms)", place.ms);
+        return format!("{name}: refused: no common walls found ({:.0} ms)", place.ms);
     };
     let Pose2 { x_m, y_m, yaw_rad } = found.a_from_b;
     let evidence = format!(
-        "{} walls found again, F1 {:.2}, agreement {:.1} %, conflict {:.1} %, {:.0} m2 shared, {:.1} times the next best place, {:.0} ms",
+        "{} matching cells, F1 {:.2}, agreement {:.1} %, conflict {:.1} %, {:.0} m2 shared, {:.1} times the next best place, {:.0} ms",
         found.inliers,
         found.occupied_f1,
         100.0 * found.agreement,
@@ -178,7 +172,7 @@ mod tests {
     use super::*;
     use msg::{Grid, GridHeader};
 
-    /// Rooms of one house between columns `from` and `to`, in a frame of its own.
+    /// Map of one house between columns `from` and `to`, in a frame of its own.
     fn part(from: i64, to: i64, origin: Pose2) -> Grid {
         let stands = |x: i64, y: i64| {
             let outer = x == 0 || x == 299 || y == 0 || y == 199;
@@ -217,9 +211,8 @@ mod tests {
             maps: vec![path("a.yaml"), path("b.yaml")],
             out: Some(path("whole.yaml")),
             json: true,
-            run_dir: None,
         };
-        merge_files(&args).unwrap();
+        run(&args).unwrap();
         let whole = read_map(&path("whole.yaml")).unwrap();
         // 15 m x 10 m, give or take the border cells of the turned half.
         assert!((298..=304).contains(&whole.header.width), "{:?}", whole.header);
@@ -234,8 +227,7 @@ mod tests {
             maps: vec![PathBuf::from("nowhere/a.yaml"), PathBuf::from("nowhere/b.yaml")],
             out: None,
             json: false,
-            run_dir: None,
         };
-        assert!(merge_files(&args).unwrap_err().to_string().contains("nowhere/a.yaml"));
+        assert!(run(&args).unwrap_err().to_string().contains("nowhere/a.yaml"));
     }
 }

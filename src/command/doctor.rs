@@ -1,5 +1,6 @@
-//! `mr-slam doctor`: what this machine permits, measured where it can be, and what to do about the rest.
+//! `mr-slam doctor`: checks what this machine permits, and says what to do about the rest.
 
+use super::output;
 use crate::clock;
 use msg::Monotonic;
 use rustix::process::{Resource, getrlimit};
@@ -8,57 +9,59 @@ use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::time::Duration;
 
-/// What a machine permits.
+/// Check what this machine permits: timers, limits, network
 #[derive(Clone, Debug, clap::Args)]
 pub struct DoctorArgs {
     /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// The TCP port that should be free
+    /// TCP port that should be free
     #[arg(long, value_name = "P", default_value_t = 10_000)]
     pub port: u16,
 }
 
-/// What a stock ROS 2 reader's socket must hold for a map of 16 MB to arrive in time: Fast DDS takes the system's
-/// default size, and what does not fit is repaired slowly.
+/// Smallest receive buffer of a stock ROS 2 reader with which a map of 16 MB arrives in time, bytes. Fast DDS takes
+/// the system's default size, and repairs slowly what does not fit.
 const RECEIVE_BUFFER_MIN: u64 = 4 << 20;
-/// What our own readers and writers ask of the system.
+/// Buffer size that our own readers and writers ask for, bytes.
 const BUFFER_MAX_MIN: u64 = 4 << 20;
-/// Shared memory for a fleet of three with large maps.
+/// Shared memory for a fleet of three with large maps, bytes.
 const SHARED_MEMORY_MIN: u64 = 512 << 20;
-/// Locked memory for every process of a fleet.
+/// Locked memory for every process of a fleet, bytes.
 const LOCKED_MEMORY_MIN: u64 = 256 << 20;
-/// Sleeps in the measurement of the wake-up floor, and how long each is.
+/// Number of sleeps in the measurement of the wake-up delay: two beyond the 99th percentile.
 const SLEEPS: usize = 200;
+/// Duration of each sleep.
 const SLEEP: Duration = Duration::from_millis(5);
-/// A wake-up later than this at P99 shows in the jitter table.
+/// Largest acceptable wake-up delay at P99, milliseconds: a larger one shows in the TF jitter.
 const WAKE_P99_MAX_MS: f64 = 2.0;
-/// CAP_IPC_LOCK and CAP_SYS_NICE, linux/capability.h.
+/// Number of CAP_IPC_LOCK in linux/capability.h.
 const CAP_IPC_LOCK: u32 = 14;
+/// Number of CAP_SYS_NICE in linux/capability.h.
 const CAP_SYS_NICE: u32 = 23;
-/// SPDP's group (RTPS 9.6.1.4.1); the test stays on this machine.
+/// Multicast group of DDS discovery (RTPS 9.6.1.4.1); the test stays on this machine.
 const DISCOVERY_GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 
-/// Whether a check is content.
+/// Outcome of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum State {
-    /// Nothing to do.
+    /// Nothing has to be done.
     Ok,
-    /// It works, but less well than it could.
+    /// The fleet works less well than it could.
     Warning,
 }
 
-/// One thing looked at.
+/// One check and its outcome.
 #[derive(Clone, Debug, Serialize)]
 pub struct Check {
-    /// What.
+    /// Name of the check.
     pub name: &'static str,
-    /// Whether it is content.
+    /// Outcome of the check.
     pub state: State,
-    /// What was found, with units.
+    /// Value that was found, with units.
     pub found: String,
-    /// What to do; empty if nothing.
+    /// Command or setting that helps; empty if nothing has to be done.
     pub advice: String,
 }
 
@@ -70,14 +73,14 @@ impl Check {
     }
 }
 
-/// All that was looked at.
+/// Outcomes of all checks.
 #[derive(Clone, Debug, Serialize)]
 pub struct Findings {
-    /// In the order they are printed.
+    /// Checks in the order in which they are printed.
     pub checks: Vec<Check>,
 }
 
-/// Looks at everything; takes about a second.
+/// Runs all checks; takes about a second.
 pub fn examine(port: u16) -> Findings {
     let checks = vec![
         processors(),
@@ -95,12 +98,10 @@ pub fn examine(port: u16) -> Findings {
     Findings { checks }
 }
 
-/// Prints the findings. Warnings are no failure.
-pub fn run(args: &DoctorArgs) -> Result<(), serde_json::Error> {
+/// Prints the outcomes. Warnings are no failure.
+pub fn run(args: &DoctorArgs) -> std::io::Result<()> {
     let findings = examine(args.port);
-    let json = args.json.then(|| serde_json::to_string_pretty(&findings)).transpose()?;
-    println!("{}", json.unwrap_or_else(|| findings.to_string()));
-    Ok(())
+    output::print_either(args.json, &findings, || findings.to_string() + "\n")
 }
 
 impl fmt::Display for Findings {
@@ -118,10 +119,10 @@ impl fmt::Display for Findings {
 
 fn processors() -> Check {
     let count = std::thread::available_parallelism().map_or(0, usize::from);
-    Check::new("processors", count >= 2, format!("{count}"), "a fleet of three wants two")
+    Check::new("processors", count >= 2, format!("{count}"), "a fleet of three robots needs two")
 }
 
-/// How late a sleeping thread wakes: below this nobody's jitter can be.
+/// Measures how late a sleeping thread wakes: no jitter can be smaller.
 fn wake_up() -> Check {
     let slack = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1)).is_ok();
     let mut late_ms = Vec::with_capacity(SLEEPS);
@@ -150,7 +151,7 @@ fn limit(resource: Resource) -> u64 {
     getrlimit(resource).current.unwrap_or(u64::MAX)
 }
 
-/// Whether the process has a capability; root usually has all.
+/// Returns whether the process has a capability; root usually has all.
 fn capable(bit: u32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
@@ -164,7 +165,7 @@ fn real_time() -> Check {
         (false, 0) => "not permitted".to_string(),
         (false, most) => format!("up to priority {most}"),
     };
-    let advice = "a line `@GROUP - rtprio 50` in /etc/security/limits.d/mr-slam.conf, and log in anew";
+    let advice = "a line `@GROUP - rtprio 50` in /etc/security/limits.d/mr-slam.conf, and log in again";
     Check::new("real-time priority", capable || most > 0, found, advice)
 }
 
@@ -191,11 +192,11 @@ fn port_free(port: u16) -> Check {
         "headset's port",
         bound.is_ok(),
         found,
-        "end what listens there, or choose another: up --port P",
+        "stop the program that listens there, or choose another port: mr-slam up --port P",
     )
 }
 
-/// Sends a datagram to ourselves.
+/// Sends a datagram to this process.
 fn echo(receiver: &UdpSocket, to: SocketAddr, sender: &UdpSocket) -> std::io::Result<()> {
     receiver.set_read_timeout(Some(Duration::from_millis(500)))?;
     sender.send_to(b"mr-slam", to)?;
@@ -208,10 +209,10 @@ fn loopback() -> Check {
         echo(&socket, to, &socket)
     });
     let found = echoed.as_ref().map_or_else(ToString::to_string, |()| "UDP works".to_string());
-    Check::new("loopback", echoed.is_ok(), found, "the ROS 2 door needs UDP on 127.0.0.1: ip link set lo up")
+    Check::new("loopback", echoed.is_ok(), found, "ROS 2 needs UDP on 127.0.0.1: ip link set lo up")
 }
 
-/// Multicast that does not leave the machine. ROS 2 finds other machines by it; on this one it is not needed.
+/// Checks multicast that does not leave the machine. ROS 2 finds other machines by it; on this one it is not needed.
 fn multicast() -> Check {
     let echoed = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).and_then(|socket| {
         socket.join_multicast_v4(&DISCOVERY_GROUP, &Ipv4Addr::UNSPECIFIED)?;
@@ -220,7 +221,7 @@ fn multicast() -> Check {
         echo(&socket, to, &socket)
     });
     let found = echoed.as_ref().map_or_else(ToString::to_string, |()| "works".to_string());
-    let advice = "ROS 2 on other machines will not find the fleet; on this one it will";
+    let advice = "ROS 2 on other machines will not find the fleet; on this machine it will";
     Check::new("multicast", echoed.is_ok(), found, advice)
 }
 
@@ -255,7 +256,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_warning_says_what_to_do() {
+    fn every_warning_has_advice() {
         let findings = examine(0);
         assert!(findings.checks.len() >= 10);
         for check in &findings.checks {
@@ -267,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn a_taken_port_is_told() {
+    fn a_port_in_use_is_a_warning() {
         let taken = TcpListener::bind("0.0.0.0:0").unwrap();
         let check = port_free(taken.local_addr().unwrap().port());
         assert_eq!(check.state, State::Warning);
