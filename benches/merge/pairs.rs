@@ -205,8 +205,13 @@ pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::i
             .note(note),
     );
     table.add(Row::new("  maximum, ms", most, small.len() as f64).at_most(300.0));
+    results.map_or(Ok(()), |path| std::fs::write(path, json_lines(pairs, &outcomes)))
+}
+
+/// One JSON line a pair.
+fn json_lines(pairs: &[Pair], outcomes: &[Outcome]) -> String {
     let mut lines = String::new();
-    for (pair, outcome) in both() {
+    for (pair, outcome) in pairs.iter().zip(outcomes) {
         let found = outcome.found.map(|found| {
             serde_json::json!({
                 "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
@@ -220,7 +225,7 @@ pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::i
             (pair.name.clone().into(), outcome.accepted().into(), outcome.ms.into());
         let _ = writeln!(lines, "{line}");
     }
-    results.map_or(Ok(()), |path| std::fs::write(path, lines))
+    lines
 }
 
 fn is_small(pair: &Pair) -> bool {

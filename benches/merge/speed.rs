@@ -163,7 +163,7 @@ fn statistics(side: u32) -> [f64; 2] {
         *map_transform =
             MapTransform { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
     }
-    telemetry.map_transforms(&map_transforms);
+    telemetry.update_map_transforms(&map_transforms);
     let maps: Vec<Grid> = (0..3).map(|k| rooms(side, k)).collect();
     let mut milliseconds: Vec<f64> = (0..ROUNDS)
         .map(|_| {
