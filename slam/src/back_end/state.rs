@@ -46,20 +46,20 @@ impl BackEnd {
     pub fn state(&self) -> BackEndState {
         BackEndState {
             nodes: self.nodes.clone(),
-            front_ids: self.front_ids.clone(),
+            front_ids: self.numbers.front_ids.clone(),
             poses: self.graph.poses().to_vec(),
             drawn: self.mapper.drawn(),
             edges: self.graph.edges().to_vec(),
-            travelled_m: self.travelled_m,
-            not_found: self.not_found.iter().copied().collect(),
-            again: self.again.iter().copied().collect(),
+            travelled_m: self.closer.travelled_m,
+            not_found: self.closer.not_found.iter().copied().collect(),
+            again: self.closer.again.iter().copied().collect(),
             unsolved: self.unsolved,
             solutions: self.solutions,
-            retracted: self.retracted,
-            retired: self.retired,
+            retracted: self.closer.retracted,
+            retired: self.lifelong.retired,
             unverified_edge: self.unverified_edge,
-            detector: self.detector.state(),
-            rejected_closures: self.rejected_closures.clone(),
+            detector: self.closer.detector.state(),
+            rejected_closures: self.closer.rejected_closures.clone(),
         }
     }
 }

@@ -9,7 +9,7 @@
 
 use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD};
-use super::{BackEnd, TORN_M, TORN_RAD, TORN_VARIANCE};
+use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
 use crate::graph::{EdgeKind, RelativeUncertainty};
@@ -23,8 +23,8 @@ const NODES_MIN: u32 = 5;
 /// Nodes of the map that a node on probation is held against, no two next to each other.
 const WITNESSES: usize = 8;
 /// If this share of what they can compare is contradicted, and it is so many points, the joint is none.
-const TORN_SHARE: f32 = 0.3;
-const TORN_POINTS_MIN: usize = 60;
+const BREAK_SHARE: f32 = 0.3;
+const BREAK_POINTS_MIN: usize = 60;
 /// A way so short has not drifted by what counts as a contradiction, metres, whatever was not known on it.
 const STRAIGHT_M: f64 = 20.0;
 
@@ -74,18 +74,19 @@ impl BackEnd {
             let old_from_new = poses[old as usize].between(poses[id as usize]);
             agreement += Agreement::both_ways(&self.nodes[old as usize].cloud, &node.cloud, old_from_new);
         }
-        if !agreement.is_contradicted(TORN_SHARE, TORN_POINTS_MIN) {
+        if !agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN) {
             return;
         }
         let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == unverified_edge;
         let Some(index) = self.graph.edges().iter().position(before) else { return };
         let edge = self.graph.edge_mut(index);
-        (edge.kind, edge.information) = (EdgeKind::OdometryBreak, information_from_sigmas(TORN_M, TORN_RAD));
-        edge.variance = TORN_VARIANCE;
+        (edge.kind, edge.information) =
+            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD));
+        edge.variance = BREAK_VARIANCE;
         self.nodes[unverified_edge as usize].odometry_break = true;
         self.unverified_edge = None;
-        self.detector.tear();
-        self.component_relocalizer = None;
+        self.closer.detector.tear();
+        self.location.component_relocalizer = None;
         self.update_components();
     }
 
@@ -131,18 +132,18 @@ impl BackEnd {
             return;
         }
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        let relocalizer = self
-            .component_relocalizer
-            .get_or_insert_with(|| Relocalizer::new(self.config.clone(), map, None, self.relocalization));
+        let relocalizer = self.location.component_relocalizer.get_or_insert_with(|| {
+            Relocalizer::new(self.config.clone(), map, None, self.location.relocalization)
+        });
         let newest = self.nodes[id as usize].clone();
         let local_from_node = newest.local_from_base;
         let relocalization = relocalizer.seek(newest, map);
-        self.relocalization = relocalizer.counts();
+        self.location.relocalization = relocalizer.counts();
         let RelocalizationOutcome::Found(map_from_local) = relocalization else { return };
-        self.component_relocalizer = None;
+        self.location.component_relocalizer = None;
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
-        self.close(&[ClosureCandidate {
+        self.add_closures(&[ClosureCandidate {
             node: id,
             candidate,
             candidate_from_node: self.graph.poses()[candidate as usize].between(map_from_node),
