@@ -1,10 +1,10 @@
 //! The back end: node by node it builds the pose graph, links scans that see the same surfaces,
-//! looks for places seen before, solves, and draws. It runs beside the scan path, on any thread;
-//! what comes out depends on the nodes alone.
+//! searches for places seen before, solves, and draws. It may run on any thread: the result depends
+//! on the nodes alone.
 //!
-//! `links` has how a node is linked with older ones, `pieces` those that hang on nothing. What it does with a map
-//! it has is its mode's business (`modes`); `keep` has what is kept in a session, `undo` what people may take
-//! back, `forget` what a map that is to last forgets.
+//! `links` links a node with older ones, `components` handles those that nothing connects, `loop_closer` remembers
+//! what to search for. `modes` decides what a node is used for; `state` is what a session keeps, `undo` what people
+//! take back, `lifelong` what a lasting map removes.
 
 mod components;
 mod lifelong;
@@ -37,16 +37,16 @@ use node_numbers::NodeNumbers;
 use posegraph::information_from_sigmas;
 use robot_location::RobotLocation;
 
-/// Nodes up to so many before and after a closure are linked again.
+/// Nodes this many before and after a closure are linked again: 3 m, where they now overlap.
 const RELINK_NODES: u32 = 10;
-/// Nodes that the last word looks for again.
+/// Searches that `finish` makes at most: a few seconds.
 const LAST_SEARCHES_MAX: usize = 64;
 /// Without odometry, the front end's own motion is this many times as uncertain as odometry would be.
 const UNMEASURED_FACTOR: f64 = 5.0;
-/// An odometry edge that scans contradict, one standard deviation: metres and radians.
+/// Standard deviations of an odometry break, metres and radians: weaker than any measurement.
 const BREAK_M: f64 = 100.0;
 const BREAK_RAD: f64 = 3.0;
-/// Nothing is known along it.
+/// Variances of the same for the propagation of uncertainty, m² and rad².
 const BREAK_VARIANCE: [f64; 2] = [BREAK_M * BREAK_M, BREAK_RAD * BREAK_RAD];
 
 /// The back end of one robot's SLAM; see the module.
@@ -69,7 +69,7 @@ pub struct BackEnd {
     stages: Box<dyn StageObserver>,
 }
 
-/// What the back end has done.
+/// Counts of what the back end has done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BackEndCounts {
     /// Nodes in the graph.
@@ -86,13 +86,13 @@ pub struct BackEndCounts {
     pub not_drawn: u64,
     /// How closure searches ended.
     pub searches: ClosureSearchCounts,
-    /// How searches for the robot ended.
+    /// Counts of relocalization searches.
     pub relocalization: RelocalizationCounts,
     /// Localization: which nodes fitted the map.
     pub localized: LocalizerCounts,
-    /// Nodes forgotten.
+    /// Nodes removed in lifelong mode.
     pub retired: u64,
-    /// Nodes that are not tied to the map.
+    /// Nodes of disconnected components.
     pub disconnected: usize,
 }
 
@@ -115,7 +115,7 @@ impl BackEnd {
         }
     }
 
-    /// From now on this watch hears of every stage.
+    /// Reports every stage of the work to this observer from now on.
     pub fn observe_stages(&mut self, observer: Box<dyn StageObserver>) {
         self.stages = observer;
     }
@@ -165,7 +165,7 @@ impl BackEnd {
         }
     }
 
-    /// The last word: looks again where nothing was found, solves with all that is known.
+    /// Finishes: searches again for nodes that were not found, and solves with all that is known.
     pub fn finish(&mut self) {
         self.solve(false);
         let mut left = LAST_SEARCHES_MAX;
@@ -176,8 +176,8 @@ impl BackEnd {
         self.stages.stage_started(Stage::Idle);
     }
 
-    /// Looks for a node among places seen before. Where nothing was found, a better map may help:
-    /// the node is noted, to be tried once more after the next closure.
+    /// Searches for a node among places seen before. A node that is not found is tried once more after
+    /// the next closure.
     fn search_closure(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> bool {
         self.stages.stage_started(Stage::Closure);
         let view = GraphView { nodes: &self.nodes, graph: &self.graph };
@@ -191,7 +191,7 @@ impl BackEnd {
         true
     }
 
-    /// Tries one node once more that was not found before the last closure; false if there is none.
+    /// Searches once more for a node that was not found before the last closure; false if there is none.
     fn retry_closure(&mut self) -> bool {
         while let Some(id) = self.closer.again.pop_front() {
             self.stages.stage_started(Stage::Link);
@@ -209,7 +209,7 @@ impl BackEnd {
         false
     }
 
-    /// What has been done.
+    /// Counts of what has been done.
     pub fn counts(&self) -> BackEndCounts {
         let count = |kind| self.graph.edges().iter().filter(|e| e.in_force && e.kind == kind).count();
         BackEndCounts {
@@ -227,7 +227,7 @@ impl BackEnd {
         }
     }
 
-    /// Nodes forgotten so far; the others then have new numbers.
+    /// Nodes removed so far; the others then have new numbers.
     pub fn retired(&self) -> u64 {
         self.lifelong.retired
     }
@@ -311,7 +311,7 @@ impl BackEnd {
         Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
     }
 
-    /// Brings believed closures into the graph, solves, and links the newest nodes to what they now see.
+    /// Adds accepted closures to the graph, solves, and links the nodes around them.
     fn add_closures(&mut self, closures: &[ClosureCandidate]) {
         let closures: Vec<ClosureCandidate> =
             closures.iter().filter(|closure| !self.closer.is_rejected(closure)).copied().collect();
@@ -372,7 +372,7 @@ impl BackEnd {
         self.count_closures();
     }
 
-    /// After edges came into force or no longer are.
+    /// Updates components and the number of closures, after edges changed.
     fn count_closures(&mut self) {
         self.update_components();
         let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;

@@ -1,11 +1,12 @@
-//! Pieces of the way that are not tied to the map: a robot that was carried off, or whose odometry
-//! failed while it saw nothing known. From a node that contradicts those before it on, odometry's edge
-//! says no more than the order. The piece is held back (not drawn, not given out, the robot reads as
-//! lost) until a closure, or a search through the whole map, ties it to the rest; then it is part of
-//! the map like any other, and if the closure is taken back, no longer.
+//! Disconnected components of the pose graph: after a kidnapping, or after odometry failed while the
+//! robot saw nothing known.
 //!
-//! The map is the largest piece, so that a robot that never comes back to where it was carried off
-//! from begins anew in the end.
+//! At a node that contradicts those before it, odometry's edge becomes an odometry break: it keeps the order of
+//! the nodes and measures nothing. The component after it is neither drawn nor given out, and the robot
+//! reads as lost, until a closure or a search of the whole map connects it. If that closure is taken
+//! back, the component is disconnected again.
+//!
+//! The map is the largest component, so that a robot that never returns begins anew in the end.
 
 use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD};
@@ -17,21 +18,21 @@ use crate::relocalize::{Placed, RelocalizationOutcome, Relocalizer};
 use msg::Pose2;
 use posegraph::information_from_sigmas;
 
-/// A piece so long is looked for in the whole map; something passing by is over sooner.
+/// A component of more nodes than this is searched for in the whole map; something passing by is over sooner.
 const NODES_MIN: u32 = 5;
 
-/// Nodes of the map that a node on probation is held against, no two next to each other.
+/// Nodes of the map that a node with an unverified edge is compared with.
 const WITNESSES: usize = 8;
-/// If this share of what they can compare is contradicted, and it is so many points, the joint is none.
+/// If more than this share of the compared points is contradicted, and this many points, the edge is broken.
 const BREAK_SHARE: f32 = 0.3;
 const BREAK_POINTS_MIN: usize = 60;
-/// A way so short has not drifted by what counts as a contradiction, metres, whatever was not known on it.
+/// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
 impl BackEnd {
-    /// A node that did not fit is joined to the ones before by odometry alone. Whether that is right
-    /// shows when it, or one after it, sees what older nodes saw: if they agree, a link says so; if
-    /// they contradict each other, the joint is taken back.
+    /// Verifies or breaks the odometry edge before a node that did not fit. When that node, or one after
+    /// it, sees what older nodes saw, a link confirms the edge; if they contradict each other, it is
+    /// broken.
     pub(super) fn check_unverified_edge(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
         let node = &self.nodes[id as usize];
         if !node.fits {
@@ -43,7 +44,7 @@ impl BackEnd {
             self.unverified_edge = None;
             return;
         }
-        // Where the way since the joint, or before it, may have drifted, a contradiction says nothing of the joint.
+        // Where the path since the edge, or before it, may have drifted, a contradiction says nothing about the edge.
         let l = &self.config.links;
         let sure = |known: &Option<RelativeUncertainty>| known.is_some_and(|known| is_sure(known, l));
         if !sure(&relative[unverified_edge as usize]) {
@@ -95,13 +96,13 @@ impl BackEnd {
         self.nodes.last().is_none_or(|node| node.disconnected.is_none())
     }
 
-    /// Which node is in which piece, from the edges in force.
+    /// Updates which node is in which component, from the edges in force.
     pub(super) fn update_components(&mut self) {
         let torn = |e: &crate::graph::Edge| e.kind == EdgeKind::OdometryBreak;
         if !self.graph.edges().iter().any(torn) {
             return;
         }
-        // Union-find; a piece is called by its first node.
+        // Union-find; a component is named by its first node.
         let mut up: Vec<u32> = (0..self.nodes.len() as u32).collect();
         let first = |up: &mut [u32], mut id: u32| {
             while up[id as usize] != id {
@@ -125,7 +126,7 @@ impl BackEnd {
         }
     }
 
-    /// Looks for the newest node's piece in the whole map.
+    /// Searches the whole map for the newest node's component.
     pub(super) fn relocalize_component(&mut self, id: u32) {
         let Some(first) = self.nodes[id as usize].disconnected else { return };
         if id - first < NODES_MIN {
@@ -137,7 +138,7 @@ impl BackEnd {
         });
         let newest = self.nodes[id as usize].clone();
         let local_from_node = newest.local_from_base;
-        let relocalization = relocalizer.seek(newest, map);
+        let relocalization = relocalizer.add_node(newest, map);
         self.location.relocalization = relocalizer.counts();
         let RelocalizationOutcome::Found(map_from_local) = relocalization else { return };
         self.location.component_relocalizer = None;
@@ -160,7 +161,7 @@ impl BackEnd {
         in_map.min_by(|a, b| away(*a).total_cmp(&away(*b)))
     }
 
-    /// Before a find ties two pieces together, one of them is moved to where the find has it: a solver
+    /// Moves one of two components to where a closure has it, before the closure connects them: a solver
     /// finds small movements, not half a turn.
     pub(super) fn align_components(&mut self, find: &ClosureCandidate) {
         let [old, new] = [find.candidate, find.node].map(|id| self.nodes[id as usize].disconnected);

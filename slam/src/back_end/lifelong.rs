@@ -1,4 +1,4 @@
-//! What a map that is to last forgets, and at what rate:
+//! Lifelong mapping: which nodes a map that lasts removes, and when:
 //!
 //! - Of scans of the same view (`lifelong.view_m`, `view_rad`) the newest `lifelong.views` are kept.
 //! - A scan that `lifelong.contradictions` later ones contradict (they see through
@@ -21,7 +21,7 @@ use nalgebra::Matrix3;
 const SEE_THROUGH_M: f32 = 0.3;
 /// A contradicted scan goes if a later one has much the same view: within this many times the limits of the same view.
 const COVERING_VIEW_SCALE: f64 = 1.5;
-/// Links of a node that others inherit.
+/// Links of a removed node that its neighbours take over: the best known ones.
 const INHERITED_MAX: usize = 16;
 
 /// What a map that lasts remembers of its nodes.
@@ -36,7 +36,7 @@ pub(super) struct Lifelong {
 }
 
 impl BackEnd {
-    /// Called after each node of a map that is to last.
+    /// Removes what later nodes contradict or repeat; called after each node in lifelong mode.
     pub(super) fn forget_views(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_in_map()) else { return };
         self.count_contradictions(newest);
@@ -109,7 +109,7 @@ impl BackEnd {
         }
     }
 
-    /// Takes the noted nodes out of everything, and numbers the others anew.
+    /// Removes the marked nodes, and renumbers the others.
     fn remove_marked(&mut self) {
         let mut gone = core::mem::take(&mut self.lifelong.retiring);
         gone.sort_unstable();
@@ -151,7 +151,7 @@ impl BackEnd {
     }
 }
 
-/// What a node was linked to is linked to the neighbour that knows it best, as the graph has them.
+/// Replaces a node's edges by edges between its neighbours and the one that knows the node best.
 fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     let mine: Vec<usize> =
         (0..edges.len()).filter(|&i| edges[i].in_force && (edges[i].a == id || edges[i].b == id)).collect();

@@ -1,4 +1,4 @@
-//! What becomes of a node: looked for in the map, held against it, or added to it.
+//! What becomes of a node by mode: it relocalizes the robot, localizes it in a fixed map, or grows the map.
 
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
@@ -12,23 +12,23 @@ use crate::session::{Identity, Session};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
 
-/// A robot that was found is known this well: links to what it sees may then be sought.
+/// Standard deviations of a robot that was located, metres and radians: small enough for links by alignment alone.
 pub(super) const FOUND_M: f64 = 0.08;
 pub(super) const FOUND_RAD: f64 = 0.03;
 
 /// Where the robot is when a map is loaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum InitialPose {
-    /// The scan path goes on where it was: the next node follows from the newest.
+    /// The front end continues where it was: the next node follows from the newest one.
     Continue,
     /// Near this estimate.
     Near(PoseEstimate),
-    /// To be found out.
+    /// Not known: the whole map is searched.
     Unknown,
 }
 
 impl BackEnd {
-    /// Goes on with a map that was kept.
+    /// A back end that continues with the map of a session.
     pub fn resume(
         config: SlamConfig,
         state: BackEndState,
@@ -61,17 +61,17 @@ impl BackEnd {
         back
     }
 
-    /// How it was configured.
+    /// The configuration.
     pub fn config(&self) -> &SlamConfig {
         &self.config
     }
 
-    /// What is done with the map from now on.
+    /// The mode: mapping, localization or lifelong mapping.
     pub fn mode(&self) -> SlamMode {
         self.location.mode
     }
 
-    /// From now on the map is gone on with in this mode; the robot stays where it is believed to be.
+    /// Changes the mode; the robot stays where it is located.
     pub fn set_mode(&mut self, mode: SlamMode) {
         let was_fixed = self.location.localizer.is_some();
         let is_fixed = mode == SlamMode::Localization;
@@ -97,8 +97,8 @@ impl BackEnd {
         }
     }
 
-    /// From now on the robot is looked for, near a hint or everywhere. In a map without nodes there is
-    /// nothing to be found: there the map begins at the hint.
+    /// Searches for the robot from now on, near an estimate or everywhere. An empty map begins at the
+    /// estimate instead.
     pub fn start_relocalization(&mut self, estimate: Option<PoseEstimate>) {
         if self.nodes.is_empty() {
             self.location.next_pose = estimate;
@@ -128,7 +128,7 @@ impl BackEnd {
         self.location.just_located = false;
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
         let Some(relocalizer) = &mut self.location.relocalizer else { return self.integrate_node(node) };
-        let relocalization = relocalizer.seek(node, map);
+        let relocalization = relocalizer.add_node(node, map);
         let anchor = match relocalization {
             RelocalizationOutcome::NotFound => return,
             RelocalizationOutcome::Found(map_from_local) => {
@@ -168,7 +168,7 @@ impl BackEnd {
         }
     }
 
-    /// The first node of a pass: tied to the nearest node of the map, as well as its place is known.
+    /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
     pub(super) fn add_anchored_node(&mut self, node: Node, anchor: PoseEstimate) {
         let map_from_node = anchor.map_from_local * node.local_from_base;
         let nearest = self.nearest_in_map(map_from_node);
@@ -193,7 +193,7 @@ impl BackEnd {
             (None, None) => of_graph(),
         };
         // Where a robot is in a fixed map it should know soon; what closures change can wait until
-        // it is sure to have been worked out, so that a run can be repeated.
+        // the back end has certainly answered, so that a run can be repeated.
         let soon = self.location.relocalizer.is_some()
             || self.location.localizer.is_some()
             || self.location.just_located;
@@ -217,8 +217,8 @@ impl BackEnd {
         self.numbers.id_of(front_id)
     }
 
-    /// Every scan's stamp and `map_from_base`, those of earlier scan paths first: scans between nodes
-    /// ride on their node.
+    /// Every scan's stamp and `map_from_base`, those of earlier front ends first: scans between nodes
+    /// move with their node.
     pub fn trajectory<'a>(
         &'a self,
         samples: &'a [TrajectorySample],
@@ -228,7 +228,7 @@ impl BackEnd {
         samples.map(|ride| (ride.stamp, poses[ride.node as usize] * ride.node_from_base))
     }
 
-    /// All that must be kept to go on later. `front`: where the scan path is, after exactly the nodes
+    /// A session to continue from later. `front`: the state of the front end, after exactly the nodes
     /// that were added here; it is kept if its newest nodes are the map's. `samples`: its scans, if they are to
     /// be kept.
     pub fn session(

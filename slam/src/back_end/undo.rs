@@ -1,4 +1,4 @@
-//! Closures that people look at and take back.
+//! Closures that people inspect and undo.
 
 use super::BackEnd;
 use super::loop_closer::{REJECTED_M, REJECTED_NODES, REJECTED_RAD};
@@ -7,7 +7,7 @@ use msg::{Pose2, pose::wrap_angle};
 
 /// Links between nodes this far apart in order exist only because a closure brought passes together.
 const PASS_NODES: u32 = 12;
-/// A closure and what speaks for it.
+/// A closure and its evidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClosureReport {
     /// Its number, for [`BackEnd::undo_closure`].
