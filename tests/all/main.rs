@@ -8,6 +8,7 @@ mod channels;
 mod command_line;
 mod config;
 mod edges;
+mod faults;
 mod fleet;
 mod glossary;
 mod harness;
