@@ -4,6 +4,8 @@
 use msg::RobotId;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 use rand_pcg::Pcg64Mcg;
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// Purpose of a stream of random numbers.
 #[derive(Clone, Copy)]
@@ -34,11 +36,19 @@ impl Noise {
     }
 }
 
-/// Mixes the bits of a seed with SplitMix64's finaliser (Steele, Lea, Flood 2014), so that consecutive seeds
-/// give unrelated streams.
+/// Mixes the bits of a seed (SplitMix64's first output), so that consecutive seeds give unrelated streams.
 fn mix(seed: u64) -> u64 {
-    let z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    SplitMix64::seed_from_u64(seed).next_u64()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_are_mixed_as_in_earlier_versions() {
+        // From the reference implementation of SplitMix64 (Vigna 2015).
+        assert_eq!(mix(0), 0xe220_a839_7b1d_cdaf);
+        assert_eq!(mix(1_234_567), 6_457_827_717_110_365_317);
+    }
 }
