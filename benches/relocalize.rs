@@ -5,9 +5,10 @@
 //! found within the scans it was given, as wrong if that was more than 0.5 m or 0.2 rad off.
 
 use formats::carmen::{Reader, Record};
+use mr_slam::config::recorded_log_slam;
 use msg::{Odometry, Pose2, Scan, SlamMode, Stamp, pose::wrap_angle};
 use rustix::time::{ClockId, clock_gettime};
-use slam::{Identity, InitialPose, Session, Slam, SlamConfig};
+use slam::{Identity, InitialPose, Session, Slam};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -58,7 +59,7 @@ fn main() {
     );
     for log in &logs {
         let lines = read(Path::new(log));
-        let mut whole = Slam::new(SlamConfig::default());
+        let mut whole = Slam::new(recorded_log_slam());
         for line in &lines {
             feed(&mut whole, line);
             whole.work();
@@ -67,13 +68,13 @@ fn main() {
         let truth: BTreeMap<Stamp, Pose2> = whole.trajectory().collect();
 
         let half = lines.len() / 2;
-        let mut first = Slam::new(SlamConfig::default());
+        let mut first = Slam::new(recorded_log_slam());
         for line in &lines[..half] {
             feed(&mut first, line);
             first.work();
         }
         first.finish();
-        let session = first.session(Identity::new(0, 0, &SlamConfig::default()));
+        let session = first.session(Identity::new(0, 0, &recorded_log_slam()));
         let (mut starts, mut found, mut wrong) = (0, 0, 0);
         let (mut needed, mut costs) = (Vec::new(), Vec::new());
         for start in (half..lines.len().saturating_sub(SCANS)).step_by(STEP) {
@@ -104,7 +105,7 @@ fn main() {
 /// How many scans it took, and where the robot was then said to be.
 fn put_down(session: &Session, lines: &[Line], costs: &mut Vec<f64>) -> (usize, Option<(Stamp, Pose2)>) {
     let kept = Some(session.clone());
-    let mut slam = Slam::begin(SlamConfig::default(), kept, SlamMode::Localization, InitialPose::Unknown);
+    let mut slam = Slam::begin(recorded_log_slam(), kept, SlamMode::Localization, InitialPose::Unknown);
     for (n, line) in lines.iter().enumerate() {
         let correction = feed(&mut slam, line);
         let (before, searches) = (cpu_ms(), slam.back_counts().relocalization.searches);

@@ -1,7 +1,7 @@
 //! `mr-slam demo`: a fleet with a scripted operator that drives it over TCP, as a headset would.
 
+use crate::command::up::FleetHooks;
 use crate::run::Run;
-use crate::up::FleetHooks;
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
 use std::os::unix::process::CommandExt;

@@ -268,7 +268,7 @@ impl Lockstep {
         self.voice.say_map(&channel::merged_map(), &mut self.merged_map, merged, listener);
         self.map_transforms = self.merger.map_transforms();
         self.voice.say(&channel::map_transforms(), &mut self.map_transforms, listener);
-        self.telemetry.map_transforms(&self.map_transforms);
+        self.telemetry.update_map_transforms(&self.map_transforms);
         self.telemetry.update_merged_map(self.merged_map.grid.view(), received);
     }
 }

@@ -1,11 +1,11 @@
-//! What the launcher sees of its fleet: figures and maps, for the live table and the run's folder.
+//! Reader of a fleet's figures and maps, for the live table, `status` and the run's folder.
 
 use crate::channel::{self, Opener, Program};
 use crate::clock::now;
-use crate::merge_edges::EdgeView;
 use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
+use crate::view::EdgeView;
 use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MergeEdges, Monotonic, Pose2, RobotId, Role,
@@ -27,13 +27,13 @@ pub struct Observer {
     _node: Participant,
 }
 
-/// One map's channel, which has its newest map.
+/// Reader of one map channel.
 struct MapWatch {
     name: String,
     reader: MapReader,
 }
 
-/// Where one robot is.
+/// Reader of one robot's poses.
 struct RobotWatch {
     truths: Reader<GroundTruth>,
     corrections: Reader<Correction>,
@@ -48,7 +48,7 @@ impl RobotWatch {
         Ok(Self { truths, corrections, world_from_base: None, map_from_odom: None })
     }
 
-    fn look(&mut self) {
+    fn poll(&mut self) {
         if let Some(truth) = self.truths.newest() {
             self.world_from_base = Some(truth.world_from_base);
         }
@@ -59,7 +59,7 @@ impl RobotWatch {
 }
 
 impl Observer {
-    /// Attaches to a run. `name` is for people who look at the run.
+    /// Attaches to a run under the participant name `name`.
     pub fn attach(run: &Run, name: &str) -> Result<Self, ChannelError> {
         let node = Participant::open(&run.domain, Opener::of_fleet(Program::Launcher), name)?;
         let watch = |name: String, reader| MapWatch { name, reader };
@@ -78,12 +78,12 @@ impl Observer {
         })
     }
 
-    /// Takes in what has come. True if there are new figures.
-    pub fn look(&mut self) -> bool {
+    /// Receives what has come. Returns whether there are new figures.
+    pub fn poll(&mut self) -> bool {
         for watch in self.maps.iter_mut().chain([&mut self.merged_map]) {
             watch.reader.poll();
         }
-        self.robots.iter_mut().for_each(RobotWatch::look);
+        self.robots.iter_mut().for_each(RobotWatch::poll);
         let stats = self.stats.newest();
         let new = stats.is_some();
         if let Some(stats) = stats {
@@ -92,25 +92,25 @@ impl Observer {
         new
     }
 
-    /// As [`Observer::look`], but waits for new figures, `patience` at most.
+    /// Waits for new figures, at most `patience`, and receives what has come. Returns whether there are new figures.
     pub fn wait(&mut self, patience: Duration) -> bool {
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
         wait([&self.bell], until);
-        self.look()
+        self.poll()
     }
 
-    /// The newest figures.
+    /// Newest figures; `None` until the first ones came.
     pub fn stats(&self) -> Option<&FleetStats> {
         self.newest.as_deref()
     }
 
-    /// What merging believes of each pair of robots.
+    /// Newest edges between robots' maps.
     pub fn merge_edges(&self) -> Vec<EdgeView> {
         self.newest_edges.edges().iter().map(EdgeView::new).collect()
     }
 
-    /// The edges whose state has changed since the last call: what people want to be told.
-    pub fn edge_news(&mut self) -> Vec<EdgeView> {
+    /// Receives edges and returns those whose state has changed since the last call.
+    pub fn changed_edges(&mut self) -> Vec<EdgeView> {
         let Some(edges) = self.edges.newest() else { return Vec::new() };
         let before = self.newest_edges.edges();
         let changed = edges.edges().iter().enumerate().filter(|(index, edge)| {
@@ -121,8 +121,8 @@ impl Observer {
         news
     }
 
-    /// What a robot's process must know when it is started again: the simulator where the robot
-    /// stands in `world`, SLAM where `odom` lies in `robotK/map`.
+    /// Returns the pose with which a robot's process is restarted: of the robot in `world` for a simulator, of `odom`
+    /// in `robotK/map` for SLAM.
     pub fn last_seen(&self, role: Role, robot: RobotId) -> Option<Pose2> {
         let watch = self.robots.get(robot.index())?;
         match role {
@@ -132,7 +132,7 @@ impl Observer {
         }
     }
 
-    /// Writes every map that was seen: PGM with YAML, and PNG. Returns the files' stems.
+    /// Writes every map that came as PGM with YAML and as PNG. Returns the paths without extension.
     pub fn write_maps(&self, dir: &Path) -> Result<Vec<PathBuf>, map_file::MapFileError> {
         let seen = self.maps.iter().chain([&self.merged_map]);
         let seen = seen.filter(|watch| watch.reader.map().tiles().next().is_some());

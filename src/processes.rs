@@ -34,7 +34,7 @@ pub struct ProcessRow {
     pub per_robot: bool,
     /// Whether it runs only where the robots are simulated here.
     pub simulated_world_only: bool,
-    /// The subcommand of `mr-slam` that runs it.
+    /// The subcommand of `mr-slam worker` that runs it.
     pub command: &'static str,
     /// What it is told when it is started again.
     pub resume: Resume,
@@ -66,8 +66,7 @@ pub static PROCESSES: [ProcessRow; 5] = [
     ProcessRow {
         role: Role::Slam,
         per_robot: true,
-        // `mr-slam slam` is the command with which people ask SLAM.
-        command: "slam-worker",
+        command: "slam",
         resume: Resume::MapFromOdom,
         ..OF_FLEET
     },

@@ -1,8 +1,11 @@
-//! A run: one fleet from its start to its end, and the folder that describes it.
+//! Run: one fleet from its start to its end, and the folder that describes it.
 //!
-//! The folder holds `fleet.toml` (the configuration in force), `run.json` (what its processes and
-//! `mr-slam status` need to find each other), `merge.json` and `sessions/` (what processes that are started again
-//! go on with), and at the end the maps and `report.json`.
+//! | file | content |
+//! |---|---|
+//! | `fleet.toml` | configuration in force |
+//! | `run.json` | process id, shared memory, clocks and port, for the fleet's processes and `mr-slam status` |
+//! | `merge.json`, `sessions/` | state that restarted processes continue with |
+//! | maps, `report.json` | results, written at the end |
 
 use crate::channel::Opener;
 use crate::clock::Epoch;
@@ -15,26 +18,32 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What went wrong with a run's folder.
+/// Reason why a run could not be created or opened.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// The folder or one of its files.
+    /// The folder or one of its files cannot be read or written.
     #[error("{path}: {why}")]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says, or what is wrong with the content.
+        /// Error of the operating system, or of the content.
         why: String,
     },
-    /// The configuration.
+    /// The configuration in the folder is refused.
     #[error(transparent)]
     Config(#[from] crate::config::ConfigError),
-    /// Shared memory.
+    /// Shared memory of the run cannot be used.
     #[error(transparent)]
     Channel(#[from] ChannelError),
-    /// No run to be found.
+    /// No fleet runs, or not the one that was named.
     #[error("no fleet is running; start one with `mr-slam up`")]
     NoneRunning,
+    /// Several fleets run, and none was named.
+    #[error("{} fleets are running; name one with --run-dir: {}", runs.len(), display_all(runs))]
+    SeveralRunning {
+        /// Folders of the runs, oldest first.
+        runs: Vec<PathBuf>,
+    },
 }
 
 impl RunError {
@@ -43,42 +52,58 @@ impl RunError {
     }
 }
 
-/// `run.json`.
+/// Content of `run.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct RunFile {
-    /// The launcher's process id.
+    /// Process id of the launcher.
     pid: u32,
-    /// The name in shared memory.
+    /// Name in shared memory.
     domain: String,
     /// CLOCK_MONOTONIC at stamp 0, nanoseconds.
     epoch_ns: i64,
     /// CLOCK_MONOTONIC at the start, nanoseconds.
     begun_ns: u64,
-    /// Where headsets attach.
+    /// TCP port for headsets.
     port: u16,
 }
 
-/// A run, as each of its processes knows it.
+impl RunFile {
+    fn read(dir: &Path) -> Result<Self, RunError> {
+        let path = dir.join("run.json");
+        let json = fs::read_to_string(&path).map_err(RunError::file(&path))?;
+        serde_json::from_str(&json).map_err(|why| RunError::File { path, why: why.to_string() })
+    }
+}
+
+fn is_alive(pid: u32) -> bool {
+    Path::new(&format!("/proc/{pid}")).exists()
+}
+
+fn display_all(runs: &[PathBuf]) -> String {
+    runs.iter().map(|dir| dir.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+/// A fleet's run, as each of its processes knows it.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// Its folder.
+    /// Folder of the run.
     pub dir: PathBuf,
-    /// The launcher's process id.
+    /// Process id of the launcher.
     pub pid: u32,
-    /// Its names in shared memory.
+    /// Names of the run in shared memory.
     pub domain: Domain,
-    /// Where its stamps count from.
+    /// Origin of its stamps.
     pub epoch: Epoch,
-    /// When it began.
+    /// Start of the run.
     pub begun: Monotonic,
-    /// Where headsets attach.
+    /// TCP port for headsets.
     pub port: u16,
-    /// The configuration in force.
+    /// Configuration in force.
     pub config: FleetConfig,
 }
 
 impl Run {
-    /// Begins a run of this process in `dir`, which is made if need be.
+    /// Begins a run of this process in `dir`, which is created if it does not exist.
     pub fn create(dir: &Path, config: FleetConfig, port: u16) -> Result<Self, RunError> {
         fs::create_dir_all(dir).map_err(RunError::file(dir))?;
         let dir = fs::canonicalize(dir).map_err(RunError::file(dir))?;
@@ -92,34 +117,45 @@ impl Run {
         let json_path = run.dir.join("run.json");
         let json = serde_json::to_string_pretty(&file).unwrap_or_default();
         fs::write(&json_path, &json).map_err(RunError::file(&json_path))?;
-        // A link that `mr-slam status` finds without being told the folder.
+        // `mr-slam status` finds the run by this file without knowing its folder.
         fs::create_dir_all(run.domain.root()).map_err(RunError::file(run.domain.root()))?;
         let pointer = run.domain.root().join("run-dir");
         fs::write(&pointer, run.dir.as_os_str().as_encoded_bytes()).map_err(RunError::file(&pointer))?;
         Ok(run)
     }
 
-    /// Opens the run that `dir` describes.
+    /// Opens the run that the folder `dir` describes.
     pub fn open(dir: &Path) -> Result<Self, RunError> {
-        let json_path = dir.join("run.json");
-        let json = fs::read_to_string(&json_path).map_err(RunError::file(&json_path))?;
-        let file: RunFile = serde_json::from_str(&json)
-            .map_err(|why| RunError::File { path: json_path, why: why.to_string() })?;
+        let file = RunFile::read(dir)?;
         let config = FleetConfig::from_file(&dir.join("fleet.toml"))?;
         Self::from_file(dir.into(), file, config)
     }
 
-    /// The folders of all runs whose launcher lives, newest last.
-    pub fn living() -> Vec<PathBuf> {
+    /// Opens the run in `dir`, whose launcher must be alive.
+    pub fn open_running(dir: &Path) -> Result<Self, RunError> {
+        let run = Self::open(dir)?;
+        if is_alive(run.pid) { Ok(run) } else { Err(RunError::NoneRunning) }
+    }
+
+    /// Returns the folders of all runs whose launcher is alive, in the order of their start.
+    pub fn all_running() -> Vec<PathBuf> {
+        Self::all_running_below(&std::env::temp_dir())
+    }
+
+    fn all_running_below(folder: &Path) -> Vec<PathBuf> {
         let mut found = Vec::new();
-        for entry in fs::read_dir(std::env::temp_dir()).into_iter().flatten().flatten() {
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
             let Some(pid) = name.strip_prefix("mrslam-").and_then(|pid| pid.parse::<u32>().ok()) else {
                 continue;
             };
             let Ok(dir) = fs::read_to_string(entry.path().join("run-dir")) else { continue };
-            if Path::new(&format!("/proc/{pid}")).exists() {
-                found.push((pid, PathBuf::from(dir)));
+            let dir = PathBuf::from(dir);
+            // Process ids do not grow with time: only the run's own file says when it began.
+            if is_alive(pid)
+                && let Ok(file) = RunFile::read(&dir)
+            {
+                found.push((file.begun_ns, dir));
             }
         }
         found.sort();
@@ -152,5 +188,29 @@ impl Run {
     /// The robots of the fleet.
     pub fn robots(&self) -> impl Iterator<Item = RobotId> + Clone {
         RobotId::first(self.config.fleet.robots)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn running_fleets_are_listed_in_the_order_of_their_start() {
+        let folder = tempfile::tempdir().unwrap();
+        // Process 1 always lives; process ids have no order in time.
+        for (pid, begun_ns) in [(std::process::id(), 1), (1, 2)] {
+            let file = RunFile { pid, domain: pid.to_string(), epoch_ns: 0, begun_ns, port: 0 };
+            let dir = folder.path().join(format!("run-{begun_ns}"));
+            fs::create_dir_all(&dir).unwrap();
+            fs::write(dir.join("run.json"), serde_json::to_string(&file).unwrap()).unwrap();
+            let pointer = folder.path().join(format!("mrslam-{pid}"));
+            fs::create_dir_all(&pointer).unwrap();
+            fs::write(pointer.join("run-dir"), dir.as_os_str().as_encoded_bytes()).unwrap();
+        }
+        let runs = Run::all_running_below(folder.path());
+        assert_eq!(runs, [folder.path().join("run-1"), folder.path().join("run-2")]);
+        let several = RunError::SeveralRunning { runs }.to_string();
+        assert!(several.contains("--run-dir") && several.contains("run-2"), "{several}");
     }
 }

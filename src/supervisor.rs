@@ -97,7 +97,7 @@ impl Supervisor {
 
     fn spawn(&self, row: &ProcessRow, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
         let mut command = Command::new(std::env::current_exe()?);
-        command.arg(row.command);
+        command.args(["worker", row.command]);
         if let Some(robot) = robot {
             command.arg("--robot").arg(robot.number().to_string());
         }

@@ -121,7 +121,7 @@ impl Fleet {
     }
 
     fn observe(&mut self, measuring: bool) {
-        if self.observer.look()
+        if self.observer.poll()
             && let Some(stats) = self.observer.stats()
         {
             let view = FleetView::new(stats);

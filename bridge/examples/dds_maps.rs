@@ -1,8 +1,8 @@
 //! A ROS 2 endpoint that publishes maps of a given size, for measurements: `.ci/interop` starts it.
 //!
 //! `dds_maps DOMAIN SIDE PERIOD_S COUNT`: COUNT maps of SIDE x SIDE cells on /robot1/map and /merged_map, one each
-//! PERIOD_S, then quiet. Map n has stamp n seconds. Prints `map n` as it is handed over. Ends when its
-//! standard input ends.
+//! PERIOD_S, then nothing. Map n has stamp n seconds. Prints `map n` when it is published. Ends when its standard
+//! input ends.
 
 use bridge::BridgeConfig;
 use bridge::dds::{DdsConfig, DdsEndpoint};
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false)?);
         spawn_local(endpoint.clone().serve(|_| {}, |_, _| {}));
         let side = side as usize;
-        // No block of one value: nothing that could be compressed or skipped.
+        // Values vary from cell to cell, so that nothing can be compressed or skipped.
         let cells: Vec<i8> =
             (0..side * side).map(|i| (i * 31 % 251) as u8 as i8).map(|c| c.max(-127)).collect();
         for number in 1..=count as i64 {
@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let (width, height) = (side as u32, side as u32);
             let (origin, resolution_m) = (Pose2::IDENTITY, 0.05);
             let header = GridHeader { header, origin, resolution_m, width, height, ..GridHeader::default() };
-            let map = GridView::new(&header, &cells).ok_or("a sound map")?;
+            let map = GridView::new(&header, &cells).ok_or("the grid and its header differ in size")?;
             endpoint.publish(FleetMessage::Map(robot, map));
             endpoint.publish(FleetMessage::MergedMap(map));
             println!("map {number}");

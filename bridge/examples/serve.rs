@@ -1,5 +1,6 @@
-//! A bridge with a made-up fleet behind it: three robots on circles, at the rates of the real ones.
-//! For trying clients and probes without the fleet: `cargo run -p bridge --example serve -- --port 10000`.
+//! A bridge with an artificial fleet: three robots on circles, at the rates of real ones.
+//!
+//! It serves clients and probes without the fleet's processes: `cargo run -p bridge --example serve -- --port 10000`.
 
 use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 use bytemuck::Zeroable;

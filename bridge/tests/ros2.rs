@@ -91,21 +91,21 @@ fn send_map(endpoint: &DdsEndpoint, second: i64, side: u32) {
 /// Returns the stamps that arrive until nothing does for [`QUIET`]; waits for the first.
 async fn stamps(subscription: &Subscription<Grid>) -> Vec<i32> {
     let mut stream = std::pin::pin!(subscription.async_stream());
-    let mut heard = vec![];
-    while let Some(grid) = match heard.is_empty() {
+    let mut stamps = vec![];
+    while let Some(grid) = match stamps.is_empty() {
         true => stream.next().await,
         false => tokio::time::timeout(QUIET, stream.next()).await.unwrap_or(None),
     } {
         let (grid, _) = grid.unwrap();
         assert_eq!(grid.data.len(), (grid.width * grid.height) as usize);
         assert_eq!(grid.frame_id, "map_1");
-        heard.push(grid.stamp.0);
+        stamps.push(grid.stamp.0);
     }
-    heard
+    stamps
 }
 
 #[test]
-fn a_late_joiner_gets_the_newest_map_once() {
+fn a_late_reader_gets_the_newest_map_once() {
     run(async {
         let config = config(0);
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
@@ -114,7 +114,7 @@ fn a_late_joiner_gets_the_newest_map_once() {
         let mut other = node(&config);
         let first = maps(&mut other);
         assert_eq!(stamps(&first).await, [20]);
-        // Somebody is there now, and takes every map, the last of them at least.
+        // The reader now gets every map, at least the last one.
         for second in 21..=24 {
             send_map(&endpoint, second, 50);
             tokio::task::yield_now().await;
@@ -127,7 +127,7 @@ fn a_late_joiner_gets_the_newest_map_once() {
 }
 
 #[test]
-fn a_fleet_can_have_a_namespace() {
+fn topics_are_in_the_configured_namespace() {
     run(async {
         let mut config = config(25);
         config.dds.namespace = "/lab/floor_2".into();
@@ -154,11 +154,11 @@ struct SaveMapResponse {
 impl Message for SaveMapResponse {}
 
 #[test]
-fn slam_toolboxs_save_map_is_asked_and_answered() {
+fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
     run(async {
         let config = config(75);
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
-        // SLAM, which saves whatever is named `monday`.
+        // SLAM saves the map that is named `monday` only.
         let answering = Rc::downgrade(&endpoint);
         let ask = move |robot: RobotId, request: SlamRequest| {
             assert_eq!(request.kind, SlamRequestKind::SaveMap as u32);
@@ -182,7 +182,7 @@ fn slam_toolboxs_save_map_is_asked_and_answered() {
             )
             .unwrap();
         for (name, result) in [("monday", 0), ("sunday", 255), ("../monday", 255)] {
-            // Until the two have found each other, what is asked is lost.
+            // Requests are lost until discovery is complete.
             let answer = loop {
                 client.send_request(SaveMapRequest { name: (name.into(),) }).unwrap();
                 tokio::time::sleep(Duration::from_millis(100)).await;
@@ -198,7 +198,7 @@ fn slam_toolboxs_save_map_is_asked_and_answered() {
 }
 
 #[test]
-fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
+fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
     run(async {
         let config = config(50);
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
@@ -217,11 +217,11 @@ fn a_velocity_reaches_the_robot_and_wild_bytes_reach_nobody() {
         let name = Name::parse("/robot1/cmd_vel").unwrap();
         let topic = other.create_topic(&name, MessageTypeName::new("geometry_msgs", "Twist"), &qos).unwrap();
         let short = other.create_publisher::<u32>(&topic, None).unwrap();
-        let sound = other.create_publisher::<Twist>(&topic, None).unwrap();
+        let valid = other.create_publisher::<Twist>(&topic, None).unwrap();
         while commands.borrow().len() < 3 || bridge.counters().refused < 3 {
             short.publish(7).unwrap();
-            sound.publish(Twist([f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
-            sound.publish(Twist([0.1, 0.0, 0.0, 0.0, 0.0, -0.5])).unwrap();
+            valid.publish(Twist([f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
+            valid.publish(Twist([0.1, 0.0, 0.0, 0.0, 0.0, -0.5])).unwrap();
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
         let commands = commands.borrow();

@@ -1,278 +1,254 @@
-//! Unknown start poses: where does one map lie in another?
+//! Alignment of two whole maps whose frames are unrelated: where does one lie in the other?
 //!
 //! ```text
-//! walls, floor ─▶ rotation spectra ─▶ every translation (FFT) ─▶ refined on a's walls ─▶ gate
-//!                 8 turns, and half a turn more     4 places each    the best few
+//! walls, floor ─▶ rotations from Hough spectra ─▶ translations by FFT ─▶ refined on the walls ─▶ accepted?
+//!                 12, each with half a turn more   4 of each rotation     the best 24
 //! ```
 //!
-//! Places are ranked by their walls alone: floor agrees with floor almost anywhere. Carpin's
-//! acceptance index, which counts floor too, is one of the conditions of the gate.
+//! Candidates are ranked by their walls alone, because floor agrees with floor almost anywhere. Whether the best one is
+//! accepted depends on both maps' cells too ([`AlignConfig`]).
 
-mod evidence;
+mod comparison;
+mod distance_field;
 mod fft2;
-mod field;
-mod fit;
+mod null;
+mod points;
 mod refine;
 mod spectrum;
-mod translate;
-mod verify;
+mod translation;
+mod wall_match;
 
-use crate::merger::{RESOLUTION_M, is_near};
-pub(crate) use evidence::Evidence;
-pub(crate) use field::Field;
-pub(crate) use fit::{Fit, fit};
-use msg::{GridView, Pose2};
-use refine::{coarse_stages, fine_stages};
-pub(crate) use refine::{nearness, pull, refine};
+pub(crate) use distance_field::DistanceField;
+pub(crate) use null::max_null_f1;
+pub(crate) use points::MapPoints;
+pub(crate) use refine::{refine, wall_information, wall_proximity};
+pub(crate) use wall_match::{WallMatch, match_walls};
+
+use crate::config::AlignConfig;
+use crate::limits::{RESOLUTION_M, is_plausible};
+use comparison::{GridComparison, compare_grids};
+use msg::{GridView, Pose2, pose::wrap_angle};
+use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
 use serde::{Deserialize, Serialize};
-use translate::{COARSE_M, Candidate, Translator};
-pub(crate) use verify::{Agreement, agreement};
+use translation::{COARSE_CELL_M, CoarseCandidate, TranslationSearch};
 
 /// Rotations tried, each with half a turn more.
 const ROTATIONS: usize = 12;
-/// Places that are refined, best coarse score first.
-const REFINED: usize = 24;
-/// Wall points used while there are many places to refine.
+/// Candidates that are refined, those of the best coarse score.
+const REFINED_MAX: usize = 24;
+/// Wall points used while there are many candidates to refine.
 const COARSE_POINTS: usize = 2_000;
-/// Wall points used for the last stage.
+/// Wall points used for the last refinement.
 const FINE_POINTS: usize = 20_000;
-/// Places compared cell by cell.
-const VERIFIED: usize = 2;
-/// Walls by which a place must be ahead of nothing: what chance finds anywhere.
-const LEAST_EVIDENCE: f64 = 50.0;
-/// Wrong transforms that say what chance gives, and how many are tried to find them.
-const NULL_TRANSFORMS: usize = 20;
-const NULL_TRIES: usize = 60;
-/// What a small part of both maps agrees on, this share of the smaller one, may be one room that is like another's: it
-/// must be so many times [`AlignConfig::overlap_min_m2`].
-const PART_SHARE: f64 = 0.2;
-const PART_TIMES: f64 = 2.0;
-/// Two places nearer than this are the same, metres and radians.
-const SAME_PLACE: [f64; 2] = [0.5, 0.1];
+/// Candidates that are refined by many points.
+const FINALISTS: usize = 2;
+/// Score that the best other place is taken to have at least, in walls: chance finds as much anywhere.
+const RIVAL_SCORE_MIN: f64 = 50.0;
+/// An overlap below this share of the smaller map is a small part of both maps, and may be a room that is like another,
+const SMALL_OVERLAP_SHARE: f64 = 0.2;
+/// so that it must be this many times [`AlignConfig::overlap_min_m2`].
+const SMALL_OVERLAP_FACTOR: f64 = 2.0;
+/// Two alignments within this distance (metres)
+const SAME_PLACE_M: f64 = 0.5;
+/// and this rotation (radians) of each other are one place.
+const SAME_PLACE_RAD: f64 = 0.1;
 
-/// When to believe an alignment.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AlignConfig {
-    /// Of the cells both maps know, at least this share agrees.
-    pub agreement_min: f64,
-    /// F1 of occupied cells at one cell's tolerance, at least.
-    pub occupied_f1_min: f64,
-    /// Walls of one map in the middle of the other's floor, over those and the walls found, at most:
-    /// what tells the best place in the wrong building from a right one most clearly.
-    pub conflict_max: f64,
-    /// Floor and walls both know, square metres, at least.
-    pub overlap_min_m2: f64,
-    /// Occupied cells found again, of both maps together, at least.
-    pub inliers_min: u32,
-    /// The best place's evidence over that of the best other place, at least.
-    pub margin_min: f64,
-    /// Least share of the walls' pull in any direction: below it a map can slide along itself.
-    pub observability_min: f64,
-}
-
-impl Default for AlignConfig {
-    fn default() -> Self {
-        Self {
-            agreement_min: 0.94,
-            occupied_f1_min: 0.80,
-            conflict_max: 0.11,
-            overlap_min_m2: 10.0,
-            inliers_min: 200,
-            margin_min: 1.5,
-            observability_min: 0.03,
-        }
-    }
-}
-
-impl AlignConfig {
-    /// What is wrong with it, if anything.
-    pub fn validate(&self) -> Result<(), String> {
-        let shares = [
-            ("agreement_min", self.agreement_min),
-            ("occupied_f1_min", self.occupied_f1_min),
-            ("conflict_max", self.conflict_max),
-            ("observability_min", self.observability_min),
-        ];
-        if let Some((name, value)) = shares.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
-            return Err(format!("merge.align.{name} is {value}; expected a share, 0 to 1"));
-        }
-        let amounts = [("overlap_min_m2", self.overlap_min_m2), ("margin_min", self.margin_min)];
-        if let Some((name, value)) = amounts.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
-            return Err(format!("merge.align.{name} is {value}; expected a number from 0"));
-        }
-        Ok(())
-    }
-}
-
-/// The best place found for one map in another, with what speaks for it.
+/// The best transform found between two maps, with its evidence.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Alignment {
-    /// Frame of the second map to that of the first. Whoever keeps the rest keeps it beside.
+    /// Frame of the first map from that of the second. It is not serialised: who keeps the evidence keeps the
+    /// transform in force beside it.
     #[serde(skip)]
     pub a_from_b: Pose2,
-    /// It passed every condition of the gate.
+    /// Whether it passed every threshold of the [`AlignConfig`].
     pub accepted: bool,
-    /// Occupied cells found again, of both maps together.
+    /// Occupied cells that the other map has too, of both maps together.
     pub inliers: u32,
-    /// F1 of occupied cells at one cell's tolerance, 0 to 1.
+    /// F1 of occupied cells at a tolerance of one cell, 0 to 1.
     pub occupied_f1: f64,
-    /// Share of the cells both know on which they agree, 0 to 1.
+    /// Share of the cells known to both maps on which they agree, 0 to 1.
     pub agreement: f64,
-    /// What both know, square metres.
+    /// Area known to both maps, square metres.
     pub overlap_m2: f64,
-    /// The same over what the map that knows less knows, 0 to 1.
+    /// The same over the known area of the map that knows less, 0 to 1.
     pub overlap_share: f64,
-    /// Walls of one map in the middle of the other's floor, over those and the walls found, 0 to 1.
+    /// Share of walls that lie on the other map's floor, 0 to 1.
     pub conflict: f64,
-    /// Mean distance of walls found again, metres.
+    /// Mean distance of matched walls, metres.
     pub residual_m: f64,
-    /// Evidence (walls found less walls missed) over that of the best other place, or over
-    /// `LEAST_EVIDENCE` walls if no other has as much.
+    /// Score (matched walls less contradicted ones) over that of the best other place, or over 50 walls if no other
+    /// place has as many. 0 where only one place was looked at.
     pub margin: f64,
-    /// 0: the map can slide along itself; 0.5: held alike in all directions.
+    /// Observability of the position: 0 if the map can slide along itself, 0.5 if it is held alike in all directions.
     pub observability: f64,
 }
 
-/// Finds where `b` lies in `a`. `None` if one of them makes no sense, has no walls, or nothing fits
-/// at all; else the best place, which only counts if it is `accepted`.
+/// Finds the transform of map `b` in map `a`, whatever their frames.
+///
+/// Returns the best one, which counts only if it is `accepted`. Returns `None` if a map is malformed or has no walls,
+/// or if nothing matches at all.
+///
+/// ```
+/// use merge::{AlignConfig, align};
+/// use msg::{Grid, GridHeader, Pose2};
+///
+/// // A floor plan of 12 m x 9 m with rooms and furniture: is there an obstacle at a point (metres)?
+/// let is_obstacle = |x: f64, y: f64| {
+///     let outer = x < 0.1 || x > 11.9 || y < 0.1 || y > 8.9;
+///     let walls = ((4.0..4.1).contains(&x) && !(2.0..3.0).contains(&y))
+///         || ((5.0..5.1).contains(&y) && x > 4.0 && !(7.0..8.0).contains(&x));
+///     let furniture = [(1.0..2.5, 1.0..1.7), (6.0..7.6, 1.0..1.6), (9.0..9.8, 6.4..8.0), (1.5..1.9, 6.0..8.0)];
+///     outer || walls || furniture.iter().any(|(across, along)| across.contains(&x) && along.contains(&y))
+/// };
+/// // What a robot maps that starts at a pose in the plan: 10 m around it.
+/// let map_from = |start: Pose2| {
+///     let origin = Pose2::new(-10.0, -10.0, 0.0);
+///     let header = GridHeader { origin, resolution_m: 0.05, width: 400, height: 400, ..Default::default() };
+///     let mut grid = Grid { header, cells: vec![msg::grid::UNKNOWN; 400 * 400] };
+///     for i in 0..400 * 400 {
+///         let [x, y] = start.apply(grid.view().centre_m(i % 400, i / 400));
+///         if (0.0..12.0).contains(&x) && (0.0..9.0).contains(&y) {
+///             grid.cells[i as usize] = if is_obstacle(x, y) { 80 } else { -80 };
+///         }
+///     }
+///     grid
+/// };
+/// let starts = [Pose2::new(2.0, 3.0, 0.0), Pose2::new(9.0, 3.0, 1.0)];
+/// let [a, b] = starts.map(map_from);
+///
+/// let found = align(a.view(), b.view(), &AlignConfig::default()).unwrap();
+/// assert!(found.accepted, "{found:?}");
+/// assert!(found.a_from_b.distance_m(starts[0].between(starts[1])) < 0.05);
+/// ```
 pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<Alignment> {
     if !is_usable(a) || !is_usable(b) {
         return None;
     }
-    let walls = [Evidence::of(a, COARSE_M), Evidence::of(b, COARSE_M)];
-    if walls.iter().any(|map| map.walls_m.is_empty()) {
+    let points = [a, b].map(|map| MapPoints::from_grid(map, COARSE_CELL_M));
+    if points.iter().any(|map| map.walls_m.is_empty()) {
         return None;
     }
-    let candidates = coarse(&walls[0], &walls[1]);
-    let [of_a, of_b] = walls;
-    let (field_a, field_b) = (Field::of(of_a, a), Field::of(of_b, b));
+    let candidates = find_candidates(&points[0], &points[1]);
+    let [points_a, points_b] = points;
+    let (field_a, field_b) = (DistanceField::new(points_a, a), DistanceField::new(points_b, b));
     let fields = [&field_a, &field_b];
-    let fits = refined(fields, &candidates);
-    let exact = fits.iter().take(VERIFIED).map(|coarse| (coarse, finished(fields, coarse)));
-    let (coarse, best) = exact.max_by(|x, y| x.1.evidence().total_cmp(&y.1.evidence()))?;
-    let others = fits.iter().filter(|other| !same_place(other.a_from_b, coarse.a_from_b));
-    let margin = best.evidence() / others.map(Fit::evidence).fold(LEAST_EVIDENCE, f64::max);
+    let places = refine_candidates(fields, &candidates);
+    let finalists = places.iter().take(FINALISTS).map(|coarse| (coarse, refine_finely(fields, coarse)));
+    let (coarse, best) = finalists.max_by(|x, y| x.1.score().total_cmp(&y.1.score()))?;
+    let others = places.iter().filter(|other| !is_same_place(other.a_from_b, coarse.a_from_b));
+    let margin = best.score() / others.map(WallMatch::score).fold(RIVAL_SCORE_MIN, f64::max);
     let a_from_b =
-        field_a.evidence.frame_from_middle * best.a_from_b * field_b.evidence.frame_from_middle.inverse();
-    Some(judge(a_from_b, &best, margin, &agreement(a, b, a_from_b), config))
+        field_a.points.frame_from_centred * best.a_from_b * field_b.points.frame_from_centred.inverse();
+    Some(judge(a_from_b, &best, margin, &compare_grids(a, b, a_from_b), config))
 }
 
-/// The same figures for a place that is already known. `accepted` is whether they pass the gate but
-/// for `margin`, which is 0: no other place is looked at.
-pub(crate) fn assess(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Alignment> {
+/// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
+/// at. `None` if a map is malformed.
+pub(crate) fn evaluate(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Alignment> {
     if !is_usable(a) || !is_usable(b) {
         return None;
     }
-    let [of_a, of_b] = [Evidence::of(a, COARSE_M), Evidence::of(b, COARSE_M)];
-    let (field_a, field_b) = (Field::of(of_a, a), Field::of(of_b, b));
-    let fields = [&field_a, &field_b];
-    let [from_a, from_b] = fields.map(|field| field.evidence.frame_from_middle);
-    let fit = fit(fields, from_a.inverse() * a_from_b * from_b, thinned(fields, FINE_POINTS));
+    let fields = [a, b].map(|map| DistanceField::new(MapPoints::from_grid(map, COARSE_CELL_M), map));
+    let fields = [&fields[0], &fields[1]];
+    let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
+    let matched = match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS));
     let config = AlignConfig { margin_min: 0.0, ..AlignConfig::default() };
-    Some(judge(a_from_b, &fit, 0.0, &agreement(a, b, a_from_b), &config))
+    Some(judge(a_from_b, &matched, 0.0, &compare_grids(a, b, a_from_b), &config))
 }
 
-/// What chance gives: the largest F1 of occupied cells (one cell's tolerance) under
-/// [`NULL_TRANSFORMS`] wrong transforms, 2 to 8 m and 20° to 180° off, that leave at least half the
-/// overlap. The same maps give the same figure.
-pub(crate) fn null_f1(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> f64 {
-    let right = agreement(a, b, a_from_b);
-    // The middle of b's walls: turning about it keeps most of the overlap.
-    let middle = Evidence::of(b, COARSE_M).frame_from_middle;
-    let [x, y] = a_from_b.apply([middle.x_m, middle.y_m]);
-    let (mut most, mut left): (f64, usize) = (0.0, NULL_TRANSFORMS);
-    for k in 0..NULL_TRIES {
-        // Low-discrepancy instead of random: even over all directions, turns and distances.
-        let share = |prime: f64| (k as f64 * prime.sqrt()).fract();
-        let turn = (0.35 + 2.79 * share(2.0)) * if k % 2 == 0 { 1.0 } else { -1.0 };
-        let (shift, towards) = (2.0 + 6.0 * share(3.0), core::f64::consts::TAU * share(5.0));
-        let about = Pose2::new(x, y, turn) * Pose2::new(-x, -y, 0.0);
-        let wrong = Pose2::new(shift * towards.cos(), shift * towards.sin(), 0.0) * about * a_from_b;
-        let found = agreement(a, b, wrong);
-        if found.overlap_m2 >= 0.5 * right.overlap_m2 {
-            most = most.max(found.occupied_f1);
-            left -= 1;
-            if left == 0 {
-                break;
-            }
-        }
+/// Every how many wall points of each map to use, for about so many of them.
+pub(crate) fn strides(fields: [&DistanceField; 2], points: usize) -> [usize; 2] {
+    fields.map(|field| field.points.walls_m.len().div_ceil(points).max(1))
+}
+
+/// Adds a place to a list, or replaces the entry of the same place if it has a better score.
+pub(crate) fn keep_better(
+    places: &mut Vec<WallMatch>,
+    found: WallMatch,
+    is_same_place: impl Fn(Pose2, Pose2) -> bool,
+) {
+    match places.iter_mut().find(|other| is_same_place(other.a_from_b, found.a_from_b)) {
+        Some(other) if other.score() < found.score() => *other = found,
+        Some(_) => {}
+        None => places.push(found),
     }
-    most
+}
+
+/// Sorts places by score, best first.
+pub(crate) fn sort_by_score(places: &mut [WallMatch]) {
+    places.sort_by(|x, y| y.score().total_cmp(&x.score()));
 }
 
 fn is_usable(map: GridView<'_>) -> bool {
     GridView::new(map.header, map.cells).is_some()
         && RESOLUTION_M.contains(&map.header.resolution_m)
-        && is_near(map.header.origin)
+        && is_plausible(map.header.origin)
 }
 
-/// Rotations, and for each the best translations; best first.
-fn coarse(a: &Evidence, b: &Evidence) -> Vec<Candidate> {
-    let turns = spectrum::rotations(&spectrum::spectrum(a), &spectrum::spectrum(b), ROTATIONS);
-    let mut translator = Translator::new(a, b);
-    let mut candidates: Vec<Candidate> =
-        turns.into_iter().flat_map(|turn| translator.candidates(turn)).collect();
+/// Coarse candidates: the best translations of each rotation, best score first.
+fn find_candidates(a: &MapPoints, b: &MapPoints) -> Vec<CoarseCandidate> {
+    let spectra = [a, b].map(spectrum::hough_spectrum);
+    let rotations = spectrum::candidate_rotations(&spectra[0], &spectra[1], ROTATIONS);
+    let mut search = TranslationSearch::new(a, b);
+    let mut candidates: Vec<CoarseCandidate> =
+        rotations.into_iter().flat_map(|rotation| search.find_candidates(rotation)).collect();
     candidates.sort_by(|x, y| y.score.total_cmp(&x.score));
-    candidates.truncate(REFINED);
+    candidates.truncate(REFINED_MAX);
     candidates
 }
 
-/// The candidates drawn to the nearest walls, without doubles, most evidence first.
-fn refined(fields: [&Field; 2], candidates: &[Candidate]) -> Vec<Fit> {
-    let keep = thinned(fields, COARSE_POINTS);
-    let mut fits: Vec<Fit> = Vec::new();
+/// Refines candidates by few points; one entry a place, best score first.
+fn refine_candidates(fields: [&DistanceField; 2], candidates: &[CoarseCandidate]) -> Vec<WallMatch> {
+    let strides = strides(fields, COARSE_POINTS);
+    let mut places: Vec<WallMatch> = Vec::new();
     for candidate in candidates {
-        let found = fit(fields, refine(fields, candidate.a_from_b, keep, coarse_stages()), keep);
-        match fits.iter_mut().find(|other| same_place(other.a_from_b, found.a_from_b)) {
-            Some(other) if other.evidence() < found.evidence() => *other = found,
-            Some(_) => {}
-            None => fits.push(found),
-        }
+        let refined = refine(fields, candidate.a_from_b, strides, COARSE_KERNELS_M);
+        keep_better(&mut places, match_walls(fields, refined, strides), is_same_place);
     }
-    fits.sort_by(|x, y| y.evidence().total_cmp(&x.evidence()));
-    fits
+    sort_by_score(&mut places);
+    places
 }
 
-/// A refined place once more, by many points.
-fn finished(fields: [&Field; 2], coarse: &Fit) -> Fit {
-    let keep = thinned(fields, FINE_POINTS);
-    fit(fields, refine(fields, coarse.a_from_b, keep, fine_stages()), keep)
+/// Refines a place by many points.
+fn refine_finely(fields: [&DistanceField; 2], coarse: &WallMatch) -> WallMatch {
+    let strides = strides(fields, FINE_POINTS);
+    match_walls(fields, refine(fields, coarse.a_from_b, strides, FINE_KERNELS_M), strides)
 }
 
-/// Every how many wall points of either map, to use about so many.
-fn thinned(fields: [&Field; 2], points: usize) -> [usize; 2] {
-    fields.map(|field| field.evidence.walls_m.len().div_ceil(points).max(1))
+fn is_same_place(x: Pose2, y: Pose2) -> bool {
+    x.distance_m(y) < SAME_PLACE_M && wrap_angle(x.yaw_rad - y.yaw_rad).abs() < SAME_PLACE_RAD
 }
 
-fn same_place(x: Pose2, y: Pose2) -> bool {
-    let turn = msg::pose::wrap_angle(x.yaw_rad - y.yaw_rad).abs();
-    x.distance_m(y) < SAME_PLACE[0] && turn < SAME_PLACE[1]
-}
-
-fn judge(a_from_b: Pose2, fit: &Fit, margin: f64, agreement: &Agreement, config: &AlignConfig) -> Alignment {
-    let Agreement { agreement, occupied_f1, overlap_m2, overlap_share, walls_found } = *agreement;
-    let times = if overlap_share < PART_SHARE { PART_TIMES } else { 1.0 };
+/// Compares the evidence with the thresholds.
+fn judge(
+    a_from_b: Pose2,
+    walls: &WallMatch,
+    margin: f64,
+    cells: &GridComparison,
+    config: &AlignConfig,
+) -> Alignment {
+    let GridComparison { agreement, occupied_f1, overlap_m2, overlap_share, inliers } = *cells;
+    let factor = if overlap_share < SMALL_OVERLAP_SHARE { SMALL_OVERLAP_FACTOR } else { 1.0 };
     let accepted = agreement >= config.agreement_min
         && occupied_f1 >= config.occupied_f1_min
-        && fit.conflict() <= config.conflict_max
-        && overlap_m2 >= times * config.overlap_min_m2
-        && walls_found >= config.inliers_min
+        && walls.conflict() <= config.conflict_max
+        && overlap_m2 >= factor * config.overlap_min_m2
+        && inliers >= config.inliers_min
         && margin >= config.margin_min
-        && fit.observability >= config.observability_min;
+        && walls.observability >= config.observability_min;
     Alignment {
         a_from_b,
         accepted,
-        inliers: walls_found,
+        inliers,
         occupied_f1,
         agreement,
         overlap_m2,
         overlap_share,
-        conflict: fit.conflict(),
-        residual_m: fit.residual_m,
+        conflict: walls.conflict(),
+        residual_m: walls.residual_m,
         margin,
-        observability: fit.observability,
+        observability: walls.observability,
     }
 }
 

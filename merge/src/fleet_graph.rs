@@ -1,306 +1,362 @@
-//! Robots that started anywhere, and maps that drift has bent: one joint pose graph of the fleet.
+//! The fleet's pose graph: where the maps of robots lie that started anywhere, and how drift has deformed them.
 //!
 //! ```text
-//! robotK/submap, submap_poses ─▶ pairs: align whole maps ─▶ gate, a second look ─▶ placed
-//!                                          │ match submaps, verify ─▶ closures
-//!                                          ▼
-//!             closures that can be true together (PCM) ─▶ solve ─▶ anchors, straightened maps
+//! submaps ─▶ candidates:   whole maps aligned       submaps matched where the graph expects overlap
+//!                                │                            │
+//!            verification: thresholds, twice        thresholds, margin over other places
+//!                                │                            │
+//!            edge between two robots                closures ─▶ largest consistent set
+//!                                └────────────┬───────────────┘
+//!                                   joint solution ─▶ map transforms, redrawn maps
 //! ```
 //!
-//! The fleet only books; whatever takes time is a [`Task`] that any thread can do. One task is out at
-//! a time, and in which order they come depends on the messages alone.
+//! | file | part |
+//! |---|---|
+//! | `submaps`, `estimate`, `robot` | one robot: what its SLAM sent, where it lies, its redrawn map (`compose`) |
+//! | `edge`, `closures`, `pair` | two robots: state and evidence of their edge, relations of their submaps |
+//! | `alignment` | candidates and checks of whole maps, and when they are due |
+//! | `submap_match` | candidates of closures, verified |
+//! | `consistency`, `joint` | consistent set, joint solution |
+//! | `frame` | the reference robot, and who is connected to it |
+//! | `task`, `snapshot` | work for other threads, what survives the process |
 
-mod belief;
-mod clique;
-mod closure;
+mod alignment;
+mod closures;
 mod compose;
+mod consistency;
+mod edge;
+mod estimate;
+mod frame;
 mod joint;
-mod member;
 mod pair;
+mod robot;
 mod snapshot;
+mod submap_match;
+mod submaps;
 mod task;
 
 pub use snapshot::{FleetSnapshot, SnapshotRejected};
 pub use task::{Outcome, Task};
 
-use crate::align::AlignConfig;
-use crate::merger::is_near;
-use member::{Member, Straightened, SubmapRun};
-use msg::{
-    EdgeAction, EdgeState, Grid, MERGE_EDGES_MAX, MergeEdges, Pose2, ROBOTS_MAX, RobotId, Submap, SubmapPoses,
-};
-use pair::Pair;
+use crate::config::AlignConfig;
+use crate::limits::is_plausible;
+use alignment::{next_alignment, next_check};
+use frame::{ReferenceRobot, connect_robots, set_reference, successor};
+use joint::JointProblem;
+use msg::{EdgeAction, Grid, MERGE_EDGES_MAX, MergeEdges, Pose2, ROBOTS_MAX, RobotId, Submap, SubmapPoses};
+use pair::{RobotPair, pair_count, robots_of_pair};
+use robot::{Robot, next_redraw};
 use std::sync::Arc;
-use task::{Answer, Job};
+use submaps::SubmapGeneration;
+use task::{Job, JobResult};
 
-/// Attempts at the end, when nothing grows any more: each kind twice.
-const LAST_TRIES: u32 = 6;
+/// Alignments of each pair when nothing grows any more: both whole maps and each window, twice.
+const FINAL_ALIGNMENTS: u32 = 6;
 
-/// Why a message was not taken.
+/// Why a message was rejected. Nothing has changed then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SubmapRejected {
-    /// There is no such robot.
+    /// The fleet has no such robot.
     #[error("{0} is not of this fleet")]
     UnknownRobot(RobotId),
-    /// Numbers that make no sense.
+    /// A number in the message is not valid.
     #[error("a submap or pose of {0} makes no sense")]
     Malformed(RobotId),
 }
 
-/// See the module.
+/// The joint pose graph of the submaps of all robots.
+///
+/// It only schedules: whatever takes time is a [`Task`] that any thread can run, one at a time. Which tasks come, and in
+/// which order, depends on the messages alone.
+///
+/// ```
+/// use merge::{AlignConfig, FleetPoseGraph};
+/// use msg::{EdgeAction, MergeEdges, Pose2, RobotId};
+///
+/// // Two robots whose starts are known. Submaps would come by `add_submap` and `update_poses`.
+/// let starts = [Some(Pose2::IDENTITY), Some(Pose2::new(4.0, 0.0, 1.5))];
+/// let mut graph = FleetPoseGraph::new(&AlignConfig::default(), &starts);
+/// while let Some(task) = graph.next_task() {
+///     graph.apply_outcome(task.run());
+/// }
+/// let second = RobotId::new(2).unwrap();
+/// assert_eq!(graph.map_from_robot_map(second), starts[1]);
+///
+/// // The operator pins the edge between the two: later maps cannot drop it.
+/// assert!(graph.apply_command(1, EdgeAction::Pin));
+/// let mut edges = MergeEdges::default();
+/// graph.write_edges(&mut edges);
+/// assert_eq!(edges.edges()[0].a_from_b, starts[1].unwrap());
+/// ```
 pub struct FleetPoseGraph {
-    align: AlignConfig,
-    members: Vec<Member>,
-    pairs: Vec<Pair>,
-    /// The robot whose map the fleet's frame was taken from, and where it lies in it.
-    holder: Option<(usize, Pose2)>,
-    /// A task is out.
-    busy: bool,
+    config: AlignConfig,
+    /// By [`RobotId::index`].
+    robots: Vec<Robot>,
+    /// In the order of [`robots_of_pair`].
+    pairs: Vec<RobotPair>,
+    reference: Option<ReferenceRobot>,
+    /// A task is being run.
+    task_is_out: bool,
     /// Something came that may move the graph.
-    unsolved: bool,
-    /// Nothing more will come: every pair may be tried again, though it has not grown.
-    last_round: bool,
-    solutions: u64,
+    needs_solve: bool,
+    /// No submap will come any more.
+    maps_are_complete: bool,
+    solves: SolveCounts,
+}
+
+/// How often the joint graph was solved.
+#[derive(Clone, Copy, Debug, Default)]
+struct SolveCounts {
+    succeeded: u64,
+    failed: u64,
 }
 
 impl FleetPoseGraph {
-    /// `starts` says where each robot's map lies, `map` from `robotK/map`, where that is known. If none
-    /// is, the first robot that sends a map is where the fleet's frame comes from.
-    pub fn new(align: &AlignConfig, starts: &[Option<Pose2>]) -> Self {
-        let member = |start: &Option<Pose2>| {
-            let start = start.filter(|start| is_near(*start));
-            Member { start, anchor: start, corrections: start.into_iter().collect(), ..Member::default() }
-        };
-        let members: Vec<Member> = starts.iter().take(ROBOTS_MAX).map(member).collect();
-        let pairs = vec![Pair::default(); members.len() * members.len().saturating_sub(1) / 2];
+    /// Creates the graph of a fleet.
+    ///
+    /// `starts` is frame `map` from frame `robotK/map` where that is known, by [`RobotId::index`]. If no start is known,
+    /// the first robot that sends submaps becomes the reference: its map fixes the frame `map`.
+    pub fn new(config: &AlignConfig, starts: &[Option<Pose2>]) -> Self {
+        let robot = |start: &Option<Pose2>| Robot::new(start.filter(|start| is_plausible(*start)));
+        let robots: Vec<Robot> = starts.iter().take(ROBOTS_MAX).map(robot).collect();
+        let pairs = vec![RobotPair::default(); pair_count(robots.len())];
         Self {
-            align: align.clone(),
-            members,
+            config: config.clone(),
+            robots,
             pairs,
-            holder: None,
-            busy: false,
-            unsolved: false,
-            last_round: false,
-            solutions: 0,
+            reference: None,
+            task_is_out: false,
+            needs_solve: false,
+            maps_are_complete: false,
+            solves: SolveCounts::default(),
         }
     }
 
-    /// Takes a robot's submap, new or as it has grown.
+    /// Adds a robot's submap, or replaces it as it has grown.
+    ///
+    /// # Errors
+    /// [`SubmapRejected`] says why the submap is not taken.
     pub fn add_submap(&mut self, robot: RobotId, submap: &Submap) -> Result<(), SubmapRejected> {
-        self.note_run(robot, (submap.grid.header.incarnation, submap.generation))?;
-        let taken = self.members[robot.index()].submap(submap);
-        if taken { Ok(()) } else { Err(SubmapRejected::Malformed(robot)) }
+        self.check_generation(robot, (submap.grid.header.incarnation, submap.generation))?;
+        let added = self.robots[robot.index()].submaps.add(submap);
+        if added { Ok(()) } else { Err(SubmapRejected::Malformed(robot)) }
     }
 
-    /// Takes where a robot's submaps lie in its own map.
+    /// Replaces the poses of a robot's submaps in its own map, and the links between them.
+    ///
+    /// # Errors
+    /// [`SubmapRejected`] says why the poses are not taken.
     pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
-        self.note_run(robot, (poses.header.incarnation, poses.generation))?;
+        self.check_generation(robot, (poses.header.incarnation, poses.generation))?;
         let index = robot.index();
-        let new = self.members[index].take_poses(poses).ok_or(SubmapRejected::Malformed(robot))?;
-        let begun = new && !self.members[index].poses.is_empty();
-        if begun && self.holder.is_none() && self.members.iter().all(|member| member.start.is_none()) {
-            self.hold(index, Pose2::IDENTITY);
+        let submaps = &mut self.robots[index].submaps;
+        let changed = submaps.update_poses(poses).ok_or(SubmapRejected::Malformed(robot))?;
+        let has_map = changed && !submaps.poses().is_empty();
+        let frame_is_free =
+            self.reference.is_none() && self.robots.iter().all(|robot| robot.estimate.start().is_none());
+        if has_map && frame_is_free {
+            self.reference = Some(set_reference(&mut self.robots, index, Pose2::IDENTITY));
+            self.needs_solve = true;
         }
-        self.unsolved |= new && self.members[index].anchor.is_some();
+        self.needs_solve |= changed && self.robots[index].estimate.transform().is_some();
         Ok(())
     }
 
-    /// Number of submaps that the robot's poses name and that have not arrived.
+    /// Number of submaps of a robot that have a pose and have not arrived.
     pub fn missing_submaps(&self, robot: RobotId) -> usize {
-        self.members.get(robot.index()).map_or(0, Member::missing_submaps)
+        self.robots.get(robot.index()).map_or(0, |robot| robot.submaps.missing())
     }
 
-    /// A robot has left, or begins anew somewhere else: all that is known of it is forgotten. The
-    /// fleet's frame stays.
+    /// Removes everything known about a robot: it has left, or begins elsewhere. The frame `map` stays.
     pub fn remove_robot(&mut self, robot: RobotId) {
         let index = robot.index();
-        let Some(member) = self.members.get_mut(index) else { return };
-        *member = Member { version: member.version + 1, ..Member::default() };
-        for pair in 0..self.pairs.len() {
-            if robots_of(pair).contains(&index) {
-                self.pairs[pair] = Pair::default();
+        let Some(robot) = self.robots.get_mut(index) else { return };
+        robot.remove();
+        for (pair, relation) in self.pairs.iter_mut().enumerate() {
+            if robots_of_pair(pair).contains(&index) {
+                *relation = RobotPair::default();
             }
         }
-        self.pass_frame_on(index);
-        self.connect();
-        self.unsolved = true;
+        if self.reference.is_some_and(|reference| reference.robot == index) {
+            self.reference = successor(&self.robots);
+        }
+        self.graph_changed();
     }
 
-    /// The operator's word on an edge, by its number. False if there is no such edge, or nothing is known of it.
+    /// Applies the operator's command to an edge, by its number from 1. False if there is no such edge, or if the command
+    /// does not apply to its state.
     pub fn apply_command(&mut self, edge: u32, action: EdgeAction) -> bool {
-        let Some(index) = (edge as usize).checked_sub(1).filter(|index| *index < self.pairs.len()) else {
+        let index = (edge as usize).checked_sub(1).filter(|index| *index < self.pairs.len());
+        let Some(index) = index else { return false };
+        let in_graph = self.relation_in_graph(index);
+        if !self.pairs[index].apply_command(action, in_graph) {
             return false;
-        };
-        let [a, b] = robots_of(index);
-        let anchored = self.members[a].anchor.zip(self.members[b].anchor).map(|(a, b)| a.between(b));
-        let pair = &mut self.pairs[index];
-        match action {
-            EdgeAction::Pin if pair.state() == EdgeState::None && anchored.is_none() => return false,
-            EdgeAction::Pin => {
-                if !pair.state().in_force() {
-                    // The operator's word is above the gate's: what was found is held, even if it was undone.
-                    pair.refused.retain(|refused| !Pair::same(*refused, pair.a_from_b));
-                    if pair.state() == EdgeState::None {
-                        pair.a_from_b = anchored.unwrap_or(pair.a_from_b);
-                    }
-                }
-                pair.state = Some(EdgeState::Pinned);
-            }
-            EdgeAction::Unpin if pair.state() != EdgeState::Pinned => return false,
-            EdgeAction::Unpin => pair.state = Some(EdgeState::Accepted),
-            EdgeAction::Undo if !pair.state().in_force() && pair.state() != EdgeState::Candidate => {
-                return false;
-            }
-            EdgeAction::Undo => {
-                let place = anchored.filter(|_| pair.state().in_force()).unwrap_or(pair.a_from_b);
-                pair.undo(place);
-            }
         }
-        self.connect();
-        self.unsolved = true;
+        self.graph_changed();
         true
     }
 
-    /// The next piece of work, if there is any and none is out. What comes of it goes to [`FleetPoseGraph::apply_outcome`].
+    /// The next step of work, if there is any and none is being done. Its result goes to
+    /// [`FleetPoseGraph::apply_outcome`].
     pub fn next_task(&mut self) -> Option<Task> {
-        if self.busy {
+        if self.task_is_out {
             return None;
         }
-        let task = self
-            .solve_task()
-            .or_else(|| self.straighten_task())
-            .or_else(|| self.match_task())
-            .or_else(|| self.assess_task())
-            .or_else(|| self.align_task());
-        self.busy = task.is_some();
-        task
+        // The last stage that has work comes first: what was found is in the solution before more is searched for.
+        let job = self
+            .joint_problem()
+            .map(Job::Solve)
+            .or_else(|| next_redraw(&self.robots).map(Job::Redraw))
+            .or_else(|| self.next_match().map(Job::Match))
+            .or_else(|| next_check(&self.robots, &mut self.pairs).map(Job::Check))
+            .or_else(|| next_alignment(&self.robots, &mut self.pairs, &self.config).map(Job::Align))?;
+        self.task_is_out = true;
+        Some(Task { generations: self.generations(), job })
     }
 
-    /// Takes what came of a task.
+    /// Applies the result of a task.
     pub fn apply_outcome(&mut self, outcome: Outcome) {
-        self.busy = false;
-        if outcome.runs != self.runs() {
-            // A robot began again meanwhile: the work is about what no longer is.
-            self.unsolved = true;
+        self.task_is_out = false;
+        if outcome.generations != self.generations() {
+            // A robot's SLAM was restarted meanwhile: the result is about submaps that are gone.
+            self.needs_solve = true;
             return;
         }
-        match outcome.answer {
-            Answer::Align { pair, nodes, found } => self.aligned(pair, nodes, found),
-            Answer::Assess { pair, found } => self.assessed(pair, found),
-            Answer::Match { pair, ids, found } => {
-                let [a, b] = robots_of(pair);
-                self.pairs[pair].matched(&self.members[a], &self.members[b], ids, found);
-                self.unsolved |= found.is_some();
+        match outcome.result {
+            JobResult::Aligned(maps) => {
+                if maps.apply(&mut self.pairs, self.maps_are_complete) {
+                    self.graph_changed();
+                }
             }
-            Answer::Solve(solution) => self.solved(solution),
-            Answer::Straighten { robot, version, anchor, corrections, grid } => {
-                let member = &mut self.members[robot];
-                // A robot that could not be drawn keeps the map it draws itself.
-                let grid = Arc::new(grid.unwrap_or_default());
-                member.straightened = Some(Straightened { grid, version, anchor, corrections });
+            JobResult::Checked(maps) => {
+                if maps.apply(&mut self.pairs) {
+                    self.graph_changed();
+                }
             }
+            JobResult::Matched(submaps) => {
+                let [a, b] = robots_of_pair(submaps.pair).map(|robot| &self.robots[robot]);
+                self.needs_solve |= self.pairs[submaps.pair].closures.record(a, b, submaps);
+            }
+            JobResult::Solved(Ok(solution)) => {
+                self.solves.succeeded += 1;
+                solution.apply(&mut self.robots, &mut self.pairs);
+            }
+            // The estimate stays what it was; the graph is solved again when something changes.
+            JobResult::Solved(Err(_)) => self.solves.failed += 1,
+            JobResult::Redrawn(map) => map.apply(&mut self.robots),
         }
     }
 
-    /// Nothing more will come: newest submaps are complete, and every pair gets another look.
+    /// Announces that no submap will come any more: every pair that is not in one graph is aligned some more times.
     pub fn finish(&mut self) {
-        self.last_round = true;
-        self.unsolved = true;
+        self.maps_are_complete = true;
+        self.needs_solve = true;
         for pair in &mut self.pairs {
-            (pair.last_tries, pair.assessed_at) = (LAST_TRIES, 0);
+            (pair.schedule.final_alignments, pair.schedule.checked_at_nodes) = (FINAL_ALIGNMENTS, 0);
         }
     }
 
-    /// `map` from `robotK/map` as it is where the robot is now; `None` while that is not known.
+    /// Frame `map` from frame `robotK/map`, right where the robot is now; `None` while it is unknown.
     pub fn map_from_robot_map(&self, robot: RobotId) -> Option<Pose2> {
-        self.members.get(robot.index())?.anchor
+        self.robots.get(robot.index())?.estimate.transform()
     }
 
-    /// `map` from `robotK/map` at one of its submaps.
+    /// Frame `map` from frame `robotK/map`, right at one of the robot's submaps.
     pub fn map_from_robot_map_at(&self, robot: RobotId, submap: u32) -> Option<Pose2> {
-        self.members.get(robot.index())?.correction(submap as usize)
+        self.robots.get(robot.index())?.estimate.at_submap(submap as usize)
     }
 
-    /// The robot's map redrawn from its submaps, frame `robotK/map` as [`FleetPoseGraph::map_from_robot_map`] has it: where
-    /// the anchor alone would be off by more than half a cell somewhere. `None`: its own map is right.
+    /// The robot's map redrawn from its submaps, frame `robotK/map`. `None` where the robot's own map is right to half a
+    /// cell at [`FleetPoseGraph::map_from_robot_map`].
     pub fn redrawn_map(&self, robot: RobotId) -> Option<&Arc<Grid>> {
-        let drawn = self.members.get(robot.index())?.straightened.as_ref()?;
-        Some(&drawn.grid).filter(|grid| !grid.cells.is_empty())
+        self.robots.get(robot.index())?.redrawn_map()
     }
 
-    /// What is believed about each pair of robots, and on what grounds.
+    /// Writes the state of each pair of robots, with its evidence, into a message.
     pub fn write_edges(&self, out: &mut MergeEdges) {
-        let edges = self.pairs.iter().enumerate().take(MERGE_EDGES_MAX);
-        for (slot, (index, pair)) in out.edges.iter_mut().zip(edges) {
-            *slot = pair.edge(index, robots_of(index));
+        let pairs = self.pairs.iter().enumerate().take(MERGE_EDGES_MAX);
+        for (slot, (index, pair)) in out.edges.iter_mut().zip(pairs) {
+            *slot = pair.message(index);
         }
         out.len = self.pairs.len().min(MERGE_EDGES_MAX) as u32;
     }
 
-    /// Solutions of the joint graph so far.
+    /// Number of solutions of the joint graph so far.
     pub fn solve_count(&self) -> u64 {
-        self.solutions
+        self.solves.succeeded
     }
 
-    fn runs(&self) -> Vec<Option<SubmapRun>> {
-        self.members.iter().map(|member| member.run).collect()
+    /// Number of times that the joint graph could not be solved. The estimate then stayed what it was.
+    pub fn failed_solve_count(&self) -> u64 {
+        self.solves.failed
     }
 
-    fn task(&self, job: Job) -> Option<Task> {
-        Some(Task { runs: self.runs(), job })
+    /// Edges have changed: connects robots to the frame, or takes them out, and has the graph solved.
+    fn graph_changed(&mut self) {
+        connect_robots(&mut self.robots, &self.pairs, self.reference);
+        self.needs_solve = true;
     }
 
-    /// A robot whose SLAM was started again goes on in the same frame, with new submaps. One that has fewer of them
-    /// than before begins anew within one incarnation, which their generation says.
-    fn note_run(&mut self, robot: RobotId, run: SubmapRun) -> Result<(), SubmapRejected> {
-        let index = robot.index();
-        let member = self.members.get_mut(index).ok_or(SubmapRejected::UnknownRobot(robot))?;
-        if member.run == Some(run) {
-            return Ok(());
+    /// The joint graph, if something has changed since it was solved.
+    fn joint_problem(&mut self) -> Option<JointProblem> {
+        if !core::mem::take(&mut self.needs_solve) {
+            return None;
         }
-        let again = member.run.is_some();
-        member.run = Some(run);
-        if again {
-            member.begin_again();
-            member.run = Some(run);
-            for pair in 0..self.pairs.len() {
-                let [a, b] = robots_of(pair);
-                if [a, b].contains(&index) {
-                    let anchors = self.members[a].anchor.zip(self.members[b].anchor);
-                    self.pairs[pair].begin_again(anchors.map(|(a, b)| a.between(b)));
-                }
+        for (index, pair) in self.pairs.iter_mut().enumerate() {
+            let [a, b] = robots_of_pair(index).map(|robot| &self.robots[robot]);
+            pair.link_by_alignment(a, b);
+        }
+        JointProblem::collect(&self.robots, &self.pairs, self.reference)
+    }
+
+    /// The next match of two submaps: of the first pair of robots in one graph that has any.
+    fn next_match(&self) -> Option<closures::MatchJob> {
+        self.pairs.iter().enumerate().find_map(|(index, pair)| {
+            let in_graph = self.relation_in_graph(index)?;
+            let [a, b] = robots_of_pair(index).map(|robot| &self.robots[robot]);
+            if pair.edge.is_rejected(in_graph) { None } else { pair.closures.next_match(index, a, b) }
+        })
+    }
+
+    /// The first robot's map from the second's as the graph has them, if both are in it.
+    fn relation_in_graph(&self, pair: usize) -> Option<Pose2> {
+        let [a, b] = robots_of_pair(pair).map(|robot| self.robots[robot].estimate.transform());
+        a.zip(b).map(|(a, b)| a.between(b))
+    }
+
+    fn generations(&self) -> Vec<Option<SubmapGeneration>> {
+        self.robots.iter().map(|robot| robot.submaps.generation()).collect()
+    }
+
+    /// Handles submaps of a new generation. A SLAM that was restarted, or that forgets nodes, continues in the same
+    /// frame with new submaps: the robot keeps its transform, and loses submaps and closures.
+    fn check_generation(
+        &mut self,
+        robot: RobotId,
+        generation: SubmapGeneration,
+    ) -> Result<(), SubmapRejected> {
+        let index = robot.index();
+        let known = self.robots.get_mut(index).ok_or(SubmapRejected::UnknownRobot(robot))?;
+        match known.submaps.generation() {
+            Some(current) if current == generation => return Ok(()),
+            None => {
+                known.submaps.set_generation(generation);
+                return Ok(());
             }
-            if let Some((holder, pose)) = &mut self.holder
-                && *holder == index
-            {
-                *pose = self.members[index].anchor.unwrap_or(*pose);
-            }
+            Some(_) => known.restart(generation),
+        }
+        for pair in (0..self.pairs.len()).filter(|pair| robots_of_pair(*pair).contains(&index)) {
+            let in_graph = self.relation_in_graph(pair);
+            self.pairs[pair].restart(in_graph);
+        }
+        if let Some(reference) = &mut self.reference
+            && reference.robot == index
+        {
+            let transform = self.robots[index].estimate.transform();
+            reference.map_from_robot_map = transform.unwrap_or(reference.map_from_robot_map);
         }
         Ok(())
     }
-
-    fn hold(&mut self, index: usize, map_from_robot_map: Pose2) {
-        self.holder = Some((index, map_from_robot_map));
-        let member = &mut self.members[index];
-        member.anchor = Some(map_from_robot_map);
-        member.corrections = vec![map_from_robot_map];
-        self.unsolved = true;
-    }
-
-    /// The fleet's frame does not go with the robot it came from.
-    fn pass_frame_on(&mut self, gone: usize) {
-        if self.holder.is_none_or(|(holder, _)| holder != gone) {
-            return;
-        }
-        let next = (0..self.members.len()).find(|k| !self.members[*k].corrections.is_empty());
-        self.holder = next.map(|k| (k, self.members[k].corrections[0]));
-    }
-}
-
-/// (0, 1), (0, 2), (1, 2), (0, 3), ...: a small fleet's pairs come first.
-fn robots_of(pair: usize) -> [usize; 2] {
-    let j = (1..ROBOTS_MAX).rfind(|j| j * (j - 1) / 2 <= pair).unwrap_or(1);
-    [pair - j * (j - 1) / 2, j]
 }
 
 #[cfg(test)]

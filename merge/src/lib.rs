@@ -1,22 +1,30 @@
-//! The maps of all robots in, one map and where each robot's map lies out.
+//! Merging of the maps of several robots: one map, and where each robot's map lies in it.
 //!
 //! ```text
-//! robotK/map ──▶ source: which tiles changed? ──▶ tiles of `map` that they touch ──┐
-//! robotJ/map ──▶ source ─────────────────────────────────────────────────────────▶ ├─▶ each composed anew:
-//!                                                   lookup: every robot's cells    ┘   evidence added
-//!                                                   under a tile, turned
+//! robotK/map ──────▶ Merger: every map resampled on one lattice, log-odds added ──────────▶ merged map
+//!                      ▲ map transforms, redrawn maps
+//! robotK/submap ───▶ FleetPoseGraph: alignments and closures of submaps, one joint pose graph
 //! ```
 //!
-//! The lattice never moves: cell (i, j) of `map` covers `[i, i+1) x [j, j+1)` times the resolution,
-//! whatever the robots' maps look like.
+//! [`Merger`] composes the merged map where the robots' maps are known to lie. [`FleetPoseGraph`] finds out where they
+//! lie if the robots started anywhere, and corrects maps that drift has deformed. [`align`] is its first step, for two
+//! maps alone.
+//!
+//! The lattice of the merged map never moves: cell (i, j) covers `[i, i+1) x [j, j+1)` times the resolution, whatever
+//! the robots' maps look like.
+//!
+//! All of it is pure: no clock, thread, file or socket. Equal inputs give equal bytes.
 
 mod align;
+mod config;
 mod fleet_graph;
-mod lookup;
+mod limits;
 mod merger;
-mod source;
-mod trail;
+mod resample;
+mod robot_map;
+mod swept_path;
 
-pub use align::{AlignConfig, Alignment, align};
+pub use align::{Alignment, align};
+pub use config::{AlignConfig, InvalidMergeConfig, MergeConfig};
 pub use fleet_graph::{FleetPoseGraph, FleetSnapshot, Outcome, SnapshotRejected, SubmapRejected, Task};
-pub use merger::{MapRejected, MergeConfig, Merger};
+pub use merger::{MapRejected, Merger};

@@ -13,8 +13,37 @@
 //!                                                        CollisionLimit ◀─ PathFollower ◀┘
 //! ```
 //!
-//! [`Planner`] and [`PathFollower`] also serve goals that a person sets: plan a path to a point, follow it, and limit
-//! the speed with [`CollisionLimit`].
+//! [`Planner`], [`PathFollower`] and [`CollisionLimit`] also serve goals that a person sets:
+//!
+//! ```
+//! use msg::{Pose2, Stamp};
+//! use nav::observation::BURGER_BASE_FROM_SCAN;
+//! use nav::{CollisionLimit, MapView, NavConfig, PathFollower, Planner, PlanningInput, ScanView};
+//!
+//! let config = NavConfig::default();
+//! let free_space = vec![0; 40 * 40];
+//! let map = MapView::from_percent(Pose2::IDENTITY, 0.05, (40, 40), &free_space).unwrap();
+//! let map_from_base = Pose2::new(0.5, 1.0, 0.0);
+//! let path = Planner::new(config.body)
+//!     .plan_path(&PlanningInput::new(map, map_from_base), [1.5, 1.0])
+//!     .unwrap();
+//!
+//! // One control step: follow the path, and slow down for an obstacle that the scan shows 0.3 m ahead.
+//! let mut follower = PathFollower::new(config.follower);
+//! let twist = follower.follow(&path, map_from_base, config.follower.cruise_m_s).unwrap();
+//! let scan = ScanView {
+//!     received: Stamp(0),
+//!     base_from_scan: BURGER_BASE_FROM_SCAN,
+//!     angle_min_rad: 0.0,
+//!     angle_increment_rad: 0.01,
+//!     range_min_m: 0.12,
+//!     range_max_m: 3.5,
+//!     ranges_m: &[0.3],
+//! };
+//! let limit = CollisionLimit::new(config.body, config.follower);
+//! let safe = limit.limit_speed(twist, limit.free_distance_m(&scan));
+//! assert!(twist.linear_m_s > 0.1 && safe.linear_m_s < 0.1);
+//! ```
 //!
 //! Units and frames are part of names: `_m`, `_rad`, `_s`; `map_from_base` is the pose of the robot's
 //! `base_footprint` in the frame of the map. Points are `[x, y]`.

@@ -178,8 +178,8 @@ fn receive(
         client.poll(Instant::now() + RECEIVE_WAIT_MAX, &mut |event| match event {
             Event::Message { topic, payload, received: at } => {
                 // The statistics count what cannot be decoded.
-                let Ok(decoded) = statistics.record(topic, payload, at) else { return };
-                let _ = lock(received).world.store(stamp_at(epoch, at), topic, payload, decoded);
+                let Ok(content) = statistics.record(topic, payload, at) else { return };
+                let _ = lock(received).world.store(stamp_at(epoch, at), topic, payload, content);
             }
             Event::Connected => statistics.on_connected(),
             Event::Disconnected(why) => {

@@ -198,13 +198,13 @@ fn report<'a>(streams: impl Iterator<Item = &'a Stream>) -> StreamReport {
 
 /// Content of a message that the statistics had to decode, so that nobody decodes it twice.
 #[derive(Debug)]
-pub enum Decoded {
+pub enum MessageContent {
     /// A robot's scan.
     Scan(RobotId, LaserScan),
     /// Transforms of /tf.
     Transforms(TfMessage),
-    /// A message that was counted and not decoded.
-    NotDecoded,
+    /// Content of another topic, which was counted only.
+    Encoded,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -258,12 +258,17 @@ impl LinkStatistics {
     }
 
     /// Records a message, and returns its content if it had to be decoded.
-    pub fn record(&mut self, topic: &str, payload: &[u8], received: Instant) -> Result<Decoded, DecodeError> {
+    pub fn record(
+        &mut self,
+        topic: &str,
+        payload: &[u8],
+        received: Instant,
+    ) -> Result<MessageContent, DecodeError> {
         let received_ns = received.saturating_duration_since(self.epoch).as_nanos() as i64;
         self.count(topic, payload.len(), received_ns);
-        let decoded = self.decode_and_time(topic, payload, received_ns);
-        self.undecodable += u64::from(decoded.is_err());
-        decoded
+        let content = self.decode_and_time(topic, payload, received_ns);
+        self.undecodable += u64::from(content.is_err());
+        content
     }
 
     fn decode_and_time(
@@ -271,7 +276,7 @@ impl LinkStatistics {
         topic: &str,
         payload: &[u8],
         received_ns: i64,
-    ) -> Result<Decoded, DecodeError> {
+    ) -> Result<MessageContent, DecodeError> {
         if topic == "/tf" {
             let message: TfMessage = ros::decode(payload)?;
             for transform in &message.transforms {
@@ -282,12 +287,12 @@ impl LinkStatistics {
                 };
                 self.time(kind, child, transform.stamp, received_ns);
             }
-            return Ok(Decoded::Transforms(message));
+            return Ok(MessageContent::Transforms(message));
         }
-        let Some((robot, "scan")) = robot_topic(topic) else { return Ok(Decoded::NotDecoded) };
+        let Some((robot, "scan")) = robot_topic(topic) else { return Ok(MessageContent::Encoded) };
         let scan: LaserScan = ros::decode(payload)?;
         self.time(StreamKind::Scan(robot), "", scan.stamp, received_ns);
-        Ok(Decoded::Scan(robot, scan))
+        Ok(MessageContent::Scan(robot, scan))
     }
 
     fn count(&mut self, topic: &str, bytes: usize, received_ns: i64) {

@@ -2,7 +2,7 @@
 //!
 //! State, not a queue: newer content replaces older, however rarely it is read.
 
-use crate::link_statistics::{Decoded, robot_topic};
+use crate::link_statistics::{MessageContent, robot_topic};
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, Bool, FrameNames, Int32, LaserScan, NameStyle, OccupancyGrid, TfMessage};
 use msg::{Link, Pose2, ROBOTS_MAX, RobotId, Stamp};
@@ -124,19 +124,19 @@ impl WorldState {
         now: Stamp,
         topic: &str,
         payload: &[u8],
-        decoded: Decoded,
+        content: MessageContent,
     ) -> Result<(), DecodeError> {
-        match (decoded, topic) {
-            (Decoded::Transforms(message), _) => self.store_transforms(now, message),
-            (Decoded::Scan(robot, scan), _) => self.scans[robot.index()] = Some((now, Arc::new(scan))),
-            (Decoded::NotDecoded, "/merged_map") => self.merged_map.store(payload),
-            (Decoded::NotDecoded, "/selected_robot") => {
+        match (content, topic) {
+            (MessageContent::Transforms(message), _) => self.store_transforms(now, message),
+            (MessageContent::Scan(robot, scan), _) => self.scans[robot.index()] = Some((now, Arc::new(scan))),
+            (MessageContent::Encoded, "/merged_map") => self.merged_map.store(payload),
+            (MessageContent::Encoded, "/selected_robot") => {
                 self.selected_robot = Some(ros::decode::<Int32>(payload)?.0);
             }
-            (Decoded::NotDecoded, "/emergency_stop") => {
+            (MessageContent::Encoded, "/emergency_stop") => {
                 self.is_emergency_stopped = ros::decode::<Bool>(payload)?.0;
             }
-            (Decoded::NotDecoded, topic) => {
+            (MessageContent::Encoded, topic) => {
                 if let Some((robot, "map")) = robot_topic(topic) {
                     self.robot_maps[robot.index()].store(payload);
                 }

@@ -19,7 +19,7 @@ pub struct ClockResetDetector {
 impl ClockResetDetector {
     /// Notes a stamp from before the last one taken. Once enough of them are in order: the first of
     /// these, where the new time begins.
-    pub fn note(&mut self, stamp: Stamp) -> Option<Stamp> {
+    pub fn observe(&mut self, stamp: Stamp) -> Option<Stamp> {
         if self.in_order > 0 && stamp > self.newest && stamp - self.newest <= STEP_MAX_S {
             (self.newest, self.in_order) = (stamp, self.in_order + 1);
         } else if self.in_order == 0 || stamp != self.newest {

@@ -6,7 +6,7 @@
 //! consistency, Olson 2009, "Recognizing places using spectrally clustered local matches").
 
 use crate::align::{Alignment, Reference, align};
-use crate::cloud::Cloud;
+use crate::cloud::{Agreement, Cloud};
 use crate::config::SlamConfig;
 use crate::graph::{Graph, RelativeUncertainty};
 use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchPeak, SearchWindow};
@@ -22,7 +22,7 @@ const PENDING_NODES: u32 = 40;
 /// Half side of the field searched in, metres.
 const REACH_M: f32 = 20.0;
 /// References and query nodes that take part in alignment and contradiction tests.
-pub(crate) const JUDGES: usize = 6;
+pub(crate) const COMPARED_SCANS: usize = 6;
 /// Nodes before the newest that are looked for with it, at least.
 const QUERY_NODES_MIN: u32 = 5;
 /// Candidate passes tried in one search.
@@ -371,14 +371,14 @@ impl ClosureDetector {
         let mut near: Vec<&Placed<'_>> = chain.iter().collect();
         let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
         near.sort_by(|a, b| away(&a.1).total_cmp(&away(&b.1)).then(a.0.id.cmp(&b.0.id)));
-        near.truncate(JUDGES);
+        near.truncate(COMPARED_SCANS);
         let references = near.iter().map(|(n, pose)| Reference { cloud: &n.cloud, frame_from_cloud: *pose });
         let merged =
             Cloud::merged(query.iter().map(|(n, pose)| (&*n.cloud, *pose)), 4 * self.config.lidar.points_max);
         let fit = align(&merged, peak.pose, references, None, &self.config.links);
         let strayed = fit.frame_from_cloud.distance_m(peak.pose) > 0.5;
-        let (agree, contradict) = judge(near.iter().copied(), query, fit.frame_from_cloud);
-        let sound = agree as f32 >= c.agreement_min * (agree + contradict) as f32;
+        let agreement = compare_passes(near.iter().copied(), query, fit.frame_from_cloud);
+        let sound = agreement.is_sound(c.agreement_min);
         if strayed || fit.overlap < c.overlap_min || !sound {
             self.counts.contradicted += 1;
             return None;
@@ -413,24 +413,18 @@ impl ClosureDetector {
     }
 }
 
-/// Points of each pass against the other's: (on a surface, where the other saw through).
-pub(crate) fn judge<'a>(
+/// Compares the scans of two passes over the same place, the newest few of the query with each of the chain.
+pub(crate) fn compare_passes<'a>(
     chain: impl Iterator<Item = &'a Placed<'a>>,
     query: &[Placed<'_>],
     chain_from_query: Pose2,
-) -> (usize, usize) {
-    let (mut agree, mut contradict) = (0, 0);
+) -> Agreement {
+    let mut agreement = Agreement::default();
     for (old, chain_from_old) in chain {
-        for (new, query_from_new) in query.iter().rev().take(JUDGES) {
+        for (new, query_from_new) in query.iter().rev().take(COMPARED_SCANS) {
             let old_from_new = chain_from_old.inverse() * chain_from_query * *query_from_new;
-            for (a, c) in [
-                old.cloud.judge(&new.cloud, old_from_new, 0.15, 0.4),
-                new.cloud.judge(&old.cloud, old_from_new.inverse(), 0.15, 0.4),
-            ] {
-                agree += a;
-                contradict += c;
-            }
+            agreement += Agreement::both_ways(&old.cloud, &new.cloud, old_from_new);
         }
     }
-    (agree, contradict)
+    agreement
 }

@@ -20,7 +20,12 @@ const SURFACE_GAP_M: f32 = 0.25;
 const FLATNESS_M: f32 = 0.04;
 /// Cosine of the largest angle between normals of the same surface.
 const FACING: f32 = 0.7;
-/// Bearings of [`Cloud::sees_through`].
+/// A point this close to a surface of another scan agrees with it, metres: twice the drift between linked scans.
+const SURFACE_TOLERANCE_M: f32 = 0.15;
+/// A scan that sees this far behind a point contradicts it, metres: more than the tolerance, a thin obstacle
+/// and a flat angle leave together.
+pub(crate) const SEE_THROUGH_M: f32 = 0.4;
+/// Bearings of [`Cloud::sees_through`]: one a degree.
 pub const BEARINGS: usize = 360;
 
 /// A point of a surface, metres, and the surface's unit normal towards the sensor (zero: unknown).
@@ -187,20 +192,56 @@ impl Cloud {
         around.iter().all(|b| f32::from(self.seen_cm[b % BEARINGS]) > reach_cm)
     }
 
-    /// How a cloud placed at `self_from_other` agrees with this one: (points that lie on a surface
-    /// of this scan, points where this scan saw through).
-    pub fn judge(&self, other: &Cloud, self_from_other: Pose2, near_m: f32, margin_m: f32) -> (usize, usize) {
+    /// Compares another cloud, placed at `self_from_other`, with this one: how many of its points lie on a
+    /// surface of this scan, and at how many this scan saw something more than `see_through_m` behind them.
+    pub fn compare(&self, other: &Cloud, self_from_other: Pose2, see_through_m: f32) -> Agreement {
         let place = PointTransform::new(self_from_other);
-        let (mut agree, mut contradict) = (0, 0);
+        let mut agreement = Agreement::default();
         for p in &other.points {
             let at = place.point(p.at);
-            if self.nearest(at, place.direction(p.normal), near_m).is_some() {
-                agree += 1;
-            } else if self.sees_through(at, margin_m) {
-                contradict += 1;
+            if self.nearest(at, place.direction(p.normal), SURFACE_TOLERANCE_M).is_some() {
+                agreement.agree += 1;
+            } else if self.sees_through(at, see_through_m) {
+                agreement.contradict += 1;
             }
         }
-        (agree, contradict)
+        agreement
+    }
+}
+
+/// How many points of two scans agree with each other, and how many contradict.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Agreement {
+    /// Points that lie on a surface of the other scan.
+    pub agree: usize,
+    /// Points that the other scan saw through.
+    pub contradict: usize,
+}
+
+impl Agreement {
+    /// Points of each scan compared with the other one, `b` placed at `a_from_b`.
+    pub fn both_ways(a: &Cloud, b: &Cloud, a_from_b: Pose2) -> Self {
+        let mut agreement = a.compare(b, a_from_b, SEE_THROUGH_M);
+        agreement += b.compare(a, a_from_b.inverse(), SEE_THROUGH_M);
+        agreement
+    }
+
+    /// Whether at least this share (0 to 1) of the compared points agrees.
+    pub fn is_sound(self, share_min: f32) -> bool {
+        self.agree as f32 >= share_min * (self.agree + self.contradict) as f32
+    }
+
+    /// Whether more than this share (0 to 1) of the compared points, and at least `points_min`, contradicts.
+    pub fn is_contradicted(self, share: f32, points_min: usize) -> bool {
+        self.contradict >= points_min
+            && self.contradict as f32 > share * (self.agree + self.contradict) as f32
+    }
+}
+
+impl core::ops::AddAssign for Agreement {
+    fn add_assign(&mut self, other: Self) {
+        self.agree += other.agree;
+        self.contradict += other.contradict;
     }
 }
 

@@ -1,37 +1,37 @@
-//! The scan path: one scan in, one pose out, in bounded time. It matches against local maps of
-//! the newest nodes in a frame of its own that never jumps; what the back end finds out about the
-//! past only moves that frame in the map.
+//! The front end: one scan in, one pose out, in bounded time.
+//!
+//! It matches each scan against local maps of the newest nodes, in a frame of its own that never
+//! jumps ([`FrontEnd::process`] shows the stages). What the back end finds out about the past
+//! only moves that frame in the map.
 
 mod deskew;
-mod keep;
-mod locate;
-mod nodes;
-mod refuse;
+mod map_frame;
+mod motion;
+mod node_builder;
+mod scan_check;
+mod scan_matcher;
+mod state;
 
-pub use keep::FrontEndState;
-pub use refuse::ScanRejection;
+pub use scan_check::ScanRejection;
+pub use state::FrontEndState;
 
 use crate::clock_reset::ClockResetDetector;
+use crate::cloud::Cloud;
 use crate::config::SlamConfig;
-use crate::likelihood_field::SearchBuffers;
 use crate::node::{Node, Revision, SweptPath};
-use crate::odometry::OdometryBuffer;
 use crate::scan_buffers::ScanBufferPool;
 use crate::stages::{Stage, StageObserver};
-use locate::{PosePrediction, TrackedPose, carried};
+use map_frame::MapFrame;
+use motion::MotionModel;
 use msg::{Correction, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
-use nodes::LocalMap;
-use std::collections::VecDeque;
+use node_builder::NodeBuilder;
+use scan_matcher::{ScanMatcher, TrackedPose};
+use std::sync::Arc;
 
-/// Revisions that wait for their node.
-const REVISIONS_MAX: usize = 64;
-/// The last motion says nothing after more than this, seconds.
-const CARRIED_MAX_S: f64 = 0.5;
-/// A robot that is not located may be anywhere: one standard deviation of its place, metres, and of
-/// its heading, radians.
-const ANYWHERE_M: f64 = 100.0;
-const ANYWHERE_RAD: f64 = core::f64::consts::PI;
+/// Standard deviations of a robot that is not located, metres and radians: it may be anywhere.
+const NOT_LOCATED_M: f64 = 100.0;
+const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
 
 /// How many scans went which way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -107,81 +107,32 @@ pub struct LastScan {
     pub covariance: Matrix3<f64>,
 }
 
-/// See the module.
+/// The front end of one robot's SLAM; see the module.
 pub struct FrontEnd {
     config: SlamConfig,
-    odometry: OdometryBuffer,
-    last: Option<LastScan>,
-    /// Odometry at the newest node, if it has not jumped since.
-    node_odom_from_base: Option<Pose2>,
-    /// Of the newest node's pose.
-    node_covariance: Matrix3<f64>,
-    /// Scans refused for their stamps.
-    backward: ClockResetDetector,
-    /// Newest scans to match against, newest at the back: the newest nodes, and scans held back.
-    recent: VecDeque<Node>,
-    next_node: u32,
-    /// The newest node handed over, and where it is.
-    published: Option<(u32, Pose2)>,
-    /// Odometry from it to the newest of `recent`.
-    published_from_newest: Option<Pose2>,
-    pool: ScanBufferPool,
-    local_maps: [LocalMap; 2],
-    lost_in_row: u32,
-    /// The scan before did not fit.
-    last_scan_lost: bool,
-    node_wanted: bool,
-    /// Where the robot has been since the newest node, in the scan path's own frame.
-    swept_path: SweptPath,
-    scratch: SearchBuffers,
-    points: Vec<[f32; 2]>,
-    map_from_local: Pose2,
-    /// Whether `map_from_local` is known: where the robot is in its map.
-    located: bool,
-    /// The newest node that does not follow from the one before: what was said before it of where
-    /// the robot is holds no more.
-    last_break: Option<u32>,
-    closures: u32,
-    waiting: VecDeque<Revision>,
+    /// Turns scans into clouds and rays in memory that is lent out with nodes.
+    scan_buffers: ScanBufferPool,
+    clock_reset: ClockResetDetector,
+    motion: MotionModel,
+    matcher: ScanMatcher,
+    nodes: NodeBuilder,
+    frame: MapFrame,
     samples: Vec<TrajectorySample>,
     counts: FrontEndCounts,
     stages: Box<dyn StageObserver>,
 }
 
 impl FrontEnd {
-    /// Ready for the first scan.
+    /// A front end ready for the first scan. All memory is allocated here.
     pub fn new(config: SlamConfig) -> Self {
-        let t = &config.tracking;
-        let local_map = || LocalMap::new(t);
         Self {
-            odometry: OdometryBuffer::new(config.odometry.clone()),
-            last: None,
-            node_odom_from_base: None,
-            node_covariance: Matrix3::zeros(),
-            backward: ClockResetDetector::default(),
-            recent: VecDeque::with_capacity(t.references + 1),
-            next_node: 0,
-            published: None,
-            published_from_newest: Some(Pose2::IDENTITY),
-            pool: ScanBufferPool::new(&config),
-            local_maps: [local_map(), local_map()],
-            lost_in_row: 0,
-            last_scan_lost: false,
-            node_wanted: false,
-            swept_path: SweptPath::default(),
-            scratch: SearchBuffers::with_capacity(
-                t.search_points_max,
-                t.window_max_m,
-                t.window_max_rad,
-                t.cell_m,
-            ),
-            points: Vec::with_capacity(t.search_points_max),
-            map_from_local: Pose2::IDENTITY,
-            located: true,
-            last_break: None,
-            closures: 0,
-            waiting: VecDeque::with_capacity(REVISIONS_MAX),
-            // The system gives the memory as it is used.
+            scan_buffers: ScanBufferPool::new(&config),
+            clock_reset: ClockResetDetector::default(),
+            motion: MotionModel::new(&config.odometry),
+            matcher: ScanMatcher::new(&config.tracking),
+            nodes: NodeBuilder::new(),
+            frame: MapFrame::new(),
+            // The operating system provides the memory as it is used.
             samples: Vec::with_capacity(config.graph.trajectory_max),
             counts: FrontEndCounts::default(),
             stages: Box::new(()),
@@ -189,122 +140,174 @@ impl FrontEnd {
         }
     }
 
-    /// The robot in the scan path's own frame, at the last scan.
-    pub fn local_from_base(&self) -> Pose2 {
-        self.last.map_or(Pose2::IDENTITY, |last| last.local_from_base)
-    }
-
-    /// Whether it is known where the robot is in its map.
-    pub fn is_located(&self) -> bool {
-        self.located
-    }
-
-    /// Says where the scan path's frame lies in the map, or that it is not known; revisions say it later.
-    pub fn set_map_from_local(&mut self, map_from_local: Option<Pose2>) {
-        self.located = map_from_local.is_some();
-        self.last_break = None;
-        self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
-        self.waiting.clear();
-    }
-
-    /// The next scan that fits becomes a node, even if the robot stands: somebody waits for one.
-    pub fn request_node(&mut self) {
-        self.node_wanted = true;
-    }
-
-    /// From now on this watch hears of every stage.
-    pub fn observe_stages(&mut self, observer: Box<dyn StageObserver>) {
-        self.stages = observer;
-    }
-
-    /// Takes one odometry message.
-    pub fn add_odometry(&mut self, odometry: &Odometry) {
-        self.odometry.push(odometry);
-        self.counts.odometry_rejected = self.odometry.rejected();
-    }
-
-    /// Takes the back end's answer to an earlier node.
-    pub fn add_revision(&mut self, revision: Revision) {
-        if self.waiting.len() == REVISIONS_MAX {
-            self.waiting.pop_front();
-        }
-        self.waiting.push_back(revision);
-    }
-
-    /// Every accepted scan, in order.
-    pub fn samples(&self) -> &[TrajectorySample] {
-        &self.samples
-    }
-
-    /// How many scans went which way.
-    pub fn counts(&self) -> FrontEndCounts {
-        self.counts
-    }
-
     /// One scan in, one pose out.
     pub fn process(&mut self, scan: &Scan) -> ScanResult {
-        if let Some(refusal) = self.refuse(scan) {
-            return self.refused(scan, refusal);
+        // Reject a scan whose stamp or geometry cannot be used.
+        if let Some(rejection) = self.check(scan) {
+            return self.reject(scan, rejection);
         }
-        self.backward = ClockResetDetector::default();
-        let odom_from_base = self.odometry.at(scan.header.stamp);
-        let expected = self.expect(scan.header.stamp, odom_from_base);
-        let (sweep, cloud, found) = self.look(scan, &expected, odom_from_base);
-        self.forget_slip(&found, odom_from_base);
+        // Predict the pose from odometry, or from the last motion.
+        let stamp = scan.header.stamp;
+        let odom_from_base = self.motion.odometry.at(stamp);
+        let newest = self.matcher.references.back();
+        let prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
+        // Take the robot's motion out of the scan, and match it against the local map.
+        let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
+        // Odometry that slipped counts from the matched pose.
+        self.absorb_slip(&pose, odom_from_base);
+        // Record where the robot's body was.
         self.stages.stage_started(Stage::Node);
-        if found.state != TrackingState::Lost && self.config.map.robot_radius_m > 0.0 {
-            self.swept_path.note([found.local_from_base.x_m as f32, found.local_from_base.y_m as f32]);
-        }
-        let due = self.node_due(&found, &cloud);
-        let node = if due { self.make_node((scan, &sweep), &found, odom_from_base, cloud) } else { None };
-        self.remember(scan.header.stamp, &found, odom_from_base);
-        let correction = self.correction(scan, &found, odom_from_base);
+        self.extend_swept_path(&pose);
+        // After enough motion the scan becomes a node of the pose graph.
+        let is_due = self.is_node_due(&pose, &cloud);
+        let node =
+            if is_due { self.add_node((scan, &beam_poses), &pose, odom_from_base, cloud) } else { None };
+        // Record the pose for the trajectory and for the next prediction.
+        self.record(stamp, &pose, odom_from_base);
+        // Answer in the map's frame.
+        let correction = self.correction(scan, &pose, odom_from_base);
         self.stages.stage_started(Stage::Idle);
         ScanResult { correction, rejected: None, node_id: node.as_ref().map(|n| n.id), node }
     }
 
-    fn apply_revisions(&mut self, node: u32) {
-        // The newest that is due; those before it are out of date.
-        let Some(due) = self.waiting.iter().rposition(|r| r.effective_from <= node) else { return };
-        for revision in self.waiting.drain(..=due) {
-            self.map_from_local = revision.map_from_local;
-            self.located = revision.located && self.last_break.is_none_or(|at| revision.cause >= at);
-            self.closures = revision.closures;
+    /// Adds one odometry message.
+    pub fn add_odometry(&mut self, odometry: &Odometry) {
+        self.motion.odometry.push(odometry);
+        self.counts.odometry_rejected = self.motion.odometry.rejected();
+    }
+
+    /// Adds the back end's answer to an earlier node; it takes effect with the node that it names.
+    pub fn add_revision(&mut self, revision: Revision) {
+        self.frame.add_revision(revision);
+    }
+
+    /// Sets where the scan path's frame lies in the map, or says that it is not known, until the next revision.
+    pub fn set_map_from_local(&mut self, map_from_local: Option<Pose2>) {
+        self.frame.set(map_from_local);
+    }
+
+    /// Makes the next scan that fits a node, even if the robot stands: somebody waits for one.
+    pub fn request_node(&mut self) {
+        self.nodes.requested = true;
+    }
+
+    /// Reports every stage of the work to this observer from now on.
+    pub fn observe_stages(&mut self, observer: Box<dyn StageObserver>) {
+        self.stages = observer;
+    }
+
+    /// Pose of the robot in the scan path's own frame, at the last scan.
+    pub fn local_from_base(&self) -> Pose2 {
+        self.motion.last.map_or(Pose2::IDENTITY, |last| last.local_from_base)
+    }
+
+    /// Whether it is known where the robot is in its map.
+    pub fn is_located(&self) -> bool {
+        self.frame.is_located
+    }
+
+    /// Every accepted scan's pose relative to its node, in order.
+    pub fn samples(&self) -> &[TrajectorySample] {
+        &self.samples
+    }
+
+    /// Counts of scans by what became of them.
+    pub fn counts(&self) -> FrontEndCounts {
+        self.counts
+    }
+
+    fn absorb_slip(&mut self, pose: &TrackedPose, odom_from_base: Option<Pose2>) {
+        if let (true, Some(newest), Some(odom)) =
+            (pose.slipped, self.matcher.references.back(), odom_from_base)
+        {
+            self.motion.absorb_slip(newest, pose.local_from_base, odom);
+            self.counts.slips += 1;
         }
     }
 
-    fn remember(&mut self, stamp: Stamp, found: &TrackedPose, odom_from_base: Option<Pose2>) {
+    fn extend_swept_path(&mut self, pose: &TrackedPose) {
+        if pose.state != TrackingState::Lost && self.config.map.robot_radius_m > 0.0 {
+            let position = [pose.local_from_base.x_m as f32, pose.local_from_base.y_m as f32];
+            self.nodes.swept_path.push(position);
+        }
+    }
+
+    fn is_node_due(&mut self, pose: &TrackedPose, cloud: &Cloud) -> bool {
+        self.counts.lost += u64::from(pose.state == TrackingState::Lost);
+        let newest = self.matcher.references.back();
+        self.nodes.is_due(pose, cloud.points().len(), newest, &self.config.tracking)
+    }
+
+    /// Makes the scan a reference to match against, and returns it as a node if the back end has capacity.
+    fn add_node(
+        &mut self,
+        (scan, beam_poses): (&Scan, &crate::beam_poses::BeamPoses),
+        pose: &TrackedPose,
+        odom_from_base: Option<Pose2>,
+        cloud: Arc<Cloud>,
+    ) -> Option<Node> {
+        let id = self.nodes.next_node;
+        let fits = pose.state != TrackingState::Lost;
+        if !fits && self.matcher.contradicts(&cloud, pose.local_from_base) {
+            self.frame.break_at(id);
+            self.counts.odometry_breaks += 1;
+        }
+        let moved = self.motion.moved_since_reference(odom_from_base);
+        self.motion.reference_odom_from_base = odom_from_base;
+        self.motion.reference_covariance = pose.covariance;
+        let node = Node {
+            id,
+            header: scan.header,
+            local_from_base: pose.local_from_base,
+            previous_from_this: self.nodes.published_from_newest.zip(moved).map(|(a, b)| a * b),
+            fits,
+            odometry_break: self.frame.last_break == Some(id),
+            disconnected: None,
+            cloud,
+            rays: self.scan_buffers.rays(scan, beam_poses, &self.config),
+            swept_path: SweptPath::default(),
+        };
+        let has_capacity = self.scan_buffers.has_capacity(self.matcher.references.len() + 1);
+        if !fits {
+            self.nodes.lost_in_row = 0;
+        }
+        self.matcher.add_reference(node.clone(), !fits, &self.config.tracking);
+        if !has_capacity {
+            self.nodes.published_from_newest = node.previous_from_this;
+            self.counts.nodes_held_back += 1;
+            return None;
+        }
+        self.frame.apply_revisions(id);
+        // A path that the scans contradict was another one.
+        let keep_path = self.config.map.robot_radius_m > 0.0 && fits && !node.odometry_break;
+        Some(self.nodes.publish(node, keep_path))
+    }
+
+    fn record(&mut self, stamp: Stamp, pose: &TrackedPose, odom_from_base: Option<Pose2>) {
         self.counts.accepted += 1;
-        if let Some((node, local_from_node)) = self.published {
-            let node_from_base = local_from_node.between(found.local_from_base);
+        if let Some((node, local_from_node)) = self.nodes.published {
+            let node_from_base = local_from_node.between(pose.local_from_base);
             if self.samples.len() < self.config.graph.trajectory_max {
                 self.samples.push(TrajectorySample { stamp, node, node_from_base });
             } else {
                 self.counts.trajectory_dropped += 1;
             }
         }
-        let since = |l: LastScan| (l.local_from_base.between(found.local_from_base), stamp - l.stamp);
-        let motion = self.last.map(since).filter(|(_, seconds)| *seconds > 0.0);
-        self.last = Some(LastScan {
-            stamp,
-            local_from_base: found.local_from_base,
-            odom_from_base,
-            motion,
-            covariance: found.covariance,
-        });
+        self.motion.record(stamp, pose.local_from_base, pose.covariance, odom_from_base);
     }
 
-    fn correction(&self, scan: &Scan, found: &TrackedPose, odom_from_base: Option<Pose2>) -> Correction {
-        let map_from_base = self.map_from_local * found.local_from_base;
-        let (sin, cos) = self.map_from_local.yaw_rad.sin_cos();
-        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        let anywhere = Vector3::new(ANYWHERE_M.powi(2), ANYWHERE_M.powi(2), ANYWHERE_RAD.powi(2));
-        let c = match self.located {
-            true => turn * found.covariance * turn.transpose(),
+    fn correction(&self, scan: &Scan, pose: &TrackedPose, odom_from_base: Option<Pose2>) -> Correction {
+        let MapFrame { map_from_local, is_located, .. } = self.frame;
+        let map_from_base = map_from_local * pose.local_from_base;
+        let (sin, cos) = map_from_local.yaw_rad.sin_cos();
+        let rotation = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        let anywhere = Vector3::new(NOT_LOCATED_M.powi(2), NOT_LOCATED_M.powi(2), NOT_LOCATED_RAD.powi(2));
+        let c = match is_located {
+            true => rotation * pose.covariance * rotation.transpose(),
             false => Matrix3::from_diagonal(&anywhere),
         };
         let base_from_odom =
-            odom_from_base.unwrap_or(Pose2::IDENTITY).inverse() * self.odometry.continuous_from_odom();
+            odom_from_base.unwrap_or(Pose2::IDENTITY).inverse() * self.motion.odometry.continuous_from_odom();
         Correction {
             header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
@@ -312,9 +315,9 @@ impl FrontEnd {
             map_from_odom: map_from_base * base_from_odom,
             map_from_base,
             covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
-            state: if self.located { found.state } else { TrackingState::Lost } as u32,
-            nodes: self.next_node,
-            closures: self.closures,
+            state: if is_located { pose.state } else { TrackingState::Lost } as u32,
+            nodes: self.nodes.next_node,
+            closures: self.frame.closures,
             reserved: 0,
         }
     }

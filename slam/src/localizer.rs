@@ -3,7 +3,7 @@
 //! needs in memory does not grow.
 
 use crate::align::{Prior, Reference, align};
-use crate::closure::{JUDGES, judge};
+use crate::closure::{COMPARED_SCANS, compare_passes};
 use crate::config::{GraphConfig, SlamConfig};
 use crate::graph::{EdgeKind, Graph, UNOBSERVED};
 use crate::node::Node;
@@ -168,13 +168,13 @@ impl Localizer {
             Prior { pose: predicted, information: information_from_sigmas(self.sigma[0], self.sigma[1]) };
         let fit = align(&node.cloud, predicted, references, Some(prior), l);
         let chain: Vec<(&Node, Pose2)> = near.iter().map(|&i| (&map.nodes[i], map.poses[i])).collect();
-        let (agree, contradict) = judge(chain.iter(), &[(node, Pose2::IDENTITY)], fit.frame_from_cloud);
+        let agreement = compare_passes(chain.iter(), &[(node, Pose2::IDENTITY)], fit.frame_from_cloud);
         // In doubt as much is asked as of a robot that is looked for.
         let (overlap_min, agreement_min) = match self.doubt {
             Doubt::None => (l.overlap_min, l.agreement_min),
             Doubt::Some { .. } => (self.config.relocalize.overlap_min, self.config.relocalize.agreement_min),
         };
-        let sound = agree as f32 >= agreement_min * (agree + contradict) as f32;
+        let sound = agreement.is_sound(agreement_min);
         if fit.overlap < overlap_min || !sound {
             return None;
         }
@@ -222,6 +222,6 @@ fn nearest(map: Placed<'_>, node: &Node, map_from_node: Pose2, distance_max_m: f
         })
         .collect();
     near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    near.truncate(JUDGES);
+    near.truncate(COMPARED_SCANS);
     near.into_iter().map(|(_, i)| i).collect()
 }

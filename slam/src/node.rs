@@ -59,7 +59,7 @@ impl SweptPath {
     }
 
     /// The robot is here. Where it was before is not noted again; of too many places, the oldest goes.
-    pub(crate) fn note(&mut self, [x, y]: [f32; 2]) {
+    pub(crate) fn push(&mut self, [x, y]: [f32; 2]) {
         if self.positions_m().iter().any(|[u, v]| (x - u).hypot(y - v) < SWEPT_PATH_STEP_M) {
             return;
         }
@@ -81,7 +81,7 @@ impl SweptPath {
         let near = self.positions_m().iter().rposition(|[x, y]| x.hypot(*y) < SWEPT_PATH_STEP_M);
         match near {
             Some(index) => self.positions_m[index] = [0.0; 2],
-            None => self.note([0.0; 2]),
+            None => self.push([0.0; 2]),
         }
         self
     }
@@ -172,7 +172,7 @@ mod tests {
         let mut way = SweptPath::default();
         // Forth, back, and forth again.
         for k in (0..20).chain((0..20).rev()).chain(0..30) {
-            way.note([0.02 * k as f32, 1.0]);
+            way.push([0.02 * k as f32, 1.0]);
         }
         assert_eq!(way.positions_m().len(), 10);
         let seen = way.seen_from(Pose2::new(0.58, 1.0, core::f64::consts::PI));
@@ -181,7 +181,7 @@ mod tests {
         let first = seen.positions_m()[0];
         assert!((first[0] - 0.58).abs() < 1e-5 && first[1].abs() < 1e-5, "{first:?}");
         for k in 0..100 {
-            way.note([k as f32, 0.0]);
+            way.push([k as f32, 0.0]);
         }
         assert_eq!(way.positions_m().len(), SWEPT_PATH_POSITIONS_MAX);
         assert_eq!(way.positions_m()[SWEPT_PATH_POSITIONS_MAX - 1], [99.0, 0.0]);

@@ -13,15 +13,15 @@ pub struct OdometryBuffer {
     continuous_from_odom: Pose2,
     config: OdometryConfig,
     rejected: u64,
-    backward: ClockResetDetector,
+    clock_reset: ClockResetDetector,
 }
 
 impl OdometryBuffer {
     /// Empty, with room for all it will ever hold.
     pub fn new(config: OdometryConfig) -> Self {
         let poses = VecDeque::with_capacity(config.buffer_len + 1);
-        let backward = ClockResetDetector::default();
-        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, rejected: 0, backward }
+        let clock_reset = ClockResetDetector::default();
+        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, rejected: 0, clock_reset }
     }
 
     /// Takes one message; refuses (and counts) those that are not numbers or not newer than the last,
@@ -30,11 +30,14 @@ impl OdometryBuffer {
         let (last, stamp) = (self.poses.back().copied(), odometry.header.stamp);
         let back = last.is_some_and(|last| stamp < last.header.stamp);
         let repeated = last.is_some_and(|last| stamp == last.header.stamp);
-        if repeated || !odometry.odom_from_base.is_finite() || (back && self.backward.note(stamp).is_none()) {
+        if repeated
+            || !odometry.odom_from_base.is_finite()
+            || (back && self.clock_reset.observe(stamp).is_none())
+        {
             self.rejected += 1;
             return;
         }
-        self.backward = ClockResetDetector::default();
+        self.clock_reset = ClockResetDetector::default();
         if back {
             self.poses.clear();
         }

@@ -7,7 +7,7 @@
 mod whole_map;
 
 use crate::align::{Reference, align};
-use crate::closure::{JUDGES, judge};
+use crate::closure::{COMPARED_SCANS, compare_passes};
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::node::Node;
@@ -247,7 +247,7 @@ impl Relocalizer {
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.truncate(JUDGES);
+        near.truncate(COMPARED_SCANS);
         let references = near
             .iter()
             .map(|&(_, i)| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });
@@ -257,8 +257,8 @@ impl Relocalizer {
         }
         let chain: Vec<(&Node, Pose2)> = near.iter().map(|&(_, i)| (&map.nodes[i], map.poses[i])).collect();
         let seen: Vec<(&Node, Pose2)> = query.iter().map(|(node, pose)| (node, *pose)).collect();
-        let (agree, contradict) = judge(chain.iter(), &seen, fit.frame_from_cloud);
-        (agree as f32 >= r.agreement_min * (agree + contradict) as f32).then_some(fit.frame_from_cloud)
+        let agreement = compare_passes(chain.iter(), &seen, fit.frame_from_cloud);
+        agreement.is_sound(r.agreement_min).then_some(fit.frame_from_cloud)
     }
 
     /// Whether enough earlier finds, from elsewhere, say the same. With a hint one is enough.

@@ -54,8 +54,13 @@ fn process_table() -> String {
     for row in &PROCESSES {
         let each = if row.per_robot { "robot" } else { "fleet" };
         let each = if row.simulated_world_only { "simulated robot" } else { each };
-        let _ =
-            writeln!(text, "| {} | {each} | `mr-slam {}` | {} |", row.role.name(), row.command, row.resume);
+        let _ = writeln!(
+            text,
+            "| {} | {each} | `mr-slam worker {}` | {} |",
+            row.role.name(),
+            row.command,
+            row.resume
+        );
     }
     text
 }

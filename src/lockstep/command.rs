@@ -1,11 +1,11 @@
 //! `mr-slam lockstep`: a fleet on virtual time, from the command line.
 
 use super::Lockstep;
-use crate::process::Error;
+use crate::command::fleet_args::FleetArgs;
+use crate::command::{Error, output};
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
-use crate::up::FleetArgs;
 use crate::view::FleetView;
 use formats::map_file;
 use sha2::{Digest, Sha256};
@@ -49,7 +49,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
             });
         }
         if second % 10 == 9 {
-            eprintln!("{} of {} s", second + 1, args.seconds);
+            output::note(&format!("{} of {} s", second + 1, args.seconds));
         }
         if stop.requested() {
             break;
@@ -69,12 +69,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
         }
     }
     let view = FleetView::new(fleet.stats());
-    if args.json {
-        let report = serde_json::json!({ "sha256": hash, "times_real_time": faster, "fleet": view });
-        println!("{}", serde_json::to_string_pretty(&report)?);
-    } else {
-        print!("{}", view.table());
-        println!("{faster:.0} times real time; all messages: sha256 {hash}");
-    }
-    Ok(())
+    let report = serde_json::json!({ "sha256": hash, "times_real_time": faster, "fleet": view });
+    let text = || format!("{}{faster:.0} times real time; SHA-256 of all messages {hash}\n", view.table());
+    Ok(output::print_either(args.json, &report, text)?)
 }

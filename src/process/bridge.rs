@@ -9,11 +9,11 @@ use super::{Error, outside, ros2};
 use crate::channel::{self, Channel};
 use crate::clock::now;
 use crate::config::World;
-use crate::merge_edges;
 use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, Writer};
 use crate::stop::Stop;
+use crate::view::edges_json;
 use ::bridge::{Bridge, FleetMessage, Transport, serve};
 use msg::{
     DenseMap, GridView, Message, Odometry, PatchHeader, RobotId, Role, SlamRequest, Transforms,
@@ -162,7 +162,7 @@ pub(super) fn publish_channels<T: Transport + 'static>(
             to.publish(FleetMessage::Stats(stats))
         })?,
         forward(participant, transport, &channel::merge_edges(), |to, edges| {
-            to.publish(FleetMessage::MergeEdges(&merge_edges::json(edges)));
+            to.publish(FleetMessage::MergeEdges(&edges_json(edges)));
         })?,
         publish_merged_map(participant, transport)?,
     ];

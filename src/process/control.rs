@@ -2,7 +2,7 @@
 
 use crate::allowed;
 use crate::clock::now;
-use crate::control::{self, ClientView, Doors, LINE_MAX, Reply, Request};
+use crate::control::{self, BridgeState, ClientView, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use ::bridge::{Bridge, ClientStatus};
 use std::io;
@@ -85,10 +85,10 @@ impl Control {
             allowed::remember(path, address, may_drive)
                 .map_err(|why| format!("done, but not for later runs: {}: {why}", path.display()))?;
         }
-        Ok(self.doors())
+        Ok(self.bridge_state())
     }
 
-    fn doors(&self) -> Doors {
+    fn bridge_state(&self) -> BridgeState {
         let client = |status: ClientStatus| ClientView {
             address: status.peer,
             subscriptions: status.subscriptions,
@@ -98,7 +98,7 @@ impl Control {
             drives: status.drives.iter().map(|robot| robot.number()).collect(),
             clock: status.clock,
         };
-        Doors {
+        BridgeState {
             stopped: self.bridge.is_stopped(),
             selected: self.bridge.selected_robot().number(),
             waiting: self.bridge.waiting_addresses(),

@@ -1,43 +1,46 @@
-//! Do two maps of the same place say the same?
+//! Consistency of two maps of the same place.
 //!
-//! The paper's cross-instance consistency is the share of the cells both know on which they agree.
-//! Nineteen in twenty such cells are free floor, so that two maps laid over each other at random
-//! reach 94 % of it: it is given here beside the figures that can fail. Those are the F1 of
-//! occupied cells, and the null: the same figures under random wrong transforms.
+//! The MR-SLAM paper's cross-instance consistency is the share of the cells known to both maps on which they agree.
+//! Nineteen in twenty such cells are free floor: two maps laid over each other at random reach 94 %. Beside it stand
+//! figures that tell more: the F1 of occupied cells, and the null, which is the same figures under random wrong
+//! transforms.
 
 use msg::grid::{Occupancy, occupancy};
 use msg::{GridView, Pose2};
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
-/// A wrong transform of the null moves by this much, metres.
+/// Translation of a wrong transform, metres.
 const NULL_SHIFT_M: core::ops::Range<f64> = 2.0..8.0;
-/// And turns by this much either way, radians: 20° to 180°.
+/// Rotation of a wrong transform either way, radians: 20° to 180°.
 const NULL_TURN_RAD: core::ops::Range<f64> = 0.349..core::f64::consts::PI;
-/// Cells of two maps may differ this much in length.
+/// Largest ratio of the sides of two maps' cells.
 const RATIO_MAX: f64 = 64.0;
-/// It must leave this share of the overlap.
+/// Share of the overlap that a wrong transform must leave.
 const NULL_OVERLAP_MIN: f64 = 0.5;
-/// Random transforms tried for each one wanted.
+/// Random transforms tried for each one that is wanted.
 const NULL_TRIES: usize = 20;
 
-/// How well two maps agree where both know something. Both directions are looked up (every cell
-/// of one at the nearest cell of the other, nothing interpolated) and averaged.
+/// How well two maps agree where both are known.
+///
+/// Every known cell of each map is compared with the nearest cell of the other, without interpolation; the two
+/// directions are averaged.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Consistency {
-    /// The paper's: share of the cells both know on which they agree, 0 to 1.
+    /// Share of the cells known to both on which they agree, 0 to 1: the paper's figure.
     pub strict: f64,
-    /// The same, where a cell agrees if the other map's cell or one of its eight neighbours does.
+    /// The same at a tolerance of one cell: one of the eight neighbours may agree instead.
     pub one_cell: f64,
-    /// F1 of occupied cells: found if the other map has one in the nearest cell or next to it.
-    /// 0 to 1; 0 if the overlap has none.
+    /// F1 of occupied cells at a tolerance of one cell, 0 to 1; 0 if the overlap has none.
     pub occupied_f1: f64,
-    /// Floor both know, square metres.
+    /// Area known to both, square metres.
     pub overlap_m2: f64,
-    /// The same over what the map that knows less knows, 0 to 1.
+    /// The same over the known area of the map that knows less, 0 to 1.
     pub overlap_share: f64,
 }
 
-/// Compares two maps, `a` from `b` known. `None` if there is nothing that both know, or one's cells
-/// are more than 64 times as long as the other's.
+/// Compares two maps under a transform. `None` if no cell is known to both, or if the cells of one are more than 64 times
+/// as long as the other's.
 pub fn compare(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Consistency> {
     let ratio = a.header.resolution_m / b.header.resolution_m;
     if !(1.0 / RATIO_MAX..=RATIO_MAX).contains(&ratio) {
@@ -69,19 +72,20 @@ pub fn compare(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Cons
     })
 }
 
-/// What chance gives: the same two maps under up to `count` random wrong transforms that leave at
-/// least half the overlap. Fewer, if twenty times as many tries do not find them.
+/// Compares the same two maps under up to `count` random wrong transforms that leave at least half the overlap: what
+/// chance reaches. The list is shorter if twenty times as many tries do not find them.
 pub fn null(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, count: usize, seed: u64) -> Vec<Consistency> {
     let Some(right) = compare(a, b, a_from_b) else { return Vec::new() };
     let Some(centre_m) = overlap_centre_m(a, b, a_from_b) else { return Vec::new() };
-    let mut random = SplitMix(seed);
+    let mut random = RandomNumbers::new(seed);
     let tries = 0..count.saturating_mul(NULL_TRIES);
-    let wrong = tries.filter_map(|_| one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), random.next()));
+    let wrong =
+        tries.filter_map(|_| one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), random.next_u64()));
     wrong.take(count).collect()
 }
 
-/// One draw of the null: `None` if it does not leave at least half of the overlap, of which the middle
-/// ([`overlap_centre_m`]) and the area are given.
+/// Compares two maps under one random wrong transform; `None` if it does not leave half the overlap. The centre
+/// ([`overlap_centre_m`]) and the area of the right overlap are given.
 pub fn one_wrong(
     a: GridView<'_>,
     b: GridView<'_>,
@@ -89,11 +93,11 @@ pub fn one_wrong(
     ([x, y], overlap_m2): ([f64; 2], f64),
     seed: u64,
 ) -> Option<Consistency> {
-    let mut random = SplitMix(seed);
+    let mut random = RandomNumbers::new(seed);
     let turn = random.within(NULL_TURN_RAD) * random.sign();
     let shift = random.within(NULL_SHIFT_M);
     let towards = random.within(0.0..core::f64::consts::TAU);
-    // Turned about the middle of the overlap, then moved.
+    // Rotated about the centre of the overlap, then translated.
     let about_centre = Pose2::new(x, y, turn) * Pose2::new(-x, -y, 0.0);
     let moved = Pose2::new(shift * towards.cos(), shift * towards.sin(), 0.0) * about_centre;
     compare(a, b, moved * a_from_b).filter(|found| found.overlap_m2 >= NULL_OVERLAP_MIN * overlap_m2)
@@ -116,7 +120,7 @@ impl OneWay {
     }
 }
 
-/// Every known cell of `from` at the nearest cell of `to`.
+/// Compares every known cell of `from` with the nearest cell of `to`.
 fn one_way(from: GridView<'_>, to: GridView<'_>, to_from_from: Pose2) -> OneWay {
     let mut way = OneWay::default();
     for_known(from, to, to_from_from, |here, x, y| {
@@ -141,8 +145,8 @@ fn neighbours(x: i64, y: i64) -> impl Iterator<Item = (i64, i64)> {
     (y - 1..=y + 1).flat_map(move |y| (x - 1..=x + 1).map(move |x| (x, y)))
 }
 
-/// Calls `each` with the reading of every known cell of `from`, and the column and row of `to`
-/// (perhaps outside it) in which its centre lies.
+/// Calls `each` with the occupancy of every known cell of `from`, and with the column and row of `to`, perhaps outside it,
+/// in which its centre lies.
 pub(crate) fn for_known(
     from: GridView<'_>,
     to: GridView<'_>,
@@ -172,16 +176,16 @@ pub(crate) fn for_known(
     }
 }
 
-/// Places are counted in 2^-32 of a cell.
+/// Coordinates are counted in 2^-32 of a cell.
 const FRACTION_BITS: u32 = 32;
 
-/// Beyond 2^30 cells no grid reaches.
+/// A coordinate in fixed point. No grid reaches beyond 2^30 cells.
 fn fixed(cells: f64) -> i64 {
     let limit = f64::from(1 << 30);
     (cells.clamp(-limit, limit) * (1_u64 << FRACTION_BITS) as f64) as i64
 }
 
-/// The middle, in `a`'s frame, of what both know.
+/// Centre of the cells known to both maps, in `a`'s frame, metres.
 pub fn overlap_centre_m(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<[f64; 2]> {
     let (mut sum, mut count) = ([0.0, 0.0], 0.0);
     for_known(b, a, a_from_b, |_, x, y| {
@@ -194,25 +198,25 @@ pub fn overlap_centre_m(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Op
     (count > 0.0).then(|| sum.map(|s| s / count))
 }
 
-/// Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
-struct SplitMix(u64);
+/// Random numbers of one seed (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014).
+struct RandomNumbers(SplitMix64);
 
-impl SplitMix {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+impl RandomNumbers {
+    fn new(seed: u64) -> Self {
+        Self(SplitMix64::seed_from_u64(seed))
+    }
+
+    fn next_u64(&mut self) -> u64 {
+        self.0.next_u64()
     }
 
     fn within(&mut self, range: core::ops::Range<f64>) -> f64 {
-        let unit = (self.next() >> 11) as f64 / (1_u64 << 53) as f64;
+        let unit = (self.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
         range.start + unit * (range.end - range.start)
     }
 
     fn sign(&mut self) -> f64 {
-        if self.next() & 1 == 0 { 1.0 } else { -1.0 }
+        if self.next_u64() & 1 == 0 { 1.0 } else { -1.0 }
     }
 }
 

@@ -1,10 +1,11 @@
-//! Exact Euclidean distance to the nearest marked cell.
+//! Exact Euclidean distance transform.
 
-/// "None marked in reach" before the first pass; far beyond any square of a grid's side.
+/// Squared distance where no cell is marked, in cells: far beyond the square of any grid's side.
 const FAR: f64 = 1e18;
 
-/// Squared distance, in cells, of every cell's centre to the nearest marked one's; huge if there is
-/// none. Two passes of lower envelopes of parabolas (Felzenszwalb and Huttenlocher, "Distance
+/// Computes the squared distance, in cells, from every cell to the nearest marked one; huge if none is marked.
+///
+/// Two passes of lower envelopes of parabolas (Felzenszwalb and Huttenlocher, "Distance
 /// transforms of sampled functions", 2012), time linear in the cells.
 pub(crate) fn squared_distances(marked: &[bool], width: usize) -> Vec<f64> {
     let width = width.max(1);
@@ -21,7 +22,7 @@ pub(crate) fn squared_distances(marked: &[bool], width: usize) -> Vec<f64> {
     distances
 }
 
-/// Parabolas with these apexes, each lowest from its `start` on.
+/// Lower envelope of parabolas: their apexes, and where each begins to be the lowest.
 #[derive(Default)]
 struct Envelope {
     apex: Vec<usize>,
@@ -30,6 +31,7 @@ struct Envelope {
 }
 
 impl Envelope {
+    /// Replaces a line of squared distances by those that count its other cells too.
     fn transform(&mut self, line: &mut [f64]) {
         self.values.clear();
         self.values.extend_from_slice(line);
@@ -59,7 +61,7 @@ impl Envelope {
         }
     }
 
-    /// Where the parabola of the later apex gets below that of the earlier one.
+    /// Where the parabola of the later apex crosses below that of the earlier one.
     fn crossing(&self, earlier: usize, later: usize) -> f64 {
         let (p, q) = (earlier as f64, later as f64);
         ((self.values[later] + q * q) - (self.values[earlier] + p * p)) / (2.0 * (q - p))
@@ -73,7 +75,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn is_the_nearest_by_trying_all(
+        fn distances_equal_those_of_a_full_search(
             (width, marked) in (1_usize..9).prop_flat_map(|w| (Just(w), proptest::collection::vec(any::<bool>(), w..9 * w))),
         ) {
             let marked = &marked[..marked.len() / width * width];

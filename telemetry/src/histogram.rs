@@ -1,17 +1,23 @@
-//! Quantiles of durations in fixed memory.
+//! Histogram of durations in fixed memory, for quantiles.
 
 use msg::Distribution;
 
-/// Buckets in a doubling of the value: a bucket is 1/64 wide, so a quantile, given as the middle
-/// of its bucket, is off by at most 0.8 %.
+/// Buckets per doubling of the value. A bucket is 1/64 wide, so that a quantile, the middle of its bucket, is off by at
+/// most 0.8 %.
 const BUCKETS_PER_OCTAVE: usize = 64;
 const OCTAVE_BITS: u32 = BUCKETS_PER_OCTAVE.ilog2();
-/// Values from here on fall into the last bucket: 2^42 ns is 73 minutes.
+/// Larger values fall into the last bucket: 2^42 ns is 73 minutes.
 const BITS_MAX: u32 = 42;
 const BUCKETS: usize = (BITS_MAX - OCTAVE_BITS + 1) as usize * BUCKETS_PER_OCTAVE;
 
-/// Counts durations in buckets whose width grows with the value (after HdrHistogram, Tene 2012).
-/// 19 kB, whatever it is fed.
+/// Counts durations in buckets whose width grows with the value, as HdrHistogram (Tene 2012) does, in 19 kB.
+///
+/// ```
+/// let mut histogram = telemetry::Histogram::default();
+/// (1..=1000_u64).for_each(|ms| histogram.add(ms * 1_000_000));
+/// assert!((histogram.distribution_ms().p95 - 950.0).abs() < 0.008 * 950.0);
+/// assert_eq!(histogram.distribution_ms().max, 1000.0);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Histogram {
     counts: Box<[u64; BUCKETS]>,
@@ -26,15 +32,14 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    /// Counts one duration, nanoseconds.
+    /// Adds a duration, nanoseconds.
     pub fn add(&mut self, ns: u64) {
         self.counts[bucket(ns)] += 1;
         self.count += 1;
         self.max_ns = self.max_ns.max(ns);
     }
 
-    /// The duration, nanoseconds, that `share` (0 to 1) of the counted ones do not exceed, within
-    /// 0.8 %; 0 before the first.
+    /// Quantile in nanoseconds, within 0.8 %: `share` (0 to 1) of the durations do not exceed it. 0 before the first.
     pub fn quantile_ns(&self, share: f64) -> u64 {
         let rank = ((share * self.count as f64).ceil() as u64).clamp(1, self.count.max(1));
         let mut below = 0;
@@ -47,7 +52,7 @@ impl Histogram {
         0
     }
 
-    /// Median and tail, milliseconds; the largest is exact.
+    /// Count, median, tail and maximum, milliseconds. The maximum is exact.
     pub fn distribution_ms(&self) -> Distribution {
         let ms = |ns: u64| (ns as f64 * 1e-6) as f32;
         let quantile = |share| ms(self.quantile_ns(share));
@@ -61,13 +66,14 @@ impl Histogram {
     }
 }
 
-/// Values below `BUCKETS_PER_OCTAVE` have a bucket each.
+/// Index of a value's bucket. Values below `BUCKETS_PER_OCTAVE` have a bucket each.
 fn bucket(ns: u64) -> usize {
     let ns = ns.min((1 << BITS_MAX) - 1);
     let shift = (u64::BITS - ns.leading_zeros()).saturating_sub(OCTAVE_BITS + 1);
     shift as usize * BUCKETS_PER_OCTAVE + (ns >> shift) as usize
 }
 
+/// Middle of a bucket, nanoseconds.
 fn middle_ns(bucket: usize) -> u64 {
     let shift = (bucket / BUCKETS_PER_OCTAVE).saturating_sub(1);
     let top = (bucket - shift * BUCKETS_PER_OCTAVE) as u64;
@@ -80,7 +86,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn every_bucket_is_its_middles_bucket() {
+    fn the_middle_of_a_bucket_falls_into_it() {
         for index in 0..BUCKETS {
             assert_eq!(bucket(middle_ns(index)), index);
         }
@@ -88,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_one_says_nothing() {
+    fn an_empty_histogram_gives_zeros() {
         assert_eq!(Histogram::default().distribution_ms(), Distribution::default());
     }
 

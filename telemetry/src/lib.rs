@@ -1,11 +1,11 @@
-//! Health, statistics and metrics of the fleet.
+//! Health, statistics and map metrics of the fleet.
 //!
 //! ```text
-//! transforms ─▶ jitter ──────┐
-//! corrections ─▶ scans, pose ─┤
-//! maps, map_transforms ─▶ pairs ─────┼─▶ FleetStats, once a second
-//! truth, room plan ─▶ errors ─┤
-//! health ─▶ processes ────────┘
+//! transforms ────────────▶ jitter ─────┐
+//! corrections ───────────▶ scans, pose ┤
+//! maps, map transforms ──▶ pairs ──────┼─▶ FleetStats, once a second
+//! truth, room plan ──────▶ errors ─────┤
+//! health of processes ───▶ processes ──┘
 //! ```
 //!
 //! [`consistency`] and [`truth`] are the map metrics as plain functions, for reports and benches.
@@ -15,6 +15,7 @@ mod distance;
 mod fleet;
 mod histogram;
 mod jitter;
+mod merged;
 mod pairs;
 mod processes;
 mod robot;

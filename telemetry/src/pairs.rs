@@ -1,51 +1,61 @@
-//! Consistency of every pair of maps, a bounded amount of work at a time.
+//! Consistency of every pair of the robots' maps, a bounded amount of work at a time.
 
 use crate::consistency::{Consistency, compare, one_wrong, overlap_centre_m};
 use msg::{Grid, Pose2, ROBOTS_MAX};
 
-/// Pairs in the largest fleet.
+/// Number of pairs in the largest fleet.
 const PAIRS_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
-/// Cells compared in one call, after which the rest waits for the next: about 20 ms of work.
+/// Cells compared in one call, about 20 ms of work: other pairs wait for the next call.
 const CELLS_PER_CALL: usize = 6_000_000;
-/// Wrong transforms of each pair that its null is made of: the newest.
+/// Newest wrong transforms of a pair that count.
 const NULL_TRANSFORMS: usize = 20;
-/// Cells compared for it in one call: about 2.5 ms of work.
+/// Cells compared under wrong transforms in one call, about 2.5 ms of work.
 const NULL_CELLS_PER_CALL: usize = 750_000;
 
-/// A robot's newest map and its place; `version` tells contents apart.
+/// A robot's newest map with its transform.
 pub(crate) struct PlacedMap<'a> {
+    /// Frame `robotK/map`.
     pub grid: &'a Grid,
+    /// Equal versions have equal cells.
     pub version: u64,
+    /// Frame `map` from frame `robotK/map`; `None` while it is unknown.
     pub map_from_robot_map: Option<Pose2>,
 }
 
-/// The newest result of each pair.
-pub(crate) struct Pairs {
+/// The newest comparison of each pair.
+pub(crate) struct PairComparisons {
     results: Vec<Option<Consistency>>,
-    /// What each result was made from.
-    made_from: Vec<Option<(u64, u64, Pose2)>>,
+    /// Versions of both maps and the transform that each result is of.
+    compared: Vec<Option<(u64, u64, Pose2)>>,
     next: usize,
-    /// Each pair's newest draws of chance: strict consistency and F1.
+    /// Strict consistency and F1 of each pair under its newest wrong transforms.
     nulls: Vec<heapless::HistoryBuf<[f64; 2], NULL_TRANSFORMS>>,
-    /// The pair whose turn it is to draw, and how often was drawn.
+    /// The pair that gets the next wrong transform.
     next_null: usize,
+    /// Wrong transforms drawn, the seed of the next one.
     draws: u64,
 }
 
 /// Means over the pairs that overlap.
 pub(crate) struct PairMeans {
+    /// Pairs that overlap.
     pub count: u32,
+    /// Means of their figures; NaN where no pair overlaps.
     pub mean: Consistency,
-    /// How many wrong transforms, their mean strict consistency and F1.
+    /// Wrong transforms of all pairs that count.
     pub null_count: u32,
-    pub null: [f64; 2],
+    /// Mean strict consistency under them; NaN before any.
+    pub null_strict_mean: f64,
+    /// Mean F1 under them; NaN before any.
+    pub null_f1_mean: f64,
 }
 
-impl Pairs {
+impl PairComparisons {
+    /// No pair has been compared yet.
     pub fn new() -> Self {
         Self {
             results: vec![None; PAIRS_MAX],
-            made_from: vec![None; PAIRS_MAX],
+            compared: vec![None; PAIRS_MAX],
             next: 0,
             nulls: vec![heapless::HistoryBuf::new(); PAIRS_MAX],
             next_null: 0,
@@ -53,8 +63,8 @@ impl Pairs {
         }
     }
 
-    /// What chance gives: wrong transforms of one pair, in turns, until one leaves enough of the overlap or
-    /// [`NULL_CELLS_PER_CALL`] have been compared. Most do not in a small room.
+    /// Compares one pair under random wrong transforms until one leaves enough overlap, or [`NULL_CELLS_PER_CALL`] have
+    /// been compared. The pairs take turns.
     pub fn draw_null(&mut self, maps: &[PlacedMap<'_>]) {
         let overlapping = |slot: &usize| self.results[*slot].is_some();
         let Some(slot) = (self.next_null..PAIRS_MAX).chain(0..self.next_null).find(overlapping) else {
@@ -62,7 +72,7 @@ impl Pairs {
         };
         self.next_null = (slot + 1) % PAIRS_MAX;
         let (i, j) = robots_of(slot);
-        let (Some(right), Some((.., a_from_b))) = (&self.results[slot], self.made_from[slot]) else { return };
+        let (Some(right), Some((.., a_from_b))) = (&self.results[slot], self.compared[slot]) else { return };
         let (a, b) = (maps[i].grid.view(), maps[j].grid.view());
         let Some(centre_m) = overlap_centre_m(a, b, a_from_b) else { return };
         let mut cells = 0;
@@ -76,7 +86,7 @@ impl Pairs {
         }
     }
 
-    /// Brings the pairs whose maps or places changed up to date, in turns if there are many.
+    /// Compares the pairs whose maps or transforms have changed, in turns if there are many.
     pub fn refresh(&mut self, maps: &[PlacedMap<'_>]) {
         let mut cells = 0;
         for step in 0..PAIRS_MAX {
@@ -90,21 +100,21 @@ impl Pairs {
             let a_from_b = match (a.map_from_robot_map, b.map_from_robot_map) {
                 (Some(a), Some(b)) => a.between(b),
                 _ => {
-                    (self.results[slot], self.made_from[slot]) = (None, None);
+                    (self.results[slot], self.compared[slot]) = (None, None);
                     self.nulls[slot].clear();
                     continue;
                 }
             };
             let from = Some((a.version, b.version, a_from_b));
-            if self.made_from[slot] != from {
+            if self.compared[slot] != from {
                 self.results[slot] = compare(a.grid.view(), b.grid.view(), a_from_b);
-                self.made_from[slot] = from;
+                self.compared[slot] = from;
                 cells += a.grid.cells.len() + b.grid.cells.len();
             }
         }
     }
 
-    /// NaN where no pair overlaps.
+    /// Computes the means over the pairs.
     pub fn means(&self) -> PairMeans {
         let overlapping = self.results.iter().flatten();
         let (count, sum) = overlapping.fold((0_u32, Consistency::default()), |(count, sum), one| {
@@ -127,12 +137,13 @@ impl Pairs {
         };
         let draws = || self.nulls.iter().flat_map(|of_pair| of_pair.iter());
         let null_count = draws().count() as u32;
-        let null = [0, 1].map(|k| draws().map(|draw| draw[k]).sum::<f64>() / f64::from(null_count));
-        PairMeans { count, mean, null_count, null }
+        let [null_strict_mean, null_f1_mean] =
+            [0, 1].map(|k| draws().map(|draw| draw[k]).sum::<f64>() / f64::from(null_count));
+        PairMeans { count, mean, null_count, null_strict_mean, null_f1_mean }
     }
 }
 
-/// (0, 1), (0, 2), (1, 2), (0, 3), ...: a small fleet's pairs come first.
+/// The robots of a pair: (0, 1), (0, 2), (1, 2), (0, 3), ... The pairs of a small fleet come first.
 fn robots_of(slot: usize) -> (usize, usize) {
     let j = (1..ROBOTS_MAX).rfind(|j| j * (j - 1) / 2 <= slot).unwrap_or(1);
     (slot - j * (j - 1) / 2, j)
@@ -144,7 +155,7 @@ mod tests {
     use crate::testing::house;
 
     #[test]
-    fn slots_are_all_pairs() {
+    fn every_pair_has_one_slot() {
         let mut pairs: Vec<_> = (0..PAIRS_MAX).map(robots_of).collect();
         assert!(pairs.iter().all(|(i, j)| i < j && *j < ROBOTS_MAX));
         pairs.sort_unstable();
@@ -153,12 +164,12 @@ mod tests {
     }
 
     #[test]
-    fn many_pairs_take_turns_and_all_get_done() {
+    fn many_pairs_take_turns_until_all_are_compared() {
         let grid = house();
         let maps: Vec<_> = (0..ROBOTS_MAX)
             .map(|_| PlacedMap { grid: &grid, version: 1, map_from_robot_map: Some(Pose2::IDENTITY) })
             .collect();
-        let mut pairs = Pairs::new();
+        let mut pairs = PairComparisons::new();
         pairs.refresh(&maps);
         let first = pairs.means().count;
         assert!(first >= 1 && (first as usize) < PAIRS_MAX, "{first}");

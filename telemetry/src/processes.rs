@@ -1,32 +1,33 @@
-//! The fleet's processes, by their own accounts.
+//! Health of the fleet's processes, as they report it.
 
 use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, Role};
 
-/// Slots: sim and slam of each robot, then merge, telemetry, bridge.
-pub(crate) struct Processes {
+/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge.
+pub(crate) struct ProcessTable {
     robot_count: usize,
-    slots: [Option<Seen>; PROCESSES_MAX],
+    slots: [Option<Report>; PROCESSES_MAX],
 }
 
 #[derive(Clone, Copy)]
-struct Seen {
+struct Report {
     health: ProcessHealth,
     received: Monotonic,
     restarts: u64,
 }
 
-impl Processes {
+impl ProcessTable {
+    /// A table of a fleet of so many robots.
     pub fn new(robot_count: usize) -> Self {
         Self { robot_count: robot_count.min(ROBOTS_MAX), slots: [None; PROCESSES_MAX] }
     }
 
-    /// A message of a role or robot that the fleet does not have is ignored.
+    /// Records a report. One of a role or robot that the fleet does not have is ignored.
     pub fn receive(&mut self, health: &ProcessHealth, received: Monotonic) {
         let Some(slot) = self.slot(health).and_then(|slot| self.slots.get_mut(slot)) else { return };
-        let restarts = slot.map_or(0, |seen| {
-            seen.restarts + u64::from(seen.health.header.incarnation != health.header.incarnation)
+        let restarts = slot.map_or(0, |report| {
+            report.restarts + u64::from(report.health.header.incarnation != health.header.incarnation)
         });
-        *slot = Some(Seen { health: *health, received, restarts });
+        *slot = Some(Report { health: *health, received, restarts });
     }
 
     fn slot(&self, health: &ProcessHealth) -> Option<usize> {
@@ -40,12 +41,13 @@ impl Processes {
         }
     }
 
+    /// The newest reports, with their age and the number of restarts.
     pub fn health(&self, now: Monotonic) -> [ProcessStats; PROCESSES_MAX] {
         self.slots.map(|slot| {
-            slot.map_or(ProcessStats::default(), |seen| ProcessStats {
-                health: seen.health,
-                age_s: now.since(seen.received) as f64 * 1e-9,
-                restarts: seen.restarts,
+            slot.map_or(ProcessStats::default(), |report| ProcessStats {
+                health: report.health,
+                age_s: now.since(report.received) as f64 * 1e-9,
+                restarts: report.restarts,
             })
         })
     }
@@ -58,7 +60,7 @@ mod tests {
 
     #[test]
     fn counts_restarts_of_each_process() {
-        let mut processes = Processes::new(2);
+        let mut processes = ProcessTable::new(2);
         let health_of = |role: Role, robot, run| ProcessHealth {
             header: Header { incarnation: run, ..Default::default() },
             role: role as u32,

@@ -1,70 +1,76 @@
-//! What is known of one robot.
+//! Statistics of one robot.
 
 use crate::Histogram;
-use crate::jitter::Jitter;
-use crate::scans::Scans;
+use crate::jitter::TransformJitter;
+use crate::scans::ScanCounter;
 use heapless::Deque;
 use msg::grid::{MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
 use msg::{Correction, Grid, GridView, GroundTruth, Monotonic, Pose2, RobotStats, Stamp};
 
-/// True poses remembered until the correction of that time arrives: more than half a second at 100 Hz.
-const TRUTHS: usize = 64;
-/// A true pose this far from the correction's stamp is not compared with it, seconds: at most
-/// 1.5 cm of driving.
-const TRUTH_APART_S: f64 = 0.1;
+/// True poses kept until the correction of that time arrives: more than half a second at 100 Hz.
+const TRUTHS_MAX: usize = 64;
+/// Largest gap between the stamps of a true pose and a correction that are compared, seconds: 2 cm at 0.2 m/s.
+const TRUTH_GAP_MAX_S: f64 = 0.1;
 
-/// One robot.
+/// Messages of one robot, counted.
 #[derive(Default)]
-pub(crate) struct Robot {
-    pub jitter: Jitter,
-    scans: Scans,
+pub(crate) struct RobotTelemetry {
+    /// Jitter of its transforms.
+    pub jitter: TransformJitter,
+    scans: ScanCounter,
     scan_to_pose: Histogram,
     scan_to_map: Histogram,
     newest: Option<Correction>,
-    truths: Deque<(Stamp, Pose2), TRUTHS>,
+    truths: Deque<(Stamp, Pose2), TRUTHS_MAX>,
+    /// The newest map.
     pub grid: Grid,
-    /// Counts the maps taken.
+    /// Counts the maps received.
     pub version: u64,
-    counted: RobotStats,
-    /// If the launcher knows.
+    counts: RobotStats,
+    /// Frame `world` from frame `robotK/map`, if it is known.
     pub world_from_robot_map: Option<Pose2>,
 }
 
-impl Robot {
-    /// `world` from `robotK/map`, if the launcher knows.
+impl RobotTelemetry {
+    /// A robot whose map's true place may be known.
     pub fn new(world_from_robot_map: Option<Pose2>) -> Self {
         Self { world_from_robot_map, ..Default::default() }
     }
 
-    pub fn correction(&mut self, correction: &Correction, received: Monotonic) {
+    /// Adds SLAM's answer to a scan.
+    pub fn add_correction(&mut self, correction: &Correction, received: Monotonic) {
         self.scans.add(correction);
-        latency(&mut self.scan_to_pose, correction.scan_sent, received);
+        record_latency(&mut self.scan_to_pose, correction.scan_sent, received);
         self.newest = Some(*correction);
     }
 
-    pub fn map_came(&mut self, scan_sent: Monotonic, received: Monotonic) {
-        latency(&mut self.scan_to_map, scan_sent, received);
+    /// Records the latency of a map.
+    pub fn record_map_arrival(&mut self, scan_sent: Monotonic, received: Monotonic) {
+        record_latency(&mut self.scan_to_map, scan_sent, received);
     }
 
-    pub fn map(&mut self, map: GridView<'_>) {
-        let sound = GridView::new(map.header, map.cells).is_some() && map.cells.len() <= MAP_CELLS_MAX;
-        if !sound {
+    /// Replaces the map; a malformed one is ignored.
+    pub fn update_map(&mut self, map: GridView<'_>) {
+        let valid = GridView::new(map.header, map.cells).is_some() && map.cells.len() <= MAP_CELLS_MAX;
+        if !valid {
             return;
         }
         self.grid.header = *map.header;
         self.grid.cells.clear();
         self.grid.cells.extend_from_slice(map.cells);
-        self.counted = count(map);
+        self.counts = count_cells(map);
         self.version += 1;
     }
 
-    pub fn truth(&mut self, truth: &GroundTruth) {
+    /// Adds a true pose.
+    pub fn add_truth(&mut self, truth: &GroundTruth) {
         if self.truths.is_full() {
             self.truths.pop_front();
         }
         let _ = self.truths.push_back((truth.header.stamp, truth.world_from_base));
     }
 
+    /// Computes the robot's statistics at a time of the run's clock.
     pub fn stats(&self, stamp: Stamp) -> RobotStats {
         let correction = self.newest.unwrap_or_default();
         RobotStats {
@@ -79,29 +85,30 @@ impl Robot {
             pose_error_m: self.pose_error_m().unwrap_or(f64::NAN),
             nodes: correction.nodes,
             closures: correction.closures,
-            ..self.counted
+            ..self.counts
         }
     }
 
-    /// SLAM's newest pose against the true one of nearly the same time.
+    /// Distance of SLAM's newest pose from the true one of nearly the same time, metres.
     fn pose_error_m(&self) -> Option<f64> {
         let correction = self.newest.as_ref()?;
-        let apart = |stamp: Stamp| (stamp - correction.header.stamp).abs();
-        let nearest = self.truths.iter().min_by(|a, b| apart(a.0).total_cmp(&apart(b.0)))?;
+        let gap_s = |stamp: Stamp| (stamp - correction.header.stamp).abs();
+        let nearest = self.truths.iter().min_by(|a, b| gap_s(a.0).total_cmp(&gap_s(b.0)))?;
         let world_from_base = self.world_from_robot_map? * correction.map_from_base;
-        (apart(nearest.0) <= TRUTH_APART_S).then(|| world_from_base.distance_m(nearest.1))
+        (gap_s(nearest.0) <= TRUTH_GAP_MAX_S).then(|| world_from_base.distance_m(nearest.1))
     }
 }
 
-/// A time of sending that is missing or lies ahead is no latency.
-fn latency(histogram: &mut Histogram, sent: Monotonic, received: Monotonic) {
+/// Records a latency, unless the time of sending is missing or lies ahead.
+fn record_latency(histogram: &mut Histogram, sent: Monotonic, received: Monotonic) {
     if sent != Monotonic::default() && sent <= received {
         histogram.add(received.since(sent));
     }
 }
 
-/// A map's cells by map_server's thresholds, and the paper's coverage.
-pub(crate) fn count(map: GridView<'_>) -> RobotStats {
+/// Counts a map's cells by map_server's thresholds. `coverage` is the known share of its rectangle, as in the MR-SLAM
+/// paper.
+pub(crate) fn count_cells(map: GridView<'_>) -> RobotStats {
     let free = map.cells.iter().filter(|cell| occupancy(**cell) == Occupancy::Free).count();
     let occupied = map.cells.iter().filter(|cell| occupancy(**cell) == Occupancy::Occupied).count();
     let total = map.cells.len();

@@ -1,46 +1,46 @@
-//! Which scans reached SLAM, by the corrections it answers them with.
+//! Counting of the scans that reached SLAM, by the corrections that answer them.
 
 use heapless::Deque;
 use msg::{Correction, Stamp};
 
-/// Scans remembered for the rate: at least a second's up to 255 Hz.
-const RECENT: usize = 256;
-/// A rate is taken over the second up to the newest scan, unless that is this old, seconds: a
-/// correction needs its time to arrive.
-const FRESH_S: f64 = 0.25;
+/// Scans kept for the rate: at least those of a second, up to 255 Hz.
+const RECENT_MAX: usize = 256;
+/// Largest age of the newest scan up to which the rate is taken back from it, seconds: a correction takes time to arrive.
+const NEWEST_AGE_MAX_S: f64 = 0.25;
 
 /// One robot's scans.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Scans {
+pub(crate) struct ScanCounter {
     /// Scans that reached SLAM.
     pub received: u64,
-    /// Scans that never did.
+    /// Scans that were sent and did not reach SLAM.
     pub lost: u64,
-    recent: Deque<Stamp, RECENT>,
-    last: Option<Last>,
+    recent: Deque<Stamp, RECENT_MAX>,
+    last: Option<LastCorrection>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Last {
+struct LastCorrection {
     run: u64,
     seq: u64,
     scan_seq: u64,
 }
 
-impl Scans {
+impl ScanCounter {
+    /// Adds a correction.
     pub fn add(&mut self, correction: &Correction) {
-        let now = Last {
+        let now = LastCorrection {
             run: correction.header.incarnation,
             seq: correction.header.seq,
             scan_seq: correction.scan_seq,
         };
-        let (received, lost) = self.last.map_or((1, 0), |last| steps(last, now));
+        let (received, lost) = self.last.map_or((1, 0), |last| scans_between(last, now));
         self.received += received;
         self.lost += lost;
         self.last = Some(now);
         let stamp = correction.header.stamp;
         if self.recent.back().is_some_and(|newest| stamp < *newest) {
-            self.recent.clear(); // the simulator's clock began anew
+            self.recent.clear(); // the simulator was restarted
         }
         if self.recent.is_full() {
             self.recent.pop_front();
@@ -51,7 +51,7 @@ impl Scans {
     /// Scans a second of the run's clock, at `stamp`.
     pub fn rate_hz(&self, stamp: Stamp) -> f64 {
         let Some(newest) = self.recent.back() else { return 0.0 };
-        if stamp - *newest > FRESH_S {
+        if stamp - *newest > NEWEST_AGE_MAX_S {
             return self.recent.iter().filter(|at| (0.0..1.0).contains(&(stamp - **at))).count() as f64;
         }
         // From the last scan a second or more ago to the newest: whole periods, whatever the phase.
@@ -63,12 +63,13 @@ impl Scans {
     }
 }
 
-/// Scans received and lost from one correction to the next that came here. SLAM answers each scan
-/// it receives with one correction: as many as its own `seq` advanced it did receive, even if
-/// telemetry missed the answers; what `scan_seq` advanced beyond that never reached SLAM.
-fn steps(last: Last, now: Last) -> (u64, u64) {
+/// Scans received and lost between two corrections that reached telemetry.
+///
+/// SLAM answers each scan with one correction: it received as many as its own `seq` advanced, even if telemetry missed
+/// some answers. What `scan_seq` advanced beyond that did not reach SLAM.
+fn scans_between(last: LastCorrection, now: LastCorrection) -> (u64, u64) {
     let received = if now.run == last.run { now.seq.saturating_sub(last.seq).max(1) } else { 1 };
-    // A simulator that restarted counts from 0 again.
+    // A restarted simulator counts from 0 again.
     let sent = now.scan_seq.checked_sub(last.scan_seq).unwrap_or(1);
     (received.min(sent.max(1)), sent.saturating_sub(received))
 }
@@ -85,8 +86,8 @@ mod tests {
     }
 
     #[test]
-    fn ten_hertz_is_ten_at_any_phase() {
-        let mut scans = Scans::default();
+    fn ten_scans_a_second_are_10_hz_at_any_phase() {
+        let mut scans = ScanCounter::default();
         for n in 0..100_u32 {
             let at = f64::from(n) * 0.1;
             scans.add(&correction(1, n.into(), n.into(), at));
@@ -103,8 +104,8 @@ mod tests {
     }
 
     #[test]
-    fn what_telemetry_missed_is_not_lost_to_slam() {
-        let mut scans = Scans::default();
+    fn corrections_that_telemetry_missed_are_not_lost_scans() {
+        let mut scans = ScanCounter::default();
         scans.add(&correction(1, 0, 5, 0.0));
         scans.add(&correction(1, 1, 6, 0.1));
         scans.add(&correction(1, 2, 9, 0.4)); // SLAM never saw 7 and 8

@@ -3,7 +3,7 @@
 use msg::grid::UNKNOWN;
 use msg::{Grid, GridHeader, Pose2};
 
-/// 12 m x 9 m of rooms with doors and some furniture; nothing known in it or outside the outer wall.
+/// A map of 12 m x 9 m: rooms with doors and furniture. Inside of furniture and outside of the outer wall it is unknown.
 pub fn house() -> Grid {
     let (width, height) = (260_u32, 200_u32);
     let furniture = [(120..132, 40..60), (200..230, 150..156), (30..36, 120..160)];
@@ -37,7 +37,7 @@ pub fn house() -> Grid {
     Grid { header, cells: (0..height).flat_map(|y| (0..width).map(move |x| cell(x, y))).collect() }
 }
 
-/// Fails with both numbers.
+/// Asserts that a figure is within a tolerance, and shows both if it is not.
 pub fn within(found: f64, expected: f64, tolerance: f64) {
     assert!((found - expected).abs() <= tolerance, "{found} is not {expected} +- {tolerance}");
 }

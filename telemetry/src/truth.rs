@@ -1,29 +1,34 @@
-//! A map against the room as it is (simulation only).
+//! Errors of a map against the true room (simulation only).
 
 use crate::consistency::for_known;
 use crate::distance::squared_distances;
 use msg::grid::{Occupancy, occupancy};
 use msg::{Grid, GridView, Pose2};
 
-/// A wall farther from any in the other map than this counts as this far, metres: one missing room
-/// shall not hide what the rest looks like.
+/// Largest distance of a wall to the other map's walls that counts, metres: one missing room does not hide the rest.
 pub const NEAREST_M_MAX: f64 = 1.0;
 
-/// What of a room a robot can ever know: the floor it can reach and the walls it can see from there.
+/// Largest squared distance of a wall that is found, cells: a neighbour or a diagonal neighbour.
+const FOUND_SQUARED_CELLS: f64 = 2.0;
+
+/// The part of a room that robots can observe: the floor that they can reach, and the walls visible from there.
 #[derive(Clone, Debug)]
 pub struct ObservableArea {
     plan: Grid,
-    /// By the plan's cells.
-    knowable: Vec<bool>,
+    /// Whether each cell of the plan is observable.
+    observable: Vec<bool>,
     count: usize,
-    /// The walls that can be seen, and squared distances to the nearest of them, by the plan's cells.
+    /// Whether each cell of the plan is an observable wall,
     walls: Vec<bool>,
+    /// and the squared distance to the nearest of them, in cells.
     to_walls: Vec<f64>,
 }
 
 impl ObservableArea {
-    /// `plan` is the room, frame `world`. Floor that cannot be reached from `starts_m` (world,
-    /// metres) cannot be known; without a start on free floor all of it counts as reachable.
+    /// Computes the observable part of a floor plan in frame `world`.
+    ///
+    /// Floor that cannot be reached from `starts_m` (frame `world`, metres) is not observable. Without a start on free
+    /// floor all floor counts as reachable.
     pub fn new(plan: Grid, starts_m: impl IntoIterator<Item = [f64; 2]>) -> Self {
         let mut reached = reachable(plan.view(), starts_m);
         if !reached.contains(&true) {
@@ -35,13 +40,13 @@ impl ObservableArea {
             occupancy(plan.cells[index]) == Occupancy::Occupied
                 && around(x, y).any(|place| at(&reached, &plan, place))
         };
-        let knowable: Vec<bool> = (0..plan.cells.len()).map(|i| reached[i] || visible_wall(i)).collect();
-        let count = knowable.iter().filter(|knowable| **knowable).count();
-        let walls: Vec<bool> = (plan.cells.iter().zip(&knowable))
-            .map(|(cell, knowable)| *knowable && occupancy(*cell) == Occupancy::Occupied)
+        let observable: Vec<bool> = (0..plan.cells.len()).map(|i| reached[i] || visible_wall(i)).collect();
+        let count = observable.iter().filter(|observable| **observable).count();
+        let walls: Vec<bool> = (plan.cells.iter().zip(&observable))
+            .map(|(cell, observable)| *observable && occupancy(*cell) == Occupancy::Occupied)
             .collect();
         let to_walls = squared_distances(&walls, width);
-        Self { plan, knowable, count, walls, to_walls }
+        Self { plan, observable, count, walls, to_walls }
     }
 
     /// The room, frame `world`.
@@ -49,11 +54,11 @@ impl ObservableArea {
         self.plan.view()
     }
 
-    /// The share of the knowable cells that a map knows, 0 to 1; NaN if nothing is knowable.
+    /// Share of the observable cells that a map knows, 0 to 1; NaN if nothing is observable.
     pub fn coverage(&self, map: GridView<'_>, world_from_map: Pose2) -> f64 {
         let map_from_world = world_from_map.inverse();
         let (plan, mut known) = (self.plan.view(), 0_usize);
-        let mut index = self.knowable.iter();
+        let mut index = self.observable.iter();
         for y in 0..i64::from(plan.header.height) {
             for x in 0..i64::from(plan.header.width) {
                 if index.next() == Some(&true) {
@@ -65,7 +70,7 @@ impl ObservableArea {
         known as f64 / self.count as f64
     }
 
-    /// The map's walls against the room's.
+    /// Compares the map's walls with the room's.
     pub fn compare(&self, map: GridView<'_>, world_from_map: Pose2) -> MapErrors {
         let walls_map: Vec<bool> =
             map.cells.iter().map(|cell| occupancy(*cell) == Occupancy::Occupied).collect();
@@ -79,9 +84,9 @@ impl ObservableArea {
                 .map(|(cell, wall)| if *wall { *cell } else { msg::grid::UNKNOWN })
                 .collect(),
         };
-        let of_map = nearest(map, self.plan.view(), &self.to_walls, world_from_map);
+        let of_map = wall_distances(map, self.plan.view(), &self.to_walls, world_from_map);
         let to_walls_map = squared_distances(&walls_map, map.header.width as usize);
-        let of_room = nearest(visible.view(), map, &to_walls_map, world_from_map.inverse());
+        let of_room = wall_distances(visible.view(), map, &to_walls_map, world_from_map.inverse());
         let sum = of_map.found_share + of_room.found_share;
         MapErrors {
             occupied_f1: if sum > 0.0 { 2.0 * of_map.found_share * of_room.found_share / sum } else { 0.0 },
@@ -93,7 +98,7 @@ impl ObservableArea {
     }
 }
 
-/// How a map's walls lie to the room's.
+/// Errors of a map's walls against the room's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MapErrors {
     /// F1 of occupied cells at a tolerance of one cell (and its diagonal), 0 to 1.
@@ -104,19 +109,37 @@ pub struct MapErrors {
     /// Mean distance from the room's visible walls to the map's nearest occupied cell, metres, each
     /// at most [`NEAREST_M_MAX`]: large if the map misses walls.
     pub room_to_map_m: f64,
-    /// Share of what can be known that is known, 0 to 1.
+    /// Share of the observable cells that the map knows, 0 to 1.
     pub coverage: f64,
-    /// Mean thickness of the map's walls, metres: doubled walls show.
+    /// Mean thickness of the map's walls, metres: large if walls are doubled.
     pub wall_thickness_m: f64,
 }
 
-struct Nearest {
+impl MapErrors {
+    /// No errors are known: all figures are NaN.
+    pub(crate) const UNKNOWN: Self = Self {
+        occupied_f1: f64::NAN,
+        map_to_room_m: f64::NAN,
+        room_to_map_m: f64::NAN,
+        coverage: f64::NAN,
+        wall_thickness_m: f64::NAN,
+    };
+}
+
+/// How near the walls of one map lie to those of another.
+struct WallDistances {
     found_share: f64,
     mean_m: f64,
 }
 
-/// From each occupied cell of `from` to the nearest wall of `to`, to which `squared` has the distances.
-fn nearest(from: GridView<'_>, to: GridView<'_>, squared: &[f64], to_from_from: Pose2) -> Nearest {
+/// Measures from each occupied cell of `from` to the nearest wall of `to`. `squared` holds the squared distances to the
+/// walls of `to`, in cells.
+fn wall_distances(
+    from: GridView<'_>,
+    to: GridView<'_>,
+    squared: &[f64],
+    to_from_from: Pose2,
+) -> WallDistances {
     let width = to.header.width as usize;
     let (mut count, mut found, mut sum_m) = (0_u64, 0_u64, 0.0);
     for_known(from, to, to_from_from, |here, x, y| {
@@ -127,17 +150,18 @@ fn nearest(from: GridView<'_>, to: GridView<'_>, squared: &[f64], to_from_from: 
         let inside =
             (0..i64::from(to.header.width)).contains(&x) && (0..i64::from(to.header.height)).contains(&y);
         let cells = if inside { squared[y as usize * width + x as usize] } else { f64::INFINITY };
-        found += u64::from(cells <= 2.0);
+        found += u64::from(cells <= FOUND_SQUARED_CELLS);
         sum_m += (cells.sqrt() * to.header.resolution_m).min(NEAREST_M_MAX);
     });
-    Nearest {
+    WallDistances {
         found_share: if count == 0 { 0.0 } else { found as f64 / count as f64 },
         mean_m: sum_m / count as f64,
     }
 }
 
-/// Twice the mean depth of wall cells would be the thickness of a smooth ridge whose depth rises
-/// one cell a cell from 1 at its edges: for n cells the mean depth is about (n + 1)^2 / 4n; solved for n.
+/// Mean thickness of walls from the mean depth of their cells, which is the distance to the nearest cell that is no wall.
+///
+/// Across a wall of n cells the depth rises from 1 at both sides: its mean is about (n + 1)^2 / 4n, which is solved for n.
 fn wall_thickness_m(map: GridView<'_>, walls: &[bool]) -> f64 {
     let open: Vec<bool> = walls.iter().map(|wall| !wall).collect();
     let depths = squared_distances(&open, map.header.width as usize);
@@ -181,7 +205,7 @@ mod tests {
     use msg::grid::UNKNOWN;
 
     #[test]
-    fn the_room_itself_is_a_perfect_map() {
+    fn the_rooms_own_plan_has_no_errors() {
         let room = ObservableArea::new(house(), [[1.0, 1.0]]);
         let perfect = room.compare(house().view(), Pose2::IDENTITY);
         assert_eq!((perfect.occupied_f1, perfect.map_to_room_m), (1.0, 0.0));
@@ -206,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_robot_can_reach_does_not_count() {
+    fn unreachable_floor_does_not_count() {
         let mut plan = house();
         // A closed cupboard: free inside a ring of wall.
         let width = plan.header.width as usize;

@@ -80,7 +80,7 @@ fn an_allowed_headset_and_an_emergency_stop_survive_the_bridge() {
     let mut headset = Headset::attach(fleet.run.port);
     headset.drive_until_told("__error", "mr-slam allow 127.0.0.1");
     assert_eq!(say(&["allow"], &dir), "127.0.0.1 waits for an answer\n");
-    assert_eq!(say(&["allow", "127.0.0.1"], &dir), "127.0.0.1 may drive\n");
+    assert_eq!(say(&["allow", "127.0.0.1"], &dir), format!("127.0.0.1 may drive (run {dir})\n"));
     headset.drive_until_told("__log", "you may drive now");
     let moved = |fleet: &mut Fleet, headset: &mut Headset, by: f64| {
         let from = distance(&fleet.until("figures", |_| true));

@@ -192,7 +192,7 @@ fn the_world_of_a_headset_is_mapped_on_the_runs_clock() {
     let dir = fleet.folder.path().to_str().unwrap().to_string();
     let status = output(&["status", "--json", "--run-dir", &dir]);
     let status: serde_json::Value = serde_json::from_slice(&status.stdout).unwrap();
-    let clock = &status["doors"]["clients"][0]["clock"];
+    let clock = &status["bridge"]["clients"][0]["clock"];
     let offset_s = clock["offset_s"].as_f64().unwrap();
     assert!((offset_s - AHEAD.as_secs_f64()).abs() < 0.02, "{clock}");
     assert!(clock["spread_p95_ms"].as_f64().unwrap() >= 0.0, "{clock}");

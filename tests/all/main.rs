@@ -5,6 +5,7 @@
 
 mod access;
 mod channels;
+mod command_line;
 mod config;
 mod edges;
 mod fleet;

@@ -1,5 +1,5 @@
-//! Every reader of ROS messages: any bytes are a message or refused with the field's name; a message that was read is
-//! written and read again to the same bytes. The same bytes as a world of a client's: what is taken is numbers.
+//! Fuzzes every reader of ROS messages: any bytes are a message or an error. A decoded message encodes and decodes to
+//! the same bytes. The same bytes go to an external world, which must pass on finite numbers only.
 #![no_main]
 
 use bridge::cdr::{Dialect, Reader};
@@ -8,13 +8,13 @@ use bridge::ros::{
     Odometry, PoseWithCovarianceStamped, Text, TfMessage, TransformStamped, Twist, TwistStamped, decode_as,
     encode_as,
 };
-use bridge::slam_services;
-use bridge::world::{ClockOffset, Heard, Incoming, SourceClock, World};
+use bridge::slam_services::SERVICES;
+use bridge::world::{ClockOffset, ExternalWorld, Incoming, SourceClock, WorldMessage};
 use libfuzzer_sys::fuzz_target;
 use msg::{RobotId, Stamp};
 use std::path::{Component, Path};
 
-/// Decodes, and if that goes, encodes and decodes again.
+/// Decodes; if that succeeds, encodes and decodes again.
 fn read<M: Message>(dialect: Dialect, payload: &[u8]) {
     match decode_as::<M>(dialect, payload) {
         Ok(message) => {
@@ -49,34 +49,34 @@ const READERS: [fn(Dialect, &[u8]); 17] = [
     services,
 ];
 
-/// What SLAM is asked over ROS.
+/// Reads the requests of SLAM's services.
 fn services(dialect: Dialect, payload: &[u8]) {
-    for service in slam_services::ALL {
-        let asked = Reader::with(dialect, payload)
+    for service in SERVICES {
+        let requests = Reader::with(dialect, payload)
             .ok()
             .and_then(|mut from| service.service.read(&mut from, false).ok());
-        if let Some(asked) = asked {
-            assert!(asked.first.pose.is_finite());
-            let file = Path::new(asked.first.text.as_str());
+        if let Some(requests) = requests {
+            assert!(requests.first.pose.is_finite());
+            let file = Path::new(requests.first.text.as_str());
             assert!(file.components().all(|part| matches!(part, Component::Normal(_))), "{file:?}");
         }
     }
 }
 
-/// Takes what it hears for a world's; all of it must be numbers.
-fn hear(dialect: Dialect, payload: &[u8]) {
+/// Receives the payload as each message of an external world; all numbers passed on must be finite.
+fn receive(dialect: Dialect, payload: &[u8]) {
     let Some(robot) = RobotId::new(1) else { return };
-    let mut world = World::new(2, |heard| match heard {
-        Heard::Odometry(_, odometry) => {
+    let mut world = ExternalWorld::new(2, |message| match message {
+        WorldMessage::Odometry(_, odometry) => {
             assert!(odometry.odom_from_base.is_finite());
             assert!(odometry.linear_m_s.is_finite() && odometry.angular_rad_s.is_finite());
         }
-        Heard::Transforms(_, transforms) => {
-            let sound = |values: &[f64]| values.iter().all(|value| value.is_finite());
-            assert!(transforms.links().iter().all(|l| sound(&l.translation_m) && sound(&l.rotation_xyzw)));
+        WorldMessage::Transforms(_, transforms) => {
+            let all_finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
+            assert!(transforms.links().iter().all(|l| all_finite(&l.translation_m) && all_finite(&l.rotation_xyzw)));
         }
-        Heard::Scan(_, scan) => assert!(scan.ranges_m().len() >= 2 && scan.angle_increment_rad.is_finite()),
-        Heard::Clock(_) => {}
+        WorldMessage::Scan(_, scan) => assert!(scan.ranges_m().len() >= 2 && scan.angle_increment_rad.is_finite()),
+        WorldMessage::Clock(_) => {}
     });
     let mut clock = SourceClock::new(ClockOffset::Measured);
     let Ok(from) = Reader::with(dialect, payload) else { return };
@@ -87,7 +87,7 @@ fn hear(dialect: Dialect, payload: &[u8]) {
         Incoming::Clock(from),
     ];
     for (message, received_ns) in all.into_iter().zip(0..) {
-        if let Err(error) = world.hear(1, &mut clock, message, Stamp(received_ns)) {
+        if let Err(error) = world.receive(1, &mut clock, message, Stamp(received_ns)) {
             assert!(!error.to_string().is_empty());
         }
     }
@@ -98,6 +98,6 @@ fuzz_target!(|bytes: &[u8]| {
     let dialect = if *which < 64 { Dialect::Ros1 } else { Dialect::Ros2 };
     match READERS.get(usize::from(*which % 32)) {
         Some(reader) => reader(dialect, payload),
-        None => hear(dialect, payload),
+        None => receive(dialect, payload),
     }
 });

@@ -1,4 +1,4 @@
-//! A ros_tcp client as small as can be.
+//! A minimal ros_tcp client for the tests.
 
 use bridge::command::{Handshake, Notice, Registration, TopicList, name};
 use bridge::frame::{Parser, Side};
@@ -16,14 +16,14 @@ pub struct Client {
 pub type Received = (String, Vec<u8>);
 
 impl Client {
-    /// Connects and reads nothing.
+    /// Connects without reading anything.
     pub async fn connect_raw(address: SocketAddr) -> Self {
         let stream = TcpStream::connect(address).await.unwrap();
         stream.set_nodelay(true).unwrap();
         Self { stream, parser: Parser::new(64 << 20) }
     }
 
-    /// Connects and takes the handshake.
+    /// Connects and reads the handshake.
     pub async fn connect(address: SocketAddr) -> Self {
         let mut client = Self::connect_raw(address).await;
         let (name, payload) = client.next().await.unwrap();
@@ -67,10 +67,10 @@ impl Client {
         self.raw(&out).await;
     }
 
-    /// The next frame; `None` when the server has closed.
+    /// Returns the next frame, or `None` when the server has closed.
     pub async fn next(&mut self) -> Option<Received> {
         loop {
-            if let Some(frame) = self.parser.next_frame().expect("the server's frames are sound") {
+            if let Some(frame) = self.parser.next_frame().expect("the server's frames are valid") {
                 let name = String::from_utf8(frame.name.to_vec()).unwrap();
                 assert!(!frame.payload.ends_with(b"}\0"), "no NUL toward the client");
                 return Some((name, frame.payload.to_vec()));
@@ -83,7 +83,7 @@ impl Client {
         }
     }
 
-    /// The next message of a topic, other frames passed over.
+    /// Returns the next message of a topic; other frames are dropped.
     pub async fn message<M: Message>(&mut self, topic: &str) -> M {
         loop {
             let (name, payload) = self.next().await.unwrap();
@@ -93,7 +93,7 @@ impl Client {
         }
     }
 
-    /// The text of the next `__error`, `__warn` or `__log`.
+    /// Returns the text of the next `__error`, `__warn` or `__log`.
     pub async fn notice(&mut self, kind: &str) -> String {
         loop {
             let (name, payload) = self.next().await.expect("a notice comes before the end");
@@ -107,7 +107,7 @@ impl Client {
         self.notice(name::ERROR).await
     }
 
-    /// Whatever was sent so far has been handled when the list comes; the frames before it, and the list.
+    /// Waits until the server has handled everything sent so far; returns the frames until then, and the topic list.
     pub async fn settle(&mut self) -> (Vec<Received>, TopicList) {
         self.command(name::TOPIC_LIST, &serde_json::json!({})).await;
         let mut before = Vec::new();
@@ -120,7 +120,7 @@ impl Client {
         }
     }
 
-    /// Closes with a reset, as a crash or a lost network does.
+    /// Closes with a reset, as a crash does.
     pub fn abort(self) {
         socket2::SockRef::from(&self.stream).set_linger(Some(std::time::Duration::ZERO)).unwrap();
     }

@@ -1,4 +1,4 @@
-//! Velocities in: to the right robot, from the right client, and never a wrong one.
+//! Velocities from clients: they reach the right robot, from the right client, and only if they are valid.
 
 use crate::client::Client;
 use crate::with_bridge;
@@ -43,7 +43,7 @@ fn each_topic_drives_its_robot() {
 }
 
 #[test]
-fn stamped_twists_are_taken_where_drivers_send_them() {
+fn a_stamped_twist_is_accepted_on_a_robots_topic() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
         client.publish("/robot2/cmd_vel", TwistStamped::TYPE).await;
@@ -55,7 +55,7 @@ fn stamped_twists_are_taken_where_drivers_send_them() {
 }
 
 #[test]
-fn what_is_no_velocity_moves_nothing_and_is_told() {
+fn an_invalid_velocity_moves_nothing_and_gets_an_error() {
     with_bridge(Default::default(), async |served| {
         let mut client = driver(served, &["/cmd_vel", "/cmd_vel_2"]).await;
         client.send("/cmd_vel", &twist(0.1, f64::NAN)).await;
@@ -72,21 +72,21 @@ fn what_is_no_velocity_moves_nothing_and_is_told() {
 }
 
 #[test]
-fn the_same_refusal_is_counted_each_time_and_told_once() {
+fn the_same_refusal_is_counted_each_time_and_reported_once() {
     with_bridge(Default::default(), async |served| {
         let mut client = driver(served, &["/cmd_vel"]).await;
         for _ in 0..20 {
             client.send("/cmd_vel", &twist(f64::INFINITY, 0.0)).await;
         }
-        let (told, _) = client.settle().await;
-        assert!((1..=2).contains(&told.len()), "{}", told.len());
+        let (received, _) = client.settle().await;
+        assert!((1..=2).contains(&received.len()), "{}", received.len());
         assert_eq!(served.bridge.counters().refused, 20);
     });
 }
 
-/// As Unity's connector writes: one write a field, Nagle's algorithm on.
+/// Unity's connector makes one write for each field, with Nagle's algorithm on.
 #[test]
-fn field_by_field_writes_are_one_command() {
+fn a_twist_written_field_by_field_is_one_command() {
     with_bridge(Default::default(), async |served| {
         let mut client = driver(served, &["/cmd_vel"]).await;
         client.stream.set_nodelay(false).unwrap();
@@ -103,7 +103,7 @@ fn field_by_field_writes_are_one_command() {
 }
 
 #[test]
-fn a_client_that_vanishes_leaves_its_robots_standing() {
+fn the_robots_of_a_client_that_vanishes_are_stopped() {
     with_bridge(Default::default(), async |served| {
         let mut witness = Client::connect(served.address).await;
         let mut client = driver(served, &["/cmd_vel_2"]).await;
@@ -118,7 +118,7 @@ fn a_client_that_vanishes_leaves_its_robots_standing() {
 }
 
 #[test]
-fn one_robot_has_one_driver_until_taken_over() {
+fn a_robot_has_one_driver_until_another_takes_over() {
     with_bridge(BridgeConfig { lease_s: 3600.0, ..Default::default() }, async |served| {
         let mut one = driver(served, &["/cmd_vel_1"]).await;
         let mut two = driver(served, &["/cmd_vel_1", "/cmd_vel_2"]).await;
@@ -167,7 +167,7 @@ fn the_emergency_stop_holds_until_it_is_released() {
 }
 
 #[test]
-fn a_stranger_waits_for_a_yes_but_may_always_stop() {
+fn an_unknown_client_needs_permission_to_drive_but_may_stop_the_robots() {
     let config = BridgeConfig { trust_loopback: false, ..Default::default() };
     with_bridge(config, async |served| {
         let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
@@ -194,7 +194,7 @@ fn a_stranger_waits_for_a_yes_but_may_always_stop() {
 }
 
 #[test]
-fn watching_can_need_a_yes_too() {
+fn watching_can_need_permission() {
     let config = BridgeConfig { trust_loopback: false, watch: Permission::Allowed, ..Default::default() };
     with_bridge(config, async |served| {
         let mut client = Client::connect(served.address).await;
@@ -236,10 +236,10 @@ fn a_thumb_stick_drives_while_its_grip_is_held() {
 }
 
 #[test]
-fn quest2ros_drives_too() {
+fn a_quest2ros_hand_controller_drives() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
-        // As that application does: without the slash.
+        // That application leaves out the slash.
         client.publish("q2r_right_hand_inputs", HandInputs::TYPE).await;
         let hand = HandInputs { thumb_stick_horizontal: -1.0, press_middle: 1.0, ..Default::default() };
         client.send("q2r_right_hand_inputs", &hand).await;
@@ -249,7 +249,7 @@ fn quest2ros_drives_too() {
 }
 
 #[test]
-fn a_strangers_idle_stick_asks_for_nothing() {
+fn an_idle_stick_needs_no_permission() {
     with_bridge(BridgeConfig { trust_loopback: false, ..Default::default() }, async |served| {
         let mut client = Client::connect(served.address).await;
         client.publish("q2r_right_hand_inputs", HandInputs::TYPE).await;

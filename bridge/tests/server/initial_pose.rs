@@ -1,4 +1,4 @@
-//! A person says where a robot is.
+//! Initial poses from a person.
 
 use crate::client::Client;
 use crate::{Served, with_bridge};
@@ -8,13 +8,13 @@ use msg::{MapTransform, MapTransforms, Pose2, SlamRequest, SlamRequestKind, Stam
 use std::cell::RefCell;
 use std::rc::Rc;
 
-type Asked = Rc<RefCell<Vec<(usize, SlamRequest)>>>;
+type Requests = Rc<RefCell<Vec<(usize, SlamRequest)>>>;
 
-fn listen(served: &Served) -> Asked {
-    let asked = Asked::default();
-    let told = asked.clone();
-    served.bridge.on_slam_request(move |robot, request| told.borrow_mut().push((robot.number(), request)));
-    asked
+fn listen(served: &Served) -> Requests {
+    let requests = Requests::default();
+    let sink = requests.clone();
+    served.bridge.on_slam_request(move |robot, request| sink.borrow_mut().push((robot.number(), request)));
+    requests
 }
 
 /// At (1, 2), a quarter turn to the left, as RViz writes it.
@@ -47,16 +47,16 @@ fn is_near(pose: Pose2, [x_m, y_m, yaw_rad]: [f64; 3]) -> bool {
 }
 
 #[test]
-fn the_frame_or_the_topic_says_whose_pose_it_is() {
+fn the_frame_or_the_topic_names_the_robot() {
     with_bridge(Default::default(), async |served| {
-        let asked = listen(served);
+        let requests = listen(served);
         let mut person = person(served).await;
         person.send("/initialpose", &message("map_2")).await;
         person.send("/robot1/initialpose", &message("robot1/map")).await;
         person.settle().await;
-        let asked = asked.borrow();
-        assert_eq!(asked.iter().map(|(robot, _)| *robot).collect::<Vec<_>>(), [2, 1]);
-        for (_, request) in asked.iter() {
+        let requests = requests.borrow();
+        assert_eq!(requests.iter().map(|(robot, _)| *robot).collect::<Vec<_>>(), [2, 1]);
+        for (_, request) in requests.iter() {
             assert_eq!(request.kind, SlamRequestKind::SetPose as u32);
             assert!(is_near(request.pose, [1.0, 2.0, std::f64::consts::FRAC_PI_2]), "{:?}", request.pose);
             assert!((request.sigma_m - 0.5).abs() < 1e-12 && (request.sigma_rad - 0.2).abs() < 1e-12);
@@ -65,31 +65,31 @@ fn the_frame_or_the_topic_says_whose_pose_it_is() {
 }
 
 #[test]
-fn a_pose_in_the_merged_map_is_the_selected_robots_once_its_place_is_known() {
+fn a_pose_in_the_merged_map_is_the_selected_robots_if_its_map_transform_is_known() {
     with_bridge(Default::default(), async |served| {
-        let asked = listen(served);
+        let requests = listen(served);
         let mut person = person(served).await;
         person.send("/initialpose", &message("map")).await;
         assert!(person.error().await.contains("not known yet"));
-        let mut anchors = MapTransforms::default();
-        anchors.robots[0] =
+        let mut map_transforms = MapTransforms::default();
+        map_transforms.robots[0] =
             MapTransform { map_from_robot_map: Pose2::new(1.0, 0.0, 0.0), known: 1, ..Default::default() };
-        served.bridge.publish(FleetMessage::MapTransforms(&anchors));
+        served.bridge.publish(FleetMessage::MapTransforms(&map_transforms));
         person.send("/initialpose", &message("/map")).await;
         person.settle().await;
-        let asked = asked.borrow();
+        let requests = requests.borrow();
         assert!(
-            asked.len() == 1
-                && asked[0].0 == 1
-                && is_near(asked[0].1.pose, [0.0, 2.0, std::f64::consts::FRAC_PI_2])
+            requests.len() == 1
+                && requests[0].0 == 1
+                && is_near(requests[0].1.pose, [0.0, 2.0, std::f64::consts::FRAC_PI_2])
         );
     });
 }
 
 #[test]
-fn what_makes_no_sense_is_named_and_asks_nothing() {
+fn an_invalid_pose_gets_an_error_and_makes_no_request() {
     with_bridge(Default::default(), async |served| {
-        let asked = listen(served);
+        let requests = listen(served);
         for (topic, change, why) in [
             (
                 "/robot1/initialpose",
@@ -102,25 +102,25 @@ fn what_makes_no_sense_is_named_and_asks_nothing() {
             ("/initialpose", |m| m.orientation = [0.0; 4], "quaternion"),
             ("/initialpose", |m| m.covariance[35] = -1.0, "variance"),
         ] {
-            // A new one each time: the same refusal is told once a second.
+            // A new client each time, because the same refusal is reported once a second.
             let mut person = person(served).await;
-            let mut wild = message("map_1");
-            change(&mut wild);
-            person.send(topic, &wild).await;
+            let mut invalid = message("map_1");
+            change(&mut invalid);
+            person.send(topic, &invalid).await;
             let error = person.error().await;
             assert!(error.contains(why), "{error}");
         }
-        assert_eq!(asked.borrow().len(), 0);
+        assert_eq!(requests.borrow().len(), 0);
     });
 }
 
 #[test]
-fn a_stranger_places_nobody() {
+fn a_client_without_permission_sets_no_pose() {
     with_bridge(BridgeConfig { trust_loopback: false, ..Default::default() }, async |served| {
-        let asked = listen(served);
-        let mut stranger = person(served).await;
-        stranger.send("/initialpose", &message("map_1")).await;
-        assert!(stranger.error().await.contains("may not drive"));
-        assert_eq!(asked.borrow().len(), 0);
+        let requests = listen(served);
+        let mut client = person(served).await;
+        client.send("/initialpose", &message("map_1")).await;
+        assert!(client.error().await.contains("may not drive"));
+        assert_eq!(requests.borrow().len(), 0);
     });
 }

@@ -1,4 +1,4 @@
-//! Random frames that are sound as frames and nonsense in every other way.
+//! Valid frames with random contents.
 
 use crate::client::Client;
 use crate::with_bridge;
@@ -61,7 +61,7 @@ fn a_payload() -> impl Strategy<Value = Vec<u8>> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn the_link_survives(frames in prop::collection::vec((a_name(), a_payload()), 1..60)) {
+    fn the_connection_stays_open(frames in prop::collection::vec((a_name(), a_payload()), 1..60)) {
         let mut bytes = Vec::new();
         for (name, payload) in &frames {
             match core::str::from_utf8(name) {

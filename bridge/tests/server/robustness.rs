@@ -1,4 +1,4 @@
-//! Clients that send nonsense, half of something, or leave in the middle.
+//! Clients that send invalid or incomplete frames, or disconnect abruptly.
 
 use crate::client::Client;
 use crate::with_bridge;
@@ -7,7 +7,7 @@ use bridge::ros::{Clock, Message, Text, Twist};
 use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
 
 #[test]
-fn a_stream_that_is_not_ros_tcp_is_told_so_and_closed() {
+fn a_stream_that_is_not_ros_tcp_gets_an_error_and_is_closed() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
         client.raw(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n").await;
@@ -18,7 +18,7 @@ fn a_stream_that_is_not_ros_tcp_is_told_so_and_closed() {
 }
 
 #[test]
-fn a_frame_over_the_limit_is_named_and_ends_the_link() {
+fn a_frame_over_the_limit_gets_an_error_and_is_closed() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
         client.raw(b"\x03\0\0\0/x\0\0\0\0\x20abcd").await;
@@ -30,7 +30,7 @@ fn a_frame_over_the_limit_is_named_and_ends_the_link() {
 }
 
 #[test]
-fn half_a_frame_holds_up_nobody() {
+fn an_incomplete_frame_delays_no_other_client() {
     with_bridge(Default::default(), async |served| {
         let mut half = Client::connect(served.address).await;
         half.raw(b"\xc8\0\0\0/half").await;
@@ -47,7 +47,7 @@ fn half_a_frame_holds_up_nobody() {
 }
 
 #[test]
-fn byte_by_byte_and_all_at_once() {
+fn frames_arrive_byte_by_byte_or_several_at_once() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
         let list = b"\x0d\0\0\0__topic_list\0\x03\0\0\0{}\0";
@@ -64,7 +64,7 @@ fn byte_by_byte_and_all_at_once() {
 }
 
 #[test]
-fn abrupt_reconnects_leave_nothing_behind() {
+fn abrupt_reconnects_leave_no_topics_and_clients() {
     with_bridge(BridgeConfig { clients_max: 8, ..Default::default() }, async |served| {
         let mut witness = Client::connect(served.address).await;
         let (_, before) = witness.settle().await;
@@ -91,7 +91,7 @@ fn abrupt_reconnects_leave_nothing_behind() {
 }
 
 #[test]
-fn one_client_too_many_is_told_so() {
+fn one_client_too_many_gets_an_error() {
     with_bridge(BridgeConfig { clients_max: 1, ..Default::default() }, async |served| {
         let mut first = Client::connect(served.address).await;
         let mut second = Client::connect(served.address).await;
@@ -107,7 +107,7 @@ fn one_client_too_many_is_told_so() {
 }
 
 #[test]
-fn stopping_closes_every_link() {
+fn stopping_the_server_closes_every_connection() {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     tokio::task::LocalSet::new().block_on(&runtime, async {
         let bridge = std::rc::Rc::new(Bridge::new(BridgeConfig::default(), 1, |_, _| {}).unwrap());
@@ -127,7 +127,7 @@ fn stopping_closes_every_link() {
 }
 
 #[test]
-fn topics_of_clients_are_bounded() {
+fn the_number_of_clients_topics_is_limited() {
     with_bridge(BridgeConfig { client_topics_max: 2, ..Default::default() }, async |served| {
         let mut client = Client::connect(served.address).await;
         for topic in ["/a", "/b", "/c"] {

@@ -1,4 +1,4 @@
-//! A client that does not read: bounded, the newest for it, and no delay for others.
+//! A client that does not read: its queue is bounded and has the newest messages, and other clients are not delayed.
 
 use crate::client::Client;
 use crate::{header, robot, with_bridge};
@@ -16,7 +16,7 @@ fn map(served: &crate::Served, stamp: i64, cells: &[i8]) {
 }
 
 #[test]
-fn a_stalled_client_gets_the_newest_map_and_delays_nobody() {
+fn a_stalled_client_gets_the_newest_map_and_delays_no_other() {
     with_bridge(Default::default(), async |served| {
         let mut slow = Client::connect(served.address).await;
         let mut quick = Client::connect(served.address).await;
@@ -47,7 +47,7 @@ fn a_stalled_client_gets_the_newest_map_and_delays_nobody() {
 }
 
 #[test]
-fn what_waits_for_a_stalled_client_is_bounded_and_in_order() {
+fn the_queue_of_a_stalled_client_is_bounded_and_in_order() {
     let outbox_bytes_max = 1 << 20;
     with_bridge(BridgeConfig { outbox_bytes_max, ..Default::default() }, async |served| {
         let mut slow = Client::connect(served.address).await;
@@ -87,7 +87,7 @@ fn what_waits_for_a_stalled_client_is_bounded_and_in_order() {
 }
 
 #[test]
-fn a_stalled_client_costs_8_mb_by_default_whatever_it_asked_for() {
+fn a_stalled_client_costs_at_most_8_mb_by_default() {
     with_bridge(Default::default(), async |served| {
         let mut slow = Client::connect(served.address).await;
         slow.subscribe("/robot1/map", OccupancyGrid::TYPE).await;
@@ -105,7 +105,7 @@ fn a_stalled_client_costs_8_mb_by_default_whatever_it_asked_for() {
             for _ in 0..10 {
                 talker.send("/log", &line).await;
             }
-            // It asks on, too, and reads nothing.
+            // The slow client sends requests too, and reads nothing.
             let _ = slow.stream.try_write(b"\x0d\0\0\0__topic_list\0\x03\0\0\0{}\0");
             talker.settle().await;
             stamp += 1;
@@ -117,19 +117,19 @@ fn a_stalled_client_costs_8_mb_by_default_whatever_it_asked_for() {
 }
 
 #[test]
-fn a_client_that_reads_no_answers_is_let_go() {
+fn a_client_that_reads_no_replies_is_disconnected() {
     with_bridge(Default::default(), async |served| {
         let mut witness = Client::connect(served.address).await;
-        let rude = Client::connect(served.address).await;
+        let unread = Client::connect(served.address).await;
         let many = b"\x0d\0\0\0__topic_list\0\x03\0\0\0{}\0".repeat(1000);
-        // It asks until the server has had enough: then its writes fail.
+        // It sends requests until the server disconnects it: then its writes fail.
         let mut rest = many.as_slice();
         while served.bridge.counters().clients > 1 {
-            let taken = rude.stream.try_write(rest).unwrap_or(0);
+            let taken = unread.stream.try_write(rest).unwrap_or(0);
             rest = if taken == rest.len() { &many } else { &rest[taken..] };
             witness.settle().await;
         }
-        assert_eq!(served.bridge.counters().refused, 0, "its frames were sound");
+        assert_eq!(served.bridge.counters().refused, 0, "its frames were valid");
         witness.settle().await;
     });
 }

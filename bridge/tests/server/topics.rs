@@ -1,4 +1,4 @@
-//! What the fleet says and what clients say to each other.
+//! Messages from the fleet to clients, and between clients.
 
 use crate::client::Client;
 use crate::{header, robot, with_bridge};
@@ -25,7 +25,7 @@ fn the_handshake_is_the_first_frame_byte_for_byte() {
 }
 
 #[test]
-fn the_fleets_topics_are_listed_before_anybody_asks_for_one() {
+fn the_fleets_topics_are_listed_without_subscribers() {
     with_bridge(Default::default(), async |served| {
         let (_, list) = Client::connect(served.address).await.settle().await;
         assert_eq!(list.topics.len(), list.types.len());
@@ -45,7 +45,7 @@ fn the_fleets_topics_are_listed_before_anybody_asks_for_one() {
 }
 
 #[test]
-fn each_kind_of_message_arrives() {
+fn each_type_of_message_reaches_its_subscriber() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
         client.subscribe("/robot2/scan", LaserScan::TYPE).await;
@@ -92,7 +92,7 @@ fn each_kind_of_message_arrives() {
 }
 
 #[test]
-fn robots_beyond_the_fleet_are_not_spoken_of() {
+fn messages_of_robots_beyond_the_fleet_are_dropped() {
     with_bridge(Default::default(), async |served| {
         served.bridge.publish(FleetMessage::Scan(robot(3), &msg::Scan::zeroed()));
         served.bridge.publish(FleetMessage::Correction(robot(16), &Correction::default()));
@@ -100,7 +100,7 @@ fn robots_beyond_the_fleet_are_not_spoken_of() {
     });
 }
 
-fn show_map(served: &crate::Served, stamp: i64, width: u32) {
+fn publish_map(served: &crate::Served, stamp: i64, width: u32) {
     let shape =
         GridHeader { header: header(stamp), width, height: 1, resolution_m: 0.05, ..Default::default() };
     served
@@ -109,10 +109,10 @@ fn show_map(served: &crate::Served, stamp: i64, width: u32) {
 }
 
 #[test]
-fn whoever_comes_late_gets_the_newest_map_once() {
+fn a_late_subscriber_gets_the_newest_map_once() {
     with_bridge(Default::default(), async |served| {
-        show_map(served, 1, 3);
-        show_map(served, 2, 5);
+        publish_map(served, 1, 3);
+        publish_map(served, 2, 5);
         let mut client = Client::connect(served.address).await;
         for _ in 0..3 {
             client.subscribe("/robot1/map", OccupancyGrid::TYPE).await;
@@ -122,23 +122,23 @@ fn whoever_comes_late_gets_the_newest_map_once() {
         assert_eq!(before.len(), 1, "one map, whatever was registered twice");
         let map: OccupancyGrid = bridge::ros::decode(&before[0].1).unwrap();
         assert_eq!((map.stamp, map.width, map.frame_id.as_str()), (Stamp(2), 5, "map_1"));
-        show_map(served, 3, 7);
+        publish_map(served, 3, 7);
         assert_eq!(client.message::<OccupancyGrid>("/robot1/map").await.width, 7);
     });
 }
 
 #[test]
-fn whoever_comes_late_is_told_where_the_maps_lie() {
+fn a_late_subscriber_gets_the_map_transforms() {
     with_bridge(Default::default(), async |served| {
-        let mut anchors = MapTransforms::default();
-        anchors.robots[0] =
+        let mut map_transforms = MapTransforms::default();
+        map_transforms.robots[0] =
             MapTransform { map_from_robot_map: Pose2::new(2.0, 0.0, 0.0), known: 1, reserved: 0 };
-        served.bridge.publish(FleetMessage::MapTransforms(&anchors));
+        served.bridge.publish(FleetMessage::MapTransforms(&map_transforms));
         served.bridge.publish(FleetMessage::Clock(&msg::Clock { header: header(77) }));
         let mut client = Client::connect(served.address).await;
         client.subscribe("/tf", TfMessage::TYPE).await;
         for _ in 0..2 {
-            // At once, and again within a second without being asked.
+            // Once at the subscription, and again after a second.
             let tf: TfMessage = client.message("/tf").await;
             let names = (tf.transforms[0].frame_id.as_str(), tf.transforms[0].child_frame_id.as_str());
             assert_eq!((names, tf.transforms[0].stamp), (("map", "map_1"), Stamp(77)));
@@ -147,7 +147,7 @@ fn whoever_comes_late_is_told_where_the_maps_lie() {
 }
 
 #[test]
-fn clients_hear_each_other_and_themselves() {
+fn clients_receive_each_others_messages_and_their_own() {
     with_bridge(Default::default(), async |served| {
         let (mut one, mut two) =
             (Client::connect(served.address).await, Client::connect(served.address).await);
@@ -187,28 +187,28 @@ fn a_message_without_fields_gets_its_dummy_byte() {
 }
 
 #[test]
-fn unsubscribing_and_removing_work_and_the_topic_goes_with_its_last_user() {
+fn a_topic_is_removed_with_its_last_subscriber_and_publisher() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
         client.subscribe("/chat", Text::TYPE).await;
         client.publish("/chat", Text::TYPE).await;
         client.register(name::REMOVE_SUBSCRIBER, "/chat", "").await;
-        client.send("/chat", &Text("nobody hears".into())).await;
-        let (heard, list) = client.settle().await;
-        assert!(heard.is_empty() && list.topics.contains(&"/chat".to_owned()));
+        client.send("/chat", &Text("no subscriber".into())).await;
+        let (received, list) = client.settle().await;
+        assert!(received.is_empty() && list.topics.contains(&"/chat".to_owned()));
         client.register(name::REMOVE_PUBLISHER, "/chat", "").await;
         let (_, list) = client.settle().await;
         assert!(!list.topics.contains(&"/chat".to_owned()));
         client.send("/chat", &Text("unregistered".into())).await;
         assert!(client.error().await.contains("'/chat' is not registered"));
-        // And with another type from now on.
+        // The name is free for another type.
         client.subscribe("/chat", Twist::TYPE).await;
         assert!(client.settle().await.0.is_empty());
     });
 }
 
 #[test]
-fn a_name_without_slash_is_the_same_topic_and_comes_back_as_written() {
+fn a_name_without_slash_is_the_same_topic_and_is_sent_as_written() {
     with_bridge(Default::default(), async |served| {
         let (mut one, mut two) =
             (Client::connect(served.address).await, Client::connect(served.address).await);
@@ -226,7 +226,7 @@ fn a_name_without_slash_is_the_same_topic_and_comes_back_as_written() {
 }
 
 #[test]
-fn a_clients_latched_message_waits_for_others() {
+fn a_clients_latched_message_reaches_late_subscribers() {
     with_bridge(Default::default(), async |served| {
         let mut one = Client::connect(served.address).await;
         let about = Registration {
@@ -246,7 +246,7 @@ fn a_clients_latched_message_waits_for_others() {
 }
 
 #[test]
-fn types_are_fixed_by_the_first_and_mistakes_are_named() {
+fn the_first_user_sets_a_topics_type_and_errors_name_the_mistake() {
     with_bridge(Default::default(), async |served| {
         let mut client = Client::connect(served.address).await;
         let mut refused = async |command: &str, topic: &str, class: &str| {
@@ -294,7 +294,7 @@ fn slams_transforms_are_slams() {
 }
 
 #[test]
-fn clients_built_for_ros_1_are_spoken_to_in_ros_1() {
+fn clients_built_for_ros_1_get_and_send_its_encoding() {
     let config = BridgeConfig { payloads: Dialect::Ros1, ..Default::default() };
     with_bridge(config, async |served| {
         let mut client = Client::connect_raw(served.address).await;

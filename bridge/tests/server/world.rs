@@ -1,4 +1,4 @@
-//! A headset tells of a world of its own over TCP: what is taken, what is refused, what goes back.
+//! An external world over TCP: which sensor data are accepted and refused, and what is sent back.
 
 use crate::client::Client;
 use crate::{Served, serve_bridge};
@@ -11,7 +11,7 @@ use std::rc::Rc;
 
 type WorldMessages = Rc<RefCell<Vec<(String, Stamp)>>>;
 
-/// Runs a test against a bridge of two robots whose world is elsewhere.
+/// Runs a test against a bridge of two robots in an external world.
 fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &WorldMessages)) {
     let messages = WorldMessages::default();
     let sink = messages.clone();
@@ -56,7 +56,7 @@ fn edge(parent: &str, child: &str) -> TransformStamped {
 }
 
 #[test]
-fn scans_tree_and_clock_come_in_on_our_time() {
+fn scans_transforms_and_clock_are_converted_to_the_runs_time() {
     with_world(BridgeConfig::default(), async |served, messages| {
         let mut client = Client::connect(served.address).await;
         client.publish("/robot2/scan", LaserScan::TYPE).await;
@@ -77,7 +77,7 @@ fn scans_tree_and_clock_come_in_on_our_time() {
 }
 
 #[test]
-fn slams_transform_is_refused_alone_and_by_name() {
+fn only_slams_transform_is_refused_and_the_error_names_it() {
     with_world(BridgeConfig::default(), async |served, messages| {
         let mut viewer = Client::connect(served.address).await;
         viewer.subscribe("/tf", TfMessage::TYPE).await;
@@ -89,7 +89,7 @@ fn slams_transform_is_refused_alone_and_by_name() {
         let error = client.error().await;
         assert!(error.contains("map -> odom_1 is refused") && error.contains("SLAM owns"), "{error}");
         assert_eq!(messages.borrow().len(), 2, "its odometry is taken: {messages:?}");
-        // What is not the fleet's is passed on by the bridge; what is, by the fleet's process.
+        // The bridge itself forwards the transforms of other frames only.
         let passed: TfMessage = viewer.message("/tf").await;
         assert_eq!(passed.transforms.len(), 1);
         assert_eq!(passed.transforms[0].child_frame_id, "table");
@@ -98,7 +98,7 @@ fn slams_transform_is_refused_alone_and_by_name() {
 }
 
 #[test]
-fn whoever_may_not_drive_tells_of_no_world() {
+fn a_client_without_permission_sends_no_sensor_data() {
     let config = BridgeConfig { trust_loopback: false, ..BridgeConfig::default() };
     with_world(config, async |served, messages| {
         let mut client = Client::connect(served.address).await;
@@ -115,7 +115,7 @@ fn whoever_may_not_drive_tells_of_no_world() {
 }
 
 #[test]
-fn commands_reach_the_robots_where_they_are() {
+fn velocities_are_published_to_external_robots() {
     with_world(BridgeConfig::default(), async |served, _| {
         let mut robots = Client::connect(served.address).await;
         robots.subscribe("/robot1/cmd_vel", Twist::TYPE).await;
@@ -131,7 +131,7 @@ fn commands_reach_the_robots_where_they_are() {
 }
 
 #[test]
-fn another_client_takes_a_robot_only_when_its_source_has_gone() {
+fn another_client_sends_a_robots_data_only_when_its_source_has_left() {
     with_world(BridgeConfig::default(), async |served, messages| {
         let mut first = Client::connect(served.address).await;
         let mut second = Client::connect(served.address).await;

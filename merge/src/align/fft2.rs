@@ -5,7 +5,7 @@ use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-/// Plans for one size. A spectrum is stored transposed: `height` values for each of the
+/// Transforms for images of one size. A spectrum is stored transposed: `height` values for each of the
 /// `width / 2 + 1` horizontal frequencies.
 pub(crate) struct Fft2 {
     width: usize,
@@ -18,7 +18,7 @@ pub(crate) struct Fft2 {
     scratch: Vec<Complex<f32>>,
 }
 
-/// The next size that factors into 2, 3 and 5, and is even: these are fast.
+/// The next even size that factors into 2, 3 and 5: transforms of such sizes are fast.
 pub(crate) fn fast_size(least: usize) -> usize {
     let smooth = |mut n: usize| {
         for factor in [2, 3, 5] {
@@ -32,7 +32,7 @@ pub(crate) fn fast_size(least: usize) -> usize {
 }
 
 impl Fft2 {
-    /// Plans for images of `width` x `height`; the width is even.
+    /// Plans the transforms for images of `width` x `height`; the width is even.
     pub fn new(width: usize, height: usize) -> Self {
         let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
         let (along, along_back) = (real.plan_fft_forward(width), real.plan_fft_inverse(width));
@@ -48,12 +48,12 @@ impl Fft2 {
         Self { width, height, along, along_back, across, across_back, rows, scratch }
     }
 
-    /// Values in a spectrum.
+    /// Number of values in a spectrum.
     pub fn spectrum_len(&self) -> usize {
         self.rows.len()
     }
 
-    /// The spectrum of an image, which is used up.
+    /// Transforms an image into its spectrum; the image is overwritten.
     pub fn forward(&mut self, image: &mut [f32], spectrum: &mut Vec<Complex<f32>>) {
         let half = self.width / 2 + 1;
         for (row, out) in image.chunks_exact_mut(self.width).zip(self.rows.chunks_exact_mut(half)) {
@@ -67,7 +67,7 @@ impl Fft2 {
         self.across.process_with_scratch(spectrum, &mut self.scratch);
     }
 
-    /// The image of a spectrum, which is used up; `width * height` times as large.
+    /// Transforms a spectrum back into `width * height` times its image; the spectrum is overwritten.
     pub fn inverse(&mut self, spectrum: &mut [Complex<f32>], image: &mut Vec<f32>) {
         let half = self.width / 2 + 1;
         self.across_back.process_with_scratch(spectrum, &mut self.scratch);
@@ -75,7 +75,7 @@ impl Fft2 {
         image.clear();
         image.resize(self.width * self.height, 0.0);
         for (row, out) in self.rows.chunks_exact_mut(half).zip(image.chunks_exact_mut(self.width)) {
-            // A real image's spectrum is real there; rounding made it almost so.
+            // The spectrum of a real image is real there; rounding has made it almost real.
             row[0].im = 0.0;
             row[half - 1].im = 0.0;
             let scratch = &mut self.scratch[..self.along_back.get_scratch_len()];
@@ -85,7 +85,7 @@ impl Fft2 {
     }
 }
 
-/// Rows of `width` become columns; in blocks, so that both sides stay in the cache.
+/// Transposes rows of `width` into columns, in blocks so that both sides stay in the cache.
 fn transpose(from: &[Complex<f32>], width: usize, to: &mut [Complex<f32>]) {
     const BLOCK: usize = 16;
     let height = from.len() / width;
@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_and_back() {
+    fn the_inverse_restores_the_image() {
         let (width, height) = (12, 10);
         let image: Vec<f32> = (0..width * height).map(|i| ((i * 37) % 11) as f32).collect();
         let mut fft = Fft2::new(width, height);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes() {
+    fn fast_sizes_are_even_and_factor_into_small_primes() {
         assert_eq!([1, 7, 121, 640].map(fast_size), [2, 8, 128, 640]);
     }
 }

@@ -1,58 +1,103 @@
-//! From a coarse place to the exact one: the walls of both maps drawn to each other's.
+//! Refinement of a coarse transform: each map's walls are drawn to the other's by Gauss-Newton on their distances.
 
-use super::field::Field;
-use msg::Pose2;
+use super::distance_field::{DistanceField, REACH_M};
+use msg::{Pose2, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 
-/// How far a wall may be off and still pull, metres, one stage after the other: first what the
-/// coarse search leaves (a cell of 0.2 m and half a degree), at last a cell of the map.
-const STAGES_M: [f64; 3] = [0.25, 0.12, 0.05];
-/// Steps in a stage; see [`SETTLED`].
-const STEPS_MAX: usize = 8;
-/// Walls farther than so many widths of a stage do not pull: their weight is below 0.002.
-const WIDTHS_MAX: f64 = 3.5;
-/// Of the equations' trace.
+/// Widths of the robust kernel, metres, one stage after the other: first what the coarse search leaves (a cell of 0.2 m
+/// and half a degree), at last a cell of the map.
+const KERNEL_WIDTHS_M: [f64; 3] = [0.25, 0.12, 0.05];
+/// Kernel widths for a candidate of the coarse search.
+pub(crate) const COARSE_KERNELS_M: &[f64] = &KERNEL_WIDTHS_M;
+/// Kernel widths for a transform that has been refined with few points.
+pub(crate) const FINE_KERNELS_M: &[f64] = KERNEL_WIDTHS_M.split_at(1).1;
+/// Most iterations of a stage: [`CONVERGED`] ends nearly all before.
+const ITERATIONS_MAX: usize = 8;
+/// Walls farther away than so many kernel widths are left out: their weight is below 0.002.
+const KERNEL_WIDTHS_MAX: f64 = 3.5;
+/// Damping, as a share of the trace of the normal matrix: a corridor says nothing about its own direction.
 const DAMPING: f64 = 1e-4;
-/// A stage has settled if a step is this part of its width; a tenth of it in radians.
-const SETTLED: f64 = 0.01;
+/// Least trace that the damping counts with: without any walls the matrix stays invertible.
+const TRACE_MIN: f64 = 1e-9;
+/// A stage has converged when a step moves less than this share of the kernel's width,
+const CONVERGED: f64 = 0.01;
+/// and turns less than this many radians for each metre of that: at 10 m the two are alike.
+const CONVERGED_RAD_PER_M: f64 = 0.1;
 
-impl Field {
-    /// Adds b's walls' pull towards this map's to Gauss-Newton's equations in (x, y, yaw) of
-    /// `a_from_b`. Far walls are weighted down (Welsch's function).
-    fn pull_of_b(&self, b: &Self, pose: Pose2, keep: usize, width: f64, sums: &mut Normal) {
-        let (sin, cos) = pose.yaw_rad.sin_cos();
-        for [x, y] in b.evidence.walls_m.iter().step_by(keep) {
-            let (x, y) = (f64::from(*x), f64::from(*y));
-            let turned = [cos * x - sin * y, sin * x + cos * y];
-            let place = self.place([turned[0] + pose.x_m, turned[1] + pose.y_m]);
-            if let Some((distance, [gx, gy])) = self.slope(place) {
-                let j = Vector3::new(gx, gy, gy * turned[0] - gx * turned[1]);
-                sums.add(distance / width, distance * self.cell_m, j);
-            }
+/// Normal equations in (x, y, yaw) of `a_from_b`.
+#[derive(Default)]
+struct NormalEquations {
+    matrix: Matrix3<f64>,
+    gradient: Vector3<f64>,
+}
+
+impl NormalEquations {
+    /// Adds a residual, in kernel widths and in metres, with its Jacobian. Welsch's function weights far walls down.
+    fn add(&mut self, in_widths: f64, metres: f64, jacobian: Vector3<f64>) {
+        if in_widths < KERNEL_WIDTHS_MAX {
+            let weight = (-0.5 * in_widths * in_widths).exp();
+            self.matrix += weight * jacobian * jacobian.transpose();
+            self.gradient += weight * metres * jacobian;
         }
     }
 
-    /// The same for this map as b: a's walls, seen from b, are pulled towards b's.
-    fn pull_of_a(&self, a: &Self, pose: Pose2, keep: usize, width: f64, sums: &mut Normal) {
-        let (sin, cos) = pose.yaw_rad.sin_cos();
-        for [x, y] in a.evidence.walls_m.iter().step_by(keep) {
-            let (x, y) = (f64::from(*x) - pose.x_m, f64::from(*y) - pose.y_m);
-            let in_b = [cos * x + sin * y, cos * y - sin * x];
-            if let Some((distance, [gx, gy])) = self.slope(self.place(in_b)) {
-                let j = Vector3::new(sin * gy - cos * gx, -sin * gx - cos * gy, gx * in_b[1] - gy * in_b[0]);
-                sums.add(distance / width, distance * self.cell_m, j);
-            }
-        }
+    fn solve(mut self) -> Option<Vector3<f64>> {
+        let damping = DAMPING * self.matrix.trace().max(TRACE_MIN);
+        (0..3).for_each(|k| self.matrix[(k, k)] += damping);
+        self.matrix.cholesky().map(|matrix| matrix.solve(&-self.gradient))
     }
 }
 
-impl Field {
-    fn nearness_of(&self, b: &Self, a_from_b: Pose2, keep: usize) -> f64 {
+impl DistanceField {
+    /// Adds the residuals of b's walls in this map. `width` is the kernel's, in cells.
+    fn add_walls_of_b(
+        &self,
+        b: &Self,
+        a_from_b: Pose2,
+        stride: usize,
+        width: f64,
+        sums: &mut NormalEquations,
+    ) {
         let (sin, cos) = a_from_b.yaw_rad.sin_cos();
-        let reach = (super::field::REACH_M / self.cell_m) as f32;
-        let points = b.evidence.walls_m.iter().step_by(keep).map(|[x, y]| {
+        for [x, y] in b.points.walls_m.iter().step_by(stride) {
             let (x, y) = (f64::from(*x), f64::from(*y));
-            let [u, v] = self.place([cos * x - sin * y + a_from_b.x_m, sin * x + cos * y + a_from_b.y_m]);
+            let rotated = [cos * x - sin * y, sin * x + cos * y];
+            let cell = self.to_cells([rotated[0] + a_from_b.x_m, rotated[1] + a_from_b.y_m]);
+            if let Some((distance, [gx, gy])) = self.distance_and_gradient(cell) {
+                let jacobian = Vector3::new(gx, gy, gy * rotated[0] - gx * rotated[1]);
+                sums.add(distance / width, distance * self.cell_m, jacobian);
+            }
+        }
+    }
+
+    /// Adds the residuals of a's walls in this map, which is b. `width` is the kernel's, in cells.
+    fn add_walls_of_a(
+        &self,
+        a: &Self,
+        a_from_b: Pose2,
+        stride: usize,
+        width: f64,
+        sums: &mut NormalEquations,
+    ) {
+        let (sin, cos) = a_from_b.yaw_rad.sin_cos();
+        for [x, y] in a.points.walls_m.iter().step_by(stride) {
+            let (x, y) = (f64::from(*x) - a_from_b.x_m, f64::from(*y) - a_from_b.y_m);
+            let in_b = [cos * x + sin * y, cos * y - sin * x];
+            if let Some((distance, [gx, gy])) = self.distance_and_gradient(self.to_cells(in_b)) {
+                let jacobian =
+                    Vector3::new(sin * gy - cos * gx, -sin * gx - cos * gy, gx * in_b[1] - gy * in_b[0]);
+                sums.add(distance / width, distance * self.cell_m, jacobian);
+            }
+        }
+    }
+
+    /// Sum over b's walls of 1 on a wall of this map, down to 0 at the field's reach.
+    fn proximity_of(&self, b: &Self, a_from_b: Pose2, stride: usize) -> f64 {
+        let (sin, cos) = a_from_b.yaw_rad.sin_cos();
+        let reach = (REACH_M / self.cell_m) as f32;
+        let points = b.points.walls_m.iter().step_by(stride).map(|[x, y]| {
+            let (x, y) = (f64::from(*x), f64::from(*y));
+            let [u, v] = self.to_cells([cos * x - sin * y + a_from_b.x_m, sin * x + cos * y + a_from_b.y_m]);
             let inside = u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64;
             if inside { 1.0 - self.distance[v as usize * self.width + u as usize] / reach } else { 0.0 }
         });
@@ -60,72 +105,55 @@ impl Field {
     }
 }
 
-/// Gauss-Newton's equations.
-#[derive(Default)]
-struct Normal {
-    h: Matrix3<f64>,
-    g: Vector3<f64>,
-}
-
-impl Normal {
-    /// A residual in widths of the stage and in metres, and its slope.
-    fn add(&mut self, in_widths: f64, metres: f64, j: Vector3<f64>) {
-        if in_widths < WIDTHS_MAX {
-            let weight = (-0.5 * in_widths * in_widths).exp();
-            self.h += weight * j * j.transpose();
-            self.g += weight * metres * j;
-        }
-    }
-
-    fn step(mut self) -> Option<Vector3<f64>> {
-        // A little damping: a corridor says nothing about its own direction.
-        let damping = DAMPING * self.h.trace().max(1e-9);
-        (0..3).for_each(|k| self.h[(k, k)] += damping);
-        self.h.cholesky().map(|h| h.solve(&-self.g))
-    }
-}
-
-/// Draws the walls of both maps to each other's, by Gauss-Newton on their distances; about every
-/// `keep`th point of each.
-pub(crate) fn refine([a, b]: [&Field; 2], start: Pose2, keep: [usize; 2], stages_m: &[f64]) -> Pose2 {
+/// Refines the transform between two maps' centred frames, in stages of these kernel widths, by every `strides`th wall
+/// point of each.
+pub(crate) fn refine(
+    [a, b]: [&DistanceField; 2],
+    start: Pose2,
+    strides: [usize; 2],
+    kernels_m: &[f64],
+) -> Pose2 {
     let mut pose = start;
-    for stage_m in stages_m {
-        for _ in 0..STEPS_MAX {
-            let mut sums = Normal::default();
-            a.pull_of_b(b, pose, keep[1], stage_m / a.cell_m, &mut sums);
-            b.pull_of_a(a, pose, keep[0], stage_m / b.cell_m, &mut sums);
-            let Some(step) = sums.step() else { return pose };
+    for kernel_m in kernels_m {
+        for _ in 0..ITERATIONS_MAX {
+            let sums = normal_equations([a, b], pose, strides, *kernel_m);
+            let Some(step) = sums.solve() else { return pose };
             pose = Pose2::new(pose.x_m + step[0], pose.y_m + step[1], pose.yaw_rad + step[2]);
-            let settled = SETTLED * stage_m;
-            if step[0].abs().max(step[1].abs()) < settled && step[2].abs() < settled / 10.0 {
+            let converged = CONVERGED * kernel_m;
+            if step[0].abs().max(step[1].abs()) < converged && step[2].abs() < converged * CONVERGED_RAD_PER_M
+            {
                 break;
             }
         }
     }
-    Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose }
+    Pose2 { yaw_rad: wrap_angle(pose.yaw_rad), ..pose }
 }
 
-/// How near the walls of both maps lie to each other's, to choose among many places: the sum over the points of 1 on a
-/// wall to 0 at the field's reach.
-pub(crate) fn nearness([a, b]: [&Field; 2], a_from_b: Pose2, keep: [usize; 2]) -> f64 {
-    a.nearness_of(b, a_from_b, keep[1]) + b.nearness_of(a, a_from_b.inverse(), keep[0])
+/// Proximity of both maps' walls, for ranking many transforms quickly: the sum over the wall points of 1 on a wall of
+/// the other map, down to 0 at the field's reach.
+pub(crate) fn wall_proximity([a, b]: [&DistanceField; 2], a_from_b: Pose2, strides: [usize; 2]) -> f64 {
+    a.proximity_of(b, a_from_b, strides[1]) + b.proximity_of(a, a_from_b.inverse(), strides[0])
 }
 
-/// The walls' pull on (x, y, yaw) of `a_from_b` at a place, both ways added: Gauss-Newton's matrix
-/// for distances in metres, weights as in a stage of this width.
-pub(crate) fn pull([a, b]: [&Field; 2], a_from_b: Pose2, keep: [usize; 2], stage_m: f64) -> Matrix3<f64> {
-    let mut sums = Normal::default();
-    a.pull_of_b(b, a_from_b, keep[1], stage_m / a.cell_m, &mut sums);
-    b.pull_of_a(a, a_from_b, keep[0], stage_m / b.cell_m, &mut sums);
-    sums.h
+/// Information of both maps' walls on (x, y, yaw) of `a_from_b`, for points of unit variance (metres): the normal matrix
+/// with a kernel of this width.
+pub(crate) fn wall_information(
+    fields: [&DistanceField; 2],
+    a_from_b: Pose2,
+    strides: [usize; 2],
+    kernel_m: f64,
+) -> Matrix3<f64> {
+    normal_equations(fields, a_from_b, strides, kernel_m).matrix
 }
 
-/// The stages for a candidate of the coarse search.
-pub(crate) fn coarse_stages() -> &'static [f64] {
-    &STAGES_M
-}
-
-/// The stages for the chosen few.
-pub(crate) fn fine_stages() -> &'static [f64] {
-    &STAGES_M[1..]
+fn normal_equations(
+    [a, b]: [&DistanceField; 2],
+    a_from_b: Pose2,
+    strides: [usize; 2],
+    kernel_m: f64,
+) -> NormalEquations {
+    let mut sums = NormalEquations::default();
+    a.add_walls_of_b(b, a_from_b, strides[1], kernel_m / a.cell_m, &mut sums);
+    b.add_walls_of_a(a, a_from_b, strides[0], kernel_m / b.cell_m, &mut sums);
+    sums
 }

@@ -1,4 +1,4 @@
-//! Places that must be found, and maps that must be refused.
+//! Alignments that must be found, and maps that must be refused.
 
 use super::*;
 use crate::{MergeConfig, Merger};
@@ -8,10 +8,10 @@ use proptest::prelude::*;
 
 const RESOLUTION_M: f64 = 0.05;
 
-/// Cells of a floor plan: `None` beyond it, else whether something stands there.
+/// A cell of a floor plan: `None` outside it, else whether it is an obstacle.
 type Plan = fn(i64, i64) -> Option<bool>;
 
-/// 16 m x 11 m: rooms, doors, furniture, and nothing alike.
+/// 16 m x 11 m: rooms, doors and furniture, no part of it like another.
 fn house(x: i64, y: i64) -> Option<bool> {
     let (x, y) = (x + 160, y + 110);
     let inside = (0..320).contains(&x) && (0..220).contains(&y);
@@ -31,7 +31,7 @@ fn house(x: i64, y: i64) -> Option<bool> {
     inside.then_some(outer || inner || stands)
 }
 
-/// Another one.
+/// Another building, 13 m x 13 m, with pillars and benches.
 fn workshop(x: i64, y: i64) -> Option<bool> {
     let (x, y) = (x + 130, y + 130);
     let inside = (0..260).contains(&x) && (0..260).contains(&y);
@@ -41,17 +41,17 @@ fn workshop(x: i64, y: i64) -> Option<bool> {
     inside.then_some(outer || pillars || bench)
 }
 
-/// 10 m x 6 m and empty: half a turn changes nothing.
+/// An empty hall, 10 m x 6 m: half a turn changes nothing.
 fn hall(x: i64, y: i64) -> Option<bool> {
     (x.abs() <= 100 && y.abs() <= 60).then_some(x.abs() == 100 || y.abs() == 60)
 }
 
-/// Two walls of 30 m.
+/// Two parallel walls of 30 m: nothing tells where along them a robot is.
 fn corridor(x: i64, y: i64) -> Option<bool> {
     (x.abs() <= 300 && y.abs() <= 20).then_some(y.abs() == 20)
 }
 
-/// What a robot would map of a plan between columns `from` and `to`.
+/// Map of the plan between columns `from` and `to`.
 fn map(plan: Plan, from: i64, to: i64) -> Grid {
     let side = 320_u32;
     let corner = -i64::from(side) / 2;
@@ -72,7 +72,7 @@ fn map(plan: Plan, from: i64, to: i64) -> Grid {
     Grid { header, cells: cells.collect() }
 }
 
-/// The same map drawn in another frame.
+/// The same map resampled in another frame.
 fn redrawn(map: &Grid, frame_from_map: Pose2) -> Grid {
     let mut merger = Merger::new(&MergeConfig::default(), &[Some(frame_from_map)]);
     merger.update_map(RobotId::new(1).unwrap(), map.view()).unwrap();
@@ -87,12 +87,12 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(6))]
 
     #[test]
-    fn halves_that_overlap_are_put_together(x in -20.0..20.0, y in -20.0..20.0, yaw in -3.1..3.1) {
+    fn overlapping_halves_of_a_house_are_aligned(x in -20.0..20.0, y in -20.0..20.0, yaw in -3.1..3.1) {
         let b_from_a = Pose2::new(x, y, yaw);
         let (a, b) = (map(house, -160, 60), redrawn(&map(house, -60, 160), b_from_a));
         let found = align(a.view(), b.view(), &AlignConfig::default()).unwrap();
         let (metres, radians) = apart(found.a_from_b, b_from_a.inverse());
-        // Errors of yaw show at b's distance from its origin.
+        // An error of yaw shows at b's distance from its origin.
         prop_assert!(found.accepted, "{found:?}");
         prop_assert!(radians < 0.01, "{found:?}");
         prop_assert!(metres < 0.05 + 0.01 * b_from_a.inverse().distance_m(Pose2::IDENTITY), "{found:?}");
@@ -100,7 +100,7 @@ proptest! {
 }
 
 #[test]
-fn the_same_bytes_again() {
+fn equal_maps_give_equal_alignments() {
     let (a, b) = (map(house, -160, 60), redrawn(&map(house, -60, 160), Pose2::new(1.0, 2.0, 0.7)));
     let twice = [0, 1].map(|_| align(a.view(), b.view(), &AlignConfig::default()));
     assert!(twice[0].is_some());
@@ -118,7 +118,7 @@ fn maps_of_different_places_are_refused() {
 }
 
 #[test]
-fn what_is_ambiguous_is_refused() {
+fn ambiguous_alignments_are_refused() {
     for plan in [hall as Plan, corridor] {
         let (a, b) = (map(plan, -160, 160), redrawn(&map(plan, -160, 160), Pose2::new(0.4, -0.2, 0.5)));
         let found = align(a.view(), b.view(), &AlignConfig::default()).unwrap();
@@ -127,7 +127,7 @@ fn what_is_ambiguous_is_refused() {
 }
 
 #[test]
-fn nothing_comes_of_nothing() {
+fn empty_and_malformed_maps_are_not_aligned() {
     let house = map(house, -160, 160);
     let empty = map(|_, _| None, 0, 0);
     let floor = map(|_, _| Some(false), -100, 100);

@@ -1,29 +1,34 @@
-//! Submaps put together as one grid, each at its pose.
+//! Composition of submaps, each at its pose, into one grid.
 
 use msg::grid::{CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_MIN, SWEPT_FREE, UNKNOWN};
 use msg::{Grid, GridHeader, GridView, Pose2};
 use std::sync::Arc;
 
-/// A submap at its place.
+/// A submap with its pose.
 #[derive(Clone, Debug)]
-pub(crate) struct Placed {
+pub(crate) struct PlacedSubmap {
+    /// Occupancy in the submap's frame.
     pub grid: Arc<Grid>,
-    /// The frame of the whole from the submap's.
+    /// Frame of the composed grid from the submap's frame.
     pub frame_from_submap: Pose2,
 }
 
-/// A sum of nothing, and one of a cell that the robot has driven over: beams cannot come near it.
-const NOTHING: i16 = i16::MIN;
-const DRIVEN_SUM: i16 = i16::MIN + 1;
-const _: () = assert!(msg::SUBMAPS_MAX as i32 * (LOG_ODDS_MIN as i32) > DRIVEN_SUM as i32);
+/// Sum of an unknown cell,
+const UNKNOWN_SUM: i16 = i16::MIN;
+/// and of a cell that the robot has driven over: no sum of beams comes near either.
+const SWEPT_FREE_SUM: i16 = i16::MIN + 1;
+/// Added to every input coordinate, in cells: a centre on the border of two cells always takes the same one, whatever the
+/// last bit of a sine is.
+const BORDER_BIAS_CELLS: f64 = 1e-6;
+const _: () = assert!(msg::SUBMAPS_MAX as i32 * (LOG_ODDS_MIN as i32) > SWEPT_FREE_SUM as i32);
 
-/// Log-odds of all submaps added, cells on whole multiples of the resolution of the first one. `None`
-/// if there is nothing, or more than a grid may have.
-pub(crate) fn compose(placed: &[Placed]) -> Option<Grid> {
+/// Adds the log-odds of all submaps in one grid of the first one's resolution, aligned with the frame's axes at whole
+/// multiples of it. `None` without submaps, or if the grid would be too large.
+pub(crate) fn compose(placed: &[PlacedSubmap]) -> Option<Grid> {
     let resolution_m = placed.first()?.grid.header.resolution_m;
     let mut hull = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
-    for one in placed {
-        for [x, y] in corners(&one.grid.header, one.frame_from_submap) {
+    for submap in placed {
+        for [x, y] in corners(&submap.grid.header, submap.frame_from_submap) {
             hull = [hull[0].min(x), hull[1].min(y), hull[2].max(x), hull[3].max(y)];
         }
     }
@@ -33,18 +38,19 @@ pub(crate) fn compose(placed: &[Placed]) -> Option<Grid> {
         return None;
     }
     let (width, height) = (size[0] as usize, size[1] as usize);
-    let mut sums = vec![NOTHING; width * height];
+    let mut sums = vec![UNKNOWN_SUM; width * height];
     let frame_from_grid = Pose2::new(low[0] * resolution_m, low[1] * resolution_m, 0.0);
-    for one in placed {
-        add(one.grid.view(), frame_from_grid.between(one.frame_from_submap), resolution_m, &mut sums, width);
+    for submap in placed {
+        let grid_from_submap = frame_from_grid.between(submap.frame_from_submap);
+        add(submap.grid.view(), grid_from_submap, resolution_m, &mut sums, width);
     }
     let [least, most] = [LOG_ODDS_MIN, LOG_ODDS_MAX].map(i16::from);
     let cell = |sum: &i16| match *sum {
-        NOTHING => UNKNOWN,
-        DRIVEN_SUM => SWEPT_FREE,
+        UNKNOWN_SUM => UNKNOWN,
+        SWEPT_FREE_SUM => SWEPT_FREE,
         sum => sum.clamp(least, most) as i8,
     };
-    let newest = placed.iter().map(|one| &one.grid.header).max_by_key(|header| header.header.stamp)?;
+    let newest = placed.iter().map(|submap| &submap.grid.header).max_by_key(|header| header.header.stamp)?;
     let header = GridHeader {
         origin: frame_from_grid,
         resolution_m,
@@ -56,14 +62,14 @@ pub(crate) fn compose(placed: &[Placed]) -> Option<Grid> {
     Some(Grid { header, cells: sums.iter().map(cell).collect() })
 }
 
-/// A grid's corners in the frame of the whole.
+/// Corners of a submap's grid in the composed grid's frame.
 fn corners(header: &GridHeader, frame_from_submap: Pose2) -> [[f64; 2]; 4] {
     let (w, h) =
         (f64::from(header.width) * header.resolution_m, f64::from(header.height) * header.resolution_m);
     [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]].map(|corner| (frame_from_submap * header.origin).apply(corner))
 }
 
-/// Adds a submap: under every output cell's centre its nearest cell.
+/// Adds a submap: at every output cell's centre its nearest cell.
 fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &mut [i16], width: usize) {
     let header = submap.header;
     let to_cells = (grid_from_submap * header.origin).inverse();
@@ -78,7 +84,8 @@ fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &
     let (columns, rows) = (range(0, width), range(1, sums.len() / width.max(1)));
     for y in rows {
         let v = (y as f64 + 0.5) * resolution_m;
-        let start = [-sin * v + to_cells.x_m, cos * v + to_cells.y_m].map(|m| m / header.resolution_m + 1e-6);
+        let start = [-sin * v + to_cells.x_m, cos * v + to_cells.y_m]
+            .map(|m| m / header.resolution_m + BORDER_BIAS_CELLS);
         for x in columns.clone() {
             let u = (x as f64 + 0.5) * step;
             let (i, j) = ((start[0] + cos * u).floor() as i64, (start[1] + sin * u).floor() as i64);
@@ -86,8 +93,8 @@ fn add(submap: GridView<'_>, grid_from_submap: Pose2, resolution_m: f64, sums: &
             let sum = &mut sums[y * width + x];
             *sum = match (cell, *sum) {
                 (UNKNOWN, before) => before,
-                (SWEPT_FREE, _) | (_, DRIVEN_SUM) => DRIVEN_SUM,
-                (_, NOTHING) => i16::from(cell),
+                (SWEPT_FREE, _) | (_, SWEPT_FREE_SUM) => SWEPT_FREE_SUM,
+                (_, UNKNOWN_SUM) => i16::from(cell),
                 (_, before) => before.saturating_add(i16::from(cell)),
             };
         }
@@ -120,7 +127,7 @@ mod tests {
         ) {
             let mut placed: Vec<_> = poses
                 .iter()
-                .map(|(x, y, yaw, seed)| Placed { grid: submap(*seed, 9, 13), frame_from_submap: Pose2::new(*x, *y, *yaw) })
+                .map(|(x, y, yaw, seed)| PlacedSubmap { grid: submap(*seed, 9, 13), frame_from_submap: Pose2::new(*x, *y, *yaw) })
                 .collect();
             let forward = compose(&placed).unwrap();
             placed.reverse();
@@ -129,9 +136,10 @@ mod tests {
     }
 
     #[test]
-    fn one_submap_in_place_is_itself() {
+    fn one_submap_at_the_origin_is_copied() {
         let grid = submap(7, 20, 11);
-        let whole = compose(&[Placed { grid: grid.clone(), frame_from_submap: Pose2::IDENTITY }]).unwrap();
+        let whole =
+            compose(&[PlacedSubmap { grid: grid.clone(), frame_from_submap: Pose2::IDENTITY }]).unwrap();
         for y in 0..11 {
             for x in 0..20 {
                 let [px, py] = grid.view().centre_m(x, y);
@@ -143,9 +151,9 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_too_much_give_none() {
+    fn no_submaps_and_too_large_grids_give_none() {
         assert!(compose(&[]).is_none());
-        let far = |x| Placed { grid: submap(1, 5, 5), frame_from_submap: Pose2::new(x, x, 0.0) };
+        let far = |x| PlacedSubmap { grid: submap(1, 5, 5), frame_from_submap: Pose2::new(x, x, 0.0) };
         assert!(compose(&[far(0.0), far(1e4)]).is_none());
     }
 }

@@ -1,145 +1,255 @@
-//! The fleet's joint graph: what is put together, and what comes of its solution.
+//! Last stages: the consistent set of closures, and the joint solution for the submaps of all robots.
 
-use super::task::{Job, Problem, ProblemPair, Solution, Task};
-use super::{FleetPoseGraph, robots_of};
-use msg::{EdgeState, Pose2};
-use posegraph::{Edge, Kernel, information_from_sigmas};
+use super::closures::Closure;
+use super::consistency::largest_consistent_set;
+use super::frame::ReferenceRobot;
+use super::pair::{RobotPair, robots_of_pair};
+use super::robot::Robot;
+use super::submaps::distances_along_m;
+use msg::{Pose2, pose::wrap_angle};
+use posegraph::{Edge, Kernel, SolveError, SolverOptions, information_from_sigmas, solve};
 
-/// Closures that make an edge of two robots that others had brought together.
-const CLOSURES_MIN: usize = 2;
-/// How well a given start is known, metres and radians; and the frame of the fleet itself.
-const START: [f64; 2] = [0.02, 0.005];
-const FRAME: [f64; 2] = [1e-3, 1e-4];
-/// Map transforms and drawn maps follow the graph in steps of half a cell of 0.05 m.
-const TOLERANCE_M: f64 = 0.025;
+/// Two closures are consistent if one predicts the other within this, metres and radians,
+const CONSISTENT: [f64; 2] = [0.12, 0.03];
+/// and so much more for each metre that the robots drove between them: the drift of their SLAM. The heading lost on the
+/// way moves the far end, too.
+const CONSISTENT_PER_M: [f64; 2] = [0.01, 0.004];
+/// The most of all that together: what SLAM drifts along a path without closures.
+const CONSISTENT_MAX: [f64; 2] = [4.0, 0.4];
+/// A closure whose error in the solution exceeds so many standard deviations is left out.
+const OUTLIER_SIGMAS: f64 = 6.0;
+/// Standard deviations of a given start, metres and radians,
+const START_SIGMAS: [f64; 2] = [0.02, 0.005];
+/// and of the reference robot in the frame that it defines: practically fixed.
+const REFERENCE_SIGMAS: [f64; 2] = [1e-3, 1e-4];
 
-impl FleetPoseGraph {
-    /// Robots that nothing in force ties to the fleet's frame are taken out; those newly tied get a place.
-    pub(super) fn connect(&mut self) {
-        let mut reached: Vec<bool> = self.members.iter().map(|member| member.start.is_some()).collect();
-        if let Some((holder, _)) = self.holder {
-            reached[holder] = true;
-        }
-        // As often as there are robots: a path has no more edges.
-        for _ in 0..self.members.len() {
-            for (index, pair) in self.pairs.iter().enumerate().filter(|(_, pair)| pair.state().in_force()) {
-                let [a, b] = robots_of(index);
-                for (from, to, from_from_to) in [(a, b, pair.a_from_b), (b, a, pair.a_from_b.inverse())] {
-                    if reached[from] && !reached[to] {
-                        reached[to] = true;
-                        let Some(anchor) = self.members[from].anchor else { continue };
-                        let member = &mut self.members[to];
-                        if member.anchor.is_none() {
-                            let anchor = anchor * from_from_to;
-                            (member.anchor, member.corrections) = (Some(anchor), vec![anchor]);
-                        }
-                    }
-                }
+/// Each solution may bring maps together that were far apart, hence graduated. It runs to 10 µm in at most 20 iterations:
+/// nothing waits for it, and the next solution begins from it.
+const SOLVER: SolverOptions =
+    SolverOptions { iterations_max: 20, step_min: 1e-5, graduated: true, prior: 1e-6 };
+
+/// The joint pose graph of all robots that have a transform. Its first pose is the frame `map` itself.
+#[derive(Debug)]
+pub(crate) struct JointProblem {
+    poses: Vec<Pose2>,
+    /// All edges but those between robots.
+    edges: Vec<Edge>,
+    robots: Vec<RobotInGraph>,
+    pairs: Vec<PairInGraph>,
+}
+
+/// One robot of the graph.
+#[derive(Debug)]
+struct RobotInGraph {
+    /// Index of the robot in the fleet.
+    robot: usize,
+    /// Index of the pose of its first submap.
+    first: usize,
+    /// Frame `robotK/map` from the frame of each submap.
+    poses: Vec<Pose2>,
+}
+
+/// What relates two robots of the graph.
+#[derive(Debug)]
+struct PairInGraph {
+    /// Index of the pair in the fleet.
+    pair: usize,
+    /// Indices in [`JointProblem::robots`].
+    robots: [usize; 2],
+    closures: Vec<Closure>,
+    /// Holds while no closure is in force.
+    alignment: Option<Edge>,
+}
+
+/// A solution of the joint graph.
+#[derive(Debug)]
+pub(crate) struct JointSolution {
+    /// For each robot: its index, and frame `map` from frame `robotK/map` at each submap.
+    robots: Vec<(usize, Vec<Pose2>)>,
+    pairs: Vec<SolvedPair>,
+}
+
+/// What a solution says about a pair.
+#[derive(Debug)]
+struct SolvedPair {
+    pair: usize,
+    /// Indices of the closures in force.
+    in_force: Vec<usize>,
+    /// Mean distance by which it leaves them, metres.
+    residual_m: f64,
+}
+
+impl JointProblem {
+    /// Collects the graph; `None` while no robot has both a transform and submaps.
+    pub fn collect(robots: &[Robot], pairs: &[RobotPair], reference: Option<ReferenceRobot>) -> Option<Self> {
+        let mut problem =
+            Self { poses: vec![Pose2::IDENTITY], edges: Vec::new(), robots: Vec::new(), pairs: Vec::new() };
+        let mut place = vec![None; robots.len()];
+        for (index, robot) in robots.iter().enumerate() {
+            if robot.estimate.transform().is_some() && !robot.submaps.poses().is_empty() {
+                place[index] = Some(problem.robots.len());
+                problem.add_robot(index, robot, reference.filter(|reference| reference.robot == index));
             }
         }
-        for (member, _) in self.members.iter_mut().zip(reached).filter(|(_, reached)| !*reached) {
-            (member.anchor, member.bent, member.straightened) = (None, false, None);
-            member.corrections.clear();
-        }
-    }
-
-    pub(super) fn solve_task(&mut self) -> Option<Task> {
-        if !core::mem::take(&mut self.unsolved) {
-            return None;
-        }
-        for (index, pair) in self.pairs.iter_mut().enumerate() {
-            let [a, b] = robots_of(index);
-            pair.sow(&self.members[a], &self.members[b]);
-        }
-        let mut problem = Problem {
-            poses: vec![Pose2::IDENTITY],
-            constraints: Vec::new(),
-            members: Vec::new(),
-            pairs: Vec::new(),
-        };
-        let mut place = vec![None; self.members.len()];
-        for (index, member) in self.members.iter().enumerate() {
-            let (Some(anchor), Some(own)) = (member.anchor, member.poses.first()) else { continue };
-            let first = problem.poses.len();
-            place[index] = Some(problem.members.len());
-            problem.members.push((index, first, member.poses.clone()));
-            problem.poses.extend(member.poses.iter().map(|pose| anchor * *pose));
-            problem.constraints.extend(member.constraints(first));
-            let held = self.holder.filter(|(holder, _)| *holder == index).map(|(_, pose)| (pose, FRAME));
-            if let Some((pose, [m, rad])) = member.start.map(|start| (start, START)).or(held) {
-                let information = information_from_sigmas(m, rad);
-                problem.constraints.push(Edge {
-                    a: 0,
-                    b: first,
-                    a_from_b: pose * *own,
-                    information,
-                    kernel: Kernel::Quadratic,
-                });
-            }
-        }
-        for (index, pair) in self.pairs.iter().enumerate() {
-            let [a, b] = robots_of(index);
-            let (Some(m), Some(n)) = (place[a], place[b]) else { continue };
-            let seed = pair.seed_constraint([problem.members[m].1, problem.members[n].1]);
-            problem.pairs.push(ProblemPair {
-                pair: index,
-                members: [m, n],
-                closures: pair.closures.clone(),
-                seed,
+        for (pair, relation) in pairs.iter().enumerate() {
+            let [a, b] = robots_of_pair(pair).map(|robot| place[robot]);
+            let Some((a, b)) = a.zip(b) else { continue };
+            let first = [a, b].map(|place| problem.robots[place].first);
+            problem.pairs.push(PairInGraph {
+                pair,
+                robots: [a, b],
+                closures: relation.closures.found().to_vec(),
+                alignment: relation.closures.alignment_edge(first),
             });
         }
-        (!problem.members.is_empty()).then(|| self.task(Job::Solve(problem))).flatten()
+        (!problem.robots.is_empty()).then_some(problem)
     }
 
-    pub(super) fn solved(&mut self, solution: Solution) {
-        self.solutions += 1;
-        for (robot, corrections) in solution.members {
-            if self.members[robot].anchor.is_some() {
-                self.members[robot].settle(corrections, TOLERANCE_M);
-            }
-        }
-        for (index, in_force, residual_m) in solution.pairs {
-            let [a, b] = robots_of(index);
-            let pair = &mut self.pairs[index];
-            (pair.in_force, pair.residual_m) = (in_force, residual_m);
-            if let Some((a, b)) = self.members[a].anchor.zip(self.members[b].anchor)
-                && (pair.state().in_force() || pair.in_force.len() >= CLOSURES_MIN)
-            {
-                pair.a_from_b = a.between(b);
-                if !pair.state().in_force() && !pair.is_refused(pair.a_from_b) {
-                    pair.state = Some(EdgeState::Accepted);
-                }
-            }
+    /// Adds a robot's submaps where its transform puts them, with its own links, and what ties it to the frame.
+    fn add_robot(&mut self, index: usize, robot: &Robot, reference: Option<ReferenceRobot>) {
+        let (Some(transform), own) = (robot.estimate.transform(), robot.submaps.poses()) else { return };
+        let first = self.poses.len();
+        self.robots.push(RobotInGraph { robot: index, first, poses: own.to_vec() });
+        self.poses.extend(own.iter().map(|pose| transform * *pose));
+        self.edges.extend(robot.submaps.edges(first));
+        let start = robot.estimate.start().map(|start| (start, START_SIGMAS));
+        let reference = reference.map(|reference| (reference.map_from_robot_map, REFERENCE_SIGMAS));
+        if let Some((map_from_robot_map, [m, rad])) = start.or(reference) {
+            self.edges.push(Edge {
+                a: 0,
+                b: first,
+                a_from_b: map_from_robot_map * own[0],
+                information: information_from_sigmas(m, rad),
+                kernel: Kernel::Quadratic,
+            });
         }
     }
 
-    pub(super) fn straighten_task(&self) -> Option<Task> {
-        let robot = (0..self.members.len()).find(|k| self.members[*k].wants_straightening(TOLERANCE_M))?;
-        let member = &self.members[robot];
-        let anchor = member.anchor?;
-        self.task(Job::Straighten {
-            robot,
-            version: member.version,
-            anchor,
-            corrections: member.corrections.clone(),
-            placed: member.placed_in(anchor.inverse()),
-        })
+    /// Solves the graph: consistent closures, joint solution, and once more without the closures that it contradicts.
+    ///
+    /// # Errors
+    /// The graph cannot be solved.
+    pub fn solve(mut self) -> Result<JointSolution, SolveError> {
+        let start = self.poses.clone();
+        let mut in_force: Vec<Vec<usize>> =
+            self.pairs.iter().map(|pair| self.consistent_closures(pair)).collect();
+        self.optimise(&in_force)?;
+        let kept: Vec<Vec<usize>> = self
+            .pairs
+            .iter()
+            .zip(&in_force)
+            .map(|(pair, closures)| closures.iter().filter(|k| self.is_inlier(pair, **k)).copied().collect())
+            .collect();
+        if kept != in_force {
+            in_force = kept;
+            self.poses = start;
+            self.optimise(&in_force)?;
+        }
+        Ok(self.solution(in_force))
     }
 
-    pub(super) fn match_task(&self) -> Option<Task> {
-        for (index, pair) in self.pairs.iter().enumerate() {
-            let [a, b] = robots_of(index).map(|robot| &self.members[robot]);
-            let Some((on_a, on_b)) = a.anchor.zip(b.anchor) else { continue };
-            if pair.is_refused(on_a.between(on_b)) {
-                continue;
-            }
-            let Some(next) = pair.next_match(a, b) else { continue };
-            let [i, j] = next.ids;
-            let (of_i, of_j) = a.piece(i).zip(b.piece(j))?;
-            let grids = [of_i.0.grid.clone(), of_j.0.grid.clone()];
-            let (predicted, window) = (next.predicted, next.window);
-            return self.task(Job::Match { pair: index, ids: next.ids, grids, predicted, window });
+    fn optimise(&mut self, in_force: &[Vec<usize>]) -> Result<(), SolveError> {
+        let mut edges = self.edges.clone();
+        for (pair, closures) in self.pairs.iter().zip(in_force) {
+            edges.extend(closures.iter().map(|k| self.closure_edge(pair, *k)));
+            edges.extend(pair.alignment.filter(|_| closures.is_empty()));
         }
-        None
+        solve(&mut self.poses, &edges, &SOLVER).map(|_| ())
+    }
+
+    fn solution(&self, in_force: Vec<Vec<usize>>) -> JointSolution {
+        let robots = self.robots.iter().map(|robot| {
+            let each = robot.poses.iter().zip(&self.poses[robot.first..]);
+            (robot.robot, each.map(|(own, in_map)| *in_map * own.inverse()).collect())
+        });
+        let pairs = self.pairs.iter().zip(in_force).map(|(pair, closures)| {
+            let errors_m = closures.iter().map(|k| {
+                let edge = self.closure_edge(pair, *k);
+                self.poses[edge.a].between(self.poses[edge.b]).distance_m(edge.a_from_b)
+            });
+            let residual_m = errors_m.sum::<f64>() / closures.len().max(1) as f64;
+            SolvedPair { pair: pair.pair, in_force: closures, residual_m }
+        });
+        JointSolution { robots: robots.collect(), pairs: pairs.collect() }
+    }
+
+    fn is_inlier(&self, pair: &PairInGraph, k: usize) -> bool {
+        let edge = self.closure_edge(pair, k);
+        edge.chi_squared(self.poses[edge.a], self.poses[edge.b]) <= OUTLIER_SIGMAS.powi(2)
+    }
+
+    fn closure_edge(&self, pair: &PairInGraph, k: usize) -> Edge {
+        pair.closures[k].edge(pair.robots.map(|robot| self.robots[robot].first))
+    }
+
+    /// The largest set of closures of a pair that can be right together, given how the robots drove.
+    fn consistent_closures(&self, pair: &PairInGraph) -> Vec<usize> {
+        let [a, b] = pair.robots.map(|robot| &self.robots[robot].poses);
+        let [along_a, along_b] = [a, b].map(|poses| distances_along_m(poses));
+        let is_consistent = |k: usize, l: usize| {
+            let (one, other) = (&pair.closures[k], &pair.closures[l]);
+            let ([i, j], [m, n]) = (one.ids, other.ids);
+            let predicted = a[m].between(a[i]) * one.measured.i_from_j * b[j].between(b[n]);
+            let driven_m = (along_a[i] - along_a[m]).abs() + (along_b[j] - along_b[n]).abs();
+            let [drift_m, drift_rad] = CONSISTENT_PER_M.map(|per_m| per_m * driven_m);
+            // The heading drifts evenly along the way: its mean, times the distance of the two ends.
+            let swing_m = 0.5 * drift_rad * a[i].distance_m(a[m]);
+            let within_m = (CONSISTENT[0] + drift_m + swing_m).min(CONSISTENT_MAX[0]);
+            let within_rad = (CONSISTENT[1] + drift_rad).min(CONSISTENT_MAX[1]);
+            let measured = other.measured.i_from_j;
+            let rotation_rad = wrap_angle(predicted.yaw_rad - measured.yaw_rad).abs();
+            predicted.distance_m(measured) <= within_m && rotation_rad <= within_rad
+        };
+        let inliers = |k: usize| f64::from(pair.closures[k].measured.inliers);
+        largest_consistent_set(pair.closures.len(), inliers, is_consistent)
+    }
+}
+
+impl JointSolution {
+    /// Moves the robots to where the solution has them, and updates the pairs.
+    pub fn apply(self, robots: &mut [Robot], pairs: &mut [RobotPair]) {
+        for (robot, at_submaps) in self.robots {
+            if robots[robot].estimate.transform().is_some() {
+                robots[robot].apply_solution(at_submaps);
+            }
+        }
+        for SolvedPair { pair, in_force, residual_m } in self.pairs {
+            let closures = in_force.len();
+            pairs[pair].closures.apply_solution(in_force, residual_m);
+            let [a, b] = robots_of_pair(pair).map(|robot| robots[robot].estimate.transform());
+            if let Some((a, b)) = a.zip(b) {
+                pairs[pair].edge.apply_solution(a.between(b), closures);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fleet_graph::submap_match::SubmapMatch;
+    use nalgebra::Matrix3;
+
+    fn problem(information: f64) -> JointProblem {
+        let information = Matrix3::from_element(information);
+        let measured = SubmapMatch { i_from_j: Pose2::IDENTITY, information, inliers: 9 };
+        let robot = |robot| RobotInGraph { robot, first: robot + 1, poses: vec![Pose2::IDENTITY] };
+        JointProblem {
+            poses: vec![Pose2::IDENTITY; 3],
+            edges: Vec::new(),
+            robots: vec![robot(0), robot(1)],
+            pairs: vec![PairInGraph {
+                pair: 0,
+                robots: [0, 1],
+                closures: vec![Closure { ids: [0, 0], measured }],
+                alignment: None,
+            }],
+        }
+    }
+
+    #[test]
+    fn a_graph_that_cannot_be_solved_is_an_error() {
+        assert!(problem(0.0).solve().is_ok());
+        assert!(problem(f64::NAN).solve().is_err());
     }
 }

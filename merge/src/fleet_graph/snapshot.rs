@@ -1,161 +1,164 @@
-//! What the fleet must not forget when its process dies: where robots lie, and what the operator said. Submaps and
-//! closures are not in it: robots send the ones again, and the others are found again.
+//! Snapshot of what must survive the death of the merge process: where robots lie, and what the operator decided.
+//!
+//! Submaps and closures are not in it: robots send submaps again, and closures are found again.
 
 use super::FleetPoseGraph;
-use super::pair::REFUSED_MAX;
+use super::edge::{Evidence, MapEdge, REJECTED_MAX};
+use super::frame::ReferenceRobot;
+use super::pair::RobotPair;
 use crate::align::Alignment;
-use crate::merger::is_near;
+use crate::limits::is_plausible;
 use msg::{EdgeState, Pose2};
 use serde::{Deserialize, Serialize};
 
-/// Plain values that can be kept and read again. Poses are x m, y m, yaw rad.
+/// Snapshot of a [`FleetPoseGraph`] as plain values, to be kept in a file. Poses are x m, y m, yaw rad.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FleetSnapshot {
-    /// `map` from `robotK/map`, by robot; none while it is not known.
-    anchors: Vec<Option<[f64; 3]>>,
-    /// The robot, from 0, whose map the fleet's frame was taken from, and where that map begins.
-    holder: Option<(usize, [f64; 3])>,
-    /// Pairs of which anything is known.
+    /// Frame `map` from frame `robotK/map`, by robot; none while it is unknown.
+    map_transforms: Vec<Option<[f64; 3]>>,
+    /// Index of the reference robot, and frame `map` from the beginning of its map.
+    reference: Option<(usize, [f64; 3])>,
+    /// The pairs of robots about which anything is known.
     pairs: Vec<PairSnapshot>,
 }
 
-/// What is known of two robots.
+/// Snapshot of a pair of robots.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PairSnapshot {
-    /// The edge's number, from 1.
+    /// Number of the edge, from 1.
     edge: usize,
-    /// An `EdgeState`'s code.
+    /// Code of an [`EdgeState`].
     state: u32,
     a_from_b: [f64; 3],
-    /// What the newest look at two whole maps found, and what chance gives.
-    grounds: Option<(Alignment, f64)>,
-    /// Places that the operator took back.
-    refused: Vec<[f64; 3]>,
+    evidence: Option<Evidence>,
+    /// Alignments that the operator rejected.
+    rejected: Vec<[f64; 3]>,
 }
 
-/// Why a memory is not this fleet's.
+/// Why a snapshot cannot be restored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SnapshotRejected {
-    /// Another number of robots.
+    /// The snapshot is of another number of robots.
     #[error("is of a fleet of {found} robots; this one has {expected}")]
     Robots {
-        /// In the memory.
+        /// Robots in the snapshot.
         found: usize,
-        /// In the fleet.
+        /// Robots in the fleet.
         expected: usize,
     },
-    /// A number or a reference that makes no sense.
+    /// A number or an index is not valid.
     #[error("has {0} that makes no sense")]
     Value(&'static str),
 }
 
 impl FleetPoseGraph {
-    /// All that is to be remembered. It changes when something is found or said, not with each solution.
+    /// Takes a snapshot. It changes when something is found or decided, not with each solution of the graph.
     pub fn snapshot(&self) -> FleetSnapshot {
-        let anchors = self.members.iter().map(|member| member.anchor.map(plain)).collect();
-        let holder = self.holder.map(|(robot, pose)| (robot, plain(pose)));
-        let known = self.pairs.iter().enumerate().map(|(index, pair)| {
-            // A find that waits for its second look waits for the first one again: its maps are gone.
-            let state = Some(pair.state()).filter(|state| *state != EdgeState::Candidate);
-            let state = state.unwrap_or(EdgeState::None);
-            let is_known = state != EdgeState::None;
-            PairSnapshot {
-                edge: index + 1,
-                state: state as u32,
-                a_from_b: if is_known { plain(pair.a_from_b) } else { [0.0; 3] },
-                // Where it was found is not kept: the pair's place is where it lies now.
-                grounds: pair
-                    .grounds
-                    .filter(|grounds| is_known && is_sound(grounds))
-                    .map(|(found, null_f1)| (Alignment { a_from_b: Pose2::IDENTITY, ..found }, null_f1)),
-                refused: pair.refused.iter().copied().map(plain).collect(),
-            }
-        });
-        let said = |pair: &PairSnapshot| pair.state != EdgeState::None as u32 || !pair.refused.is_empty();
-        FleetSnapshot { anchors, holder, pairs: known.filter(said).collect() }
+        let map_transforms =
+            self.robots.iter().map(|robot| robot.estimate.transform().map(to_values)).collect();
+        let reference =
+            self.reference.map(|reference| (reference.robot, to_values(reference.map_from_robot_map)));
+        let pairs = self.pairs.iter().enumerate().map(|(index, pair)| pair_snapshot(index, pair));
+        let is_known =
+            |pair: &PairSnapshot| pair.state != EdgeState::None as u32 || !pair.rejected.is_empty();
+        FleetSnapshot { map_transforms, reference, pairs: pairs.filter(is_known).collect() }
     }
 
-    /// Goes on with what an earlier process of the same run remembered: robots lie where they lay, before anything
-    /// has come of them. To be told first of all; nothing changes if it is refused.
-    pub fn restore(&mut self, memory: &FleetSnapshot) -> Result<(), SnapshotRejected> {
-        let (found, expected) = (memory.anchors.len(), self.members.len());
+    /// Restores a snapshot that an earlier process of the same run took. Call it before anything else.
+    ///
+    /// Robots lie at once where they lay then.
+    ///
+    /// # Errors
+    /// [`SnapshotRejected`] says what is not valid; then nothing has changed.
+    pub fn restore(&mut self, snapshot: &FleetSnapshot) -> Result<(), SnapshotRejected> {
+        let (found, expected) = (snapshot.map_transforms.len(), self.robots.len());
         if found != expected {
             return Err(SnapshotRejected::Robots { found, expected });
         }
-        let pose = |values: [f64; 3], what| {
-            let [x_m, y_m, yaw_rad] = values;
-            let pose = Pose2::new(x_m, y_m, yaw_rad);
-            Some(pose).filter(|pose| is_near(*pose)).ok_or(SnapshotRejected::Value(what))
-        };
-        let anchor = |anchor: &Option<[f64; 3]>| anchor.map(|values| pose(values, "a place")).transpose();
-        let anchors = memory.anchors.iter().map(anchor).collect::<Result<Vec<_>, _>>()?;
-        let holder = match memory.holder {
-            Some((robot, values)) if anchors.get(robot).is_some_and(Option::is_some) => {
-                Some((robot, pose(values, "a frame")?))
+        let transforms = snapshot.map_transforms.iter();
+        let transforms = transforms.map(|values| values.map(|values| to_pose(values, "a place")).transpose());
+        let transforms = transforms.collect::<Result<Vec<_>, _>>()?;
+        let reference = match snapshot.reference {
+            Some((robot, values)) if transforms.get(robot).is_some_and(Option::is_some) => {
+                Some(ReferenceRobot { robot, map_from_robot_map: to_pose(values, "a frame")? })
             }
             Some(_) => return Err(SnapshotRejected::Value("a frame of a robot")),
             None => None,
         };
-        let mut pairs = vec![super::Pair::default(); self.pairs.len()];
-        for kept in &memory.pairs {
-            let state = EdgeState::from_code(kept.state).filter(|state| *state != EdgeState::Candidate);
-            let state = state.ok_or(SnapshotRejected::Value("an edge's state"))?;
+        let mut pairs = vec![RobotPair::default(); self.pairs.len()];
+        for kept in &snapshot.pairs {
             let pair = kept.edge.checked_sub(1).and_then(|index| pairs.get_mut(index));
-            let pair = pair.ok_or(SnapshotRejected::Value("an edge's number"))?;
-            if kept.refused.len() > REFUSED_MAX {
-                return Err(SnapshotRejected::Value("a number of places taken back"));
-            }
-            pair.state = Some(state);
-            pair.a_from_b = pose(kept.a_from_b, "an edge's place")?;
-            for refused in &kept.refused {
-                pair.refused.push(pose(*refused, "a place taken back")?);
-            }
-            if kept.grounds.is_some_and(|grounds| !is_sound(&grounds)) {
-                return Err(SnapshotRejected::Value("an edge's evidence"));
-            }
-            let there = |(found, null_f1)| (Alignment { a_from_b: pair.a_from_b, ..found }, null_f1);
-            pair.grounds = kept.grounds.map(there);
+            let edge = restored_edge(kept)?;
+            pair.ok_or(SnapshotRejected::Value("an edge's number"))?.edge = edge;
         }
-        for (member, anchor) in self.members.iter_mut().zip(anchors) {
-            member.anchor = anchor.or(member.start);
-            member.corrections = member.anchor.into_iter().collect();
+        for (robot, transform) in self.robots.iter_mut().zip(transforms) {
+            let transform = transform.or(robot.estimate.start());
+            robot.estimate.set_transform(transform);
         }
-        (self.holder, self.pairs) = (holder, pairs);
-        // What nothing ties to the frame is in no map, whatever was written.
-        self.connect();
-        self.unsolved = true;
+        (self.reference, self.pairs) = (reference, pairs);
+        // A robot that no edge connects to the frame is in no map, whatever the snapshot says.
+        self.graph_changed();
         Ok(())
     }
 }
 
-fn is_sound((found, null_f1): &(Alignment, f64)) -> bool {
-    let Alignment {
-        occupied_f1,
-        agreement,
-        overlap_m2,
-        overlap_share,
-        conflict,
-        residual_m,
-        margin,
-        observability,
-        ..
-    } = *found;
-    let all = [
-        occupied_f1,
-        agreement,
-        overlap_m2,
-        overlap_share,
-        conflict,
-        residual_m,
-        margin,
-        observability,
-        *null_f1,
-    ];
-    all.iter().all(|value| value.is_finite())
+fn pair_snapshot(index: usize, pair: &RobotPair) -> PairSnapshot {
+    // A candidate waits for its second alignment. It waits for the first one again, because its maps are lost.
+    let state = if pair.edge.is_candidate() { EdgeState::None } else { pair.edge.state() };
+    let is_known = state != EdgeState::None;
+    // The edge keeps the transform; the evidence's own would differ by what the graph has moved since.
+    let without_transform = |evidence: Evidence| Evidence {
+        alignment: Alignment { a_from_b: Pose2::IDENTITY, ..evidence.alignment },
+        ..evidence
+    };
+    let evidence = pair.edge.evidence().copied().filter(|evidence| is_known && is_finite(evidence));
+    PairSnapshot {
+        edge: index + 1,
+        state: state as u32,
+        a_from_b: if is_known { to_values(pair.edge.a_from_b()) } else { [0.0; 3] },
+        evidence: evidence.map(without_transform),
+        rejected: pair.edge.rejected().iter().copied().map(to_values).collect(),
+    }
 }
 
-fn plain(pose: Pose2) -> [f64; 3] {
+fn restored_edge(kept: &PairSnapshot) -> Result<MapEdge, SnapshotRejected> {
+    let state = EdgeState::from_code(kept.state).filter(|state| *state != EdgeState::Candidate);
+    let state = state.ok_or(SnapshotRejected::Value("an edge's state"))?;
+    if kept.rejected.len() > REJECTED_MAX {
+        return Err(SnapshotRejected::Value("a number of rejected alignments"));
+    }
+    let a_from_b = to_pose(kept.a_from_b, "an edge's place")?;
+    let rejected = kept.rejected.iter().map(|values| to_pose(*values, "a rejected alignment"));
+    let rejected = rejected.collect::<Result<Vec<_>, _>>()?;
+    if kept.evidence.is_some_and(|evidence| !is_finite(&evidence)) {
+        return Err(SnapshotRejected::Value("an edge's evidence"));
+    }
+    Ok(MapEdge::restored(state, a_from_b, kept.evidence, rejected))
+}
+
+fn is_finite(evidence: &Evidence) -> bool {
+    let found = &evidence.alignment;
+    let figures = [
+        found.occupied_f1,
+        found.agreement,
+        found.overlap_m2,
+        found.overlap_share,
+        found.conflict,
+        found.residual_m,
+        found.margin,
+        found.observability,
+        evidence.null_f1_max,
+    ];
+    figures.iter().all(|value| value.is_finite())
+}
+
+fn to_values(pose: Pose2) -> [f64; 3] {
     [pose.x_m, pose.y_m, pose.yaw_rad]
+}
+
+fn to_pose([x_m, y_m, yaw_rad]: [f64; 3], what: &'static str) -> Result<Pose2, SnapshotRejected> {
+    let pose = Pose2::new(x_m, y_m, yaw_rad);
+    if is_plausible(pose) { Ok(pose) } else { Err(SnapshotRejected::Value(what)) }
 }

@@ -1,13 +1,16 @@
+//! Two robots in one house, whose maps drift deforms, and messages that must be rejected.
+
 use super::*;
 use msg::grid::{OCCUPIED_MIN, UNKNOWN};
-use msg::{GridHeader, GridView, Message, SubmapEdge};
+use msg::{EdgeState, GridHeader, GridView, Message, SubmapEdge};
+use nalgebra::Matrix3;
 
-/// A house of 30 m x 12 m with rooms and furniture that tell places apart, in cells of 0.05 m.
-fn stands(x: i64, y: i64) -> bool {
+/// Whether a cell of 0.05 m is an obstacle: a house of 30 m x 12 m whose rooms and furniture tell places apart.
+fn is_obstacle(x: i64, y: i64) -> bool {
     let outer = x == 0 || x == 599 || y == 0 || y == 239;
     let inner = [(97, 60..84), (214, 150..180), (301, 40..70), (421, 170..196), (505, 20..50)];
     let wall = inner.iter().any(|(at, door)| (*at..*at + 2).contains(&x) && !door.contains(&y));
-    // Boxes of many sizes, the same for everybody.
+    // Boxes of many sizes, in a fixed pattern.
     let (i, j) = (x.div_euclid(40), y.div_euclid(40));
     let mix = (i * 7919 + j * 104_729 + i * j * 31).rem_euclid(1009);
     let (left, low, wide, high) = (4 + mix % 17, 3 + mix % 19, 5 + mix % 13, 4 + mix % 11);
@@ -17,8 +20,8 @@ fn stands(x: i64, y: i64) -> bool {
     outer || wall || (mix % 3 != 0 && edge && inside)
 }
 
-/// What a robot that stands at a true pose draws: 8 m around it.
-fn look(world_from_submap: Pose2) -> Grid {
+/// Submap that a robot draws at a true pose: the 8 m x 8 m around it.
+fn draw_submap(world_from_submap: Pose2) -> Grid {
     let header = GridHeader {
         resolution_m: 0.05,
         width: 160,
@@ -32,42 +35,41 @@ fn look(world_from_submap: Pose2) -> Grid {
             let [u, v] = world_from_submap.apply(grid.view().centre_m(x, y));
             let (i, j) = ((u / 0.05).floor() as i64, (v / 0.05).floor() as i64);
             if (0..600).contains(&i) && (0..240).contains(&j) {
-                grid.cells[(y * 160 + x) as usize] = if stands(i, j) { OCCUPIED_MIN + 20 } else { -60 };
+                grid.cells[(y * 160 + x) as usize] = if is_obstacle(i, j) { OCCUPIED_MIN + 20 } else { -60 };
             }
         }
     }
     grid
 }
 
-/// A robot's true way: along the house, a submap each 2 m.
-fn way(from_x_m: f64, to_x_m: f64, y_m: f64) -> Vec<Pose2> {
+/// A robot's true path along the house, a submap each 2 m.
+fn true_path(from_x_m: f64, to_x_m: f64, y_m: f64) -> Vec<Pose2> {
     let count = ((to_x_m - from_x_m).abs() / 2.0) as usize;
     let step = (to_x_m - from_x_m) / count as f64;
     let yaw = if step < 0.0 { core::f64::consts::PI } else { 0.0 };
     (0..=count).map(|k| Pose2::new(from_x_m + k as f64 * step, y_m, yaw)).collect()
 }
 
-/// What the robot believes of its way: it begins at its own origin and turns a little more than it
-/// should with each step.
-fn bent(true_way: &[Pose2], rad_per_step: f64) -> Vec<Pose2> {
-    let mut believed = vec![Pose2::IDENTITY];
-    for pair in true_way.windows(2) {
+/// The path as the robot's SLAM estimates it: from its own origin, with a constant error of the heading at each step.
+fn drifted_path(true_path: &[Pose2], rad_per_step: f64) -> Vec<Pose2> {
+    let mut estimated = vec![Pose2::IDENTITY];
+    for pair in true_path.windows(2) {
         let step = pair[0].between(pair[1]) * Pose2::new(0.0, 0.0, rad_per_step);
-        believed.push(believed[believed.len() - 1] * step);
+        estimated.push(estimated[estimated.len() - 1] * step);
     }
-    believed
+    estimated
 }
 
-/// All of a robot's submaps and poses as its SLAM sends them.
-fn send(fleet: &mut FleetPoseGraph, robot: usize, true_way: &[Pose2], believed: &[Pose2], run: u64) {
+/// Sends all of a robot's submaps and poses as its SLAM would, and does the work that comes of each.
+fn send(fleet: &mut FleetPoseGraph, robot: usize, true_path: &[Pose2], estimated: &[Pose2], run: u64) {
     let robot = RobotId::new(robot).unwrap();
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
     let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
-    for (id, pose) in true_way.iter().enumerate() {
-        submap.set_grid(look(*pose).view());
+    for (id, pose) in true_path.iter().enumerate() {
+        submap.set_grid(draw_submap(*pose).view());
         (submap.id, submap.nodes, submap.finished) = (id as u32, 10, 1);
         submap.header_mut().incarnation = run;
-        poses.robot_map_from_submap[id] = believed[id];
+        poses.robot_map_from_submap[id] = estimated[id];
         if let Some(before) = id.checked_sub(1) {
             let (m, rad) = (1.0 / (0.03 * 0.03), 1.0 / (0.02 * 0.02));
             let information = [m, 0.0, 0.0, m, 0.0, rad];
@@ -86,7 +88,7 @@ fn work(fleet: &mut FleetPoseGraph) {
         let Some(task) = fleet.next_task() else { return };
         fleet.apply_outcome(task.run());
     }
-    panic!("the work has no end");
+    panic!("the graph has work without end");
 }
 
 fn edge(fleet: &FleetPoseGraph) -> msg::MergeEdge {
@@ -99,46 +101,46 @@ fn robot(number: usize) -> RobotId {
     RobotId::new(number).unwrap()
 }
 
-/// A fleet whose starts are unknown and whose two robots have found each other on these ways.
-fn together(ways: &[Vec<Pose2>; 2], believed: &[Vec<Pose2>; 2]) -> FleetPoseGraph {
+/// A fleet of two robots of unknown starts that are connected after these paths.
+fn connected_fleet(paths: &[Vec<Pose2>; 2], estimated: &[Vec<Pose2>; 2]) -> FleetPoseGraph {
     let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None, None]);
-    send(&mut fleet, 1, &ways[0], &believed[0], 1);
-    send(&mut fleet, 2, &ways[1], &believed[1], 1);
+    send(&mut fleet, 1, &paths[0], &estimated[0], 1);
+    send(&mut fleet, 2, &paths[1], &estimated[1], 1);
     fleet.finish();
     work(&mut fleet);
     assert_eq!(edge(&fleet).state(), EdgeState::Accepted, "{:?}", edge(&fleet));
     fleet
 }
 
-/// The house from both ends, and what two robots believe of it of whom the second turns too much.
-fn one_bent() -> ([Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
-    let ways = [way(4.0, 26.0, 5.0), way(26.0, 4.0, 7.0)];
-    let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.012)];
-    (ways, believed)
+/// Paths from both ends of the house, and their estimates, of which the second one drifts.
+fn one_drifting() -> ([Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
+    let paths = [true_path(4.0, 26.0, 5.0), true_path(26.0, 4.0, 7.0)];
+    let estimated = [drifted_path(&paths[0], 0.0), drifted_path(&paths[1], 0.012)];
+    (paths, estimated)
 }
 
-/// Mean and greatest distance of robot 2's submaps from where they truly lie, as robot 1 begins.
-fn errors(fleet: &FleetPoseGraph, ways: [&[Pose2]; 2], believed: &[Pose2]) -> [f64; 2] {
-    let off = (0..believed.len()).map(|id| {
-        let here = fleet.map_from_robot_map_at(robot(2), id as u32).unwrap() * believed[id];
-        here.distance_m(ways[0][0].between(ways[1][id]))
+/// Mean and largest error of robot 2's submaps, metres, in the frame in which robot 1 begins.
+fn errors(fleet: &FleetPoseGraph, paths: [&[Pose2]; 2], estimated: &[Pose2]) -> [f64; 2] {
+    let off = (0..estimated.len()).map(|id| {
+        let here = fleet.map_from_robot_map_at(robot(2), id as u32).unwrap() * estimated[id];
+        here.distance_m(paths[0][0].between(paths[1][id]))
     });
     let off: Vec<f64> = off.collect();
     [off.iter().sum::<f64>() / off.len() as f64, off.iter().fold(0.0, |most, m| most.max(*m))]
 }
 
 #[test]
-fn the_joint_graph_is_better_than_any_rigid_merge_of_a_bent_map() {
-    let (ways, believed) = one_bent();
-    let (fleet, drifted) = (together(&ways, &believed), &believed[1]);
-    let told = edge(&fleet);
-    assert!(told.closures >= 5 && told.occupied_f1 > told.null_f1_max + 0.3, "{told:?}");
+fn the_joint_graph_is_better_than_any_rigid_transform_of_a_deformed_map() {
+    let (paths, estimated) = one_drifting();
+    let (fleet, drifted) = (connected_fleet(&paths, &estimated), &estimated[1]);
+    let found = edge(&fleet);
+    assert!(found.closures >= 5 && found.occupied_f1 > found.null_f1_max + 0.3, "{found:?}");
     assert!(fleet.redrawn_map(robot(2)).is_some());
-    let [mean_m, most_m] = errors(&fleet, [&ways[0], &ways[1]], drifted);
-    // The best that a rigid transform can do: the truth fitted to the bent way, point by point.
+    let [mean_m, most_m] = errors(&fleet, [&paths[0], &paths[1]], drifted);
+    // The best that a rigid transform can do: right at one submap, whichever is best.
     let rigid = (0..drifted.len()).map(|fixed| {
-        let anchor = ways[0][0].between(ways[1][fixed]) * drifted[fixed].inverse();
-        let off = |id: usize| (anchor * drifted[id]).distance_m(ways[0][0].between(ways[1][id]));
+        let transform = paths[0][0].between(paths[1][fixed]) * drifted[fixed].inverse();
+        let off = |id: usize| (transform * drifted[id]).distance_m(paths[0][0].between(paths[1][id]));
         (0..drifted.len()).map(off).sum::<f64>() / drifted.len() as f64
     });
     let rigid_m = rigid.fold(f64::INFINITY, f64::min);
@@ -146,30 +148,50 @@ fn the_joint_graph_is_better_than_any_rigid_merge_of_a_bent_map() {
 }
 
 #[test]
-fn wrong_closures_are_left_out() {
-    let (ways, believed) = one_bent();
-    let (mut fleet, drifted) = (together(&ways, &believed), &believed[1]);
-    let right = fleet.pairs[0].closures.clone();
-    let [before_m, _] = errors(&fleet, [&ways[0], &ways[1]], drifted);
-    // As many as a third of them again, off by what a search's window allows, each its own way.
+fn wrong_closures_are_not_in_force() {
+    let (paths, estimated) = one_drifting();
+    let (mut fleet, drifted) = (connected_fleet(&paths, &estimated), &estimated[1]);
+    let right = fleet.pairs[0].closures.found().to_vec();
+    let [before_m, _] = errors(&fleet, [&paths[0], &paths[1]], drifted);
+    // A third as many wrong ones, off by what a search window allows, each in another direction.
     for (k, closure) in right.iter().enumerate().step_by(3) {
         let mut wrong = *closure;
         let (sin, cos) = (1.7 * k as f64).sin_cos();
-        wrong.found.i_from_j = wrong.found.i_from_j * Pose2::new(0.7 * cos, 0.7 * sin, 0.1 * sin);
+        wrong.measured.i_from_j = wrong.measured.i_from_j * Pose2::new(0.7 * cos, 0.7 * sin, 0.1 * sin);
         fleet.pairs[0].closures.push(wrong);
     }
-    fleet.unsolved = true;
+    fleet.needs_solve = true;
     work(&mut fleet);
-    let in_force = &fleet.pairs[0].in_force;
+    let in_force = fleet.pairs[0].closures.in_force();
     assert!(in_force.iter().all(|k| *k < right.len()), "{in_force:?} of {}", right.len());
     assert!(in_force.len() * 10 >= right.len() * 9, "{in_force:?} of {}", right.len());
-    let [after_m, _] = errors(&fleet, [&ways[0], &ways[1]], drifted);
+    let [after_m, _] = errors(&fleet, [&paths[0], &paths[1]], drifted);
     assert!(after_m < before_m + 0.01, "{after_m} m with them, {before_m} m without");
 }
 
 #[test]
-fn what_the_operator_undoes_stays_undone_and_what_he_pins_comes_back() {
-    let (mut fleet, ..) = found();
+fn a_failed_solution_changes_nothing_and_is_reported() {
+    let (mut fleet, ..) = two_connected_robots();
+    let transforms = [1, 2].map(|k| fleet.map_from_robot_map(robot(k)));
+    let (before, solved) = (edge(&fleet), fleet.solve_count());
+    let mut broken = fleet.pairs[0].closures.found()[0];
+    broken.measured.information = Matrix3::from_element(f64::NAN);
+    fleet.pairs[0].closures.push(broken);
+    fleet.needs_solve = true;
+    let outcome = fleet.next_task().unwrap().run();
+    assert!(outcome.solve_error().is_some());
+    fleet.apply_outcome(outcome);
+    assert_eq!((fleet.solve_count(), fleet.failed_solve_count()), (solved, 1));
+    assert_eq!([1, 2].map(|k| fleet.map_from_robot_map(robot(k))), transforms);
+    assert_eq!((edge(&fleet).a_from_b, edge(&fleet).closures), (before.a_from_b, before.closures));
+    // The same graph is not tried again and again.
+    work(&mut fleet);
+    assert_eq!(fleet.failed_solve_count(), 1);
+}
+
+#[test]
+fn a_rejected_edge_stays_out_and_a_pinned_one_comes_back() {
+    let (mut fleet, ..) = two_connected_robots();
     let place = fleet.map_from_robot_map(robot(2)).unwrap();
     assert!(fleet.apply_command(1, EdgeAction::Undo));
     fleet.finish();
@@ -186,12 +208,12 @@ fn what_the_operator_undoes_stays_undone_and_what_he_pins_comes_back() {
 }
 
 #[test]
-fn a_robot_that_begins_again_keeps_its_place_and_one_that_leaves_does_not_move_the_frame() {
-    let (mut fleet, ways, believed) = found();
+fn a_restarted_robot_keeps_its_place_and_one_that_leaves_does_not_move_the_frame() {
+    let (mut fleet, paths, estimated) = two_connected_robots();
     let place = fleet.map_from_robot_map(robot(2)).unwrap();
-    send(&mut fleet, 2, &ways[1][..2], &believed[1][..2], 2);
+    send(&mut fleet, 2, &paths[1][..2], &estimated[1][..2], 2);
     assert!(fleet.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
-    // Its SLAM has forgotten nodes: the same incarnation, new submaps under the old ids, of which none has come.
+    // Its SLAM has forgotten nodes: the same incarnation, new submaps under the old ids, of which none has arrived.
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
     (poses.len, poses.generation, poses.header.incarnation) = (1, 1, 2);
     fleet.update_poses(robot(2), &poses).unwrap();
@@ -204,7 +226,7 @@ fn a_robot_that_begins_again_keeps_its_place_and_one_that_leaves_does_not_move_t
 }
 
 #[test]
-fn strangers_and_nonsense_are_refused() {
+fn unknown_robots_and_malformed_messages_are_rejected() {
     let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None]);
     let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
     assert_eq!(fleet.add_submap(robot(2), &submap), Err(SubmapRejected::UnknownRobot(robot(2))));
@@ -218,27 +240,27 @@ fn strangers_and_nonsense_are_refused() {
     assert_eq!(fleet.update_poses(robot(1), &poses), Err(SubmapRejected::Malformed(robot(1))));
 }
 
-/// Two robots that have found each other, and what they drove.
-fn found() -> (FleetPoseGraph, [Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
-    let ways = [way(4.0, 16.0, 5.0), way(18.0, 6.0, 6.0)];
-    let believed = [bent(&ways[0], 0.0), bent(&ways[1], 0.0)];
-    (together(&ways, &believed), ways, believed)
+/// Two connected robots, their paths and the estimates of these.
+fn two_connected_robots() -> (FleetPoseGraph, [Vec<Pose2>; 2], [Vec<Pose2>; 2]) {
+    let paths = [true_path(4.0, 16.0, 5.0), true_path(18.0, 6.0, 6.0)];
+    let estimated = [drifted_path(&paths[0], 0.0), drifted_path(&paths[1], 0.0)];
+    (connected_fleet(&paths, &estimated), paths, estimated)
 }
 
-fn recalled(memory: &FleetSnapshot) -> FleetPoseGraph {
+fn restored(snapshot: &FleetSnapshot) -> FleetPoseGraph {
     let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None, None]);
-    fleet.restore(memory).unwrap();
+    fleet.restore(snapshot).unwrap();
     fleet
 }
 
 #[test]
-fn a_fleet_that_is_recalled_has_its_places_before_anything_is_found_again() {
-    let (mut fleet, ways, believed) = found();
+fn a_restored_fleet_has_its_places_before_any_closure_is_found_again() {
+    let (mut fleet, paths, estimated) = two_connected_robots();
     assert!(fleet.apply_command(1, EdgeAction::Pin));
     work(&mut fleet);
-    let memory = fleet.snapshot();
-    let mut again = recalled(&memory);
-    assert_eq!(again.snapshot(), memory);
+    let snapshot = fleet.snapshot();
+    let mut again = restored(&snapshot);
+    assert_eq!(again.snapshot(), snapshot);
     for k in [1, 2] {
         assert_eq!(again.map_from_robot_map(robot(k)), fleet.map_from_robot_map(robot(k)));
     }
@@ -248,12 +270,12 @@ fn a_fleet_that_is_recalled_has_its_places_before_anything_is_found_again() {
         (now.occupied_f1, now.null_f1_max, now.inliers),
         (before.occupied_f1, before.null_f1_max, before.inliers)
     );
-    // Robot 2's submaps come first: the frame stays robot 1's, and nobody moves.
+    // Robot 2's submaps come first: the frame stays robot 1's, and no robot moves.
     let place = fleet.map_from_robot_map(robot(2)).unwrap();
-    send(&mut again, 2, &ways[1], &believed[1], 1);
+    send(&mut again, 2, &paths[1], &estimated[1], 1);
     assert_eq!(again.map_from_robot_map(robot(1)), Some(Pose2::IDENTITY));
     assert!(again.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
-    send(&mut again, 1, &ways[0], &believed[0], 1);
+    send(&mut again, 1, &paths[0], &estimated[0], 1);
     again.finish();
     work(&mut again);
     assert_eq!(edge(&again).state(), EdgeState::Pinned);
@@ -263,38 +285,38 @@ fn a_fleet_that_is_recalled_has_its_places_before_anything_is_found_again() {
 }
 
 #[test]
-fn what_the_operator_took_back_is_not_found_again_by_a_fleet_that_is_recalled() {
-    let (mut fleet, ways, believed) = found();
+fn a_restored_fleet_does_not_accept_a_rejected_alignment() {
+    let (mut fleet, paths, estimated) = two_connected_robots();
     assert!(fleet.apply_command(1, EdgeAction::Undo));
     work(&mut fleet);
-    let mut again = recalled(&fleet.snapshot());
+    let mut again = restored(&fleet.snapshot());
     assert_eq!((edge(&again).state(), again.map_from_robot_map(robot(2))), (EdgeState::Undone, None));
-    send(&mut again, 1, &ways[0], &believed[0], 1);
-    send(&mut again, 2, &ways[1], &believed[1], 1);
+    send(&mut again, 1, &paths[0], &estimated[0], 1);
+    send(&mut again, 2, &paths[1], &estimated[1], 1);
     again.finish();
     work(&mut again);
     assert_eq!((edge(&again).state(), again.map_from_robot_map(robot(2))), (EdgeState::Undone, None));
-    // Without the memory it is.
-    assert_eq!(edge(&found().0).state(), EdgeState::Accepted);
+    // Without the snapshot it does.
+    assert_eq!(edge(&two_connected_robots().0).state(), EdgeState::Accepted);
 }
 
 #[test]
-fn the_frame_of_a_robot_that_left_is_remembered() {
-    let (mut fleet, _, _) = found();
+fn the_frame_of_a_robot_that_left_is_restored() {
+    let (mut fleet, _, _) = two_connected_robots();
     let place = fleet.map_from_robot_map(robot(2));
     fleet.remove_robot(robot(1));
     work(&mut fleet);
-    let again = recalled(&fleet.snapshot());
+    let again = restored(&fleet.snapshot());
     assert_eq!((again.map_from_robot_map(robot(1)), again.map_from_robot_map(robot(2))), (None, place));
 }
 
 #[test]
-fn a_find_that_waits_and_places_that_hang_on_nothing_are_not_remembered() {
-    let (mut fleet, _, _) = found();
-    fleet.pairs[0].let_go(EdgeState::Candidate);
-    let again = recalled(&fleet.snapshot());
+fn candidates_and_unconnected_robots_are_not_restored() {
+    let (mut fleet, _, _) = two_connected_robots();
+    fleet.pairs[0].edge.deactivate(EdgeState::Candidate);
+    let again = restored(&fleet.snapshot());
     assert_eq!(edge(&again).state(), EdgeState::None);
-    // Only the robot whose map gives the frame is sure of its place.
+    // Only the reference robot keeps its place.
     assert_eq!(
         (again.map_from_robot_map(robot(1)), again.map_from_robot_map(robot(2))),
         (Some(Pose2::IDENTITY), None)

@@ -1,14 +1,14 @@
-//! A robot is no obstacle to its peers: not where it has driven, not where it stands.
+//! A robot is not an obstacle in the merged map: not where it has driven, not where it stands.
 
 use super::tests::{RESOLUTION_M, at, grid, map, merger, pose, robot};
 use super::*;
-use msg::grid::{LOG_ODDS_MIN, Occupancy, occupancy};
+use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_MIN, Occupancy, SWEPT_FREE, occupancy};
 use proptest::prelude::*;
 
 const RADIUS_M: f64 = 0.2;
 
 #[test]
-fn where_a_robot_has_driven_its_peers_see_no_obstacle_until_it_does_itself() {
+fn floor_that_a_robot_drove_over_is_free_until_the_robot_itself_sees_an_obstacle() {
     let one = |cell| grid(Pose2::IDENTITY, RESOLUTION_M, 1, vec![cell]);
     let robots = 1..=ROBOTS_MAX;
     let mut merger = merger(&[Pose2::IDENTITY; ROBOTS_MAX]);
@@ -18,10 +18,10 @@ fn where_a_robot_has_driven_its_peers_see_no_obstacle_until_it_does_itself() {
     assert_eq!(at(&mut merger, 0, 0), LOG_ODDS_MAX);
     merger.update_map(robot(1), one(SWEPT_FREE).view()).unwrap();
     assert_eq!(at(&mut merger, 0, 0), SWEPT_FREE);
-    // Beams, however often they passed, are not so sure.
+    // The surest free cell of beams does not outweigh the others.
     merger.update_map(robot(1), one(LOG_ODDS_MIN).view()).unwrap();
     assert_eq!(occupancy(at(&mut merger, 0, 0)), Occupancy::Occupied);
-    // All of them, and no sum runs over.
+    // All robots at once: no sum overflows.
     for number in robots {
         merger.update_map(robot(number), one(SWEPT_FREE).view()).unwrap();
     }
@@ -29,7 +29,7 @@ fn where_a_robot_has_driven_its_peers_see_no_obstacle_until_it_does_itself() {
 }
 
 #[test]
-fn a_robot_is_no_obstacle_where_it_stands_and_on_the_way_there() {
+fn a_robot_is_no_obstacle_where_it_stands_and_on_its_path() {
     let ghosts = grid(Pose2::new(-5.0, -5.0, 0.0), RESOLUTION_M, 200, vec![60; 200 * 200]);
     let place = Pose2::new(1.0, 0.0, core::f64::consts::FRAC_PI_2);
     let mut merger = merger(&[Pose2::IDENTITY, place]);
@@ -41,25 +41,25 @@ fn a_robot_is_no_obstacle_where_it_stands_and_on_the_way_there() {
     let free = |merger: &mut Merger, y| at(merger, 20, y) == SWEPT_FREE;
     assert_eq!([4, 6, 13, 15].map(|y| free(&mut merger, y)), [false, true, true, false]);
     assert_eq!([at(&mut merger, 23, 9), at(&mut merger, 24, 9)], [SWEPT_FREE, 60]);
-    // It stands, as well as it knows; then it drives a metre.
+    // It stands still but for noise; then it drives a metre.
     assert!(!stand(&mut merger, 0.505));
     for step in 1..=10 {
         assert!(stand(&mut merger, 0.5 + 0.1 * f64::from(step)));
     }
     assert!((6..33).all(|y| free(&mut merger, y)) && !free(&mut merger, 35));
-    // Not placed, it is nowhere; placed elsewhere, it was there.
+    // Without a transform it is nowhere; with another one its path lies elsewhere.
     merger.set_map_transform(robot(2), None).unwrap();
     assert!((0..40).all(|y| !free(&mut merger, y)));
     assert!(!stand(&mut merger, 1.52));
     merger.set_map_transform(robot(2), Some(Pose2::new(1.0, -1.0, place.yaw_rad))).unwrap();
     assert!((-14..13).all(|y| free(&mut merger, y)) && !free(&mut merger, 20));
     merger.set_map_transform(robot(2), Some(place)).unwrap();
-    // After so much more way, its own map must know.
+    // Farther back than the path reaches, its own map must know.
     for step in 1..=40 {
         assert!(stand(&mut merger, 1.52 + 0.1 * f64::from(step)));
     }
     assert!(!free(&mut merger, 8) && free(&mut merger, 40) && free(&mut merger, 70));
-    // Its map was bent: it did not drive there, and where it was in the old one says nothing.
+    // Its map was corrected under it: the path in the old one is invalid.
     assert!(stand(&mut merger, 1.0));
     assert!(free(&mut merger, 20) && (26..80).all(|y| !free(&mut merger, y)));
     merger.remove_map(robot(2));
@@ -67,7 +67,7 @@ fn a_robot_is_no_obstacle_where_it_stands_and_on_the_way_there() {
 }
 
 #[test]
-fn no_robot_and_no_place_and_no_size_change_nothing() {
+fn unknown_robots_and_implausible_footprints_change_nothing() {
     let mut merger = merger(&[Pose2::IDENTITY]);
     merger.update_map(robot(1), grid(Pose2::IDENTITY, RESOLUTION_M, 40, vec![60; 1600]).view()).unwrap();
     let before = merger.merged().to_owned();
@@ -79,7 +79,7 @@ fn no_robot_and_no_place_and_no_size_change_nothing() {
         assert!(!merger.set_robot_footprint(robot(1), here, radius_m));
     }
     assert_eq!(merger.merged().to_owned(), before);
-    // Far from all that is known it draws nothing, and makes no room.
+    // Far from everything known it draws nothing, and the merged map does not grow.
     merger.set_robot_footprint(robot(1), Pose2::new(500.0, 0.0, 0.0), RADIUS_M);
     assert_eq!(merger.merged().to_owned(), before);
 }
@@ -88,7 +88,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn it_does_not_matter_when_a_robot_says_where_it_is(
+    fn the_order_of_footprints_and_maps_does_not_matter(
         maps in proptest::collection::vec((map(90), pose()), 2..4), elsewhere in pose(),
         way in proptest::collection::vec((-0.15..0.15, -0.15..0.15), 1..60),
     ) {

@@ -1,9 +1,9 @@
-//! What must hold whatever the robots' maps look like.
+//! Properties that hold whatever the robots' maps look like.
 
 use super::*;
 use core::f64::consts::FRAC_PI_2;
-use msg::grid::{Occupancy, occupancy};
-use msg::{Grid, GridHeader};
+use msg::grid::{Occupancy, UNKNOWN, occupancy};
+use msg::{Grid, GridHeader, Stamp};
 use proptest::prelude::*;
 
 pub(super) const RESOLUTION_M: f64 = 0.05;
@@ -21,14 +21,14 @@ pub(super) fn merger(starts: &[Pose2]) -> Merger {
     Merger::new(&MergeConfig::default(), &starts.iter().map(|start| Some(*start)).collect::<Vec<_>>())
 }
 
-/// The merged evidence at a cell of the lattice.
+/// Merged log-odds at a cell of the lattice.
 pub(super) fn at(merger: &mut Merger, x: i64, y: i64) -> i8 {
     let view = merger.merged();
     let corner = [view.header.origin.x_m, view.header.origin.y_m].map(|m| (m / RESOLUTION_M).round() as i64);
     view.cell(x - corner[0], y - corner[1])
 }
 
-/// All merged evidence on a fixed window.
+/// Merged log-odds in a fixed window, which must hold all known cells.
 fn window(merger: &mut Merger, half: i64) -> Vec<i8> {
     let cells = Rect { x0: -half, y0: -half, x1: half, y1: half };
     let view = merger.merged().to_owned();
@@ -42,14 +42,14 @@ fn window(merger: &mut Merger, half: i64) -> Vec<i8> {
     cells.points().map(|(x, y)| view.view().cell(x - corner[0], y - corner[1])).collect()
 }
 
-fn evidence() -> impl Strategy<Value = i8> {
+fn log_odds() -> impl Strategy<Value = i8> {
     prop_oneof![2 => Just(UNKNOWN), 1 => -127_i8..=127]
 }
 
 pub(super) fn map(side: u32) -> impl Strategy<Value = Grid> {
     let shape = (1..=side, 1..=side, -40..40_i32, -40..40_i32);
     shape.prop_flat_map(|(width, height, x, y)| {
-        let cells = proptest::collection::vec(evidence(), (width * height) as usize);
+        let cells = proptest::collection::vec(log_odds(), (width * height) as usize);
         let origin = Pose2::new(f64::from(x) * RESOLUTION_M, f64::from(y) * RESOLUTION_M, 0.0);
         cells.prop_map(move |cells| grid(origin, RESOLUTION_M, width, cells))
     })
@@ -59,7 +59,7 @@ pub(super) fn pose() -> impl Strategy<Value = Pose2> {
     (-2.0..2.0, -2.0..2.0, -3.2..3.2).prop_map(|(x, y, yaw)| Pose2::new(x, y, yaw))
 }
 
-/// The same content in a window that is `margin` cells larger on the given sides.
+/// The same content in a window that is larger by so many cells on each side.
 fn grown(map: &Grid, [left, below, right, above]: [u32; 4]) -> Grid {
     let (width, height) = (map.header.width + left + right, map.header.height + below + above);
     let r = map.header.resolution_m;
@@ -70,7 +70,7 @@ fn grown(map: &Grid, [left, below, right, above]: [u32; 4]) -> Grid {
 }
 
 #[test]
-fn one_robot_at_the_origin_is_copied() {
+fn the_map_of_one_robot_at_the_origin_is_copied() {
     let cells: Vec<i8> = (0..200 * 100).map(|i| (i % 256) as u8 as i8).collect();
     let map = grid(Pose2::new(-1.0, 2.0, 0.0), RESOLUTION_M, 200, cells);
     let mut merger = merger(&[Pose2::IDENTITY]);
@@ -82,7 +82,7 @@ fn one_robot_at_the_origin_is_copied() {
 }
 
 #[test]
-fn a_ghost_is_cleared_by_those_who_saw_the_floor() {
+fn an_imagined_obstacle_is_cleared_by_robots_that_saw_the_floor() {
     let one = |cell| grid(Pose2::IDENTITY, RESOLUTION_M, 1, vec![cell]);
     let mut merger = merger(&[Pose2::IDENTITY; 3]);
     merger.update_map(robot(1), one(60).view()).unwrap();
@@ -90,7 +90,7 @@ fn a_ghost_is_cleared_by_those_who_saw_the_floor() {
     merger.update_map(robot(2), one(-60).view()).unwrap();
     merger.update_map(robot(3), one(-60).view()).unwrap();
     assert_eq!(at(&mut merger, 0, 0), -60);
-    // Unknown is not evidence; and a robot that leaves takes its own away.
+    // Unknown cells count nothing, and a robot that leaves takes its log-odds away.
     merger.update_map(robot(2), one(UNKNOWN).view()).unwrap();
     assert_eq!(at(&mut merger, 0, 0), 0);
     merger.remove_map(robot(1));
@@ -125,7 +125,7 @@ fn thin_walls_survive_finer_cells_and_coarse_cells_leave_no_holes() {
 }
 
 #[test]
-fn nonsense_is_refused_and_nothing_is_lost() {
+fn malformed_maps_are_rejected_and_change_nothing() {
     let good = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![50; 4]);
     let mut merger = merger(&[Pose2::IDENTITY, Pose2::new(90_000.0, 90_000.0, 0.0)]);
     merger.update_map(robot(1), good.view()).unwrap();
@@ -150,7 +150,7 @@ fn nonsense_is_refused_and_nothing_is_lost() {
 }
 
 #[test]
-fn an_older_map_is_refused_unless_the_robot_restarted() {
+fn an_older_map_is_rejected_unless_the_robot_restarted() {
     let stamped = |seconds, run, cell| {
         let mut map = grid(Pose2::IDENTITY, RESOLUTION_M, 1, vec![cell]);
         map.header.header =
@@ -172,7 +172,7 @@ fn an_older_map_is_refused_unless_the_robot_restarted() {
 }
 
 #[test]
-fn a_robot_without_a_start_waits_for_its_anchor() {
+fn a_robot_without_a_start_is_drawn_when_its_transform_is_set() {
     let map = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![50; 4]);
     let mut merger = Merger::new(&MergeConfig::default(), &[None]);
     merger.update_map(robot(1), map.view()).unwrap();
@@ -188,7 +188,7 @@ fn a_robot_without_a_start_waits_for_its_anchor() {
 }
 
 #[test]
-fn a_redrawn_map_takes_the_robots_own_ones_place_and_gives_it_back() {
+fn a_redrawn_map_replaces_the_robots_own_one_until_it_is_withdrawn() {
     let stamped = |seconds, cell| {
         let mut map = grid(Pose2::IDENTITY, RESOLUTION_M, 2, vec![cell; 4]);
         map.header.header =
@@ -198,7 +198,7 @@ fn a_redrawn_map_takes_the_robots_own_ones_place_and_gives_it_back() {
     let mut merger = Merger::new(&MergeConfig::default(), &[None]);
     merger.update_map(robot(1), stamped(5.0, 50).view()).unwrap();
     let place = Some(Pose2::new(1.0, 0.0, 0.0));
-    // Made of older scans than the robot's newest map, and yet in force.
+    // Drawn from older scans than the robot's newest map, and used nevertheless.
     let redrawn = Arc::new(stamped(4.0, -30));
     assert_eq!(merger.apply_fleet_estimate(robot(1), place, Some(&redrawn)), Ok(true));
     assert_eq!(at(&mut merger, 20, 0), -30);
@@ -234,7 +234,7 @@ proptest! {
     }
 
     #[test]
-    fn a_map_merged_with_itself_reads_the_same(map in map(70), start in pose()) {
+    fn a_map_merged_with_itself_has_the_same_occupancy(map in map(70), start in pose()) {
         let (mut once, mut twice) = (merger(&[start]), merger(&[start, start]));
         once.update_map(robot(1), map.view()).unwrap();
         twice.update_map(robot(1), map.view()).unwrap();
@@ -256,10 +256,10 @@ proptest! {
     }
 
     #[test]
-    fn growing_piece_by_piece_is_the_same_as_at_once(
+    fn growing_step_by_step_gives_the_same_as_at_once(
         map in map(70), start in pose(),
         growth in proptest::collection::vec(proptest::array::uniform4(0_u32..20), 1..4),
-        edits in proptest::collection::vec((0.0..1.0, evidence()), 1..4),
+        edits in proptest::collection::vec((0.0..1.0, log_odds()), 1..4),
         resolution_m in prop_oneof![3 => Just(RESOLUTION_M), 1 => 0.02..0.12],
     ) {
         let mut map = Grid { header: GridHeader { resolution_m, ..map.header }, ..map };
@@ -303,7 +303,7 @@ proptest! {
     }
 
     #[test]
-    fn moving_an_anchor_is_the_same_as_starting_there(map in map(70), a in pose(), b in pose()) {
+    fn moving_a_map_gives_the_same_as_starting_there(map in map(70), a in pose(), b in pose()) {
         let (mut moved, mut there) = (merger(&[a]), merger(&[b]));
         moved.update_map(robot(1), map.view()).unwrap();
         moved.merged();

@@ -150,12 +150,13 @@ impl ProgressChecker {
         self.last = None;
     }
 
-    /// Whether there was no progress for 4 s until the last call. A robot without a goal always progresses.
+    /// Whether there has been no progress for 4 s. A robot without a goal always progresses.
     pub(super) fn is_stuck(&mut self, now: Stamp, pose: Pose2, has_goal: bool) -> bool {
         let (since, reference) = *self.last.get_or_insert((now, pose));
         let turned_rad = wrap_angle(pose.yaw_rad - reference.yaw_rad).abs();
         if reference.distance_m(pose) > STILL_M || turned_rad > STILL_RAD || !has_goal {
             self.last = Some((now, pose));
+            return false;
         }
         now - since > STUCK_S
     }
@@ -183,5 +184,32 @@ impl PoseTracking {
         let step_m = self.last_pose.map_or(0.0, |last| last.distance_m(pose));
         self.last_pose = Some(pose);
         if step_m < POSE_JUMP_M { step_m } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_that_moves_again_is_not_stuck() {
+        let mut progress = ProgressChecker::default();
+        let at = Stamp::from_seconds;
+        assert!(!progress.is_stuck(at(0.0), Pose2::IDENTITY, true));
+        assert!(!progress.is_stuck(at(3.9), Pose2::IDENTITY, true));
+        assert!(!progress.is_stuck(at(4.5), Pose2::new(0.1, 0.0, 0.0), true), "it has moved 0.1 m");
+        assert!(!progress.is_stuck(at(8.0), Pose2::new(0.1, 0.0, 0.0), true));
+        assert!(progress.is_stuck(at(8.6), Pose2::new(0.1, 0.0, 0.0), true), "still for 4.1 s");
+        assert!(!progress.is_stuck(at(8.7), Pose2::new(0.1, 0.0, 0.0), false), "it has no goal");
+    }
+
+    #[test]
+    fn a_jump_of_the_map_is_not_driving() {
+        let mut tracking = PoseTracking::default();
+        assert_eq!(tracking.distance_to_m(Pose2::IDENTITY), 0.0);
+        assert_eq!(tracking.distance_to_m(Pose2::new(0.5, 0.0, 0.0)), 0.5);
+        assert_eq!(tracking.distance_to_m(Pose2::new(3.0, 0.0, 0.0)), 0.0);
+        assert!(tracking.map_changed(true) && !tracking.map_changed(true));
+        assert_eq!(tracking.distance_to_m(Pose2::IDENTITY), 0.0);
     }
 }

@@ -14,8 +14,8 @@ fn transform(parent: &str, child: &str, pose: Pose2) -> TransformStamped {
 }
 
 fn store_transforms(state: &mut WorldState, now_s: f64, transforms: Vec<TransformStamped>) {
-    let decoded = Decoded::Transforms(TfMessage { transforms });
-    state.store(Stamp::from_seconds(now_s), "/tf", &[], decoded).unwrap();
+    let content = MessageContent::Transforms(TfMessage { transforms });
+    state.store(Stamp::from_seconds(now_s), "/tf", &[], content).unwrap();
 }
 
 fn grid(side: u32) -> Vec<u8> {
@@ -48,8 +48,8 @@ fn poses_refer_to_the_own_map_until_the_place_in_the_merged_map_is_known() {
             transform("base_link_2", "base_scan_2", scan_at),
         ],
     );
-    state.store(Stamp(0), "/robot2/map", &grid(3), Decoded::NotDecoded).unwrap();
-    state.store(Stamp(0), "/merged_map", &grid(5), Decoded::NotDecoded).unwrap();
+    state.store(Stamp(0), "/robot2/map", &grid(3), MessageContent::Encoded).unwrap();
+    state.store(Stamp(0), "/merged_map", &grid(5), MessageContent::Encoded).unwrap();
     let maps = decode_maps(state.take_encoded_maps());
     assert_eq!(maps.len(), 2);
     state.store_maps(maps);
@@ -83,10 +83,10 @@ fn invalid_transforms_and_maps_are_ignored() {
     assert!(state.transforms.len() <= FRAMES_MAX);
     assert_eq!(state.robot(Stamp(0), robot).map_from_base, None);
     // A map that cannot be decoded leaves the one before in place.
-    state.store(Stamp(0), "/merged_map", &grid(2), Decoded::NotDecoded).unwrap();
+    state.store(Stamp(0), "/merged_map", &grid(2), MessageContent::Encoded).unwrap();
     let good = decode_maps(state.take_encoded_maps());
     state.store_maps(good);
-    state.store(Stamp(0), "/merged_map", &[0, 1, 0, 0, 7], Decoded::NotDecoded).unwrap();
+    state.store(Stamp(0), "/merged_map", &[0, 1, 0, 0, 7], MessageContent::Encoded).unwrap();
     let bad = decode_maps(state.take_encoded_maps());
     assert!(bad.is_empty());
     state.store_maps(bad);

@@ -16,6 +16,9 @@ use crate::graph::{Edge, EdgeKind, Graph};
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 
+/// A later scan that sees this far behind a point contradicts it, metres: less than elsewhere, as both scans are
+/// linked and hardly drift against each other, and what leaves the room may be thin.
+const SEE_THROUGH_M: f32 = 0.3;
 /// Links of a node that others inherit.
 const INHERITED_MAX: usize = 16;
 
@@ -67,14 +70,14 @@ impl BackEnd {
                 continue;
             }
             let new_from_old = self.graph.poses()[newest].between(self.graph.poses()[old]);
-            let (agree, contradict) =
-                self.nodes[newest].cloud.judge(&self.nodes[old].cloud, new_from_old, 0.15, 0.3);
+            let (newest, old_cloud) = (&self.nodes[newest].cloud, &self.nodes[old].cloud);
+            let agreement = newest.compare(old_cloud, new_from_old, SEE_THROUGH_M);
             let l = &self.config.lifelong;
-            if contradict as f32 <= l.contradicted_share * (agree + contradict) as f32 {
+            if !agreement.is_contradicted(l.contradicted_share, 0) {
                 continue;
             }
             self.contradicted[old] = self.contradicted[old].saturating_add(1);
-            let covered = (old + 1..=newest).any(|later| self.same_view(old, later, 1.5));
+            let covered = (old + 1..self.nodes.len()).any(|later| self.same_view(old, later, 1.5));
             if self.contradicted[old] >= l.contradictions && covered {
                 self.retire_later(old as u32);
             }

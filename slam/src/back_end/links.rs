@@ -2,6 +2,7 @@
 
 use super::BackEnd;
 use crate::align::{Reference, align};
+use crate::cloud::SEE_THROUGH_M;
 use crate::config::LinkConfig;
 use crate::graph::{EdgeKind, RelativeUncertainty, UNOBSERVED};
 use msg::{Pose2, pose::wrap_angle};
@@ -11,6 +12,13 @@ use posegraph::limit_information;
 /// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre
 /// between what is looked at.
 const VIEWPOINT: f64 = 0.5;
+/// Variances (m², rad²) of a node's pose as seen from the few before it: 10 cm and 55 mrad, what wheels lose over them.
+const SEQUENTIAL: RelativeUncertainty = RelativeUncertainty { position: 0.01, heading: 0.003 };
+/// An alignment may move the pose by this many standard deviations of what is known,
+const CORRECTION_SIGMAS: f64 = 3.0;
+/// and by what the alignment itself may err, metres and radians; one that moves it farther has found another surface.
+const CORRECTION_M: f64 = 0.05;
+const CORRECTION_RAD: f64 = 0.02;
 /// Near links are spread: not two to nodes this close in order.
 const NEAR_SPREAD: u32 = 3;
 
@@ -23,7 +31,7 @@ impl BackEnd {
     pub(super) fn link_sequential(&mut self, id: u32) {
         for back in 1..=self.config.links.sequential as u32 {
             if let Some(older) = id.checked_sub(back) {
-                self.link(older, id, RelativeUncertainty { position: 0.01, heading: 0.003 });
+                self.link(older, id, SEQUENTIAL);
             }
         }
     }
@@ -81,11 +89,13 @@ impl BackEnd {
         }
         let moved = fit.frame_from_cloud.distance_m(guess);
         let turned = wrap_angle(fit.frame_from_cloud.yaw_rad - guess.yaw_rad).abs();
-        if moved > 3.0 * known.position.sqrt() + 0.05 || turned > 3.0 * known.heading.sqrt() + 0.02 {
+        if moved > CORRECTION_SIGMAS * known.position.sqrt() + CORRECTION_M
+            || turned > CORRECTION_SIGMAS * known.heading.sqrt() + CORRECTION_RAD
+        {
             return false;
         }
-        let (agree, contradict) = older.cloud.judge(&newer.cloud, fit.frame_from_cloud, 0.15, 0.4);
-        if (agree as f32) < l.agreement_min * (agree + contradict) as f32 {
+        let agreement = older.cloud.compare(&newer.cloud, fit.frame_from_cloud, SEE_THROUGH_M);
+        if !agreement.is_sound(l.agreement_min) {
             return false;
         }
         let information = self.floored(fit.information_for_links(l));

@@ -11,6 +11,7 @@ use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD};
 use super::{BackEnd, TORN_M, TORN_RAD, TORN_VARIANCE};
 use crate::closure::ClosureCandidate;
+use crate::cloud::Agreement;
 use crate::graph::{EdgeKind, RelativeUncertainty};
 use crate::relocalize::{Placed, RelocalizationOutcome, Relocalizer};
 use msg::Pose2;
@@ -68,19 +69,12 @@ impl BackEnd {
             .filter(|(apart, _)| *apart < self.config.links.distance_max_m)
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let (mut agree, mut contradict) = (0, 0);
+        let mut agreement = Agreement::default();
         for (_, old) in near.into_iter().take(WITNESSES) {
             let old_from_new = poses[old as usize].between(poses[id as usize]);
-            let old = &self.nodes[old as usize].cloud;
-            for (a, c) in [
-                old.judge(&node.cloud, old_from_new, 0.15, 0.4),
-                node.cloud.judge(old, old_from_new.inverse(), 0.15, 0.4),
-            ] {
-                agree += a;
-                contradict += c;
-            }
+            agreement += Agreement::both_ways(&self.nodes[old as usize].cloud, &node.cloud, old_from_new);
         }
-        if contradict < TORN_POINTS_MIN || contradict as f32 <= TORN_SHARE * (agree + contradict) as f32 {
+        if !agreement.is_contradicted(TORN_SHARE, TORN_POINTS_MIN) {
             return;
         }
         let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == unverified_edge;

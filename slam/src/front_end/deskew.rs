@@ -1,84 +1,84 @@
-//! Scans whose beams were measured one after the other: the robot's motion meanwhile is taken out,
-//! as the wheels say it, or, where there are none, together with the pose.
+//! Motion compensation: the robot's motion while the beams were measured is taken out of the scan,
+//! as odometry has it, or, without odometry, together with the pose.
 
-use super::{CARRIED_MAX_S, FrontEnd, PosePrediction, TrackedPose, carried};
+use super::motion::{CONSTANT_MOTION_MAX_S, PosePrediction, continue_motion};
+use super::{FrontEnd, TrackedPose};
 use crate::beam_poses::{BeamPoses, part};
 use crate::cloud::Cloud;
 use crate::stages::Stage;
 use msg::{Pose2, Scan, TrackingState, pose::wrap_angle};
 use std::sync::Arc;
 
-/// Poses found for one scan when its motion has to be found with it.
+/// Alignments of one scan whose motion is estimated with its pose: one or two leave errors that swing from scan
+/// to scan, three end that.
 const PASSES: usize = 3;
-/// So much of a motion's correction is taken over: half a turn's motion looks like a change of the
-/// pose, so a pass that assumes too much finds half of that too little.
-const SHARE: f64 = 2.0 / 3.0;
+/// Share of a motion's correction that each pass applies. Half a revolution's motion looks like a change of the pose,
+/// so a pass that assumes too much motion finds half of that too little: 2/3 cancels the swing.
+const CORRECTION_SHARE: f64 = 2.0 / 3.0;
 
 impl FrontEnd {
-    /// A scan's surfaces, and where the robot is by them.
-    pub(super) fn look(
+    /// The scan's sensor poses, its surfaces without the robot's motion, and the pose that matches them.
+    pub(super) fn deskew_and_match(
         &mut self,
         scan: &Scan,
-        expected: &PosePrediction,
+        prediction: &PosePrediction,
         odom_from_base: Option<Pose2>,
     ) -> (BeamPoses, Arc<Cloud>, TrackedPose) {
         self.stages.stage_started(Stage::Cloud);
-        let still = BeamPoses::still(self.config.base_from_scan());
+        let base_from_scan = self.config.base_from_scan();
+        let fixed = BeamPoses::still(base_from_scan);
         let seconds = BeamPoses::seconds(scan);
-        let by_wheels = match seconds {
-            Some(0.0) => Some(still),
-            Some(seconds) => self.by_wheels(scan, seconds, odom_from_base),
+        let from_odometry = match seconds {
+            Some(0.0) => Some(fixed),
+            Some(seconds) => self.motion.beam_poses(base_from_scan, scan, seconds, odom_from_base),
             None => None,
         };
-        let interval_s = self.last.map(|last| scan.header.stamp - last.stamp);
-        let along = seconds.zip(interval_s.filter(|s| *s < CARRIED_MAX_S));
-        if let (None, Some((seconds, interval_s))) = (by_wheels, along) {
-            return self.look_along(scan, expected, seconds, interval_s);
+        let interval_s = self.motion.last.map(|last| scan.header.stamp - last.stamp);
+        let durations = seconds.zip(interval_s.filter(|s| *s < CONSTANT_MOTION_MAX_S));
+        if let (None, Some(durations)) = (from_odometry, durations) {
+            return self.estimate_motion_and_match(scan, prediction, durations);
         }
-        self.counts.not_deskewed += u64::from(by_wheels.is_none());
-        let sweep = by_wheels.unwrap_or(still);
-        let cloud = self.pool.cloud(scan, &sweep, &self.config);
-        let found = self.locate(&cloud, expected);
-        (sweep, cloud, found)
+        self.counts.not_deskewed += u64::from(from_odometry.is_none());
+        let beam_poses = from_odometry.unwrap_or(fixed);
+        let cloud = self.scan_buffers.cloud(scan, &beam_poses, &self.config);
+        let pose = self.match_cloud(&cloud, prediction);
+        (beam_poses, cloud, pose)
     }
 
-    fn by_wheels(&self, scan: &Scan, seconds: f64, odom_from_base: Option<Pose2>) -> Option<BeamPoses> {
-        let before = odom_from_base?;
-        BeamPoses::new(self.config.base_from_scan(), scan, seconds, |after_s| {
-            let then = scan.header.stamp + core::time::Duration::from_secs_f64(after_s);
-            Some(before.between(self.odometry.at(then)?))
-        })
+    fn match_cloud(&mut self, cloud: &Cloud, prediction: &PosePrediction) -> TrackedPose {
+        let after_loss = self.nodes.last_scan_lost;
+        self.matcher.match_scan(cloud, prediction, after_loss, &self.config, &mut *self.stages)
     }
 
-    /// Without wheels: the motion over the interval since the scan before goes on through this one.
-    /// It follows from the pose, and the pose from it.
-    fn look_along(
+    /// Without odometry: the motion since the last scan is assumed to continue through this one. It follows
+    /// from the pose, and the pose from it.
+    fn estimate_motion_and_match(
         &mut self,
         scan: &Scan,
-        expected: &PosePrediction,
-        seconds: f64,
-        interval_s: f64,
+        prediction: &PosePrediction,
+        (scan_s, interval_s): (f64, f64),
     ) -> (BeamPoses, Arc<Cloud>, TrackedPose) {
-        let before = self.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
-        let known = self.last.and_then(|last| last.motion);
-        let mut motion = known.map_or(Pose2::IDENTITY, |(motion, s)| carried(motion, s, interval_s));
+        let base_from_scan = self.config.base_from_scan();
+        let before = self.motion.last.map_or(Pose2::IDENTITY, |last| last.local_from_base);
+        let known = self.motion.last.and_then(|last| last.motion);
+        let mut motion = known.map_or(Pose2::IDENTITY, |(motion, s)| continue_motion(motion, s, interval_s));
         let mut pass = 1;
         loop {
             let so_far = |after_s: f64| Some(part(motion, after_s / interval_s));
-            let still = BeamPoses::still(self.config.base_from_scan());
-            let sweep = BeamPoses::new(self.config.base_from_scan(), scan, seconds, so_far).unwrap_or(still);
+            let beam_poses = BeamPoses::new(base_from_scan, scan, scan_s, so_far)
+                .unwrap_or(BeamPoses::still(base_from_scan));
             self.stages.stage_started(Stage::Cloud);
-            let cloud = self.pool.cloud(scan, &sweep, &self.config);
-            let found = self.locate(&cloud, expected);
-            let lost = matches!(found.state, TrackingState::Lost | TrackingState::Starting);
+            let cloud = self.scan_buffers.cloud(scan, &beam_poses, &self.config);
+            let pose = self.match_cloud(&cloud, prediction);
+            let lost = matches!(pose.state, TrackingState::Lost | TrackingState::Starting);
             if lost || pass == PASSES {
-                return (sweep, cloud, found);
+                return (beam_poses, cloud, pose);
             }
-            let seen = before.between(found.local_from_base);
+            let seen = before.between(pose.local_from_base);
             motion = Pose2::new(
-                motion.x_m + SHARE * (seen.x_m - motion.x_m),
-                motion.y_m + SHARE * (seen.y_m - motion.y_m),
-                motion.yaw_rad + SHARE * wrap_angle(seen.yaw_rad - motion.yaw_rad),
+                motion.x_m + CORRECTION_SHARE * (seen.x_m - motion.x_m),
+                motion.y_m + CORRECTION_SHARE * (seen.y_m - motion.y_m),
+                motion.yaw_rad + CORRECTION_SHARE * wrap_angle(seen.yaw_rad - motion.yaw_rad),
             );
             pass += 1;
         }

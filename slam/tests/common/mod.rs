@@ -2,6 +2,8 @@
 #![allow(dead_code)]
 
 use msg::{Header, Odometry, Pose2, Scan, Stamp};
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 /// A wall from a to b, metres.
 pub type Wall = [[f64; 2]; 2];
@@ -58,21 +60,17 @@ pub fn ring(seed: u64) -> Vec<Wall> {
     walls
 }
 
-/// Pseudo-random numbers from a seed (splitmix64).
-pub struct Noise(u64);
+/// Random numbers from a seed (SplitMix64).
+pub struct Noise(SplitMix64);
 
 impl Noise {
     pub fn new(seed: u64) -> Self {
-        Self(seed)
+        Self(SplitMix64::seed_from_u64(seed))
     }
 
     /// 0 to 1.
     pub fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (z ^ (z >> 31)) as f64 / u64::MAX as f64
+        self.0.next_u64() as f64 / u64::MAX as f64
     }
 
     /// Mean 0, standard deviation 1.

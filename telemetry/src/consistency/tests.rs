@@ -1,4 +1,4 @@
-//! Known answers.
+//! Maps whose consistency is known.
 
 use super::*;
 use crate::testing::{house, within};
@@ -15,7 +15,7 @@ fn shifted(grid: &Grid) -> Grid {
 }
 
 #[test]
-fn a_map_agrees_with_itself() {
+fn a_map_is_consistent_with_itself() {
     let map = house();
     let same = compare(map.view(), map.view(), Pose2::IDENTITY).unwrap();
     let known = map.cells.iter().filter(|cell| **cell != UNKNOWN).count() as f64;
@@ -35,7 +35,7 @@ fn one_cell_beside_is_forgiven_only_by_the_tolerant_figures() {
 }
 
 #[test]
-fn known_counts() {
+fn figures_equal_hand_counted_ones() {
     let row = |cells: Vec<i8>| {
         let header =
             GridHeader { resolution_m: 0.1, width: cells.len() as u32, height: 1, ..Default::default() };
@@ -68,7 +68,7 @@ fn chance_reaches_the_papers_figure_but_not_the_walls() {
 }
 
 #[test]
-fn a_wrong_transform_scores_like_its_null() {
+fn a_wrong_transform_scores_like_the_null() {
     let map = house();
     let wrong = Pose2::new(2.5, 0.6, 0.9);
     let found = compare(map.view(), map.view(), wrong).unwrap();

@@ -1,4 +1,4 @@
-//! A small fleet's messages, and what must come out.
+//! Messages of small fleets, and the statistics that must come of them.
 
 use super::*;
 use crate::testing::{house, within};
@@ -21,7 +21,7 @@ fn map_transforms(known: usize) -> MapTransforms {
 }
 
 #[test]
-fn one_second_of_one_robot() {
+fn the_statistics_of_one_robot_are_those_of_its_messages() {
     let start = Pose2::new(1.0, 0.5, 0.0);
     let mut telemetry = Telemetry::new(1, None, &[Some(start)]);
     for n in 0..60_u64 {
@@ -64,22 +64,22 @@ fn one_second_of_one_robot() {
 }
 
 #[test]
-fn maps_of_the_fleet() {
+fn maps_are_compared_once_their_transforms_are_known() {
     let mut telemetry = Telemetry::new(3, Some(house()), &[Some(Pose2::IDENTITY), None]);
     for number in 1..=3 {
         telemetry.add_map(robot(number), house().view(), Monotonic(0));
     }
-    telemetry.map_transforms(&map_transforms(2));
+    telemetry.update_map_transforms(&map_transforms(2));
     telemetry.update_merged_map(house().view(), Monotonic(0));
     let stats = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
     assert_eq!((stats.consistency, stats.occupied_f1, stats.room_coverage), (1.0, 1.0, 1.0));
-    telemetry.map_transforms(&map_transforms(3));
+    telemetry.update_map_transforms(&map_transforms(3));
     assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
 }
 
 #[test]
-fn strangers_and_nonsense_change_nothing() {
+fn unknown_robots_and_malformed_maps_change_nothing() {
     let mut telemetry = Telemetry::new(1, None, &[]);
     let empty = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     telemetry.add_map(robot(2), house().view(), Monotonic(0));
@@ -87,7 +87,7 @@ fn strangers_and_nonsense_change_nothing() {
     telemetry.add_map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
     telemetry.update_merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
     telemetry.add_correction(robot(9), &Correction::default(), Monotonic(0));
-    telemetry.process_health(
+    telemetry.add_process_health(
         &ProcessHealth { role: Role::Sim as u32, robot: 5, ..Default::default() },
         Monotonic(0),
     );

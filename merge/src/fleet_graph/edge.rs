@@ -1,0 +1,223 @@
+//! The edge between two robots: its state, its evidence, and what the operator decided.
+
+use crate::align::Alignment;
+use msg::{EdgeAction, EdgeState, Pose2, pose::wrap_angle};
+use serde::{Deserialize, Serialize};
+
+/// Two alignments within this distance (metres)
+const SAME_ALIGNMENT_M: f64 = 1.0;
+/// and this rotation (radians) of each other are the same one: less than any two rooms are apart, more than what
+/// growing maps change.
+const SAME_ALIGNMENT_RAD: f64 = 0.1;
+/// Most rejected alignments that are remembered: the oldest go first.
+pub(crate) const REJECTED_MAX: usize = 8;
+/// Lead in F1 that an alignment needs over the best of 20 wrong transforms.
+const LEAD_OVER_NULL: f64 = 0.3;
+/// Below this F1 the maps contradict an edge: right places have 0.8 and more, wrong ones 0.2 and less.
+const CONTRADICTED_F1: f64 = 0.4;
+/// Least overlap in which a low F1 counts, square metres.
+const CONTRADICTED_OVERLAP_M2: f64 = 10.0;
+/// Contradictions in a row after which an edge is dropped.
+const CONTRADICTIONS_MAX: u32 = 2;
+/// Closures that make an edge between two robots that others have brought together.
+const CLOSURES_MIN: usize = 2;
+
+/// What speaks for an edge.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Evidence {
+    /// The newest comparison of the two whole maps.
+    pub alignment: Alignment,
+    /// Largest F1 of occupied cells under wrong transforms: what chance reaches.
+    pub null_f1_max: f64,
+}
+
+/// Relation of the maps of two robots.
+#[derive(Clone, Debug)]
+pub(crate) struct MapEdge {
+    state: EdgeState,
+    a_from_b: Pose2,
+    evidence: Option<Evidence>,
+    /// Nodes of both robots when the evidence was found.
+    found_at_nodes: [u32; 2],
+    /// Alignments that the operator rejected.
+    rejected: Vec<Pose2>,
+    contradictions: u32,
+}
+
+impl Default for MapEdge {
+    fn default() -> Self {
+        Self {
+            state: EdgeState::None,
+            a_from_b: Pose2::IDENTITY,
+            evidence: None,
+            found_at_nodes: [0; 2],
+            rejected: Vec::new(),
+            contradictions: 0,
+        }
+    }
+}
+
+impl MapEdge {
+    /// An edge as it was kept. The evidence is of `a_from_b`.
+    pub fn restored(
+        state: EdgeState,
+        a_from_b: Pose2,
+        evidence: Option<Evidence>,
+        rejected: Vec<Pose2>,
+    ) -> Self {
+        let evidence = evidence
+            .map(|evidence| Evidence { alignment: Alignment { a_from_b, ..evidence.alignment }, ..evidence });
+        Self { state, a_from_b, evidence, rejected, ..Self::default() }
+    }
+
+    /// State of the edge.
+    pub fn state(&self) -> EdgeState {
+        self.state
+    }
+
+    /// Whether the edge holds the two maps together.
+    pub fn is_active(&self) -> bool {
+        self.state.in_force()
+    }
+
+    /// Whether one alignment was found, and a second one is awaited.
+    pub fn is_candidate(&self) -> bool {
+        self.state == EdgeState::Candidate
+    }
+
+    /// The first robot's map from the second's; meaningful unless the state is none.
+    pub fn a_from_b(&self) -> Pose2 {
+        self.a_from_b
+    }
+
+    /// What speaks for the edge.
+    pub fn evidence(&self) -> Option<&Evidence> {
+        self.evidence.as_ref()
+    }
+
+    /// Alignments that the operator rejected.
+    pub fn rejected(&self) -> &[Pose2] {
+        &self.rejected
+    }
+
+    /// Whether the operator rejected this alignment.
+    pub fn is_rejected(&self, a_from_b: Pose2) -> bool {
+        self.rejected.iter().any(|rejected| is_same_alignment(*rejected, a_from_b))
+    }
+
+    /// Applies an operator's command. `in_graph` is the relation that the fleet's graph has, if it has both robots.
+    ///
+    /// Returns the new state if the command changes it, and `None` if it does not apply.
+    pub fn apply_command(&mut self, action: EdgeAction, in_graph: Option<Pose2>) -> Option<EdgeState> {
+        match action {
+            EdgeAction::Pin if self.state == EdgeState::None && in_graph.is_none() => return None,
+            EdgeAction::Pin => {
+                if !self.is_active() {
+                    // The operator overrules the acceptance test, and an earlier rejection.
+                    let a_from_b = self.a_from_b;
+                    self.rejected.retain(|rejected| !is_same_alignment(*rejected, a_from_b));
+                    if self.state == EdgeState::None {
+                        self.a_from_b = in_graph.unwrap_or(self.a_from_b);
+                    }
+                }
+                self.state = EdgeState::Pinned;
+            }
+            EdgeAction::Unpin if self.state != EdgeState::Pinned => return None,
+            EdgeAction::Unpin => self.state = EdgeState::Accepted,
+            EdgeAction::Undo if !self.is_active() && !self.is_candidate() => return None,
+            EdgeAction::Undo => {
+                let a_from_b = in_graph.filter(|_| self.is_active()).unwrap_or(self.a_from_b);
+                self.reject(a_from_b);
+            }
+        }
+        Some(self.state)
+    }
+
+    /// Removes the edge from the graph.
+    pub fn deactivate(&mut self, state: EdgeState) {
+        self.state = state;
+        self.contradictions = 0;
+    }
+
+    /// Continues after the submaps of one of the two were lost: what remains is where the maps lie.
+    pub fn restart(&mut self, in_graph: Option<Pose2>) {
+        match in_graph {
+            Some(a_from_b) if self.is_active() => self.a_from_b = a_from_b,
+            _ if self.is_candidate() => self.state = EdgeState::None,
+            _ => {}
+        }
+    }
+
+    /// Records an alignment of maps with so many nodes. Two alignments of the same place, from maps that have grown in
+    /// between or are complete, make the edge accepted. Whether it became so.
+    pub fn record_alignment(&mut self, nodes: [u32; 2], found: Evidence, maps_are_complete: bool) -> bool {
+        let alignment = found.alignment;
+        let verified = alignment.accepted
+            && alignment.occupied_f1 >= found.null_f1_max + LEAD_OVER_NULL
+            && !self.is_rejected(alignment.a_from_b);
+        if !verified {
+            return false;
+        }
+        let again = self.is_candidate() && is_same_alignment(self.a_from_b, alignment.a_from_b);
+        let independent = self.found_at_nodes != nodes || maps_are_complete;
+        if again && !independent {
+            return false;
+        }
+        (self.a_from_b, self.found_at_nodes, self.evidence) = (alignment.a_from_b, nodes, Some(found));
+        self.state = if again { EdgeState::Accepted } else { EdgeState::Candidate };
+        again
+    }
+
+    /// Records a comparison of the two maps where the graph has them.
+    pub fn record_check(&mut self, found: Evidence) -> CheckResult {
+        // This comparison looked at one place: the margin over other places stays what it was.
+        let margin = self.evidence.map_or(0.0, |before| before.alignment.margin);
+        let alignment = Alignment { a_from_b: self.a_from_b, margin, ..found.alignment };
+        self.evidence = Some(Evidence { alignment, ..found });
+        let contradicted =
+            alignment.overlap_m2 >= CONTRADICTED_OVERLAP_M2 && alignment.occupied_f1 < CONTRADICTED_F1;
+        self.contradictions = if contradicted { self.contradictions + 1 } else { 0 };
+        match contradicted {
+            false => CheckResult::Confirmed,
+            true if self.contradictions >= CONTRADICTIONS_MAX && self.state == EdgeState::Accepted => {
+                CheckResult::Refuted
+            }
+            true => CheckResult::Contradicted,
+        }
+    }
+
+    /// Follows a solution of the graph that relates the two robots. Enough closures make the edge accepted.
+    pub fn apply_solution(&mut self, a_from_b: Pose2, closures: usize) {
+        if self.is_active() || closures >= CLOSURES_MIN {
+            self.a_from_b = a_from_b;
+            if !self.is_active() && !self.is_rejected(a_from_b) {
+                self.state = EdgeState::Accepted;
+            }
+        }
+    }
+
+    fn reject(&mut self, a_from_b: Pose2) {
+        if self.rejected.len() == REJECTED_MAX {
+            self.rejected.remove(0);
+        }
+        self.rejected.push(a_from_b);
+        self.a_from_b = a_from_b;
+        self.deactivate(EdgeState::Undone);
+    }
+}
+
+/// Result of comparing two maps again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CheckResult {
+    /// The maps agree, or say too little.
+    Confirmed,
+    /// The maps contradict the edge: compare them again soon.
+    Contradicted,
+    /// The maps contradict the edge for good.
+    Refuted,
+}
+
+fn is_same_alignment(x: Pose2, y: Pose2) -> bool {
+    x.distance_m(y) < SAME_ALIGNMENT_M && wrap_angle(x.yaw_rad - y.yaw_rad).abs() < SAME_ALIGNMENT_RAD
+}

@@ -1,0 +1,100 @@
+//! Where the fleet's pose graph estimates that one robot's map lies.
+
+use super::submaps::SubmapStore;
+use msg::Pose2;
+
+/// A change below this moves nothing, metres: half a cell of 0.05 m. Transforms and redrawn maps follow the graph in
+/// steps of it.
+pub(crate) const TOLERANCE_M: f64 = 0.025;
+
+/// Frame `map` from frame `robotK/map`: one transform that is right where the robot is now, and one at each submap.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct RobotEstimate {
+    start: Option<Pose2>,
+    transform: Option<Pose2>,
+    at_submaps: Vec<Pose2>,
+    is_deformed: bool,
+}
+
+impl RobotEstimate {
+    /// An estimate from a given start, if there is one.
+    pub fn new(start: Option<Pose2>) -> Self {
+        let mut estimate = Self { start, ..Self::default() };
+        estimate.reset_to(start);
+        estimate
+    }
+
+    /// The given start: `map` from `robotK/map`.
+    pub fn start(&self) -> Option<Pose2> {
+        self.start
+    }
+
+    /// The published transform, right where the robot is now; `None` while it is unknown.
+    pub fn transform(&self) -> Option<Pose2> {
+        self.transform
+    }
+
+    /// The transform at each submap that the last solution had; all alike while the robot's map is not deformed.
+    pub fn at_submaps(&self) -> &[Pose2] {
+        &self.at_submaps
+    }
+
+    /// The transform at a submap; that of the newest one for submaps that came after the last solution.
+    pub fn at_submap(&self, id: usize) -> Option<Pose2> {
+        self.at_submaps.get(id).or(self.at_submaps.last()).copied()
+    }
+
+    /// Whether no single transform puts all of the robot's map right.
+    pub fn is_deformed(&self) -> bool {
+        self.is_deformed
+    }
+
+    /// Sets one transform for the whole map, or none.
+    pub fn reset_to(&mut self, transform: Option<Pose2>) {
+        self.set_transform(transform);
+        self.is_deformed = false;
+    }
+
+    /// Sets one transform for the whole map until the next solution.
+    pub fn set_transform(&mut self, transform: Option<Pose2>) {
+        self.transform = transform;
+        self.at_submaps = transform.into_iter().collect();
+    }
+
+    /// Applies a solution. The published transform moves only if it is off by more than [`TOLERANCE_M`] somewhere.
+    pub fn apply(&mut self, at_submaps: Vec<Pose2>, submaps: &SubmapStore) {
+        self.at_submaps = at_submaps;
+        let Some(newest) = self.at_submaps.last().copied() else { return };
+        let current = self.transform.map(|transform| self.errors_m(transform, submaps));
+        match current {
+            Some([largest_m, _]) if largest_m <= TOLERANCE_M => self.is_deformed = false,
+            Some([_, newest_m])
+                if newest_m <= TOLERANCE_M && self.errors_m(newest, submaps)[0] > TOLERANCE_M =>
+            {
+                self.is_deformed = true;
+            }
+            _ => {
+                self.transform = Some(newest);
+                self.is_deformed = self.errors_m(newest, submaps)[0] > TOLERANCE_M;
+            }
+        }
+    }
+
+    /// Largest error of one transform over the centres of all submaps, and its error at the newest, metres.
+    fn errors_m(&self, transform: Pose2, submaps: &SubmapStore) -> [f64; 2] {
+        let error_m = |id: usize| {
+            let centre = submaps.centre_m(id)?;
+            Some(distance_at_m(transform, self.at_submap(id)?, centre))
+        };
+        let count = submaps.poses().len();
+        let largest_m = (0..count).filter_map(error_m).fold(0.0, f64::max);
+        let newest_m = count.checked_sub(1).and_then(error_m).unwrap_or(0.0);
+        [largest_m, newest_m]
+    }
+}
+
+/// Distance between where two transforms put a point, metres.
+pub(crate) fn distance_at_m(one: Pose2, other: Pose2, point_m: [f64; 2]) -> f64 {
+    let ([x, y], [u, v]) = (one.apply(point_m), other.apply(point_m));
+    (x - u).hypot(y - v)
+}

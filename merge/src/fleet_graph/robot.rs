@@ -1,0 +1,145 @@
+//! One robot of the fleet: its submaps, where they lie, and its map redrawn from them.
+
+use super::compose::{PlacedSubmap, compose};
+use super::estimate::{RobotEstimate, TOLERANCE_M, distance_at_m};
+use super::submaps::{SubmapGeneration, SubmapStore};
+use msg::{Grid, Pose2};
+use std::sync::Arc;
+
+/// One robot.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Robot {
+    /// What its SLAM sent.
+    pub submaps: SubmapStore,
+    /// What the fleet's pose graph made of it.
+    pub estimate: RobotEstimate,
+    /// The map redrawn from submaps; `None` while a single transform puts all of the robot's own map right.
+    redrawn: Option<RedrawnMap>,
+}
+
+/// A map redrawn from submaps, and what it was drawn from.
+#[derive(Clone, Debug)]
+struct RedrawnMap {
+    /// Frame `robotK/map`. Without cells if it could not be drawn.
+    grid: Arc<Grid>,
+    version: u64,
+    transform: Pose2,
+    at_submaps: Vec<Pose2>,
+}
+
+/// Work: draw a robot's map from its submaps.
+#[derive(Debug)]
+pub(crate) struct RedrawJob {
+    robot: usize,
+    version: u64,
+    transform: Pose2,
+    at_submaps: Vec<Pose2>,
+    placed: Vec<PlacedSubmap>,
+}
+
+/// A robot's map drawn from its submaps.
+#[derive(Debug)]
+pub(crate) struct Redrawn {
+    robot: usize,
+    map: RedrawnMap,
+}
+
+impl Robot {
+    /// A robot with a given start, if there is one.
+    pub fn new(start: Option<Pose2>) -> Self {
+        Self { estimate: RobotEstimate::new(start), ..Self::default() }
+    }
+
+    /// Forgets everything but the version of its submaps: the robot has left, or begins elsewhere.
+    pub fn remove(&mut self) {
+        self.submaps.restart(None);
+        (self.estimate, self.redrawn) = (RobotEstimate::default(), None);
+    }
+
+    /// Empties the submaps for those of a restarted SLAM, which continues in the same frame.
+    pub fn restart(&mut self, generation: SubmapGeneration) {
+        self.submaps.restart(Some(generation));
+        self.estimate.reset_to(self.estimate.transform());
+        self.redrawn = None;
+    }
+
+    /// Sets one transform for the whole map, or none, and drops a redrawn map.
+    pub fn reset_estimate(&mut self, transform: Option<Pose2>) {
+        self.estimate.reset_to(transform);
+        self.redrawn = None;
+    }
+
+    /// Applies a solution of the joint graph: frame `map` from frame `robotK/map` at each submap.
+    pub fn apply_solution(&mut self, at_submaps: Vec<Pose2>) {
+        self.estimate.apply(at_submaps, &self.submaps);
+        if !self.estimate.is_deformed() {
+            self.redrawn = None;
+        }
+    }
+
+    /// Frame `map` from the frame of a submap.
+    pub fn map_from_submap(&self, id: usize) -> Option<Pose2> {
+        Some(self.estimate.at_submap(id)? * *self.submaps.poses().get(id)?)
+    }
+
+    /// All submaps as the joint graph places them, in a frame given from `map`.
+    pub fn placed_in(&self, frame_from_map: Pose2) -> Vec<PlacedSubmap> {
+        let placed = |id| {
+            let (submap, _) = self.submaps.get(id)?;
+            let frame_from_submap = frame_from_map * self.map_from_submap(id)?;
+            Some(PlacedSubmap { grid: submap.grid.clone(), frame_from_submap })
+        };
+        (0..self.submaps.poses().len()).filter_map(placed).collect()
+    }
+
+    /// The redrawn map in frame `robotK/map`, where it is in use.
+    pub fn redrawn_map(&self) -> Option<&Arc<Grid>> {
+        self.redrawn.as_ref().map(|redrawn| &redrawn.grid).filter(|grid| !grid.cells.is_empty())
+    }
+
+    /// Whether the robot's map is deformed, and the redrawn one is missing or off by more than [`TOLERANCE_M`].
+    fn needs_redraw(&self) -> bool {
+        let estimate = &self.estimate;
+        let Some(transform) = estimate.transform().filter(|_| estimate.is_deformed()) else { return false };
+        let Some(drawn) = &self.redrawn else { return true };
+        if drawn.version != self.submaps.version() || drawn.transform != transform {
+            return true;
+        }
+        let moved_m = |id: usize| {
+            let centre = self.submaps.centre_m(id)?;
+            let before = drawn.at_submaps.get(id).or(drawn.at_submaps.last())?;
+            Some(distance_at_m(*before, estimate.at_submap(id)?, centre))
+        };
+        (0..self.submaps.poses().len()).filter_map(moved_m).any(|m| m > TOLERANCE_M)
+    }
+}
+
+/// The next redraw that is due.
+pub(crate) fn next_redraw(robots: &[Robot]) -> Option<RedrawJob> {
+    let (index, robot) = robots.iter().enumerate().find(|(_, robot)| robot.needs_redraw())?;
+    let transform = robot.estimate.transform()?;
+    Some(RedrawJob {
+        robot: index,
+        version: robot.submaps.version(),
+        transform,
+        at_submaps: robot.estimate.at_submaps().to_vec(),
+        placed: robot.placed_in(transform.inverse()),
+    })
+}
+
+impl RedrawJob {
+    /// Draws the map.
+    pub fn run(self) -> Redrawn {
+        let Self { robot, version, transform, at_submaps, placed } = self;
+        // A map that cannot be drawn is empty: the robot then keeps the one it draws itself.
+        let grid = Arc::new(compose(&placed).unwrap_or_default());
+        Redrawn { robot, map: RedrawnMap { grid, version, transform, at_submaps } }
+    }
+}
+
+impl Redrawn {
+    /// Puts the map into use.
+    pub fn apply(self, robots: &mut [Robot]) {
+        robots[self.robot].redrawn = Some(self.map);
+    }
+}

@@ -1,0 +1,68 @@
+//! Where the scan path's frame lies in the map, as the back end's revisions say.
+
+use crate::node::Revision;
+use msg::Pose2;
+use std::collections::VecDeque;
+
+/// Revisions that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
+const REVISIONS_MAX: usize = 64;
+
+/// The transform from the scan path's frame to the map, and the revisions that will change it.
+pub(super) struct MapFrame {
+    pub map_from_local: Pose2,
+    /// Whether `map_from_local` is known: whether the robot is located in its map.
+    pub is_located: bool,
+    /// The newest node whose odometry edge is broken: revisions caused by older nodes do not locate the robot.
+    pub last_break: Option<u32>,
+    /// Closures in force, as last reported.
+    pub closures: u32,
+    /// Revisions that take effect with a later node, oldest first.
+    pub revisions: VecDeque<Revision>,
+}
+
+impl MapFrame {
+    pub fn new() -> Self {
+        Self {
+            map_from_local: Pose2::IDENTITY,
+            is_located: true,
+            last_break: None,
+            closures: 0,
+            revisions: VecDeque::with_capacity(REVISIONS_MAX),
+        }
+    }
+
+    /// Sets the frame at once, or says that it is not known.
+    pub fn set(&mut self, map_from_local: Option<Pose2>) {
+        self.is_located = map_from_local.is_some();
+        self.last_break = None;
+        self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
+        self.revisions.clear();
+    }
+
+    /// From this node on it is not known where the robot is in its map.
+    pub fn break_at(&mut self, node: u32) {
+        self.last_break = Some(node);
+        self.is_located = false;
+    }
+
+    pub fn add_revision(&mut self, revision: Revision) {
+        if self.revisions.len() == REVISIONS_MAX {
+            self.revisions.pop_front();
+        }
+        self.revisions.push_back(revision);
+    }
+
+    /// Applies the newest revision that is due with this node; those before it are out of date.
+    pub fn apply_revisions(&mut self, node: u32) {
+        let Some(due) = self.revisions.iter().rposition(|r| r.effective_from <= node) else { return };
+        for revision in self.revisions.drain(..=due) {
+            self.map_from_local = revision.map_from_local;
+            self.is_located = revision.located && self.last_break.is_none_or(|at| revision.cause >= at);
+            self.closures = revision.closures;
+        }
+    }
+
+    pub fn restore_revisions(&mut self, revisions: Vec<Revision>) {
+        self.revisions.extend(revisions.into_iter().take(REVISIONS_MAX));
+    }
+}

@@ -1,0 +1,171 @@
+//! Motion model: what odometry, or the last motion, says about the pose of the next scan.
+
+use super::LastScan;
+use crate::beam_poses::{BeamPoses, part};
+use crate::config::OdometryConfig;
+use crate::node::Node;
+use crate::odometry::OdometryBuffer;
+use msg::{Pose2, Scan, Stamp};
+use nalgebra::{Matrix3, Vector3};
+
+/// The last motion says nothing about a scan that comes later than this, seconds.
+pub(super) const CONSTANT_MOTION_MAX_S: f64 = 0.5;
+/// Nor about more than this many times the interval that it was measured over.
+const CONSTANT_MOTION_TIMES_MAX: f64 = 3.0;
+/// Odometry that claims more than this many times what the robot can have driven was reset.
+const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
+/// Added to what the robot can have driven: odometry's own jitter, metres.
+const ODOMETRY_JUMP_MARGIN_M: f64 = 1.0;
+/// Without odometry the speed is uncertain by this share of the robot's largest one (one standard deviation).
+const SPEED_SIGMA_SHARE: f64 = 0.3;
+
+/// The motion continued for `ahead_s` at constant speed, after it took `before_s`; bounded.
+pub(super) fn continue_motion(motion: Pose2, before_s: f64, ahead_s: f64) -> Pose2 {
+    part(motion, (ahead_s / before_s).min(CONSTANT_MOTION_TIMES_MAX))
+}
+
+/// The pose expected of a scan before it is matched, in the scan path's frame.
+pub(super) struct PosePrediction {
+    pub pose: Pose2,
+    /// One standard deviation of the position, metres.
+    pub sigma_m: f64,
+    /// One standard deviation of the heading, radians.
+    pub sigma_rad: f64,
+    /// Covariance of the pose that the prediction starts from.
+    start_covariance: Matrix3<f64>,
+    /// Distance from there, metres.
+    distance_m: f64,
+}
+
+impl PosePrediction {
+    /// Variances of x, y and yaw.
+    pub fn variances(&self) -> Vector3<f64> {
+        Vector3::new(self.sigma_m.powi(2), self.sigma_m.powi(2), self.sigma_rad.powi(2))
+    }
+
+    /// Covariance of the pose if no scan says more: an error in heading moves the end of the path sideways.
+    pub fn covariance(&self) -> Matrix3<f64> {
+        let sideways = self.start_covariance[(2, 2)] * self.distance_m.powi(2);
+        self.start_covariance
+            + Matrix3::from_diagonal(&(self.variances() + Vector3::new(sideways, sideways, 0.0)))
+    }
+}
+
+/// Odometry, the last scan, and the reference that poses are predicted from.
+pub(super) struct MotionModel {
+    pub odometry: OdometryBuffer,
+    /// The last accepted scan.
+    pub last: Option<LastScan>,
+    /// Odometry at the newest reference scan, if it has not jumped since.
+    pub reference_odom_from_base: Option<Pose2>,
+    /// Covariance of that scan's pose.
+    pub reference_covariance: Matrix3<f64>,
+}
+
+impl MotionModel {
+    pub fn new(config: &OdometryConfig) -> Self {
+        Self {
+            odometry: OdometryBuffer::new(config.clone()),
+            last: None,
+            reference_odom_from_base: None,
+            reference_covariance: Matrix3::zeros(),
+        }
+    }
+
+    /// The pose expected at a stamp. `newest` is the newest reference scan.
+    pub fn predict(
+        &mut self,
+        stamp: Stamp,
+        odom_from_base: Option<Pose2>,
+        newest: Option<&Node>,
+        config: &OdometryConfig,
+    ) -> PosePrediction {
+        let Some(last) = &self.last else {
+            return PosePrediction {
+                pose: Pose2::IDENTITY,
+                sigma_m: 0.0,
+                sigma_rad: 0.0,
+                start_covariance: Matrix3::zeros(),
+                distance_m: 0.0,
+            };
+        };
+        let interval_s = stamp - last.stamp;
+        if let (Some(before), Some(now)) = (last.odom_from_base, odom_from_base) {
+            let possible_m = config.speed_max_m_s * interval_s + ODOMETRY_JUMP_MARGIN_M;
+            if before.distance_m(now) > ODOMETRY_JUMP_FACTOR * possible_m {
+                self.reference_odom_from_base = None;
+            }
+        }
+        // From the newest reference, not from the last scan: many small steps would add up to more
+        // uncertainty than one long one.
+        let reference = newest.zip(self.reference_odom_from_base).zip(odom_from_base);
+        if let Some(((node, before), now)) = reference {
+            let moved = before.between(now);
+            let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
+            return PosePrediction {
+                pose: node.local_from_base * moved,
+                sigma_m: config.sigma_m + config.sigma_m_per_m * distance_m,
+                sigma_rad: config.sigma_rad
+                    + config.sigma_rad_per_rad * turn_rad
+                    + config.sigma_rad_per_m * distance_m,
+                start_covariance: self.reference_covariance,
+                distance_m,
+            };
+        }
+        let motion = last.motion.filter(|_| interval_s < CONSTANT_MOTION_MAX_S);
+        let step = motion
+            .map_or(Pose2::IDENTITY, |(motion, before_s)| continue_motion(motion, before_s, interval_s));
+        PosePrediction {
+            pose: last.local_from_base * step,
+            sigma_m: SPEED_SIGMA_SHARE * config.speed_max_m_s * interval_s + config.sigma_m,
+            sigma_rad: SPEED_SIGMA_SHARE * config.turn_max_rad_s * interval_s + config.sigma_rad,
+            start_covariance: last.covariance,
+            distance_m: step.x_m.hypot(step.y_m),
+        }
+    }
+
+    /// Sensor poses of a scan whose beams took `seconds`, from odometry; `None` where it says nothing.
+    pub fn beam_poses(
+        &self,
+        base_from_scan: Pose2,
+        scan: &Scan,
+        seconds: f64,
+        odom_from_base: Option<Pose2>,
+    ) -> Option<BeamPoses> {
+        let before = odom_from_base?;
+        BeamPoses::new(base_from_scan, scan, seconds, |after_s| {
+            let then = scan.header.stamp + core::time::Duration::from_secs_f64(after_s);
+            Some(before.between(self.odometry.at(then)?))
+        })
+    }
+
+    /// After wheels have slipped, odometry counts from the matched pose, so that the slip no longer pulls.
+    pub fn absorb_slip(&mut self, newest: &Node, local_from_base: Pose2, odom_from_base: Pose2) {
+        let moved = newest.local_from_base.between(local_from_base);
+        self.reference_odom_from_base = Some(odom_from_base * moved.inverse());
+    }
+
+    /// Odometry from the newest reference scan to now.
+    pub fn moved_since_reference(&self, odom_from_base: Option<Pose2>) -> Option<Pose2> {
+        self.reference_odom_from_base.zip(odom_from_base).map(|(before, now)| before.between(now))
+    }
+
+    /// Records an accepted scan.
+    pub fn record(
+        &mut self,
+        stamp: Stamp,
+        local_from_base: Pose2,
+        covariance: Matrix3<f64>,
+        odom_from_base: Option<Pose2>,
+    ) {
+        let since = |l: LastScan| (l.local_from_base.between(local_from_base), stamp - l.stamp);
+        let motion = self.last.map(since).filter(|(_, seconds)| *seconds > 0.0);
+        self.last = Some(LastScan { stamp, local_from_base, odom_from_base, motion, covariance });
+    }
+
+    /// The clock was set back to `begins`. Odometry's poses stay valid as measured since the newest reference.
+    pub fn reset_clock(&mut self, begins: Stamp) {
+        self.last =
+            self.last.map(|last| LastScan { stamp: begins, odom_from_base: None, motion: None, ..last });
+    }
+}

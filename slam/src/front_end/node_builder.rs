@@ -1,0 +1,75 @@
+//! Which scans become pose-graph nodes, and what of a node follows from the one before it.
+
+use super::scan_matcher::TrackedPose;
+use crate::config::TrackingConfig;
+use crate::node::{Node, SweptPath};
+use msg::{Pose2, TrackingState};
+
+/// Numbers nodes and decides when the next one is due.
+pub(super) struct NodeBuilder {
+    /// The next node's number.
+    pub next_node: u32,
+    /// The newest node given to the back end: its number and pose in the scan path's frame.
+    pub published: Option<(u32, Pose2)>,
+    /// Odometry from that node to the newest reference scan.
+    pub published_from_newest: Option<Pose2>,
+    /// Scans in a row that did not fit.
+    pub lost_in_row: u32,
+    /// Whether the last scan did not fit.
+    pub last_scan_lost: bool,
+    /// Somebody waits for a node: the next scan that fits becomes one.
+    pub requested: bool,
+    /// Positions since the newest node, in the scan path's frame.
+    pub swept_path: SweptPath,
+}
+
+impl NodeBuilder {
+    pub fn new() -> Self {
+        Self {
+            next_node: 0,
+            published: None,
+            published_from_newest: Some(Pose2::IDENTITY),
+            lost_in_row: 0,
+            last_scan_lost: false,
+            requested: false,
+            swept_path: SweptPath::default(),
+        }
+    }
+
+    /// Whether a scan with `points` surface points becomes a reference and a node: after enough motion since the
+    /// `newest` reference, on request, or when several scans in a row have not fitted.
+    pub fn is_due(
+        &mut self,
+        pose: &TrackedPose,
+        points: usize,
+        newest: Option<&Node>,
+        config: &TrackingConfig,
+    ) -> bool {
+        self.last_scan_lost = pose.state == TrackingState::Lost;
+        if self.last_scan_lost {
+            // A scan that sees nothing is no reason to give up the local map.
+            let blind = points < config.points_min;
+            self.lost_in_row += u32::from(!blind);
+            if blind || self.lost_in_row < config.lost_scans_max {
+                return false;
+            }
+        } else {
+            self.lost_in_row = 0;
+        }
+        let Some(newest) = newest else { return true };
+        let moved = newest.local_from_base.between(pose.local_from_base);
+        let far = moved.x_m.hypot(moved.y_m) >= config.node_distance_m
+            || moved.yaw_rad.abs() >= config.node_turn_rad;
+        core::mem::take(&mut self.requested) || far
+    }
+
+    /// Completes a node that goes to the back end. `keep_path`: whether the robot's footprint and path are known.
+    pub fn publish(&mut self, node: Node, keep_path: bool) -> Node {
+        self.next_node += 1;
+        self.published = Some((node.id, node.local_from_base));
+        self.published_from_newest = Some(Pose2::IDENTITY);
+        let path = core::mem::take(&mut self.swept_path);
+        let swept_path = if keep_path { path.seen_from(node.local_from_base) } else { SweptPath::default() };
+        Node { swept_path, ..node }
+    }
+}

@@ -1,0 +1,259 @@
+//! Scan matching against the local map: a correlative search around the prediction, then an alignment.
+
+use super::motion::PosePrediction;
+use crate::align::{Alignment, Prior, Reference, align};
+use crate::cloud::{Agreement, Cloud};
+use crate::config::{SlamConfig, TrackingConfig};
+use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchWindow};
+use crate::node::Node;
+use crate::stages::{Stage, StageObserver};
+use msg::{Pose2, TrackingState};
+use nalgebra::{Matrix3, Vector3};
+use std::collections::VecDeque;
+
+/// The search window and the first window that needs no search span this many standard deviations.
+const WINDOW_SIGMAS: f64 = 3.0;
+/// A window smaller than this needs no search: the alignment converges from anywhere in it, metres and radians.
+const SEARCH_MIN_M: f64 = 0.12;
+const SEARCH_MIN_RAD: f64 = 0.06;
+/// Mean field value under a good match, 0 to 1; less is not worth aligning.
+const RESPONSE_MIN: f32 = 0.25;
+/// Evaluations one search of the scan path may cost: about 2 ms.
+const EVALUATIONS_MAX: usize = 12_000;
+/// Score that a pose at the window's corner loses against the prediction.
+const PREDICTION_WEIGHT: f32 = 0.1;
+/// An alignment farther than this many standard deviations from the prediction contradicts odometry.
+const SLIP_SIGMAS: f64 = 3.0;
+/// A scan is believed against odometry if this share of it fits,
+const SLIP_OVERLAP_MIN: f32 = 0.7;
+/// and if it leaves no direction more uncertain than this by itself, metres.
+const SLIP_SIGMA_MAX_M: f64 = 0.03;
+/// Added before an information matrix is inverted, 1/m² and 1/rad²: a standard deviation of 30 m.
+const REGULARISATION: f64 = 1e-3;
+/// Variances that no pose is better known than: 1 cm and 3 mrad.
+const COVARIANCE_FLOOR: [f64; 3] = [1e-4, 1e-4, 1e-5];
+/// If this share of what can be compared is contradicted, the robot is elsewhere,
+const BREAK_SHARE: f32 = 0.3;
+/// if it is as many points, counted in each of the newest scans that sees through them or is seen through.
+const BREAK_POINTS_MIN: usize = 40;
+
+/// What matching a scan gave.
+pub(super) struct TrackedPose {
+    pub local_from_base: Pose2,
+    pub covariance: Matrix3<f64>,
+    pub state: TrackingState,
+    /// The scan says clearly that odometry is wrong.
+    pub slipped: bool,
+}
+
+/// Surfaces of some newest nodes as a field to search in.
+pub(super) struct LocalMap {
+    pub field: LikelihoodField,
+    pub nodes: usize,
+}
+
+impl LocalMap {
+    fn new(config: &TrackingConfig) -> Self {
+        let field = LikelihoodField::new(config.cell_m, config.local_map_reach_m, config.blur_m);
+        Self { field, nodes: 0 }
+    }
+}
+
+/// The newest scans, as references to align with and as fields to search in.
+pub(super) struct ScanMatcher {
+    /// Reference scans, newest at the back: the newest nodes, and scans that could not be published as nodes.
+    pub references: VecDeque<Node>,
+    /// Two maps that overlap by half: the older one is searched.
+    pub local_maps: [LocalMap; 2],
+    buffers: SearchBuffers,
+    points: Vec<[f32; 2]>,
+}
+
+impl ScanMatcher {
+    pub fn new(config: &TrackingConfig) -> Self {
+        let c = config;
+        Self {
+            references: VecDeque::with_capacity(c.references + 1),
+            local_maps: [LocalMap::new(c), LocalMap::new(c)],
+            buffers: SearchBuffers::with_capacity(
+                c.search_points_max,
+                c.window_max_m,
+                c.window_max_rad,
+                c.cell_m,
+            ),
+            points: Vec::with_capacity(c.search_points_max),
+        }
+    }
+
+    /// Matches a scan around its predicted pose. `after_loss`: the scan before did not fit, so that a
+    /// fit must not be contradicted: a scan that does not fit may fit elsewhere by chance.
+    pub fn match_scan(
+        &mut self,
+        cloud: &Cloud,
+        prediction: &PosePrediction,
+        after_loss: bool,
+        config: &SlamConfig,
+        stages: &mut dyn StageObserver,
+    ) -> TrackedPose {
+        let predicted = TrackedPose {
+            local_from_base: prediction.pose,
+            covariance: prediction.covariance(),
+            state: TrackingState::Lost,
+            slipped: false,
+        };
+        if self.references.is_empty() {
+            return TrackedPose { state: TrackingState::Starting, ..predicted };
+        }
+        if cloud.points().len() < config.tracking.points_min {
+            return predicted;
+        }
+        let half = [WINDOW_SIGMAS * prediction.sigma_m, WINDOW_SIGMAS * prediction.sigma_rad];
+        let narrow = half[0] <= SEARCH_MIN_M && half[1] <= SEARCH_MIN_RAD;
+        let direct =
+            if narrow { self.align(cloud, prediction.pose, prediction, config, stages) } else { None };
+        let matched = direct.or_else(|| {
+            let guess = self.search(cloud, prediction.pose, half, &config.tracking, stages)?;
+            self.align(cloud, guess, prediction, config, stages)
+        });
+        let matched =
+            matched.filter(|matched| !after_loss || !self.contradicts(cloud, matched.local_from_base));
+        matched.unwrap_or(predicted)
+    }
+
+    /// The best pose of the window in the older local map.
+    fn search(
+        &mut self,
+        cloud: &Cloud,
+        centre: Pose2,
+        [half_m, half_rad]: [f64; 2],
+        config: &TrackingConfig,
+        stages: &mut dyn StageObserver,
+    ) -> Option<Pose2> {
+        stages.stage_started(Stage::Search);
+        let stride = cloud.points().len().div_ceil(config.search_points_max).max(1);
+        self.points.clear();
+        self.points.extend(cloud.points().iter().step_by(stride).map(|p| p.at));
+        let window = SearchWindow {
+            centre,
+            half_m: half_m.clamp(SEARCH_MIN_M, config.window_max_m),
+            half_rad: half_rad.clamp(SEARCH_MIN_RAD, config.window_max_rad),
+            pull: PREDICTION_WEIGHT,
+        };
+        let limits = SearchLimits { score_min: RESPONSE_MIN, evaluations_max: EVALUATIONS_MAX, except: None };
+        let older = &self.local_maps[0].field;
+        older.search(&self.points, &window, &limits, &mut self.buffers).map(|peak| peak.pose)
+    }
+
+    /// Aligns the scan with the references, with the prediction as a prior unless the scan clearly contradicts it.
+    fn align(
+        &self,
+        cloud: &Cloud,
+        guess: Pose2,
+        prediction: &PosePrediction,
+        config: &SlamConfig,
+        stages: &mut dyn StageObserver,
+    ) -> Option<TrackedPose> {
+        stages.stage_started(Stage::Align);
+        let references = self
+            .references
+            .iter()
+            .map(|node| Reference { cloud: &node.cloud, frame_from_cloud: node.local_from_base });
+        let information = Matrix3::from_diagonal(&prediction.variances().map(|variance| 1.0 / variance));
+        let prior = Prior { pose: prediction.pose, information };
+        let fit = align(cloud, guess, references.clone(), Some(prior), &config.links);
+        let without_prior = contradicts_odometry(&fit, prediction)
+            .then(|| align(cloud, fit.frame_from_cloud, references.clone(), None, &config.links))
+            .filter(|free| {
+                free.overlap >= SLIP_OVERLAP_MIN
+                    && largest_sigma_m(&free.information).is_some_and(|m| m < SLIP_SIGMA_MAX_M)
+            });
+        let slipped = without_prior.is_some();
+        let fit = without_prior.unwrap_or(fit);
+        if fit.overlap < config.tracking.overlap_min {
+            return None;
+        }
+        let floor = Matrix3::from_diagonal(&Vector3::from(COVARIANCE_FLOOR));
+        let covariance = (fit.information_of_lines + information).try_inverse()? + floor;
+        let degenerate = largest_sigma_m(&fit.information_of_lines)? > config.tracking.degenerate_sigma_m;
+        let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
+        Some(TrackedPose { local_from_base: fit.frame_from_cloud, covariance, state, slipped })
+    }
+
+    /// Whether a scan placed here and the reference scans see through what the other one saw, so that the
+    /// robot is elsewhere. Where they only look at different things, odometry may well be right.
+    pub fn contradicts(&self, cloud: &Cloud, local_from_base: Pose2) -> bool {
+        let mut agreement = Agreement::default();
+        for node in &self.references {
+            let node_from_base = node.local_from_base.between(local_from_base);
+            agreement += Agreement::both_ways(&node.cloud, cloud, node_from_base);
+        }
+        agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN)
+    }
+
+    /// Adds a scan to the references and to the local maps; with `restart` those begin anew with it.
+    pub fn add_reference(&mut self, node: Node, restart: bool, config: &TrackingConfig) {
+        if restart {
+            self.references.clear();
+        }
+        self.extend_local_maps(&node, restart, config.local_map_nodes);
+        if self.references.len() == config.references {
+            self.references.pop_front();
+        }
+        self.references.push_back(node);
+    }
+
+    /// Two local maps overlap: the older one is matched against, the younger one grows to replace it.
+    fn extend_local_maps(&mut self, node: &Node, restart: bool, size: usize) {
+        let centre = [node.local_from_base.x_m, node.local_from_base.y_m];
+        let [older, younger] = &mut self.local_maps;
+        if older.nodes == 0 || restart {
+            older.field.clear(centre);
+            older.nodes = 0;
+            younger.nodes = 0;
+        } else if older.nodes >= size {
+            core::mem::swap(older, younger);
+            younger.nodes = 0;
+        }
+        older.field.insert(&node.cloud, node.local_from_base);
+        older.nodes += 1;
+        if older.nodes > size / 2 {
+            if younger.nodes == 0 {
+                younger.field.clear(centre);
+            }
+            younger.field.insert(&node.cloud, node.local_from_base);
+            younger.nodes += 1;
+        }
+    }
+
+    /// Rebuilds references and local maps from the newest nodes of a session: as many as each had.
+    pub fn restore(
+        &mut self,
+        newest: &[Node],
+        references: u32,
+        local_maps: [u32; 2],
+        config: &TrackingConfig,
+    ) {
+        let last_of = |count: u32| &newest[newest.len().saturating_sub(count as usize)..];
+        for (map, count) in self.local_maps.iter_mut().zip(local_maps) {
+            let nodes = last_of(count);
+            if let Some(first) = nodes.first() {
+                map.field.clear([first.local_from_base.x_m, first.local_from_base.y_m]);
+            }
+            nodes.iter().for_each(|node| map.field.insert(&node.cloud, node.local_from_base));
+            map.nodes = nodes.len();
+        }
+        self.references.extend(last_of(references.min(config.references as u32)).iter().cloned());
+    }
+}
+
+fn contradicts_odometry(fit: &Alignment, prediction: &PosePrediction) -> bool {
+    let off = prediction.pose.between(fit.frame_from_cloud);
+    off.x_m.hypot(off.y_m) > SLIP_SIGMAS * prediction.sigma_m
+        || off.yaw_rad.abs() > SLIP_SIGMAS * prediction.sigma_rad
+}
+
+/// Standard deviation of the position in its least certain direction, from the points alone, metres.
+fn largest_sigma_m(information: &Matrix3<f64>) -> Option<f64> {
+    let covariance = (information + Matrix3::identity() * REGULARISATION).try_inverse()?;
+    Some(covariance.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigenvalues().max().sqrt())
+}

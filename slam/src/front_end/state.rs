@@ -1,0 +1,116 @@
+//! What of the scan path is kept in a session.
+
+use super::motion::MotionModel;
+use super::node_builder::NodeBuilder;
+use super::{FrontEnd, FrontEndCounts, LastScan};
+use crate::config::SlamConfig;
+use crate::node::{Node, Revision, SweptPath};
+use crate::odometry::OdometryBuffer;
+use msg::{Odometry, Pose2};
+use nalgebra::Matrix3;
+
+/// Where the scan path is, to be kept. Its local maps are not in it: they are drawn again from the
+/// newest nodes, which the map keeps anyway.
+#[derive(Clone, Debug)]
+pub struct FrontEndState {
+    /// The next node's number.
+    pub next_node: u32,
+    /// How many of the newest nodes refine poses.
+    pub recent: u32,
+    /// How many of the newest nodes are in the older and in the younger local map.
+    pub local_maps: [u32; 2],
+    /// Scans in a row that did not fit.
+    pub lost_in_row: u32,
+    /// Whether the scan before did not fit.
+    pub last_scan_lost: bool,
+    /// Closures in force, as last heard.
+    pub closures: u32,
+    /// Whether `map_from_local` is known.
+    pub located: bool,
+    /// The loop-closed map from the scan path's frame.
+    pub map_from_local: Pose2,
+    /// Odometry from the newest node handed over to the newest scan matched against.
+    pub published_from_newest: Option<Pose2>,
+    /// Odometry at the newest node.
+    pub node_odom_from_base: Option<Pose2>,
+    /// Of the newest node's pose.
+    pub node_covariance: Matrix3<f64>,
+    /// The newest node that does not follow from the one before.
+    pub last_break: Option<u32>,
+    /// The scan before.
+    pub last: Option<LastScan>,
+    /// How many scans went which way.
+    pub counts: FrontEndCounts,
+    /// Revisions that wait for their node.
+    pub waiting: Vec<Revision>,
+    /// The newest odometry.
+    pub odometry: Vec<Odometry>,
+    /// Its frame, see `odometry`.
+    pub continuous_from_odom: Pose2,
+    /// Messages refused.
+    pub odometry_rejected: u64,
+    /// Where the robot has been since the newest node, in the scan path's frame.
+    pub swept_path: SweptPath,
+}
+
+impl FrontEnd {
+    /// A front end that continues where another one was when it gave [`FrontEnd::state`]. `newest` are the
+    /// map's newest nodes, in order: as many as the state speaks of.
+    pub fn resume(config: SlamConfig, state: FrontEndState, newest: &[Node]) -> Self {
+        let mut front = Self::new(config);
+        front.matcher.restore(newest, state.recent, state.local_maps, &front.config.tracking);
+        front.motion = MotionModel {
+            odometry: OdometryBuffer::from_parts(
+                front.config.odometry.clone(),
+                &state.odometry,
+                state.continuous_from_odom,
+                state.odometry_rejected,
+            ),
+            last: state.last,
+            reference_odom_from_base: state.node_odom_from_base,
+            reference_covariance: state.node_covariance,
+        };
+        front.nodes = NodeBuilder {
+            next_node: state.next_node,
+            published: newest.last().map(|node| (state.next_node.saturating_sub(1), node.local_from_base)),
+            published_from_newest: state.published_from_newest,
+            lost_in_row: state.lost_in_row,
+            last_scan_lost: state.last_scan_lost,
+            requested: false,
+            swept_path: state.swept_path,
+        };
+        front.frame.restore_revisions(state.waiting);
+        front.frame.map_from_local = state.map_from_local;
+        front.frame.is_located = state.located;
+        front.frame.last_break = state.last_break;
+        front.frame.closures = state.closures;
+        front.counts = state.counts;
+        front
+    }
+
+    /// The state to be kept in a session. Copies the odometry buffer.
+    pub fn state(&self) -> FrontEndState {
+        let (odometry, continuous_from_odom, odometry_rejected) = self.motion.odometry.parts();
+        FrontEndState {
+            next_node: self.nodes.next_node,
+            recent: self.matcher.references.len() as u32,
+            local_maps: [0, 1].map(|k: usize| self.matcher.local_maps[k].nodes as u32),
+            lost_in_row: self.nodes.lost_in_row,
+            last_scan_lost: self.nodes.last_scan_lost,
+            closures: self.frame.closures,
+            located: self.frame.is_located,
+            map_from_local: self.frame.map_from_local,
+            published_from_newest: self.nodes.published_from_newest,
+            node_odom_from_base: self.motion.reference_odom_from_base,
+            node_covariance: self.motion.reference_covariance,
+            last_break: self.frame.last_break,
+            last: self.motion.last,
+            counts: self.counts,
+            waiting: self.frame.revisions.iter().copied().collect(),
+            odometry,
+            continuous_from_odom,
+            odometry_rejected,
+            swept_path: self.nodes.swept_path,
+        }
+    }
+}

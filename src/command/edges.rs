@@ -1,0 +1,166 @@
+//! `mr-slam edges`: shows the edges between robots' maps in a running fleet, pins and undoes them.
+
+use super::output;
+use super::run_args::RunArgs;
+use crate::channel::{self, Opener, Program};
+use crate::ports::ChannelError;
+use crate::run::{Run, RunError};
+use crate::shared_memory::{Participant, wait};
+use crate::view::{EdgeView, edge_table};
+use msg::{EdgeAction, EdgeCommand, MergeEdges, Monotonic, ROBOTS_MAX, RobotId};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// How long merging may take to answer: its longest task on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Period at which an answer is looked for, nanoseconds.
+const POLL_NS: u64 = 20_000_000;
+
+/// Show how the maps of a running fleet are joined, pin an edge or undo it
+#[derive(Clone, Debug, clap::Args)]
+pub struct EdgesArgs {
+    /// Change to make; without it, show the edges
+    #[command(subcommand)]
+    pub action: Option<Action>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Which fleet; before the action.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+/// Change of an edge.
+#[derive(Clone, Copy, Debug, clap::Subcommand)]
+pub enum Action {
+    /// Keep the edge whatever later evidence says; an undone edge holds again
+    Pin(Pair),
+    /// Let later evidence decide about the edge again
+    Unpin(Pair),
+    /// Reject this alignment of the two maps and never accept it again
+    Undo(Pair),
+}
+
+/// Two robots.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct Pair {
+    /// Number of the first robot
+    #[arg(value_name = "A", value_parser = robot)]
+    pub a: RobotId,
+    /// Number of the second robot
+    #[arg(value_name = "B", value_parser = robot)]
+    pub b: RobotId,
+}
+
+/// Parses a robot: `robot1`, or `1`.
+pub(super) fn robot(text: &str) -> Result<RobotId, String> {
+    let number = text.strip_prefix("robot").unwrap_or(text).parse().ok();
+    number.and_then(RobotId::new).ok_or(format!("expected robot1 to robot{ROBOTS_MAX}, or the number alone"))
+}
+
+/// Reason why edges could not be shown or changed.
+#[derive(Debug, thiserror::Error)]
+pub enum EdgesError {
+    /// No run, or several and none was named.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// Shared memory of the run.
+    #[error(transparent)]
+    Channel(#[from] ChannelError),
+    /// A robot that the fleet does not have.
+    #[error("run {}: this fleet has robots 1 to {robots}, not {found}", run.display())]
+    Robot {
+        /// Folder of the run.
+        run: PathBuf,
+        /// Number that was given.
+        found: usize,
+        /// Number of robots.
+        robots: usize,
+    },
+    /// The same robot twice.
+    #[error("expected two different robots")]
+    SameRobot,
+    /// Merging did not answer.
+    #[error("run {}: merging does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
+    Silent {
+        /// Folder of the run.
+        run: PathBuf,
+    },
+    /// Merging has no such edge.
+    #[error("run {}: refused: no alignment of these two maps was found yet that could be pinned or undone", run.display())]
+    Refused {
+        /// Folder of the run.
+        run: PathBuf,
+    },
+    /// Standard output.
+    #[error("cannot print the edges: {0}")]
+    Print(#[from] std::io::Error),
+}
+
+/// Answer as JSON.
+#[derive(Serialize)]
+struct Answer<'a> {
+    run: &'a Path,
+    edges: Vec<EdgeView>,
+}
+
+/// Shows the edges, after a change if one is asked for.
+pub fn run(args: &EdgesArgs) -> Result<(), EdgesError> {
+    let (run, command) = match args.action {
+        None => (args.run.open()?, None),
+        Some(action) => {
+            let run = args.run.open_to_change()?;
+            let command = action.command(&run)?;
+            (run, Some(command))
+        }
+    };
+    let edges = ask(&run, command)?.edges().iter().map(EdgeView::new).collect();
+    let answer = Answer { run: &run.dir, edges };
+    let heading =
+        if command.is_some() { format!("changed in run {}\n", run.dir.display()) } else { String::new() };
+    Ok(output::print_either(args.json, &answer, || heading + &edge_table(&answer.edges))?)
+}
+
+impl Action {
+    fn command(self, run: &Run) -> Result<EdgeCommand, EdgesError> {
+        let (pair, action) = match self {
+            Self::Pin(pair) => (pair, EdgeAction::Pin),
+            Self::Unpin(pair) => (pair, EdgeAction::Unpin),
+            Self::Undo(pair) => (pair, EdgeAction::Undo),
+        };
+        let (robots, found) = (run.config.fleet.robots, pair.a.number().max(pair.b.number()));
+        if found > robots {
+            return Err(EdgesError::Robot { run: run.dir.clone(), found, robots });
+        }
+        EdgeCommand::for_pair(action, pair.a, pair.b).ok_or(EdgesError::SameRobot)
+    }
+}
+
+/// Returns the newest edges, after the command if there is one.
+fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, EdgesError> {
+    let node = Participant::open(&run.domain, Opener::of_fleet(Program::AskMerge), "edges")?;
+    let mut reader = node.reader(&channel::merge_edges())?;
+    let begun = Instant::now();
+    let mut next = |wanted: &dyn Fn(&MergeEdges) -> bool| -> Result<Box<MergeEdges>, EdgesError> {
+        while begun.elapsed() < PATIENCE {
+            if let Some(edges) = reader.newest()
+                && wanted(&edges)
+            {
+                return Ok(Box::new(*edges));
+            }
+            wait([], Monotonic(crate::clock::now().0 + POLL_NS));
+        }
+        Err(EdgesError::Silent { run: run.dir.clone() })
+    };
+    let before = next(&|_| true)?;
+    let Some(command) = command else { return Ok(before) };
+    // The writer lives until the answer is there: a message of a writer that is gone may never be read.
+    let mut writer = node.writer(&channel::edge_command())?;
+    writer.send(&command);
+    let after = next(&|edges| edges.commands != before.commands)?;
+    if after.refused != before.refused {
+        return Err(EdgesError::Refused { run: run.dir.clone() });
+    }
+    Ok(after)
+}

@@ -1,0 +1,75 @@
+//! Options that describe a fleet, on top of its file.
+
+use crate::config::{ConfigError, FleetConfig, World};
+use crate::sessions::Mode;
+use std::path::PathBuf;
+
+/// Which fleet.
+#[derive(Clone, Debug, clap::Args)]
+pub struct FleetArgs {
+    /// Fleet file; other options override it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Number of robots, 1 to 16 [default: 3]
+    #[arg(long, value_name = "N")]
+    pub robots: Option<usize>,
+    /// Seed of all random numbers [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Room: `laboratory`, or a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
+    #[arg(long, value_name = "FILE")]
+    pub room: Option<String>,
+    /// Source of robots, scans and time [default: simulator]
+    #[arg(long, value_name = "WORLD", value_enum)]
+    pub world: Option<World>,
+    /// Whether merging knows where the robots start, or has to find out [default: known]
+    #[arg(long, value_name = "HOW", value_enum)]
+    pub starts: Option<Starts>,
+    /// Folder of sessions to begin with, such as runs/TIME/sessions; each robot is relocalized in its map
+    #[arg(long, value_name = "DIR")]
+    pub sessions: Option<PathBuf>,
+    /// Leave the sessions' maps unchanged and estimate the robots' poses only
+    #[arg(long)]
+    pub localize: bool,
+}
+
+/// What merging knows of the robots' starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Starts {
+    /// Start of each robot's map
+    Known,
+    /// Nothing: merging finds the places by comparing maps
+    Unknown,
+}
+
+impl FleetArgs {
+    /// Returns the configuration in force: the file's or the default, with the options on top.
+    pub fn config(&self) -> Result<FleetConfig, ConfigError> {
+        let mut config = match &self.config {
+            Some(path) => FleetConfig::from_file(path)?,
+            None => FleetConfig::default(),
+        };
+        let fleet = &mut config.fleet;
+        if let Some(robots) = self.robots {
+            if robots != fleet.robots {
+                // Poses for another number of robots mean nothing.
+                fleet.starts.clear();
+            }
+            fleet.robots = robots;
+        }
+        config.world = self.world.unwrap_or(config.world);
+        // `--world ros` alone shall work: it enables ROS 2.
+        config.bridge.dds.enabled |= self.world == Some(World::Ros);
+        fleet.seed = self.seed.unwrap_or(fleet.seed);
+        fleet.starts_known = self.starts.map_or(fleet.starts_known, |starts| starts == Starts::Known);
+        fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));
+        if let Some(folder) = &self.sessions {
+            config.sessions.begin_with = std::path::absolute(folder).unwrap_or(folder.clone());
+        }
+        if self.localize {
+            config.sessions.mode = Mode::Localization;
+        }
+        config.check()?;
+        Ok(config)
+    }
+}

@@ -1,0 +1,233 @@
+//! `mr-slam merge A.yaml B.yaml ...`: merges map files of robots that started anywhere.
+
+use super::output;
+use formats::map_file::{MapFileError, read_map, write_map};
+use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
+use msg::{Grid, Pose2, ROBOTS_MAX, RobotId};
+use serde_json::json;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Merge map files of robots that started anywhere
+#[derive(clap::Args, Clone, Debug)]
+pub struct MergeArgs {
+    /// Map files of map_server; the result has the first one's frame
+    #[arg(value_name = "MAP.yaml", required = true, num_args = 2..)]
+    pub maps: Vec<PathBuf>,
+    /// File for the merged map: FILE.yaml with its PGM, and a PNG
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Print JSON: one object a line for each map but the first
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Reason why maps could not be merged.
+#[derive(Debug, thiserror::Error)]
+pub enum MergeMapsError {
+    /// A map file cannot be read or written.
+    #[error(transparent)]
+    File(#[from] MapFileError),
+    /// The merger refuses a map.
+    #[error("{}: {why}", file.display())]
+    Refused {
+        /// Path of the map's YAML file.
+        file: PathBuf,
+        /// Reason of the merger.
+        why: MapRejected,
+    },
+    /// More maps than robots in the largest fleet.
+    #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
+    TooMany(usize),
+    /// Standard output.
+    #[error("cannot print the result: {0}")]
+    Print(#[from] std::io::Error),
+}
+
+/// Best alignment of a map with the merged one, accepted or not.
+struct Place {
+    alignment: Option<Alignment>,
+    /// Duration of the newest attempt, milliseconds.
+    ms: f64,
+}
+
+impl Place {
+    fn accepted(&self) -> Option<&Alignment> {
+        self.alignment.as_ref().filter(|alignment| alignment.accepted)
+    }
+}
+
+/// Merges the map files and prints where each lies.
+pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
+    if args.maps.len() > ROBOTS_MAX {
+        return Err(MergeMapsError::TooMany(args.maps.len()));
+    }
+    let maps = args.maps.iter().map(|yaml| read_map(yaml)).collect::<Result<Vec<Grid>, _>>()?;
+    let mut merger = start(args, &maps)?;
+    let places = place_all(args, &maps, &mut merger)?;
+    for (yaml, place) in args.maps.iter().zip(&places).skip(1) {
+        let Some(place) = place else { continue };
+        let name = yaml.display().to_string();
+        let line = if args.json { as_json(&name, place).to_string() } else { as_text(&name, place) };
+        output::print(&(line + "\n"))?;
+    }
+    if let Some(out) = &args.out {
+        let stem =
+            if out.extension().is_some_and(|e| e == "yaml") { out.with_extension("") } else { out.clone() };
+        write_map(&stem, merger.merged())?;
+    }
+    Ok(())
+}
+
+/// Creates a merger with all maps, of which the first has a place.
+fn start(args: &MergeArgs, maps: &[Grid]) -> Result<Merger, MergeMapsError> {
+    let config = MergeConfig { resolution_m: maps[0].header.resolution_m, ..MergeConfig::default() };
+    let mut starts = vec![None; maps.len()];
+    starts[0] = Some(Pose2::IDENTITY);
+    let mut merger = Merger::new(&config, &starts);
+    for ((robot, map), yaml) in RobotId::first(maps.len()).zip(maps).zip(&args.maps) {
+        merger
+            .update_map(robot, map.view())
+            .map_err(|why| MergeMapsError::Refused { file: yaml.clone(), why })?;
+    }
+    Ok(merger)
+}
+
+/// Aligns each map but the first with the merged map; refused ones again whenever the merged map has grown.
+fn place_all(
+    args: &MergeArgs,
+    maps: &[Grid],
+    merger: &mut Merger,
+) -> Result<Vec<Option<Place>>, MergeMapsError> {
+    let mut places: Vec<Option<Place>> = maps.iter().map(|_| None).collect();
+    loop {
+        let mut grown = false;
+        for (robot, map) in RobotId::first(maps.len()).zip(maps).skip(1) {
+            if places[robot.index()].as_ref().is_some_and(|place| place.accepted().is_some()) {
+                continue;
+            }
+            let began = Instant::now();
+            let alignment = align(merger.merged(), map.view(), &AlignConfig::default());
+            let place = Place { alignment, ms: began.elapsed().as_secs_f64() * 1e3 };
+            if let Some(found) = place.accepted() {
+                let file = || args.maps[robot.index()].clone();
+                merger
+                    .set_map_transform(robot, Some(found.a_from_b))
+                    .map_err(|why| MergeMapsError::Refused { file: file(), why })?;
+                grown = true;
+            }
+            places[robot.index()] = Some(place);
+        }
+        if !grown {
+            return Ok(places);
+        }
+    }
+}
+
+/// Formats the alignment as JSON: p_a = R(theta) p_b + (x, y), metres and radians.
+fn as_json(name: &str, place: &Place) -> serde_json::Value {
+    let Some(found) = &place.alignment else {
+        return json!({"map": name, "accepted": false, "inliers": 0, "score": 0.0, "ms": place.ms});
+    };
+    json!({
+        "map": name,
+        "accepted": found.accepted,
+        "x": found.a_from_b.x_m,
+        "y": found.a_from_b.y_m,
+        "theta": found.a_from_b.yaw_rad,
+        "inliers": found.inliers,
+        "score": found.occupied_f1,
+        "ms": place.ms,
+        "strict": found.agreement,
+        "conflict": found.conflict,
+        "overlap_m2": found.overlap_m2,
+        "overlap_share": found.overlap_share,
+        "residual_m": found.residual_m,
+        "margin": found.margin,
+        "observability": found.observability,
+    })
+}
+
+fn as_text(name: &str, place: &Place) -> String {
+    let Some(found) = &place.alignment else {
+        return format!("{name}: refused: no common walls found ({:.0} ms)", place.ms);
+    };
+    let Pose2 { x_m, y_m, yaw_rad } = found.a_from_b;
+    let evidence = format!(
+        "{} matching cells, F1 {:.2}, agreement {:.1} %, conflict {:.1} %, {:.0} m2 shared, {:.1} times the next best place, {:.0} ms",
+        found.inliers,
+        found.occupied_f1,
+        100.0 * found.agreement,
+        100.0 * found.conflict,
+        found.overlap_m2,
+        found.margin,
+        place.ms
+    );
+    let verdict = if found.accepted { "lies at" } else { "refused; the best place would be" };
+    format!("{name}: {verdict} x {x_m:.3} m, y {y_m:.3} m, {:.2} degrees ({evidence})", yaw_rad.to_degrees())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::{Grid, GridHeader};
+
+    /// Map of one house between columns `from` and `to`, in a frame of its own.
+    fn part(from: i64, to: i64, origin: Pose2) -> Grid {
+        let stands = |x: i64, y: i64| {
+            let outer = x == 0 || x == 299 || y == 0 || y == 199;
+            let inner =
+                (x == 110 && !(60..78).contains(&y)) || (y == 120 && x > 110 && !(190..208).contains(&x));
+            let furniture = [
+                (20..52, 30..44),
+                (150..190, 20..38),
+                (230..245, 60..90),
+                (130..150, 160..185),
+                (60..66, 130..170),
+            ];
+            outer
+                || inner
+                || furniture.iter().any(|(across, along)| across.contains(&x) && along.contains(&y))
+        };
+        let cells =
+            (0..200).flat_map(|y| (from..to).map(move |x| if stands(x, y) { 60 } else { -60 })).collect();
+        let header = GridHeader {
+            origin,
+            resolution_m: 0.05,
+            width: (to - from) as u32,
+            height: 200,
+            ..Default::default()
+        };
+        Grid { header, cells }
+    }
+
+    #[test]
+    fn two_halves_of_a_house_become_one_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        write_map(&path("a"), part(0, 200, Pose2::new(-2.0, 1.0, 0.0)).view()).unwrap();
+        write_map(&path("b"), part(80, 300, Pose2::new(5.0, -3.0, 0.9)).view()).unwrap();
+        let args = MergeArgs {
+            maps: vec![path("a.yaml"), path("b.yaml")],
+            out: Some(path("whole.yaml")),
+            json: true,
+        };
+        run(&args).unwrap();
+        let whole = read_map(&path("whole.yaml")).unwrap();
+        // 15 m x 10 m, give or take the border cells of the turned half.
+        assert!((298..=304).contains(&whole.header.width), "{:?}", whole.header);
+        assert!((198..=204).contains(&whole.header.height), "{:?}", whole.header);
+        let known = whole.cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count();
+        assert!((58_000..62_000).contains(&known), "{known}");
+    }
+
+    #[test]
+    fn says_which_map_is_missing() {
+        let args = MergeArgs {
+            maps: vec![PathBuf::from("nowhere/a.yaml"), PathBuf::from("nowhere/b.yaml")],
+            out: None,
+            json: false,
+        };
+        assert!(run(&args).unwrap_err().to_string().contains("nowhere/a.yaml"));
+    }
+}

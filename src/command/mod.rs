@@ -1,0 +1,95 @@
+//! Command line of `mr-slam`: one module for each tool, with its arguments and a `run` function.
+
+pub mod doctor;
+pub mod edges;
+pub mod fleet_args;
+pub mod merge;
+pub mod output;
+pub mod permissions;
+pub mod replay;
+pub mod run_args;
+pub mod slam;
+pub mod status;
+pub mod up;
+pub mod worker;
+
+use crate::stop::Stop;
+use crate::{demo, lockstep};
+use clap::{Parser, Subcommand};
+
+/// Reason why a tool ended without a result.
+pub type Error = Box<dyn std::error::Error>;
+
+/// Multi-robot SLAM for one operator: a fleet, its maps, and a bridge to headset and ROS 2
+#[derive(Parser)]
+#[command(version, about)]
+pub struct Cli {
+    /// Tool to run.
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Tools, in the order of the help text.
+#[derive(Subcommand)]
+enum Command {
+    /// Launch a fleet that a scripted operator drives, and report: the place to begin
+    Demo(up::UpArgs),
+    /// Launch a fleet and wait for a headset
+    Up(up::UpArgs),
+    /// Show the figures of a running fleet
+    Status(status::StatusArgs),
+    /// Check what this machine permits: timers, limits, network
+    Doctor(doctor::DoctorArgs),
+    /// Show how the maps of a running fleet are joined, pin an edge or undo it
+    Edges(edges::EdgesArgs),
+    /// Let an address drive a running fleet, now and in later runs; without one, list who may drive and who waits
+    Allow(permissions::AllowArgs),
+    /// Forbid an address to drive
+    Deny(permissions::DenyArgs),
+    /// Stop every robot of a running fleet until `release`: the emergency stop
+    Stop(permissions::StopArgs),
+    /// Release the emergency stop
+    Release(permissions::StopArgs),
+    /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
+    Slam(slam::SlamArgs),
+    /// Drive a running fleet over TCP, as a headset does
+    Operator(operator::OperatorArgs),
+    /// Simulate a fleet in one process on virtual time: the same seed gives the same bytes
+    Lockstep(lockstep::LockstepArgs),
+    /// Map recorded CARMEN logs, as fast as the machine can
+    Replay(replay::ReplayArgs),
+    /// Merge map files of robots that started anywhere
+    Merge(merge::MergeArgs),
+    /// Run one process of a fleet; started by `up`
+    #[command(hide = true)]
+    Worker(worker::WorkerArgs),
+}
+
+/// Runs the tool that the command line names.
+pub fn run(cli: Cli) -> Result<(), Error> {
+    match cli.command {
+        Command::Demo(args) => {
+            let mut operator = demo::OperatorProcess::new(args.seconds);
+            up::run(&args, &mut operator, &Stop::on_signals()?)?;
+        }
+        Command::Up(args) => drop(up::run(&args, &mut up::NoHooks, &Stop::on_signals()?)?),
+        Command::Status(args) => status::run(&args)?,
+        Command::Doctor(args) => doctor::run(&args)?,
+        Command::Edges(args) => edges::run(&args)?,
+        Command::Allow(args) => permissions::allow(&args)?,
+        Command::Deny(args) => permissions::deny(&args)?,
+        Command::Stop(args) => permissions::stop(&args)?,
+        Command::Release(args) => permissions::release(&args)?,
+        Command::Slam(args) => slam::run(&args)?,
+        Command::Operator(args) => {
+            let stop = args.launcher_pid.map_or_else(Stop::on_signals, Stop::for_child)?;
+            let report = operator::run(&args, stop.flag())?;
+            output::print_either(args.json, &report, || report.to_string() + "\n")?;
+        }
+        Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
+        Command::Replay(args) => replay::run(&args)?,
+        Command::Merge(args) => merge::run(&args)?,
+        Command::Worker(args) => worker::run(&args)?,
+    }
+    Ok(())
+}

@@ -1,0 +1,37 @@
+//! Printing of results and progress. A reader that has gone (`mr-slam status --json | head`) is no error.
+
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Prints text as it is, without a line break of its own, to standard output.
+///
+/// Errors: whatever the system says, such as a full disk, but for a closed pipe.
+pub fn print(text: &str) -> io::Result<()> {
+    let mut stdout = io::stdout().lock();
+    let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
+    match written {
+        // Whoever read it has seen enough.
+        Err(why) if why.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        written => written,
+    }
+}
+
+/// Prints a value as indented JSON to standard output.
+pub fn print_json(value: &impl Serialize) -> io::Result<()> {
+    print(&(serde_json::to_string_pretty(value)? + "\n"))
+}
+
+/// Prints a value as JSON if `json`, otherwise the text that `text` returns.
+pub fn print_either(json: bool, value: &impl Serialize, text: impl FnOnce() -> String) -> io::Result<()> {
+    if json { print_json(value) } else { print(&text()) }
+}
+
+/// Prints a line for people to standard error. Nobody has to read it: errors are ignored.
+pub fn note(line: &str) {
+    note_text(&format!("{line}\n"));
+}
+
+/// Prints text for people to standard error, without a line break of its own. Errors are ignored.
+pub fn note_text(text: &str) {
+    let _ = io::stderr().write_all(text.as_bytes());
+}

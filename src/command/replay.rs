@@ -1,0 +1,375 @@
+//! `mr-slam replay`: maps recorded logs with the fleet's SLAM, as fast as the machine can.
+//!
+//! Two threads as in the live process: this one runs the front end, the other one the back end. Unlike the live
+//! process, the front end waits when the back end is far behind: a log has time.
+
+mod fleet;
+mod summary;
+
+pub use fleet::Starts;
+pub use summary::{Percentiles, Summary};
+
+use super::output;
+use crate::config::{ConfigError, FleetConfig, recorded_log_slam};
+use crate::session_file::{self, SessionFileError};
+use crate::sessions::{Mode, TOLD_SIGMA};
+use formats::carmen::{LaserLine, Reader, Record};
+use formats::gzip;
+use formats::map_file::{MapFileError, write_map};
+use merge::MergeConfig;
+use msg::{Odometry, Pose2, Scan, Stamp};
+use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PoseEstimate, Revision, SlamConfig};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+/// Largest log when unpacked, bytes.
+const LOG_MAX: u64 = 1 << 30;
+/// Number of malformed lines that are shown; the others are counted.
+const ERRORS_SHOWN: usize = 5;
+/// Nodes that may wait for the back end before the log waits: then no node is held back.
+const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
+/// Time between two lines of progress.
+const PROGRESS: Duration = Duration::from_secs(1);
+
+/// Map recorded CARMEN logs, as fast as the machine can
+#[derive(clap::Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// CARMEN logs, plain or gzip; several logs are a fleet, see --merge
+    #[arg(value_name = "LOG", required = true)]
+    pub logs: Vec<PathBuf>,
+    /// Fleet file whose [slam] and [merge] are used [default: built-in values for recorded logs]
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Merge several logs; starts are `unknown` or `known:FILE` with lines `index time x y theta`
+    #[arg(long, value_name = "STARTS")]
+    pub merge: Option<Starts>,
+    /// File for the final trajectory, one line a scan: `t x y z qx qy qz qw`; for several logs a folder
+    #[arg(long, value_name = "FILE")]
+    pub trajectory: Option<PathBuf>,
+    /// File for the map: FILE.yaml with its PGM, and a PNG
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Field of view of the central beams that are used, degrees
+    #[arg(long, value_name = "DEGREES")]
+    pub fov_deg: Option<f64>,
+    /// Ignore odometry
+    #[arg(long)]
+    pub no_odometry: bool,
+    /// Do not close loops
+    #[arg(long)]
+    pub no_closures: bool,
+    /// Session file to begin with; or a map (.yaml) to localize in
+    #[arg(long, value_name = "FILE")]
+    pub session: Option<PathBuf>,
+    /// File for the session at the end
+    #[arg(long, value_name = "FILE")]
+    pub save_session: Option<PathBuf>,
+    /// Use of the map
+    #[arg(long, value_enum, default_value_t)]
+    pub mode: Mode,
+    /// Approximate pose of the robot in the session's map: metres, metres, radians [default: relocalize]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = crate::process::pose, allow_hyphen_values = true, requires = "session")]
+    pub at: Option<Pose2>,
+    /// Continue where the session ended, as if it had never stopped
+    #[arg(long, requires = "session", conflicts_with = "at")]
+    pub go_on: bool,
+    /// Number of scans to skip at the beginning
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub skip: usize,
+    /// Number of scans to use [default: all]
+    #[arg(long, value_name = "N")]
+    pub scans: Option<usize>,
+}
+
+/// Reason why a replay ended without a result.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// A log cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// A result cannot be written.
+    #[error("cannot write {path}: {source}")]
+    Write {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// The map cannot be written.
+    #[error(transparent)]
+    Map(#[from] MapFileError),
+    /// A log has no scan.
+    #[error(
+        "{path} has no usable scan: expected FLASER or ROBOTLASER1 lines ({skipped} other lines, {malformed} malformed)"
+    )]
+    NoScan {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of lines of other kinds.
+        skipped: u64,
+        /// Number of malformed lines.
+        malformed: u64,
+    },
+    /// A session cannot be read or written.
+    #[error(transparent)]
+    Session(#[from] SessionFileError),
+    /// A map file has no pose graph that could grow.
+    #[error(
+        "--session {0} is a map file, which has no pose graph; expected --mode localize, or a session file"
+    )]
+    MapOnly(PathBuf),
+    /// `--fov-deg` is out of range.
+    #[error("--fov-deg is {0}; expected 1 to 360 degrees")]
+    FieldOfView(f64),
+    /// Several logs without `--merge`, or too many.
+    #[error("{0} logs: expected one, or 2 to {max} with --merge", max = msg::ROBOTS_MAX)]
+    Logs(usize),
+    /// A line of the file with the starts is malformed.
+    #[error(
+        "{path}:{line}: `{found}`: expected `index time x y theta`, a robot of the fleet and finite numbers"
+    )]
+    Starts {
+        /// Path of the file.
+        path: PathBuf,
+        /// Line number, from 1.
+        line: usize,
+        /// Text of the line.
+        found: String,
+    },
+    /// The fleet file is refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Standard output.
+    #[error("cannot print the summary: {0}")]
+    Print(#[from] std::io::Error),
+}
+
+/// Replays the logs, writes the requested files and prints the summary.
+pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
+    if let Some(fov) = args.fov_deg.filter(|fov| !(1.0..=360.0).contains(fov)) {
+        return Err(ReplayError::FieldOfView(fov));
+    }
+    let (mut config, merging) = match &args.config {
+        Some(file) => FleetConfig::from_file(file).map(|config| (config.slam, config.merge))?,
+        None => (recorded_log_slam(), MergeConfig::default()),
+    };
+    config.odometry.used &= !args.no_odometry;
+    config.closures.enabled &= !args.no_closures;
+    let log = match (args.logs.as_slice(), &args.merge) {
+        ([log], None) => log,
+        (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
+            return fleet::run(args, starts, &config, &merging);
+        }
+        (logs, _) => return Err(ReplayError::Logs(logs.len())),
+    };
+    let start = Instant::now();
+    let log = read_log(log)?;
+    let mut replayed = feed(&log, config, args)?;
+    replayed.summary.wall_s = start.elapsed().as_secs_f64();
+    replayed.summary.times_real_time = replayed.duration_s / replayed.summary.wall_s;
+    finish(args, replayed)
+}
+
+fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
+    let Replayed { front, mut back, mut summary, .. } = replayed;
+    if let Some(path) = &args.trajectory {
+        write_trajectory(path, slam::trajectory(&front, &back))
+            .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
+    }
+    if let Some(path) = &args.save_session {
+        let identity = Identity::new(0, 0, back.config());
+        session_file::write(path, &back.session(identity, Some(front.state()), front.samples()))?;
+    }
+    let drawing = Instant::now();
+    let grid = back.map();
+    summary.map_ms = drawing.elapsed().as_secs_f64() * 1e3;
+    (summary.map_width, summary.map_height) = (grid.header.width, grid.header.height);
+    if let Some(path) = &args.map {
+        write_map(&path.with_extension(""), grid)?;
+    }
+    Ok(output::print_either(args.json, &summary, || summary.text())?)
+}
+
+/// Reads a log, unpacked if it is gzip.
+fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
+    let fail = |source| ReplayError::Read { path: path.to_owned(), source };
+    let bytes = std::fs::read(path).map_err(fail)?;
+    gzip::unpack(bytes, LOG_MAX).map_err(fail)
+}
+
+/// Result of a replay.
+struct Replayed {
+    front: FrontEnd,
+    back: BackEnd,
+    summary: Summary,
+    duration_s: f64,
+}
+
+fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed, ReplayError> {
+    let mut records = Records { reader: Reader::new(log), malformed: 0 };
+    let Some(first) = (0..=args.skip).map_while(|_| records.next_laser()).nth(args.skip) else {
+        let (skipped, malformed) = (records.reader.skipped(), records.malformed);
+        return Err(ReplayError::NoScan { path: args.logs[0].clone(), skipped, malformed });
+    };
+    let on_robot = first.base_from_scan;
+    config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
+    let (mut front, mut back) = begin(args, config)?;
+    let (to_back, nodes) = mpsc::sync_channel::<Node>(WAITING_MAX);
+    let (to_front, revisions) = mpsc::channel::<Revision>();
+    let mut summary = Summary { log: args.logs[0].display().to_string(), ..Default::default() };
+    let started = first.stamp;
+    let mut ended = started;
+    std::thread::scope(|scope| {
+        let back = &mut back;
+        let back_end = scope.spawn(move || run_back_end(back, nodes, to_front));
+        let mut feeder = Feeder::new(args);
+        let front = &mut front;
+        let mut next = Some(first);
+        while let Some(line) = next {
+            ended = line.stamp;
+            revisions.try_iter().for_each(|revision| front.add_revision(revision));
+            if let Some(node) = feeder.scan(front, &line) {
+                let _ = to_back.send(node);
+            }
+            let enough = args.scans.is_some_and(|scans| feeder.seq as usize >= scans);
+            next = if enough { None } else { records.next_laser() };
+        }
+        drop(to_back);
+        summary.not_located = feeder.not_located;
+        summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
+        summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
+    });
+    (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
+    summary.count(&front, &back);
+    let Pose2 { x_m, y_m, yaw_rad } = back.latest_revision().map_from_local * front.local_from_base();
+    summary.ends_at = [x_m, y_m, yaw_rad];
+    Ok(Replayed { front, back, summary, duration_s: ended - started })
+}
+
+/// Creates front end and back end, new or from a session.
+fn begin(args: &ReplayArgs, config: SlamConfig) -> Result<(FrontEnd, BackEnd), ReplayError> {
+    let Some(path) = &args.session else {
+        return Ok(slam::begin(config, None, args.mode.into(), InitialPose::Unknown));
+    };
+    if session_file::is_map(path) && args.mode != Mode::Localization {
+        return Err(ReplayError::MapOnly(path.clone()));
+    }
+    let session = session_file::read_any(path, &Identity::new(0, 0, &config), &config)?;
+    let [sigma_m, sigma_rad] = TOLD_SIGMA;
+    let start = match args.at {
+        Some(map_from_local) => InitialPose::Near(PoseEstimate { map_from_local, sigma_m, sigma_rad }),
+        None if args.go_on => InitialPose::Continue,
+        None => InitialPose::Unknown,
+    };
+    Ok(slam::begin(config, Some(session), args.mode.into(), start))
+}
+
+/// Adds nodes to the back end until no more come. Returns the duration of each, and of the final work.
+fn run_back_end(
+    back: &mut BackEnd,
+    nodes: mpsc::Receiver<Node>,
+    to_front: mpsc::Sender<Revision>,
+) -> Vec<Duration> {
+    let mut times = Vec::new();
+    for node in nodes {
+        let start = Instant::now();
+        let revision = back.add_node(node);
+        times.push(start.elapsed());
+        // The front end is gone if the log has ended.
+        let _ = to_front.send(revision);
+    }
+    let start = Instant::now();
+    back.finish();
+    times.push(start.elapsed());
+    times
+}
+
+/// Laser scans of a log.
+struct Records<'a> {
+    reader: Reader<'a>,
+    malformed: u64,
+}
+
+impl Records<'_> {
+    /// Returns the next scan. Scan lines carry the odometry at which they were taken, so ODOM lines add nothing.
+    fn next_laser(&mut self) -> Option<LaserLine> {
+        loop {
+            match self.reader.next()? {
+                Ok(Record::Laser(line)) => return Some(line),
+                Ok(Record::Odometry(_)) => {}
+                Err(error) => {
+                    self.malformed += 1;
+                    if self.malformed as usize <= ERRORS_SHOWN {
+                        output::note(&format!("{error}; line skipped"));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Converts log lines to messages and feeds them to the front end.
+struct Feeder {
+    scan: Box<Scan>,
+    seq: u64,
+    fov_rad: Option<f64>,
+    times: Vec<Duration>,
+    noted: Instant,
+    not_located: u64,
+}
+
+impl Feeder {
+    fn new(args: &ReplayArgs) -> Self {
+        let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+        let fov_rad = args.fov_deg.map(f64::to_radians);
+        Self { scan, seq: 0, fov_rad, times: Vec::new(), noted: Instant::now(), not_located: 0 }
+    }
+
+    fn scan(&mut self, front: &mut FrontEnd, line: &LaserLine) -> Option<Node> {
+        line.write_to(&mut self.scan, self.seq, self.fov_rad);
+        self.seq += 1;
+        let header = msg::Header { stamp: line.stamp, ..Default::default() };
+        let odometry = Odometry { header, odom_from_base: line.odom_from_base, ..Default::default() };
+        front.add_odometry(&odometry);
+        let start = Instant::now();
+        let step = front.process(&self.scan);
+        self.times.push(start.elapsed());
+        self.not_located += u64::from(!front.is_located());
+        if self.noted.elapsed() > PROGRESS {
+            self.noted = Instant::now();
+            output::note(&format!("{} scans, {} nodes", self.seq, step.correction.nodes));
+        }
+        step.node
+    }
+}
+
+/// Writes one line a scan, `t x y z qx qy qz qw`: seconds, metres, unit quaternion.
+fn write_trajectory(path: &Path, poses: impl Iterator<Item = (Stamp, Pose2)>) -> std::io::Result<()> {
+    let mut file = BufWriter::new(File::create(path)?);
+    for (stamp, pose) in poses {
+        let microseconds = stamp.0.div_euclid(1000) + i64::from(stamp.0.rem_euclid(1000) >= 500);
+        let sign = if microseconds < 0 { "-" } else { "" };
+        let (seconds, fraction) = (microseconds.abs() / 1_000_000, microseconds.abs() % 1_000_000);
+        let (sin, cos) = (pose.yaw_rad / 2.0).sin_cos();
+        writeln!(
+            file,
+            "{sign}{seconds}.{fraction:06} {:.6} {:.6} 0 0 0 {sin:.9} {cos:.9}",
+            pose.x_m, pose.y_m
+        )?;
+    }
+    file.flush()
+}
+
+#[cfg(test)]
+mod tests;

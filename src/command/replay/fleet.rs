@@ -1,0 +1,352 @@
+//! `mr-slam replay A B ... --merge`: maps the logs of several robots and merges them as a live fleet would.
+//!
+//! Scans are used in the order of their stamps. Each robot has its own SLAM, and the fleet's pose graph gets each
+//! submap when it would get it live. One thread: the same logs give the same maps.
+
+use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, write_trajectory};
+use crate::command::output;
+use crate::view::{EdgeView, edge_table};
+use formats::carmen::{LaserLine, Reader};
+use formats::map_file::write_map;
+use merge::{FleetPoseGraph, MergeConfig, Merger};
+use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
+use serde::Serialize;
+use slam::{BackEnd, FrontEnd, Slam, SlamConfig, Submaps};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+/// Number of merging tasks after one node; the others wait for the next.
+const TASKS_PER_SCAN: usize = 16;
+/// Largest number of merging tasks when all logs have ended.
+const LAST_TASKS_MAX: usize = 20_000;
+
+/// Knowledge of the robots' starts.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Starts {
+    /// File with a line for each robot: `index time x y theta`, metres and radians.
+    Known(PathBuf),
+    /// Nothing is known.
+    Unknown,
+}
+
+impl FromStr for Starts {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "unknown" => Ok(Self::Unknown),
+            Some(("known", file)) if !file.is_empty() => Ok(Self::Known(file.into())),
+            _ => Err("expected `unknown`, or `known:FILE` with lines `index time x y theta`".into()),
+        }
+    }
+}
+
+/// Figures of a replay of several logs.
+#[derive(Debug, Serialize)]
+pub struct FleetSummary {
+    /// Figures of each log's robot.
+    pub robots: Vec<RobotSummary>,
+    /// Edges between robots' maps, with their evidence.
+    pub edges: Vec<EdgeView>,
+    /// Width of the merged map, cells.
+    pub map_width: u32,
+    /// Height of the merged map, cells.
+    pub map_height: u32,
+    /// Number of solutions of the fleet's pose graph.
+    pub solutions: u64,
+    /// Number of times that the graph could not be solved; the estimate then stayed what it was.
+    pub failed_solutions: u64,
+    /// Duration from reading to the merged map, seconds.
+    pub wall_s: f64,
+    /// Duration of merging, seconds.
+    pub merge_s: f64,
+    /// Longest task of the thread that aligns maps, milliseconds.
+    pub task_max_ms: f64,
+    /// Longest time that merging needed for one message, milliseconds.
+    pub update_max_ms: f64,
+}
+
+/// Figures of one robot in a replay of several logs.
+#[derive(Debug, Serialize)]
+pub struct RobotSummary {
+    /// Whether its map is part of the merged map.
+    pub merged: bool,
+    /// Pose of the robot's map in the merged map, at the robot's last place: x m, y m, yaw rad.
+    pub map_from_robot_map: Option<[f64; 3]>,
+    /// Whether its map was redrawn from its submaps because no rigid transform fits all of it.
+    pub redrawn: bool,
+    /// Number of submaps.
+    pub submaps: usize,
+    /// Figures of its own SLAM.
+    pub slam: Summary,
+}
+
+/// Robot of one log.
+struct Robot<'a> {
+    id: RobotId,
+    records: Records<'a>,
+    next: Option<LaserLine>,
+    front: FrontEnd,
+    back: BackEnd,
+    submaps: Submaps,
+    feeder: Feeder,
+    summary: Summary,
+}
+
+/// Replays all logs, writes the requested files and prints the summary.
+pub fn run(
+    args: &ReplayArgs,
+    starts: &Starts,
+    config: &SlamConfig,
+    merging: &MergeConfig,
+) -> Result<(), ReplayError> {
+    let began = Instant::now();
+    let logs = args.logs.iter().map(|path| read_log(path)).collect::<Result<Vec<_>, _>>()?;
+    let known = match starts {
+        Starts::Known(file) => read_starts(file, logs.len())?,
+        Starts::Unknown => vec![None; logs.len()],
+    };
+    let robots = RobotId::first(logs.len()).zip(&logs).zip(&args.logs);
+    let robots = robots
+        .map(|((id, log), path)| Robot::new(id, log, path, args, config))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut merged = Merged {
+        fleet: FleetPoseGraph::new(&merging.align, &known),
+        poses: bytemuck::allocation::zeroed_box(),
+        merge_s: 0.0,
+        task_max_ms: 0.0,
+        update_max_ms: 0.0,
+    };
+    let mut robots = merged.replay(robots);
+    let map = merged.map(merging, &mut robots);
+    if let Some(path) = &args.map {
+        write_map(&path.with_extension(""), map.view())?;
+    }
+    if let Some(folder) = &args.trajectory {
+        write_trajectories(folder, &robots, &merged.fleet)?;
+    }
+    let summary = merged.summary(robots, &map, began);
+    Ok(output::print_either(args.json, &summary, || summary.text())?)
+}
+
+impl<'a> Robot<'a> {
+    fn new(
+        id: RobotId,
+        log: &'a [u8],
+        path: &Path,
+        args: &ReplayArgs,
+        config: &SlamConfig,
+    ) -> Result<Self, ReplayError> {
+        let mut records = Records { reader: Reader::new(log), malformed: 0 };
+        let Some(first) = records.next_laser() else {
+            let (skipped, malformed) = (records.reader.skipped(), records.malformed);
+            return Err(ReplayError::NoScan { path: path.to_owned(), skipped, malformed });
+        };
+        let mut config = config.clone();
+        let on_robot = first.base_from_scan;
+        config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
+        let (front, back) = Slam::new(config.clone()).split();
+        let summary = Summary { log: path.display().to_string(), ..Summary::default() };
+        let (submaps, feeder) = (Submaps::new(&config), Feeder::new(args));
+        Ok(Self { id, records, next: Some(first), front, back, submaps, feeder, summary })
+    }
+
+    /// Feeds the next scan to SLAM. Returns whether it became a node.
+    fn scan(&mut self) -> bool {
+        let Some(line) = self.next.take() else { return false };
+        let node = self.feeder.scan(&mut self.front, &line);
+        self.next = self.records.next_laser();
+        let made = node.is_some();
+        if let Some(node) = node {
+            let revision = self.back.add_node(node);
+            self.front.add_revision(revision);
+            self.submaps.update(&self.back);
+        }
+        made
+    }
+}
+
+struct Merged {
+    fleet: FleetPoseGraph,
+    poses: Box<SubmapPoses>,
+    merge_s: f64,
+    task_max_ms: f64,
+    update_max_ms: f64,
+}
+
+impl Merged {
+    /// Feeds all scans in the order of their stamps.
+    fn replay<'a>(&mut self, mut robots: Vec<Robot<'a>>) -> Vec<Robot<'a>> {
+        let due = |robot: &&mut Robot<'a>| robot.next.as_ref().map(|line| (line.stamp, robot.id.index()));
+        while let Some(robot) = robots.iter_mut().filter(|r| r.next.is_some()).min_by_key(due) {
+            if robot.scan() {
+                self.send(robot);
+                self.work(TASKS_PER_SCAN);
+            }
+        }
+        for robot in &mut robots {
+            robot.back.finish();
+            robot.submaps.finish();
+            self.send(robot);
+        }
+        self.fleet.finish();
+        self.work(LAST_TASKS_MAX);
+        robots
+    }
+
+    /// Sends a robot's new submaps and poses to the fleet's pose graph.
+    fn send(&mut self, robot: &mut Robot<'_>) {
+        robot.submaps.poses(&robot.back, &mut self.poses);
+        let began = Instant::now();
+        // A robot's own submaps are sound; a refused one would be missing in the map.
+        let _ = self.fleet.update_poses(robot.id, &self.poses);
+        while let Some(submap) = robot.submaps.next_changed(&robot.back) {
+            let _ = self.fleet.add_submap(robot.id, submap);
+        }
+        self.note_update(began);
+    }
+
+    fn work(&mut self, tasks: usize) {
+        for _ in 0..tasks {
+            let began = Instant::now();
+            let Some(task) = self.fleet.next_task() else { return };
+            self.note_update(began);
+            let began = Instant::now();
+            let outcome = task.run();
+            let spent_s = began.elapsed().as_secs_f64();
+            self.merge_s += spent_s;
+            self.task_max_ms = self.task_max_ms.max(1e3 * spent_s);
+            let began = Instant::now();
+            self.fleet.apply_outcome(outcome);
+            self.note_update(began);
+        }
+    }
+
+    fn note_update(&mut self, began: Instant) {
+        let spent_s = began.elapsed().as_secs_f64();
+        self.merge_s += spent_s;
+        self.update_max_ms = self.update_max_ms.max(1e3 * spent_s);
+    }
+
+    /// Draws the merged map of every robot that has a place, redrawn where necessary.
+    fn map(&self, config: &MergeConfig, robots: &mut [Robot<'_>]) -> Grid {
+        let anchors: Vec<_> = robots.iter().map(|robot| self.fleet.map_from_robot_map(robot.id)).collect();
+        let mut merger = Merger::new(config, &anchors);
+        for robot in robots.iter_mut() {
+            // A map that is refused is missing in the merged one, which shows.
+            let _ = match self.fleet.redrawn_map(robot.id) {
+                Some(map) => merger.update_map(robot.id, map.view()),
+                None => merger.update_map(robot.id, robot.back.map()),
+            };
+        }
+        merger.merged().to_owned()
+    }
+
+    fn summary(&self, robots: Vec<Robot<'_>>, map: &Grid, began: Instant) -> FleetSummary {
+        let mut edges = MergeEdges::default();
+        self.fleet.write_edges(&mut edges);
+        let robots = robots.into_iter().map(|mut robot| {
+            robot.summary.count(&robot.front, &robot.back);
+            (robot.summary.malformed_lines, robot.summary.skipped_lines) =
+                (robot.records.malformed, robot.records.reader.skipped());
+            let place = self.fleet.map_from_robot_map(robot.id);
+            RobotSummary {
+                merged: place.is_some(),
+                map_from_robot_map: place.map(|p| [p.x_m, p.y_m, p.yaw_rad]),
+                redrawn: self.fleet.redrawn_map(robot.id).is_some(),
+                submaps: robot.submaps.len(),
+                slam: robot.summary,
+            }
+        });
+        FleetSummary {
+            robots: robots.collect(),
+            edges: edges.edges().iter().map(EdgeView::new).collect(),
+            map_width: map.header.width,
+            map_height: map.header.height,
+            solutions: self.fleet.solve_count(),
+            failed_solutions: self.fleet.failed_solve_count(),
+            wall_s: began.elapsed().as_secs_f64(),
+            merge_s: self.merge_s,
+            task_max_ms: self.task_max_ms,
+            update_max_ms: self.update_max_ms,
+        }
+    }
+}
+
+/// Writes a file for each robot, `robotK.tum`, in the merged map's frame if the robot has a place there, otherwise in
+/// its own.
+fn write_trajectories(
+    folder: &Path,
+    robots: &[Robot<'_>],
+    fleet: &FleetPoseGraph,
+) -> Result<(), ReplayError> {
+    std::fs::create_dir_all(folder)
+        .map_err(|source| ReplayError::Write { path: folder.to_owned(), source })?;
+    for robot in robots {
+        let path = folder.join(format!("{}.tum", robot.id));
+        let poses = robot.back.graph().poses();
+        let known = robot.front.samples().iter().filter(|ride| (ride.node as usize) < poses.len());
+        let trajectory = known.map(|ride| {
+            let in_robot_map = poses[ride.node as usize] * ride.node_from_base;
+            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map)
+        });
+        write_trajectory(&path, trajectory).map_err(|source| ReplayError::Write { path, source })?;
+    }
+    Ok(())
+}
+
+/// Returns the pose of `robotK/map` in `map` at a node.
+fn correction(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -> Pose2 {
+    let at = |id: u32| fleet.map_from_robot_map_at(robot.id, id);
+    let place = robot.submaps.submap_of(node).and_then(|(id, _)| at(id));
+    place.or(fleet.map_from_robot_map(robot.id)).unwrap_or(Pose2::IDENTITY)
+}
+
+/// Reads lines `index time x y theta`; `#` begins a comment.
+fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayError> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| ReplayError::Read { path: path.to_owned(), source })?;
+    let mut starts = vec![None; count];
+    for (line, text) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        if text.trim_start().starts_with('#') {
+            continue;
+        }
+        let wrong = || ReplayError::Starts { path: path.to_owned(), line: line + 1, found: text.into() };
+        let numbers: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+        let Some([index, _, x_m, y_m, yaw_rad]) = numbers.as_deref() else { return Err(wrong()) };
+        let slot = starts.get_mut(*index as usize).ok_or_else(wrong)?;
+        *slot = Some(Pose2::new(*x_m, *y_m, *yaw_rad)).filter(|pose| pose.is_finite());
+        if slot.is_none() {
+            return Err(wrong());
+        }
+    }
+    Ok(starts)
+}
+
+impl FleetSummary {
+    /// Formats the summary for a terminal.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        for robot in &self.robots {
+            let place = match robot.map_from_robot_map {
+                Some([x, y, yaw]) => format!("x {x:.3} m, y {y:.3} m, {:.2} degrees", yaw.to_degrees()),
+                None => "not merged".into(),
+            };
+            let bent = if robot.redrawn { ", redrawn" } else { "" };
+            let RobotSummary { slam, submaps, .. } = robot;
+            text += &format!("{}: {} scans, {submaps} submaps, {place}{bent}\n", slam.log, slam.scans);
+        }
+        text += &edge_table(&self.edges);
+        text + &format!(
+            "merged map {} x {} cells; {:.2} s, merging {:.2} s ({} solutions, {} failed; longest task {:.0} ms, update {:.2} ms)\n",
+            self.map_width,
+            self.map_height,
+            self.wall_s,
+            self.merge_s,
+            self.solutions,
+            self.failed_solutions,
+            self.task_max_ms,
+            self.update_max_ms
+        )
+    }
+}

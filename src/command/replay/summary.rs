@@ -1,0 +1,120 @@
+//! Summary of a replay, for people and for programs.
+
+use serde::Serialize;
+use slam::{BackEnd, ClosureSearchCounts, FrontEnd, RelocalizationCounts};
+use std::time::Duration;
+
+/// Figures of a replay of one log.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Summary {
+    /// Path of the log.
+    pub log: String,
+    /// Number of scans that got a pose.
+    pub scans: u64,
+    /// Number of scans refused because their stamp repeated.
+    pub stamp_repeated: u64,
+    /// Number of scans refused because their stamp went back.
+    pub stamp_went_back: u64,
+    /// Number of scans refused for their beam count or geometry.
+    pub refused_other: u64,
+    /// Number of scans that did not match the map.
+    pub lost: u64,
+    /// Number of scans before the robot was located in the session's map.
+    pub not_located: u64,
+    /// Outcomes of the searches for the robot.
+    pub relocalization: RelocalizationCounts,
+    /// Last pose in the map: x m, y m, yaw rad.
+    pub ends_at: [f64; 3],
+    /// Number of malformed lines.
+    pub malformed_lines: u64,
+    /// Number of lines of other kinds.
+    pub skipped_lines: u64,
+    /// Number of nodes in the pose graph.
+    pub nodes: usize,
+    /// Number of scan-to-scan edges.
+    pub links: usize,
+    /// Number of loop closures in force.
+    pub closures: usize,
+    /// Number of loop closures that were removed.
+    pub retracted: u64,
+    /// Outcomes of the closure searches.
+    pub closure_searches: ClosureSearchCounts,
+    /// Number of solutions of the whole graph.
+    pub solutions: u64,
+    /// Duration from reading to the final trajectory, seconds.
+    pub wall_s: f64,
+    /// Duration of the log over the duration of the replay.
+    pub times_real_time: f64,
+    /// Duration of the front end for a scan, milliseconds.
+    pub scan_ms: Percentiles,
+    /// Duration of the back end for a node, milliseconds.
+    pub back_end_ms: Percentiles,
+    /// Width of the map, cells.
+    pub map_width: u32,
+    /// Height of the map, cells.
+    pub map_height: u32,
+    /// Duration of drawing the whole map, milliseconds.
+    pub map_ms: f64,
+}
+
+impl Summary {
+    /// Formats the summary for a terminal.
+    pub(super) fn text(&self) -> String {
+        let s = self;
+        let mut text = format!(
+            "{}\n  scans     {} ({} lost, {} malformed lines)\n  graph     {} nodes, {} links, {} closures ({} removed)\n",
+            s.log, s.scans, s.lost, s.malformed_lines, s.nodes, s.links, s.closures, s.retracted
+        );
+        if s.relocalization.searches > 0 {
+            text += &format!(
+                "  located   after {} scans; {} searches, {} found, {} ambiguous, {} contradicted\n",
+                s.not_located,
+                s.relocalization.searches,
+                s.relocalization.found,
+                s.relocalization.ambiguous,
+                s.relocalization.contradicted
+            );
+        }
+        text += &format!(
+            "  map       {} x {} cells, drawn in {:.1} ms\n  wall time {:.2} s, {:.0} x real time\n",
+            s.map_width, s.map_height, s.map_ms, s.wall_s, s.times_real_time
+        );
+        for (name, times) in [("front end", s.scan_ms), ("back end ", s.back_end_ms)] {
+            text +=
+                &format!("  {name} p50 {:.2}, p99 {:.2}, max {:.2} ms\n", times.p50, times.p99, times.max);
+        }
+        text
+    }
+
+    /// Copies the counters of front end and back end.
+    pub(super) fn count(&mut self, front: &FrontEnd, back: &BackEnd) {
+        let (counts, done) = (front.counts(), back.counts());
+        (self.scans, self.lost) = (counts.accepted, counts.lost);
+        (self.stamp_repeated, self.stamp_went_back) = (counts.stamp_repeated, counts.stamp_went_back);
+        self.refused_other = counts.beam_count + counts.geometry;
+        (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
+        (self.retracted, self.solutions) = (done.retracted, done.solutions);
+        self.closure_searches = done.searches;
+        self.relocalization = done.relocalization;
+    }
+}
+
+/// Percentiles of durations, milliseconds.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Percentiles {
+    /// 50th percentile.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Percentiles {
+    pub(super) fn of(mut times: Vec<Duration>) -> Self {
+        times.sort_unstable();
+        let Some(last) = times.len().checked_sub(1) else { return Self::default() };
+        let at = |share: f64| times[(share * last as f64).ceil() as usize].as_secs_f64() * 1e3;
+        Self { p50: at(0.5), p99: at(0.99), max: at(1.0) }
+    }
+}

@@ -1,0 +1,80 @@
+//! Replays of a small made-up log.
+
+use super::*;
+
+/// A robot that drives 2 m through a box of 8 m x 6 m, one scan each 0.25 m.
+fn log() -> String {
+    let mut log = String::from("# a box\nPARAM robot none\n");
+    for step in 0..9 {
+        let x = f64::from(step) * 0.25;
+        log += "FLASER 181";
+        for beam in 0..181 {
+            let (sin, cos) = (f64::from(beam) - 90.0).to_radians().sin_cos();
+            let range = ((6.0 - x) / cos.max(1e-9)).min(3.0 / sin.abs().max(1e-9));
+            log += &format!(" {range:.3}");
+        }
+        let odometry = x * 1.02;
+        log += &format!(" 0 0 0 {odometry} 0 0 976052890.24411{step} host 0\n");
+        log += "FLASER 3 1 2 oops\n";
+    }
+    log
+}
+
+fn args(log: &Path) -> ReplayArgs {
+    ReplayArgs {
+        logs: vec![log.to_owned()],
+        config: None,
+        merge: None,
+        trajectory: None,
+        map: None,
+        json: false,
+        fov_deg: None,
+        no_odometry: false,
+        no_closures: false,
+        session: None,
+        save_session: None,
+        mode: Mode::Mapping,
+        at: None,
+        go_on: false,
+        skip: 0,
+        scans: None,
+    }
+}
+
+#[test]
+fn every_scan_gets_a_pose_at_its_own_stamp() {
+    let folder = std::env::temp_dir().join(format!("mr-slam-replay-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let (path, trajectory) = (folder.join("box.log.gz"), folder.join("box.tum"));
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    packed.write_all(log().as_bytes()).unwrap();
+    std::fs::write(&path, packed.finish().unwrap()).unwrap();
+    let map = Some(folder.join("box.yaml"));
+    run(&ReplayArgs { trajectory: Some(trajectory.clone()), map, ..args(&path) }).unwrap();
+
+    let text = std::fs::read_to_string(&trajectory).unwrap();
+    let rows: Vec<Vec<&str>> = text.lines().map(|l| l.split(' ').collect()).collect();
+    assert_eq!(rows.len(), 9);
+    for (step, row) in rows.iter().enumerate() {
+        assert_eq!(row[0], format!("976052890.24411{step}"));
+        let x: f64 = row[1].parse().unwrap();
+        assert!((x - 0.25 * step as f64).abs() < 0.02, "{x} at scan {step}");
+    }
+    assert!(folder.join("box.pgm").exists() && folder.join("box.yaml").exists());
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn malformed_lines_are_counted() {
+    let replayed = feed(log().as_bytes(), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
+    let summary = replayed.summary;
+    assert_eq!((summary.scans, summary.malformed_lines, summary.skipped_lines), (9, 9, 2));
+}
+
+#[test]
+fn a_log_without_scans_says_what_was_expected() {
+    let error = feed(b"ODOM 1 2\nhello\n", SlamConfig::default(), &args(Path::new("x.log")));
+    let message = error.err().unwrap().to_string();
+    assert!(message.contains("x.log") && message.contains("FLASER"), "{message}");
+    assert!(message.contains("1 other lines, 1 malformed"), "{message}");
+}

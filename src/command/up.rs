@@ -1,0 +1,212 @@
+//! `mr-slam up`: launches a fleet, shows its figures, and leaves maps and a report behind.
+
+mod console;
+mod events;
+mod report;
+mod screen;
+
+pub use report::Report;
+
+use super::fleet_args::FleetArgs;
+use crate::config::{ConfigError, FleetConfig};
+use crate::control::BridgeState;
+use crate::fleet::{self, FleetError};
+use crate::observer::Observer;
+use crate::run::{Run, RunError};
+use crate::sessions;
+use crate::stop::Stop;
+use crate::supervisor::Supervisor;
+use crate::view::FleetView;
+use console::OperatorConsole;
+use events::Events;
+use screen::Screen;
+use std::net::{IpAddr, TcpListener};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Period at which the processes are tended: a death is noticed within this.
+const TEND_PERIOD: Duration = Duration::from_millis(50);
+/// How long after the last figures the final maps may still come: twice the shortest time between two maps.
+const LAST_MAPS: Duration = Duration::from_millis(200);
+
+/// Launch a fleet: a simulator and SLAM for each robot, merging, telemetry and the bridge
+#[derive(Clone, Debug, clap::Args)]
+pub struct UpArgs {
+    /// Which fleet.
+    #[command(flatten)]
+    pub fleet: FleetArgs,
+    /// TCP port for headsets; 0: any free port [default: 10000]
+    #[arg(long, value_name = "P")]
+    pub port: Option<u16>,
+    /// Address that may drive, such as the headset's; may be given several times
+    #[arg(long, value_name = "ADDRESS")]
+    pub allow: Vec<IpAddr>,
+    /// Let everybody who reaches the port drive the robots
+    #[arg(long)]
+    pub trust_lan: bool,
+    /// Serve ROS 2 on this machine in this domain (ROS_DOMAIN_ID)
+    #[arg(long, value_name = "ID")]
+    pub ros_domain: Option<u16>,
+    /// Seconds until the fleet ends [default: until Ctrl-C]
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Folder for the maps and the report [default: runs/TIME]
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or("expected a number above 0".into())
+}
+
+/// Reason why a fleet did not come up.
+#[derive(Debug, thiserror::Error)]
+pub enum UpError {
+    /// The fleet file or an option is out of range.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The world, the robots' starts or their sessions cannot be built.
+    #[error(transparent)]
+    Fleet(#[from] FleetError),
+    /// The run's folder or shared memory cannot be used.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The TCP port cannot be listened on.
+    #[error("cannot listen on {address}:{port}: {why}; choose another with --port, or 0 for any")]
+    Port {
+        /// Address of the configuration.
+        address: String,
+        /// Port of the configuration.
+        port: u16,
+        /// Error of the operating system.
+        why: std::io::Error,
+    },
+    /// A process cannot be started.
+    #[error("cannot start the fleet: {0}")]
+    Start(#[from] std::io::Error),
+    /// The final maps cannot be written.
+    #[error(transparent)]
+    Map(#[from] formats::map_file::MapFileError),
+}
+
+impl UpArgs {
+    fn config(&self) -> Result<FleetConfig, ConfigError> {
+        let mut config = self.fleet.config()?;
+        config.fleet.port = self.port.unwrap_or(config.fleet.port);
+        config.bridge.allow.extend(&self.allow);
+        if self.trust_lan {
+            config.bridge.drive = bridge::Permission::Anyone;
+        }
+        if let Some(domain) = self.ros_domain {
+            (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
+            config.check()?;
+        }
+        Ok(config)
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.run_dir.clone().unwrap_or_else(|| PathBuf::from("runs").join(folder_name_now()))
+    }
+}
+
+/// Additions to a running fleet: none for `up`, the scripted operator for `demo`.
+pub trait FleetHooks {
+    /// Called once when all processes have been started.
+    fn on_start(&mut self, run: &Run) -> std::io::Result<()>;
+    /// Called every 50 ms; must not block. Returning false ends the fleet.
+    fn poll(&mut self) -> bool;
+    /// Called once before the fleet ends. The returned value becomes `operator` in the report.
+    fn on_stop(&mut self) -> Option<serde_json::Value>;
+}
+
+/// Hooks that do nothing.
+pub struct NoHooks;
+
+impl FleetHooks for NoHooks {
+    fn on_start(&mut self, _: &Run) -> std::io::Result<()> {
+        Ok(())
+    }
+    fn poll(&mut self) -> bool {
+        true
+    }
+    fn on_stop(&mut self) -> Option<serde_json::Value> {
+        None
+    }
+}
+
+/// Runs a fleet from start to end, writes its maps and report into the run's folder, and returns the report.
+pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
+    let config = args.config()?;
+    fleet::check(&config)?;
+    let (address, port) = (config.fleet.address.clone(), config.fleet.port);
+    let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
+        address: address.clone(),
+        port,
+        why,
+    })?;
+    let port = listener.local_addr()?.port();
+    let run = Run::create(&args.folder(), config, port)?;
+    sessions::create_folder(&sessions::folder(&run), &fleet::known_starts(&run.config)?)
+        .map_err(FleetError::from)?;
+    let mut screen = Screen::new(&run);
+    let mut supervisor = Supervisor::start(&run, listener)?;
+    let result = watch(&run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
+    supervisor.end();
+    let report = result?;
+    report.write(&run.dir)?;
+    screen.end(&report);
+    Ok(report)
+}
+
+/// Tends the processes and shows the figures until the fleet is to end.
+fn watch(
+    run: &Run,
+    seconds: Option<f64>,
+    supervisor: &mut Supervisor,
+    hooks: &mut dyn FleetHooks,
+    screen: &mut Screen,
+    stop: &Stop,
+) -> Result<Report, UpError> {
+    let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
+    let mut console = OperatorConsole::new(run);
+    let mut events = Events::default();
+    hooks.on_start(run)?;
+    let begun = Instant::now();
+    let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
+    while !stop.requested() && !over() && hooks.poll() {
+        supervisor.tend(&|role, robot| observer.last_seen(role, robot), &mut |event| {
+            screen.show_event(&event);
+            events.push(event);
+        });
+        let has_new_stats = observer.poll();
+        for edge in observer.changed_edges() {
+            let event = edge.to_string();
+            screen.show_event(&event);
+            events.push(event);
+        }
+        if has_new_stats && let Some(fleet) = fleet_view(&observer, console.refresh()) {
+            screen.show(&fleet, console.help(), begun.elapsed(), seconds);
+        }
+        if let Some(done) = console.handle_key() {
+            screen.show_event(&done);
+        }
+        std::thread::sleep(TEND_PERIOD);
+    }
+    let operator = hooks.on_stop();
+    std::thread::sleep(LAST_MAPS);
+    observer.poll();
+    let maps = observer.write_maps(&run.dir)?;
+    observer.changed_edges();
+    let fleet = fleet_view(&observer, console.newest());
+    Ok(Report::new(run, begun.elapsed(), fleet, operator, maps, events))
+}
+
+fn fleet_view(observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
+    let view = FleetView::new(observer.stats()?);
+    Some(FleetView { bridge, merge_edges: observer.merge_edges(), ..view })
+}
+
+/// Returns a folder name that sorts by time, UTC.
+fn folder_name_now() -> String {
+    jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string()
+}

@@ -1,0 +1,64 @@
+//! Console of the person at the laptop: single keys that allow, deny, stop and release.
+
+use crate::control::{self, BridgeState, Request};
+use crate::keys::Keys;
+use crate::run::Run;
+use std::time::Duration;
+
+/// How long the launcher waits for the bridge, once a second and at a key. It has children to look after meanwhile.
+const PATIENCE: Duration = Duration::from_millis(200);
+
+/// Console of a fleet's operator.
+pub(super) struct OperatorConsole<'a> {
+    run: &'a Run,
+    keys: Keys,
+    newest: Option<BridgeState>,
+}
+
+impl<'a> OperatorConsole<'a> {
+    /// Takes over the keyboard, if there is one.
+    pub fn new(run: &'a Run) -> Self {
+        Self { run, keys: Keys::new(), newest: None }
+    }
+
+    /// Asks the bridge for its state. If it does not answer, the newest known state is returned.
+    pub fn refresh(&mut self) -> Option<BridgeState> {
+        if let Ok(state) = control::ask(self.run, Request::State, PATIENCE) {
+            self.newest = Some(state);
+        }
+        self.newest.clone()
+    }
+
+    /// Newest known state of the bridge.
+    pub fn newest(&self) -> Option<BridgeState> {
+        self.newest.clone()
+    }
+
+    /// Keys that work now, for people.
+    pub fn help(&self) -> &'static str {
+        match self.keys.available() {
+            true => "a allows who asks to drive, d denies; s stops all robots, r releases; Ctrl-C ends",
+            false => "Ctrl-C ends",
+        }
+    }
+
+    /// Does what the next key asks for. Returns what was done, or why not.
+    pub fn handle_key(&mut self) -> Option<String> {
+        let first_waiting = || self.newest.as_ref().and_then(|bridge| bridge.waiting.first().copied());
+        let (request, done) = match self.keys.next_key()? {
+            'a' => first_waiting()
+                .map(|who| (Request::Allow(who), format!("{who} may drive, now and in later runs")))?,
+            'd' => first_waiting().map(|who| (Request::Deny(who), format!("{who} may not drive")))?,
+            's' => (Request::Stop, "every robot is stopped until r is pressed".into()),
+            'r' => (Request::Release, "the robots may be driven again".into()),
+            _ => return None,
+        };
+        Some(match control::ask(self.run, request, PATIENCE) {
+            Ok(state) => {
+                self.newest = Some(state);
+                done
+            }
+            Err(why) => why,
+        })
+    }
+}

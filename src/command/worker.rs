@@ -1,0 +1,38 @@
+//! `mr-slam worker ROLE ...`: one process of a fleet, as the supervisor starts it.
+
+use super::Error;
+use crate::process::{self, Process, ProcessArgs, RobotArgs};
+
+/// Run one process of a fleet; started by `up`
+#[derive(Clone, Debug, clap::Args)]
+pub struct WorkerArgs {
+    /// Role of the process.
+    #[command(subcommand)]
+    role: Role,
+}
+
+/// Roles, named as in `mr-slam status`.
+#[derive(Clone, Debug, clap::Subcommand)]
+enum Role {
+    /// Simulate one robot
+    Sim(RobotArgs),
+    /// Run the SLAM of one robot
+    Slam(RobotArgs),
+    /// Merge the robots' maps
+    Merge(ProcessArgs),
+    /// Measure the fleet
+    Telemetry(ProcessArgs),
+    /// Serve headsets and ROS 2
+    Bridge(ProcessArgs),
+}
+
+/// Runs the process until it is asked to stop.
+pub fn run(args: &WorkerArgs) -> Result<(), Error> {
+    process::run(&match args.role.clone() {
+        Role::Sim(args) => Process::Sim(args),
+        Role::Slam(args) => Process::Slam(args),
+        Role::Merge(args) => Process::Merge(args),
+        Role::Telemetry(args) => Process::Telemetry(args),
+        Role::Bridge(args) => Process::Bridge(args),
+    })
+}

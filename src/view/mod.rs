@@ -1,0 +1,270 @@
+//! Figures of a fleet as people and programs read them: tables and JSON.
+
+mod edges;
+mod slam;
+mod table;
+
+pub use edges::{EdgeView, edge_table, edges_json};
+pub use slam::{ClosureView, SlamView};
+
+use crate::control::BridgeState;
+
+use msg::{Distribution, FleetStats, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState};
+use serde::Serialize;
+
+/// Figures of a fleet, with names and units; JSON of `status`, `report.json` and `lockstep`.
+#[derive(Clone, Debug, Serialize)]
+pub struct FleetView {
+    /// Time of the run: seconds since its start, or since 1970 if the world is not simulated here.
+    pub time_s: f64,
+    /// Figures of each robot, robot1 first.
+    pub robots: Vec<RobotView>,
+    /// Figures of the merged map.
+    pub merged_map: MapView,
+    /// Known cells of the merged map over the room's observable cells, 0 to 1; `None`: not a simulation.
+    pub room_coverage: Option<f64>,
+    /// Number of pairs of maps that overlap.
+    pub pairs: u32,
+    /// Cross-instance consistency of the paper, mean over pairs, 0 to 1.
+    pub consistency: Option<f64>,
+    /// Cross-instance consistency with a tolerance of one cell.
+    pub consistency_one_cell: Option<f64>,
+    /// F1 of occupied cells with a tolerance of one cell, mean over pairs.
+    pub occupied_f1: Option<f64>,
+    /// Area that two maps share, mean over pairs, square metres.
+    pub overlap_m2: Option<f64>,
+    /// Number of wrong transforms with at least half the overlap, under which the same maps were compared.
+    pub null_transforms: u32,
+    /// Cross-instance consistency under wrong transforms, mean: what chance gives.
+    pub null_consistency_mean: Option<f64>,
+    /// F1 of occupied cells under wrong transforms, mean: what chance gives.
+    pub null_f1_mean: Option<f64>,
+    /// Merged map compared with the room; `None`: not a simulation, or nothing merged.
+    pub against_room: Option<AgainstRoomView>,
+    /// Edges between robots' maps, with their evidence; empty if merging was not asked.
+    pub merge_edges: Vec<EdgeView>,
+    /// Health of each process.
+    pub processes: Vec<ProcessView>,
+    /// State of the bridge; `None`: it was not asked, or did not answer.
+    pub bridge: Option<BridgeState>,
+}
+
+/// Figures of one robot.
+#[derive(Clone, Debug, Serialize)]
+pub struct RobotView {
+    /// `robot1`.
+    pub robot: String,
+    /// `tracking`, `lost` ...
+    pub state: &'static str,
+    /// Scans that SLAM receives per second.
+    pub scan_hz: f64,
+    /// Scans that SLAM received since its start.
+    pub scans: u64,
+    /// Scans that were sent and not received since the start.
+    pub scans_lost: u64,
+    /// Figures of the robot's own map.
+    pub map: MapView,
+    /// TF jitter: |(receive - stamp) - its mean|, pooled over the robot's transforms, milliseconds.
+    pub tf_jitter_ms: DistributionView,
+    /// Delay from the simulator's scan to SLAM's pose, milliseconds.
+    pub scan_to_pose_ms: DistributionView,
+    /// Delay from the simulator's scan to the map that contains it, milliseconds.
+    pub scan_to_map_ms: DistributionView,
+    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad.
+    pub pose: [f64; 3],
+    /// Distance of SLAM's pose from the true pose, metres; `None`: not a simulation.
+    pub pose_error_m: Option<f64>,
+    /// Number of nodes in the pose graph.
+    pub nodes: u32,
+    /// Number of loop closures in force.
+    pub closures: u32,
+    /// Whether the robot's map is part of the merged map.
+    pub merged: bool,
+    /// Where merging puts its map, against the truth as seen from the first merged robot: metres.
+    pub map_transform_error_m: Option<f64>,
+    /// The same, degrees.
+    pub map_transform_error_deg: Option<f64>,
+}
+
+/// Walls of the merged map compared with the simulated room's.
+#[derive(Clone, Debug, Serialize)]
+pub struct AgainstRoomView {
+    /// F1 of occupied cells with a tolerance of one cell.
+    pub occupied_f1: f64,
+    /// Mean distance from occupied cells to the nearest visible wall, metres, each at most 1 m.
+    pub map_to_room_m: f64,
+    /// Mean distance from visible walls to the nearest occupied cell, metres, each at most 1 m.
+    pub room_to_map_m: f64,
+    /// Mean thickness of the map's walls, metres.
+    pub wall_thickness_m: f64,
+}
+
+/// Figures of a map.
+#[derive(Clone, Debug, Serialize)]
+pub struct MapView {
+    /// The paper's seven figures: free, occupied, unknown, total cells, width, height (cells), resolution (m).
+    pub slam_stats: [f64; 7],
+    /// Known cells over all cells, 0 to 1.
+    pub coverage: f64,
+}
+
+/// Median and tail of a distribution, in the unit of the field that holds it.
+#[derive(Clone, Debug, Serialize)]
+pub struct DistributionView {
+    /// Number of values.
+    pub count: u64,
+    /// 50th percentile.
+    pub p50: f32,
+    /// 95th percentile.
+    pub p95: f32,
+    /// 99th percentile.
+    pub p99: f32,
+    /// Largest value.
+    pub max: f32,
+}
+
+/// Health of one process.
+#[derive(Clone, Debug, Serialize)]
+pub struct ProcessView {
+    /// `sim of robot2`, `merge` ...
+    pub process: String,
+    /// Process id of the operating system.
+    pub pid: u32,
+    /// `up`, or `silent` if no heartbeat came for 2.5 s.
+    pub state: &'static str,
+    /// Number of restarts.
+    pub restarts: u64,
+    /// Messages of its main input received.
+    pub received: u64,
+    /// Messages of its main input lost.
+    pub lost: u64,
+    /// Messages dropped for slow readers.
+    pub dropped: u64,
+    /// Messages refused.
+    pub refused: u64,
+    /// Clients attached (bridge).
+    pub clients: u32,
+    /// Time per unit of work, median of the last second, microseconds.
+    pub work_p50_us: f32,
+    /// Time per unit of work, largest of the last second, microseconds.
+    pub work_max_us: f32,
+    /// Delay of periodic work, median of the last second, microseconds.
+    pub late_p50_us: f32,
+    /// Delay of periodic work, largest of the last second, microseconds.
+    pub late_max_us: f32,
+    /// Resident memory, megabytes.
+    pub memory_mb: f64,
+    /// CPU time since its start, seconds.
+    pub cpu_s: f64,
+}
+
+/// Age of the newest heartbeat after which a process counts as silent, seconds: two are missing then.
+const SILENT_AFTER_S: f64 = 2.5;
+
+impl FleetView {
+    /// Converts telemetry's message; edges and the bridge's state are added by the caller.
+    pub fn new(stats: &FleetStats) -> Self {
+        let count = (stats.robot_count as usize).min(stats.robots.len());
+        let pairs = stats.pair_count > 0;
+        let of_pairs = |value: f64| (pairs && value.is_finite()).then_some(value);
+        Self {
+            time_s: stats.header.stamp.seconds(),
+            robots: RobotId::first(count)
+                .map(|robot| RobotView::new(robot, &stats.robots[robot.index()]))
+                .collect(),
+            merged_map: MapView::new(&stats.merged),
+            room_coverage: finite(stats.room_coverage),
+            pairs: stats.pair_count,
+            consistency: of_pairs(stats.consistency),
+            consistency_one_cell: of_pairs(stats.consistency_one_cell),
+            occupied_f1: of_pairs(stats.occupied_f1),
+            overlap_m2: of_pairs(stats.overlap_m2),
+            null_transforms: stats.null_count,
+            null_consistency_mean: finite(stats.null_consistency_mean),
+            null_f1_mean: finite(stats.null_f1_mean),
+            against_room: stats.room_f1.is_finite().then_some(AgainstRoomView {
+                occupied_f1: stats.room_f1,
+                map_to_room_m: stats.map_to_room_m,
+                room_to_map_m: stats.room_to_map_m,
+                wall_thickness_m: stats.wall_thickness_m,
+            }),
+            merge_edges: Vec::new(),
+            processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
+            bridge: None,
+        }
+    }
+}
+
+impl RobotView {
+    fn new(robot: RobotId, stats: &RobotStats) -> Self {
+        let Pose2 { x_m, y_m, yaw_rad } = stats.map_from_base;
+        Self {
+            robot: robot.to_string(),
+            state: TrackingState::from_code(stats.state).map_or("?", TrackingState::name),
+            scan_hz: stats.scan_hz,
+            scans: stats.scans,
+            scans_lost: stats.scans_lost,
+            map: MapView::new(stats),
+            tf_jitter_ms: DistributionView::new(&stats.tf_jitter_ms),
+            scan_to_pose_ms: DistributionView::new(&stats.scan_to_pose_ms),
+            scan_to_map_ms: DistributionView::new(&stats.scan_to_map_ms),
+            pose: [x_m, y_m, yaw_rad],
+            pose_error_m: finite(stats.pose_error_m),
+            nodes: stats.nodes,
+            closures: stats.closures,
+            merged: stats.merged == 1,
+            map_transform_error_m: finite(stats.map_transform_error_m),
+            map_transform_error_deg: finite(stats.map_transform_error_rad.to_degrees()),
+        }
+    }
+}
+
+impl MapView {
+    fn new(stats: &RobotStats) -> Self {
+        let cells = |count: u32| f64::from(count);
+        let (width, height) = (cells(stats.width), cells(stats.height));
+        let [free, occupied, unknown] =
+            [stats.free_cells, stats.occupied_cells, stats.unknown_cells].map(cells);
+        let slam_stats = [free, occupied, unknown, width * height, width, height, stats.resolution_m];
+        Self { slam_stats, coverage: stats.coverage }
+    }
+}
+
+impl DistributionView {
+    fn new(distribution: &Distribution) -> Self {
+        let Distribution { count, p50, p95, p99, max } = *distribution;
+        Self { count, p50, p95, p99, max }
+    }
+}
+
+impl ProcessView {
+    fn new(stats: &ProcessStats) -> Option<Self> {
+        let health = &stats.health;
+        let role = Role::from_code(health.role)?;
+        let process = match RobotId::new(health.robot as usize) {
+            Some(robot) => format!("{} of {robot}", role.name()),
+            None => role.name().into(),
+        };
+        Some(Self {
+            process,
+            pid: health.pid,
+            state: if stats.age_s < SILENT_AFTER_S { "up" } else { "silent" },
+            restarts: stats.restarts,
+            received: health.received,
+            lost: health.lost,
+            dropped: health.dropped,
+            refused: health.refused,
+            clients: health.clients,
+            work_p50_us: health.work_p50_us,
+            work_max_us: health.work_max_us,
+            late_p50_us: health.late_p50_us,
+            late_max_us: health.late_max_us,
+            memory_mb: health.memory_bytes as f64 / 1e6,
+            cpu_s: health.cpu_ns as f64 * 1e-9,
+        })
+    }
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}

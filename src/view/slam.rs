@@ -1,0 +1,153 @@
+//! State of one robot's SLAM as people and programs read it.
+
+use msg::{ClosureInfo, Pose2, RobotId, SlamMode, SlamResponse};
+use serde::Serialize;
+use std::path::Path;
+
+/// Response of a robot's SLAM, with names and units; JSON of `mr-slam slam`.
+#[derive(Clone, Debug, Serialize)]
+pub struct SlamView<'a> {
+    /// Folder of the run.
+    pub run: &'a Path,
+    /// Robot, such as `robot1`.
+    pub robot: String,
+    /// Message of SLAM, such as the file that it wrote; may be empty.
+    pub text: String,
+    /// `mapping`, `localization` or `lifelong`.
+    pub mode: &'static str,
+    /// Whether scans are ignored.
+    pub paused: bool,
+    /// Whether the robot's pose in the map is known.
+    pub located: bool,
+    /// Pose of `base_footprint` in `robotK/map`: x m, y m, yaw rad.
+    pub map_from_base: [f64; 3],
+    /// Number of nodes in the pose graph.
+    pub nodes: u32,
+    /// Number of scan-to-scan edges.
+    pub links: u32,
+    /// Number of loop closures in force.
+    pub closures: u32,
+    /// Number of loop closures that were removed.
+    pub retracted: u32,
+    /// Loop closures, if they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub list: Option<Vec<ClosureView>>,
+}
+
+/// One loop closure.
+#[derive(Clone, Debug, Serialize)]
+pub struct ClosureView {
+    /// Number in the list.
+    pub number: u32,
+    /// Number of the older node.
+    pub older: u32,
+    /// Number of the newer node.
+    pub newer: u32,
+    /// Whether the pose graph uses it.
+    pub in_force: bool,
+    /// Measured pose of the newer node in the older: x m, y m, yaw rad.
+    pub older_from_newer: [f64; 3],
+    /// Pose of the older node in the map: x m, y m, yaw rad.
+    pub map_from_older: [f64; 3],
+    /// Pose of the newer node in the map: x m, y m, yaw rad.
+    pub map_from_newer: [f64; 3],
+    /// Matching response, 0 to 1.
+    pub response: f32,
+    /// Squared Mahalanobis distance between measurement and map.
+    pub chi_squared: f32,
+}
+
+impl<'a> SlamView<'a> {
+    /// Converts a response; `closures` are listed if they were asked for.
+    pub fn new(
+        run: &'a Path,
+        robot: RobotId,
+        response: &SlamResponse,
+        closures: Option<&[ClosureInfo]>,
+    ) -> Self {
+        Self {
+            run,
+            robot: robot.to_string(),
+            text: response.text.as_str().into(),
+            mode: SlamMode::from_code(response.mode).map_or("unknown", SlamMode::name),
+            paused: response.paused == 1,
+            located: response.located == 1,
+            map_from_base: numbers(response.map_from_base),
+            nodes: response.nodes,
+            links: response.links,
+            closures: response.closures,
+            retracted: response.retracted,
+            list: closures.map(|closures| closures.iter().map(ClosureView::new).collect()),
+        }
+    }
+
+    /// Formats mode, graph, closures and the robot's pose for a terminal.
+    pub fn table(&self) -> String {
+        let Self { mode, nodes, links, closures, retracted, .. } = self;
+        let [x, y, yaw] = self.map_from_base;
+        let pose = match self.located {
+            true => format!("{x:.2} {y:.2} m, {yaw:.2} rad"),
+            false => "not located yet".into(),
+        };
+        let paused = if self.paused { ", paused" } else { "" };
+        format!(
+            "mode      {mode}{paused}\npose      {pose}\ngraph     {nodes} nodes, {links} links\n\
+             closures  {closures} in force, {retracted} removed\n"
+        )
+    }
+
+    /// Formats the robot's pose as a sentence.
+    pub fn pose_sentence(&self) -> String {
+        let [x, y, yaw] = self.map_from_base;
+        let robot = &self.robot;
+        match self.located {
+            true => format!("{robot} is at {x:.2} {y:.2} m, {yaw:.2} rad in its map\n"),
+            false => format!(
+                "{robot} is not located yet; drive it two or three metres so that its scans can be matched\n"
+            ),
+        }
+    }
+
+    /// Formats the list of closures for a terminal.
+    pub fn closure_table(&self) -> String {
+        let closures = self.list.as_deref().unwrap_or_default();
+        if closures.is_empty() {
+            return "no closures\n".into();
+        }
+        let mut text = format!(
+            "{:>6}  {:>13}  {:>8} {:>8}  {:>8}  {:>8}\n",
+            "number", "nodes", "x m", "y m", "response", "sigmas"
+        );
+        for c in closures {
+            let [x, y, _] = c.map_from_newer;
+            let nodes = format!("{} - {}", c.older, c.newer);
+            let sigmas = c.chi_squared.max(0.0).sqrt();
+            let state = if c.in_force { "" } else { "  removed" };
+            text += &format!(
+                "{:>6}  {nodes:>13}  {x:>8.2} {y:>8.2}  {:>8.2}  {sigmas:>8.2}{state}\n",
+                c.number, c.response
+            );
+        }
+        text
+    }
+}
+
+impl ClosureView {
+    fn new(closure: &ClosureInfo) -> Self {
+        Self {
+            number: closure.number,
+            older: closure.older,
+            newer: closure.newer,
+            in_force: closure.in_force == 1,
+            older_from_newer: numbers(closure.older_from_newer),
+            map_from_older: numbers(closure.map_from_older),
+            map_from_newer: numbers(closure.map_from_newer),
+            response: closure.response,
+            chi_squared: closure.chi_squared,
+        }
+    }
+}
+
+fn numbers(pose: Pose2) -> [f64; 3] {
+    [pose.x_m, pose.y_m, pose.yaw_rad]
+}

@@ -1,0 +1,77 @@
+//! The merged map, and its comparison with the room where that is known (simulation only).
+
+use crate::robot::count_cells;
+use crate::truth::{MapErrors, ObservableArea};
+use msg::{Grid, GridView, Pose2, RobotStats};
+
+/// Calls from one comparison of walls with the room's to the next: with a call a second, every five seconds,
+const CALLS_BETWEEN_COMPARISONS: usize = 5;
+/// and one call more for each so many cells of the map: a comparison takes about 40 ms a million cells.
+const CELLS_PER_EXTRA_CALL: usize = 100_000;
+
+/// The newest merged map, its cell counts, and its errors against the room.
+#[derive(Default)]
+pub(crate) struct MergedMap {
+    grid: Grid,
+    counts: RobotStats,
+    /// Counts the maps received.
+    version: u64,
+    /// Version, transform and result of the newest coverage.
+    coverage: Option<(u64, Pose2, f64)>,
+    errors: Option<MapErrors>,
+    /// Calls since `errors` was computed.
+    errors_age: usize,
+}
+
+impl MergedMap {
+    /// Replaces the map; a malformed one is ignored.
+    pub fn update(&mut self, map: GridView<'_>) {
+        if GridView::new(map.header, map.cells).is_none() {
+            return;
+        }
+        self.grid.header = *map.header;
+        self.grid.cells.clear();
+        self.grid.cells.extend_from_slice(map.cells);
+        self.counts = count_cells(map);
+        self.version += 1;
+    }
+
+    /// Cell counts and coverage of the map's own rectangle.
+    pub fn counts(&self) -> RobotStats {
+        self.counts
+    }
+
+    /// Errors of the map's walls against the room, computed now and then. NaN where the room or the transform is
+    /// unknown.
+    pub fn errors(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> MapErrors {
+        let (Some(room), Some(world_from_map)) = (room, world_from_map) else {
+            self.errors = None;
+            return MapErrors::UNKNOWN;
+        };
+        self.errors_age += 1;
+        let due = CALLS_BETWEEN_COMPARISONS + self.grid.cells.len() / CELLS_PER_EXTRA_CALL;
+        if self.version > 0 && (self.errors.is_none() || self.errors_age >= due) {
+            self.errors = Some(room.compare(self.grid.view(), world_from_map));
+            self.errors_age = 0;
+        }
+        self.errors.unwrap_or(MapErrors::UNKNOWN)
+    }
+
+    /// Share of the room's observable cells that the map knows, computed when the map or the transform changes. NaN where
+    /// the room or the transform is unknown.
+    pub fn coverage(&mut self, room: Option<&ObservableArea>, world_from_map: Option<Pose2>) -> f64 {
+        let (Some(room), Some(world_from_map)) = (room, world_from_map) else { return f64::NAN };
+        match self.coverage {
+            Some((version, transform, coverage))
+                if version == self.version && transform == world_from_map =>
+            {
+                coverage
+            }
+            _ => {
+                let coverage = room.coverage(self.grid.view(), world_from_map);
+                self.coverage = Some((self.version, world_from_map, coverage));
+                coverage
+            }
+        }
+    }
+}
