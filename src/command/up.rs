@@ -208,5 +208,5 @@ fn fleet_view(observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetV
 
 /// Returns a folder name that sorts by time, UTC.
 fn folder_name_now() -> String {
-    jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string()
+    chrono::Utc::now().format("%Y-%m-%dT%H-%M-%S").to_string()
 }

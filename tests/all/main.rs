@@ -7,6 +7,7 @@ mod access;
 mod channels;
 mod command_line;
 mod config;
+mod default_config;
 mod edges;
 mod faults;
 mod fleet;
