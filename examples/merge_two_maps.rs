@@ -5,8 +5,8 @@
 //! The maps are a `.yaml` with its image, as map_server writes them. Without files, two maps of the built-in laboratory
 //! are aligned: the second one's frame is moved and turned by a known transform.
 
+use formats::map_file::read_map;
 use merge::{AlignConfig, align};
-use mr_slam::map_file::read_map;
 use msg::{Grid, Pose2};
 use sim::Room;
 use std::path::Path;

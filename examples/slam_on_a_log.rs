@@ -6,7 +6,7 @@
 
 use bytemuck::Zeroable;
 use flate2::read::GzDecoder;
-use mr_slam::carmen::{LaserLine, Reader, Record};
+use formats::carmen::{LaserLine, Reader, Record};
 use msg::grid::{Occupancy, occupancy};
 use msg::{Odometry, RobotId, Scan, VelocityCommand};
 use sim::{Room, SimConfig, Simulator};

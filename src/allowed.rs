@@ -1,26 +1,26 @@
-//! Addresses that may drive, remembered from one run to the next: a headset is let in once.
+//! File of the addresses that may drive in later runs, so that a headset is allowed once.
 //!
-//! A text file that a person may edit, one address a line, `#` begins a remark:
-//! `$XDG_STATE_HOME/mr-slam/allowed`, else `~/.local/state/mr-slam/allowed`, else in the run's folder.
+//! A person may edit it: one address a line, `#` begins a comment. It is `$XDG_STATE_HOME/mr-slam/allowed`, otherwise
+//! `~/.local/state/mr-slam/allowed`, otherwise `allowed` in the run's folder.
 
 use crate::run::Run;
 use std::io::{self, Read, Write};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
-/// Addresses that are remembered; the oldest is forgotten first.
+/// Largest number of addresses; the oldest is dropped first.
 const ADDRESSES_MAX: usize = 256;
-/// As much of the file is read.
+/// Largest part of the file that is read, bytes.
 const BYTES_MAX: u64 = 64 << 10;
 
-/// Where addresses are remembered.
+/// Returns the path of the file.
 pub fn file(run: &Run) -> PathBuf {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let state = absolute("XDG_STATE_HOME").or_else(|| Some(absolute("HOME")?.join(".local/state")));
     state.map_or_else(|| run.dir.join("allowed"), |state| state.join("mr-slam/allowed"))
 }
 
-/// The addresses in a file, oldest first, and the lines that are none. No file: nobody.
+/// Reads the addresses, oldest first, and the lines that are no addresses. A missing file has none.
 pub fn read(path: &Path) -> io::Result<(Vec<IpAddr>, Vec<String>)> {
     let mut text = String::new();
     match std::fs::File::open(path) {
@@ -41,7 +41,7 @@ pub fn read(path: &Path) -> io::Result<(Vec<IpAddr>, Vec<String>)> {
     Ok((addresses, unsound))
 }
 
-/// Adds an address to a file, or takes it out. The file is whole at every moment.
+/// Adds an address to the file or removes it, atomically.
 pub fn remember(path: &Path, address: IpAddr, may_drive: bool) -> io::Result<()> {
     let address = address.to_canonical();
     let (mut addresses, _) = read(path)?;
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_are_remembered_and_the_file_may_be_edited() {
+    fn the_newest_addresses_are_kept_and_the_file_may_be_edited() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deep/allowed");
         assert_eq!(read(&path).unwrap().0, Vec::<IpAddr>::new());

@@ -1,7 +1,7 @@
-//! One file describes one whole fleet; the default is built in.
+//! Configuration of a fleet: one TOML file, with a built-in default for every key.
 //!
-//! Whatever is wrong with a file is refused with the file, the line and the reason: a name that
-//! nobody knows, a number out of range, a room that is not there.
+//! Errors name the file, the line and the reason: an unknown key, a wrong type, a value out of range. The file
+//! `config/default.toml` lists every key with its default; it is generated from the types and their doc comments.
 
 use crate::realtime::RealtimeConfig;
 use crate::sessions::SessionsConfig;
@@ -10,61 +10,61 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Why a fleet file was refused.
+/// Reason why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{path}: {why}")]
     Unreadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the operating system.
         why: std::io::Error,
     },
-    /// It is not what it should be.
+    /// The file is no TOML, has an unknown key or a value out of range.
     #[error("{path}:{line}: {why}")]
     Wrong {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// From 1.
+        /// Line number, from 1.
         line: usize,
-        /// What is wrong, and what was expected.
+        /// Text that was found, and what was expected.
         why: String,
     },
-    /// The value of an option or a field is out of its range.
+    /// A value of the configuration or of an option is out of range.
     #[error("{field}: {why}")]
     Value {
-        /// Which, as the file calls it.
+        /// Key of the value, such as `fleet.robots`.
         field: &'static str,
-        /// What was expected.
+        /// Value that was found, and what was expected.
         why: String,
     },
 }
 
-/// A whole fleet. A file need not say all: what it leaves out is as in the default.
+/// Configuration of a whole fleet. Keys that a file leaves out keep their default.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FleetConfig {
-    /// Where robots, scans and time come from.
+    /// Source of robots, scans and time: `simulator`, `headset` or `ros`.
     pub world: World,
-    /// How many, and where.
+    /// Robots, their room and their starts, and the TCP port.
     pub fleet: Fleet,
-    /// The simulated robot.
+    /// Simulated robot: LiDAR, noise and speed limits of a TurtleBot3 Burger.
     pub sim: sim::SimConfig,
-    /// Each robot's mapping.
+    /// SLAM of each robot.
     pub slam: slam::SlamConfig,
-    /// What is kept of it, and what it begins with.
+    /// Session files: what SLAM begins with and how often it saves.
     pub sessions: SessionsConfig,
-    /// The fleet's map.
+    /// Merging of the robots' maps.
     pub merge: merge::MergeConfig,
-    /// The doors.
+    /// Bridge to headsets (ros_tcp) and to ROS 2 (DDS).
     pub bridge: bridge::BridgeConfig,
-    /// What processes ask of the machine.
+    /// Real-time priority, locked memory and cores of the processes.
     pub realtime: RealtimeConfig,
 }
 
 impl Default for FleetConfig {
-    /// Three TurtleBot3 Burgers.
+    /// Returns the configuration of three simulated TurtleBot3 Burgers.
     fn default() -> Self {
         Self {
             world: World::Simulator,
@@ -79,21 +79,21 @@ impl Default for FleetConfig {
     }
 }
 
-/// Where robots, scans and time come from.
+/// Source of robots, scans and time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum World {
-    /// Simulators of ours.
+    /// Built-in simulators
     #[default]
     Simulator,
-    /// A headset's application: over TCP it publishes its robots' scans and transforms, and the clock.
+    /// A headset's application, which publishes scans, transforms and the clock over TCP
     Headset,
-    /// Real robots, or a simulator of theirs: over DDS.
+    /// Real robots or another simulator, over DDS
     Ros,
 }
 
 impl World {
-    /// Not simulated here.
+    /// Returns whether the world is not simulated here.
     pub fn is_outside(self) -> bool {
         self != Self::Simulator
     }
@@ -130,25 +130,25 @@ pub fn burger_slam() -> slam::SlamConfig {
     config
 }
 
-/// How many robots, and where.
+/// Robots, their room and their starts, and the TCP port.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fleet {
-    /// 1 to 16.
+    /// Number of robots, 1 to 16.
     pub robots: usize,
-    /// Seed of all noise.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// `laboratory`, or a file: a scanned room (.json, .json.gz), .glb, .gltf or .obj. For simulators.
+    /// Room of the simulators: `laboratory`, or the path of a scanned room (.json, .json.gz), .glb, .gltf or .obj.
     pub room: String,
-    /// Where robots start in the room, or in `map` where the world is not simulated: `[x, y, yaw]` in metres
-    /// and radians, one for each robot; none: places are chosen, or unknown but for the first.
+    /// Starts of the robots in the room, or in `map` if the world is not simulated: `[x, y, yaw]` in metres and radians,
+    /// one for each robot. Empty: places are chosen, or, if the world is not simulated, all but the first are unknown.
     pub starts: Vec<[f64; 3]>,
-    /// Whether merging is told where robots start. If not, `map` is the first robot's map, and the others join it when
-    /// their maps show where they lie.
+    /// Whether merging knows the robots' starts. If not, `map` is the first robot's map, and the others join it when
+    /// comparing maps has shown where they lie.
     pub starts_known: bool,
-    /// TCP port for headsets; 0: any that is free.
+    /// TCP port for headsets, 1 to 65535; 0: any free port. 10000 is the default of ROS-TCP-Connector.
     pub port: u16,
-    /// Address to listen on. `127.0.0.1` keeps others out.
+    /// IP address to listen on. `0.0.0.0`: all networks; `127.0.0.1`: this machine alone.
     pub address: String,
 }
 
@@ -166,25 +166,25 @@ impl Default for Fleet {
     }
 }
 
-/// The room that is built in.
+/// Name of the built-in room.
 pub const LABORATORY: &str = "laboratory";
 
 impl FleetConfig {
-    /// Reads and checks a fleet file.
+    /// Reads and checks a file.
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
         let text =
             fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
         Self::from_text(path, &text)
     }
 
-    /// The same from a file's text; `path` is for errors.
+    /// Parses and checks a file's text; `path` is for errors.
     pub fn from_text(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let wrong = |error: toml::de::Error| ConfigError::Wrong {
             path: path.into(),
             line: line_of(text, error.span().map_or(0, |span| span.start)),
             why: error.message().to_string(),
         };
-        // By itself first: its errors have lines. Then over the default, table by table.
+        // Parsed alone first, since its errors have lines; then laid over the default, table by table.
         toml::from_str::<Self>(text).map_err(wrong)?;
         let mut whole = toml::Table::try_from(Self::default()).unwrap_or_default();
         overlay(&mut whole, text.parse().map_err(wrong)?);
@@ -193,7 +193,7 @@ impl FleetConfig {
         Ok(config)
     }
 
-    /// Checks what the types cannot say.
+    /// Checks ranges and keys that depend on each other.
     pub fn check(&self) -> Result<(), ConfigError> {
         let fleet = &self.fleet;
         if !(1..=ROBOTS_MAX).contains(&fleet.robots) {
@@ -217,10 +217,10 @@ impl FleetConfig {
             return Err(ConfigError::Value { field: "fleet.address", why });
         }
         if self.world == World::Ros && !self.bridge.dds.enabled {
-            let why = "`ros` needs the ROS 2 door: bridge.dds.enabled = true, or --ros-domain ID".into();
+            let why = "`ros` needs ROS 2: set bridge.dds.enabled = true, or give --ros-domain ID".into();
             return Err(ConfigError::Value { field: "world", why });
         }
-        let rooms = [
+        let sections = [
             ("sim", self.sim.validate().map_err(|error| error.to_string())),
             ("slam", self.slam.validate().map_err(|error| error.to_string())),
             ("sessions", self.sessions.validate()),
@@ -228,33 +228,33 @@ impl FleetConfig {
             ("bridge", self.bridge.validate().map_err(|error| error.to_string())),
             ("realtime", self.realtime.validate()),
         ];
-        rooms
+        sections
             .into_iter()
             .try_for_each(|(field, checked)| checked.map_err(|why| ConfigError::Value { field, why }))
     }
 
-    /// The room, or whose world it is, for people.
+    /// Returns the room's name, or the source of the world, for people.
     pub fn world_name(&self) -> &str {
         match self.world {
             World::Simulator => &self.fleet.room,
-            World::Headset => "a headset's world",
-            World::Ros => "a world of ROS's",
+            World::Headset => "the world of a headset",
+            World::Ros => "a world over ROS 2",
         }
     }
 
-    /// The configured start poses, `world` from each robot's start; `None`: to be chosen.
+    /// Returns the configured starts in `world`; `None` if they are to be chosen.
     pub fn configured_starts(&self) -> Option<Vec<Pose2>> {
         let starts = &self.fleet.starts;
         (!starts.is_empty()).then(|| starts.iter().map(|[x, y, yaw]| Pose2::new(*x, *y, *yaw)).collect())
     }
 
-    /// The file that would say the same.
+    /// Formats the configuration as a file with every key.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).unwrap_or_else(|why| format!("# cannot be written: {why}\n"))
     }
 }
 
-/// Puts what `over` says in place of what `base` says; tables are gone into.
+/// Replaces values of `base` by those of `over`, table by table.
 fn overlay(base: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {
@@ -264,12 +264,12 @@ fn overlay(base: &mut toml::Table, over: toml::Table) {
     }
 }
 
-/// The line, from 1, on which a byte of the text lies.
+/// Returns the line number, from 1, of a byte of the text.
 fn line_of(text: &str, byte: usize) -> usize {
     1 + text.as_bytes()[..byte.min(text.len())].iter().filter(|b| **b == b'\n').count()
 }
 
-/// Gives a value's error the line on which the file sets it, or its section begins.
+/// Adds to an error the line on which the file sets the value, or on which its section begins.
 fn locate(path: &Path, text: &str, error: ConfigError) -> ConfigError {
     let ConfigError::Value { field, why } = error else { return error };
     let (section, key) = field.split_once('.').unwrap_or((field, ""));

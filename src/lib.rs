@@ -28,5 +28,3 @@ pub mod view;
 pub mod session_file;
 pub mod sessions;
 pub mod storage;
-// Their modules' new home, until every caller names it.
-pub use formats::{carmen, map_file};

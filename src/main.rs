@@ -5,6 +5,7 @@ use mr_slam::command::{self, Cli, output};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    output::start_log();
     match command::run(Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

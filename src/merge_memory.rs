@@ -62,7 +62,7 @@ impl<S: Storage> MergeMemory<S> {
     pub fn restore(run: &Run, storage: S, fleet: &mut FleetPoseGraph) -> Self {
         let path = run.dir.join(FILE);
         let kept = restore(&storage, &path, run.begun.0, fleet).unwrap_or_else(|why| {
-            eprintln!("merge: {} {why}; goes on without it", path.display());
+            tracing::warn!("merge: {} {why}; it begins without it", path.display());
             None
         });
         Self { storage, path, run: run.begun.0, kept, due: Monotonic::default(), said: None }
@@ -79,7 +79,7 @@ impl<S: Storage> MergeMemory<S> {
             Err(why) => {
                 self.due = Monotonic(now.0 + AGAIN_NS);
                 if self.said.as_ref() != Some(&why) {
-                    eprintln!("merge: not remembered: {why}; tried again later");
+                    tracing::warn!("merge: the state is not saved: {why}; it is tried again later");
                 }
                 self.said = Some(why);
             }

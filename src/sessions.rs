@@ -1,5 +1,6 @@
-//! A fleet's sessions: a folder with one file for each robot, and where the robots' maps lie in the fleet's. Each
-//! SLAM process saves its own beside the run; a process that is started again goes on with it, and a later fleet
+//! Folder of a fleet's SLAM sessions: one file for each robot, and the poses of the robots' maps in the fleet's map.
+//!
+//! Each SLAM process saves its session in the run's folder. A restarted process continues with it, and a later fleet
 //! may begin with the whole folder.
 
 use crate::config::FleetConfig;
@@ -13,18 +14,18 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// The folder's name below a run's.
+/// Name of the folder in a run's folder.
 pub const FOLDER: &str = "sessions";
-/// Where the robots' maps lie.
+/// File with the poses of the robots' maps.
 const STARTS: &str = "starts.json";
-/// The longest such file that is read, bytes.
+/// Largest such file that is read, bytes.
 const STARTS_BYTES_MAX: u64 = 64 << 10;
-/// How sure a place is that a person gives, one standard deviation: metres, radians.
+/// Standard deviation of a pose that a person gives: metres, radians.
 pub const TOLD_SIGMA: [f64; 2] = [0.3, 0.2];
-/// Autosaves are not closer than this, seconds.
+/// Shortest autosave period, seconds: saving a large map takes a good part of a second.
 const AUTOSAVE_MIN_S: f64 = 1.0;
 
-/// What is done with a map.
+/// Use of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
@@ -32,10 +33,10 @@ pub enum Mode {
     #[default]
     #[value(alias = "continue")]
     Mapping,
-    /// The map stays as it is
+    /// The map stays unchanged
     #[value(alias = "localize")]
     Localization,
-    /// The map grows, and forgets what is no longer so
+    /// The map grows, and obstacles that later scans contradict are removed
     Lifelong,
 }
 
@@ -49,16 +50,17 @@ impl From<Mode> for SlamMode {
     }
 }
 
-/// `[sessions]` of the fleet file.
+/// Section `[sessions]` of the configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SessionsConfig {
-    /// What is done with the map at the start.
+    /// Use of the map at the start: `mapping`, `localization` or `lifelong`.
     pub mode: Mode,
-    /// A folder of sessions to begin with, such as `runs/TIME/sessions`; empty: with nothing. Robots without a file
-    /// in it begin a map of their own.
+    /// Folder of sessions to begin with, such as `runs/TIME/sessions`; empty: none. Robots without a file in it begin a
+    /// new map.
     pub begin_with: PathBuf,
-    /// How often each SLAM process saves what has changed, seconds; 0: never.
+    /// Period at which each SLAM process saves what has changed, seconds, 1 to 86400; 0: never. After a crash of SLAM,
+    /// at most this much of the map is lost.
     pub autosave_s: f64,
 }
 
@@ -69,11 +71,11 @@ impl Default for SessionsConfig {
 }
 
 impl SessionsConfig {
-    /// Checks what the types cannot say.
+    /// Checks ranges and keys that depend on each other.
     pub fn validate(&self) -> Result<(), String> {
         if self.autosave_s != 0.0 && !(AUTOSAVE_MIN_S..=86_400.0).contains(&self.autosave_s) {
             return Err(format!(
-                "autosave_s is {}; expected seconds from {AUTOSAVE_MIN_S} on, or 0 for never",
+                "autosave_s is {}; expected {AUTOSAVE_MIN_S} to 86400 seconds, or 0 for never",
                 self.autosave_s
             ));
         }
@@ -83,40 +85,40 @@ impl SessionsConfig {
         Ok(())
     }
 
-    /// The folder to begin with, if any.
+    /// Returns the folder to begin with, if there is one.
     pub fn folder(&self) -> Option<&Path> {
         (!self.begin_with.as_os_str().is_empty()).then_some(self.begin_with.as_path())
     }
 }
 
-/// Why a fleet cannot begin with a folder of sessions.
+/// Reason why a fleet cannot begin with a folder of sessions.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionsError {
-    /// A robot's file.
+    /// A robot's session file is refused.
     #[error(transparent)]
     Session(#[from] SessionFileError),
-    /// None of the fleet's robots has one.
+    /// The folder has no session of the fleet's robots.
     #[error("{}: no session of this fleet's robots; expected robot1.slam ..., as a run leaves them in its `{FOLDER}`", folder.display())]
     Nothing {
-        /// Where they should be.
+        /// Path of the folder.
         folder: PathBuf,
     },
-    /// Where the maps lie.
+    /// The file with the poses of the maps is refused.
     #[error("{}: {why}", file.display())]
     Starts {
-        /// The file.
+        /// Path of the file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Text that was found, and what was expected.
         why: String,
     },
 }
 
-/// A robot's file in a folder of sessions.
+/// Returns the path of a robot's file in a folder of sessions.
 pub fn file(folder: &Path, robot: RobotId) -> PathBuf {
     folder.join(format!("{robot}.slam"))
 }
 
-/// Where a run's own sessions are.
+/// Returns the folder of a run's own sessions.
 pub fn folder(run: &Run) -> PathBuf {
     run.dir.join(FOLDER)
 }
@@ -129,12 +131,12 @@ pub fn read(storage: &impl Storage, path: &Path, identity: &Identity) -> Result<
     Session::decode(&bytes, identity).map_err(|why| SessionFileError::Content { file: path.to_owned(), why })
 }
 
-/// Who a robot of a run is.
+/// Returns the identity of a robot of a run.
 pub fn identity(run: &Run, robot: RobotId) -> Identity {
     Identity::new(robot.number() as u32, run.begun.0, &run.config.slam)
 }
 
-/// What a robot of a fleet begins with, if there is anything.
+/// Reads the session that a robot begins with, if there is one.
 pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, SessionFileError> {
     let Some(path) = config.sessions.folder().map(|folder| file(folder, robot)) else { return Ok(None) };
     match session_file::read(&path, &Identity::new(robot.number() as u32, 0, &config.slam)) {
@@ -144,7 +146,7 @@ pub fn first(config: &FleetConfig, robot: RobotId) -> Result<Option<Session>, Se
     }
 }
 
-/// What a robot then does with its map. A robot without one makes one.
+/// Returns the mode in which a robot begins. A robot without a map makes one.
 pub fn first_mode(config: &FleetConfig, has_map: bool) -> SlamMode {
     match config.sessions.mode {
         Mode::Localization if !has_map => SlamMode::Mapping,
@@ -152,7 +154,7 @@ pub fn first_mode(config: &FleetConfig, has_map: bool) -> SlamMode {
     }
 }
 
-/// Checks all that a fleet is to begin with, before anything is started.
+/// Checks all sessions that a fleet begins with, before anything is started.
 pub fn check(config: &FleetConfig) -> Result<(), SessionsError> {
     let Some(folder) = config.sessions.folder() else { return Ok(()) };
     let mut found = 0;
@@ -165,8 +167,8 @@ pub fn check(config: &FleetConfig) -> Result<(), SessionsError> {
     known_starts(config, Vec::new()).map(drop)
 }
 
-/// Where each robot's map lies in the fleet's: of robots that begin with a session, where it lay when that was kept,
-/// if it was known then; of the others, as without sessions.
+/// Returns the pose of each robot's map in the fleet's map. Of robots that begin with a session it is the saved one, if
+/// there is one; of the others it is that of `otherwise`.
 pub fn known_starts(
     config: &FleetConfig,
     mut otherwise: Vec<Option<Pose2>>,
@@ -183,7 +185,7 @@ pub fn known_starts(
 
 type Starts = BTreeMap<String, [f64; 3]>;
 
-/// What is not there is not known.
+/// Reads the poses of the maps. A missing file has none.
 fn read_starts(path: &Path) -> Result<Starts, SessionsError> {
     let wrong = |why: String| SessionsError::Starts { file: path.into(), why };
     let mut text = String::new();
@@ -200,7 +202,7 @@ fn read_starts(path: &Path) -> Result<Starts, SessionsError> {
     }
 }
 
-/// Makes a folder for sessions that says where the robots' maps lie.
+/// Creates a folder for sessions with the poses of the robots' maps that are known.
 pub fn create_folder(folder: &Path, known: &[Option<Pose2>]) -> Result<(), SessionsError> {
     let path = folder.join(STARTS);
     let named = RobotId::first(known.len()).zip(known);

@@ -1,5 +1,5 @@
-//! Logs of several robots in one building that started anywhere, through `mr-slam replay --merge unknown`, against
-//! relations surveyed between them; and what merging costs each robot: its own relations alone and in the fleet.
+//! Recorded logs of several robots with unknown starts, through `mr-slam replay --merge unknown`: errors of surveyed
+//! relations between robots, and of each robot's own relations alone and in the fleet.
 
 use super::relations::{Errors, Trajectory, Which, errors, parse};
 use super::table::{Row, Table};
@@ -8,11 +8,12 @@ use std::process::Command;
 
 type Error = Box<dyn std::error::Error>;
 
-/// A building: relations between robots and how large their mean error may be; relations within robots.
+/// A building: its logs, and files of relations between robots and within each robot.
 struct Case {
     name: &'static str,
     between: &'static str,
-    /// `None`: it may be refused, but not merged worse than [`REFUSED_OR_M`].
+    /// Largest mean error between robots, metres. `None`: the robots may stay apart, but are not merged worse than
+    /// [`WRONG_MERGE_M`].
     limit_m: Option<f64>,
     within: &'static str,
     odometry: &'static str,
@@ -41,20 +42,20 @@ const CASES: [Case; 3] = [
         odometry: "aces/dense_odom.traj.gz",
     },
 ];
-/// Logs cut into halves (intel's are `intel_2`).
+/// Logs of one robot that are cut into halves (intel's are `intel_2`).
 const HALVES: [&str; 6] = ["csail", "aces", "freiburg-101", "edmonton", "acapulco", "belgioioso"];
-/// Where halves are merged, relations between them err by this at most, metres: substitute relations err by 0.05 to 0.07 themselves.
-const HALVES_M: f64 = 0.12;
-/// Robots that are merged lie right by this much at least, metres.
-const REFUSED_OR_M: f64 = 0.3;
-/// A robot's own relations may be worse in the fleet than alone by this factor and this much, metres: the surveyed
-/// relations' own accuracy. Nobody expects a fleet's graph not to move a robot's poses at all.
-const WORSE: f64 = 1.1;
+/// Largest mean error between merged halves, metres: their substitute relations err by 0.05 to 0.07 m themselves.
+const HALVES_LIMIT_M: f64 = 0.12;
+/// Mean error above which a merge is wrong, metres.
+const WRONG_MERGE_M: f64 = 0.3;
+/// A robot's own relations may be worse in the fleet than alone by this factor and this many metres, the accuracy of the
+/// surveyed relations: the fleet's graph does move a robot's poses.
+const WORSE_FACTOR: f64 = 1.1;
 const WORSE_M: f64 = 0.002;
 
-/// A row for each log, and one for each robot.
+/// Adds a row for each building, and one for each robot.
 pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
-    table.begin("logs of several robots, unknown starts: mean relation error, m", "between", "relations");
+    table.begin("logs of several robots, unknown starts", "mean error, m", "relations");
     for case in &CASES {
         let logs = logs(&folder.join(case.name));
         if logs.is_empty() {
@@ -66,7 +67,7 @@ pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
         let all_merged = row.value().is_finite();
         table.add(match case.limit_m {
             Some(limit_m) => row.at_most(limit_m),
-            None if all_merged => row.at_most(REFUSED_OR_M),
+            None if all_merged => row.at_most(WRONG_MERGE_M),
             None => row,
         });
         let within = parse(&std::fs::read_to_string(folder.join(case.within))?)?;
@@ -79,7 +80,7 @@ pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
             replay_one(log, &file)?;
             let alone = own(&std::fs::read_to_string(&file)?)?;
             let together = own(&poses)?;
-            let limit = WORSE * alone.mean_m + WORSE_M;
+            let limit = WORSE_FACTOR * alone.mean_m + WORSE_M;
             let note = format!("alone {:.4} m", alone.mean_m);
             let row = Row::new(
                 format!("  robot{} in itself, in the fleet", index + 1),
@@ -92,10 +93,10 @@ pub fn rows(table: &mut Table, folder: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-/// Logs of one robot cut in the middle: two robots that drove one after the other. Refusing is no mistake here: the halves
-/// of some hardly meet.
+/// Adds a row for each log of one robot cut in the middle, as two robots. Staying apart is no error here: the halves of
+/// some logs hardly overlap.
 pub fn halves(table: &mut Table, folder: &Path) -> Result<(), Error> {
-    table.begin("logs cut into halves, unknown starts: mean relation error, m", "between", "relations");
+    table.begin("logs cut into halves, unknown starts", "mean error, m", "relations");
     for name in HALVES {
         let log = folder.join(name).join(format!("{name}.log.gz"));
         if !log.is_file() {
@@ -114,13 +115,13 @@ pub fn halves(table: &mut Table, folder: &Path) -> Result<(), Error> {
         let folder = folder.join(name);
         let odometry = folder.join("dense_odom.traj.gz");
         let (row, _) = merged(name, true, &logs, &folder.join("substitute.relations"), &odometry)?;
-        table.add(if row.value().is_finite() { row.at_most(HALVES_M) } else { row });
+        table.add(if row.value().is_finite() { row.at_most(HALVES_LIMIT_M) } else { row });
     }
     Ok(())
 }
 
-/// The logs merged: a row with the error of the relations between them, not a number if they are not all merged; and
-/// the trajectories. Of the relations of a log that was `cut`, those across the cut count.
+/// Merges logs. Returns a row with the mean error of the relations between them, NaN if they are not all merged, and the
+/// trajectories. Of a log that was `cut`, the relations across the cut count.
 fn merged(
     name: &str,
     cut: bool,
@@ -137,7 +138,7 @@ fn merged(
         relations.retain(|relation| !halves.iter().any(|half| half.spans(relation)));
     }
     let all = Trajectory::parse(&together.concat())?;
-    // Between kept scans, how the robot moved: the same in any frame.
+    // Odometry between kept scans is the same in any frame.
     let odometry = if odometry.is_file() { Some(Trajectory::parse(&unpacked(odometry)?)?) } else { None };
     let found = errors(&all, odometry.as_ref(), &relations, Which::All);
     let robots = summary["robots"].as_array();

@@ -1,13 +1,13 @@
-//! Merging, all of it in one table: speed with known starts; pairs of maps with exact truth, as they are and as
-//! robots would have them that map worse; logs of several robots that started anywhere.
+//! Bench of map merging: speed with known starts; alignment of pairs of maps with exact truth, as they are and varied;
+//! recorded logs of several robots with unknown starts.
 //!
 //! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR] [--only speed,pairs,varied,logs,halves] [--json FILE]
 //! [--results FILE.jsonl] [--check]`
 //!
-//! `--pairs` holds a folder a pair: `a.yaml`, `b.yaml` and `truth.json` (`T_A_B` = [x, y, theta], p_a = R p_b + t, or null
-//! where the two are of different buildings); an archive `merge-pairs.tar.xz` has to be unpacked first. `--logs` holds
-//! `intel_2`, `intel_3`, `aces_2` and, for relations within a robot and to be cut into halves, logs of one robot.
-//! `--results` gets a line a pair. `--check` fails if a limit is missed or if pairs or logs are missing. The last line
+//! `--pairs DIR` holds one folder a pair: `a.yaml`, `b.yaml` and `truth.json` (`T_A_B` = [x, y, theta], p_a = R p_b + t, or null
+//! where the two are of different buildings); an archive `merge-pairs.tar.xz` has to be unpacked first. `--logs DIR` holds
+//! `intel_2`, `intel_3`, `aces_2`, and logs of one robot, which are cut into halves. `--results FILE` gets one JSON line a
+//! pair. `--check` fails if a limit is missed or if pairs or logs are missing. The last line
 //! names what is missing.
 
 mod logs;
@@ -37,7 +37,7 @@ fn args() -> Result<Args, String> {
     let mut args = Args { pairs, logs, only: None, json: None, results: None, check: false };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
-        let mut value = || given.next().ok_or(format!("{name} wants a value"));
+        let mut value = || given.next().ok_or(format!("{name} needs a value"));
         match name.as_str() {
             "--pairs" => args.pairs = value()?.into(),
             "--logs" => args.logs = value()?.into(),
@@ -45,7 +45,7 @@ fn args() -> Result<Args, String> {
             "--json" => args.json = Some(value()?.into()),
             "--results" => args.results = Some(value()?.into()),
             "--check" => args.check = true,
-            // cargo bench says this to every bench.
+            // cargo bench passes this to every bench.
             "--bench" => {}
             other => {
                 return Err(format!(

@@ -1,4 +1,5 @@
-//! Pairs of maps with exact truth: how many are found, how exactly, how fast, and that nothing wrong is accepted.
+//! Alignment of pairs of maps with exact truth: how many are found, how exactly, how fast, and that no wrong place is
+//! accepted.
 
 use super::table::{Row, Table};
 use formats::map_file::read_map;
@@ -10,18 +11,18 @@ use std::fmt::Write;
 use std::path::Path;
 use std::time::Instant;
 
-/// An accepted place is right within these: RMS displacement of b's walls in the overlap, metres, and rotation, degrees.
+/// Largest error of a right place: RMS displacement of b's walls in the overlap, metres, and rotation, degrees.
 const RIGHT: [f64; 2] = [0.5, 5.0];
 
-/// Two maps and where the second truly lies in the first; `None`: of different buildings.
+/// Two maps, and where the second truly lies in the first.
 pub struct Pair {
-    /// The folder's.
+    /// Name of its folder.
     pub name: String,
-    /// The maps.
+    /// The maps a and b.
     pub maps: [Grid; 2],
-    /// The truth.
+    /// The true transform; `None` for maps of different buildings.
     pub a_from_b: Option<Pose2>,
-    /// Known to both over what the smaller one knows.
+    /// Area known to both over the known area of the smaller map.
     pub overlap: f64,
 }
 
@@ -33,7 +34,7 @@ struct Truth {
     ov_min: Option<f64>,
 }
 
-/// All pairs in a folder, by name.
+/// Reads all pairs of a folder, sorted by name.
 pub fn read(folder: &Path) -> Result<Vec<Pair>, Box<dyn std::error::Error>> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(Vec::new()) };
     let mut folders: Vec<_> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
@@ -51,18 +52,18 @@ pub fn read(folder: &Path) -> Result<Vec<Pair>, Box<dyn std::error::Error>> {
     Ok(pairs)
 }
 
-/// What became of a pair.
+/// Result of aligning a pair.
 pub struct Outcome {
-    /// What was found.
+    /// The alignment, if any.
     pub found: Option<Alignment>,
-    /// Thread's processor time, milliseconds.
+    /// Processor time of the thread, milliseconds.
     pub ms: f64,
-    /// Of an accepted place: RMS displacement and rotation from the truth.
+    /// Error of an accepted place: RMS displacement (metres) and rotation (degrees) from the truth.
     pub error: Option<[f64; 2]>,
 }
 
 impl Outcome {
-    /// Aligns two maps as they are.
+    /// Aligns two maps.
     pub fn of(maps: [&Grid; 2], a_from_b: Option<Pose2>) -> Self {
         let outcome = Self::unjudged(maps);
         let error = outcome.place().zip(a_from_b).map(|(place, truth)| {
@@ -71,8 +72,8 @@ impl Outcome {
         Self { error, ..outcome }
     }
 
-    /// The same where the second map is bent, and `straight` takes a point of it to where it is in the one that the truth
-    /// is of. No transform puts a bent map right everywhere: what counts are the walls that were found again.
+    /// Aligns two maps of which the second is bent; `straight` maps a point of it to the straight map, of which the truth
+    /// is known. No transform puts a bent map right everywhere: only walls that match count.
     pub fn of_bent(
         maps: [&Grid; 2],
         a_from_b: Option<Pose2>,
@@ -93,7 +94,7 @@ impl Outcome {
         Self { found, ms: 1e3 * (cpu_s() - began_s), error: None }
     }
 
-    /// Accepted.
+    /// Whether the alignment was accepted.
     pub fn accepted(&self) -> bool {
         self.place().is_some()
     }
@@ -102,16 +103,16 @@ impl Outcome {
         self.found.filter(|found| found.accepted).map(|found| found.a_from_b)
     }
 
-    /// Accepted where it truly lies.
+    /// Whether it was accepted at the right place.
     pub fn right(&self) -> bool {
         self.error.is_some_and(|[m, deg]| m < RIGHT[0] && deg < RIGHT[1])
     }
 }
 
-/// A wall: in b, and where it truly lies in a.
+/// A wall point in b, and where it truly lies in a.
 type Wall = ([f64; 2], [f64; 2]);
 
-/// b's walls where a knows something.
+/// b's wall points where a is known.
 fn shared_walls([a, b]: [&Grid; 2], truly: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<Wall> {
     let cells =
         (0..i64::from(b.header.height)).flat_map(|y| (0..i64::from(b.header.width)).map(move |x| (x, y)));
@@ -124,15 +125,15 @@ fn shared_walls([a, b]: [&Grid; 2], truly: impl Fn([f64; 2]) -> [f64; 2]) -> Vec
     places.filter(|(_, there)| known(*there)).collect()
 }
 
-/// A wall in the cell or in one around it.
+/// Whether the cell at a point, or one around it, is occupied.
 fn is_wall_near(map: &Grid, at: [f64; 2]) -> bool {
     let (x, y) = map.view().cell_of(at);
     let around = (-1..=1).flat_map(|j| (-1..=1).map(move |i| (i, j)));
     around.into_iter().any(|(i, j)| occupancy(map.view().cell(x + i, y + j)) == Occupancy::Occupied)
 }
 
-/// RMS displacement of walls, metres, and rotation, degrees, of an estimate; `None` without walls. The rotation is from
-/// that which fits them best (Umeyama, "Least-squares estimation of transformation parameters between two point
+/// Error of an estimate: RMS displacement of walls, metres, and rotation, degrees; `None` without walls. The rotation is
+/// relative to the one that fits the walls best (Umeyama, "Least-squares estimation of transformation parameters between two point
 /// patterns", PAMI 1991).
 fn displacement(walls: &[Wall], estimate: Pose2) -> Option<[f64; 2]> {
     let count = walls.len() as f64;
@@ -154,9 +155,9 @@ fn displacement(walls: &[Wall], estimate: Pose2) -> Option<[f64; 2]> {
     (!walls.is_empty()).then(|| [rms_m, turned.to_degrees()])
 }
 
-/// The public pairs as they are.
+/// Adds the figures of the pairs as they are.
 pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::io::Result<()> {
-    table.begin("pairs of maps, unknown starts", "", "of");
+    table.begin("pairs of maps, unknown starts", "value", "pairs");
     let began = Instant::now();
     let outcomes: Vec<Outcome> =
         pairs.iter().map(|pair| Outcome::of([&pair.maps[0], &pair.maps[1]], pair.a_from_b)).collect();
@@ -169,22 +170,27 @@ pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::i
     for (low, high) in [(0.0, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 9.0)] {
         let (right, all) = band(low, high);
         let name = if high > 1.0 {
-            "right at >= 70 % overlap".into()
+            "right at >= 70 % overlap, pairs".into()
         } else {
-            format!("right at {:.0} to {:.0} % overlap", 100.0 * low, 100.0 * high)
+            format!("right at {:.0} to {:.0} % overlap, pairs", 100.0 * low, 100.0 * high)
         };
         table.add(Row::new(name, right, all));
     }
     let share = |(right, all): (f64, f64)| 100.0 * right / all;
     table
         .add(Row::new("right at >= 30 % overlap, %", share(band(0.3, 9.0)), band(0.3, 9.0).1).at_least(95.0));
-    table.add(Row::new("right below, %", share(band(0.0, 0.3)), band(0.0, 0.3).1).at_least(75.0));
+    table.add(Row::new("right at < 30 % overlap, %", share(band(0.0, 0.3)), band(0.0, 0.3).1).at_least(75.0));
     let wrong = both().filter(|(pair, o)| pair.a_from_b.is_some() && o.accepted() && !o.right()).count();
-    table.add(Row::new("wrong places accepted", wrong as f64, band(0.0, 9.0).1).at_most(0.0));
-    let strangers = || both().filter(|(pair, _)| pair.a_from_b.is_none());
-    let fooled = strangers().filter(|(_, outcome)| outcome.accepted()).count();
+    table.add(Row::new("wrong places accepted, pairs", wrong as f64, band(0.0, 9.0).1).at_most(0.0));
+    let negatives = || both().filter(|(pair, _)| pair.a_from_b.is_none());
+    let accepted = negatives().filter(|(_, outcome)| outcome.accepted()).count();
     table.add(
-        Row::new("different buildings accepted", fooled as f64, strangers().count() as f64).at_most(0.0),
+        Row::new(
+            "negatives (different buildings) accepted, pairs",
+            accepted as f64,
+            negatives().count() as f64,
+        )
+        .at_most(0.0),
     );
     let mut errors: Vec<f64> =
         outcomes.iter().filter(|o| o.right()).filter_map(|o| o.error).map(|[m, _]| m).collect();
@@ -195,12 +201,17 @@ pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::i
     let most = small.last().copied().unwrap_or(f64::NAN);
     let note = format!("({:.1} s for all {})", wall_s, pairs.len());
     table.add(
-        Row::new("processor ms a pair up to 1000 x 1000: median", middle(&small), small.len() as f64)
+        Row::new("processor time a pair up to 1000 x 1000: median, ms", middle(&small), small.len() as f64)
             .note(note),
     );
-    table.add(Row::new("  most", most, small.len() as f64).at_most(300.0));
+    table.add(Row::new("  maximum, ms", most, small.len() as f64).at_most(300.0));
+    results.map_or(Ok(()), |path| std::fs::write(path, json_lines(pairs, &outcomes)))
+}
+
+/// One JSON line a pair.
+fn json_lines(pairs: &[Pair], outcomes: &[Outcome]) -> String {
     let mut lines = String::new();
-    for (pair, outcome) in both() {
+    for (pair, outcome) in pairs.iter().zip(outcomes) {
         let found = outcome.found.map(|found| {
             serde_json::json!({
                 "x": found.a_from_b.x_m, "y": found.a_from_b.y_m, "theta": found.a_from_b.yaw_rad,
@@ -214,19 +225,19 @@ pub fn rows(table: &mut Table, pairs: &[Pair], results: Option<&Path>) -> std::i
             (pair.name.clone().into(), outcome.accepted().into(), outcome.ms.into());
         let _ = writeln!(lines, "{line}");
     }
-    results.map_or(Ok(()), |path| std::fs::write(path, lines))
+    lines
 }
 
 fn is_small(pair: &Pair) -> bool {
     pair.maps.iter().all(|map| map.header.width.max(map.header.height) <= 1000)
 }
 
-/// Of sorted values.
+/// Median of sorted values.
 pub fn middle(sorted: &[f64]) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// Processor time of this thread, seconds: what a busy machine does not change much.
+/// Processor time of this thread, seconds: a busy machine hardly changes it.
 pub fn cpu_s() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9

@@ -1,4 +1,4 @@
-//! How long it takes to merge maps whose places are known, and to take their statistics.
+//! Time of merging maps whose transforms are known, and of computing their statistics.
 
 use super::table::{Row, Table};
 use merge::{MergeConfig, Merger};
@@ -11,12 +11,12 @@ use telemetry::Telemetry;
 /// Rounds of each case; the table has the fastest and the median.
 const ROUNDS: usize = 15;
 
-/// Robots have driven so many steps before it is measured what another one costs: as long as a trail is.
-const WAY_BEFORE: usize = 50;
+/// Steps that robots have driven before a step is measured: more than a swept path holds.
+const STEPS_BEFORE: usize = 50;
 
-/// All cases.
+/// Adds all cases to the table.
 pub fn rows(table: &mut Table) {
-    table.begin("known start poses, one core", "min ms", "median ms");
+    table.begin("known start poses, one core", "minimum, ms", "median, ms");
     let cases = [
         ("8 x 1000 x 1000 rotated, all new", 8, 1000, 0.2, 0.0, Changed::All, None),
         ("8 x 1000 x 1000 rotated, one new", 8, 1000, 0.2, 0.0, Changed::One, None),
@@ -49,9 +49,9 @@ enum Changed {
     All,
     One,
     Hundredth,
-    /// A hundredth, but told by a whole grid.
+    /// A hundredth of the cells, sent as a whole grid.
     InGrids,
-    /// No map, but where robots are.
+    /// No map; only the robots' places.
     Places,
 }
 
@@ -85,8 +85,12 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
         let start = Instant::now();
         for ((robot, grid), map) in RobotId::first(robots).zip(&grids).zip(&maps) {
             if changed == Changed::Places && round > 0 {
-                let way_m = 0.05 * (WAY_BEFORE + round) as f64;
-                assert!(merger.set_robot_footprint(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105));
+                let distance_m = 0.05 * (STEPS_BEFORE + round) as f64;
+                assert!(merger.set_robot_footprint(
+                    robot,
+                    Pose2::new(distance_m, 0.3 * distance_m, 0.0),
+                    0.105
+                ));
             } else if changed == Changed::InGrids {
                 merger.update_map(robot, grid.view()).unwrap();
             } else {
@@ -96,10 +100,10 @@ fn compose(robots: usize, side: u32, yaw_step_rad: f64, apart_m: f64, changed: C
         merger.compose();
         if round == 0 {
             for (robot, step) in
-                RobotId::first(robots).flat_map(|robot| (0..=WAY_BEFORE).map(move |step| (robot, step)))
+                RobotId::first(robots).flat_map(|robot| (0..=STEPS_BEFORE).map(move |step| (robot, step)))
             {
-                let way_m = 0.05 * step as f64;
-                merger.set_robot_footprint(robot, Pose2::new(way_m, 0.3 * way_m, 0.0), 0.105);
+                let distance_m = 0.05 * step as f64;
+                merger.set_robot_footprint(robot, Pose2::new(distance_m, 0.3 * distance_m, 0.0), 0.105);
             }
             merger.compose();
         } else {
@@ -116,7 +120,7 @@ fn tiles(grid: &Grid) -> TileMap {
     TileMap::from_grid(MapHeader { header, scan_sent, origin, resolution_m }, [0; 2], grid.view()).unwrap()
 }
 
-/// Brings a map up to date as its reader would: tiles that hold the same stay the same tiles.
+/// Updates a map as its reader would: equal tiles stay the same tiles.
 fn patch(map: &mut TileMap, grid: &Grid) {
     for tile in tiles(grid).tiles() {
         let (x, y) = (tile.x.into(), tile.y.into());
@@ -126,7 +130,7 @@ fn patch(map: &mut TileMap, grid: &Grid) {
     }
 }
 
-/// Rooms of 6 m with walls: everything known.
+/// Rooms of 6 m with walls; every cell is known.
 fn rooms(side: u32, seed: usize) -> Grid {
     let header = GridHeader {
         origin: Pose2::new(-0.025 * f64::from(side), -0.025 * f64::from(side), 0.0),
@@ -140,7 +144,7 @@ fn rooms(side: u32, seed: usize) -> Grid {
     Grid { header, cells }
 }
 
-/// Changes a square of `size` cells, another place each round.
+/// Changes a square of `size` cells, elsewhere each round.
 fn scribble(map: &mut Grid, size: u32, round: usize) {
     let side = map.header.width;
     let (x0, y0) = ((round as u32 * 331) % (side - size), (round as u32 * 577) % (side - size));
@@ -151,7 +155,7 @@ fn scribble(map: &mut Grid, size: u32, round: usize) {
     }
 }
 
-/// Three maps come, and their figures are taken.
+/// Sends three maps and computes their statistics.
 fn statistics(side: u32) -> [f64; 2] {
     let mut telemetry = Telemetry::new(3, None, &[]);
     let mut map_transforms = MapTransforms::default();
@@ -159,7 +163,7 @@ fn statistics(side: u32) -> [f64; 2] {
         *map_transform =
             MapTransform { map_from_robot_map: Pose2::new(0.0, 0.0, 0.2 * k as f64), known: 1, reserved: 0 };
     }
-    telemetry.map_transforms(&map_transforms);
+    telemetry.update_map_transforms(&map_transforms);
     let maps: Vec<Grid> = (0..3).map(|k| rooms(side, k)).collect();
     let mut milliseconds: Vec<f64> = (0..ROUNDS)
         .map(|_| {

@@ -1,13 +1,13 @@
-//! The table: what was measured, what it should be, whether it is.
+//! The bench's table: each figure with its limit.
 
 use serde::Serialize;
 
-/// One line.
+/// One figure.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     name: String,
     value: f64,
-    /// Beside it: a median beside a minimum, a count beside a share.
+    /// A second figure: a median beside a minimum, a count beside a share.
     beside: f64,
     limit: Option<Limit>,
     met: bool,
@@ -22,33 +22,33 @@ enum Limit {
 }
 
 impl Row {
-    /// Without a limit.
+    /// A figure without a limit.
     pub fn new(name: impl Into<String>, value: f64, beside: f64) -> Self {
         Self { name: name.into(), value, beside, limit: None, met: true, note: String::new() }
     }
 
-    /// What was measured.
+    /// The figure.
     pub fn value(&self) -> f64 {
         self.value
     }
 
-    /// The value must not be more.
+    /// Sets the largest value that passes.
     pub fn at_most(self, limit: f64) -> Self {
         Self { met: self.value <= limit, limit: Some(Limit::AtMost(limit)), ..self }
     }
 
-    /// The value must not be less.
+    /// Sets the least value that passes.
     pub fn at_least(self, limit: f64) -> Self {
         Self { met: self.value >= limit, limit: Some(Limit::AtLeast(limit)), ..self }
     }
 
-    /// A word beside it.
+    /// Adds a remark.
     pub fn note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
 }
 
-/// Sections of rows, printed as they come.
+/// Sections of rows, printed as they are added.
 #[derive(Default)]
 pub struct Table {
     sections: Vec<(String, Vec<Row>)>,
@@ -56,13 +56,13 @@ pub struct Table {
 }
 
 impl Table {
-    /// A section; `value` and `beside` are its columns' names.
+    /// Begins a section. `value` and `beside` are the headings of its columns: quantity and unit.
     pub fn begin(&mut self, name: &str, value: &str, beside: &str) {
-        println!("\n{name:<58} {value:>10} {beside:>10}   limit");
+        println!("\n{name:<58} {value:>12} {beside:>12}   limit");
         self.sections.push((name.into(), Vec::new()));
     }
 
-    /// A row of the section.
+    /// Adds a row to the newest section.
     pub fn add(&mut self, row: Row) {
         let limit = match row.limit {
             Some(Limit::AtMost(limit)) => format!("<= {limit}"),
@@ -72,7 +72,7 @@ impl Table {
         let verdict = if row.met { "" } else { "  MISSED" };
         let number = |value: f64| if value.is_nan() { "-".into() } else { format!("{value:.3}") };
         let (value, beside) = (number(row.value), number(row.beside));
-        println!("{:<58} {value:>10} {beside:>10}   {limit}{verdict} {}", row.name, row.note);
+        println!("{:<58} {value:>12} {beside:>12}   {limit}{verdict} {}", row.name, row.note);
         if let Some((_, rows)) = self.sections.last_mut() {
             rows.push(row);
         }
@@ -93,7 +93,7 @@ impl Table {
         self.sections.iter().flat_map(|(_, rows)| rows).all(|row| row.met)
     }
 
-    /// The same for programs.
+    /// The table as JSON.
     pub fn json(&self) -> serde_json::Value {
         let section =
             |(name, rows): &(String, Vec<Row>)| serde_json::json!({ "section": name, "rows": rows });

@@ -1,5 +1,5 @@
-//! The same buildings as robots would have them that map worse: coarser, noisier, cropped, bent by drift. Their truth
-//! follows from the pair's. What must hold whatever the map: nothing wrong is accepted.
+//! The same pairs, varied as worse mapping would: coarser, noisier, cropped, bent by drift. Their truth follows from the
+//! pair's. No wrong place may be accepted, whatever the map.
 
 use super::pairs::{Outcome, Pair};
 use super::table::{Row, Table};
@@ -8,23 +8,23 @@ use msg::{Grid, GridHeader, Pose2};
 use nav::RandomNumbers;
 use std::f64::consts::TAU;
 
-/// How a map is varied: by a seed.
+/// Varies a map by a seed.
 type Vary = fn(&Grid, u64) -> Grid;
 
-/// What is done to both maps, strangers' too, and by how much the second is bent, radians a metre.
+/// Variation of the first and of the second map, negatives' too, and how much the second is bent, radians a metre.
 const VARIATIONS: [(&str, Vary, Vary, f64); 7] = [
     ("second map at 0.1 m", same, coarse, 0.0),
     ("both at 0.1 m", coarse, coarse, 0.0),
-    ("second map redrawn at a whim's angle", same, turned, 0.0),
+    ("second map redrawn at a random angle", same, turned, 0.0),
     ("1 cell in 500 wrong, in both", noisy, noisy, 0.0),
     ("half of the second map", same, half, 0.0),
     ("second map bent: 1 degree each 10 m", same, same, 0.0017),
     ("second map bent: 3 degrees each 10 m", same, same, 0.0052),
 ];
 
-/// Each variation over all pairs.
+/// Adds the figures of each variation over all pairs.
 pub fn rows(table: &mut Table, pairs: &[Pair]) {
-    table.begin("the same pairs, varied: wrong or strangers accepted", "", "right");
+    table.begin("the same pairs, varied", "wrong, pairs", "right, pairs");
     for (name, vary_a, vary_b, rad_per_m) in VARIATIONS {
         let (mut right, mut placed, mut wrong) = (0, 0, Vec::new());
         for (seed, pair) in (1_u64..).zip(pairs) {
@@ -68,12 +68,12 @@ fn coarse(map: &Grid, _: u64) -> Grid {
     }
 }
 
-/// Other cells at some angle over the same place: the nearest cell of the map under each.
+/// The map resampled on a rotated grid, nearest cells.
 fn turned(map: &Grid, seed: u64) -> Grid {
     resampled(map, TAU * share(seed), |place| place)
 }
 
-/// One known cell in five hundred says the opposite.
+/// The map with one known cell in five hundred inverted.
 fn noisy(map: &Grid, seed: u64) -> Grid {
     let mut random = seed;
     let mut noisy = map.clone();
@@ -86,7 +86,7 @@ fn noisy(map: &Grid, seed: u64) -> Grid {
     noisy
 }
 
-/// What lies to one side of a line through the middle.
+/// The part of the map on one side of a line through its centre.
 fn half(map: &Grid, seed: u64) -> Grid {
     let (sin, cos) = (TAU * share(seed)).sin_cos();
     let middle = [map.header.width, map.header.height].map(|cells| f64::from(cells) / 2.0);
@@ -100,13 +100,13 @@ fn half(map: &Grid, seed: u64) -> Grid {
     half
 }
 
-/// Where a point of the bent map lies in the straight one. Bent as by a heading that drifts with the way along x: right
-/// in the middle, worse towards both ends.
+/// Maps a point of the bent map to the straight one. It is bent as by a heading that drifts along x: right in the centre,
+/// worse towards both ends.
 fn straight(map: &Grid, rad_per_m: f64) -> impl Fn([f64; 2]) -> [f64; 2] + use<> {
     let half_m =
         [map.header.width, map.header.height].map(|cells| f64::from(cells) * map.header.resolution_m / 2.0);
     let middle = map.header.origin.apply(half_m);
-    // A circle's arc through the middle: a point so far along the arc lies so far along the straight map.
+    // An arc through the centre: the distance along it is the distance along the straight map.
     move |[x, y]| {
         let ([along, across], radius) = ([x - middle[0], y - middle[1]], 1.0 / rad_per_m);
         let (from_centre, angle) = (
@@ -117,7 +117,7 @@ fn straight(map: &Grid, rad_per_m: f64) -> impl Fn([f64; 2]) -> [f64; 2] + use<>
     }
 }
 
-/// The map on cells turned by `yaw_rad`, each from where `source` says it comes from.
+/// The map on a grid rotated by `yaw_rad`; `source` gives the point that each cell is read from.
 fn resampled(map: &Grid, yaw_rad: f64, source: impl Fn([f64; 2]) -> [f64; 2]) -> Grid {
     let resolution_m = map.header.resolution_m;
     let size_m = [map.header.width, map.header.height].map(|cells| f64::from(cells) * resolution_m);

@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let (width, height) = (side as u32, side as u32);
             let (origin, resolution_m) = (Pose2::IDENTITY, 0.05);
             let header = GridHeader { header, origin, resolution_m, width, height, ..GridHeader::default() };
-            let map = GridView::new(&header, &cells).ok_or("a sound map")?;
+            let map = GridView::new(&header, &cells).ok_or("the grid and its header differ in size")?;
             endpoint.publish(FleetMessage::Map(robot, map));
             endpoint.publish(FleetMessage::MergedMap(map));
             println!("map {number}");

@@ -111,6 +111,22 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.validate_dds_access()?;
+        self.validate_limits()?;
+        self.validate_times()?;
+        let packages = &self.message_packages;
+        match packages.iter().find(|name| !crate::interfaces::is_package_name(name)) {
+            Some(package) => Err(ConfigError::new(
+                "message_packages",
+                format!("'{package}'"),
+                "a ROS package is named like my_robot_msgs",
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// DDS carries ROS 2's encoding only, and cannot restrict who subscribes.
+    fn validate_dds_access(&self) -> Result<(), ConfigError> {
         if self.dds.enabled && self.payloads != Dialect::Ros2 {
             return Err(ConfigError::new("payloads", "ros1".into(), "ROS 2 (bridge.dds) needs \"ros2\""));
         }
@@ -119,65 +135,42 @@ impl BridgeConfig {
                 "DDS does not identify subscribers: set watch = \"anyone\", or loopback_only = true";
             return Err(ConfigError::new("watch", "allowed".into(), expected));
         }
-        let refuse = |field, value: String, expected| Err(ConfigError { field, value, expected });
-        let within = |value: usize, low: usize, high: usize| (low..=high).contains(&value);
-        if !within(self.frame_bytes_max, 64 << 10, 1 << 30) {
-            return refuse(
-                "frame_bytes_max",
-                self.frame_bytes_max.to_string(),
-                "65536 to 1073741824 bytes work",
-            );
-        }
-        if !within(self.outbox_bytes_max, 64 << 10, 64 << 20) {
-            return refuse(
-                "outbox_bytes_max",
-                self.outbox_bytes_max.to_string(),
-                "65536 to 67108864 bytes work",
-            );
-        }
-        if !within(self.unsent_bytes_max as usize, 16 << 10, 16 << 20) {
-            return refuse(
-                "unsent_bytes_max",
-                self.unsent_bytes_max.to_string(),
-                "16384 to 16777216 bytes work",
-            );
-        }
-        if !within(self.clients_max, 1, 1024) {
-            return refuse("clients_max", self.clients_max.to_string(), "1 to 1024 clients work");
-        }
-        if !within(self.client_topics_max, 0, 65_536) {
-            return refuse(
-                "client_topics_max",
-                self.client_topics_max.to_string(),
-                "at most 65536 topics work",
-            );
-        }
-        let seconds = |value: f64| value.is_finite() && (0.1..=3600.0).contains(&value);
-        if !seconds(self.lease_s) {
-            return refuse("lease_s", self.lease_s.to_string(), "0.1 to 3600 seconds work");
-        }
-        if !seconds(self.service_timeout_s) {
-            return refuse(
-                "service_timeout_s",
-                self.service_timeout_s.to_string(),
-                "0.1 to 3600 seconds work",
-            );
-        }
-        if let ClockOffset::Fixed(offset_s) = self.clock_offset
-            && !(offset_s.is_finite() && offset_s.abs() <= 4e9)
-        {
-            return refuse("clock_offset", offset_s.to_string(), "\"measured\", or up to 4e9 seconds work");
-        }
-        if let Some(package) =
-            self.message_packages.iter().find(|name| !crate::interfaces::is_package_name(name))
-        {
-            return refuse(
-                "message_packages",
-                format!("'{package}'"),
-                "a ROS package is named like my_robot_msgs",
-            );
-        }
         Ok(())
+    }
+
+    fn validate_limits(&self) -> Result<(), ConfigError> {
+        let limits = [
+            ("frame_bytes_max", self.frame_bytes_max, 64 << 10, 1 << 30, "65536 to 1073741824 bytes work"),
+            ("outbox_bytes_max", self.outbox_bytes_max, 64 << 10, 64 << 20, "65536 to 67108864 bytes work"),
+            (
+                "unsent_bytes_max",
+                self.unsent_bytes_max as usize,
+                16 << 10,
+                16 << 20,
+                "16384 to 16777216 bytes work",
+            ),
+            ("clients_max", self.clients_max, 1, 1024, "1 to 1024 clients work"),
+            ("client_topics_max", self.client_topics_max, 0, 65_536, "at most 65536 topics work"),
+        ];
+        match limits.iter().find(|(_, value, low, high, _)| !(*low..=*high).contains(value)) {
+            Some((key, value, _, _, expected)) => Err(ConfigError::new(key, value.to_string(), expected)),
+            None => Ok(()),
+        }
+    }
+
+    fn validate_times(&self) -> Result<(), ConfigError> {
+        let is_valid = |seconds: f64| seconds.is_finite() && (0.1..=3600.0).contains(&seconds);
+        let times = [("lease_s", self.lease_s), ("service_timeout_s", self.service_timeout_s)];
+        if let Some((key, value)) = times.into_iter().find(|(_, value)| !is_valid(*value)) {
+            return Err(ConfigError::new(key, value.to_string(), "0.1 to 3600 seconds work"));
+        }
+        match self.clock_offset {
+            ClockOffset::Fixed(offset_s) if !(offset_s.is_finite() && offset_s.abs() <= 4e9) => {
+                let expected = "\"measured\", or up to 4e9 seconds work";
+                Err(ConfigError::new("clock_offset", offset_s.to_string(), expected))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Returns [`Self::lease_s`] as a duration.

@@ -86,7 +86,7 @@ pub enum WorldError {
     },
 }
 
-/// Tells sources apart; the caller numbers them.
+/// Number of a source, chosen by the caller.
 pub type SourceId = u64;
 
 /// What is known of one robot from its source.

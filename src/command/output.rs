@@ -2,6 +2,27 @@
 
 use serde::Serialize;
 use std::io::{self, Write};
+use tracing_subscriber::EnvFilter;
+
+/// Messages that are logged without `RUST_LOG`: a person at a terminal wants to know what went wrong.
+const LOG_DEFAULT: &str = "warn";
+
+/// Starts logging to standard error: one compact line for each message that `RUST_LOG` lets pass.
+pub fn start_log() {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(LOG_DEFAULT));
+    let started = tracing_subscriber::fmt()
+        .compact()
+        .with_env_filter(filter)
+        .with_target(false)
+        .without_time()
+        .with_ansi(false)
+        .with_writer(io::stderr)
+        // A closed standard error is no reason to end a process.
+        .log_internal_errors(false)
+        .try_init();
+    // Only a second call fails, and then the first one's log is in use.
+    drop(started);
+}
 
 /// Prints text as it is, without a line break of its own, to standard output.
 ///

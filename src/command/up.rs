@@ -174,7 +174,7 @@ fn watch(
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
     while !stop.requested() && !over() && hooks.poll() {
-        supervisor.tend(&|role, robot| observer.last_seen(role, robot), &mut |event| {
+        supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut |event| {
             screen.show_event(&event);
             events.push(event);
         });
@@ -208,5 +208,5 @@ fn fleet_view(observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetV
 
 /// Returns a folder name that sorts by time, UTC.
 fn folder_name_now() -> String {
-    jiff::Timestamp::now().strftime("%Y-%m-%dT%H-%M-%S").to_string()
+    chrono::Utc::now().format("%Y-%m-%dT%H-%M-%S").to_string()
 }

@@ -39,10 +39,10 @@ impl Control {
                 Ok((addresses, unsound)) => {
                     addresses.into_iter().for_each(|address| bridge.allow(address));
                     unsound.iter().for_each(|line| {
-                        eprintln!("{}: `{line}` is not an address and is ignored", path.display())
+                        tracing::warn!("{}: `{line}` is not an address and is ignored", path.display())
                     });
                 }
-                Err(why) => eprintln!("{}: {why}; no address is remembered", path.display()),
+                Err(why) => tracing::warn!("{}: {why}; no address is remembered", path.display()),
             }
         }
         let stop_file = run.dir.join("stopped");
@@ -63,7 +63,7 @@ impl Control {
                 false => std::fs::remove_file(&self.stop_file),
             };
             if let Err(why) = result {
-                eprintln!(
+                tracing::warn!(
                     "{}: {why}; a restarted bridge will not keep the emergency stop as it is",
                     self.stop_file.display()
                 );

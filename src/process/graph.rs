@@ -113,7 +113,13 @@ impl<P: Ports, S: Storage> Component for GraphWorker<P, S> {
         let task = self.graph.next_task();
         let worked = task.is_some();
         if let Some(task) = task {
-            self.graph.apply_outcome(task.run());
+            let outcome = task.run();
+            if let Some(why) = outcome.solve_error() {
+                eprintln!(
+                    "merge: the joint pose graph was not solved: {why}; robots' maps stay where they are"
+                );
+            }
+            self.graph.apply_outcome(outcome);
         }
         // Before it is published: whoever has heard that an edge is pinned may rely on it.
         self.memory.save(&self.graph, now);

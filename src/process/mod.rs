@@ -128,7 +128,7 @@ fn join(args: &ProcessArgs, role: Role) -> Result<(Run, Stop), Error> {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
     for outcome in run.config.realtime.apply(role) {
         if let Err(why) = outcome.result {
-            eprintln!("{}: goes on without {}: {why}", role.name(), outcome.setting);
+            tracing::warn!("{}: continues without {}: {why}", role.name(), outcome.setting);
         }
     }
     Ok((run, stop))

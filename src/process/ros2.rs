@@ -32,7 +32,7 @@ pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()
     let (run, stop) = (run.clone(), stop.clone());
     std::thread::Builder::new().name("ros2".into()).spawn(move || {
         if let Err(why) = serve(&run, &stop, sender) {
-            eprintln!("bridge: {why}; ROS 2 is not served");
+            tracing::error!("bridge: {why}; ROS 2 is not served");
         }
     })?;
     Ok(task)

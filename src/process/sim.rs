@@ -63,7 +63,7 @@ impl<P: Ports> Simulation<P> {
         // The robot may have touched a table where it was; then it begins anew.
         let mut simulator = match at {
             Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|why| {
-                eprintln!("{robot} cannot go on from {place:?} and begins anew at its start: {why}");
+                tracing::warn!("{robot} cannot continue from {place:?} and begins at its start: {why}");
                 at_start()
             })?,
             None => at_start()?,

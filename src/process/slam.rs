@@ -191,7 +191,9 @@ fn begin(
             let (front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
             return Ok(Beginning { front, back, odom_pose });
         }
-        Err(why) if !why.is_missing() => eprintln!("slam of {robot}: {why}; goes on without it"),
+        Err(why) if !why.is_missing() => {
+            tracing::warn!("slam of {robot}: {why}; it begins without the session")
+        }
         // Of another run in the same folder.
         _ => {}
     }

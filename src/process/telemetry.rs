@@ -166,7 +166,7 @@ impl<P: Ports> Inputs<P> {
 
     fn receive_states(&mut self, telemetry: &mut Telemetry, received: Monotonic) {
         if let Some(transforms) = self.map_transforms.newest() {
-            telemetry.map_transforms(&transforms);
+            telemetry.update_map_transforms(&transforms);
         }
         for RobotInputs { robot, map, .. } in &mut self.robots {
             if std::mem::take(&mut map.changed) {
@@ -179,7 +179,7 @@ impl<P: Ports> Inputs<P> {
         }
         for health in &mut self.health {
             while let Some(report) = health.receive() {
-                telemetry.process_health(&report, received);
+                telemetry.add_process_health(&report, received);
             }
         }
     }

@@ -34,7 +34,7 @@ impl Domain {
             if let NodeState::Dead(dead) = state {
                 let id = *dead.id();
                 if let Err(why) = dead.try_remove_stale_resources() {
-                    eprintln!("shared memory of the dead process {id:?} stays: {why:?}");
+                    tracing::warn!("shared memory of the dead process {id:?} stays: {why:?}");
                 }
             }
             CallbackProgression::Continue

@@ -105,7 +105,7 @@ impl Telemetry {
     }
 
     /// Replaces the transforms of the robots' maps in the merged map.
-    pub fn map_transforms(&mut self, map_transforms: &MapTransforms) {
+    pub fn update_map_transforms(&mut self, map_transforms: &MapTransforms) {
         self.map_transforms = *map_transforms;
     }
 
@@ -117,7 +117,7 @@ impl Telemetry {
     }
 
     /// Records the health that a process reports.
-    pub fn process_health(&mut self, message: &ProcessHealth, received: Monotonic) {
+    pub fn add_process_health(&mut self, message: &ProcessHealth, received: Monotonic) {
         self.processes.receive(message, received);
     }
 

@@ -1,5 +1,5 @@
-//! ros_tcp's framing: any stream, cut in any two ways, gives the same frames and the same end; memory stays within
-//! what has arrived and the limit; what was cut out is what was written.
+//! Fuzzes the parser of ros_tcp frames. Any stream gives the same frames and the same error however it is cut, memory
+//! stays within the bytes that have arrived and the limit, and written frames are parsed unchanged.
 #![no_main]
 
 use bridge::frame::{FrameError, NAME_MAX, Parser, Side};

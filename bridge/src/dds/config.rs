@@ -45,8 +45,8 @@ impl DdsConfig {
             return Err(ConfigError::new("dds.domain", self.domain.to_string(), "domains 0 to 232 exist"));
         }
         let parts = self.namespace.strip_prefix('/').map(|rest| rest.split('/'));
-        let sound = self.namespace.is_empty() || parts.is_some_and(|mut parts| parts.all(is_name));
-        if !sound {
+        let is_valid = self.namespace.is_empty() || parts.is_some_and(|mut parts| parts.all(is_name));
+        if !is_valid {
             let value = format!("'{}'", self.namespace);
             return Err(ConfigError::new("dds.namespace", value, "expected nothing, or a name like /lab"));
         }

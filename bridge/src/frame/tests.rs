@@ -1,4 +1,4 @@
-//! The parser against every way a stream can be cut, and against noise.
+//! The parser with every cut of a stream, and with random bytes.
 
 use super::*;
 use proptest::prelude::*;
@@ -40,7 +40,7 @@ proptest! {
     }
 
     #[test]
-    fn noise_never_costs_more_than_the_limit(bytes in prop::collection::vec(any::<u8>(), 0..2000),
+    fn random_bytes_never_cost_more_memory_than_the_limit(bytes in prop::collection::vec(any::<u8>(), 0..2000),
                                              cuts in prop::collection::vec(1_usize..100, 0..50)) {
         let mut parser = Parser::new(4096);
         let _ = parse(&mut parser, &bytes, &cuts);
@@ -48,7 +48,7 @@ proptest! {
     }
 
     #[test]
-    fn small_lengths_of_noise(words in prop::collection::vec(0_u32..40, 0..200)) {
+    fn random_short_lengths_are_frames_or_an_error(words in prop::collection::vec(0_u32..40, 0..200)) {
         let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
         let whole = parse(&mut Parser::new(64), &bytes, &[]);
         let single = parse(&mut Parser::new(64), &bytes, &vec![1; bytes.len()]);
@@ -57,7 +57,7 @@ proptest! {
 }
 
 #[test]
-fn every_single_split_of_two_frames() {
+fn two_frames_are_parsed_at_every_split() {
     let mut bytes = KEEPALIVE.to_vec();
     Side::Client.write(&mut bytes, "/cmd_vel", &[7; 52]);
     Side::Client.write_command(&mut bytes, "__subscribe", &serde_json::json!({"topic": "/tf"}));
@@ -70,7 +70,7 @@ fn every_single_split_of_two_frames() {
 }
 
 #[test]
-fn lengths_are_refused_before_anything_is_allocated() {
+fn a_length_over_the_limit_is_refused_before_allocating() {
     let announce = |name: &[u8], payload: u32| {
         let mut bytes = (name.len() as u32).to_le_bytes().to_vec();
         bytes.extend_from_slice(name);
@@ -92,7 +92,7 @@ fn lengths_are_refused_before_anything_is_allocated() {
 }
 
 #[test]
-fn a_large_frame_is_taken_whole_and_its_memory_given_back() {
+fn a_large_frame_is_parsed_and_its_memory_released() {
     let payload: Vec<u8> = (0..16_000_000_u32).map(|i| (i % 251) as u8).collect();
     let mut bytes = Vec::new();
     Side::Server.write(&mut bytes, "/robot1/map", &payload);

@@ -1,4 +1,4 @@
-//! Codecs: what goes in comes out, golden bytes, and noise.
+//! Messages encode and decode to themselves, to known bytes, and random bytes never panic.
 
 use super::*;
 use crate::cdr::Writer;
@@ -63,7 +63,7 @@ fn transform() -> impl Strategy<Value = TransformStamped> {
 
 proptest! {
     #[test]
-    fn small_messages(twist in twist(), at in stamp(), name in text(), number in any::<i32>(), flag in any::<bool>(),
+    fn small_messages_decode_to_themselves(twist in twist(), at in stamp(), name in text(), number in any::<i32>(), flag in any::<bool>(),
                       data in floats(), before in 0_usize..9) {
         prop_assert_eq!(round(&twist, before), twist);
         let stamped = TwistStamped { stamp: at, frame_id: name.clone(), twist };
@@ -79,7 +79,7 @@ proptest! {
     }
 
     #[test]
-    fn scans(stamp in stamp(), frame_id in text(), v in any::<[i16; 7]>(), ranges in floats(), intensities in floats(),
+    fn scans_decode_to_themselves(stamp in stamp(), frame_id in text(), v in any::<[i16; 7]>(), ranges in floats(), intensities in floats(),
              before in 0_usize..9) {
         let [angle_min, angle_max, angle_increment, time_increment, scan_time, range_min, range_max] = v.map(f32::from);
         let scan = LaserScan { stamp, frame_id, angle_min, angle_max, angle_increment, time_increment, scan_time,
@@ -89,7 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn sticks(stamp in stamp(), frame_id in text(), axes in floats(), buttons in prop::collection::vec(any::<i32>(), 0..20),
+    fn hand_controllers_decode_to_themselves(stamp in stamp(), frame_id in text(), axes in floats(), buttons in prop::collection::vec(any::<i32>(), 0..20),
               (upper, lower) in any::<(bool, bool)>(), before in 0_usize..9) {
         let joy = Joy { stamp, frame_id, axes, buttons };
         prop_assert_eq!(&round(&joy, before), &joy);
@@ -99,14 +99,14 @@ proptest! {
     }
 
     #[test]
-    fn trees(transforms in prop::collection::vec(transform(), 0..5), before in 0_usize..9) {
+    fn transforms_decode_to_themselves(transforms in prop::collection::vec(transform(), 0..5), before in 0_usize..9) {
         let message = TfMessage { transforms };
         prop_assert_eq!(&round(&message, before), &message);
         survives_cuts(&message);
     }
 
     #[test]
-    fn odometries(stamp in stamp(), frame_id in text(), child_frame_id in text(), space in space(), twist in twist()) {
+    fn odometry_decodes_to_itself(stamp in stamp(), frame_id in text(), child_frame_id in text(), space in space(), twist in twist()) {
         let (position, orientation) = space;
         let message = Odometry { stamp, frame_id, child_frame_id, position, orientation, twist };
         prop_assert_eq!(&round(&message, 3), &message);
@@ -114,7 +114,7 @@ proptest! {
     }
 
     #[test]
-    fn grids(stamp in stamp(), frame_id in text(), width in 0_u32..20, height in 0_u32..20, space in space(), seed in any::<i8>()) {
+    fn grids_decode_to_themselves(stamp in stamp(), frame_id in text(), width in 0_u32..20, height in 0_u32..20, space in space(), seed in any::<i8>()) {
         let (position, orientation) = space;
         let data = (0..width * height).map(|i| seed.wrapping_add(i as i8)).collect();
         let message = OccupancyGrid { stamp, frame_id, resolution: 0.05, width, height, position, orientation, data };
@@ -123,7 +123,7 @@ proptest! {
     }
 
     #[test]
-    fn noise(mut bytes in prop::collection::vec(any::<u8>(), 0..400), small in any::<bool>()) {
+    fn random_bytes_decode_or_are_an_error(mut bytes in prop::collection::vec(any::<u8>(), 0..400), small in any::<bool>()) {
         if small {
             // Short lengths get further into a message than random ones.
             bytes.iter_mut().skip(4).for_each(|byte| *byte = if *byte < 200 { 0 } else { *byte % 8 });
@@ -162,7 +162,7 @@ fn header(stamp: i64) -> Header {
 
 /// Lengths as rclpy and Fast DDS have them for the same content.
 #[test]
-fn golden_lengths() {
+fn messages_have_the_lengths_of_fast_cdr() {
     let length = |fill: &dyn Fn(&mut Writer<'_>)| {
         let mut out = Vec::new();
         fill(&mut Writer::new(&mut out));
@@ -179,7 +179,7 @@ fn golden_lengths() {
 }
 
 #[test]
-fn golden_bytes_of_a_transform() {
+fn a_transform_has_the_known_bytes() {
     let transform = TransformStamped {
         stamp: Stamp(1_000_000_002),
         frame_id: "map".into(),
@@ -200,7 +200,7 @@ fn golden_bytes_of_a_transform() {
 }
 
 #[test]
-fn a_scan_keeps_its_meaning() {
+fn a_scan_is_encoded_field_by_field() {
     let mut scan = msg::Scan::zeroed();
     scan.header = header(-1);
     scan.len = 3;
@@ -217,7 +217,7 @@ fn a_scan_keeps_its_meaning() {
 }
 
 #[test]
-fn the_tree_is_named_and_whole() {
+fn all_transforms_have_their_frame_names() {
     let names = FrameNames::new(NameStyle::Flat);
     let mut links = Transforms { header: header(7), len: 3, ..Default::default() };
     let link = |parent: u32, child: u32| LinkTransform { parent, child, ..Default::default() };
@@ -256,7 +256,7 @@ fn the_tree_is_named_and_whole() {
 }
 
 #[test]
-fn odometry_keeps_its_meaning() {
+fn odometry_is_encoded_field_by_field() {
     let about = msg::Odometry {
         header: header(11),
         odom_from_base: Pose2::new(1.0, -2.0, 0.0),
@@ -272,7 +272,7 @@ fn odometry_keeps_its_meaning() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_by_name() {
+fn the_error_names_the_invalid_field() {
     let mut out = Vec::new();
     encode(&Twist { linear: [0.1, 0.0, 0.0], angular: [0.0, 0.0, f64::NAN] }, &mut out);
     let error = decode::<Twist>(&out).unwrap_err().to_string();

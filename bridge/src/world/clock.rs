@@ -145,7 +145,7 @@ pub struct SourceClock {
     bound: LowerBound,
     /// The bound's height as applied to stamps.
     applied: f64,
-    /// When the clock was first heard, or found to be set anew.
+    /// When the clock was first used, or found to be set anew.
     since: f64,
     /// Whole seconds in a row that were far above the bound.
     far_seconds: u32,

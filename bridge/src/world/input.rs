@@ -1,4 +1,4 @@
-//! The external world as a part of the bridge: tells its sources apart and converts their time.
+//! The external world as a part of the bridge: it keeps a clock for each source and converts their time.
 
 use super::{ClockEstimate, ClockOffset, ExternalWorld, Incoming, SourceClock, SourceId, WorldError};
 use msg::{Monotonic, Stamp};

@@ -78,8 +78,8 @@ fn the_same_refusal_is_counted_each_time_and_reported_once() {
         for _ in 0..20 {
             client.send("/cmd_vel", &twist(f64::INFINITY, 0.0)).await;
         }
-        let (told, _) = client.settle().await;
-        assert!((1..=2).contains(&told.len()), "{}", told.len());
+        let (received, _) = client.settle().await;
+        assert!((1..=2).contains(&received.len()), "{}", received.len());
         assert_eq!(served.bridge.counters().refused, 20);
     });
 }

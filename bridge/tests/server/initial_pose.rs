@@ -71,10 +71,10 @@ fn a_pose_in_the_merged_map_is_the_selected_robots_if_its_map_transform_is_known
         let mut person = person(served).await;
         person.send("/initialpose", &message("map")).await;
         assert!(person.error().await.contains("not known yet"));
-        let mut anchors = MapTransforms::default();
-        anchors.robots[0] =
+        let mut map_transforms = MapTransforms::default();
+        map_transforms.robots[0] =
             MapTransform { map_from_robot_map: Pose2::new(1.0, 0.0, 0.0), known: 1, ..Default::default() };
-        served.bridge.publish(FleetMessage::MapTransforms(&anchors));
+        served.bridge.publish(FleetMessage::MapTransforms(&map_transforms));
         person.send("/initialpose", &message("/map")).await;
         person.settle().await;
         let requests = requests.borrow();

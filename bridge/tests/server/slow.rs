@@ -129,7 +129,7 @@ fn a_client_that_reads_no_replies_is_disconnected() {
             rest = if taken == rest.len() { &many } else { &rest[taken..] };
             witness.settle().await;
         }
-        assert_eq!(served.bridge.counters().refused, 0, "its frames were sound");
+        assert_eq!(served.bridge.counters().refused, 0, "its frames were valid");
         witness.settle().await;
     });
 }

@@ -130,10 +130,10 @@ fn a_late_subscriber_gets_the_newest_map_once() {
 #[test]
 fn a_late_subscriber_gets_the_map_transforms() {
     with_bridge(Default::default(), async |served| {
-        let mut anchors = MapTransforms::default();
-        anchors.robots[0] =
+        let mut map_transforms = MapTransforms::default();
+        map_transforms.robots[0] =
             MapTransform { map_from_robot_map: Pose2::new(2.0, 0.0, 0.0), known: 1, reserved: 0 };
-        served.bridge.publish(FleetMessage::MapTransforms(&anchors));
+        served.bridge.publish(FleetMessage::MapTransforms(&map_transforms));
         served.bridge.publish(FleetMessage::Clock(&msg::Clock { header: header(77) }));
         let mut client = Client::connect(served.address).await;
         client.subscribe("/tf", TfMessage::TYPE).await;
@@ -193,9 +193,9 @@ fn a_topic_is_removed_with_its_last_subscriber_and_publisher() {
         client.subscribe("/chat", Text::TYPE).await;
         client.publish("/chat", Text::TYPE).await;
         client.register(name::REMOVE_SUBSCRIBER, "/chat", "").await;
-        client.send("/chat", &Text("nobody hears".into())).await;
-        let (heard, list) = client.settle().await;
-        assert!(heard.is_empty() && list.topics.contains(&"/chat".to_owned()));
+        client.send("/chat", &Text("no subscriber".into())).await;
+        let (received, list) = client.settle().await;
+        assert!(received.is_empty() && list.topics.contains(&"/chat".to_owned()));
         client.register(name::REMOVE_PUBLISHER, "/chat", "").await;
         let (_, list) = client.settle().await;
         assert!(!list.topics.contains(&"/chat".to_owned()));

@@ -54,6 +54,8 @@ pub struct FleetSummary {
     pub map_height: u32,
     /// Number of solutions of the fleet's pose graph.
     pub solutions: u64,
+    /// Number of times that the graph could not be solved; the estimate then stayed what it was.
+    pub failed_solutions: u64,
     /// Duration from reading to the merged map, seconds.
     pub wall_s: f64,
     /// Duration of merging, seconds.
@@ -72,7 +74,7 @@ pub struct RobotSummary {
     /// Pose of the robot's map in the merged map, at the robot's last place: x m, y m, yaw rad.
     pub map_from_robot_map: Option<[f64; 3]>,
     /// Whether its map was redrawn from its submaps because no rigid transform fits all of it.
-    pub straightened: bool,
+    pub redrawn: bool,
     /// Number of submaps.
     pub submaps: usize,
     /// Figures of its own SLAM.
@@ -226,7 +228,7 @@ impl Merged {
         self.update_max_ms = self.update_max_ms.max(1e3 * spent_s);
     }
 
-    /// Draws the merged map of every robot that has a place, straightened where necessary.
+    /// Draws the merged map of every robot that has a place, redrawn where necessary.
     fn map(&self, config: &MergeConfig, robots: &mut [Robot<'_>]) -> Grid {
         let anchors: Vec<_> = robots.iter().map(|robot| self.fleet.map_from_robot_map(robot.id)).collect();
         let mut merger = Merger::new(config, &anchors);
@@ -251,7 +253,7 @@ impl Merged {
             RobotSummary {
                 merged: place.is_some(),
                 map_from_robot_map: place.map(|p| [p.x_m, p.y_m, p.yaw_rad]),
-                straightened: self.fleet.redrawn_map(robot.id).is_some(),
+                redrawn: self.fleet.redrawn_map(robot.id).is_some(),
                 submaps: robot.submaps.len(),
                 slam: robot.summary,
             }
@@ -262,6 +264,7 @@ impl Merged {
             map_width: map.header.width,
             map_height: map.header.height,
             solutions: self.fleet.solve_count(),
+            failed_solutions: self.fleet.failed_solve_count(),
             wall_s: began.elapsed().as_secs_f64(),
             merge_s: self.merge_s,
             task_max_ms: self.task_max_ms,
@@ -329,18 +332,19 @@ impl FleetSummary {
                 Some([x, y, yaw]) => format!("x {x:.3} m, y {y:.3} m, {:.2} degrees", yaw.to_degrees()),
                 None => "not merged".into(),
             };
-            let bent = if robot.straightened { ", straightened" } else { "" };
+            let bent = if robot.redrawn { ", redrawn" } else { "" };
             let RobotSummary { slam, submaps, .. } = robot;
             text += &format!("{}: {} scans, {submaps} submaps, {place}{bent}\n", slam.log, slam.scans);
         }
         text += &edge_table(&self.edges);
         text + &format!(
-            "merged map {} x {} cells; {:.2} s, merging {:.2} s ({} solutions; longest task {:.0} ms, update {:.2} ms)\n",
+            "merged map {} x {} cells; {:.2} s, merging {:.2} s ({} solutions, {} failed; longest task {:.0} ms, update {:.2} ms)\n",
             self.map_width,
             self.map_height,
             self.wall_s,
             self.merge_s,
             self.solutions,
+            self.failed_solutions,
             self.task_max_ms,
             self.update_max_ms
         )

@@ -71,7 +71,7 @@ impl Autosave {
         self.due = after(now, pause.max(outcome.took * SAVING_SHARE_MAX));
         let why = outcome.result.as_ref().err();
         if let Some(why) = why.filter(|why| self.reported.as_ref() != Some(why)) {
-            eprintln!("slam: not saved: {why}; tried again later");
+            tracing::warn!("slam: the session is not saved: {why}; it is tried again later");
         }
         self.changed |= why.is_some();
         self.reported = why.cloned();

@@ -77,7 +77,7 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
         if let Err(std::sync::mpsc::SendError(BackEndInput::File(outcome))) = self.outcomes.send(outcome)
             && let Err(why) = outcome.result
         {
-            eprintln!("slam: {why}");
+            tracing::warn!("slam: {why}");
         }
     }
 

@@ -69,12 +69,12 @@ fn maps_are_compared_once_their_transforms_are_known() {
     for number in 1..=3 {
         telemetry.add_map(robot(number), house().view(), Monotonic(0));
     }
-    telemetry.map_transforms(&map_transforms(2));
+    telemetry.update_map_transforms(&map_transforms(2));
     telemetry.update_merged_map(house().view(), Monotonic(0));
     let stats = *telemetry.compute_stats(Stamp(0), Monotonic(0));
     assert_eq!((stats.robot_count, stats.pair_count), (3, 1));
     assert_eq!((stats.consistency, stats.occupied_f1, stats.room_coverage), (1.0, 1.0, 1.0));
-    telemetry.map_transforms(&map_transforms(3));
+    telemetry.update_map_transforms(&map_transforms(3));
     assert_eq!(telemetry.compute_stats(Stamp(0), Monotonic(0)).pair_count, 3);
 }
 
@@ -87,7 +87,7 @@ fn unknown_robots_and_malformed_maps_change_nothing() {
     telemetry.add_map(robot(1), GridView { header: &map.header, cells: &map.cells[1..] }, Monotonic(0));
     telemetry.update_merged_map(GridView { header: &map.header, cells: &[] }, Monotonic(0));
     telemetry.add_correction(robot(9), &Correction::default(), Monotonic(0));
-    telemetry.process_health(
+    telemetry.add_process_health(
         &ProcessHealth { role: Role::Sim as u32, robot: 5, ..Default::default() },
         Monotonic(0),
     );
