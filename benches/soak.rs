@@ -56,6 +56,26 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let (over, visits) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let clients = [visitor(port, &over, &visits), staller(port, &over), staller(port, &over)];
+    let rows = measure(&mut fleet, minutes, &visits)?;
+    over.store(true, Ordering::Relaxed);
+    clients.into_iter().for_each(|thread| drop(thread.join()));
+
+    let flat = check_growth(&rows);
+    if let Some(path) = value("--json") {
+        let minute = |row: &Minute| json!({ "bridge_mb": row.bridge_mb, "tf": row.tf, "bare": row.floor });
+        let rows = rows.iter().map(minute).collect::<Vec<_>>();
+        std::fs::write(path, serde_json::to_string_pretty(&json!({ "flat": flat, "minutes": rows }))?)?;
+    }
+    drop(fleet);
+    if flat { Ok(()) } else { Err("memory or jitter grew".into()) }
+}
+
+/// Measures minute by minute and prints a table.
+fn measure(
+    fleet: &mut fleet::Fleet,
+    minutes: usize,
+    visits: &AtomicU64,
+) -> Result<Vec<Minute>, Box<dyn Error>> {
     println!(
         "{:>6} {:>10} {:>10} {:>9} {:>9} {:>9} {:>6} {:>9} {:>9} {:>9}",
         "minute", "bridge MB", "others MB", "TF p50", "P95", "P99 ms", "lost", "bare p50", "P95 ms", "visits"
@@ -75,9 +95,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         );
         rows.push(Minute { bridge_mb, tf, floor });
     }
-    over.store(true, Ordering::Relaxed);
-    clients.into_iter().for_each(|thread| drop(thread.join()));
+    Ok(rows)
+}
 
+/// Compares the first third of the minutes with the last, prints the result, and returns whether nothing grew.
+fn check_growth(rows: &[Minute]) -> bool {
     let third = rows.len().div_ceil(3);
     let median = |rows: &[Minute], of: fn(&Minute) -> f64| {
         let mut values = rows.iter().map(of).collect::<Vec<_>>();
@@ -101,13 +123,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         ratio[1],
         if flat { "flat" } else { "NOT FLAT" }
     );
-    if let Some(path) = value("--json") {
-        let minute = |row: &Minute| json!({ "bridge_mb": row.bridge_mb, "tf": row.tf, "bare": row.floor });
-        let rows = rows.iter().map(minute).collect::<Vec<_>>();
-        std::fs::write(path, serde_json::to_string_pretty(&json!({ "flat": flat, "minutes": rows }))?)?;
-    }
-    drop(fleet);
-    if flat { Ok(()) } else { Err("memory or jitter grew".into()) }
+    flat
 }
 
 /// Measurements of one minute.

@@ -39,13 +39,14 @@ struct RobotWatch {
     corrections: Reader<Correction>,
     world_from_base: Option<Pose2>,
     map_from_odom: Option<Pose2>,
+    map_from_base: Option<Pose2>,
 }
 
 impl RobotWatch {
     fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         let (truths, corrections) =
             (node.reader(&channel::truth(robot))?, node.reader(&channel::correction(robot))?);
-        Ok(Self { truths, corrections, world_from_base: None, map_from_odom: None })
+        Ok(Self { truths, corrections, world_from_base: None, map_from_odom: None, map_from_base: None })
     }
 
     fn poll(&mut self) {
@@ -54,6 +55,7 @@ impl RobotWatch {
         }
         if let Some(correction) = self.corrections.newest() {
             self.map_from_odom = Some(correction.map_from_odom);
+            self.map_from_base = Some(correction.map_from_base);
         }
     }
 }
@@ -123,10 +125,14 @@ impl Observer {
 
     /// Returns the pose with which a robot's process is restarted: of the robot in `world` for a simulator, of `odom`
     /// in `robotK/map` for SLAM.
-    pub fn last_seen(&self, role: Role, robot: RobotId) -> Option<Pose2> {
-        let watch = self.robots.get(robot.index())?;
+    pub fn last_seen(&mut self, role: Role, robot: RobotId) -> Option<Pose2> {
+        let watch = self.robots.get_mut(robot.index())?;
         match role {
-            Role::Sim => watch.world_from_base,
+            Role::Sim => {
+                // The new simulator's odometry begins where the robot stands.
+                watch.map_from_odom = watch.map_from_base;
+                watch.world_from_base
+            }
             Role::Slam => watch.map_from_odom,
             _ => None,
         }

@@ -36,7 +36,7 @@ impl Member {
 }
 
 /// What a process that is started again must know of its robot: see `--at`.
-pub type LastSeen<'a> = &'a dyn Fn(Role, RobotId) -> Option<Pose2>;
+pub type LastSeen<'a> = &'a mut dyn FnMut(Role, RobotId) -> Option<Pose2>;
 
 /// The fleet's processes.
 pub struct Supervisor {
@@ -53,7 +53,7 @@ impl Supervisor {
         let member = |(row, robot)| Member { row, robot, policy: RestartPolicy::new(now), child: None };
         let members = processes::of_fleet(&run.config).map(member).collect();
         let mut supervisor = Self { run: run.clone(), listener, members };
-        supervisor.tend(&|_, _| None, &mut |_| {});
+        supervisor.tend(&mut |_, _| None, &mut |_| {});
         match supervisor.members.iter().find(|member| member.child.is_none()) {
             Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
             None => Ok(supervisor),

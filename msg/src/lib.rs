@@ -7,7 +7,7 @@
 //! Units are SI and radians; f32 in measurements, f64 in poses. The modules [`pose`] and [`time`] explain
 //! frames and times. The table in the binary's `channel.rs` lists the writer and the readers of each message.
 //!
-//! A function that needs a map takes a borrowed [`GridView`], whoever owns its cells:
+//! A function that needs a map takes a borrowed [`GridView`], which leaves the ownership of the cells open:
 //!
 //! ```
 //! use msg::{Grid, GridHeader, Pose2};

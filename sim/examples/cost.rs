@@ -1,4 +1,4 @@
-//! Prints what a tick and a scan cost: microseconds, median, 99th percentile, largest.
+//! Prints the time of a tick and of a scan: median, 99th percentile and largest, microseconds.
 //!
 //! `cargo run --release -p sim --example cost -- [ROOM_FILE]...`
 

@@ -1,5 +1,4 @@
-//! Draws a room: its floor plan, and a fleet that drives about in it by a simple rule, as trails and
-//! last scans.
+//! Draws a room's floor plan, and the paths and last scans of a fleet that drives in it by a simple rule.
 //!
 //! `cargo run -p sim --example look -- OUT.png [ROOM_FILE|-] [ROBOTS] [LIDAR] [SECONDS]`
 
@@ -9,7 +8,7 @@ use msg::{GroundTruth, Pose2, RobotId, Scan, VelocityCommand};
 use sim::{LidarConfig, Room, SimConfig, Simulator};
 
 const RESOLUTION_M: f64 = 0.025;
-/// Pixels along a cell.
+/// Number of pixels along a cell.
 const SCALE: usize = 2;
 const TICKS_PER_SECOND: usize = 100;
 const BLUE: [u8; 3] = [30, 90, 220];
@@ -57,7 +56,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     picture.write(&out)
 }
 
-/// Drives ahead; turns while something is near; backs off from what it touches.
+/// Drives ahead, turns near obstacles, and drives back after a contact.
 struct Driver {
     robot: RobotId,
     simulator: Simulator,
@@ -99,7 +98,7 @@ impl Driver {
         let tick = self.simulator.step();
         self.backing_ticks = self.backing_ticks.saturating_sub(1);
         if tick.truth.contacts > self.truth.contacts {
-            // What it touched, the LiDAR may not see: go elsewhere.
+            // The LiDAR may not see the touched obstacle, so the robot turns away.
             self.backing_ticks = 3 * TICKS_PER_SECOND;
         }
         self.way_m += tick.truth.world_from_base.distance_m(self.truth.world_from_base);
@@ -159,7 +158,7 @@ impl Picture {
         let file = std::fs::File::create(path)?;
         let mut encoder = png::Encoder::new(file, width * SCALE as u32, height * SCALE as u32);
         encoder.set_color(png::ColorType::Rgb);
-        // Pictures begin at the top, grids at the lowest y.
+        // Rows of a picture start at the top, rows of a grid at the lowest y.
         let rows = self.pixels.chunks(width as usize).rev().flat_map(|row| [row; SCALE]);
         let data: Vec<u8> = rows.flatten().flat_map(|pixel| [*pixel; SCALE]).flatten().collect();
         encoder.write_header()?.write_image_data(&data)?;

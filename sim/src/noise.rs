@@ -36,7 +36,19 @@ impl Noise {
     }
 }
 
-/// First number of SplitMix64 (Steele, Lea, Flood 2014), so that neighbouring seeds give unrelated streams.
+/// Mixes the bits of a seed (SplitMix64's first output), so that consecutive seeds give unrelated streams.
 fn mix(seed: u64) -> u64 {
     SplitMix64::seed_from_u64(seed).next_u64()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_are_mixed_as_in_earlier_versions() {
+        // From the reference implementation of SplitMix64 (Vigna 2015).
+        assert_eq!(mix(0), 0xe220_a839_7b1d_cdaf);
+        assert_eq!(mix(1_234_567), 6_457_827_717_110_365_317);
+    }
 }

@@ -1,4 +1,4 @@
-//! Nothing is allocated per scan, and a robot under way keeps its size.
+//! A scan allocates nothing, and a driving robot's memory does not grow.
 
 mod common;
 
@@ -7,8 +7,8 @@ use common::{drive, robot};
 use msg::{GroundTruth, Header, Pose2, Scan};
 use sim::{Room, SimConfig, Simulator};
 
-/// Allocations in one tick. All are rapier's: it collects contacts and islands in short-lived vectors
-/// in every step, and has no way to keep them.
+/// Largest number of allocations in one tick. All are rapier's, which collects contacts and islands in short-lived
+/// vectors in every step.
 const IN_A_TICK_MAX: u64 = 16;
 
 #[test]
@@ -32,7 +32,7 @@ fn scans_allocate_nothing_and_ticks_grow_nothing() {
         }
         allocation_counter::measure(|| simulator.scan_into(&mut scan))
     };
-    // The peer's body, and rapier's buffers for what is near, are made once.
+    // The peer's body and rapier's buffers are allocated once, before the measurement.
     drive_about(1000);
     let mut scanned = None;
     let ticks = allocation_counter::measure(|| scanned = Some(drive_about(1000)));

@@ -1,4 +1,4 @@
-//! The robot drives as it is told, and no further.
+//! The robot follows velocity commands within its limits.
 
 mod common;
 
@@ -7,7 +7,7 @@ use msg::pose::wrap_angle;
 use msg::{Pose2, VelocityCommand};
 use sim::{Room, SimConfig, Simulator};
 
-/// A place in the laboratory with 1 m of free floor ahead and around.
+/// A pose in the laboratory with 1 m of free floor ahead and around.
 const OPEN: Pose2 = Pose2::new(-1.2, -1.7, 0.6);
 
 fn simulator(start: Pose2) -> Simulator {
@@ -15,10 +15,10 @@ fn simulator(start: Pose2) -> Simulator {
 }
 
 #[test]
-fn straight_line() {
+fn a_robot_drives_straight() {
     for speed in [0.15, -0.1, 0.05] {
         let run = Run::of(&mut simulator(OPEN), speed, 0.0, 400);
-        // The first second is for getting up to speed.
+        // In the first second the robot accelerates.
         let way = run.truths[99].world_from_base.between(run.truths[399].world_from_base);
         assert!((way.x_m - speed * 3.0).abs() < 0.002, "{speed}: {way:?}");
         assert!(way.y_m.abs() < 0.002 && way.yaw_rad.abs() < 0.003, "{speed}: {way:?}");
@@ -28,7 +28,7 @@ fn straight_line() {
 }
 
 #[test]
-fn turn_in_place() {
+fn a_robot_turns_in_place() {
     for rate in [1.5, -0.7] {
         let run = Run::of(&mut simulator(OPEN), 0.0, rate, 400);
         assert!((run.turned_rad(100..400) - rate * 3.0).abs() < 0.01, "{rate}");
@@ -38,7 +38,7 @@ fn turn_in_place() {
 }
 
 #[test]
-fn arc_is_a_circle() {
+fn an_arc_is_part_of_a_circle() {
     let run = Run::of(&mut simulator(OPEN), 0.15, 0.75, 1000);
     let radius_m = 0.2;
     // All poses lie on the circle that the last one's normal points to.
@@ -51,7 +51,7 @@ fn arc_is_a_circle() {
 }
 
 #[test]
-fn perfect_odometry_is_the_truth() {
+fn odometry_without_errors_equals_the_ground_truth() {
     let mut simulator = simulator(OPEN);
     for (linear, angular) in [(0.15, 0.0), (0.0, 1.5), (0.1, -0.8), (-0.1, 0.3)] {
         let run = Run::of(&mut simulator, linear, angular, 200);
@@ -67,7 +67,7 @@ fn perfect_odometry_is_the_truth() {
 }
 
 #[test]
-fn noisy_odometry_drifts_and_starts_at_identity() {
+fn odometry_with_errors_starts_at_the_origin_and_drifts() {
     let room = Room::laboratory();
     let mut simulator = Simulator::new(&room, &SimConfig::default(), robot(1), OPEN, 3).unwrap();
     let run = Run::of(&mut simulator, 0.15, 0.75, 3000);
@@ -89,7 +89,7 @@ fn commands_are_clamped() {
 }
 
 #[test]
-fn silence_stops() {
+fn a_robot_without_commands_stops() {
     let mut simulator = simulator(OPEN);
     simulator.command(&drive(0.15, 0.0));
     let truths: Vec<_> = (0..100).map(|_| simulator.step().truth).collect();
@@ -100,7 +100,7 @@ fn silence_stops() {
 }
 
 #[test]
-fn nonsense_is_refused_and_counted() {
+fn commands_that_are_not_finite_are_refused_and_counted() {
     let mut simulator = simulator(OPEN);
     simulator.command(&drive(0.1, 0.0));
     for (linear, angular) in [(f64::NAN, 0.0), (0.0, f64::INFINITY), (f64::NEG_INFINITY, f64::NAN)] {
@@ -116,8 +116,8 @@ fn nonsense_is_refused_and_counted() {
 }
 
 #[test]
-fn a_wall_stops() {
-    // Ahead is the west wall's face at x = -4.
+fn a_wall_stops_the_robot() {
+    // The face of the west wall is ahead at x = -4.
     let start = Pose2::new(-3.5, -0.3, core::f64::consts::PI);
     let mut simulator = simulator(start);
     let run = Run::of(&mut simulator, 0.15, 0.0, 1500);
@@ -126,16 +126,16 @@ fn a_wall_stops() {
     assert!((end.world_from_base.x_m - (-4.0 + 0.038)).abs() < 0.01, "{end:?}");
     assert!(end.linear_m_s.abs() < 0.01);
     assert_eq!(end.contacts, 1, "one touch that lasts");
-    // The motors stall: the robot neither climbs the wall nor grinds on the spot.
+    // The motors stall: the robot neither climbs the wall nor turns its wheels.
     let odometry = run.odometry.last().unwrap();
     assert!((odometry.odom_from_base.x_m - 0.462).abs() < 0.01, "{odometry:?}");
-    // And it gets away again.
+    // The robot can drive away again.
     let run = Run::of(&mut simulator, -0.15, 0.0, 200);
     assert!(run.truths[199].world_from_base.x_m > -3.72);
 }
 
 #[test]
-fn rates_and_phases() {
+fn odometry_and_scans_have_their_rates_and_phases() {
     let room = Room::laboratory();
     for k in [1, 2, 16] {
         let mut simulator = Simulator::new(&room, &quiet(), robot(k), OPEN, 1).unwrap();
@@ -153,7 +153,7 @@ fn rates_and_phases() {
 }
 
 #[test]
-fn joins_a_run_under_way() {
+fn a_simulator_joins_a_running_fleet() {
     let mut simulator = simulator(OPEN);
     simulator.join_at(msg::Stamp(12_345_678_901));
     assert_eq!(simulator.step().stamp.0, 12_350_000_000);

@@ -1,4 +1,4 @@
-//! What the robot sees, and that all of it can be repeated.
+//! Measurements of the LiDAR, the peers that it sees, and their repeatability.
 
 mod common;
 
@@ -33,7 +33,7 @@ fn with(lidar: LidarConfig) -> SimConfig {
 }
 
 #[test]
-fn ranges_are_those_of_geometry() {
+fn ranges_equal_the_distances_to_the_walls() {
     let room = box_room();
     for (_, lidar) in LidarConfig::PRESETS {
         let start = Pose2::new(0.4, -0.3, 0.8);
@@ -52,7 +52,7 @@ fn ranges_are_those_of_geometry() {
 }
 
 #[test]
-fn preset_geometry() {
+fn presets_have_the_beams_of_their_data_sheets() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
     let paper = scan(&mut simulator);
     assert_eq!((paper.len, paper.scan_time_s, paper.time_increment_s), (180, 0.1, 0.0));
@@ -66,7 +66,7 @@ fn preset_geometry() {
 }
 
 #[test]
-fn beyond_range_is_infinite_and_too_near_is_none() {
+fn ranges_beyond_the_limits_follow_rep_117() {
     let near = LidarConfig { range_max_m: 1.0, ..LidarConfig::LDS_01 };
     let mut simulator = Simulator::new(&box_room(), &with(near), robot(1), Pose2::IDENTITY, 1).unwrap();
     assert!(scan(&mut simulator).ranges_m().iter().all(|range| *range == f32::INFINITY));
@@ -78,7 +78,7 @@ fn beyond_range_is_infinite_and_too_near_is_none() {
 }
 
 #[test]
-fn noise_has_the_configured_size() {
+fn noise_has_the_configured_standard_deviation() {
     let noise = NoiseConfig { range_std_m: 0.02, dropout_probability: 0.1, ..NoiseConfig::OFF };
     let config = SimConfig { noise, ..with(LidarConfig { beams: 4096, ..LidarConfig::LDS_01 }) };
     let clean = with(config.lidar);
@@ -101,7 +101,7 @@ fn noise_has_the_configured_size() {
 }
 
 #[test]
-fn scan_writes_everything_but_what_the_channel_owns() {
+fn a_scan_sets_every_field_except_those_of_the_channel() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
     simulator.step();
     let mut dirty = Box::new(Scan::zeroed());
@@ -113,7 +113,7 @@ fn scan_writes_everything_but_what_the_channel_owns() {
     assert!(bytemuck::bytes_of(&*dirty) == bytemuck::bytes_of(&*clean));
 }
 
-/// Everything a robot says in 10 s of driving about, as bytes.
+/// Records all messages of a robot in 10 s of driving, as bytes.
 fn record(seed: u64, robot: RobotId) -> Vec<u8> {
     let room = Room::laboratory();
     let mut simulator = Simulator::new(&room, &SimConfig::default(), robot, OPEN, seed).unwrap();
@@ -132,7 +132,7 @@ fn record(seed: u64, robot: RobotId) -> Vec<u8> {
 }
 
 #[test]
-fn a_seed_repeats_to_the_byte() {
+fn the_same_seed_gives_the_same_bytes() {
     let first = record(7, robot(1));
     assert!(first == record(7, robot(1)));
     assert!(first != record(8, robot(1)));
@@ -140,7 +140,7 @@ fn a_seed_repeats_to_the_byte() {
 }
 
 #[test]
-fn transforms_are_the_turtlebots() {
+fn transforms_equal_those_of_the_turtlebot3() {
     let mut config = quiet();
     config.noise.heading = sim::Heading::Wheels;
     let mut simulator = Simulator::new(&box_room(), &config, robot(1), Pose2::IDENTITY, 1).unwrap();
@@ -189,7 +189,7 @@ fn truth(simulator: &Simulator, world_from_base: Pose2, linear_m_s: f64) -> Grou
 }
 
 #[test]
-fn peers_are_seen_and_vanish_when_silent() {
+fn a_peer_is_seen_until_it_is_silent() {
     let room = box_room();
     let mut simulator =
         Simulator::new(&room, &with(LidarConfig::LDS_01), robot(1), Pose2::IDENTITY, 1).unwrap();
@@ -217,7 +217,7 @@ fn peers_are_seen_and_vanish_when_silent() {
 }
 
 #[test]
-fn peers_are_bumped_into() {
+fn a_robot_collides_with_a_peer() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
     let mut last = GroundTruth::default();
     for _ in 0..1000 {
@@ -232,13 +232,13 @@ fn peers_are_bumped_into() {
 }
 
 #[test]
-fn a_moving_peer_pushes() {
+fn a_moving_peer_pushes_the_robot() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
     let mut last = GroundTruth::default();
     let mut peer = truth(&simulator, Pose2::new(-0.6, 0.0, 0.0), 0.15);
     for tick in 0..600 {
         let x_m = -0.6 + 0.0015 * f64::from(tick);
-        // Heard at 20 Hz: in between its motion is carried on.
+        // Its messages come at 20 Hz. In between its motion is extrapolated.
         if tick % 5 == 0 {
             peer = truth(&simulator, Pose2::new(x_m, 0.0, 0.0), 0.15);
             simulator.update_peer(robot(2), &peer);
@@ -251,7 +251,7 @@ fn a_moving_peer_pushes() {
 }
 
 #[test]
-fn impossible_peers_are_refused() {
+fn invalid_messages_of_peers_are_refused() {
     let mut simulator = Simulator::new(&box_room(), &quiet(), robot(1), Pose2::IDENTITY, 1).unwrap();
     let sound = truth(&simulator, Pose2::new(1.0, 0.0, 0.0), 0.0);
     simulator.update_peer(robot(1), &sound);
@@ -263,9 +263,9 @@ fn impossible_peers_are_refused() {
     assert_eq!(simulator.refused(), 4);
 }
 
-/// A peer that jumps onto the robot, over and over, from everywhere, and flings it about.
+/// A peer jumps onto the robot again and again from all directions.
 #[test]
-fn abuse_yields_no_nan() {
+fn a_jumping_peer_never_makes_the_pose_nan() {
     let mut simulator =
         Simulator::new(&box_room(), &SimConfig::default(), robot(1), Pose2::IDENTITY, 1).unwrap();
     for k in 0..2000 {

@@ -1,96 +1,75 @@
 //! The back end: node by node it builds the pose graph, links scans that see the same surfaces,
-//! looks for places seen before, solves, and draws. It runs beside the scan path, on any thread;
-//! what comes out depends on the nodes alone.
+//! searches for places seen before, solves, and draws. It may run on any thread: the result depends
+//! on the nodes alone.
 //!
-//! `links` has how a node is linked with older ones, `pieces` those that hang on nothing. What it does with a map
-//! it has is its mode's business (`modes`); `keep` has what is kept in a session, `undo` what people may take
-//! back, `forget` what a map that is to last forgets.
+//! `links` links a node with older ones, `components` handles those that nothing connects, `loop_closer` remembers
+//! what to search for. `modes` decides what a node is used for; `state` is what a session keeps, `undo` what people
+//! take back, `lifelong` what a lasting map removes.
 
-mod forget;
-mod keep;
+mod components;
+mod lifelong;
 mod links;
+mod loop_closer;
 mod modes;
-mod pieces;
+mod node_numbers;
+mod robot_location;
+mod state;
 mod undo;
 
-pub use keep::BackEndState;
+pub use loop_closer::RejectedClosure;
 pub use modes::InitialPose;
-pub use undo::{ClosureReport, RejectedClosure};
+pub use state::BackEndState;
+pub use undo::ClosureReport;
 
-use crate::closure::{ClosureCandidate, ClosureDetector, ClosureSearch, ClosureSearchCounts, GraphView};
+use crate::closure::{ClosureCandidate, ClosureSearch, ClosureSearchCounts, GraphView};
 use crate::config::SlamConfig;
-use crate::front_end::TrajectorySample;
 use crate::graph::{EdgeKind, Graph, RelativeUncertainty};
 use crate::localizer::{Localizer, LocalizerCounts};
 use crate::mapper::OccupancyMapper;
 use crate::node::{Node, Revision};
-use crate::relocalize::{RelocalizationCounts, Relocalizer};
+use crate::relocalize::RelocalizationCounts;
 use crate::stages::{Stage, StageObserver};
-use modes::Anchor;
-use msg::{GridView, Header, Monotonic, Pose2, SlamMode, TileMap};
+use lifelong::Lifelong;
+use loop_closer::LoopCloser;
+use msg::{GridView, Header, Monotonic, Pose2, TileMap};
 use nalgebra::{Matrix3, Vector3};
+use node_numbers::NodeNumbers;
 use posegraph::information_from_sigmas;
-use std::collections::VecDeque;
+use robot_location::RobotLocation;
 
-/// Nodes up to so many before and after a closure are linked again.
+/// Nodes this many before and after a closure are linked again: 3 m, where they now overlap.
 const RELINK_NODES: u32 = 10;
-/// Nodes not found that are remembered, to be looked for again after a closure.
-const NOT_FOUND_MAX: usize = 256;
-/// Nodes that the last word looks for again.
+/// Searches that `finish` makes at most: a few seconds.
 const LAST_SEARCHES_MAX: usize = 64;
-/// An odometry edge that scans contradict, one standard deviation: metres and radians.
-const TORN_M: f64 = 100.0;
-const TORN_RAD: f64 = 3.0;
-/// Nothing is known along it.
-const TORN_VARIANCE: [f64; 2] = [TORN_M * TORN_M, TORN_RAD * TORN_RAD];
+/// Without odometry, the front end's own motion is this many times as uncertain as odometry would be.
+const UNMEASURED_FACTOR: f64 = 5.0;
+/// Standard deviations of an odometry break, metres and radians: weaker than any measurement.
+const BREAK_M: f64 = 100.0;
+const BREAK_RAD: f64 = 3.0;
+/// Variances of the same for the propagation of uncertainty, m² and rad².
+const BREAK_VARIANCE: [f64; 2] = [BREAK_M * BREAK_M, BREAK_RAD * BREAK_RAD];
 
-/// See the module.
+/// The back end of one robot's SLAM; see the module.
 pub struct BackEnd {
     config: SlamConfig,
+    /// The nodes, by id; their poses are the graph's.
     nodes: Vec<Node>,
     graph: Graph,
-    detector: ClosureDetector,
+    closer: LoopCloser,
+    location: RobotLocation,
+    lifelong: Lifelong,
+    numbers: NodeNumbers,
     mapper: OccupancyMapper,
-    travelled_m: f64,
-    /// Nodes looked for and not found since the last closure,
-    not_found: VecDeque<u32>,
-    /// and those from before it, to be looked for once more.
-    again: VecDeque<u32>,
-    /// Nodes with links to older parts of the map since the last solution.
-    unsolved: usize,
-    closures: u32,
-    solutions: u64,
-    retracted: u64,
-    mode: SlamMode,
-    /// Scans of earlier scan paths, by this graph's own numbers.
-    earlier: Vec<TrajectorySample>,
-    /// The scan path's number of each node.
-    front_ids: Vec<u32>,
-    /// The scan path's number of the newest node, kept or not.
-    newest_front: u32,
-    /// While it is not known where the robot is.
-    relocalizer: Option<Relocalizer>,
-    relocalization: RelocalizationCounts,
-    /// While the newest node's piece is not tied to the map.
-    component_relocalizer: Option<Relocalizer>,
-    /// The newest node that odometry alone joins to the ones before.
+    /// The newest node that odometry alone connects with the nodes before: whether that is right is not yet verified.
     unverified_edge: Option<u32>,
-    /// The newest node is the one that found it.
-    just_found: bool,
-    /// Where the next node is, if it does not follow from the one before.
-    anchor: Option<Anchor>,
-    /// In localization, instead of a growing graph.
-    localizer: Option<Localizer>,
-    /// Closures that were undone.
-    rejected_closures: Vec<RejectedClosure>,
-    /// How often each node was contradicted.
-    contradicted: Vec<u8>,
-    retired: u64,
-    retiring: Vec<u32>,
+    /// Nodes linked to older parts of the map since the last solution.
+    unsolved: usize,
+    /// Solutions of the whole graph so far.
+    solutions: u64,
     stages: Box<dyn StageObserver>,
 }
 
-/// What the back end has done.
+/// Counts of what the back end has done.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BackEndCounts {
     /// Nodes in the graph.
@@ -107,163 +86,150 @@ pub struct BackEndCounts {
     pub not_drawn: u64,
     /// How closure searches ended.
     pub searches: ClosureSearchCounts,
-    /// How searches for the robot ended.
+    /// Counts of relocalization searches.
     pub relocalization: RelocalizationCounts,
     /// Localization: which nodes fitted the map.
     pub localized: LocalizerCounts,
-    /// Nodes forgotten.
+    /// Nodes removed in lifelong mode.
     pub retired: u64,
-    /// Nodes that are not tied to the map.
+    /// Nodes of disconnected components.
     pub disconnected: usize,
 }
 
 impl BackEnd {
-    /// Without nodes.
+    /// A back end without nodes.
     pub fn new(config: SlamConfig) -> Self {
         Self {
             nodes: Vec::new(),
             graph: Graph::new(config.graph.clone()),
-            detector: ClosureDetector::new(config.clone()),
+            closer: LoopCloser::new(config.clone()),
+            location: RobotLocation::new(),
+            lifelong: Lifelong::default(),
+            numbers: NodeNumbers::default(),
             mapper: OccupancyMapper::new(config.map.clone()),
-            travelled_m: 0.0,
-            not_found: VecDeque::with_capacity(NOT_FOUND_MAX),
-            again: VecDeque::with_capacity(NOT_FOUND_MAX),
-            unsolved: 0,
-            closures: 0,
-            solutions: 0,
-            retracted: 0,
-            mode: SlamMode::Mapping,
-            earlier: Vec::new(),
-            front_ids: Vec::new(),
-            newest_front: 0,
-            relocalizer: None,
-            component_relocalizer: None,
             unverified_edge: None,
-            relocalization: RelocalizationCounts::default(),
-            just_found: false,
-            anchor: None,
-            localizer: None,
-            rejected_closures: Vec::new(),
-            contradicted: Vec::new(),
-            retired: 0,
-            retiring: Vec::new(),
+            unsolved: 0,
+            solutions: 0,
             stages: Box::new(()),
             config,
         }
     }
 
-    /// From now on this watch hears of every stage.
+    /// Reports every stage of the work to this observer from now on.
     pub fn observe_stages(&mut self, observer: Box<dyn StageObserver>) {
         self.stages = observer;
     }
 
-    /// Takes the next node, and does with it what the mode wants.
+    /// Adds the next node of the front end, as the mode wants it: locates the robot with it, or grows the map.
     pub fn add_node(&mut self, node: Node) -> Revision {
         let node = node.kept();
-        self.newest_front = node.id;
-        self.take(node);
+        self.numbers.newest_front = node.id;
+        self.process_node(node);
         self.stages.stage_started(Stage::Idle);
         self.revision()
     }
 
-    /// The map grows by a node: place it, link it, look for a closure, solve if that is due.
-    fn extend(&mut self, node: Node) {
+    /// Grows the map by a node.
+    fn grow_map(&mut self, node: Node) {
         let id = self.nodes.len() as u32;
         if id as usize >= self.config.graph.nodes_max {
             return;
         }
+        // Append the node where the front end has it, with odometry's edge.
         self.stages.stage_started(Stage::Link);
-        self.place(node);
+        self.append_node(node);
+        // Link it with the nodes just before, and with others near by whose relative pose is well known.
         self.link_sequential(id);
         let relative = self.uncertainty_from(id);
         let linked = self.link_near(id, &relative);
+        self.unsolved += usize::from(linked > 0);
+        // Verify an odometry edge that no scan has confirmed.
         self.check_unverified_edge(id, &relative);
         let disconnected = !self.newest_in_map();
-        self.unsolved += usize::from(linked > 0);
-        if self.detector.due(self.travelled_m) {
-            self.search(id, &relative);
+        // Search for a place seen before; between two searches, retry a node that was not found.
+        if self.closer.is_search_due() {
+            self.search_closure(id, &relative);
         } else {
-            self.search_again();
+            self.retry_closure();
         }
+        // Solve the graph when enough of it is new.
         if self.unsolved as f64 > self.config.graph.new_share * self.nodes.len() as f64 {
             self.solve(false);
         }
+        // Search the whole map for a component that nothing connects with it.
         if disconnected {
             self.stages.stage_started(Stage::Closure);
             self.relocalize_component(id);
             self.update_components();
-            self.just_found = self.newest_in_map();
+            self.location.just_located = self.newest_in_map();
         }
     }
 
-    /// The last word: looks again where nothing was found, solves with all that is known.
+    /// Finishes: searches again for nodes that were not found, and solves with all that is known.
     pub fn finish(&mut self) {
         self.solve(false);
         let mut left = LAST_SEARCHES_MAX;
-        while left > 0 && self.search_again() {
+        while left > 0 && self.retry_closure() {
             left -= 1;
         }
         self.solve(false);
         self.stages.stage_started(Stage::Idle);
     }
 
-    /// Looks for a node among places seen before. Where nothing was found, a better map may help:
-    /// the node is noted, to be tried once more after the next closure.
-    fn search(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> bool {
+    /// Searches for a node among places seen before. A node that is not found is tried once more after
+    /// the next closure.
+    fn search_closure(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> bool {
         self.stages.stage_started(Stage::Closure);
         let view = GraphView { nodes: &self.nodes, graph: &self.graph };
-        match self.detector.search(&view, id, relative, self.travelled_m) {
+        match self.closer.detector.search(&view, id, relative, self.closer.travelled_m) {
             ClosureSearch::NoCandidate => return false,
             ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {
-                if self.not_found.len() == NOT_FOUND_MAX {
-                    self.not_found.pop_front();
-                }
-                self.not_found.push_back(id);
+                self.closer.record_not_found(id);
             }
-            ClosureSearch::Accepted(finds) => self.close(&finds),
+            ClosureSearch::Accepted(closures) => self.add_closures(&closures),
         }
         true
     }
 
-    /// Tries one node once more that was not found before the last closure; false if there is none.
-    fn search_again(&mut self) -> bool {
-        while let Some(id) = self.again.pop_front() {
+    /// Searches once more for a node that was not found before the last closure; false if there is none.
+    fn retry_closure(&mut self) -> bool {
+        while let Some(id) = self.closer.again.pop_front() {
             self.stages.stage_started(Stage::Link);
             let relative = self.uncertainty_from(id);
             self.unsolved += usize::from(self.link_near(id, &relative) > 0);
             self.stages.stage_started(Stage::Closure);
             let view = GraphView { nodes: &self.nodes, graph: &self.graph };
-            match self.detector.search(&view, id, &relative, self.travelled_m) {
+            match self.closer.detector.search(&view, id, &relative, self.closer.travelled_m) {
                 ClosureSearch::NoCandidate => continue,
                 ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {}
-                ClosureSearch::Accepted(finds) => self.close(&finds),
+                ClosureSearch::Accepted(closures) => self.add_closures(&closures),
             }
             return true;
         }
         false
     }
 
-    /// What has been done.
+    /// Counts of what has been done.
     pub fn counts(&self) -> BackEndCounts {
         let count = |kind| self.graph.edges().iter().filter(|e| e.in_force && e.kind == kind).count();
         BackEndCounts {
             nodes: self.nodes.len(),
             links: count(EdgeKind::Link),
             closures: count(EdgeKind::Closure),
-            retracted: self.retracted,
+            retracted: self.closer.retracted,
             solutions: self.solutions,
             not_drawn: self.mapper.clipped(),
-            searches: self.detector.counts(),
-            relocalization: self.relocalizer.as_ref().map_or(self.relocalization, Relocalizer::counts),
-            localized: self.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
-            retired: self.retired,
+            searches: self.closer.detector.counts(),
+            relocalization: self.location.relocalization_counts(),
+            localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
+            retired: self.lifelong.retired,
             disconnected: self.nodes.iter().filter(|node| node.disconnected.is_some()).count(),
         }
     }
 
-    /// Nodes forgotten so far; the others then have new numbers.
+    /// Nodes removed so far; the others then have new numbers.
     pub fn retired(&self) -> u64 {
-        self.retired
+        self.lifelong.retired
     }
 
     /// The pose graph.
@@ -305,11 +271,11 @@ impl BackEnd {
 
     /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or
     /// where it was put down.
-    fn place(&mut self, mut node: Node) {
-        self.front_ids.push(node.id);
-        self.contradicted.push(0);
+    fn append_node(&mut self, mut node: Node) {
+        self.numbers.front_ids.push(node.id);
+        self.lifelong.contradicted.push(0);
         node.id = self.nodes.len() as u32;
-        if let Some(anchor) = self.anchor.take() {
+        if let Some(anchor) = self.location.next_pose.take() {
             return self.add_anchored_node(node, anchor);
         }
         let Some(previous) = self.nodes.last() else {
@@ -320,13 +286,13 @@ impl BackEnd {
         let moved = previous.local_from_base.between(node.local_from_base);
         let (a, b) = (previous.id, node.id);
         let map_from_node = self.graph.poses()[a as usize] * moved;
-        self.travelled_m += moved.x_m.hypot(moved.y_m);
+        self.closer.travelled_m += moved.x_m.hypot(moved.y_m);
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
         let (kind, information) = if node.odometry_break {
-            self.detector.tear();
-            self.component_relocalizer = None;
-            (EdgeKind::OdometryBreak, information_from_sigmas(TORN_M, TORN_RAD))
+            self.closer.detector.tear();
+            self.location.component_relocalizer = None;
+            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
         } else {
             let known = node.previous_from_this.is_some();
             (EdgeKind::Odometry, self.odometry_information(measured, known))
@@ -339,56 +305,52 @@ impl BackEnd {
     fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
         let c = &self.config.odometry;
         let (way, turn) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
-        let doubt = if measured { 1.0 } else { 5.0 };
+        let doubt = if measured { 1.0 } else { UNMEASURED_FACTOR };
         let m = doubt * (c.sigma_m + c.sigma_m_per_m * way);
         let rad = doubt * (c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way);
         Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
     }
 
-    /// Brings believed finds into the graph, solves, and links the newest nodes to what they now see.
-    fn close(&mut self, finds: &[ClosureCandidate]) {
-        let finds: Vec<ClosureCandidate> =
-            finds.iter().filter(|find| !self.is_rejected(find)).copied().collect();
-        if finds.is_empty() {
+    /// Adds accepted closures to the graph, solves, and links the nodes around them.
+    fn add_closures(&mut self, closures: &[ClosureCandidate]) {
+        let closures: Vec<ClosureCandidate> =
+            closures.iter().filter(|closure| !self.closer.is_rejected(closure)).copied().collect();
+        if closures.is_empty() {
             return;
         }
-        self.align_components(&finds[finds.len() - 1]);
-        for find in &finds {
-            let information = self.floored(find.information);
-            let (a, b) = (find.candidate, find.node);
-            let drift = self.drift(find.candidate_from_node);
-            self.graph.add_edge([a, b], find.candidate_from_node, information, EdgeKind::Closure, drift);
+        self.align_components(&closures[closures.len() - 1]);
+        for closure in &closures {
+            let information = self.limited(closure.information);
+            let (a, b) = (closure.candidate, closure.node);
+            let drift = self.drift(closure.candidate_from_node);
+            self.graph.add_edge([a, b], closure.candidate_from_node, information, EdgeKind::Closure, drift);
             let newest = self.graph.edges().len() - 1;
-            self.graph.edge_mut(newest).response = find.response;
+            self.graph.edge_mut(newest).response = closure.response;
         }
         self.solve(true);
         self.stages.stage_started(Stage::Link);
-        for id in self.around(&finds) {
+        for id in self.nodes_around(&closures) {
             let relative = self.uncertainty_from(id);
             self.link_near(id, &relative);
         }
-        while let Some(id) = self.not_found.pop_front() {
-            if self.again.len() < NOT_FOUND_MAX {
-                self.again.push_back(id);
-            }
-        }
+        self.closer.retry_not_found();
         self.solve(false);
     }
 
     /// Nodes around both ends of closures, without doubles, in order.
-    fn around(&self, finds: &[ClosureCandidate]) -> Vec<u32> {
+    fn nodes_around(&self, closures: &[ClosureCandidate]) -> Vec<u32> {
         let newest = self.nodes.len() as u32 - 1;
         let span = |id: u32| id.saturating_sub(RELINK_NODES)..=(id + RELINK_NODES).min(newest);
-        let mut ids: Vec<u32> = finds.iter().flat_map(|f| span(f.node)).collect();
+        let mut ids: Vec<u32> = closures.iter().flat_map(|f| span(f.node)).collect();
         ids.sort_unstable();
         ids.dedup();
         ids
     }
 
-    fn solve(&mut self, shock: bool) {
+    fn solve(&mut self, graduated: bool) {
         self.stages.stage_started(Stage::Solve);
         // After an error the poses are what they were: the map stays as it is.
-        let _ = self.graph.solve(shock);
+        let _ = self.graph.solve(graduated);
         self.solutions += 1;
         self.unsolved = 0;
         self.retract_contradicted();
@@ -405,15 +367,15 @@ impl BackEnd {
             .collect();
         for &index in &contradicted {
             self.graph.edge_mut(index).in_force = false;
-            self.retracted += 1;
+            self.closer.retracted += 1;
         }
         self.count_closures();
     }
 
-    /// After edges came into force or no longer are.
+    /// Updates components and the number of closures, after edges changed.
     fn count_closures(&mut self) {
         self.update_components();
         let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
-        self.closures = self.graph.edges().iter().filter(in_force).count() as u32;
+        self.closer.in_force = self.graph.edges().iter().filter(in_force).count() as u32;
     }
 }

@@ -1,4 +1,4 @@
-//! A clock that was set back. One stamp that goes back, or a stamp again and again, is a mistake of
+//! Detects a clock that was set back. One stamp that goes back, or a stamp again and again, is a mistake of
 //! its sender; stamps that have gone back and then go on, one after the other, are a new time.
 
 use msg::Stamp;

@@ -1,8 +1,9 @@
-//! Places seen before: which to try, how to look for them, and what a find must stand up to.
+//! Loop-closure detection: which places seen before are tried, how they are searched for, and what a
+//! candidate must pass.
 //!
-//! A find is believed when (1) its response is high, (2) no other place in the window comes near
+//! A candidate is accepted when (1) its response is high, (2) no other place in the window comes near
 //! it, (3) the scans of both passes do not contradict each other (no surface where the other saw
-//! through), and (4) finds from different places on the way agree with each other (pairwise
+//! through), and (4) candidates from different places on the path agree with each other (pairwise
 //! consistency, Olson 2009, "Recognizing places using spectrally clustered local matches").
 
 use crate::align::{Alignment, Reference, align};
@@ -15,48 +16,48 @@ use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 use std::collections::VecDeque;
 
-/// Finds that wait for a witness.
+/// Candidates that wait for confirmation; beyond them the oldest is dropped.
 const PENDING_MAX: usize = 64;
-/// A find waits for witnesses over so many nodes.
+/// A candidate waits for confirmation over this many nodes: about 12 m.
 const PENDING_NODES: u32 = 40;
-/// Half side of the field searched in, metres.
+/// Half side of the field that is searched, metres: the chain of nodes around a candidate and its view.
 const REACH_M: f32 = 20.0;
-/// References and query nodes that take part in alignment and contradiction tests.
+/// Scans of each pass that are aligned and compared: the nearest ones; more add time and no certainty.
 pub(crate) const COMPARED_SCANS: usize = 6;
-/// Nodes before the newest that are looked for with it, at least.
+/// Least number of nodes before the newest that are searched for with it.
 const QUERY_NODES_MIN: u32 = 5;
-/// Candidate passes tried in one search.
+/// Passes tried in one search: a second one where two lie near by.
 const TRIES: usize = 2;
-/// Nodes must be this far apart in the graph's order to be a place seen before.
+/// Nodes nearer to each other in order than this are linked, not searched for.
 const AGO_NODES: u32 = 12;
 
-/// A node found from a later one.
+/// A place seen before that a later node was found at.
 #[derive(Clone, Copy, Debug)]
 pub struct ClosureCandidate {
     /// The later node.
     pub node: u32,
-    /// The place seen before.
+    /// The earlier node.
     pub candidate: u32,
-    /// The later node as seen from it.
+    /// Pose of the later node in the frame of the earlier one, as measured.
     pub candidate_from_node: Pose2,
-    /// Inverse covariance in the candidate's frame.
+    /// Inverse covariance in the frame of the earlier node, 1/m² and 1/rad².
     pub information: Matrix3<f64>,
-    /// Mean field value under its points, 0 to 1.
+    /// Mean field value under the later node's points, 0 to 1.
     pub response: f32,
 }
 
-/// A detector's memory, to be kept.
+/// State of a detector, kept in a session.
 #[derive(Clone, Debug, Default)]
 pub struct ClosureDetectorState {
-    /// Finds that wait for a witness.
+    /// Candidates that wait for confirmation.
     pub pending: Vec<ClosureCandidate>,
     /// How searches ended.
     pub counts: ClosureSearchCounts,
-    /// The way at the last search, metres.
+    /// Length of the path at the last search, metres.
     pub last_search_m: Option<f64>,
 }
 
-/// How searches ended.
+/// Counts of closure searches by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct ClosureSearchCounts {
     /// Searches made.
@@ -67,16 +68,16 @@ pub struct ClosureSearchCounts {
     pub ambiguous: u64,
     /// Too little found a surface, or too much was contradicted.
     pub contradicted: u64,
-    /// Finds that waited for a witness in vain.
+    /// Candidates that were never confirmed.
     pub unconfirmed: u64,
-    /// Finds believed.
+    /// Candidates accepted.
     pub accepted: u64,
 }
 
 /// A node and its pose in some other node's frame.
 pub(crate) type Placed<'a> = (&'a Node, Pose2);
 
-/// What a search looks at.
+/// The nodes and poses that a search reads.
 pub struct GraphView<'a> {
     /// All nodes, by id.
     pub nodes: &'a [Node],
@@ -90,7 +91,7 @@ impl<'a> GraphView<'a> {
         (&self.nodes[id as usize], poses[from as usize].between(poses[id as usize]))
     }
 
-    /// Nodes before and after `middle` in its piece, each side up to `half_m` of way and `half_nodes`:
+    /// Nodes before and after `middle` in its component, each side up to `half_m` of path and `half_nodes`:
     /// first and last.
     fn pass(&self, middle: u32, half_m: f64, half_nodes: u32) -> (u32, u32) {
         let poses = self.graph.poses();
@@ -113,19 +114,19 @@ impl<'a> GraphView<'a> {
     }
 }
 
-/// How a search ended.
+/// Result of a closure search.
 pub enum ClosureSearch {
     /// No place seen before can be here, or it is known already.
     NoCandidate,
-    /// Looked for and not found.
+    /// Searched for in vain.
     NotFound,
-    /// Found, but not yet believed.
+    /// Found, but not confirmed by another search yet.
     Unconfirmed,
-    /// Found and believed, with its witnesses.
+    /// Found and confirmed: this candidate and those that agree with it.
     Accepted(Vec<ClosureCandidate>),
 }
 
-/// See the module.
+/// Searches for places seen before; see the module.
 pub struct ClosureDetector {
     config: SlamConfig,
     field: LikelihoodField,
@@ -136,7 +137,7 @@ pub struct ClosureDetector {
 }
 
 impl ClosureDetector {
-    /// Nothing found yet.
+    /// A detector that has found nothing yet.
     pub fn new(config: SlamConfig) -> Self {
         let t = &config.tracking;
         Self {
@@ -149,25 +150,25 @@ impl ClosureDetector {
         }
     }
 
-    /// Goes on from another detector's memory.
+    /// A detector that continues from this state.
     pub fn resume(config: SlamConfig, state: ClosureDetectorState) -> Self {
         let ClosureDetectorState { pending, counts, last_search_m } = state;
         Self { pending: pending.into(), counts, last_search_m, ..Self::new(config) }
     }
 
-    /// Its memory.
+    /// The state to be kept in a session.
     pub fn state(&self) -> ClosureDetectorState {
         let pending = self.pending.iter().copied().collect();
         ClosureDetectorState { pending, counts: self.counts, last_search_m: self.last_search_m }
     }
 
-    /// The next node does not follow from the ones before: finds wait for no witness any more.
+    /// Drops unconfirmed candidates: the next node does not follow from the ones before.
     pub fn tear(&mut self) {
         self.counts.unconfirmed += self.pending.len() as u64;
         self.pending.clear();
     }
 
-    /// Nodes got other numbers; finds of nodes that are gone are forgotten.
+    /// Renumbers nodes; candidates of nodes that are gone are dropped.
     pub fn renumber(&mut self, number: &dyn Fn(u32) -> Option<u32>) {
         self.pending.retain_mut(|find| match (number(find.node), number(find.candidate)) {
             (Some(node), Some(candidate)) => ((find.node, find.candidate) = (node, candidate), true).1,
@@ -175,19 +176,19 @@ impl ClosureDetector {
         });
     }
 
-    /// How searches ended.
+    /// Counts of searches by how they ended.
     pub fn counts(&self) -> ClosureSearchCounts {
         self.counts
     }
 
-    /// Whether the newest node should be looked for, after `travelled_m` of way.
+    /// Whether the newest node should be searched for, after `travelled_m` of path.
     pub fn due(&self, travelled_m: f64) -> bool {
         let far = self.last_search_m.is_none_or(|at| travelled_m - at >= self.config.closures.travel_m);
         self.config.closures.enabled && far
     }
 
-    /// Looks for a node among places seen before (or since); `relative` says how well every node is
-    /// known as seen from it. Returns the finds that are believed now.
+    /// Searches for a node among other places; `relative` is the uncertainty of every node as seen
+    /// from it.
     pub fn search(
         &mut self,
         view: &GraphView<'_>,
@@ -205,7 +206,7 @@ impl ClosureDetector {
             self.counts.searches += 1;
             let window = self.window(view.graph, relative[candidate as usize], candidate, node);
             if let Some(find) = self.try_candidate(view, window, candidate, node) {
-                let accepted = self.witnesses(view.graph, find);
+                let accepted = self.confirm(view.graph, find);
                 return if accepted.is_empty() {
                     ClosureSearch::Unconfirmed
                 } else {
@@ -223,7 +224,7 @@ impl ClosureDetector {
     }
 
     /// Nearest nodes of up to [`TRIES`] earlier passes that may be here, given what is known.
-    /// A piece that is adrift may be anywhere: it is not to be found by looking around where it is not.
+    /// Only nodes of the same component count: a disconnected one may be anywhere.
     fn candidates(
         &self,
         view: &GraphView<'_>,
@@ -279,7 +280,7 @@ impl ClosureDetector {
         let query = self.query(view, node);
         let chain = self.chain(view, candidate, &query);
         let peak = self.correlate(&query, &window)?;
-        let fit = self.settle(&chain, &query, peak)?;
+        let fit = self.verify(&chain, &query, peak)?;
         let (candidate_from_node, information) = (fit.frame_from_cloud, fit.information);
         Some(ClosureCandidate {
             node,
@@ -366,7 +367,7 @@ impl ClosureDetector {
     }
 
     /// Aligns the newest scan at the peak and asks the scans of both passes whether they agree.
-    fn settle(&mut self, chain: &[Placed<'_>], query: &[Placed<'_>], peak: SearchPeak) -> Option<Alignment> {
+    fn verify(&mut self, chain: &[Placed<'_>], query: &[Placed<'_>], peak: SearchPeak) -> Option<Alignment> {
         let c = &self.config.closures;
         let mut near: Vec<&Placed<'_>> = chain.iter().collect();
         let away = |p: &Pose2| p.distance_m(peak.pose) + wrap_angle(p.yaw_rad - peak.pose.yaw_rad).abs();
@@ -386,8 +387,8 @@ impl ClosureDetector {
         Some(fit)
     }
 
-    /// Finds that agree with this one, and this one, if they are enough; else it waits.
-    fn witnesses(&mut self, graph: &Graph, find: ClosureCandidate) -> Vec<ClosureCandidate> {
+    /// The candidates that agree with this one, and this one, if they are enough; else it waits.
+    fn confirm(&mut self, graph: &Graph, find: ClosureCandidate) -> Vec<ClosureCandidate> {
         let c = &self.config.closures;
         let agrees = |other: &ClosureCandidate| {
             let poses = graph.poses();

@@ -33,7 +33,8 @@ use std::sync::Arc;
 const NOT_LOCATED_M: f64 = 100.0;
 const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
 
-/// How many scans went which way.
+/// Counts of scans by what became of them.
+// One counter per outcome: more than a dozen fields, all alike.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrontEndCounts {
     /// Scans that got a pose.
@@ -52,9 +53,9 @@ pub struct FrontEndCounts {
     pub lost: u64,
     /// Odometry messages that were no numbers or not newer than the last.
     pub odometry_rejected: u64,
-    /// Times that scans contradicted the map so clearly that the robot must be elsewhere.
+    /// Times that scans contradicted the map so clearly that the robot must be elsewhere: odometry breaks.
     pub odometry_breaks: u64,
-    /// Scans that contradicted odometry so clearly that they were believed alone.
+    /// Scans that contradicted odometry so clearly that they alone determined the pose.
     pub slips: u64,
     /// Poses not remembered because the trajectory was full.
     pub trajectory_dropped: u64,
@@ -81,25 +82,25 @@ pub struct ScanResult {
     pub node_id: Option<u32>,
 }
 
-/// An accepted scan rides on the newest node.
+/// Pose of an accepted scan relative to the newest node, with which it moves when the graph is solved.
 #[derive(Clone, Copy, Debug)]
 pub struct TrajectorySample {
-    /// The scan's.
+    /// Stamp of the scan.
     pub stamp: Stamp,
-    /// Which node.
+    /// The front end's number of the node.
     pub node: u32,
-    /// The robot as seen from its node.
+    /// Pose of the robot in the frame of the node.
     pub node_from_base: Pose2,
 }
 
-/// The scan before.
+/// The last accepted scan.
 #[derive(Clone, Copy, Debug)]
 pub struct LastScan {
-    /// Its stamp.
+    /// Stamp of the scan.
     pub stamp: Stamp,
     /// The robot's pose.
     pub local_from_base: Pose2,
-    /// Odometry's, if it was known.
+    /// Pose by odometry, if it was known.
     pub odom_from_base: Option<Pose2>,
     /// Motion over the last interval, and its length in seconds, for logs without odometry.
     pub motion: Option<(Pose2, f64)>,

@@ -11,7 +11,7 @@ use posegraph::{Kernel, SolveError, SolverOptions, Summary};
 /// any search window leaves open.
 pub(crate) const UNOBSERVED: f64 = 1e-2;
 
-/// Where a measurement comes from.
+/// Origin of an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EdgeKind {
     /// Odometry between a node and the next.
@@ -26,14 +26,14 @@ pub enum EdgeKind {
     OdometryBreak,
 }
 
-/// A measured relative pose.
+/// A measured relative pose between two nodes.
 #[derive(Clone, Copy, Debug)]
 pub struct Edge {
-    /// The node it is seen from.
+    /// The node that the measurement is made from.
     pub a: u32,
-    /// The node that is seen.
+    /// The node that is measured.
     pub b: u32,
-    /// The measurement.
+    /// Pose of `b` in the frame of `a`, as measured.
     pub a_from_b: Pose2,
     /// Its inverse covariance over (x, y, yaw) in `a`.
     pub information: Matrix3<f64>,
@@ -60,7 +60,7 @@ impl Edge {
     }
 }
 
-/// How well a node is known as seen from another one.
+/// Uncertainty of a node's pose as seen from another one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelativeUncertainty {
     /// Variance of the position, m².
@@ -69,7 +69,7 @@ pub struct RelativeUncertainty {
     pub heading: f64,
 }
 
-/// See the module.
+/// The pose graph of one robot; see the module.
 pub struct Graph {
     config: GraphConfig,
     poses: Vec<Pose2>,
@@ -79,12 +79,12 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// Without nodes.
+    /// A graph without nodes.
     pub fn new(config: GraphConfig) -> Self {
         Self { config, poses: Vec::new(), edges: Vec::new(), around: Vec::new() }
     }
 
-    /// With these nodes, and edges between them.
+    /// A graph of these nodes and edges.
     pub fn from_parts(config: GraphConfig, poses: Vec<Pose2>, edges: Vec<Edge>) -> Self {
         let mut around = vec![Vec::new(); poses.len()];
         for (index, edge) in edges.iter().enumerate() {
@@ -94,12 +94,12 @@ impl Graph {
         Self { config, poses, edges, around }
     }
 
-    /// The map from each node.
+    /// Pose of each node in the map, by id.
     pub fn poses(&self) -> &[Pose2] {
         &self.poses
     }
 
-    /// All edges.
+    /// All edges, in force or not.
     pub fn edges(&self) -> &[Edge] {
         &self.edges
     }

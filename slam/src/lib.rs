@@ -4,10 +4,10 @@
 //!   scan, odometry                                     map
 //!        │                                              ▲
 //!        ▼            Node ───────────────▶             │
-//!  Front (scan path)                        Back (beside it: links, closures, solver, mapper)
+//!  FrontEnd (in bounded time)               BackEnd (links, closures, solver, map)
 //!        │            ◀─────────────── Revision
 //!        ▼
-//!   Step: correction, covariance, state
+//!   ScanResult: correction, covariance, state
 //! ```
 //!
 //! [`FrontEnd`] answers every scan in bounded time and never waits for [`BackEnd`]. Both are plain values
@@ -56,7 +56,30 @@ use std::collections::VecDeque;
 /// Nodes that wait for [`Slam::work`]; when they are more, [`Slam::process`] does the work itself.
 const WAITING_MAX: usize = NODES_IN_FLIGHT_MAX - 2;
 
-/// One robot's SLAM on one thread: the scan path and, when asked to, the work beside it.
+/// One robot's SLAM on one thread: a front end, and a back end that runs when asked to.
+///
+/// ```
+/// use msg::{Pose2, Scan, Stamp};
+/// use slam::{Slam, SlamConfig};
+///
+/// let mut slam = Slam::new(SlamConfig::default());
+/// // A robot stands in the middle of a square room of 4 m and turns a LiDAR of 1°.
+/// let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+/// (scan.range_min_m, scan.range_max_m, scan.len) = (0.1, 10.0, 360);
+/// scan.angle_increment_rad = 1_f32.to_radians();
+/// for beam in 0..360 {
+///     let (sin, cos) = scan.angle_rad(beam).sin_cos();
+///     scan.ranges_m[beam] = 2.0 / sin.abs().max(cos.abs());
+/// }
+/// for tick in 1..=3 {
+///     scan.header.stamp = Stamp::from_seconds(0.1 * f64::from(tick));
+///     let result = slam.process(&scan);
+///     assert!(result.correction.map_from_base.distance_m(Pose2::IDENTITY) < 0.01);
+/// }
+/// slam.finish();
+/// assert_eq!(slam.trajectory().count(), 3);
+/// assert!(slam.map().header.width >= 80);
+/// ```
 pub struct Slam {
     front: FrontEnd,
     back: BackEnd,
@@ -70,19 +93,19 @@ impl Slam {
         Self { front: FrontEnd::new(config.clone()), back: BackEnd::new(config), waiting }
     }
 
-    /// Goes on with what was kept, or begins in a mode.
+    /// SLAM that continues a session, or begins a map in a mode.
     pub fn begin(config: SlamConfig, session: Option<Session>, mode: SlamMode, start: InitialPose) -> Self {
         let (front, back) = begin(config, session, mode, start);
         Self { front, back, waiting: VecDeque::with_capacity(WAITING_MAX) }
     }
 
-    /// All that must be kept to go on later, after working off what waits.
+    /// A session to continue from later, after the waiting nodes were processed.
     pub fn session(&mut self, identity: Identity) -> Session {
         self.work();
         self.back.session(identity, Some(self.front.state()), self.front.samples())
     }
 
-    /// Takes one odometry message.
+    /// Adds one odometry message.
     pub fn add_odometry(&mut self, odometry: &Odometry) {
         self.front.add_odometry(odometry);
     }
@@ -110,7 +133,7 @@ impl Slam {
         count
     }
 
-    /// Works off all that waits and solves with all that is known.
+    /// Processes all waiting nodes and solves with all that is known.
     pub fn finish(&mut self) {
         self.work();
         self.back.finish();
@@ -132,22 +155,22 @@ impl Slam {
         trajectory(&self.front, &self.back)
     }
 
-    /// How many scans went which way.
+    /// Counts of scans by what became of them.
     pub fn counts(&self) -> FrontEndCounts {
         self.front.counts()
     }
 
-    /// What the work beside the scan path has done.
+    /// Counts of what the back end has done.
     pub fn back_counts(&self) -> BackEndCounts {
         self.back.counts()
     }
 
-    /// The work beside the scan path.
+    /// The back end.
     pub fn back(&self) -> &BackEnd {
         &self.back
     }
 
-    /// The same, to undo closures.
+    /// The back end, for changes such as undoing closures.
     pub fn back_mut(&mut self) -> &mut BackEnd {
         &mut self.back
     }
@@ -158,12 +181,12 @@ impl Slam {
     }
 }
 
-/// Every accepted scan's stamp and `map_from_base`: scans between nodes ride on their node.
+/// Every accepted scan's stamp and `map_from_base`: scans between nodes move with their node.
 pub fn trajectory<'a>(front: &'a FrontEnd, back: &'a BackEnd) -> impl Iterator<Item = (Stamp, Pose2)> + 'a {
     back.trajectory(front.samples())
 }
 
-/// A scan path and a back end that begin a map, or go on with one that was kept.
+/// A front end and a back end that begin a map, or continue one of a session.
 pub fn begin(
     config: SlamConfig,
     session: Option<Session>,

@@ -1,4 +1,4 @@
-//! A robot in a map that stays as it is: its newest nodes are aligned with the map's, and a small
+//! Localization in a map that stays as it is: its newest nodes are aligned with the map's, and a small
 //! graph of those few nodes, tied to the map where they fitted it, says where the robot is. What it
 //! needs in memory does not grow.
 
@@ -29,7 +29,7 @@ struct WindowNode {
     measured: Option<(Pose2, Matrix3<f64>)>,
 }
 
-/// See the module.
+/// Tracks the robot in a fixed map; see the module.
 pub struct Localizer {
     config: SlamConfig,
     live: VecDeque<WindowNode>,
@@ -41,8 +41,7 @@ pub struct Localizer {
     strange: u64,
 }
 
-/// Whether the robot is where it is believed to be, after the scan path was lost: it may have been
-/// carried off.
+/// Whether the robot may have been kidnapped, after the front end was lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum Doubt {
     #[default]

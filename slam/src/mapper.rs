@@ -22,7 +22,7 @@ const NODE_CELLS: usize = 64;
 /// Rounding of a point's place in single precision, as a share of its distance from the origin.
 const ROUNDING: f64 = 1e-6;
 
-/// See the module.
+/// Draws the occupancy grid; see the module.
 pub struct OccupancyMapper {
     config: MapConfig,
     map: TileMap,

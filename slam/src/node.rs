@@ -1,4 +1,4 @@
-//! What the scan path hands to the back end, and what comes back: plain values.
+//! Nodes, which the front end gives to the back end, and revisions, which come back: plain values.
 
 use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
@@ -20,21 +20,21 @@ pub struct Node {
     /// Whether the scan fitted the local map; if not, only odometry ties it to the others.
     pub fits: bool,
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
-    /// ties this node to the ones before until its place is found.
+    /// connects this node with the ones before until it is located.
     pub odometry_break: bool,
-    /// The back end's: set while the node is in a piece that is not tied to the map; the piece's first node.
+    /// Set by the back end while the node is in a component disconnected from the map: the component's first node.
     pub disconnected: Option<u32>,
     /// Surfaces, for matching.
     pub cloud: Arc<Cloud>,
     /// Beams, for drawing.
     pub rays: Arc<Rays>,
-    /// What the robot's body has come over since the node before.
+    /// Positions of the robot since the node before.
     pub swept_path: SweptPath,
 }
 
-/// The most places of a way.
+/// The most positions of a swept path; beyond them the oldest is dropped.
 pub const SWEPT_PATH_POSITIONS_MAX: usize = 24;
-/// Between two of them, metres: a body drawn at each of them covers what it came over.
+/// Distance between two positions, metres: a body drawn at each of them covers the path.
 const SWEPT_PATH_STEP_M: f32 = 0.05;
 
 /// Places of the robot between two nodes, wherever it went meanwhile, metres. Of a node: in its `base_footprint`, its own
@@ -53,12 +53,12 @@ impl SweptPath {
         path
     }
 
-    /// The places.
+    /// The positions, oldest first, metres.
     pub fn positions_m(&self) -> &[[f32; 2]] {
         &self.positions_m[..self.len]
     }
 
-    /// The robot is here. Where it was before is not noted again; of too many places, the oldest goes.
+    /// Appends a position, unless one nearby is there already.
     pub(crate) fn push(&mut self, [x, y]: [f32; 2]) {
         if self.positions_m().iter().any(|[u, v]| (x - u).hypot(y - v) < SWEPT_PATH_STEP_M) {
             return;
@@ -71,7 +71,7 @@ impl SweptPath {
         self.len += 1;
     }
 
-    /// As seen from a pose in the same frame, with its own place.
+    /// The path in the frame of a pose, with that pose's own position.
     pub(crate) fn seen_from(mut self, pose: Pose2) -> Self {
         let pose_from_frame = pose.inverse();
         for place in &mut self.positions_m[..self.len] {
@@ -168,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_way_has_each_place_once_and_the_newest_of_too_many() {
+    fn a_swept_path_has_each_position_once_and_keeps_the_newest() {
         let mut way = SweptPath::default();
         // Forth, back, and forth again.
         for k in (0..20).chain((0..20).rev()).chain(0..30) {

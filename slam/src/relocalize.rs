@@ -1,8 +1,7 @@
-//! Looks for a robot in a whole map, without knowing where it is or where it looks.
+//! Relocalization: searches a whole map for a robot whose position and heading are not known.
 //!
-//! Not the best place alone is looked at: all that score nearly as well (`whole_map`) are aligned and asked
-//! whether their scans contradict what the robot sees. One must remain, and a second search from elsewhere must
-//! find the same.
+//! All poses that score nearly as well as the best one (`whole_map`) are aligned and compared with the
+//! scans taken there. One must remain, and a second search from elsewhere must find the same.
 
 mod whole_map;
 
@@ -15,22 +14,21 @@ use msg::{Pose2, pose::wrap_angle};
 use std::collections::VecDeque;
 use whole_map::{Bounds, WholeMap};
 
-/// Points of the query.
+/// Points of the query: the cost of a search is proportional to them.
 const POINTS_MAX: usize = 300;
-/// Nodes that wait for their robot to be found; beyond them the oldest are dropped.
+/// Nodes kept while the robot is not located; beyond them the oldest is dropped.
 const WAITING_MAX: usize = 128;
-/// Places nearer to each other than this are one.
+/// Poses nearer to each other than this are one place, metres and radians.
 const SAME_M: f64 = 0.6;
 const SAME_RAD: f64 = 0.2;
-/// After so many searches in vain the way between two of them is twice as long, after so many more
-/// three times, ...
+/// After this many searches in vain the path between two of them doubles,
 const SEARCHES_OFTEN: f64 = 12.0;
-/// ... up to so many times.
+/// but grows no more than to this multiple.
 const RARELY_MAX: f64 = 2.0;
 /// Searches whose outcome is remembered.
 const PENDING_MAX: usize = 16;
 
-/// Where the scan path's frame lies in the map, as somebody says.
+/// An estimate of where the front end's frame lies in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseEstimate {
     /// The map from the scan path's frame.
@@ -41,7 +39,7 @@ pub struct PoseEstimate {
     pub sigma_rad: f64,
 }
 
-/// How searches for the robot ended.
+/// Counts of relocalization searches by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct RelocalizationCounts {
     /// Searches made.
@@ -54,7 +52,7 @@ pub struct RelocalizationCounts {
     pub ambiguous: u64,
     /// One place remained.
     pub found: u64,
-    /// Robots believed to be found.
+    /// Times that the robot was accepted as located.
     pub accepted: u64,
     /// Nodes dropped while nothing was found.
     pub dropped: u64,
@@ -69,7 +67,7 @@ pub struct Placed<'a> {
     pub poses: &'a [Pose2],
 }
 
-/// A robot that is looked for.
+/// Searches a map for a robot, node by node; see the module.
 pub struct Relocalizer {
     config: SlamConfig,
     whole: WholeMap,
@@ -80,19 +78,19 @@ pub struct Relocalizer {
     way_m: f64,
     searched_m: Option<f64>,
     searched: u32,
-    /// Finds that wait for a witness: the map from the scan path's frame, and the way when found.
+    /// Earlier results: the map from the front end's frame, and the path length at that search, metres.
     pending: VecDeque<(Pose2, f64)>,
     counts: RelocalizationCounts,
 }
 
-/// What a seeker knows after a node.
+/// What relocalization knows after a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RelocalizationOutcome {
     /// Not found yet.
     NotFound,
     /// The map from the scan path's frame.
     Found(Pose2),
-    /// Not found where it should be; the hint is taken for the truth.
+    /// Not found near the estimate, which is accepted as it is.
     HintAccepted(PoseEstimate),
 }
 
@@ -133,8 +131,8 @@ impl Relocalizer {
         core::mem::take(&mut self.waiting)
     }
 
-    /// Looks at one more node.
-    pub fn seek(&mut self, node: Node, map: Placed<'_>) -> RelocalizationOutcome {
+    /// Adds a node, and searches if it is time.
+    pub fn add_node(&mut self, node: Node, map: Placed<'_>) -> RelocalizationOutcome {
         let moved = self
             .waiting
             .back()
@@ -156,13 +154,13 @@ impl Relocalizer {
         }
         self.waiting.push_back(node);
         let r = &self.config.relocalize;
-        // A robot that is long not found is more rarely looked for.
+        // The longer the robot is not found, the rarer the searches.
         let rarely = 1.0 + (self.searched as f64 / SEARCHES_OFTEN).min(RARELY_MAX - 1.0).floor();
         if self.searched_m.is_none_or(|at| self.way_m - at >= rarely * r.travel_m) {
             self.searched += 1;
             self.searched_m = Some(self.way_m);
             if let Some(map_from_local) = self.search(map)
-                && self.witnessed(map_from_local)
+                && self.is_confirmed(map_from_local)
             {
                 self.counts.accepted += 1;
                 return RelocalizationOutcome::Found(map_from_local);
@@ -197,7 +195,7 @@ impl Relocalizer {
         }
         let mut remaining: Vec<Pose2> = Vec::new();
         for place in places {
-            if let Some(pose) = self.settle(map, &merged, &query, place)
+            if let Some(pose) = self.verify(map, &merged, &query, place)
                 && remaining.iter().all(|other| !same(*other, pose))
             {
                 remaining.push(pose);
@@ -237,7 +235,7 @@ impl Relocalizer {
     }
 
     /// Aligns the query at a place and asks the scans taken there whether they agree.
-    fn settle(&self, map: Placed<'_>, merged: &Cloud, query: &[(Node, Pose2)], at: Pose2) -> Option<Pose2> {
+    fn verify(&self, map: Placed<'_>, merged: &Cloud, query: &[(Node, Pose2)], at: Pose2) -> Option<Pose2> {
         let r = &self.config.relocalize;
         let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
             .filter(|&i| map.nodes[i].in_map())
@@ -262,7 +260,7 @@ impl Relocalizer {
     }
 
     /// Whether enough earlier finds, from elsewhere, say the same. With a hint one is enough.
-    fn witnessed(&mut self, map_from_local: Pose2) -> bool {
+    fn is_confirmed(&mut self, map_from_local: Pose2) -> bool {
         let r = &self.config.relocalize;
         let newest = self.waiting.back().map_or(Pose2::IDENTITY, |n| n.local_from_base);
         let here = map_from_local * newest;

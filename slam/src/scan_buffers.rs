@@ -10,12 +10,12 @@ use crate::node::Rays;
 use msg::Scan;
 use std::sync::Arc;
 
-/// Nodes handed over that nobody has let go of yet, at most. While there are so many, scans become
-/// no nodes of the graph. A channel with this room never fills; whoever wants every node, as in
+/// The most nodes that the back end holds and has not copied yet. While there are as many, scans
+/// become no nodes of the graph. A channel with this room never fills; whoever wants every node, as in
 /// a replay, waits while two fewer are under way.
 pub const NODES_IN_FLIGHT_MAX: usize = 66;
 
-/// See the module.
+/// Reuses the memory of clouds and rays; see the module.
 pub struct ScanBufferPool {
     clouds: Vec<Arc<Cloud>>,
     rays: Vec<Arc<Rays>>,

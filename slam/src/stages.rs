@@ -1,25 +1,25 @@
-//! The stages of SLAM's work, told to whoever wants to time them: SLAM itself knows no clock.
+//! Stages of SLAM's work, reported to an observer that may time them: SLAM itself knows no clock.
 
-/// A part of the work, in the order of a scan's way.
+/// A stage of the work, in the order in which a scan passes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Scan path: the scan becomes surfaces.
+    /// Front end: the scan becomes surfaces.
     Cloud,
-    /// Scan path: correlative search in the local map.
+    /// Front end: correlative search in the local map.
     Search,
-    /// Scan path: fine alignment.
+    /// Front end: fine alignment.
     Align,
-    /// Scan path: the scan becomes a node, the local maps grow.
+    /// Front end: the scan becomes a node, the local maps grow.
     Node,
-    /// Beside it: a node is tied to others that see the same surfaces.
+    /// Back end: a node is tied to others that see the same surfaces.
     Link,
-    /// Beside it: places seen before are looked for.
+    /// Back end: places seen before are looked for.
     Closure,
-    /// Beside it: the pose graph is solved.
+    /// Back end: the pose graph is solved.
     Solve,
-    /// Beside it: the map is drawn.
+    /// Back end: the map is drawn.
     Draw,
-    /// Nothing of the above.
+    /// No work.
     Idle,
 }
 
@@ -37,7 +37,7 @@ impl Stage {
         Self::Idle,
     ];
 
-    /// One word for tables.
+    /// Name of the stage, one word for tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cloud => "cloud",
@@ -53,13 +53,13 @@ impl Stage {
     }
 }
 
-/// Hears which stage begins; the one before has then ended.
+/// Receives which stage begins; the one before has then ended.
 pub trait StageObserver: Send {
     /// Called on the thread that does the work.
     fn stage_started(&mut self, stage: Stage);
 }
 
-/// Nobody listens.
+/// Ignores all stages.
 impl StageObserver for () {
     fn stage_started(&mut self, _: Stage) {}
 }

@@ -174,7 +174,7 @@ fn watch(
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
     while !stop.requested() && !over() && hooks.poll() {
-        supervisor.tend(&|role, robot| observer.last_seen(role, robot), &mut |event| {
+        supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut |event| {
             screen.show_event(&event);
             events.push(event);
         });

@@ -1,6 +1,8 @@
 //! `mr-slam lockstep`: a fleet on virtual time, from the command line.
 
 use super::Lockstep;
+use super::faults::FaultPlan;
+use super::invariants::{Checker, quiet_from};
 use crate::command::fleet_args::FleetArgs;
 use crate::command::{Error, output};
 use crate::session_file;
@@ -27,6 +29,9 @@ pub struct LockstepArgs {
     /// Folder for the maps, and the robots' sessions
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
+    /// Draw faults from this seed, and check what must hold whatever goes wrong
+    #[arg(long, value_name = "SEED")]
+    pub faults: Option<u64>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
@@ -38,7 +43,13 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     if config.world.is_outside() {
         return Err("lockstep simulates its own world; expected world = \"simulator\"".into());
     }
-    let mut fleet = Lockstep::new(&config, !args.in_turn)?;
+    let faults =
+        args.faults.map_or_else(FaultPlan::none, |seed| FaultPlan::draw(seed, quiet_from(args.seconds)));
+    if args.faults.is_some() {
+        eprintln!("{faults:?}");
+    }
+    let mut fleet = Lockstep::with_faults(&config, !args.in_turn, faults)?;
+    let mut checker = Checker::new(&config)?;
     let mut hash = Sha256::new();
     let begun = Instant::now();
     for second in 0..args.seconds {
@@ -46,6 +57,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
             fleet.tick(&mut |channel, message| {
                 hash.update(channel);
                 hash.update(message);
+                checker.receive(channel, message);
             });
         }
         if second % 10 == 9 {
@@ -71,5 +83,11 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let view = FleetView::new(fleet.stats());
     let report = serde_json::json!({ "sha256": hash, "times_real_time": faster, "fleet": view });
     let text = || format!("{}{faster:.0} times real time; SHA-256 of all messages {hash}\n", view.table());
-    Ok(output::print_either(args.json, &report, text)?)
+    output::print_either(args.json, &report, text)?;
+    let violations = if args.faults.is_some() { checker.finish(&fleet) } else { Vec::new() };
+    if violations.is_empty() {
+        Ok(())
+    } else {
+        Err(format!("did not hold: {}", violations.join("; ")).into())
+    }
 }

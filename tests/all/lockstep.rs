@@ -3,7 +3,7 @@
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::view::FleetView;
-use msg::{Odometry, Scan};
+use msg::{Correction, Odometry, Scan};
 use std::collections::BTreeMap;
 
 /// Every message a fleet says in so many seconds, by channel.
@@ -56,6 +56,10 @@ fn a_recording_replays_to_the_same_corrections() {
     let mut odometry = odometry.map(bytemuck::pod_read_unaligned::<Odometry>).peekable();
     let mut slam = slam::Slam::new(config.slam.clone());
     let mut replayed = Vec::new();
+    // The channel's numbers are not SLAM's.
+    let first: Correction =
+        bytemuck::pod_read_unaligned(&said["robot1/correction"][..size_of::<Correction>()]);
+    let incarnation = first.header.incarnation;
     for (seq, scan) in said["robot1/scan"].chunks_exact(size_of::<Scan>()).enumerate() {
         let scan: Box<Scan> = Box::new(bytemuck::pod_read_unaligned(scan));
         while let Some(odometry) = odometry.next_if(|odometry| odometry.header.stamp <= scan.header.stamp) {
@@ -64,6 +68,7 @@ fn a_recording_replays_to_the_same_corrections() {
         let mut correction = slam.process(&scan).correction;
         slam.work();
         (correction.header.seq, correction.header.sent.0) = (seq as u64, correction.header.stamp.0 as u64);
+        correction.header.incarnation = incarnation;
         replayed.extend_from_slice(bytemuck::bytes_of(&correction));
     }
     assert!(said["robot1/correction"] == replayed, "the recording replays to other corrections");

@@ -205,7 +205,7 @@ fn on_all_ways(robot_radius_m: f64) -> Vec<usize> {
             }
         });
         if ticks.is_multiple_of(500) {
-            let (_, map) = fleet.maps().find(|(name, _)| name == "merged_map").unwrap();
+            let (_, map) = fleet.maps().find(|(name, _)| *name == "merged_map").unwrap();
             let here = places.iter().map(|point| under(map, *point, ROBOT_RADIUS_M - POSE_M));
             obstacles.push(here.sum());
         }

@@ -1,4 +1,4 @@
-//! What the tests share.
+//! Helpers of all tests.
 #![allow(dead_code)]
 
 use bytemuck::Zeroable;
@@ -11,7 +11,7 @@ pub fn robot(number: usize) -> RobotId {
     RobotId::new(number).unwrap()
 }
 
-/// Perfect sensors.
+/// Configuration without sensor errors.
 pub fn quiet() -> SimConfig {
     SimConfig { noise: NoiseConfig::OFF, ..SimConfig::default() }
 }
@@ -26,7 +26,7 @@ pub fn scan(simulator: &mut Simulator) -> Box<Scan> {
     scan
 }
 
-/// What a simulator said while it was told the same again and again.
+/// Messages of a simulator that receives the same command repeatedly.
 pub struct Run {
     pub truths: Vec<GroundTruth>,
     pub odometry: Vec<Odometry>,

@@ -98,7 +98,7 @@ impl BackEnd {
         if !agreement.is_sound(l.agreement_min) {
             return false;
         }
-        let information = self.floored(fit.information_for_links(l));
+        let information = self.limited(fit.information_for_links(l));
         let drift = self.drift(fit.frame_from_cloud);
         self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::Link, drift);
         true
@@ -114,7 +114,7 @@ impl BackEnd {
     }
 
     /// Information that claims no more than the floor allows, and nothing where nothing was seen.
-    pub(super) fn floored(&self, information: Matrix3<f64>) -> Matrix3<f64> {
+    pub(super) fn limited(&self, information: Matrix3<f64>) -> Matrix3<f64> {
         let l = &self.config.links;
         limit_information(information, [l.floor_m, l.floor_rad], UNOBSERVED)
     }

@@ -1,4 +1,4 @@
-//! What becomes of a node: looked for in the map, held against it, or added to it.
+//! What becomes of a node by mode: it relocalizes the robot, localizes it in a fixed map, or grows the map.
 
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
@@ -12,31 +12,23 @@ use crate::session::{Identity, Session};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
 
-/// A robot that was found is known this well: links to what it sees may then be sought.
+/// Standard deviations of a robot that was located, metres and radians: small enough for links by alignment alone.
 pub(super) const FOUND_M: f64 = 0.08;
 pub(super) const FOUND_RAD: f64 = 0.03;
-
-/// Where a node is that does not follow from the one before.
-#[derive(Clone, Copy, Debug)]
-pub struct Anchor {
-    map_from_local: Pose2,
-    sigma_m: f64,
-    sigma_rad: f64,
-}
 
 /// Where the robot is when a map is loaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum InitialPose {
-    /// The scan path goes on where it was: the next node follows from the newest.
+    /// The front end continues where it was: the next node follows from the newest one.
     Continue,
     /// Near this estimate.
     Near(PoseEstimate),
-    /// To be found out.
+    /// Not known: the whole map is searched.
     Unknown,
 }
 
 impl BackEnd {
-    /// Goes on with a map that was kept.
+    /// A back end that continues with the map of a session.
     pub fn resume(
         config: SlamConfig,
         state: BackEndState,
@@ -46,18 +38,19 @@ impl BackEnd {
     ) -> Self {
         let mut back = Self::new(config.clone());
         back.graph = Graph::from_parts(config.graph.clone(), state.poses, state.edges);
-        back.detector = ClosureDetector::resume(config, state.detector);
-        back.earlier = samples;
-        back.contradicted = vec![0; state.nodes.len()];
+        back.closer.detector = ClosureDetector::resume(config, state.detector);
+        back.numbers.earlier = samples;
+        back.lifelong.contradicted = vec![0; state.nodes.len()];
         back.unverified_edge = state.unverified_edge;
-        back.newest_front = state.front_ids.last().copied().unwrap_or(0);
-        (back.nodes, back.front_ids) = (state.nodes, state.front_ids);
+        back.numbers.newest_front = state.front_ids.last().copied().unwrap_or(0);
+        (back.nodes, back.numbers.front_ids) = (state.nodes, state.front_ids);
         back.update_components();
         back.mapper.restore(&back.nodes, &state.drawn);
-        (back.not_found, back.again) = (state.not_found.into(), state.again.into());
-        (back.travelled_m, back.unsolved, back.rejected_closures) =
+        (back.closer.not_found, back.closer.again) = (state.not_found.into(), state.again.into());
+        (back.closer.travelled_m, back.unsolved, back.closer.rejected_closures) =
             (state.travelled_m, state.unsolved, state.rejected_closures);
-        (back.solutions, back.retracted, back.retired) = (state.solutions, state.retracted, state.retired);
+        (back.solutions, back.closer.retracted, back.lifelong.retired) =
+            (state.solutions, state.retracted, state.retired);
         back.count_closures();
         back.set_mode(mode);
         match start {
@@ -68,105 +61,103 @@ impl BackEnd {
         back
     }
 
-    /// How it was configured.
+    /// The configuration.
     pub fn config(&self) -> &SlamConfig {
         &self.config
     }
 
-    /// What is done with the map from now on.
+    /// The mode: mapping, localization or lifelong mapping.
     pub fn mode(&self) -> SlamMode {
-        self.mode
+        self.location.mode
     }
 
-    /// From now on the map is gone on with in this mode; the robot stays where it is believed to be.
+    /// Changes the mode; the robot stays where it is located.
     pub fn set_mode(&mut self, mode: SlamMode) {
-        let was_fixed = self.localizer.is_some();
+        let was_fixed = self.location.localizer.is_some();
         let is_fixed = mode == SlamMode::Localization;
-        self.mode = mode;
+        self.location.mode = mode;
         if was_fixed == is_fixed {
             return;
         }
         // The graph does not have the newest nodes where the map is fixed, nor the localizer those from before.
-        let newest = match &self.localizer {
+        let newest = match &self.location.localizer {
             Some(localizer) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             None => {
                 let newest = self.nodes.last().filter(|n| n.disconnected.is_none());
                 newest.map(|n| self.graph.poses()[n.id as usize] * n.local_from_base.inverse())
             }
         };
-        if let (Some(map_from_local), None) = (newest, &self.relocalizer) {
-            self.anchor = Some(Anchor { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
+        if let (Some(map_from_local), None) = (newest, &self.location.relocalizer) {
+            self.location.next_pose =
+                Some(PoseEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD });
         }
-        self.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
-        if is_fixed && self.relocalizer.is_none() && !self.newest_in_map() {
+        self.location.localizer = is_fixed.then(|| Localizer::new(self.config.clone()));
+        if is_fixed && self.location.relocalizer.is_none() && !self.newest_in_map() {
             self.start_relocalization(None);
         }
     }
 
-    /// From now on the robot is looked for, near a hint or everywhere. In a map without nodes there is
-    /// nothing to be found: there the map begins at the hint.
+    /// Searches for the robot from now on, near an estimate or everywhere. An empty map begins at the
+    /// estimate instead.
     pub fn start_relocalization(&mut self, estimate: Option<PoseEstimate>) {
         if self.nodes.is_empty() {
-            self.anchor = estimate.map(|PoseEstimate { map_from_local, sigma_m, sigma_rad }| Anchor {
-                map_from_local,
-                sigma_m,
-                sigma_rad,
-            });
+            self.location.next_pose = estimate;
             return;
         }
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        self.relocalizer = Some(Relocalizer::new(self.config.clone(), map, estimate, self.relocalization));
+        self.location.relocalizer =
+            Some(Relocalizer::new(self.config.clone(), map, estimate, self.location.relocalization));
     }
 
     /// Whether it is known where the robot is.
     pub fn is_located(&self) -> bool {
-        let sure = self.localizer.as_ref().map_or(self.newest_in_map(), Localizer::sure);
-        self.relocalizer.as_ref().map_or(sure, |relocalizer| relocalizer.hint().is_some())
+        let sure = self.location.localizer.as_ref().map_or(self.newest_in_map(), Localizer::sure);
+        self.location.relocalizer.as_ref().map_or(sure, |relocalizer| relocalizer.hint().is_some())
     }
 
     /// The map from the robot at the newest node; as far as it is known.
     pub fn map_from_base(&self) -> Option<Pose2> {
-        match (&self.relocalizer, &self.localizer) {
+        match (&self.location.relocalizer, &self.location.localizer) {
             (Some(_), _) => None,
             (None, Some(localizer)) => Some(localizer.newest()?.0),
             (None, None) => self.graph.poses().last().copied().filter(|_| self.newest_in_map()),
         }
     }
 
-    pub(super) fn take(&mut self, node: Node) {
-        self.just_found = false;
+    pub(super) fn process_node(&mut self, node: Node) {
+        self.location.just_located = false;
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        let Some(relocalizer) = &mut self.relocalizer else { return self.use_node(node) };
-        let relocalization = relocalizer.seek(node, map);
+        let Some(relocalizer) = &mut self.location.relocalizer else { return self.integrate_node(node) };
+        let relocalization = relocalizer.add_node(node, map);
         let anchor = match relocalization {
             RelocalizationOutcome::NotFound => return,
             RelocalizationOutcome::Found(map_from_local) => {
-                Anchor { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
+                PoseEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
             }
             RelocalizationOutcome::HintAccepted(PoseEstimate { map_from_local, sigma_m, sigma_rad }) => {
-                Anchor { map_from_local, sigma_m, sigma_rad }
+                PoseEstimate { map_from_local, sigma_m, sigma_rad }
             }
         };
-        self.just_found = true;
-        self.relocalization = relocalizer.counts();
+        self.location.just_located = true;
+        self.location.relocalization = relocalizer.counts();
         let waiting = relocalizer.take_waiting();
-        self.relocalizer = None;
-        self.anchor = Some(anchor);
-        if let Some(localizer) = &mut self.localizer {
+        self.location.relocalizer = None;
+        self.location.next_pose = Some(anchor);
+        if let Some(localizer) = &mut self.location.localizer {
             localizer.begin();
         }
-        waiting.into_iter().for_each(|node| self.use_node(node));
+        waiting.into_iter().for_each(|node| self.integrate_node(node));
     }
 
-    fn use_node(&mut self, node: Node) {
-        let Some(localizer) = &mut self.localizer else {
-            self.extend(node);
-            if self.mode == SlamMode::Lifelong {
-                self.forget();
+    fn integrate_node(&mut self, node: Node) {
+        let Some(localizer) = &mut self.location.localizer else {
+            self.grow_map(node);
+            if self.location.mode == SlamMode::Lifelong {
+                self.forget_views();
             }
             return;
         };
-        let map_from_local = match self.anchor.take() {
+        let map_from_local = match self.location.next_pose.take() {
             Some(anchor) => anchor.map_from_local,
             None => localizer.newest().map_or(Pose2::IDENTITY, |(_, map_from_local)| map_from_local),
         };
@@ -177,8 +168,8 @@ impl BackEnd {
         }
     }
 
-    /// The first node of a pass: tied to the nearest node of the map, as well as its place is known.
-    pub(super) fn add_anchored_node(&mut self, node: Node, anchor: Anchor) {
+    /// Adds the first node after the robot was located, with an edge from the nearest node of the map.
+    pub(super) fn add_anchored_node(&mut self, node: Node, anchor: PoseEstimate) {
         let map_from_node = anchor.map_from_local * node.local_from_base;
         let nearest = self.nearest_in_map(map_from_node);
         let id = node.id;
@@ -196,20 +187,22 @@ impl BackEnd {
             let newest = self.nodes.last()?;
             Some(self.graph.poses()[newest.id as usize] * newest.local_from_base.inverse())
         };
-        let map_from_local = match (&self.relocalizer, &self.localizer) {
+        let map_from_local = match (&self.location.relocalizer, &self.location.localizer) {
             (Some(relocalizer), _) => relocalizer.hint().map(|hint| hint.map_from_local),
             (None, Some(localizer)) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             (None, None) => of_graph(),
         };
         // Where a robot is in a fixed map it should know soon; what closures change can wait until
-        // it is sure to have been worked out, so that a run can be repeated.
-        let soon = self.relocalizer.is_some() || self.localizer.is_some() || self.just_found;
+        // the back end has certainly answered, so that a run can be repeated.
+        let soon = self.location.relocalizer.is_some()
+            || self.location.localizer.is_some()
+            || self.location.just_located;
         let lag = if soon { 1 } else { self.config.graph.revision_lag_nodes };
         Revision {
-            cause: self.newest_front,
-            effective_from: self.newest_front.saturating_add(lag),
+            cause: self.numbers.newest_front,
+            effective_from: self.numbers.newest_front.saturating_add(lag),
             map_from_local: map_from_local.unwrap_or_default(),
-            closures: self.closures,
+            closures: self.closer.in_force,
             located: map_from_local.is_some() && self.is_located(),
         }
     }
@@ -221,36 +214,21 @@ impl BackEnd {
 
     /// The node that one of the scan path's became; the newest if its numbers came twice.
     pub fn node_from_front_end(&self, front_id: u32) -> Option<u32> {
-        let newest = self.front_ids.len().checked_sub(1)?;
-        // Numbers rise by one, but where nodes were dropped, or another scan path began.
-        let guess = newest.checked_sub(self.front_ids[newest].checked_sub(front_id)? as usize)?;
-        let found = match self.front_ids[guess] == front_id {
-            true => guess,
-            false => self.front_ids.iter().rposition(|id| *id == front_id)?,
-        };
-        Some(found as u32)
+        self.numbers.id_of(front_id)
     }
 
-    /// Every scan's stamp and `map_from_base`, those of earlier scan paths first: scans between nodes
-    /// ride on their node.
+    /// Every scan's stamp and `map_from_base`, those of earlier front ends first: scans between nodes
+    /// move with their node.
     pub fn trajectory<'a>(
         &'a self,
         samples: &'a [TrajectorySample],
     ) -> impl Iterator<Item = (Stamp, Pose2)> + 'a {
         let poses = self.graph.poses();
-        let samples = self.samples(samples);
+        let samples = self.numbers.samples(samples);
         samples.map(|ride| (ride.stamp, poses[ride.node as usize] * ride.node_from_base))
     }
 
-    /// Scans by this graph's own numbers, from the scan path's.
-    fn samples<'a>(&'a self, samples: &'a [TrajectorySample]) -> impl Iterator<Item = TrajectorySample> + 'a {
-        let newer = samples.iter().filter_map(|ride| {
-            Some(TrajectorySample { node: self.node_from_front_end(ride.node)?, ..*ride })
-        });
-        self.earlier.iter().copied().chain(newer)
-    }
-
-    /// All that must be kept to go on later. `front`: where the scan path is, after exactly the nodes
+    /// A session to continue from later. `front`: the state of the front end, after exactly the nodes
     /// that were added here; it is kept if its newest nodes are the map's. `samples`: its scans, if they are to
     /// be kept.
     pub fn session(
@@ -259,20 +237,21 @@ impl BackEnd {
         front: Option<FrontEndState>,
         samples: &[TrajectorySample],
     ) -> Session {
-        let grows = self.relocalizer.is_none() && self.localizer.is_none();
-        let same = |front: &FrontEndState| front.next_node.checked_sub(1) == self.front_ids.last().copied();
+        let grows = self.location.relocalizer.is_none() && self.location.localizer.is_none();
+        let same =
+            |front: &FrontEndState| front.next_node.checked_sub(1) == self.numbers.front_ids.last().copied();
         let front = front.filter(|front| grows && same(front));
         Session {
             identity,
-            mode: self.mode,
+            mode: self.location.mode,
             back: self.state(),
             front,
-            samples: self.samples(samples).collect(),
+            samples: self.numbers.samples(samples).collect(),
         }
     }
 
     /// How searches for the robot ended.
     pub fn relocalization(&self) -> RelocalizationCounts {
-        self.relocalizer.as_ref().map_or(self.relocalization, Relocalizer::counts)
+        self.location.relocalization_counts()
     }
 }

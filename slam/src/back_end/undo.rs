@@ -1,31 +1,13 @@
-//! Closures that people look at and take back.
+//! Closures that people inspect and undo.
 
 use super::BackEnd;
-use crate::closure::ClosureCandidate;
+use super::loop_closer::{REJECTED_M, REJECTED_NODES, REJECTED_RAD};
 use crate::graph::{Edge, EdgeKind};
 use msg::{Pose2, pose::wrap_angle};
 
 /// Links between nodes this far apart in order exist only because a closure brought passes together.
 const PASS_NODES: u32 = 12;
-/// A find this near to an undone closure, in order and in place, is the same mistake.
-const REJECTED_NODES: u32 = 20;
-const REJECTED_M: f64 = 1.0;
-const REJECTED_RAD: f64 = 0.3;
-/// Bans remembered.
-const REJECTED_MAX: usize = 256;
-
-/// A closure that was undone: it is not believed again.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RejectedClosure {
-    /// The earlier node.
-    pub a: u32,
-    /// The later node.
-    pub b: u32,
-    /// The later as seen from the earlier, as it was measured.
-    pub a_from_b: Pose2,
-}
-
-/// A closure and what speaks for it.
+/// A closure and its evidence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClosureReport {
     /// Its number, for [`BackEnd::undo_closure`].
@@ -72,11 +54,11 @@ impl BackEnd {
         // A closure is found together with its witnesses: they say the same and fall with it.
         let same = |e: &Edge| {
             let near = e.a.abs_diff(wrong.a) <= REJECTED_NODES && e.b.abs_diff(wrong.b) <= REJECTED_NODES;
-            e.kind == EdgeKind::Closure && near && self.says_the_same(e, &wrong)
+            e.kind == EdgeKind::Closure && near && self.agree(e, &wrong)
         };
         let edges = self.graph.edges();
         let fallen: Vec<usize> = (0..edges.len()).filter(|&i| i == index || same(&edges[i])).collect();
-        self.take_back(&fallen);
+        self.retract(&fallen);
         true
     }
 
@@ -87,12 +69,12 @@ impl BackEnd {
             (0..edges.len()).filter(|&i| edges[i].in_force && edges[i].kind == EdgeKind::Closure).collect();
         let count = closures.len();
         if count > 0 {
-            self.take_back(&closures);
+            self.retract(&closures);
         }
         count
     }
 
-    fn says_the_same(&self, a: &Edge, b: &Edge) -> bool {
+    fn agree(&self, a: &Edge, b: &Edge) -> bool {
         let poses = self.graph.poses();
         let to = poses[b.a as usize].between(poses[a.a as usize]);
         let back = poses[a.b as usize].between(poses[b.b as usize]);
@@ -103,17 +85,12 @@ impl BackEnd {
 
     /// Takes closures back, and the links between passes made since; then links again what is known
     /// well enough without them, and solves.
-    fn take_back(&mut self, closures: &[usize]) {
+    fn retract(&mut self, closures: &[usize]) {
         let first = closures.iter().copied().min().unwrap_or(0);
         for &index in closures {
             let edge = self.graph.edge_mut(index);
             edge.in_force = false;
-            let ban = RejectedClosure { a: edge.a, b: edge.b, a_from_b: edge.a_from_b };
-            if self.rejected_closures.len() == REJECTED_MAX {
-                self.rejected_closures.remove(0);
-            }
-            self.rejected_closures.push(ban);
-            self.retracted += 1;
+            self.closer.reject(edge);
         }
         let between_passes: Vec<usize> = (first..self.graph.edges().len())
             .filter(|&i| {
@@ -133,16 +110,5 @@ impl BackEnd {
             self.link_near(id, &relative);
         }
         self.solve(false);
-    }
-
-    /// Whether a find is a closure that was undone.
-    pub(super) fn is_rejected(&self, find: &ClosureCandidate) -> bool {
-        self.rejected_closures.iter().any(|ban| {
-            let near = find.candidate.abs_diff(ban.a) <= REJECTED_NODES
-                && find.node.abs_diff(ban.b) <= REJECTED_NODES;
-            let turned = wrap_angle(find.candidate_from_node.yaw_rad - ban.a_from_b.yaw_rad).abs();
-            near && find.candidate_from_node.distance_m(ban.a_from_b) < REJECTED_M + 2.0
-                && turned < REJECTED_RAD
-        })
     }
 }

@@ -1,4 +1,4 @@
-//! What of the scan path is kept in a session.
+//! State of the front end, kept in a session.
 
 use super::motion::MotionModel;
 use super::node_builder::NodeBuilder;
@@ -9,8 +9,8 @@ use crate::odometry::OdometryBuffer;
 use msg::{Odometry, Pose2};
 use nalgebra::Matrix3;
 
-/// Where the scan path is, to be kept. Its local maps are not in it: they are drawn again from the
-/// newest nodes, which the map keeps anyway.
+/// State of the front end as plain values. Its local maps are rebuilt from the newest nodes.
+// It has a field for each value that a session stores, hence more than a dozen.
 #[derive(Clone, Debug)]
 pub struct FrontEndState {
     /// The next node's number.

@@ -6,9 +6,15 @@ use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::process::heartbeat::{HealthCounters, Heartbeat};
 use crate::process::{Component, Listens};
 use crate::run::Run;
-use ::slam::FrontEnd;
+use ::slam::{FrontEnd, FrontEndState};
 use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan};
 use std::sync::mpsc::{Receiver, SyncSender};
+
+/// A front end that is to begin where `odom` lay waits so many scans for odometry: without it, nobody knows where the
+/// robot is in `odom`. A robot that has none begins then.
+const SCANS_WITHOUT_ODOMETRY_MAX: u32 = 10;
+/// Odometry is of a scan if their stamps differ by less, seconds: one period of odometry.
+const ODOMETRY_AGE_MAX_S: f64 = 0.05;
 
 /// The scan path with its channels.
 pub struct ScanPath<P: Ports> {
@@ -47,6 +53,11 @@ impl<P: Ports> ScanPath<P> {
     pub fn end(self) {
         let state = Box::new(self.core.front.state());
         self.core.report(FrontEvent::Ended(state));
+    }
+
+    /// Where the front end is.
+    pub fn front_state(&self) -> FrontEndState {
+        self.core.front.state()
     }
 
     /// Events that found the queue full since the process began.
@@ -94,8 +105,11 @@ struct Core {
     odom_pose: Option<Pose2>,
     /// The map from the front end's frame, to be reported with the next node.
     started_at: Option<Pose2>,
+    /// Scans that have waited for odometry.
+    waited: u32,
     last: Option<Correction>,
-    odom_from_base: Pose2,
+    /// The newest odometry.
+    odometry: Option<Odometry>,
     events: SyncSender<BackEndInput>,
     events_lost: std::cell::Cell<u64>,
     commands: Receiver<FrontCommand>,
@@ -115,7 +129,8 @@ impl Core {
             odom_pose,
             started_at: None,
             last: None,
-            odom_from_base: Pose2::IDENTITY,
+            waited: 0,
+            odometry: None,
             events,
             events_lost: std::cell::Cell::new(0),
             commands,
@@ -140,8 +155,11 @@ impl Core {
                 }
                 FrontCommand::Replace { number, front, in_place } => {
                     let old = core::mem::replace(&mut self.front, front);
+                    if let Some(odometry) = &self.odometry {
+                        self.front.add_odometry(odometry);
+                    }
                     self.odom_pose = self.last.filter(|_| in_place).map(|last| last.map_from_odom);
-                    self.started_at = None;
+                    (self.started_at, self.waited) = (None, 0);
                     // Dropping it takes a while: the back end does that.
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
@@ -153,13 +171,28 @@ impl Core {
     }
 
     fn add_odometry(&mut self, odometry: &Odometry) {
-        self.odom_from_base = odometry.odom_from_base;
+        let before = self.odometry.replace(*odometry);
+        let restarted = before.filter(|before| before.header.incarnation != odometry.header.incarnation);
+        if let (Some(before), Some(last)) = (restarted, &mut self.last) {
+            // The robot's driver counts from elsewhere, and the robot stood meanwhile.
+            let odom_from_new_odom = before.odom_from_base * odometry.odom_from_base.inverse();
+            last.map_from_odom = last.map_from_odom * odom_from_new_odom;
+        }
         self.front.add_odometry(odometry);
+    }
+
+    /// Whether the first scan must wait, as it is to begin where `odom` lies and its odometry has not come.
+    fn waits_for_odometry(&mut self, scan: &Scan) -> bool {
+        let age_s = self.odometry.map(|odometry| scan.header.stamp - odometry.header.stamp);
+        let known = age_s.is_some_and(|age_s| (0.0..ODOMETRY_AGE_MAX_S).contains(&age_s));
+        let waits = self.odom_pose.is_some() && !known && self.waited < SCANS_WITHOUT_ODOMETRY_MAX;
+        self.waited += u32::from(waits);
+        waits
     }
 
     /// The answer to a scan, if there is one, and whether the scan was sound.
     fn process(&mut self, scan: &Scan) -> (Option<Correction>, bool) {
-        if self.paused {
+        if self.paused || self.waits_for_odometry(scan) {
             self.last = self.last.map(|last| self.dead_reckoned(last, scan));
             return (self.last, true);
         }
@@ -184,11 +217,12 @@ impl Core {
 
     /// The pose by odometry alone, while scans are ignored.
     fn dead_reckoned(&self, last: Correction, scan: &Scan) -> Correction {
+        let odom_from_base = self.odometry.map_or(Pose2::IDENTITY, |odometry| odometry.odom_from_base);
         Correction {
             header: Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
             scan_sent: scan.header.sent,
-            map_from_base: last.map_from_odom * self.odom_from_base,
+            map_from_base: last.map_from_odom * odom_from_base,
             ..last
         }
     }

@@ -1,4 +1,4 @@
-//! What of the back end is kept in a session.
+//! State of the back end, kept in a session.
 
 use super::{BackEnd, RejectedClosure};
 use crate::closure::ClosureDetectorState;
@@ -6,7 +6,7 @@ use crate::graph::Edge;
 use crate::node::Node;
 use msg::Pose2;
 
-/// All that the back end knows, as plain values. Scans are shared, not copied.
+/// State of the back end as plain values; scans are shared, not copied. It has a field for each that a session stores.
 #[derive(Clone, Debug, Default)]
 pub struct BackEndState {
     /// The nodes, numbered from 0.
@@ -19,11 +19,11 @@ pub struct BackEndState {
     pub drawn: Vec<Pose2>,
     /// What was measured between them.
     pub edges: Vec<Edge>,
-    /// The way so far, metres.
+    /// Length of the path so far, metres.
     pub travelled_m: f64,
-    /// Nodes looked for and not found since the last closure,
+    /// Nodes searched for in vain since the last closure.
     pub not_found: Vec<u32>,
-    /// and those from before it.
+    /// Nodes from before it that are searched for once more.
     pub again: Vec<u32>,
     /// Nodes with links to older parts since the last solution.
     pub unsolved: usize,
@@ -31,35 +31,35 @@ pub struct BackEndState {
     pub solutions: u64,
     /// Closures taken back.
     pub retracted: u64,
-    /// Nodes forgotten.
+    /// Nodes removed.
     pub retired: u64,
-    /// The newest node that odometry alone joins to the ones before.
+    /// The newest node that odometry alone connects with the nodes before.
     pub unverified_edge: Option<u32>,
-    /// Finds that wait.
+    /// State of the closure detector.
     pub detector: ClosureDetectorState,
     /// Closures that were undone.
     pub rejected_closures: Vec<RejectedClosure>,
 }
 
 impl BackEnd {
-    /// All that must be kept to go on later.
+    /// The state to be kept in a session.
     pub fn state(&self) -> BackEndState {
         BackEndState {
             nodes: self.nodes.clone(),
-            front_ids: self.front_ids.clone(),
+            front_ids: self.numbers.front_ids.clone(),
             poses: self.graph.poses().to_vec(),
             drawn: self.mapper.drawn(),
             edges: self.graph.edges().to_vec(),
-            travelled_m: self.travelled_m,
-            not_found: self.not_found.iter().copied().collect(),
-            again: self.again.iter().copied().collect(),
+            travelled_m: self.closer.travelled_m,
+            not_found: self.closer.not_found.iter().copied().collect(),
+            again: self.closer.again.iter().copied().collect(),
             unsolved: self.unsolved,
             solutions: self.solutions,
-            retracted: self.retracted,
-            retired: self.retired,
+            retracted: self.closer.retracted,
+            retired: self.lifelong.retired,
             unverified_edge: self.unverified_edge,
-            detector: self.detector.state(),
-            rejected_closures: self.rejected_closures.clone(),
+            detector: self.closer.detector.state(),
+            rejected_closures: self.closer.rejected_closures.clone(),
         }
     }
 }

@@ -1,6 +1,8 @@
-//! Rooms: what is loaded, what is refused and why, and that nothing malformed panics.
+//! Files of rooms are loaded or refused with the reason, and malformed ones never panic.
 
+#[path = "../common/mod.rs"]
 mod common;
+mod made;
 
 use common::{quiet, robot, scan};
 use core::f64::consts::PI;
@@ -9,156 +11,14 @@ use msg::{Grid, Pose2};
 use proptest::prelude::*;
 use sim::{LidarConfig, Room, RoomError, SimConfig, Simulator, StartError};
 
-/// A closed box with a block in it, as text or bytes of each format. All have the floor at 0.4 m
-/// height, 4 m along x, and 3 m towards the viewer (y up) or to the left (z up).
-mod made {
-    use base64::Engine;
-    use base64::engine::general_purpose::STANDARD;
-
-    /// x, y (to the left), z (up).
-    pub fn vertices() -> Vec<[f32; 3]> {
-        let block = |x0: f32, y0: f32, z0: f32, x1: f32, y1: f32, z1: f32| {
-            [
-                [x0, y0, z0],
-                [x1, y0, z0],
-                [x1, y1, z0],
-                [x0, y1, z0],
-                [x0, y0, z1],
-                [x1, y0, z1],
-                [x1, y1, z1],
-                [x0, y1, z1],
-            ]
-        };
-        [block(-2.0, -1.5, 0.4, 2.0, 1.5, 2.4), block(1.0, 0.5, 0.4, 1.9, 1.4, 1.4)].concat()
-    }
-
-    pub fn triangles() -> Vec<[u32; 3]> {
-        let quads = [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]];
-        let of = |first: u32| {
-            quads
-                .into_iter()
-                .flat_map(move |[a, b, c, d]| [[a, b, c], [a, c, d]].map(|t| t.map(|i| i + first)))
-        };
-        of(0).chain(of(8)).collect()
-    }
-
-    /// z up to y up.
-    pub fn y_up([x, y, z]: [f32; 3]) -> [f32; 3] {
-        [x, z, -y]
-    }
-
-    fn obj_of(vertices: impl Iterator<Item = [f32; 3]>) -> String {
-        let vertices = vertices.map(|[x, y, z]| format!("v {x} {y} {z}\n"));
-        let faces = triangles().into_iter().map(|t| {
-            let [a, b, c] = t.map(|i| i + 1);
-            format!("f {a} {b} {c}\n")
-        });
-        vertices.chain(faces).collect()
-    }
-
-    pub fn obj_z_up() -> String {
-        obj_of(vertices().into_iter())
-    }
-
-    pub fn obj_y_up() -> String {
-        obj_of(vertices().into_iter().map(y_up))
-    }
-
-    pub fn vertex_bytes() -> Vec<u8> {
-        vertices().into_iter().flat_map(y_up).flat_map(f32::to_le_bytes).collect()
-    }
-
-    pub fn index_bytes() -> Vec<u8> {
-        triangles().into_iter().flatten().flat_map(u32::to_le_bytes).collect()
-    }
-
-    /// The mesh lies half a metre too high and a quarter turn off; its place puts it right.
-    pub fn scene() -> String {
-        let turned = |[x, y, z]: [f32; 3]| [-z, y - 0.5, x];
-        let vertices: Vec<u8> =
-            vertices().into_iter().map(y_up).flat_map(turned).flat_map(f32::to_le_bytes).collect();
-        scene_of(&STANDARD.encode(vertices), &STANDARD.encode(index_bytes()))
-    }
-
-    pub fn scene_of(vertices: &str, indices: &str) -> String {
-        let half = core::f64::consts::FRAC_1_SQRT_2;
-        format!(
-            r#"{{"type": "scene", "version": 1, "spatialEntities": [
-            {{"uuid": "a", "semanticLabel_META": "FLOOR", "locatable_META": {{"position": {{"x": 0, "y": 0.37, "z": 0}},
-              "orientation": {{"x": 0.7071, "y": 0, "z": 0, "w": 0.7071}}}},
-              "bounded2D_META": {{"offset": {{"x": -2, "y": -1.5}}, "extent": {{"width": 4, "height": 3}}}}}},
-            {{"uuid": "b", "semanticLabel_META": "UNRECOGNIZED", "locatable_META": {{"position": {{"x": 0, "y": 0.5, "z": 0}},
-              "orientation": {{"x": 0, "y": {half}, "z": 0, "w": {half}}}}},
-              "triangleMesh_META": {{"vertices": "{vertices}", "indices": "{indices}"}}}}]}}"#
-        )
-    }
-
-    fn gltf_json(uri: Option<&str>, bytes: usize) -> String {
-        let vertex_bytes = vertex_bytes().len();
-        let (vertex_count, index_count) = (vertices().len(), triangles().len() * 3);
-        let uri = uri.map_or(String::new(), |uri| format!(r#""uri": "{uri}", "#));
-        // The inner node's translation and the outer one's scale cancel the vertices' lift and halving.
-        format!(
-            r#"{{"asset": {{"version": "2.0"}}, "scene": 0, "scenes": [{{"nodes": [0]}}],
-            "nodes": [{{"children": [1], "scale": [2, 2, 2]}}, {{"mesh": 0, "scale": [0.5, 0.5, 0.5]}}],
-            "meshes": [{{"primitives": [{{"attributes": {{"POSITION": 0}}, "indices": 1}}]}}],
-            "buffers": [{{{uri}"byteLength": {bytes}}}],
-            "bufferViews": [{{"buffer": 0, "byteLength": {vertex_bytes}}},
-              {{"buffer": 0, "byteOffset": {vertex_bytes}, "byteLength": {}}}],
-            "accessors": [
-              {{"bufferView": 0, "componentType": 5126, "count": {vertex_count}, "type": "VEC3",
-                "min": [-2, 0.4, -1.5], "max": [2, 2.4, 1.5]}},
-              {{"bufferView": 1, "componentType": 5125, "count": {index_count}, "type": "SCALAR"}}]}}"#,
-            bytes - vertex_bytes
-        )
-    }
-
-    fn buffer() -> Vec<u8> {
-        [vertex_bytes(), index_bytes()].concat()
-    }
-
-    pub fn gltf() -> String {
-        let buffer = buffer();
-        let uri = format!("data:application/octet-stream;base64,{}", STANDARD.encode(&buffer));
-        gltf_json(Some(&uri), buffer.len())
-    }
-
-    pub fn glb() -> Vec<u8> {
-        let buffer = buffer();
-        let mut json = gltf_json(None, buffer.len()).into_bytes();
-        json.resize(json.len().next_multiple_of(4), b' ');
-        let chunk =
-            |kind: &[u8; 4], data: &[u8]| [&(data.len() as u32).to_le_bytes()[..], &kind[..], data].concat();
-        let chunks = [chunk(b"JSON", &json), chunk(b"BIN\0", &buffer)].concat();
-        [&b"glTF"[..], &2u32.to_le_bytes(), &(12 + chunks.len() as u32).to_le_bytes(), &chunks].concat()
-    }
-
-    pub fn gzip(bytes: &[u8]) -> Vec<u8> {
-        use std::io::Write;
-        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
-        encoder.write_all(bytes).unwrap();
-        encoder.finish().unwrap()
-    }
-
-    pub fn all() -> Vec<(&'static str, Vec<u8>)> {
-        vec![
-            ("a.json", scene().into_bytes()),
-            ("a.gltf", gltf().into_bytes()),
-            ("a.glb", glb()),
-            ("a.obj", obj_z_up().into_bytes()),
-            ("b.obj", obj_y_up().into_bytes()),
-        ]
-    }
-}
-
-/// Free and occupied square metres.
+/// Returns the free and the occupied area, square metres.
 fn areas_m2(plan: &Grid) -> (f64, f64) {
     let cell_m2 = plan.header.resolution_m.powi(2);
     let count = |what| plan.cells.iter().filter(|cell| occupancy(**cell) == what).count() as f64 * cell_m2;
     (count(Occupancy::Free), count(Occupancy::Occupied))
 }
 
-/// The same box, whatever it was read from: what a LiDAR sees from one place.
+/// Checks the ranges of a LiDAR in the box, which are the same for every format.
 fn assert_is_the_box(name: &str, room: &Room) {
     let config = SimConfig { lidar: LidarConfig::LDS_02, ..quiet() };
     let mut simulator = Simulator::new(room, &config, robot(1), Pose2::new(0.032, 0.0, 0.0), 1).unwrap();
@@ -173,7 +33,7 @@ fn assert_is_the_box(name: &str, room: &Room) {
 }
 
 #[test]
-fn every_format_gives_the_same_room() {
+fn every_format_reads_as_the_same_room() {
     for (name, bytes) in made::all() {
         let room = Room::from_bytes(name, &bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
         assert_eq!(room.name(), name);
@@ -184,7 +44,7 @@ fn every_format_gives_the_same_room() {
 }
 
 #[test]
-fn plan_shows_what_can_be_seen() {
+fn a_floor_plan_shows_the_visible_cells() {
     let room = Room::from_bytes("a.glb", &made::glb()).unwrap();
     let plan = room.floor_plan(0.05);
     let (free, occupied) = areas_m2(&plan);
@@ -204,7 +64,7 @@ fn plan_shows_what_can_be_seen() {
 }
 
 #[test]
-fn plan_keeps_its_size_in_bounds() {
+fn a_floor_plan_is_bounded_in_size() {
     let room = Room::from_bytes("a.glb", &made::glb()).unwrap();
     for resolution_m in [f64::NAN, -1.0, 0.0, 1e-9, 1e9, f64::INFINITY] {
         let plan = room.floor_plan(resolution_m);
@@ -213,7 +73,7 @@ fn plan_keeps_its_size_in_bounds() {
 }
 
 #[test]
-fn laboratory_is_furnished_and_passable() {
+fn the_laboratory_is_furnished_and_passable() {
     let room = Room::laboratory();
     let (free, occupied) = areas_m2(&room.floor_plan(0.05));
     assert!((35.0..45.0).contains(&free), "{free} of 48 m²");
@@ -231,7 +91,7 @@ fn laboratory_is_furnished_and_passable() {
 }
 
 #[test]
-fn starts_need_place() {
+fn starts_are_refused_in_a_small_room() {
     // 4 x 3 m hold 16 robots; 1.4 x 1 m do not.
     let room = Room::from_bytes("a.glb", &made::glb()).unwrap();
     assert_eq!(room.starts(16).unwrap().len(), 16);
@@ -242,7 +102,7 @@ fn starts_need_place() {
 }
 
 #[test]
-fn bad_starts_are_refused_with_the_reason() {
+fn invalid_starts_are_refused_with_the_reason() {
     let room = Room::laboratory();
     let start = |x, y, yaw| {
         Simulator::new(&room, &quiet(), robot(1), Pose2::new(x, y, yaw), 1).map(|_| ()).unwrap_err()
@@ -272,7 +132,7 @@ fn obj(lines: &str) -> RoomError {
 }
 
 #[test]
-fn meshes_that_are_no_rooms_are_refused_with_the_reason() {
+fn invalid_meshes_are_refused_with_the_reason() {
     let walls = "v 0 0 0\nv 4 0 0\nv 4 0 2\nv 0 0 2\nf 1 2 3 4\n";
     assert!(matches!(obj(walls), RoomError::NoFloor { .. }));
     let floor = "v 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nf 1 2 3 4\n";
@@ -291,7 +151,7 @@ fn meshes_that_are_no_rooms_are_refused_with_the_reason() {
 }
 
 #[test]
-fn scenes_are_refused_with_the_place() {
+fn invalid_scenes_are_refused_with_the_position() {
     use base64::Engine;
     let encode = |bytes: &[u8]| base64::engine::general_purpose::STANDARD.encode(bytes);
     let (vertices, indices) = (made::vertex_bytes(), made::index_bytes());
@@ -317,7 +177,7 @@ fn scenes_are_refused_with_the_place() {
 }
 
 #[test]
-fn gltf_is_refused_with_the_reason() {
+fn invalid_gltf_is_refused_with_the_reason() {
     let with = |from: &str, to: &str| {
         let text = made::gltf();
         assert!(text.contains(from));
@@ -348,7 +208,7 @@ fn gltf_is_refused_with_the_reason() {
 }
 
 #[test]
-fn a_bomb_is_not_inflated() {
+fn a_gzip_bomb_is_not_decompressed() {
     // 300 MB of spaces in 300 kB.
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     let megabyte = vec![b' '; 1 << 20];
@@ -360,7 +220,7 @@ fn a_bomb_is_not_inflated() {
 }
 
 #[test]
-fn truncation_never_panics() {
+fn truncated_files_never_panic() {
     for (name, bytes) in made::all() {
         for end in (0..bytes.len()).step_by(bytes.len() / 97 + 1) {
             let _ = Room::from_bytes(name, &bytes[..end]);
@@ -372,7 +232,7 @@ fn truncation_never_panics() {
     }
 }
 
-/// Words of OBJ, sound and unsound.
+/// Valid and invalid words of OBJ.
 const WORDS: [&str; 30] = [
     "v",
     "vn",
@@ -409,7 +269,7 @@ const WORDS: [&str; 30] = [
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1000))]
 
-    /// Flipped bits are refused or give a room in which a robot stays a robot.
+    /// A file with flipped bits is refused, or gives a room in which the robot's pose stays finite.
     #[test]
     fn flipped_bits_never_panic(format in 0usize..5, flips in prop::collection::vec((0.0..1.0f64, 0u8..8), 1..6)) {
         let (name, mut bytes) = made::all().swap_remove(format);
@@ -427,7 +287,7 @@ proptest! {
         }
     }
 
-    /// Any words in any order are refused or a room.
+    /// Any words in any order are refused or give a room.
     #[test]
     fn obj_words_never_panic(words in prop::collection::vec(0..WORDS.len(), 0..60)) {
         let words: Vec<&str> = words.into_iter().map(|word| WORDS[word]).collect();

@@ -1,4 +1,4 @@
-//! What a map that is to last forgets, and at what rate:
+//! Lifelong mapping: which nodes a map that lasts removes, and when:
 //!
 //! - Of scans of the same view (`lifelong.view_m`, `view_rad`) the newest `lifelong.views` are kept.
 //! - A scan that `lifelong.contradictions` later ones contradict (they see through
@@ -19,33 +19,46 @@ use nalgebra::Matrix3;
 /// A later scan that sees this far behind a point contradicts it, metres: less than elsewhere, as both scans are
 /// linked and hardly drift against each other, and what leaves the room may be thin.
 const SEE_THROUGH_M: f32 = 0.3;
-/// Links of a node that others inherit.
+/// A contradicted scan goes if a later one has much the same view: within this many times the limits of the same view.
+const COVERING_VIEW_SCALE: f64 = 1.5;
+/// Links of a removed node that its neighbours take over: the best known ones.
 const INHERITED_MAX: usize = 16;
 
+/// What a map that lasts remembers of its nodes.
+#[derive(Default)]
+pub(super) struct Lifelong {
+    /// How often each node was contradicted by later ones.
+    pub contradicted: Vec<u8>,
+    /// Nodes to be removed with the next batch.
+    pub retiring: Vec<u32>,
+    /// Nodes removed so far.
+    pub retired: u64,
+}
+
 impl BackEnd {
-    /// Called after each node of a map that is to last.
-    pub(super) fn forget(&mut self) {
+    /// Removes what later nodes contradict or repeat; called after each node in lifelong mode.
+    pub(super) fn forget_views(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_in_map()) else { return };
-        self.note_contradictions(newest);
-        self.note_views(newest);
+        self.count_contradictions(newest);
+        self.mark_repeated_views(newest);
         let full = self.nodes.len() >= self.config.lifelong.nodes_max.min(self.config.graph.nodes_max);
-        if full && self.retiring.is_empty() {
-            self.retire_later(0);
+        if full && self.lifelong.retiring.is_empty() {
+            self.mark_for_removal(0);
         }
-        if self.retiring.len() >= self.config.lifelong.batch || full {
-            self.retire();
+        if self.lifelong.retiring.len() >= self.config.lifelong.batch || full {
+            self.remove_marked();
         }
     }
 
-    fn retire_later(&mut self, id: u32) {
-        if !self.retiring.contains(&id) {
-            self.retiring.push(id);
+    fn mark_for_removal(&mut self, id: u32) {
+        if !self.lifelong.retiring.contains(&id) {
+            self.lifelong.retiring.push(id);
         }
     }
 
     /// Whether a node is old enough to be touched.
     fn is_old(&self, id: usize) -> bool {
-        id + self.config.lifelong.newest < self.nodes.len() && !self.retiring.contains(&(id as u32))
+        id + self.config.lifelong.newest < self.nodes.len() && !self.lifelong.retiring.contains(&(id as u32))
     }
 
     fn same_view(&self, a: usize, b: usize, scale: f64) -> bool {
@@ -58,7 +71,7 @@ impl BackEnd {
     }
 
     /// Old nodes linked to the newest one, that it sees through.
-    fn note_contradictions(&mut self, newest: usize) {
+    fn count_contradictions(&mut self, newest: usize) {
         let linked: Vec<u32> = self
             .graph
             .edges_of(newest as u32)
@@ -76,32 +89,33 @@ impl BackEnd {
             if !agreement.is_contradicted(l.contradicted_share, 0) {
                 continue;
             }
-            self.contradicted[old] = self.contradicted[old].saturating_add(1);
-            let covered = (old + 1..self.nodes.len()).any(|later| self.same_view(old, later, 1.5));
-            if self.contradicted[old] >= l.contradictions && covered {
-                self.retire_later(old as u32);
+            self.lifelong.contradicted[old] = self.lifelong.contradicted[old].saturating_add(1);
+            let covered =
+                (old + 1..self.nodes.len()).any(|later| self.same_view(old, later, COVERING_VIEW_SCALE));
+            if self.lifelong.contradicted[old] >= l.contradictions && covered {
+                self.mark_for_removal(old as u32);
             }
         }
     }
 
     /// Of the views like the newest one's, the oldest beyond the allowed number.
-    fn note_views(&mut self, newest: usize) {
+    fn mark_repeated_views(&mut self, newest: usize) {
         let same: Vec<usize> = (0..=newest).filter(|&id| self.same_view(id, newest, 1.0)).collect();
         let beyond = same.len().saturating_sub(self.config.lifelong.views);
         for id in same.into_iter().take(beyond) {
             if self.is_old(id) {
-                self.retire_later(id as u32);
+                self.mark_for_removal(id as u32);
             }
         }
     }
 
-    /// Takes the noted nodes out of everything, and numbers the others anew.
-    fn retire(&mut self) {
-        let mut gone = core::mem::take(&mut self.retiring);
+    /// Removes the marked nodes, and renumbers the others.
+    fn remove_marked(&mut self) {
+        let mut gone = core::mem::take(&mut self.lifelong.retiring);
         gone.sort_unstable();
         let mut edges = self.graph.edges().to_vec();
         for &id in &gone {
-            bequeath(&mut edges, self.graph.poses(), id);
+            marginalise(&mut edges, self.graph.poses(), id);
         }
         let mut numbers: Vec<Option<u32>> = Vec::with_capacity(self.nodes.len());
         let mut next = 0;
@@ -125,26 +139,20 @@ impl BackEnd {
             node.id = id as u32;
         }
         let mut id = 0;
-        self.front_ids.retain(|_| (keep(id), id += 1).0);
+        self.numbers.front_ids.retain(|_| (keep(id), id += 1).0);
         let mut id = 0;
-        self.contradicted.retain(|_| (keep(id), id += 1).0);
-        self.not_found = self.not_found.iter().filter_map(|id| number(*id)).collect();
-        self.again = self.again.iter().filter_map(|id| number(*id)).collect();
-        self.rejected_closures.retain_mut(|ban| match (number(ban.a), number(ban.b)) {
-            (Some(a), Some(b)) => ((ban.a, ban.b) = (a, b), true).1,
-            _ => false,
-        });
-        self.detector.renumber(&number);
-        self.retired += gone.len() as u64;
+        self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
+        self.closer.renumber(&number);
+        self.lifelong.retired += gone.len() as u64;
         self.count_closures();
-        self.earlier.clear();
+        self.numbers.earlier.clear();
         // The map is another one now: drawn anew, all at once, so that nobody sees half of it.
         self.mapper.restore(&self.nodes, self.graph.poses());
     }
 }
 
-/// What a node was linked to is linked to the neighbour that knows it best, as the graph has them.
-fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
+/// Replaces a node's edges by edges between its neighbours and the one that knows the node best.
+fn marginalise(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     let mine: Vec<usize> =
         (0..edges.len()).filter(|&i| edges[i].in_force && (edges[i].a == id || edges[i].b == id)).collect();
     let other = |e: &Edge| if e.a == id { e.b } else { e.a };
@@ -163,15 +171,16 @@ fn bequeath(edges: &mut Vec<Edge>, poses: &[Pose2], id: u32) {
     for &i in &mine {
         edges[i].in_force = false;
     }
-    let Some(&(heir, known, heir_variance, _)) = neighbours.first() else { return };
+    let Some(&(inheritor, known, heir_variance, _)) = neighbours.first() else { return };
     for &(to, information, variance, kind) in neighbours.iter().skip(1).take(INHERITED_MAX) {
-        let linked = |e: &Edge| e.in_force && ((e.a == heir && e.b == to) || (e.a == to && e.b == heir));
+        let linked =
+            |e: &Edge| e.in_force && ((e.a == inheritor && e.b == to) || (e.a == to && e.b == inheritor));
         // The order along the way is held by odometry's edges: they are always handed on.
         let along = matches!(kind, EdgeKind::Odometry | EdgeKind::OdometryBreak);
         if !along && edges.iter().any(linked) {
             continue;
         }
-        let (a, b) = (heir.min(to), heir.max(to));
+        let (a, b) = (inheritor.min(to), inheritor.max(to));
         let sum = known.try_inverse().zip(information.try_inverse()).and_then(|(p, q)| (p + q).try_inverse());
         let information = sum.unwrap_or(information * 0.5);
         edges.push(Edge {

@@ -1,15 +1,16 @@
-//! Pieces of the way that are not tied to the map: a robot that was carried off, or whose odometry
-//! failed while it saw nothing known. From a node that contradicts those before it on, odometry's edge
-//! says no more than the order. The piece is held back (not drawn, not given out, the robot reads as
-//! lost) until a closure, or a search through the whole map, ties it to the rest; then it is part of
-//! the map like any other, and if the closure is taken back, no longer.
+//! Disconnected components of the pose graph: after a kidnapping, or after odometry failed while the
+//! robot saw nothing known.
 //!
-//! The map is the largest piece, so that a robot that never comes back to where it was carried off
-//! from begins anew in the end.
+//! At a node that contradicts those before it, odometry's edge becomes an odometry break: it keeps the order of
+//! the nodes and measures nothing. The component after it is neither drawn nor given out, and the robot
+//! reads as lost, until a closure or a search of the whole map connects it. If that closure is taken
+//! back, the component is disconnected again.
+//!
+//! The map is the largest component, so that a robot that never returns begins anew in the end.
 
 use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD};
-use super::{BackEnd, TORN_M, TORN_RAD, TORN_VARIANCE};
+use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
 use crate::graph::{EdgeKind, RelativeUncertainty};
@@ -17,21 +18,21 @@ use crate::relocalize::{Placed, RelocalizationOutcome, Relocalizer};
 use msg::Pose2;
 use posegraph::information_from_sigmas;
 
-/// A piece so long is looked for in the whole map; something passing by is over sooner.
+/// A component of more nodes than this is searched for in the whole map; something passing by is over sooner.
 const NODES_MIN: u32 = 5;
 
-/// Nodes of the map that a node on probation is held against, no two next to each other.
+/// Nodes of the map that a node with an unverified edge is compared with.
 const WITNESSES: usize = 8;
-/// If this share of what they can compare is contradicted, and it is so many points, the joint is none.
-const TORN_SHARE: f32 = 0.3;
-const TORN_POINTS_MIN: usize = 60;
-/// A way so short has not drifted by what counts as a contradiction, metres, whatever was not known on it.
+/// If more than this share of the compared points is contradicted, and this many points, the edge is broken.
+const BREAK_SHARE: f32 = 0.3;
+const BREAK_POINTS_MIN: usize = 60;
+/// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
 impl BackEnd {
-    /// A node that did not fit is joined to the ones before by odometry alone. Whether that is right
-    /// shows when it, or one after it, sees what older nodes saw: if they agree, a link says so; if
-    /// they contradict each other, the joint is taken back.
+    /// Verifies or breaks the odometry edge before a node that did not fit. When that node, or one after
+    /// it, sees what older nodes saw, a link confirms the edge; if they contradict each other, it is
+    /// broken.
     pub(super) fn check_unverified_edge(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) {
         let node = &self.nodes[id as usize];
         if !node.fits {
@@ -43,7 +44,7 @@ impl BackEnd {
             self.unverified_edge = None;
             return;
         }
-        // Where the way since the joint, or before it, may have drifted, a contradiction says nothing of the joint.
+        // Where the path since the edge, or before it, may have drifted, a contradiction says nothing about the edge.
         let l = &self.config.links;
         let sure = |known: &Option<RelativeUncertainty>| known.is_some_and(|known| is_sure(known, l));
         if !sure(&relative[unverified_edge as usize]) {
@@ -74,18 +75,19 @@ impl BackEnd {
             let old_from_new = poses[old as usize].between(poses[id as usize]);
             agreement += Agreement::both_ways(&self.nodes[old as usize].cloud, &node.cloud, old_from_new);
         }
-        if !agreement.is_contradicted(TORN_SHARE, TORN_POINTS_MIN) {
+        if !agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN) {
             return;
         }
         let before = |e: &crate::graph::Edge| e.kind == EdgeKind::Odometry && e.b == unverified_edge;
         let Some(index) = self.graph.edges().iter().position(before) else { return };
         let edge = self.graph.edge_mut(index);
-        (edge.kind, edge.information) = (EdgeKind::OdometryBreak, information_from_sigmas(TORN_M, TORN_RAD));
-        edge.variance = TORN_VARIANCE;
+        (edge.kind, edge.information) =
+            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD));
+        edge.variance = BREAK_VARIANCE;
         self.nodes[unverified_edge as usize].odometry_break = true;
         self.unverified_edge = None;
-        self.detector.tear();
-        self.component_relocalizer = None;
+        self.closer.detector.tear();
+        self.location.component_relocalizer = None;
         self.update_components();
     }
 
@@ -94,13 +96,13 @@ impl BackEnd {
         self.nodes.last().is_none_or(|node| node.disconnected.is_none())
     }
 
-    /// Which node is in which piece, from the edges in force.
+    /// Updates which node is in which component, from the edges in force.
     pub(super) fn update_components(&mut self) {
         let torn = |e: &crate::graph::Edge| e.kind == EdgeKind::OdometryBreak;
         if !self.graph.edges().iter().any(torn) {
             return;
         }
-        // Union-find; a piece is called by its first node.
+        // Union-find; a component is named by its first node.
         let mut up: Vec<u32> = (0..self.nodes.len() as u32).collect();
         let first = |up: &mut [u32], mut id: u32| {
             while up[id as usize] != id {
@@ -124,25 +126,25 @@ impl BackEnd {
         }
     }
 
-    /// Looks for the newest node's piece in the whole map.
+    /// Searches the whole map for the newest node's component.
     pub(super) fn relocalize_component(&mut self, id: u32) {
         let Some(first) = self.nodes[id as usize].disconnected else { return };
         if id - first < NODES_MIN {
             return;
         }
         let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        let relocalizer = self
-            .component_relocalizer
-            .get_or_insert_with(|| Relocalizer::new(self.config.clone(), map, None, self.relocalization));
+        let relocalizer = self.location.component_relocalizer.get_or_insert_with(|| {
+            Relocalizer::new(self.config.clone(), map, None, self.location.relocalization)
+        });
         let newest = self.nodes[id as usize].clone();
         let local_from_node = newest.local_from_base;
-        let relocalization = relocalizer.seek(newest, map);
-        self.relocalization = relocalizer.counts();
+        let relocalization = relocalizer.add_node(newest, map);
+        self.location.relocalization = relocalizer.counts();
         let RelocalizationOutcome::Found(map_from_local) = relocalization else { return };
-        self.component_relocalizer = None;
+        self.location.component_relocalizer = None;
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
-        self.close(&[ClosureCandidate {
+        self.add_closures(&[ClosureCandidate {
             node: id,
             candidate,
             candidate_from_node: self.graph.poses()[candidate as usize].between(map_from_node),
@@ -159,7 +161,7 @@ impl BackEnd {
         in_map.min_by(|a, b| away(*a).total_cmp(&away(*b)))
     }
 
-    /// Before a find ties two pieces together, one of them is moved to where the find has it: a solver
+    /// Moves one of two components to where a closure has it, before the closure connects them: a solver
     /// finds small movements, not half a turn.
     pub(super) fn align_components(&mut self, find: &ClosureCandidate) {
         let [old, new] = [find.candidate, find.node].map(|id| self.nodes[id as usize].disconnected);

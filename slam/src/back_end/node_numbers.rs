@@ -1,0 +1,39 @@
+//! The front end's node numbers against the back end's, which leave out nodes that are gone.
+
+use crate::front_end::TrajectorySample;
+
+/// Numbers of the nodes on both sides.
+#[derive(Default)]
+pub(super) struct NodeNumbers {
+    /// The front end's number of each node.
+    pub front_ids: Vec<u32>,
+    /// The front end's number of the newest node, kept or not.
+    pub newest_front: u32,
+    /// Scans of earlier front ends, by the back end's numbers.
+    pub earlier: Vec<TrajectorySample>,
+}
+
+impl NodeNumbers {
+    /// The back end's number of a node of the front end; the newest if that number came twice.
+    pub fn id_of(&self, front_id: u32) -> Option<u32> {
+        let newest = self.front_ids.len().checked_sub(1)?;
+        // Numbers rise by one, but where nodes were dropped, or another front end began.
+        let guess = newest.checked_sub(self.front_ids[newest].checked_sub(front_id)? as usize)?;
+        let found = match self.front_ids[guess] == front_id {
+            true => guess,
+            false => self.front_ids.iter().rposition(|id| *id == front_id)?,
+        };
+        Some(found as u32)
+    }
+
+    /// Scans by the back end's node numbers: those of earlier front ends, then these.
+    pub fn samples<'a>(
+        &'a self,
+        samples: &'a [TrajectorySample],
+    ) -> impl Iterator<Item = TrajectorySample> + 'a {
+        let newer = samples
+            .iter()
+            .filter_map(|sample| Some(TrajectorySample { node: self.id_of(sample.node)?, ..*sample }));
+        self.earlier.iter().copied().chain(newer)
+    }
+}

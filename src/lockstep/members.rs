@@ -1,0 +1,231 @@
+//! The processes of a fleet in lockstep: the components that run live, started, stopped and killed like processes.
+
+use super::memory_storage::MemoryStorage;
+use super::operator::Operator;
+use super::queues::{MemoryPorts, Network};
+use crate::channel::Opener;
+use crate::ports::Clock;
+use crate::process::graph::GraphWorker;
+use crate::process::merge::{self, MapDrawing};
+use crate::process::sim::Simulation;
+use crate::process::slam::files::Job;
+use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
+use crate::process::telemetry::Figures;
+use crate::process::{Component, Error};
+use crate::processes::ProcessRow;
+use crate::run::Run;
+use crate::supervisor::restarts::RestartPolicy;
+use msg::{Monotonic, Pose2, RobotId, Role};
+use std::cell::Cell;
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// What every process of a fleet in lockstep is started with.
+pub struct World {
+    /// The run.
+    pub run: Run,
+    /// All channels.
+    pub network: Rc<Network>,
+    /// The run's folder.
+    pub storage: MemoryStorage,
+    /// Whether the operator drives all robots at once.
+    pub together: bool,
+    /// The operator lets go of the sticks until then.
+    pub idle_until: Rc<Cell<Monotonic>>,
+}
+
+/// One process.
+pub struct Member {
+    /// Its row in the table of processes.
+    pub row: &'static ProcessRow,
+    /// Its robot.
+    pub robot: Option<RobotId>,
+    /// When it is started again.
+    pub policy: RestartPolicy,
+    /// It is stopped until then.
+    pub frozen_until: Monotonic,
+    /// Its threads, while it runs.
+    pub threads: Vec<Thread>,
+    body: Option<Body>,
+}
+
+/// One thread of a process.
+pub struct Thread {
+    ports: MemoryPorts,
+    /// When it wants to run next.
+    pub due: Monotonic,
+}
+
+/// The components of a running process.
+enum Body {
+    Sim(Box<Simulation<MemoryPorts>>),
+    Slam(Box<SlamBody>),
+    Merge(Box<(MapDrawing<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
+    Telemetry(Box<Figures<MemoryPorts>>),
+    Operator(Box<Operator<MemoryPorts>>),
+}
+
+/// A SLAM process, and what was taken from its queues to be done next.
+pub struct SlamBody {
+    /// The components.
+    pub process: SlamProcess<MemoryPorts, MemoryStorage>,
+    input: Option<BackEndInput>,
+    job: Option<Job>,
+    /// An outcome that the back end has no room for.
+    outcome: Option<BackEndInput>,
+}
+
+impl Member {
+    /// A process that is to be started now.
+    pub fn new(row: &'static ProcessRow, robot: Option<RobotId>) -> Self {
+        Self {
+            row,
+            robot,
+            policy: RestartPolicy::new(Monotonic(0)),
+            frozen_until: Monotonic(0),
+            threads: Vec::new(),
+            body: None,
+        }
+    }
+
+    /// Starts the process; `at` is what the supervisor tells one that is started again.
+    pub fn start(&mut self, world: &World, at: Option<Pose2>) -> Result<(), Error> {
+        let opener = Opener { program: self.row.role.into(), robot: self.robot };
+        let now = world.network.clock().now();
+        let count = match self.row.role {
+            Role::Slam => 3,
+            Role::Merge => 2,
+            _ => 1,
+        };
+        let ports: Vec<MemoryPorts> =
+            (0..count).map(|_| MemoryPorts::attach(&world.network, opener)).collect();
+        self.body = Some(Body::open(world, self.row.role, self.robot, at, &ports)?);
+        self.threads = ports.into_iter().map(|ports| Thread { ports, due: now }).collect();
+        self.frozen_until = Monotonic(0);
+        self.policy.on_started(now);
+        Ok(())
+    }
+
+    /// Ends the process as SIGKILL would: all that it has not written is lost.
+    pub fn kill(&mut self, now: Monotonic) {
+        if self.body.take().is_some() {
+            self.threads.clear();
+            self.policy.on_death(now);
+        }
+    }
+
+    /// Whether it runs.
+    pub fn is_running(&self) -> bool {
+        self.body.is_some()
+    }
+
+    /// The SLAM process, if it is one and runs.
+    pub fn slam(&self) -> Option<&SlamBody> {
+        match &self.body {
+            Some(Body::Slam(slam)) => Some(slam),
+            _ => None,
+        }
+    }
+
+    /// Whether a thread has something to do now.
+    pub fn is_runnable(&mut self, thread: usize, world: &World) -> bool {
+        let now = world.network.clock().now();
+        if now < self.frozen_until {
+            return false;
+        }
+        let Thread { ports, due } = &self.threads[thread];
+        let woken = *due <= now || ports.is_notified();
+        let Some(Body::Slam(slam)) = &mut self.body else { return woken };
+        woken || slam.take_next(thread, world)
+    }
+
+    /// Runs one step of a thread.
+    pub fn step(&mut self, thread: usize) {
+        let Some(body) = &mut self.body else { return };
+        self.threads[thread].ports.take_notifications();
+        self.threads[thread].due = match (body, thread) {
+            (Body::Sim(simulation), _) => simulation.step(),
+            (Body::Slam(slam), _) => slam.step(thread),
+            (Body::Merge(merge), 0) => merge.0.step(),
+            (Body::Merge(merge), _) => merge.1.step(),
+            (Body::Telemetry(figures), _) => figures.step(),
+            (Body::Operator(operator), _) => operator.step(),
+        };
+    }
+}
+
+impl Body {
+    fn open(
+        world: &World,
+        role: Role,
+        robot: Option<RobotId>,
+        at: Option<Pose2>,
+        ports: &[MemoryPorts],
+    ) -> Result<Self, Error> {
+        let run = &world.run;
+        let robot = || robot.ok_or("a robot's process without a robot");
+        Ok(match role {
+            Role::Sim => Self::Sim(Box::new(Simulation::open(&ports[0], run, robot()?, at)?)),
+            Role::Slam => {
+                let storage = world.storage.clone();
+                let process = SlamProcess::open([&ports[0], &ports[1]], run, robot()?, at, storage)?;
+                Self::Slam(Box::new(SlamBody { process, input: None, job: None, outcome: None }))
+            }
+            Role::Merge => {
+                let (graph, memory) = merge::begin(run, world.storage.clone())?;
+                let slot = Arc::default();
+                let drawing = MapDrawing::open(&ports[0], run, &graph, Arc::clone(&slot))?;
+                Self::Merge(Box::new((drawing, GraphWorker::open(&ports[1], run, graph, memory, slot)?)))
+            }
+            Role::Telemetry => Self::Telemetry(Box::new(Figures::open(&ports[0], run)?)),
+            Role::Bridge => {
+                let idle_until = world.idle_until.clone();
+                Self::Operator(Box::new(Operator::open(&ports[0], run, world.together, idle_until)?))
+            }
+        })
+    }
+}
+
+impl SlamBody {
+    /// Takes what is next from the queue to a thread. True if there is something to do.
+    fn take_next(&mut self, thread: usize, world: &World) -> bool {
+        match thread {
+            1 => {
+                if self.input.is_none() {
+                    self.input = self.process.inputs.try_recv().ok().filter(|input| !is_lost(input, world));
+                }
+                self.input.is_some()
+            }
+            2 => {
+                if self.job.is_none() && self.outcome.is_none() {
+                    self.job = self.process.jobs.try_recv().ok();
+                }
+                self.job.is_some() || self.outcome.is_some()
+            }
+            _ => false,
+        }
+    }
+
+    fn step(&mut self, thread: usize) -> Monotonic {
+        match thread {
+            0 => self.process.scan_path.step(),
+            1 => self.process.back_end.step(self.input.take()),
+            _ => {
+                let files = &mut self.process.files;
+                self.outcome = match (self.outcome.take(), self.job.take()) {
+                    (Some(outcome), _) => files.try_send(outcome),
+                    (None, Some(job)) => files.try_run(job),
+                    (None, None) => None,
+                };
+                // It waits for jobs alone.
+                Monotonic(u64::MAX)
+            }
+        }
+    }
+}
+
+/// Whether a fault makes the queue too full for an event. Nodes always have room: see `slam::NODES_IN_FLIGHT_MAX`.
+fn is_lost(input: &BackEndInput, world: &World) -> bool {
+    let is_node = matches!(input, BackEndInput::FrontEnd(_, FrontEvent::Node(..)) | BackEndInput::File(_));
+    !is_node && world.network.faults().loses_events(world.network.clock().now())
+}

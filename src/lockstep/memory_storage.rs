@@ -1,0 +1,54 @@
+//! A run's folder in memory, which a fault can make full.
+
+use super::queues::Network;
+use crate::ports::Clock;
+use crate::storage::Storage;
+use formats::map_file::MapFileError;
+use msg::{Grid, GridView};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+/// Files by their path.
+#[derive(Clone)]
+pub struct MemoryStorage {
+    files: Rc<RefCell<BTreeMap<PathBuf, Vec<u8>>>>,
+    network: Rc<Network>,
+}
+
+impl MemoryStorage {
+    /// An empty folder; `network` knows when it is full.
+    pub fn new(network: &Rc<Network>) -> Self {
+        Self { files: Rc::default(), network: network.clone() }
+    }
+}
+
+impl Storage for MemoryStorage {
+    fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
+        let files = self.files.borrow();
+        let bytes = files.get(path).ok_or(ErrorKind::NotFound)?;
+        if bytes.len() as u64 > bytes_max {
+            return Err(ErrorKind::FileTooLarge.into());
+        }
+        Ok(bytes.clone())
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        if self.network.faults().is_disk_full(self.network.clock().now()) {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        self.files.borrow_mut().insert(path.to_owned(), bytes.to_vec());
+        Ok(())
+    }
+
+    fn write_map(&self, _: &Path, _: GridView<'_>) -> Result<(), MapFileError> {
+        // Nobody reads pictures in lockstep.
+        Ok(())
+    }
+
+    fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {
+        formats::map_file::read_map(path)
+    }
+}
