@@ -115,7 +115,7 @@ impl<P: Ports, S: Storage> Component for GraphWorker<P, S> {
         if let Some(task) = task {
             let outcome = task.run();
             if let Some(why) = outcome.solve_error() {
-                eprintln!(
+                tracing::warn!(
                     "merge: the joint pose graph was not solved: {why}; robots' maps stay where they are"
                 );
             }

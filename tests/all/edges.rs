@@ -98,7 +98,7 @@ fn merged_robots_keep_their_poses_when_the_merge_process_restarts() {
     let place = [1.5, -0.5, 0.25];
     memory["fleet"]["map_transforms"][1] = serde_json::json!(place);
     memory["fleet"]["pairs"] =
-        serde_json::json!([{"edge": 1, "state": 2, "a_from_b": place, "grounds": null, "refused": []}]);
+        serde_json::json!([{"edge": 1, "state": 2, "a_from_b": place, "evidence": null, "rejected": []}]);
     std::fs::write(&path, memory.to_string()).unwrap();
     let [old, new] = kill_merge(&mut fleet);
     assert_eq!((old.robots[1].known, new.robots[0]), (0, old.robots[0]));
