@@ -57,8 +57,8 @@ const SAME_PLACE_RAD: f64 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Alignment {
-    /// Frame of the first map from that of the second. It is not serialised: who keeps the evidence keeps the
-    /// transform in force beside it.
+    /// Frame of the first map from that of the second. It is not serialised: the edge keeps the transform beside
+    /// its evidence.
     #[serde(skip)]
     pub a_from_b: Pose2,
     /// Whether it passed every threshold of the [`AlignConfig`].

@@ -60,7 +60,7 @@ pub enum SubmapRejected {
     #[error("{0} is not of this fleet")]
     UnknownRobot(RobotId),
     /// A number in the message is not valid.
-    #[error("a submap or pose of {0} makes no sense")]
+    #[error("a submap or pose of {0} holds an invalid number")]
     Malformed(RobotId),
 }
 
@@ -90,7 +90,7 @@ pub enum SubmapRejected {
 /// ```
 pub struct FleetPoseGraph {
     config: AlignConfig,
-    /// By [`RobotId::index`].
+    /// One element for each robot of the fleet, at [`RobotId::index`].
     robots: Vec<Robot>,
     /// In the order of [`robots_of_pair`].
     pairs: Vec<RobotPair>,

@@ -38,7 +38,7 @@ use std::sync::Arc;
 /// ```
 pub struct Merger {
     resolution_m: f64,
-    /// By [`RobotId::index`].
+    /// One element for each robot of the fleet, at [`RobotId::index`].
     robots: Vec<RobotMap>,
     /// Up to date but for the tiles marked in `stale`.
     merged: TileMap,

@@ -1,4 +1,4 @@
-//! First stage: alignment of the whole maps of two robots, and checks of those in force.
+//! First stage: alignment of the whole maps of two robots, and checks of accepted ones.
 
 use super::compose::{PlacedSubmap, compose};
 use super::edge::{CheckResult, Evidence};
@@ -17,7 +17,7 @@ const GROWTH_FACTOR: f64 = 1.15;
 const GROWTH_NODES: u32 = 4;
 /// while a candidate waits for its second alignment, by so many.
 const GROWTH_NODES_OF_CANDIDATE: u32 = 2;
-/// An edge in force is checked again when its nodes have grown by this factor.
+/// An active edge is checked again when its nodes have grown by this factor.
 const CHECK_GROWTH_FACTOR: f64 = 1.25;
 /// Submaps in a window of a robot's map, its newest: drift has hardly deformed them. Robots with fewer than twice as many
 /// have no window.
@@ -80,7 +80,7 @@ pub(crate) fn next_alignment(
     Some(AlignJob { pair: index, nodes, maps, config: config.clone() })
 }
 
-/// The next check: of an edge in force whose maps have grown.
+/// Returns the next check of an active edge whose maps have grown.
 pub(crate) fn next_check(robots: &[Robot], pairs: &mut [RobotPair]) -> Option<CheckJob> {
     for (index, pair) in pairs.iter_mut().enumerate().filter(|(_, pair)| pair.edge.is_active()) {
         let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);

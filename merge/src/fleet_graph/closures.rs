@@ -23,11 +23,11 @@ const ALIGNMENT_SIGMAS: [f64; 2] = [0.05, 0.01];
 const PREDICTION_SIGMA_M: [f64; 2] = [0.08, 0.02];
 /// The same in radians.
 const PREDICTION_SIGMA_RAD: [f64; 2] = [0.02, 0.002];
-/// Standard deviations searched to each side,
+/// Half width of the search window in standard deviations of the prediction; limited by the two ranges below.
 const WINDOW_SIGMAS: f64 = 2.5;
-/// but at least and at most so many metres
+/// Smallest and largest half width of the search window, metres.
 const WINDOW_M: [f64; 2] = [0.25, 1.05];
-/// and radians.
+/// Smallest and largest half width of the search window, radians.
 const WINDOW_RAD: [f64; 2] = [0.06, 0.18];
 /// A failed match is tried again when a closure has come nearer: the distance driven to it has shrunk to this share.
 const RETRY_SHARE: f64 = 0.4;
@@ -40,7 +40,7 @@ const CLOSURE_KERNEL: Kernel = Kernel::Cauchy { sigmas: 2.0 };
 pub(crate) struct Closure {
     /// Submaps of the first and of the second robot.
     pub ids: [usize; 2],
-    /// The measurement.
+    /// Relative pose of the two submaps and its information, from matching their grids.
     pub measured: SubmapMatch,
 }
 
@@ -117,7 +117,7 @@ impl ClosureSet {
         *self = Self { residual_m: self.residual_m, ..Self::default() };
     }
 
-    /// Closures found and kept, whether in force or not.
+    /// Returns all closures found, active or not.
     pub fn found(&self) -> &[Closure] {
         &self.found
     }

@@ -27,7 +27,7 @@ pub(crate) fn successor(robots: &[Robot]) -> Option<ReferenceRobot> {
     })
 }
 
-/// Gives every robot a transform that edges in force connect to the frame, and takes it from those that none connects.
+/// Gives a transform to every robot that active edges connect to the frame, and removes it from all others.
 pub(crate) fn connect_robots(robots: &mut [Robot], pairs: &[RobotPair], reference: Option<ReferenceRobot>) {
     let mut connected: Vec<bool> = robots.iter().map(|robot| robot.estimate.start().is_some()).collect();
     if let Some(reference) = reference {

@@ -57,7 +57,7 @@ struct PairInGraph {
     /// Indices in [`JointProblem::robots`].
     robots: [usize; 2],
     closures: Vec<Closure>,
-    /// Holds while no closure is in force.
+    /// Edge from the alignment of the whole maps; used while no closure is active.
     alignment: Option<Edge>,
 }
 
@@ -73,7 +73,7 @@ pub(crate) struct JointSolution {
 #[derive(Debug)]
 struct SolvedPair {
     pair: usize,
-    /// Indices of the closures in force.
+    /// Indices of the active closures.
     in_force: Vec<usize>,
     /// Mean distance by which it leaves them, metres.
     residual_m: f64,

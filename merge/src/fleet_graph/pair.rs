@@ -19,13 +19,13 @@ pub(crate) struct RobotPair {
 /// When the maps of a pair were compared, by their pose-graph nodes together.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ComparisonSchedule {
-    /// Alignments tried.
+    /// Number of alignments of the whole maps that were tried.
     pub alignments: u32,
     /// Nodes at the newest alignment; 0 before the first.
     pub aligned_at_nodes: u32,
     /// Alignments to be tried although nothing grows any more.
     pub final_alignments: u32,
-    /// Nodes at the newest check of an edge in force; 0 to check it at once.
+    /// Nodes at the newest check of an active edge; 0 to check it at once.
     pub checked_at_nodes: u32,
 }
 
@@ -54,7 +54,7 @@ impl RobotPair {
         self.edge.restart(in_graph);
     }
 
-    /// Links the nearest submaps by the alignment of the whole maps, if the edge is in force.
+    /// Links the nearest submaps by the alignment of the whole maps, if the edge is active.
     pub fn link_by_alignment(&mut self, a: &Robot, b: &Robot) {
         if self.edge.is_active() {
             self.closures.link_by_alignment(self.edge.a_from_b(), a, b);

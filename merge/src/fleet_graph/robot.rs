@@ -6,7 +6,7 @@ use super::submaps::{SubmapGeneration, SubmapStore};
 use msg::{Grid, Pose2};
 use std::sync::Arc;
 
-/// One robot.
+/// One robot of the fleet's pose graph: its submaps and the estimate of where its map lies.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Robot {
     /// What its SLAM sent.
