@@ -14,7 +14,7 @@ const NULL_CELLS_PER_CALL: usize = 750_000;
 
 /// A robot's newest map with its transform.
 pub(crate) struct PlacedMap<'a> {
-    /// Frame `robotK/map`.
+    /// The map's cells, in the robot's own frame `robotK/map`.
     pub grid: &'a Grid,
     /// Equal versions have equal cells.
     pub version: u64,
