@@ -33,7 +33,7 @@ pub enum ConnectError {
     /// As many clients are connected as may be.
     #[error("the bridge has {limit} clients, its limit (clients_max); disconnect one, or raise the limit")]
     TooManyClients {
-        /// The limit.
+        /// Most clients at a time (`clients_max`).
         limit: usize,
     },
 }

@@ -17,7 +17,7 @@ pub enum ServiceError {
     /// Clients have registered as many services as they may.
     #[error("there are {limit} services already, the limit (client_topics_max)")]
     TooManyServices {
-        /// The limit.
+        /// Most services of all clients together (`client_topics_max`).
         limit: usize,
     },
     /// The service is registered with another type.

@@ -32,7 +32,7 @@ pub enum Service {
 pub struct NamedService {
     /// Name under `/robotN/`, such as `slam_toolbox/save_map`.
     pub name: &'static str,
-    /// `package/Type`.
+    /// ROS type as `package/Type`, such as `std_srvs/Trigger`.
     pub service_type: &'static str,
     /// What the service does.
     pub service: Service,
@@ -98,7 +98,7 @@ pub enum ServiceFailure {
     /// Too many calls wait for SLAM.
     #[error("{limit} calls wait for SLAM already; try again later")]
     TooManyCalls {
-        /// The limit.
+        /// Most calls that may wait for an answer of SLAM at a time.
         limit: usize,
     },
     /// SLAM has not answered.

@@ -43,12 +43,12 @@ pub struct Retention {
     pub latch: bool,
 }
 
-/// One topic.
+/// One topic with its subscribers and the message that late subscribers get.
 #[derive(Debug)]
 pub struct Topic {
     /// Name with leading slash.
     pub name: String,
-    /// `package/Type`.
+    /// ROS type as `package/Type`, such as `geometry_msgs/Twist`.
     pub message_type: String,
     /// Who may publish the topic.
     pub source: Source,
@@ -96,7 +96,7 @@ pub enum TopicError {
     TooMany {
         /// The topic's name.
         name: String,
-        /// The limit.
+        /// Most topics of all clients together (`client_topics_max`).
         limit: usize,
     },
 }
