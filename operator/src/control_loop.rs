@@ -47,7 +47,7 @@ pub(crate) struct ControlLoop<'a> {
     tour: Option<ExplorationTour>,
     robots: BTreeSet<RobotId>,
     selection: Option<Selection>,
-    /// Velocities published.
+    /// Number of velocities published since the start, for the report.
     published: u64,
     commands: Vec<DriveCommand>,
 }

@@ -11,7 +11,7 @@ const FIRST_STEP_S: f64 = 0.05;
 /// Deflection of a stick; each axis is in -1..=1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stick {
-    /// Deflection forward.
+    /// Deflection forward; backward is negative.
     pub forward: f64,
     /// Deflection to the left: counter-clockwise turning (REP-103).
     pub left: f64,

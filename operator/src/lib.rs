@@ -83,7 +83,7 @@ pub enum OperatorError {
     Argument {
         /// Name of the argument.
         name: &'static str,
-        /// Its value.
+        /// Value of the argument, seconds.
         value: f64,
     },
     /// There was no connection during the whole run.

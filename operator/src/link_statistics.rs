@@ -19,13 +19,13 @@ const ARRIVALS_MAX: usize = 8192;
 pub struct Percentiles {
     /// Number of values.
     pub count: usize,
-    /// 50th percentile.
+    /// 50th percentile, in the unit of the values.
     pub median: f64,
-    /// 95th percentile.
+    /// 95th percentile, in the unit of the values.
     pub p95: f64,
-    /// 99th percentile.
+    /// 99th percentile, in the unit of the values.
     pub p99: f64,
-    /// Largest value.
+    /// Largest value of the set.
     pub max: f64,
 }
 
