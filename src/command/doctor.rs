@@ -12,7 +12,7 @@ use std::time::Duration;
 /// Check what this machine permits: timers, limits, network
 #[derive(Clone, Debug, clap::Args)]
 pub struct DoctorArgs {
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
     /// TCP port that should be free

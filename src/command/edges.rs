@@ -23,7 +23,7 @@ pub struct EdgesArgs {
     /// Change to make; without it, show the edges
     #[command(subcommand)]
     pub action: Option<Action>,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
     /// Which fleet; before the action.
@@ -42,7 +42,7 @@ pub enum Action {
     Undo(Pair),
 }
 
-/// Two robots.
+/// Pair of robots whose edge is meant.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct Pair {
     /// Number of the first robot
@@ -93,7 +93,7 @@ pub enum EdgesError {
         /// Folder of the run.
         run: PathBuf,
     },
-    /// Standard output.
+    /// The edges cannot be written to standard output.
     #[error("cannot print the edges: {0}")]
     Print(#[from] std::io::Error),
 }

@@ -4,7 +4,7 @@ use crate::config::{ConfigError, FleetConfig, World};
 use crate::sessions::Mode;
 use std::path::PathBuf;
 
-/// Which fleet.
+/// Fleet to start: its file, and options that override the file.
 #[derive(Clone, Debug, clap::Args)]
 pub struct FleetArgs {
     /// Fleet file; other options override it
@@ -43,7 +43,7 @@ pub enum Starts {
 }
 
 impl FleetArgs {
-    /// Returns the configuration in force: the file's or the default, with the options on top.
+    /// Returns the file's or the default configuration with the options applied.
     pub fn config(&self) -> Result<FleetConfig, ConfigError> {
         let mut config = match &self.config {
             Some(path) => FleetConfig::from_file(path)?,

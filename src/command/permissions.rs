@@ -26,7 +26,7 @@ pub struct AllowArgs {
 /// Forbid an address to drive
 #[derive(Clone, Debug, clap::Args)]
 pub struct DenyArgs {
-    /// IP address
+    /// IP address of the client
     #[arg(value_name = "ADDRESS")]
     pub address: IpAddr,
     /// Which fleet, and how to print.
@@ -37,10 +37,10 @@ pub struct DenyArgs {
 /// Arguments of `stop` and `release`
 #[derive(Clone, Debug, clap::Args)]
 pub struct StopArgs {
-    /// Which fleet.
+    /// Choice of the running fleet.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -59,7 +59,7 @@ pub enum PermissionError {
         /// Reason of the bridge.
         why: String,
     },
-    /// Standard output.
+    /// The answer cannot be written to standard output.
     #[error("cannot print the answer: {0}")]
     Print(#[from] std::io::Error),
 }

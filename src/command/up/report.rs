@@ -90,7 +90,7 @@ impl Report {
         }
     }
 
-    /// Writes `report.json`.
+    /// Writes `report.json` into the run's folder.
     pub fn write(&self, dir: &Path) -> Result<(), RunError> {
         let path = dir.join("report.json");
         let json = serde_json::to_string_pretty(self).unwrap_or_default();
