@@ -68,7 +68,7 @@ impl From<Role> for Program {
 /// Who opens channels: a program, and the robot that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Opener {
-    /// The program.
+    /// Process of the fleet or tool that opens the channel.
     pub program: Program,
     /// The robot of a simulator or of a SLAM process; none for all others.
     pub robot: Option<RobotId>,
@@ -193,7 +193,7 @@ pub enum Direction {
 /// A row of the table with the type of its messages.
 #[derive(Debug)]
 pub struct TypedRow<T> {
-    /// The row.
+    /// Row of the table, without the type.
     pub row: ChannelRow,
     message: PhantomData<fn() -> T>,
 }

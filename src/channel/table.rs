@@ -99,7 +99,7 @@ static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
     readers: &[Of(Merge), Of(Telemetry), Of(Bridge), Of(Launcher)],
     ..STREAM
 });
-// Readers cannot count lost messages of several writers: whoever asks sees that no answer comes.
+// Readers cannot count lost messages of several writers: a client notices a lost request by the missing answer.
 static SLAM_REQUEST: TypedRow<SlamRequest> = TypedRow::new(ChannelRow {
     name: "slam_request",
     content: "a request to SLAM, on demand",
@@ -226,92 +226,92 @@ pub static CHANNELS: [&ChannelRow; 19] = [
     &HEALTH.row,
 ];
 
-/// `robotK/command`.
+/// `robotK/command`: the velocity that a person or a program wants the robot to drive.
 pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
     COMMAND.of_robot(robot)
 }
 
-/// `robotK/scan`.
+/// `robotK/scan`: one turn of the robot's LiDAR.
 pub fn scan(robot: RobotId) -> Channel<Scan> {
     SCAN.of_robot(robot)
 }
 
-/// `robotK/odometry`.
+/// `robotK/odometry`: wheel odometry, before the scan of the same stamp.
 pub fn odometry(robot: RobotId) -> Channel<Odometry> {
     ODOMETRY.of_robot(robot)
 }
 
-/// `robotK/transforms`.
+/// `robotK/transforms`: the robot's own frames.
 pub fn transforms(robot: RobotId) -> Channel<Transforms> {
     TRANSFORMS.of_robot(robot)
 }
 
-/// `robotK/truth`.
+/// `robotK/truth`: the simulated pose, to measure errors with.
 pub fn truth(robot: RobotId) -> Channel<GroundTruth> {
     TRUTH.of_robot(robot)
 }
 
-/// `clock`.
+/// `clock`: the run's time.
 pub fn clock() -> Channel<Clock> {
     CLOCK.of_fleet()
 }
 
-/// `robotK/correction`.
+/// `robotK/correction`: SLAM's pose in the robot's map, one for each scan.
 pub fn correction(robot: RobotId) -> Channel<Correction> {
     CORRECTION.of_robot(robot)
 }
 
-/// `robotK/slam_request`.
+/// `robotK/slam_request`: requests of people and programs to the robot's SLAM.
 pub fn slam_request(robot: RobotId) -> Channel<SlamRequest> {
     SLAM_REQUEST.of_robot(robot)
 }
 
-/// `robotK/slam_response`; open it before asking.
+/// `robotK/slam_response`: SLAM's answers; open it before sending a request.
 pub fn slam_response(robot: RobotId) -> Channel<SlamResponse> {
     SLAM_RESPONSE.of_robot(robot)
 }
 
-/// `robotK/map`; a reader that comes late asks for the whole map.
+/// `robotK/map`: changed tiles of the robot's map; a reader that comes late asks for the whole map.
 pub fn map(robot: RobotId) -> Channel<PatchHeader> {
     ROBOT_MAP.of_robot(robot)
 }
 
-/// `robotK/submap`.
+/// `robotK/submap`: new and changed submaps, for merging.
 pub fn submap(robot: RobotId) -> Channel<Submap> {
     SUBMAP.of_robot(robot)
 }
 
-/// `robotK/submap_poses`.
+/// `robotK/submap_poses`: poses of all submaps in the robot's map.
 pub fn submap_poses(robot: RobotId) -> Channel<SubmapPoses> {
     SUBMAP_POSES.of_robot(robot)
 }
 
-/// `robotK/submap_request`.
+/// `robotK/submap_request`: merging asks SLAM for all submaps because one is missing.
 pub fn submap_request(robot: RobotId) -> Channel<SubmapRequest> {
     SUBMAP_REQUEST.of_robot(robot)
 }
 
-/// `merged_map`; a reader that comes late asks for the whole map.
+/// `merged_map`: changed tiles of the fleet's map; a reader that comes late asks for the whole map.
 pub fn merged_map() -> Channel<PatchHeader> {
     MERGED_MAP.of_fleet()
 }
 
-/// `map_transforms`.
+/// `map_transforms`: where each robot's map lies in the fleet's map.
 pub fn map_transforms() -> Channel<MapTransforms> {
     MAP_TRANSFORMS.of_fleet()
 }
 
-/// `merge_edges`.
+/// `merge_edges`: relative pose and evidence of every pair of robots' maps.
 pub fn merge_edges() -> Channel<MergeEdges> {
     MERGE_EDGES.of_fleet()
 }
 
-/// `edge_command`.
+/// `edge_command`: a person's command about a merge edge, such as pin or undo.
 pub fn edge_command() -> Channel<EdgeCommand> {
     EDGE_COMMAND.of_fleet()
 }
 
-/// `stats`.
+/// `stats`: the fleet's figures from telemetry.
 pub fn stats() -> Channel<FleetStats> {
     STATS.of_fleet()
 }
