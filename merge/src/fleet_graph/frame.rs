@@ -19,7 +19,7 @@ pub(crate) fn set_reference(robots: &mut [Robot], robot: usize, map_from_robot_m
     ReferenceRobot { robot, map_from_robot_map }
 }
 
-/// The first robot whose place is known, in the place of a reference that has left: the frame itself stays.
+/// Returns the first robot with a transform, as the successor of a reference that has left: the frame itself stays.
 pub(crate) fn successor(robots: &[Robot]) -> Option<ReferenceRobot> {
     robots.iter().enumerate().find_map(|(robot, known)| {
         let map_from_robot_map = *known.estimate.at_submaps().first()?;
