@@ -1,4 +1,4 @@
-//! Map pictures for people: coloured paths and robots over an occupancy grid.
+//! Map pictures with coloured paths and robots over an occupancy grid.
 
 use super::{MapFileError, Path, greys_top_down, write_whole};
 use msg::{GridView, Pose2};
