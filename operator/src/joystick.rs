@@ -1,4 +1,4 @@
-//! Simulated joystick: the deflection that a thumb gives a headset's stick, and the velocity that it commands.
+//! Simulated joystick, with the deflection of a headset's stick by a thumb and the velocity that it commands.
 
 use msg::{ROBOTS_MAX, Stamp};
 use nav::{DriveCommand, Twist};

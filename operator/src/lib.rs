@@ -1,4 +1,4 @@
-//! Scripted operator: a client that drives a fleet over ros_tcp as a person with a headset does.
+//! Scripted operator, a client that drives a fleet over ros_tcp as a person with a headset does.
 //!
 //! It sees only what the bridge sends, drives with a simulated joystick, and measures what arrives.
 //!

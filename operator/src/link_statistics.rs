@@ -1,4 +1,4 @@
-//! Statistics of the link: how much arrives on each topic, how regularly, and what is missing.
+//! Statistics of the link, with the rate, regularity and losses of each topic.
 
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, LaserScan, TfMessage};
@@ -196,7 +196,7 @@ fn report<'a>(streams: impl Iterator<Item = &'a Stream>) -> StreamReport {
     StreamReport { jitter_ms: Percentiles::of(jitter_ms), ..sum }
 }
 
-/// Content of a message that the statistics had to decode, so that nobody decodes it twice.
+/// Content of a message that the statistics had to decode, passed on so that it is decoded once.
 #[derive(Debug)]
 pub enum MessageContent {
     /// A robot's scan.
