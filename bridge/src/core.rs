@@ -1,4 +1,4 @@
-//! The routing core: composes the bridge's parts and handles what clients send.
+//! The routing core, which composes the bridge's parts and handles what clients send.
 //!
 //! It reads no clock and no socket. Time comes in as `now`, a monotonic time of the caller's.
 

@@ -1,4 +1,4 @@
-//! Services between clients: providers, callers and the calls that wait for a response.
+//! Services between clients, with providers, callers and the calls that wait for a response.
 
 use crate::router::ClientId;
 use msg::Monotonic;

@@ -1,4 +1,4 @@
-//! SLAM's services in ROS: their names and types, and how requests and responses are encoded.
+//! Names, types and encodings of SLAM's services in ROS.
 //!
 //! Names and types are SLAM Toolbox's where it has the service (slam_toolbox 2.8, Jazzy), otherwise std_srvs'. All names
 //! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.

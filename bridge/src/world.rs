@@ -1,4 +1,4 @@
-//! A world outside this fleet: scans, transforms and the clock come from a headset application or from real robots.
+//! A world outside this fleet, whose scans, transforms and clock come from a headset application or real robots.
 //!
 //! ```text
 //!   LaserScan  ─▶ checked ──────────────────────────────▶ robotK/scan

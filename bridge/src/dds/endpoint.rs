@@ -1,4 +1,4 @@
-//! The ROS 2 endpoint: one DDS participant with one ROS node.
+//! The ROS 2 endpoint as one DDS participant with one ROS node.
 
 use super::config::DdsConfig;
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};

@@ -1,4 +1,4 @@
-//! The table of topics: the fleet's, which are fixed at start, and those that clients create.
+//! The table of the fleet's topics, which are fixed at start, and of those that clients create.
 
 use super::buffers::SharedFrame;
 use super::client::ClientId;
