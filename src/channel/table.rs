@@ -9,7 +9,7 @@ use msg::{
     SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
-/// Messages of a map that its writer sends at a time: with the pause between two lots, 26 MB a second.
+/// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
 pub const MAP_MESSAGES_MAX: usize = 4;
 /// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
 const READERS_MAX: usize = 8;
@@ -34,7 +34,7 @@ const STREAM: ChannelRow = ChannelRow {
 };
 /// A channel of the fleet that gives late readers the newest message.
 const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1, ..STREAM };
-/// A map's channel: readers may fall four lots of messages behind.
+/// A map's channel: readers may fall four batches of messages behind.
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
 const SIM_OR_OUTSIDE: &[End] = &[Of(Sim), OutsideWorld(Bridge)];
@@ -52,7 +52,7 @@ static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     content: "one turn of the LiDAR, 10 Hz",
     writers: SIM_OR_OUTSIDE,
     readers: &[Of(Slam), Of(Bridge)],
-    // 1.6 s fit while SLAM is restarted or descheduled.
+    // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
     depth: 16,
     ..STREAM
 });
@@ -80,7 +80,7 @@ static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
     readers: &[OfOthers(Sim), Of(Telemetry), Of(Launcher)],
     depth: 4,
     readers_max: READERS_MAX + ROBOTS_MAX,
-    // Readers look once in each tick of their own.
+    // Readers poll once in each tick of their own.
     wakes: false,
     ..STREAM
 });
@@ -129,7 +129,7 @@ static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
     content: "a new or changed submap, at most 10 Hz",
     writers: &[Of(Slam)],
     readers: &[Of(Merge)],
-    // A message has 0.26 MB: few fit, and a reader that lost one asks for it.
+    // A message has 0.26 MB, so that the queue is short; a reader that lost one requests it.
     depth: 8,
     readers_max: SUBMAP_READERS_MAX,
     ..STREAM
@@ -170,7 +170,7 @@ static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
 });
 static MERGE_EDGES: TypedRow<MergeEdges> = TypedRow::new(ChannelRow {
     name: "merge_edges",
-    content: "what merging believes of each pair of robots, on change",
+    content: "relative pose and evidence of each pair of robots, on change",
     writers: &[Of(Merge)],
     readers: &[Of(Bridge), Of(Launcher), Of(AskMerge)],
     ..STATE
@@ -203,7 +203,7 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
     ..STREAM
 });
 
-/// All channels of a fleet, in the order of the data's way.
+/// All channels of a fleet, in the order of the data flow.
 pub static CHANNELS: [&ChannelRow; 19] = [
     &COMMAND.row,
     &SCAN.row,
