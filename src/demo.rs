@@ -1,4 +1,4 @@
-//! `mr-slam demo`: a fleet with a scripted operator that drives it over TCP, as a headset would.
+//! Tool `mr-slam demo`, which runs a fleet with a scripted operator that drives it over TCP, as a headset would.
 
 use crate::command::up::FleetHooks;
 use crate::run::Run;

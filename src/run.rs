@@ -1,4 +1,4 @@
-//! Run: one fleet from its start to its end, and the folder that describes it.
+//! A run, one fleet from its start to its end, and the folder that describes it.
 //!
 //! | file | content |
 //! |---|---|

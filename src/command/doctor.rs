@@ -1,4 +1,4 @@
-//! `mr-slam doctor`: checks what this machine permits, and says what to do about the rest.
+//! Tool `mr-slam doctor`, which checks what this machine permits and names a remedy for the rest.
 
 use super::output;
 use crate::clock;

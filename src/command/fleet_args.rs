@@ -33,7 +33,7 @@ pub struct FleetArgs {
     pub localize: bool,
 }
 
-/// What merging knows of the robots' starts.
+/// Knowledge of merging about the robots' starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Starts {
     /// Start of each robot's map
@@ -52,7 +52,7 @@ impl FleetArgs {
         let fleet = &mut config.fleet;
         if let Some(robots) = self.robots {
             if robots != fleet.robots {
-                // Poses for another number of robots mean nothing.
+                // Poses for another number of robots are invalid.
                 fleet.starts.clear();
             }
             fleet.robots = robots;

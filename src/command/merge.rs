@@ -1,4 +1,4 @@
-//! `mr-slam merge A.yaml B.yaml ...`: merges map files of robots that started anywhere.
+//! Tool `mr-slam merge`, which merges map files of robots that started anywhere.
 
 use super::output;
 use formats::map_file::{MapFileError, read_map, write_map};

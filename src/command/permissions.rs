@@ -1,4 +1,4 @@
-//! `mr-slam allow`, `deny`, `stop` and `release`: who may drive a running fleet, and the emergency stop.
+//! Tools `mr-slam allow`, `deny`, `stop` and `release` for permissions to drive and the emergency stop.
 
 use super::output;
 use super::run_args::RunArgs;
@@ -18,7 +18,7 @@ pub struct AllowArgs {
     /// IP address, such as the headset's
     #[arg(value_name = "ADDRESS")]
     pub address: Option<IpAddr>,
-    /// Which fleet, and how to print.
+    /// Choice of the running fleet, and the format of the answer.
     #[command(flatten)]
     pub common: StopArgs,
 }
@@ -29,7 +29,7 @@ pub struct DenyArgs {
     /// IP address of the client
     #[arg(value_name = "ADDRESS")]
     pub address: IpAddr,
-    /// Which fleet, and how to print.
+    /// Choice of the running fleet, and the format of the answer.
     #[command(flatten)]
     pub common: StopArgs,
 }
@@ -45,7 +45,7 @@ pub struct StopArgs {
     pub json: bool,
 }
 
-/// Reason why the bridge did not do it.
+/// Reason why the bridge did not apply the request.
 #[derive(Debug, thiserror::Error)]
 pub enum PermissionError {
     /// No run, or several and none was named.

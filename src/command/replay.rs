@@ -1,4 +1,4 @@
-//! `mr-slam replay`: maps recorded logs with the fleet's SLAM, as fast as the machine can.
+//! Tool `mr-slam replay`, which maps recorded logs with the fleet's SLAM, as fast as the machine can.
 //!
 //! Two threads as in the live process: this one runs the front end, the other one the back end. Unlike the live
 //! process, the front end waits when the back end is far behind: a log has time.

@@ -1,4 +1,4 @@
-//! `mr-slam slam ROBOT ...`: controls a robot's SLAM in a running fleet, as SLAM Toolbox's services do.
+//! Tool `mr-slam slam ROBOT`, which controls a robot's SLAM in a running fleet, as SLAM Toolbox's services do.
 
 use super::edges::robot;
 use super::output;

@@ -1,4 +1,4 @@
-//! `mr-slam status`: shows the newest figures of a running fleet.
+//! Tool `mr-slam status`, which shows the newest figures of a running fleet.
 
 use super::output;
 use super::run_args::RunArgs;

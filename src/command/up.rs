@@ -1,4 +1,4 @@
-//! `mr-slam up`: launches a fleet, shows its figures, and leaves maps and a report behind.
+//! Tool `mr-slam up`, which launches a fleet, shows its figures, and writes maps and a report.
 
 mod console;
 mod events;

@@ -1,4 +1,4 @@
-//! `mr-slam lockstep`: a fleet on virtual time, from the command line.
+//! Tool `mr-slam lockstep`, which runs a fleet on virtual time.
 
 use super::Lockstep;
 use super::faults::FaultPlan;

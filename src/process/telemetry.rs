@@ -1,4 +1,4 @@
-//! The telemetry process: reads everything, publishes the fleet's figures once a second.
+//! The telemetry process, which reads all figures and publishes the fleet's statistics once a second.
 
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Component, Error, Listens, PLAN_RESOLUTION_M, serve};

@@ -1,4 +1,4 @@
-//! Report of a run: `report.json` for programs, and a summary for people.
+//! Report of a run, `report.json` for programs and a summary for people.
 
 use super::events::Events;
 use crate::run::{Run, RunError};
