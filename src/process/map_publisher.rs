@@ -7,7 +7,7 @@ use ::slam::BackEnd;
 use msg::{Monotonic, RobotId};
 use std::time::Duration;
 
-/// Cells of beams drawn in one step, about a millisecond of work.
+/// Largest number of cells of beams that one step draws, about a millisecond of work.
 const SLICE_CELLS: usize = 400_000;
 /// Period at which an unchanged map is checked for new readers, which need the whole map.
 const POLL_PERIOD: Duration = Duration::from_millis(200);

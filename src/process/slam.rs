@@ -65,7 +65,7 @@ pub enum FrontCommand {
     Revise(Revision),
     /// Sets whether scans are ignored.
     Pause(bool),
-    /// Requests [`FrontEvent::State`].
+    /// Requests the front end's state, which comes as [`FrontEvent::State`].
     ReportState,
     /// Replaces the front end by another with a number of its own.
     Replace {
