@@ -1,4 +1,4 @@
-//! The channels between the fleet's processes: one table says who writes what to whom.
+//! The channels between the fleet's processes: one table names the writers and readers of each.
 //!
 //! Both ends of a channel are opened through [`CHANNELS`], so that they cannot disagree, and a process that opens a
 //! channel that the table does not grant it gets an error. The table also makes the chapter on channels in
@@ -65,22 +65,22 @@ impl From<Role> for Program {
     }
 }
 
-/// Who opens channels: a program, and the robot that it belongs to.
+/// Opener of channels: a program, and the robot that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Opener {
-    /// The program.
+    /// Process of the fleet or tool that opens the channel.
     pub program: Program,
     /// The robot of a simulator or of a SLAM process; none for all others.
     pub robot: Option<RobotId>,
 }
 
 impl Opener {
-    /// A program that belongs to the whole fleet.
+    /// Creates the opener of a program that belongs to the whole fleet.
     pub fn of_fleet(program: Program) -> Self {
         Self { program, robot: None }
     }
 
-    /// A program that belongs to one robot.
+    /// Creates the opener of a program that belongs to one robot.
     pub fn of_robot(program: Program, robot: RobotId) -> Self {
         Self { program, robot: Some(robot) }
     }
@@ -104,7 +104,7 @@ pub enum End {
     OfFirst(Program),
     /// The processes of all other robots.
     OfOthers(Program),
-    /// Its process, where the robots are not simulated here.
+    /// Its process, if the robots are not simulated here.
     OutsideWorld(Program),
 }
 
@@ -143,7 +143,7 @@ impl fmt::Display for End {
     }
 }
 
-/// How many channels a row of the table stands for.
+/// Scope of a row of the table, which determines its number of channels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// One channel of the fleet.
@@ -173,11 +173,11 @@ pub struct ChannelRow {
     pub depth: usize,
     /// Messages kept for a reader that comes late: 1 for a state, 0 for a stream.
     pub history: usize,
-    /// The most readers at a time.
+    /// Largest number of readers at a time.
     pub readers_max: usize,
-    /// The most writers at a time.
+    /// Largest number of writers at a time.
     pub writers_max: usize,
-    /// Whether a message wakes its readers, or waits until they look.
+    /// Whether a message wakes its readers, or waits until they poll.
     pub wakes: bool,
 }
 
@@ -193,7 +193,7 @@ pub enum Direction {
 /// A row of the table with the type of its messages.
 #[derive(Debug)]
 pub struct TypedRow<T> {
-    /// The row.
+    /// Row of the table, without the type.
     pub row: ChannelRow,
     message: PhantomData<fn() -> T>,
 }

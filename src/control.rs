@@ -46,7 +46,7 @@ pub struct BridgeState {
     pub waiting: Vec<IpAddr>,
     /// Addresses that may drive.
     pub allowed: Vec<IpAddr>,
-    /// All connections.
+    /// State of every connection of a ros_tcp client.
     pub clients: Vec<ClientView>,
 }
 

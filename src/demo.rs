@@ -1,4 +1,4 @@
-//! `mr-slam demo`: a fleet with a scripted operator that drives it over TCP, as a headset would.
+//! Tool `mr-slam demo`, which runs a fleet with a scripted operator that drives it over TCP, as a headset would.
 
 use crate::command::up::FleetHooks;
 use crate::run::Run;
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 /// Longest time that the operator may take to print its report after SIGTERM.
 const REPORT_WAIT_MAX: Duration = Duration::from_secs(1);
-/// Time between two looks whether the operator has ended.
+/// Period at which the end of the operator is polled.
 const EXIT_POLL: Duration = Duration::from_millis(5);
 
 /// Scripted operator in a process of its own.
@@ -20,7 +20,7 @@ pub struct OperatorProcess {
 }
 
 impl OperatorProcess {
-    /// An operator for a run of this length; it divides a known length into the robots' turns.
+    /// Creates an operator for a run of this length; it divides a known length into the robots' turns.
     pub fn new(seconds: Option<f64>) -> Self {
         Self { seconds, child: None }
     }

@@ -1,5 +1,5 @@
-//! What a configuration makes of the world: the room, and where and when each robot begins. The
-//! processes and the lockstep fleet both build their robots from this.
+//! Builds the world of a configuration: the room, and each robot's start pose and tick phase.
+//! Live processes and lockstep use the same functions.
 
 use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
@@ -10,13 +10,13 @@ use std::io::Read;
 use std::path::Path;
 use std::time::Duration;
 
-/// Why a world cannot be built.
+/// Reason why a world cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
-    /// The room's file.
+    /// The room's file cannot be used.
     #[error("room {path}: {why}")]
     Room {
-        /// The file.
+        /// Path of the room's file.
         path: String,
         /// What is wrong with it.
         why: String,
@@ -24,17 +24,17 @@ pub enum FleetError {
     /// A robot cannot start where it should.
     #[error("{robot} cannot start: {why}")]
     Start {
-        /// Which.
+        /// Robot whose start pose is refused.
         robot: RobotId,
         /// What is in the way.
         why: String,
     },
-    /// What the fleet is to begin with.
+    /// The sessions that the fleet begins with cannot be used.
     #[error(transparent)]
     Sessions(#[from] SessionsError),
 }
 
-/// The largest file that is read as a room.
+/// Largest file that is read as a room, bytes.
 const ROOM_BYTES_MAX: u64 = 256 << 20;
 
 /// Loads the configured room.
@@ -56,7 +56,7 @@ pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
     Room::from_bytes(&name, &bytes).map_err(|why| wrong(why.to_string()))
 }
 
-/// Where each robot starts: `world` from its `robotK/map`, which begins there.
+/// Returns each robot's start pose: `world` from its `robotK/map`, whose origin is there.
 pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetError> {
     match config.configured_starts() {
         Some(starts) => Ok(starts),
@@ -66,10 +66,11 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
     }
 }
 
-/// Where each robot's map lies in the fleet's from the start, as far as merging is told. Where it is told nothing (the
-/// file says so, or a world outside shows no room to choose places in), the fleet's map is the first robot's, and the
-/// others' places are to be found. Where the fleet begins with sessions, their maps' places are those from when they
-/// were kept.
+/// Returns the transforms of the robots' maps that merging knows at the start: `map` from `robotK/map`.
+///
+/// If they are unknown (as configured, or in an external world without a room), the first robot's map is the reference
+/// and merging has to find the others. A fleet that begins with sessions uses the transforms that were saved with
+/// them.
 pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
     let first = |robot: RobotId| (robot.number() == 1).then_some(Pose2::IDENTITY);
     let alone = || RobotId::first(config.fleet.robots).map(first).collect();
@@ -82,7 +83,8 @@ pub fn known_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErr
     true_starts(config)
 }
 
-/// Where each robot's map truly lies, where that is known: in a simulation in `world`, else as configured in `map`.
+/// Returns the true transform of each robot's map if it is known: in a simulation from `world`, otherwise from `map`
+/// as configured.
 pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetError> {
     let begun = match config.configured_starts() {
         None if config.world.is_outside() => vec![None; config.fleet.robots],
@@ -92,13 +94,13 @@ pub fn true_starts(config: &FleetConfig) -> Result<Vec<Option<Pose2>>, FleetErro
     Ok(sessions::known_starts(config, begun)?)
 }
 
-/// How long after a tick's stamp a robot's simulator takes it: the robots are spread over the tick, so
-/// that a fleet does not wake all at once. The same for every tick, so that it is no jitter.
+/// Returns the time by which a robot's simulator runs after the tick's stamp. The robots are spread over the tick so
+/// that they do not wake all at once. It is constant, so that it adds no jitter.
 pub fn tick_lag(robot: RobotId, robots: usize) -> Duration {
     Simulator::TICK * robot.index() as u32 / robots.max(1) as u32
 }
 
-/// A robot in its room.
+/// Creates the simulation of one robot in its room.
 pub fn simulator(
     config: &FleetConfig,
     room: &Room,
@@ -123,7 +125,7 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
     Ok(())
 }
 
-/// Stamps of a run that is on the machine's clock.
+/// Returns the epoch of a run on the machine's clock.
 pub fn stamp_now(epoch: Epoch) -> Stamp {
     epoch.stamp(crate::clock::now())
 }

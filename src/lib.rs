@@ -1,6 +1,6 @@
-//! The shell around the rooms: launcher, channels, one main loop per process, replay, lockstep.
+//! Processes of an MR-SLAM fleet, the channels between them, and the command line of `mr-slam`.
 
-// A fleet and its parts, outermost first.
+// Command line, configuration and processes.
 pub mod command;
 pub mod config;
 pub mod demo;
@@ -11,20 +11,20 @@ pub mod processes;
 pub mod realtime;
 pub mod run;
 pub mod supervisor;
-// Between the processes.
+// Communication between the processes.
 pub mod channel;
 pub mod clock;
 pub mod control;
 pub mod ports;
 pub mod shared_memory;
 pub mod stop;
-// What people see and say.
+// What people read and control.
 pub mod allowed;
 pub mod keys;
 pub mod merge_memory;
 pub mod observer;
 pub mod view;
-// Robots and data from elsewhere.
+// Files that outlive a process.
 pub mod session_file;
 pub mod sessions;
 pub mod storage;

@@ -1,4 +1,4 @@
-//! The same fleet in one process on virtual time: the components of the live processes, on queues in memory, run by a
+//! Runs a fleet in one process on virtual time: the components of the live processes, on queues in memory, called by a
 //! scheduler. The same configuration and seed give the same messages, byte for byte, as fast as the machine goes.
 //!
 //! Of the components that could run at one moment, the first in a fixed order runs; with faults ([`faults`]), one drawn
@@ -36,7 +36,7 @@ use slam::Session;
 use std::cell::Cell;
 use std::rc::Rc;
 
-/// Steps at one moment after which the fleet is taken to be stuck: a robot's busiest moment takes some dozens.
+/// Steps at one moment after which the fleet counts as stuck; a robot's busiest moment takes some dozens.
 const STEPS_MAX: u32 = 100_000;
 
 /// A fleet in lockstep.
@@ -52,7 +52,7 @@ pub struct Lockstep {
     saved: Vec<usize>,
 }
 
-/// What the launcher and people see of the fleet.
+/// The fleet's figures and maps, as the launcher and clients receive them.
 struct Observer {
     stats: QueueReader<FleetStats>,
     newest: Box<FleetStats>,
@@ -60,7 +60,7 @@ struct Observer {
     robots: Vec<LastSeen>,
 }
 
-/// Where a robot was seen last.
+/// Newest pose that was received from a robot.
 struct LastSeen {
     truths: QueueReader<GroundTruth>,
     corrections: QueueReader<Correction>,
@@ -73,12 +73,12 @@ impl Lockstep {
     /// Builds the fleet. `together`: the operator drives all robots at once, not one after the other.
     ///
     /// # Errors
-    /// The configuration's room, starts or sessions are of no use.
+    /// The configuration's room, starts or sessions cannot be used.
     pub fn new(config: &FleetConfig, together: bool) -> Result<Self, Error> {
         Self::with_faults(config, together, FaultPlan::none())
     }
 
-    /// Builds a fleet in which things go wrong.
+    /// Builds a fleet with injected faults.
     ///
     /// # Errors
     /// As [`Lockstep::new`].
@@ -89,7 +89,7 @@ impl Lockstep {
         let run = Run::in_memory(config.clone())?;
         let idle_until = Rc::new(Cell::new(Monotonic(0)));
         let mut rows: Vec<_> = processes::of_fleet(config).collect();
-        // The order of the data: robots, SLAM, merging, figures, operator.
+        // Processes in the order of the data flow: robots, SLAM, merging, figures, operator.
         rows.sort_by_key(|(row, robot)| (row.role, *robot));
         let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::AskSlam));
         let requests = run.robots().map(|robot| asker.writer(&channel::slam_request(robot)));
@@ -112,24 +112,24 @@ impl Lockstep {
         self.world.network.tell(listener);
     }
 
-    /// The run's time.
+    /// Returns the run's time.
     pub fn now(&self) -> Stamp {
         self.world.run.epoch.stamp(self.time())
     }
 
-    /// The newest figures.
+    /// Returns the newest figures.
     pub fn stats(&self) -> &FleetStats {
         &self.observer.newest
     }
 
-    /// Every map so far: a name and the map.
+    /// Returns every map received so far, with its name.
     pub fn maps(&mut self) -> impl Iterator<Item = (&str, GridView<'_>)> {
         let seen =
             self.observer.maps.iter_mut().filter(|(_, reader, _)| reader.map().tiles().next().is_some());
         seen.map(|(name, reader, grid)| (name.as_str(), grid.update(reader.map())))
     }
 
-    /// The session of every robot whose SLAM runs.
+    /// Returns the session of every robot whose SLAM runs.
     pub fn sessions(&self) -> impl Iterator<Item = (RobotId, Session)> + '_ {
         self.members.iter().filter_map(|member| {
             let slam = &member.slam()?.process;
@@ -137,12 +137,12 @@ impl Lockstep {
         })
     }
 
-    /// Where each robot's map lies in the fleet's from the start, if that is known.
+    /// Returns the known start transform of each robot's map: `map` from `robotK/map`.
     pub fn known_starts(&self) -> &[Option<Pose2>] {
         &self.known
     }
 
-    /// Which process has opened which channel.
+    /// Returns which process has opened which channel.
     pub fn openings(&self) -> Openings {
         self.world.network.openings()
     }
@@ -173,7 +173,7 @@ impl Lockstep {
         }
     }
 
-    /// Runs one step of one thread that has something to do. False if none has.
+    /// Runs one step of one thread that is due; returns false if none is.
     fn step_one(&mut self) -> bool {
         let world = &self.world;
         let shuffled = world.network.faults().is_shuffled();
@@ -197,7 +197,7 @@ impl Lockstep {
         true
     }
 
-    /// The next moment at which something is due.
+    /// Returns the next moment at which something is due.
     fn next_moment(&self) -> Monotonic {
         let now = self.time();
         let of_member = |member: &Member| {
@@ -206,7 +206,7 @@ impl Lockstep {
                 crate::supervisor::restarts::State::Waiting { until } => Some(until),
                 _ => None,
             };
-            // What became due while it was stopped, it does when it goes on.
+            // Work that became due while it was stopped is done when it continues.
             threads.map(|due| due.max(member.frozen_until)).into_iter().chain(restart).min()
         };
         let resume = self.resume_at.iter().map(|(at, _)| *at);
@@ -236,7 +236,7 @@ impl Lockstep {
         }
     }
 
-    /// Lets go wrong what is due.
+    /// Injects the faults that are due.
     fn apply_faults(&mut self) {
         let now = self.time();
         while let Some(position) = self.resume_at.iter().position(|(at, _)| *at <= now) {
@@ -274,7 +274,7 @@ impl Lockstep {
         }
     }
 
-    /// Before a process is killed: what of its map must be there again.
+    /// Records, before a SLAM process is killed, how much of its map the restarted one must know again.
     fn record_saved_map(&mut self, index: usize) {
         let member = &self.members[index];
         if let Some(robot) = member.robot.filter(|_| member.slam().is_some()) {
@@ -335,7 +335,7 @@ impl Observer {
         }
     }
 
-    /// What a robot's process is told that is started again.
+    /// Returns the pose that a restarted process of a robot is given.
     fn last_seen(&mut self, role: Role, robot: RobotId) -> Option<Pose2> {
         let seen = &mut self.robots[robot.index()];
         match role {

@@ -1,4 +1,4 @@
-//! The one binary of MR-SLAM.
+//! Entry point of the binary `mr-slam`.
 
 use clap::Parser;
 use mr_slam::command::{self, Cli, output};

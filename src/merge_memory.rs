@@ -1,5 +1,5 @@
-//! What the merge process remembers beyond its death, in the run's folder: where robots lie, and what the operator
-//! said. Read by the process that takes its place in the same run, and by nobody else.
+//! State of the merge process that outlives a restart: transforms of the robots' maps, and the operator's commands.
+//! It is a file in the run's folder, which only the restarted merge process of the same run reads.
 
 use crate::run::Run;
 use crate::storage::Storage;
@@ -14,50 +14,50 @@ const FILE: &str = "merge.json";
 const VERSION: u32 = 2;
 /// The longest file that is read, bytes: sixteen robots whose every edge was undone eight times take a fifth of it.
 const BYTES_MAX: u64 = 1 << 20;
-/// A file that cannot be written is tried again after this, nanoseconds.
+/// Time after a failed write until the next attempt, nanoseconds.
 const AGAIN_NS: u64 = 5_000_000_000;
 
-/// The file.
+/// Content of the file, as JSON.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Kept {
     version: u32,
-    /// When the run began.
+    /// Start of the run, which tells it from others in the same folder.
     run: u64,
     fleet: FleetSnapshot,
 }
 
-/// Why a file is of no use.
+/// Reason why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
 enum Unusable {
-    /// The system refused, or it is no such file.
+    /// The file cannot be read, or its content is not valid.
     #[error("{0}")]
     Content(String),
-    /// From another version of the program.
+    /// It has the format of another version of the program.
     #[error("is of format version {0}; this program reads version {VERSION}")]
     Version(u64),
-    /// Left in this folder by another run.
+    /// Another run left it in this folder.
     #[error("is of another run")]
     Run,
-    /// What it says cannot be gone on with.
+    /// The merge process cannot continue from its content.
     #[error(transparent)]
     Fleet(#[from] SnapshotRejected),
 }
 
-/// What is saved, and when it is saved next.
+/// Writes the state to the file when it has changed.
 pub struct MergeMemory<S> {
     storage: S,
     path: PathBuf,
     run: u64,
     kept: Option<FleetSnapshot>,
-    /// After a failure: not before.
+    /// Earliest time of the next attempt after a failed write.
     due: Monotonic,
-    /// What was said last: it is not said again.
+    /// Error that was reported last; it is not reported again.
     said: Option<String>,
 }
 
 impl<S: Storage> MergeMemory<S> {
-    /// Lets the fleet go on with what an earlier process of this run saved. What cannot be used is reported and
+    /// Restores what an earlier process of this run saved. A file that cannot be used is reported and
     /// ignored.
     pub fn restore(run: &Run, storage: S, fleet: &mut FleetPoseGraph) -> Self {
         let path = run.dir.join(FILE);
@@ -68,7 +68,7 @@ impl<S: Storage> MergeMemory<S> {
         Self { storage, path, run: run.begun.0, kept, due: Monotonic::default(), said: None }
     }
 
-    /// Writes what is to be remembered, if it has changed.
+    /// Writes the state, if it has changed.
     pub fn save(&mut self, fleet: &FleetPoseGraph, now: Monotonic) {
         let memory = fleet.snapshot();
         if self.kept.as_ref() == Some(&memory) || now < self.due {
@@ -93,7 +93,7 @@ fn write(storage: &impl Storage, path: &Path, run: u64, fleet: &FleetSnapshot) -
     storage.write(path, &text).map_err(|why| why.to_string())
 }
 
-/// Reads what was saved, if there is anything.
+/// Reads the file, if it exists.
 fn restore(
     storage: &impl Storage,
     path: &Path,
@@ -106,7 +106,7 @@ fn restore(
         bytes => bytes.map_err(|why| content(&why))?,
     };
     let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(|why| content(&why))?;
-    // First of all: the rest of another version may be anything.
+    // The version is read first: the other fields of another version may differ.
     match value["version"].as_u64() {
         Some(version) if version == u64::from(VERSION) => {}
         Some(other) => return Err(Unusable::Version(other)),

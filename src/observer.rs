@@ -80,7 +80,7 @@ impl Observer {
         })
     }
 
-    /// Receives what has come. Returns whether there are new figures.
+    /// Receives all waiting messages; returns whether there are new figures.
     pub fn poll(&mut self) -> bool {
         for watch in self.maps.iter_mut().chain([&mut self.merged_map]) {
             watch.reader.poll();
@@ -94,7 +94,7 @@ impl Observer {
         new
     }
 
-    /// Waits for new figures, at most `patience`, and receives what has come. Returns whether there are new figures.
+    /// Waits for new figures, at most `patience`, and receives all waiting messages; returns whether there are any.
     pub fn wait(&mut self, patience: Duration) -> bool {
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
         wait([&self.bell], until);

@@ -1,4 +1,4 @@
-//! What a process's loop needs of the world: channels to read and write, and a clock.
+//! Traits of the ports of a process's loop: channels to read and write, and a clock.
 //!
 //! Live, [`crate::shared_memory::Participant`] gives both on iceoryx2 and CLOCK_MONOTONIC; in lockstep,
 //! `crate::lockstep::queues` gives them on queues in memory and virtual time. The loops in [`crate::process`] are
@@ -9,18 +9,18 @@ use msg::{Header, Message, Monotonic, PatchHeader, TileMap};
 use std::ops::Deref;
 use std::time::Duration;
 
-/// Pause between two lots of messages of one version of a map, so that readers keep up.
+/// Pause between two batches of messages of one version of a map, so that readers keep up.
 pub const MAP_PAUSE: Duration = Duration::from_millis(40);
-/// A reader that waits for the whole map asks again after this.
+/// Time after which a reader that waits for the whole map requests it again.
 pub const MAP_REQUEST_PERIOD: Duration = Duration::from_millis(500);
 
-/// An operation on a channel failed.
+/// Error of an operation on a channel.
 #[derive(Debug, thiserror::Error)]
 pub enum ChannelError {
     /// Shared memory refused an operation.
     #[error("shared memory: {what} `{name}`: {why}")]
     SharedMemory {
-        /// The operation.
+        /// Operation that failed, such as `cannot read channel`.
         what: &'static str,
         /// The channel, process or run that it was for.
         name: String,
@@ -32,10 +32,10 @@ pub enum ChannelError {
     Undeclared(#[from] Undeclared),
 }
 
-/// What a process has used so far.
+/// Memory and processor time that a process has used so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ProcessUsage {
-    /// Process id.
+    /// Process id of the operating system.
     pub pid: u32,
     /// Resident memory, bytes.
     pub memory_bytes: u64,
@@ -43,11 +43,11 @@ pub struct ProcessUsage {
     pub cpu_ns: u64,
 }
 
-/// The time, and what the process has used.
+/// Clock of a process, and its use of the machine.
 pub trait Clock: Clone {
-    /// Monotonic time, the same in every process of a run.
+    /// Returns the monotonic time, the same in every process of a run.
     fn now(&self) -> Monotonic;
-    /// What this process has used so far.
+    /// Returns what this process has used so far.
     fn usage(&self) -> ProcessUsage;
 }
 
@@ -55,21 +55,21 @@ pub trait Clock: Clone {
 pub trait WritePort<T: Message> {
     /// Sends what `fill` makes of an all-zero message. It fills in the stamp; the port numbers and times the message.
     fn send_with(&mut self, fill: impl FnOnce(&mut T));
-    /// Sends a copy.
+    /// Sends a copy of a message.
     fn send(&mut self, message: &T) {
         self.send_with(|slot| *slot = *message);
     }
-    /// Lets late readers have the history. Call it now and then where nothing is sent for long.
+    /// Delivers the history to late readers. Call it regularly on a channel that is rarely written.
     fn refresh(&self);
 }
 
-/// Reads one channel.
+/// Reads one channel, oldest message first.
 pub trait ReadPort<T: Message> {
     /// A message, borrowed from the channel.
     type Received: Deref<Target = T>;
-    /// Takes the oldest message that was not read yet.
+    /// Returns the oldest message that was not read yet.
     fn receive(&mut self) -> Option<Self::Received>;
-    /// Reads on to the newest message, if there is one.
+    /// Skips to the newest message that was not read yet, and returns it.
     fn newest(&mut self) -> Option<Self::Received> {
         let mut newest = None;
         while let Some(message) = self.receive() {
@@ -77,55 +77,55 @@ pub trait ReadPort<T: Message> {
         }
         newest
     }
-    /// Counts of messages received and missed so far.
+    /// Returns the counts of messages received and missed so far.
     fn gaps(&self) -> Gaps;
 }
 
-/// Writes a map's channel: the tiles that changed, and the whole map to readers that ask.
+/// Writes a map's channel: the tiles that changed, and the whole map to readers that request it.
 pub trait WriteMapPort {
-    /// Wakes the writer when a reader asks for the whole map.
+    /// Listener that wakes the writer when a reader requests the whole map.
     type Listener: 'static;
-    /// Sends what readers lack of `map`, a bounded part at a time: call it again after [`MAP_PAUSE`] while it returns
-    /// false, and now and then, as readers may ask for the whole.
+    /// Sends the changed tiles of `map`, a bounded part at a time. Call it again after [`MAP_PAUSE`] while it returns
+    /// false, and regularly otherwise, as readers may request the whole map.
     fn send(&mut self, map: &TileMap) -> bool;
-    /// Wakes when a reader asks for the whole.
+    /// Returns the listener that wakes when a reader requests the whole map.
     fn requests(&self) -> &Self::Listener;
-    /// Bytes written so far.
+    /// Returns the number of bytes written so far.
     fn bytes(&self) -> u64;
 }
 
 /// Reads a map's channel and keeps the map.
 pub trait ReadMapPort {
-    /// Takes in what has come. True if there is a new version of the map.
+    /// Receives all waiting messages; returns true if there is a new version of the map.
     fn poll(&mut self) -> bool;
-    /// The newest complete version; without tiles before the first.
+    /// Returns the newest complete version, which has no tiles before the first.
     fn map(&self) -> &TileMap;
-    /// Counts of messages received and missed so far.
+    /// Returns the counts of messages received and missed so far.
     fn gaps(&self) -> Gaps;
 }
 
 /// Opens channels on behalf of one process, or one thread of it.
 pub trait Ports {
-    /// The clock.
+    /// Clock by which the channels' messages are stamped.
     type Clock: Clock;
-    /// Writes a channel.
+    /// Port that writes a channel.
     type Writer<T: Message>: WritePort<T>;
-    /// Reads a channel.
+    /// Port that reads a channel.
     type Reader<T: Message>: ReadPort<T>;
-    /// Wakes its owner when a channel is written.
+    /// Port that wakes its owner when a channel is written.
     type Listener: 'static;
-    /// Writes a map's channel.
+    /// Port that writes a map's channel.
     type MapWriter: WriteMapPort<Listener = Self::Listener>;
-    /// Reads a map's channel.
+    /// Port that reads a map's channel.
     type MapReader: ReadMapPort;
 
-    /// The clock of the process.
+    /// Returns the clock of the process.
     fn clock(&self) -> Self::Clock;
     /// Opens a channel to write.
     fn writer<T: Message>(&self, channel: &Channel<T>) -> Result<Self::Writer<T>, ChannelError>;
     /// Opens a channel to read.
     fn reader<T: Message>(&self, channel: &Channel<T>) -> Result<Self::Reader<T>, ChannelError>;
-    /// Wakes its owner when the channel is written. Only for channels that wake.
+    /// Opens a listener that wakes its owner when the channel is written; only for channels that wake.
     fn listener<T: Message>(&self, channel: &Channel<T>) -> Result<Self::Listener, ChannelError>;
     /// Opens a map's channel to write.
     fn map_writer(&self, channel: &Channel<PatchHeader>) -> Result<Self::MapWriter, ChannelError>;
@@ -133,7 +133,7 @@ pub trait Ports {
     fn map_reader(&self, channel: &Channel<PatchHeader>) -> Result<Self::MapReader, ChannelError>;
 }
 
-/// Numbers and times what a writer sends.
+/// Numbers and stamps a writer's messages.
 #[derive(Clone, Debug)]
 pub struct Stamper {
     run: u64,
@@ -146,13 +146,13 @@ impl Stamper {
         Self { run, seq: 0 }
     }
 
-    /// Marks the next message, sent now.
+    /// Fills in the header of the next message, which is sent now.
     pub fn mark(&mut self, header: &mut Header, now: Monotonic) {
         (header.incarnation, header.seq, header.sent) = (self.run, self.seq, now);
         self.seq += 1;
     }
 
-    /// Leaves out a number: its message was lost before it was sent.
+    /// Skips a number, because its message was lost before it was sent.
     pub fn skip(&mut self) {
         self.seq += 1;
     }
@@ -161,7 +161,7 @@ impl Stamper {
 /// Counts what a reader received and what it missed, by the numbers its writer gave.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Gaps {
-    /// Messages received.
+    /// Messages received since the reader opened the channel.
     pub received: u64,
     /// Messages sent after this reader's first and never received.
     pub lost: u64,

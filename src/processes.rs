@@ -4,7 +4,7 @@ use crate::config::FleetConfig;
 use msg::{RobotId, Role};
 use std::fmt;
 
-/// What the supervisor tells a process that it starts again.
+/// Pose that the supervisor gives a process that it starts again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Resume {
     /// Nothing: the process finds what it needs in the run's folder.
@@ -30,18 +30,18 @@ impl fmt::Display for Resume {
 pub struct ProcessRow {
     /// The process's role.
     pub role: Role,
-    /// Whether each robot has one, or the fleet has one.
+    /// Whether there is one for each robot or one for the fleet.
     pub per_robot: bool,
     /// Whether it runs only where the robots are simulated here.
     pub simulated_world_only: bool,
     /// The subcommand of `mr-slam worker` that runs it.
     pub command: &'static str,
-    /// What it is told when it is started again.
+    /// Pose that it is given when it is started again.
     pub resume: Resume,
 }
 
 impl ProcessRow {
-    /// The process's name for people: `slam of robot1`.
+    /// Returns the process's name for people, such as `slam of robot1`.
     pub fn title(&self, robot: Option<RobotId>) -> String {
         match robot {
             Some(robot) => format!("{} of {robot}", self.role.name()),

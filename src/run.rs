@@ -1,8 +1,8 @@
-//! Run: one fleet from its start to its end, and the folder that describes it.
+//! A run, one fleet from its start to its end, and the folder that describes it.
 //!
 //! | file | content |
 //! |---|---|
-//! | `fleet.toml` | configuration in force |
+//! | `fleet.toml` | configuration of the run |
 //! | `run.json` | process id, shared memory, clocks and port, for the fleet's processes and `mr-slam status` |
 //! | `merge.json`, `sessions/` | state that restarted processes continue with |
 //! | maps, `report.json` | results, written at the end |
@@ -98,7 +98,7 @@ pub struct Run {
     pub begun: Monotonic,
     /// TCP port for headsets.
     pub port: u16,
-    /// Configuration in force.
+    /// Configuration with the command line's options applied.
     pub config: FleetConfig,
 }
 
@@ -124,7 +124,7 @@ impl Run {
         Ok(run)
     }
 
-    /// A run that is nowhere on the machine: for lockstep, whose files and channels are in memory.
+    /// Creates a run without folder or shared memory, for lockstep, whose files and channels are in memory.
     pub fn in_memory(config: FleetConfig) -> Result<Self, RunError> {
         let file = RunFile { pid: 0, domain: "lockstep".into(), epoch_ns: 0, begun_ns: 0, port: 0 };
         Self::from_file("lockstep".into(), file, config)
@@ -157,7 +157,7 @@ impl Run {
             };
             let Ok(dir) = fs::read_to_string(entry.path().join("run-dir")) else { continue };
             let dir = PathBuf::from(dir);
-            // Process ids do not grow with time: only the run's own file says when it began.
+            // Process ids do not grow with time, so the start is read from the run's own file.
             if is_alive(pid)
                 && let Ok(file) = RunFile::read(&dir)
             {
@@ -191,7 +191,7 @@ impl Run {
         Participant::open(&self.domain, Opener { program: role.into(), robot }, &parts.join("/"))
     }
 
-    /// The robots of the fleet.
+    /// Returns the robots of the fleet.
     pub fn robots(&self) -> impl Iterator<Item = RobotId> + Clone {
         RobotId::first(self.config.fleet.robots)
     }

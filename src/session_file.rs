@@ -23,7 +23,7 @@ pub enum SessionFileError {
         /// Error of the operating system.
         source: std::io::Error,
     },
-    /// The content is no sound session, or another robot's.
+    /// The content is not a valid session, or belongs to another robot.
     #[error("{} {why}", file.display())]
     Content {
         /// Path of the file.

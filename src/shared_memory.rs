@@ -1,8 +1,8 @@
-//! The channels in shared memory: iceoryx2 lives here (and for maps in `maps.rs` below) and nowhere
-//! else, and so does unsafe code.
+//! The channels in shared memory: the only module (with `maps.rs` below) that uses iceoryx2 or
+//! unsafe code.
 //!
 //! A message is written in place into memory that every reader maps; nothing is copied on the
-//! way. What a reader finds there is untrusted, which costs nothing: any bits are a value of a
+//! way. A reader does not trust the content, at no cost: any bits are a value of a
 //! `Pod` type, and lengths are read through accessors that clamp them.
 
 mod domain;
@@ -30,7 +30,7 @@ use tokio::io::unix::AsyncFd;
 
 /// Samples that one reader may hold at a time.
 const BORROWED_MAX: usize = 2;
-/// Processes that may open one channel at a time: a fleet of 16 is 35, and tools.
+/// Processes that may open one channel at a time: a fleet of 16 robots has 35, and tools are added.
 const NODES_MAX: usize = 64;
 /// Listeners that one thread may wait for: merge and telemetry have a few for each robot.
 const LISTENERS_MAX: usize = 4 * ROBOTS_MAX;
@@ -47,9 +47,9 @@ pub struct Participant {
 }
 
 impl Participant {
-    /// Attaches to a run. `name` is for people who look at the run with iceoryx2's tools.
+    /// Attaches to a run. `name` is shown by iceoryx2's tools.
     pub fn open(domain: &Domain, opener: Opener, name: &str) -> Result<Self, ChannelError> {
-        // iceoryx2 warns of every dead peer it meets; the launcher says that better.
+        // iceoryx2 warns of every dead peer; the launcher already reports those.
         set_log_level(LogLevel::Error);
         let node = NodeBuilder::new()
             .config(domain.config())
@@ -85,7 +85,7 @@ impl Participant {
         Ok(Reader { subscriber, gaps: Gaps::default() })
     }
 
-    /// Both ends open a channel with the same settings, whoever comes first.
+    /// Opens or creates the channel. Both ends use the same settings, so either may come first.
     fn service<T: Message>(&self, channel: &Channel<T>) -> Result<Service<T>, ChannelError> {
         self.node
             .service_builder(&service_name(&channel.name)?)
@@ -100,7 +100,7 @@ impl Participant {
             .map_err(failed("cannot open channel", &channel.name))
     }
 
-    /// Wakes its owner when the channel is written. Only for channels that wake.
+    /// Opens a listener that wakes its owner when the channel is written; only for channels that wake.
     pub fn listener<T: Message>(&self, channel: &Channel<T>) -> Result<Listener, ChannelError> {
         assert!(channel.row.wakes, "{} does not wake its readers", channel.name);
         let listener = self
@@ -172,12 +172,12 @@ impl<T: Message> Writer<T> {
         }
     }
 
-    /// Sends a copy.
+    /// Sends a copy of a message.
     pub fn send(&mut self, message: &T) {
         self.send_with(|slot| *slot = *message);
     }
 
-    /// Lets late readers have the history. Call it now and then where nothing is sent for long.
+    /// Delivers the history to late readers. Call it regularly on a channel that is rarely written.
     pub fn refresh(&self) {
         let _ = self.publisher.update_connections();
     }
@@ -199,19 +199,19 @@ pub struct Reader<T: Message> {
 }
 
 impl<T: Message> Reader<T> {
-    /// The oldest message not yet read. It is borrowed from shared memory: drop it soon.
+    /// Returns the oldest message not yet read. It is borrowed from shared memory: drop it soon.
     pub fn receive(&mut self) -> Option<Received<T>> {
         let sample = self.subscriber.receive().ok()??;
         self.gaps.count(sample.payload().0.header());
         Some(Received(sample))
     }
 
-    /// Reads on to the newest message, if there is one.
+    /// Skips to the newest message that was not read yet, and returns it.
     pub fn newest(&mut self) -> Option<Received<T>> {
         ReadPort::newest(self)
     }
 
-    /// What was received and missed so far.
+    /// Returns the counts of messages received and missed so far.
     pub fn gaps(&self) -> Gaps {
         self.gaps
     }
@@ -282,13 +282,13 @@ impl Listener {
         let _ = self.listener.try_wait(|_| self.woken.set(true));
     }
 
-    /// Drains it. True if a notification has come since the last call, even if [`wait`] has drained it.
+    /// Drains it; returns true if a notification has come since the last call, even if [`wait`] drained it.
     pub fn take(&self) -> bool {
         self.drain();
         self.woken.take()
     }
 
-    /// For a tokio task to wait for. Inside a runtime only.
+    /// Converts it for a tokio task to wait for; only inside a runtime.
     pub fn into_async(self) -> std::io::Result<AsyncFd<Self>> {
         // SAFETY: the listener owns its descriptor, always gives the same one, and keeps it open as
         // long as it lives; the `AsyncFd` owns the listener.
@@ -311,7 +311,7 @@ impl AsRawFd for Listener {
 }
 
 /// Waits until one of `listeners` is notified or the moment `until` comes; those notified are drained.
-/// True if one was. A signal ends the wait early, as if the moment had come.
+/// Returns true if one was. A signal ends the wait early, as if the moment had come.
 pub fn wait<'a>(listeners: impl IntoIterator<Item = &'a Listener>, until: Monotonic) -> bool {
     let left = until.since(now());
     let timeout = Timespec { tv_sec: (left / 1_000_000_000) as i64, tv_nsec: (left % 1_000_000_000) as _ };

@@ -1,4 +1,4 @@
-//! Where processes keep what outlives them: the run's folder on the disk, or a folder in memory for lockstep.
+//! Storage of files that outlive a process: the run's folder on the disk, or a folder in memory for lockstep.
 
 use formats::atomic::write_durably;
 use formats::map_file::{self, MapFileError};
@@ -19,7 +19,7 @@ pub trait Storage: Clone {
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError>;
 }
 
-/// The disk.
+/// The machine's file system; lockstep keeps files in memory instead.
 #[derive(Clone, Copy, Debug)]
 pub struct DiskStorage;
 
@@ -39,7 +39,7 @@ impl Storage for DiskStorage {
     }
 
     fn write_map(&self, stem: &Path, map: GridView<'_>) -> Result<(), MapFileError> {
-        // Should it fail, writing the file will say so.
+        // If this fails, writing the file reports the reason.
         let _ = create_folder_of(stem);
         map_file::write_map(stem, map)
     }

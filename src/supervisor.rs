@@ -1,5 +1,6 @@
-//! Keeps the fleet's processes running, each by itself: a child that ends is cleaned up after and
-//! started again, and its peers notice nothing but its silence.
+//! Starts the fleet's processes and restarts each that ends, while the others keep running.
+//!
+//! What a dead child left in shared memory is removed before its restart.
 
 pub mod restarts;
 
@@ -25,7 +26,7 @@ struct Member {
     row: &'static ProcessRow,
     robot: Option<RobotId>,
     policy: RestartPolicy,
-    /// While it runs.
+    /// The child process, while it runs.
     child: Option<Child>,
 }
 
@@ -35,7 +36,7 @@ impl Member {
     }
 }
 
-/// What a process that is started again must know of its robot: see `--at`.
+/// Newest poses of a robot, for processes that are started again: see `--at`.
 pub type LastSeen<'a> = &'a mut dyn FnMut(Role, RobotId) -> Option<Pose2>;
 
 /// The fleet's processes.
@@ -60,8 +61,8 @@ impl Supervisor {
         }
     }
 
-    /// Notices deaths, and starts again what is due. Never blocks. A robot's process is told where
-    /// it was `last_seen`. `tell` hears what happened.
+    /// Detects children that ended, and starts again those that are due. Never blocks. A robot's process gets the pose
+    /// where it was `last_seen`. `tell` is called with each event.
     pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         let mut died = false;
         for member in &mut self.members {
@@ -109,11 +110,11 @@ impl Supervisor {
             Role::Bridge => Stdio::from(OwnedFd::from(self.listener.try_clone()?)),
             _ => Stdio::null(),
         };
-        // Its own group: Ctrl-C is the launcher's to answer.
+        // A process group of its own: Ctrl-C reaches the launcher only, which then ends the children.
         command.stdin(stdin).process_group(0).spawn()
     }
 
-    /// Asks every child to end, then makes it, and leaves no shared memory behind.
+    /// Asks every child to end, kills those that do not, and removes the run's shared memory.
     pub fn end(&mut self) {
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));

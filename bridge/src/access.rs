@@ -1,4 +1,4 @@
-//! Access control: which addresses may watch and which may drive.
+//! Access control by address, for watching and for driving.
 
 use crate::config::{BridgeConfig, Permission};
 use std::collections::BTreeSet;

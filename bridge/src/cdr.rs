@@ -82,7 +82,7 @@ pub enum DecodeError {
     TooManyBeams {
         /// Beams in the message.
         beams: usize,
-        /// The limit.
+        /// Most beams that a scan of the fleet can hold.
         limit: usize,
     },
 }

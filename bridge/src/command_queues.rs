@@ -1,4 +1,4 @@
-//! Bounded queues of what clients want the rest of the fleet to do.
+//! Bounded queues of clients' commands to the rest of the fleet.
 
 use msg::{EdgeCommand, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand};
 use std::collections::VecDeque;

@@ -18,7 +18,8 @@ pub enum Permission {
     Allowed,
 }
 
-/// The table `bridge` of the fleet file. It has one field for each key, and so more than 12.
+/// The table `bridge` of the fleet file.
+// More than 12 fields: one field for each key of one table of the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BridgeConfig {

@@ -1,4 +1,4 @@
-//! The routing core: composes the bridge's parts and handles what clients send.
+//! The routing core, which composes the bridge's parts and handles what clients send.
 //!
 //! It reads no clock and no socket. Time comes in as `now`, a monotonic time of the caller's.
 
@@ -33,7 +33,7 @@ pub enum ConnectError {
     /// As many clients are connected as may be.
     #[error("the bridge has {limit} clients, its limit (clients_max); disconnect one, or raise the limit")]
     TooManyClients {
-        /// The limit.
+        /// Most clients at a time (`clients_max`).
         limit: usize,
     },
 }

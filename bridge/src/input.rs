@@ -1,4 +1,4 @@
-//! What the fleet does with a message on a topic that clients may publish.
+//! Topics that clients may publish, by what the fleet does with their messages.
 
 use msg::RobotId;
 

@@ -140,7 +140,7 @@ pub enum TypeError {
     /// The text is not of the form `package/Type`.
     #[error("'{name}' is not a type: write package/Type, as in geometry_msgs/Twist")]
     Malformed {
-        /// The text.
+        /// Text that was given as a type.
         name: String,
     },
     /// The package is known, and has no such type.
@@ -237,7 +237,7 @@ pub enum NameError {
          no digit after a '/'"
     )]
     Malformed {
-        /// The name.
+        /// Text that was given as a topic's name.
         name: String,
     },
 }

@@ -1,4 +1,4 @@
-//! ros_tcp over TCP: one task for each client, all on one thread, around the same [`Bridge`].
+//! ros_tcp over TCP, with one task for each client, all on one thread, around the same [`Bridge`].
 
 use crate::bridge::Bridge;
 use crate::command::{Notice, handshake, name};

@@ -1,4 +1,4 @@
-//! Services between clients: providers, callers and the calls that wait for a response.
+//! Services between clients, with providers, callers and the calls that wait for a response.
 
 use crate::router::ClientId;
 use msg::Monotonic;
@@ -17,7 +17,7 @@ pub enum ServiceError {
     /// Clients have registered as many services as they may.
     #[error("there are {limit} services already, the limit (client_topics_max)")]
     TooManyServices {
-        /// The limit.
+        /// Most services of all clients together (`client_topics_max`).
         limit: usize,
     },
     /// The service is registered with another type.

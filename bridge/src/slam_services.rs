@@ -1,4 +1,4 @@
-//! SLAM's services in ROS: their names and types, and how requests and responses are encoded.
+//! Names, types and encodings of SLAM's services in ROS.
 //!
 //! Names and types are SLAM Toolbox's where it has the service (slam_toolbox 2.8, Jazzy), otherwise std_srvs'. All names
 //! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.
@@ -32,7 +32,7 @@ pub enum Service {
 pub struct NamedService {
     /// Name under `/robotN/`, such as `slam_toolbox/save_map`.
     pub name: &'static str,
-    /// `package/Type`.
+    /// ROS type as `package/Type`, such as `std_srvs/Trigger`.
     pub service_type: &'static str,
     /// What the service does.
     pub service: Service,
@@ -98,7 +98,7 @@ pub enum ServiceFailure {
     /// Too many calls wait for SLAM.
     #[error("{limit} calls wait for SLAM already; try again later")]
     TooManyCalls {
-        /// The limit.
+        /// Most calls that may wait for an answer of SLAM at a time.
         limit: usize,
     },
     /// SLAM has not answered.

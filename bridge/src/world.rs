@@ -1,4 +1,4 @@
-//! A world outside this fleet: scans, transforms and the clock come from a headset application or from real robots.
+//! A world outside this fleet, whose scans, transforms and clock come from a headset application or real robots.
 //!
 //! ```text
 //!   LaserScan  ─▶ checked ──────────────────────────────▶ robotK/scan
@@ -36,13 +36,13 @@ const VELOCITY_SPAN_MAX_S: f64 = 1.0;
 /// An accepted message, as the fleet's channels carry it.
 #[derive(Clone, Copy, Debug)]
 pub enum WorldMessage<'a> {
-    /// For `robotK/scan`.
+    /// A scan for the channel `robotK/scan`.
     Scan(RobotId, &'a Scan),
     /// For `robotK/odometry`; sent before the transforms of the same stamp, which wake the readers.
     Odometry(RobotId, &'a Odometry),
-    /// For `robotK/transforms`.
+    /// The robot's own frames, for the channel `robotK/transforms`.
     Transforms(RobotId, &'a Transforms),
-    /// For `clock`.
+    /// The run's time, for the channel `clock`.
     Clock(&'a Clock),
 }
 
@@ -106,11 +106,11 @@ struct RobotState {
 pub enum Incoming<'a> {
     /// sensor_msgs/LaserScan of a robot.
     Scan(RobotId, Reader<'a>),
-    /// tf2_msgs/TFMessage.
+    /// tf2_msgs/TFMessage; its frame names tell which robots it is about.
     Transforms(Reader<'a>),
     /// nav_msgs/Odometry of a robot, whatever its frames are called.
     Odometry(RobotId, Reader<'a>),
-    /// rosgraph_msgs/Clock.
+    /// rosgraph_msgs/Clock of the whole world.
     Clock(Reader<'a>),
 }
 

@@ -1,4 +1,4 @@
-//! Occupancy grids as files: YAML with a PGM or PNG image, as map_server reads them, and PNG for people.
+//! Occupancy grids as files, YAML with a PGM or PNG image as map_server reads them, and PNG for people.
 //!
 //! The format is that of ROS's map_server and Nav2's nav2_map_server. The image's first row is the highest y; the
 //! YAML file gives the meaning of its greys and the pose of its lower left corner. A file holds readings, not

@@ -42,23 +42,23 @@ const COARSE_POINTS: usize = 2_000;
 const FINE_POINTS: usize = 20_000;
 /// Candidates that are refined by many points.
 const FINALISTS: usize = 2;
-/// Score that the best other place is taken to have at least, in walls: chance finds as much anywhere.
+/// Least score assumed for the best other place, in walls: chance finds as much anywhere.
 const RIVAL_SCORE_MIN: f64 = 50.0;
-/// An overlap below this share of the smaller map is a small part of both maps, and may be a room that is like another,
+/// Share of the smaller map below which an overlap is small. It may then be a room that is like another.
 const SMALL_OVERLAP_SHARE: f64 = 0.2;
-/// so that it must be this many times [`AlignConfig::overlap_min_m2`].
+/// Factor on [`AlignConfig::overlap_min_m2`] for an overlap with such a small share.
 const SMALL_OVERLAP_FACTOR: f64 = 2.0;
-/// Two alignments within this distance (metres)
+/// Largest distance of two alignments that are one place, metres.
 const SAME_PLACE_M: f64 = 0.5;
-/// and this rotation (radians) of each other are one place.
+/// Largest rotation between two alignments that are one place, radians.
 const SAME_PLACE_RAD: f64 = 0.1;
 
 /// The best transform found between two maps, with its evidence.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Alignment {
-    /// Frame of the first map from that of the second. It is not serialised: who keeps the evidence keeps the
-    /// transform in force beside it.
+    /// Frame of the first map from that of the second. It is not serialised: the edge keeps the transform beside
+    /// its evidence.
     #[serde(skip)]
     pub a_from_b: Pose2,
     /// Whether it passed every threshold of the [`AlignConfig`].
@@ -157,7 +157,7 @@ pub(crate) fn evaluate(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Opt
     Some(judge(a_from_b, &matched, 0.0, &compare_grids(a, b, a_from_b), &config))
 }
 
-/// Every how many wall points of each map to use, for about so many of them.
+/// Returns the strides at which about this many wall points of each map are used.
 pub(crate) fn strides(fields: [&DistanceField; 2], points: usize) -> [usize; 2] {
     fields.map(|field| field.points.walls_m.len().div_ceil(points).max(1))
 }

@@ -1,4 +1,4 @@
-//! The fleet's pose graph: where the maps of robots lie that started anywhere, and how drift has deformed them.
+//! The fleet's pose graph, which estimates where the robots' maps lie and how drift has deformed them.
 //!
 //! ```text
 //! submaps ─▶ candidates:   whole maps aligned       submaps matched where the graph expects overlap
@@ -53,14 +53,14 @@ use task::{Job, JobResult};
 /// Alignments of each pair when nothing grows any more: both whole maps and each window, twice.
 const FINAL_ALIGNMENTS: u32 = 6;
 
-/// Why a message was rejected. Nothing has changed then.
+/// Reason why a message was rejected. The graph is unchanged then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SubmapRejected {
     /// The fleet has no such robot.
     #[error("{0} is not of this fleet")]
     UnknownRobot(RobotId),
     /// A number in the message is not valid.
-    #[error("a submap or pose of {0} makes no sense")]
+    #[error("a submap or pose of {0} holds an invalid number")]
     Malformed(RobotId),
 }
 
@@ -90,14 +90,14 @@ pub enum SubmapRejected {
 /// ```
 pub struct FleetPoseGraph {
     config: AlignConfig,
-    /// By [`RobotId::index`].
+    /// One element for each robot of the fleet, at [`RobotId::index`].
     robots: Vec<Robot>,
     /// In the order of [`robots_of_pair`].
     pairs: Vec<RobotPair>,
     reference: Option<ReferenceRobot>,
     /// A task is being run.
     task_is_out: bool,
-    /// Something came that may move the graph.
+    /// A message or a result may have changed the solution.
     needs_solve: bool,
     /// No submap will come any more.
     maps_are_complete: bool,
@@ -162,12 +162,12 @@ impl FleetPoseGraph {
         Ok(())
     }
 
-    /// Number of submaps of a robot that have a pose and have not arrived.
+    /// Returns the number of submaps of a robot that have a pose and have not arrived.
     pub fn missing_submaps(&self, robot: RobotId) -> usize {
         self.robots.get(robot.index()).map_or(0, |robot| robot.submaps.missing())
     }
 
-    /// Removes everything known about a robot: it has left, or begins elsewhere. The frame `map` stays.
+    /// Removes everything known about a robot that has left or starts at another place. The frame `map` stays.
     pub fn remove_robot(&mut self, robot: RobotId) {
         let index = robot.index();
         let Some(robot) = self.robots.get_mut(index) else { return };
@@ -202,7 +202,7 @@ impl FleetPoseGraph {
         if self.task_is_out {
             return None;
         }
-        // The last stage that has work comes first: what was found is in the solution before more is searched for.
+        // Later stages come first, so that closures are in the solution before more are searched for.
         let job = self
             .joint_problem()
             .map(Job::Solve)
@@ -281,23 +281,23 @@ impl FleetPoseGraph {
         out.len = self.pairs.len().min(MERGE_EDGES_MAX) as u32;
     }
 
-    /// Number of solutions of the joint graph so far.
+    /// Returns the number of solutions of the joint graph so far.
     pub fn solve_count(&self) -> u64 {
         self.solves.succeeded
     }
 
-    /// Number of times that the joint graph could not be solved. The estimate then stayed what it was.
+    /// Returns how often the joint graph could not be solved. The estimate then stayed what it was.
     pub fn failed_solve_count(&self) -> u64 {
         self.solves.failed
     }
 
-    /// Edges have changed: connects robots to the frame, or takes them out, and has the graph solved.
+    /// Applies changed edges: connects robots to the frame or removes them, and requests a new solution.
     fn graph_changed(&mut self) {
         connect_robots(&mut self.robots, &self.pairs, self.reference);
         self.needs_solve = true;
     }
 
-    /// The joint graph, if something has changed since it was solved.
+    /// Returns the joint graph, if something has changed since it was solved.
     fn joint_problem(&mut self) -> Option<JointProblem> {
         if !core::mem::take(&mut self.needs_solve) {
             return None;
@@ -309,7 +309,7 @@ impl FleetPoseGraph {
         JointProblem::collect(&self.robots, &self.pairs, self.reference)
     }
 
-    /// The next match of two submaps: of the first pair of robots in one graph that has any.
+    /// Returns the next match of two submaps, of the first connected pair of robots that has any.
     fn next_match(&self) -> Option<closures::MatchJob> {
         self.pairs.iter().enumerate().find_map(|(index, pair)| {
             let in_graph = self.relation_in_graph(index)?;
@@ -318,7 +318,7 @@ impl FleetPoseGraph {
         })
     }
 
-    /// The first robot's map from the second's as the graph has them, if both are in it.
+    /// Returns the transform of the graph from the second robot's map to the first's, if both are in it.
     fn relation_in_graph(&self, pair: usize) -> Option<Pose2> {
         let [a, b] = robots_of_pair(pair).map(|robot| self.robots[robot].estimate.transform());
         a.zip(b).map(|(a, b)| a.between(b))

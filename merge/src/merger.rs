@@ -1,4 +1,4 @@
-//! The merged map: every robot's map resampled on one lattice, log-odds added.
+//! The merged map, in which every robot's map is resampled on one lattice and log-odds are added.
 
 mod fuse;
 mod rejected;
@@ -38,7 +38,7 @@ use std::sync::Arc;
 /// ```
 pub struct Merger {
     resolution_m: f64,
-    /// By [`RobotId::index`].
+    /// One element for each robot of the fleet, at [`RobotId::index`].
     robots: Vec<RobotMap>,
     /// Up to date but for the tiles marked in `stale`.
     merged: TileMap,
@@ -97,8 +97,8 @@ impl Merger {
         self.set_own_map(robot, map.clone())
     }
 
-    /// Applies what the fleet's pose graph estimates for a robot: its map's transform, and its map redrawn where no
-    /// single transform puts all of it right.
+    /// Applies what the fleet's pose graph estimates for a robot: its map's transform, and its redrawn map if no
+    /// single transform aligns all of it.
     ///
     /// While a redrawn map is in use, maps that the robot sends are kept but not drawn. Returns whether anything
     /// changed.
@@ -127,7 +127,7 @@ impl Merger {
         Ok(moved || !same_drawing)
     }
 
-    /// Sets frame `map` from frame `robotK/map`; `None` takes the robot's map out of the merged map.
+    /// Sets frame `map` from frame `robotK/map`; `None` removes the robot's map from the merged map.
     ///
     /// # Errors
     /// [`MapRejected`] says why the transform is not taken.
@@ -157,7 +157,7 @@ impl Merger {
 
     /// Records where a robot's body is: its pose `robotK/map` from `base_footprint`, and its radius.
     ///
-    /// What other robots see there is the robot, not an obstacle. The robot's own map says so too, but only back from
+    /// Obstacles that other robots see there are the robot itself. The robot's own map shows that too, but only up to
     /// its newest pose-graph node. Returns whether the merged map may have changed; an implausible pose or radius
     /// changes nothing.
     pub fn set_robot_footprint(&mut self, robot: RobotId, robot_map_from_base: Pose2, radius_m: f64) -> bool {
@@ -208,7 +208,7 @@ impl Merger {
         self.grid.update(&self.merged)
     }
 
-    /// Where each robot's map lies in the merged map.
+    /// Returns where each robot's map lies in the merged map.
     pub fn map_transforms(&self) -> MapTransforms {
         let mut transforms = MapTransforms {
             header: Header { stamp: self.merged.header.header.stamp, ..Default::default() },
@@ -329,7 +329,7 @@ impl Merger {
         Ok(())
     }
 
-    /// The merged map is as new as the newest map in it.
+    /// Sets the merged map's time to that of the newest map in it.
     fn record_time(&mut self, newest: &MapHeader) {
         let header = &mut self.merged.header;
         if newest.header.stamp >= header.header.stamp || header.scan_sent == Monotonic::default() {

@@ -1,4 +1,4 @@
-//! One robot's newest map, as the merger draws it.
+//! One robot's newest map and its place on the lattice of the merged map.
 
 use crate::resample::Resampler;
 use crate::swept_path::SweptPath;
@@ -17,13 +17,13 @@ pub(crate) struct RobotMap {
     pub own: TileMap,
     /// The map in use: `own`, or `redrawn` as tiles.
     pub drawn: TileMap,
-    /// The map that the fleet's pose graph redrew, where no single transform puts all of `own` right.
+    /// The map that the fleet's pose graph redrew, if no single transform aligns all of `own`.
     pub redrawn: Option<Arc<Grid>>,
     /// Resamples `drawn` on the lattice; `None` while the transform or the map is unknown.
     pub resampler: Option<Resampler>,
     /// Tiles of the lattice that `drawn` reaches.
     pub tiles: Rect,
-    /// Where the robot has been most recently.
+    /// The area that the robot swept most recently.
     pub path: SweptPath,
     /// Tiles of the lattice that `path` touches; none while the transform is unknown.
     pub path_tiles: Rect,

@@ -1,4 +1,4 @@
-//! Merge edges: the transforms between pairs of robots' maps, with their evidence.
+//! Messages with the transforms between pairs of robots' maps (merge edges) and their evidence.
 
 use crate::{Header, Pose2, ROBOTS_MAX, RobotId};
 use bytemuck::{Pod, Zeroable};

@@ -1,4 +1,4 @@
-//! Health messages: what a process reports about itself.
+//! Messages in which processes report their health.
 
 use crate::Header;
 use bytemuck::{Pod, Zeroable};

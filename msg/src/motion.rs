@@ -1,4 +1,4 @@
-//! Messages about motion: velocity commands, odometry, ground truth, clock and transforms.
+//! Messages about motion, such as velocity commands, odometry, ground truth, clock and transforms.
 
 use crate::{Header, Pose2};
 use bytemuck::{Pod, Zeroable};

@@ -1,4 +1,4 @@
-//! Planar poses.
+//! Planar poses and their composition.
 //!
 //! The name of a pose tells its two frames: `map_from_base` transforms points of `base` to `map`. In a
 //! product the inner names cancel: `map_from_base = map_from_odom * odom_from_base`.

@@ -1,4 +1,4 @@
-//! Submaps: parts of a robot's map that move as rigid bodies, with their poses and relations.
+//! Submaps, the parts of a robot's map that move as rigid bodies, with their poses and relations.
 //!
 //! The pose graph of a fleet consists of the submaps of all robots.
 

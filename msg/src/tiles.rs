@@ -1,4 +1,4 @@
-//! Maps stored as tiles: squares of [`TILE`] x [`TILE`] cells of a lattice that never moves.
+//! Maps stored as tiles, squares of [`TILE`] x [`TILE`] cells of a lattice that never moves.
 //!
 //! Only known tiles take memory. A map grows in any direction without a copy of its cells. Two versions of
 //! a map differ where they do not share a tile.

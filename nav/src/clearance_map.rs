@@ -1,4 +1,4 @@
-//! Clearance map: a window of the occupancy grid around a robot, with what its scans add, and the distance from
+//! Clearance map, a window of the occupancy grid around a robot with the obstacles of its scans, and the distance from
 //! each cell to the nearest obstacle.
 
 use crate::observation::MapView;

@@ -1,4 +1,4 @@
-//! Collision limit: the forward speed allowed by what stands ahead (as nav2_collision_monitor's approach model).
+//! Collision limit, the forward speed allowed by what stands ahead (as nav2_collision_monitor's approach model).
 
 use crate::command::Twist;
 use crate::config::{FollowerConfig, RobotBody};

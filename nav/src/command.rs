@@ -1,4 +1,4 @@
-//! Velocities asked of robots.
+//! Velocity commands for robots.
 
 use msg::RobotId;
 

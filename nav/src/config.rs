@@ -124,7 +124,7 @@ impl Default for ExplorationConfig {
 pub struct NavConfigError {
     /// Name of the parameter.
     pub name: &'static str,
-    /// Its value.
+    /// Value of the parameter, which lies outside the range.
     pub value: f64,
     /// The range that it has to lie in.
     pub expected: &'static str,

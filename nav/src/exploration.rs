@@ -1,4 +1,4 @@
-//! Exploration: which frontier to look past next, and which place to visit again once no frontier is left.
+//! Choice of the frontier to look past next, and of the place to visit again once no frontier is left.
 
 use crate::clearance_map::ClearanceMap;
 use crate::config::{ExplorationConfig, NavConfig};
@@ -48,7 +48,7 @@ pub struct ExplorationGoal {
     pub current_goal_explored: bool,
 }
 
-/// What a goal is chosen by.
+/// Criteria by which a goal is chosen.
 #[derive(Clone, Copy, Debug)]
 pub struct GoalRequest<'a> {
     /// Time of the request.

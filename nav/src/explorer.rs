@@ -1,4 +1,4 @@
-//! Explorer: drives one robot to exploration goals.
+//! Explorer that drives one robot to exploration goals.
 //!
 //! It spins once to see its surroundings, then drives to where a frontier can be looked past, looks, and plans again;
 //! when it is stuck it backs up or turns away.
@@ -82,7 +82,7 @@ impl Behavior {
     }
 }
 
-/// All that a localized robot knows at one moment.
+/// Data of a localized robot at one moment.
 struct Scene<'a> {
     map: MapView<'a>,
     pose: Pose2,

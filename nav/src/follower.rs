@@ -1,4 +1,4 @@
-//! Path follower: from a path and a pose to a velocity (pure pursuit, Coulter 1992).
+//! Path follower, which computes a velocity from a path and a pose (pure pursuit, Coulter 1992).
 
 use crate::command::Twist;
 use crate::config::FollowerConfig;

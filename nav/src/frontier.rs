@@ -1,4 +1,4 @@
-//! Frontiers: where known free space meets unknown space (Yamauchi 1997).
+//! Frontiers, where known free space meets unknown space (Yamauchi 1997).
 
 use crate::clearance_map::ClearanceMap;
 use crate::route_search::RouteSearch;

@@ -1,4 +1,4 @@
-//! Navigation of ground robots: maps, poses and scans in, velocities out.
+//! Navigation of ground robots, which computes velocities from maps, poses and scans.
 //!
 //! Pure: no clock, socket, file, thread or environment. Time comes in as a stamp with every observation, and the same
 //! observations and seed give the same velocities.

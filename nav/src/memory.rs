@@ -1,4 +1,4 @@
-//! Memory of one robot: its scans of the last seconds, the goals it tried in vain, and where it has been.
+//! Memory of one robot, with its scans of the last seconds, the goals that failed, and the places it visited.
 //!
 //! All positions are in the frame of the map that the robot is shown in. Every list is bounded; the oldest entry
 //! goes first.

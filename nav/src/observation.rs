@@ -1,4 +1,4 @@
-//! What a planner is shown: the map, the robots in it and their newest scans.
+//! Observations for planners, with the map, the robots in it and their newest scans.
 //!
 //! All views borrow, so that they can be laid over ROS messages and over `msg` types alike.
 

@@ -1,4 +1,4 @@
-//! Paths: what planners return and the follower drives.
+//! Paths that planners return and the follower drives.
 
 /// Position on a path.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,4 +1,4 @@
-//! Path planner: the layered clearance map and the cheapest path on it.
+//! Path planner, which finds the cheapest path on the layered clearance map.
 
 use crate::clearance_map::ClearanceMap;
 use crate::config::RobotBody;
@@ -16,7 +16,7 @@ const ROBOT_MARK_RADIUS_M: f64 = 0.14;
 /// Farthest hit of the newest scan that is marked, metres: errors of the heading misplace farther ones.
 const FRESH_HIT_MAX_M: f64 = 1.0;
 
-/// What a planner needs to know of the world at one moment.
+/// Input of a planner at one moment.
 #[derive(Clone, Copy, Debug)]
 pub struct PlanningInput<'a> {
     /// Map to plan on.

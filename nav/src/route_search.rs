@@ -1,4 +1,4 @@
-//! Route search: the cheapest route from a robot to every cell that it can reach.
+//! Search for the cheapest route from a robot to every cell that it can reach.
 //!
 //! Dijkstra's algorithm with a bucket queue (Dial 1969), so that its time is linear in the window's cells.
 

@@ -1,4 +1,4 @@
-//! Exploration tour: drives several robots, one after the other or all at once.
+//! Exploration tour that drives several robots, one after the other or all at once.
 //!
 //! Deterministic: the same observations and seed give the same commands.
 

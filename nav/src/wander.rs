@@ -1,4 +1,4 @@
-//! Wandering: driving by the scan alone while the pose is unknown.
+//! Wandering, which drives by the scan alone while the pose is unknown.
 
 use crate::collision::CollisionLimit;
 use crate::command::Twist;

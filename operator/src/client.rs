@@ -1,4 +1,4 @@
-//! ros_tcp client: connects, registers topics, keeps the connection alive and reconnects, as Unity's connector does.
+//! ros_tcp client that registers topics, keeps the connection alive and reconnects, as Unity's connector does.
 //!
 //! [`Client`] reads on one thread and stamps messages right after the system call that brought them.
 //! [`ClientHandle`] writes from any thread, each message as one frame in one write.
@@ -28,12 +28,12 @@ const MAP_HEADER_BYTES_MAX: usize = 4096;
 const ENDPOINT_VERSION: &str = "v0.7.";
 /// Most registrations of one client.
 const REGISTRATIONS_MAX: usize = 512;
-/// Queue of a publisher, messages: what the connector asks for by default.
+/// Queue of a publisher, messages: the connector's default.
 const QUEUE_SIZE: i64 = 10;
 /// Most reads of one poll, so that the caller gets its turn under any load.
 const READS_MAX: usize = 64;
 
-/// What a poll reports.
+/// Event that a poll returns.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// The handshake arrived: the connection is up.
@@ -203,7 +203,7 @@ fn handle_frame(
     Ok(())
 }
 
-/// Reads the body of a command as the connector does: what is missing or invalid becomes the default.
+/// Reads the body of a command as the connector does: missing or invalid fields get their defaults.
 fn json_body<T: Default + serde::de::DeserializeOwned>(json: &[u8]) -> T {
     serde_json::from_slice(json).unwrap_or_default()
 }

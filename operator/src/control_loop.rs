@@ -1,4 +1,4 @@
-//! Control loop: 20 times a second it reads the world state, steps the tour and publishes velocities.
+//! Control loop that reads the world state, steps the tour and publishes velocities, 20 times a second.
 
 use crate::client::ClientHandle;
 use crate::joystick::SimulatedJoystick;
@@ -47,7 +47,7 @@ pub(crate) struct ControlLoop<'a> {
     tour: Option<ExplorationTour>,
     robots: BTreeSet<RobotId>,
     selection: Option<Selection>,
-    /// Velocities published.
+    /// Number of velocities published since the start, for the report.
     published: u64,
     commands: Vec<DriveCommand>,
 }
@@ -88,7 +88,7 @@ impl<'a> ControlLoop<'a> {
                 topics_requested = tick;
             }
             self.step(tick);
-            // A late tick is left out: two commands at once would help nobody.
+            // A late tick is skipped, because two commands at once are of no use.
             let now = Instant::now();
             tick += PERIOD;
             match tick.checked_duration_since(now) {
@@ -224,7 +224,7 @@ fn velocity_topic(robot: RobotId) -> String {
     format!("/cmd_vel_{}", robot.number())
 }
 
-/// Length of a turn: as the arguments say; else so that every robot gets three turns, within bounds.
+/// Returns the length of a turn: from the arguments, or such that every robot gets three turns, within bounds.
 fn turn_s(args: &OperatorArgs, robots: usize) -> f64 {
     let fitting_s = args.seconds.map_or(TURN_MAX_S, |seconds| seconds / (TURNS * robots as f64));
     args.turn_seconds.unwrap_or(fitting_s.clamp(TURN_MIN_S, TURN_MAX_S))

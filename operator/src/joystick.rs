@@ -1,4 +1,4 @@
-//! Simulated joystick: the deflection that a thumb gives a headset's stick, and the velocity that it commands.
+//! Simulated joystick, with the deflection of a headset's stick by a thumb and the velocity that it commands.
 
 use msg::{ROBOTS_MAX, Stamp};
 use nav::{DriveCommand, Twist};
@@ -11,7 +11,7 @@ const FIRST_STEP_S: f64 = 0.05;
 /// Deflection of a stick; each axis is in -1..=1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Stick {
-    /// Deflection forward.
+    /// Deflection forward; backward is negative.
     pub forward: f64,
     /// Deflection to the left: counter-clockwise turning (REP-103).
     pub left: f64,

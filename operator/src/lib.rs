@@ -1,4 +1,4 @@
-//! Scripted operator: a client that drives a fleet over ros_tcp as a person with a headset does.
+//! Scripted operator, a client that drives a fleet over ros_tcp as a person with a headset does.
 //!
 //! It sees only what the bridge sends, drives with a simulated joystick, and measures what arrives.
 //!
@@ -83,7 +83,7 @@ pub enum OperatorError {
     Argument {
         /// Name of the argument.
         name: &'static str,
-        /// Its value.
+        /// Value of the argument, seconds.
         value: f64,
     },
     /// There was no connection during the whole run.

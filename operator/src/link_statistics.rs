@@ -1,4 +1,4 @@
-//! Statistics of the link: how much arrives on each topic, how regularly, and what is missing.
+//! Statistics of the link, with the rate, regularity and losses of each topic.
 
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, LaserScan, TfMessage};
@@ -19,13 +19,13 @@ const ARRIVALS_MAX: usize = 8192;
 pub struct Percentiles {
     /// Number of values.
     pub count: usize,
-    /// 50th percentile.
+    /// 50th percentile, in the unit of the values.
     pub median: f64,
-    /// 95th percentile.
+    /// 95th percentile, in the unit of the values.
     pub p95: f64,
-    /// 99th percentile.
+    /// 99th percentile, in the unit of the values.
     pub p99: f64,
-    /// Largest value.
+    /// Largest value of the set.
     pub max: f64,
 }
 
@@ -196,7 +196,7 @@ fn report<'a>(streams: impl Iterator<Item = &'a Stream>) -> StreamReport {
     StreamReport { jitter_ms: Percentiles::of(jitter_ms), ..sum }
 }
 
-/// Content of a message that the statistics had to decode, so that nobody decodes it twice.
+/// Content of a message that the statistics had to decode, passed on so that it is decoded once.
 #[derive(Debug)]
 pub enum MessageContent {
     /// A robot's scan.

@@ -1,4 +1,4 @@
-//! Report of a run: serialised for programs, displayed for people.
+//! Report of a run, serialised for programs and displayed for people.
 
 use crate::link_statistics::{LinkReport, Percentiles, StreamReport};
 use bridge::ros::OccupancyGrid;

@@ -1,4 +1,4 @@
-//! World state: the newest transform of each frame, scan of each robot, and maps, as the bridge sent them.
+//! World state, with the newest transform of each frame, scan of each robot, and maps that the bridge sent.
 //!
 //! State, not a queue: newer content replaces older, however rarely it is read.
 

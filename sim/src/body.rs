@@ -1,4 +1,4 @@
-//! Physics of the robot: a differential drive of three rigid bodies on an ideal floor.
+//! Physics of the robot, a differential drive of three rigid bodies on an ideal floor.
 //!
 //! The bodies are the chassis and two wheels, joined by two revolute joints with velocity motors. The
 //! wheels and the caster touch only the floor, a plane at z = 0. The hull touches the room, the peers, and

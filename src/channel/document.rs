@@ -15,12 +15,12 @@ pub(super) fn list(ends: &[End]) -> String {
     ends.iter().map(End::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// The chapter: a picture, the table of processes and the table of channels.
+/// Returns the chapter: a picture, the table of processes and the table of channels.
 pub fn chapter() -> String {
     format!("{}\n{}\n{}", picture(), process_table(), channel_table())
 }
 
-/// The processes and their channels as a Mermaid flowchart.
+/// Returns the processes and their channels as a Mermaid flowchart.
 fn picture() -> String {
     let mut arrows: BTreeMap<(Program, Program), Vec<&str>> = BTreeMap::new();
     for row in CHANNELS.into_iter().filter(|row| row.scope != Scope::Process) {
@@ -38,7 +38,7 @@ fn picture() -> String {
     text + "```\n"
 }
 
-/// The arrows of a channel between programs of the fleet itself.
+/// Returns the arrows of a channel between programs of the fleet itself.
 fn arrows_of(row: &ChannelRow) -> impl Iterator<Item = (Program, Program)> {
     let drawn = |end: &&End| !matches!(end, End::OutsideWorld(_));
     let tool = |program: Program| matches!(program, Program::AskSlam | Program::AskMerge);

@@ -9,7 +9,7 @@ use msg::{
     SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
-/// Messages of a map that its writer sends at a time: with the pause between two lots, 26 MB a second.
+/// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
 pub const MAP_MESSAGES_MAX: usize = 4;
 /// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
 const READERS_MAX: usize = 8;
@@ -34,7 +34,7 @@ const STREAM: ChannelRow = ChannelRow {
 };
 /// A channel of the fleet that gives late readers the newest message.
 const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1, ..STREAM };
-/// A map's channel: readers may fall four lots of messages behind.
+/// A map's channel: readers may fall four batches of messages behind.
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
 const SIM_OR_OUTSIDE: &[End] = &[Of(Sim), OutsideWorld(Bridge)];
@@ -52,7 +52,7 @@ static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     content: "one turn of the LiDAR, 10 Hz",
     writers: SIM_OR_OUTSIDE,
     readers: &[Of(Slam), Of(Bridge)],
-    // 1.6 s fit while SLAM is restarted or descheduled.
+    // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
     depth: 16,
     ..STREAM
 });
@@ -80,7 +80,7 @@ static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
     readers: &[OfOthers(Sim), Of(Telemetry), Of(Launcher)],
     depth: 4,
     readers_max: READERS_MAX + ROBOTS_MAX,
-    // Readers look once in each tick of their own.
+    // Readers poll once in each tick of their own.
     wakes: false,
     ..STREAM
 });
@@ -99,7 +99,7 @@ static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
     readers: &[Of(Merge), Of(Telemetry), Of(Bridge), Of(Launcher)],
     ..STREAM
 });
-// Readers cannot count lost messages of several writers: whoever asks sees that no answer comes.
+// Readers cannot count lost messages of several writers: a client notices a lost request by the missing answer.
 static SLAM_REQUEST: TypedRow<SlamRequest> = TypedRow::new(ChannelRow {
     name: "slam_request",
     content: "a request to SLAM, on demand",
@@ -129,7 +129,7 @@ static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
     content: "a new or changed submap, at most 10 Hz",
     writers: &[Of(Slam)],
     readers: &[Of(Merge)],
-    // A message has 0.26 MB: few fit, and a reader that lost one asks for it.
+    // A message has 0.26 MB, so that the queue is short; a reader that lost one requests it.
     depth: 8,
     readers_max: SUBMAP_READERS_MAX,
     ..STREAM
@@ -170,7 +170,7 @@ static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
 });
 static MERGE_EDGES: TypedRow<MergeEdges> = TypedRow::new(ChannelRow {
     name: "merge_edges",
-    content: "what merging believes of each pair of robots, on change",
+    content: "relative pose and evidence of each pair of robots, on change",
     writers: &[Of(Merge)],
     readers: &[Of(Bridge), Of(Launcher), Of(AskMerge)],
     ..STATE
@@ -203,7 +203,7 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
     ..STREAM
 });
 
-/// All channels of a fleet, in the order of the data's way.
+/// All channels of a fleet, in the order of the data flow.
 pub static CHANNELS: [&ChannelRow; 19] = [
     &COMMAND.row,
     &SCAN.row,
@@ -226,92 +226,92 @@ pub static CHANNELS: [&ChannelRow; 19] = [
     &HEALTH.row,
 ];
 
-/// `robotK/command`.
+/// `robotK/command`: the velocity that a person or a program wants the robot to drive.
 pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
     COMMAND.of_robot(robot)
 }
 
-/// `robotK/scan`.
+/// `robotK/scan`: one turn of the robot's LiDAR.
 pub fn scan(robot: RobotId) -> Channel<Scan> {
     SCAN.of_robot(robot)
 }
 
-/// `robotK/odometry`.
+/// `robotK/odometry`: wheel odometry, before the scan of the same stamp.
 pub fn odometry(robot: RobotId) -> Channel<Odometry> {
     ODOMETRY.of_robot(robot)
 }
 
-/// `robotK/transforms`.
+/// `robotK/transforms`: the robot's own frames.
 pub fn transforms(robot: RobotId) -> Channel<Transforms> {
     TRANSFORMS.of_robot(robot)
 }
 
-/// `robotK/truth`.
+/// `robotK/truth`: the simulated pose, to measure errors with.
 pub fn truth(robot: RobotId) -> Channel<GroundTruth> {
     TRUTH.of_robot(robot)
 }
 
-/// `clock`.
+/// `clock`: the run's time.
 pub fn clock() -> Channel<Clock> {
     CLOCK.of_fleet()
 }
 
-/// `robotK/correction`.
+/// `robotK/correction`: SLAM's pose in the robot's map, one for each scan.
 pub fn correction(robot: RobotId) -> Channel<Correction> {
     CORRECTION.of_robot(robot)
 }
 
-/// `robotK/slam_request`.
+/// `robotK/slam_request`: requests of people and programs to the robot's SLAM.
 pub fn slam_request(robot: RobotId) -> Channel<SlamRequest> {
     SLAM_REQUEST.of_robot(robot)
 }
 
-/// `robotK/slam_response`; open it before asking.
+/// `robotK/slam_response`: SLAM's answers; open it before sending a request.
 pub fn slam_response(robot: RobotId) -> Channel<SlamResponse> {
     SLAM_RESPONSE.of_robot(robot)
 }
 
-/// `robotK/map`; a reader that comes late asks for the whole map.
+/// `robotK/map`: changed tiles of the robot's map; a reader that comes late asks for the whole map.
 pub fn map(robot: RobotId) -> Channel<PatchHeader> {
     ROBOT_MAP.of_robot(robot)
 }
 
-/// `robotK/submap`.
+/// `robotK/submap`: new and changed submaps, for merging.
 pub fn submap(robot: RobotId) -> Channel<Submap> {
     SUBMAP.of_robot(robot)
 }
 
-/// `robotK/submap_poses`.
+/// `robotK/submap_poses`: poses of all submaps in the robot's map.
 pub fn submap_poses(robot: RobotId) -> Channel<SubmapPoses> {
     SUBMAP_POSES.of_robot(robot)
 }
 
-/// `robotK/submap_request`.
+/// `robotK/submap_request`: merging asks SLAM for all submaps because one is missing.
 pub fn submap_request(robot: RobotId) -> Channel<SubmapRequest> {
     SUBMAP_REQUEST.of_robot(robot)
 }
 
-/// `merged_map`; a reader that comes late asks for the whole map.
+/// `merged_map`: changed tiles of the fleet's map; a reader that comes late asks for the whole map.
 pub fn merged_map() -> Channel<PatchHeader> {
     MERGED_MAP.of_fleet()
 }
 
-/// `map_transforms`.
+/// `map_transforms`: where each robot's map lies in the fleet's map.
 pub fn map_transforms() -> Channel<MapTransforms> {
     MAP_TRANSFORMS.of_fleet()
 }
 
-/// `merge_edges`.
+/// `merge_edges`: relative pose and evidence of every pair of robots' maps.
 pub fn merge_edges() -> Channel<MergeEdges> {
     MERGE_EDGES.of_fleet()
 }
 
-/// `edge_command`.
+/// `edge_command`: a person's command about a merge edge, such as pin or undo.
 pub fn edge_command() -> Channel<EdgeCommand> {
     EDGE_COMMAND.of_fleet()
 }
 
-/// `stats`.
+/// `stats`: the fleet's figures from telemetry.
 pub fn stats() -> Channel<FleetStats> {
     STATS.of_fleet()
 }

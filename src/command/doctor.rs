@@ -1,4 +1,4 @@
-//! `mr-slam doctor`: checks what this machine permits, and says what to do about the rest.
+//! Tool `mr-slam doctor`, which checks what this machine permits and names a remedy for the rest.
 
 use super::output;
 use crate::clock;
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// Check what this machine permits: timers, limits, network
 #[derive(Clone, Debug, clap::Args)]
 pub struct DoctorArgs {
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
     /// TCP port that should be free

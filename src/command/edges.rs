@@ -1,4 +1,4 @@
-//! `mr-slam edges`: shows the edges between robots' maps in a running fleet, pins and undoes them.
+//! Tool `mr-slam edges`, which shows, pins and undoes the edges between robots' maps in a running fleet.
 
 use super::output;
 use super::run_args::RunArgs;
@@ -23,10 +23,10 @@ pub struct EdgesArgs {
     /// Change to make; without it, show the edges
     #[command(subcommand)]
     pub action: Option<Action>,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
-    /// Which fleet; before the action.
+    /// Choice of the running fleet; given before the action.
     #[command(flatten)]
     pub run: RunArgs,
 }
@@ -42,7 +42,7 @@ pub enum Action {
     Undo(Pair),
 }
 
-/// Two robots.
+/// Pair of robots whose edge is meant.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct Pair {
     /// Number of the first robot
@@ -93,7 +93,7 @@ pub enum EdgesError {
         /// Folder of the run.
         run: PathBuf,
     },
-    /// Standard output.
+    /// The edges cannot be written to standard output.
     #[error("cannot print the edges: {0}")]
     Print(#[from] std::io::Error),
 }
@@ -155,7 +155,7 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Edges
     };
     let before = next(&|_| true)?;
     let Some(command) = command else { return Ok(before) };
-    // The writer lives until the answer is there: a message of a writer that is gone may never be read.
+    // The writer lives until the answer is there, because a message of a closed writer may never be read.
     let mut writer = node.writer(&channel::edge_command())?;
     writer.send(&command);
     let after = next(&|edges| edges.commands != before.commands)?;

@@ -4,7 +4,7 @@ use crate::config::{ConfigError, FleetConfig, World};
 use crate::sessions::Mode;
 use std::path::PathBuf;
 
-/// Which fleet.
+/// Fleet to start: its file, and options that override the file.
 #[derive(Clone, Debug, clap::Args)]
 pub struct FleetArgs {
     /// Fleet file; other options override it
@@ -33,7 +33,7 @@ pub struct FleetArgs {
     pub localize: bool,
 }
 
-/// What merging knows of the robots' starts.
+/// Knowledge of merging about the robots' starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Starts {
     /// Start of each robot's map
@@ -43,7 +43,7 @@ pub enum Starts {
 }
 
 impl FleetArgs {
-    /// Returns the configuration in force: the file's or the default, with the options on top.
+    /// Returns the file's or the default configuration with the options applied.
     pub fn config(&self) -> Result<FleetConfig, ConfigError> {
         let mut config = match &self.config {
             Some(path) => FleetConfig::from_file(path)?,
@@ -52,7 +52,7 @@ impl FleetArgs {
         let fleet = &mut config.fleet;
         if let Some(robots) = self.robots {
             if robots != fleet.robots {
-                // Poses for another number of robots mean nothing.
+                // Poses for another number of robots are invalid.
                 fleet.starts.clear();
             }
             fleet.robots = robots;

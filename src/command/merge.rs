@@ -1,4 +1,4 @@
-//! `mr-slam merge A.yaml B.yaml ...`: merges map files of robots that started anywhere.
+//! Tool `mr-slam merge`, which merges map files of robots that started anywhere.
 
 use super::output;
 use formats::map_file::{MapFileError, read_map, write_map};
@@ -39,7 +39,7 @@ pub enum MergeMapsError {
     /// More maps than robots in the largest fleet.
     #[error("{0} maps; expected 2 to {ROBOTS_MAX}")]
     TooMany(usize),
-    /// Standard output.
+    /// The result cannot be written to standard output.
     #[error("cannot print the result: {0}")]
     Print(#[from] std::io::Error),
 }

@@ -31,7 +31,7 @@ pub fn print(text: &str) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
     let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
     match written {
-        // Whoever read it has seen enough.
+        // The reader closed the pipe, as `head` does: no error.
         Err(why) if why.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         written => written,
     }

@@ -1,4 +1,4 @@
-//! `mr-slam allow`, `deny`, `stop` and `release`: who may drive a running fleet, and the emergency stop.
+//! Tools `mr-slam allow`, `deny`, `stop` and `release` for permissions to drive and the emergency stop.
 
 use super::output;
 use super::run_args::RunArgs;
@@ -18,7 +18,7 @@ pub struct AllowArgs {
     /// IP address, such as the headset's
     #[arg(value_name = "ADDRESS")]
     pub address: Option<IpAddr>,
-    /// Which fleet, and how to print.
+    /// Choice of the running fleet, and the format of the answer.
     #[command(flatten)]
     pub common: StopArgs,
 }
@@ -26,10 +26,10 @@ pub struct AllowArgs {
 /// Forbid an address to drive
 #[derive(Clone, Debug, clap::Args)]
 pub struct DenyArgs {
-    /// IP address
+    /// IP address of the client
     #[arg(value_name = "ADDRESS")]
     pub address: IpAddr,
-    /// Which fleet, and how to print.
+    /// Choice of the running fleet, and the format of the answer.
     #[command(flatten)]
     pub common: StopArgs,
 }
@@ -37,15 +37,15 @@ pub struct DenyArgs {
 /// Arguments of `stop` and `release`
 #[derive(Clone, Debug, clap::Args)]
 pub struct StopArgs {
-    /// Which fleet.
+    /// Choice of the running fleet.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
 
-/// Reason why the bridge did not do it.
+/// Reason why the bridge did not apply the request.
 #[derive(Debug, thiserror::Error)]
 pub enum PermissionError {
     /// No run, or several and none was named.
@@ -59,7 +59,7 @@ pub enum PermissionError {
         /// Reason of the bridge.
         why: String,
     },
-    /// Standard output.
+    /// The answer cannot be written to standard output.
     #[error("cannot print the answer: {0}")]
     Print(#[from] std::io::Error),
 }

@@ -1,4 +1,4 @@
-//! `mr-slam replay`: maps recorded logs with the fleet's SLAM, as fast as the machine can.
+//! Tool `mr-slam replay`, which maps recorded logs with the fleet's SLAM, as fast as the machine can.
 //!
 //! Two threads as in the live process: this one runs the front end, the other one the back end. Unlike the live
 //! process, the front end waits when the back end is far behind: a log has time.
@@ -35,6 +35,7 @@ const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
 const PROGRESS: Duration = Duration::from_secs(1);
 
 /// Map recorded CARMEN logs, as fast as the machine can
+// More than 12 fields: one field for each option of the command line, which clap derives from the struct.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ReplayArgs {
     /// CARMEN logs, plain or gzip; several logs are a fleet, see --merge
@@ -52,13 +53,13 @@ pub struct ReplayArgs {
     /// File for the map: FILE.yaml with its PGM, and a PNG
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
-    /// Print JSON
+    /// Print the summary as JSON
     #[arg(long)]
     pub json: bool,
     /// Field of view of the central beams that are used, degrees
     #[arg(long, value_name = "DEGREES")]
     pub fov_deg: Option<f64>,
-    /// Ignore odometry
+    /// Ignore the log's odometry
     #[arg(long)]
     pub no_odometry: bool,
     /// Do not close loops
@@ -150,7 +151,7 @@ pub enum ReplayError {
     /// The fleet file is refused.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Standard output.
+    /// The summary cannot be written to standard output.
     #[error("cannot print the summary: {0}")]
     Print(#[from] std::io::Error),
 }

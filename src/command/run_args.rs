@@ -3,7 +3,7 @@
 use crate::run::{Run, RunError};
 use std::path::PathBuf;
 
-/// Which running fleet.
+/// Choice of the running fleet.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct RunArgs {
     /// Folder of the run; needed if several fleets run and something is to be changed [default: the newest run]

@@ -1,4 +1,4 @@
-//! `mr-slam slam ROBOT ...`: controls a robot's SLAM in a running fleet, as SLAM Toolbox's services do.
+//! Tool `mr-slam slam ROBOT`, which controls a robot's SLAM in a running fleet, as SLAM Toolbox's services do.
 
 use super::edges::robot;
 use super::output;
@@ -33,13 +33,13 @@ pub struct SlamArgs {
     /// Robot: `robot1`, or 1
     #[arg(value_name = "ROBOT", value_parser = robot)]
     pub robot: RobotId,
-    /// Request
+    /// Request to the robot's SLAM
     #[command(subcommand)]
     pub action: SlamAction,
     /// Folder of the run; needed if several fleets run and something is to be changed [default: the newest run]
     #[arg(long, value_name = "DIR", global = true)]
     pub run_dir: Option<PathBuf>,
-    /// Print JSON
+    /// Print the answer as JSON
     #[arg(long, global = true)]
     pub json: bool,
 }
@@ -150,7 +150,7 @@ pub enum SlamCommandError {
     /// No run, or several and none was named.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// Standard output.
+    /// The answer cannot be written to standard output.
     #[error("cannot print the answer: {0}")]
     Print(#[from] std::io::Error),
 }

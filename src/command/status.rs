@@ -1,4 +1,4 @@
-//! `mr-slam status`: shows the newest figures of a running fleet.
+//! Tool `mr-slam status`, which shows the newest figures of a running fleet.
 
 use super::output;
 use super::run_args::RunArgs;
@@ -13,10 +13,10 @@ use std::time::{Duration, Instant};
 /// Show the figures of a running fleet
 #[derive(Clone, Debug, clap::Args)]
 pub struct StatusArgs {
-    /// Which fleet.
+    /// Choice of the running fleet.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Print JSON
+    /// Print the figures as JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -39,7 +39,7 @@ pub enum StatusError {
         /// Folder of the run.
         run: PathBuf,
     },
-    /// Standard output.
+    /// The figures cannot be written to standard output.
     #[error("cannot print the figures: {0}")]
     Print(#[from] std::io::Error),
 }

@@ -1,4 +1,4 @@
-//! `mr-slam up`: launches a fleet, shows its figures, and leaves maps and a report behind.
+//! Tool `mr-slam up`, which launches a fleet, shows its figures, and writes maps and a report.
 
 mod console;
 mod events;
@@ -32,7 +32,7 @@ const LAST_MAPS: Duration = Duration::from_millis(200);
 /// Launch a fleet: a simulator and SLAM for each robot, merging, telemetry and the bridge
 #[derive(Clone, Debug, clap::Args)]
 pub struct UpArgs {
-    /// Which fleet.
+    /// Options that describe the fleet.
     #[command(flatten)]
     pub fleet: FleetArgs,
     /// TCP port for headsets; 0: any free port [default: 10000]

@@ -1,4 +1,4 @@
-//! `mr-slam worker ROLE ...`: one process of a fleet, as the supervisor starts it.
+//! Tool `mr-slam worker ROLE`, which runs one process of a fleet, as the supervisor starts it.
 
 use super::Error;
 use crate::process::{self, Process, ProcessArgs, RobotArgs};

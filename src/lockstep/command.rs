@@ -1,4 +1,4 @@
-//! `mr-slam lockstep`: a fleet on virtual time, from the command line.
+//! Tool `mr-slam lockstep`, which runs a fleet on virtual time.
 
 use super::Lockstep;
 use super::faults::FaultPlan;
@@ -17,10 +17,10 @@ use std::time::Instant;
 /// Run a fleet in one process on virtual time
 #[derive(Clone, Debug, clap::Args)]
 pub struct LockstepArgs {
-    /// Which fleet.
+    /// Options that describe the fleet.
     #[command(flatten)]
     pub fleet: FleetArgs,
-    /// Virtual seconds
+    /// Duration of the run in virtual time, seconds
     #[arg(long, value_name = "S", default_value_t = 60)]
     pub seconds: u32,
     /// Drive the robots one after the other, as one operator would, and not all at once
@@ -32,12 +32,12 @@ pub struct LockstepArgs {
     /// Draw faults from this seed, and check what must hold whatever goes wrong
     #[arg(long, value_name = "SEED")]
     pub faults: Option<u64>,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
 }
 
-/// Runs it, and says how the fleet did and what all its messages hash to.
+/// Runs the fleet, and prints its figures and the hash of all its messages.
 pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let config = args.fleet.config()?;
     if config.world.is_outside() {

@@ -1,33 +1,33 @@
-//! Faults drawn from a seed: what goes wrong in a fleet in lockstep, and when.
+//! Plan of the faults that lockstep injects, drawn from a seed.
 
 use msg::Monotonic;
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
 
-/// The length of a window in which messages are disturbed, or something does not work, milliseconds.
+/// Smallest and largest duration of a disturbance of messages, disk or queues, milliseconds.
 const WINDOW_MS: [u64; 2] = [200, 3000];
-/// How late a late message comes, milliseconds.
+/// Smallest and largest delay of a late message, milliseconds.
 const LATE_MS: [u64; 2] = [5, 400];
-/// How long a process is stopped, milliseconds.
+/// Smallest and largest time for which a process is stopped, milliseconds.
 const FREEZE_MS: [u64; 2] = [100, 3000];
-/// How far the clock jumps, milliseconds.
+/// Smallest and largest jump of the clock, milliseconds.
 const CLOCK_STEP_MS: [u64; 2] = [50, 4000];
-/// The most faults of one kind in a run.
+/// Largest number of faults of one kind in a run.
 const COUNT_MAX: u64 = 3;
 
-/// What becomes of a message on its way to one reader.
+/// Delivery of a message to one reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
     /// It is lost.
     Lost,
-    /// It arrives so often, at once.
+    /// It arrives at once, this many times.
     Copies(usize),
     /// It arrives at this moment.
     Late(Monotonic),
 }
 
-/// Something that goes wrong at one moment.
+/// Fault at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// A process is killed; the number chooses one.
@@ -40,11 +40,11 @@ pub enum Fault {
     ResetMap(usize),
     /// A person pauses a robot's SLAM for a while.
     Pause(usize, Duration),
-    /// The operator lets go of all sticks for a while.
+    /// The operator sends no velocity for a while.
     LetGo(Duration),
 }
 
-/// A time from a moment on to another.
+/// Interval of time: from a moment to another.
 #[derive(Clone, Copy, Debug)]
 struct Window {
     from: Monotonic,
@@ -57,7 +57,7 @@ impl Window {
     }
 }
 
-/// How messages are disturbed in a window, in thousandths.
+/// Disturbance of messages during an interval; probabilities in thousandths.
 #[derive(Clone, Copy, Debug)]
 struct Disturbance {
     window: Window,
@@ -73,17 +73,17 @@ pub struct FaultPlan {
     /// Whether components that could run at the same moment run in an order drawn from the seed.
     shuffled: bool,
     disturbances: Vec<Disturbance>,
-    /// When channels take no message.
+    /// Intervals in which channels refuse messages.
     full: Vec<Window>,
-    /// When the disk takes nothing.
+    /// Intervals in which the disk is full.
     disk_full: Vec<Window>,
-    /// When the queue from a scan path to its back end has room for nodes only.
+    /// Intervals in which the queue from a scan path to its back end has room for nodes only.
     events_lost: Vec<Window>,
     faults: Vec<(Monotonic, Fault)>,
 }
 
 impl FaultPlan {
-    /// Nothing goes wrong, and the order of components is fixed.
+    /// Creates a plan without faults; the order of components is fixed.
     pub fn none() -> Self {
         Self {
             rng: Pcg32::seed_from_u64(0),
@@ -136,7 +136,7 @@ impl FaultPlan {
         self
     }
 
-    /// Adds a time in which the queue from scan paths to back ends has room for nodes only.
+    /// Adds an interval in which the queue from scan paths to back ends has room for nodes only.
     pub fn with_lost_events(mut self, from: Monotonic, until: Monotonic) -> Self {
         self.events_lost.push(Window { from, until });
         self
@@ -148,12 +148,12 @@ impl FaultPlan {
         due.then(|| self.faults.remove(0).1)
     }
 
-    /// When the next fault is due.
+    /// Returns when the next fault is due.
     pub fn next_due(&self) -> Option<Monotonic> {
         self.faults.first().map(|(at, _)| *at)
     }
 
-    /// What becomes of a message that is sent now, on its way to one reader.
+    /// Returns how a message that is sent now reaches one reader.
     pub fn deliver(&mut self, now: Monotonic) -> Delivery {
         let Some(Disturbance { lost, late, doubled, .. }) =
             self.disturbances.iter().find(|disturbance| disturbance.window.contains(now)).copied()
@@ -172,27 +172,27 @@ impl FaultPlan {
         }
     }
 
-    /// Whether channels take no message now.
+    /// Returns whether channels refuse messages now.
     pub fn is_full(&self, now: Monotonic) -> bool {
         self.full.iter().any(|window| window.contains(now))
     }
 
-    /// Whether the disk takes nothing now.
+    /// Returns whether the disk is full now.
     pub fn is_disk_full(&self, now: Monotonic) -> bool {
         self.disk_full.iter().any(|window| window.contains(now))
     }
 
-    /// Whether events of scan paths other than nodes are lost now.
+    /// Returns whether events of scan paths other than nodes are lost now.
     pub fn loses_events(&self, now: Monotonic) -> bool {
         self.events_lost.iter().any(|window| window.contains(now))
     }
 
-    /// Whether components that could run at one moment run in an order drawn from the seed.
+    /// Returns whether components that are due at one moment run in an order drawn from the seed.
     pub fn is_shuffled(&self) -> bool {
         self.shuffled
     }
 
-    /// Which of `count` components that could run now runs first.
+    /// Returns which of `count` components that are due runs first.
     pub fn choose(&mut self, count: usize) -> usize {
         self.below(count as u64) as usize
     }

@@ -1,5 +1,5 @@
-//! What must hold in a fleet whatever goes wrong: robots at rest when nobody drives, no wrong frame, no lost map,
-//! bounded queues, and after the faults every process at work.
+//! Invariants of a fleet under faults: robots stand when nobody drives, poses are in the right frame, no map is lost,
+//! queues are bounded, and every process works again after the last fault.
 
 use super::Lockstep;
 use super::faults::FaultPlan;
@@ -15,42 +15,42 @@ use msg::{
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 
-/// After the last fault, a fleet has so many seconds to recover: back-off after two deaths, and a pause.
+/// Time that a fleet has to recover after the last fault, seconds: back-off after two deaths, and a pause.
 pub const RECOVERY_S: u32 = 7;
-/// A robot stands this long after the last command at the latest, in units of the simulator's dead-man time: a command
+/// Longest time from the last command until a robot stands, in units of the simulator's dead-man time: a command
 /// is valid that long, and may have waited as long.
 const DEAD_MAN_TIMES: f64 = 2.0;
-/// For a tick of the simulator and one of the operator, seconds.
+/// Tolerance of that time, seconds: one tick of the simulator and one of the operator.
 const REST_MARGIN_S: f64 = 0.1;
-/// A robot that moves slower than this stands, m/s and rad/s.
+/// Velocity below which a robot counts as standing, m/s and rad/s.
 const REST_SPEED: [f64; 2] = [0.01, 0.05];
-/// A simulator's time that goes on by more than this has jumped, seconds.
+/// Step of a simulator's time that counts as a jump, seconds.
 const JUMP_MIN_S: f64 = 0.05;
-/// A robot comes to rest within so many ticks of its own time.
+/// Ticks of its own time within which a robot comes to rest.
 const STOPPING_TICKS: u32 = 20;
-/// Farther from the truth than this, a pose is in a wrong frame: a good one errs by 0.05 m and 2 degrees.
+/// Pose error above which a pose is in a wrong frame; a correct one errs by 0.05 m and 2 degrees.
 const POSE_ERROR_MAX: [f64; 2] = [0.5, 0.35];
-/// So many scans in a row: one bad match is no wrong frame.
+/// Number of scans in a row with that error: one bad match is no wrong frame.
 const WRONG_SCANS: u32 = 10;
-/// What a report says of a robot in a wrong frame.
+/// Message about a robot in a wrong frame.
 pub const WRONG_POSE: &str = "is sure of a wrong pose";
-/// This part of the cells that were saved is known again: poses move a little as the graph is solved.
+/// Share of the saved cells that must be known again; poses move a little as the graph is solved.
 const KNOWN_SHARE_MIN: f64 = 0.9;
-/// Commands and requests that may wait in a back end.
+/// Largest number of commands and requests that may wait in a back end.
 const BACKLOG_MAX: usize = 24;
-/// Truths kept for corrections that come late: five seconds.
+/// Number of true poses kept for late corrections: five seconds.
 const TRUTHS_MAX: usize = 500;
-/// SLAM of a robot that sends no correction for this long does not work, seconds.
+/// Time without a correction after which a robot's SLAM counts as not working, seconds.
 const SILENT_MAX_S: f64 = 1.5;
 
-/// Watches the messages of a fleet.
+/// Checks the invariants on the messages of a fleet.
 pub struct Checker {
     robots: Vec<RobotChecker>,
     dead_man_s: f64,
     violations: Vec<String>,
 }
 
-/// What was seen of one robot.
+/// Observations of one robot.
 struct RobotChecker {
     robot: RobotId,
     world_from_start: Option<Pose2>,
@@ -65,10 +65,10 @@ struct RobotChecker {
 }
 
 impl Checker {
-    /// Nothing was seen yet.
+    /// Creates the checks of a fleet from which no message was received yet.
     ///
     /// # Errors
-    /// The configuration's room or starts are of no use.
+    /// The configuration's room or starts cannot be used.
     pub fn new(config: &FleetConfig) -> Result<Self, Error> {
         let starts = fleet::true_starts(config)?;
         let robots = RobotId::first(config.fleet.robots).zip(starts);
@@ -85,7 +85,7 @@ impl Checker {
         Ok(Self { robots: robots.collect(), dead_man_s, violations: Vec::new() })
     }
 
-    /// Takes in a message of the fleet.
+    /// Receives a message of the fleet.
     pub fn receive(&mut self, channel: &str, bytes: &[u8]) {
         let rest_after_s = DEAD_MAN_TIMES * self.dead_man_s + REST_MARGIN_S;
         let Some((robot, name)) = channel.split_once('/') else { return };
@@ -101,7 +101,7 @@ impl Checker {
         self.violations.extend(violation);
     }
 
-    /// Checks the fleet's state at the end. Returns all that did not hold.
+    /// Checks the fleet's state at the end. Returns all violations.
     pub fn finish(mut self, fleet: &Lockstep) -> Vec<String> {
         let now = fleet.now();
         for robot in &self.robots {
@@ -156,7 +156,7 @@ impl RobotChecker {
 }
 
 impl Lockstep {
-    /// How many cells of a robot's map are in its session file.
+    /// Returns how many known cells a robot's session file has.
     pub(super) fn saved_cells(&self, robot: RobotId) -> usize {
         let run = &self.world.run;
         let path = sessions::file(&sessions::folder(run), robot);
@@ -171,7 +171,7 @@ impl Lockstep {
         })
     }
 
-    /// What of the fleet's state must not be.
+    /// Returns the violations in the fleet's state.
     fn state_violations(&self) -> Vec<String> {
         let mut violations = Vec::new();
         for member in &self.members {
@@ -203,16 +203,16 @@ fn count(cells: &[i8]) -> usize {
     cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count()
 }
 
-/// What became of a fleet with faults.
+/// Result of a run with faults.
 #[derive(Debug, PartialEq, Eq)]
 pub struct FaultReport {
-    /// The hash of all messages.
+    /// Hash of all messages.
     pub sha256: String,
-    /// All that did not hold.
+    /// Violations of the invariants.
     pub violations: Vec<String>,
 }
 
-/// Runs a fleet for so many seconds with these faults, and checks it.
+/// Runs a fleet for `seconds` of virtual time with these faults, and checks the invariants.
 ///
 /// # Errors
 /// The fleet cannot be built.
@@ -231,7 +231,7 @@ pub fn check(config: &FleetConfig, faults: FaultPlan, seconds: u32) -> Result<Fa
     Ok(FaultReport { sha256, violations: checker.finish(&fleet) })
 }
 
-/// The moment after which nothing goes wrong any more, in a run of so many seconds.
+/// Returns the moment after which no fault is injected, in a run of this many seconds.
 pub fn quiet_from(seconds: u32) -> Monotonic {
     Monotonic(u64::from(seconds.saturating_sub(RECOVERY_S)) * 1_000_000_000)
 }

@@ -20,27 +20,27 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// What every process of a fleet in lockstep is started with.
+/// Surroundings that all processes of a fleet in lockstep share.
 pub struct World {
-    /// The run.
+    /// The run's id, times and configuration.
     pub run: Run,
-    /// All channels.
+    /// Queues of all channels, in memory.
     pub network: Rc<Network>,
     /// The run's folder.
     pub storage: MemoryStorage,
     /// Whether the operator drives all robots at once.
     pub together: bool,
-    /// The operator lets go of the sticks until then.
+    /// The operator sends no velocity until then.
     pub idle_until: Rc<Cell<Monotonic>>,
 }
 
-/// One process.
+/// One process of the fleet, running or ended.
 pub struct Member {
     /// Its row in the table of processes.
     pub row: &'static ProcessRow,
-    /// Its robot.
+    /// Robot of a simulator or SLAM process; `None` for all others.
     pub robot: Option<RobotId>,
-    /// When it is started again.
+    /// Decides when it is started again.
     pub policy: RestartPolicy,
     /// It is stopped until then.
     pub frozen_until: Monotonic,
@@ -52,7 +52,7 @@ pub struct Member {
 /// One thread of a process.
 pub struct Thread {
     ports: MemoryPorts,
-    /// When it wants to run next.
+    /// Moment at which it runs next.
     pub due: Monotonic,
 }
 
@@ -65,9 +65,9 @@ enum Body {
     Operator(Box<Operator<MemoryPorts>>),
 }
 
-/// A SLAM process, and what was taken from its queues to be done next.
+/// A SLAM process, and what it took from its queues to process next.
 pub struct SlamBody {
-    /// The components.
+    /// Scan path, back-end thread and file thread, called in turn.
     pub process: SlamProcess<MemoryPorts, MemoryStorage>,
     input: Option<BackEndInput>,
     job: Option<Job>,
@@ -76,7 +76,7 @@ pub struct SlamBody {
 }
 
 impl Member {
-    /// A process that is to be started now.
+    /// Creates a process that is to be started now.
     pub fn new(row: &'static ProcessRow, robot: Option<RobotId>) -> Self {
         Self {
             row,
@@ -88,7 +88,7 @@ impl Member {
         }
     }
 
-    /// Starts the process; `at` is what the supervisor tells one that is started again.
+    /// Starts the process; `at` is the pose that the supervisor gives a restarted one.
     pub fn start(&mut self, world: &World, at: Option<Pose2>) -> Result<(), Error> {
         let opener = Opener { program: self.row.role.into(), robot: self.robot };
         let now = world.network.clock().now();
@@ -114,12 +114,12 @@ impl Member {
         }
     }
 
-    /// Whether it runs.
+    /// Returns whether the process runs.
     pub fn is_running(&self) -> bool {
         self.body.is_some()
     }
 
-    /// The SLAM process, if it is one and runs.
+    /// Returns the SLAM process, if this is one and runs.
     pub fn slam(&self) -> Option<&SlamBody> {
         match &self.body {
             Some(Body::Slam(slam)) => Some(slam),
@@ -127,7 +127,7 @@ impl Member {
         }
     }
 
-    /// Whether a thread has something to do now.
+    /// Returns whether a thread has something to do now.
     pub fn is_runnable(&mut self, thread: usize, world: &World) -> bool {
         let now = world.network.clock().now();
         if now < self.frozen_until {
@@ -187,7 +187,7 @@ impl Body {
 }
 
 impl SlamBody {
-    /// Takes what is next from the queue to a thread. True if there is something to do.
+    /// Takes the next element from the queue to a thread; returns true if there is something to do.
     fn take_next(&mut self, thread: usize, world: &World) -> bool {
         match thread {
             1 => {
@@ -217,14 +217,16 @@ impl SlamBody {
                     (None, Some(job)) => files.try_run(job),
                     (None, None) => None,
                 };
-                // It waits for jobs alone.
+                // The file thread waits for jobs only.
                 Monotonic(u64::MAX)
             }
         }
     }
 }
 
-/// Whether a fault makes the queue too full for an event. Nodes always have room: see `slam::NODES_IN_FLIGHT_MAX`.
+/// Returns whether a fault makes the queue too full for an event.
+///
+/// Nodes always have room: see `slam::NODES_IN_FLIGHT_MAX`.
 fn is_lost(input: &BackEndInput, world: &World) -> bool {
     let is_node = matches!(input, BackEndInput::FrontEnd(_, FrontEvent::Node(..)) | BackEndInput::File(_));
     !is_node && world.network.faults().loses_events(world.network.clock().now())

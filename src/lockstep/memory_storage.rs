@@ -19,7 +19,7 @@ pub struct MemoryStorage {
 }
 
 impl MemoryStorage {
-    /// An empty folder; `network` knows when it is full.
+    /// Creates an empty folder; `network` has the faults that make it full.
     pub fn new(network: &Rc<Network>) -> Self {
         Self { files: Rc::default(), network: network.clone() }
     }

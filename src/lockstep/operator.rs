@@ -1,4 +1,4 @@
-//! The operator of a fleet in lockstep: the scripted tour in the bridge's place, which sees what a client sees.
+//! The operator of a fleet in lockstep: the scripted tour, with the data that a client of the bridge receives.
 
 use crate::channel;
 use crate::clock::Epoch;
@@ -30,11 +30,11 @@ pub struct Operator<P: Ports> {
     clock: P::Clock,
     epoch: Epoch,
     due: Monotonic,
-    /// The sticks are let go of until then.
+    /// No velocity is sent until then.
     idle_until: Rc<Cell<Monotonic>>,
 }
 
-/// A map as the operator sees it.
+/// A map as the operator receives it.
 struct MapInput<P: Ports> {
     reader: P::MapReader,
     grid: DenseMap,
@@ -58,7 +58,7 @@ impl<P: Ports> MapInput<P> {
     }
 }
 
-/// What the operator sees of one robot, and its stick.
+/// The data that the operator receives of one robot, and its stick.
 struct RobotInputs<P: Ports> {
     robot: RobotId,
     corrections: P::Reader<Correction>,
@@ -72,7 +72,8 @@ struct RobotInputs<P: Ports> {
 }
 
 impl<P: Ports> Operator<P> {
-    /// `together`: drives all robots at once, not one after the other. The sticks are let go of before `idle_until`.
+    /// Opens the channels. `together`: drives all robots at once, not one after the other. No velocity is sent before
+    /// `idle_until`.
     pub fn open(
         ports: &P,
         run: &Run,
@@ -170,7 +171,7 @@ impl<P: Ports> RobotInputs<P> {
         self.map.poll();
     }
 
-    /// The robot as the operator sees it: in its own map while its place in the merged one is not known.
+    /// Returns the robot for the tour: in its own map while its transform to the merged one is unknown.
     fn observation<'a>(
         &'a self,
         merged: Option<MapView<'a>>,

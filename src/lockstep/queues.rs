@@ -1,5 +1,5 @@
 //! Channels as queues in memory, with the semantics of those in shared memory: depth, history, drop oldest, numbers.
-//! Faults, where a [`FaultPlan`] has some, are injected as a message goes from its writer to a reader.
+//! The faults of a [`FaultPlan`] are injected between a message's writer and each reader.
 
 mod maps;
 
@@ -16,14 +16,14 @@ use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::rc::{Rc, Weak};
 
-/// Hears every message that is sent: the channel's name and the message's bytes.
+/// Callback for every message that is sent: the channel's name and the message's bytes.
 pub type Listener<'a> = &'a mut dyn FnMut(&str, &[u8]);
 
 /// Virtual time, shared by all of a fleet.
 #[derive(Clone, Debug, Default)]
 pub struct VirtualClock {
     now: Rc<Cell<u64>>,
-    /// Stands for the process id: the number of the incarnation.
+    /// Number of the incarnation, in place of the process id.
     incarnation: u64,
 }
 
@@ -44,7 +44,7 @@ impl Clock for VirtualClock {
     }
 }
 
-/// Who opened which channel, by the last part of its name.
+/// Openers of each channel, by the last part of the channel's name.
 pub type Openings = BTreeSet<(String, Direction, Opener)>;
 
 /// All channels of a fleet in lockstep.
@@ -62,7 +62,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// No channel is open.
+    /// Creates a network without channels.
     pub fn new(faults: FaultPlan) -> Rc<Self> {
         Rc::new(Self {
             clock: VirtualClock::default(),
@@ -76,17 +76,17 @@ impl Network {
         })
     }
 
-    /// The clock of the fleet.
+    /// Returns the clock of the fleet.
     pub fn clock(&self) -> &VirtualClock {
         &self.clock
     }
 
-    /// The faults that are in force.
+    /// Returns the faults that are active now.
     pub fn faults(&self) -> std::cell::RefMut<'_, FaultPlan> {
         self.faults.borrow_mut()
     }
 
-    /// Who has opened which channel so far.
+    /// Returns who has opened which channel so far.
     pub fn openings(&self) -> Openings {
         self.openings.borrow().clone()
     }
@@ -98,7 +98,7 @@ impl Network {
         }
     }
 
-    /// The next moment at which a late message arrives.
+    /// Returns the next moment at which a late message arrives.
     pub fn next_arrival(&self) -> Option<Monotonic> {
         self.late.borrow().keys().next().map(|at| Monotonic(*at))
     }
@@ -121,7 +121,7 @@ impl Network {
     }
 }
 
-/// One channel.
+/// One channel: its readers, its history and those that wait for its messages.
 struct Topic<M> {
     name: Rc<str>,
     row: &'static ChannelRow,
@@ -129,7 +129,7 @@ struct Topic<M> {
     history: RefCell<VecDeque<Rc<M>>>,
     queues: RefCell<Vec<Weak<Queue<M>>>>,
     listeners: RefCell<Vec<Weak<Cell<bool>>>>,
-    /// Of a map's channel: a reader has asked for the whole, and the writer's listener.
+    /// A reader has asked for the whole map (map channels only).
     requested: Cell<bool>,
     request_listener: RefCell<Weak<Cell<bool>>>,
 }
@@ -148,7 +148,7 @@ impl<M> Topic<M> {
         })
     }
 
-    /// A reader's queue, with the history in it.
+    /// Adds a reader's queue, with the history in it.
     fn subscribe(&self) -> Rc<Queue<M>> {
         let waiting = self.history.borrow().iter().map(|message| (Monotonic(0), message.clone())).collect();
         let queue = Rc::new(Queue { waiting: RefCell::new(waiting) });
@@ -164,7 +164,7 @@ impl<M> Topic<M> {
         woken
     }
 
-    /// Hands a message to every reader, as the faults in force allow. The oldest gives way in a full queue.
+    /// Hands a message to every reader, as the active faults allow. A full queue drops its oldest message.
     fn publish(&self, network: &Network, message: Rc<M>) {
         let now = network.clock.now();
         let mut history = self.history.borrow_mut();
@@ -206,7 +206,7 @@ struct Queue<M> {
 impl<M> Queue<M> {
     fn receive(&self, now: Monotonic) -> Option<Rc<M>> {
         let mut waiting = self.waiting.borrow_mut();
-        // Messages stay in order: behind one that comes late, all wait.
+        // Messages stay in order: all wait behind a late one.
         if waiting.front()?.0 > now {
             return None;
         }
@@ -225,14 +225,14 @@ pub struct MemoryPorts {
 }
 
 impl MemoryPorts {
-    /// A new incarnation of a process.
+    /// Creates the ports of a new incarnation of a process.
     pub fn attach(network: &Rc<Network>, opener: Opener) -> Self {
         network.incarnations.set(network.incarnations.get() + 1);
         let incarnation = network.incarnations.get();
         Self { network: network.clone(), opener, incarnation, woken: Rc::default() }
     }
 
-    /// Takes the notifications that have come. True if there was one.
+    /// Takes the notifications that have come; returns true if there was one.
     pub fn take_notifications(&self) -> bool {
         let mut any = false;
         for woken in self.woken.borrow().iter().filter_map(Weak::upgrade) {
@@ -241,7 +241,7 @@ impl MemoryPorts {
         any
     }
 
-    /// Whether a notification has come.
+    /// Returns whether a notification has come.
     pub fn is_notified(&self) -> bool {
         self.woken.borrow().iter().filter_map(Weak::upgrade).any(|woken| woken.get())
     }

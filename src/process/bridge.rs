@@ -28,18 +28,18 @@ use tokio::net::TcpListener;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 use tokio::time::Instant;
 
-/// How often the process looks whether it is to stop, and whether its health is due.
+/// Period at which the process checks whether it is to stop, and whether its health is due.
 const POLL_PERIOD: Duration = Duration::from_millis(100);
-/// The shortest time between two whole grids of one map.
+/// Shortest time between two whole grids of one map.
 const GRID_PERIOD: Duration = Duration::from_millis(200);
 /// Time added to [`GRID_PERIOD`] for each cell of the map.
 ///
 /// ROS has whole grids only, and a client's transforms wait behind one. At this rate a map takes at most 5 MB/s of a
 /// headset's Wi-Fi: 1 MB every 0.4 s, 16 MB every 3.4 s.
 const GRID_CELL_TIME: Duration = Duration::from_nanos(200);
-/// Tells this process's requests to SLAM from others'.
+/// Kind of requester that marks this process's requests to SLAM.
 const REQUESTER_KIND: u64 = 1;
-/// How often a map's channel is polled without a notification: a request for the whole map may be due again.
+/// Period at which a map's channel is polled without a notification: a request for the whole map may be due again.
 const MAP_POLL_PERIOD: Duration = Duration::from_millis(500);
 /// Bits of a requester's number that hold its process id; its kind is above them.
 const PID_BITS: u32 = 32;

@@ -1,5 +1,6 @@
-//! The merge process's second thread: submaps in, what the fleet's pose graph says of the robots' maps out. The
-//! merged map never waits for it, and it has less priority than all that robots wait for.
+//! The merge process's second thread: receives submaps and estimates where the robots' maps lie by the fleet's pose
+//! graph.
+//! The merged map never waits for it, and it has less priority than all that robots wait for.
 
 use super::{Component, Listens, serve};
 use crate::channel;
@@ -16,15 +17,15 @@ use msg::{
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// How often the thread looks around without being woken.
+/// Period at which the thread polls its channels without being woken.
 const POLL_NS: u64 = 500_000_000;
-/// Missing submaps are asked for after this, and again.
+/// Time after which missing submaps are requested, and requested again.
 const REQUEST_NS: u64 = 3_000_000_000;
-/// How much less of the processors this thread gets when others want them, as `nice` counts.
+/// Niceness of this thread: it gets less processor time than the threads that robots wait for.
 const NICE: i32 = 10;
 
-/// What the graph says of each robot: where its map lies, `map` from `robotK/map`; and the map redrawn, where no
-/// transform alone puts it right.
+/// Estimate for each robot: the transform `map` from `robotK/map`, and the redrawn map if no
+/// single transform aligns it.
 pub type FleetEstimate = Vec<(Option<Pose2>, Option<Arc<Grid>>)>;
 
 /// The newest estimate, for the thread that draws the map. [`channel::merge_edges`] wakes it when there is a new one.
@@ -36,7 +37,7 @@ impl FleetEstimateSlot {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(estimate);
     }
 
-    /// Takes the estimate that came since the last call.
+    /// Takes the estimate that was stored since the last call.
     pub fn take(&self) -> Option<FleetEstimate> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
@@ -50,7 +51,7 @@ pub fn run(
     slot: Arc<FleetEstimateSlot>,
     done: &AtomicBool,
 ) -> Result<(), ChannelError> {
-    // On Linux that is the calling thread's alone. Whether it is granted makes no difference to what comes out.
+    // On Linux this affects the calling thread only. The result does not depend on whether it is granted.
     let _ = rustix::process::nice(NICE);
     let node = run.attach_thread(Role::Merge, None, "graph")?;
     let mut graph = GraphWorker::open(&node, run, graph, memory, slot)?;
@@ -58,7 +59,7 @@ pub fn run(
     Ok(())
 }
 
-/// The fleet's pose graph with its channels. A step takes in what has come and does one piece of work.
+/// The fleet's pose graph with its channels. A step receives all messages and does one job.
 pub struct GraphWorker<P: Ports, S> {
     graph: FleetPoseGraph,
     memory: MergeMemory<S>,
@@ -121,7 +122,7 @@ impl<P: Ports, S: Storage> Component for GraphWorker<P, S> {
             }
             self.graph.apply_outcome(outcome);
         }
-        // Before it is published: whoever has heard that an edge is pinned may rely on it.
+        // Saved before it is published, so that a pin that a client has seen outlives this process.
         self.memory.save(&self.graph, now);
         self.output.publish(&self.graph, self.sources.len(), now);
         if worked { now } else { Monotonic(now.0 + POLL_NS) }
@@ -134,15 +135,15 @@ impl<P: Ports, S: Storage> Listens<P::Listener> for GraphWorker<P, S> {
     }
 }
 
-/// One robot's submaps.
+/// Channels of one robot's submaps.
 struct Source<P: Ports> {
     robot: RobotId,
     submaps: P::Reader<Submap>,
     poses: P::Reader<SubmapPoses>,
     requests: P::Writer<SubmapRequest>,
-    /// Messages lost so far, when all submaps were last asked for.
+    /// Messages lost so far, when all submaps were last requested.
     lost: u64,
-    /// Since when something has been missing.
+    /// Moment since which a submap has been missing.
     missing_since: Option<Monotonic>,
 }
 
@@ -159,7 +160,7 @@ impl<P: Ports> Source<P> {
     }
 
     fn receive(&mut self, graph: &mut FleetPoseGraph, now: Monotonic) {
-        // What makes no sense is not taken: the robot stays where it was.
+        // Invalid poses are ignored: the robot keeps its newest valid ones.
         if let Some(poses) = self.poses.newest() {
             let _ = graph.update_poses(self.robot, &poses);
         }
@@ -179,13 +180,13 @@ impl<P: Ports> Source<P> {
     }
 }
 
-/// What the graph publishes.
+/// Publishes the results of the graph.
 struct Output<P: Ports> {
     writer: P::Writer<MergeEdges>,
     epoch: Epoch,
-    /// As published last, but for the count of commands.
+    /// Edges as published last, with the current count of commands.
     edges: Box<MergeEdges>,
-    /// A command was answered since.
+    /// A command was answered since the last publication.
     answered: bool,
     estimate: Option<FleetEstimate>,
     slot: Arc<FleetEstimateSlot>,
@@ -200,7 +201,7 @@ impl<P: Ports> Output<P> {
         self.answered = true;
     }
 
-    /// Publishes what is new.
+    /// Publishes edges and estimates that have changed.
     fn publish(&mut self, graph: &FleetPoseGraph, robots: usize, now: Monotonic) {
         let of_robot = |robot| (graph.map_from_robot_map(robot), graph.redrawn_map(robot).cloned());
         let estimate: FleetEstimate = RobotId::first(robots).map(of_robot).collect();

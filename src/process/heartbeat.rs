@@ -1,4 +1,4 @@
-//! What a process reports of itself, once a second.
+//! Health report of a process, once a second.
 
 use crate::channel;
 use crate::clock::Epoch;
@@ -28,11 +28,11 @@ pub struct Heartbeat<P: Ports> {
 pub struct HealthCounters {
     /// Messages received and missed on its main input.
     pub gaps: Gaps,
-    /// Clients attached.
+    /// Clients that are connected now (bridge only).
     pub clients: u32,
     /// Messages dropped for slow readers.
     pub dropped: u64,
-    /// Messages refused.
+    /// Messages refused because their content is invalid.
     pub refused: u64,
 }
 
@@ -66,7 +66,7 @@ impl<P: Ports> Heartbeat<P> {
         let _ = self.late_us.push(self.clock.now().since(due) as f32 * 1e-3);
     }
 
-    /// When the next report is due.
+    /// Returns when the next report is due.
     pub fn due(&self) -> Monotonic {
         self.due
     }
@@ -103,7 +103,7 @@ impl<P: Ports> Heartbeat<P> {
     }
 }
 
-/// The median and the largest of the samples, which are then forgotten.
+/// Returns the median and the largest of the samples, and clears them.
 fn median_and_max(samples: &mut heapless::Vec<f32, SAMPLES_MAX>) -> (f32, f32) {
     samples.sort_unstable_by(f32::total_cmp);
     let result = (samples.get(samples.len() / 2).copied(), samples.last().copied());

@@ -1,4 +1,4 @@
-//! A robot's map on its way out of SLAM: drawn in slices, sent when it has changed.
+//! Draws a robot's map in slices and publishes its changed tiles.
 
 use super::MAP_PERIOD;
 use crate::channel;
@@ -7,19 +7,19 @@ use ::slam::BackEnd;
 use msg::{Monotonic, RobotId};
 use std::time::Duration;
 
-/// Cells of beams drawn before the next node is looked for: a millisecond or so.
+/// Largest number of cells of beams that one step draws, about a millisecond of work.
 const SLICE_CELLS: usize = 400_000;
-/// How often a map at rest is looked after: a reader may have come that needs the whole.
+/// Period at which an unchanged map is checked for new readers, which need the whole map.
 const POLL_PERIOD: Duration = Duration::from_millis(200);
 
-/// Draws and sends a map beside other work: a step takes about a millisecond.
+/// Draws and sends a map between other work: a step takes about a millisecond.
 pub struct MapPublisher<P: Ports> {
     writer: P::MapWriter,
     drawing: bool,
-    /// Something new was drawn, or is being sent.
+    /// The map has changes that readers do not have yet.
     unsent: bool,
     sending: bool,
-    /// When something was sent last.
+    /// Moment of the last transmission.
     sent: Option<Monotonic>,
 }
 
@@ -30,19 +30,19 @@ impl<P: Ports> MapPublisher<P> {
         Ok(Self { writer, drawing: false, unsent: false, sending: false, sent: None })
     }
 
-    /// There is something new to draw.
+    /// Marks the map as changed, so that it is drawn and sent.
     pub fn redraw(&mut self) {
         (self.drawing, self.unsent) = (true, true);
     }
 
-    /// Draws a slice, and sends what has changed if it is time. Returns when the next step is due.
+    /// Draws a slice, and sends changed tiles if they are due. Returns when the next step is due.
     pub fn step(&mut self, back: &mut BackEnd, now: Monotonic) -> Monotonic {
         self.drawing = self.drawing && back.draw(SLICE_CELLS);
         if self.pause_left(now).is_zero() {
             let before = self.writer.bytes();
             self.sending = !self.writer.send(back.tiles());
             self.unsent = self.drawing || self.sending;
-            // Looking whether a reader needs the whole holds up nothing that comes meanwhile.
+            // A check for new readers that sent nothing must not delay the next changes.
             if self.sending || self.writer.bytes() != before {
                 self.sent = Some(now);
             }

@@ -1,5 +1,7 @@
-//! The merge process: robots' maps in, one map and where each robot's map lies out. One thread draws the map; the
-//! fleet's pose graph, which finds where the maps lie and redraws bent ones, works on a second thread ([`graph`]).
+//! The merge process: receives the robots' maps, and publishes the merged map and the map transforms.
+//!
+//! One thread draws the map. The fleet's pose graph, which estimates the transforms and redraws deformed maps, is on a
+//! second thread ([`graph`]).
 
 use super::graph::{self, FleetEstimate, FleetEstimateSlot};
 use super::heartbeat::{HealthCounters, Heartbeat};
@@ -33,7 +35,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     })
 }
 
-/// The fleet's pose graph with what an earlier process of this run knew: robots lie where they lay from the first
+/// Creates the fleet's pose graph from the state of an earlier process of this run: the transforms hold from the first
 /// map on.
 pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(FleetPoseGraph, MergeMemory<S>), Error> {
     let starts = fleet::known_starts(&run.config)?;
@@ -58,7 +60,7 @@ pub struct MapDrawing<P: Ports> {
 }
 
 impl<P: Ports> MapDrawing<P> {
-    /// Opens the channels; the robots' maps lie where `graph` has them.
+    /// Opens the channels; the robots' maps have the transforms of `graph`.
     pub fn open(
         ports: &P,
         run: &Run,
@@ -89,7 +91,7 @@ impl<P: Ports> MapDrawing<P> {
         Ok(drawing)
     }
 
-    /// Takes in what has come. True if the merged map changes.
+    /// Receives all waiting messages; returns true if the merged map changes.
     fn receive(&mut self) -> bool {
         let mut changed = false;
         for (robot, reader) in &mut self.maps {
@@ -123,7 +125,7 @@ impl<P: Ports> MapDrawing<P> {
 impl<P: Ports> Component for MapDrawing<P> {
     fn step(&mut self) -> Monotonic {
         if self.receive() {
-            // The transforms wake nobody; the merged map does, and its readers find them there.
+            // The transforms notify nobody. The merged map does, and its readers then find the transforms.
             self.transforms.send(&self.merger.map_transforms());
             let merger = &mut self.merger;
             self.heartbeat.measure(|| merger.compose());
@@ -144,7 +146,7 @@ impl<P: Ports> Listens<P::Listener> for MapDrawing<P> {
     }
 }
 
-/// Takes over what the fleet's pose graph says of every robot. Returns how many maps could not be used.
+/// Applies the estimate of the fleet's pose graph to every robot; returns how many maps could not be used.
 fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
     let robots = RobotId::first(estimate.len()).zip(estimate);
     let refused = |(robot, (transform, map)): (RobotId, &(Option<Pose2>, _))| -> u64 {

@@ -1,7 +1,7 @@
-//! One main loop for each process of the fleet: read the channels, call a crate, write the channels.
+//! One main loop for each process of the fleet: it reads channels, calls a crate and writes channels.
 //!
 //! Each loop is a [`Component`] over [`crate::ports`]: live it runs on shared memory, in lockstep on queues and virtual
-//! time. The crates do the work; nothing here decides anything about robots or maps.
+//! time. Decisions about robots and maps are in the crates, not here.
 
 mod bridge;
 mod control;
@@ -23,9 +23,9 @@ use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The shortest time between two maps of a robot.
+/// Shortest time between two maps of a robot.
 pub const MAP_PERIOD: Duration = Duration::from_millis(100);
-/// Side of a cell of the room's plan, metres: the maps'.
+/// Side of a cell of the room's plan, metres; the same as the maps'.
 pub const PLAN_RESOLUTION_M: f64 = 0.05;
 
 /// A loop's body, written once for live processes and for lockstep.
@@ -35,13 +35,13 @@ pub trait Component {
     fn step(&mut self) -> Monotonic;
 }
 
-/// What wakes a component before its time.
+/// Listeners that wake a component before its next due moment.
 pub trait Listens<L: 'static> {
     /// The listeners of its inputs.
     fn listeners(&self) -> impl Iterator<Item = &L>;
 }
 
-/// Runs a component on shared memory until it is `over`.
+/// Runs a component on shared memory until `over` returns true.
 fn serve(component: &mut (impl Component + Listens<Listener>), over: &dyn Fn() -> bool) {
     while !over() {
         let due = component.step();
@@ -57,7 +57,7 @@ pub struct ProcessArgs {
     pub run_dir: PathBuf,
 }
 
-/// Reads `X,Y,YAW`.
+/// Parses a pose from `X,Y,YAW`: metres, metres, radians.
 pub fn pose(text: &str) -> Result<Pose2, String> {
     let numbers =
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
@@ -84,21 +84,21 @@ pub struct RobotArgs {
     pub process: ProcessArgs,
 }
 
-/// Anything that ends a process.
+/// Any error that ends a process.
 pub type Error = Box<dyn std::error::Error>;
 
-/// Which process to be.
+/// A process of the fleet with its arguments.
 #[derive(Clone, Debug)]
 pub enum Process {
-    /// A robot in its room.
+    /// Simulator of one robot in its room.
     Sim(RobotArgs),
-    /// A robot's SLAM.
+    /// SLAM of one robot.
     Slam(RobotArgs),
-    /// The fleet's map.
+    /// Merging of the robots' maps into the fleet's map.
     Merge(ProcessArgs),
-    /// The fleet's figures.
+    /// Telemetry: the fleet's figures.
     Telemetry(ProcessArgs),
-    /// The doors.
+    /// The bridge: ros_tcp clients and ROS 2.
     Bridge(ProcessArgs),
 }
 

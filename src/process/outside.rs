@@ -1,4 +1,4 @@
-//! The channels of an external world: the bridge writes what the simulators write elsewhere.
+//! The channels of an external world: the bridge writes them in place of the simulators.
 
 use crate::channel;
 use crate::ports::ChannelError;

@@ -20,9 +20,9 @@ use tokio::task::{JoinHandle, LocalSet, spawn_local};
 
 /// Received messages that may wait for the bridge; more are dropped.
 const RECEIVED_MAX: usize = 256;
-/// Tells this endpoint's requests to SLAM from others'.
+/// Kind of requester that marks this endpoint's requests to SLAM.
 const REQUESTER_KIND: u64 = 2;
-/// How often clients on TCP get the time where ROS publishes none: 50 Hz, as a simulator would.
+/// Period of the clock messages to clients on TCP if ROS publishes none: 50 Hz, as a simulator would.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
 /// Starts the thread; returns the task that passes its messages to the bridge.

@@ -13,7 +13,7 @@ use msg::{
 use sim::Simulator;
 use std::time::Duration;
 
-/// A simulator further behind than this lets the time go instead of hurrying after it: the
+/// Delay after which a simulator skips the missed ticks instead of catching up: the
 /// machine slept, or is far too slow.
 const BEHIND_MAX_S: f64 = 1.0;
 
@@ -36,16 +36,16 @@ pub struct Simulation<P: Ports> {
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
     epoch: crate::clock::Epoch,
-    /// How long after a tick's stamp it is simulated.
+    /// Time by which a tick is simulated after its stamp.
     lag: Duration,
 }
 
-/// What a simulator reads.
+/// Input channels of a simulator.
 struct Inputs<P: Ports> {
     commands: P::Reader<VelocityCommand>,
     command_listener: P::Listener,
     peers: Vec<(RobotId, P::Reader<GroundTruth>)>,
-    /// A command that was sent longer ago is out of date.
+    /// Age above which a command is out of date.
     command_age_max: Duration,
     /// Commands ignored because they were out of date.
     outdated: u64,
@@ -60,7 +60,7 @@ impl<P: Ports> Simulation<P> {
         let room = fleet::room(&run.config)?;
         let start = fleet::starts(&run.config, &room)?[robot.index()];
         let at_start = || fleet::simulator(&run.config, &room, robot, start);
-        // The robot may have touched a table where it was; then it begins anew.
+        // The old pose may touch a table; the robot then begins at its start.
         let mut simulator = match at {
             Some(place) => fleet::simulator(&run.config, &room, robot, place).or_else(|why| {
                 tracing::warn!("{robot} cannot continue from {place:?} and begins at its start: {why}");
@@ -74,7 +74,7 @@ impl<P: Ports> Simulation<P> {
         Ok(Self { simulator, inputs, outputs, heartbeat, clock, epoch: run.epoch, lag })
     }
 
-    /// When the next tick is simulated.
+    /// Returns when the next tick is simulated.
     fn due(&self) -> Monotonic {
         self.epoch.moment(self.simulator.now() + Simulator::TICK + self.lag)
     }
@@ -130,8 +130,8 @@ impl<P: Ports> Inputs<P> {
         })
     }
 
-    /// Passes commands on. One that waited longer than commands are valid would move a robot that nobody drives:
-    /// they lie there after this process was stopped for a while.
+    /// Passes commands to the simulator and drops outdated ones, which would move a robot that nobody drives. Such
+    /// commands are left in the queue after this process was stopped for a while.
     fn apply_commands(&mut self, simulator: &mut Simulator, now: Monotonic) {
         while let Some(command) = self.commands.receive() {
             if now.since(command.header.sent) > self.command_age_max.as_nanos() as u64 {
@@ -151,7 +151,7 @@ impl<P: Ports> Inputs<P> {
     }
 }
 
-/// What a simulator writes.
+/// Output channels of a simulator.
 struct Outputs<P: Ports> {
     scan: P::Writer<Scan>,
     odometry: P::Writer<Odometry>,
@@ -172,7 +172,7 @@ impl<P: Ports> Outputs<P> {
         })
     }
 
-    /// Simulates one tick and sends what is due: odometry before the scan that needs it.
+    /// Simulates one tick and sends its messages: odometry before the scan that needs it.
     fn tick(&mut self, simulator: &mut Simulator) {
         let tick = simulator.step();
         if let Some(clock) = &mut self.clock {

@@ -31,12 +31,12 @@ use scan_path::ScanPath;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
-/// Commands that the scan path may fall behind; at each scan it takes all there are.
+/// Capacity of the queue of commands to the scan path, which empties it at each scan.
 const COMMANDS_MAX: usize = 256;
-/// Nodes of a scan path, and of the one before it that was just replaced, and a few other events.
+/// Capacity of the queue of events: nodes of a front end and of the one it replaced, and a few other events.
 const EVENTS_MAX: usize = 2 * NODES_IN_FLIGHT_MAX + 16;
 
-/// What reaches the back-end thread.
+/// Input of the back-end thread.
 #[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
 pub enum BackEndInput {
     /// An event of the front end with this number; the numbers count the front ends that were put in place.
@@ -45,54 +45,54 @@ pub enum BackEndInput {
     File(Box<JobOutcome>),
 }
 
-/// What the scan path reports.
+/// Event from the scan path to the back end.
 #[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
 pub enum FrontEvent {
-    /// A scan that enters the graph. With the first node of a front end that goes on where `odom` lay: the map from
-    /// the front end's own frame.
+    /// A scan that enters the graph. The first node of a front end that began at a known `odom` comes with the
+    /// transform from the front end's frame to the map.
     Node(Node, Option<Pose2>),
-    /// Where the front end is, after the nodes reported before: answers [`FrontCommand::ReportState`].
+    /// State of the front end after the nodes reported before; answers [`FrontCommand::ReportState`].
     State(Box<FrontEndState>),
-    /// Another front end has taken its place; this one may be dropped.
+    /// A front end that was replaced and may be dropped.
     Replaced(Box<FrontEnd>),
-    /// The process ends, and the front end is here.
+    /// Last state of the front end; the process ends.
     Ended(Box<FrontEndState>),
 }
 
-/// What the back-end thread wants of the scan path.
+/// Command from the back end to the scan path.
 pub enum FrontCommand {
-    /// Says what became of a node.
+    /// Reports the outcome of a node.
     Revise(Revision),
-    /// Says whether scans are ignored.
+    /// Sets whether scans are ignored.
     Pause(bool),
-    /// Asks for [`FrontEvent::State`].
+    /// Requests the front end's state, which comes as [`FrontEvent::State`].
     ReportState,
-    /// Puts another front end in place, with a number of its own.
+    /// Replaces the front end by another with a number of its own.
     Replace {
         /// The number of the new front end.
         number: u32,
         /// The new front end.
         front: Box<FrontEnd>,
-        /// Whether the robot is where it was, in a map of the same frame.
+        /// Whether the robot's pose stays valid, because the frame of the map is the same.
         in_place: bool,
     },
-    /// Says where the front end's frame lies in the map, now and not with the next node; `None`: no longer known.
+    /// Sets the transform of the front end's frame in the map at once, not with the next node; `None`: unknown.
     SetPose(Option<Pose2>),
-    /// Makes a node of the next scan: somebody waits for one.
+    /// Makes a node of the next scan, because a request waits for one.
     WantNode,
 }
 
 /// The three components of a SLAM process, and the ends of the queues between them.
 pub struct SlamProcess<P: Ports, S> {
-    /// Answers scans.
+    /// Matches each scan and publishes the robot's pose.
     pub scan_path: ScanPath<P>,
-    /// Closes loops, solves, draws the map, answers requests.
+    /// Closes loops, solves the graph, draws the map, answers requests.
     pub back_end: BackEndWorker<P>,
-    /// Reads and writes files.
+    /// Reads and writes files of sessions and maps.
     pub files: FileWorker<P::Clock, S>,
-    /// What the back end takes.
+    /// Queue to the back end.
     pub inputs: Receiver<BackEndInput>,
-    /// What the file worker takes.
+    /// Queue to the file worker.
     pub jobs: Receiver<Job>,
 }
 
@@ -164,15 +164,15 @@ fn serve_back_end(
     }
 }
 
-/// What SLAM begins with.
+/// Front end and back end with which SLAM begins.
 struct Beginning {
     front: FrontEnd,
     back: BackEnd,
-    /// Where `odom` lies in the map, as it was seen last, if the front end itself does not go on.
+    /// Newest known transform of `odom` in the map, if a new front end begins.
     odom_pose: Option<Pose2>,
 }
 
-/// What an earlier process of this run saved; else the session that the fleet begins with; else nothing.
+/// Loads what an earlier process of this run saved, else the fleet's initial session, else an empty map.
 fn begin(
     run: &Run,
     robot: RobotId,
@@ -194,7 +194,7 @@ fn begin(
         Err(why) if !why.is_missing() => {
             tracing::warn!("slam of {robot}: {why}; it begins without the session")
         }
-        // Of another run in the same folder.
+        // The file is from another run in the same folder.
         _ => {}
     }
     let first = sessions::first(&run.config, robot)?;
@@ -207,7 +207,7 @@ fn begin(
     Ok(Beginning { front, back, odom_pose })
 }
 
-/// The fleet's configuration of SLAM, for a process without end: nobody asks it for all poses since it began.
+/// Returns the fleet's configuration of SLAM for a live process, which needs no trajectory of all scans.
 fn live_config(run: &Run) -> SlamConfig {
     let mut config = run.config.slam.clone();
     config.graph.trajectory_max = 0;

@@ -1,4 +1,4 @@
-//! A robot's submaps on their way out of SLAM, to the fleet's pose graph.
+//! Publishes a robot's submaps and their poses for the fleet's pose graph.
 
 use crate::channel;
 use crate::ports::{ChannelError, Clock, Ports, ReadPort, WritePort};
@@ -6,12 +6,12 @@ use ::slam::{BackEnd, SlamConfig, Submaps};
 use msg::{Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest};
 use std::time::Duration;
 
-/// The shortest time between two submaps: readers have room for eight.
+/// Shortest time between two submaps: readers have room for eight.
 const PAUSE: Duration = Duration::from_millis(100);
-/// How often late readers are let in and requests are looked for.
+/// Period at which late readers get the history and requests are polled.
 const POLL_PERIOD: Duration = Duration::from_millis(500);
 
-/// Draws and sends submaps beside other work: a step draws one at most.
+/// Draws and sends submaps between other work: a step draws one at most.
 pub struct SubmapPublisher<P: Ports> {
     submaps: Submaps,
     writer: P::Writer<Submap>,
@@ -38,12 +38,12 @@ impl<P: Ports> SubmapPublisher<P> {
         })
     }
 
-    /// The back end is another: none of its nodes has been looked at.
+    /// Starts again with the nodes of a replaced back end.
     pub fn restart(&mut self) {
         self.submaps.begin_again();
     }
 
-    /// The back end has new nodes, or its graph has changed.
+    /// Records that the back end has new nodes or a changed graph.
     pub fn update(&mut self, back: &BackEnd) {
         self.submaps.update(back);
         let submaps = &self.submaps;

@@ -1,4 +1,4 @@
-//! The telemetry process: reads everything, publishes the fleet's figures once a second.
+//! The telemetry process, which reads all figures and publishes the fleet's statistics once a second.
 
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Component, Error, Listens, PLAN_RESOLUTION_M, serve};
@@ -50,7 +50,7 @@ impl<P: Ports> Figures<P> {
         let clock = ports.clock();
         Ok(Self {
             telemetry,
-            // Only now, so that nothing waits unread while the room is built.
+            // Channels are opened after the room is built, so that no message waits unread meanwhile.
             inputs: Inputs::open(ports, run)?,
             stats: ports.writer(&channel::stats())?,
             heartbeat,
@@ -83,7 +83,7 @@ impl<P: Ports> Listens<P::Listener> for Figures<P> {
     }
 }
 
-/// What telemetry reads of one robot.
+/// Channels of one robot that telemetry reads.
 struct RobotInputs<P: Ports> {
     robot: RobotId,
     transforms: P::Reader<Transforms>,
@@ -95,7 +95,7 @@ struct RobotInputs<P: Ports> {
 /// A map that telemetry reads.
 struct MapInput<P: Ports> {
     reader: P::MapReader,
-    /// A version has come since the last figures.
+    /// A new version was received since the last figures.
     changed: bool,
     grid: DenseMap,
 }
@@ -106,13 +106,13 @@ impl<P: Ports> MapInput<P> {
     }
 }
 
-/// What telemetry reads.
+/// Channels that telemetry reads.
 struct Inputs<P: Ports> {
     robots: Vec<RobotInputs<P>>,
     merged_map: MapInput<P>,
     map_transforms: P::Reader<MapTransforms>,
     health: Vec<P::Reader<ProcessHealth>>,
-    /// Of all whose moment of arrival matters.
+    /// Listeners of all channels whose time of arrival is measured.
     listeners: Vec<P::Listener>,
 }
 
@@ -160,7 +160,7 @@ impl<P: Ports> Inputs<P> {
                 map.changed = true;
             }
         }
-        // It has its turn at the figures, but must not fall behind.
+        // It is evaluated with the figures; reading it here keeps its queue from overflowing.
         self.merged_map.changed |= self.merged_map.reader.poll();
     }
 

@@ -1,4 +1,4 @@
-//! One run's names in shared memory, and what dead processes leave there.
+//! Names of one run in shared memory, and the removal of what dead processes left there.
 
 use super::failed;
 use crate::ports::ChannelError;
@@ -6,7 +6,7 @@ use iceoryx2::node::NodeView;
 use iceoryx2::prelude::*;
 use std::path::{Path as FsPath, PathBuf};
 
-/// One run's names in shared memory. Two runs on one machine never meet.
+/// Names of one run in shared memory. Two runs on one machine have different names.
 #[derive(Clone, Debug)]
 pub struct Domain {
     config: Config,
@@ -41,7 +41,7 @@ impl Domain {
         });
     }
 
-    /// Removes every trace of the run. Only when none of its processes lives.
+    /// Removes all files of the run. Call it only when none of its processes lives.
     pub fn remove(&self) {
         self.clean_up_after_the_dead();
         let _ = std::fs::remove_dir_all(&self.root);
@@ -56,7 +56,7 @@ impl Domain {
         &self.config
     }
 
-    /// Where the run's sockets and service files live.
+    /// Returns the folder of the run's sockets and service files.
     pub fn root(&self) -> &FsPath {
         &self.root
     }

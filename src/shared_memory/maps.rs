@@ -1,5 +1,5 @@
 //! Maps in shared memory: messages with the tiles that changed, and an event back to the writer with
-//! which a reader asks for the whole. [`msg::tiles`] has the rules, here is the transport.
+//! which a reader requests the whole map. [`msg::tiles`] defines the messages; this file transports them.
 
 use super::{BORROWED_MAX, Listener, NODES_MAX, Participant, Shared, failed, service_name};
 use crate::channel::{Channel, Direction, MAP_MESSAGES_MAX};
@@ -16,7 +16,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use msg::tiles::{PATCH_TILES_MAX, Patch, PatchReceiver, PatchSender};
 use msg::{MapTile, Message, Monotonic, PatchHeader, TileMap};
 
-/// Tiles that a message may have before the channel's memory grows: what a scan of 10 m touches.
+/// Tiles of a message for which memory is reserved at first: as many as a scan of 10 m touches.
 const TILES_START: usize = 16;
 
 impl Participant {
@@ -141,7 +141,7 @@ impl MapWriter {
     }
 }
 
-/// Reads one map's channel, and has the map.
+/// Reads one map's channel and keeps the map.
 pub struct MapReader {
     subscriber: Subscriber<ipc::Service, [Shared<MapTile>], Shared<PatchHeader>>,
     ask: Notifier<ipc::Service>,

@@ -1,32 +1,32 @@
-//! When a process that ended is started again: decisions only, so that lockstep can make the same ones.
+//! Restart policy of a process: decisions only, so that lockstep can make the same ones.
 
 use msg::Monotonic;
 use std::time::Duration;
 
-/// The shortest time between a death and the next start: leaves a moment to be seen in the table,
-/// and keeps a child that cannot start from taking a core.
+/// The shortest time between a death and the next start: the end can be seen in the table,
+/// and a child that cannot start does not take a whole core.
 const RESTART_DELAY: Duration = Duration::from_millis(200);
-/// The longest: back-off doubles up to here.
+/// The longest time between a death and the next start: back-off doubles up to it.
 const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
-/// A child that lived this long has recovered; its next death starts the back-off anew.
+/// Life time after which a child counts as recovered; its next death starts the back-off anew.
 const HEALTHY_AFTER: Duration = Duration::from_secs(10);
-/// After so many deaths in a row it is held: something is wrong that no restart mends.
+/// Deaths in a row after which a process is held, because restarts do not help.
 pub const DEATHS_MAX: u32 = 8;
 
 /// The state of one process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// It runs.
+    /// The process was started and has not ended.
     Running {
         /// When it was started.
         since: Monotonic,
     },
-    /// It is to be started.
+    /// The process waits for its start.
     Waiting {
         /// When it is to be started.
         until: Monotonic,
     },
-    /// It is not started again.
+    /// The process is not started again, because it died too often.
     Held,
 }
 
@@ -39,27 +39,27 @@ pub struct RestartPolicy {
 }
 
 impl RestartPolicy {
-    /// A process that is to be started now.
+    /// Creates the policy of a process that is to be started now.
     pub fn new(now: Monotonic) -> Self {
         Self { state: State::Waiting { until: now }, deaths: 0 }
     }
 
-    /// What the process does.
+    /// Returns the state of the process.
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// Whether it is to be started now.
+    /// Returns whether it is to be started now.
     pub fn is_due(&self, now: Monotonic) -> bool {
         matches!(self.state, State::Waiting { until } if now >= until)
     }
 
-    /// It was started.
+    /// Records that the process was started.
     pub fn on_started(&mut self, now: Monotonic) {
         self.state = State::Running { since: now };
     }
 
-    /// It ended, or could not be started. Returns what follows.
+    /// Records that the process ended or could not be started; returns the new state.
     pub fn on_death(&mut self, now: Monotonic) -> State {
         if let State::Running { since } = self.state
             && now.since(since) >= HEALTHY_AFTER.as_nanos() as u64
@@ -83,7 +83,7 @@ mod tests {
 
     const SECOND: u64 = 1_000_000_000;
 
-    /// How long it waits after each death, until it is held.
+    /// Returns the wait after each death in a row, milliseconds, until the process is held.
     fn delays(lives: u64) -> Vec<u64> {
         let (mut policy, mut now) = (RestartPolicy::new(Monotonic(0)), 0);
         let mut delays = Vec::new();

@@ -5,6 +5,7 @@ use serde::Serialize;
 use std::fmt::{self, Write};
 
 /// Edge between two robots' maps: relative pose and evidence.
+// More than 12 fields: the fields are the keys of one flat JSON object, like those of the message it shows.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EdgeView {
     /// Number of the edge.
@@ -35,7 +36,7 @@ pub struct EdgeView {
     pub conflict: f64,
     /// Evidence over that of the second best place.
     pub margin: f64,
-    /// Number of closures between submaps in force.
+    /// Number of closures between submaps in the fleet's pose graph.
     pub closures: u32,
     /// Number of closures found that contradict the others.
     pub closures_rejected: u32,

@@ -13,6 +13,7 @@ use msg::{Distribution, FleetStats, Pose2, ProcessStats, RobotId, RobotStats, Ro
 use serde::Serialize;
 
 /// Figures of a fleet, with names and units; JSON of `status`, `report.json` and `lockstep`.
+// More than 12 fields: the fields are the keys of one JSON object, which scripts read.
 #[derive(Clone, Debug, Serialize)]
 pub struct FleetView {
     /// Time of the run: seconds since its start, or since 1970 if the world is not simulated here.
@@ -50,11 +51,12 @@ pub struct FleetView {
 }
 
 /// Figures of one robot.
+// More than 12 fields: the fields are the keys of one JSON object, which scripts read.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotView {
-    /// `robot1`.
+    /// Name of the robot, such as `robot1`.
     pub robot: String,
-    /// `tracking`, `lost` ...
+    /// Tracking state of SLAM: `tracking`, `lost` ...
     pub state: &'static str,
     /// Scans that SLAM receives per second.
     pub scan_hz: f64,
@@ -76,7 +78,7 @@ pub struct RobotView {
     pub pose_error_m: Option<f64>,
     /// Number of nodes in the pose graph.
     pub nodes: u32,
-    /// Number of loop closures in force.
+    /// Number of loop closures in the pose graph.
     pub closures: u32,
     /// Whether the robot's map is part of the merged map.
     pub merged: bool,
@@ -113,17 +115,18 @@ pub struct MapView {
 pub struct DistributionView {
     /// Number of values.
     pub count: u64,
-    /// 50th percentile.
+    /// 50th percentile of the values.
     pub p50: f32,
-    /// 95th percentile.
+    /// 95th percentile of the values.
     pub p95: f32,
-    /// 99th percentile.
+    /// 99th percentile of the values.
     pub p99: f32,
-    /// Largest value.
+    /// Largest of the values.
     pub max: f32,
 }
 
 /// Health of one process.
+// More than 12 fields: the fields are the keys of one flat JSON object, which scripts read.
 #[derive(Clone, Debug, Serialize)]
 pub struct ProcessView {
     /// `sim of robot2`, `merge` ...
@@ -140,7 +143,7 @@ pub struct ProcessView {
     pub lost: u64,
     /// Messages dropped for slow readers.
     pub dropped: u64,
-    /// Messages refused.
+    /// Messages refused because their content is invalid.
     pub refused: u64,
     /// Clients attached (bridge).
     pub clients: u32,

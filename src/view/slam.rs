@@ -25,7 +25,7 @@ pub struct SlamView<'a> {
     pub nodes: u32,
     /// Number of scan-to-scan edges.
     pub links: u32,
-    /// Number of loop closures in force.
+    /// Number of loop closures in the pose graph.
     pub closures: u32,
     /// Number of loop closures that were removed.
     pub retracted: u32,
@@ -92,7 +92,7 @@ impl<'a> SlamView<'a> {
         let paused = if self.paused { ", paused" } else { "" };
         format!(
             "mode      {mode}{paused}\npose      {pose}\ngraph     {nodes} nodes, {links} links\n\
-             closures  {closures} in force, {retracted} removed\n"
+             closures  {closures} in the graph, {retracted} removed\n"
         )
     }
 

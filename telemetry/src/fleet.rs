@@ -48,7 +48,7 @@ impl Telemetry {
     /// Creates the telemetry of a fleet.
     ///
     /// `room_plan` is the room's floor plan in frame `world`, if it is known. `world_from_robot_map` is where each
-    /// robot's map truly lies, by [`RobotId::index`], if that is known.
+    /// robot's map lies in truth, by [`RobotId::index`], if that is known.
     pub fn new(robot_count: usize, room_plan: Option<Grid>, world_from_robot_map: &[Option<Pose2>]) -> Self {
         let truth = |index: usize| world_from_robot_map.get(index).copied().flatten();
         let robot_count = robot_count.min(ROBOTS_MAX);
@@ -192,8 +192,8 @@ impl Telemetry {
     }
 }
 
-/// Distance (metres) and rotation (radians) between where a robot's map is put and where it truly lies; NaN where either
-/// is unknown.
+/// Returns the distance (metres) and rotation (radians) between the estimated and the true transform of a robot's map;
+/// NaN if either is unknown.
 fn transform_error(
     world_from_map: Option<Pose2>,
     map_from_robot_map: Option<Pose2>,

@@ -68,7 +68,7 @@ impl TransformJitter {
         }
     }
 
-    /// All deviations so far.
+    /// Returns the histogram of all deviations so far.
     pub fn deviations(&self) -> &Histogram {
         &self.deviations
     }

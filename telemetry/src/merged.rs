@@ -4,9 +4,9 @@ use crate::robot::count_cells;
 use crate::truth::{MapErrors, ObservableArea};
 use msg::{Grid, GridView, Pose2, RobotStats};
 
-/// Calls from one comparison of walls with the room's to the next: with a call a second, every five seconds,
+/// Calls between two comparisons of the walls with the room's: at a call a second, every five seconds.
 const CALLS_BETWEEN_COMPARISONS: usize = 5;
-/// and one call more for each so many cells of the map: a comparison takes about 40 ms a million cells.
+/// Cells of the map for which one call is added: a comparison takes about 40 ms for a million cells.
 const CELLS_PER_EXTRA_CALL: usize = 100_000;
 
 /// The newest merged map, its cell counts, and its errors against the room.

@@ -14,7 +14,7 @@ const NULL_CELLS_PER_CALL: usize = 750_000;
 
 /// A robot's newest map with its transform.
 pub(crate) struct PlacedMap<'a> {
-    /// Frame `robotK/map`.
+    /// The map's cells, in the robot's own frame `robotK/map`.
     pub grid: &'a Grid,
     /// Equal versions have equal cells.
     pub version: u64,
@@ -25,7 +25,7 @@ pub(crate) struct PlacedMap<'a> {
 /// The newest comparison of each pair.
 pub(crate) struct PairComparisons {
     results: Vec<Option<Consistency>>,
-    /// Versions of both maps and the transform that each result is of.
+    /// Versions of both maps and the transform of each result.
     compared: Vec<Option<(u64, u64, Pose2)>>,
     next: usize,
     /// Strict consistency and F1 of each pair under its newest wrong transforms.
@@ -51,7 +51,7 @@ pub(crate) struct PairMeans {
 }
 
 impl PairComparisons {
-    /// No pair has been compared yet.
+    /// Creates a table in which no pair has been compared yet.
     pub fn new() -> Self {
         Self {
             results: vec![None; PAIRS_MAX],

@@ -16,7 +16,7 @@ struct Report {
 }
 
 impl ProcessTable {
-    /// A table of a fleet of so many robots.
+    /// Creates the table of a fleet of this many robots.
     pub fn new(robot_count: usize) -> Self {
         Self { robot_count: robot_count.min(ROBOTS_MAX), slots: [None; PROCESSES_MAX] }
     }
@@ -41,7 +41,7 @@ impl ProcessTable {
         }
     }
 
-    /// The newest reports, with their age and the number of restarts.
+    /// Returns the newest reports, with their age and the number of restarts.
     pub fn health(&self, now: Monotonic) -> [ProcessStats; PROCESSES_MAX] {
         self.slots.map(|slot| {
             slot.map_or(ProcessStats::default(), |report| ProcessStats {

@@ -32,7 +32,7 @@ pub(crate) struct RobotTelemetry {
 }
 
 impl RobotTelemetry {
-    /// A robot whose map's true place may be known.
+    /// Creates a robot; the true transform of its map may be unknown.
     pub fn new(world_from_robot_map: Option<Pose2>) -> Self {
         Self { world_from_robot_map, ..Default::default() }
     }
@@ -89,7 +89,7 @@ impl RobotTelemetry {
         }
     }
 
-    /// Distance of SLAM's newest pose from the true one of nearly the same time, metres.
+    /// Returns the distance of SLAM's newest pose from the true one of nearly the same time, metres.
     fn pose_error_m(&self) -> Option<f64> {
         let correction = self.newest.as_ref()?;
         let gap_s = |stamp: Stamp| (stamp - correction.header.stamp).abs();

@@ -5,7 +5,8 @@ use msg::{Correction, Stamp};
 
 /// Scans kept for the rate: at least those of a second, up to 255 Hz.
 const RECENT_MAX: usize = 256;
-/// Largest age of the newest scan up to which the rate is taken back from it, seconds: a correction takes time to arrive.
+/// Largest time between the newest scan and now for which the rate ends at that scan, seconds. A correction needs
+/// time to arrive.
 const NEWEST_AGE_MAX_S: f64 = 0.25;
 
 /// One robot's scans.

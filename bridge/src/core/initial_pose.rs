@@ -30,7 +30,7 @@ pub enum InitialPoseError {
     /// The place of the robot's map in the merged map is not known.
     #[error("where {robot}'s map lies in '{frame}' is not known yet; give the pose in its own map")]
     UnknownMapTransform {
-        /// The robot.
+        /// Robot that the pose was meant for.
         robot: RobotId,
         /// The message's frame.
         frame: String,

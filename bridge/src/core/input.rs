@@ -35,7 +35,7 @@ pub enum InputError {
     /// Another client drives the robot.
     #[error("{robot} is driven by {driver}; publish {} on /take_control to take over", robot.number())]
     DrivenByOther {
-        /// The robot.
+        /// Robot that the client wants to drive.
         robot: RobotId,
         /// The other client's address, or `ROS 2`.
         driver: String,

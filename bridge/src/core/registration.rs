@@ -1,4 +1,4 @@
-//! System commands: registrations of topics and services, and the list of topics.
+//! System commands that register topics and services, and the list of topics.
 
 use super::Core;
 use crate::access::{Action, PermissionError};

@@ -1,4 +1,4 @@
-//! Service calls between clients: requests and responses, and the reply to a call that fails.
+//! Frames of service calls between clients, with the reply to a call that fails.
 
 use super::Core;
 use crate::cdr::{Dialect, ENCAPSULATION, with_dummy_byte};

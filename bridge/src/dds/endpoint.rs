@@ -1,4 +1,4 @@
-//! The ROS 2 endpoint: one DDS participant with one ROS node.
+//! The ROS 2 endpoint as one DDS participant with one ROS node.
 
 use super::config::DdsConfig;
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
@@ -26,11 +26,11 @@ const TICK: Duration = Duration::from_millis(100);
 pub struct DdsCounters {
     /// Readers of other participants that are matched with the endpoint's writers now.
     pub readers: u32,
-    /// Messages written.
+    /// Messages written, to readers of all topics together.
     pub sent: u64,
     /// Messages dropped because a reader did not acknowledge.
     pub dropped: u64,
-    /// Messages received.
+    /// Messages received on all topics and services together.
     pub received: u64,
 }
 

@@ -32,7 +32,7 @@ pub enum EndpointError {
     Participant {
         /// The domain (ROS_DOMAIN_ID).
         domain: u16,
-        /// DDS's reason.
+        /// Reason that DDS gives.
         source: CreateError,
     },
     /// The node's name or namespace is not a ROS name.
@@ -56,7 +56,7 @@ pub enum EndpointError {
     Entity {
         /// The topic or the kind of entity.
         what: String,
-        /// DDS's reason.
+        /// Reason that DDS gives.
         source: CreateError,
     },
 }

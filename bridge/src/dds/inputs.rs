@@ -58,7 +58,7 @@ impl ReceivedMessage {
 pub struct InputTopic {
     /// Name with leading slash, without the namespace.
     pub name: String,
-    /// `package/Type`.
+    /// ROS type as `package/Type`, such as `sensor_msgs/LaserScan`.
     pub message_type: &'static str,
     /// What the fleet does with the messages.
     input: Input,

@@ -1,4 +1,4 @@
-//! The ROS 2 endpoint: the fleet's topics and SLAM's services on DDS, under the names that ROS tools expect.
+//! The ROS 2 endpoint, with the fleet's topics and SLAM's services on DDS under the names that ROS tools expect.
 //!
 //! ```text
 //!   fleet ── FleetMessage ──▶ DdsEndpoint::publish ──▶ RustDDS ──▶ RViz, Nav2, rosbag ...

@@ -18,7 +18,7 @@ const VELOCITY_DEPTH: usize = 1024;
 pub enum VelocityType {
     /// Not at all: the robots are simulated.
     None,
-    /// geometry_msgs/Twist.
+    /// geometry_msgs/Twist, without a stamp.
     Twist,
     /// geometry_msgs/TwistStamped, as TurtleBots expect from Jazzy on.
     TwistStamped,

@@ -1,4 +1,4 @@
-//! Says on which topics a message of the fleet goes out, and encodes it there. The same on every transport.
+//! Selects the topics of a message of the fleet, and encodes the message for each.
 
 use super::table::FleetTopic;
 use crate::cdr::Writer;

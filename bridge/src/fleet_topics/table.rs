@@ -62,7 +62,7 @@ pub struct OutgoingTopic {
     pub topic: FleetTopic,
     /// ROS name. A topic whose name begins with `/robotN/` exists once for each robot.
     pub name: &'static str,
-    /// `package/Type`.
+    /// ROS type as `package/Type`, such as `geometry_msgs/Twist`.
     pub message_type: &'static str,
     /// Delivery to ros_tcp clients on TCP; `None` if the topic does not exist there.
     pub tcp: Option<Delivery>,

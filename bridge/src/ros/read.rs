@@ -3,7 +3,7 @@
 use crate::cdr::{DecodeError, Dialect, Reader};
 use msg::{BEAMS_MAX, Scan, Stamp};
 
-/// Reads builtin_interfaces/Time.
+/// Reads builtin_interfaces/Time; `field` names it in the error.
 pub fn stamp(from: &mut Reader<'_>, field: &'static str) -> Result<Stamp, DecodeError> {
     let sec = i64::from(from.i32(field)?);
     let nanosec = i64::from(from.u32(field)?);

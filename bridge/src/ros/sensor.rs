@@ -72,7 +72,7 @@ pub struct PoseWithCovarianceStamped {
     pub stamp: Stamp,
     /// Frame of the pose.
     pub frame_id: String,
-    /// Position, metres.
+    /// Position in `frame_id`: x, y, z in metres.
     pub position: [f64; 3],
     /// Orientation: unit quaternion x, y, z, w.
     pub orientation: [f64; 4],
@@ -103,7 +103,7 @@ pub struct Odometry {
     pub frame_id: String,
     /// Frame of the velocity.
     pub child_frame_id: String,
-    /// Position, metres.
+    /// Position in `frame_id`: x, y, z in metres.
     pub position: [f64; 3],
     /// Orientation: unit quaternion x, y, z, w.
     pub orientation: [f64; 4],

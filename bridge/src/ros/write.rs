@@ -7,7 +7,7 @@ use msg::{
     Stamp, Transforms,
 };
 
-/// Writes builtin_interfaces/Time.
+/// Writes builtin_interfaces/Time: whole seconds and the remaining nanoseconds.
 pub fn stamp(to: &mut Writer<'_>, stamp: Stamp) {
     let (sec, nanosec) = stamp.sec_nanosec();
     to.i32(sec);
@@ -29,7 +29,7 @@ pub fn pose(to: &mut Writer<'_>, position: [f64; 3], orientation: [f64; 4]) {
     to.f64s(&orientation);
 }
 
-/// Writes geometry_msgs/TransformStamped.
+/// Writes geometry_msgs/TransformStamped: the pose of frame `child` in `frame`, metres and a unit quaternion.
 pub fn transform(
     to: &mut Writer<'_>,
     at: Stamp,
@@ -77,7 +77,7 @@ fn planar_transform(to: &mut Writer<'_>, at: Stamp, frame: &str, child: &str, fr
     transform(to, at, frame, child, translation, rotation);
 }
 
-/// Writes sensor_msgs/LaserScan.
+/// Writes sensor_msgs/LaserScan: ranges in metres, angles in radians, no intensities.
 pub fn laser_scan(to: &mut Writer<'_>, frame_id: &str, scan: &Scan) {
     let ranges = scan.ranges_m();
     let angle_max = scan.angle_rad(ranges.len().saturating_sub(1));

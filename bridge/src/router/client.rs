@@ -1,4 +1,4 @@
-//! One connected client: its subscriptions, its publications and the frames that wait for it.
+//! One connected client, with its subscriptions, its publications and the frames that wait for it.
 
 use super::buffers::{BufferPool, SharedFrame};
 use super::outgoing::{FlushOutcome, FrameKind, OutgoingQueue};

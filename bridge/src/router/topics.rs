@@ -1,4 +1,4 @@
-//! The table of topics: the fleet's, which are fixed at start, and those that clients create.
+//! The table of the fleet's topics, which are fixed at start, and of those that clients create.
 
 use super::buffers::SharedFrame;
 use super::client::ClientId;
@@ -43,12 +43,12 @@ pub struct Retention {
     pub latch: bool,
 }
 
-/// One topic.
+/// One topic with its subscribers and the message that late subscribers get.
 #[derive(Debug)]
 pub struct Topic {
     /// Name with leading slash.
     pub name: String,
-    /// `package/Type`.
+    /// ROS type as `package/Type`, such as `geometry_msgs/Twist`.
     pub message_type: String,
     /// Who may publish the topic.
     pub source: Source,
@@ -96,7 +96,7 @@ pub enum TopicError {
     TooMany {
         /// The topic's name.
         name: String,
-        /// The limit.
+        /// Most topics of all clients together (`client_topics_max`).
         limit: usize,
     },
 }

@@ -73,7 +73,7 @@ pub enum TransformError {
     /// The rotation is not a unit quaternion.
     #[error("its rotation {rotation_xyzw:?} is not a unit quaternion (x, y, z, w)")]
     Rotation {
-        /// The rotation.
+        /// Rotation in the message: x, y, z, w.
         rotation_xyzw: [f64; 4],
     },
     /// The robot would lean, as it does in another convention of axes such as Unity's own.

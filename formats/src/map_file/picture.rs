@@ -1,4 +1,4 @@
-//! Map pictures for people: paths and robots drawn in colour over an occupancy grid.
+//! Map pictures with coloured paths and robots over an occupancy grid.
 
 use super::{MapFileError, Path, greys_top_down, write_whole};
 use msg::{GridView, Pose2};
@@ -10,7 +10,7 @@ pub type Rgb = [u8; 3];
 /// Longest line that is drawn, pixels: a pose far outside the map must not cost a second.
 const LINE_PIXELS_MAX: f64 = 20_000.0;
 
-/// Colour picture of a grid. Shapes are drawn in the grid's own frame.
+/// Colour picture of a grid. Coordinates of shapes are in the grid's own frame.
 pub struct Picture<'a> {
     grid: GridView<'a>,
     /// Red, green, blue of every pixel, rows from the top.

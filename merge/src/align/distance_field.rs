@@ -23,9 +23,9 @@ pub(crate) struct DistanceField {
     pub floor: Vec<bool>,
     /// Summed-area table of `floor`, one row and one column larger.
     floor_sums: Vec<u32>,
-    /// Columns.
+    /// Number of columns, the length of a row in `distance` and `floor`.
     pub width: usize,
-    /// Rows.
+    /// Number of rows in `distance` and `floor`.
     pub height: usize,
     /// Side of a cell, metres.
     pub cell_m: f64,

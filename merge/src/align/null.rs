@@ -1,4 +1,4 @@
-//! Null distribution of an alignment: how well do the same two maps agree under wrong transforms?
+//! Null distribution of an alignment, the agreement of the same two maps under wrong transforms.
 
 use super::comparison::compare_grids;
 use super::points::MapPoints;

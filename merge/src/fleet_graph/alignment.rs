@@ -1,4 +1,4 @@
-//! First stage: alignment of the whole maps of two robots, and checks of those in force.
+//! Alignment of the whole maps of two robots (first stage), and checks of accepted alignments.
 
 use super::compose::{PlacedSubmap, compose};
 use super::edge::{CheckResult, Evidence};
@@ -9,15 +9,15 @@ use crate::align::{align, evaluate, max_null_f1};
 use crate::config::AlignConfig;
 use msg::{Grid, Pose2};
 
-/// Least number of nodes of a robot whose map is aligned: smaller maps say too little.
+/// Least number of nodes of a robot whose map is aligned: smaller maps hold too little evidence.
 const NODES_MIN: u32 = 8;
-/// A pair is aligned again when its nodes have grown by this factor,
+/// Factor by which the nodes of a pair must grow before it is aligned again.
 const GROWTH_FACTOR: f64 = 1.15;
-/// and by at least so many;
+/// Least number of nodes by which a pair must grow before it is aligned again.
 const GROWTH_NODES: u32 = 4;
-/// while a candidate waits for its second alignment, by so many.
+/// The same for a pair whose candidate waits for its second alignment.
 const GROWTH_NODES_OF_CANDIDATE: u32 = 2;
-/// An edge in force is checked again when its nodes have grown by this factor.
+/// An active edge is checked again when its nodes have grown by this factor.
 const CHECK_GROWTH_FACTOR: f64 = 1.25;
 /// Submaps in a window of a robot's map, its newest: drift has hardly deformed them. Robots with fewer than twice as many
 /// have no window.
@@ -54,8 +54,8 @@ pub(crate) struct MapsChecked {
     found: Option<Evidence>,
 }
 
-/// The next alignment: of the pairs that are not in one graph yet and have grown, a candidate or else the one tried
-/// least.
+/// Returns the next alignment. Of the pairs that are not in one graph and have grown, it is a candidate or else the one
+/// that was tried least often.
 pub(crate) fn next_alignment(
     robots: &[Robot],
     pairs: &mut [RobotPair],
@@ -80,7 +80,7 @@ pub(crate) fn next_alignment(
     Some(AlignJob { pair: index, nodes, maps, config: config.clone() })
 }
 
-/// The next check: of an edge in force whose maps have grown.
+/// Returns the next check of an active edge whose maps have grown.
 pub(crate) fn next_check(robots: &[Robot], pairs: &mut [RobotPair]) -> Option<CheckJob> {
     for (index, pair) in pairs.iter_mut().enumerate().filter(|(_, pair)| pair.edge.is_active()) {
         let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
@@ -119,7 +119,7 @@ fn is_due(index: usize, pair: &RobotPair, robots: &[Robot]) -> bool {
         && b.submaps.all_have_poses()
 }
 
-/// First submap of a robot's window; 0 if it has none.
+/// Returns the first submap of a robot's window; 0 if it has none.
 fn window_start(submaps: &SubmapStore) -> usize {
     let count = submaps.poses().len();
     if count >= 2 * WINDOW_SUBMAPS { count - WINDOW_SUBMAPS } else { 0 }
@@ -155,7 +155,7 @@ impl CheckJob {
 }
 
 impl MapsAligned {
-    /// Records the alignment. Whether the pair's edge became accepted.
+    /// Records the alignment; returns whether the pair's edge became accepted.
     pub fn apply(self, pairs: &mut [RobotPair], maps_are_complete: bool) -> bool {
         let edge = &mut pairs[self.pair].edge;
         self.found.is_some_and(|found| edge.record_alignment(self.nodes, found, maps_are_complete))
@@ -163,7 +163,7 @@ impl MapsAligned {
 }
 
 impl MapsChecked {
-    /// Records the check. Whether the pair's edge was dropped.
+    /// Records the check; returns whether the pair's edge was dropped.
     pub fn apply(self, pairs: &mut [RobotPair]) -> bool {
         let pair = &mut pairs[self.pair];
         let Some(found) = self.found.filter(|_| pair.edge.is_active()) else { return false };

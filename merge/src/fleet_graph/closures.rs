@@ -1,4 +1,4 @@
-//! Closures between two robots: which submaps to match next, what was found, what was tried.
+//! Closures between two robots, and the choice of the submaps to match next.
 
 use super::robot::Robot;
 use super::submap_match::{SearchWindow, SubmapMatch, match_submaps};
@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 /// Most closures kept between two robots: the oldest go first.
 const CLOSURES_MAX: usize = 192;
-/// Closures of one submap with the other robot after which it is not matched again: more say little more.
+/// Closures of one submap with the other robot after which it is not matched again: further ones add little.
 const CLOSURES_PER_SUBMAP: usize = 3;
 /// Failed matches after which a submap is not matched again.
 const FAILURES_PER_SUBMAP: usize = 4;
@@ -23,16 +23,16 @@ const ALIGNMENT_SIGMAS: [f64; 2] = [0.05, 0.01];
 const PREDICTION_SIGMA_M: [f64; 2] = [0.08, 0.02];
 /// The same in radians.
 const PREDICTION_SIGMA_RAD: [f64; 2] = [0.02, 0.002];
-/// Standard deviations searched to each side,
+/// Half width of the search window in standard deviations of the prediction; limited by the two ranges below.
 const WINDOW_SIGMAS: f64 = 2.5;
-/// but at least and at most so many metres
+/// Smallest and largest half width of the search window, metres.
 const WINDOW_M: [f64; 2] = [0.25, 1.05];
-/// and radians.
+/// Smallest and largest half width of the search window, radians.
 const WINDOW_RAD: [f64; 2] = [0.06, 0.18];
 /// A failed match is tried again when a closure has come nearer: the distance driven to it has shrunk to this share.
 const RETRY_SHARE: f64 = 0.4;
-/// Closures may be wrong: farther off than 2 standard deviations they pull less and less. What SLAM knows of its own
-/// submaps has passed its own checks and counts as it is.
+/// Kernel of closures, which may be wrong: beyond 2 standard deviations their weight falls. SLAM's own links between
+/// submaps have passed SLAM's checks and have full weight.
 const CLOSURE_KERNEL: Kernel = Kernel::Cauchy { sigmas: 2.0 };
 
 /// A measured relation between submaps of two robots.
@@ -40,12 +40,12 @@ const CLOSURE_KERNEL: Kernel = Kernel::Cauchy { sigmas: 2.0 };
 pub(crate) struct Closure {
     /// Submaps of the first and of the second robot.
     pub ids: [usize; 2],
-    /// The measurement.
+    /// Relative pose of the two submaps and its information, from matching their grids.
     pub measured: SubmapMatch,
 }
 
 impl Closure {
-    /// The closure as an edge of a graph in which the robots' submaps begin at these poses.
+    /// Returns the closure as an edge of a graph in which the robots' submaps begin at these poses.
     pub fn edge(&self, first: [usize; 2]) -> Edge {
         Edge {
             a: first[0] + self.ids[0],
@@ -57,15 +57,15 @@ impl Closure {
     }
 }
 
-/// What an alignment of whole maps says about the two submaps that look at the same place. It holds the maps together
-/// while there are no closures.
+/// Relation of two submaps of the same place, derived from an alignment of the whole maps. It links the maps
+/// until there are closures.
 #[derive(Clone, Copy, Debug)]
 struct AlignmentLink {
     ids: [usize; 2],
     i_from_j: Pose2,
 }
 
-/// What came of matching two submaps.
+/// Outcome of matching two submaps.
 #[derive(Clone, Copy, Debug)]
 struct Attempt {
     /// Distance driven from the nearest closure at that time, metres.
@@ -117,22 +117,22 @@ impl ClosureSet {
         *self = Self { residual_m: self.residual_m, ..Self::default() };
     }
 
-    /// Closures found and kept, whether in force or not.
+    /// Returns all closures found, active or not.
     pub fn found(&self) -> &[Closure] {
         &self.found
     }
 
-    /// Indices of the closures that the last solution kept.
+    /// Returns the indices of the closures that the last solution kept.
     pub fn in_force(&self) -> &[usize] {
         &self.in_force
     }
 
-    /// Mean distance by which the last solution leaves its closures, metres.
+    /// Returns the mean residual of the closures in the last solution, metres.
     pub fn residual_m(&self) -> f64 {
         self.residual_m
     }
 
-    /// Records which closures a solution kept, and how far it leaves them.
+    /// Records which closures a solution kept, and their mean residual.
     pub fn apply_solution(&mut self, in_force: Vec<usize>, residual_m: f64) {
         (self.in_force, self.residual_m) = (in_force, residual_m);
     }
@@ -160,7 +160,7 @@ impl ClosureSet {
         });
     }
 
-    /// The link by alignment as an edge of a graph in which the robots' submaps begin at these poses.
+    /// Returns the link by alignment as an edge of a graph in which the robots' submaps begin at these poses.
     pub fn alignment_edge(&self, first: [usize; 2]) -> Option<Edge> {
         let AlignmentLink { ids, i_from_j } = self.alignment?;
         Some(Edge {
@@ -172,8 +172,8 @@ impl ClosureSet {
         })
     }
 
-    /// The next match: of the finished, overlapping pairs of submaps that have not been tried, the one whose prediction
-    /// is surest.
+    /// Returns the next match: of the untried pairs of finished, overlapping submaps, the one whose prediction
+    /// is the most certain.
     pub fn next_match(&self, pair: usize, a: &Robot, b: &Robot) -> Option<MatchJob> {
         let mut best: Option<(f64, [usize; 2], Pose2)> = None;
         let mut looked_at = 0;
@@ -204,7 +204,7 @@ impl ClosureSet {
         Some(MatchJob { pair, ids, grids, predicted, window: window(distance_m) })
     }
 
-    /// Records the result of a match. Whether a closure was found.
+    /// Records the result of a match; returns whether a closure was found.
     pub fn record(&mut self, a: &Robot, b: &Robot, result: Matched) -> bool {
         let Matched { ids, found, .. } = result;
         let attempt =
@@ -227,7 +227,7 @@ impl ClosureSet {
         self.found.push(closure);
     }
 
-    /// For each submap of both robots: whether it has enough closures or failures not to be matched again.
+    /// Returns for each submap of both robots whether it has enough closures or failures not to be matched again.
     fn exhausted(&self, robots: [&Robot; 2]) -> [Vec<bool>; 2] {
         let counts = |ids: &mut dyn Iterator<Item = [usize; 2]>| {
             let mut counts = robots.map(|robot| vec![0; robot.submaps.poses().len()]);
@@ -247,7 +247,7 @@ impl ClosureSet {
         })
     }
 
-    /// Least distance that the robots drove between two submaps and where their relation is known, metres.
+    /// Returns the least distance that the robots drove between two submaps and where their relation is known, metres.
     fn distance_to_closure_m(&self, a: &Robot, b: &Robot, [i, j]: [usize; 2]) -> f64 {
         let from = |[m, n]: [usize; 2]| a.submaps.distance_driven_m(i, m) + b.submaps.distance_driven_m(j, n);
         let closures = self.in_force.iter().filter_map(|k| self.found.get(*k)).map(|c| c.ids);
@@ -258,7 +258,7 @@ impl ClosureSet {
     }
 }
 
-/// The predicted relation of two submaps if both are finished, have arrived and overlap enough.
+/// Predicts the relation of two submaps if both are finished, have arrived and overlap enough.
 fn predict_overlap([a, b]: [&Robot; 2], [i, j]: [usize; 2]) -> Option<Pose2> {
     let ((of_i, _), (of_j, _)) = a.submaps.get(i).zip(b.submaps.get(j))?;
     let predicted = a.map_from_submap(i)?.between(b.map_from_submap(j)?);
@@ -268,7 +268,7 @@ fn predict_overlap([a, b]: [&Robot; 2], [i, j]: [usize; 2]) -> Option<Pose2> {
     (of_i.finished && of_j.finished && overlaps).then_some(predicted)
 }
 
-/// The search window of a prediction so many metres from where the robots are known to each other.
+/// Returns the search window of a prediction, given the metres driven from the nearest known relation of the robots.
 fn window(distance_m: f64) -> SearchWindow {
     let half = |[at, per_m]: [f64; 2], [least, most]: [f64; 2]| {
         (WINDOW_SIGMAS * (at + per_m * distance_m)).clamp(least, most)

@@ -13,9 +13,9 @@ pub(crate) struct PlacedSubmap {
     pub frame_from_submap: Pose2,
 }
 
-/// Sum of an unknown cell,
+/// Sum that marks an unknown cell; no sum of beams comes near it.
 const UNKNOWN_SUM: i16 = i16::MIN;
-/// and of a cell that the robot has driven over: no sum of beams comes near either.
+/// Sum that marks a cell that the robot has driven over; no sum of beams comes near it.
 const SWEPT_FREE_SUM: i16 = i16::MIN + 1;
 /// Added to every input coordinate, in cells: a centre on the border of two cells always takes the same one, whatever the
 /// last bit of a sine is.

@@ -4,10 +4,10 @@ use crate::align::Alignment;
 use msg::{EdgeAction, EdgeState, Pose2, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 
-/// Two alignments within this distance (metres)
+/// Largest distance of two alignments that are the same one, metres: less than any two rooms are apart.
 const SAME_ALIGNMENT_M: f64 = 1.0;
-/// and this rotation (radians) of each other are the same one: less than any two rooms are apart, more than what
-/// growing maps change.
+/// Largest rotation between two alignments that are the same one, radians: more than what growing
+/// maps change.
 const SAME_ALIGNMENT_RAD: f64 = 0.1;
 /// Most rejected alignments that are remembered: the oldest go first.
 pub(crate) const REJECTED_MAX: usize = 8;
@@ -19,10 +19,10 @@ const CONTRADICTED_F1: f64 = 0.4;
 const CONTRADICTED_OVERLAP_M2: f64 = 10.0;
 /// Contradictions in a row after which an edge is dropped.
 const CONTRADICTIONS_MAX: u32 = 2;
-/// Closures that make an edge between two robots that others have brought together.
+/// Number of closures that make an edge between two robots that are connected through others.
 const CLOSURES_MIN: usize = 2;
 
-/// What speaks for an edge.
+/// Evidence for an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Evidence {
@@ -59,7 +59,7 @@ impl Default for MapEdge {
 }
 
 impl MapEdge {
-    /// An edge as it was kept. The evidence is of `a_from_b`.
+    /// Creates an edge from saved values. The evidence is of `a_from_b`.
     pub fn restored(
         state: EdgeState,
         a_from_b: Pose2,
@@ -71,37 +71,37 @@ impl MapEdge {
         Self { state, a_from_b, evidence, rejected, ..Self::default() }
     }
 
-    /// State of the edge.
+    /// Returns the state of the edge.
     pub fn state(&self) -> EdgeState {
         self.state
     }
 
-    /// Whether the edge holds the two maps together.
+    /// Returns whether the edge is part of the graph.
     pub fn is_active(&self) -> bool {
         self.state.in_force()
     }
 
-    /// Whether one alignment was found, and a second one is awaited.
+    /// Returns whether one alignment was found, and a second one is awaited.
     pub fn is_candidate(&self) -> bool {
         self.state == EdgeState::Candidate
     }
 
-    /// The first robot's map from the second's; meaningful unless the state is none.
+    /// Returns the transform from the second robot's map to the first's; valid unless the state is none.
     pub fn a_from_b(&self) -> Pose2 {
         self.a_from_b
     }
 
-    /// What speaks for the edge.
+    /// Returns the evidence for the edge.
     pub fn evidence(&self) -> Option<&Evidence> {
         self.evidence.as_ref()
     }
 
-    /// Alignments that the operator rejected.
+    /// Returns the alignments that the operator rejected.
     pub fn rejected(&self) -> &[Pose2] {
         &self.rejected
     }
 
-    /// Whether the operator rejected this alignment.
+    /// Returns whether the operator rejected this alignment.
     pub fn is_rejected(&self, a_from_b: Pose2) -> bool {
         self.rejected.iter().any(|rejected| is_same_alignment(*rejected, a_from_b))
     }
@@ -140,7 +140,7 @@ impl MapEdge {
         self.contradictions = 0;
     }
 
-    /// Continues after the submaps of one of the two were lost: what remains is where the maps lie.
+    /// Continues after the submaps of one of the two were lost; only the transform remains.
     pub fn restart(&mut self, in_graph: Option<Pose2>) {
         match in_graph {
             Some(a_from_b) if self.is_active() => self.a_from_b = a_from_b,
@@ -150,7 +150,7 @@ impl MapEdge {
     }
 
     /// Records an alignment of maps with so many nodes. Two alignments of the same place, from maps that have grown in
-    /// between or are complete, make the edge accepted. Whether it became so.
+    /// between or are complete, make the edge accepted. Returns whether it became accepted.
     pub fn record_alignment(&mut self, nodes: [u32; 2], found: Evidence, maps_are_complete: bool) -> bool {
         let alignment = found.alignment;
         let verified = alignment.accepted
@@ -171,7 +171,7 @@ impl MapEdge {
 
     /// Records a comparison of the two maps where the graph has them.
     pub fn record_check(&mut self, found: Evidence) -> CheckResult {
-        // This comparison looked at one place: the margin over other places stays what it was.
+        // This comparison is of one place, so the margin over other places stays as it was.
         let margin = self.evidence.map_or(0.0, |before| before.alignment.margin);
         let alignment = Alignment { a_from_b: self.a_from_b, margin, ..found.alignment };
         self.evidence = Some(Evidence { alignment, ..found });
@@ -210,11 +210,11 @@ impl MapEdge {
 /// Result of comparing two maps again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CheckResult {
-    /// The maps agree, or say too little.
+    /// The maps agree, or their overlap is too small to judge.
     Confirmed,
     /// The maps contradict the edge: compare them again soon.
     Contradicted,
-    /// The maps contradict the edge for good.
+    /// The maps have contradicted the edge often enough to drop it.
     Refuted,
 }
 

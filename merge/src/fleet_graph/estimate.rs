@@ -1,10 +1,10 @@
-//! Where the fleet's pose graph estimates that one robot's map lies.
+//! Estimate of where one robot's map lies, from the fleet's pose graph.
 
 use super::submaps::SubmapStore;
 use msg::Pose2;
 
-/// A change below this moves nothing, metres: half a cell of 0.05 m. Transforms and redrawn maps follow the graph in
-/// steps of it.
+/// Change below which a transform is not updated, metres: half a cell of 0.05 m. Transforms and redrawn maps follow the
+/// graph in steps of it.
 pub(crate) const TOLERANCE_M: f64 = 0.025;
 
 /// Frame `map` from frame `robotK/map`: one transform that is right where the robot is now, and one at each submap.
@@ -17,34 +17,34 @@ pub(crate) struct RobotEstimate {
 }
 
 impl RobotEstimate {
-    /// An estimate from a given start, if there is one.
+    /// Creates an estimate from a given start, if there is one.
     pub fn new(start: Option<Pose2>) -> Self {
         let mut estimate = Self { start, ..Self::default() };
         estimate.reset_to(start);
         estimate
     }
 
-    /// The given start: `map` from `robotK/map`.
+    /// Returns the given start: `map` from `robotK/map`.
     pub fn start(&self) -> Option<Pose2> {
         self.start
     }
 
-    /// The published transform, right where the robot is now; `None` while it is unknown.
+    /// Returns the published transform, exact where the robot is now; `None` while it is unknown.
     pub fn transform(&self) -> Option<Pose2> {
         self.transform
     }
 
-    /// The transform at each submap that the last solution had; all alike while the robot's map is not deformed.
+    /// Returns the transform at each submap of the last solution; all alike while the robot's map is not deformed.
     pub fn at_submaps(&self) -> &[Pose2] {
         &self.at_submaps
     }
 
-    /// The transform at a submap; that of the newest one for submaps that came after the last solution.
+    /// Returns the transform at a submap; that of the newest one for submaps that came after the last solution.
     pub fn at_submap(&self, id: usize) -> Option<Pose2> {
         self.at_submaps.get(id).or(self.at_submaps.last()).copied()
     }
 
-    /// Whether no single transform puts all of the robot's map right.
+    /// Returns whether no single transform aligns all of the robot's map.
     pub fn is_deformed(&self) -> bool {
         self.is_deformed
     }
@@ -80,7 +80,7 @@ impl RobotEstimate {
         }
     }
 
-    /// Largest error of one transform over the centres of all submaps, and its error at the newest, metres.
+    /// Returns the largest error of one transform over the centres of all submaps, and its error at the newest, metres.
     fn errors_m(&self, transform: Pose2, submaps: &SubmapStore) -> [f64; 2] {
         let error_m = |id: usize| {
             let centre = submaps.centre_m(id)?;
@@ -93,7 +93,7 @@ impl RobotEstimate {
     }
 }
 
-/// Distance between where two transforms put a point, metres.
+/// Returns the distance between the images of a point under two transforms, metres.
 pub(crate) fn distance_at_m(one: Pose2, other: Pose2, point_m: [f64; 2]) -> f64 {
     let ([x, y], [u, v]) = (one.apply(point_m), other.apply(point_m));
     (x - u).hypot(y - v)

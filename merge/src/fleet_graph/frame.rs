@@ -19,7 +19,7 @@ pub(crate) fn set_reference(robots: &mut [Robot], robot: usize, map_from_robot_m
     ReferenceRobot { robot, map_from_robot_map }
 }
 
-/// The first robot whose place is known, in the place of a reference that has left: the frame itself stays.
+/// Returns the first robot with a transform, as the successor of a reference that has left: the frame itself stays.
 pub(crate) fn successor(robots: &[Robot]) -> Option<ReferenceRobot> {
     robots.iter().enumerate().find_map(|(robot, known)| {
         let map_from_robot_map = *known.estimate.at_submaps().first()?;
@@ -27,7 +27,7 @@ pub(crate) fn successor(robots: &[Robot]) -> Option<ReferenceRobot> {
     })
 }
 
-/// Gives every robot a transform that edges in force connect to the frame, and takes it from those that none connects.
+/// Gives a transform to every robot that active edges connect to the frame, and removes it from all others.
 pub(crate) fn connect_robots(robots: &mut [Robot], pairs: &[RobotPair], reference: Option<ReferenceRobot>) {
     let mut connected: Vec<bool> = robots.iter().map(|robot| robot.estimate.start().is_some()).collect();
     if let Some(reference) = reference {

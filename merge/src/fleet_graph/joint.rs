@@ -1,4 +1,4 @@
-//! Last stages: the consistent set of closures, and the joint solution for the submaps of all robots.
+//! The joint solution for the submaps of all robots, with the consistent set of closures (last stages).
 
 use super::closures::Closure;
 use super::consistency::largest_consistent_set;
@@ -9,18 +9,18 @@ use super::submaps::distances_along_m;
 use msg::{Pose2, pose::wrap_angle};
 use posegraph::{Edge, Kernel, SolveError, SolverOptions, information_from_sigmas, solve};
 
-/// Two closures are consistent if one predicts the other within this, metres and radians,
+/// Largest error with which one of two consistent closures predicts the other, metres and radians.
 const CONSISTENT: [f64; 2] = [0.12, 0.03];
-/// and so much more for each metre that the robots drove between them: the drift of their SLAM. The heading lost on the
-/// way moves the far end, too.
+/// Increase of that error for each metre that the robots drove between them: the drift of their SLAM. The drift of the
+/// heading moves the far end, too.
 const CONSISTENT_PER_M: [f64; 2] = [0.01, 0.004];
-/// The most of all that together: what SLAM drifts along a path without closures.
+/// Upper limit of the whole error: the drift of SLAM along a path without closures.
 const CONSISTENT_MAX: [f64; 2] = [4.0, 0.4];
-/// A closure whose error in the solution exceeds so many standard deviations is left out.
+/// Standard deviations of error in the solution above which a closure is left out.
 const OUTLIER_SIGMAS: f64 = 6.0;
-/// Standard deviations of a given start, metres and radians,
+/// Standard deviations of a given start, metres and radians.
 const START_SIGMAS: [f64; 2] = [0.02, 0.005];
-/// and of the reference robot in the frame that it defines: practically fixed.
+/// Standard deviations of the reference robot in the frame that it defines, metres and radians: practically fixed.
 const REFERENCE_SIGMAS: [f64; 2] = [1e-3, 1e-4];
 
 /// Each solution may bring maps together that were far apart, hence graduated. It runs to 10 µm in at most 20 iterations:
@@ -49,7 +49,7 @@ struct RobotInGraph {
     poses: Vec<Pose2>,
 }
 
-/// What relates two robots of the graph.
+/// Relations between two robots of the graph.
 #[derive(Debug)]
 struct PairInGraph {
     /// Index of the pair in the fleet.
@@ -57,7 +57,7 @@ struct PairInGraph {
     /// Indices in [`JointProblem::robots`].
     robots: [usize; 2],
     closures: Vec<Closure>,
-    /// Holds while no closure is in force.
+    /// Edge from the alignment of the whole maps; used while no closure is active.
     alignment: Option<Edge>,
 }
 
@@ -69,13 +69,13 @@ pub(crate) struct JointSolution {
     pairs: Vec<SolvedPair>,
 }
 
-/// What a solution says about a pair.
+/// Result of a solution for a pair.
 #[derive(Debug)]
 struct SolvedPair {
     pair: usize,
-    /// Indices of the closures in force.
+    /// Indices of the active closures.
     in_force: Vec<usize>,
-    /// Mean distance by which it leaves them, metres.
+    /// Mean residual of these closures, metres.
     residual_m: f64,
 }
 
@@ -105,7 +105,7 @@ impl JointProblem {
         (!problem.robots.is_empty()).then_some(problem)
     }
 
-    /// Adds a robot's submaps where its transform puts them, with its own links, and what ties it to the frame.
+    /// Adds a robot's submaps at its transform, with its own links and its edge to the frame.
     fn add_robot(&mut self, index: usize, robot: &Robot, reference: Option<ReferenceRobot>) {
         let (Some(transform), own) = (robot.estimate.transform(), robot.submaps.poses()) else { return };
         let first = self.poses.len();
@@ -182,7 +182,7 @@ impl JointProblem {
         pair.closures[k].edge(pair.robots.map(|robot| self.robots[robot].first))
     }
 
-    /// The largest set of closures of a pair that can be right together, given how the robots drove.
+    /// Returns the largest consistent set of closures of a pair, given how far the robots drove.
     fn consistent_closures(&self, pair: &PairInGraph) -> Vec<usize> {
         let [a, b] = pair.robots.map(|robot| &self.robots[robot].poses);
         let [along_a, along_b] = [a, b].map(|poses| distances_along_m(poses));
@@ -206,7 +206,7 @@ impl JointProblem {
 }
 
 impl JointSolution {
-    /// Moves the robots to where the solution has them, and updates the pairs.
+    /// Applies the solution's transforms to the robots, and updates the pairs.
     pub fn apply(self, robots: &mut [Robot], pairs: &mut [RobotPair]) {
         for (robot, at_submaps) in self.robots {
             if robots[robot].estimate.transform().is_some() {

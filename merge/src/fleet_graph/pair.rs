@@ -1,4 +1,4 @@
-//! Two robots: the edge between their maps, the closures between their submaps, and when to compare them next.
+//! A pair of robots, with the edge between their maps, the closures of their submaps and the times to compare them.
 
 use super::closures::ClosureSet;
 use super::edge::MapEdge;
@@ -16,22 +16,22 @@ pub(crate) struct RobotPair {
     pub schedule: ComparisonSchedule,
 }
 
-/// When the maps of a pair were compared, by their pose-graph nodes together.
+/// Times at which the maps of a pair were compared, in pose-graph nodes of both robots together.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ComparisonSchedule {
-    /// Alignments tried.
+    /// Number of alignments of the whole maps that were tried.
     pub alignments: u32,
     /// Nodes at the newest alignment; 0 before the first.
     pub aligned_at_nodes: u32,
-    /// Alignments to be tried although nothing grows any more.
+    /// Alignments still to be tried after the maps have stopped growing.
     pub final_alignments: u32,
-    /// Nodes at the newest check of an edge in force; 0 to check it at once.
+    /// Nodes at the newest check of an active edge; 0 to check it at once.
     pub checked_at_nodes: u32,
 }
 
 impl RobotPair {
     /// Applies an operator's command. `in_graph` is the relation that the fleet's graph has, if it has both robots.
-    /// False if the command does not apply.
+    /// Returns false if the command does not apply.
     pub fn apply_command(&mut self, action: EdgeAction, in_graph: Option<Pose2>) -> bool {
         match self.edge.apply_command(action, in_graph) {
             Some(EdgeState::Undone) => self.closures.clear(),
@@ -54,14 +54,14 @@ impl RobotPair {
         self.edge.restart(in_graph);
     }
 
-    /// Links the nearest submaps by the alignment of the whole maps, if the edge is in force.
+    /// Links the nearest submaps by the alignment of the whole maps, if the edge is active.
     pub fn link_by_alignment(&mut self, a: &Robot, b: &Robot) {
         if self.edge.is_active() {
             self.closures.link_by_alignment(self.edge.a_from_b(), a, b);
         }
     }
 
-    /// The edge as a message. `index` is the pair's.
+    /// Returns the edge as a message. `index` is the pair's.
     pub fn message(&self, index: usize) -> MergeEdge {
         let [a, b] = robots_of_pair(index);
         let (edge, closures) = (&self.edge, &self.closures);
@@ -90,7 +90,7 @@ impl RobotPair {
     }
 }
 
-/// Number of pairs of so many robots.
+/// Returns the number of pairs of `robots` robots.
 pub(crate) fn pair_count(robots: usize) -> usize {
     robots * robots.saturating_sub(1) / 2
 }

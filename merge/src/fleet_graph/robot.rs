@@ -6,18 +6,18 @@ use super::submaps::{SubmapGeneration, SubmapStore};
 use msg::{Grid, Pose2};
 use std::sync::Arc;
 
-/// One robot.
+/// One robot of the fleet's pose graph: its submaps and the estimate of where its map lies.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Robot {
-    /// What its SLAM sent.
+    /// Submaps that its SLAM sent.
     pub submaps: SubmapStore,
-    /// What the fleet's pose graph made of it.
+    /// Estimate of its map's transform by the fleet's pose graph.
     pub estimate: RobotEstimate,
-    /// The map redrawn from submaps; `None` while a single transform puts all of the robot's own map right.
+    /// The map redrawn from submaps; `None` while a single transform aligns all of the robot's own map.
     redrawn: Option<RedrawnMap>,
 }
 
-/// A map redrawn from submaps, and what it was drawn from.
+/// A map redrawn from submaps, and the transforms that it was drawn with.
 #[derive(Clone, Debug)]
 struct RedrawnMap {
     /// Frame `robotK/map`. Without cells if it could not be drawn.
@@ -45,12 +45,12 @@ pub(crate) struct Redrawn {
 }
 
 impl Robot {
-    /// A robot with a given start, if there is one.
+    /// Creates a robot with a given start, if there is one.
     pub fn new(start: Option<Pose2>) -> Self {
         Self { estimate: RobotEstimate::new(start), ..Self::default() }
     }
 
-    /// Forgets everything but the version of its submaps: the robot has left, or begins elsewhere.
+    /// Removes everything but the version of its submaps, after the robot has left or starts at another place.
     pub fn remove(&mut self) {
         self.submaps.restart(None);
         (self.estimate, self.redrawn) = (RobotEstimate::default(), None);
@@ -92,7 +92,7 @@ impl Robot {
         (0..self.submaps.poses().len()).filter_map(placed).collect()
     }
 
-    /// The redrawn map in frame `robotK/map`, where it is in use.
+    /// Returns the redrawn map in frame `robotK/map`, if it is in use.
     pub fn redrawn_map(&self) -> Option<&Arc<Grid>> {
         self.redrawn.as_ref().map(|redrawn| &redrawn.grid).filter(|grid| !grid.cells.is_empty())
     }
@@ -114,7 +114,7 @@ impl Robot {
     }
 }
 
-/// The next redraw that is due.
+/// Returns the next redraw that is due.
 pub(crate) fn next_redraw(robots: &[Robot]) -> Option<RedrawJob> {
     let (index, robot) = robots.iter().enumerate().find(|(_, robot)| robot.needs_redraw())?;
     let transform = robot.estimate.transform()?;
@@ -138,7 +138,7 @@ impl RedrawJob {
 }
 
 impl Redrawn {
-    /// Puts the map into use.
+    /// Replaces the robot's redrawn map by this one.
     pub fn apply(self, robots: &mut [Robot]) {
         robots[self.robot].redrawn = Some(self.map);
     }

@@ -1,4 +1,4 @@
-//! Snapshot of what must survive the death of the merge process: where robots lie, and what the operator decided.
+//! Snapshot of the fleet's pose graph that outlives the merge process, with the operator's decisions.
 //!
 //! Submaps and closures are not in it: robots send submaps again, and closures are found again.
 
@@ -37,7 +37,7 @@ struct PairSnapshot {
     rejected: Vec<[f64; 3]>,
 }
 
-/// Why a snapshot cannot be restored.
+/// Reason why a snapshot cannot be restored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SnapshotRejected {
     /// The snapshot is of another number of robots.
@@ -68,7 +68,7 @@ impl FleetPoseGraph {
 
     /// Restores a snapshot that an earlier process of the same run took. Call it before anything else.
     ///
-    /// Robots lie at once where they lay then.
+    /// The robots' transforms are valid at once.
     ///
     /// # Errors
     /// [`SnapshotRejected`] says what is not valid; then nothing has changed.

@@ -18,9 +18,9 @@ const REFINED_MAX: usize = 24;
 const POINTS: [usize; 2] = [500, 5_000];
 /// Places that are refined by many points.
 const FINALISTS: usize = 3;
-/// Kernel widths of the refinement, metres: of the many starts,
+/// Kernel widths of the refinement of the many starts, metres.
 const COARSE_KERNELS_M: &[f64] = &[0.25];
-/// and of the finalists.
+/// Kernel widths of the refinement of the best starts, metres.
 const FINE_KERNELS_M: &[f64] = &[0.12, 0.05];
 /// Two transforms within this distance and rotation of each other are one place, metres and radians.
 const SAME_PLACE: [f64; 2] = [0.25, 0.05];
@@ -28,9 +28,9 @@ const SAME_PLACE: [f64; 2] = [0.25, 0.05];
 const MATCHED_MIN: f64 = 150.0;
 /// Largest share of walls that lie on the other submap's floor.
 const CONFLICT_MAX: f64 = 0.11;
-/// Least ratio of the best place's score to that of the best other place,
+/// Least ratio of the best place's score to that of the best other place.
 const MARGIN_MIN: f64 = 1.3;
-/// which is taken to have at least this score, in walls: chance finds as much anywhere.
+/// Least score assumed for the best other place, in walls: chance finds as much anywhere.
 const RIVAL_SCORE_MIN: f64 = 50.0;
 /// Least observability of the position.
 const OBSERVABILITY_MIN: f64 = 0.04;
@@ -46,7 +46,7 @@ const UNOBSERVED_INFORMATION: f64 = 1e-3;
 /// Side of a floor point's square, metres.
 const FLOOR_SQUARE_M: f64 = 0.2;
 
-/// How far from the prediction to search, to each side.
+/// Half widths of the search window around the prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct SearchWindow {
     /// Along x and y, metres.
@@ -100,7 +100,7 @@ pub(crate) fn match_submaps(
     })
 }
 
-/// The best place in the window, if it passes all thresholds.
+/// Returns the best place in the window, if it passes all thresholds.
 fn find_best_place(fields: [&DistanceField; 2], predicted: Pose2, window: SearchWindow) -> Option<WallMatch> {
     let few = strides(fields, POINTS[0]);
     let mut ranked: Vec<(f64, Pose2)> =
@@ -128,7 +128,7 @@ fn find_best_place(fields: [&DistanceField; 2], predicted: Pose2, window: Search
     accepted.then_some(best)
 }
 
-/// A regular lattice of transforms over the window.
+/// Returns a regular lattice of transforms over the window.
 fn starts(predicted: Pose2, window: SearchWindow) -> impl Iterator<Item = Pose2> {
     let each_side = |half: f64, spacing: f64| ((half / spacing).ceil() as usize).min(STARTS_MAX) as i64;
     let steps = each_side(window.half_m, START_SPACING[0]);

@@ -7,21 +7,21 @@ use nalgebra::Matrix3;
 use posegraph::{Edge, Kernel, information_from_sigmas};
 use std::sync::Arc;
 
-/// Standard deviations, metres and radians, of the relation between two successive submaps that SLAM says nothing
-/// about. It keeps them in one graph, and gives way to everything else.
+/// Standard deviations, metres and radians, of the relation between two successive submaps that SLAM has not linked.
+/// It keeps them in one graph, and is weaker than every other edge.
 const UNKNOWN_LINK_SIGMAS: [f64; 2] = [0.5, 0.2];
 
 /// Incarnation of a robot's SLAM process, and generation of its submaps within that.
 pub(crate) type SubmapGeneration = (u64, u32);
 
-/// A submap as it came last.
+/// The newest version of a submap.
 #[derive(Clone, Debug)]
 pub(crate) struct StoredSubmap {
     /// Occupancy in the submap's frame.
     pub grid: Arc<Grid>,
     /// Pose-graph nodes in it.
     pub nodes: u32,
-    /// Whether it grows no more.
+    /// Whether it is finished.
     pub finished: bool,
     /// Centre of the grid in the submap's frame, metres.
     pub centre_m: [f64; 2],
@@ -51,17 +51,17 @@ impl SubmapStore {
         self.generation = Some(generation);
     }
 
-    /// The generation of these submaps; `None` before the first message.
+    /// Returns the generation of these submaps; `None` before the first message.
     pub fn generation(&self) -> Option<SubmapGeneration> {
         self.generation
     }
 
-    /// Counts the submaps received: two equal versions hold equal submaps.
+    /// Returns the number of submaps received: two equal versions hold equal submaps.
     pub fn version(&self) -> u64 {
         self.version
     }
 
-    /// Stores a submap, new or grown. False if it is malformed.
+    /// Stores a new or grown submap; returns false if it is malformed.
     pub fn add(&mut self, submap: &Submap) -> bool {
         let id = submap.id as usize;
         let Some(view) = submap.view() else { return false };
@@ -105,17 +105,17 @@ impl SubmapStore {
         Some(true)
     }
 
-    /// Number of submaps that have a pose and have not arrived.
+    /// Returns the number of submaps that have a pose and have not arrived.
     pub fn missing(&self) -> usize {
         self.poses.len().saturating_sub(self.submaps.iter().flatten().count())
     }
 
-    /// Whether every submap that has arrived has a pose.
+    /// Returns whether every submap that has arrived has a pose.
     pub fn all_have_poses(&self) -> bool {
         self.poses.len() >= self.submaps.len()
     }
 
-    /// Number of pose-graph nodes in all submaps.
+    /// Returns the number of pose-graph nodes in all submaps.
     pub fn node_count(&self) -> u32 {
         self.submaps.iter().flatten().map(|submap| submap.nodes).sum()
     }
@@ -125,19 +125,19 @@ impl SubmapStore {
         &self.poses
     }
 
-    /// A submap that has arrived, and its pose in the robot's map.
+    /// Returns a submap that has arrived, and its pose in the robot's map.
     pub fn get(&self, id: usize) -> Option<(&StoredSubmap, Pose2)> {
         Some((self.submaps.get(id)?.as_ref()?, *self.poses.get(id)?))
     }
 
-    /// Centre of a submap in the robot's map, metres; the origin of its frame if it has not arrived.
+    /// Returns the centre of a submap in the robot's map, metres; the origin of its frame if it has not arrived.
     pub fn centre_m(&self, id: usize) -> Option<[f64; 2]> {
         let pose = *self.poses.get(id)?;
         let submap = self.submaps.get(id).and_then(Option::as_ref);
         Some(pose.apply(submap.map_or([0.0; 2], |submap| submap.centre_m)))
     }
 
-    /// Distance that the robot drove between two of its submaps, metres.
+    /// Returns the distance that the robot drove between two of its submaps, metres.
     pub fn distance_driven_m(&self, i: usize, k: usize) -> f64 {
         let at = |id: usize| self.distances_m.get(id).or(self.distances_m.last()).copied().unwrap_or(0.0);
         (at(i) - at(k)).abs()

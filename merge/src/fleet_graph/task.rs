@@ -7,10 +7,10 @@ use super::robot::{RedrawJob, Redrawn};
 use super::submaps::SubmapGeneration;
 use posegraph::SolveError;
 
-/// One step of work. See [`FleetPoseGraph::next_task`](super::FleetPoseGraph::next_task).
+/// One task. See [`FleetPoseGraph::next_task`](super::FleetPoseGraph::next_task).
 #[derive(Debug)]
 pub struct Task {
-    /// The generations of submaps that it is about: a result about others is dropped.
+    /// Generations of the submaps that it uses: a result for other generations is dropped.
     pub(super) generations: Vec<Option<SubmapGeneration>>,
     pub(super) job: Job,
 }
@@ -60,7 +60,7 @@ impl Task {
 }
 
 impl Outcome {
-    /// Why the joint graph could not be solved, if the task was to solve it and failed.
+    /// Returns the reason why the joint graph could not be solved, if the task was to solve it and failed.
     pub fn solve_error(&self) -> Option<SolveError> {
         match &self.result {
             JobResult::Solved(Err(error)) => Some(*error),

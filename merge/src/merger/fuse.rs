@@ -8,7 +8,7 @@ use msg::{MapTile, ROBOTS_MAX, Rect};
 
 /// Adds the log-odds of all robots in one tile of the lattice; `None` if nothing is known there.
 ///
-/// Log-odds of independent observers add up (`msg::grid` says why): an obstacle that one robot imagined is cleared by
+/// Log-odds of independent observers add up (`msg::grid` says why): a false obstacle of one robot is cleared by
 /// those who saw the floor. Floor that a robot has driven over stays floor, whatever the others saw there.
 pub(super) fn fuse_tile(
     x: i64,

@@ -1,4 +1,4 @@
-//! A robot is not an obstacle in the merged map: not where it has driven, not where it stands.
+//! Tests that a robot is no obstacle in the merged map, neither where it has driven nor where it stands.
 
 use super::tests::{RESOLUTION_M, at, grid, map, merger, pose, robot};
 use super::*;

@@ -1,9 +1,9 @@
-//! Reasons for which a map is not taken.
+//! Reasons for which a map is rejected.
 
 use msg::grid::MAP_CELLS_MAX;
 use msg::{MapHeader, Pose2, RobotId, Stamp};
 
-/// Why a map was rejected. The robot's last valid map stays in use.
+/// Reason why a map was rejected. The robot's last valid map stays in use.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum MapRejected {
     /// The fleet has no such robot.
@@ -28,7 +28,7 @@ pub enum MapRejected {
         resolution_m: f64,
         /// Lower left corner, by the header.
         origin: Pose2,
-        /// Number of cells that came.
+        /// Number of cells received.
         cells: usize,
     },
     /// The map is older than the one in use.

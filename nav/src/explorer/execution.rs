@@ -1,4 +1,4 @@
-//! Execution of one goal: driving there, facing it, and telling when it takes too long or nothing moves.
+//! Execution of one goal, and detection of goals that take too long or of robots that do not move.
 
 use crate::command::Twist;
 use crate::config::FollowerConfig;
@@ -138,7 +138,7 @@ impl GoalExecution {
     }
 }
 
-/// Tells when a robot gets nowhere (as Nav2's progress checker).
+/// Detects a robot that makes no progress (as Nav2's progress checker).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ProgressChecker {
     /// Time and pose of the last progress.

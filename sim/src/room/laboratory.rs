@@ -1,4 +1,4 @@
-//! The built-in room: a furnished laboratory of 8 m x 6 m.
+//! The built-in room, a furnished laboratory of 8 m x 6 m.
 //!
 //! ```text
 //!   y ▲   ┌──────────────────────────────────────────────┐  3

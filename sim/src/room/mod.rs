@@ -1,4 +1,4 @@
-//! Rooms: triangle meshes in frame `world`, z up, with the floor at z = 0.
+//! Rooms as triangle meshes in frame `world`, z up, with the floor at z = 0.
 
 mod gltf;
 mod ground;

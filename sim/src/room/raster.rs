@@ -1,4 +1,4 @@
-//! Rasters of the floor: marked cells, regions and distances.
+//! Rasters of the floor with marked cells, regions and distances.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,4 @@
-//! Files of rooms: recognition of the format, and decompression.
+//! Recognition of the format of a room's file, and its decompression.
 
 use super::{BYTES_MAX, JSON_OBJECTS_MAX, Room, RoomError, gltf, obj, scene};
 use std::borrow::Cow;

@@ -1,4 +1,4 @@
-//! Scanned rooms: scene JSON with spatial entities, as Quest headsets and WebXR's emulators record it.
+//! Scanned rooms as scene JSON with spatial entities, as Quest headsets and WebXR's emulators record it.
 //!
 //! The frame is right-handed with y up, in metres.
 

@@ -5,6 +5,7 @@ use slam::{BackEnd, ClosureSearchCounts, FrontEnd, RelocalizationCounts};
 use std::time::Duration;
 
 /// Figures of a replay of one log.
+// More than 12 fields: the fields are the keys of one flat JSON object, which scripts read.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Summary {
     /// Path of the log.
@@ -33,7 +34,7 @@ pub struct Summary {
     pub nodes: usize,
     /// Number of scan-to-scan edges.
     pub links: usize,
-    /// Number of loop closures in force.
+    /// Number of loop closures in the pose graph.
     pub closures: usize,
     /// Number of loop closures that were removed.
     pub retracted: u64,
@@ -76,7 +77,7 @@ impl Summary {
             );
         }
         text += &format!(
-            "  map       {} x {} cells, drawn in {:.1} ms\n  wall time {:.2} s, {:.0} x real time\n",
+            "  map       {} x {} cells, rendered in {:.1} ms\n  wall time {:.2} s, {:.0} x real time\n",
             s.map_width, s.map_height, s.map_ms, s.wall_s, s.times_real_time
         );
         for (name, times) in [("front end", s.scan_ms), ("back end ", s.back_end_ms)] {
@@ -102,11 +103,11 @@ impl Summary {
 /// Percentiles of durations, milliseconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Percentiles {
-    /// 50th percentile.
+    /// 50th percentile, milliseconds.
     pub p50: f64,
-    /// 99th percentile.
+    /// 99th percentile, milliseconds.
     pub p99: f64,
-    /// Largest.
+    /// Largest duration, milliseconds.
     pub max: f64,
 }
 

@@ -37,7 +37,9 @@ impl<'a> OperatorConsole<'a> {
     /// Keys that work now, for people.
     pub fn help(&self) -> &'static str {
         match self.keys.available() {
-            true => "a allows who asks to drive, d denies; s stops all robots, r releases; Ctrl-C ends",
+            true => {
+                "a allows the first waiting address to drive, d denies it; s stops all robots, r releases; Ctrl-C ends"
+            }
             false => "Ctrl-C ends",
         }
     }

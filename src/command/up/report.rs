@@ -1,4 +1,4 @@
-//! Report of a run: `report.json` for programs, and a summary for people.
+//! Report of a run, `report.json` for programs and a summary for people.
 
 use super::events::Events;
 use crate::run::{Run, RunError};
@@ -90,7 +90,7 @@ impl Report {
         }
     }
 
-    /// Writes `report.json`.
+    /// Writes `report.json` into the run's folder.
     pub fn write(&self, dir: &Path) -> Result<(), RunError> {
         let path = dir.join("report.json");
         let json = serde_json::to_string_pretty(self).unwrap_or_default();

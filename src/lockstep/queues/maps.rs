@@ -1,4 +1,4 @@
-//! A map's channel as a queue in memory: messages with the tiles that changed, and requests for the whole.
+//! A map's channel as a queue in memory: messages with the tiles that changed, and requests for the whole map.
 
 use super::{Network, Queue, Topic, VirtualClock};
 use crate::channel::MAP_MESSAGES_MAX;

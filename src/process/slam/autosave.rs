@@ -1,4 +1,4 @@
-//! When SLAM saves its session by itself.
+//! Schedule by which SLAM saves its session.
 
 use super::files::JobOutcome;
 use crate::run::Run;
@@ -7,22 +7,21 @@ use msg::{Monotonic, RobotId};
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Saving takes this part of the time at most: a large map is saved less often.
+/// Largest share of the time that saving may take: a large map is saved less often.
 const SAVING_SHARE_MAX: u32 = 20;
-/// The first save comes this soon after the first node: a process that dies before has no map to go on with.
+/// Longest time from the start to the first save: a process that dies earlier leaves no map.
 const FIRST_SAVE: Duration = Duration::from_secs(1);
 
-/// The times of the saves, and whether there is something to save.
+/// Times of the saves, and whether the map has changed since the last.
 pub(super) struct Autosave {
     pub path: PathBuf,
-    /// None: never.
+    /// Time between two saves; `None` switches autosave off.
     every: Option<Duration>,
     due: Monotonic,
-    /// The map is no longer the one that was saved.
+    /// The map has changed since it was saved.
     pub changed: bool,
     busy: bool,
-    /// The robots' turns are spread, so that a fleet does not save all at once: the part of a period that this
-    /// robot's turn is late.
+    /// Pause after the first save, different for each robot so that a fleet does not save all at once.
     turn: Duration,
     saved: bool,
     /// The error that was reported last: it is not reported again.
@@ -58,7 +57,7 @@ impl Autosave {
         (self.busy, self.changed) = (true, false);
     }
 
-    /// There was no room for it.
+    /// Records that the file worker had no room for the save.
     pub fn put_off(&mut self, now: Monotonic) {
         (self.busy, self.changed) = (false, true);
         self.due = after(now, self.every.unwrap_or_default());

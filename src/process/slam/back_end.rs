@@ -1,4 +1,4 @@
-//! The back-end thread: loops, graph, map, requests, and what is saved of them.
+//! The back-end thread: closes loops, solves the graph, draws the map, answers requests and saves sessions.
 
 use super::autosave::Autosave;
 use super::commands::CommandSender;
@@ -16,14 +16,14 @@ use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
-/// How often requests are looked for, at least.
+/// Longest time between two polls of the requests.
 const REQUEST_PERIOD: Duration = Duration::from_millis(100);
-/// The scan path's state is asked for again after this, if no answer came: its queue may have been full.
+/// Time without an answer after which the scan path's state is requested again: its queue may have been full.
 const STATE_PATIENCE: Duration = Duration::from_secs(1);
-/// How sure it is where a robot is whose SLAM goes on where another left off: metres, radians.
+/// Standard deviation of the pose with which a restarted SLAM continues, metres and radians.
 const CARRIED_SIGMA: [f64; 2] = [0.1, 0.05];
 
-/// The back end with its channels. A step takes one event of the scan path, and does a millisecond or so of the rest.
+/// The back end with its channels. A step handles one event of the scan path and about a millisecond of other work.
 pub struct BackEndWorker<P: Ports> {
     state: BackEndState,
     services: Services<P>,
@@ -67,7 +67,7 @@ impl<P: Ports> BackEndWorker<P> {
         })
     }
 
-    /// Takes an input, if there is one, and does what is due. Returns when it wants to run again.
+    /// Handles an input, if there is one, and does what is due. Returns when the next step is due.
     pub fn step(&mut self, input: Option<BackEndInput>) -> Monotonic {
         let Self { state, services, map, submaps, .. } = self;
         state.now = self.clock.now();
@@ -101,46 +101,46 @@ impl<P: Ports> BackEndWorker<P> {
         map_due.min(submaps_due).min(Monotonic(now.0 + REQUEST_PERIOD.as_nanos() as u64))
     }
 
-    /// Whether the scan path has ended, and this thread with it.
+    /// Returns whether the scan path has ended, and this thread with it.
     pub fn has_ended(&self) -> bool {
         self.ended
     }
 
-    /// The back end.
+    /// Returns the back end.
     pub fn back(&self) -> &BackEnd {
         &self.state.back
     }
 
-    /// Commands that wait for room in the queue to the scan path, and requests that wait for the scan path's state.
+    /// Returns how many commands wait for room in the queue to the scan path, and how many requests wait for its state.
     pub fn backlog(&self) -> [usize; 2] {
         [self.state.commands.waiting(), self.state.pending.len()]
     }
 
-    /// All that must be kept to go on, with the scan path at `front`.
+    /// Returns the session to continue from, with the scan path at `front`.
     pub fn session(&self, front: &FrontEndState) -> Session {
         self.state.session(front)
     }
 }
 
-/// The back end, and what goes on around it.
+/// The back end, its queues, and the requests that wait.
 pub struct BackEndState {
     /// The back end itself.
     pub back: BackEnd,
-    /// The robot, the run and the configuration that a session is for.
+    /// Robot, run and configuration to which a session belongs.
     pub identity: Identity,
-    /// Commands to the scan path.
+    /// Sender of commands to the scan path.
     pub commands: CommandSender,
     jobs: SyncSender<Job>,
     autosave: Autosave,
-    /// The number of the front end that is in place, or will be: events of those before are ignored.
+    /// Number of the current or next front end: events of earlier ones are ignored.
     front_number: u32,
     /// The back end has been replaced since the last step.
     is_new: bool,
-    /// There is something new to draw.
+    /// The map has changed since it was drawn.
     redraw: bool,
-    /// What is to be done when the scan path's state is known.
+    /// Requests that wait for the scan path's state.
     pending: Vec<PendingRequest>,
-    /// When the state was asked for.
+    /// Moment at which the state was requested.
     asked_at: Monotonic,
     now: Monotonic,
 }
@@ -148,7 +148,7 @@ pub struct BackEndState {
 impl BackEndState {
     fn apply_event<P: Ports>(&mut self, number: u32, event: FrontEvent, services: &mut Services<P>) {
         if number != self.front_number {
-            // Of a front end that has been replaced: a node of another map, or the old front end, to be dropped here.
+            // The event is from a replaced front end: a node of another map, or the front end itself, to be dropped.
             return;
         }
         match event {
@@ -173,19 +173,19 @@ impl BackEndState {
         if self.back.mode() != SlamMode::Localization {
             self.mark_changed();
         }
-        // That it was found is worth saving, even where the map stays as it is.
+        // A found pose is worth saving even if the map is unchanged.
         self.autosave.changed |= !was_found && self.back.map_from_base().is_some();
     }
 
-    /// The map is no longer as it was.
+    /// Marks the map as changed, to be drawn, published and saved.
     pub fn mark_changed(&mut self) {
         self.redraw = true;
         self.autosave.changed = true;
     }
 
-    /// Goes on with another map.
+    /// Continues with another map.
     pub fn replace(&mut self, front: FrontEnd, back: BackEnd, in_place: bool) {
-        // Its scans may be of another time; readers want maps in order.
+        // Its scans may have older stamps, but readers need maps in order of time.
         let before = self.back.tiles().header;
         self.back = back;
         self.back.set_map_header(before.header, before.scan_sent);
@@ -194,22 +194,22 @@ impl BackEndState {
         let (number, front) = (self.front_number, Box::new(front));
         self.commands.send(FrontCommand::Replace { number, front, in_place });
         if !self.pending.is_empty() {
-            // What was asked before would be answered by the front end that is replaced.
+            // An earlier request would be answered by the replaced front end.
             self.ask_for_state();
         }
     }
 
-    /// Goes on with what was loaded.
+    /// Continues with a loaded session.
     pub fn load(&mut self, loaded: Loaded) {
         self.replace(loaded.front, loaded.back, false);
     }
 
-    /// How many requests wait for the scan path's state.
+    /// Returns how many requests wait for the scan path's state.
     pub fn pending(&self) -> usize {
         self.pending.len()
     }
 
-    /// Does it when the scan path's state is known.
+    /// Defers a request until the scan path's state is known.
     pub fn wait_for_state(&mut self, pending: PendingRequest) {
         self.pending.push(pending);
         self.ask_for_state();
@@ -220,7 +220,7 @@ impl BackEndState {
         self.commands.send_or_drop(FrontCommand::ReportState);
     }
 
-    /// Asks once more if the question or the answer was lost.
+    /// Requests the state again if the request or the answer was lost.
     fn ask_again(&mut self) {
         let waited = Duration::from_nanos(self.now.since(self.asked_at));
         if !self.pending.is_empty() && waited >= STATE_PATIENCE {
@@ -228,13 +228,13 @@ impl BackEndState {
         }
     }
 
-    /// Gives the file worker something to do; false if it has too much to do already.
+    /// Sends a job to the file worker; returns false if its queue is full.
     pub fn give(&self, request: Option<&SlamRequest>, path: PathBuf, work: Work) -> bool {
         let request = request.map(|request| Box::new(*request));
         self.jobs.try_send(Job { request, path, work }).is_ok()
     }
 
-    /// All that must be kept, with the scan path at `state`.
+    /// Returns the session to save, with the scan path at `state`.
     pub fn session(&self, state: &FrontEndState) -> Session {
         self.back.session(self.identity, Some(state.clone()), &[])
     }
@@ -246,7 +246,7 @@ impl BackEndState {
         }
     }
 
-    /// Saves in the background.
+    /// Starts a save on the file worker.
     pub fn save(&mut self, state: &FrontEndState) {
         let session = Box::new(self.session(state));
         if !self.give(None, self.autosave.path.clone(), Work::Save(session)) {
@@ -254,12 +254,12 @@ impl BackEndState {
         }
     }
 
-    /// The process ends, with the front end of this number at `state`.
+    /// Saves at the end of the process, with the front end of this number at `state`.
     fn end(&mut self, number: u32, state: &FrontEndState) {
         let same_front = number == self.front_number;
         if self.autosave.is_wanted() && same_front && !self.back.nodes().is_empty() {
             let work = Work::Save(Box::new(self.session(state)));
-            // After what is being saved now, or the older would take the newer one's place.
+            // The running save must end first, or the older session would replace the newer one.
             let _ = self.jobs.send(Job { request: None, path: self.autosave.path.clone(), work });
         }
     }

@@ -1,4 +1,4 @@
-//! Commands on their way to the scan path: in order, and without waiting for it.
+//! Queue of commands to the scan path: in order, and without waiting for it.
 
 use super::FrontCommand;
 use std::collections::VecDeque;
@@ -14,7 +14,7 @@ pub struct CommandSender {
 }
 
 impl CommandSender {
-    /// A sender in which nothing waits.
+    /// Creates a sender in which no command waits.
     pub fn new(queue: SyncSender<FrontCommand>) -> Self {
         Self { queue, waiting: VecDeque::new() }
     }
@@ -25,7 +25,7 @@ impl CommandSender {
         self.flush();
     }
 
-    /// Sends a command that the next of its kind would replace: it is left out if there is no room.
+    /// Sends a command that the next of its kind would replace: it is dropped if there is no room.
     pub fn send_or_drop(&mut self, command: FrontCommand) {
         self.flush();
         if self.waiting.is_empty() {
@@ -33,7 +33,7 @@ impl CommandSender {
         }
     }
 
-    /// Sends what waits, as far as there is room.
+    /// Sends the waiting commands, as far as there is room.
     pub fn flush(&mut self) {
         while let Some(command) = self.waiting.pop_front() {
             if let Err(TrySendError::Full(command)) = self.queue.try_send(command) {
@@ -43,12 +43,12 @@ impl CommandSender {
         }
     }
 
-    /// Whether so many commands wait that requests must be refused.
+    /// Returns whether so many commands wait that requests must be refused.
     pub fn is_full(&self) -> bool {
         self.waiting.len() >= WAITING_MAX
     }
 
-    /// Commands that wait for room in the queue.
+    /// Returns the number of commands that wait for room in the queue.
     pub fn waiting(&self) -> usize {
         self.waiting.len()
     }

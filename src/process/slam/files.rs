@@ -1,4 +1,4 @@
-//! The thread that reads and writes files for SLAM: a slow disk holds up nobody else.
+//! The thread that reads and writes files for SLAM: a slow disk delays no other thread.
 //!
 //! Its priority is the others'. With a lower one (nice 10) it was kept waiting on a loaded machine while it held what
 //! the scan path needed (a process has one lock on its memory): scan to pose p99 200 to 390 ms instead of 3 to 60.
@@ -17,17 +17,17 @@ use std::time::Duration;
 /// Jobs that wait; a request that needs one more is refused.
 pub const JOBS_MAX: usize = 4;
 
-/// Something to do with a file.
+/// Job of the file worker: one operation on one file.
 pub struct Job {
-    /// The request that it belongs to; none for an autosave.
+    /// Request that the job belongs to; `None` for an autosave.
     pub request: Option<Box<SlamRequest>>,
-    /// The file.
+    /// File to read or to write.
     pub path: PathBuf,
-    /// What to do with it.
+    /// Operation on the file.
     pub work: Work,
 }
 
-/// What to do with a file.
+/// Operation on a file.
 pub enum Work {
     /// Write a session.
     Save(Box<Session>),
@@ -37,27 +37,27 @@ pub enum Work {
     Load(Identity, SlamMode),
 }
 
-/// What became of a job.
+/// Outcome of a job.
 pub struct JobOutcome {
     /// The job's request.
     pub request: Option<Box<SlamRequest>>,
     /// The job's file.
     pub path: PathBuf,
-    /// What was loaded, if that was the job; or why it failed.
+    /// Loaded session, if the job was to load one, or the reason of the failure.
     pub result: Result<Option<Box<Loaded>>, String>,
-    /// How long it took.
+    /// Duration of the job.
     pub took: Duration,
 }
 
-/// A session that can be gone on with.
+/// Front end and back end read from a session file.
 pub struct Loaded {
-    /// The front end.
+    /// Front end at the session's end.
     pub front: FrontEnd,
-    /// The back end.
+    /// Back end with the session's graph.
     pub back: BackEnd,
 }
 
-/// Does jobs, one after the other.
+/// Performs jobs, one after the other.
 pub struct FileWorker<C, S> {
     config: SlamConfig,
     storage: S,
@@ -66,7 +66,7 @@ pub struct FileWorker<C, S> {
 }
 
 impl<C: Clock, S: Storage> FileWorker<C, S> {
-    /// A worker whose outcomes go to the back-end thread.
+    /// Creates a worker whose outcomes go to the back-end thread.
     pub fn new(config: SlamConfig, storage: S, clock: C, outcomes: SyncSender<BackEndInput>) -> Self {
         Self { config, storage, clock, outcomes }
     }

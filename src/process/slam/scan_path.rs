@@ -1,4 +1,4 @@
-//! The scan path: answers each scan with a pose, and hands nodes to the back end. It waits for nothing but scans.
+//! The scan path: answers each scan with a pose and passes nodes to the back end. It waits for scans only.
 
 use super::{BackEndInput, FrontCommand, FrontEvent};
 use crate::channel;
@@ -10,10 +10,10 @@ use ::slam::{FrontEnd, FrontEndState};
 use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan};
 use std::sync::mpsc::{Receiver, SyncSender};
 
-/// A front end that is to begin where `odom` lay waits so many scans for odometry: without it, nobody knows where the
-/// robot is in `odom`. A robot that has none begins then.
+/// Scans for which a front end that begins at the last known `odom` waits for odometry: without it, the pose of the
+/// robot in `odom` is unknown. A robot without odometry begins after them.
 const SCANS_WITHOUT_ODOMETRY_MAX: u32 = 10;
-/// Odometry is of a scan if their stamps differ by less, seconds: one period of odometry.
+/// Largest difference of the stamps of a scan and its odometry, seconds: one period of odometry.
 const ODOMETRY_AGE_MAX_S: f64 = 0.05;
 
 /// The scan path with its channels.
@@ -49,18 +49,18 @@ impl<P: Ports> ScanPath<P> {
         })
     }
 
-    /// The process ends: reports where the front end is.
+    /// Reports the last state of the front end; the process ends.
     pub fn end(self) {
         let state = Box::new(self.core.front.state());
         self.core.report(FrontEvent::Ended(state));
     }
 
-    /// Where the front end is.
+    /// Returns the state of the front end.
     pub fn front_state(&self) -> FrontEndState {
         self.core.front.state()
     }
 
-    /// Events that found the queue full since the process began.
+    /// Returns the number of events that were lost to a full queue since the start.
     pub fn events_lost(&self) -> u64 {
         self.core.events_lost.get()
     }
@@ -101,11 +101,11 @@ struct Core {
     /// Counts the front ends that were put in place.
     number: u32,
     paused: bool,
-    /// The first scan is taken where `odom` lies here in the map.
+    /// Transform of `odom` in the map with which the first scan begins.
     odom_pose: Option<Pose2>,
-    /// The map from the front end's frame, to be reported with the next node.
+    /// Transform from the front end's frame to the map, reported with the next node.
     started_at: Option<Pose2>,
-    /// Scans that have waited for odometry.
+    /// Number of scans that have waited for odometry.
     waited: u32,
     last: Option<Correction>,
     /// The newest odometry.
@@ -137,7 +137,7 @@ impl Core {
         }
     }
 
-    /// Hands an event over and never waits. False if the queue is full: the event is lost, which the back end must
+    /// Sends an event and never waits. Returns false if the queue is full: the event is lost, which the back end must
     /// survive.
     fn report(&self, event: FrontEvent) -> bool {
         let sent = self.events.try_send(BackEndInput::FrontEnd(self.number, event)).is_ok();
@@ -160,7 +160,7 @@ impl Core {
                     }
                     self.odom_pose = self.last.filter(|_| in_place).map(|last| last.map_from_odom);
                     (self.started_at, self.waited) = (None, 0);
-                    // Dropping it takes a while: the back end does that.
+                    // Dropping it takes long, so the back end does that.
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
                 }
@@ -174,14 +174,14 @@ impl Core {
         let before = self.odometry.replace(*odometry);
         let restarted = before.filter(|before| before.header.incarnation != odometry.header.incarnation);
         if let (Some(before), Some(last)) = (restarted, &mut self.last) {
-            // The robot's driver counts from elsewhere, and the robot stood meanwhile.
+            // The restarted driver counts odometry from a new origin; the robot stood meanwhile.
             let odom_from_new_odom = before.odom_from_base * odometry.odom_from_base.inverse();
             last.map_from_odom = last.map_from_odom * odom_from_new_odom;
         }
         self.front.add_odometry(odometry);
     }
 
-    /// Whether the first scan must wait, as it is to begin where `odom` lies and its odometry has not come.
+    /// Returns whether the first scan must wait for its odometry, because it begins at a known `odom`.
     fn waits_for_odometry(&mut self, scan: &Scan) -> bool {
         let age_s = self.odometry.map(|odometry| scan.header.stamp - odometry.header.stamp);
         let known = age_s.is_some_and(|age_s| (0.0..ODOMETRY_AGE_MAX_S).contains(&age_s));
@@ -190,7 +190,7 @@ impl Core {
         waits
     }
 
-    /// The answer to a scan, if there is one, and whether the scan was sound.
+    /// Returns the answer to a scan, if there is one, and whether the scan was valid.
     fn process(&mut self, scan: &Scan) -> (Option<Correction>, bool) {
         if self.paused || self.waits_for_odometry(scan) {
             self.last = self.last.map(|last| self.dead_reckoned(last, scan));
@@ -215,7 +215,7 @@ impl Core {
         (self.last, step.rejected.is_none())
     }
 
-    /// The pose by odometry alone, while scans are ignored.
+    /// Returns the pose by odometry alone, while scans are ignored.
     fn dead_reckoned(&self, last: Correction, scan: &Scan) -> Correction {
         let odom_from_base = self.odometry.map_or(Pose2::IDENTITY, |odometry| odometry.odom_from_base);
         Correction {

@@ -14,24 +14,24 @@ use msg::{
 };
 use std::path::{Component, Path, PathBuf};
 
-/// Requests answered in one step, before other work has its turn.
+/// Largest number of requests answered in one step, so that other work is not delayed.
 const REQUESTS_MAX: usize = 16;
 /// Requests that may wait for the scan path's state.
 const PENDING_MAX: usize = 16;
-/// The ending of a session's file that was given none.
+/// Extension that a session file gets if its name has none.
 const SESSION_ENDING: &str = "slam";
 
-/// What is to be done when the scan path's state is known.
+/// Operation that waits for the scan path's state.
 pub enum PendingRequest {
     /// Save what has changed.
     Autosave,
     /// Save a session to a file.
     Save(Box<SlamRequest>, PathBuf),
-    /// Look for the robot at the given pose.
+    /// Relocalize the robot at the given pose.
     SetPose(Box<SlamRequest>),
 }
 
-/// What became of a request.
+/// Outcome of a request that was accepted.
 enum RequestOutcome {
     /// It was done; the text is for people.
     Done(String),
@@ -39,7 +39,7 @@ enum RequestOutcome {
     Deferred,
 }
 
-/// The outcome of a request, or why it is refused.
+/// Outcome of a request, or the reason why it is refused.
 type RequestResult = Result<RequestOutcome, String>;
 
 fn done(text: &str) -> RequestResult {
@@ -67,7 +67,7 @@ impl<P: Ports> Services<P> {
         })
     }
 
-    /// Serves the requests that have come.
+    /// Answers the requests that were received.
     pub fn serve(&mut self, state: &mut BackEndState) {
         for _ in 0..REQUESTS_MAX {
             let Some(request) = self.requests.receive().map(|request| *request) else { return };
@@ -126,7 +126,7 @@ impl<P: Ports> Services<P> {
 
     fn reset(&mut self, state: &mut BackEndState) -> RequestResult {
         let mode = match state.back.mode() {
-            // There is no map left to localize in.
+            // After a reset there is no map to localize in.
             SlamMode::Localization => SlamMode::Mapping,
             mode => mode,
         };
@@ -182,7 +182,7 @@ impl<P: Ports> Services<P> {
         done(&format!("{count} taken back, and not accepted again"))
     }
 
-    /// Goes on with what waited for the scan path's state.
+    /// Continues a request that waited for the scan path's state.
     pub fn resume(&mut self, state: &mut BackEndState, pending: PendingRequest, front: &FrontEndState) {
         match pending {
             PendingRequest::Autosave => state.save(front),
@@ -208,7 +208,7 @@ impl<P: Ports> Services<P> {
         }
     }
 
-    /// A file that a request needed was read or written.
+    /// Answers a request whose file was read or written.
     pub fn finish_job(&mut self, state: &mut BackEndState, outcome: JobOutcome) {
         let JobOutcome { request: Some(request), path, result, took: _ } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
@@ -271,7 +271,7 @@ impl<P: Ports> Services<P> {
     }
 }
 
-/// The file that is meant: relative names lie below the run's folder.
+/// Returns the path of a request's file: relative names lie below the run's folder.
 fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, String> {
     let named = Path::new(name);
     if named.file_name().is_none() || name.contains(char::is_control) {
@@ -308,7 +308,7 @@ fn has_map(state: &BackEndState) -> Result<(), String> {
     if empty { Err("there is nothing in the map yet: no scan has come".into()) } else { Ok(()) }
 }
 
-/// Whether closures may be taken back now.
+/// Refuses to remove closures in localization, where the map is fixed.
 fn may_change(state: &BackEndState) -> Result<(), String> {
     if state.back.mode() == SlamMode::Localization {
         return Err("in localization the map stays as it is; set the mode to mapping first".into());
@@ -319,7 +319,7 @@ fn may_change(state: &BackEndState) -> Result<(), String> {
     Ok(())
 }
 
-/// The graph has changed: tells the scan path where it is now.
+/// Sends the scan path its new pose after the graph has changed.
 fn publish_changed_graph(state: &mut BackEndState) {
     state.mark_changed();
     state.commands.send(FrontCommand::SetPose(Some(state.back.latest_revision().map_from_local)));
