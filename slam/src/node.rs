@@ -144,8 +144,8 @@ impl Rays {
     /// maximum saw nothing, NaN and ranges below the minimum say nothing.
     pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) {
         let clear_m = config.map.clear_without_return_m.min(scan.range_max_m);
-        let still = sweep.place(0);
-        self.sensor = sweep.middle();
+        let first_beam = sweep.base_from_sensor(0);
+        self.sensor = sweep.mid_sweep_position();
         self.hits.clear();
         self.misses.clear();
         for (beam, &range) in scan.ranges_m().iter().enumerate() {
@@ -156,9 +156,9 @@ impl Rays {
             } else {
                 continue;
             };
-            let place = if sweep.moves() { sweep.place(beam) } else { still };
+            let base_from_sensor = if sweep.has_motion() { sweep.base_from_sensor(beam) } else { first_beam };
             let (sin, cos) = scan.angle_rad(beam).sin_cos();
-            drawn.push(place.point([reach * cos, reach * sin]));
+            drawn.push(base_from_sensor.point([reach * cos, reach * sin]));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Motion model: what odometry, or the last motion, says about the pose of the next scan.
 
 use super::LastScan;
-use crate::beam_poses::{BeamPoses, part};
+use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::config::OdometryConfig;
 use crate::node::Node;
 use crate::odometry::OdometryBuffer;
@@ -21,7 +21,7 @@ const SPEED_SIGMA_SHARE: f64 = 0.3;
 
 /// The motion continued for `ahead_s` at constant speed, after it took `before_s`; bounded.
 pub(super) fn continue_motion(motion: Pose2, before_s: f64, ahead_s: f64) -> Pose2 {
-    part(motion, (ahead_s / before_s).min(CONSTANT_MOTION_TIMES_MAX))
+    scale_motion(motion, (ahead_s / before_s).min(CONSTANT_MOTION_TIMES_MAX))
 }
 
 /// The pose expected of a scan before it is matched, in the scan path's frame.
