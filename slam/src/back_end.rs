@@ -290,7 +290,7 @@ impl BackEnd {
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
         let (kind, information) = if node.odometry_break {
-            self.closer.detector.tear();
+            self.closer.detector.drop_pending();
             self.location.component_relocalizer = None;
             (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
         } else {

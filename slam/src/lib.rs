@@ -203,8 +203,8 @@ pub fn begin(
         (start, _) => {
             let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
             let mut front = FrontEnd::new(config.clone());
-            front.set_map_from_local(if let InitialPose::Near(hint) = start {
-                Some(hint.map_from_local)
+            front.set_map_from_local(if let InitialPose::Near(estimate) = start {
+                Some(estimate.map_from_local)
             } else {
                 empty
             });

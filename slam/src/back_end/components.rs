@@ -14,7 +14,7 @@ use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
 use crate::graph::{EdgeKind, RelativeUncertainty};
-use crate::relocalize::{Placed, RelocalizationOutcome, Relocalizer};
+use crate::relocalize::{MapNodes, RelocalizationOutcome, Relocalizer};
 use msg::Pose2;
 use posegraph::information_from_sigmas;
 
@@ -86,7 +86,7 @@ impl BackEnd {
         edge.variance = BREAK_VARIANCE;
         self.nodes[unverified_edge as usize].odometry_break = true;
         self.unverified_edge = None;
-        self.closer.detector.tear();
+        self.closer.detector.drop_pending();
         self.location.component_relocalizer = None;
         self.update_components();
     }
@@ -132,7 +132,7 @@ impl BackEnd {
         if id - first < NODES_MIN {
             return;
         }
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
         let relocalizer = self.location.component_relocalizer.get_or_insert_with(|| {
             Relocalizer::new(self.config.clone(), map, None, self.location.relocalization)
         });

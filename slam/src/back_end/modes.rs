@@ -7,7 +7,7 @@ use crate::front_end::{FrontEndState, TrajectorySample};
 use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
 use crate::node::{Node, Revision};
-use crate::relocalize::{Placed, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
+use crate::relocalize::{MapNodes, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
 use crate::session::{Identity, Session};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
@@ -55,7 +55,7 @@ impl BackEnd {
         back.set_mode(mode);
         match start {
             InitialPose::Continue => {}
-            InitialPose::Near(hint) => back.start_relocalization(Some(hint)),
+            InitialPose::Near(estimate) => back.start_relocalization(Some(estimate)),
             InitialPose::Unknown => back.start_relocalization(None),
         }
         back
@@ -104,15 +104,18 @@ impl BackEnd {
             self.location.next_pose = estimate;
             return;
         }
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
         self.location.relocalizer =
             Some(Relocalizer::new(self.config.clone(), map, estimate, self.location.relocalization));
     }
 
     /// Whether it is known where the robot is.
     pub fn is_located(&self) -> bool {
-        let sure = self.location.localizer.as_ref().map_or(self.newest_in_map(), Localizer::sure);
-        self.location.relocalizer.as_ref().map_or(sure, |relocalizer| relocalizer.hint().is_some())
+        let is_located = self.location.localizer.as_ref().map_or(self.newest_in_map(), Localizer::is_located);
+        self.location
+            .relocalizer
+            .as_ref()
+            .map_or(is_located, |relocalizer| relocalizer.initial_estimate().is_some())
     }
 
     /// The map from the robot at the newest node; as far as it is known.
@@ -126,7 +129,7 @@ impl BackEnd {
 
     pub(super) fn process_node(&mut self, node: Node) {
         self.location.just_located = false;
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
         let Some(relocalizer) = &mut self.location.relocalizer else { return self.integrate_node(node) };
         let relocalization = relocalizer.add_node(node, map);
         let anchor = match relocalization {
@@ -134,7 +137,7 @@ impl BackEnd {
             RelocalizationOutcome::Found(map_from_local) => {
                 PoseEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
             }
-            RelocalizationOutcome::HintAccepted(PoseEstimate { map_from_local, sigma_m, sigma_rad }) => {
+            RelocalizationOutcome::EstimateAccepted(PoseEstimate { map_from_local, sigma_m, sigma_rad }) => {
                 PoseEstimate { map_from_local, sigma_m, sigma_rad }
             }
         };
@@ -144,7 +147,7 @@ impl BackEnd {
         self.location.relocalizer = None;
         self.location.next_pose = Some(anchor);
         if let Some(localizer) = &mut self.location.localizer {
-            localizer.begin();
+            localizer.clear();
         }
         waiting.into_iter().for_each(|node| self.integrate_node(node));
     }
@@ -161,9 +164,9 @@ impl BackEnd {
             Some(anchor) => anchor.map_from_local,
             None => localizer.newest().map_or(Pose2::IDENTITY, |(_, map_from_local)| map_from_local),
         };
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        localizer.add(node, map_from_local, map);
-        if localizer.astray() {
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
+        localizer.add_node(node, map_from_local, map);
+        if localizer.is_lost() {
             self.start_relocalization(None);
         }
     }
@@ -188,7 +191,7 @@ impl BackEnd {
             Some(self.graph.poses()[newest.id as usize] * newest.local_from_base.inverse())
         };
         let map_from_local = match (&self.location.relocalizer, &self.location.localizer) {
-            (Some(relocalizer), _) => relocalizer.hint().map(|hint| hint.map_from_local),
+            (Some(relocalizer), _) => relocalizer.initial_estimate().map(|estimate| estimate.map_from_local),
             (None, Some(localizer)) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             (None, None) => of_graph(),
         };
