@@ -304,10 +304,10 @@ impl BackEnd {
 
     fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
         let c = &self.config.odometry;
-        let (way, turn) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
-        let doubt = if measured { 1.0 } else { UNMEASURED_FACTOR };
-        let m = doubt * (c.sigma_m + c.sigma_m_per_m * way);
-        let rad = doubt * (c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way);
+        let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
+        let factor = if measured { 1.0 } else { UNMEASURED_FACTOR };
+        let m = factor * (c.sigma_m + c.sigma_m_per_m * distance_m);
+        let rad = factor * (c.sigma_rad + c.sigma_rad_per_rad * turn_rad + c.sigma_rad_per_m * distance_m);
         Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
     }
 

@@ -6,9 +6,9 @@ use nalgebra::Matrix3;
 /// A place seen before that a later node was found at.
 #[derive(Clone, Copy, Debug)]
 pub struct ClosureCandidate {
-    /// The later node.
+    /// The later node, which was searched for.
     pub node: u32,
-    /// The earlier node.
+    /// The earlier node, near which the later one was found.
     pub candidate: u32,
     /// Pose of the later node in the frame of the earlier one, as measured.
     pub candidate_from_node: Pose2,

@@ -1,9 +1,9 @@
 //! However the work is cut, the map is that of the nodes and their poses.
 
 use super::*;
-use msg::grid::{SWEPT_FREE, UNKNOWN};
 use crate::cloud::Cloud;
 use crate::node::{Rays, SweptPath};
+use msg::grid::{SWEPT_FREE, UNKNOWN};
 use proptest::prelude::*;
 use std::sync::Arc;
 
