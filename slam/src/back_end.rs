@@ -78,7 +78,7 @@ pub struct BackEndCounts {
     pub links: usize,
     /// Closures in force.
     pub closures: usize,
-    /// Closures taken back.
+    /// Closures that were retracted.
     pub retracted: u64,
     /// Solutions of the whole graph.
     pub solutions: u64,
@@ -250,8 +250,8 @@ impl BackEnd {
         map
     }
 
-    /// Brings [`BackEnd::tiles`] closer to what is known, by about so many cells of beams: new nodes
-    /// first, then what solutions have moved visibly. True if there is more to do.
+    /// Draws about `cells_max` cells into [`BackEnd::tiles`]: new nodes first, then nodes that solutions moved visibly.
+    /// Returns whether there is more to do.
     pub fn draw(&mut self, cells_max: usize) -> bool {
         self.stages.stage_started(Stage::Draw);
         let more = self.mapper.work(&self.nodes, self.graph.poses(), cells_max);
@@ -269,8 +269,8 @@ impl BackEnd {
         self.mapper.date(header, scan_sent);
     }
 
-    /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or
-    /// where it was put down.
+    /// Appends a node at its pose relative to the node before, with an odometry edge, or at the pose where the robot was
+    /// located.
     fn append_node(&mut self, mut node: Node) {
         self.numbers.front_ids.push(node.id);
         self.lifelong.contradicted.push(0);

@@ -43,7 +43,7 @@ const ALIGNMENT_SHIFT_MAX_M: f64 = 0.5;
 const WINDOW_MIN_M: f64 = 0.5;
 /// Least half opening of the search window, radians.
 const WINDOW_MIN_RAD: f64 = 0.1;
-/// Variance (m², rad²) of a relative pose that the graph says nothing of: larger than any window.
+/// Variance (m², rad²) of a relative pose that the graph does not determine: larger than any window.
 const UNKNOWN_VARIANCE: f64 = 1e6;
 /// Most points of a merged query, in scans.
 const QUERY_SCANS: usize = 4;

@@ -128,8 +128,8 @@ impl Cloud {
         heads[0] = 0;
     }
 
-    /// Parts of the cloud for a session: points, sensor position, mean of the points (metres), and the nearest return by
-    /// bearing (centimetres).
+    /// Parts of the cloud for a session: points, sensor position and mean of the points (metres), and the nearest
+    /// return by bearing (centimetres).
     pub fn parts(&self) -> (&[SurfacePoint], [f32; 2], [f32; 2], &[u16; BEARINGS]) {
         (&self.points, self.sensor, self.middle, &self.seen_cm)
     }

@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 
 /// Most nodes of the window: bounds memory and the time of a solution.
 const WINDOW: usize = 20;
-/// Standard deviation of the position of a robot just located, metres: what a search of the map or a person leaves open.
+/// Standard deviation of the position of a robot just located, metres: what a search or a person leaves open.
 const START_M: f64 = 0.15;
 /// Standard deviation of the heading of a robot just located, radians.
 const START_RAD: f64 = 0.06;

@@ -9,20 +9,21 @@ use std::sync::Arc;
 /// A scan that entered the pose graph.
 #[derive(Clone, Debug)]
 pub struct Node {
-    /// Nodes count from 0 without gaps: by the scan path as it makes them, by the back end as it keeps them.
+    /// Nodes count from 0 without gaps: the front end numbers those it makes, the back end those it keeps.
     pub id: u32,
     /// The scan's header.
     pub header: Header,
-    /// Pose in the scan path's own frame, which never jumps.
+    /// Pose in the front end's own frame, which never jumps.
     pub local_from_base: Pose2,
-    /// Where odometry says this node lies as seen from the one before.
+    /// Pose in the frame of the node before, by odometry; `None` if unknown.
     pub previous_from_this: Option<Pose2>,
     /// Whether the scan fitted the local map; if not, only odometry ties it to the others.
     pub fits: bool,
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
     /// connects this node with the ones before until it is located.
     pub odometry_break: bool,
-    /// First node of the node's component while that is disconnected from the map; `None` in the map. Set by the back end.
+    /// First node of the node's component while that is disconnected from the map; `None` in the map.
+    /// Set by the back end.
     pub disconnected: Option<u32>,
     /// Surface points, for matching.
     pub cloud: Arc<Cloud>,
@@ -46,7 +47,7 @@ pub struct SweptPath {
 }
 
 impl SweptPath {
-    /// The path of these positions, up to [`SWEPT_PATH_POSITIONS_MAX`] of them.
+    /// The path of these positions, up to `SWEPT_PATH_POSITIONS_MAX` of them.
     pub fn of(positions_m: &[[f32; 2]]) -> Self {
         let mut path = Self { len: positions_m.len().min(SWEPT_PATH_POSITIONS_MAX), ..Self::default() };
         path.positions_m[..path.len].copy_from_slice(&positions_m[..path.len]);

@@ -13,7 +13,7 @@ pub enum Stage {
     Node,
     /// Back end: a node is tied to others that see the same surfaces.
     Link,
-    /// Back end: places seen before are looked for.
+    /// Back end: loop closures are searched for.
     Closure,
     /// Back end: the pose graph is solved.
     Solve,
@@ -24,7 +24,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// All of them, by their discriminants.
+    /// All stages, by their discriminants.
     pub const ALL: [Self; 9] = [
         Self::Cloud,
         Self::Search,

@@ -159,8 +159,8 @@ impl Submaps {
         (node < group.first + group.nodes).then_some((after as u32 - 1, group.first))
     }
 
-    /// The next submap that is new, has grown, was finished or changed shape since its last publication; `None` when all
-    /// are published. The channel sets `header.incarnation` and `seq`.
+    /// The next submap that is new, has grown, was finished or changed shape since its last publication; `None` when
+    /// all are published. The channel sets `header.incarnation` and `seq`.
     pub fn next_changed(&mut self, back: &BackEnd) -> Option<&Submap> {
         let poses = back.graph().poses();
         let newest = self.groups.len().checked_sub(1)?;

@@ -6,7 +6,7 @@
 //! reads as lost, until a closure or a search of the whole map connects it. If that closure is taken
 //! back, the component is disconnected again.
 //!
-//! The map is the largest component, so that a robot that never returns begins anew in the end.
+//! The map is the largest component, so a robot that never returns ends up with a new map.
 
 use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD};

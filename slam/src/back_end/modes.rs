@@ -1,4 +1,4 @@
-//! What becomes of a node by mode: it relocalizes the robot, localizes it in a fixed map, or grows the map.
+//! Modes of the back end: a node relocalizes the robot, localizes it in a fixed map, or extends the map.
 
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
@@ -15,15 +15,17 @@ use posegraph::information_from_sigmas;
 /// Standard deviations of a robot that was located, metres and radians: small enough for links by alignment alone.
 pub(super) const FOUND_M: f64 = 0.08;
 pub(super) const FOUND_RAD: f64 = 0.03;
+/// Least standard deviation of an estimate that a person gives, metres and radians: 0 would make its edge infinite.
+const ANCHOR_SIGMA_MIN: f64 = 1e-3;
 
-/// Where the robot is when a map is loaded.
+/// Initial pose of the robot in a loaded map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum InitialPose {
     /// The front end continues where it was: the next node follows from the newest one.
     Continue,
-    /// Near this estimate.
+    /// The robot is near this estimate, around which the map is searched.
     Near(PoseEstimate),
-    /// Not known: the whole map is searched.
+    /// The pose is unknown: the whole map is searched.
     Unknown,
 }
 
@@ -180,7 +182,10 @@ impl BackEnd {
         self.nodes.push(node);
         if let Some(nearest) = nearest {
             let measured = self.graph.poses()[nearest as usize].between(map_from_node);
-            let information = information_from_sigmas(anchor.sigma_m.max(1e-3), anchor.sigma_rad.max(1e-3));
+            let information = information_from_sigmas(
+                anchor.sigma_m.max(ANCHOR_SIGMA_MIN),
+                anchor.sigma_rad.max(ANCHOR_SIGMA_MIN),
+            );
             self.graph.add_edge([nearest, id], measured, information, EdgeKind::InitialPose, [0.0; 2]);
         }
     }
@@ -210,12 +215,12 @@ impl BackEnd {
         }
     }
 
-    /// The newest revision, for a scan path that begins.
+    /// The current revision, for a front end that begins.
     pub fn latest_revision(&self) -> Revision {
         self.revision()
     }
 
-    /// The node that one of the scan path's became; the newest if its numbers came twice.
+    /// The back end's id of a front end's node; the newest one if front ends used the id twice.
     pub fn node_from_front_end(&self, front_id: u32) -> Option<u32> {
         self.numbers.id_of(front_id)
     }
@@ -253,7 +258,7 @@ impl BackEnd {
         }
     }
 
-    /// How searches for the robot ended.
+    /// Counts of relocalization searches by how they ended.
     pub fn relocalization(&self) -> RelocalizationCounts {
         self.location.relocalization_counts()
     }

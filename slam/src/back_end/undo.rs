@@ -16,7 +16,7 @@ pub struct ClosureReport {
     pub older: u32,
     /// The later node.
     pub newer: u32,
-    /// False if it was taken back.
+    /// Whether the closure is in force; false after it was retracted.
     pub in_force: bool,
     /// The later node as seen from the earlier one, as measured.
     pub older_from_newer: Pose2,

@@ -1,5 +1,6 @@
-//! Motion compensation: the robot's motion while the beams were measured is taken out of the scan,
-//! as odometry has it, or, without odometry, together with the pose.
+//! Motion compensation (deskewing): removes the robot's motion during the sweep from a scan.
+//!
+//! The motion comes from odometry or, without it, is estimated together with the pose.
 
 use super::motion::{CONSTANT_MOTION_MAX_S, PosePrediction, continue_motion};
 use super::{FrontEnd, TrackedPose};

@@ -45,7 +45,7 @@ pub struct FrontEndState {
     pub waiting: Vec<Revision>,
     /// The newest odometry messages, in the continuous frame.
     pub odometry: Vec<Odometry>,
-    /// Pose of the odometry frame in the continuous frame, see [`OdometryBuffer::continuous_from_odom`].
+    /// Pose of the odometry frame in the continuous frame, which does not jump when the writer restarts.
     pub continuous_from_odom: Pose2,
     /// Number of odometry messages rejected.
     pub odometry_rejected: u64,

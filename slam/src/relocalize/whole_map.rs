@@ -140,8 +140,8 @@ impl WholeMap {
         self.levels.push(cells);
     }
 
-    /// Upper bound of the mean value under the rotated points for offsets in [x, x + 2^level) x [y, y + 2^level), 0 to 1;
-    /// 0 if it cannot reach `least`.
+    /// Upper bound, 0 to 1, of the mean value under the rotated points for offsets in
+    /// [x, x + 2^level) x [y, y + 2^level); 0 if it cannot reach `least`.
     fn score(&self, points: &[[i16; 2]], x: i32, y: i32, level: usize, least: f32) -> f32 {
         let pad = (1 << level) - 1;
         let (w, h) = (self.width + pad, self.height + pad);
