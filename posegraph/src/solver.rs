@@ -74,11 +74,11 @@ pub enum SolveError {
     InvalidEdge {
         /// Index of the edge.
         edge: usize,
-        /// Its first pose.
+        /// Index of the edge's first pose.
         a: usize,
-        /// Its second pose.
+        /// Index of the edge's second pose.
         b: usize,
-        /// Poses of the graph.
+        /// Number of poses of the graph.
         poses: usize,
     },
     /// An edge's squared error is infinite or not a number.
@@ -100,9 +100,9 @@ pub enum SolveError {
     /// The sparse structure could not be built.
     #[error("the sparse structure of {poses} poses and {edges} edges cannot be built")]
     TooLarge {
-        /// Poses of the graph.
+        /// Number of poses of the graph.
         poses: usize,
-        /// Its edges.
+        /// Number of edges of the graph.
         edges: usize,
     },
 }

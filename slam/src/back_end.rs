@@ -74,9 +74,9 @@ pub struct BackEnd {
 pub struct BackEndCounts {
     /// Nodes in the graph.
     pub nodes: usize,
-    /// Links in force.
+    /// Number of active links.
     pub links: usize,
-    /// Closures in force.
+    /// Number of active closures.
     pub closures: usize,
     /// Closures that were retracted.
     pub retracted: u64,

@@ -39,15 +39,15 @@ const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
 pub struct FrontEndCounts {
     /// Scans that got a pose.
     pub accepted: u64,
-    /// See [`ScanRejection::StampRepeated`].
+    /// Scans rejected for [`ScanRejection::StampRepeated`].
     pub stamp_repeated: u64,
-    /// See [`ScanRejection::StampWentBack`].
+    /// Scans rejected for [`ScanRejection::StampWentBack`].
     pub stamp_went_back: u64,
     /// Clocks that were set back for good: their new time was taken over.
     pub clock_set_back: u64,
-    /// See [`ScanRejection::BeamCount`].
+    /// Scans rejected for [`ScanRejection::BeamCount`].
     pub beam_count: u64,
-    /// See [`ScanRejection::Geometry`].
+    /// Scans rejected for [`ScanRejection::Geometry`].
     pub geometry: u64,
     /// Scans that did not fit the map, or saw too little to tell.
     pub lost: u64,

@@ -43,9 +43,9 @@ pub struct Edge {
     pub a_from_b: Pose2,
     /// Its inverse covariance over (x, y, yaw) in `a`.
     pub information: Matrix3<f64>,
-    /// Its origin.
+    /// Origin of the measurement.
     pub kind: EdgeKind,
-    /// A retracted edge has no effect.
+    /// Whether the edge has effect; false after it was retracted.
     pub in_force: bool,
     /// Variances for the propagation of uncertainty: position (worst direction) and heading.
     pub variance: [f64; 2],
@@ -105,7 +105,7 @@ impl Graph {
         &self.poses
     }
 
-    /// All edges, in force or not.
+    /// All edges, active or not.
     pub fn edges(&self) -> &[Edge] {
         &self.edges
     }
@@ -115,7 +115,7 @@ impl Graph {
         &mut self.edges[index]
     }
 
-    /// Edges in force at a node.
+    /// Active edges at a node.
     pub fn edges_of(&self, node: u32) -> impl Iterator<Item = &Edge> {
         self.around[node as usize].iter().map(|&e| &self.edges[e as usize]).filter(|e| e.in_force)
     }
@@ -155,7 +155,7 @@ impl Graph {
         self.around[b as usize].push(index);
     }
 
-    /// Sum of the information of the edges in force from `a` to `b`.
+    /// Sum of the information of the active edges from `a` to `b`.
     fn information_between(&self, a: u32, b: u32) -> Matrix3<f64> {
         let same = self.edges_of(b).filter(|e| e.a == a && e.b == b);
         same.fold(Matrix3::zeros(), |sum, e| sum + e.information)

@@ -6,7 +6,7 @@
 //!   sees something there.
 //! - Log-odds are clamped, so a node cannot be subtracted again. When nodes have moved, a new version of the tiles
 //!   they touched and now touch is drawn from all nodes in their order: the same as a map drawn from nothing.
-//! - The new version is drawn in slices, beside the map that is shown, and replaces its tiles when it is complete.
+//! - The new version is built in slices, beside the map that is shown, and replaces its tiles when it is complete.
 //!   New nodes are drawn into the shown map meanwhile.
 
 mod raster;
@@ -59,7 +59,7 @@ struct Redraw {
     map: TileMap,
     /// Tiles that the new version replaces.
     tiles: TileSet,
-    /// How the nodes are drawn in the new version, by node id.
+    /// Pose and extent of every node in the new version, by node id.
     drawn: Vec<DrawnNode>,
     /// Id of the next node to be drawn.
     next: usize,

@@ -97,9 +97,9 @@ pub struct Revision {
     pub effective_from: u32,
     /// Pose of the front end's frame in the loop-closed map, by the newest node.
     pub map_from_local: Pose2,
-    /// Closures in force.
+    /// Number of active closures.
     pub closures: u32,
-    /// Whether it is known where the robot is in its map; if not, `map_from_local` means nothing.
+    /// Whether the robot is located in its map; if not, `map_from_local` is not valid.
     pub located: bool,
 }
 

@@ -19,7 +19,7 @@ pub enum Stage {
     Solve,
     /// Back end: the map is drawn.
     Draw,
-    /// No work.
+    /// No stage: there is no work.
     Idle,
 }
 

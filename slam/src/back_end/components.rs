@@ -96,7 +96,7 @@ impl BackEnd {
         self.nodes.last().is_none_or(|node| node.disconnected.is_none())
     }
 
-    /// Updates which node is in which component, from the edges in force.
+    /// Updates which node is in which component, from the active edges.
     pub(super) fn update_components(&mut self) {
         let is_break = |e: &crate::graph::Edge| e.kind == EdgeKind::OdometryBreak;
         if !self.graph.edges().iter().any(is_break) {

@@ -39,7 +39,7 @@ pub(super) struct LoopCloser {
     pub again: VecDeque<u32>,
     /// Closures that people undid.
     pub rejected_closures: Vec<RejectedClosure>,
-    /// Closures in force.
+    /// Number of active closures.
     pub in_force: u32,
     /// Number of closures retracted so far.
     pub retracted: u64,

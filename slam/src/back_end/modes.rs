@@ -63,7 +63,7 @@ impl BackEnd {
         back
     }
 
-    /// The configuration.
+    /// The configuration that the back end was created with.
     pub fn config(&self) -> &SlamConfig {
         &self.config
     }

@@ -31,7 +31,7 @@ pub struct BackEndState {
     pub solutions: u64,
     /// Number of closures retracted.
     pub retracted: u64,
-    /// Nodes removed.
+    /// Number of nodes removed in lifelong mode.
     pub retired: u64,
     /// The newest node that odometry alone connects with the nodes before.
     pub unverified_edge: Option<u32>,

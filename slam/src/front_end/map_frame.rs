@@ -14,7 +14,7 @@ pub(super) struct MapFrame {
     pub is_located: bool,
     /// The newest node whose odometry edge is broken: revisions caused by older nodes do not locate the robot.
     pub last_break: Option<u32>,
-    /// Closures in force, as last reported.
+    /// Number of active closures, as last reported.
     pub closures: u32,
     /// Revisions that take effect with a later node, oldest first.
     pub revisions: VecDeque<Revision>,

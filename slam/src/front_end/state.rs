@@ -10,7 +10,7 @@ use msg::{Odometry, Pose2};
 use nalgebra::Matrix3;
 
 /// State of the front end as plain values. Its local maps are rebuilt from the newest nodes.
-// It has a field for each value that a session stores, hence more than a dozen.
+// More than 12 fields: one for each value that a session stores.
 #[derive(Clone, Debug)]
 pub struct FrontEndState {
     /// Id of the next node.
@@ -23,7 +23,7 @@ pub struct FrontEndState {
     pub lost_in_row: u32,
     /// Whether the last scan did not fit.
     pub last_scan_lost: bool,
-    /// Closures in force, by the last revision.
+    /// Number of active closures, by the last revision.
     pub closures: u32,
     /// Whether the robot is located, so that `map_from_local` is valid.
     pub located: bool,
