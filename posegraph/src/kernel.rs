@@ -1,4 +1,4 @@
-//! Robust kernels: how much a squared error counts.
+//! Robust kernels: the cost of an edge's squared error, limited for outliers.
 
 /// How the squared error of an edge counts in the cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

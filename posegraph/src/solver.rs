@@ -4,24 +4,24 @@ use crate::edge::Edge;
 use crate::normal_equations::Structure;
 use msg::{Pose2, pose::wrap_angle};
 
-/// Graduated solutions begin with kernels this many times as wide. A closure after a long loop may be
+/// Factor by which kernels are widened at the start of a graduated solution. A closure after a long loop may be
 /// off by 100 standard deviations: with 64 times 2 it still counts nearly fully in the first iteration.
 const GRADUATION_START: f64 = 64.0;
-/// Each iteration divides the kernels' widening by this, so that graduation takes four iterations.
+/// Factor by which each iteration reduces the kernels' widening: graduation takes four iterations.
 const GRADUATION_FACTOR: f64 = 4.0;
-/// The first damping tried after a Gauss-Newton step that raised the cost, as a share of the diagonal.
+/// First damping that is tried after a Gauss-Newton step that raised the cost, as a share of the diagonal.
 const DAMPING_FIRST: f64 = 1e-3;
-/// Each further try multiplies the damping by this,
+/// Factor by which each further try raises the damping.
 const DAMPING_FACTOR: f64 = 10.0;
-/// and after so many tries (damping 1e6: a tiny step down the gradient) no step lowers the cost.
+/// Most tries: at the last one, with damping 1e6, the step is tiny and along the gradient.
 const DAMPING_TRIES: i32 = 10;
-/// A rise of the cost by this share, or by so many squared standard deviations, is rounding.
+/// Rise of the cost that counts as rounding, as a share of it and in squared standard deviations.
 const COST_ROUNDING: f64 = 1e-10;
 
-/// When a solution ends, and how it deals with outliers.
+/// Options of the solver: when a solution ends, and how it treats outliers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolverOptions {
-    /// The most iterations, 1 or more.
+    /// Most iterations, 1 or more.
     pub iterations_max: usize,
     /// The solution has converged when an undamped step moves no pose by more than this, metres or radians.
     pub step_min: f64,
@@ -40,7 +40,7 @@ impl Default for SolverOptions {
     }
 }
 
-/// How a solution ended without an error.
+/// Outcome of a solution without an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// The last step was smaller than [`SolverOptions::step_min`].
@@ -51,18 +51,18 @@ pub enum Outcome {
     Stalled,
 }
 
-/// What a solution did.
+/// Summary of a solution: its outcome, effort and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// How it ended.
+    /// Reason why the iterations ended.
     pub outcome: Outcome,
-    /// Linearisations made.
+    /// Number of linearisations.
     pub iterations: usize,
-    /// Iterations whose Gauss-Newton step had to be damped.
+    /// Number of iterations whose Gauss-Newton step had to be damped.
     pub damped: usize,
-    /// See [`cost`], before.
+    /// Cost before the solution, see [`cost`].
     pub initial_cost: f64,
-    /// See [`cost`], after; not above the initial cost unless the solution was graduated.
+    /// Cost after the solution, see [`cost`]; not above the initial cost unless the solution was graduated.
     pub final_cost: f64,
 }
 
@@ -74,11 +74,11 @@ pub enum SolveError {
     InvalidEdge {
         /// Index of the edge.
         edge: usize,
-        /// Its first pose.
+        /// Index of the edge's first pose.
         a: usize,
-        /// Its second pose.
+        /// Index of the edge's second pose.
         b: usize,
-        /// Poses of the graph.
+        /// Number of poses of the graph.
         poses: usize,
     },
     /// An edge's squared error is infinite or not a number.
@@ -100,9 +100,9 @@ pub enum SolveError {
     /// The sparse structure could not be built.
     #[error("the sparse structure of {poses} poses and {edges} edges cannot be built")]
     TooLarge {
-        /// Poses of the graph.
+        /// Number of poses of the graph.
         poses: usize,
-        /// Its edges.
+        /// Number of edges of the graph.
         edges: usize,
     },
 }

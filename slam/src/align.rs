@@ -6,60 +6,67 @@ use crate::config::LinkConfig;
 use msg::Pose2;
 use nalgebra::{Matrix3, Vector3};
 
-/// Iterations with the wide gate, at most, and with the narrow one.
-const WIDE: usize = 4;
-const NARROW: usize = 5;
+/// Most iterations with the wide gate.
+const WIDE_ITERATIONS_MAX: usize = 4;
+/// Iterations with the narrow gate, counted from the last wide one.
+const NARROW_ITERATIONS: usize = 5;
 /// A step smaller than this ends the wide iterations, metres or radians.
 const STEP_WIDE: f64 = 5e-3;
 /// Weight of a point without a surface direction, against a point on a line.
 const POINT_SHARE: f64 = 0.2;
 /// Steps smaller than this end an alignment, metres or radians.
 const STEP_MIN: f64 = 2e-4;
+/// Information added to each coordinate, 1/m² and 1/rad²: keeps an unobserved direction solvable.
+const REGULARISATION: f64 = 1e-3;
+/// Least sum of weights that residuals are divided by: without any match the sum is zero.
+const WEIGHT_MIN: f64 = 1e-9;
+/// Points whose matches are counted one by one; any beyond share the last one's count.
+const COUNTED_POINTS_MAX: usize = 4096;
 
-/// A scan that stays where it is.
+/// A scan that an alignment compares with and does not move.
 #[derive(Clone, Copy)]
 pub struct Reference<'a> {
-    /// Its surfaces.
+    /// Surface points of the scan.
     pub cloud: &'a Cloud,
-    /// Where it lies in the frame that the alignment happens in.
+    /// Pose of the scan in the common frame of the alignment.
     pub frame_from_cloud: Pose2,
 }
 
-/// What is believed before looking: a pose and how well it is known.
+/// Prior of an alignment: a pose and its information.
 #[derive(Clone, Copy)]
 pub struct Prior {
-    /// The pose believed.
+    /// Expected pose of the moved cloud in the common frame.
     pub pose: Pose2,
     /// Inverse covariance over (x, y, yaw) in the frame.
     pub information: Matrix3<f64>,
 }
 
-/// An alignment's outcome.
+/// Result of an alignment.
 #[derive(Clone, Copy, Debug)]
 pub struct Alignment {
-    /// Where the moved cloud lies in the frame.
+    /// Pose of the moved cloud in the common frame.
     pub frame_from_cloud: Pose2,
     /// Inverse covariance that the points give over (x, y, yaw) in the frame, without the prior.
     pub information: Matrix3<f64>,
-    /// The same of points on lines alone. Hits far apart on a wall seen at a flat angle have no
-    /// direction and count as places that stand still; how sure a pose is should not rest on them.
+    /// Information of points on lines alone. Hits far apart on a wall seen at a flat angle have no normal and count as
+    /// point landmarks; a pose's certainty should not rest on them.
     pub information_of_lines: Matrix3<f64>,
-    /// Share of the points that found their surface, averaged over the references... of the best one.
+    /// Share of the points that matched a surface of at least one reference, 0 to 1.
     pub overlap: f32,
     /// Robust root mean square distance of matched points from their surfaces, metres.
     pub rms_m: f32,
 }
 
 impl Alignment {
-    /// What a link may claim: points without a direction count little.
+    /// Information of a link: points without a normal count by `links.places_share`.
     pub fn information_for_links(&self, config: &LinkConfig) -> Matrix3<f64> {
         let share = config.places_share;
         self.information * share + self.information_of_lines * (1.0 - share)
     }
 }
 
-/// Sums of one pass over the points.
-struct Normal {
+/// Normal equations and sums of one iteration over the points.
+struct NormalEquations {
     hessian: Matrix3<f64>,
     of_lines: Matrix3<f64>,
     gradient: Vector3<f64>,
@@ -69,7 +76,7 @@ struct Normal {
     compared: usize,
 }
 
-impl Normal {
+impl NormalEquations {
     /// Adds the distance `away` (in the reference's frame) along `axis` (the same in the common frame).
     fn add(
         &mut self,
@@ -93,8 +100,8 @@ impl Normal {
     }
 }
 
-/// Moves `cloud` from `guess` until its points lie on the references' surfaces.
-/// A point counts against every reference that has a surface there, divided by their number.
+/// Aligns `cloud`, starting at `guess`, with the references' surfaces.
+/// A point counts against every reference that has a surface there, divided by the number of references.
 pub fn align<'a>(
     cloud: &Cloud,
     guess: Pose2,
@@ -106,18 +113,18 @@ pub fn align<'a>(
     let weight = 1.0 / (config.point_sigma_m * config.point_sigma_m);
     let mut sums = normal_equations(cloud, pose, references.clone(), config.gate_wide_m, config.cauchy_m);
     let (mut wide, mut narrow) = (0, 0);
-    while narrow < NARROW {
+    while narrow < NARROW_ITERATIONS {
         let (mut hessian, mut gradient) = (sums.hessian * weight, sums.gradient * weight);
         if let Some(prior) = prior {
             hessian += prior.information;
             gradient += prior.information * difference(pose, prior.pose);
         }
-        hessian += Matrix3::identity() * 1e-3;
+        hessian += Matrix3::identity() * REGULARISATION;
         let Some(step) = hessian.cholesky().map(|c| c.solve(&gradient)) else { break };
         pose = Pose2::new(pose.x_m - step.x, pose.y_m - step.y, pose.yaw_rad - step.z);
         let done = narrow > 0 && step.amax() < STEP_MIN;
         wide += 1;
-        if narrow > 0 || wide == WIDE || step.amax() < STEP_WIDE {
+        if narrow > 0 || wide == WIDE_ITERATIONS_MAX || step.amax() < STEP_WIDE {
             narrow += 1;
         }
         let gate = if narrow > 0 { config.gate_narrow_m } else { config.gate_wide_m };
@@ -126,8 +133,8 @@ pub fn align<'a>(
             break;
         }
     }
-    // A noisy sensor, or surfaces that are no lines, leave more than point_sigma.
-    let mean_square = sums.squared / sums.weight.max(1e-9);
+    // A noisy sensor, or surfaces that are no lines, scatter more than point_sigma.
+    let mean_square = sums.squared / sums.weight.max(WEIGHT_MIN);
     let scatter = 1.0 / (config.point_sigma_m.powi(2)).max(mean_square);
     Alignment {
         frame_from_cloud: Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose },
@@ -138,20 +145,21 @@ pub fn align<'a>(
     }
 }
 
-/// `pose` minus `other`, the angle wrapped.
+/// `pose` minus `other` as (x, y, yaw), the yaw wrapped.
 pub fn difference(pose: Pose2, other: Pose2) -> Vector3<f64> {
     let yaw = msg::pose::wrap_angle(pose.yaw_rad - other.yaw_rad);
     Vector3::new(pose.x_m - other.x_m, pose.y_m - other.y_m, yaw)
 }
 
+/// Normal equations of one iteration at a pose, over all points and references.
 fn normal_equations<'a>(
     cloud: &Cloud,
     pose: Pose2,
     references: impl Iterator<Item = Reference<'a>> + Clone,
     gate_m: f32,
     cauchy_m: f64,
-) -> Normal {
-    let mut sums = Normal {
+) -> NormalEquations {
+    let mut sums = NormalEquations {
         hessian: Matrix3::zeros(),
         of_lines: Matrix3::zeros(),
         gradient: Vector3::zeros(),
@@ -163,33 +171,41 @@ fn normal_equations<'a>(
     let share = 1.0 / references.clone().count().max(1) as f64;
     let points = cloud.points();
     let (sin, cos) = pose.yaw_rad.sin_cos();
-    let mut found = [0_u8; 4096];
+    let mut found = [0_u8; COUNTED_POINTS_MAX];
     for reference in references {
-        // Work in the reference's frame, where its index and normals are.
+        // The reference's index and normals are in its own frame.
         let reference_from_frame = reference.frame_from_cloud.inverse();
-        let place = PointTransform::new(reference_from_frame * pose);
-        let turn = PointTransform::new(reference.frame_from_cloud);
+        let reference_from_cloud = PointTransform::new(reference_from_frame * pose);
+        let frame_from_reference = PointTransform::new(reference.frame_from_cloud);
         for (i, p) in points.iter().enumerate() {
-            let at = place.point(p.at);
-            let Some(surface) = reference.cloud.nearest(at, place.direction(p.normal), gate_m) else {
+            let at = reference_from_cloud.point(p.at);
+            let Some(surface) = reference.cloud.nearest(at, reference_from_cloud.direction(p.normal), gate_m)
+            else {
                 continue;
             };
-            found[i.min(4095)] = 1;
+            found[i.min(COUNTED_POINTS_MAX - 1)] = 1;
             let [px, py] = p.at.map(f64::from);
             let lever = [-sin * px - cos * py, cos * px - sin * py];
             let away = [at[0] - surface.at[0], at[1] - surface.at[1]].map(f64::from);
             if surface.is_flat() {
-                let axis = turn.direction(surface.normal);
+                let axis = frame_from_reference.direction(surface.normal);
                 let of_line = sums.add(&lever, axis, surface.normal, away, share, cauchy_m);
                 sums.of_lines += of_line;
             } else {
                 for axis in [[1.0, 0.0], [0.0, 1.0]] {
-                    sums.add(&lever, turn.direction(axis), axis, away, share * POINT_SHARE, cauchy_m);
+                    sums.add(
+                        &lever,
+                        frame_from_reference.direction(axis),
+                        axis,
+                        away,
+                        share * POINT_SHARE,
+                        cauchy_m,
+                    );
                 }
             }
         }
     }
     sums.compared = points.len();
-    sums.matched = found[..points.len().min(4096)].iter().map(|f| usize::from(*f)).sum();
+    sums.matched = found[..points.len().min(COUNTED_POINTS_MAX)].iter().map(|f| usize::from(*f)).sum();
     sums
 }

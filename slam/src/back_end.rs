@@ -74,11 +74,11 @@ pub struct BackEnd {
 pub struct BackEndCounts {
     /// Nodes in the graph.
     pub nodes: usize,
-    /// Links in force.
+    /// Number of active links.
     pub links: usize,
-    /// Closures in force.
+    /// Number of active closures.
     pub closures: usize,
-    /// Closures taken back.
+    /// Closures that were retracted.
     pub retracted: u64,
     /// Solutions of the whole graph.
     pub solutions: u64,
@@ -250,8 +250,8 @@ impl BackEnd {
         map
     }
 
-    /// Brings [`BackEnd::tiles`] closer to what is known, by about so many cells of beams: new nodes
-    /// first, then what solutions have moved visibly. True if there is more to do.
+    /// Draws about `cells_max` cells into [`BackEnd::tiles`]: new nodes first, then nodes that solutions moved visibly.
+    /// Returns whether there is more to do.
     pub fn draw(&mut self, cells_max: usize) -> bool {
         self.stages.stage_started(Stage::Draw);
         let more = self.mapper.work(&self.nodes, self.graph.poses(), cells_max);
@@ -269,8 +269,8 @@ impl BackEnd {
         self.mapper.date(header, scan_sent);
     }
 
-    /// Puts a node where the scan path says, as seen from the node before, with odometry's edge; or
-    /// where it was put down.
+    /// Appends a node at its pose relative to the node before, with an odometry edge, or at the pose where the robot was
+    /// located.
     fn append_node(&mut self, mut node: Node) {
         self.numbers.front_ids.push(node.id);
         self.lifelong.contradicted.push(0);
@@ -290,7 +290,7 @@ impl BackEnd {
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
         let (kind, information) = if node.odometry_break {
-            self.closer.detector.tear();
+            self.closer.detector.drop_pending();
             self.location.component_relocalizer = None;
             (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
         } else {
@@ -304,10 +304,10 @@ impl BackEnd {
 
     fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
         let c = &self.config.odometry;
-        let (way, turn) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
-        let doubt = if measured { 1.0 } else { UNMEASURED_FACTOR };
-        let m = doubt * (c.sigma_m + c.sigma_m_per_m * way);
-        let rad = doubt * (c.sigma_rad + c.sigma_rad_per_rad * turn + c.sigma_rad_per_m * way);
+        let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
+        let factor = if measured { 1.0 } else { UNMEASURED_FACTOR };
+        let m = factor * (c.sigma_m + c.sigma_m_per_m * distance_m);
+        let rad = factor * (c.sigma_rad + c.sigma_rad_per_rad * turn_rad + c.sigma_rad_per_m * distance_m);
         Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
     }
 

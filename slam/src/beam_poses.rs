@@ -1,71 +1,74 @@
-//! How the robot moved while the LiDAR turned: what must be taken out of a scan whose beams were
-//! measured one after the other. The wheels say it, or the robot's last speed.
+//! Sensor poses of a scan's beams, for a LiDAR that moves while it turns (motion compensation, deskewing).
+//!
+//! The motion during the sweep comes from odometry, or from the robot's last speed.
 
 use crate::cloud::PointTransform;
 use msg::{Pose2, Scan};
 
-/// Pieces a turn is cut into; within one the robot keeps its speed.
-const PIECES: usize = 8;
-/// No LiDAR takes longer for a turn, seconds.
+/// Segments of a sweep; the robot's speed is constant within each.
+const SEGMENTS: usize = 8;
+/// Longest sweep that is plausible, seconds: no LiDAR turns slower.
 const SWEEP_MAX_S: f64 = 1.0;
 
-/// Where the sensor was at every beam, in `base_footprint` as it lay at the scan's stamp.
+/// Sensor pose of every beam, in the frame `base_footprint` had at the scan's stamp.
 #[derive(Clone, Copy, Debug)]
 pub struct BeamPoses {
     base_from_scan: Pose2,
-    /// The base at the pieces' ends, as seen from the base at the stamp; `None`: all at once.
-    knots: Option<[Pose2; PIECES + 1]>,
+    /// Base poses at the segments' ends, in the frame of the base at the stamp; `None` without motion.
+    base_poses: Option<[Pose2; SEGMENTS + 1]>,
     beams: usize,
 }
 
 impl BeamPoses {
-    /// All beams at once, or the robot stood still.
+    /// Poses of a scan without motion: all beams share one sensor pose.
     pub fn still(base_from_scan: Pose2) -> Self {
-        Self { base_from_scan, knots: None, beams: 0 }
+        Self { base_from_scan, base_poses: None, beams: 0 }
     }
 
-    /// How long a scan's beams took, seconds: 0 if all were measured at once; `None` if what the scan
-    /// says of it cannot be.
-    pub fn seconds(scan: &Scan) -> Option<f64> {
-        let seconds = f64::from(scan.time_increment_s) * f64::from(scan.len.saturating_sub(1));
-        (0.0..=SWEEP_MAX_S).contains(&seconds).then_some(seconds)
+    /// Duration of a scan's sweep, seconds: 0 if all beams were measured at once, `None` if the scan's
+    /// time increment is implausible.
+    pub fn sweep_duration_s(scan: &Scan) -> Option<f64> {
+        let duration_s = f64::from(scan.time_increment_s) * f64::from(scan.len.saturating_sub(1));
+        (0.0..=SWEEP_MAX_S).contains(&duration_s).then_some(duration_s)
     }
 
-    /// `base_at` tells the base so many seconds after the stamp, as seen from the base at the stamp.
+    /// Poses of a scan with motion. `base_at` returns the base pose at a time after the stamp (seconds), in the
+    /// frame of the base at the stamp; `None` if it is unknown at one of the segments' ends.
     pub fn new(
         base_from_scan: Pose2,
         scan: &Scan,
-        seconds: f64,
+        duration_s: f64,
         base_at: impl Fn(f64) -> Option<Pose2>,
     ) -> Option<Self> {
-        let mut knots = [Pose2::IDENTITY; PIECES + 1];
-        for (piece, knot) in knots.iter_mut().enumerate().skip(1) {
-            *knot = base_at(seconds * piece as f64 / PIECES as f64)?;
+        let mut base_poses = [Pose2::IDENTITY; SEGMENTS + 1];
+        for (segment, pose) in base_poses.iter_mut().enumerate().skip(1) {
+            *pose = base_at(duration_s * segment as f64 / SEGMENTS as f64)?;
         }
-        Some(Self { base_from_scan, knots: Some(knots), beams: scan.len as usize })
+        Some(Self { base_from_scan, base_poses: Some(base_poses), beams: scan.len as usize })
     }
 
-    /// The sensor when it measured a beam.
-    pub fn place(&self, beam: usize) -> PointTransform {
-        let Some(knots) = &self.knots else { return PointTransform::new(self.base_from_scan) };
-        let along = PIECES as f64 * beam as f64 / (self.beams.max(2) - 1) as f64;
-        let piece = (along as usize).min(PIECES - 1);
-        let (from, to) = (knots[piece], knots[piece + 1]);
-        PointTransform::new(from * part(from.between(to), along - piece as f64) * self.base_from_scan)
+    /// Transform from the sensor's frame at a beam to the base at the stamp.
+    pub fn base_from_sensor(&self, beam: usize) -> PointTransform {
+        let Some(base_poses) = &self.base_poses else { return PointTransform::new(self.base_from_scan) };
+        let along = SEGMENTS as f64 * beam as f64 / (self.beams.max(2) - 1) as f64;
+        let segment = (along as usize).min(SEGMENTS - 1);
+        let (from, to) = (base_poses[segment], base_poses[segment + 1]);
+        let motion = scale_motion(from.between(to), along - segment as f64);
+        PointTransform::new(from * motion * self.base_from_scan)
     }
 
-    /// The sensor in the middle of the turn, where one place must do for all beams.
-    pub fn middle(&self) -> [f32; 2] {
-        self.place(self.beams / 2).point([0.0; 2])
+    /// Sensor position in the middle of the sweep, where one position stands for all beams, metres.
+    pub fn mid_sweep_position(&self) -> [f32; 2] {
+        self.base_from_sensor(self.beams / 2).point([0.0; 2])
     }
 
-    /// Whether beams were measured from different places.
-    pub fn moves(&self) -> bool {
-        self.knots.is_some()
+    /// Whether the beams have different sensor poses.
+    pub fn has_motion(&self) -> bool {
+        self.base_poses.is_some()
     }
 }
 
-/// A share of a small motion at constant speed.
-pub fn part(motion: Pose2, share: f64) -> Pose2 {
+/// Scales a small motion at constant speed by a factor.
+pub fn scale_motion(motion: Pose2, share: f64) -> Pose2 {
     Pose2::new(motion.x_m * share, motion.y_m * share, motion.yaw_rad * share)
 }

@@ -1,23 +1,19 @@
-//! One scan as surface points: thinned to an even spacing, with normals, and a small index that
-//! finds the surface nearest to a point. All in `base_footprint`.
+//! A scan's surface points with normals, and a spatial index that finds the one nearest to a point.
+//!
+//! Points are thinned to an even spacing and lie in `base_footprint`.
+
+mod surfaces;
+
+pub use surfaces::CloudScratch;
 
 use crate::beam_poses::BeamPoses;
 use crate::config::LidarConfig;
 use msg::{Pose2, Scan};
 
-/// Side of an index cell, metres. A search covers half of it in every direction.
+/// Side of an index cell, metres: a search covers half of it in every direction.
 const INDEX_CELL_M: f32 = 0.5;
 /// Farthest correspondence the index can find, metres.
 pub const SEARCH_MAX_M: f32 = INDEX_CELL_M / 2.0;
-/// A normal is fitted to the surface up to here on each side, metres: far enough to average out
-/// the noise of close beams,
-const NORMAL_REACH_M: f32 = 0.25;
-/// but always to the next beams, however far apart, and never to more than these.
-const NORMAL_BEAMS: core::ops::RangeInclusive<usize> = 2..=16;
-/// Neighbours on the same surface are not farther apart than this, plus twice the beams' spacing, metres.
-const SURFACE_GAP_M: f32 = 0.25;
-/// Points that scatter more than this around their line have no normal, metres.
-const FLATNESS_M: f32 = 0.04;
 /// Cosine of the largest angle between normals of the same surface.
 const FACING: f32 = 0.7;
 /// A point this close to a surface of another scan agrees with it, metres: twice the drift between linked scans.
@@ -32,9 +28,9 @@ pub const BEARINGS: usize = 360;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct SurfacePoint {
-    /// Position.
+    /// Position in the cloud's frame, metres.
     pub at: [f32; 2],
-    /// Unit normal or zero.
+    /// Unit normal towards the sensor, or zero if unknown.
     pub normal: [f32; 2],
 }
 
@@ -45,22 +41,22 @@ impl SurfacePoint {
     }
 }
 
-/// A scan's surfaces.
+/// The surface points of one scan, or of several merged ones.
 #[derive(Clone, Debug)]
 pub struct Cloud {
-    /// Grouped by the index's buckets.
+    /// Points, grouped by the index's buckets.
     points: Vec<SurfacePoint>,
     /// `heads[b]..heads[b + 1]` are bucket b's points. The number of buckets is a power of two.
     heads: Vec<u16>,
     sensor: [f32; 2],
-    /// Mean of the points: about what the scan looks at.
+    /// Mean of the points, metres: about what the scan looks at.
     middle: [f32; 2],
-    /// Nearest return by bearing around the sensor, centimetres; 0: none.
+    /// Nearest return by bearing around the sensor, centimetres; 0 without a return.
     seen_cm: Box<[u16; BEARINGS]>,
 }
 
 impl Cloud {
-    /// Without points, with room for so many.
+    /// An empty cloud with room for `points_max` points.
     pub fn with_capacity(points_max: usize) -> Self {
         let mut heads = Vec::with_capacity(buckets(points_max) + 1);
         heads.resize(2, 0);
@@ -73,33 +69,32 @@ impl Cloud {
         }
     }
 
-    /// Becomes the surfaces of a scan. Allocates nothing if there is room.
+    /// Replaces the points by the surfaces of a scan. Allocates nothing if there is room.
     pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &LidarConfig, scratch: &mut CloudScratch) {
         let CloudScratch { hits, kept, points } = scratch;
-        find_hits(hits, scan, sweep, config.range_use_max_m);
+        surfaces::find_hits(hits, scan, sweep, config.range_use_max_m);
         let gap_per_m = 2.0 * scan.angle_increment_rad.abs();
-        self.sensor = sweep.middle();
-        thin(kept, hits, config.spacing_m, config.points_max);
+        self.sensor = sweep.mid_sweep_position();
+        surfaces::thin(kept, hits, config.spacing_m, config.points_max);
         points.clear();
-        points.extend(kept.iter().map(|&i| surface_point(hits, i, gap_per_m, self.sensor)));
-        see(&mut self.seen_cm, hits, self.sensor);
+        points.extend(kept.iter().map(|&i| surfaces::surface_point(hits, i, gap_per_m, self.sensor)));
+        surfaces::fill_bearings(&mut self.seen_cm, hits, self.sensor);
         self.index(points);
     }
 
-    /// Several clouds as one, each at its place; every so many-th point if they are more than `points_max`.
-    /// It remembers nothing of what was seen through.
+    /// Merges clouds, each moved by its pose; keeps every n-th point if they are more than `points_max`.
+    /// The merged cloud does not know what was seen through.
     pub fn merged<'a>(clouds: impl Iterator<Item = (&'a Cloud, Pose2)> + Clone, points_max: usize) -> Self {
         let total: usize = clouds.clone().map(|(c, _)| c.points.len()).sum();
         let stride = total.div_ceil(points_max.max(1)).max(1);
         let mut points = Vec::with_capacity(total / stride + 1);
         for (cloud, pose) in clouds {
-            let place = PointTransform::new(pose);
+            let transform = PointTransform::new(pose);
             points.extend(
-                cloud
-                    .points
-                    .iter()
-                    .step_by(stride)
-                    .map(|p| SurfacePoint { at: place.point(p.at), normal: place.direction(p.normal) }),
+                cloud.points.iter().step_by(stride).map(|p| SurfacePoint {
+                    at: transform.point(p.at),
+                    normal: transform.direction(p.normal),
+                }),
             );
         }
         let mut cloud = Self::with_capacity(points.len());
@@ -107,7 +102,7 @@ impl Cloud {
         cloud
     }
 
-    /// Takes these points, bucket by bucket (counting sort).
+    /// Replaces the points, grouped by bucket (counting sort).
     fn index(&mut self, points: &[SurfacePoint]) {
         let buckets = buckets(points.len());
         let heads = &mut self.heads;
@@ -133,13 +128,13 @@ impl Cloud {
         heads[0] = 0;
     }
 
-    /// What a cloud is made of, to be kept: its points, where the sensor and the points' middle are,
-    /// and the nearest return by bearing, centimetres.
+    /// Parts of the cloud for a session: points, sensor position and mean of the points (metres), and the nearest
+    /// return by bearing (centimetres).
     pub fn parts(&self) -> (&[SurfacePoint], [f32; 2], [f32; 2], &[u16; BEARINGS]) {
         (&self.points, self.sensor, self.middle, &self.seen_cm)
     }
 
-    /// The same cloud from what [`Cloud::parts`] gave; at most 4096 points.
+    /// The cloud of [`Cloud::parts`]; at most 4096 points.
     pub fn from_parts(
         points: Vec<SurfacePoint>,
         sensor: [f32; 2],
@@ -195,11 +190,11 @@ impl Cloud {
     /// Compares another cloud, placed at `self_from_other`, with this one: how many of its points lie on a
     /// surface of this scan, and at how many this scan saw something more than `see_through_m` behind them.
     pub fn compare(&self, other: &Cloud, self_from_other: Pose2, see_through_m: f32) -> Agreement {
-        let place = PointTransform::new(self_from_other);
+        let transform = PointTransform::new(self_from_other);
         let mut agreement = Agreement::default();
         for p in &other.points {
-            let at = place.point(p.at);
-            if self.nearest(at, place.direction(p.normal), SURFACE_TOLERANCE_M).is_some() {
+            let at = transform.point(p.at);
+            if self.nearest(at, transform.direction(p.normal), SURFACE_TOLERANCE_M).is_some() {
                 agreement.agree += 1;
             } else if self.sees_through(at, see_through_m) {
                 agreement.contradict += 1;
@@ -245,7 +240,7 @@ impl core::ops::AddAssign for Agreement {
     }
 }
 
-/// A pose ready to move single precision points.
+/// A pose in single precision that transforms points, its sine and cosine computed once.
 #[derive(Clone, Copy, Debug)]
 pub struct PointTransform {
     x: f32,
@@ -255,28 +250,30 @@ pub struct PointTransform {
 }
 
 impl PointTransform {
-    /// From a pose.
+    /// The transform of a pose.
     pub fn new(pose: Pose2) -> Self {
         let (sin, cos) = pose.yaw_rad.sin_cos();
         Self { x: pose.x_m as f32, y: pose.y_m as f32, sin: sin as f32, cos: cos as f32 }
     }
 
-    /// The moved point.
+    /// Rotates and translates a point, metres.
     pub fn point(&self, [x, y]: [f32; 2]) -> [f32; 2] {
         [self.cos * x - self.sin * y + self.x, self.sin * x + self.cos * y + self.y]
     }
 
-    /// The turned direction.
+    /// Rotates a direction.
     pub fn direction(&self, [x, y]: [f32; 2]) -> [f32; 2] {
         [self.cos * x - self.sin * y, self.sin * x + self.cos * y]
     }
 }
 
+/// Whether two normals may belong to one surface: an unknown normal fits any.
 fn compatible(a: [f32; 2], b: [f32; 2]) -> bool {
     let faces = a[0] * b[0] + a[1] * b[1];
     faces > FACING || a == [0.0; 2] || b == [0.0; 2]
 }
 
+/// Index cell of a point.
 fn cell(at: [f32; 2]) -> [i32; 2] {
     at.map(|v| floor_i32(v * (1.0 / INDEX_CELL_M)))
 }
@@ -288,137 +285,19 @@ pub fn floor_i32(v: f32) -> i32 {
     whole - i32::from(v < whole as f32)
 }
 
-/// How many buckets so many points are sorted into.
+/// Number of buckets of the index for so many points, a power of two.
 fn buckets(points: usize) -> usize {
     (2 * points).next_power_of_two()
 }
 
+/// Bucket of an index cell (spatial hash).
 fn bucket([x, y]: [i32; 2], buckets: usize) -> usize {
     let hash = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77);
     (hash ^ (hash >> 15)) as usize & (buckets - 1)
 }
 
+/// Bearing of a direction, 0 to `BEARINGS - 1`.
 fn bearing(x: f32, y: f32) -> usize {
     let turns = y.atan2(x) / core::f32::consts::TAU + 0.5;
     ((turns * BEARINGS as f32) as usize).min(BEARINGS - 1)
-}
-
-/// A return: place, range and beam number.
-#[derive(Clone, Copy, Debug)]
-struct Hit {
-    at: [f32; 2],
-    range: f32,
-}
-
-/// Memory that building clouds reuses.
-#[derive(Clone, Debug, Default)]
-pub struct CloudScratch {
-    hits: Vec<Hit>,
-    kept: Vec<usize>,
-    points: Vec<SurfacePoint>,
-}
-
-impl CloudScratch {
-    /// Enough for any scan.
-    pub fn with_capacity(points_max: usize) -> Self {
-        Self {
-            hits: Vec::with_capacity(msg::BEAMS_MAX),
-            kept: Vec::with_capacity(points_max + 1),
-            points: Vec::with_capacity(points_max),
-        }
-    }
-}
-
-fn find_hits(hits: &mut Vec<Hit>, scan: &Scan, sweep: &BeamPoses, range_use_max_m: f32) {
-    let useful = |range: f32| {
-        (scan.range_min_m..scan.range_max_m).contains(&range) && range > 0.0 && range <= range_use_max_m
-    };
-    let still = sweep.place(0);
-    hits.clear();
-    for (beam, &range) in scan.ranges_m().iter().enumerate().filter(|(_, range)| useful(**range)) {
-        let place = if sweep.moves() { sweep.place(beam) } else { still };
-        let (sin, cos) = scan.angle_rad(beam).sin_cos();
-        hits.push(Hit { at: place.point([range * cos, range * sin]), range });
-    }
-}
-
-/// The nearest return by bearing.
-fn see(seen_cm: &mut [u16; BEARINGS], hits: &[Hit], sensor: [f32; 2]) {
-    seen_cm.fill(0);
-    for hit in hits {
-        let slot = &mut seen_cm[bearing(hit.at[0] - sensor[0], hit.at[1] - sensor[1])];
-        let range_cm = (hit.range * 100.0).clamp(1.0, 65_535.0) as u16;
-        *slot = if *slot == 0 { range_cm } else { range_cm.min(*slot) };
-    }
-}
-
-fn distance(a: [f32; 2], b: [f32; 2]) -> f32 {
-    ((a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sqrt()
-}
-
-/// Indices of hits at least `spacing_m` apart along the scan; wider if they would be too many.
-fn thin(kept: &mut Vec<usize>, hits: &[Hit], spacing_m: f32, points_max: usize) {
-    let mut spacing = spacing_m;
-    loop {
-        kept.clear();
-        for (i, hit) in hits.iter().enumerate() {
-            if kept.last().is_none_or(|&last| distance(hits[last].at, hit.at) >= spacing) {
-                kept.push(i);
-            }
-            if kept.len() > points_max {
-                break;
-            }
-        }
-        if kept.len() <= points_max {
-            return;
-        }
-        spacing *= 1.5;
-    }
-}
-
-/// Fits a line to the neighbours of hit `i` along the scan (total least squares).
-fn surface_point(hits: &[Hit], i: usize, gap_per_m: f32, sensor: [f32; 2]) -> SurfacePoint {
-    let same = |a: usize, b: usize| {
-        distance(hits[a].at, hits[b].at) < SURFACE_GAP_M + gap_per_m * hits[a].range.max(hits[b].range)
-    };
-    let wanted = |j: usize| {
-        let (beams, way) = (j.abs_diff(i), distance(hits[i].at, hits[j].at));
-        beams <= *NORMAL_BEAMS.start() || (beams <= *NORMAL_BEAMS.end() && way < NORMAL_REACH_M)
-    };
-    let mut first = i;
-    while first > 0 && wanted(first - 1) && same(first - 1, first) {
-        first -= 1;
-    }
-    let mut last = i;
-    while last + 1 < hits.len() && wanted(last + 1) && same(last, last + 1) {
-        last += 1;
-    }
-    let at = hits[i].at;
-    let normal = if last - first >= 2 { line_normal(&hits[first..=last]) } else { None };
-    let towards = |n: [f32; 2]| {
-        let out = n[0] * (sensor[0] - at[0]) + n[1] * (sensor[1] - at[1]);
-        if out < 0.0 { [-n[0], -n[1]] } else { n }
-    };
-    SurfacePoint { at, normal: normal.map_or([0.0; 2], towards) }
-}
-
-fn line_normal(hits: &[Hit]) -> Option<[f32; 2]> {
-    let n = hits.len() as f32;
-    let mean = hits.iter().fold([0.0; 2], |m, h| [m[0] + h.at[0] / n, m[1] + h.at[1] / n]);
-    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-    for h in hits {
-        let (x, y) = (h.at[0] - mean[0], h.at[1] - mean[1]);
-        xx += x * x / n;
-        xy += x * y / n;
-        yy += y * y / n;
-    }
-    // Eigenvalues of the 2x2 scatter; the normal belongs to the small one.
-    let (middle, half) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
-    let (small, large) = ((middle - half).max(0.0), middle + half);
-    let flat = small.sqrt() < FLATNESS_M && small < 0.1 * large;
-    if !flat {
-        return None;
-    }
-    let along = 0.5 * (2.0 * xy).atan2(xx - yy);
-    Some([-along.sin(), along.cos()])
 }

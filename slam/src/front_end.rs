@@ -39,15 +39,15 @@ const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
 pub struct FrontEndCounts {
     /// Scans that got a pose.
     pub accepted: u64,
-    /// See [`ScanRejection::StampRepeated`].
+    /// Scans rejected for [`ScanRejection::StampRepeated`].
     pub stamp_repeated: u64,
-    /// See [`ScanRejection::StampWentBack`].
+    /// Scans rejected for [`ScanRejection::StampWentBack`].
     pub stamp_went_back: u64,
     /// Clocks that were set back for good: their new time was taken over.
     pub clock_set_back: u64,
-    /// See [`ScanRejection::BeamCount`].
+    /// Scans rejected for [`ScanRejection::BeamCount`].
     pub beam_count: u64,
-    /// See [`ScanRejection::Geometry`].
+    /// Scans rejected for [`ScanRejection::Geometry`].
     pub geometry: u64,
     /// Scans that did not fit the map, or saw too little to tell.
     pub lost: u64,
@@ -59,24 +59,24 @@ pub struct FrontEndCounts {
     pub slips: u64,
     /// Poses not remembered because the trajectory was full.
     pub trajectory_dropped: u64,
-    /// Scans that should have become nodes while too many were under way: they served the scan path alone.
+    /// Scans that were due to become nodes while too many were in flight: only the front end used them.
     pub nodes_held_back: u64,
-    /// Scans whose beams' times could not be made good: the times cannot be, or the motion is not known.
+    /// Scans that were not deskewed: their time increment is implausible, or the motion is unknown.
     pub not_deskewed: u64,
 }
 
 /// The answer to one scan.
 #[derive(Clone, Debug)]
 pub struct ScanResult {
-    /// Where the robot is. Of a refused scan: the last pose.
+    /// Pose of the robot with its covariance; after a rejected scan the last one.
     ///
     /// The covariance is that of the pose in the local map of the newest nodes; how far the map's far
-    /// parts have drifted is not in it. While the scan does not fit, it grows with the way since the
-    /// newest node; while it is not known where the robot is in its map, it says so (100 m, pi).
+    /// parts have drifted is not in it. While the scan does not fit, it grows with the path since the
+    /// newest node. While the robot is not located in its map, it is that of an unknown pose (100 m, pi).
     pub correction: Correction,
-    /// Set if the scan was not used.
+    /// Reason why the scan was not used; `None` if it was.
     pub rejected: Option<ScanRejection>,
-    /// Set if the scan entered the pose graph: for the back end. ([`crate::Slam`] keeps it.)
+    /// The node for the back end, if the scan became one. ([`crate::Slam`] keeps it.)
     pub node: Option<Node>,
     /// The id of the node that the scan became.
     pub node_id: Option<u32>,
@@ -98,20 +98,20 @@ pub struct TrajectorySample {
 pub struct LastScan {
     /// Stamp of the scan.
     pub stamp: Stamp,
-    /// The robot's pose.
+    /// Pose of the robot in the front end's frame.
     pub local_from_base: Pose2,
     /// Pose by odometry, if it was known.
     pub odom_from_base: Option<Pose2>,
     /// Motion over the last interval, and its length in seconds, for logs without odometry.
     pub motion: Option<(Pose2, f64)>,
-    /// Of the pose, see [`ScanResult::correction`].
+    /// Covariance of the pose, see [`ScanResult::correction`].
     pub covariance: Matrix3<f64>,
 }
 
 /// The front end of one robot's SLAM; see the module.
 pub struct FrontEnd {
     config: SlamConfig,
-    /// Turns scans into clouds and rays in memory that is lent out with nodes.
+    /// Buffers of clouds and rays, shared with nodes.
     scan_buffers: ScanBufferPool,
     clock_reset: ClockResetDetector,
     motion: MotionModel,
@@ -141,7 +141,7 @@ impl FrontEnd {
         }
     }
 
-    /// One scan in, one pose out.
+    /// Processes one scan and returns the robot's pose.
     pub fn process(&mut self, scan: &Scan) -> ScanResult {
         // Reject a scan whose stamp or geometry cannot be used.
         if let Some(rejection) = self.check(scan) {
@@ -182,12 +182,12 @@ impl FrontEnd {
         self.frame.add_revision(revision);
     }
 
-    /// Sets where the scan path's frame lies in the map, or says that it is not known, until the next revision.
+    /// Sets the pose of the front end's frame in the map until the next revision; `None` marks the robot as not located.
     pub fn set_map_from_local(&mut self, map_from_local: Option<Pose2>) {
         self.frame.set(map_from_local);
     }
 
-    /// Makes the next scan that fits a node, even if the robot stands: somebody waits for one.
+    /// Requests a node: the next scan that fits becomes one, even if the robot stands.
     pub fn request_node(&mut self) {
         self.nodes.requested = true;
     }
@@ -197,12 +197,12 @@ impl FrontEnd {
         self.stages = observer;
     }
 
-    /// Pose of the robot in the scan path's own frame, at the last scan.
+    /// Pose of the robot in the front end's own frame, at the last scan.
     pub fn local_from_base(&self) -> Pose2 {
         self.motion.last.map_or(Pose2::IDENTITY, |last| last.local_from_base)
     }
 
-    /// Whether it is known where the robot is in its map.
+    /// Whether the robot is located in its map.
     pub fn is_located(&self) -> bool {
         self.frame.is_located
     }

@@ -7,9 +7,15 @@ use msg::Pose2;
 use nalgebra::Matrix3;
 use posegraph::{Kernel, SolveError, SolverOptions, Summary};
 
-/// Information along a direction that no surface holds, 1/m² and 1/rad²: a standard deviation of 10 m, more than
+/// Information along a direction that no surface constrains, 1/m² and 1/rad²: a standard deviation of 10 m, more than
 /// any search window leaves open.
 pub(crate) const UNOBSERVED: f64 = 1e-2;
+/// Information added to each coordinate before inversion, 1/m² and 1/rad²: keeps an unobserved direction invertible.
+const REGULARISATION: f64 = 1e-4;
+/// Least variance of an edge's position, m²: a standard deviation of 0.1 mm keeps rounding from making it negative.
+const POSITION_VARIANCE_MIN: f64 = 1e-8;
+/// Least variance of an edge's heading, rad²: a standard deviation of 0.01 mrad, for the same reason.
+const HEADING_VARIANCE_MIN: f64 = 1e-10;
 
 /// Origin of an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,9 +43,9 @@ pub struct Edge {
     pub a_from_b: Pose2,
     /// Its inverse covariance over (x, y, yaw) in `a`.
     pub information: Matrix3<f64>,
-    /// Its origin.
+    /// Origin of the measurement.
     pub kind: EdgeKind,
-    /// A retracted edge has no effect.
+    /// Whether the edge has effect; false after it was retracted.
     pub in_force: bool,
     /// Variances for the propagation of uncertainty: position (worst direction) and heading.
     pub variance: [f64; 2],
@@ -99,7 +105,7 @@ impl Graph {
         &self.poses
     }
 
-    /// All edges, in force or not.
+    /// All edges, active or not.
     pub fn edges(&self) -> &[Edge] {
         &self.edges
     }
@@ -109,7 +115,7 @@ impl Graph {
         &mut self.edges[index]
     }
 
-    /// Edges in force at a node.
+    /// Active edges at a node.
     pub fn edges_of(&self, node: u32) -> impl Iterator<Item = &Edge> {
         self.around[node as usize].iter().map(|&e| &self.edges[e as usize]).filter(|e| e.in_force)
     }
@@ -137,18 +143,19 @@ impl Graph {
         drift: [f64; 2],
     ) {
         let known = self.information_between(a, b);
-        let covariance =
-            (information + known + Matrix3::identity() * 1e-4).try_inverse().unwrap_or(Matrix3::identity());
+        let covariance = (information + known + Matrix3::identity() * REGULARISATION)
+            .try_inverse()
+            .unwrap_or(Matrix3::identity());
         let plane = covariance.fixed_view::<2, 2>(0, 0).into_owned();
-        let position = plane.symmetric_eigenvalues().max().max(1e-8) + drift[0].powi(2);
-        let variance = [position, covariance[(2, 2)].max(1e-10) + drift[1].powi(2)];
+        let position = plane.symmetric_eigenvalues().max().max(POSITION_VARIANCE_MIN) + drift[0].powi(2);
+        let variance = [position, covariance[(2, 2)].max(HEADING_VARIANCE_MIN) + drift[1].powi(2)];
         let index = self.edges.len() as u32;
         self.edges.push(Edge { a, b, a_from_b, information, kind, in_force: true, variance, response: 0.0 });
         self.around[a as usize].push(index);
         self.around[b as usize].push(index);
     }
 
-    /// What the edges in force from `a` to `b` already say together.
+    /// Sum of the information of the active edges from `a` to `b`.
     fn information_between(&self, a: u32, b: u32) -> Matrix3<f64> {
         let same = self.edges_of(b).filter(|e| e.a == a && e.b == b);
         same.fold(Matrix3::zeros(), |sum, e| sum + e.information)

@@ -1,4 +1,4 @@
-//! Scans in, one robot's poses and map out.
+//! 2D SLAM of one robot: computes its poses and its map from laser scans and odometry.
 //!
 //! ```text
 //!   scan, odometry                                     map
@@ -110,8 +110,7 @@ impl Slam {
         self.front.add_odometry(odometry);
     }
 
-    /// The scan path: one scan in, one pose out. What the scan means for the past is left to
-    /// [`Slam::work`].
+    /// Processes one scan in the front end and returns the robot's pose. [`Slam::work`] updates earlier poses.
     pub fn process(&mut self, scan: &Scan) -> ScanResult {
         let mut step = self.front.process(scan);
         if let Some(node) = step.node.take() {
@@ -123,7 +122,7 @@ impl Slam {
         step
     }
 
-    /// Links, closures, solutions for all nodes that wait. Returns how many there were.
+    /// Processes all waiting nodes in the back end: links, closures, solutions. Returns their number.
     pub fn work(&mut self) -> usize {
         let count = self.waiting.len();
         while let Some(node) = self.waiting.pop_front() {
@@ -139,12 +138,12 @@ impl Slam {
         self.back.finish();
     }
 
-    /// The map of all nodes that have been worked off, in frame `robotK/map`.
+    /// The map of all processed nodes as a grid, in frame `robotK/map`.
     pub fn map(&mut self) -> GridView<'_> {
         self.back.map()
     }
 
-    /// The same as tiles; where nodes moved by less than shows, they are not drawn again.
+    /// The same map as tiles; nodes that moved by less than `map.redraw_m` are not drawn again.
     pub fn tiles(&mut self) -> &TileMap {
         while self.back.draw(usize::MAX) {}
         self.back.tiles()
@@ -203,8 +202,8 @@ pub fn begin(
         (start, _) => {
             let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
             let mut front = FrontEnd::new(config.clone());
-            front.set_map_from_local(if let InitialPose::Near(hint) = start {
-                Some(hint.map_from_local)
+            front.set_map_from_local(if let InitialPose::Near(estimate) = start {
+                Some(estimate.map_from_local)
             } else {
                 empty
             });

@@ -1,6 +1,7 @@
-//! A likelihood field and the correlative search in it: every cell says how near the closest
-//! surface is, coarser levels bound the finer ones from above, and the best pose of a window is
-//! found by branch and bound (Olson, "Real-time correlative scan matching", ICRA 2009;
+//! Likelihood field and correlative scan matching in it.
+//!
+//! A cell's value falls with its distance from the closest surface. Coarser levels bound the finer ones from above, so
+//! branch and bound finds the best pose of a window (Olson, "Real-time correlative scan matching", ICRA 2009;
 //! Hess et al., "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, section V-B).
 
 use crate::cloud::{Cloud, PointTransform, floor_i32};
@@ -8,12 +9,18 @@ use msg::Pose2;
 
 /// Levels of the pyramid: a cell of the last one is 2^5 = 32 fine cells wide.
 const LEVELS: usize = 6;
-/// Points farther than this do not make the angles finer, metres.
+/// Largest point distance that the steps of heading are chosen for, metres: farther points would cost many more.
 const RADIUS_MAX_M: f32 = 10.0;
-/// Largest half side of the blur, cells.
+/// Largest half side of the blur, cells: bounds the cost of inserting a point.
 const KERNEL_MAX: i32 = 8;
+/// Half side of the blur in standard deviations: beyond them its value is below [`KERNEL_VALUE_MIN`].
+const KERNEL_SIGMAS: f32 = 2.5;
+/// Least value of the blur that is drawn, of 255: smaller ones cost time and hardly change a score.
+const KERNEL_VALUE_MIN: u8 = 12;
+/// Range of a point's cell coordinates, cells: it is stored in 16 bits.
+const CELL_RANGE: core::ops::RangeInclusive<i32> = -8000..=16000;
 
-/// A square of the plane, cell by cell, centred on a pose in the frame of the points inserted.
+/// A square likelihood field with its pyramid, in the frame of the inserted points.
 #[derive(Clone, Debug)]
 pub struct LikelihoodField {
     cell_m: f32,
@@ -32,11 +39,13 @@ struct Level {
 }
 
 impl Level {
+    /// Value of a cell; 0 outside.
     fn at(&self, x: i32, y: i32) -> u8 {
         let inside = (x as u32) < self.side as u32 && (y as u32) < self.side as u32;
         if inside { self.cells[(y * self.side + x) as usize] } else { 0 }
     }
 
+    /// Raises a cell to at least this value.
     fn raise(&mut self, x: i32, y: i32, value: u8) {
         if (x as u32) < self.side as u32 && (y as u32) < self.side as u32 {
             let cell = &mut self.cells[(y * self.side + x) as usize];
@@ -45,43 +54,43 @@ impl Level {
     }
 }
 
-/// What to look for and where.
+/// Window of poses that a search covers.
 #[derive(Clone, Copy, Debug)]
 pub struct SearchWindow {
-    /// Centre of the search: the field's frame from the points' frame.
+    /// Pose at the window's centre: the points' frame in the field's frame.
     pub centre: Pose2,
-    /// Half side, metres.
+    /// Half side of the window, metres.
     pub half_m: f64,
-    /// Half angle, radians.
+    /// Half range of headings, radians.
     pub half_rad: f64,
-    /// Score lost at the window's corners, relative to the centre: breaks ties towards what is believed.
+    /// Score lost at the window's corners, relative to the centre: breaks ties towards the predicted pose.
     pub pull: f32,
 }
 
 /// The best pose of a window.
 #[derive(Clone, Copy, Debug)]
 pub struct SearchPeak {
-    /// The field's frame from the points' frame.
+    /// Pose of the points' frame in the field's frame.
     pub pose: Pose2,
     /// Mean field value under the points, 0 to 1, less the pull.
     pub score: f32,
-    /// Whether the search was given up for its cost; the pose is then the best so far.
+    /// Whether the search stopped at `evaluations_max`; the pose is then the best so far.
     pub given_up: bool,
 }
 
-/// A search's limits.
+/// Limits of a search.
 #[derive(Clone, Copy, Debug)]
 pub struct SearchLimits {
-    /// Poses that score less are not interesting.
+    /// Least score of a result, 0 to 1.
     pub score_min: f32,
-    /// Candidates that may be evaluated.
+    /// Most candidates to be evaluated: bounds the search's time.
     pub evaluations_max: usize,
-    /// Poses this close to the given one do not count: the search for a rival.
+    /// Excludes poses around this one, within metres and radians: set to search for a rival of the best pose.
     pub except: Option<(Pose2, f64, f64)>,
 }
 
 impl LikelihoodField {
-    /// An empty field of `2 * reach_m` side.
+    /// An empty field with sides of `2 * reach_m`, metres.
     pub fn new(cell_m: f32, reach_m: f32, blur_m: f32) -> Self {
         let side = (2.0 * reach_m / cell_m).ceil() as i32;
         let levels = (0..LEVELS)
@@ -93,7 +102,7 @@ impl LikelihoodField {
         Self { cell_m, corner: [0.0; 2], levels, kernel: kernel(cell_m, blur_m) }
     }
 
-    /// Forgets everything and moves to a new centre.
+    /// Empties the field and moves its centre, metres.
     pub fn clear(&mut self, centre: [f64; 2]) {
         let reach = self.levels[0].side as f32 * self.cell_m / 2.0;
         self.corner = [centre[0] as f32 - reach, centre[1] as f32 - reach];
@@ -102,11 +111,11 @@ impl LikelihoodField {
         }
     }
 
-    /// Adds a scan's surfaces.
+    /// Adds a scan's surface points.
     pub fn insert(&mut self, cloud: &Cloud, frame_from_cloud: Pose2) {
-        let place = PointTransform::new(frame_from_cloud);
+        let transform = PointTransform::new(frame_from_cloud);
         for p in cloud.points() {
-            let [x, y] = place.point(p.at);
+            let [x, y] = transform.point(p.at);
             let x = floor_i32((x - self.corner[0]) / self.cell_m);
             let y = floor_i32((y - self.corner[1]) / self.cell_m);
             self.stamp(x, y);
@@ -186,15 +195,15 @@ impl LikelihoodField {
     }
 }
 
-/// What one point does to the cells around it, strongest first: (x, y, likelihood).
+/// Gaussian of one point over the cells around it, largest value first: (x, y, likelihood).
 pub(crate) fn kernel(cell_m: f32, blur_m: f32) -> Vec<(i32, i32, u8)> {
-    let half = ((2.5 * blur_m / cell_m).ceil() as i32).min(KERNEL_MAX);
+    let half = ((KERNEL_SIGMAS * blur_m / cell_m).ceil() as i32).min(KERNEL_MAX);
     let mut kernel = Vec::new();
     for y in -half..=half {
         for x in -half..=half {
             let squared = ((x * x + y * y) as f32) * cell_m * cell_m;
             let value = (255.0 * (-0.5 * squared / (blur_m * blur_m)).exp()) as u8;
-            if value >= 12 {
+            if value >= KERNEL_VALUE_MIN {
                 kernel.push((x, y, value));
             }
         }
@@ -204,7 +213,7 @@ pub(crate) fn kernel(cell_m: f32, blur_m: f32) -> Vec<(i32, i32, u8)> {
     kernel
 }
 
-/// A shift of a turned cloud, in cells, at some level.
+/// A node of the search tree: a heading and an offset in cells, with an upper bound of the score.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     turn: i32,
@@ -219,24 +228,25 @@ impl Candidate {
     }
 }
 
-/// Memory that searches reuse.
+/// Buffers that searches reuse, so that they do not allocate.
 #[derive(Clone, Debug, Default)]
 pub struct SearchBuffers {
-    /// Points in fine cells, one run of them per turn.
+    /// Points in cells of level 0, heading by heading.
     cells: Vec<[i16; 2]>,
     queue: Vec<Candidate>,
 }
 
 impl SearchBuffers {
-    /// Enough for searches for `points` points in windows up to these, in cells of `cell_m`.
+    /// Buffers for searches of up to `points` points in windows of up to `half_m` and `half_rad`, in cells of `cell_m`.
     pub fn with_capacity(points: usize, half_m: f64, half_rad: f64, cell_m: f32) -> Self {
-        // At the farthest reach that counts, the angles are finest.
+        // The steps of heading are finest at the largest point distance.
         let turns = 2 * (half_rad / f64::from(cell_m / RADIUS_MAX_M)).ceil() as usize + 1;
         let reach = (half_m / f64::from(cell_m)).ceil() as i32;
         let blocks = ((2 * reach as usize) >> top_level(reach)) + 1;
         Self { cells: Vec::with_capacity(points * turns), queue: Vec::with_capacity(blocks * blocks * turns) }
     }
 
+    /// Rotates the points by every heading of the window.
     fn rotate(
         &mut self,
         field: &LikelihoodField,
@@ -248,14 +258,14 @@ impl SearchBuffers {
         self.cells.clear();
         for turn in -turns..=turns {
             let yaw = centre.yaw_rad + f64::from(turn) * step_rad;
-            let place = PointTransform::new(Pose2::new(
+            let field_from_points = PointTransform::new(Pose2::new(
                 centre.x_m - f64::from(field.corner[0]),
                 centre.y_m - f64::from(field.corner[1]),
                 yaw,
             ));
             let per_m = 1.0 / field.cell_m;
-            let to_cell = |v: f32| floor_i32(v * per_m).clamp(-8000, 16000) as i16;
-            self.cells.extend(points.iter().map(|p| place.point(*p).map(to_cell)));
+            let to_cell = |v: f32| floor_i32(v * per_m).clamp(*CELL_RANGE.start(), *CELL_RANGE.end()) as i16;
+            self.cells.extend(points.iter().map(|p| field_from_points.point(*p).map(to_cell)));
         }
     }
 }
@@ -265,6 +275,7 @@ fn top_level(reach: i32) -> usize {
     (0..LEVELS).rev().find(|h| (1 << h) <= reach.max(1)).unwrap_or(0)
 }
 
+/// State of one search.
 struct BranchAndBound<'a> {
     field: &'a LikelihoodField,
     window: &'a SearchWindow,
@@ -280,6 +291,7 @@ struct BranchAndBound<'a> {
 }
 
 impl BranchAndBound<'_> {
+    /// Queues the blocks of the coarsest level.
     fn seed(&mut self, top: usize, queue: &mut Vec<Candidate>) {
         let stride = 1 << top;
         for turn in -self.turns..=self.turns {
@@ -311,7 +323,7 @@ impl BranchAndBound<'_> {
         sum as f32 / (255 * self.count) as f32 - self.pull(turn, x, y, level)
     }
 
-    /// The least pull of the block.
+    /// Least score that the pull takes from a pose of the block.
     fn pull(&self, turn: i32, x: i32, y: i32, level: usize) -> f32 {
         let nearest = |low: i32| {
             let high = low + (1 << level) - 1;
@@ -323,9 +335,10 @@ impl BranchAndBound<'_> {
         self.window.pull * ((x * x + y * y) / (2.0 * reach * reach) + turned * turned) / 2.0
     }
 
+    /// Searches a block depth first, best child first.
     fn descend(&mut self, candidate: Candidate, level: usize) {
         if level == 0 {
-            if candidate.bound > self.best_score && !self.excepted(candidate) {
+            if candidate.bound > self.best_score && !self.is_excluded(candidate) {
                 self.best_score = candidate.bound;
                 self.best = Some(candidate);
             }
@@ -347,7 +360,8 @@ impl BranchAndBound<'_> {
         }
     }
 
-    fn excepted(&self, candidate: Candidate) -> bool {
+    /// Whether a pose lies in the excluded surroundings.
+    fn is_excluded(&self, candidate: Candidate) -> bool {
         self.limits.except.is_some_and(|(pose, near_m, near_rad)| {
             let here = self.field.pose_of(self.window, candidate, self.step_rad);
             let turned = msg::pose::wrap_angle(here.yaw_rad - pose.yaw_rad).abs();

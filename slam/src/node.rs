@@ -1,4 +1,4 @@
-//! Nodes, which the front end gives to the back end, and revisions, which come back: plain values.
+//! Nodes, which the front end sends to the back end, and revisions, which the back end returns.
 
 use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
@@ -9,24 +9,25 @@ use std::sync::Arc;
 /// A scan that entered the pose graph.
 #[derive(Clone, Debug)]
 pub struct Node {
-    /// Nodes count from 0 without gaps: by the scan path as it makes them, by the back end as it keeps them.
+    /// Nodes count from 0 without gaps: the front end numbers those it makes, the back end those it keeps.
     pub id: u32,
     /// The scan's header.
     pub header: Header,
-    /// Pose in the scan path's own frame, which never jumps.
+    /// Pose in the front end's own frame, which never jumps.
     pub local_from_base: Pose2,
-    /// Where odometry says this node lies as seen from the one before.
+    /// Pose in the frame of the node before, by odometry; `None` if unknown.
     pub previous_from_this: Option<Pose2>,
     /// Whether the scan fitted the local map; if not, only odometry ties it to the others.
     pub fits: bool,
     /// Whether it contradicts the nodes before: the robot is not where odometry has it, and nothing
     /// connects this node with the ones before until it is located.
     pub odometry_break: bool,
-    /// Set by the back end while the node is in a component disconnected from the map: the component's first node.
+    /// First node of the node's component while that is disconnected from the map; `None` in the map.
+    /// Set by the back end.
     pub disconnected: Option<u32>,
-    /// Surfaces, for matching.
+    /// Surface points, for matching.
     pub cloud: Arc<Cloud>,
-    /// Beams, for drawing.
+    /// Beam end points, for drawing.
     pub rays: Arc<Rays>,
     /// Positions of the robot since the node before.
     pub swept_path: SweptPath,
@@ -37,8 +38,8 @@ pub const SWEPT_PATH_POSITIONS_MAX: usize = 24;
 /// Distance between two positions, metres: a body drawn at each of them covers the path.
 const SWEPT_PATH_STEP_M: f32 = 0.05;
 
-/// Places of the robot between two nodes, wherever it went meanwhile, metres. Of a node: in its `base_footprint`, its own
-/// place among them; none: it is not known how the robot came there, or how large it is.
+/// Positions of the robot between two nodes, metres. A node's are in its `base_footprint` and include its own; none if
+/// the path or the robot's radius is unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SweptPath {
     positions_m: [[f32; 2]; SWEPT_PATH_POSITIONS_MAX],
@@ -46,7 +47,7 @@ pub struct SweptPath {
 }
 
 impl SweptPath {
-    /// Of these places, the first so many that there may be.
+    /// The path of these positions, up to `SWEPT_PATH_POSITIONS_MAX` of them.
     pub fn of(positions_m: &[[f32; 2]]) -> Self {
         let mut path = Self { len: positions_m.len().min(SWEPT_PATH_POSITIONS_MAX), ..Self::default() };
         path.positions_m[..path.len].copy_from_slice(&positions_m[..path.len]);
@@ -74,10 +75,10 @@ impl SweptPath {
     /// The path in the frame of a pose, with that pose's own position.
     pub(crate) fn seen_from(mut self, pose: Pose2) -> Self {
         let pose_from_frame = pose.inverse();
-        for place in &mut self.positions_m[..self.len] {
-            *place = pose_from_frame.apply(place.map(f64::from)).map(|v| v as f32);
+        for position in &mut self.positions_m[..self.len] {
+            *position = pose_from_frame.apply(position.map(f64::from)).map(|v| v as f32);
         }
-        // It may be nearer to one of them than places are apart: it replaces the newest of those.
+        // The pose's own position replaces the newest one closer than a step.
         let near = self.positions_m().iter().rposition(|[x, y]| x.hypot(*y) < SWEPT_PATH_STEP_M);
         match near {
             Some(index) => self.positions_m[index] = [0.0; 2],
@@ -87,29 +88,29 @@ impl SweptPath {
     }
 }
 
-/// The back end's answer to a node.
+/// The back end's result after a node, for the front end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Revision {
     /// The node that caused it.
     pub cause: u32,
     /// It takes effect with the scan that makes this node, or the first one after it.
     pub effective_from: u32,
-    /// The loop-closed map from the scan path's own frame, as the newest node has it.
+    /// Pose of the front end's frame in the loop-closed map, by the newest node.
     pub map_from_local: Pose2,
-    /// Closures in force.
+    /// Number of active closures.
     pub closures: u32,
-    /// Whether it is known where the robot is in its map; if not, `map_from_local` means nothing.
+    /// Whether the robot is located in its map; if not, `map_from_local` is not valid.
     pub located: bool,
 }
 
 /// A scan's beams as end points in `base_footprint`, metres.
 #[derive(Clone, Debug, Default)]
 pub struct Rays {
-    /// Where the beams start.
+    /// Sensor position, where the beams start.
     pub sensor: [f32; 2],
-    /// Returns.
+    /// End points of beams with a return.
     pub hits: Vec<[f32; 2]>,
-    /// How far beams without a return are known to be free.
+    /// Points up to which beams without a return are known to be free.
     pub misses: Vec<[f32; 2]>,
 }
 
@@ -119,8 +120,7 @@ impl Node {
         self.fits && self.disconnected.is_none()
     }
 
-    /// A copy that owns what it needs, and no more: for whoever keeps nodes. The scan path's buffers
-    /// are given back.
+    /// A copy with memory of its own, for code that keeps nodes; it releases the front end's buffers.
     pub fn kept(self) -> Self {
         let (cloud, rays) = (Arc::new(Cloud::clone(&self.cloud)), Arc::new(Rays::clone(&self.rays)));
         Self { cloud, rays, ..self }
@@ -128,7 +128,7 @@ impl Node {
 }
 
 impl Rays {
-    /// Without beams, with room for so many.
+    /// Rays without beams, with room for `beams` of each kind.
     pub fn with_capacity(beams: usize) -> Self {
         Self { sensor: [0.0; 2], hits: Vec::with_capacity(beams), misses: Vec::with_capacity(beams) }
     }
@@ -140,12 +140,12 @@ impl Rays {
         rays
     }
 
-    /// Becomes the beams of a scan that are worth drawing: REP-117's +inf and ranges beyond the
-    /// maximum saw nothing, NaN and ranges below the minimum say nothing.
+    /// Replaces the beams by those of a scan that are worth drawing: REP-117's +inf and ranges beyond the
+    /// maximum are misses; NaN and ranges below the minimum are dropped.
     pub fn fill(&mut self, scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) {
         let clear_m = config.map.clear_without_return_m.min(scan.range_max_m);
-        let still = sweep.place(0);
-        self.sensor = sweep.middle();
+        let first_beam = sweep.base_from_sensor(0);
+        self.sensor = sweep.mid_sweep_position();
         self.hits.clear();
         self.misses.clear();
         for (beam, &range) in scan.ranges_m().iter().enumerate() {
@@ -156,9 +156,9 @@ impl Rays {
             } else {
                 continue;
             };
-            let place = if sweep.moves() { sweep.place(beam) } else { still };
+            let base_from_sensor = if sweep.has_motion() { sweep.base_from_sensor(beam) } else { first_beam };
             let (sin, cos) = scan.angle_rad(beam).sin_cos();
-            drawn.push(place.point([reach * cos, reach * sin]));
+            drawn.push(base_from_sensor.point([reach * cos, reach * sin]));
         }
     }
 }
@@ -169,24 +169,24 @@ mod tests {
 
     #[test]
     fn a_swept_path_has_each_position_once_and_keeps_the_newest() {
-        let mut way = SweptPath::default();
+        let mut path = SweptPath::default();
         // Forth, back, and forth again.
         for k in (0..20).chain((0..20).rev()).chain(0..30) {
-            way.push([0.02 * k as f32, 1.0]);
+            path.push([0.02 * k as f32, 1.0]);
         }
-        assert_eq!(way.positions_m().len(), 10);
-        let seen = way.seen_from(Pose2::new(0.58, 1.0, core::f64::consts::PI));
+        assert_eq!(path.positions_m().len(), 10);
+        let seen = path.seen_from(Pose2::new(0.58, 1.0, core::f64::consts::PI));
         assert_eq!(seen.positions_m().len(), 10);
         assert_eq!(*seen.positions_m().last().unwrap(), [0.0; 2]);
         let first = seen.positions_m()[0];
         assert!((first[0] - 0.58).abs() < 1e-5 && first[1].abs() < 1e-5, "{first:?}");
         for k in 0..100 {
-            way.push([k as f32, 0.0]);
+            path.push([k as f32, 0.0]);
         }
-        assert_eq!(way.positions_m().len(), SWEPT_PATH_POSITIONS_MAX);
-        assert_eq!(way.positions_m()[SWEPT_PATH_POSITIONS_MAX - 1], [99.0, 0.0]);
+        assert_eq!(path.positions_m().len(), SWEPT_PATH_POSITIONS_MAX);
+        assert_eq!(path.positions_m()[SWEPT_PATH_POSITIONS_MAX - 1], [99.0, 0.0]);
         assert_eq!(
-            way.seen_from(Pose2::new(50.0, 3.0, 0.0)).positions_m()[SWEPT_PATH_POSITIONS_MAX - 1],
+            path.seen_from(Pose2::new(50.0, 3.0, 0.0)).positions_m()[SWEPT_PATH_POSITIONS_MAX - 1],
             [0.0; 2]
         );
     }

@@ -1,14 +1,14 @@
-//! What the wheels said lately: a bounded buffer, read at any stamp.
+//! Odometry buffer: bounded, interpolated at any stamp.
 
 use crate::clock_reset::ClockResetDetector;
 use crate::config::OdometryConfig;
 use msg::{Odometry, Pose2, Stamp, pose::wrap_angle};
 use std::collections::VecDeque;
 
-/// The newest odometry, in order of time.
+/// The newest odometry messages, ordered by stamp.
 #[derive(Clone, Debug)]
 pub struct OdometryBuffer {
-    /// Continuous, see [`OdometryBuffer::continuous_from_odom`].
+    /// Messages with poses in the continuous frame, see [`OdometryBuffer::continuous_from_odom`].
     poses: VecDeque<Odometry>,
     continuous_from_odom: Pose2,
     config: OdometryConfig,
@@ -17,15 +17,15 @@ pub struct OdometryBuffer {
 }
 
 impl OdometryBuffer {
-    /// Empty, with room for all it will ever hold.
+    /// An empty buffer; all memory is allocated here.
     pub fn new(config: OdometryConfig) -> Self {
         let poses = VecDeque::with_capacity(config.buffer_len + 1);
         let clock_reset = ClockResetDetector::default();
         Self { poses, continuous_from_odom: Pose2::IDENTITY, config, rejected: 0, clock_reset }
     }
 
-    /// Takes one message; refuses (and counts) those that are not numbers or not newer than the last,
-    /// until it is clear that the clock was set back.
+    /// Adds a message. Rejects and counts one that is not finite or not newer than the last, unless the clock was set
+    /// back.
     pub fn push(&mut self, odometry: &Odometry) {
         let (last, stamp) = (self.poses.back().copied(), odometry.header.stamp);
         let back = last.is_some_and(|last| stamp < last.header.stamp);
@@ -45,25 +45,25 @@ impl OdometryBuffer {
             self.poses.pop_front();
         }
         if let Some(last) = last.filter(|last| last.header.incarnation != odometry.header.incarnation) {
-            // The robot's driver was started again and counts from elsewhere; meanwhile it stood.
+            // The restarted driver has a new origin; the robot is assumed to have stood meanwhile.
             self.continuous_from_odom = last.odom_from_base * odometry.odom_from_base.inverse();
         }
         let odom_from_base = self.continuous_from_odom * odometry.odom_from_base;
         self.poses.push_back(Odometry { odom_from_base, ..*odometry });
     }
 
-    /// Poses given out are in a frame that does not jump when the writer is started again. This is
-    /// its pose: identity until then.
+    /// Pose of the writer's odometry frame in the continuous frame, which does not jump when the writer restarts.
+    /// Identity until then.
     pub fn continuous_from_odom(&self) -> Pose2 {
         self.continuous_from_odom
     }
 
-    /// What it holds, to be kept: the newest messages, the frame they are in, and how many were rejected.
+    /// Parts of the buffer for a session: messages, [`OdometryBuffer::continuous_from_odom`], and the number rejected.
     pub fn parts(&self) -> (Vec<Odometry>, Pose2, u64) {
         (self.poses.iter().copied().collect(), self.continuous_from_odom, self.rejected)
     }
 
-    /// The same buffer from what [`OdometryBuffer::parts`] gave.
+    /// The buffer of [`OdometryBuffer::parts`].
     pub fn from_parts(
         config: OdometryConfig,
         poses: &[Odometry],
@@ -76,13 +76,13 @@ impl OdometryBuffer {
         Self { continuous_from_odom, rejected, ..buffer }
     }
 
-    /// How many messages were rejected.
+    /// Number of messages rejected.
     pub fn rejected(&self) -> u64 {
         self.rejected
     }
 
-    /// `odom_from_base` at a stamp: interpolated, or carried on a little way with the last speed.
-    /// `None` where nothing is known.
+    /// `odom_from_base` at a stamp: interpolated, or extrapolated at the last speed for up to
+    /// `odometry.extrapolation_max_s`. `None` outside.
     pub fn at(&self, stamp: Stamp) -> Option<Pose2> {
         if !self.config.used {
             return None;
@@ -97,6 +97,7 @@ impl OdometryBuffer {
     }
 }
 
+/// Pose between two messages, linear in position and heading.
 fn interpolate(a: &Odometry, b: &Odometry, stamp: Stamp) -> Pose2 {
     let share = (stamp - a.header.stamp) / (b.header.stamp - a.header.stamp);
     let (from, to) = (a.odom_from_base, b.odom_from_base);
@@ -107,13 +108,14 @@ fn interpolate(a: &Odometry, b: &Odometry, stamp: Stamp) -> Pose2 {
     }
 }
 
+/// Pose after the last message at its speed; `None` beyond `max_s` seconds.
 fn extrapolate(last: &Odometry, ahead_s: f64, max_s: f64) -> Option<Pose2> {
     if ahead_s > max_s {
         return None;
     }
     let moving = last.linear_m_s.is_finite() && last.angular_rad_s.is_finite();
     let turn = if moving { last.angular_rad_s * ahead_s } else { 0.0 };
-    let way = if moving { last.linear_m_s * ahead_s } else { 0.0 };
-    let step = Pose2::new(way * (turn / 2.0).cos(), way * (turn / 2.0).sin(), turn);
+    let distance_m = if moving { last.linear_m_s * ahead_s } else { 0.0 };
+    let step = Pose2::new(distance_m * (turn / 2.0).cos(), distance_m * (turn / 2.0).sin(), turn);
     Some(last.odom_from_base * step)
 }

@@ -14,151 +14,163 @@ use msg::{Pose2, pose::wrap_angle};
 use std::collections::VecDeque;
 use whole_map::{Bounds, WholeMap};
 
-/// Points of the query: the cost of a search is proportional to them.
+/// Most points of a query: the cost of a search is proportional to them.
 const POINTS_MAX: usize = 300;
 /// Nodes kept while the robot is not located; beyond them the oldest is dropped.
 const WAITING_MAX: usize = 128;
-/// Poses nearer to each other than this are one place, metres and radians.
-const SAME_M: f64 = 0.6;
-const SAME_RAD: f64 = 0.2;
-/// After this many searches in vain the path between two of them doubles,
-const SEARCHES_OFTEN: f64 = 12.0;
-/// but grows no more than to this multiple.
-const RARELY_MAX: f64 = 2.0;
-/// Searches whose outcome is remembered.
+/// Poses nearer to each other than this count as the same place, metres.
+const SAME_PLACE_M: f64 = 0.6;
+/// Poses turned by less than this against each other count as the same place, radians.
+const SAME_PLACE_RAD: f64 = 0.2;
+/// Searches without success after which the path between two searches grows by its first length.
+const SEARCHES_BEFORE_BACKOFF: f64 = 12.0;
+/// Largest multiple of the path between two searches: a robot that is lost for long is still searched for.
+const BACKOFF_MAX: f64 = 2.0;
+/// Results that wait for confirmation; beyond them the oldest is dropped.
 const PENDING_MAX: usize = 16;
+/// Half side of the search area around an initial estimate, in standard deviations: 99.7 % of a normal distribution.
+const ESTIMATE_SIGMAS: f64 = 3.0;
+/// Largest distance between a search's result and its alignment, metres: farther off, it found other surfaces.
+const ALIGNMENT_SHIFT_MAX_M: f64 = 0.5;
+/// Points of the merged query, and least points it needs, in scans.
+const QUERY_SCANS: usize = 4;
 
 /// An estimate of where the front end's frame lies in the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseEstimate {
-    /// The map from the scan path's frame.
+    /// Pose of the front end's frame in the map.
     pub map_from_local: Pose2,
-    /// One standard deviation of the robot's position, metres.
+    /// Standard deviation of the robot's position, metres.
     pub sigma_m: f64,
-    /// And of its heading, radians.
+    /// Standard deviation of the robot's heading, radians.
     pub sigma_rad: f64,
 }
 
 /// Counts of relocalization searches by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct RelocalizationCounts {
-    /// Searches made.
+    /// Searches of the map, whatever their result.
     pub searches: u64,
-    /// No place scores enough.
+    /// Searches in which no pose reached the least score.
     pub no_response: u64,
-    /// Every place that scores was contradicted.
+    /// Searches in which scans contradicted every pose with a sufficient score.
     pub contradicted: u64,
-    /// More than one place remained, or the search was given up.
+    /// Searches with more than one pose left, or stopped at a limit.
     pub ambiguous: u64,
-    /// One place remained.
+    /// Searches with exactly one pose left.
     pub found: u64,
-    /// Times that the robot was accepted as located.
+    /// Results that enough searches confirmed: the robot was located.
     pub accepted: u64,
-    /// Nodes dropped while nothing was found.
+    /// Nodes dropped while the robot was not located.
     pub dropped: u64,
 }
 
-/// Nodes and where they lie.
+/// The nodes of a map and their poses in it, by the same index.
 #[derive(Clone, Copy)]
-pub struct Placed<'a> {
-    /// The nodes,
+pub struct MapNodes<'a> {
+    /// Nodes with their scans.
     pub nodes: &'a [Node],
-    /// and the map from each.
+    /// Pose of each node in the map's frame.
     pub poses: &'a [Pose2],
 }
 
-/// Searches a map for a robot, node by node; see the module.
+/// Searches a map for a robot, node by node, until enough results agree.
 pub struct Relocalizer {
     config: SlamConfig,
-    whole: WholeMap,
-    hint: Option<PoseEstimate>,
+    whole_map: WholeMap,
+    /// Estimate that bounds the search; `None` searches the whole map.
+    initial_estimate: Option<PoseEstimate>,
     /// The newest nodes since the search began.
     waiting: VecDeque<Node>,
-    nodes: usize,
-    way_m: f64,
-    searched_m: Option<f64>,
-    searched: u32,
-    /// Earlier results: the map from the front end's frame, and the path length at that search, metres.
+    /// Nodes added since the search began.
+    added: usize,
+    /// Motion since the search began: metres of path plus radians of turns.
+    travelled: f64,
+    /// `travelled` at the last search.
+    last_search: Option<f64>,
+    /// Searches tried since the search began.
+    tries: u32,
+    /// Earlier results: the pose of the front end's frame in the map, and `travelled` at that search.
     pending: VecDeque<(Pose2, f64)>,
     counts: RelocalizationCounts,
 }
 
-/// What relocalization knows after a node.
+/// Result of relocalization after a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RelocalizationOutcome {
-    /// Not found yet.
+    /// The robot is not located yet; further nodes are needed.
     NotFound,
-    /// The map from the scan path's frame.
+    /// The robot is located: pose of the front end's frame in the map.
     Found(Pose2),
-    /// Not found near the estimate, which is accepted as it is.
-    HintAccepted(PoseEstimate),
+    /// No search near the initial estimate succeeded; the estimate is accepted unverified.
+    EstimateAccepted(PoseEstimate),
 }
 
 impl Relocalizer {
-    /// Of a robot in this map; the map must stay the same while it is looked for.
+    /// A relocalizer for this map, near an initial estimate or everywhere. The map must not change during the search.
     pub fn new(
         config: SlamConfig,
-        map: Placed<'_>,
-        hint: Option<PoseEstimate>,
+        map: MapNodes<'_>,
+        initial_estimate: Option<PoseEstimate>,
         counts: RelocalizationCounts,
     ) -> Self {
         Self {
-            whole: WholeMap::new(&config, map),
-            hint,
+            whole_map: WholeMap::new(&config, map),
+            initial_estimate,
             waiting: VecDeque::with_capacity(WAITING_MAX),
-            nodes: 0,
-            way_m: 0.0,
-            searched_m: None,
-            searched: 0,
+            added: 0,
+            travelled: 0.0,
+            last_search: None,
+            tries: 0,
             pending: VecDeque::with_capacity(PENDING_MAX),
             counts,
             config,
         }
     }
 
-    /// Where it is said to be.
-    pub fn hint(&self) -> Option<PoseEstimate> {
-        self.hint
+    /// The initial estimate that bounds the search, if one was given.
+    pub fn initial_estimate(&self) -> Option<PoseEstimate> {
+        self.initial_estimate
     }
 
-    /// How searches ended.
+    /// Counts of searches by how they ended.
     pub fn counts(&self) -> RelocalizationCounts {
         self.counts
     }
 
-    /// The nodes since the search began, oldest first; it has them no more.
+    /// Takes the nodes since the search began, oldest first.
     pub fn take_waiting(&mut self) -> VecDeque<Node> {
         core::mem::take(&mut self.waiting)
     }
 
-    /// Adds a node, and searches if it is time.
-    pub fn add_node(&mut self, node: Node, map: Placed<'_>) -> RelocalizationOutcome {
+    /// Adds a node, and searches if the robot has moved far enough since the last search.
+    pub fn add_node(&mut self, node: Node, map: MapNodes<'_>) -> RelocalizationOutcome {
         let moved = self
             .waiting
             .back()
             .map_or(Pose2::IDENTITY, |last| last.local_from_base.between(node.local_from_base));
-        self.way_m += moved.x_m.hypot(moved.y_m) + moved.yaw_rad.abs();
+        self.travelled += moved.x_m.hypot(moved.y_m) + moved.yaw_rad.abs();
         if !node.fits {
-            // What was seen before is tied to what is seen now by odometry alone,
+            // Odometry alone connects this node with those before: earlier results cannot confirm later ones.
             self.pending.clear();
         }
         if node.odometry_break {
-            // or not even by that.
+            // Nothing connects this node with those before: they cannot be part of a query.
             self.counts.dropped += self.waiting.len() as u64;
             self.waiting.clear();
         }
-        self.nodes += 1;
+        self.added += 1;
         if self.waiting.len() == WAITING_MAX {
             self.waiting.pop_front();
             self.counts.dropped += 1;
         }
         self.waiting.push_back(node);
         let r = &self.config.relocalize;
-        // The longer the robot is not found, the rarer the searches.
-        let rarely = 1.0 + (self.searched as f64 / SEARCHES_OFTEN).min(RARELY_MAX - 1.0).floor();
-        if self.searched_m.is_none_or(|at| self.way_m - at >= rarely * r.travel_m) {
-            self.searched += 1;
-            self.searched_m = Some(self.way_m);
+        // Searches of a robot that is not found become rarer: each costs as much as the first.
+        let backoff = 1.0 + (self.tries as f64 / SEARCHES_BEFORE_BACKOFF).min(BACKOFF_MAX - 1.0).floor();
+        if self.last_search.is_none_or(|at| self.travelled - at >= backoff * r.travel_m) {
+            self.tries += 1;
+            self.last_search = Some(self.travelled);
             if let Some(map_from_local) = self.search(map)
                 && self.is_confirmed(map_from_local)
             {
@@ -166,37 +178,40 @@ impl Relocalizer {
                 return RelocalizationOutcome::Found(map_from_local);
             }
         }
-        match self.hint {
-            Some(hint) if self.nodes >= self.config.relocalize.hint_nodes => {
-                RelocalizationOutcome::HintAccepted(hint)
+        match self.initial_estimate {
+            Some(estimate) if self.added >= self.config.relocalize.hint_nodes => {
+                RelocalizationOutcome::EstimateAccepted(estimate)
             }
             _ => RelocalizationOutcome::NotFound,
         }
     }
 
-    /// One search with the newest nodes. The map from the scan path's frame, if one place remains.
-    fn search(&mut self, map: Placed<'_>) -> Option<Pose2> {
+    /// Searches once with the newest nodes. Returns the pose of the front end's frame in the map if exactly one pose
+    /// remains.
+    fn search(&mut self, map: MapNodes<'_>) -> Option<Pose2> {
         let query = self.query()?;
         let newest = self.waiting.back()?;
         self.counts.searches += 1;
-        let merged =
-            Cloud::merged(query.iter().map(|(n, pose)| (&*n.cloud, *pose)), 4 * self.config.lidar.points_max);
+        let merged = Cloud::merged(
+            query.iter().map(|(n, pose)| (&*n.cloud, *pose)),
+            QUERY_SCANS * self.config.lidar.points_max,
+        );
         let stride = merged.points().len().div_ceil(POINTS_MAX).max(1);
         let points: Vec<[f32; 2]> = merged.points().iter().step_by(stride).map(|p| p.at).collect();
-        let bounds = self.hint.map(|hint| Bounds {
-            centre: hint.map_from_local * newest.local_from_base,
-            half_m: 3.0 * hint.sigma_m,
-            half_rad: 3.0 * hint.sigma_rad,
+        let bounds = self.initial_estimate.map(|estimate| Bounds {
+            centre: estimate.map_from_local * newest.local_from_base,
+            half_m: ESTIMATE_SIGMAS * estimate.sigma_m,
+            half_rad: ESTIMATE_SIGMAS * estimate.sigma_rad,
         });
-        let (places, given_up) = self.whole.search(&points, bounds, &self.config.relocalize);
-        if places.is_empty() {
+        let (found, given_up) = self.whole_map.search(&points, bounds, &self.config.relocalize);
+        if found.is_empty() {
             self.counts.no_response += 1;
             return None;
         }
         let mut remaining: Vec<Pose2> = Vec::new();
-        for place in places {
-            if let Some(pose) = self.verify(map, &merged, &query, place)
-                && remaining.iter().all(|other| !same(*other, pose))
+        for coarse in found {
+            if let Some(pose) = self.verify(map, &merged, &query, coarse)
+                && remaining.iter().all(|other| !is_same_place(*other, pose))
             {
                 remaining.push(pose);
             }
@@ -212,16 +227,16 @@ impl Relocalizer {
         None
     }
 
-    /// The newest nodes as seen from the newest, as a closure's query; none if they see too little.
+    /// The newest nodes and their poses in the newest one's frame; `None` if they have too few points.
     fn query(&self) -> Option<Vec<(Node, Pose2)>> {
         let c = &self.config.closures;
         let newest = self.waiting.back()?;
-        let mut way = 0.0;
+        let mut path_m = 0.0;
         let mut query: Vec<(Node, Pose2)> = Vec::new();
         for node in self.waiting.iter().rev().take(c.query_nodes) {
             let pose = newest.local_from_base.between(node.local_from_base);
-            way += query.last().map_or(0.0, |(_, last)| last.distance_m(pose));
-            if way > c.query_m {
+            path_m += query.last().map_or(0.0, |(_, last)| last.distance_m(pose));
+            if path_m > c.query_m {
                 break;
             }
             query.push((node.clone(), pose));
@@ -231,17 +246,17 @@ impl Relocalizer {
         }
         query.reverse();
         let points: usize = query.iter().map(|(n, _)| n.cloud.points().len()).sum();
-        (points >= 4 * self.config.tracking.points_min).then_some(query)
+        (points >= QUERY_SCANS * self.config.tracking.points_min).then_some(query)
     }
 
-    /// Aligns the query at a place and asks the scans taken there whether they agree.
-    fn verify(&self, map: Placed<'_>, merged: &Cloud, query: &[(Node, Pose2)], at: Pose2) -> Option<Pose2> {
+    /// Aligns the query at a pose and compares it with the scans taken there. Returns the aligned pose if they agree.
+    fn verify(&self, map: MapNodes<'_>, merged: &Cloud, query: &[(Node, Pose2)], at: Pose2) -> Option<Pose2> {
         let r = &self.config.relocalize;
         let mut near: Vec<(f64, usize)> = (0..map.nodes.len())
             .filter(|&i| map.nodes[i].in_map())
             .map(|i| {
                 let away = wrap_angle(map.poses[i].yaw_rad - at.yaw_rad).abs();
-                (map.poses[i].distance_m(at) + self.whole.turn_weight_m * away, i)
+                (map.poses[i].distance_m(at) + self.whole_map.turn_weight_m * away, i)
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -250,7 +265,7 @@ impl Relocalizer {
             .iter()
             .map(|&(_, i)| Reference { cloud: &map.nodes[i].cloud, frame_from_cloud: map.poses[i] });
         let fit = align(merged, at, references, None, &self.config.links);
-        if fit.frame_from_cloud.distance_m(at) > 0.5 || fit.overlap < r.overlap_min {
+        if fit.frame_from_cloud.distance_m(at) > ALIGNMENT_SHIFT_MAX_M || fit.overlap < r.overlap_min {
             return None;
         }
         let chain: Vec<(&Node, Pose2)> = near.iter().map(|&(_, i)| (&map.nodes[i], map.poses[i])).collect();
@@ -259,29 +274,31 @@ impl Relocalizer {
         agreement.is_sound(r.agreement_min).then_some(fit.frame_from_cloud)
     }
 
-    /// Whether enough earlier finds, from elsewhere, say the same. With a hint one is enough.
+    /// Whether enough earlier results, from elsewhere on the path, agree. With an initial estimate one result is
+    /// enough.
     fn is_confirmed(&mut self, map_from_local: Pose2) -> bool {
         let r = &self.config.relocalize;
         let newest = self.waiting.back().map_or(Pose2::IDENTITY, |n| n.local_from_base);
         let here = map_from_local * newest;
-        let mut way_m = self.way_m;
+        let mut travelled = self.travelled;
         let mut agreeing = 1;
-        for (other, at_m) in self.pending.iter().rev() {
+        for (other, at) in self.pending.iter().rev() {
             let there = *other * newest;
             let turned = wrap_angle(there.yaw_rad - here.yaw_rad).abs();
-            if here.distance_m(there) < r.agree_m && turned < r.agree_rad && way_m - at_m >= r.apart_m {
+            if here.distance_m(there) < r.agree_m && turned < r.agree_rad && travelled - at >= r.apart_m {
                 agreeing += 1;
-                way_m = *at_m;
+                travelled = *at;
             }
         }
         if self.pending.len() == PENDING_MAX {
             self.pending.pop_front();
         }
-        self.pending.push_back((map_from_local, self.way_m));
-        self.hint.is_some() || agreeing >= r.witnesses
+        self.pending.push_back((map_from_local, self.travelled));
+        self.initial_estimate.is_some() || agreeing >= r.witnesses
     }
 }
 
-fn same(a: Pose2, b: Pose2) -> bool {
-    a.distance_m(b) < SAME_M && wrap_angle(a.yaw_rad - b.yaw_rad).abs() < SAME_RAD
+/// Whether two poses are one place: [`SAME_PLACE_M`] and [`SAME_PLACE_RAD`].
+fn is_same_place(a: Pose2, b: Pose2) -> bool {
+    a.distance_m(b) < SAME_PLACE_M && wrap_angle(a.yaw_rad - b.yaw_rad).abs() < SAME_PLACE_RAD
 }

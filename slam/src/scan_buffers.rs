@@ -1,5 +1,7 @@
-//! Buffers for scans, made once. The scan path fills them and lends them out as a node's; whoever
-//! keeps a node copies it ([`Node::kept`]), and a buffer that nobody holds any more is filled again.
+//! Pool of scan buffers, so that the front end allocates no memory while it runs.
+//!
+//! The front end fills a buffer and shares it with a node. A buffer is filled again when no node holds it any more, so
+//! code that keeps a node copies it ([`Node::kept`]).
 //!
 //! [`Node::kept`]: crate::Node::kept
 
@@ -10,12 +12,11 @@ use crate::node::Rays;
 use msg::Scan;
 use std::sync::Arc;
 
-/// The most nodes that the back end holds and has not copied yet. While there are as many, scans
-/// become no nodes of the graph. A channel with this room never fills; whoever wants every node, as in
-/// a replay, waits while two fewer are under way.
+/// Most nodes that the back end holds and has not copied yet; at this number scans do not become nodes of the graph.
+/// A channel of this capacity never fills. A replay, which needs every node, waits while two fewer are in flight.
 pub const NODES_IN_FLIGHT_MAX: usize = 66;
 
-/// Reuses the memory of clouds and rays; see the module.
+/// Pool of the clouds and rays of nodes.
 pub struct ScanBufferPool {
     clouds: Vec<Arc<Cloud>>,
     rays: Vec<Arc<Rays>>,
@@ -23,7 +24,7 @@ pub struct ScanBufferPool {
 }
 
 impl ScanBufferPool {
-    /// Enough for the nodes under way, those matched against, and the scan at hand.
+    /// Allocates buffers for the nodes in flight, the references of scan matching and the current scan.
     pub fn new(config: &SlamConfig) -> Self {
         let count = NODES_IN_FLIGHT_MAX + config.tracking.references + 1;
         Self {
@@ -33,13 +34,13 @@ impl ScanBufferPool {
         }
     }
 
-    /// The surfaces of a scan.
+    /// The surface points of a scan, in a free buffer.
     pub fn cloud(&mut self, scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) -> Arc<Cloud> {
         let slot = free(&mut self.clouds);
         if let Some(cloud) = Arc::get_mut(slot) {
             cloud.fill(scan, sweep, &config.lidar, &mut self.scratch);
         } else {
-            // There are more buffers than can be held; if somebody held them all the same, a new one.
+            // Normally a buffer is free; if callers hold all of them, a new one replaces one of theirs.
             let mut cloud = Cloud::with_capacity(config.lidar.points_max);
             cloud.fill(scan, sweep, &config.lidar, &mut self.scratch);
             *slot = Arc::new(cloud);
@@ -47,7 +48,7 @@ impl ScanBufferPool {
         slot.clone()
     }
 
-    /// The beams of a scan.
+    /// The beams of a scan, in a free buffer.
     pub fn rays(&mut self, scan: &Scan, sweep: &BeamPoses, config: &SlamConfig) -> Arc<Rays> {
         let slot = free(&mut self.rays);
         if let Some(rays) = Arc::get_mut(slot) {
@@ -58,14 +59,14 @@ impl ScanBufferPool {
         slot.clone()
     }
 
-    /// Whether another node may be handed over, while the scan path itself holds `held` nodes.
+    /// Whether another node may be published, while the front end itself holds `held` nodes.
     pub fn has_capacity(&self, held: usize) -> bool {
-        let lent: usize = self.rays.iter().map(|rays| Arc::strong_count(rays) - 1).sum();
-        lent.saturating_sub(held) < NODES_IN_FLIGHT_MAX
+        let shared: usize = self.rays.iter().map(|rays| Arc::strong_count(rays) - 1).sum();
+        shared.saturating_sub(held) < NODES_IN_FLIGHT_MAX
     }
 }
 
-/// A buffer that nobody holds, if there is one.
+/// A buffer that no node holds, or the first one if all are held.
 fn free<T>(buffers: &mut [Arc<T>]) -> &mut Arc<T> {
     let found = buffers.iter_mut().position(|buffer| Arc::get_mut(buffer).is_some()).unwrap_or(0);
     &mut buffers[found]

@@ -1,4 +1,4 @@
-//! A robot's SLAM as one value that can be kept: bytes out, bytes in. The shell writes and reads files.
+//! Sessions: the state of a robot's SLAM, encoded to bytes and decoded from them. Callers read and write the files.
 //!
 //! ```text
 //! magic 8 | version u32 | CRC-32 of the rest u32 | length of the rest u64 | the rest
@@ -18,80 +18,80 @@ use bytes::{In, Out};
 use msg::{SlamMode, pose::wrap_angle};
 use records::*;
 
-/// The format this program reads and writes.
+/// Version of the format that is written.
 pub const VERSION: u32 = 4;
-/// The oldest format it reads: nodes without the way that led there.
+/// Oldest version of the format that is read: its nodes have no swept path.
 const VERSION_OLDEST: u32 = 3;
-/// What a session file begins with.
+/// First bytes of a session file.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
-/// Bytes before the content.
+/// Length of the head before the content, bytes.
 const HEAD: usize = 24;
-/// Places of a LiDAR nearer than this are one: metres, radians.
+/// Mounting poses of a LiDAR nearer than this are the same, metres and radians.
 const SAME_PLACE: f64 = 1e-3;
 
-/// Why bytes are no session that can be gone on with.
+/// Reason why bytes are not a session that can be continued.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SessionError {
-    /// Something else.
+    /// The bytes do not begin with [`MAGIC`].
     #[error("is not a session file: it begins with other bytes")]
     Magic,
-    /// From another version of the program.
+    /// A version of the format that this program does not read.
     #[error("is of format version {found}; this program reads versions {VERSION_OLDEST} to {VERSION}")]
     Version {
-        /// What it says.
+        /// Version in the head.
         found: u32,
     },
-    /// Cut off, or with something behind it.
+    /// The file is truncated, or has bytes after its content.
     #[error("is truncated or overlong: {found} bytes of content, expected {expected}")]
     Length {
-        /// Bytes that are there.
+        /// Bytes of content in the file.
         found: u64,
-        /// Bytes that it says there are.
+        /// Bytes of content by the head.
         expected: u64,
     },
-    /// Changed since it was written.
+    /// The content was changed since it was written.
     #[error("is damaged: its checksum is {found:08x}, expected {expected:08x}")]
     Checksum {
-        /// Of what is there.
+        /// Checksum of the content.
         found: u32,
-        /// What it says.
+        /// Checksum in the head.
         expected: u32,
     },
-    /// Its content ends early.
+    /// The content ends within a value.
     #[error("ends within {what}")]
     Ends {
-        /// Where.
+        /// Value that is cut off.
         what: &'static str,
     },
-    /// A number of things beyond what is allowed.
+    /// A number of entries beyond its limit.
     #[error("has {found} {what}, expected at most {most}")]
     TooMany {
-        /// Of what.
+        /// Name of the entries.
         what: &'static str,
-        /// How many.
+        /// Number of entries in the session.
         found: u64,
-        /// How many there may be.
+        /// Largest number allowed.
         most: usize,
     },
-    /// A number that makes no sense.
+    /// A value that is not finite, out of its range, or refers to nothing.
     #[error("has a {what} that makes no sense")]
     Value {
-        /// Which.
+        /// Name of the value.
         what: &'static str,
     },
-    /// Another robot's.
+    /// The session of another robot.
     #[error("is another robot's: {what} is {found}, here {expected}")]
     Stranger {
-        /// What differs.
+        /// Name of the property that differs.
         what: &'static str,
-        /// There.
+        /// Property of the session's robot.
         found: String,
-        /// Here.
+        /// Property of this robot.
         expected: String,
     },
 }
 
-/// Whose session it is. Maps of other robots are not gone on with: their scans mean something else.
+/// Robot and run of a session. Another robot cannot continue it: its LiDAR is mounted differently.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Identity {
     /// The robot's number; 0 for a log's.
@@ -105,7 +105,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// Of this robot in this run.
+    /// The identity of this robot in this run.
     pub fn new(robot: u32, run: u64, config: &SlamConfig) -> Self {
         let lidar = &config.lidar;
         Self {
@@ -116,7 +116,7 @@ impl Identity {
         }
     }
 
-    /// Whether a session of `found` may be gone on with by this robot, in whatever run.
+    /// Checks that this robot may continue a session of `found`, of any run.
     fn accept(&self, found: &Self) -> Result<(), SessionError> {
         let differs = |what, found: String, expected: String| {
             if found == expected { Ok(()) } else { Err(SessionError::Stranger { what, found, expected }) }
@@ -134,23 +134,23 @@ impl Identity {
     }
 }
 
-/// See the module.
+/// State of a robot's SLAM, from which it can continue.
 #[derive(Clone, Debug)]
 pub struct Session {
-    /// Whose.
+    /// Robot and run that it was made by.
     pub identity: Identity,
-    /// What was done with the map.
+    /// Mode of SLAM when the session was made.
     pub mode: SlamMode,
-    /// The map: nodes, graph, and how far the work on them is.
+    /// State of the back end: nodes, pose graph, and progress of the work on them.
     pub back: BackEndState,
-    /// Where the scan path was; without it, a loaded map has no robot in it yet.
+    /// State of the front end; `None` for a map without a robot in it.
     pub front: Option<FrontEndState>,
-    /// Every scan's pose, where they were kept.
+    /// Every scan's pose relative to its node; empty if they were not kept.
     pub samples: Vec<TrajectorySample>,
 }
 
 impl Session {
-    /// As bytes.
+    /// Encodes the session.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Out::default();
         out.bytes.resize(HEAD, 0);
@@ -169,14 +169,20 @@ impl Session {
         bytes
     }
 
-    /// From bytes, for this robot.
+    /// Decodes the session of this robot.
+    ///
+    /// # Errors
+    /// [`SessionError`] if the bytes are not a sound session, or another robot's.
     pub fn decode(bytes: &[u8], identity: &Identity) -> Result<Self, SessionError> {
         let session = Self::decode_any(bytes)?;
         identity.accept(&session.identity)?;
         Ok(session)
     }
 
-    /// From bytes, whoever's they are.
+    /// Decodes the session of any robot.
+    ///
+    /// # Errors
+    /// [`SessionError`] if the bytes are not a sound session.
     pub fn decode_any(bytes: &[u8]) -> Result<Self, SessionError> {
         if !bytes.starts_with(&MAGIC[..bytes.len().min(8)]) || bytes.is_empty() {
             return Err(SessionError::Magic);
@@ -201,7 +207,10 @@ impl Session {
         Self::decode_content(content)
     }
 
-    /// What is behind the head. Not to be trusted more than the head: a checksum is no signature.
+    /// Decodes the content after the head. Every value is checked: a matching checksum does not make the content valid.
+    ///
+    /// # Errors
+    /// [`SessionError`] if a value is missing or not valid.
     pub fn decode_content(content: &[u8]) -> Result<Self, SessionError> {
         let mut from = In::new(content);
         let identity = take_identity(&mut from)?;

@@ -13,18 +13,18 @@ pub enum Stage {
     Node,
     /// Back end: a node is tied to others that see the same surfaces.
     Link,
-    /// Back end: places seen before are looked for.
+    /// Back end: loop closures are searched for.
     Closure,
     /// Back end: the pose graph is solved.
     Solve,
     /// Back end: the map is drawn.
     Draw,
-    /// No work.
+    /// No stage: there is no work.
     Idle,
 }
 
 impl Stage {
-    /// All of them, by their discriminants.
+    /// All stages, by their discriminants.
     pub const ALL: [Self; 9] = [
         Self::Cloud,
         Self::Search,

@@ -1,65 +1,69 @@
-//! Groups of consecutive nodes drawn as small grids of their own: rigid pieces of the map that a
-//! fleet's joint pose graph can move one by one. They follow this robot's graph: a submap's pose is
-//! its first node's, and it is drawn again when the graph has bent it.
+//! Submaps: groups of consecutive nodes, each drawn as a small grid that a fleet's pose graph moves rigidly.
+//!
+//! A submap's pose is its first node's. It is drawn again when the robot's pose graph has changed it.
 
 use crate::back_end::BackEnd;
 use crate::config::{LinkConfig, MapConfig, SlamConfig};
 use crate::graph::Graph;
-use crate::mapper::OccupancyMapper;
+use crate::mapper::{OccupancyMapper, TURN_ARM_M};
 use msg::{Pose2, SUBMAP_EDGES_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses, pose::wrap_angle};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
 
-/// A submap is finished when it has so many nodes
+/// Nodes of a finished submap, unless its path reaches [`PATH_MAX_M`] first.
 const NODES_MAX: u32 = 20;
-/// or so much way, metres: drift within a submap stays below what two submaps can be aligned to.
-const WAY_MAX_M: f64 = 10.0;
-/// A scan that fits nothing begins a submap of its own, unless the one before is still this short.
+/// Longest path within a submap, metres: drift within it stays below what two submaps can be aligned to.
+const PATH_MAX_M: f64 = 10.0;
+/// Least nodes of a submap before a scan that did not fit begins a new one.
 const NODES_MIN: u32 = 4;
-/// A growing submap is given out each time it has got so many nodes more.
+/// Nodes by which a growing submap grows between two publications.
 const GROWN_NODES: u32 = 5;
-/// Links of a chain err alike: what they say together is not better than this part of
-/// [`LinkConfig::drift_m_per_m`] and [`LinkConfig::drift_rad_per_m`], which are for the worst case.
+/// Share of [`LinkConfig::drift_m_per_m`] and [`LinkConfig::drift_rad_per_m`], which are for the worst case, that a
+/// chain of links drifts at least: errors of its links are correlated.
 const DRIFT_SHARE: f64 = 0.3;
+/// Information added to each coordinate before inversion, 1/m² and 1/rad²: keeps an unobserved direction invertible.
+const REGULARISATION: f64 = 1e-4;
 
 /// The submaps of one robot.
 pub struct Submaps {
     map: MapConfig,
     links: LinkConfig,
     groups: Vec<Group>,
-    /// Nodes that are in a group.
+    /// Number of nodes processed so far.
     nodes: u32,
-    way_m: f64,
-    /// Draws the newest group.
+    /// Length of the newest group's path, metres.
+    path_m: f64,
+    /// Mapper of the newest group.
     mapper: OccupancyMapper,
-    /// Nodes after the last submap that there may be.
+    /// Number of nodes without a submap because there are [`SUBMAPS_MAX`].
     not_kept: u64,
+    /// Number of times that all submaps were begun again.
     generation: u32,
-    /// Nodes the back end had forgotten when these groups were begun.
+    /// Nodes the back end had removed when these groups were begun.
     retired: u64,
     out: Box<Submap>,
 }
 
-/// Consecutive nodes.
+/// The consecutive nodes of one submap, and what was published of them.
 struct Group {
     first: u32,
     nodes: u32,
     finished: bool,
-    /// Each node as seen from the first, as it was given out; empty before.
+    /// Poses of the nodes in the first one's frame, as published; empty before.
     given: Vec<Pose2>,
     given_finished: bool,
     given_in_map: bool,
 }
 
 impl Submaps {
-    /// Without submaps.
+    /// An empty set of submaps.
     pub fn new(config: &SlamConfig) -> Self {
         Self {
             map: config.map.clone(),
             links: config.links.clone(),
             groups: Vec::new(),
             nodes: 0,
-            way_m: 0.0,
+            path_m: 0.0,
             mapper: OccupancyMapper::new(config.map.clone()),
             not_kept: 0,
             generation: 0,
@@ -68,20 +72,20 @@ impl Submaps {
         }
     }
 
-    /// All submaps anew, of a generation of their own: the nodes are others.
+    /// Removes all submaps and begins a new generation: the nodes are no longer the same.
     pub fn begin_again(&mut self) {
         self.groups.clear();
-        (self.nodes, self.way_m, self.not_kept) = (0, 0.0, 0);
+        (self.nodes, self.path_m, self.not_kept) = (0, 0.0, 0);
         self.generation += 1;
     }
 
-    /// Somebody lacks submaps: all are given out again.
+    /// Publishes all submaps again, for a subscriber that misses some.
     pub fn give_again(&mut self) {
         self.groups.iter_mut().for_each(|group| group.given.clear());
     }
 
-    /// Takes in the nodes that the back end has got since the last call. If it has forgotten some (those left have
-    /// new numbers then) or began a new map, so do the submaps.
+    /// Adds the nodes that the back end got since the last call. If it removed nodes (the others then have new numbers)
+    /// or began a new map, all submaps begin again.
     pub fn update(&mut self, back: &BackEnd) {
         if back.retired() != self.retired || back.nodes().len() < self.nodes as usize {
             self.begin_again();
@@ -94,9 +98,9 @@ impl Submaps {
             } else {
                 poses[node.id as usize - 1].distance_m(poses[node.id as usize])
             };
-            self.way_m += step_m;
+            self.path_m += step_m;
             let full = self.groups.last().is_none_or(|group| {
-                let full = group.nodes >= NODES_MAX || self.way_m > WAY_MAX_M;
+                let full = group.nodes >= NODES_MAX || self.path_m > PATH_MAX_M;
                 full || node.odometry_break || (!node.fits && group.nodes >= NODES_MIN)
             });
             if full {
@@ -117,7 +121,7 @@ impl Submaps {
                     given_finished: false,
                     given_in_map: false,
                 });
-                self.way_m = 0.0;
+                self.path_m = 0.0;
             }
             if let Some(group) = self.groups.last_mut() {
                 group.nodes += 1;
@@ -126,37 +130,37 @@ impl Submaps {
         }
     }
 
-    /// The last word: the newest submap is complete.
+    /// Finishes the newest submap: no more nodes will come.
     pub fn finish(&mut self) {
         if let Some(group) = self.groups.last_mut() {
             group.finished = true;
         }
     }
 
-    /// Nodes that belong to no submap because there are [`SUBMAPS_MAX`].
+    /// Number of nodes that belong to no submap because there are [`SUBMAPS_MAX`].
     pub fn not_kept(&self) -> u64 {
         self.not_kept
     }
 
-    /// How many there are.
+    /// Number of submaps.
     pub fn len(&self) -> usize {
         self.groups.len()
     }
 
-    /// No node has come yet.
+    /// Whether there is no submap: no node was added yet.
     pub fn is_empty(&self) -> bool {
         self.groups.is_empty()
     }
 
-    /// The submap that a node belongs to: its id and its first node.
+    /// Id and first node of the submap that a node belongs to.
     pub fn submap_of(&self, node: u32) -> Option<(u32, u32)> {
         let after = self.groups.partition_point(|group| group.first <= node);
         let group = self.groups.get(after.checked_sub(1)?)?;
         (node < group.first + group.nodes).then_some((after as u32 - 1, group.first))
     }
 
-    /// A submap that is new, has grown, was finished or bent since it was given out; call it until
-    /// there is none. `header.incarnation` and `seq` are left to the channel.
+    /// The next submap that is new, has grown, was finished or changed shape since its last publication; `None` when
+    /// all are published. The channel sets `header.incarnation` and `seq`.
     pub fn next_changed(&mut self, back: &BackEnd) -> Option<&Submap> {
         let poses = back.graph().poses();
         let newest = self.groups.len().checked_sub(1)?;
@@ -167,7 +171,7 @@ impl Submaps {
         group.given = relative(&poses[range.clone()]);
         group.given_finished = group.finished;
         group.given_in_map = in_map(group, back);
-        // The newest is drawn on as it grows; the others are rarely drawn at all.
+        // The mapper keeps the newest submap, which grows; older ones rarely change and are drawn from nothing.
         if fresh || id != newest {
             self.mapper = OccupancyMapper::new(self.map.clone());
         }
@@ -181,13 +185,14 @@ impl Submaps {
         Some(&self.out)
     }
 
+    /// Whether a submap must be published again.
     fn is_due(&self, group: &Group, back: &BackEnd) -> bool {
         let (given, poses) = (group.given.len(), back.graph().poses());
         if in_map(group, back) != group.given_in_map {
             return true;
         }
         if !group.given_in_map {
-            // Nothing of it is shown.
+            // Nothing of a disconnected submap is published.
             return false;
         }
         if given == 0 || group.nodes >= given as u32 + GROWN_NODES || group.finished != group.given_finished {
@@ -197,11 +202,11 @@ impl Submaps {
         let now = poses[group.first as usize..].iter().map(|pose| first.between(*pose));
         group.given.iter().zip(now).any(|(was, is)| {
             let turned = wrap_angle(was.yaw_rad - is.yaw_rad).abs();
-            was.distance_m(is) > self.map.redraw_m || turned * 5.0 > self.map.redraw_m
+            was.distance_m(is) > self.map.redraw_m || turned * TURN_ARM_M > self.map.redraw_m
         })
     }
 
-    /// Where the submaps lie, and what the graph's links say of pairs of them.
+    /// Writes the submaps' poses and the edges between pairs of them, condensed from the graph's links.
     pub fn poses(&self, back: &BackEnd, out: &mut SubmapPoses) {
         let poses = back.graph().poses();
         for (pose, group) in out.robot_map_from_submap.iter_mut().zip(&self.groups) {
@@ -211,8 +216,8 @@ impl Submaps {
         if let Some(newest) = back.nodes().last() {
             out.header.stamp = newest.header.stamp;
         }
-        let mut edges: Vec<_> = self.pooled(back.graph()).into_iter().collect();
-        // When there are too many: neighbours first, then those that are known best.
+        let mut edges: Vec<_> = self.condensed(back.graph()).into_iter().collect();
+        // Neighbours come first when there are too many, then the edges with the most information.
         if edges.len() > SUBMAP_EDGES_MAX {
             edges.sort_by(|((a, b), x), ((c, d), y)| {
                 (b - a).min(2).cmp(&(d - c).min(2)).then(y[(0, 0)].total_cmp(&x[(0, 0)]))
@@ -228,10 +233,10 @@ impl Submaps {
         }
     }
 
-    /// The information of all links between two submaps, as said of their frames (condensed
+    /// Information of all links between two submaps, in their frames (condensed
     /// measurements: Grisetti, Kümmerle, Ni, "Robust optimization of factor graphs by using
     /// condensed measurements", IROS 2012).
-    fn pooled(&self, graph: &Graph) -> BTreeMap<(u32, u32), Matrix3<f64>> {
+    fn condensed(&self, graph: &Graph) -> BTreeMap<(u32, u32), Matrix3<f64>> {
         let poses = graph.poses();
         let mut sums = BTreeMap::new();
         for edge in graph.edges().iter().filter(|edge| edge.in_force) {
@@ -255,27 +260,30 @@ impl Submaps {
         sums
     }
 
+    /// Information reduced by the drift of a chain of links between two submaps.
     fn with_drift(&self, information: Matrix3<f64>, a_from_b: Pose2) -> Matrix3<f64> {
-        let way = a_from_b.x_m.hypot(a_from_b.y_m);
-        let m = self.links.floor_m + DRIFT_SHARE * self.links.drift_m_per_m * way;
-        let rad = self.links.floor_rad + DRIFT_SHARE * self.links.drift_rad_per_m * way;
+        let distance_m = a_from_b.x_m.hypot(a_from_b.y_m);
+        let m = self.links.floor_m + DRIFT_SHARE * self.links.drift_m_per_m * distance_m;
+        let rad = self.links.floor_rad + DRIFT_SHARE * self.links.drift_rad_per_m * distance_m;
         let floor = Matrix3::from_diagonal(&Vector3::new(m * m, m * m, rad * rad));
-        let covariance = (information + Matrix3::identity() * 1e-4).try_inverse().map(|c| c + floor);
+        let covariance =
+            (information + Matrix3::identity() * REGULARISATION).try_inverse().map(|c| c + floor);
         let inverse = covariance.and_then(|c| c.try_inverse()).unwrap_or(Matrix3::zeros());
         (inverse + inverse.transpose()) * 0.5
     }
 }
 
-/// Whether a submap is part of the map: no submap is in two pieces.
+/// Whether a submap is part of the map. All its nodes are in one component, so the first one tells.
 fn in_map(group: &Group, back: &BackEnd) -> bool {
     back.nodes().get(group.first as usize).is_some_and(|node| node.disconnected.is_none())
 }
 
+/// Poses in the frame of the first one.
 fn relative(poses: &[Pose2]) -> Vec<Pose2> {
     poses.iter().map(|pose| poses[0].between(*pose)).collect()
 }
 
-/// What is known of `a_from_b`, as said of `i_from_a * a_from_b * b_from_j`.
+/// Information of `i_from_a * a_from_b * b_from_j`, given the information of `a_from_b`.
 fn transported(information: Matrix3<f64>, i_from_a: Pose2, a_from_b: Pose2, b_from_j: Pose2) -> Matrix3<f64> {
     let (sin, cos) = i_from_a.yaw_rad.sin_cos();
     let (turned_sin, turned_cos) = a_from_b.yaw_rad.sin_cos();
@@ -289,7 +297,7 @@ fn transported(information: Matrix3<f64>, i_from_a: Pose2, a_from_b: Pose2, b_fr
     back.transpose() * information * back
 }
 
-/// What is known of `a_from_b`, as said of `b_from_a`.
+/// Information of `b_from_a`, given the information of `a_from_b`.
 fn inverted(information: Matrix3<f64>, a_from_b: Pose2) -> Matrix3<f64> {
     let (sin, cos) = a_from_b.yaw_rad.sin_cos();
     let back = Matrix3::new(-cos, sin, a_from_b.y_m, -sin, -cos, -a_from_b.x_m, 0.0, 0.0, -1.0);

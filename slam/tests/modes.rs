@@ -48,7 +48,7 @@ fn a_robot_keeps_its_place_when_the_mode_changes() {
     assert!(error_m(&mut slam, &log(&mut robot, 16, 2), world_from_map) < 0.1);
     assert_eq!(slam.back_counts().nodes, nodes);
     assert!(map == slam.map().to_owned(), "the map stays as it is");
-    assert!(slam.back_counts().localized.fitted > 5);
+    assert!(slam.back_counts().localized.matched > 5);
     // The scan path's newest scans are not in the map: who goes on later must look for the robot.
     assert!(!has_front(&mut slam));
 

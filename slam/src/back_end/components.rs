@@ -6,7 +6,7 @@
 //! reads as lost, until a closure or a search of the whole map connects it. If that closure is taken
 //! back, the component is disconnected again.
 //!
-//! The map is the largest component, so that a robot that never returns begins anew in the end.
+//! The map is the largest component, so a robot that never returns ends up with a new map.
 
 use super::links::is_sure;
 use super::modes::{FOUND_M, FOUND_RAD};
@@ -14,7 +14,7 @@ use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
 use crate::graph::{EdgeKind, RelativeUncertainty};
-use crate::relocalize::{Placed, RelocalizationOutcome, Relocalizer};
+use crate::relocalize::{MapNodes, RelocalizationOutcome, Relocalizer};
 use msg::Pose2;
 use posegraph::information_from_sigmas;
 
@@ -52,10 +52,10 @@ impl BackEnd {
         }
         let before = self.graph.uncertainty_from(unverified_edge.saturating_sub(1), l.sigma_max_m.powi(2));
         let poses = self.graph.poses();
-        let mut way_m = 0.0;
+        let mut path_m = 0.0;
         let not_drifted = (0..unverified_edge).rev().take_while(|old| {
-            way_m += poses[*old as usize].distance_m(poses[*old as usize + 1]);
-            way_m < STRAIGHT_M
+            path_m += poses[*old as usize].distance_m(poses[*old as usize + 1]);
+            path_m < STRAIGHT_M
         });
         let not_drifted = not_drifted.last().unwrap_or(unverified_edge);
         let looks_at = |id: u32| poses[id as usize].apply(self.nodes[id as usize].cloud.middle());
@@ -86,7 +86,7 @@ impl BackEnd {
         edge.variance = BREAK_VARIANCE;
         self.nodes[unverified_edge as usize].odometry_break = true;
         self.unverified_edge = None;
-        self.closer.detector.tear();
+        self.closer.detector.drop_pending();
         self.location.component_relocalizer = None;
         self.update_components();
     }
@@ -96,33 +96,33 @@ impl BackEnd {
         self.nodes.last().is_none_or(|node| node.disconnected.is_none())
     }
 
-    /// Updates which node is in which component, from the edges in force.
+    /// Updates which node is in which component, from the active edges.
     pub(super) fn update_components(&mut self) {
-        let torn = |e: &crate::graph::Edge| e.kind == EdgeKind::OdometryBreak;
-        if !self.graph.edges().iter().any(torn) {
+        let is_break = |e: &crate::graph::Edge| e.kind == EdgeKind::OdometryBreak;
+        if !self.graph.edges().iter().any(is_break) {
             return;
         }
         // Union-find; a component is named by its first node.
-        let mut up: Vec<u32> = (0..self.nodes.len() as u32).collect();
-        let first = |up: &mut [u32], mut id: u32| {
-            while up[id as usize] != id {
-                up[id as usize] = up[up[id as usize] as usize];
-                id = up[id as usize];
+        let mut parent: Vec<u32> = (0..self.nodes.len() as u32).collect();
+        let first = |parent: &mut [u32], mut id: u32| {
+            while parent[id as usize] != id {
+                parent[id as usize] = parent[parent[id as usize] as usize];
+                id = parent[id as usize];
             }
             id
         };
-        for edge in self.graph.edges().iter().filter(|e| e.in_force && !torn(e)) {
-            let (a, b) = (first(&mut up, edge.a), first(&mut up, edge.b));
-            up[a.max(b) as usize] = a.min(b);
+        for edge in self.graph.edges().iter().filter(|e| e.in_force && !is_break(e)) {
+            let (a, b) = (first(&mut parent, edge.a), first(&mut parent, edge.b));
+            parent[a.max(b) as usize] = a.min(b);
         }
-        let mut sizes = vec![0_usize; up.len()];
-        for id in 0..up.len() as u32 {
-            up[id as usize] = first(&mut up, id);
-            sizes[up[id as usize] as usize] += 1;
+        let mut sizes = vec![0_usize; parent.len()];
+        for id in 0..parent.len() as u32 {
+            parent[id as usize] = first(&mut parent, id);
+            sizes[parent[id as usize] as usize] += 1;
         }
         let largest = (0..sizes.len()).max_by_key(|&id| (sizes[id], core::cmp::Reverse(id)));
-        for (node, piece) in self.nodes.iter_mut().zip(up) {
-            node.disconnected = Some(piece).filter(|piece| Some(*piece as usize) != largest);
+        for (node, component) in self.nodes.iter_mut().zip(parent) {
+            node.disconnected = Some(component).filter(|first| Some(*first as usize) != largest);
         }
     }
 
@@ -132,7 +132,7 @@ impl BackEnd {
         if id - first < NODES_MIN {
             return;
         }
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
         let relocalizer = self.location.component_relocalizer.get_or_insert_with(|| {
             Relocalizer::new(self.config.clone(), map, None, self.location.relocalization)
         });
@@ -163,16 +163,16 @@ impl BackEnd {
 
     /// Moves one of two components to where a closure has it, before the closure connects them: a solver
     /// finds small movements, not half a turn.
-    pub(super) fn align_components(&mut self, find: &ClosureCandidate) {
-        let [old, new] = [find.candidate, find.node].map(|id| self.nodes[id as usize].disconnected);
+    pub(super) fn align_components(&mut self, closure: &ClosureCandidate) {
+        let [old, new] = [closure.candidate, closure.node].map(|id| self.nodes[id as usize].disconnected);
         if old == new {
             return;
         }
         let poses = self.graph.poses();
-        let (a, b) = (poses[find.candidate as usize], poses[find.node as usize]);
+        let (a, b) = (poses[closure.candidate as usize], poses[closure.node as usize]);
         let (moves, shift) = match new {
-            Some(_) => (new, a * find.candidate_from_node * b.inverse()),
-            None => (old, b * find.candidate_from_node.inverse() * a.inverse()),
+            Some(_) => (new, a * closure.candidate_from_node * b.inverse()),
+            None => (old, b * closure.candidate_from_node.inverse() * a.inverse()),
         };
         for node in self.nodes.iter().filter(|node| node.disconnected == moves) {
             self.graph.move_node(node.id, shift);

@@ -128,9 +128,9 @@ impl BackEnd {
         let keep = |id: usize| numbers[id].is_some();
         let kept_poses = self.graph.poses().iter().enumerate().filter(|(id, _)| keep(*id)).map(|(_, p)| *p);
         let kept_edges = edges.into_iter().filter_map(|e| {
-            // Links that were taken back long ago say nothing any more.
-            let speaks = e.in_force || e.kind == EdgeKind::Closure;
-            speaks.then_some(Edge { a: number(e.a)?, b: number(e.b)?, ..e })
+            // Retracted links are dropped; retracted closures stay listed.
+            let is_kept = e.in_force || e.kind == EdgeKind::Closure;
+            is_kept.then_some(Edge { a: number(e.a)?, b: number(e.b)?, ..e })
         });
         self.graph = Graph::from_parts(self.config.graph.clone(), kept_poses.collect(), kept_edges.collect());
         let mut id = 0;

@@ -105,8 +105,8 @@ impl BackEnd {
     }
 
     pub(super) fn drift(&self, a_from_b: Pose2) -> [f64; 2] {
-        let way = a_from_b.x_m.hypot(a_from_b.y_m);
-        [self.config.links.drift_m_per_m * way, self.config.links.drift_rad_per_m * way]
+        let distance_m = a_from_b.x_m.hypot(a_from_b.y_m);
+        [self.config.links.drift_m_per_m * distance_m, self.config.links.drift_rad_per_m * distance_m]
     }
 
     fn linked(&self, a: u32, b: u32) -> bool {

@@ -33,15 +33,15 @@ pub(super) struct LoopCloser {
     pub detector: ClosureDetector,
     /// Length of the path so far, metres.
     pub travelled_m: f64,
-    /// Nodes searched for in vain since the last closure.
+    /// Nodes searched for without success since the last closure.
     pub not_found: VecDeque<u32>,
     /// Nodes from before the last closure, to be searched for once more in the better map.
     pub again: VecDeque<u32>,
     /// Closures that people undid.
     pub rejected_closures: Vec<RejectedClosure>,
-    /// Closures in force.
+    /// Number of active closures.
     pub in_force: u32,
-    /// Closures taken back so far.
+    /// Number of closures retracted so far.
     pub retracted: u64,
 }
 
@@ -63,7 +63,7 @@ impl LoopCloser {
         self.detector.due(self.travelled_m)
     }
 
-    /// Remembers a node that was searched for in vain: a better map may help.
+    /// Records a node whose search failed: a better map may help later.
     pub fn record_not_found(&mut self, id: u32) {
         if self.not_found.len() == NOT_FOUND_MAX {
             self.not_found.pop_front();

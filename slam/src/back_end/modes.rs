@@ -1,4 +1,4 @@
-//! What becomes of a node by mode: it relocalizes the robot, localizes it in a fixed map, or grows the map.
+//! Modes of the back end: a node relocalizes the robot, localizes it in a fixed map, or extends the map.
 
 use super::{BackEnd, BackEndState};
 use crate::closure::ClosureDetector;
@@ -7,7 +7,7 @@ use crate::front_end::{FrontEndState, TrajectorySample};
 use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
 use crate::node::{Node, Revision};
-use crate::relocalize::{Placed, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
+use crate::relocalize::{MapNodes, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
 use crate::session::{Identity, Session};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
@@ -15,15 +15,17 @@ use posegraph::information_from_sigmas;
 /// Standard deviations of a robot that was located, metres and radians: small enough for links by alignment alone.
 pub(super) const FOUND_M: f64 = 0.08;
 pub(super) const FOUND_RAD: f64 = 0.03;
+/// Least standard deviation of an estimate that a person gives, metres and radians: 0 would make its edge infinite.
+const ANCHOR_SIGMA_MIN: f64 = 1e-3;
 
-/// Where the robot is when a map is loaded.
+/// Initial pose of the robot in a loaded map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum InitialPose {
     /// The front end continues where it was: the next node follows from the newest one.
     Continue,
-    /// Near this estimate.
+    /// The robot is near this estimate, around which the map is searched.
     Near(PoseEstimate),
-    /// Not known: the whole map is searched.
+    /// The pose is unknown: the whole map is searched.
     Unknown,
 }
 
@@ -55,13 +57,13 @@ impl BackEnd {
         back.set_mode(mode);
         match start {
             InitialPose::Continue => {}
-            InitialPose::Near(hint) => back.start_relocalization(Some(hint)),
+            InitialPose::Near(estimate) => back.start_relocalization(Some(estimate)),
             InitialPose::Unknown => back.start_relocalization(None),
         }
         back
     }
 
-    /// The configuration.
+    /// The configuration that the back end was created with.
     pub fn config(&self) -> &SlamConfig {
         &self.config
     }
@@ -104,15 +106,18 @@ impl BackEnd {
             self.location.next_pose = estimate;
             return;
         }
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
         self.location.relocalizer =
             Some(Relocalizer::new(self.config.clone(), map, estimate, self.location.relocalization));
     }
 
     /// Whether it is known where the robot is.
     pub fn is_located(&self) -> bool {
-        let sure = self.location.localizer.as_ref().map_or(self.newest_in_map(), Localizer::sure);
-        self.location.relocalizer.as_ref().map_or(sure, |relocalizer| relocalizer.hint().is_some())
+        let is_located = self.location.localizer.as_ref().map_or(self.newest_in_map(), Localizer::is_located);
+        self.location
+            .relocalizer
+            .as_ref()
+            .map_or(is_located, |relocalizer| relocalizer.initial_estimate().is_some())
     }
 
     /// The map from the robot at the newest node; as far as it is known.
@@ -126,7 +131,7 @@ impl BackEnd {
 
     pub(super) fn process_node(&mut self, node: Node) {
         self.location.just_located = false;
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
         let Some(relocalizer) = &mut self.location.relocalizer else { return self.integrate_node(node) };
         let relocalization = relocalizer.add_node(node, map);
         let anchor = match relocalization {
@@ -134,7 +139,7 @@ impl BackEnd {
             RelocalizationOutcome::Found(map_from_local) => {
                 PoseEstimate { map_from_local, sigma_m: FOUND_M, sigma_rad: FOUND_RAD }
             }
-            RelocalizationOutcome::HintAccepted(PoseEstimate { map_from_local, sigma_m, sigma_rad }) => {
+            RelocalizationOutcome::EstimateAccepted(PoseEstimate { map_from_local, sigma_m, sigma_rad }) => {
                 PoseEstimate { map_from_local, sigma_m, sigma_rad }
             }
         };
@@ -144,7 +149,7 @@ impl BackEnd {
         self.location.relocalizer = None;
         self.location.next_pose = Some(anchor);
         if let Some(localizer) = &mut self.location.localizer {
-            localizer.begin();
+            localizer.clear();
         }
         waiting.into_iter().for_each(|node| self.integrate_node(node));
     }
@@ -161,9 +166,9 @@ impl BackEnd {
             Some(anchor) => anchor.map_from_local,
             None => localizer.newest().map_or(Pose2::IDENTITY, |(_, map_from_local)| map_from_local),
         };
-        let map = Placed { nodes: &self.nodes, poses: self.graph.poses() };
-        localizer.add(node, map_from_local, map);
-        if localizer.astray() {
+        let map = MapNodes { nodes: &self.nodes, poses: self.graph.poses() };
+        localizer.add_node(node, map_from_local, map);
+        if localizer.is_lost() {
             self.start_relocalization(None);
         }
     }
@@ -177,7 +182,10 @@ impl BackEnd {
         self.nodes.push(node);
         if let Some(nearest) = nearest {
             let measured = self.graph.poses()[nearest as usize].between(map_from_node);
-            let information = information_from_sigmas(anchor.sigma_m.max(1e-3), anchor.sigma_rad.max(1e-3));
+            let information = information_from_sigmas(
+                anchor.sigma_m.max(ANCHOR_SIGMA_MIN),
+                anchor.sigma_rad.max(ANCHOR_SIGMA_MIN),
+            );
             self.graph.add_edge([nearest, id], measured, information, EdgeKind::InitialPose, [0.0; 2]);
         }
     }
@@ -188,7 +196,7 @@ impl BackEnd {
             Some(self.graph.poses()[newest.id as usize] * newest.local_from_base.inverse())
         };
         let map_from_local = match (&self.location.relocalizer, &self.location.localizer) {
-            (Some(relocalizer), _) => relocalizer.hint().map(|hint| hint.map_from_local),
+            (Some(relocalizer), _) => relocalizer.initial_estimate().map(|estimate| estimate.map_from_local),
             (None, Some(localizer)) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             (None, None) => of_graph(),
         };
@@ -207,12 +215,12 @@ impl BackEnd {
         }
     }
 
-    /// The newest revision, for a scan path that begins.
+    /// The current revision, for a front end that begins.
     pub fn latest_revision(&self) -> Revision {
         self.revision()
     }
 
-    /// The node that one of the scan path's became; the newest if its numbers came twice.
+    /// The back end's id of a front end's node; the newest one if front ends used the id twice.
     pub fn node_from_front_end(&self, front_id: u32) -> Option<u32> {
         self.numbers.id_of(front_id)
     }
@@ -250,7 +258,7 @@ impl BackEnd {
         }
     }
 
-    /// How searches for the robot ended.
+    /// Counts of relocalization searches by how they ended.
     pub fn relocalization(&self) -> RelocalizationCounts {
         self.location.relocalization_counts()
     }

@@ -1,4 +1,4 @@
-//! The front end's node numbers against the back end's, which leave out nodes that are gone.
+//! Node ids of the front end mapped to those of the back end, which leave out removed nodes.
 
 use crate::front_end::TrajectorySample;
 

@@ -1,4 +1,4 @@
-//! What is known of where the robot is in its map, and who is finding it out.
+//! Location of the robot in its map: the current mode, and the localizer or relocalizer at work.
 
 use crate::localizer::Localizer;
 use crate::relocalize::{PoseEstimate, RelocalizationCounts, Relocalizer};
@@ -6,15 +6,15 @@ use msg::SlamMode;
 
 /// Location of the robot in its map.
 pub(super) struct RobotLocation {
-    /// What is done with the map.
+    /// Mode of SLAM: mapping, localization or lifelong mapping.
     pub mode: SlamMode,
     /// In localization: tracks the robot in the fixed map, instead of a growing graph.
     pub localizer: Option<Localizer>,
-    /// While it is not known where the robot is: searches the whole map.
+    /// While the robot is not located: searches the whole map.
     pub relocalizer: Option<Relocalizer>,
     /// While the newest node's component is disconnected: searches the whole map for it.
     pub component_relocalizer: Option<Relocalizer>,
-    /// How searches ended, while no relocalizer counts.
+    /// Counts of searches, while no relocalizer is at work.
     pub relocalization: RelocalizationCounts,
     /// Pose of the next node, if it does not follow from the node before.
     pub next_pose: Option<PoseEstimate>,
@@ -35,7 +35,7 @@ impl RobotLocation {
         }
     }
 
-    /// How searches for the robot ended.
+    /// Counts of relocalization searches by how they ended.
     pub fn relocalization_counts(&self) -> RelocalizationCounts {
         self.relocalizer.as_ref().map_or(self.relocalization, Relocalizer::counts)
     }

@@ -11,11 +11,11 @@ use msg::Pose2;
 pub struct BackEndState {
     /// The nodes, numbered from 0.
     pub nodes: Vec<Node>,
-    /// The scan path's number of each.
+    /// The front end's id of each node.
     pub front_ids: Vec<u32>,
     /// The map from each.
     pub poses: Vec<Pose2>,
-    /// Where the first so many lay when they were drawn.
+    /// Poses with which the first nodes were drawn into the map.
     pub drawn: Vec<Pose2>,
     /// What was measured between them.
     pub edges: Vec<Edge>,
@@ -29,9 +29,9 @@ pub struct BackEndState {
     pub unsolved: usize,
     /// Solutions so far.
     pub solutions: u64,
-    /// Closures taken back.
+    /// Number of closures retracted.
     pub retracted: u64,
-    /// Nodes removed.
+    /// Number of nodes removed in lifelong mode.
     pub retired: u64,
     /// The newest node that odometry alone connects with the nodes before.
     pub unverified_edge: Option<u32>,

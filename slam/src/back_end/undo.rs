@@ -16,7 +16,7 @@ pub struct ClosureReport {
     pub older: u32,
     /// The later node.
     pub newer: u32,
-    /// False if it was taken back.
+    /// Whether the closure is active; false after it was retracted.
     pub in_force: bool,
     /// The later node as seen from the earlier one, as measured.
     pub older_from_newer: Pose2,
@@ -29,7 +29,7 @@ pub struct ClosureReport {
 }
 
 impl BackEnd {
-    /// All closures, in force or not, in the order in which they were found.
+    /// All closures, active or not, in the order in which they were found.
     pub fn closures(&self) -> impl Iterator<Item = ClosureReport> + '_ {
         let closures = self.graph.edges().iter().filter(|e| e.kind == EdgeKind::Closure);
         closures.enumerate().map(|(number, edge)| ClosureReport {
@@ -45,7 +45,7 @@ impl BackEnd {
     }
 
     /// Takes a closure back, with all links that it made possible and that do not stand without it.
-    /// False if there is none of that number in force.
+    /// False if there is no active closure of that number.
     pub fn undo_closure(&mut self, number: u32) -> bool {
         let is_closure = |(_, e): &(usize, &Edge)| e.kind == EdgeKind::Closure;
         let found = self.graph.edges().iter().enumerate().filter(is_closure).nth(number as usize);

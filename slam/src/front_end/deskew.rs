@@ -1,9 +1,10 @@
-//! Motion compensation: the robot's motion while the beams were measured is taken out of the scan,
-//! as odometry has it, or, without odometry, together with the pose.
+//! Motion compensation (deskewing): removes the robot's motion during the sweep from a scan.
+//!
+//! The motion comes from odometry or, without it, is estimated together with the pose.
 
 use super::motion::{CONSTANT_MOTION_MAX_S, PosePrediction, continue_motion};
 use super::{FrontEnd, TrackedPose};
-use crate::beam_poses::{BeamPoses, part};
+use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::cloud::Cloud;
 use crate::stages::Stage;
 use msg::{Pose2, Scan, TrackingState, pose::wrap_angle};
@@ -27,7 +28,7 @@ impl FrontEnd {
         self.stages.stage_started(Stage::Cloud);
         let base_from_scan = self.config.base_from_scan();
         let fixed = BeamPoses::still(base_from_scan);
-        let seconds = BeamPoses::seconds(scan);
+        let seconds = BeamPoses::sweep_duration_s(scan);
         let from_odometry = match seconds {
             Some(0.0) => Some(fixed),
             Some(seconds) => self.motion.beam_poses(base_from_scan, scan, seconds, odom_from_base),
@@ -64,7 +65,7 @@ impl FrontEnd {
         let mut motion = known.map_or(Pose2::IDENTITY, |(motion, s)| continue_motion(motion, s, interval_s));
         let mut pass = 1;
         loop {
-            let so_far = |after_s: f64| Some(part(motion, after_s / interval_s));
+            let so_far = |after_s: f64| Some(scale_motion(motion, after_s / interval_s));
             let beam_poses = BeamPoses::new(base_from_scan, scan, scan_s, so_far)
                 .unwrap_or(BeamPoses::still(base_from_scan));
             self.stages.stage_started(Stage::Cloud);

@@ -1,4 +1,4 @@
-//! Where the scan path's frame lies in the map, as the back end's revisions say.
+//! Pose of the front end's frame in the map, updated by the back end's revisions.
 
 use crate::node::Revision;
 use msg::Pose2;
@@ -7,14 +7,14 @@ use std::collections::VecDeque;
 /// Revisions that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
 const REVISIONS_MAX: usize = 64;
 
-/// The transform from the scan path's frame to the map, and the revisions that will change it.
+/// Pose of the front end's frame in the map, and the revisions that will change it.
 pub(super) struct MapFrame {
     pub map_from_local: Pose2,
     /// Whether `map_from_local` is known: whether the robot is located in its map.
     pub is_located: bool,
     /// The newest node whose odometry edge is broken: revisions caused by older nodes do not locate the robot.
     pub last_break: Option<u32>,
-    /// Closures in force, as last reported.
+    /// Number of active closures, as last reported.
     pub closures: u32,
     /// Revisions that take effect with a later node, oldest first.
     pub revisions: VecDeque<Revision>,
@@ -31,7 +31,7 @@ impl MapFrame {
         }
     }
 
-    /// Sets the frame at once, or says that it is not known.
+    /// Sets the pose at once; `None` marks the robot as not located.
     pub fn set(&mut self, map_from_local: Option<Pose2>) {
         self.is_located = map_from_local.is_some();
         self.last_break = None;
@@ -39,7 +39,7 @@ impl MapFrame {
         self.revisions.clear();
     }
 
-    /// From this node on it is not known where the robot is in its map.
+    /// Records an odometry break at a node: from there on the robot is not located in its map.
     pub fn break_at(&mut self, node: u32) {
         self.last_break = Some(node);
         self.is_located = false;

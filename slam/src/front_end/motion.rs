@@ -1,16 +1,16 @@
-//! Motion model: what odometry, or the last motion, says about the pose of the next scan.
+//! Motion model: predicts the pose of the next scan from odometry, or from the last motion.
 
 use super::LastScan;
-use crate::beam_poses::{BeamPoses, part};
+use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::config::OdometryConfig;
 use crate::node::Node;
 use crate::odometry::OdometryBuffer;
 use msg::{Pose2, Scan, Stamp};
 use nalgebra::{Matrix3, Vector3};
 
-/// The last motion says nothing about a scan that comes later than this, seconds.
+/// Longest time over which the last motion predicts a scan's pose, seconds.
 pub(super) const CONSTANT_MOTION_MAX_S: f64 = 0.5;
-/// Nor about more than this many times the interval that it was measured over.
+/// The same limit as a multiple of the interval over which that motion was measured.
 const CONSTANT_MOTION_TIMES_MAX: f64 = 3.0;
 /// Odometry that claims more than this many times what the robot can have driven was reset.
 const ODOMETRY_JUMP_FACTOR: f64 = 3.0;
@@ -21,10 +21,10 @@ const SPEED_SIGMA_SHARE: f64 = 0.3;
 
 /// The motion continued for `ahead_s` at constant speed, after it took `before_s`; bounded.
 pub(super) fn continue_motion(motion: Pose2, before_s: f64, ahead_s: f64) -> Pose2 {
-    part(motion, (ahead_s / before_s).min(CONSTANT_MOTION_TIMES_MAX))
+    scale_motion(motion, (ahead_s / before_s).min(CONSTANT_MOTION_TIMES_MAX))
 }
 
-/// The pose expected of a scan before it is matched, in the scan path's frame.
+/// The pose expected of a scan before it is matched, in the front end's frame.
 pub(super) struct PosePrediction {
     pub pose: Pose2,
     /// One standard deviation of the position, metres.
@@ -43,7 +43,7 @@ impl PosePrediction {
         Vector3::new(self.sigma_m.powi(2), self.sigma_m.powi(2), self.sigma_rad.powi(2))
     }
 
-    /// Covariance of the pose if no scan says more: an error in heading moves the end of the path sideways.
+    /// Covariance of the predicted pose: an error in heading moves the end of the path sideways.
     pub fn covariance(&self) -> Matrix3<f64> {
         let sideways = self.start_covariance[(2, 2)] * self.distance_m.powi(2);
         self.start_covariance
@@ -124,7 +124,7 @@ impl MotionModel {
         }
     }
 
-    /// Sensor poses of a scan whose beams took `seconds`, from odometry; `None` where it says nothing.
+    /// Sensor poses of a scan whose beams took `seconds`, from odometry; `None` if it does not cover the sweep.
     pub fn beam_poses(
         &self,
         base_from_scan: Pose2,

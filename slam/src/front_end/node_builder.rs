@@ -1,4 +1,4 @@
-//! Which scans become pose-graph nodes, and what of a node follows from the one before it.
+//! Node builder: decides which scans become pose-graph nodes, and relates each node to the one before.
 
 use super::scan_matcher::TrackedPose;
 use crate::config::TrackingConfig;
@@ -7,9 +7,9 @@ use msg::{Pose2, TrackingState};
 
 /// Numbers nodes and decides when the next one is due.
 pub(super) struct NodeBuilder {
-    /// The next node's number.
+    /// Id of the next node.
     pub next_node: u32,
-    /// The newest node given to the back end: its number and pose in the scan path's frame.
+    /// Id of the newest node sent to the back end, and its pose in the front end's frame.
     pub published: Option<(u32, Pose2)>,
     /// Odometry from that node to the newest reference scan.
     pub published_from_newest: Option<Pose2>,
@@ -17,9 +17,9 @@ pub(super) struct NodeBuilder {
     pub lost_in_row: u32,
     /// Whether the last scan did not fit.
     pub last_scan_lost: bool,
-    /// Somebody waits for a node: the next scan that fits becomes one.
+    /// Whether a node was requested: the next scan that fits becomes one.
     pub requested: bool,
-    /// Positions since the newest node, in the scan path's frame.
+    /// Positions since the newest node, in the front end's frame.
     pub swept_path: SweptPath,
 }
 

@@ -1,4 +1,4 @@
-//! Which scans cannot be used, and why.
+//! Checks scans and rejects those that cannot be used.
 
 use super::{FrontEnd, ScanResult, TrackedPose};
 use crate::clock_reset::ClockResetDetector;

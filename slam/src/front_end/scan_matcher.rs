@@ -18,31 +18,32 @@ const SEARCH_MIN_M: f64 = 0.12;
 const SEARCH_MIN_RAD: f64 = 0.06;
 /// Mean field value under a good match, 0 to 1; less is not worth aligning.
 const RESPONSE_MIN: f32 = 0.25;
-/// Evaluations one search of the scan path may cost: about 2 ms.
+/// Most evaluations of one search: about 2 ms.
 const EVALUATIONS_MAX: usize = 12_000;
 /// Score that a pose at the window's corner loses against the prediction.
 const PREDICTION_WEIGHT: f32 = 0.1;
 /// An alignment farther than this many standard deviations from the prediction contradicts odometry.
 const SLIP_SIGMAS: f64 = 3.0;
-/// A scan is believed against odometry if this share of it fits,
+/// Least share of a scan's points that fit for the scan to overrule odometry, 0 to 1.
 const SLIP_OVERLAP_MIN: f32 = 0.7;
-/// and if it leaves no direction more uncertain than this by itself, metres.
+/// Largest standard deviation of the position, by the scan alone, for it to overrule odometry, metres.
 const SLIP_SIGMA_MAX_M: f64 = 0.03;
 /// Added before an information matrix is inverted, 1/m² and 1/rad²: a standard deviation of 30 m.
 const REGULARISATION: f64 = 1e-3;
 /// Variances that no pose is better known than: 1 cm and 3 mrad.
 const COVARIANCE_FLOOR: [f64; 3] = [1e-4, 1e-4, 1e-5];
-/// If this share of what can be compared is contradicted, the robot is elsewhere,
+/// Share of compared points that, contradicted, shows that the robot is elsewhere, 0 to 1.
 const BREAK_SHARE: f32 = 0.3;
-/// if it is as many points, counted in each of the newest scans that sees through them or is seen through.
+/// Least number of contradicted points for that, counted in each of the newest scans that see through or are seen
+/// through.
 const BREAK_POINTS_MIN: usize = 40;
 
-/// What matching a scan gave.
+/// Result of matching a scan.
 pub(super) struct TrackedPose {
     pub local_from_base: Pose2,
     pub covariance: Matrix3<f64>,
     pub state: TrackingState,
-    /// The scan says clearly that odometry is wrong.
+    /// Whether the scan clearly contradicts odometry.
     pub slipped: bool,
 }
 
@@ -190,7 +191,7 @@ impl ScanMatcher {
         agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN)
     }
 
-    /// Adds a scan to the references and to the local maps; with `restart` those begin anew with it.
+    /// Adds a scan to the references and to the local maps; with `restart` the local maps begin again with it.
     pub fn add_reference(&mut self, node: Node, restart: bool, config: &TrackingConfig) {
         if restart {
             self.references.clear();

@@ -10,46 +10,46 @@ use msg::{Odometry, Pose2};
 use nalgebra::Matrix3;
 
 /// State of the front end as plain values. Its local maps are rebuilt from the newest nodes.
-// It has a field for each value that a session stores, hence more than a dozen.
+// More than 12 fields: one for each value that a session stores.
 #[derive(Clone, Debug)]
 pub struct FrontEndState {
-    /// The next node's number.
+    /// Id of the next node.
     pub next_node: u32,
-    /// How many of the newest nodes refine poses.
+    /// Number of the newest nodes that serve as references of scan matching.
     pub recent: u32,
-    /// How many of the newest nodes are in the older and in the younger local map.
+    /// Number of the newest nodes in the older and in the younger local map.
     pub local_maps: [u32; 2],
-    /// Scans in a row that did not fit.
+    /// Number of consecutive scans that did not fit, up to the last one.
     pub lost_in_row: u32,
-    /// Whether the scan before did not fit.
+    /// Whether the last scan did not fit.
     pub last_scan_lost: bool,
-    /// Closures in force, as last heard.
+    /// Number of active closures, by the last revision.
     pub closures: u32,
-    /// Whether `map_from_local` is known.
+    /// Whether the robot is located, so that `map_from_local` is valid.
     pub located: bool,
-    /// The loop-closed map from the scan path's frame.
+    /// Pose of the front end's frame in the loop-closed map.
     pub map_from_local: Pose2,
-    /// Odometry from the newest node handed over to the newest scan matched against.
+    /// Odometry from the newest published node to the newest reference scan; `None` if unknown.
     pub published_from_newest: Option<Pose2>,
-    /// Odometry at the newest node.
+    /// Pose by odometry at the newest reference scan; `None` if unknown.
     pub node_odom_from_base: Option<Pose2>,
-    /// Of the newest node's pose.
+    /// Covariance over (x, y, yaw) of the newest reference scan's pose.
     pub node_covariance: Matrix3<f64>,
-    /// The newest node that does not follow from the one before.
+    /// The newest node after an odometry break.
     pub last_break: Option<u32>,
-    /// The scan before.
+    /// The last accepted scan.
     pub last: Option<LastScan>,
-    /// How many scans went which way.
+    /// Counts of scans by what became of them.
     pub counts: FrontEndCounts,
-    /// Revisions that wait for their node.
+    /// Revisions that take effect with a later node, oldest first.
     pub waiting: Vec<Revision>,
-    /// The newest odometry.
+    /// The newest odometry messages, in the continuous frame.
     pub odometry: Vec<Odometry>,
-    /// Its frame, see `odometry`.
+    /// Pose of the odometry frame in the continuous frame, which does not jump when the writer restarts.
     pub continuous_from_odom: Pose2,
-    /// Messages refused.
+    /// Number of odometry messages rejected.
     pub odometry_rejected: u64,
-    /// Where the robot has been since the newest node, in the scan path's frame.
+    /// Positions of the robot since the newest node, in the front end's frame.
     pub swept_path: SweptPath,
 }
 

@@ -3,6 +3,7 @@
 use super::*;
 use crate::cloud::Cloud;
 use crate::node::{Rays, SweptPath};
+use msg::grid::{SWEPT_FREE, UNKNOWN};
 use proptest::prelude::*;
 use std::sync::Arc;
 
@@ -154,9 +155,9 @@ fn along(grid: &msg::Grid, from_m: [f64; 2], step_m: [f64; 2], count: usize) -> 
 fn where_the_body_was_is_floor_until_the_robot_sees_something_there() {
     use msg::grid::{FREE_MAX, LOG_ODDS_MIN, OCCUPIED_MIN};
     // It looks back and sees something just behind its body.
-    let looks_back = |id, way: &[[f32; 2]]| {
+    let looks_back = |id, path: &[[f32; 2]]| {
         let rays = Rays { sensor: [0.0; 2], hits: vec![[-0.28, 0.0]], misses: Vec::new() };
-        Node { swept_path: SweptPath::of(way), rays: Arc::new(rays), ..node(id, 1.0, 0, true) }
+        Node { swept_path: SweptPath::of(path), rays: Arc::new(rays), ..node(id, 1.0, 0, true) }
     };
     let came: Vec<[f32; 2]> = (0..=6).map(|k| [-0.05 * k as f32, 0.0]).collect();
     let mut nodes = vec![looks_back(0, &[]), Node { rays: Arc::default(), ..looks_back(1, &came) }];

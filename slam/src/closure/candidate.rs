@@ -1,0 +1,47 @@
+//! Candidates of loop closures, and the detector's state and counts.
+
+use msg::Pose2;
+use nalgebra::Matrix3;
+
+/// A place seen before that a later node was found at.
+#[derive(Clone, Copy, Debug)]
+pub struct ClosureCandidate {
+    /// The later node, which was searched for.
+    pub node: u32,
+    /// The earlier node, near which the later one was found.
+    pub candidate: u32,
+    /// Pose of the later node in the frame of the earlier one, as measured.
+    pub candidate_from_node: Pose2,
+    /// Inverse covariance in the frame of the earlier node, 1/m² and 1/rad².
+    pub information: Matrix3<f64>,
+    /// Mean field value under the later node's points, 0 to 1.
+    pub response: f32,
+}
+
+/// State of a detector, kept in a session.
+#[derive(Clone, Debug, Default)]
+pub struct ClosureDetectorState {
+    /// Candidates that wait for confirmation, oldest first.
+    pub pending: Vec<ClosureCandidate>,
+    /// Counts of searches by how they ended.
+    pub counts: ClosureSearchCounts,
+    /// Length of the path at the last search, metres.
+    pub last_search_m: Option<f64>,
+}
+
+/// Counts of closure searches by how they ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct ClosureSearchCounts {
+    /// Searches of a place, whatever their result.
+    pub searches: u64,
+    /// Searches in which no pose reached the least score.
+    pub no_response: u64,
+    /// Searches in which two places looked alike, or that stopped at a limit.
+    pub ambiguous: u64,
+    /// Searches whose alignment overlapped too little, moved too far or contradicted scans.
+    pub contradicted: u64,
+    /// Candidates that were never confirmed.
+    pub unconfirmed: u64,
+    /// Candidates that enough others confirmed.
+    pub accepted: u64,
+}
