@@ -108,6 +108,9 @@ impl Slam {
     /// Adds one odometry message.
     pub fn add_odometry(&mut self, odometry: &Odometry) {
         self.front.add_odometry(odometry);
+        if self.front.take_unknown_motion() {
+            self.back.start_relocalization(None);
+        }
     }
 
     /// The scan path: one scan in, one pose out. What the scan means for the past is left to

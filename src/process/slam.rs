@@ -48,15 +48,23 @@ pub enum BackEndInput {
 /// What the scan path reports.
 #[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
 pub enum FrontEvent {
-    /// A scan that enters the graph. With the first node of a front end that goes on where `odom` lay: the map from
-    /// the front end's own frame.
-    Node(Node, Option<Pose2>),
+    /// A scan that enters the graph; and with a node that does not follow from the one before, where its robot is.
+    Node(Node, Option<Restart>),
     /// Where the front end is, after the nodes reported before: answers [`FrontCommand::ReportState`].
     State(Box<FrontEndState>),
     /// Another front end has taken its place; this one may be dropped.
     Replaced(Box<FrontEnd>),
     /// The process ends, and the front end is here.
     Ended(Box<FrontEndState>),
+}
+
+/// Where a front end's nodes begin anew.
+#[derive(Clone, Copy, Debug)]
+pub enum Restart {
+    /// The front end continues where `odom` lay: the map from the front end's own frame.
+    At(Pose2),
+    /// The robot has moved in an unknown way.
+    Unknown,
 }
 
 /// What the back-end thread wants of the scan path.
