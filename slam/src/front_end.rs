@@ -177,6 +177,18 @@ impl FrontEnd {
         self.counts.odometry_rejected = self.motion.odometry.rejected();
     }
 
+    /// Returns, once, whether the robot has moved in an unknown way: after a session was restored, odometry came from
+    /// a driver that was started again since. The robot is not located then, and the back end must relocalize it.
+    pub fn take_unknown_motion(&mut self) -> bool {
+        let is_unknown = self.motion.odometry.take_unknown_motion();
+        if is_unknown {
+            self.motion.forget();
+            self.frame.set(None);
+            self.request_node();
+        }
+        is_unknown
+    }
+
     /// Adds the back end's answer to an earlier node; it takes effect with the node that it names.
     pub fn add_revision(&mut self, revision: Revision) {
         self.frame.add_revision(revision);

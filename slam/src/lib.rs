@@ -108,6 +108,9 @@ impl Slam {
     /// Adds one odometry message.
     pub fn add_odometry(&mut self, odometry: &Odometry) {
         self.front.add_odometry(odometry);
+        if self.front.take_unknown_motion() {
+            self.back.start_relocalization(None);
+        }
     }
 
     /// Processes one scan in the front end and returns the robot's pose. [`Slam::work`] updates earlier poses.

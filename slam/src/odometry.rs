@@ -14,6 +14,10 @@ pub struct OdometryBuffer {
     config: OdometryConfig,
     rejected: u64,
     clock_reset: ClockResetDetector,
+    /// The poses are those of a session: messages may have been missed since.
+    is_restored: bool,
+    /// See [`OdometryBuffer::take_unknown_motion`].
+    unknown_motion: bool,
 }
 
 impl OdometryBuffer {
@@ -21,7 +25,15 @@ impl OdometryBuffer {
     pub fn new(config: OdometryConfig) -> Self {
         let poses = VecDeque::with_capacity(config.buffer_len + 1);
         let clock_reset = ClockResetDetector::default();
-        Self { poses, continuous_from_odom: Pose2::IDENTITY, config, rejected: 0, clock_reset }
+        Self {
+            poses,
+            continuous_from_odom: Pose2::IDENTITY,
+            config,
+            rejected: 0,
+            clock_reset,
+            is_restored: false,
+            unknown_motion: false,
+        }
     }
 
     /// Adds a message. Rejects and counts one that is not finite or not newer than the last, unless the clock was set
@@ -47,7 +59,13 @@ impl OdometryBuffer {
         if let Some(last) = last.filter(|last| last.header.incarnation != odometry.header.incarnation) {
             // The restarted driver has a new origin; the robot is assumed to have stood meanwhile.
             self.continuous_from_odom = last.odom_from_base * odometry.odom_from_base.inverse();
+            if self.is_restored {
+                // But after the session was saved and before the driver ended, the robot may have moved.
+                self.poses.clear();
+                self.unknown_motion = true;
+            }
         }
+        self.is_restored = false;
         let odom_from_base = self.continuous_from_odom * odometry.odom_from_base;
         self.poses.push_back(Odometry { odom_from_base, ..*odometry });
     }
@@ -56,6 +74,12 @@ impl OdometryBuffer {
     /// Identity until then.
     pub fn continuous_from_odom(&self) -> Pose2 {
         self.continuous_from_odom
+    }
+
+    /// Returns, once, whether the robot has moved in an unknown way: after a session was restored, odometry comes
+    /// from a driver that was started again since.
+    pub fn take_unknown_motion(&mut self) -> bool {
+        core::mem::take(&mut self.unknown_motion)
     }
 
     /// Parts of the buffer for a session: messages, [`OdometryBuffer::continuous_from_odom`], and the number rejected.
@@ -73,7 +97,8 @@ impl OdometryBuffer {
         let mut buffer = Self::new(config);
         let newest = &poses[poses.len().saturating_sub(buffer.config.buffer_len)..];
         buffer.poses.extend(newest);
-        Self { continuous_from_odom, rejected, ..buffer }
+        let is_restored = !buffer.poses.is_empty();
+        Self { continuous_from_odom, rejected, is_restored, ..buffer }
     }
 
     /// Number of messages rejected.

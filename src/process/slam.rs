@@ -48,15 +48,23 @@ pub enum BackEndInput {
 /// Event from the scan path to the back end.
 #[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
 pub enum FrontEvent {
-    /// A scan that enters the graph. The first node of a front end that began at a known `odom` comes with the
-    /// transform from the front end's frame to the map.
-    Node(Node, Option<Pose2>),
+    /// A scan that enters the graph, and where its robot is if the node does not follow from the one before.
+    Node(Node, Option<Restart>),
     /// State of the front end after the nodes reported before; answers [`FrontCommand::ReportState`].
     State(Box<FrontEndState>),
     /// A front end that was replaced and may be dropped.
     Replaced(Box<FrontEnd>),
     /// Last state of the front end; the process ends.
     Ended(Box<FrontEndState>),
+}
+
+/// Where a front end's nodes begin anew.
+#[derive(Clone, Copy, Debug)]
+pub enum Restart {
+    /// The front end continues where `odom` lay: the map from the front end's own frame.
+    At(Pose2),
+    /// The robot has moved in an unknown way.
+    Unknown,
 }
 
 /// Command from the back end to the scan path.

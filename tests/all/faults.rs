@@ -10,10 +10,12 @@
 //! - a simulator that was stopped obeyed commands that were out of date;
 //! - a front end that began where `odom` lay took its first scan without odometry and was in a wrong frame;
 //! - a pose by odometry alone jumped when the robot's driver was started again, while SLAM was paused;
-//! - the pose of `odom` that the launcher passes on was that of a simulator that had been started again since.
+//! - the pose of `odom` that the launcher passes on was that of a simulator that had been started again since;
+//! - SLAM that was restored from a session older than the last start of its robot's driver took the robot to have
+//!   stood in between, and was sure of a wrong heading: it is lost now, and relocalizes the robot.
 //!
-//! Open: SLAM is sure of a wrong heading in some runs: where its session is older than the last start of the robot's
-//! driver (so when a simulator and its SLAM die together), and where time jumps by seconds while odometry is missing.
+//! Open: SLAM is sure of a wrong heading in 3 of the first 60 seeds (14, 21, 23). In each, odometry and scans are lost
+//! for a second or more around a pause, a reset or a step of time.
 
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
@@ -25,8 +27,8 @@ use std::time::Duration;
 /// Seeds of a test run; this variable asks for more.
 const SEEDS_VARIABLE: &str = "MR_SLAM_FAULT_SEEDS";
 const SEEDS: u64 = 60;
-/// In this part of the runs at most, a robot is sure of a wrong pose: see what is open above. It was 4 of 60 runs.
-const WRONG_POSE_SHARE_MAX: f64 = 0.2;
+/// In at most this share of the runs a robot is sure of a wrong pose: see what is open above. It was 3 of 60 runs.
+const WRONG_POSE_SHARE_MAX: f64 = 0.1;
 /// Virtual seconds of each run.
 const SECONDS: u32 = 14;
 
@@ -57,18 +59,25 @@ fn assert_survives(faults: FaultPlan, seconds: u32) {
 #[test]
 fn invariants_hold_for_every_seed() {
     let seeds = std::env::var(SEEDS_VARIABLE).ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(SEEDS);
-    let (mut failed, mut wrong_poses) = (Vec::new(), 0);
+    let (mut failed, mut wrong_poses) = (Vec::new(), Vec::new());
     for seed in 1..=seeds {
         let faults = FaultPlan::draw(seed, quiet_from(SECONDS));
         let report = check(&config(seed), faults, SECONDS).unwrap();
         let (wrong, others): (Vec<_>, Vec<_>) =
             report.violations.into_iter().partition(|violation| violation.contains(WRONG_POSE));
-        wrong_poses += u64::from(!wrong.is_empty());
+        if !wrong.is_empty() {
+            wrong_poses.push((seed, wrong));
+        }
         if !others.is_empty() {
             failed.push((seed, others));
         }
     }
-    assert!(wrong_poses as f64 <= WRONG_POSE_SHARE_MAX * seeds as f64, "wrong poses in {wrong_poses} runs");
+    let wrong_max = WRONG_POSE_SHARE_MAX * seeds as f64;
+    assert!(
+        wrong_poses.len() as f64 <= wrong_max,
+        "wrong poses in {} runs: {wrong_poses:#?}",
+        wrong_poses.len()
+    );
     assert!(failed.is_empty(), "{} of {seeds} seeds: {failed:#?}", failed.len());
 }
 
@@ -84,6 +93,14 @@ fn a_seed_with_faults_gives_the_same_bytes_twice() {
 fn slam_killed_before_its_first_save_goes_on_in_the_same_frame() {
     for at in [0.05, 0.4, 0.95, 3.0] {
         assert_survives(FaultPlan::none().with(second(at), Fault::Kill(SLAM_1)), 12);
+    }
+}
+
+#[test]
+fn simulator_and_slam_killed_together_never_give_a_wrong_pose() {
+    for apart in [0.0, 0.15, 0.3] {
+        let faults = FaultPlan::none().with(second(4.0), Fault::Kill(SIM_1));
+        assert_survives(faults.with(second(4.0 + apart), Fault::Kill(SLAM_1)), 14);
     }
 }
 

@@ -72,6 +72,12 @@ impl MotionModel {
         }
     }
 
+    /// Forgets where the robot was: nothing is known of its motion since the last scan.
+    pub fn forget(&mut self) {
+        self.reference_odom_from_base = None;
+        self.last = self.last.map(|last| LastScan { odom_from_base: None, motion: None, ..last });
+    }
+
     /// The pose expected at a stamp. `newest` is the newest reference scan.
     pub fn predict(
         &mut self,

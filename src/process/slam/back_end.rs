@@ -4,14 +4,14 @@ use super::autosave::Autosave;
 use super::commands::CommandSender;
 use super::files::{Job, Loaded, Work};
 use super::services::{PendingRequest, Services};
-use super::{BackEndInput, FrontCommand, FrontEvent};
+use super::{BackEndInput, FrontCommand, FrontEvent, Restart};
 use crate::ports::{ChannelError, Clock, Ports};
 use crate::process::map_publisher::MapPublisher;
 use crate::process::submap_publisher::SubmapPublisher;
 use crate::run::Run;
 use crate::sessions;
 use ::slam::{BackEnd, FrontEnd, FrontEndState, Identity, Node, PoseEstimate, Session};
-use msg::{Monotonic, Pose2, RobotId, SlamMode, SlamRequest};
+use msg::{Monotonic, RobotId, SlamMode, SlamRequest};
 use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
 use std::time::Duration;
@@ -152,7 +152,7 @@ impl BackEndState {
             return;
         }
         match event {
-            FrontEvent::Node(node, started_at) => self.add_node(node, started_at),
+            FrontEvent::Node(node, restart) => self.add_node(node, restart),
             FrontEvent::State(state) => {
                 for pending in std::mem::take(&mut self.pending) {
                     services.resume(self, pending, &state);
@@ -162,10 +162,14 @@ impl BackEndState {
         }
     }
 
-    fn add_node(&mut self, node: Node, started_at: Option<Pose2>) {
-        if let Some(map_from_local) = started_at {
-            let [sigma_m, sigma_rad] = CARRIED_SIGMA;
-            self.back.start_relocalization(Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }));
+    fn add_node(&mut self, node: Node, restart: Option<Restart>) {
+        match restart {
+            Some(Restart::At(map_from_local)) => {
+                let [sigma_m, sigma_rad] = CARRIED_SIGMA;
+                self.back.start_relocalization(Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }));
+            }
+            Some(Restart::Unknown) => self.back.start_relocalization(None),
+            None => {}
         }
         let was_found = self.back.map_from_base().is_some();
         let revision = self.back.add_node(node);

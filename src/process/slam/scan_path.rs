@@ -1,6 +1,6 @@
 //! The scan path: answers each scan with a pose and passes nodes to the back end. It waits for scans only.
 
-use super::{BackEndInput, FrontCommand, FrontEvent};
+use super::{BackEndInput, FrontCommand, FrontEvent, Restart};
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::process::heartbeat::{HealthCounters, Heartbeat};
@@ -103,8 +103,8 @@ struct Core {
     paused: bool,
     /// Transform of `odom` in the map with which the first scan begins.
     odom_pose: Option<Pose2>,
-    /// Transform from the front end's frame to the map, reported with the next node.
-    started_at: Option<Pose2>,
+    /// Where the front end began anew, reported with the next node.
+    restart: Option<Restart>,
     /// Number of scans that have waited for odometry.
     waited: u32,
     last: Option<Correction>,
@@ -127,7 +127,7 @@ impl Core {
             number: 0,
             paused: false,
             odom_pose,
-            started_at: None,
+            restart: None,
             last: None,
             waited: 0,
             odometry: None,
@@ -159,7 +159,7 @@ impl Core {
                         self.front.add_odometry(odometry);
                     }
                     self.odom_pose = self.last.filter(|_| in_place).map(|last| last.map_from_odom);
-                    (self.started_at, self.waited) = (None, 0);
+                    (self.restart, self.waited) = (None, 0);
                     // Dropping it takes long, so the back end does that.
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
@@ -179,6 +179,9 @@ impl Core {
             last.map_from_odom = last.map_from_odom * odom_from_new_odom;
         }
         self.front.add_odometry(odometry);
+        if self.front.take_unknown_motion() {
+            self.restart = Some(Restart::Unknown);
+        }
     }
 
     /// Returns whether the first scan must wait for its odometry, because it begins at a known `odom`.
@@ -204,12 +207,12 @@ impl Core {
             self.front.set_map_from_local(Some(map_from_local));
             step.correction.map_from_base = map_from_local * step.correction.map_from_base;
             step.correction.map_from_odom = map_from_odom;
-            self.started_at = Some(map_from_local);
+            self.restart = Some(Restart::At(map_from_local));
         }
         if let Some(node) = step.node
-            && self.report(FrontEvent::Node(node, self.started_at))
+            && self.report(FrontEvent::Node(node, self.restart))
         {
-            self.started_at = None;
+            self.restart = None;
         }
         self.last = Some(step.correction);
         (self.last, step.rejected.is_none())
