@@ -190,7 +190,7 @@ def cpu_s(run_dir):
     for stat in pathlib.Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = stat.read_bytes().split(b"\0")
-            if b"bridge" in words[1:2] and run_dir.encode() in words:
+            if words[1:3] == [b"worker", b"bridge"] and run_dir.encode() in words:
                 fields = (stat.parent / "stat").read_text().rsplit(")", 1)[1].split()
                 return (int(fields[11]) + int(fields[12])) / 100
         except (OSError, IndexError):
