@@ -1,4 +1,4 @@
-//! The two kinds of time. They never mix: there is no conversion between them.
+//! The two kinds of time: stamps on the run's clock, and monotonic time. Only the binary's `Epoch` converts between them.
 
 use bytemuck::{Pod, Zeroable};
 use core::ops::{Add, Sub};
@@ -11,7 +11,7 @@ use core::time::Duration;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Pod, Zeroable)]
 pub struct Stamp(pub i64);
 
-/// Time of sending or receiving, CLOCK_MONOTONIC in nanoseconds. Used for latency only.
+/// Time of sending or receiving, CLOCK_MONOTONIC in nanoseconds. Used for latencies and deadlines.
 #[repr(transparent)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Pod, Zeroable)]
 pub struct Monotonic(pub u64);
