@@ -7,7 +7,8 @@ use crate::config::{LinkConfig, MapConfig, SlamConfig};
 use crate::graph::Graph;
 use crate::mapper::{OccupancyMapper, TURN_ARM_M};
 use msg::{Pose2, SUBMAP_EDGES_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses, pose::wrap_angle};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
+use posegraph::{limit_information, transport_information};
 use std::collections::BTreeMap;
 
 /// Nodes of a finished submap, unless its path reaches [`PATH_MAX_M`] first.
@@ -254,7 +255,7 @@ impl Submaps {
             let i_from_a = poses[first_i as usize].between(poses[a as usize]);
             let b_from_j = poses[b as usize].between(poses[first_j as usize]);
             let a_from_b = poses[a as usize].between(poses[b as usize]);
-            let moved = transported(information, i_from_a, a_from_b, b_from_j);
+            let moved = transport_information(information, i_from_a, a_from_b, b_from_j);
             *sums.entry((i, j)).or_insert_with(Matrix3::zeros) += moved;
         }
         sums
@@ -265,11 +266,7 @@ impl Submaps {
         let distance_m = a_from_b.x_m.hypot(a_from_b.y_m);
         let m = self.links.floor_m + DRIFT_SHARE * self.links.drift_m_per_m * distance_m;
         let rad = self.links.floor_rad + DRIFT_SHARE * self.links.drift_rad_per_m * distance_m;
-        let floor = Matrix3::from_diagonal(&Vector3::new(m * m, m * m, rad * rad));
-        let covariance =
-            (information + Matrix3::identity() * REGULARISATION).try_inverse().map(|c| c + floor);
-        let inverse = covariance.and_then(|c| c.try_inverse()).unwrap_or(Matrix3::zeros());
-        (inverse + inverse.transpose()) * 0.5
+        limit_information(information, [m, rad], REGULARISATION)
     }
 }
 
@@ -281,20 +278,6 @@ fn in_map(group: &Group, back: &BackEnd) -> bool {
 /// Poses in the frame of the first one.
 fn relative(poses: &[Pose2]) -> Vec<Pose2> {
     poses.iter().map(|pose| poses[0].between(*pose)).collect()
-}
-
-/// Information of `i_from_a * a_from_b * b_from_j`, given the information of `a_from_b`.
-fn transported(information: Matrix3<f64>, i_from_a: Pose2, a_from_b: Pose2, b_from_j: Pose2) -> Matrix3<f64> {
-    let (sin, cos) = i_from_a.yaw_rad.sin_cos();
-    let (turned_sin, turned_cos) = a_from_b.yaw_rad.sin_cos();
-    // The arm from b to j, in a's axes: an error in heading moves j across it.
-    let arm = [
-        turned_cos * b_from_j.x_m - turned_sin * b_from_j.y_m,
-        turned_sin * b_from_j.x_m + turned_cos * b_from_j.y_m,
-    ];
-    // The inverse of [[R, R * across], [0, 1]].
-    let back = Matrix3::new(cos, sin, arm[1], -sin, cos, -arm[0], 0.0, 0.0, 1.0);
-    back.transpose() * information * back
 }
 
 /// Information of `b_from_a`, given the information of `a_from_b`.
@@ -330,7 +313,7 @@ mod tests {
         let information = Matrix3::new(4.0, 1.0, 0.2, 1.0, 3.0, -0.3, 0.2, -0.3, 9.0);
         let j = jacobian(|z| i_from_a * z * b_from_j, z).try_inverse().unwrap();
         let expected = j.transpose() * information * j;
-        assert!((transported(information, i_from_a, z, b_from_j) - expected).amax() < 1e-4);
+        assert!((transport_information(information, i_from_a, z, b_from_j) - expected).amax() < 1e-4);
         let j = jacobian(|z| z.inverse(), z).try_inverse().unwrap();
         let expected = j.transpose() * information * j;
         assert!((inverted(information, z) - expected).amax() < 1e-4);
