@@ -80,8 +80,10 @@ pub struct BackEndCounts {
     pub closures: usize,
     /// Closures that were retracted.
     pub retracted: u64,
-    /// Solutions of the whole graph.
+    /// Solutions of the whole graph, failed ones included.
     pub solutions: u64,
+    /// Solutions of this process that failed: the map stayed as it was.
+    pub failed_solutions: u64,
     /// Nodes not drawn because the map would have become larger than a grid may be.
     pub not_drawn: u64,
     /// How closure searches ended.
@@ -218,6 +220,7 @@ impl BackEnd {
             closures: count(EdgeKind::Closure),
             retracted: self.closer.retracted,
             solutions: self.solutions,
+            failed_solutions: self.failed_solutions(),
             not_drawn: self.mapper.clipped(),
             searches: self.closer.detector.counts(),
             relocalization: self.location.relocalization_counts(),
@@ -225,6 +228,12 @@ impl BackEnd {
             retired: self.lifelong.retired,
             disconnected: self.nodes.iter().filter(|node| node.disconnected.is_some()).count(),
         }
+    }
+
+    /// Solutions that failed since the back end was made: the map stayed as it was.
+    pub fn failed_solutions(&self) -> u64 {
+        let localizer = self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default();
+        self.graph.failed_solutions() + localizer.failed_solutions
     }
 
     /// Nodes removed so far; the others then have new numbers.
@@ -349,7 +358,7 @@ impl BackEnd {
 
     fn solve(&mut self, graduated: bool) {
         self.stages.stage_started(Stage::Solve);
-        // After an error the poses are what they were: the map stays as it is.
+        // After an error, which the graph counts, the poses are what they were: the map stays as it is.
         let _ = self.graph.solve(graduated);
         self.solutions += 1;
         self.unsolved = 0;

@@ -82,22 +82,36 @@ pub struct Graph {
     edges: Vec<Edge>,
     /// Edges of each node.
     around: Vec<Vec<u32>>,
+    /// Solutions that ended with an error.
+    failed_solutions: u64,
 }
 
 impl Graph {
     /// A graph without nodes.
     pub fn new(config: GraphConfig) -> Self {
-        Self { config, poses: Vec::new(), edges: Vec::new(), around: Vec::new() }
+        Self { config, poses: Vec::new(), edges: Vec::new(), around: Vec::new(), failed_solutions: 0 }
     }
 
     /// A graph of these nodes and edges.
     pub fn from_parts(config: GraphConfig, poses: Vec<Pose2>, edges: Vec<Edge>) -> Self {
-        let mut around = vec![Vec::new(); poses.len()];
+        let mut graph = Self::new(config);
+        graph.replace_parts(poses, edges);
+        graph
+    }
+
+    /// Replaces all nodes and edges; the count of failed solutions stays.
+    pub fn replace_parts(&mut self, poses: Vec<Pose2>, edges: Vec<Edge>) {
+        self.around = vec![Vec::new(); poses.len()];
         for (index, edge) in edges.iter().enumerate() {
-            around[edge.a as usize].push(index as u32);
-            around[edge.b as usize].push(index as u32);
+            self.around[edge.a as usize].push(index as u32);
+            self.around[edge.b as usize].push(index as u32);
         }
-        Self { config, poses, edges, around }
+        (self.poses, self.edges) = (poses, edges);
+    }
+
+    /// Solutions that failed since the graph was made.
+    pub fn failed_solutions(&self) -> u64 {
+        self.failed_solutions
     }
 
     /// Pose of each node in the map, by id.
@@ -200,7 +214,7 @@ impl Graph {
     /// may be far off, as after a closure; the robust kernels then begin wide.
     ///
     /// # Errors
-    /// [`SolveError`] if the graph cannot be solved; all poses are then what they were.
+    /// [`SolveError`] if the graph cannot be solved; all poses are then what they were, and the failure is counted.
     pub fn solve(&mut self, graduated: bool) -> Result<Summary, SolveError> {
         let kernel = Kernel::Cauchy { sigmas: self.config.cauchy_sigmas };
         let constraint = |edge: &Edge| posegraph::Edge { kernel, ..edge.constraint() };
@@ -211,6 +225,8 @@ impl Graph {
             graduated,
             ..SolverOptions::default()
         };
-        posegraph::solve(&mut self.poses, &constraints, &options)
+        let result = posegraph::solve(&mut self.poses, &constraints, &options);
+        self.failed_solutions += u64::from(result.is_err());
+        result
     }
 }

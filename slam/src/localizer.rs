@@ -83,6 +83,8 @@ pub struct LocalizerCounts {
     pub matched: u64,
     /// Nodes that did not match: the room has changed, or the pose estimate is wrong.
     pub unmatched: u64,
+    /// Solutions of the window that failed: its poses stayed as predicted.
+    pub failed_solutions: u64,
 }
 
 impl Localizer {
@@ -240,7 +242,7 @@ impl Localizer {
             }
         }
         // If the solver fails, the poses stay as predicted by the front end.
-        let _ = graph.solve(false);
+        self.counts.failed_solutions += u64::from(graph.solve(false).is_err());
         for (entry, pose) in self.window.iter_mut().zip(&graph.poses()[1..]) {
             entry.map_from_node = *pose;
         }

@@ -12,7 +12,7 @@
 //! onto a tree keeps the graph sparse).
 
 use super::BackEnd;
-use crate::graph::{Edge, EdgeKind, Graph};
+use crate::graph::{Edge, EdgeKind};
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 
@@ -132,7 +132,7 @@ impl BackEnd {
             let is_kept = e.in_force || e.kind == EdgeKind::Closure;
             is_kept.then_some(Edge { a: number(e.a)?, b: number(e.b)?, ..e })
         });
-        self.graph = Graph::from_parts(self.config.graph.clone(), kept_poses.collect(), kept_edges.collect());
+        self.graph.replace_parts(kept_poses.collect(), kept_edges.collect());
         let mut id = 0;
         self.nodes.retain(|_| (keep(id), id += 1).0);
         for (id, node) in self.nodes.iter_mut().enumerate() {

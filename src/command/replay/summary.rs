@@ -40,8 +40,10 @@ pub struct Summary {
     pub retracted: u64,
     /// Outcomes of the closure searches.
     pub closure_searches: ClosureSearchCounts,
-    /// Number of solutions of the whole graph.
+    /// Number of solutions of the whole graph, failed ones included.
     pub solutions: u64,
+    /// Number of solutions that failed; the map stayed as it was.
+    pub failed_solutions: u64,
     /// Duration from reading to the final trajectory, seconds.
     pub wall_s: f64,
     /// Duration of the log over the duration of the replay.
@@ -95,6 +97,7 @@ impl Summary {
         self.refused_other = counts.beam_count + counts.geometry;
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
+        self.failed_solutions = done.failed_solutions;
         self.closure_searches = done.searches;
         self.relocalization = done.relocalization;
     }

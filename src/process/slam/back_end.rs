@@ -172,7 +172,11 @@ impl BackEndState {
             None => {}
         }
         let was_found = self.back.map_from_base().is_some();
+        let failed_before = self.back.failed_solutions();
         let revision = self.back.add_node(node);
+        if self.back.failed_solutions() > failed_before {
+            tracing::warn!("slam: the pose graph was not solved; the map stays as it was");
+        }
         self.commands.send_or_drop(FrontCommand::Revise(revision));
         if self.back.mode() != SlamMode::Localization {
             self.mark_changed();
