@@ -9,6 +9,7 @@ mod table;
 
 pub use table::*;
 
+use crate::processes::PROCESSES;
 use msg::{Message, RobotId, Role};
 use std::fmt;
 use std::marker::PhantomData;
@@ -16,52 +17,38 @@ use std::marker::PhantomData;
 /// A program of a run, as far as channels are concerned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Program {
-    /// A robot's simulator.
-    Sim,
-    /// A robot's SLAM.
-    Slam,
-    /// The process that merges the robots' maps.
-    Merge,
-    /// The process that computes the fleet's figures.
-    Telemetry,
-    /// The process that serves headsets and ROS 2.
-    Bridge,
+    /// A process that the launcher starts.
+    Worker(Role),
     /// The process that starts the others; `mr-slam status` reads what it reads.
     Launcher,
     /// `mr-slam slam`: a person's requests to a robot's SLAM.
-    AskSlam,
+    SlamTool,
     /// `mr-slam edges`: a person's commands about merge edges.
-    AskMerge,
+    EdgesTool,
 }
 
 impl Program {
     fn name(self) -> &'static str {
         match self {
-            Self::Sim => "sim",
-            Self::Slam => "slam",
-            Self::Merge => "merge",
-            Self::Telemetry => "telemetry",
-            Self::Bridge => "bridge",
+            Self::Worker(role) => role.name(),
             Self::Launcher => "launcher",
-            Self::AskSlam => "`mr-slam slam`",
-            Self::AskMerge => "`mr-slam edges`",
+            Self::SlamTool => "`mr-slam slam`",
+            Self::EdgesTool => "`mr-slam edges`",
         }
     }
 
     fn is_per_robot(self) -> bool {
-        matches!(self, Self::Sim | Self::Slam)
+        matches!(self, Self::Worker(role) if PROCESSES.iter().any(|row| row.role == role && row.per_robot))
+    }
+
+    fn is_tool(self) -> bool {
+        matches!(self, Self::SlamTool | Self::EdgesTool)
     }
 }
 
 impl From<Role> for Program {
     fn from(role: Role) -> Self {
-        match role {
-            Role::Sim => Self::Sim,
-            Role::Slam => Self::Slam,
-            Role::Merge => Self::Merge,
-            Role::Telemetry => Self::Telemetry,
-            Role::Bridge => Self::Bridge,
-        }
+        Self::Worker(role)
     }
 }
 

@@ -91,7 +91,7 @@ impl Lockstep {
         let mut rows: Vec<_> = processes::of_fleet(config).collect();
         // Processes in the order of the data flow: robots, SLAM, merging, figures, operator.
         rows.sort_by_key(|(row, robot)| (row.role, *robot));
-        let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::AskSlam));
+        let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::SlamTool));
         let requests = run.robots().map(|robot| asker.writer(&channel::slam_request(robot)));
         Ok(Self {
             requests: requests.collect::<Result<_, _>>()?,

@@ -28,14 +28,12 @@ impl fmt::Display for Resume {
 /// One row of the table.
 #[derive(Clone, Copy, Debug)]
 pub struct ProcessRow {
-    /// The process's role.
+    /// The process's role; `mr-slam worker` followed by its name runs it.
     pub role: Role,
     /// Whether there is one for each robot or one for the fleet.
     pub per_robot: bool,
     /// Whether it runs only where the robots are simulated here.
     pub simulated_world_only: bool,
-    /// The subcommand of `mr-slam worker` that runs it.
-    pub command: &'static str,
     /// Pose that it is given when it is started again.
     pub resume: Resume,
 }
@@ -50,31 +48,19 @@ impl ProcessRow {
     }
 }
 
-const OF_FLEET: ProcessRow = ProcessRow {
-    role: Role::Bridge,
-    per_robot: false,
-    simulated_world_only: false,
-    command: "",
-    resume: Resume::Folder,
-};
+const OF_FLEET: ProcessRow =
+    ProcessRow { role: Role::Bridge, per_robot: false, simulated_world_only: false, resume: Resume::Folder };
 
 /// All processes of a fleet, in the order in which they are started.
 pub static PROCESSES: [ProcessRow; 5] = [
-    ProcessRow { role: Role::Bridge, command: "bridge", ..OF_FLEET },
-    ProcessRow { role: Role::Telemetry, command: "telemetry", ..OF_FLEET },
-    ProcessRow { role: Role::Merge, command: "merge", ..OF_FLEET },
-    ProcessRow {
-        role: Role::Slam,
-        per_robot: true,
-        command: "slam",
-        resume: Resume::MapFromOdom,
-        ..OF_FLEET
-    },
+    ProcessRow { role: Role::Bridge, ..OF_FLEET },
+    ProcessRow { role: Role::Telemetry, ..OF_FLEET },
+    ProcessRow { role: Role::Merge, ..OF_FLEET },
+    ProcessRow { role: Role::Slam, per_robot: true, resume: Resume::MapFromOdom, ..OF_FLEET },
     ProcessRow {
         role: Role::Sim,
         per_robot: true,
         simulated_world_only: true,
-        command: "sim",
         resume: Resume::WorldFromBase,
     },
 ];

@@ -98,7 +98,7 @@ impl Supervisor {
 
     fn spawn(&self, row: &ProcessRow, robot: Option<RobotId>, place: Option<Pose2>) -> io::Result<Child> {
         let mut command = Command::new(std::env::current_exe()?);
-        command.args(["worker", row.command]);
+        command.args(["worker", row.role.name()]);
         if let Some(robot) = robot {
             command.arg("--robot").arg(robot.number().to_string());
         }

@@ -8,7 +8,7 @@ use mr_slam::channel::{self, Opener, Program};
 use mr_slam::clock::now;
 use mr_slam::run::Run;
 use mr_slam::shared_memory::{Participant, wait};
-use msg::{Monotonic, RobotId};
+use msg::{Monotonic, RobotId, Role};
 use std::error::Error;
 use std::io::{self, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -49,7 +49,7 @@ fn write(stream: &mut TcpStream, frame: &[u8], cuts: &[usize]) -> io::Result<()>
 /// Commands to the last robot and over the bare hops in turn, so that both meet the same machine.
 pub fn measure(run: &Run, count: usize) -> Result<Times, Box<dyn Error>> {
     let robot = RobotId::first(3).last().ok_or("no robot")?;
-    let node = Participant::open(&run.domain, Opener::of_robot(Program::Sim, robot), "bench")?;
+    let node = Participant::open(&run.domain, Opener::of_robot(Program::Worker(Role::Sim), robot), "bench")?;
     let channel = channel::command(robot);
     let (mut reader, bell) = (node.reader(&channel)?, node.listener(&channel)?);
     let topic: Wish = (name::PUBLISH, "/cmd_vel_3", Twist::TYPE);

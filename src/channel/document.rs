@@ -2,6 +2,7 @@
 
 use super::{CHANNELS, ChannelRow, End, Program, Scope};
 use crate::processes::PROCESSES;
+use msg::Role;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -29,7 +30,7 @@ fn picture() -> String {
         }
     }
     let mut text = String::from("```mermaid\nflowchart LR\n");
-    for program in [Program::Sim, Program::Slam] {
+    for program in [Role::Sim, Role::Slam].map(Program::from) {
         let _ = writeln!(text, "    {0}[\"{0}(k)\"]", program.name());
     }
     for ((from, to), names) in arrows {
@@ -41,10 +42,9 @@ fn picture() -> String {
 /// Returns the arrows of a channel between programs of the fleet itself.
 fn arrows_of(row: &ChannelRow) -> impl Iterator<Item = (Program, Program)> {
     let drawn = |end: &&End| !matches!(end, End::OutsideWorld(_));
-    let tool = |program: Program| matches!(program, Program::AskSlam | Program::AskMerge);
     let ends = |ends: &'static [End]| ends.iter().filter(drawn).map(|end| end.program());
-    let readers: Vec<_> = ends(row.readers).filter(|program| !tool(*program)).collect();
-    let writers: Vec<_> = ends(row.writers).filter(|program| !tool(*program)).collect();
+    let readers: Vec<_> = ends(row.readers).filter(|program| !program.is_tool()).collect();
+    let writers: Vec<_> = ends(row.writers).filter(|program| !program.is_tool()).collect();
     writers.into_iter().flat_map(move |from| readers.clone().into_iter().map(move |to| (from, to)))
 }
 
@@ -58,7 +58,7 @@ fn process_table() -> String {
             text,
             "| {} | {each} | `mr-slam worker {}` | {} |",
             row.role.name(),
-            row.command,
+            row.role.name(),
             row.resume
         );
     }

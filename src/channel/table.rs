@@ -1,13 +1,19 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
 use super::End::{Of, OfFirst, OfOthers, OutsideWorld};
-use super::Program::{AskMerge, AskSlam, Bridge, Launcher, Merge, Sim, Slam, Telemetry};
-use super::{Channel, ChannelRow, End, Scope, TypedRow};
+use super::Program::{EdgesTool, Launcher, SlamTool, Worker};
+use super::{Channel, ChannelRow, End, Program, Scope, TypedRow};
 use msg::{
     Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
     PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
     SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
+
+const SIM: Program = Worker(Role::Sim);
+const SLAM: Program = Worker(Role::Slam);
+const MERGE: Program = Worker(Role::Merge);
+const TELEMETRY: Program = Worker(Role::Telemetry);
+const BRIDGE: Program = Worker(Role::Bridge);
 
 /// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
 pub const MAP_MESSAGES_MAX: usize = 4;
@@ -37,21 +43,21 @@ const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1
 /// A map's channel: readers may fall four batches of messages behind.
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
-const SIM_OR_OUTSIDE: &[End] = &[Of(Sim), OutsideWorld(Bridge)];
-const EVERYBODY: &[End] = &[Of(Sim), Of(Slam), Of(Merge), Of(Telemetry), Of(Bridge)];
+const SIM_OR_OUTSIDE: &[End] = &[Of(SIM), OutsideWorld(BRIDGE)];
+const EVERYBODY: &[End] = &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE)];
 
 static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
     content: "wished velocity, 20 Hz while somebody drives",
-    writers: &[Of(Bridge)],
-    readers: &[Of(Sim), OutsideWorld(Bridge)],
+    writers: &[Of(BRIDGE)],
+    readers: &[Of(SIM), OutsideWorld(BRIDGE)],
     ..STREAM
 });
 static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     name: "scan",
     content: "one turn of the LiDAR, 10 Hz",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(Slam), Of(Bridge)],
+    readers: &[Of(SLAM), Of(BRIDGE)],
     // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
     depth: 16,
     ..STREAM
@@ -60,7 +66,7 @@ static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
     name: "odometry",
     content: "wheel odometry, 20 Hz, before the scan of the same stamp",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(Slam), Of(Bridge)],
+    readers: &[Of(SLAM), Of(BRIDGE)],
     depth: 64,
     // The scan of the same stamp wakes the reader.
     wakes: false,
@@ -70,14 +76,14 @@ static TRANSFORMS: TypedRow<Transforms> = TypedRow::new(ChannelRow {
     name: "transforms",
     content: "the robot's own frames, 20 Hz",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(Telemetry), Of(Bridge)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE)],
     ..STREAM
 });
 static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
     name: "truth",
     content: "the simulated pose, 100 Hz",
-    writers: &[Of(Sim)],
-    readers: &[OfOthers(Sim), Of(Telemetry), Of(Launcher)],
+    writers: &[Of(SIM)],
+    readers: &[OfOthers(SIM), Of(TELEMETRY), Of(Launcher)],
     depth: 4,
     readers_max: READERS_MAX + ROBOTS_MAX,
     // Readers poll once in each tick of their own.
@@ -88,23 +94,23 @@ static CLOCK: TypedRow<Clock> = TypedRow::new(ChannelRow {
     name: "clock",
     content: "the run's time, 100 Hz",
     scope: Scope::Fleet,
-    writers: &[OfFirst(Sim), OutsideWorld(Bridge)],
-    readers: &[Of(Bridge)],
+    writers: &[OfFirst(SIM), OutsideWorld(BRIDGE)],
+    readers: &[Of(BRIDGE)],
     ..STREAM
 });
 static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
     name: "correction",
     content: "the pose in the robot's map, one for each scan",
-    writers: &[Of(Slam)],
-    readers: &[Of(Merge), Of(Telemetry), Of(Bridge), Of(Launcher)],
+    writers: &[Of(SLAM)],
+    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(Launcher)],
     ..STREAM
 });
 // Readers cannot count lost messages of several writers: a client notices a lost request by the missing answer.
 static SLAM_REQUEST: TypedRow<SlamRequest> = TypedRow::new(ChannelRow {
     name: "slam_request",
     content: "a request to SLAM, on demand",
-    writers: &[Of(Bridge), Of(AskSlam)],
-    readers: &[Of(Slam)],
+    writers: &[Of(BRIDGE), Of(SlamTool)],
+    readers: &[Of(SLAM)],
     depth: 16,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
@@ -112,23 +118,23 @@ static SLAM_REQUEST: TypedRow<SlamRequest> = TypedRow::new(ChannelRow {
 static SLAM_RESPONSE: TypedRow<SlamResponse> = TypedRow::new(ChannelRow {
     name: "slam_response",
     content: "the answer to each request",
-    writers: &[Of(Slam)],
-    readers: &[Of(Bridge), Of(AskSlam)],
+    writers: &[Of(SLAM)],
+    readers: &[Of(BRIDGE), Of(SlamTool)],
     depth: 16,
     ..STREAM
 });
 static ROBOT_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     name: "map",
     content: "changed tiles of the robot's map, at most 10 Hz",
-    writers: &[Of(Slam)],
-    readers: &[Of(Merge), Of(Telemetry), Of(Bridge), Of(Launcher)],
+    writers: &[Of(SLAM)],
+    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(Launcher)],
     ..MAP
 });
 static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
     name: "submap",
     content: "a new or changed submap, at most 10 Hz",
-    writers: &[Of(Slam)],
-    readers: &[Of(Merge)],
+    writers: &[Of(SLAM)],
+    readers: &[Of(MERGE)],
     // A message has 0.26 MB, so that the queue is short; a reader that lost one requests it.
     depth: 8,
     readers_max: SUBMAP_READERS_MAX,
@@ -138,16 +144,16 @@ static SUBMAP_POSES: TypedRow<SubmapPoses> = TypedRow::new(ChannelRow {
     name: "submap_poses",
     content: "poses of all submaps, with each node",
     scope: Scope::Robot,
-    writers: &[Of(Slam)],
-    readers: &[Of(Merge)],
+    writers: &[Of(SLAM)],
+    readers: &[Of(MERGE)],
     readers_max: SUBMAP_READERS_MAX,
     ..STATE
 });
 static SUBMAP_REQUEST: TypedRow<SubmapRequest> = TypedRow::new(ChannelRow {
     name: "submap_request",
     content: "a request for all submaps, when one is missing",
-    writers: &[Of(Merge)],
-    readers: &[Of(Slam)],
+    writers: &[Of(MERGE)],
+    readers: &[Of(SLAM)],
     depth: 2,
     wakes: false,
     ..STREAM
@@ -156,31 +162,31 @@ static MERGED_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     name: "merged_map",
     content: "changed tiles of the fleet's map",
     scope: Scope::Fleet,
-    writers: &[Of(Merge)],
-    readers: &[Of(Telemetry), Of(Bridge), Of(Launcher)],
+    writers: &[Of(MERGE)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(Launcher)],
     ..MAP
 });
 static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
     name: "map_transforms",
     content: "where each robot's map lies in the fleet's, before each merged map",
-    writers: &[Of(Merge)],
-    readers: &[Of(Telemetry), Of(Bridge)],
+    writers: &[Of(MERGE)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE)],
     wakes: false,
     ..STATE
 });
 static MERGE_EDGES: TypedRow<MergeEdges> = TypedRow::new(ChannelRow {
     name: "merge_edges",
     content: "relative pose and evidence of each pair of robots, on change",
-    writers: &[Of(Merge)],
-    readers: &[Of(Bridge), Of(Launcher), Of(AskMerge)],
+    writers: &[Of(MERGE)],
+    readers: &[Of(BRIDGE), Of(Launcher), Of(EdgesTool)],
     ..STATE
 });
 static EDGE_COMMAND: TypedRow<EdgeCommand> = TypedRow::new(ChannelRow {
     name: "edge_command",
     content: "a person's command about an edge, on demand",
     scope: Scope::Fleet,
-    writers: &[Of(Bridge), Of(AskMerge)],
-    readers: &[Of(Merge)],
+    writers: &[Of(BRIDGE), Of(EdgesTool)],
+    readers: &[Of(MERGE)],
     depth: 16,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
@@ -188,8 +194,8 @@ static EDGE_COMMAND: TypedRow<EdgeCommand> = TypedRow::new(ChannelRow {
 static STATS: TypedRow<FleetStats> = TypedRow::new(ChannelRow {
     name: "stats",
     content: "the fleet's figures, 1 Hz",
-    writers: &[Of(Telemetry)],
-    readers: &[Of(Bridge), Of(Launcher)],
+    writers: &[Of(TELEMETRY)],
+    readers: &[Of(BRIDGE), Of(Launcher)],
     ..STATE
 });
 static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
@@ -197,7 +203,7 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
     content: "a process's own counters, 1 Hz",
     scope: Scope::Process,
     writers: EVERYBODY,
-    readers: &[Of(Telemetry)],
+    readers: &[Of(TELEMETRY)],
     depth: 4,
     wakes: false,
     ..STREAM

@@ -139,7 +139,7 @@ impl Action {
 
 /// Returns the newest edges, after the command if there is one.
 fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, EdgesError> {
-    let node = Participant::open(&run.domain, Opener::of_fleet(Program::AskMerge), "edges")?;
+    let node = Participant::open(&run.domain, Opener::of_fleet(Program::EdgesTool), "edges")?;
     let mut reader = node.reader(&channel::merge_edges())?;
     let begun = Instant::now();
     let mut next = |wanted: &dyn Fn(&MergeEdges) -> bool| -> Result<Box<MergeEdges>, EdgesError> {

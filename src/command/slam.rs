@@ -176,7 +176,7 @@ impl SlamClient {
         }
         let client = u64::from(std::process::id());
         let node =
-            Participant::open(&run.domain, Opener::of_fleet(Program::AskSlam), &format!("ask {robot}"))?;
+            Participant::open(&run.domain, Opener::of_fleet(Program::SlamTool), &format!("ask {robot}"))?;
         Ok(Self {
             robot,
             client,

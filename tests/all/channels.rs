@@ -43,8 +43,8 @@ fn every_channel_has_a_name_of_its_own_a_writer_and_a_reader() {
 #[test]
 fn opening_a_channel_that_the_table_does_not_grant_is_an_error() {
     let [robot1, robot2] = [1, 2].map(|number| RobotId::new(number).unwrap());
-    let sim1 = Opener::of_robot(Program::Sim, robot1);
-    let merge = Opener::of_fleet(Program::Merge);
+    let sim1 = Opener::of_robot(Program::Worker(Role::Sim), robot1);
+    let merge = Opener::of_fleet(Program::Worker(Role::Merge));
     assert!(channel::scan(robot1).check(sim1, Direction::Write).is_ok());
     let why = channel::scan(robot2).check(sim1, Direction::Write).unwrap_err().to_string();
     assert!(why.contains("robot2/scan") && why.contains("sim of robot1") && why.contains("table"), "{why}");
@@ -53,7 +53,7 @@ fn opening_a_channel_that_the_table_does_not_grant_is_an_error() {
     assert!(channel::truth(robot2).check(sim1, Direction::Read).is_ok());
     assert!(channel::truth(robot1).check(sim1, Direction::Read).is_err());
     assert!(channel::truth(robot1).check(merge, Direction::Read).is_err());
-    let sim2 = Opener::of_robot(Program::Sim, robot2);
+    let sim2 = Opener::of_robot(Program::Worker(Role::Sim), robot2);
     assert!(channel::clock().check(sim1, Direction::Write).is_ok());
     assert!(channel::clock().check(sim2, Direction::Write).is_err());
     assert!(channel::process_health(Role::Sim, Some(robot1)).check(sim1, Direction::Write).is_ok());

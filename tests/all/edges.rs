@@ -4,7 +4,7 @@ use crate::harness::{Fleet, mr_slam, output_of, process, send};
 use mr_slam::channel::{self, Opener, Program};
 use mr_slam::fleet::known_starts;
 use mr_slam::shared_memory::Participant;
-use msg::{MapTransforms, Pose2};
+use msg::{MapTransforms, Pose2, Role};
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
@@ -52,7 +52,9 @@ fn an_edge_is_pinned_unpinned_and_undone_while_the_fleet_runs() {
 
 /// Kills the merge process, and waits for the map_transforms of the one that takes its place. Those before, and those after.
 fn kill_merge(fleet: &mut Fleet) -> [MapTransforms; 2] {
-    let node = Participant::open(&fleet.run.domain, Opener::of_fleet(Program::Telemetry), "test").unwrap();
+    let node =
+        Participant::open(&fleet.run.domain, Opener::of_fleet(Program::Worker(Role::Telemetry)), "test")
+            .unwrap();
     let mut reader = node.reader(&channel::map_transforms()).unwrap();
     let mut newest: Option<MapTransforms> = None;
     let before = fleet.until("merging", |view| {

@@ -5,7 +5,7 @@ use mr_slam::channel::{self, Opener, Program};
 use mr_slam::ports::{ReadMapPort, WriteMapPort};
 use mr_slam::shared_memory::{Domain, MapReader, MapWriter, Participant};
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
-use msg::{MapHeader, Rect, TileMap};
+use msg::{MapHeader, Rect, Role, TileMap};
 use std::time::Instant;
 
 /// Shared memory of one test, removed at its end.
@@ -21,11 +21,11 @@ impl Memory {
     }
 
     fn writer(&self) -> MapWriter {
-        self.participant(Program::Merge).map_writer(&channel::merged_map()).unwrap()
+        self.participant(Program::Worker(Role::Merge)).map_writer(&channel::merged_map()).unwrap()
     }
 
     fn reader(&self) -> MapReader {
-        self.participant(Program::Bridge).map_reader(&channel::merged_map()).unwrap()
+        self.participant(Program::Worker(Role::Bridge)).map_reader(&channel::merged_map()).unwrap()
     }
 }
 
