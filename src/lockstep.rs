@@ -14,7 +14,7 @@ mod operator;
 pub mod queues;
 
 pub use command::{LockstepArgs, run};
-pub use queues::Listener;
+pub use queues::MessageObserver;
 
 use crate::channel::{self, Opener, Program};
 use crate::config::FleetConfig;
@@ -104,12 +104,12 @@ impl Lockstep {
         })
     }
 
-    /// Runs the fleet for one tick of the simulators. `listener` hears every message.
-    pub fn tick(&mut self, listener: Listener<'_>) {
+    /// Runs the fleet for one tick of the simulators. `message_observer` receives every message.
+    pub fn tick(&mut self, message_observer: MessageObserver<'_>) {
         let until = Monotonic(self.time().0 + Simulator::TICK.as_nanos() as u64);
         self.run_until(until);
         self.observer.poll();
-        self.world.network.tell(listener);
+        self.world.network.report_messages(message_observer);
     }
 
     /// Returns the run's time.

@@ -128,7 +128,7 @@ async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clo
     };
     let connection = Connection { bridge: &bridge, id, stream: &stream, wake: &wake, clock };
     let end = serve_client(&connection).await;
-    if let ConversationEnd::InvalidStream(why) = end
+    if let ConnectionEnd::InvalidStream(why) = end
         && let Some(unsent) = bridge.disconnect_with_error(id, why)
     {
         drop(connection);
@@ -137,7 +137,7 @@ async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clo
 }
 
 /// Why a connection ends.
-enum ConversationEnd {
+enum ConnectionEnd {
     /// The peer has closed, or does not read what it asked for.
     Closed,
     /// The peer's stream cannot be cut into frames any more, and why.
@@ -145,7 +145,7 @@ enum ConversationEnd {
 }
 
 /// Reads and writes until the connection ends.
-async fn serve_client(connection: &Connection<'_>) -> ConversationEnd {
+async fn serve_client(connection: &Connection<'_>) -> ConnectionEnd {
     let Connection { bridge, id, stream, wake, .. } = *connection;
     let mut parser = Parser::new(bridge.frame_bytes_max());
     while let Ok(is_blocked) = bridge.is_blocked(id) {
@@ -165,24 +165,24 @@ async fn serve_client(connection: &Connection<'_>) -> ConversationEnd {
             yield_now().await;
         }
     }
-    ConversationEnd::Closed
+    ConnectionEnd::Closed
 }
 
 /// Reads once and handles the frames that are complete; `Some` at the end of the connection.
-async fn read_frames(connection: &Connection<'_>, parser: &mut Parser) -> Option<ConversationEnd> {
+async fn read_frames(connection: &Connection<'_>, parser: &mut Parser) -> Option<ConnectionEnd> {
     match read(connection.stream, parser.space()) {
-        Ok(0) => return Some(ConversationEnd::Closed),
+        Ok(0) => return Some(ConnectionEnd::Closed),
         Ok(count) => parser.filled(count),
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => return None,
         Err(error) if error.kind() == io::ErrorKind::Interrupted => return None,
-        Err(_) => return Some(ConversationEnd::Closed),
+        Err(_) => return Some(ConnectionEnd::Closed),
     }
     let mut frames = 0;
     loop {
         match parser.next_frame() {
             Ok(Some(frame)) => connection.bridge.receive(connection.id, frame, (connection.clock)()),
             Ok(None) => break,
-            Err(error) => return Some(ConversationEnd::InvalidStream(error.to_string())),
+            Err(error) => return Some(ConnectionEnd::InvalidStream(error.to_string())),
         }
         frames += 1;
         if frames % FRAMES_PER_TURN == 0 {

@@ -130,7 +130,7 @@ impl Simulator {
 
     /// Sets the time of the run, for a simulator that joins a running fleet. The time is rounded down to a
     /// whole tick, so that all robots of a run tick at the same stamps. Call it before the first step.
-    pub fn join_at(&mut self, now: Stamp) {
+    pub fn set_time(&mut self, now: Stamp) {
         self.ticks = now.0.div_euclid(Self::TICK.as_nanos() as i64);
     }
 

@@ -155,6 +155,6 @@ fn odometry_and_scans_have_their_rates_and_phases() {
 #[test]
 fn a_simulator_joins_a_running_fleet() {
     let mut simulator = simulator(OPEN);
-    simulator.join_at(msg::Stamp(12_345_678_901));
+    simulator.set_time(msg::Stamp(12_345_678_901));
     assert_eq!(simulator.step().stamp.0, 12_350_000_000);
 }

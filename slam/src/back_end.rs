@@ -55,7 +55,7 @@ pub struct BackEnd {
     /// The nodes, by id; their poses are the graph's.
     nodes: Vec<Node>,
     graph: Graph,
-    closer: LoopCloser,
+    loop_closer: LoopCloser,
     location: RobotLocation,
     lifelong: Lifelong,
     numbers: NodeNumbers,
@@ -104,7 +104,7 @@ impl BackEnd {
         Self {
             nodes: Vec::new(),
             graph: Graph::new(config.graph.clone()),
-            closer: LoopCloser::new(config.clone()),
+            loop_closer: LoopCloser::new(config.clone()),
             location: RobotLocation::new(),
             lifelong: Lifelong::default(),
             numbers: NodeNumbers::default(),
@@ -149,7 +149,7 @@ impl BackEnd {
         self.check_unverified_edge(id, &relative);
         let disconnected = !self.newest_in_map();
         // Search for a place seen before; between two searches, retry a node that was not found.
-        if self.closer.is_search_due() {
+        if self.loop_closer.is_search_due() {
             self.search_closure(id, &relative);
         } else {
             self.retry_closure();
@@ -183,10 +183,10 @@ impl BackEnd {
     fn search_closure(&mut self, id: u32, relative: &[Option<RelativeUncertainty>]) -> bool {
         self.stages.stage_started(Stage::Closure);
         let view = GraphView { nodes: &self.nodes, graph: &self.graph };
-        match self.closer.detector.search(&view, id, relative, self.closer.travelled_m) {
+        match self.loop_closer.detector.search(&view, id, relative, self.loop_closer.travelled_m) {
             ClosureSearch::NoCandidate => return false,
             ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {
-                self.closer.record_not_found(id);
+                self.loop_closer.record_not_found(id);
             }
             ClosureSearch::Accepted(closures) => self.add_closures(&closures),
         }
@@ -195,13 +195,13 @@ impl BackEnd {
 
     /// Searches once more for a node that was not found before the last closure; false if there is none.
     fn retry_closure(&mut self) -> bool {
-        while let Some(id) = self.closer.again.pop_front() {
+        while let Some(id) = self.loop_closer.again.pop_front() {
             self.stages.stage_started(Stage::Link);
             let relative = self.uncertainty_from(id);
             self.unsolved += usize::from(self.link_near(id, &relative) > 0);
             self.stages.stage_started(Stage::Closure);
             let view = GraphView { nodes: &self.nodes, graph: &self.graph };
-            match self.closer.detector.search(&view, id, &relative, self.closer.travelled_m) {
+            match self.loop_closer.detector.search(&view, id, &relative, self.loop_closer.travelled_m) {
                 ClosureSearch::NoCandidate => continue,
                 ClosureSearch::NotFound | ClosureSearch::Unconfirmed => {}
                 ClosureSearch::Accepted(closures) => self.add_closures(&closures),
@@ -218,11 +218,11 @@ impl BackEnd {
             nodes: self.nodes.len(),
             links: count(EdgeKind::Link),
             closures: count(EdgeKind::Closure),
-            retracted: self.closer.retracted,
+            retracted: self.loop_closer.retracted,
             solutions: self.solutions,
             failed_solutions: self.failed_solutions(),
             not_drawn: self.mapper.clipped(),
-            searches: self.closer.detector.counts(),
+            searches: self.loop_closer.detector.counts(),
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             retired: self.lifelong.retired,
@@ -295,11 +295,11 @@ impl BackEnd {
         let moved = previous.local_from_base.between(node.local_from_base);
         let (a, b) = (previous.id, node.id);
         let map_from_node = self.graph.poses()[a as usize] * moved;
-        self.closer.travelled_m += moved.x_m.hypot(moved.y_m);
+        self.loop_closer.travelled_m += moved.x_m.hypot(moved.y_m);
         self.graph.add_node(map_from_node);
         let measured = node.previous_from_this.unwrap_or(moved);
         let (kind, information) = if node.odometry_break {
-            self.closer.detector.drop_pending();
+            self.loop_closer.detector.drop_pending();
             self.location.component_relocalizer = None;
             (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
         } else {
@@ -323,7 +323,7 @@ impl BackEnd {
     /// Adds accepted closures to the graph, solves, and links the nodes around them.
     fn add_closures(&mut self, closures: &[ClosureCandidate]) {
         let closures: Vec<ClosureCandidate> =
-            closures.iter().filter(|closure| !self.closer.is_rejected(closure)).copied().collect();
+            closures.iter().filter(|closure| !self.loop_closer.is_rejected(closure)).copied().collect();
         if closures.is_empty() {
             return;
         }
@@ -342,7 +342,7 @@ impl BackEnd {
             let relative = self.uncertainty_from(id);
             self.link_near(id, &relative);
         }
-        self.closer.retry_not_found();
+        self.loop_closer.retry_not_found();
         self.solve(false);
     }
 
@@ -376,7 +376,7 @@ impl BackEnd {
             .collect();
         for &index in &contradicted {
             self.graph.edge_mut(index).in_force = false;
-            self.closer.retracted += 1;
+            self.loop_closer.retracted += 1;
         }
         self.count_closures();
     }
@@ -385,6 +385,6 @@ impl BackEnd {
     fn count_closures(&mut self) {
         self.update_components();
         let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
-        self.closer.in_force = self.graph.edges().iter().filter(in_force).count() as u32;
+        self.loop_closer.in_force = self.graph.edges().iter().filter(in_force).count() as u32;
     }
 }

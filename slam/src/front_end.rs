@@ -155,7 +155,7 @@ impl FrontEnd {
         // Take the robot's motion out of the scan, and match it against the local map.
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
         // Odometry that slipped counts from the matched pose.
-        self.absorb_slip(&pose, odom_from_base);
+        self.rebase_odometry(&pose, odom_from_base);
         // Record where the robot's body was.
         self.stages.stage_started(Stage::Node);
         self.extend_swept_path(&pose);
@@ -229,11 +229,11 @@ impl FrontEnd {
         self.counts
     }
 
-    fn absorb_slip(&mut self, pose: &TrackedPose, odom_from_base: Option<Pose2>) {
+    fn rebase_odometry(&mut self, pose: &TrackedPose, odom_from_base: Option<Pose2>) {
         if let (true, Some(newest), Some(odom)) =
             (pose.slipped, self.matcher.references.back(), odom_from_base)
         {
-            self.motion.absorb_slip(newest, pose.local_from_base, odom);
+            self.motion.rebase_odometry(newest, pose.local_from_base, odom);
             self.counts.slips += 1;
         }
     }

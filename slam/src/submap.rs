@@ -74,14 +74,14 @@ impl Submaps {
     }
 
     /// Removes all submaps and begins a new generation: the nodes are no longer the same.
-    pub fn begin_again(&mut self) {
+    pub fn restart(&mut self) {
         self.groups.clear();
         (self.nodes, self.path_m, self.not_kept) = (0, 0.0, 0);
         self.generation += 1;
     }
 
     /// Publishes all submaps again, for a subscriber that misses some.
-    pub fn give_again(&mut self) {
+    pub fn resend_all(&mut self) {
         self.groups.iter_mut().for_each(|group| group.given.clear());
     }
 
@@ -89,7 +89,7 @@ impl Submaps {
     /// or began a new map, all submaps begin again.
     pub fn update(&mut self, back: &BackEnd) {
         if back.retired() != self.retired || back.nodes().len() < self.nodes as usize {
-            self.begin_again();
+            self.restart();
             self.retired = back.retired();
         }
         let poses = back.graph().poses();

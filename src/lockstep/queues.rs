@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::rc::{Rc, Weak};
 
 /// Callback for every message that is sent: the channel's name and the message's bytes.
-pub type Listener<'a> = &'a mut dyn FnMut(&str, &[u8]);
+pub type MessageObserver<'a> = &'a mut dyn FnMut(&str, &[u8]);
 
 /// Virtual time, shared by all of a fleet.
 #[derive(Clone, Debug, Default)]
@@ -92,9 +92,9 @@ impl Network {
     }
 
     /// Passes on the messages that were sent since the last call.
-    pub fn tell(&self, listener: Listener<'_>) {
+    pub fn report_messages(&self, observer: MessageObserver<'_>) {
         for (name, bytes) in self.sent.take() {
-            listener(&name, &bytes);
+            observer(&name, &bytes);
         }
     }
 

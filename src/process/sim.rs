@@ -69,7 +69,7 @@ impl<P: Ports> Simulation<P> {
             None => at_start()?,
         };
         let clock = ports.clock();
-        simulator.join_at(run.epoch.stamp(clock.now()));
+        simulator.set_time(run.epoch.stamp(clock.now()));
         let lag = fleet::tick_lag(robot, run.config.fleet.robots);
         Ok(Self { simulator, inputs, outputs, heartbeat, clock, epoch: run.epoch, lag })
     }
@@ -105,7 +105,7 @@ impl<P: Ports> Component for Simulation<P> {
         });
         let now = self.now();
         if now - self.simulator.now() > BEHIND_MAX_S {
-            self.simulator.join_at(now);
+            self.simulator.set_time(now);
         }
         self.due()
     }

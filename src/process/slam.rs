@@ -70,7 +70,7 @@ pub enum Restart {
 /// Command from the back end to the scan path.
 pub enum FrontCommand {
     /// Reports the outcome of a node.
-    Revise(Revision),
+    ApplyRevision(Revision),
     /// Sets whether scans are ignored.
     Pause(bool),
     /// Requests the front end's state, which comes as [`FrontEvent::State`].
@@ -85,9 +85,9 @@ pub enum FrontCommand {
         in_place: bool,
     },
     /// Sets the transform of the front end's frame in the map at once, not with the next node; `None`: unknown.
-    SetPose(Option<Pose2>),
+    SetMapFromLocal(Option<Pose2>),
     /// Makes a node of the next scan, because a request waits for one.
-    WantNode,
+    RequestNode,
 }
 
 /// The three components of a SLAM process, and the ends of the queues between them.

@@ -40,7 +40,7 @@ impl<P: Ports> SubmapPublisher<P> {
 
     /// Starts again with the nodes of a replaced back end.
     pub fn restart(&mut self) {
-        self.submaps.begin_again();
+        self.submaps.restart();
     }
 
     /// Records that the back end has new nodes or a changed graph.
@@ -57,7 +57,7 @@ impl<P: Ports> SubmapPublisher<P> {
             self.polled = now;
             self.poses.refresh();
             if self.requests.newest().is_some() {
-                self.submaps.give_again();
+                self.submaps.resend_all();
                 self.sending = true;
             }
         }

@@ -86,7 +86,7 @@ impl BackEnd {
         edge.variance = BREAK_VARIANCE;
         self.nodes[unverified_edge as usize].odometry_break = true;
         self.unverified_edge = None;
-        self.closer.detector.drop_pending();
+        self.loop_closer.detector.drop_pending();
         self.location.component_relocalizer = None;
         self.update_components();
     }

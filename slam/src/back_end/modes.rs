@@ -40,7 +40,7 @@ impl BackEnd {
     ) -> Self {
         let mut back = Self::new(config.clone());
         back.graph = Graph::from_parts(config.graph.clone(), state.poses, state.edges);
-        back.closer.detector = ClosureDetector::resume(config, state.detector);
+        back.loop_closer.detector = ClosureDetector::resume(config, state.detector);
         back.numbers.earlier = samples;
         back.lifelong.contradicted = vec![0; state.nodes.len()];
         back.unverified_edge = state.unverified_edge;
@@ -48,10 +48,10 @@ impl BackEnd {
         (back.nodes, back.numbers.front_ids) = (state.nodes, state.front_ids);
         back.update_components();
         back.mapper.restore(&back.nodes, &state.drawn);
-        (back.closer.not_found, back.closer.again) = (state.not_found.into(), state.again.into());
-        (back.closer.travelled_m, back.unsolved, back.closer.rejected_closures) =
+        (back.loop_closer.not_found, back.loop_closer.again) = (state.not_found.into(), state.again.into());
+        (back.loop_closer.travelled_m, back.unsolved, back.loop_closer.rejected_closures) =
             (state.travelled_m, state.unsolved, state.rejected_closures);
-        (back.solutions, back.closer.retracted, back.lifelong.retired) =
+        (back.solutions, back.loop_closer.retracted, back.lifelong.retired) =
             (state.solutions, state.retracted, state.retired);
         back.count_closures();
         back.set_mode(mode);
@@ -210,7 +210,7 @@ impl BackEnd {
             cause: self.numbers.newest_front,
             effective_from: self.numbers.newest_front.saturating_add(lag),
             map_from_local: map_from_local.unwrap_or_default(),
-            closures: self.closer.in_force,
+            closures: self.loop_closer.in_force,
             located: map_from_local.is_some() && self.is_located(),
         }
     }

@@ -50,16 +50,16 @@ impl BackEnd {
             poses: self.graph.poses().to_vec(),
             drawn: self.mapper.drawn(),
             edges: self.graph.edges().to_vec(),
-            travelled_m: self.closer.travelled_m,
-            not_found: self.closer.not_found.iter().copied().collect(),
-            again: self.closer.again.iter().copied().collect(),
+            travelled_m: self.loop_closer.travelled_m,
+            not_found: self.loop_closer.not_found.iter().copied().collect(),
+            again: self.loop_closer.again.iter().copied().collect(),
             unsolved: self.unsolved,
             solutions: self.solutions,
-            retracted: self.closer.retracted,
+            retracted: self.loop_closer.retracted,
             retired: self.lifelong.retired,
             unverified_edge: self.unverified_edge,
-            detector: self.closer.detector.state(),
-            rejected_closures: self.closer.rejected_closures.clone(),
+            detector: self.loop_closer.detector.state(),
+            rejected_closures: self.loop_closer.rejected_closures.clone(),
         }
     }
 }

@@ -90,7 +90,7 @@ impl BackEnd {
         for &index in closures {
             let edge = self.graph.edge_mut(index);
             edge.in_force = false;
-            self.closer.reject(edge);
+            self.loop_closer.reject(edge);
         }
         let between_passes: Vec<usize> = (first..self.graph.edges().len())
             .filter(|&i| {

@@ -146,7 +146,7 @@ impl MotionModel {
     }
 
     /// After wheels have slipped, odometry counts from the matched pose, so that the slip no longer pulls.
-    pub fn absorb_slip(&mut self, newest: &Node, local_from_base: Pose2, odom_from_base: Pose2) {
+    pub fn rebase_odometry(&mut self, newest: &Node, local_from_base: Pose2, odom_from_base: Pose2) {
         let moved = newest.local_from_base.between(local_from_base);
         self.reference_odom_from_base = Some(odom_from_base * moved.inverse());
     }

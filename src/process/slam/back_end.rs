@@ -25,7 +25,7 @@ const CARRIED_SIGMA: [f64; 2] = [0.1, 0.05];
 
 /// The back end with its channels. A step handles one event of the scan path and about a millisecond of other work.
 pub struct BackEndWorker<P: Ports> {
-    state: BackEndState,
+    state: WorkerState,
     services: Services<P>,
     map: MapPublisher<P>,
     submaps: SubmapPublisher<P>,
@@ -49,7 +49,7 @@ impl<P: Ports> BackEndWorker<P> {
             map: MapPublisher::open(ports, robot)?,
             submaps: SubmapPublisher::open(ports, robot, &run.config.slam)?,
             services: Services::open(ports, run, robot)?,
-            state: BackEndState {
+            state: WorkerState {
                 back,
                 identity: sessions::identity(run, robot),
                 commands: CommandSender::new(commands),
@@ -123,7 +123,7 @@ impl<P: Ports> BackEndWorker<P> {
 }
 
 /// The back end, its queues, and the requests that wait.
-pub struct BackEndState {
+pub struct WorkerState {
     /// The back end itself.
     pub back: BackEnd,
     /// Robot, run and configuration to which a session belongs.
@@ -145,7 +145,7 @@ pub struct BackEndState {
     now: Monotonic,
 }
 
-impl BackEndState {
+impl WorkerState {
     fn apply_event<P: Ports>(&mut self, number: u32, event: FrontEvent, services: &mut Services<P>) {
         if number != self.front_number {
             // The event is from a replaced front end: a node of another map, or the front end itself, to be dropped.
@@ -177,7 +177,7 @@ impl BackEndState {
         if self.back.failed_solutions() > failed_before {
             tracing::warn!("slam: the pose graph was not solved; the map stays as it was");
         }
-        self.commands.send_or_drop(FrontCommand::Revise(revision));
+        self.commands.send_or_drop(FrontCommand::ApplyRevision(revision));
         if self.back.mode() != SlamMode::Localization {
             self.mark_changed();
         }

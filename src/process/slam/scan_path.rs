@@ -18,7 +18,7 @@ const ODOMETRY_AGE_MAX_S: f64 = 0.05;
 
 /// The scan path with its channels.
 pub struct ScanPath<P: Ports> {
-    core: Core,
+    runner: FrontEndRunner,
     scans: P::Reader<Scan>,
     scan_listener: P::Listener,
     odometry: P::Reader<Odometry>,
@@ -44,44 +44,44 @@ impl<P: Ports> ScanPath<P> {
             scan_listener: ports.listener(&channel::scan(robot))?,
             odometry: ports.reader(&channel::odometry(robot))?,
             corrections: ports.writer(&channel::correction(robot))?,
-            core: Core::new(front, odom_pose, events, commands),
+            runner: FrontEndRunner::new(front, odom_pose, events, commands),
             refused: 0,
         })
     }
 
     /// Reports the last state of the front end; the process ends.
     pub fn end(self) {
-        let state = Box::new(self.core.front.state());
-        self.core.report(FrontEvent::Ended(state));
+        let state = Box::new(self.runner.front.state());
+        self.runner.report(FrontEvent::Ended(state));
     }
 
     /// Returns the state of the front end.
     pub fn front_state(&self) -> FrontEndState {
-        self.core.front.state()
+        self.runner.front.state()
     }
 
     /// Returns the number of events that were lost to a full queue since the start.
     pub fn events_lost(&self) -> u64 {
-        self.core.events_lost.get()
+        self.runner.events_lost.get()
     }
 }
 
 impl<P: Ports> Component for ScanPath<P> {
     fn step(&mut self) -> Monotonic {
-        let Self { core, scans, odometry, corrections, heartbeat, refused, .. } = self;
-        core.apply_commands();
+        let Self { runner, scans, odometry, corrections, heartbeat, refused, .. } = self;
+        runner.apply_commands();
         while let Some(scan) = scans.receive() {
             while let Some(odometry) = odometry.receive() {
-                core.add_odometry(&odometry);
+                runner.add_odometry(&odometry);
             }
-            core.apply_commands();
-            let (correction, used) = heartbeat.measure(|| core.process(&scan));
+            runner.apply_commands();
+            let (correction, used) = heartbeat.measure(|| runner.process(&scan));
             *refused += u64::from(!used);
             if let Some(correction) = correction {
                 corrections.send(&correction);
             }
         }
-        let dropped = core.events_lost.get();
+        let dropped = runner.events_lost.get();
         let counters =
             HealthCounters { gaps: scans.gaps(), refused: *refused, dropped, ..HealthCounters::default() };
         heartbeat.publish_if_due(|| counters);
@@ -96,7 +96,7 @@ impl<P: Ports> Listens<P::Listener> for ScanPath<P> {
 }
 
 /// The front end, and its queues to and from the back end.
-struct Core {
+struct FrontEndRunner {
     front: Box<FrontEnd>,
     /// Counts the front ends that were put in place.
     number: u32,
@@ -115,7 +115,7 @@ struct Core {
     commands: Receiver<FrontCommand>,
 }
 
-impl Core {
+impl FrontEndRunner {
     fn new(
         front: FrontEnd,
         odom_pose: Option<Pose2>,
@@ -148,7 +148,7 @@ impl Core {
     fn apply_commands(&mut self) {
         while let Ok(command) = self.commands.try_recv() {
             match command {
-                FrontCommand::Revise(revision) => self.front.add_revision(revision),
+                FrontCommand::ApplyRevision(revision) => self.front.add_revision(revision),
                 FrontCommand::Pause(paused) => self.paused = paused,
                 FrontCommand::ReportState => {
                     self.report(FrontEvent::State(Box::new(self.front.state())));
@@ -164,8 +164,10 @@ impl Core {
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
                 }
-                FrontCommand::SetPose(map_from_local) => self.front.set_map_from_local(map_from_local),
-                FrontCommand::WantNode => self.front.request_node(),
+                FrontCommand::SetMapFromLocal(map_from_local) => {
+                    self.front.set_map_from_local(map_from_local)
+                }
+                FrontCommand::RequestNode => self.front.request_node(),
             }
         }
     }

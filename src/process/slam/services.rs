@@ -1,7 +1,7 @@
 //! Requests of people and programs to SLAM, and the responses: see [`msg::SlamRequestKind`].
 
 use super::FrontCommand;
-use super::back_end::BackEndState;
+use super::back_end::WorkerState;
 use super::files::{JobOutcome, Work};
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
@@ -68,7 +68,7 @@ impl<P: Ports> Services<P> {
     }
 
     /// Answers the requests that were received.
-    pub fn serve(&mut self, state: &mut BackEndState) {
+    pub fn serve(&mut self, state: &mut WorkerState) {
         for _ in 0..REQUESTS_MAX {
             let Some(request) = self.requests.receive().map(|request| *request) else { return };
             let outcome = match state.commands.is_full() {
@@ -79,7 +79,7 @@ impl<P: Ports> Services<P> {
         }
     }
 
-    fn apply(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
+    fn apply(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         let ask = SlamRequestKind::from_code(request.kind)
             .ok_or_else(|| format!("request code {} means nothing here", request.kind))?;
         match ask {
@@ -105,8 +105,8 @@ impl<P: Ports> Services<P> {
             SlamRequestKind::Relocalize => {
                 has_map(state)?;
                 state.back.start_relocalization(None);
-                state.commands.send(FrontCommand::SetPose(None));
-                state.commands.send(FrontCommand::WantNode);
+                state.commands.send(FrontCommand::SetMapFromLocal(None));
+                state.commands.send(FrontCommand::RequestNode);
                 done("the robot is looked for in the whole map: from where it stands, and as it moves")
             }
             SlamRequestKind::ListClosures => done(""),
@@ -124,7 +124,7 @@ impl<P: Ports> Services<P> {
         }
     }
 
-    fn reset(&mut self, state: &mut BackEndState) -> RequestResult {
+    fn reset(&mut self, state: &mut WorkerState) -> RequestResult {
         let mode = match state.back.mode() {
             // After a reset there is no map to localize in.
             SlamMode::Localization => SlamMode::Mapping,
@@ -136,7 +136,7 @@ impl<P: Ports> Services<P> {
         done("the map begins anew")
     }
 
-    fn save_map(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
+    fn save_map(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         has_map(state)?;
         let stem = file_path(&self.dir, request.text.as_str(), None)?;
         let stem = match stem.extension().and_then(|ending| ending.to_str()) {
@@ -147,7 +147,7 @@ impl<P: Ports> Services<P> {
         give(state, request, stem, Work::Draw(grid))
     }
 
-    fn load_session(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
+    fn load_session(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         if self.loading {
             return Err("another file is being loaded; try again when it is".into());
         }
@@ -161,7 +161,7 @@ impl<P: Ports> Services<P> {
         given
     }
 
-    fn undo_closure(&mut self, request: &SlamRequest, state: &mut BackEndState) -> RequestResult {
+    fn undo_closure(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         may_change(state)?;
         if !state.back.undo_closure(request.number) {
             let count = state.back.closures().count();
@@ -172,7 +172,7 @@ impl<P: Ports> Services<P> {
         done(&format!("closure {} is taken back, and not accepted again", request.number))
     }
 
-    fn clear_closures(&mut self, state: &mut BackEndState) -> RequestResult {
+    fn clear_closures(&mut self, state: &mut WorkerState) -> RequestResult {
         may_change(state)?;
         let count = state.back.clear_closures();
         if count == 0 {
@@ -183,7 +183,7 @@ impl<P: Ports> Services<P> {
     }
 
     /// Continues a request that waited for the scan path's state.
-    pub fn resume(&mut self, state: &mut BackEndState, pending: PendingRequest, front: &FrontEndState) {
+    pub fn resume(&mut self, state: &mut WorkerState, pending: PendingRequest, front: &FrontEndState) {
         match pending {
             PendingRequest::Autosave => state.save(front),
             PendingRequest::Save(request, path) => {
@@ -201,15 +201,15 @@ impl<P: Ports> Services<P> {
                     sigma_m: or(request.sigma_m, m),
                     sigma_rad: or(request.sigma_rad, rad),
                 }));
-                state.commands.send(FrontCommand::SetPose(Some(map_from_local)));
-                state.commands.send(FrontCommand::WantNode);
+                state.commands.send(FrontCommand::SetMapFromLocal(Some(map_from_local)));
+                state.commands.send(FrontCommand::RequestNode);
                 self.respond(&request, done("the robot is looked for around there"), state);
             }
         }
     }
 
     /// Answers a request whose file was read or written.
-    pub fn finish_job(&mut self, state: &mut BackEndState, outcome: JobOutcome) {
+    pub fn finish_job(&mut self, state: &mut WorkerState, outcome: JobOutcome) {
         let JobOutcome { request: Some(request), path, result, took: _ } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
@@ -236,7 +236,7 @@ impl<P: Ports> Services<P> {
         file_path(&self.dir, request.text.as_str(), Some(SESSION_ENDING))
     }
 
-    fn respond(&mut self, request: &SlamRequest, outcome: RequestResult, state: &BackEndState) {
+    fn respond(&mut self, request: &SlamRequest, outcome: RequestResult, state: &WorkerState) {
         let (outcome, text) = match outcome {
             Ok(RequestOutcome::Deferred) => return,
             Ok(RequestOutcome::Done(text)) => (SlamOutcome::Done, text),
@@ -288,14 +288,14 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, St
     Ok(path)
 }
 
-fn give(state: &BackEndState, request: &SlamRequest, path: PathBuf, work: Work) -> RequestResult {
+fn give(state: &WorkerState, request: &SlamRequest, path: PathBuf, work: Work) -> RequestResult {
     match state.give(Some(request), path, work) {
         true => Ok(RequestOutcome::Deferred),
         false => Err("too many files are being written; try again in a moment".into()),
     }
 }
 
-fn wait_for_state(state: &mut BackEndState, pending: PendingRequest) -> RequestResult {
+fn wait_for_state(state: &mut WorkerState, pending: PendingRequest) -> RequestResult {
     if state.pending() >= PENDING_MAX {
         return Err("too many requests wait; try again in a moment".into());
     }
@@ -303,13 +303,13 @@ fn wait_for_state(state: &mut BackEndState, pending: PendingRequest) -> RequestR
     Ok(RequestOutcome::Deferred)
 }
 
-fn has_map(state: &BackEndState) -> Result<(), String> {
+fn has_map(state: &WorkerState) -> Result<(), String> {
     let empty = state.back.nodes().is_empty();
     if empty { Err("there is nothing in the map yet: no scan has come".into()) } else { Ok(()) }
 }
 
 /// Refuses to remove closures in localization, where the map is fixed.
-fn may_change(state: &BackEndState) -> Result<(), String> {
+fn may_change(state: &WorkerState) -> Result<(), String> {
     if state.back.mode() == SlamMode::Localization {
         return Err("in localization the map stays as it is; set the mode to mapping first".into());
     }
@@ -320,9 +320,9 @@ fn may_change(state: &BackEndState) -> Result<(), String> {
 }
 
 /// Sends the scan path its new pose after the graph has changed.
-fn publish_changed_graph(state: &mut BackEndState) {
+fn publish_changed_graph(state: &mut WorkerState) {
     state.mark_changed();
-    state.commands.send(FrontCommand::SetPose(Some(state.back.latest_revision().map_from_local)));
+    state.commands.send(FrontCommand::SetMapFromLocal(Some(state.back.latest_revision().map_from_local)));
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, String> {
