@@ -34,7 +34,7 @@ const NOT_LOCATED_M: f64 = 100.0;
 const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
 
 /// Counts of scans by what became of them.
-// One counter per outcome: more than a dozen fields, all alike.
+// More than 12 fields: one counter for each outcome of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrontEndCounts {
     /// Scans that got a pose.

@@ -16,7 +16,7 @@ pub struct OdometryBuffer {
     clock_reset: ClockResetDetector,
     /// The poses are those of a session: messages may have been missed since.
     is_restored: bool,
-    /// See [`OdometryBuffer::take_unknown_motion`].
+    /// The motion since the restored poses is unknown: see [`OdometryBuffer::take_unknown_motion`].
     unknown_motion: bool,
 }
 

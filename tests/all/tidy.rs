@@ -20,15 +20,13 @@ const BINARY_SHARE_MAX_PERCENT: usize = 26;
 /// Number of functions of product code that return a bare `Result<_, String>`. It must not grow.
 const STRING_ERRORS_MAX: usize = 28;
 /// Number of docs of one or two words. It must not grow.
-const SHORT_DOCS_MAX: usize = 156;
+const SHORT_DOCS_MAX: usize = 1;
 
 /// Files that may have over [`FILE_LINES_MAX`] lines: path and reason.
 const LONG_FILES: &[(&str, &str)] = &[
     ("benches/slam/drive.rs", "a bench that drives one log through all stages"),
     ("slam/src/session/records.rs", "the reader and the writer of one file format stay side by side"),
 ];
-/// Number of longer files without a reason. It must not grow.
-const LONG_FILES_UNEXPLAINED_MAX: usize = 3;
 
 /// Functions that may have over [`FUNCTION_LINES_MAX`] lines: path, name and reason.
 const LONG_FUNCTIONS: &[(&str, &str, &str)] = &[
@@ -37,11 +35,9 @@ const LONG_FUNCTIONS: &[(&str, &str, &str)] = &[
     ("slam/src/session/records.rs", "take_back", "reads the fields of one record in their order"),
     ("slam/src/session/records.rs", "take_front", "reads the fields of one record in their order"),
 ];
-/// Number of longer functions without a reason. It must not grow.
-const LONG_FUNCTIONS_UNEXPLAINED_MAX: usize = 1;
 
 /// Number of structs with over [`FIELDS_MAX`] fields and no reason beside them. It must not grow.
-const WIDE_STRUCTS_MAX: usize = 14;
+const WIDE_STRUCTS_MAX: usize = 4;
 
 #[test]
 fn files_have_at_most_400_lines() {
@@ -49,8 +45,7 @@ fn files_have_at_most_400_lines() {
     let found: Vec<String> = all_files().iter().filter(long).map(|source| source.path.clone()).collect();
     let excepted = |path: &str| LONG_FILES.iter().any(|(known, _)| *known == path);
     let new: Vec<&String> = found.iter().filter(|path| !excepted(path)).collect();
-    let few = new.len() <= LONG_FILES_UNEXPLAINED_MAX;
-    assert!(few, "over {FILE_LINES_MAX} lines, split them: {new:#?}");
+    assert!(new.is_empty(), "over {FILE_LINES_MAX} lines, split them: {new:#?}");
 }
 
 #[test]
@@ -65,8 +60,7 @@ fn functions_have_at_most_60_lines() {
     }
     let excepted = |path: &str, name: &str| LONG_FUNCTIONS.iter().any(|(p, n, _)| *p == path && *n == name);
     let new: Vec<_> = found.iter().filter(|(path, name, _)| !excepted(path, name)).collect();
-    let few = new.len() <= LONG_FUNCTIONS_UNEXPLAINED_MAX;
-    assert!(few, "over {FUNCTION_LINES_MAX} lines, split them: {new:#?}");
+    assert!(new.is_empty(), "over {FUNCTION_LINES_MAX} lines, split them: {new:#?}");
 }
 
 #[test]

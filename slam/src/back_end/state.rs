@@ -6,7 +6,8 @@ use crate::graph::Edge;
 use crate::node::Node;
 use msg::Pose2;
 
-/// State of the back end as plain values; scans are shared, not copied. It has a field for each that a session stores.
+/// State of the back end as plain values; scans are shared, not copied.
+// More than 12 fields: one for each value that a session stores.
 #[derive(Clone, Debug, Default)]
 pub struct BackEndState {
     /// The nodes, numbered from 0.

@@ -6,7 +6,7 @@ use bytemuck::Pod;
 
 const _: () = assert!(cfg!(target_endian = "little"), "session files are little-endian");
 
-/// Collects bytes.
+/// Writer of plain values as bytes, in the machine's byte order.
 #[derive(Default)]
 pub struct Out {
     pub bytes: Vec<u8>,
