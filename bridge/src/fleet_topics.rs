@@ -1,5 +1,6 @@
 //! The fleet's topics towards ros_tcp clients.
 
+mod map_updates;
 mod publisher;
 mod table;
 
@@ -66,8 +67,9 @@ impl FleetTopics {
         let velocity = add_input_topics(table, robot_count);
         let ids = OUTGOING_TOPICS.each_ref().map(|row| {
             let Some(delivery) = row.tcp else { return Vec::new() };
-            let retention =
-                Retention { depth: delivery.depth(robot_count), latch: delivery == Delivery::Latched };
+            // An alias is copied when somebody subscribes to it, so that it costs nothing otherwise.
+            let latch = delivery == Delivery::Latched && !row.is_alias();
+            let retention = Retention { depth: delivery.depth(robot_count), latch };
             let named = RobotId::first(robot_count).zip(row.names(robot_count));
             let add = |(robot, name)| {
                 let source = source(row.topic, robot, is_external);
@@ -111,10 +113,13 @@ impl FleetTopics {
         self.publisher.tick(now, &mut RouterSink { router, ids: &self.ids });
     }
 
-    /// Publishes the map transforms if `topic` is `/tf`: its new subscriber knows none yet.
+    /// Publishes what a new subscriber of `topic` lacks: the map transforms on `/tf`, the newest map on `/map`.
     pub fn subscribed(&mut self, router: &mut TopicRouter, topic: TopicId) {
+        let mut sink = RouterSink { router, ids: &self.ids };
         if self.ids[FleetTopic::Transforms as usize].contains(&topic) {
-            self.publisher.publish_map_transforms(&mut RouterSink { router, ids: &self.ids });
+            self.publisher.publish_map_transforms(&mut sink);
+        } else if self.ids[FleetTopic::MergedMapAlias as usize].contains(&topic) {
+            sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
         }
     }
 
@@ -150,5 +155,17 @@ impl TopicSink for RouterSink<'_> {
         if let Some(id) = self.ids[topic as usize].get(robot.map_or(0, RobotId::index)) {
             self.router.publish(*id, encode);
         }
+    }
+
+    fn send_again(&mut self, topic: FleetTopic, newest_of: FleetTopic) {
+        let id = |topic: FleetTopic| self.ids[topic as usize].first().copied();
+        if let (Some(to), Some(from)) = (id(topic), id(newest_of)) {
+            self.router.publish_copy(to, from);
+        }
+    }
+
+    fn is_subscribed(&self, topic: FleetTopic) -> bool {
+        let of_topic = self.ids[topic as usize].iter().filter_map(|id| self.router.topics.get(*id));
+        of_topic.into_iter().any(|topic| !topic.subscribers.is_empty())
     }
 }

@@ -195,4 +195,9 @@ impl TopicSink for DdsSink<'_> {
             self.writers.count(outcome);
         }
     }
+
+    fn is_subscribed(&self, topic: FleetTopic) -> bool {
+        let of_topic = &self.writers.by_topic[topic as usize];
+        of_topic.iter().any(|index| self.writers.writers[*index].readers() > 0)
+    }
 }

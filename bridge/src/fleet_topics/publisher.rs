@@ -1,5 +1,6 @@
 //! Selects the topics of a message of the fleet, and encodes the message for each.
 
+use super::map_updates::MapUpdates;
 use super::table::FleetTopic;
 use crate::cdr::Writer;
 use crate::ros::{FrameNames, NameStyle, names, write};
@@ -30,7 +31,7 @@ pub enum FleetMessage<'a> {
     Clock(&'a Clock),
     /// A robot's whole map: `/robotN/map`.
     Map(RobotId, GridView<'a>),
-    /// The map of all robots: `/merged_map`, and `/map` on DDS.
+    /// The map of all robots: `/merged_map`, `/map`, `/map_updates` and `/merged_map_probability`.
     MergedMap(GridView<'a>),
     /// The fleet's statistics: `/robotN/slam_stats` of every robot.
     Stats(&'a FleetStats),
@@ -44,7 +45,10 @@ pub trait TopicSink {
     fn send(&mut self, topic: FleetTopic, robot: Option<RobotId>, encode: impl FnOnce(&mut Writer<'_>));
 
     /// Sends the newest message of a latched topic on another topic, without encoding it again.
-    fn send_again(&mut self, _topic: FleetTopic, _newest_of: FleetTopic) {}
+    fn send_again(&mut self, topic: FleetTopic, newest_of: FleetTopic);
+
+    /// Returns whether somebody subscribes to a topic of the whole fleet.
+    fn is_subscribed(&self, topic: FleetTopic) -> bool;
 }
 
 /// How the transforms between a robot's own links are published.
@@ -62,8 +66,11 @@ pub enum LinkTransforms {
 pub struct FleetPublisher {
     robot_count: usize,
     names: FrameNames,
+    /// Published value of each cell value: free, occupied or unknown.
+    trinary: [i8; 256],
     /// Percent of occupation for each cell value.
     percent: [i8; 256],
+    map_updates: MapUpdates,
     link_transforms: LinkTransforms,
     /// Each robot's transforms, once seen; filled only if they are [`LinkTransforms::Split`].
     static_transforms: Vec<Option<Transforms>>,
@@ -78,7 +85,9 @@ impl FleetPublisher {
         Self {
             robot_count,
             names: FrameNames::new(style),
+            trinary: msg::grid::trinary_table(),
             percent: msg::grid::percent_table(),
+            map_updates: MapUpdates::default(),
             link_transforms,
             static_transforms: vec![None; robot_count],
             map_transforms: None,
@@ -131,8 +140,8 @@ impl FleetPublisher {
                 self.publish_correction(robot, correction, sink);
             }
             FleetMessage::Map(robot, map) if self.has(robot) => {
-                let (frame, percent) = (self.names.map(robot), &self.percent);
-                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, frame, percent, map);
+                let (frame, values) = (self.names.map(robot), &self.trinary);
+                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, frame, values, map);
                 sink.send(FleetTopic::Map, Some(robot), encode);
             }
             FleetMessage::Scan(..)
@@ -145,12 +154,7 @@ impl FleetPublisher {
                 self.now = clock.header.stamp;
                 sink.send(FleetTopic::Clock, None, |to| write::stamp(to, clock.header.stamp));
             }
-            FleetMessage::MergedMap(map) => {
-                let percent = &self.percent;
-                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, percent, map);
-                sink.send(FleetTopic::MergedMap, None, encode);
-                sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
-            }
+            FleetMessage::MergedMap(map) => self.publish_merged_map(map, sink),
             FleetMessage::Stats(stats) => {
                 for robot in RobotId::first(self.robot_count) {
                     let encode = |to: &mut Writer<'_>| write::slam_stats(to, &stats.robots[robot.index()]);
@@ -158,6 +162,23 @@ impl FleetPublisher {
                 }
             }
             FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
+        }
+    }
+
+    /// Publishes the merged map, and what changed in it since the last one.
+    fn publish_merged_map(&mut self, map: GridView<'_>, sink: &mut impl TopicSink) {
+        let (trinary, percent) = (&self.trinary, &self.percent);
+        let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, trinary, map);
+        sink.send(FleetTopic::MergedMap, None, encode);
+        sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
+        let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, percent, map);
+        sink.send(FleetTopic::MergedMapProbability, None, encode);
+        if !sink.is_subscribed(FleetTopic::MapUpdates) {
+            self.map_updates.clear();
+        } else if let Some(area) = self.map_updates.changed_area(map) {
+            let encode =
+                |to: &mut Writer<'_>| write::occupancy_grid_update(to, names::MAP, trinary, map, area);
+            sink.send(FleetTopic::MapUpdates, None, encode);
         }
     }
 

@@ -18,7 +18,7 @@ pub use message::{
     TwistStamped, decode, decode_as, encode, encode_as,
 };
 pub use names::{FrameNames, NameStyle};
-pub use sensor::{LaserScan, OccupancyGrid, Odometry, PoseWithCovarianceStamped};
+pub use sensor::{LaserScan, OccupancyGrid, OccupancyGridUpdate, Odometry, PoseWithCovarianceStamped};
 
 #[cfg(test)]
 mod tests;

@@ -138,11 +138,11 @@ proptest! {
     }
 
     #[test]
-    fn cells_become_percent(cells in prop::collection::vec(any::<i8>(), 0..300), filled in 0_usize..300) {
+    fn cells_become_table_values(cells in prop::collection::vec(any::<i8>(), 0..300), filled in 0_usize..300) {
         let mut cells = cells;
         let end = filled.min(cells.len());
         cells[..end].fill(msg::grid::UNKNOWN);
-        let table = msg::grid::percent_table();
+        let table = msg::grid::trinary_table();
         let header = GridHeader { width: cells.len() as u32, height: 1, resolution_m: 0.05, ..Default::default() };
         let mut out = Vec::new();
         write::occupancy_grid(&mut Writer::new(&mut out), "map", &table, GridView::new(&header, &cells).unwrap());
