@@ -28,6 +28,11 @@ impl OperatorProcess {
 
 impl FleetHooks for OperatorProcess {
     fn on_start(&mut self, run: &Run) -> io::Result<()> {
+        if !run.config.fleet.names.is_empty() {
+            let why =
+                "the demo's operator knows robot1, robot2 and so on only; leave out fleet.names, or use `up`";
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, why));
+        }
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["operator", "tour", "--json", "--port", &run.port.to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);

@@ -14,7 +14,7 @@ use crate::config::BridgeConfig;
 use crate::drive::DriveArbiter;
 use crate::fleet_topics::{FleetMessage, FleetTopics};
 use crate::frame::{Frame, Side};
-use crate::ros::Twist;
+use crate::ros::{RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
@@ -59,14 +59,14 @@ pub struct Core {
 }
 
 impl Core {
-    /// Creates the core of a valid configuration and of 1 to [`msg::ROBOTS_MAX`] robots.
-    pub fn new(config: BridgeConfig, robot_count: usize, world: Option<WorldInput>) -> Self {
+    /// Creates the core of a valid configuration.
+    pub fn new(config: BridgeConfig, robots: &RobotNames, world: Option<WorldInput>) -> Self {
         let mut topics = TopicTable::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, config.frame_names, robot_count, world.is_some());
+        let fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
         let mut core = Self {
             router: TopicRouter::new(topics, &config),
             fleet,
-            drive: DriveArbiter::new(robot_count, FIRST_ROBOT, config.lease()),
+            drive: DriveArbiter::new(robots.count(), FIRST_ROBOT, config.lease()),
             access: AccessControl::new(&config),
             services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
             commands: CommandQueues::default(),

@@ -65,7 +65,7 @@ impl Headset {
         Self {
             stream,
             robots: RobotId::first(ROBOTS).zip(starts).map(simulator).collect(),
-            names: FrameNames::new(NameStyle::Flat),
+            names: FrameNames::new(NameStyle::Flat, &ROBOTS.into()),
             frames,
             scan: Box::new(Scan::zeroed()),
         }

@@ -6,6 +6,30 @@ use serde::{Deserialize, Serialize};
 /// The highest domain whose UDP ports exist (RTPS 2.5, 9.6.1.1).
 const DOMAIN_MAX: u16 = 232;
 
+/// Type of velocities on DDS, where a topic is read and written by type.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VelocityMessage {
+    /// geometry_msgs/Twist.
+    #[default]
+    Twist,
+    /// geometry_msgs/TwistStamped.
+    TwistStamped,
+    /// Both, each with its own readers and writers.
+    Either,
+}
+
+impl VelocityMessage {
+    /// Returns the types of the messages, whether each is stamped.
+    pub(crate) fn is_stamped(self) -> &'static [bool] {
+        match self {
+            Self::Twist => &[false],
+            Self::TwistStamped => &[true],
+            Self::Either => &[false, true],
+        }
+    }
+}
+
 /// The table `bridge.dds` of the fleet file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -21,8 +45,9 @@ pub struct DdsConfig {
     pub namespace: String,
     /// Name of the node in the ROS graph.
     pub node: String,
-    /// Whether real robots get TwistStamped on `/robotN/cmd_vel`, as TurtleBots expect from Jazzy on, or Twist.
-    pub stamped_commands: bool,
+    /// Type of velocities on `/cmd_vel`, `/cmd_vel_N` and `/robotN/cmd_vel`: `twist`, `twist_stamped` (TurtleBots and Nav2
+    /// may expect it from Jazzy on), or `either`, which reads and writes both.
+    pub velocity: VelocityMessage,
 }
 
 impl Default for DdsConfig {
@@ -33,7 +58,7 @@ impl Default for DdsConfig {
             loopback_only: true,
             namespace: String::new(),
             node: "mr_slam".into(),
-            stamped_commands: false,
+            velocity: VelocityMessage::Twist,
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::map_updates::MapUpdates;
 use super::table::FleetTopic;
 use crate::cdr::Writer;
-use crate::ros::{FrameNames, NameStyle, names, write};
+use crate::ros::{FrameNames, NameStyle, RobotNames, names, write};
 use msg::{
     Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, RobotId, Scan, Stamp,
     Transforms,
@@ -64,7 +64,7 @@ pub enum LinkTransforms {
 
 /// Publishes the fleet's messages on a transport's topics.
 pub struct FleetPublisher {
-    robot_count: usize,
+    robots: RobotNames,
     names: FrameNames,
     /// Published value of each cell value: free, occupied or unknown.
     trinary: [i8; 256],
@@ -80,25 +80,25 @@ pub struct FleetPublisher {
 }
 
 impl FleetPublisher {
-    /// Creates the publisher of robots 1 to `robot_count`.
-    pub fn new(style: NameStyle, robot_count: usize, link_transforms: LinkTransforms) -> Self {
+    /// Creates the publisher of a fleet.
+    pub fn new(style: NameStyle, robots: &RobotNames, link_transforms: LinkTransforms) -> Self {
         Self {
-            robot_count,
-            names: FrameNames::new(style),
+            robots: robots.clone(),
+            names: FrameNames::new(style, robots),
             trinary: msg::grid::trinary_table(),
             percent: msg::grid::percent_table(),
             map_updates: MapUpdates::default(),
             link_transforms,
-            static_transforms: vec![None; robot_count],
+            static_transforms: vec![None; robots.count()],
             map_transforms: None,
             map_transforms_due: None,
             now: Stamp(0),
         }
     }
 
-    /// Returns the number of robots.
-    pub fn robot_count(&self) -> usize {
-        self.robot_count
+    /// Returns the robots' names.
+    pub fn robots(&self) -> &RobotNames {
+        &self.robots
     }
 
     /// Returns the names of the robots' frames.
@@ -117,7 +117,7 @@ impl FleetPublisher {
     }
 
     fn has(&self, robot: RobotId) -> bool {
-        robot.number() <= self.robot_count
+        robot.number() <= self.robots.count()
     }
 
     /// Publishes a message on its topics. Messages of robots that the fleet does not have are dropped.
@@ -156,7 +156,7 @@ impl FleetPublisher {
             }
             FleetMessage::MergedMap(map) => self.publish_merged_map(map, sink),
             FleetMessage::Stats(stats) => {
-                for robot in RobotId::first(self.robot_count) {
+                for robot in self.robots.robots() {
                     let encode = |to: &mut Writer<'_>| write::slam_stats(to, &stats.robots[robot.index()]);
                     sink.send(FleetTopic::SlamStats, Some(robot), encode);
                 }
@@ -204,7 +204,7 @@ impl FleetPublisher {
 
     /// Publishes the fixed transforms of all robots seen so far: the newest message is the only one kept.
     fn publish_static_transforms(&self, sink: &mut impl TopicSink) {
-        let all = RobotId::first(self.robot_count).zip(&self.static_transforms);
+        let all = self.robots.robots().zip(&self.static_transforms);
         let seen: Vec<_> = all.filter_map(|(robot, seen)| Some((robot, seen.as_ref()?))).collect();
         sink.send(FleetTopic::StaticTransforms, None, |to| {
             write::some_transforms(to, &self.names, &seen, Link::is_fixed);
@@ -216,10 +216,23 @@ impl FleetPublisher {
             // Nobody else may say the time there.
             self.now = self.now.max(correction.header.stamp);
         }
+        let Some(correction) = self.in_published_map(correction) else { return };
         let (names, frame) = (&self.names, self.names.map(robot));
+        let correction = &correction;
         sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, correction));
         let encode = |to: &mut Writer<'_>| write::correction(to, names, robot, correction);
         sink.send(FleetTopic::Transforms, None, encode);
+    }
+
+    /// Returns a correction in the map that its frame names: a robot with plain names has the merged map alone.
+    ///
+    /// `None` while that map's transform is not known.
+    fn in_published_map(&self, correction: &Correction) -> Option<Correction> {
+        if !self.robots.is_plain() {
+            return Some(*correction);
+        }
+        let transform = self.map_transforms.as_ref()?.robots[0];
+        (transform.known == 1).then(|| correction.transformed(transform.map_from_robot_map))
     }
 
     fn set_map_transforms(&mut self, transforms: &MapTransforms, sink: &mut impl TopicSink) {
@@ -233,7 +246,8 @@ impl FleetPublisher {
     /// Publishes the transforms from the robots' maps to the merged map with the newest time of the run.
     pub fn publish_map_transforms(&mut self, sink: &mut impl TopicSink) {
         let Some(transforms) = &self.map_transforms else { return };
-        if transforms.robots.iter().all(|robot| robot.known != 1) {
+        // A robot with plain names has no map of its own.
+        if self.robots.is_plain() || transforms.robots.iter().all(|robot| robot.known != 1) {
             return;
         }
         let stamp = self.now.max(transforms.header.stamp);

@@ -2,10 +2,9 @@
 
 use crate::ros::{
     Bool, Clock, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, Odometry,
-    PoseWithCovarianceStamped, Text, TfMessage,
+    PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
 };
 use crate::router::DEPTH_DEFAULT;
-use msg::RobotId;
 
 /// Identifies a row of [`OUTGOING_TOPICS`], in the order of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -207,10 +206,13 @@ impl OutgoingTopic {
         self.topic == FleetTopic::MergedMapAlias
     }
 
-    /// Returns the ROS names in a fleet of `robot_count`, in order of the robots.
-    pub fn names(&self, robot_count: usize) -> Vec<String> {
+    /// Returns the ROS names in a fleet, in order of the robots.
+    ///
+    /// A robot with plain names has no map of its own: its map would be `/map`, which is the fleet's.
+    pub fn names(&self, robots: &RobotNames) -> Vec<String> {
         match self.name.strip_prefix(ROBOT_PREFIX) {
-            Some(rest) => RobotId::first(robot_count).map(|robot| format!("/{robot}/{rest}")).collect(),
+            Some(_) if self.topic == FleetTopic::Map && robots.is_plain() => Vec::new(),
+            Some(rest) => robots.robots().map(|robot| robots.topic(robot, rest)).collect(),
             None => vec![self.name.to_owned()],
         }
     }
@@ -241,7 +243,10 @@ mod tests {
 
     #[test]
     fn a_topic_per_robot_is_named_after_each_robot() {
-        assert_eq!(FleetTopic::Scan.row().names(2), ["/robot1/scan", "/robot2/scan"]);
-        assert_eq!(FleetTopic::Clock.row().names(2), ["/clock"]);
+        assert_eq!(FleetTopic::Scan.row().names(&2.into()), ["/robot1/scan", "/robot2/scan"]);
+        assert_eq!(FleetTopic::Clock.row().names(&2.into()), ["/clock"]);
+        let plain = RobotNames::new(vec![String::new()]).unwrap();
+        assert_eq!(FleetTopic::Scan.row().names(&plain), ["/scan"]);
+        assert!(FleetTopic::Map.row().names(&plain).is_empty(), "/map is the merged map");
     }
 }

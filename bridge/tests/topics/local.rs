@@ -2,7 +2,7 @@
 
 use bridge::command::{Notice, Registration, name};
 use bridge::frame::{Parser, Side};
-use bridge::ros::{Message, decode};
+use bridge::ros::{Message, decode, encode};
 use bridge::{Bridge, ClientId};
 use msg::Monotonic;
 
@@ -26,6 +26,11 @@ impl<'a> LocalClient<'a> {
         self.register(name::SUBSCRIBE, topic, M::TYPE);
     }
 
+    /// Registers as publisher of a topic.
+    pub fn publish<M: Message>(&self, topic: &str) {
+        self.register(name::PUBLISH, topic, M::TYPE);
+    }
+
     fn register(&self, command: &str, topic: &str, message_type: &str) {
         let registration = Registration {
             topic: topic.to_owned(),
@@ -35,6 +40,13 @@ impl<'a> LocalClient<'a> {
         let mut bytes = Vec::new();
         Side::Client.write_command(&mut bytes, command, &registration);
         self.receive(&bytes, Monotonic(0));
+    }
+
+    /// Sends a message at a time.
+    pub fn send<M: Message>(&self, topic: &str, message: &M, now: Monotonic) {
+        let mut bytes = Vec::new();
+        Side::Client.write_with(&mut bytes, topic, |out| encode(message, out));
+        self.receive(&bytes, now);
     }
 
     fn receive(&self, bytes: &[u8], now: Monotonic) {
