@@ -13,6 +13,7 @@ use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, Writer};
 use crate::stop::Stop;
+use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use crate::view::edges_json;
 use ::bridge::{Bridge, FleetMessage, Transport, serve};
 use msg::{
@@ -57,6 +58,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
             tasks.push(ros2::open(run, stop, &bridge)?);
         }
         tasks.push(spawn_local(report_health(heartbeat, bridge.clone(), control.clone())));
+        tasks.push(spawn_local(count_progress(run.progress(Role::Bridge, None, WatchedThread::Main))));
         tasks.push(spawn_local(control::serve(control::listen(run)?, control)));
         serve(bridge, inherited_listener()?, now, stop_requested(stop.clone())).await;
         tasks.iter().for_each(JoinHandle::abort);
@@ -79,6 +81,14 @@ fn inherited_listener() -> std::io::Result<TcpListener> {
 /// Waits until the process is asked to stop.
 pub(super) async fn stop_requested(stop: Stop) {
     while !stop.requested() {
+        tokio::time::sleep(POLL_PERIOD).await;
+    }
+}
+
+/// Says that the calling thread's tasks run.
+pub(super) async fn count_progress(mut progress: ProgressCounter) {
+    loop {
+        progress.advance();
         tokio::time::sleep(POLL_PERIOD).await;
     }
 }

@@ -1,7 +1,9 @@
 //! The ROS 2 endpoint of the bridge process, on a thread of its own, so that DDS never delays a headset on TCP.
 
 use super::Error;
-use super::bridge::{SlamRequester, forward, on_notification, publish_channels, stop_requested};
+use super::bridge::{
+    SlamRequester, count_progress, forward, on_notification, publish_channels, stop_requested,
+};
 use crate::channel;
 use crate::clock::now;
 use crate::config::World;
@@ -9,6 +11,7 @@ use crate::fleet;
 use crate::run::Run;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
+use crate::supervisor::progress::WatchedThread;
 use ::bridge::dds::{DdsEndpoint, ReceivedMessage};
 use ::bridge::{Bridge, FleetMessage};
 use msg::{Clock, RobotId, Role};
@@ -85,6 +88,7 @@ fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Resul
         let on_message = move |message| drop(sender.try_send(message));
         let on_request = move |robot, request| requester.borrow_mut().send(robot, request);
         tasks.push(spawn_local(endpoint.serve(on_message, on_request)));
+        tasks.push(spawn_local(count_progress(run.progress(Role::Bridge, None, WatchedThread::Second))));
         stop_requested(stop.clone()).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
