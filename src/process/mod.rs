@@ -3,8 +3,8 @@
 //! Each loop is a [`Component`] over [`crate::ports`]: live it runs on shared memory, in lockstep on queues and virtual
 //! time. Decisions about robots and maps are in the crates, not here.
 
-mod bridge;
-mod control;
+pub mod bridge;
+pub mod control;
 pub mod graph;
 pub mod heartbeat;
 mod map_publisher;
