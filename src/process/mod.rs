@@ -19,6 +19,7 @@ pub mod telemetry;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
+use crate::supervisor::progress::ProgressCounter;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -42,8 +43,13 @@ pub trait Listens<L: 'static> {
 }
 
 /// Runs a component on shared memory until `over` returns true.
-fn serve(component: &mut (impl Component + Listens<Listener>), over: &dyn Fn() -> bool) {
+fn serve(
+    component: &mut (impl Component + Listens<Listener>),
+    mut progress: ProgressCounter,
+    over: &dyn Fn() -> bool,
+) {
     while !over() {
+        progress.advance();
         let due = component.step();
         wait(component.listeners(), due);
     }

@@ -11,6 +11,7 @@ use crate::fleet;
 use crate::ports::{Ports, ReadPort};
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::supervisor::progress::WatchedThread;
 use ::bridge::dds::{DdsEndpoint, ReceivedMessage};
 use ::bridge::{Bridge, FleetMessage};
 use msg::{Clock, RobotId, Role};
@@ -88,7 +89,7 @@ fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Resul
         let on_message = move |message| drop(sender.try_send(message));
         let on_request = move |robot, request| requester.borrow_mut().send(robot, request);
         tasks.push(spawn_local(endpoint.serve(on_message, on_request)));
-        stop_requested(stop.clone()).await;
+        stop_requested(stop.clone(), run.progress(Role::Bridge, None, WatchedThread::Second)).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
     })

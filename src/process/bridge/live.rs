@@ -9,6 +9,7 @@ use crate::run::Run;
 use crate::shared_memory::Listener;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
+use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use ::bridge::serve;
 use msg::{Monotonic, Role};
 use std::os::fd::AsFd;
@@ -32,7 +33,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         }
         tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
         tasks.push(spawn_local(run_upkeep(upkeep)));
-        serve(bridge, inherited_listener()?, now, stop_requested(stop.clone())).await;
+        let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
+        serve(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
     })
@@ -50,9 +52,10 @@ fn inherited_listener() -> std::io::Result<TcpListener> {
     TcpListener::from_std(listener)
 }
 
-/// Waits until the process is asked to stop.
-pub async fn stop_requested(stop: Stop) {
+/// Waits until the process is asked to stop, and counts the calling thread's progress meanwhile.
+pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
     while !stop.requested() {
+        progress.advance();
         tokio::time::sleep(STOP_POLL_PERIOD).await;
     }
 }
