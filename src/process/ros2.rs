@@ -69,7 +69,8 @@ fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Resul
     let is_external = run.config.world == World::Ros;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge, run.config.robot_names(), is_external)?);
+        let endpoint =
+            Rc::new(DdsEndpoint::open(&run.config.bridge_config(), run.config.robot_names(), is_external)?);
         let mut feeds = open_feeds(&participant, run, &endpoint)?;
         let requester = Rc::new(RefCell::new(SlamRequester::open(&participant, run, REQUESTER_KIND)?));
         for robot in run.robots() {
