@@ -20,6 +20,7 @@ mod fleet_topics;
 pub mod frame;
 mod input;
 pub mod interfaces;
+pub mod relay;
 pub mod ros;
 mod router;
 mod server;

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 /// The highest domain whose UDP ports exist (RTPS 2.5, 9.6.1.1).
 const DOMAIN_MAX: u16 = 232;
 
+/// The highest `relayed_topics_max`. RustDDS's cost of discovery grows with every reader and writer.
+const RELAYED_TOPICS_LIMIT: usize = 1024;
+
 /// The table `bridge.dds` of the fleet file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -23,6 +26,8 @@ pub struct DdsConfig {
     pub node: String,
     /// Whether real robots get TwistStamped on `/robotN/cmd_vel`, as TurtleBots expect from Jazzy on, or Twist.
     pub stamped_commands: bool,
+    /// Topics, besides the fleet's, that clients and ROS nodes may exchange at a time, 0 to 1024.
+    pub relayed_topics_max: usize,
 }
 
 impl Default for DdsConfig {
@@ -34,6 +39,7 @@ impl Default for DdsConfig {
             namespace: String::new(),
             node: "mr_slam".into(),
             stamped_commands: false,
+            relayed_topics_max: 256,
         }
     }
 }
@@ -43,6 +49,10 @@ impl DdsConfig {
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         if self.domain > DOMAIN_MAX {
             return Err(ConfigError::new("dds.domain", self.domain.to_string(), "domains 0 to 232 exist"));
+        }
+        if self.relayed_topics_max > RELAYED_TOPICS_LIMIT {
+            let value = self.relayed_topics_max.to_string();
+            return Err(ConfigError::new("dds.relayed_topics_max", value, "0 to 1024 topics work"));
         }
         let parts = self.namespace.strip_prefix('/').map(|rest| rest.split('/'));
         let is_valid = self.namespace.is_empty() || parts.is_some_and(|mut parts| parts.all(is_name));

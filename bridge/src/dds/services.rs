@@ -53,7 +53,7 @@ pub struct ServiceServers {
 
 impl ServiceServers {
     /// Creates every service of every robot.
-    pub fn open(factory: &EntityFactory<'_>, robot_count: usize) -> Result<Self, EndpointError> {
+    pub fn open(factory: &EntityFactory, robot_count: usize) -> Result<Self, EndpointError> {
         let mut servers = Vec::new();
         for robot in RobotId::first(robot_count) {
             for service in &SERVICES {
@@ -158,7 +158,7 @@ fn identity(info: &MessageInfo) -> SampleIdentity {
 
 impl ServiceServer {
     fn open(
-        factory: &EntityFactory<'_>,
+        factory: &EntityFactory,
         robot: RobotId,
         service: &slam_services::NamedService,
     ) -> Result<Self, EndpointError> {
