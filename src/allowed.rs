@@ -4,7 +4,8 @@
 //! `~/.local/state/mr-slam/allowed`, otherwise `allowed` in the run's folder.
 
 use crate::run::Run;
-use std::io::{self, Read, Write};
+use crate::storage::Storage;
+use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
@@ -21,13 +22,13 @@ pub fn file(run: &Run) -> PathBuf {
 }
 
 /// Reads the addresses, oldest first, and the lines that are no addresses. A missing file has none.
-pub fn read(path: &Path) -> io::Result<(Vec<IpAddr>, Vec<String>)> {
-    let mut text = String::new();
-    match std::fs::File::open(path) {
-        Ok(file) => file.take(BYTES_MAX).read_to_string(&mut text)?,
+pub fn read(storage: &impl Storage, path: &Path) -> io::Result<(Vec<IpAddr>, Vec<String>)> {
+    let bytes = match storage.read(path, BYTES_MAX) {
+        Ok(bytes) => bytes,
         Err(why) if why.kind() == io::ErrorKind::NotFound => return Ok(Default::default()),
         Err(why) => return Err(why),
     };
+    let text = String::from_utf8(bytes).map_err(io::Error::other)?;
     let (mut addresses, mut unsound) = (Vec::new(), Vec::new());
     for line in text.lines() {
         let word = line.split('#').next().unwrap_or_default().trim();
@@ -42,46 +43,45 @@ pub fn read(path: &Path) -> io::Result<(Vec<IpAddr>, Vec<String>)> {
 }
 
 /// Adds an address to the file or removes it, atomically.
-pub fn remember(path: &Path, address: IpAddr, may_drive: bool) -> io::Result<()> {
+pub fn remember(storage: &impl Storage, path: &Path, address: IpAddr, may_drive: bool) -> io::Result<()> {
     let address = address.to_canonical();
-    let (mut addresses, _) = read(path)?;
+    let (mut addresses, _) = read(storage, path)?;
     addresses.retain(|known| *known != address);
     if may_drive {
         addresses.push(address);
     }
     let surplus = addresses.len().saturating_sub(ADDRESSES_MAX);
-    let folder = path.parent().unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder)?;
-    formats::atomic::write_durably(path, |file| {
-        writeln!(
-            file,
-            "# Addresses that may drive a fleet on this machine; see `mr-slam allow` and `mr-slam deny`."
-        )?;
-        addresses.drain(surplus..).try_for_each(|address| writeln!(file, "{address}"))
-    })
+    let mut text = String::from(
+        "# Addresses that may drive a fleet on this machine; see `mr-slam allow` and `mr-slam deny`.\n",
+    );
+    for address in addresses.drain(surplus..) {
+        text += &format!("{address}\n");
+    }
+    storage.write(path, text.as_bytes())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::storage::DiskStorage;
 
     #[test]
     fn the_newest_addresses_are_kept_and_the_file_may_be_edited() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deep/allowed");
-        assert_eq!(read(&path).unwrap().0, Vec::<IpAddr>::new());
+        assert_eq!(read(&DiskStorage, &path).unwrap().0, Vec::<IpAddr>::new());
         let address = |i: usize| IpAddr::from([10, 0, (i / 256) as u8, (i % 256) as u8]);
-        (0..ADDRESSES_MAX + 10).for_each(|i| remember(&path, address(i), true).unwrap());
-        remember(&path, address(20), true).unwrap();
-        remember(&path, address(30), false).unwrap();
-        remember(&path, "::ffff:10.0.0.40".parse().unwrap(), false).unwrap();
-        let (addresses, _) = read(&path).unwrap();
+        (0..ADDRESSES_MAX + 10).for_each(|i| remember(&DiskStorage, &path, address(i), true).unwrap());
+        remember(&DiskStorage, &path, address(20), true).unwrap();
+        remember(&DiskStorage, &path, address(30), false).unwrap();
+        remember(&DiskStorage, &path, "::ffff:10.0.0.40".parse().unwrap(), false).unwrap();
+        let (addresses, _) = read(&DiskStorage, &path).unwrap();
         assert_eq!(addresses.len(), ADDRESSES_MAX - 2);
         assert_eq!((addresses[0], *addresses.last().unwrap()), (address(10), address(20)));
         assert!(!addresses.contains(&address(30)) && !addresses.contains(&address(40)));
 
         std::fs::write(&path, "# the lab's\n192.168.1.7  # Ana's headset\nnonsense\n\n").unwrap();
-        let (addresses, unsound) = read(&path).unwrap();
+        let (addresses, unsound) = read(&DiskStorage, &path).unwrap();
         assert_eq!(addresses, ["192.168.1.7".parse::<IpAddr>().unwrap()]);
         assert_eq!(unsound, ["nonsense"]);
     }

@@ -1,7 +1,11 @@
 //! Tool `mr-slam demo`, which runs a fleet with a scripted operator that drives it over TCP, as a headset would.
 
+use crate::clock::now;
 use crate::command::up::FleetHooks;
 use crate::run::Run;
+use crate::supervisor::progress;
+use crate::supervisor::restarts::{DEATHS_MAX, RestartPolicy, State};
+use crate::supervisor::watchdog::{Finding, Watchdog};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
 use std::os::unix::process::CommandExt;
@@ -12,41 +16,120 @@ use std::time::{Duration, Instant};
 const REPORT_WAIT_MAX: Duration = Duration::from_secs(1);
 /// Period at which the end of the operator is polled.
 const EXIT_POLL: Duration = Duration::from_millis(5);
+/// Longest time in which the operator is not scheduled once; it looks at its stick 20 times a second.
+const SILENCE_MAX: Duration = Duration::from_secs(2);
 
-/// Scripted operator in a process of its own.
+/// Scripted operator in a process of its own. Killed or hanging, it is started again; when its tour is over, it is not.
 pub struct OperatorProcess {
     seconds: Option<f64>,
+    begun: Instant,
     child: Option<Child>,
+    policy: RestartPolicy,
+    watchdog: Watchdog,
+    /// The fleet that it drives, from its first start on.
+    run: Option<Run>,
+    /// Report of an operator whose tour is over.
+    report: Option<serde_json::Value>,
+    is_done: bool,
 }
 
 impl OperatorProcess {
     /// Creates an operator for a run of this length; it divides a known length into the robots' turns.
     pub fn new(seconds: Option<f64>) -> Self {
-        Self { seconds, child: None }
+        Self {
+            seconds,
+            begun: Instant::now(),
+            child: None,
+            policy: RestartPolicy::new(now()),
+            watchdog: new_watchdog(),
+            run: None,
+            report: None,
+            is_done: false,
+        }
     }
-}
 
-impl FleetHooks for OperatorProcess {
-    fn on_start(&mut self, run: &Run) -> io::Result<()> {
+    fn start(&mut self) -> io::Result<()> {
+        let Some(run) = &self.run else { return Ok(()) };
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["operator", "tour", "--json", "--port", &run.port.to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
         command.args(["--seed", &run.config.fleet.seed.to_string()]);
         command.args(["--launcher-pid", &std::process::id().to_string()]);
         if let Some(seconds) = self.seconds {
-            command.args(["--seconds", &seconds.to_string()]);
+            let left = (seconds - self.begun.elapsed().as_secs_f64()).max(1.0);
+            command.args(["--seconds", &left.to_string()]);
         }
         // A process group of its own: Ctrl-C reaches the launcher alone, which then asks for the report.
         self.child = Some(command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0).spawn()?);
+        self.policy.on_started(now());
+        self.watchdog = new_watchdog();
         Ok(())
     }
 
-    fn poll(&mut self) -> bool {
+    /// Handles the end of the process, if it ended.
+    fn notice_end(&mut self, tell: &mut dyn FnMut(String)) {
+        let Some(Ok(Some(status))) = self.child.as_mut().map(Child::try_wait) else { return };
+        let report = self.child.take().and_then(read_report);
+        if status.success() {
+            (self.report, self.is_done) = (report, true);
+            return;
+        }
+        tell(format!("the operator ended ({status}); nobody drives until it is back"));
+        self.record_death(tell);
+    }
+
+    fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
+        if self.policy.on_death(now()) == State::Held {
+            tell(format!("the operator died {DEATHS_MAX} times in a row and is not started again"));
+        }
+    }
+
+    /// Kills the process if it hangs.
+    fn replace_if_hung(&mut self, tell: &mut dyn FnMut(String)) {
+        let Some(child) = &mut self.child else { return };
+        let pid = child.id();
+        let finding = self.watchdog.poll(now(), progress::switches(pid), || progress::sample(pid, pid));
+        if let Some(Finding::Hung { silence, .. }) = finding {
+            tell(format!("the operator has not answered for {:.1} s: replaced", silence.as_secs_f64()));
+            let _ = child.kill();
+        }
+    }
+}
+
+fn new_watchdog() -> Watchdog {
+    Watchdog::new(SILENCE_MAX, SILENCE_MAX, now())
+}
+
+/// Reads what an ended operator printed.
+fn read_report(mut child: Child) -> Option<serde_json::Value> {
+    let mut report = String::new();
+    child.stdout.take()?.read_to_string(&mut report).ok()?;
+    serde_json::from_str(&report).ok()
+}
+
+impl FleetHooks for OperatorProcess {
+    fn on_start(&mut self, run: &Run) -> io::Result<()> {
+        (self.run, self.begun) = (Some(run.clone()), Instant::now());
+        self.start()
+    }
+
+    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
+        self.notice_end(tell);
+        self.replace_if_hung(tell);
+        if self.child.is_none() && !self.is_done && self.policy.is_due(now()) {
+            match self.start() {
+                Ok(()) => tell("the operator was started again".into()),
+                Err(why) => {
+                    tell(format!("cannot start the operator: {why}"));
+                    self.record_death(tell);
+                }
+            }
+        }
         true
     }
 
     fn on_stop(&mut self) -> Option<serde_json::Value> {
-        let mut child = self.child.take()?;
+        let Some(mut child) = self.child.take() else { return self.report.take() };
         if let Some(pid) = Pid::from_raw(child.id() as i32) {
             let _ = kill_process(pid, Signal::TERM);
         }
@@ -56,8 +139,6 @@ impl FleetHooks for OperatorProcess {
         }
         let _ = child.kill();
         let _ = child.wait();
-        let mut report = String::new();
-        child.stdout.take()?.read_to_string(&mut report).ok()?;
-        serde_json::from_str(&report).ok()
+        read_report(child)
     }
 }

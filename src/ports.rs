@@ -44,7 +44,7 @@ pub struct ProcessUsage {
 }
 
 /// Clock of a process, and its use of the machine.
-pub trait Clock: Clone {
+pub trait Clock: Clone + 'static {
     /// Returns the monotonic time, the same in every process of a run.
     fn now(&self) -> Monotonic;
     /// Returns what this process has used so far.
@@ -109,15 +109,15 @@ pub trait Ports {
     /// Clock by which the channels' messages are stamped.
     type Clock: Clock;
     /// Port that writes a channel.
-    type Writer<T: Message>: WritePort<T>;
+    type Writer<T: Message>: WritePort<T> + 'static;
     /// Port that reads a channel.
-    type Reader<T: Message>: ReadPort<T>;
+    type Reader<T: Message>: ReadPort<T> + 'static;
     /// Port that wakes its owner when a channel is written.
     type Listener: 'static;
     /// Port that writes a map's channel.
     type MapWriter: WriteMapPort<Listener = Self::Listener>;
     /// Port that reads a map's channel.
-    type MapReader: ReadMapPort;
+    type MapReader: ReadMapPort + 'static;
 
     /// Returns the clock of the process.
     fn clock(&self) -> Self::Clock;

@@ -3,6 +3,7 @@
 use crate::config::FleetConfig;
 use msg::{RobotId, Role};
 use std::fmt;
+use std::time::Duration;
 
 /// Pose that the supervisor gives a process that it starts again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +37,16 @@ pub struct ProcessRow {
     pub simulated_world_only: bool,
     /// Pose that it is given when it is started again.
     pub resume: Resume,
+    /// Longest time without a pass of its main loop; then the supervisor judges whether it hangs.
+    pub silence_max: Duration,
+    /// Name of its second thread that the supervisor watches.
+    pub second_thread: Option<&'static str>,
 }
+
+/// Loops wake at least once a second, for their health report.
+const SILENCE_MAX: Duration = Duration::from_secs(2);
+/// The bridge's loop wakes every 100 ms. Robots need its replacement to be stopped.
+const BRIDGE_SILENCE_MAX: Duration = Duration::from_secs(1);
 
 impl ProcessRow {
     /// Returns the process's name for people, such as `slam of robot1`.
@@ -48,20 +58,38 @@ impl ProcessRow {
     }
 }
 
-const OF_FLEET: ProcessRow =
-    ProcessRow { role: Role::Bridge, per_robot: false, simulated_world_only: false, resume: Resume::Folder };
+const OF_FLEET: ProcessRow = ProcessRow {
+    role: Role::Bridge,
+    per_robot: false,
+    simulated_world_only: false,
+    resume: Resume::Folder,
+    silence_max: SILENCE_MAX,
+    second_thread: None,
+};
 
 /// All processes of a fleet, in the order in which they are started.
 pub static PROCESSES: [ProcessRow; 5] = [
-    ProcessRow { role: Role::Bridge, ..OF_FLEET },
+    ProcessRow {
+        role: Role::Bridge,
+        silence_max: BRIDGE_SILENCE_MAX,
+        second_thread: Some("ROS 2"),
+        ..OF_FLEET
+    },
     ProcessRow { role: Role::Telemetry, ..OF_FLEET },
-    ProcessRow { role: Role::Merge, ..OF_FLEET },
-    ProcessRow { role: Role::Slam, per_robot: true, resume: Resume::MapFromOdom, ..OF_FLEET },
+    ProcessRow { role: Role::Merge, second_thread: Some("pose graph"), ..OF_FLEET },
+    ProcessRow {
+        role: Role::Slam,
+        per_robot: true,
+        resume: Resume::MapFromOdom,
+        second_thread: Some("back end"),
+        ..OF_FLEET
+    },
     ProcessRow {
         role: Role::Sim,
         per_robot: true,
         simulated_world_only: true,
         resume: Resume::WorldFromBase,
+        ..OF_FLEET
     },
 ];
 

@@ -12,6 +12,7 @@ use crate::clock::Epoch;
 use crate::config::FleetConfig;
 use crate::ports::ChannelError;
 use crate::shared_memory::{Domain, Participant};
+use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -189,6 +190,11 @@ impl Run {
         let parts = [robot.map(|robot| robot.to_string()), Some(role.name().into()), Some(thread.into())];
         let parts: Vec<String> = parts.into_iter().flatten().filter(|part| !part.is_empty()).collect();
         Participant::open(&self.domain, Opener { program: role.into(), robot }, &parts.join("/"))
+    }
+
+    /// Opens the counter with which the calling thread of one of the run's processes says that it works.
+    pub fn progress(&self, role: Role, robot: Option<RobotId>, thread: WatchedThread) -> ProgressCounter {
+        ProgressCounter::open(&self.domain, &self.config, role, robot, thread)
     }
 
     /// Returns the robots of the fleet.

@@ -8,11 +8,13 @@ use std::io::{self, Read, Write};
 use std::path::Path;
 
 /// Reads and writes whole files.
-pub trait Storage: Clone {
+pub trait Storage: Clone + 'static {
     /// Reads a file of at most `bytes_max` bytes.
     fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>>;
     /// Writes a file, and its folder if need be. At any moment the file is the old one or the new one.
     fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Removes a file; it is no error if there is none.
+    fn remove(&self, path: &Path) -> io::Result<()>;
     /// Writes a map as PGM with YAML, and as PNG.
     fn write_map(&self, stem: &Path, map: GridView<'_>) -> Result<(), MapFileError>;
     /// Reads a map from its YAML file.
@@ -36,6 +38,13 @@ impl Storage for DiskStorage {
     fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         create_folder_of(path)?;
         write_durably(path, |file| file.write_all(bytes))
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        match std::fs::remove_file(path) {
+            Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(()),
+            result => result,
+        }
     }
 
     fn write_map(&self, stem: &Path, map: GridView<'_>) -> Result<(), MapFileError> {

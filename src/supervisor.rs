@@ -1,13 +1,17 @@
 //! Starts the fleet's processes and restarts each that ends, while the others keep running.
 //!
-//! What a dead child left in shared memory is removed before its restart.
+//! What a dead child left in shared memory is removed before its restart. A child that hangs is killed, and started again
+//! like one that died.
 
+pub mod progress;
 pub mod restarts;
+pub mod watchdog;
 
 use crate::clock::now;
 use crate::processes::{self, ProcessRow};
 use crate::run::Run;
-use msg::{Pose2, RobotId, Role};
+use msg::{Monotonic, Pose2, RobotId, Role};
+use progress::{ProgressBoard, WatchedThread};
 use restarts::{DEATHS_MAX, RestartPolicy, State};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io;
@@ -16,10 +20,15 @@ use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
+use watchdog::{Finding, ThreadState, Watchdog};
 
 /// How long a child may take to end when asked, before it is killed. The whole fleet ends within
 /// 5 s, of which the maps' writing takes some.
 const END_GRACE: Duration = Duration::from_secs(2);
+/// Longest time until a process's first pass of its loop: it reads its room and its session.
+const START_MAX: Duration = Duration::from_secs(10);
+/// Longest time without a pass of a process's second thread, which computes for long.
+const SECOND_SILENCE_MAX: Duration = Duration::from_secs(10);
 
 /// One process of the fleet.
 struct Member {
@@ -28,9 +37,15 @@ struct Member {
     policy: RestartPolicy,
     /// The child process, while it runs.
     child: Option<Child>,
+    /// Watchdogs of the child's main and second thread.
+    watchdogs: [Watchdog; WatchedThread::COUNT],
 }
 
 impl Member {
+    fn new(row: &'static ProcessRow, robot: Option<RobotId>, now: Monotonic) -> Self {
+        Self { row, robot, policy: RestartPolicy::new(now), child: None, watchdogs: watchdogs(row, now) }
+    }
+
     fn name(&self) -> String {
         self.row.title(self.robot)
     }
@@ -44,6 +59,7 @@ pub struct Supervisor {
     run: Run,
     listener: TcpListener,
     members: Vec<Member>,
+    progress: ProgressBoard,
 }
 
 impl Supervisor {
@@ -51,9 +67,10 @@ impl Supervisor {
     /// while it restarts.
     pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
         let now = now();
-        let member = |(row, robot)| Member { row, robot, policy: RestartPolicy::new(now), child: None };
-        let members = processes::of_fleet(&run.config).map(member).collect();
-        let mut supervisor = Self { run: run.clone(), listener, members };
+        let members = processes::of_fleet(&run.config).map(|(row, robot)| Member::new(row, robot, now));
+        let members: Vec<Member> = members.collect();
+        let progress = ProgressBoard::create(&run.domain, members.len())?;
+        let mut supervisor = Self { run: run.clone(), listener, members, progress };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
         match supervisor.members.iter().find(|member| member.child.is_none()) {
             Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
@@ -61,7 +78,7 @@ impl Supervisor {
         }
     }
 
-    /// Detects children that ended, and starts again those that are due. Never blocks. A robot's process gets the pose
+    /// Detects children that ended or hang, and starts again those that are due. Never blocks. A robot's process gets the pose
     /// where it was `last_seen`. `tell` is called with each event.
     pub fn tend(&mut self, last_seen: LastSeen<'_>, tell: &mut dyn FnMut(String)) {
         let mut died = false;
@@ -71,8 +88,42 @@ impl Supervisor {
         if died {
             self.run.domain.clean_up_after_the_dead();
         }
+        self.replace_hung(tell);
         for index in 0..self.members.len() {
             self.start_if_due(index, last_seen, tell);
+        }
+    }
+
+    /// Kills children that hang, so that they are started again, and reports those that are slow.
+    fn replace_hung(&mut self, tell: &mut dyn FnMut(String)) {
+        // Without the counters nobody can be judged. The next poll reads them again.
+        if self.progress.read().is_err() {
+            return;
+        }
+        for (index, member) in self.members.iter_mut().enumerate() {
+            let Some(child) = &mut member.child else { continue };
+            for thread in [WatchedThread::Main, WatchedThread::Second] {
+                let entry = self.progress.entry(index, thread);
+                // The main thread is watched from its start, whose id is the process's.
+                let id = match (entry.thread, thread) {
+                    (0, WatchedThread::Second) => continue,
+                    (0, WatchedThread::Main) => child.id(),
+                    (id, _) => id,
+                };
+                let watchdog = &mut member.watchdogs[thread as usize];
+                let finding = watchdog.poll(now(), entry.count, || progress::sample(child.id(), id));
+                let Some(finding) = finding else { continue };
+                let of_thread = member.row.second_thread.filter(|_| thread == WatchedThread::Second);
+                let who = match of_thread {
+                    Some(name) => format!("the {name} thread of the {}", member.row.title(member.robot)),
+                    None => format!("the {}", member.row.title(member.robot)),
+                };
+                tell(describe_finding(&who, finding));
+                if matches!(finding, Finding::Hung { .. }) {
+                    let _ = child.kill();
+                    break;
+                }
+            }
         }
     }
 
@@ -82,11 +133,12 @@ impl Supervisor {
             return;
         }
         let place = robot.and_then(|robot| last_seen(row.role, robot));
-        let started = self.spawn(row, robot, place);
+        let started = self.progress.clear(index).and_then(|()| self.spawn(row, robot, place));
         let member = &mut self.members[index];
         match started {
             Ok(child) => {
                 member.policy.on_started(now());
+                member.watchdogs = watchdogs(row, now());
                 member.child = Some(child);
             }
             Err(why) => {
@@ -127,6 +179,28 @@ impl Supervisor {
             let _ = child.wait();
         }
         self.run.domain.remove();
+    }
+}
+
+fn watchdogs(row: &ProcessRow, now: Monotonic) -> [Watchdog; WatchedThread::COUNT] {
+    [row.silence_max, SECOND_SILENCE_MAX].map(|silence_max| Watchdog::new(START_MAX, silence_max, now))
+}
+
+/// Describes a finding of the watchdog about `who`.
+fn describe_finding(who: &str, finding: Finding) -> String {
+    match finding {
+        Finding::Slow { silence } => {
+            format!("{who} has not answered for {:.1} s but works; left alone", silence.as_secs_f64())
+        }
+        Finding::Recovered { silence } => format!("{who} answers again after {:.1} s", silence.as_secs_f64()),
+        Finding::Hung { silence, state } => {
+            let why = match state {
+                ThreadState::Stopped => "stopped by a signal",
+                ThreadState::Sleeping => "blocked",
+                _ => "computes without end",
+            };
+            format!("{who} has not answered for {:.1} s ({why}): replaced", silence.as_secs_f64())
+        }
     }
 }
 

@@ -113,8 +113,8 @@ impl UpArgs {
 pub trait FleetHooks {
     /// Called once when all processes have been started.
     fn on_start(&mut self, run: &Run) -> std::io::Result<()>;
-    /// Called every 50 ms; must not block. Returning false ends the fleet.
-    fn poll(&mut self) -> bool;
+    /// Called every 50 ms; must not block. `tell` is called with each event. Returning false ends the fleet.
+    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool;
     /// Called once before the fleet ends. The returned value becomes `operator` in the report.
     fn on_stop(&mut self) -> Option<serde_json::Value>;
 }
@@ -126,7 +126,7 @@ impl FleetHooks for NoHooks {
     fn on_start(&mut self, _: &Run) -> std::io::Result<()> {
         Ok(())
     }
-    fn poll(&mut self) -> bool {
+    fn poll(&mut self, _: &mut dyn FnMut(String)) -> bool {
         true
     }
     fn on_stop(&mut self) -> Option<serde_json::Value> {
@@ -173,11 +173,15 @@ fn watch(
     hooks.on_start(run)?;
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
-    while !stop.requested() && !over() && hooks.poll() {
-        supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut |event| {
+    loop {
+        let mut tell = |event: String| {
             screen.show_event(&event);
             events.push(event);
-        });
+        };
+        if stop.requested() || over() || !hooks.poll(&mut tell) {
+            break;
+        }
+        supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut tell);
         let has_new_stats = observer.poll();
         for edge in observer.changed_edges() {
             let event = edge.to_string();

@@ -43,6 +43,11 @@ impl Storage for MemoryStorage {
         Ok(())
     }
 
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        self.files.borrow_mut().remove(path);
+        Ok(())
+    }
+
     fn write_map(&self, _: &Path, _: GridView<'_>) -> Result<(), MapFileError> {
         // Nobody reads pictures in lockstep.
         Ok(())

@@ -4,6 +4,7 @@ use crate::allowed;
 use crate::clock::now;
 use crate::control::{self, BridgeState, ClientView, LINE_MAX, Reply, Request};
 use crate::run::Run;
+use crate::storage::Storage;
 use ::bridge::{Bridge, ClientStatus};
 use std::io;
 use std::path::PathBuf;
@@ -17,25 +18,30 @@ use tokio::time::timeout;
 const EXCHANGE_MAX: Duration = Duration::from_secs(1);
 /// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+/// Largest part of the emergency stop's file that is read, bytes: that it exists is enough.
+const STOP_BYTES_MAX: u64 = 4096;
 
 /// Applies the operator's requests, and keeps in files what must outlive one bridge process: the allow list and the
 /// emergency stop.
-pub struct Control {
+pub struct Control<S> {
     bridge: Rc<Bridge>,
+    storage: S,
     /// The file of the allow list; `None` if addresses are not remembered.
     allowed: Option<PathBuf>,
     /// A file that exists while the emergency stop is set.
     stop_file: PathBuf,
     /// Whether the file exists.
     stop_recorded: bool,
+    /// Whether the person has been told that it cannot be recorded.
+    has_warned: bool,
 }
 
-impl Control {
+impl<S: Storage> Control<S> {
     /// Applies to the bridge what the files say.
-    pub fn new(bridge: Rc<Bridge>, run: &Run) -> Self {
+    pub fn new(bridge: Rc<Bridge>, run: &Run, storage: S) -> Self {
         let allowed = run.config.bridge.remember.then(|| allowed::file(run));
         if let Some(path) = &allowed {
-            match allowed::read(path) {
+            match allowed::read(&storage, path) {
                 Ok((addresses, unsound)) => {
                     addresses.into_iter().for_each(|address| bridge.allow(address));
                     unsound.iter().for_each(|line| {
@@ -46,27 +52,34 @@ impl Control {
             }
         }
         let stop_file = run.dir.join("stopped");
-        let stop_recorded = stop_file.exists();
+        // A file that cannot be read may say that the stop is set.
+        let stop_recorded = !matches!(storage.read(&stop_file, STOP_BYTES_MAX), Err(why) if why.kind() == io::ErrorKind::NotFound);
         if stop_recorded {
             bridge.stop_robots();
         }
-        Self { bridge, allowed, stop_file, stop_recorded }
+        Self { bridge, storage, allowed, stop_file, stop_recorded, has_warned: false }
     }
 
     /// Records in a file whether the emergency stop is set: a restarted bridge must keep it. Call it often.
     pub fn record_stop(&mut self) {
         let is_stopped = self.bridge.is_stopped();
-        if is_stopped != self.stop_recorded {
-            self.stop_recorded = is_stopped;
-            let result = match is_stopped {
-                true => std::fs::write(&self.stop_file, "The emergency stop is set.\n"),
-                false => std::fs::remove_file(&self.stop_file),
-            };
-            if let Err(why) = result {
-                tracing::warn!(
-                    "{}: {why}; a restarted bridge will not keep the emergency stop as it is",
-                    self.stop_file.display()
-                );
+        if is_stopped == self.stop_recorded {
+            return;
+        }
+        let result = match is_stopped {
+            true => self.storage.write(&self.stop_file, b"The emergency stop is set.\n"),
+            false => self.storage.remove(&self.stop_file),
+        };
+        match result {
+            Ok(()) => (self.stop_recorded, self.has_warned) = (is_stopped, false),
+            // It is tried again, and said once.
+            Err(why) => {
+                if !std::mem::replace(&mut self.has_warned, true) {
+                    let path = self.stop_file.display();
+                    tracing::warn!(
+                        "{path}: {why}; a restarted bridge will not keep the emergency stop as it is"
+                    );
+                }
             }
         }
     }
@@ -82,7 +95,7 @@ impl Control {
         self.record_stop();
         if let (Request::Allow(address) | Request::Deny(address), Some(path)) = (request, &self.allowed) {
             let may_drive = matches!(request, Request::Allow(_));
-            allowed::remember(path, address, may_drive)
+            allowed::remember(&self.storage, path, address, may_drive)
                 .map_err(|why| format!("done, but not for later runs: {}: {why}", path.display()))?;
         }
         Ok(self.bridge_state())
@@ -116,7 +129,7 @@ pub fn listen(run: &Run) -> io::Result<UnixListener> {
 }
 
 /// Answers requests one after the other.
-pub async fn serve(listener: UnixListener, control: Rc<std::cell::RefCell<Control>>) {
+pub async fn serve(listener: UnixListener, control: Rc<std::cell::RefCell<Control<impl Storage>>>) {
     loop {
         match listener.accept().await {
             // A peer that sends no valid request in time is disconnected.
@@ -126,7 +139,10 @@ pub async fn serve(listener: UnixListener, control: Rc<std::cell::RefCell<Contro
     }
 }
 
-async fn exchange(mut stream: UnixStream, control: &std::cell::RefCell<Control>) -> io::Result<()> {
+async fn exchange(
+    mut stream: UnixStream,
+    control: &std::cell::RefCell<Control<impl Storage>>,
+) -> io::Result<()> {
     let (read, mut write) = stream.split();
     let mut line = String::new();
     BufReader::new(read.take(LINE_MAX)).read_line(&mut line).await?;

@@ -9,6 +9,7 @@ use crate::merge_memory::MergeMemory;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use crate::storage::{DiskStorage, Storage};
+use crate::supervisor::progress::WatchedThread;
 use ::merge::FleetPoseGraph;
 use msg::{
     EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,
@@ -55,7 +56,8 @@ pub fn run(
     let _ = rustix::process::nice(NICE);
     let node = run.attach_thread(Role::Merge, None, "graph")?;
     let mut graph = GraphWorker::open(&node, run, graph, memory, slot)?;
-    serve(&mut graph, &|| done.load(Ordering::Relaxed));
+    let progress = run.progress(Role::Merge, None, WatchedThread::Second);
+    serve(&mut graph, progress, &|| done.load(Ordering::Relaxed));
     Ok(())
 }
 

@@ -15,6 +15,7 @@ use crate::ports::{
 use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
+use crate::supervisor::progress::WatchedThread;
 use ::merge::{FleetPoseGraph, Merger};
 use msg::{Correction, MapTransforms, Monotonic, Pose2, RobotId, Role, TrackingState};
 use std::sync::Arc;
@@ -28,7 +29,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let mut drawing = MapDrawing::open(&node, run, &pose_graph, slot.clone())?;
     std::thread::scope(|scope| {
         let graph_thread = scope.spawn(|| graph::run(run, pose_graph, memory, slot, &done));
-        serve(&mut drawing, &|| stop.requested() || graph_thread.is_finished());
+        let progress = run.progress(Role::Merge, None, WatchedThread::Main);
+        serve(&mut drawing, progress, &|| stop.requested() || graph_thread.is_finished());
         done.store(true, Ordering::Relaxed);
         graph_thread.join().map_err(|_| "the thread of the fleet's pose graph panicked")??;
         Ok(())

@@ -3,8 +3,8 @@
 //! Each loop is a [`Component`] over [`crate::ports`]: live it runs on shared memory, in lockstep on queues and virtual
 //! time. Decisions about robots and maps are in the crates, not here.
 
-mod bridge;
-mod control;
+pub mod bridge;
+pub mod control;
 pub mod graph;
 pub mod heartbeat;
 mod map_publisher;
@@ -19,6 +19,7 @@ pub mod telemetry;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
+use crate::supervisor::progress::ProgressCounter;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -42,8 +43,13 @@ pub trait Listens<L: 'static> {
 }
 
 /// Runs a component on shared memory until `over` returns true.
-fn serve(component: &mut (impl Component + Listens<Listener>), over: &dyn Fn() -> bool) {
+fn serve(
+    component: &mut (impl Component + Listens<Listener>),
+    mut progress: ProgressCounter,
+    over: &dyn Fn() -> bool,
+) {
     while !over() {
+        progress.advance();
         let due = component.step();
         wait(component.listeners(), due);
     }

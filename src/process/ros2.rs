@@ -1,14 +1,17 @@
 //! The ROS 2 endpoint of the bridge process, on a thread of its own, so that DDS never delays a headset on TCP.
 
 use super::Error;
-use super::bridge::{SlamRequester, forward, on_notification, publish_channels, stop_requested};
+use super::bridge::SlamRequester;
+use super::bridge::feeds::{FeedResult, forward, open_feeds, when_written};
+use super::bridge::live::{run_feed, stop_requested};
 use crate::channel;
 use crate::clock::now;
 use crate::config::World;
 use crate::fleet;
+use crate::ports::{Ports, ReadPort};
 use crate::run::Run;
-use crate::shared_memory::Participant;
 use crate::stop::Stop;
+use crate::supervisor::progress::WatchedThread;
 use ::bridge::dds::{DdsEndpoint, RosLink};
 use ::bridge::{Bridge, FleetMessage};
 use msg::{Clock, RobotId, Role};
@@ -57,7 +60,7 @@ async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<RosLink>) {
             tokio::time::sleep(CLOCK_PERIOD).await;
         }
     };
-    tokio::join!(receive, publish_time)
+    tokio::join!(receive, publish_time);
 }
 
 /// Runs the endpoint until it is asked to stop.
@@ -69,12 +72,12 @@ fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
     LocalSet::new().block_on(&runtime, async {
         let endpoint =
             Rc::new(DdsEndpoint::open(&run.config.bridge, run.config.fleet.robots, is_external, link)?);
-        let mut tasks = publish_channels(&participant, run, &endpoint)?;
+        let mut feeds = open_feeds(&participant, run, &endpoint)?;
         let requester = Rc::new(RefCell::new(SlamRequester::open(&participant, run, REQUESTER_KIND)?));
         for robot in run.robots() {
-            tasks.push(forward_responses(&participant, &endpoint, &requester, robot)?);
+            feeds.push(forward_responses(&participant, &endpoint, &requester, robot)?);
             if is_external {
-                tasks.push(forward(
+                feeds.push(forward(
                     &participant,
                     &endpoint,
                     &channel::command(robot),
@@ -84,24 +87,25 @@ fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
                 )?);
             }
         }
+        let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
         let on_request = move |robot, request| requester.borrow_mut().send(robot, request);
         tasks.push(spawn_local(endpoint.serve(on_request)));
-        stop_requested(stop.clone()).await;
+        stop_requested(stop.clone(), run.progress(Role::Bridge, None, WatchedThread::Second)).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
     })
 }
 
 /// Passes the responses of a robot's SLAM to the endpoint, and sends the requests that follow them.
-fn forward_responses(
-    participant: &Participant,
+fn forward_responses<P: Ports + 'static>(
+    ports: &P,
     endpoint: &Rc<DdsEndpoint>,
-    requester: &Rc<RefCell<SlamRequester>>,
+    requester: &Rc<RefCell<SlamRequester<P>>>,
     robot: RobotId,
-) -> Result<JoinHandle<()>, Error> {
-    let mut reader = participant.reader(&channel::slam_response(robot))?;
+) -> FeedResult<P> {
+    let mut reader = ports.reader(&channel::slam_response(robot))?;
     let (endpoint, requester) = (endpoint.clone(), requester.clone());
-    on_notification(participant.listener(&channel::slam_response(robot))?, move || {
+    when_written(ports, &channel::slam_response(robot), move || {
         while let Some(response) = reader.receive() {
             let is_ours = response.client == requester.borrow().client;
             if let Some(next) = endpoint.answer_request(robot, &response, is_ours) {

@@ -7,6 +7,7 @@ use crate::fleet;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::supervisor::progress::WatchedThread;
 use msg::{
     Clock, GroundTruth, Monotonic, Odometry, Pose2, RobotId, Role, Scan, Stamp, Transforms, VelocityCommand,
 };
@@ -24,7 +25,7 @@ const TIMEKEEPER: usize = 1;
 pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Sim, Some(robot))?;
     let mut simulation = Simulation::open(&node, run, robot, at)?;
-    serve(&mut simulation, &|| stop.requested());
+    serve(&mut simulation, run.progress(Role::Sim, Some(robot), WatchedThread::Main), &|| stop.requested());
     Ok(())
 }
 

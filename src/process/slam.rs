@@ -21,6 +21,7 @@ use crate::sessions;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
+use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use ::slam::{
     BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, SlamConfig,
 };
@@ -143,10 +144,12 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
         let back_end = scope.spawn(move || -> Result<(), ChannelError> {
             let map_ports = run.attach_thread(Role::Slam, Some(robot), "map")?;
             let back_end = BackEndWorker::open(&map_ports, run, robot, back, commands, job_sender)?;
-            serve_back_end(back_end, &map_ports, &inputs);
+            let progress = run.progress(Role::Slam, Some(robot), WatchedThread::Second);
+            serve_back_end(back_end, &map_ports, &inputs, progress);
             Ok(())
         });
-        serve(&mut scan_path, &|| stop.requested() || back_end.is_finished());
+        let progress = run.progress(Role::Slam, Some(robot), WatchedThread::Main);
+        serve(&mut scan_path, progress, &|| stop.requested() || back_end.is_finished());
         scan_path.end();
         back_end.join().map_err(|_| "the back-end thread panicked")?.map_err(Error::from)
     })
@@ -157,9 +160,11 @@ fn serve_back_end(
     mut back_end: BackEndWorker<Participant>,
     ports: &Participant,
     inputs: &Receiver<BackEndInput>,
+    mut progress: ProgressCounter,
 ) {
     let mut input = None;
     loop {
+        progress.advance();
         let due = back_end.step(input.take());
         if back_end.has_ended() {
             return;

@@ -9,6 +9,7 @@ use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, Write
 use crate::processes;
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::supervisor::progress::WatchedThread;
 use ::telemetry::Telemetry;
 use msg::{
     Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId, Role,
@@ -22,7 +23,7 @@ const PERIOD_NS: u64 = 1_000_000_000;
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
     let mut figures = Figures::open(&node, run)?;
-    serve(&mut figures, &|| stop.requested());
+    serve(&mut figures, run.progress(Role::Telemetry, None, WatchedThread::Main), &|| stop.requested());
     Ok(())
 }
 

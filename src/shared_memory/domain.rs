@@ -6,6 +6,9 @@ use iceoryx2::node::NodeView;
 use iceoryx2::prelude::*;
 use std::path::{Path as FsPath, PathBuf};
 
+/// Folder of the system's shared memory.
+pub const SHARED_MEMORY: &str = "/dev/shm";
+
 /// Names of one run in shared memory. Two runs on one machine have different names.
 #[derive(Clone, Debug)]
 pub struct Domain {
@@ -45,11 +48,16 @@ impl Domain {
     pub fn remove(&self) {
         self.clean_up_after_the_dead();
         let _ = std::fs::remove_dir_all(&self.root);
-        for entry in std::fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
+        for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
             if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
                 let _ = std::fs::remove_file(entry.path());
             }
         }
+    }
+
+    /// Returns the path of a file of the run in the shared memory of the system; [`Domain::remove`] removes it.
+    pub fn shared_file(&self, name: &str) -> PathBuf {
+        FsPath::new(SHARED_MEMORY).join(format!("{}{name}", self.prefix))
     }
 
     pub(super) fn config(&self) -> &Config {

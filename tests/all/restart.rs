@@ -1,6 +1,7 @@
 //! A killed process is restarted, and the other processes are not affected.
 
-use crate::harness::{Fleet, process, send};
+use crate::harness::{Fleet, WATCHDOG, process, send};
+use mr_slam::view::FleetView;
 use rustix::process::Signal;
 
 /// Kills one process of a running fleet of three, waits for its return, and checks the others.
@@ -43,4 +44,64 @@ fn a_fleet_survives_a_killed_bridge() {
 #[test]
 fn a_fleet_survives_a_killed_simulator() {
     kill_and_recover("sim of robot3");
+}
+
+#[test]
+fn stopped_processes_are_replaced() {
+    let names = ["bridge", "telemetry", "merge", "slam of robot1", "sim of robot1"];
+    let mut fleet = Fleet::start("up", &["--robots", "1"]);
+    let pids = |view: &FleetView| names.map(|name| process(view, name).map(|p| p.pid));
+    let before = fleet.until("all processes", |view| {
+        pids(view).iter().all(Option::is_some) && view.robots.iter().all(|robot| robot.scans >= 20)
+    });
+    let stopped = pids(&before);
+    stopped.iter().flatten().for_each(|pid| send(*pid, Signal::STOP));
+    fleet.until("the replacements", |view| {
+        let up = |name| process(view, name).is_some_and(|p| p.state == "up");
+        let all_up = names.iter().all(|name| up(name));
+        let now = pids(view);
+        all_up
+            && now.iter().zip(&stopped).all(|(now, then)| now != then)
+            && view.robots.iter().all(|robot| robot.scans >= 20)
+    });
+    // A replaced process is gone, not just forgotten.
+    for pid in stopped.iter().flatten() {
+        assert!(!std::path::Path::new(&format!("/proc/{pid}")).exists(), "process {pid} is still there");
+    }
+    let ended = fleet.end(Signal::TERM);
+    let report = std::fs::read_to_string(ended.folder.path().join("report.json")).unwrap();
+    for name in names {
+        let event = format!("the {name} has not answered for");
+        assert!(report.contains(&event), "no `{event}` in {report}");
+    }
+}
+
+#[test]
+fn the_operator_of_a_demo_comes_back() {
+    let mut fleet = Fleet::start("demo", &["--robots", "1"]);
+    let operator = |fleet: &Fleet| {
+        let launcher = fleet.run.pid;
+        let children = std::fs::read_to_string(format!("/proc/{launcher}/task/{launcher}/children")).unwrap();
+        let is_operator = |pid: &u32| {
+            let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            line.split('\0').nth(1) == Some("operator")
+        };
+        children.split_whitespace().filter_map(|pid| pid.parse().ok()).find(is_operator)
+    };
+    let drives = |view: &FleetView| process(view, "bridge").is_some_and(|bridge| bridge.clients == 1);
+    for signal in [Signal::KILL, Signal::STOP] {
+        fleet.until("an operator", drives);
+        let old: u32 = operator(&fleet).unwrap();
+        send(old, signal);
+        let begun = std::time::Instant::now();
+        while operator(&fleet).is_none_or(|pid| pid == old) {
+            assert!(begun.elapsed() < WATCHDOG, "nobody drives after {signal:?}");
+            fleet.observer.wait(std::time::Duration::from_millis(100));
+        }
+    }
+    fleet.until("an operator", drives);
+    let ended = fleet.end(Signal::TERM);
+    let report = std::fs::read_to_string(ended.folder.path().join("report.json")).unwrap();
+    assert_eq!(report.matches("the operator was started again").count(), 2, "{report}");
+    assert!(report.contains("the operator has not answered"), "{report}");
 }

@@ -1,0 +1,96 @@
+//! The live bridge process: the tokio tasks that call its components, the TCP port and the control socket.
+
+use super::feeds::Feed;
+use super::{BridgeProcess, Upkeep};
+use crate::clock::now;
+use crate::ports::Ports;
+use crate::process::{Component, Error, control, ros2};
+use crate::run::Run;
+use crate::shared_memory::Listener;
+use crate::stop::Stop;
+use crate::storage::{DiskStorage, Storage};
+use crate::supervisor::progress::{ProgressCounter, WatchedThread};
+use ::bridge::serve;
+use msg::{Monotonic, Role};
+use std::os::fd::AsFd;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio::task::{JoinHandle, LocalSet, spawn_local};
+use tokio::time::Instant;
+
+/// Period at which the process checks whether it is to stop.
+const STOP_POLL_PERIOD: Duration = Duration::from_millis(100);
+
+/// Runs the bridge process until it is asked to stop.
+pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
+    let participant = run.attach(Role::Bridge, None)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    LocalSet::new().block_on(&runtime, async {
+        let BridgeProcess { bridge, feeds, upkeep } = BridgeProcess::open(&participant, run, DiskStorage)?;
+        let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
+        if run.config.bridge.dds.enabled {
+            tasks.push(ros2::open(run, stop, &bridge)?);
+        }
+        tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
+        tasks.push(spawn_local(run_upkeep(upkeep)));
+        let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
+        serve(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
+        tasks.iter().for_each(JoinHandle::abort);
+        Ok(())
+    })
+}
+
+/// Returns the socket that the launcher listens on and passes down as standard input.
+fn inherited_listener() -> std::io::Result<TcpListener> {
+    let listener = std::net::TcpListener::from(std::io::stdin().as_fd().try_clone_to_owned()?);
+    listener.local_addr().map_err(|why| {
+        std::io::Error::other(format!(
+            "standard input is not a listening socket ({why}); start the bridge with `mr-slam up`"
+        ))
+    })?;
+    listener.set_nonblocking(true)?;
+    TcpListener::from_std(listener)
+}
+
+/// Waits until the process is asked to stop, and counts the calling thread's progress meanwhile.
+pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
+    while !stop.requested() {
+        progress.advance();
+        tokio::time::sleep(STOP_POLL_PERIOD).await;
+    }
+}
+
+/// Calls the upkeep whenever it is due.
+async fn run_upkeep<P: Ports, S: Storage>(mut upkeep: Upkeep<P, S>) {
+    loop {
+        let due = upkeep.step();
+        tokio::time::sleep_until(instant(due)).await;
+    }
+}
+
+/// Starts a task that calls a feed whenever its channel is written or it is due.
+pub fn run_feed(feed: Feed<Listener>) -> Result<JoinHandle<()>, Error> {
+    let Feed { listener, mut pass } = feed;
+    let listener =
+        listener.into_async().map_err(|why| format!("cannot wait for a channel's notifications: {why}"))?;
+    Ok(spawn_local(async move {
+        loop {
+            let due = pass();
+            let readable = listener.readable();
+            let ready = match due {
+                Monotonic(u64::MAX) => Ok(readable.await),
+                due => tokio::time::timeout_at(instant(due), readable).await,
+            };
+            if let Ok(ready) = ready {
+                let Ok(mut ready) = ready else { return };
+                listener.get_ref().drain();
+                ready.clear_ready();
+            }
+        }
+    }))
+}
+
+/// Converts a moment to tokio's clock; a moment in the past is now.
+fn instant(at: Monotonic) -> Instant {
+    Instant::now() + Duration::from_nanos(at.since(now()))
+}

@@ -1,0 +1,210 @@
+//! Progress of the fleet's threads: a counter for each in a small file of the run's shared memory.
+//!
+//! A thread counts on in its loop. The launcher reads all counters at once, and so sees which thread stands still. The
+//! file is written and read as a file: nobody waits for anybody.
+
+use super::watchdog::{ThreadSample, ThreadState};
+use crate::clock::now;
+use crate::config::FleetConfig;
+use crate::processes;
+use crate::shared_memory::Domain;
+use msg::{Monotonic, RobotId, Role};
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::os::unix::fs::{FileExt, OpenOptionsExt};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Bytes of a thread's entry: its count and its id in the operating system, each 8 bytes.
+const ENTRY_BYTES: usize = 16;
+/// Shortest time between two counts: the watchdog needs no more, and a loop that is woken often pays nothing.
+const COUNT_PERIOD_NS: u64 = 50_000_000;
+
+/// A thread that is watched. Every process has the first; the second is its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WatchedThread {
+    /// The process's main thread.
+    Main,
+    /// The thread that [`processes::ProcessRow::second_thread`] names.
+    Second,
+}
+
+impl WatchedThread {
+    /// Number of watched threads of a process.
+    pub const COUNT: usize = 2;
+}
+
+fn file_path(domain: &Domain) -> PathBuf {
+    domain.shared_file("progress")
+}
+
+/// Entry of a thread as it was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Entry {
+    /// Grows while the thread works; 0 until it does.
+    pub count: u64,
+    /// The thread's id in the operating system; 0 until it works.
+    pub thread: u32,
+}
+
+/// All counters of a fleet, as the launcher reads them.
+pub struct ProgressBoard {
+    file: File,
+    bytes: Vec<u8>,
+}
+
+impl ProgressBoard {
+    /// Creates the file with a counter of 0 for each thread of `processes` processes.
+    pub fn create(domain: &Domain, processes: usize) -> io::Result<Self> {
+        let bytes = vec![0; processes * WatchedThread::COUNT * ENTRY_BYTES];
+        let mut options = OpenOptions::new();
+        let file = options.read(true).write(true).create_new(true).mode(0o600).open(file_path(domain))?;
+        file.write_all_at(&bytes, 0)?;
+        Ok(Self { file, bytes })
+    }
+
+    /// Reads all counters.
+    pub fn read(&mut self) -> io::Result<()> {
+        self.file.read_exact_at(&mut self.bytes, 0)
+    }
+
+    /// Returns the entry of a thread of the process with this index, as of the last [`ProgressBoard::read`].
+    pub fn entry(&self, process: usize, thread: WatchedThread) -> Entry {
+        let word = |at: usize| {
+            let bytes = self.bytes.get(at..at + 8).and_then(|bytes| bytes.try_into().ok());
+            u64::from_le_bytes(bytes.unwrap_or_default())
+        };
+        let at = entry_offset(process, thread);
+        Entry { count: word(at), thread: word(at + 8) as u32 }
+    }
+
+    /// Clears the entries of a process that is to be started.
+    pub fn clear(&self, process: usize) -> io::Result<()> {
+        self.file.write_all_at(
+            &[0; WatchedThread::COUNT * ENTRY_BYTES],
+            entry_offset(process, WatchedThread::Main) as u64,
+        )
+    }
+}
+
+fn entry_offset(process: usize, thread: WatchedThread) -> usize {
+    (process * WatchedThread::COUNT + thread as usize) * ENTRY_BYTES
+}
+
+/// Counter of one thread. It belongs to the thread that opened it.
+pub struct ProgressCounter {
+    /// `None`: nobody watches, or the file cannot be used.
+    file: Option<File>,
+    offset: u64,
+    count: u64,
+    due: Monotonic,
+}
+
+impl ProgressCounter {
+    /// Opens the counter of the calling thread. A process that was started by hand has no counter; it works without.
+    pub fn open(
+        domain: &Domain,
+        config: &FleetConfig,
+        role: Role,
+        robot: Option<RobotId>,
+        thread: WatchedThread,
+    ) -> Self {
+        let index = processes::of_fleet(config).position(|(row, of)| row.role == role && of == robot);
+        let file = OpenOptions::new().write(true).open(file_path(domain)).ok();
+        Self {
+            file: file.filter(|_| index.is_some()),
+            offset: entry_offset(index.unwrap_or(0), thread) as u64,
+            count: 0,
+            due: Monotonic(0),
+        }
+    }
+
+    /// Says that the thread works. Call it in every pass of its loop, at least once a second.
+    pub fn advance(&mut self) {
+        let Some(file) = &self.file else { return };
+        let at = now();
+        if at < self.due {
+            return;
+        }
+        self.due = Monotonic(at.0 + COUNT_PERIOD_NS);
+        self.count += 1;
+        let thread = rustix::thread::gettid().as_raw_nonzero().get() as u64;
+        let mut entry = [0; ENTRY_BYTES];
+        entry[..8].copy_from_slice(&self.count.to_le_bytes());
+        entry[8..].copy_from_slice(&thread.to_le_bytes());
+        // A count that is lost is made up for by the next.
+        let _ = file.write_all_at(&entry, self.offset);
+    }
+}
+
+/// Returns how often a process's main thread was scheduled: progress of a process that has no counter.
+pub fn switches(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let switches = status.lines().filter_map(|line| line.split_once("ctxt_switches:"));
+    switches.filter_map(|(_, count)| count.trim().parse::<u64>().ok()).sum()
+}
+
+/// Asks the operating system what a thread does.
+pub fn sample(process: u32, thread: u32) -> ThreadSample {
+    let gone = ThreadSample { state: ThreadState::Gone, cpu: Duration::ZERO };
+    let Ok(stat) = std::fs::read_to_string(format!("/proc/{process}/task/{thread}/stat")) else {
+        return gone;
+    };
+    parse_stat(&stat).unwrap_or(gone)
+}
+
+/// Parses the content of `/proc/PID/task/TID/stat`: see proc_pid_stat(5).
+fn parse_stat(stat: &str) -> Option<ThreadSample> {
+    // The name in parentheses may hold anything.
+    let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
+    let state = match fields.next()? {
+        "R" => ThreadState::Runnable,
+        "S" | "I" => ThreadState::Sleeping,
+        "D" => ThreadState::Disk,
+        "T" => ThreadState::Stopped,
+        "t" => ThreadState::Traced,
+        _ => ThreadState::Gone,
+    };
+    // The state is field 3; user and system time are fields 14 and 15.
+    let ticks: u64 = fields.skip(10).take(2).map(|ticks| ticks.parse::<u64>().unwrap_or(0)).sum();
+    let cpu = Duration::from_secs_f64(ticks as f64 / rustix::param::clock_ticks_per_second() as f64);
+    Some(ThreadSample { state, cpu })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_launcher_reads_what_a_thread_counts() {
+        let config = FleetConfig::default();
+        let domain = Domain::new(&format!("progress_{}", std::process::id())).unwrap();
+        let processes = processes::of_fleet(&config).count();
+        let mut board = ProgressBoard::create(&domain, processes).unwrap();
+        assert!(ProgressBoard::create(&domain, processes).is_err(), "an existing file is never taken over");
+        let merge = processes::of_fleet(&config).position(|(row, _)| row.role == Role::Merge).unwrap();
+        let mut counter = ProgressCounter::open(&domain, &config, Role::Merge, None, WatchedThread::Second);
+        counter.advance();
+        board.read().unwrap();
+        let thread = rustix::thread::gettid().as_raw_nonzero().get() as u32;
+        assert_eq!(board.entry(merge, WatchedThread::Second), Entry { count: 1, thread });
+        assert_eq!(board.entry(merge, WatchedThread::Main), Entry::default());
+        board.clear(merge).unwrap();
+        board.read().unwrap();
+        assert_eq!(board.entry(merge, WatchedThread::Second), Entry::default());
+        domain.remove();
+        assert!(!file_path(&domain).exists());
+        // Nobody watches any more: the thread works on.
+        ProgressCounter::open(&domain, &config, Role::Merge, None, WatchedThread::Main).advance();
+    }
+
+    #[test]
+    fn a_thread_is_sampled_whatever_its_name() {
+        let stat = "42 (a) S b) T 1 2 3 4 5 6 7 8 9 10 250 50 0 0";
+        let cpu = Duration::from_secs_f64(300.0 / rustix::param::clock_ticks_per_second() as f64);
+        assert_eq!(parse_stat(stat), Some(ThreadSample { state: ThreadState::Stopped, cpu }));
+        let own = sample(std::process::id(), rustix::thread::gettid().as_raw_nonzero().get() as u32);
+        assert_eq!(own.state, ThreadState::Runnable);
+        assert!(switches(std::process::id()) > 0);
+    }
+}
