@@ -13,6 +13,7 @@ use crate::world::{ClockEstimate, ExternalWorld, WorldInput};
 use msg::{EdgeCommand, Monotonic, ROBOTS_MAX, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
+use std::time::Duration;
 
 /// The state of one connection, for the operator's table.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +33,9 @@ pub struct ClientStatus {
     /// The client's clock, if it is the source of an external world.
     pub clock: Option<ClockEstimate>,
 }
+
+/// Longest time between two ticks: late service calls and transforms to repeat wait for it.
+const TICK_MAX: Duration = Duration::from_millis(250);
 
 /// Where velocities go.
 type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
@@ -79,7 +83,8 @@ type RosCommandSink = Box<dyn FnMut(RosCommand)>;
 ///     bridge.receive(client, frame, Monotonic(0));
 /// }
 /// bridge.disconnect(client);
-/// assert_eq!(*velocities.borrow(), [0.1, 0.0]);
+/// // Each robot is sent a zero first: what moved it before is not known.
+/// assert_eq!(*velocities.borrow(), [0.0, 0.0, 0.0, 0.1, 0.0]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub struct Bridge {
@@ -233,9 +238,19 @@ impl Bridge {
         self.core.borrow_mut().router.take_outgoing(client, out)
     }
 
-    /// Does what is due: fails late service calls, repeats transforms for late subscribers. Call it every 250 ms.
+    /// Does what is due: stops robots whose last velocity is too old, fails late service calls, repeats transforms for
+    /// late subscribers. Call it when [`Self::next_tick`] says.
     pub fn tick(&self, now: Monotonic) {
         self.update(|core| core.tick(now));
+    }
+
+    /// Returns when [`Self::tick`] must be called next, if nothing else happens before: at `now` or later.
+    ///
+    /// A velocity that arrives meanwhile is never due before: it is valid for longer than this waits.
+    pub fn next_tick(&self, now: Monotonic) -> Monotonic {
+        let core = self.core.borrow();
+        let latest = now + TICK_MAX.min(core.gate.timeout() / 2);
+        core.gate.next_due().map_or(latest, |due| due.clamp(now, latest))
     }
 
     /// Disconnects a client: the robots that it drove stop, the calls that it should have answered fail.
@@ -255,12 +270,12 @@ impl Bridge {
 
     /// Returns whether the emergency stop is set.
     pub fn is_stopped(&self) -> bool {
-        self.core.borrow().drive.is_stopped()
+        self.core.borrow().gate.drive().is_stopped()
     }
 
     /// Returns the robot that `/cmd_vel` drives.
     pub fn selected_robot(&self) -> RobotId {
-        self.core.borrow().drive.selected()
+        self.core.borrow().gate.drive().selected()
     }
 
     /// Returns the addresses that wait for permission.
@@ -314,7 +329,10 @@ impl Bridge {
             drives: core
                 .fleet
                 .robots()
-                .filter(|robot| core.drive.leaseholder(*robot, now) == Some(client.id))
+                .filter(|robot| {
+                    let holder = core.gate.drive().leaseholder(*robot, now);
+                    holder.is_some_and(|holder| holder.client == Some(client.id))
+                })
                 .collect(),
             clock: core.world.as_ref().and_then(|world| world.clock_estimate(client.id.serial)),
         };

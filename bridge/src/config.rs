@@ -2,6 +2,7 @@
 
 use crate::dds::DdsConfig;
 use crate::ros::{Dialect, NameStyle};
+use crate::velocity_gate::VelocityConfig;
 use crate::world::ClockOffset;
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
@@ -65,6 +66,8 @@ pub struct BridgeConfig {
     pub clock_offset: ClockOffset,
     /// How long a service call may wait for its response, seconds; then it fails.
     pub service_timeout_s: f64,
+    /// Limits of all velocities that the bridge sends. A velocity beyond them is clamped.
+    pub velocity: VelocityConfig,
     /// The ROS 2 endpoint.
     pub dds: DdsConfig,
 }
@@ -92,6 +95,7 @@ impl Default for BridgeConfig {
             stick_angular_rad_s: 1.5,
             clock_offset: ClockOffset::Measured,
             service_timeout_s: 10.0,
+            velocity: VelocityConfig::default(),
             dds: DdsConfig::default(),
         }
     }
@@ -116,6 +120,7 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.velocity.validate()?;
         self.validate_dds_access()?;
         self.validate_limits()?;
         self.validate_times()?;

@@ -12,7 +12,7 @@ use crate::access::AccessControl;
 use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
-use crate::drive::DriveArbiter;
+use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopics};
 use crate::frame::{Frame, Side};
 use crate::relay::RelayTable;
@@ -21,6 +21,7 @@ use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
 use crate::services::ServiceCalls;
+use crate::velocity_gate::{Velocity, VelocityGate};
 use crate::world::WorldInput;
 use msg::{Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
@@ -48,8 +49,8 @@ pub struct Core {
     pub router: TopicRouter,
     /// The fleet's own topics.
     pub fleet: FleetTopics,
-    /// Who drives which robot.
-    pub drive: DriveArbiter,
+    /// The gate that every velocity passes.
+    pub gate: VelocityGate,
     /// Who may watch and drive.
     pub access: AccessControl,
     /// Services between clients.
@@ -67,10 +68,11 @@ impl Core {
     pub fn new(config: BridgeConfig, robot_count: usize, world: Option<WorldInput>) -> Self {
         let mut topics = TopicTable::new(config.client_topics_max);
         let fleet = FleetTopics::new(&mut topics, config.frame_names, robot_count, world.is_some());
+        let drive = DriveArbiter::new(robot_count, FIRST_ROBOT, config.lease());
         let mut core = Self {
             router: TopicRouter::new(topics, &config),
             fleet,
-            drive: DriveArbiter::new(robot_count, FIRST_ROBOT, config.lease()),
+            gate: VelocityGate::new(&config.velocity, robot_count, drive),
             access: AccessControl::new(&config),
             services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
             relay: RelayTable::new(config.dds.relayed_topics_max, &config.open_topics),
@@ -78,6 +80,7 @@ impl Core {
             config,
             world,
         };
+        core.send_velocities();
         core.publish_selected();
         core.publish_stop();
         core
@@ -135,8 +138,11 @@ impl Core {
         self.fleet.publish(&mut self.router, message);
     }
 
-    /// Does what is due at this time: fails late service calls, repeats transforms for late subscribers.
+    /// Does what is due at this time: stops robots whose last velocity is too old, fails late service calls, repeats
+    /// transforms for late subscribers.
     pub fn tick(&mut self, now: Monotonic) {
+        self.gate.tick(now);
+        self.send_velocities();
         for call in self.services.remove_expired(now) {
             self.fail_call(&call, "no answer came in time");
         }
@@ -160,49 +166,50 @@ impl Core {
         Some(unsent)
     }
 
-    /// Queues a velocity for a robot: m/s forward, rad/s counter-clockwise.
-    ///
-    /// Every velocity passes here, whatever its origin: a client, the emergency stop, a client that left.
-    pub fn send_velocity(&mut self, robot: RobotId, linear_m_s: f64, angular_rad_s: f64) {
-        let header = Header { stamp: self.fleet.now(), ..Header::default() };
-        self.commands.push_velocity(robot, VelocityCommand { header, linear_m_s, angular_rad_s });
-        if self.world.is_some() {
+    /// Sends the velocities that have passed the gate: the only way of a velocity to a robot, whatever the world.
+    pub fn send_velocities(&mut self) {
+        while let Some((robot, velocity)) = self.gate.next_output() {
+            let header = Header { stamp: self.fleet.now(), ..Header::default() };
+            let Velocity { linear_m_s, angular_rad_s } = velocity;
+            self.commands.push_velocity(robot, VelocityCommand { header, linear_m_s, angular_rad_s });
             let twist = Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
-            self.fleet.publish_velocity(&mut self.router, robot, &twist);
+            let is_selected = robot == self.gate.drive().selected();
+            self.fleet.publish_velocity(&mut self.router, robot, is_selected, &twist);
         }
     }
 
-    /// Sends zero velocities.
-    fn send_stop(&mut self, robots: impl Iterator<Item = RobotId>) {
-        robots.for_each(|robot| self.send_velocity(robot, 0.0, 0.0));
+    /// Returns a client as the driver of a robot.
+    fn driver(&self, id: ClientId) -> Driver {
+        let address = self.router.client(id).map(|client| client.peer.ip().to_canonical());
+        Driver { client: Some(id), address }
     }
 
     /// Ends a client's leases and stops the robots that it drove last.
     pub fn stop_robots_of(&mut self, id: ClientId) {
-        let driven = self.drive.release_client(id);
-        self.send_stop(driven.into_iter());
+        self.gate.release_client(id);
+        self.send_velocities();
     }
 
     /// Publishes which robot is selected.
     pub fn publish_selected(&mut self) {
-        self.fleet.publish_selected(&mut self.router, self.drive.selected());
+        self.fleet.publish_selected(&mut self.router, self.gate.drive().selected());
     }
 
     /// Publishes whether the emergency stop is set.
     pub fn publish_stop(&mut self) {
-        self.fleet.publish_stop(&mut self.router, self.drive.is_stopped());
+        self.fleet.publish_stop(&mut self.router, self.gate.drive().is_stopped());
     }
 
     /// Sets the emergency stop: every robot stops, and stays stopped until it is released.
     pub fn set_emergency_stop(&mut self) {
-        self.drive.set_stopped(true);
-        self.send_stop(self.fleet.robots());
+        self.gate.set_stopped(true);
+        self.send_velocities();
         self.publish_stop();
     }
 
     /// Releases the emergency stop.
     pub fn release_emergency_stop(&mut self) {
-        self.drive.set_stopped(false);
+        self.gate.set_stopped(false);
         self.publish_stop();
     }
 

@@ -2,7 +2,27 @@
 
 use crate::router::ClientId;
 use msg::{Monotonic, ROBOTS_MAX, RobotId};
+use std::net::IpAddr;
 use std::time::Duration;
+
+/// Who drives a robot: a client, or one that drove it before the bridge was restarted and is not connected yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Driver {
+    /// The connection; `None` for a driver of before the restart.
+    pub client: Option<ClientId>,
+    /// The client's address; `None` for all participants on DDS together.
+    pub address: Option<IpAddr>,
+}
+
+impl Driver {
+    /// Returns whether `other` may use this driver's lease: the same connection, or the same address after a restart.
+    fn is_same(&self, other: &Self) -> bool {
+        match self.client {
+            Some(client) => other.client == Some(client),
+            None => self.address == other.address,
+        }
+    }
+}
 
 /// What happens to a velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,15 +32,15 @@ pub enum DriveDecision {
     /// It is dropped without an error: a zero velocity from a client that does not drive the robot.
     Ignore,
     /// It is refused: another client drives the robot.
-    DrivenBy(ClientId),
+    DrivenBy(Driver),
     /// It is refused: the emergency stop is set.
     Stopped,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 struct RobotDrive {
-    /// The client that holds the robot, and until when.
-    lease: Option<(ClientId, Monotonic)>,
+    /// Who holds the robot, and until when.
+    lease: Option<(Driver, Monotonic)>,
     /// The client whose velocity was the last to pass.
     last_driver: Option<ClientId>,
 }
@@ -76,18 +96,18 @@ impl DriveArbiter {
         self.is_stopped = is_stopped;
     }
 
-    /// Returns the client that holds the robot's lease now.
-    pub fn leaseholder(&self, robot: RobotId, now: Monotonic) -> Option<ClientId> {
-        self.robots[robot.index()].lease.filter(|(_, until)| now < *until).map(|(client, _)| client)
+    /// Returns who holds the robot's lease now.
+    pub fn leaseholder(&self, robot: RobotId, now: Monotonic) -> Option<Driver> {
+        self.robots[robot.index()].lease.filter(|(_, until)| now < *until).map(|(driver, _)| driver)
     }
 
-    /// Decides on one velocity of a client.
+    /// Decides on one velocity of a driver.
     ///
     /// A moving velocity takes or renews the lease of a robot that nobody else holds. A zero velocity does not, so
     /// that a client that sends zeros at 20 Hz keeps no robot from others.
     pub fn decide(
         &mut self,
-        client: ClientId,
+        driver: Driver,
         robot: RobotId,
         is_moving: bool,
         now: Monotonic,
@@ -96,24 +116,31 @@ impl DriveArbiter {
             return if is_moving { DriveDecision::Stopped } else { DriveDecision::Ignore };
         }
         match self.leaseholder(robot, now) {
-            Some(holder) if holder != client => {
+            Some(holder) if !holder.is_same(&driver) => {
                 return if is_moving { DriveDecision::DrivenBy(holder) } else { DriveDecision::Ignore };
             }
             _ => {}
         }
         let state = &mut self.robots[robot.index()];
         if is_moving {
-            state.lease = Some((client, now + self.lease));
+            state.lease = Some((driver, now + self.lease));
         }
-        state.last_driver = Some(client);
+        state.last_driver = driver.client;
         DriveDecision::Pass
     }
 
-    /// Gives the lease of a robot to a client; returns the other client that held it.
-    pub fn take_control(&mut self, client: ClientId, robot: RobotId, now: Monotonic) -> Option<ClientId> {
-        let before = self.leaseholder(robot, now).filter(|holder| *holder != client);
-        self.robots[robot.index()].lease = Some((client, now + self.lease));
+    /// Gives the lease of a robot to a driver; returns the other one that held it.
+    pub fn take_control(&mut self, driver: Driver, robot: RobotId, now: Monotonic) -> Option<Driver> {
+        let before = self.leaseholder(robot, now).filter(|holder| !holder.is_same(&driver));
+        self.robots[robot.index()].lease = Some((driver, now + self.lease));
         before
+    }
+
+    /// Keeps a robot for a driver of before a restart until `until`: nobody else may drive it without taking it over.
+    pub fn restore_lease(&mut self, robot: RobotId, address: Option<IpAddr>, until: Monotonic) {
+        if let Some(state) = self.robots.get_mut(robot.index()) {
+            state.lease = Some((Driver { client: None, address }, until));
+        }
     }
 
     /// Sets which robot a client's thumb stick moves; returns the robot that it moved before.
@@ -130,7 +157,7 @@ impl DriveArbiter {
         let mut driven = Vec::new();
         for robot in RobotId::first(self.robot_count) {
             let state = &mut self.robots[robot.index()];
-            state.lease = state.lease.filter(|(holder, _)| *holder != client);
+            state.lease = state.lease.filter(|(holder, _)| holder.client != Some(client));
             if state.last_driver == Some(client) {
                 state.last_driver = None;
                 driven.push(robot);
@@ -144,8 +171,9 @@ impl DriveArbiter {
 mod tests {
     use super::*;
 
-    fn client(serial: u64) -> ClientId {
-        ClientId { slot: serial as usize, serial }
+    fn client(serial: u64) -> Driver {
+        let client = ClientId { slot: serial as usize, serial };
+        Driver { client: Some(client), address: Some([10, 0, 0, serial as u8].into()) }
     }
 
     fn at_ms(ms: u64) -> Monotonic {
@@ -174,7 +202,7 @@ mod tests {
         assert_eq!(drive.take_control(one, robot, at_ms(1100)), Some(two));
         assert_eq!(drive.decide(two, robot, true, at_ms(1200)), DriveDecision::DrivenBy(one));
         assert_eq!(drive.decide(one, robot, true, at_ms(1300)), DriveDecision::Pass);
-        assert_eq!(drive.release_client(one), [robot]);
+        assert_eq!(drive.release_client(one.client.unwrap()), [robot]);
         assert_eq!(
             drive.decide(two, robot, true, at_ms(1400)),
             DriveDecision::Pass,
@@ -193,5 +221,23 @@ mod tests {
         assert_eq!(drive.decide(client(1), robot, true, at_ms(0)), DriveDecision::Pass);
         assert_eq!(drive.robot(1), Some(robot));
         assert_eq!((drive.robot(0), drive.robot(2), drive.robot(-1)), (None, None, None));
+    }
+    #[test]
+    fn after_a_restart_the_former_driver_alone_gets_its_robot() {
+        let robot = RobotId::new(1).unwrap();
+        let (former, stranger) = (client(1), client(2));
+        let mut drive = DriveArbiter::new(1, robot, Duration::from_secs(1));
+        drive.restore_lease(robot, former.address, at_ms(4000));
+        let before = Driver { client: None, ..former };
+        assert_eq!(drive.decide(stranger, robot, true, at_ms(100)), DriveDecision::DrivenBy(before));
+        assert_eq!(drive.decide(stranger, robot, false, at_ms(100)), DriveDecision::Ignore);
+        assert_eq!(drive.decide(former, robot, true, at_ms(200)), DriveDecision::Pass);
+        assert_eq!(drive.decide(stranger, robot, true, at_ms(300)), DriveDecision::DrivenBy(former));
+        drive.restore_lease(robot, former.address, at_ms(4000));
+        assert_eq!(
+            drive.decide(stranger, robot, true, at_ms(4000)),
+            DriveDecision::Pass,
+            "it never came back"
+        );
     }
 }

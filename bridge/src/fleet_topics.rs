@@ -19,16 +19,18 @@ pub struct FleetTopics {
     publisher: FleetPublisher,
     /// Topics by row of [`OUTGOING_TOPICS`], then by robot; empty for a topic that is not on TCP.
     ids: [Vec<TopicId>; OUTGOING_TOPICS.len()],
-    /// Topics on which a robot of an external world receives its velocities.
+    /// Topics on which each robot's velocities are published, and a robot of an external world receives them.
     velocity: Vec<[TopicId; 2]>,
+    /// The topic on which the selected robot's velocities are published.
+    selected_velocity: TopicId,
 }
 
 /// The topics that clients alone publish, and their meaning.
-fn add_input_topics(table: &mut TopicTable, robot_count: usize) -> Vec<[TopicId; 2]> {
+fn add_input_topics(table: &mut TopicTable, robot_count: usize) -> (TopicId, Vec<[TopicId; 2]>) {
     let mut add = |name: String, message_type: &str, input: Input| {
         table.add(name, message_type, Source::Input(input), Retention { depth: DEPTH_DEFAULT, latch: false })
     };
-    add("/cmd_vel".into(), Twist::TYPE, Input::SelectedCommand);
+    let selected_velocity = add("/cmd_vel".into(), Twist::TYPE, Input::SelectedCommand);
     let velocity = RobotId::first(robot_count)
         .map(|robot| {
             let names = [format!("/cmd_vel_{}", robot.number()), format!("/{robot}/cmd_vel")];
@@ -45,7 +47,7 @@ fn add_input_topics(table: &mut TopicTable, robot_count: usize) -> Vec<[TopicId;
     add("/take_control".into(), Int32::TYPE, Input::TakeControl);
     add("/emergency_stop_release".into(), Empty::TYPE, Input::ReleaseStop);
     add("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);
-    velocity
+    (selected_velocity, velocity)
 }
 
 /// Returns who may publish a topic of the table: a few are clients' as well as the fleet's.
@@ -63,7 +65,7 @@ fn source(topic: FleetTopic, robot: RobotId, is_external: bool) -> Source {
 impl FleetTopics {
     /// Adds the fleet's topics to the table. In an external world clients publish scans and the clock.
     pub fn new(table: &mut TopicTable, style: NameStyle, robot_count: usize, is_external: bool) -> Self {
-        let velocity = add_input_topics(table, robot_count);
+        let (selected_velocity, velocity) = add_input_topics(table, robot_count);
         let ids = OUTGOING_TOPICS.each_ref().map(|row| {
             let Some(delivery) = row.tcp else { return Vec::new() };
             let retention =
@@ -76,7 +78,7 @@ impl FleetTopics {
             named.map(add).collect()
         });
         let publisher = FleetPublisher::new(style, robot_count, LinkTransforms::OnTf);
-        Self { publisher, ids, velocity }
+        Self { publisher, ids, velocity, selected_velocity }
     }
 
     /// Publishes a message of the fleet.
@@ -96,14 +98,26 @@ impl FleetTopics {
         RouterSink { router, ids: &self.ids }.send(FleetTopic::EmergencyStop, None, |to| stop.write(to));
     }
 
-    /// Publishes a velocity to a robot of an external world.
-    pub fn publish_velocity(&self, router: &mut TopicRouter, robot: RobotId, twist: &Twist) {
-        self.velocity[robot.index()].iter().for_each(|topic| router.publish(*topic, |to| twist.write(to)));
+    /// Publishes a robot's velocity on its topics, and on `/cmd_vel` if it is the selected robot.
+    pub fn publish_velocity(
+        &self,
+        router: &mut TopicRouter,
+        robot: RobotId,
+        is_selected: bool,
+        twist: &Twist,
+    ) {
+        let selected = is_selected.then_some(&self.selected_velocity);
+        for topic in self.velocity[robot.index()].iter().chain(selected) {
+            router.publish(*topic, |to| twist.write(to));
+        }
     }
 
-    /// Returns whether a robot of an external world receives its velocities on this topic.
-    pub fn is_velocity_topic(&self, robot: RobotId, topic: TopicId) -> bool {
-        self.velocity[robot.index()].contains(&topic)
+    /// Returns the robot whose velocities are published on this topic, if they are on one.
+    pub fn robot_of_velocity_topic(&self, topic: TopicId, selected: RobotId) -> Option<RobotId> {
+        if topic == self.selected_velocity {
+            return Some(selected);
+        }
+        self.robots().find(|robot| self.velocity[robot.index()].contains(&topic))
     }
 
     /// Publishes again what late subscribers would miss; call it a few times a second.

@@ -28,6 +28,7 @@ mod services;
 pub mod slam_services;
 mod teleop;
 mod transport;
+pub mod velocity_gate;
 pub mod world;
 
 pub use bridge::{Bridge, ClientStatus};

@@ -16,13 +16,11 @@ use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
-use tokio::task::{JoinSet, yield_now};
-use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio::task::{JoinSet, spawn_local, yield_now};
+use tokio::time::{sleep, timeout};
 
 /// Frames of one client that are handled before other clients get their turn.
 const FRAMES_PER_TURN: usize = 64;
-/// How often the bridge looks for late service calls and transforms to repeat.
-const TICK: Duration = Duration::from_millis(250);
 /// A client that is silent for so long is probed by TCP keepalive.
 ///
 /// A client that vanished without closing (battery, Wi-Fi) is disconnected after [`UNACKNOWLEDGED_MAX`] on Linux,
@@ -61,14 +59,12 @@ pub async fn serve(
 ) {
     let clients_max = bridge.clients_max();
     let mut tasks = JoinSet::new();
-    let mut tick = interval(TICK);
-    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut stop = std::pin::pin!(stop);
+    let ticks = spawn_local(run_ticks(bridge.clone(), clock));
     loop {
         tokio::select! {
             biased;
             () = &mut stop => break,
-            _ = tick.tick() => bridge.tick(clock()),
             Some(_) = tasks.join_next() => {}
             accepted = listener.accept() => match accepted {
                 Ok((stream, peer)) if tasks.len() < clients_max + CLOSING_MAX => {
@@ -80,6 +76,16 @@ pub async fn serve(
         }
     }
     tasks.shutdown().await;
+    ticks.abort();
+}
+
+/// Calls the bridge when something is due. It is a task of its own, so that robots stop in time whatever clients do.
+async fn run_ticks(bridge: Rc<Bridge>, clock: fn() -> Monotonic) {
+    loop {
+        bridge.tick(clock());
+        let now = clock();
+        sleep(Duration::from_nanos(bridge.next_tick(now).since(now))).await;
+    }
 }
 
 /// A client's socket for the router.

@@ -19,7 +19,17 @@ struct Simulation {
 }
 
 impl Simulation {
+    /// Creates a bridge whose robots have got the zeros of its start.
     fn new() -> Self {
+        let mut simulation = Self::at_start();
+        for _ in 0..30 {
+            simulation.advance_ms(50);
+        }
+        simulation.take_velocities();
+        simulation
+    }
+
+    fn at_start() -> Self {
         let velocities = Rc::new(RefCell::new(Vec::new()));
         let sink = velocities.clone();
         let on_command = move |robot: msg::RobotId, command: VelocityCommand| {
@@ -118,9 +128,10 @@ fn a_lease_ends_one_second_after_the_last_moving_velocity() {
     simulation.send(one, "/cmd_vel_1", &forward(0.1));
     simulation.advance_ms(999);
     simulation.send(two, "/cmd_vel_1", &forward(0.2));
-    assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0)]);
+    assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0), (1, 0.0, 0.0)]);
     assert!(simulation.errors(two)[0].contains("robot1 is driven by 127.0.0.1:1"));
     simulation.advance_ms(1);
+    simulation.take_velocities();
     simulation.send(two, "/cmd_vel_1", &forward(0.2));
     assert_eq!(simulation.take_velocities(), [(1, 0.2, 0.0)]);
     assert_eq!(simulation.bridge.clients(simulation.now)[1].drives.len(), 1);
@@ -161,6 +172,33 @@ fn a_robot_stops_when_its_client_leaves() {
     simulation.bridge.disconnect(client);
     assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0), (1, 0.0, 0.0)]);
     assert!(simulation.bridge.take_outgoing(client, &mut Vec::new()).is_err());
+}
+
+#[test]
+fn every_robot_is_sent_a_zero_before_a_clients_first_velocity() {
+    let simulation = Simulation::at_start();
+    let client = simulation.connect(1, &DRIVE_1);
+    simulation.send(client, "/cmd_vel_1", &forward(5.0));
+    assert_eq!(simulation.take_velocities(), [(1, 0.0, 0.0), (2, 0.0, 0.0), (1, 0.22, 0.0)]);
+}
+
+#[test]
+fn the_robot_of_a_silent_client_is_sent_zeros_for_a_second() {
+    let mut simulation = Simulation::new();
+    let client = simulation.connect(1, &DRIVE_1);
+    simulation.send(client, "/cmd_vel_1", &forward(0.1));
+    let sent_at = simulation.now;
+    assert_eq!(simulation.take_velocities(), [(1, 0.1, 0.0)]);
+    let mut zeros = Vec::new();
+    while simulation.now.since(sent_at) < 5_000_000_000 {
+        // As the server does: it sleeps until the bridge names the time.
+        simulation.now = simulation.bridge.next_tick(simulation.now);
+        simulation.bridge.tick(simulation.now);
+        let velocities = simulation.take_velocities();
+        assert!(velocities.iter().all(|velocity| *velocity == (1, 0.0, 0.0)), "{velocities:?}");
+        zeros.extend(velocities.iter().map(|_| simulation.now.since(sent_at) / 1_000_000));
+    }
+    assert_eq!((zeros[0], zeros.len(), zeros.last()), (300, 21, Some(&1_300)));
 }
 
 #[test]

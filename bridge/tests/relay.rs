@@ -76,7 +76,7 @@ impl Simulation {
         self.receive(client, &bytes);
     }
 
-    fn from_ros(&self, event: RosEvent) {
+    fn on_ros_event(&self, event: RosEvent) {
         self.bridge.receive_ros(event, self.now);
     }
 
@@ -135,7 +135,7 @@ fn a_topic_of_ros_reaches_its_subscribers_until_the_last_leaves() {
     simulation.register(one, name::SUBSCRIBE, "/plan", PATH);
     simulation.register(two, name::SUBSCRIBE, "/plan", PATH);
     assert_eq!(simulation.asked(), ["subscribe /plan nav_msgs/Path"]);
-    simulation.from_ros(message("/plan"));
+    simulation.on_ros_event(message("/plan"));
     for client in [one, two] {
         assert_eq!(simulation.frames(client), [("/plan".to_owned(), MESSAGE.to_vec())]);
     }
@@ -215,14 +215,14 @@ fn a_subscription_to_what_nobody_publishes_is_told_once() {
     simulation.register(client, name::SUBSCRIBE, "/plan", PATH);
     simulation.register(client, name::SUBSCRIBE, "/scan_matched", PATH);
     simulation.register(client, name::SUBSCRIBE, "/robot1/map", "nav_msgs/OccupancyGrid");
-    simulation.from_ros(graph("/scan_matched", PATH, false));
+    simulation.on_ros_event(graph("/scan_matched", PATH, false));
     simulation.advance_s(2);
     assert!(simulation.notices(client).is_empty(), "publishers have time to appear");
     simulation.advance_s(10);
     let notices = simulation.notices(client);
     assert_eq!(notices.len(), 1, "{notices:?}");
     assert!(notices[0].contains("nobody publishes '/plan'"), "{notices:?}");
-    simulation.from_ros(message("/plan"));
+    simulation.on_ros_event(message("/plan"));
     assert_eq!(simulation.frames(client), [("/plan".to_owned(), MESSAGE.to_vec())]);
 }
 
@@ -232,7 +232,7 @@ fn another_type_in_ros_is_told_to_who_registers_and_to_who_has() {
     let client = simulation.connect();
     simulation.register(client, name::SUBSCRIBE, "/plan", PATH);
     for _ in 0..3 {
-        simulation.from_ros(graph("/plan", POSE, false));
+        simulation.on_ros_event(graph("/plan", POSE, false));
     }
     let notices = simulation.notices(client);
     assert_eq!(notices.len(), 1, "{notices:?}");
@@ -243,7 +243,7 @@ fn another_type_in_ros_is_told_to_who_registers_and_to_who_has() {
     let late = simulation.connect();
     simulation.register(late, name::SUBSCRIBE, "/plan", PATH);
     assert_eq!(simulation.notices(late).len(), 1);
-    simulation.from_ros(RosEvent::OtherEncoding { topic: "/plan".into() });
+    simulation.on_ros_event(RosEvent::OtherEncoding { topic: "/plan".into() });
     assert_eq!(simulation.bridge.counters().refused, 1);
 }
 
@@ -253,7 +253,7 @@ fn types_of_unknown_packages_are_accepted_if_ros_has_the_topic_and_topics_of_ros
     let client = simulation.connect();
     simulation.register(client, name::SUBSCRIBE, "/odd", "odd_msgs/Odd");
     assert_eq!(simulation.notices(client).len(), 1, "an unknown type");
-    simulation.from_ros(graph("/odd", "odd_msgs/Odd", false));
+    simulation.on_ros_event(graph("/odd", "odd_msgs/Odd", false));
     simulation.register(client, name::SUBSCRIBE, "/odd", "odd_msgs/Odd");
     assert_eq!(simulation.asked(), ["subscribe /odd odd_msgs/Odd"]);
     let mut bytes = Vec::new();
@@ -271,8 +271,8 @@ fn late_subscribers_get_what_ros_keeps_for_late_subscribers() {
     let simulation = Simulation::new();
     let (early, late) = (simulation.connect(), simulation.connect());
     simulation.register(early, name::SUBSCRIBE, "/robot_description", "std_msgs/String");
-    simulation.from_ros(graph("/robot_description", "std_msgs/String", true));
-    simulation.from_ros(message("/robot_description"));
+    simulation.on_ros_event(graph("/robot_description", "std_msgs/String", true));
+    simulation.on_ros_event(message("/robot_description"));
     simulation.register(late, name::SUBSCRIBE, "/robot_description", "std_msgs/String");
     assert_eq!(simulation.frames(late), [("/robot_description".to_owned(), MESSAGE.to_vec())]);
 }

@@ -1,6 +1,7 @@
 //! Tool `mr-slam up`, which launches a fleet, shows its figures, and writes maps and a report.
 
 mod console;
+mod detach;
 mod events;
 mod report;
 mod screen;
@@ -51,8 +52,14 @@ pub struct UpArgs {
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub seconds: Option<f64>,
     /// Folder for the maps and the report [default: runs/TIME]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", overrides_with = "run_dir")]
     pub run_dir: Option<PathBuf>,
+    /// Go on in the background, also after logging out; the output goes to launcher.log in the run's folder
+    #[arg(long)]
+    pub detach: bool,
+    /// Set by `--detach` for the process in the background.
+    #[arg(long, hide = true)]
+    pub in_background: bool,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -84,6 +91,14 @@ pub enum UpError {
     /// A process cannot be started.
     #[error("cannot start the fleet: {0}")]
     Start(#[from] std::io::Error),
+    /// The fleet in the background did not start.
+    #[error("the fleet did not start; its last words in {log}:\n{words}")]
+    Background {
+        /// Path of the log.
+        log: PathBuf,
+        /// End of the log.
+        words: String,
+    },
     /// The final maps cannot be written.
     #[error(transparent)]
     Map(#[from] formats::map_file::MapFileError),
@@ -104,7 +119,7 @@ impl UpArgs {
         Ok(config)
     }
 
-    fn folder(&self) -> PathBuf {
+    pub(super) fn folder(&self) -> PathBuf {
         self.run_dir.clone().unwrap_or_else(|| PathBuf::from("runs").join(folder_name_now()))
     }
 }
@@ -134,6 +149,18 @@ impl FleetHooks for NoHooks {
     }
 }
 
+/// Runs a fleet to its end, or starts it in the background if `--detach` is given.
+pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), UpError> {
+    if args.detach && !args.in_background {
+        return detach::start(&args.folder());
+    }
+    if args.in_background {
+        // A session of its own: the end of the terminal does not reach it.
+        rustix::process::setsid().map_err(std::io::Error::from)?;
+    }
+    run(args, hooks, &Stop::on_signals()?).map(drop)
+}
+
 /// Runs a fleet from start to end, writes its maps and report into the run's folder, and returns the report.
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
     let config = args.config()?;
@@ -145,10 +172,10 @@ pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Rep
         why,
     })?;
     let port = listener.local_addr()?.port();
-    let run = Run::create(&args.folder(), config, port)?;
+    let run = Run::create(&args.folder(), config, port, args.in_background)?;
     sessions::create_folder(&sessions::folder(&run), &fleet::known_starts(&run.config)?)
         .map_err(FleetError::from)?;
-    let mut screen = Screen::new(&run);
+    let mut screen = Screen::new(&run, args.in_background);
     let mut supervisor = Supervisor::start(&run, listener)?;
     let result = watch(&run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
     supervisor.end();

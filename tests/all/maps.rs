@@ -13,7 +13,10 @@ struct Memory(Domain);
 
 impl Memory {
     fn new(name: &str) -> Self {
-        Self(Domain::new(&format!("test{}_{name}", std::process::id())).unwrap())
+        Self({
+            let name = format!("test{}_{name}", std::process::id());
+            Domain::new(&name, &std::env::temp_dir().join(format!("mr-slam-{name}"))).unwrap()
+        })
     }
 
     fn participant(&self, program: Program) -> Participant {

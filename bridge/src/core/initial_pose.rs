@@ -70,7 +70,7 @@ impl Core {
         let (sigma_m, sigma_rad) = standard_deviations(&message.covariance)?;
         let frame = message.frame_id.as_str();
         let (robot, pose) = if frame.strip_prefix('/').unwrap_or(frame) == MAP {
-            let robot = robot.unwrap_or(self.drive.selected());
+            let robot = robot.unwrap_or(self.gate.drive().selected());
             (robot, self.map_from_robot_map(robot, frame)?.inverse() * frame_from_base)
         } else {
             (self.robot_of_map(robot, frame)?, frame_from_base)

@@ -6,13 +6,14 @@ use crate::access::{Action, PermissionError};
 use crate::cdr::{DecodeError, Reader, with_dummy_byte};
 use crate::command::name;
 use crate::dds::ReceivedMessage;
-use crate::drive::DriveDecision;
+use crate::drive::Driver;
 use crate::input::Input;
 use crate::ros::names::{is_correction, parse_frame};
 use crate::ros::read::{self, Transform};
 use crate::ros::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
 use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
 use crate::teleop::Stick;
+use crate::velocity_gate::{GateDecision, Velocity};
 use crate::world::{DDS_SOURCE, Incoming, WorldError};
 use msg::{EdgeCommand, Monotonic, RobotId};
 use thiserror::Error;
@@ -32,6 +33,9 @@ pub enum InputError {
     /// The client's address may not drive.
     #[error(transparent)]
     Permission(#[from] PermissionError),
+    /// A velocity is infinite or not a number.
+    #[error("the velocity is not finite; expected m/s and rad/s")]
+    NotFinite,
     /// Another client drives the robot.
     #[error("{robot} is driven by {driver}; publish {} on /take_control to take over", robot.number())]
     DrivenByOther {
@@ -79,7 +83,9 @@ pub enum InputError {
 impl InputError {
     fn kind(&self) -> RefusalKind {
         match self {
-            Self::Payload(_) | Self::StickAxis | Self::World(WorldError::Payload(_)) => RefusalKind::Payload,
+            Self::Payload(_) | Self::NotFinite | Self::StickAxis | Self::World(WorldError::Payload(_)) => {
+                RefusalKind::Payload
+            }
             Self::Permission(_) => RefusalKind::Permission,
             Self::DrivenByOther { .. } | Self::World(WorldError::OtherSource { .. }) => {
                 RefusalKind::OtherClient
@@ -162,7 +168,7 @@ impl Core {
             self.check_drive(id)?;
         }
         match input {
-            Input::SelectedCommand => self.drive(id, self.drive.selected(), publication, payload, now),
+            Input::SelectedCommand => self.drive(id, self.gate.drive().selected(), publication, payload, now),
             Input::Command(robot) => self.drive(id, robot, publication, payload, now),
             Input::Joystick => {
                 let stick = Stick::from_joy(&self.decode(payload)?);
@@ -186,7 +192,7 @@ impl Core {
             }
             Input::SelectRobot => {
                 let robot = self.robot_numbered(self.decode::<Int32>(payload)?)?;
-                self.drive.select(robot);
+                self.gate.drive_mut().select(robot);
                 self.publish_selected();
                 Ok(())
             }
@@ -225,7 +231,7 @@ impl Core {
 
     fn robot_numbered(&self, Int32(number): Int32) -> Result<RobotId, InputError> {
         let robot_count = self.fleet.robot_count();
-        self.drive.robot(number).ok_or(InputError::NoSuchRobot { number, robot_count })
+        self.gate.drive().robot(number).ok_or(InputError::NoSuchRobot { number, robot_count })
     }
 
     fn queue_edge_command(&mut self, text: &str) -> Result<(), InputError> {
@@ -248,34 +254,26 @@ impl Core {
         } else {
             self.decode::<Twist>(payload)?
         };
-        let has_passed = self.request_velocity(id, robot, twist.linear[0], twist.angular[2], now)?;
-        // A robot of an external world has received it already, on these topics.
-        let is_sent = self.world.is_some() && self.fleet.is_velocity_topic(robot, publication.topic);
-        if has_passed && !is_sent {
-            self.router.publish(publication.topic, |to| twist.write(to));
-        }
-        Ok(())
+        let (linear_m_s, angular_rad_s) = (twist.linear[0], twist.angular[2]);
+        self.request_velocity(id, robot, Velocity { linear_m_s, angular_rad_s }, now)
     }
 
-    /// Sends a client's velocity to a robot if the client drives it; returns whether it was sent.
+    /// Sends a client's velocity through the gate to a robot.
     fn request_velocity(
         &mut self,
         id: ClientId,
         robot: RobotId,
-        linear_m_s: f64,
-        angular_rad_s: f64,
+        velocity: Velocity,
         now: Monotonic,
-    ) -> Result<bool, InputError> {
-        let is_moving = (linear_m_s, angular_rad_s) != (0.0, 0.0);
-        match self.drive.decide(id, robot, is_moving, now) {
-            DriveDecision::Pass => {
-                self.send_velocity(robot, linear_m_s, angular_rad_s);
-                Ok(true)
-            }
-            DriveDecision::Ignore => Ok(false),
-            DriveDecision::Stopped => Err(InputError::EmergencyStop),
-            DriveDecision::DrivenBy(holder) => {
-                Err(InputError::DrivenByOther { robot, driver: self.client_name(holder) })
+    ) -> Result<(), InputError> {
+        let decision = self.gate.request(self.driver(id), robot, velocity, now);
+        self.send_velocities();
+        match decision {
+            GateDecision::Passed(_) | GateDecision::Ignored => Ok(()),
+            GateDecision::NotFinite => Err(InputError::NotFinite),
+            GateDecision::Stopped => Err(InputError::EmergencyStop),
+            GateDecision::DrivenBy(holder) => {
+                Err(InputError::DrivenByOther { robot, driver: self.driver_name(holder) })
             }
         }
     }
@@ -285,17 +283,25 @@ impl Core {
     /// The robot that the stick moved stops when the grip is released, the selection changes or an axis is invalid.
     fn apply_stick(&mut self, id: ClientId, stick: Option<Stick>, now: Monotonic) -> Result<(), InputError> {
         let held = stick.filter(|stick| stick.grip_held);
-        let target = held.map(|_| self.drive.selected());
-        let before = self.drive.set_stick_target(id, target);
+        let target = held.map(|_| self.gate.drive().selected());
+        let before = self.gate.drive_mut().set_stick_target(id, target);
         if let Some(robot) = before.filter(|robot| Some(*robot) != target) {
-            self.request_velocity(id, robot, 0.0, 0.0, now)?;
+            self.request_velocity(id, robot, Velocity::ZERO, now)?;
         }
         if let (Some(stick), Some(robot)) = (held, target) {
             self.check_drive(id)?;
             let (linear_m_s, angular_rad_s) = stick.velocity(&self.config);
-            self.request_velocity(id, robot, linear_m_s, angular_rad_s, now)?;
+            self.request_velocity(id, robot, Velocity { linear_m_s, angular_rad_s }, now)?;
         }
         stick.map(|_| ()).ok_or(InputError::StickAxis)
+    }
+
+    fn driver_name(&self, driver: Driver) -> String {
+        match (driver.client, driver.address) {
+            (Some(id), _) => self.client_name(id),
+            (None, Some(address)) => format!("{address}, which drove it before the bridge was restarted"),
+            (None, None) => "ROS 2".into(),
+        }
     }
 
     fn client_name(&self, id: ClientId) -> String {
@@ -312,8 +318,9 @@ impl Core {
             number => vec![self.robot_numbered(number)?],
         };
         for robot in robots {
-            let Some(before) = self.drive.take_control(id, robot, now) else { continue };
-            self.send_velocity(robot, 0.0, 0.0);
+            let before = self.gate.take_control(self.driver(id), robot, now);
+            self.send_velocities();
+            let Some(before) = before else { continue };
             let by = self.client_name(id);
             self.router.send_notice(before, name::WARN, format!("{by} has taken over {robot}"));
         }

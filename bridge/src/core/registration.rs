@@ -176,9 +176,21 @@ impl Core {
         let topic = self.router.topics.find_or_add(name, &message_type)?;
         if self.router.subscribe(id, topic, is_without_slash(registration)) {
             self.fleet.subscribed(&mut self.router, topic);
+            self.stop_new_listener(topic);
             self.relay_subscription(id, topic, now);
         }
         Ok(())
+    }
+
+    /// Sends zeros to a robot of an external world that begins to listen, unless somebody drives it.
+    fn stop_new_listener(&mut self, topic: TopicId) {
+        let selected = self.gate.drive().selected();
+        if self.world.is_some()
+            && let Some(robot) = self.fleet.robot_of_velocity_topic(topic, selected)
+        {
+            self.gate.repeat_stop(robot);
+            self.send_velocities();
+        }
     }
 
     fn register_publisher(

@@ -1,11 +1,11 @@
 //! Velocities from clients: they reach the right robot, from the right client, and only if they are valid.
 
 use crate::client::Client;
-use crate::with_bridge;
+use crate::{serve_bridge, with_bridge};
 use bridge::command::name;
 use bridge::frame::Side;
 use bridge::ros::{Bool, Empty, HandInputs, Int32, Joy, Message, Twist, TwistStamped, encode};
-use bridge::{BridgeConfig, FleetMessage, Permission};
+use bridge::{Bridge, BridgeConfig, FleetMessage, Permission};
 use std::net::{IpAddr, Ipv4Addr};
 
 fn twist(forward: f64, turn: f64) -> Twist {
@@ -28,13 +28,13 @@ fn each_topic_drives_its_robot() {
         assert_eq!(client.message::<Int32>("/selected_robot").await, Int32(1));
         client.send("/cmd_vel", &twist(0.1, 0.0)).await;
         client.send("/cmd_vel_2", &twist(0.2, 0.0)).await;
-        client.send("/robot1/cmd_vel", &twist(0.3, -1.0)).await;
+        client.send("/robot1/cmd_vel", &twist(0.15, -1.0)).await;
         client.publish("/selected_robot", Int32::TYPE).await;
         client.send("/selected_robot", &Int32(2)).await;
-        client.send("/cmd_vel", &twist(0.4, 0.0)).await;
+        client.send("/cmd_vel", &twist(0.21, 0.0)).await;
         assert_eq!(client.message::<Int32>("/selected_robot").await, Int32(2));
         client.settle().await;
-        let want = [(1, 0.1, 0.0), (2, 0.2, 0.0), (1, 0.3, -1.0), (2, 0.4, 0.0)];
+        let want = [(1, 0.1, 0.0), (2, 0.2, 0.0), (1, 0.15, -1.0), (2, 0.21, 0.0)];
         assert_eq!(*served.commands.borrow(), want);
         client.send("/selected_robot", &Int32(3)).await;
         assert!(client.error().await.contains("no robot 3: the fleet has 1 to 2"));
@@ -134,11 +134,11 @@ fn a_robot_has_one_driver_until_another_takes_over() {
         assert_eq!(*served.commands.borrow(), [(1, 0.1, 0.0), (2, 0.2, 0.0)]);
         two.send("/take_control", &Int32(1)).await;
         assert!(one.notice(name::WARN).await.contains("taken over robot1"));
-        two.send("/cmd_vel_1", &twist(0.3, 0.0)).await;
+        two.send("/cmd_vel_1", &twist(0.15, 0.0)).await;
         two.settle().await;
         one.send("/cmd_vel_1", &twist(0.1, 0.0)).await;
         assert!(one.error().await.contains("driven by"));
-        assert_eq!(served.commands.borrow()[2..], [(1, 0.0, 0.0), (1, 0.3, 0.0)]);
+        assert_eq!(served.commands.borrow()[2..], [(1, 0.0, 0.0), (1, 0.15, 0.0)]);
     });
 }
 
@@ -148,12 +148,13 @@ fn the_emergency_stop_holds_until_it_is_released() {
         let mut client = driver(served, &["/cmd_vel"]).await;
         client.publish("/emergency_stop", Bool::TYPE).await;
         client.publish("/emergency_stop_release", Empty::TYPE).await;
+        client.send("/cmd_vel", &twist(0.1, 0.0)).await;
         client.send("/emergency_stop", &Bool(true)).await;
         client.send("/emergency_stop", &Bool(false)).await;
         client.send("/cmd_vel", &twist(0.1, 0.0)).await;
         let text = client.error().await;
         assert!(text.contains("emergency stop is set"), "{text}");
-        assert_eq!(*served.commands.borrow(), [(1, 0.0, 0.0), (2, 0.0, 0.0)]);
+        assert_eq!(*served.commands.borrow(), [(1, 0.1, 0.0), (1, 0.0, 0.0)]);
         let mut late = Client::connect(served.address).await;
         late.subscribe("/emergency_stop", Bool::TYPE).await;
         assert_eq!(late.message::<Bool>("/emergency_stop").await, Bool(true));
@@ -260,5 +261,19 @@ fn an_idle_stick_needs_no_permission() {
         client.send("q2r_right_hand_inputs", &hand).await;
         assert!(client.error().await.contains("may not drive yet"));
         assert_eq!(*served.commands.borrow(), []);
+    });
+}
+
+/// The server's own timer stops the robot: its driver stays connected and says nothing more.
+#[test]
+fn the_robot_of_a_silent_driver_is_stopped() {
+    let make = |on_command| Bridge::new(BridgeConfig::default(), 2, on_command).unwrap();
+    serve_bridge(make, async |served| {
+        let mut client = driver(served, &["/cmd_vel_2"]).await;
+        client.subscribe("/robot2/cmd_vel", Twist::TYPE).await;
+        client.send("/cmd_vel_2", &twist(5.0, 9.0)).await;
+        while client.message::<Twist>("/robot2/cmd_vel").await == Twist::default() {}
+        assert_eq!(client.message::<Twist>("/robot2/cmd_vel").await, Twist::default());
+        assert_eq!(*served.commands.borrow(), [(2, 0.22, 2.84), (2, 0.0, 0.0)]);
     });
 }

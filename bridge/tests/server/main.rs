@@ -11,22 +11,24 @@ mod topics;
 mod world;
 
 use bridge::{Bridge, BridgeConfig, process_clock, serve};
-use msg::{Header, RobotId, Stamp, VelocityCommand};
+use msg::{Header, ROBOTS_MAX, RobotId, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::rc::Rc;
 use tokio::net::TcpListener;
 use tokio::task::LocalSet;
 
-/// A bridge that serves on a port, and the velocities that it has sent: robot, m/s, rad/s.
+/// A bridge that serves on a port, and the velocities that it has sent: robot, m/s, rad/s. Repeated ones are left out,
+/// and so are zeros for a robot that stands.
 pub(crate) struct Served {
     pub(crate) bridge: Rc<Bridge>,
     pub(crate) address: SocketAddr,
     pub(crate) commands: Rc<RefCell<Vec<(usize, f64, f64)>>>,
 }
 
-/// Runs a test against a bridge of two robots.
-pub(crate) fn with_bridge(config: BridgeConfig, test: impl AsyncFnOnce(&Served)) {
+/// Runs a test against a bridge of two robots, on which velocities stay valid longer than a loaded machine pauses.
+pub(crate) fn with_bridge(mut config: BridgeConfig, test: impl AsyncFnOnce(&Served)) {
+    config.velocity.timeout_s = 10.0;
     serve_bridge(|on_command| Bridge::new(config, 2, on_command).unwrap(), test);
 }
 
@@ -39,8 +41,12 @@ pub(crate) fn serve_bridge(make: impl FnOnce(OnCommand) -> Bridge, test: impl As
     LocalSet::new().block_on(&runtime, async {
         let commands = Rc::new(RefCell::new(Vec::new()));
         let sink = commands.clone();
+        let mut last = [(0.0, 0.0); ROBOTS_MAX];
         let on_command = move |robot: RobotId, command: VelocityCommand| {
-            sink.borrow_mut().push((robot.number(), command.linear_m_s, command.angular_rad_s));
+            let velocity = (command.linear_m_s, command.angular_rad_s);
+            if std::mem::replace(&mut last[robot.index()], velocity) != velocity {
+                sink.borrow_mut().push((robot.number(), velocity.0, velocity.1));
+            }
         };
         let bridge = Rc::new(make(Box::new(on_command)));
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
