@@ -8,9 +8,10 @@ use crate::core::{ConnectError, Core};
 use crate::fleet_topics::FleetMessage;
 use crate::frame::Frame;
 use crate::relay::{RosCommand, RosEvent};
+use crate::ros::RobotNames;
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters, OutgoingQueue};
 use crate::world::{ClockEstimate, ExternalWorld, WorldInput};
-use msg::{EdgeCommand, Monotonic, ROBOTS_MAX, RobotId, SlamRequest, Stamp, VelocityCommand};
+use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
@@ -96,16 +97,16 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// Creates the bridge of robots 1 to `robot_count`, which are simulated or replayed in this fleet.
+    /// Creates the bridge of robots that are simulated or replayed in this fleet: their number, or their names.
     ///
     /// `on_command` is called with every velocity that a robot must execute now. `header.stamp` is the fleet's newest
     /// time; the caller fills in the rest of the header. It must not call the bridge with commands of its own.
     pub fn new(
         config: BridgeConfig,
-        robot_count: usize,
+        robots: impl Into<RobotNames>,
         on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
-        Self::open(config, robot_count, None, Box::new(on_command))
+        Self::open(config, &robots.into(), None, Box::new(on_command))
     }
 
     /// Creates the bridge of a world outside this fleet: a headset application's, or real robots.
@@ -119,20 +120,20 @@ impl Bridge {
         stamp_at: impl Fn(Monotonic) -> Stamp + 'static,
         on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
-        let robot_count = world.robot_count();
+        let robots = world.robot_names().clone();
         let input = WorldInput::new(world, config.clock_offset, Box::new(stamp_at));
-        Self::open(config, robot_count, Some(input), Box::new(on_command))
+        Self::open(config, &robots, Some(input), Box::new(on_command))
     }
 
     fn open(
         config: BridgeConfig,
-        robot_count: usize,
+        robots: &RobotNames,
         world: Option<WorldInput>,
         on_command: CommandSink,
     ) -> Result<Self, ConfigError> {
         config.validate()?;
         Ok(Self {
-            core: RefCell::new(Core::new(config, robot_count.clamp(1, ROBOTS_MAX), world)),
+            core: RefCell::new(Core::new(config, robots, world)),
             on_command: RefCell::new(on_command),
             on_edge_command: RefCell::new(Box::new(|_| {})),
             on_slam_request: RefCell::new(Box::new(|_, _| {})),

@@ -16,7 +16,7 @@ use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopics};
 use crate::frame::{Frame, Side};
 use crate::relay::RelayTable;
-use crate::ros::Twist;
+use crate::ros::{RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
@@ -64,15 +64,15 @@ pub struct Core {
 }
 
 impl Core {
-    /// Creates the core of a valid configuration and of 1 to [`msg::ROBOTS_MAX`] robots.
-    pub fn new(config: BridgeConfig, robot_count: usize, world: Option<WorldInput>) -> Self {
+    /// Creates the core of a valid configuration.
+    pub fn new(config: BridgeConfig, robots: &RobotNames, world: Option<WorldInput>) -> Self {
         let mut topics = TopicTable::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, config.frame_names, robot_count, world.is_some());
-        let drive = DriveArbiter::new(robot_count, FIRST_ROBOT, config.lease());
+        let fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        let drive = DriveArbiter::new(robots.count(), FIRST_ROBOT, config.lease());
         let mut core = Self {
             router: TopicRouter::new(topics, &config),
             fleet,
-            gate: VelocityGate::new(&config.velocity, robot_count, drive),
+            gate: VelocityGate::new(&config.velocity, robots.count(), drive),
             access: AccessControl::new(&config),
             services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
             relay: RelayTable::new(config.dds.relayed_topics_max, &config.open_topics),

@@ -35,6 +35,7 @@ pub use bridge::{Bridge, ClientStatus};
 pub use config::{BridgeConfig, ConfigError, Permission};
 pub use core::ConnectError;
 pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
+pub use ros::{RobotNameError, RobotNames};
 pub use router::{ClientId, ConnectionEnded, Counters};
 pub use server::{process_clock, serve};
 pub use transport::Transport;

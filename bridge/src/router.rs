@@ -211,6 +211,15 @@ impl TopicRouter {
         self.publish_with(topic, |out| out.extend_from_slice(payload));
     }
 
+    /// Queues the newest message of a latched topic for the subscribers of another one. Without them it costs nothing.
+    pub fn publish_copy(&mut self, topic: TopicId, latched_of: TopicId) {
+        let is_wanted = self.topics.get(topic).is_some_and(|topic| !topic.subscribers.is_empty());
+        let Some(source) = self.topics.get(latched_of).filter(|_| is_wanted) else { return };
+        let Some(frame) = source.latched.clone() else { return };
+        let payload_begin = 8 + source.name.len();
+        self.forward(topic, &frame[payload_begin..]);
+    }
+
     fn publish_with(&mut self, id: TopicId, payload: impl FnOnce(&mut Vec<u8>)) {
         let Some(topic) = self.topics.get_mut(id) else { return };
         if !topic.retention.latch && topic.subscribers.is_empty() {

@@ -222,7 +222,9 @@ impl Core {
     /// Returns whether clients may publish TwistStamped on this topic, as ROS 2 drivers do from Jazzy on.
     fn accepts_stamped(&self, name: &str) -> bool {
         let topic = self.router.topics.find(name).and_then(|id| self.router.topics.get(id));
-        topic.is_some_and(|topic| matches!(topic.source, Source::Input(Input::Command(_))))
+        topic.is_some_and(|topic| {
+            matches!(topic.source, Source::Input(Input::Command(_) | Input::SelectedCommand))
+        })
     }
 
     /// Sends the list of topics: those of the bridge, and those of ROS nodes.

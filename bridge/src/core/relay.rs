@@ -4,9 +4,9 @@ use super::Core;
 use crate::access::Action;
 use crate::command::name;
 use crate::relay::{RosEvent, RosGraph};
-use crate::ros::{Message, Twist, TwistStamped};
+use crate::ros::{Message, RobotNames, Twist, TwistStamped};
 use crate::router::{Client, ClientId, Source, Topic, TopicId};
-use msg::{Monotonic, RobotId};
+use msg::Monotonic;
 
 impl Core {
     /// Handles what the ROS 2 endpoint tells.
@@ -105,7 +105,7 @@ impl Core {
         let Some(topic) = self.router.topics.get(id).filter(|topic| topic.source == Source::Clients) else {
             return;
         };
-        if is_fleet_velocity(topic, self.fleet.robot_count()) || !self.may_publish_in_ros(client, topic) {
+        if is_fleet_velocity(topic, self.fleet.robot_names()) || !self.may_publish_in_ros(client, topic) {
             return;
         }
         match self.relay.advertise(id, topic) {
@@ -125,7 +125,7 @@ impl Core {
             return;
         }
         let Some(topic) = self.router.topics.get(id) else { return };
-        let refusal = if is_fleet_velocity(topic, self.fleet.robot_count()) {
+        let refusal = if is_fleet_velocity(topic, self.fleet.robot_names()) {
             Some(format!("'{}' is not published in ROS: publish velocities on /cmd_vel_N", topic.name))
         } else if self.may_publish_in_ros(client, topic) {
             None
@@ -185,14 +185,14 @@ impl Core {
 /// Returns whether a topic may be a velocity for a robot of the fleet, which the bridge alone sends.
 ///
 /// These are topics called `cmd_vel...` of the fleet's robots or without a namespace, and the robots' topics of Twist.
-fn is_fleet_velocity(topic: &Topic, robot_count: usize) -> bool {
-    let path = topic.name.trim_start_matches('/');
-    let is_robots = |name: &str| RobotId::first(robot_count).any(|robot| robot.to_string() == name);
-    match path.split_once('/') {
-        None => path.starts_with("cmd_vel"),
-        Some((namespace, rest)) => {
-            let is_twist = [Twist::TYPE, TwistStamped::TYPE].contains(&topic.message_type.as_str());
-            is_robots(namespace) && (is_twist || rest.starts_with("cmd_vel"))
-        }
-    }
+fn is_fleet_velocity(topic: &Topic, robots: &RobotNames) -> bool {
+    let last = topic.name.rsplit('/').next().unwrap_or_default();
+    let is_command = last.starts_with("cmd_vel");
+    let is_twist = [Twist::TYPE, TwistStamped::TYPE].contains(&topic.message_type.as_str());
+    let is_plain = topic.name.rfind('/') == Some(0);
+    let is_robots = |robot| {
+        let namespace = robots.topic(robot, "");
+        namespace != "/" && topic.name.starts_with(&namespace)
+    };
+    (is_command && is_plain) || ((is_command || is_twist) && robots.robots().any(is_robots))
 }

@@ -8,6 +8,29 @@ const DOMAIN_MAX: u16 = 232;
 
 /// The highest `relayed_topics_max`. RustDDS's cost of discovery grows with every reader and writer.
 const RELAYED_TOPICS_LIMIT: usize = 1024;
+/// Type of velocities on DDS, where a topic is read and written by type.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VelocityMessage {
+    /// geometry_msgs/Twist.
+    #[default]
+    Twist,
+    /// geometry_msgs/TwistStamped.
+    TwistStamped,
+    /// Both, each with its own readers and writers.
+    Either,
+}
+
+impl VelocityMessage {
+    /// Returns the types of the messages, whether each is stamped.
+    pub(crate) fn is_stamped(self) -> &'static [bool] {
+        match self {
+            Self::Twist => &[false],
+            Self::TwistStamped => &[true],
+            Self::Either => &[false, true],
+        }
+    }
+}
 
 /// The table `bridge.dds` of the fleet file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,8 +47,9 @@ pub struct DdsConfig {
     pub namespace: String,
     /// Name of the node in the ROS graph.
     pub node: String,
-    /// Whether real robots get TwistStamped on `/robotN/cmd_vel`, as TurtleBots expect from Jazzy on, or Twist.
-    pub stamped_commands: bool,
+    /// Type of velocities on `/cmd_vel`, `/cmd_vel_N` and `/robotN/cmd_vel`: `twist`, `twist_stamped` (TurtleBots and Nav2
+    /// may expect it from Jazzy on), or `either`, which reads and writes both.
+    pub velocity: VelocityMessage,
     /// Topics, besides the fleet's, that clients and ROS nodes may exchange at a time, 0 to 1024.
     pub relayed_topics_max: usize,
 }
@@ -38,7 +62,7 @@ impl Default for DdsConfig {
             loopback_only: true,
             namespace: String::new(),
             node: "mr_slam".into(),
-            stamped_commands: false,
+            velocity: VelocityMessage::Twist,
             relayed_topics_max: 256,
         }
     }

@@ -7,10 +7,11 @@ use super::inputs::{self, InputTopic, ReceivedMessage};
 use super::link::RosLink;
 use super::relay::TopicRelay;
 use super::services::ServiceServers;
-use super::writers::{TopicWriters, VelocityType};
+use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, Permission};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
 use crate::relay::{RosCommand, RosEvent};
+use crate::ros::RobotNames;
 use crate::transport::Transport;
 use futures::StreamExt;
 use msg::{Monotonic, RobotId, SlamRequest, SlamResponse, VelocityCommand};
@@ -69,35 +70,31 @@ impl DdsEndpoint {
     /// `link`: the link to the bridge.
     pub fn open(
         config: &BridgeConfig,
-        robot_count: usize,
+        robots: impl Into<RobotNames>,
         is_external: bool,
         link: Arc<RosLink>,
     ) -> Result<Self, EndpointError> {
+        let robots: RobotNames = robots.into();
         let dds: &DdsConfig = &config.dds;
         let participant = join_domain(dds)?;
         let node = node_name(dds)?;
         let factory = EntityFactory::new(&participant, node.clone(), &dds.namespace)?;
         let graph = Graph::new(&participant, factory.publisher(), node);
         let graph = graph.map_err(cannot_create("the node graph"))?;
-        let velocity_type = match (is_external, dds.stamped_commands) {
-            (false, _) => VelocityType::None,
-            (true, false) => VelocityType::Twist,
-            (true, true) => VelocityType::TwistStamped,
-        };
-        let writers = TopicWriters::open(&factory, robot_count, velocity_type)?;
+        let writers = TopicWriters::open(&factory, &robots, is_external.then_some(dds.velocity))?;
         let may_drive = may_drive(config);
-        let inputs = inputs::topics(robot_count, is_external, may_drive)
+        let inputs = inputs::topics(&robots, dds.velocity, is_external, may_drive)
             .into_iter()
             .map(|input| factory.input_reader(&input).map(|reader| (input, reader)))
             .collect::<Result<Vec<_>, EndpointError>>()?;
         // Who may not drive may not reset maps either.
-        let services = ServiceServers::open(&factory, if may_drive { robot_count } else { 0 })?;
+        let services = ServiceServers::open(&factory, may_drive.then_some(&robots))?;
         let link_transforms = if is_external { LinkTransforms::ByRobots } else { LinkTransforms::Split };
         let requests = services.request_readers();
         let state = EndpointState {
             writers,
             relay: TopicRelay::new(&participant, factory, link.clone()),
-            publisher: FleetPublisher::new(config.frame_names, robot_count, link_transforms),
+            publisher: FleetPublisher::new(config.frame_names, &robots, link_transforms),
             services,
             graph,
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),

@@ -24,7 +24,7 @@ mod services;
 mod topic_writer;
 mod writers;
 
-pub use config::DdsConfig;
+pub use config::{DdsConfig, VelocityMessage};
 pub use endpoint::{DdsCounters, DdsEndpoint};
 pub use entities::EndpointError;
 pub use inputs::ReceivedMessage;
