@@ -220,7 +220,10 @@ impl FleetPublisher {
         let (names, frame) = (&self.names, self.names.map(robot));
         let correction = &correction;
         sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, correction));
-        let encode = |to: &mut Writer<'_>| write::correction(to, names, robot, correction);
+        // Where odometry was never known, `odom` lies nowhere: no transform is sent.
+        let Some(map_from_odom) = correction.map_from_odom() else { return };
+        let stamp = correction.header.stamp;
+        let encode = |to: &mut Writer<'_>| write::map_from_odom(to, names, robot, stamp, map_from_odom);
         sink.send(FleetTopic::Transforms, None, encode);
     }
 
