@@ -108,17 +108,16 @@ pub enum UpError {
 
 impl UpArgs {
     fn config(&self) -> Result<FleetConfig, ConfigError> {
-        let mut config = self.fleet.config()?;
-        config.fleet.port = self.port.unwrap_or(config.fleet.port);
-        config.bridge.allow.extend(&self.allow);
-        if self.trust_lan {
-            config.bridge.drive = bridge::Permission::Anyone;
-        }
-        if let Some(domain) = self.ros_domain {
-            (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
-            config.check()?;
-        }
-        Ok(config)
+        self.fleet.config_with(|config| {
+            config.fleet.port = self.port.unwrap_or(config.fleet.port);
+            config.bridge.allow.extend(&self.allow);
+            if self.trust_lan {
+                config.bridge.drive = bridge::Permission::Anyone;
+            }
+            if let Some(domain) = self.ros_domain {
+                (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
+            }
+        })
     }
 
     pub(super) fn folder(&self) -> PathBuf {
