@@ -54,10 +54,11 @@ impl Headset {
             register(name::PUBLISH, format!("/{robot}/scan"), "sensor_msgs/LaserScan");
         }
         (&stream).write_all(&frames).unwrap();
+        let names = FrameNames::new(NameStyle::Flat, &starts.len().into());
         Self {
             stream,
             robots: RobotId::first(starts.len()).zip(starts).map(simulator).collect(),
-            names: FrameNames::new(NameStyle::Flat),
+            names,
             frames,
             scan: Box::new(Scan::zeroed()),
         }
