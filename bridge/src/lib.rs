@@ -21,6 +21,7 @@ pub mod frame;
 mod input;
 pub mod interfaces;
 mod odometry_covariance;
+pub mod relay;
 mod repeater;
 pub mod ros;
 mod router;

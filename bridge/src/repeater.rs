@@ -36,7 +36,7 @@ impl CorrectionRepeater {
 
     /// Takes SLAM's answer to a scan. A lost robot's transform is not known, so that nothing is repeated.
     pub fn receive(&mut self, robot: RobotId, correction: &Correction, now: Monotonic) {
-        let is_known = correction.state() != TrackingState::Lost;
+        let is_known = correction.state() != TrackingState::Lost && correction.map_from_odom().is_some();
         if let Some(of_robot) = self.robots.get_mut(robot.index()) {
             // The source's time was set back.
             let newest = of_robot.newest.map(|(before, _)| before.header.stamp);

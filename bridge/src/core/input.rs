@@ -151,7 +151,9 @@ impl Core {
         if let Source::Input(input) = topic.source {
             return self.apply_input(id, input, publication, payload, now);
         }
-        self.router.forward(publication.topic, with_dummy_byte(self.config.payloads, payload));
+        let payload = with_dummy_byte(self.config.payloads, payload);
+        self.router.forward(publication.topic, payload);
+        self.relay_message(id, publication.topic, payload);
         Ok(())
     }
 

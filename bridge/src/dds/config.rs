@@ -8,6 +8,8 @@ use std::time::Duration;
 /// The highest domain whose UDP ports exist (RTPS 2.5, 9.6.1.1).
 const DOMAIN_MAX: u16 = 232;
 
+/// The highest `relayed_topics_max`. RustDDS's cost of discovery grows with every reader and writer.
+const RELAYED_TOPICS_LIMIT: usize = 1024;
 /// Type of velocities on DDS, where a topic is read and written by type.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -59,6 +61,8 @@ pub struct DdsConfig {
     /// For how long they are sent again after SLAM's last answer, seconds; 0.1 to 60. 1 s bridges a few lost scans. While
     /// a robot is lost they are not sent.
     pub transform_hold_s: f64,
+    /// Topics, besides the fleet's, that clients and ROS nodes may exchange at a time, 0 to 1024.
+    pub relayed_topics_max: usize,
 }
 
 impl Default for DdsConfig {
@@ -73,6 +77,7 @@ impl Default for DdsConfig {
             transform_rate_hz: 50.0,
             transform_tolerance_s: 0.2,
             transform_hold_s: 1.0,
+            relayed_topics_max: 256,
         }
     }
 }
@@ -82,6 +87,10 @@ impl DdsConfig {
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         if self.domain > DOMAIN_MAX {
             return Err(ConfigError::new("dds.domain", self.domain.to_string(), "domains 0 to 232 exist"));
+        }
+        if self.relayed_topics_max > RELAYED_TOPICS_LIMIT {
+            let value = self.relayed_topics_max.to_string();
+            return Err(ConfigError::new("dds.relayed_topics_max", value, "0 to 1024 topics work"));
         }
         let parts = self.namespace.strip_prefix('/').map(|rest| rest.split('/'));
         let is_valid = self.namespace.is_empty() || parts.is_some_and(|mut parts| parts.all(is_name));

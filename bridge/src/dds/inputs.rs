@@ -7,7 +7,7 @@ use crate::ros::{
     TfMessage, Twist, TwistStamped,
 };
 
-/// A message from DDS that is not decoded yet; for [`crate::Bridge::receive_dds`].
+/// A message from DDS on a topic of the fleet, not decoded yet.
 #[derive(Clone, Debug)]
 pub struct ReceivedMessage {
     input: Input,

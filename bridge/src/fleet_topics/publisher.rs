@@ -10,7 +10,7 @@ use crate::repeater::{CorrectionRepeater, Repetition};
 use crate::ros::{FrameNames, NameStyle, RobotNames, names, write};
 use msg::{
     Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, Pose2, RobotId, Scan,
-    Stamp, TrackingState, Transforms,
+    Stamp, Transforms,
 };
 use std::time::Duration;
 
@@ -280,11 +280,13 @@ impl FleetPublisher {
         let (names, frame) = (&self.names, self.names.map(robot));
         let correction = &correction;
         sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, correction));
-        // A lost robot's transform is not known; repeated ones are sent by `repeat_transforms`.
-        if self.repeated.is_none() && correction.state() != TrackingState::Lost {
-            let encode = |to: &mut Writer<'_>| write::correction(to, names, robot, correction);
-            sink.send(FleetTopic::Transforms, None, encode);
-        }
+        // Where odometry was never known, `odom` lies nowhere: no transform is sent.
+        let Some(map_from_odom) = correction.map_from_odom().filter(|_| self.repeated.is_none()) else {
+            return;
+        };
+        let stamp = correction.header.stamp;
+        let encode = |to: &mut Writer<'_>| write::map_from_odom(to, names, robot, stamp, map_from_odom);
+        sink.send(FleetTopic::Transforms, None, encode);
     }
 
     /// Takes SLAM's answer to a scan at a time, for [`FleetPublisher::repeat_transforms`].

@@ -4,8 +4,7 @@ use super::*;
 use crate::cdr::Writer;
 use bytemuck::Zeroable;
 use msg::{
-    Correction, GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp,
-    Transforms,
+    GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp, Transforms,
 };
 use proptest::prelude::*;
 use std::fmt::Debug;
@@ -234,11 +233,10 @@ fn all_transforms_have_their_frame_names() {
         tree.transforms.iter().map(|t| (t.frame_id.as_str(), t.child_frame_id.as_str())).collect();
     assert_eq!(edges, [("odom_2", "base_footprint_2"), ("base_link_2", "base_scan_2")]);
 
-    let correction =
-        Correction { map_from_odom: Pose2::new(1.0, 2.0, 0.6), header: header(9), ..Default::default() };
+    let map_from_odom = Pose2::new(1.0, 2.0, 0.6);
     out.clear();
     let slash = FrameNames::new(NameStyle::Slash, &3.into());
-    write::correction(&mut Writer::new(&mut out), &slash, robot(3), &correction);
+    write::map_from_odom(&mut Writer::new(&mut out), &slash, robot(3), header(9).stamp, map_from_odom);
     let tree: TfMessage = decode(&out).unwrap();
     assert_eq!(tree.transforms[0].frame_id, "robot3/map");
     assert_eq!(tree.transforms[0].child_frame_id, "robot3/odom");

@@ -120,10 +120,16 @@ pub fn some_transforms(
 }
 
 /// Writes tf2_msgs/TFMessage with the transform that SLAM owns: the robot's map from its odometry (REP-105).
-pub fn correction(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Correction) {
+pub fn map_from_odom(
+    to: &mut Writer<'_>,
+    names: &FrameNames,
+    robot: RobotId,
+    stamp: Stamp,
+    map_from_odom: Pose2,
+) {
     to.count(1);
     let (map, odom) = (names.map(robot), names.link(robot, Link::Odom));
-    planar_transform(to, message.header.stamp, map, odom, message.map_from_odom);
+    planar_transform(to, stamp, map, odom, map_from_odom);
 }
 
 /// Writes geometry_msgs/PoseWithCovarianceStamped: SLAM's pose of the robot in its map.
