@@ -39,8 +39,7 @@ fn a_change_must_name_the_run_if_several_fleets_run() {
     // Process 1 always lives, and so does this one.
     let runs = [1, std::process::id()].map(|pid| pretend_run(&temporary, pid));
     for words in [
-        &["stop"][..],
-        &["release"],
+        &["release"][..],
         &["allow", "10.0.0.1"],
         &["deny", "10.0.0.1"],
         &["edges", "undo", "1", "2"],
@@ -54,4 +53,24 @@ fn a_change_must_name_the_run_if_several_fleets_run() {
             "{words:?}: {error}"
         );
     }
+}
+
+#[test]
+fn stop_is_latched_in_every_fleet_whether_it_answers_or_not() {
+    let temporary = Folder::new();
+    let runs = [1, std::process::id()].map(|pid| pretend_run(&temporary, pid));
+    let stop = || mr_slam().arg("stop").env("TMPDIR", temporary.path()).output().unwrap();
+    let ended = stop();
+    let said = String::from_utf8_lossy(&ended.stdout).into_owned();
+    assert!(ended.status.success(), "{said}");
+    assert!(runs.iter().all(|run| said.contains(run)) && said.contains("latched"), "{said}");
+    for run in &runs {
+        let file = std::path::Path::new(run).join("stopped");
+        std::fs::remove_file(&file).unwrap();
+        // A file cannot replace a folder.
+        std::fs::create_dir_all(file.join("in-the-way")).unwrap();
+    }
+    let ended = stop();
+    assert!(!ended.status.success(), "it is neither set nor latched");
+    assert!(String::from_utf8_lossy(&ended.stdout).contains("NOT STOPPED"));
 }
