@@ -103,7 +103,8 @@ impl End {
         }
     }
 
-    fn includes(self, opener: Opener, channel_robot: Option<RobotId>) -> bool {
+    /// Returns whether `opener` is at this end of a channel of `channel_robot`'s.
+    pub(crate) fn includes(self, opener: Opener, channel_robot: Option<RobotId>) -> bool {
         let same_program = self.program() == opener.program;
         same_program
             && match self {

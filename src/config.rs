@@ -5,6 +5,7 @@
 
 use crate::realtime::RealtimeConfig;
 use crate::sessions::SessionsConfig;
+use bridge::RobotNames;
 use msg::{Pose2, ROBOTS_MAX};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -136,6 +137,9 @@ pub fn burger_slam() -> slam::SlamConfig {
 pub struct Fleet {
     /// Number of robots, 1 to 16.
     pub robots: usize,
+    /// Names of the robots in ROS, one for each robot, such as `["alice", "lab/bob"]`: topics `/alice/scan`, frames
+    /// `odom_alice`. Empty: `robot1`, `robot2` and so on. `[""]`, for one robot: plain `/scan`, `odom`, `base_footprint`.
+    pub names: Vec<String>,
     /// Seed of all random numbers.
     pub seed: u64,
     /// Room of the simulators: `laboratory`, or the path of a scanned room (.json, .json.gz), .glb, .gltf or .obj.
@@ -156,6 +160,7 @@ impl Default for Fleet {
     fn default() -> Self {
         Self {
             robots: 3,
+            names: Vec::new(),
             seed: 1,
             room: LABORATORY.into(),
             starts: Vec::new(),
@@ -172,13 +177,35 @@ pub const LABORATORY: &str = "laboratory";
 impl FleetConfig {
     /// Reads and checks a file.
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
+        Self::from_file_with(path, |_| {})
+    }
+
+    /// Reads a file, changes it as options say, and checks the result.
+    pub fn from_file_with(path: &Path, change: impl FnOnce(&mut Self)) -> Result<Self, ConfigError> {
         let text =
             fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
-        Self::from_text(path, &text)
+        let mut config = Self::parse(path, &text)?;
+        let of_file = config.check();
+        change(&mut config);
+        match config.check() {
+            Ok(()) => Ok(config),
+            // What the file alone has wrong too is reported at its line.
+            Err(error) if of_file.is_err_and(|of_file| of_file.to_string() == error.to_string()) => {
+                Err(locate(path, &text, error))
+            }
+            Err(error) => Err(error),
+        }
     }
 
     /// Parses and checks a file's text; `path` is for errors.
     pub fn from_text(path: &Path, text: &str) -> Result<Self, ConfigError> {
+        let config = Self::parse(path, text)?;
+        config.check().map_err(|error| locate(path, text, error))?;
+        Ok(config)
+    }
+
+    /// Parses a file's text over the default.
+    fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let wrong = |error: toml::de::Error| ConfigError::Wrong {
             path: path.into(),
             line: line_of(text, error.span().map_or(0, |span| span.start)),
@@ -188,9 +215,7 @@ impl FleetConfig {
         toml::from_str::<Self>(text).map_err(wrong)?;
         let mut whole = toml::Table::try_from(Self::default()).unwrap_or_default();
         overlay(&mut whole, text.parse().map_err(wrong)?);
-        let config: Self = whole.try_into().map_err(wrong)?;
-        config.check().map_err(|error| locate(path, text, error))?;
-        Ok(config)
+        whole.try_into().map_err(wrong)
     }
 
     /// Checks ranges and keys that depend on each other.
@@ -211,6 +236,14 @@ impl FleetConfig {
         if let Some(start) = fleet.starts.iter().find(|start| start.iter().any(|v| !v.is_finite())) {
             let why = format!("{start:?} is not a pose; expected [x, y, yaw], finite");
             return Err(ConfigError::Value { field: "fleet.starts", why });
+        }
+        if !fleet.names.is_empty() {
+            let wrong = |why| ConfigError::Value { field: "fleet.names", why };
+            if fleet.names.len() != fleet.robots {
+                let (names, robots) = (fleet.names.len(), fleet.robots);
+                return Err(wrong(format!("{names} names for {robots} robots; give one for each, or none")));
+            }
+            RobotNames::new(fleet.names.clone()).map_err(|why| wrong(why.to_string()))?;
         }
         if fleet.address.parse::<std::net::IpAddr>().is_err() {
             let why = format!("`{}` is not an IP address, such as 0.0.0.0 or 127.0.0.1", fleet.address);
@@ -240,6 +273,11 @@ impl FleetConfig {
             World::Headset => "the world of a headset",
             World::Ros => "a world over ROS 2",
         }
+    }
+
+    /// Returns the robots' names in ROS, of a configuration that was checked.
+    pub fn robot_names(&self) -> RobotNames {
+        RobotNames::new(self.fleet.names.clone()).unwrap_or_else(|_| self.fleet.robots.into())
     }
 
     /// Returns the configured starts in `world`; `None` if they are to be chosen.

@@ -109,6 +109,11 @@ fn read_report(mut child: Child) -> Option<serde_json::Value> {
 
 impl FleetHooks for OperatorProcess {
     fn on_start(&mut self, run: &Run) -> io::Result<()> {
+        if !run.config.fleet.names.is_empty() {
+            let why =
+                "the demo's operator knows robot1, robot2 and so on only; leave out fleet.names, or use `up`";
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, why));
+        }
         (self.run, self.begun) = (Some(run.clone()), Instant::now());
         self.start()
     }

@@ -10,6 +10,7 @@ pub mod process;
 pub mod processes;
 pub mod realtime;
 pub mod run;
+pub mod runtime_folder;
 pub mod supervisor;
 // Communication between the processes.
 pub mod channel;

@@ -2,9 +2,10 @@
 //! scheduler. The same configuration and seed give the same messages, byte for byte, as fast as the machine goes.
 //!
 //! Of the components that could run at one moment, the first in a fixed order runs; with faults ([`faults`]), one drawn
-//! from the seed. A step takes no time. The supervisor's decisions are the live ones; the operator stands in for the
-//! bridge, and people's requests come by the channels.
+//! from the seed. A step takes no time. The supervisor's decisions are the live ones. Clients of the bridge, the operator
+//! first, are in the same process and exchange frames with it ([`client`]).
 
+pub mod client;
 mod command;
 pub mod faults;
 pub mod invariants;
@@ -12,7 +13,9 @@ mod members;
 mod memory_storage;
 mod operator;
 pub mod queues;
+mod tcp;
 
+pub use client::Client;
 pub use command::{LockstepArgs, run};
 pub use queues::MessageObserver;
 
@@ -30,11 +33,13 @@ use msg::{
     Correction, DenseMap, FleetStats, GridView, GroundTruth, Monotonic, Pose2, RobotId, Role, SlamRequest,
     SlamRequestKind, Stamp,
 };
+use operator::Operator;
 use queues::{MemoryPorts, Network, Openings, QueueMapReader, QueueReader, QueueWriter};
 use sim::Simulator;
 use slam::Session;
-use std::cell::Cell;
+use std::net::SocketAddr;
 use std::rc::Rc;
+use tcp::Port;
 
 /// Steps at one moment after which the fleet counts as stuck; a robot's busiest moment takes some dozens.
 const STEPS_MAX: u32 = 100_000;
@@ -43,6 +48,7 @@ const STEPS_MAX: u32 = 100_000;
 pub struct Lockstep {
     world: World,
     members: Vec<Member>,
+    operator: Operator,
     observer: Observer,
     requests: Vec<QueueWriter<SlamRequest>>,
     /// People's requests that are due later: `Resume` after `Pause`.
@@ -87,20 +93,21 @@ impl Lockstep {
         let network = Network::new(faults);
         let storage = MemoryStorage::new(&network);
         let run = Run::in_memory(config.clone())?;
-        let idle_until = Rc::new(Cell::new(Monotonic(0)));
+        let port = Port::new(&network);
         let mut rows: Vec<_> = processes::of_fleet(config).collect();
-        // Processes in the order of the data flow: robots, SLAM, merging, figures, operator.
+        // Processes in the order of the data flow: robots, SLAM, merging, figures, bridge.
         rows.sort_by_key(|(row, robot)| (row.role, *robot));
         let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::SlamTool));
         let requests = run.robots().map(|robot| asker.writer(&channel::slam_request(robot)));
         Ok(Self {
             requests: requests.collect::<Result<_, _>>()?,
             observer: Observer::open(&network, &run)?,
+            operator: Operator::new(&network, &port, &run, together),
             members: rows.into_iter().map(|(row, robot)| Member::new(row, robot)).collect(),
             known: fleet::known_starts(config)?,
             resume_at: Vec::new(),
             saved: vec![0; config.fleet.robots],
-            world: World { run, network, storage, together, idle_until },
+            world: World { run, network, storage, port },
         })
     }
 
@@ -140,6 +147,11 @@ impl Lockstep {
     /// Returns the known start transform of each robot's map: `map` from `robotK/map`.
     pub fn known_starts(&self) -> &[Option<Pose2>] {
         &self.known
+    }
+
+    /// Creates a ros_tcp client of the fleet's bridge at an address.
+    pub fn client(&self, peer: SocketAddr) -> Client {
+        Client::new(&self.world.port, peer)
     }
 
     /// Returns which process has opened which channel.
@@ -189,11 +201,17 @@ impl Lockstep {
                 }
             }
         }
-        if runnable.is_empty() {
+        // The operator is the last in the fixed order, and one more choice otherwise.
+        let operator_acts = self.operator.due <= world.network.clock().now();
+        let count = runnable.len() + usize::from(operator_acts);
+        if count == 0 {
             return false;
         }
-        let (index, thread) = runnable[world.network.faults().choose(runnable.len())];
-        self.members[index].step(thread);
+        let chosen = if shuffled { world.network.faults().choose(count) } else { 0 };
+        match runnable.get(chosen) {
+            Some((index, thread)) => self.members[*index].step(*thread),
+            None => self.operator.step(),
+        }
         true
     }
 
@@ -212,11 +230,13 @@ impl Lockstep {
         let resume = self.resume_at.iter().map(|(at, _)| *at);
         let members = self.members.iter().filter_map(of_member);
         let frozen = self.members.iter().map(|member| member.frozen_until).filter(|until| *until > now);
-        let network = [self.world.network.next_arrival(), self.world.network.faults().next_due()];
+        let faults = self.world.network.faults();
+        let network = [self.world.network.next_arrival(), faults.next_due(), faults.cut_until(now)];
         members
             .chain(frozen)
             .chain(resume)
             .chain(network.into_iter().flatten())
+            .chain([self.operator.due])
             .min()
             .unwrap_or(Monotonic(u64::MAX))
     }
@@ -256,10 +276,10 @@ impl Lockstep {
                 }
                 Fault::Freeze(chosen, duration) => {
                     let index = chosen % self.members.len();
-                    self.members[index].frozen_until = after(now, duration);
+                    self.members[index].frozen_until = now + duration;
                 }
-                Fault::ClockStep(duration) => self.world.network.clock().set(after(now, duration)),
-                Fault::LetGo(duration) => self.world.idle_until.set(after(now, duration)),
+                Fault::ClockStep(duration) => self.world.network.clock().set(now + duration),
+                Fault::LetGo(duration) => self.operator.idle_until = now + duration,
                 Fault::ResetMap(chosen) => {
                     let Some(robot) = robot(chosen) else { continue };
                     self.saved[robot.index()] = 0;
@@ -268,7 +288,7 @@ impl Lockstep {
                 Fault::Pause(chosen, duration) => {
                     let Some(robot) = robot(chosen) else { continue };
                     self.request(robot, SlamRequestKind::Pause);
-                    self.resume_at.push((after(now, duration), robot));
+                    self.resume_at.push((now + duration, robot));
                 }
             }
         }
@@ -286,10 +306,6 @@ impl Lockstep {
         let request = SlamRequest { kind: kind as u32, ..SlamRequest::default() };
         self.requests[robot.index()].send(&request);
     }
-}
-
-fn after(now: Monotonic, duration: std::time::Duration) -> Monotonic {
-    Monotonic(now.0 + duration.as_nanos() as u64)
 }
 
 impl Observer {
@@ -329,7 +345,7 @@ impl Observer {
                 robot.world_from_base = Some(truth.world_from_base);
             }
             if let Some(correction) = robot.corrections.newest() {
-                robot.map_from_odom = Some(correction.map_from_odom);
+                robot.map_from_odom = correction.map_from_odom().or(robot.map_from_odom);
                 robot.map_from_base = Some(correction.map_from_base);
             }
         }
@@ -349,3 +365,6 @@ impl Observer {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

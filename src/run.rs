@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `fleet.toml` | configuration of the run |
 //! | `run.json` | process id, shared memory, clocks and port, for the fleet's processes and `mr-slam status` |
+//! | `.lock` | held by the launcher, so that a second fleet does not use the folder |
 //! | `merge.json`, `sessions/` | state that restarted processes continue with |
 //! | maps, `report.json` | results, written at the end |
 
@@ -11,13 +12,23 @@ use crate::channel::Opener;
 use crate::clock::Epoch;
 use crate::config::FleetConfig;
 use crate::ports::ChannelError;
+use crate::runtime_folder::{self, FleetPlace, Forbidden, Lock, TrustError};
 use crate::shared_memory::{Domain, Participant};
 use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::io;
+use std::io::{self, Read, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Largest size of `run.json` and of a path in a file, bytes.
+const FILE_BYTES_MAX: u64 = 64 << 10;
+/// Name of the file that a run's launcher holds locked.
+const LOCK: &str = ".lock";
+/// Name of the file with the path of the run's folder.
+const POINTER: &str = "run-dir";
 
 /// Reason why a run could not be created or opened.
 #[derive(Debug, thiserror::Error)]
@@ -33,6 +44,19 @@ pub enum RunError {
     /// The configuration in the folder is refused.
     #[error(transparent)]
     Config(#[from] crate::config::ConfigError),
+    /// A folder or file belongs to somebody else, or somebody else may write to it.
+    #[error("{0}; choose another folder with --run-dir, or mend it")]
+    Trust(#[from] TrustError),
+    /// Another fleet runs in the folder.
+    #[error(
+        "{dir}: a fleet is running in this folder (process {pid}); end it, or choose another with --run-dir"
+    )]
+    FolderInUse {
+        /// Folder of the run.
+        dir: PathBuf,
+        /// Process id of the other launcher.
+        pid: u32,
+    },
     /// Shared memory of the run cannot be used.
     #[error(transparent)]
     Channel(#[from] ChannelError),
@@ -60,6 +84,8 @@ struct RunFile {
     pid: u32,
     /// Name in shared memory.
     domain: String,
+    /// Folder of the run's sockets and locks.
+    runtime: PathBuf,
     /// CLOCK_MONOTONIC at stamp 0, nanoseconds.
     epoch_ns: i64,
     /// CLOCK_MONOTONIC at the start, nanoseconds.
@@ -71,13 +97,21 @@ struct RunFile {
 impl RunFile {
     fn read(dir: &Path) -> Result<Self, RunError> {
         let path = dir.join("run.json");
-        let json = fs::read_to_string(&path).map_err(RunError::file(&path))?;
+        // What another user put there is not a fleet of this user's.
+        runtime_folder::check_file(&path, Forbidden::Writing)?;
+        let json = read_bounded(&path).map_err(RunError::file(&path))?;
         serde_json::from_str(&json).map_err(|why| RunError::File { path, why: why.to_string() })
+    }
+
+    fn is_alive(&self) -> bool {
+        runtime_folder::is_alive(&self.runtime)
     }
 }
 
-fn is_alive(pid: u32) -> bool {
-    Path::new(&format!("/proc/{pid}")).exists()
+fn read_bounded(path: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    fs::File::open(path)?.take(FILE_BYTES_MAX).read_to_string(&mut text)?;
+    Ok(text)
 }
 
 fn display_all(runs: &[PathBuf]) -> String {
@@ -101,33 +135,66 @@ pub struct Run {
     pub port: u16,
     /// Configuration with the command line's options applied.
     pub config: FleetConfig,
+    /// Locks of the launcher, which say that it lives. They end with its process.
+    _locks: Option<Arc<[Lock; 2]>>,
+}
+
+/// Creates the folder of a run if it does not exist, and checks that nobody else can put files into it.
+pub fn create_folder(dir: &Path) -> Result<PathBuf, RunError> {
+    fs::DirBuilder::new().recursive(true).mode(0o755).create(dir).map_err(RunError::file(dir))?;
+    let dir = fs::canonicalize(dir).map_err(RunError::file(dir))?;
+    runtime_folder::check_folder(&dir, Forbidden::WritingByAll)?;
+    Ok(dir)
 }
 
 impl Run {
-    /// Begins a run of this process in `dir`, which is created if it does not exist.
-    pub fn create(dir: &Path, config: FleetConfig, port: u16) -> Result<Self, RunError> {
-        fs::create_dir_all(dir).map_err(RunError::file(dir))?;
-        let dir = fs::canonicalize(dir).map_err(RunError::file(dir))?;
+    /// Begins a run of this process in `dir`, which is created if it does not exist. The run may `outlive_session`, the
+    /// user's login. What fleets of dead launchers left is removed.
+    pub fn create(
+        dir: &Path,
+        config: FleetConfig,
+        port: u16,
+        outlives_session: bool,
+    ) -> Result<Self, RunError> {
+        let dir = create_folder(dir)?;
+        let lock = dir.join(LOCK);
+        let Some(dir_lock) = Lock::acquire(&lock).map_err(RunError::file(&lock))? else {
+            let pid = RunFile::read(&dir).map_or(0, |file| file.pid);
+            return Err(RunError::FolderInUse { dir, pid });
+        };
+        let remove = |name: &str, root: &Path| {
+            if let Ok(domain) = Domain::new(name, root) {
+                domain.remove();
+                tracing::warn!("removed what a fleet had left that did not end in order ({name})");
+            }
+        };
+        let FleetPlace { name: domain, root: runtime, lock } =
+            runtime_folder::create_place(outlives_session, remove)?;
+        crate::shared_memory::remove_leftovers();
         let pid = std::process::id();
         let epoch = if config.world.is_outside() { Epoch::unix() } else { Epoch::now() };
         let (epoch_ns, begun_ns) = (epoch.monotonic_ns, crate::clock::now().0);
-        let file = RunFile { pid, domain: pid.to_string(), epoch_ns, begun_ns, port };
+        let file = RunFile { pid, domain, runtime, epoch_ns, begun_ns, port };
         let run = Self::from_file(dir, file.clone(), config)?;
+        let toml = run.config.to_toml();
         let toml_path = run.dir.join("fleet.toml");
-        fs::write(&toml_path, run.config.to_toml()).map_err(RunError::file(&toml_path))?;
-        let json_path = run.dir.join("run.json");
+        formats::atomic::write(&toml_path, |file| file.write_all(toml.as_bytes()))
+            .map_err(RunError::file(&toml_path))?;
         let json = serde_json::to_string_pretty(&file).unwrap_or_default();
-        fs::write(&json_path, &json).map_err(RunError::file(&json_path))?;
-        // `mr-slam status` finds the run by this file without knowing its folder.
-        fs::create_dir_all(run.domain.root()).map_err(RunError::file(run.domain.root()))?;
-        let pointer = run.domain.root().join("run-dir");
-        fs::write(&pointer, run.dir.as_os_str().as_encoded_bytes()).map_err(RunError::file(&pointer))?;
-        Ok(run)
+        // `mr-slam status` finds the run by the second file without knowing its folder.
+        let pointer = run.domain.root().join(POINTER);
+        let run_dir = run.dir.as_os_str().as_encoded_bytes();
+        for (path, content) in [(run.dir.join("run.json"), json.as_bytes()), (pointer, run_dir)] {
+            formats::atomic::write_durably(&path, |file| file.write_all(content))
+                .map_err(RunError::file(&path))?;
+        }
+        Ok(Self { _locks: Some(Arc::new([dir_lock, lock])), ..run })
     }
 
     /// Creates a run without folder or shared memory, for lockstep, whose files and channels are in memory.
     pub fn in_memory(config: FleetConfig) -> Result<Self, RunError> {
-        let file = RunFile { pid: 0, domain: "lockstep".into(), epoch_ns: 0, begun_ns: 0, port: 0 };
+        let (domain, runtime) = ("lockstep".into(), "lockstep".into());
+        let file = RunFile { pid: 0, domain, runtime, epoch_ns: 0, begun_ns: 0, port: 0 };
         Self::from_file("lockstep".into(), file, config)
     }
 
@@ -141,26 +208,23 @@ impl Run {
     /// Opens the run in `dir`, whose launcher must be alive.
     pub fn open_running(dir: &Path) -> Result<Self, RunError> {
         let run = Self::open(dir)?;
-        if is_alive(run.pid) { Ok(run) } else { Err(RunError::NoneRunning) }
+        if runtime_folder::is_alive(run.domain.root()) { Ok(run) } else { Err(RunError::NoneRunning) }
     }
 
-    /// Returns the folders of all runs whose launcher is alive, in the order of their start.
+    /// Returns the folders of all runs of this user whose launcher is alive, in the order of their start.
     pub fn all_running() -> Vec<PathBuf> {
-        Self::all_running_below(&std::env::temp_dir())
+        Self::running_in(&runtime_folder::live_fleets())
     }
 
-    fn all_running_below(folder: &Path) -> Vec<PathBuf> {
+    fn running_in(live_fleets: &[PathBuf]) -> Vec<PathBuf> {
         let mut found = Vec::new();
-        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            let Some(pid) = name.strip_prefix("mrslam-").and_then(|pid| pid.parse::<u32>().ok()) else {
-                continue;
-            };
-            let Ok(dir) = fs::read_to_string(entry.path().join("run-dir")) else { continue };
+        for root in live_fleets {
+            let Ok(dir) = read_bounded(&root.join(POINTER)) else { continue };
             let dir = PathBuf::from(dir);
             // Process ids do not grow with time, so the start is read from the run's own file.
-            if is_alive(pid)
-                && let Ok(file) = RunFile::read(&dir)
+            if let Ok(file) = RunFile::read(&dir)
+                && file.runtime == *root
+                && file.is_alive()
             {
                 found.push((file.begun_ns, dir));
             }
@@ -170,9 +234,10 @@ impl Run {
     }
 
     fn from_file(dir: PathBuf, file: RunFile, config: FleetConfig) -> Result<Self, RunError> {
-        let RunFile { pid, domain, epoch_ns, begun_ns, port } = file;
+        let RunFile { pid, domain, runtime, epoch_ns, begun_ns, port } = file;
         let (epoch, begun) = (Epoch { monotonic_ns: epoch_ns }, Monotonic(begun_ns));
-        Ok(Self { dir, pid, domain: Domain::new(&domain)?, epoch, begun, port, config })
+        let domain = Domain::new(&domain, &runtime)?;
+        Ok(Self { dir, pid, domain, epoch, begun, port, config, _locks: None })
     }
 
     /// Attaches one of the run's processes to shared memory.
@@ -206,23 +271,69 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    /// Makes what a fleet that began at `begun_ns` has in the user's folder and in its own; returns both.
+    fn pretend_run(folder: &Path, begun_ns: u64) -> (PathBuf, PathBuf) {
+        let runtime = folder.join(format!("fleet_{begun_ns}"));
+        fs::DirBuilder::new().mode(0o700).create(&runtime).unwrap();
+        let dir = create_folder(&folder.join(format!("run-{begun_ns}"))).unwrap();
+        let (pid, domain) = (std::process::id(), "test".into());
+        let file = RunFile { pid, domain, runtime: runtime.clone(), epoch_ns: 0, begun_ns, port: 0 };
+        fs::write(dir.join("run.json"), serde_json::to_string(&file).unwrap()).unwrap();
+        fs::write(runtime.join(POINTER), dir.as_os_str().as_encoded_bytes()).unwrap();
+        (runtime, dir)
+    }
 
     #[test]
     fn running_fleets_are_listed_in_the_order_of_their_start() {
         let folder = tempfile::tempdir().unwrap();
-        // Process 1 always lives; process ids have no order in time.
-        for (pid, begun_ns) in [(std::process::id(), 1), (1, 2)] {
-            let file = RunFile { pid, domain: pid.to_string(), epoch_ns: 0, begun_ns, port: 0 };
-            let dir = folder.path().join(format!("run-{begun_ns}"));
-            fs::create_dir_all(&dir).unwrap();
-            fs::write(dir.join("run.json"), serde_json::to_string(&file).unwrap()).unwrap();
-            let pointer = folder.path().join(format!("mrslam-{pid}"));
-            fs::create_dir_all(&pointer).unwrap();
-            fs::write(pointer.join("run-dir"), dir.as_os_str().as_encoded_bytes()).unwrap();
+        let (mut roots, mut dirs, mut locks) = (Vec::new(), Vec::new(), Vec::new());
+        for begun_ns in [2, 1] {
+            let (root, dir) = pretend_run(folder.path(), begun_ns);
+            locks.push(Lock::acquire(&root.join("lock")).unwrap().unwrap());
+            roots.push(root);
+            dirs.insert(0, dir);
         }
-        let runs = Run::all_running_below(folder.path());
-        assert_eq!(runs, [folder.path().join("run-1"), folder.path().join("run-2")]);
+        let runs = Run::running_in(&roots);
+        assert_eq!(runs, dirs);
         let several = RunError::SeveralRunning { runs }.to_string();
         assert!(several.contains("--run-dir") && several.contains("run-2"), "{several}");
+        locks.remove(0);
+        assert_eq!(Run::running_in(&roots), dirs[..1], "its launcher is dead");
+    }
+
+    #[test]
+    fn nobody_can_pretend_to_be_a_fleet() {
+        let folder = tempfile::tempdir().unwrap();
+        let (root, dir) = pretend_run(folder.path(), 1);
+        let _lock = Lock::acquire(&root.join("lock")).unwrap().unwrap();
+        let runs = || Run::running_in(std::slice::from_ref(&root));
+        assert_eq!(runs(), std::slice::from_ref(&dir));
+        let json = dir.join("run.json");
+        fs::set_permissions(&json, fs::Permissions::from_mode(0o666)).unwrap();
+        assert_eq!(runs(), Vec::<PathBuf>::new(), "anybody could have written it");
+        fs::rename(&json, folder.path().join("elsewhere")).unwrap();
+        symlink(folder.path().join("elsewhere"), &json).unwrap();
+        assert_eq!(runs(), Vec::<PathBuf>::new(), "a link may lead anywhere");
+        assert!(matches!(Run::open_running(&dir), Err(RunError::Trust(_))));
+    }
+
+    #[test]
+    fn a_folder_that_anybody_may_write_to_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path().join("run");
+        create_folder(&dir).unwrap();
+        fs::set_permissions(&dir, fs::Permissions::from_mode(0o777)).unwrap();
+        let why = create_folder(&dir).unwrap_err().to_string();
+        assert!(why.contains("777") && why.contains("--run-dir"), "{why}");
+    }
+
+    #[test]
+    fn a_folder_in_use_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let _lock = Lock::acquire(&folder.path().join(LOCK)).unwrap().unwrap();
+        let result = Run::create(folder.path(), FleetConfig::default(), 0, false);
+        assert!(matches!(result, Err(RunError::FolderInUse { .. })));
     }
 }

@@ -1,5 +1,6 @@
-//! Requests to end this process: SIGINT, SIGTERM, or the death of the launcher.
+//! Requests to end this process: SIGINT, SIGTERM, SIGHUP, or the death of the launcher.
 
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -8,11 +9,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// Creates a flag that SIGINT and SIGTERM set.
+    /// Creates a flag that SIGINT, SIGTERM and SIGHUP set. SIGHUP says that the terminal was closed; where it is ignored,
+    /// as after `nohup`, it stays so.
     pub fn on_signals() -> std::io::Result<Self> {
         let stop = Self::default();
-        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-            signal_hook::flag::register(signal, stop.0.clone())?;
+        for signal in [SIGINT, SIGTERM, SIGHUP] {
+            if signal != SIGHUP || !is_ignored(SIGHUP) {
+                signal_hook::flag::register(signal, stop.0.clone())?;
+            }
         }
         Ok(stop)
     }
@@ -42,4 +46,12 @@ impl Stop {
     pub fn flag(&self) -> &AtomicBool {
         &self.0
     }
+}
+
+/// Returns whether this process ignores a signal.
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }

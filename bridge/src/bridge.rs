@@ -5,12 +5,13 @@ use crate::cdr::Dialect;
 use crate::command::name;
 use crate::config::{BridgeConfig, ConfigError};
 use crate::core::{ConnectError, Core};
-use crate::dds::ReceivedMessage;
 use crate::fleet_topics::FleetMessage;
 use crate::frame::Frame;
+use crate::relay::{RosCommand, RosEvent};
+use crate::ros::RobotNames;
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters, OutgoingQueue};
 use crate::world::{ClockEstimate, ExternalWorld, WorldInput};
-use msg::{EdgeCommand, Monotonic, ROBOTS_MAX, RobotId, SlamRequest, Stamp, VelocityCommand};
+use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
@@ -43,6 +44,8 @@ type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 /// Where requests to SLAM go.
 type SlamRequestSink = Box<dyn FnMut(RobotId, SlamRequest)>;
+/// Where commands for the ROS 2 endpoint go.
+type RosCommandSink = Box<dyn FnMut(RosCommand)>;
 
 /// The bridge between the fleet and its clients.
 ///
@@ -90,19 +93,20 @@ pub struct Bridge {
     on_command: RefCell<CommandSink>,
     on_edge_command: RefCell<EdgeCommandSink>,
     on_slam_request: RefCell<SlamRequestSink>,
+    on_ros_command: RefCell<RosCommandSink>,
 }
 
 impl Bridge {
-    /// Creates the bridge of robots 1 to `robot_count`, which are simulated or replayed in this fleet.
+    /// Creates the bridge of robots that are simulated or replayed in this fleet: their number, or their names.
     ///
     /// `on_command` is called with every velocity that a robot must execute now. `header.stamp` is the fleet's newest
     /// time; the caller fills in the rest of the header. It must not call the bridge with commands of its own.
     pub fn new(
         config: BridgeConfig,
-        robot_count: usize,
+        robots: impl Into<RobotNames>,
         on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
-        Self::open(config, robot_count, None, Box::new(on_command))
+        Self::open(config, &robots.into(), None, Box::new(on_command))
     }
 
     /// Creates the bridge of a world outside this fleet: a headset application's, or real robots.
@@ -116,23 +120,24 @@ impl Bridge {
         stamp_at: impl Fn(Monotonic) -> Stamp + 'static,
         on_command: impl FnMut(RobotId, VelocityCommand) + 'static,
     ) -> Result<Self, ConfigError> {
-        let robot_count = world.robot_count();
+        let robots = world.robot_names().clone();
         let input = WorldInput::new(world, config.clock_offset, Box::new(stamp_at));
-        Self::open(config, robot_count, Some(input), Box::new(on_command))
+        Self::open(config, &robots, Some(input), Box::new(on_command))
     }
 
     fn open(
         config: BridgeConfig,
-        robot_count: usize,
+        robots: &RobotNames,
         world: Option<WorldInput>,
         on_command: CommandSink,
     ) -> Result<Self, ConfigError> {
         config.validate()?;
         Ok(Self {
-            core: RefCell::new(Core::new(config, robot_count.clamp(1, ROBOTS_MAX), world)),
+            core: RefCell::new(Core::new(config, robots, world)),
             on_command: RefCell::new(on_command),
             on_edge_command: RefCell::new(Box::new(|_| {})),
             on_slam_request: RefCell::new(Box::new(|_, _| {})),
+            on_ros_command: RefCell::new(Box::new(|_| {})),
         })
     }
 
@@ -146,6 +151,14 @@ impl Bridge {
     /// The caller fills in the request's `client` and `id`.
     pub fn on_slam_request(&self, sink: impl FnMut(RobotId, SlamRequest) + 'static) {
         *self.on_slam_request.borrow_mut() = Box::new(sink);
+    }
+
+    /// Exchanges clients' topics with ROS: sets where commands for the ROS 2 endpoint go. It must not call the bridge.
+    ///
+    /// Call it before clients connect. What the endpoint tells comes back by [`Bridge::receive_ros`].
+    pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
+        self.core.borrow_mut().relay.open();
+        *self.on_ros_command.borrow_mut() = Box::new(sink);
     }
 
     /// Changes the core, then writes the frames and passes on the commands that result.
@@ -175,6 +188,11 @@ impl Bridge {
         if let Ok(mut sink) = self.on_slam_request.try_borrow_mut() {
             while let Some((robot, request)) = { self.core.borrow_mut().commands.next_slam_request() } {
                 sink(robot, request);
+            }
+        }
+        if let Ok(mut sink) = self.on_ros_command.try_borrow_mut() {
+            while let Some(command) = { self.core.borrow_mut().relay.next_command() } {
+                sink(command);
             }
         }
     }
@@ -209,9 +227,9 @@ impl Bridge {
         self.pass_commands();
     }
 
-    /// Handles a message that was received on DDS, like one from a client on loopback.
-    pub fn receive_dds(&self, message: &ReceivedMessage, now: Monotonic) {
-        self.update(|core| core.receive_dds(message, now));
+    /// Handles what the ROS 2 endpoint tells: messages, and changes of the ROS graph.
+    pub fn receive_ros(&self, event: RosEvent, now: Monotonic) {
+        self.update(|core| core.receive_ros(event, now));
     }
 
     /// Appends the frames that wait for a client of this process to `out`.

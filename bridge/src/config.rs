@@ -47,6 +47,9 @@ pub struct BridgeConfig {
     pub watch: Permission,
     /// Who may publish to the fleet: velocities, selection, poses. Everybody may set the emergency stop.
     pub drive: Permission,
+    /// Topics and services that every client may publish or offer in ROS, such as `/chat`; others need the
+    /// permission to drive.
+    pub open_topics: Vec<String>,
     /// Addresses on the allow list, which may watch and drive.
     pub allow: Vec<IpAddr>,
     /// Whether an address that the operator allows may drive in later runs too.
@@ -83,6 +86,7 @@ impl Default for BridgeConfig {
             message_packages: Vec::new(),
             watch: Permission::Anyone,
             drive: Permission::Allowed,
+            open_topics: Vec::new(),
             allow: Vec::new(),
             remember: true,
             trust_loopback: true,
@@ -120,6 +124,12 @@ impl BridgeConfig {
         self.validate_dds_access()?;
         self.validate_limits()?;
         self.validate_times()?;
+        if let Some(name) =
+            self.open_topics.iter().find(|name| crate::interfaces::resolve_name(name).is_err())
+        {
+            let expected = "expected a topic's name such as /chat";
+            return Err(ConfigError::new("open_topics", format!("'{name}'"), expected));
+        }
         let packages = &self.message_packages;
         match packages.iter().find(|name| !crate::interfaces::is_package_name(name)) {
             Some(package) => Err(ConfigError::new(

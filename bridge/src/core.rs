@@ -5,6 +5,7 @@
 mod initial_pose;
 mod input;
 mod registration;
+mod relay;
 mod service_frames;
 
 use crate::access::AccessControl;
@@ -15,7 +16,8 @@ use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopics};
 use crate::frame::{Frame, Side};
-use crate::ros::Twist;
+use crate::relay::RelayTable;
+use crate::ros::{RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
@@ -53,6 +55,8 @@ pub struct Core {
     pub access: AccessControl,
     /// Services between clients.
     pub services: ServiceCalls,
+    /// The exchange of clients' topics with ROS.
+    pub relay: RelayTable,
     /// Commands for robots, merging and SLAM that wait to be taken.
     pub commands: CommandQueues,
     /// Receives sensor data if the world is not simulated here.
@@ -60,17 +64,18 @@ pub struct Core {
 }
 
 impl Core {
-    /// Creates the core of a valid configuration and of 1 to [`msg::ROBOTS_MAX`] robots.
-    pub fn new(config: BridgeConfig, robot_count: usize, world: Option<WorldInput>) -> Self {
+    /// Creates the core of a valid configuration.
+    pub fn new(config: BridgeConfig, robots: &RobotNames, world: Option<WorldInput>) -> Self {
         let mut topics = TopicTable::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, config.frame_names, robot_count, world.is_some());
-        let drive = DriveArbiter::new(robot_count, FIRST_ROBOT, config.lease());
+        let fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        let drive = DriveArbiter::new(robots.count(), FIRST_ROBOT, config.lease());
         let mut core = Self {
             router: TopicRouter::new(topics, &config),
             fleet,
-            gate: VelocityGate::new(&config.velocity, robot_count, drive),
+            gate: VelocityGate::new(&config.velocity, robots.count(), drive),
             access: AccessControl::new(&config),
             services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
+            relay: RelayTable::new(config.dds.relayed_topics_max, &config.open_topics),
             commands: CommandQueues::default(),
             config,
             world,
@@ -117,7 +122,7 @@ impl Core {
                     format!("{name} came between a service's number and its frame: the call is dropped");
                 self.router.refuse(id, text);
             }
-            return self.receive_system_command(id, name, frame);
+            return self.receive_system_command(id, name, frame, now);
         }
         match expected {
             None => self.receive_data(id, name, frame.payload, now),
@@ -141,6 +146,7 @@ impl Core {
         for call in self.services.remove_expired(now) {
             self.fail_call(&call, "no answer came in time");
         }
+        self.tell_unpublished(now);
         self.fleet.tick(&mut self.router, now);
     }
 
@@ -149,6 +155,7 @@ impl Core {
     /// Returns the client's unsent frames, or `None` if it is disconnected already.
     pub fn disconnect(&mut self, id: ClientId) -> Option<OutgoingQueue> {
         let unsent = self.router.disconnect(id)?;
+        self.remove_unused_relays();
         if let Some(world) = &mut self.world {
             world.disconnect(id.serial);
         }

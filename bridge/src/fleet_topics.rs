@@ -1,5 +1,6 @@
 //! The fleet's topics towards ros_tcp clients.
 
+mod map_updates;
 mod publisher;
 mod table;
 
@@ -9,7 +10,8 @@ pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 use crate::cdr::Writer;
 use crate::input::Input;
 use crate::ros::{
-    Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PoseWithCovarianceStamped, Text, Twist,
+    Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PoseWithCovarianceStamped, RobotNames, Text,
+    Twist,
 };
 use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
 use msg::{Monotonic, RobotId, Stamp};
@@ -26,20 +28,23 @@ pub struct FleetTopics {
 }
 
 /// The topics that clients alone publish, and their meaning.
-fn add_input_topics(table: &mut TopicTable, robot_count: usize) -> (TopicId, Vec<[TopicId; 2]>) {
+fn add_input_topics(table: &mut TopicTable, robots: &RobotNames) -> (TopicId, Vec<[TopicId; 2]>) {
     let mut add = |name: String, message_type: &str, input: Input| {
         table.add(name, message_type, Source::Input(input), Retention { depth: DEPTH_DEFAULT, latch: false })
     };
-    let selected_velocity = add("/cmd_vel".into(), Twist::TYPE, Input::SelectedCommand);
-    let velocity = RobotId::first(robot_count)
-        .map(|robot| {
-            let names = [format!("/cmd_vel_{}", robot.number()), format!("/{robot}/cmd_vel")];
-            names.map(|name| add(name, Twist::TYPE, Input::Command(robot)))
-        })
-        .collect();
+    let selected = add("/cmd_vel".into(), Twist::TYPE, Input::SelectedCommand);
+    let mut velocity = Vec::with_capacity(robots.count());
     add("/initialpose".into(), PoseWithCovarianceStamped::TYPE, Input::InitialPose(None));
-    for robot in RobotId::first(robot_count) {
-        let name = format!("/{robot}/initialpose");
+    for robot in robots.robots() {
+        let numbered = add(format!("/cmd_vel_{}", robot.number()), Twist::TYPE, Input::Command(robot));
+        // The names of a robot with plain ones are those above.
+        if robots.is_plain() {
+            velocity.push([numbered, selected]);
+            continue;
+        }
+        let own = add(robots.topic(robot, "cmd_vel"), Twist::TYPE, Input::Command(robot));
+        velocity.push([numbered, own]);
+        let name = robots.topic(robot, "initialpose");
         add(name, PoseWithCovarianceStamped::TYPE, Input::InitialPose(Some(robot)));
     }
     add("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
@@ -47,7 +52,7 @@ fn add_input_topics(table: &mut TopicTable, robot_count: usize) -> (TopicId, Vec
     add("/take_control".into(), Int32::TYPE, Input::TakeControl);
     add("/emergency_stop_release".into(), Empty::TYPE, Input::ReleaseStop);
     add("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);
-    (selected_velocity, velocity)
+    (selected, velocity)
 }
 
 /// Returns who may publish a topic of the table: a few are clients' as well as the fleet's.
@@ -57,6 +62,7 @@ fn source(topic: FleetTopic, robot: RobotId, is_external: bool) -> Source {
         FleetTopic::SelectedRobot => Source::Input(Input::SelectRobot),
         FleetTopic::EmergencyStop => Source::Input(Input::EmergencyStop),
         FleetTopic::Scan if is_external => Source::Input(Input::Scan(robot)),
+        FleetTopic::Odometry if is_external => Source::Input(Input::Odometry(robot)),
         FleetTopic::Clock if is_external => Source::Input(Input::Clock),
         _ => Source::Fleet,
     }
@@ -64,20 +70,21 @@ fn source(topic: FleetTopic, robot: RobotId, is_external: bool) -> Source {
 
 impl FleetTopics {
     /// Adds the fleet's topics to the table. In an external world clients publish scans and the clock.
-    pub fn new(table: &mut TopicTable, style: NameStyle, robot_count: usize, is_external: bool) -> Self {
-        let (selected_velocity, velocity) = add_input_topics(table, robot_count);
+    pub fn new(table: &mut TopicTable, style: NameStyle, robots: &RobotNames, is_external: bool) -> Self {
+        let (selected_velocity, velocity) = add_input_topics(table, robots);
         let ids = OUTGOING_TOPICS.each_ref().map(|row| {
             let Some(delivery) = row.tcp else { return Vec::new() };
-            let retention =
-                Retention { depth: delivery.depth(robot_count), latch: delivery == Delivery::Latched };
-            let named = RobotId::first(robot_count).zip(row.names(robot_count));
+            // An alias is copied when somebody subscribes to it, so that it costs nothing otherwise.
+            let latch = delivery == Delivery::Latched && !row.is_alias();
+            let retention = Retention { depth: delivery.depth(robots.count()), latch };
+            let named = robots.robots().zip(row.names(robots));
             let add = |(robot, name)| {
                 let source = source(row.topic, robot, is_external);
                 table.add(name, row.message_type, source, retention)
             };
             named.map(add).collect()
         });
-        let publisher = FleetPublisher::new(style, robot_count, LinkTransforms::OnTf);
+        let publisher = FleetPublisher::new(style, robots, LinkTransforms::OnTf);
         Self { publisher, ids, velocity, selected_velocity }
     }
 
@@ -106,8 +113,9 @@ impl FleetTopics {
         is_selected: bool,
         twist: &Twist,
     ) {
-        let selected = is_selected.then_some(&self.selected_velocity);
-        for topic in self.velocity[robot.index()].iter().chain(selected) {
+        let own = &self.velocity[robot.index()];
+        let selected = Some(&self.selected_velocity).filter(|topic| is_selected && !own.contains(*topic));
+        for topic in own.iter().chain(selected) {
             router.publish(*topic, |to| twist.write(to));
         }
     }
@@ -125,21 +133,29 @@ impl FleetTopics {
         self.publisher.tick(now, &mut RouterSink { router, ids: &self.ids });
     }
 
-    /// Publishes the map transforms if `topic` is `/tf`: its new subscriber knows none yet.
+    /// Publishes what a new subscriber of `topic` lacks: the map transforms on `/tf`, the newest map on `/map`.
     pub fn subscribed(&mut self, router: &mut TopicRouter, topic: TopicId) {
+        let mut sink = RouterSink { router, ids: &self.ids };
         if self.ids[FleetTopic::Transforms as usize].contains(&topic) {
-            self.publisher.publish_map_transforms(&mut RouterSink { router, ids: &self.ids });
+            self.publisher.publish_map_transforms(&mut sink);
+        } else if self.ids[FleetTopic::MergedMapAlias as usize].contains(&topic) {
+            sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
         }
     }
 
     /// Returns the number of robots.
     pub fn robot_count(&self) -> usize {
-        self.publisher.robot_count()
+        self.publisher.robots().count()
     }
 
     /// Returns the fleet's robots.
     pub fn robots(&self) -> impl Iterator<Item = RobotId> + use<> {
-        RobotId::first(self.publisher.robot_count())
+        self.publisher.robots().robots()
+    }
+
+    /// Returns the robots' names.
+    pub fn robot_names(&self) -> &RobotNames {
+        self.publisher.robots()
     }
 
     /// Returns the newest time of the run that was published.
@@ -164,5 +180,17 @@ impl TopicSink for RouterSink<'_> {
         if let Some(id) = self.ids[topic as usize].get(robot.map_or(0, RobotId::index)) {
             self.router.publish(*id, encode);
         }
+    }
+
+    fn send_again(&mut self, topic: FleetTopic, newest_of: FleetTopic) {
+        let id = |topic: FleetTopic| self.ids[topic as usize].first().copied();
+        if let (Some(to), Some(from)) = (id(topic), id(newest_of)) {
+            self.router.publish_copy(to, from);
+        }
+    }
+
+    fn is_subscribed(&self, topic: FleetTopic) -> bool {
+        let of_topic = self.ids[topic as usize].iter().filter_map(|id| self.router.topics.get(*id));
+        of_topic.into_iter().any(|topic| !topic.subscribers.is_empty())
     }
 }

@@ -10,7 +10,7 @@ mod topics;
 pub use buffers::BufferPool;
 pub use client::{Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, Publication, RefusalKind};
 pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
-pub use topics::{DEPTH_DEFAULT, Retention, Source, TopicError, TopicId, TopicTable};
+pub use topics::{DEPTH_DEFAULT, Retention, Source, Topic, TopicError, TopicId, TopicTable};
 
 use crate::cdr::{Dialect, Writer};
 use crate::command::{Notice, name};
@@ -22,7 +22,7 @@ use serde::Serialize;
 use std::io::{IoSlice, Write};
 use std::net::SocketAddr;
 use std::rc::Rc;
-use topics::{Subscriber, Topic};
+use topics::Subscriber;
 
 /// Room for a reply's first bytes: a topic list or a service frame of usual length.
 const REPLY_BYTES: usize = 1024;
@@ -209,6 +209,15 @@ impl TopicRouter {
             topic.last_frame_bytes = 8 + topic.name.len() + payload.len();
         }
         self.publish_with(topic, |out| out.extend_from_slice(payload));
+    }
+
+    /// Queues the newest message of a latched topic for the subscribers of another one. Without them it costs nothing.
+    pub fn publish_copy(&mut self, topic: TopicId, latched_of: TopicId) {
+        let is_wanted = self.topics.get(topic).is_some_and(|topic| !topic.subscribers.is_empty());
+        let Some(source) = self.topics.get(latched_of).filter(|_| is_wanted) else { return };
+        let Some(frame) = source.latched.clone() else { return };
+        let payload_begin = 8 + source.name.len();
+        self.forward(topic, &frame[payload_begin..]);
     }
 
     fn publish_with(&mut self, id: TopicId, payload: impl FnOnce(&mut Vec<u8>)) {

@@ -20,7 +20,7 @@ pub use clock::{ClockEstimate, ClockOffset, SourceClock};
 pub(crate) use input::{DDS_SOURCE, WorldInput};
 
 use crate::cdr::{DecodeError, Reader};
-use crate::ros::names::{FleetFrame, is_correction, parse_frame};
+use crate::ros::names::{FleetFrame, RobotNames};
 use crate::ros::read::{self, Transform};
 use checks::{check_link, check_scan, empty_scan, planar_pose};
 use msg::{
@@ -129,7 +129,7 @@ type MessageSink = Box<dyn FnMut(WorldMessage<'_>)>;
 ///
 /// It has no socket and no clock.
 pub struct ExternalWorld {
-    robot_count: usize,
+    names: RobotNames,
     robots: [RobotState; ROBOTS_MAX],
     /// The scan that is being decoded.
     scan: Box<Scan>,
@@ -143,10 +143,10 @@ pub struct ExternalWorld {
 }
 
 impl ExternalWorld {
-    /// Creates a world of robots 1 to `robot_count`. `sink` gets what is accepted; it must not call back.
-    pub fn new(robot_count: usize, sink: impl FnMut(WorldMessage<'_>) + 'static) -> Self {
+    /// Creates a world of robots: their number, or their names. `sink` gets what is accepted; it must not call back.
+    pub fn new(robots: impl Into<RobotNames>, sink: impl FnMut(WorldMessage<'_>) + 'static) -> Self {
         Self {
-            robot_count: robot_count.clamp(1, ROBOTS_MAX),
+            names: robots.into(),
             robots: [RobotState::default(); ROBOTS_MAX],
             scan: empty_scan(),
             links: Box::new([Transforms::default(); ROBOTS_MAX]),
@@ -156,9 +156,9 @@ impl ExternalWorld {
         }
     }
 
-    /// Returns the number of robots.
-    pub fn robot_count(&self) -> usize {
-        self.robot_count
+    /// Returns the robots' names.
+    pub fn robot_names(&self) -> &RobotNames {
+        &self.names
     }
 
     /// Takes a message that arrived at `received`, by the run's time.
@@ -213,7 +213,7 @@ impl ExternalWorld {
                 result = taken;
             }
         })?;
-        RobotId::first(self.robot_count).for_each(|robot| self.send_links(robot));
+        self.names.robots().for_each(|robot| self.send_links(robot));
         result
     }
 
@@ -266,8 +266,9 @@ impl ExternalWorld {
     }
 
     fn check_source(&self, origin: &Origin<'_>, robot: RobotId) -> Result<(), WorldError> {
-        if robot.number() > self.robot_count {
-            return Err(TransformError::NoSuchRobot { robot_count: self.robot_count }.into());
+        let robot_count = self.names.count();
+        if robot.number() > robot_count {
+            return Err(TransformError::NoSuchRobot { robot_count }.into());
         }
         if is_held_by_other(self.robots[robot.index()].source, origin) {
             return Err(WorldError::OtherSource { what: robot.to_string() });
@@ -277,8 +278,8 @@ impl ExternalWorld {
 
     /// Returns the robot and the links of a transform, `None` if it is not between the fleet's frames.
     fn fleet_link(&self, transform: &Transform<'_>) -> Result<Option<(RobotId, Link, Link)>, TransformError> {
-        let robot_count = self.robot_count;
-        let parse = |name| parse_frame(name, robot_count);
+        let robot_count = self.names.count();
+        let parse = |name| self.names.parse_frame(name);
         let Some((robot, FleetFrame::Link(child))) = parse(transform.child_frame_id) else { return Ok(None) };
         if robot.number() > robot_count {
             return Err(TransformError::NoSuchRobot { robot_count });
@@ -296,7 +297,7 @@ impl ExternalWorld {
         transform: &Transform<'_>,
     ) -> Result<(), WorldError> {
         let (parent, child) = (transform.frame_id, transform.child_frame_id);
-        if is_correction(parent, child, self.robot_count) {
+        if self.names.is_correction(parent, child) {
             return Err(WorldError::Correction { parent: parent.into(), child: child.into() });
         }
         let wrong = |source| WorldError::Transform { parent: parent.into(), child: child.into(), source };

@@ -1,7 +1,7 @@
 //! The ROS 2 endpoint against another implementation's node on loopback: ros2-client's own readers and writers.
 //! `.ci/interop` tests it against ROS 2 itself.
 
-use bridge::dds::{DdsConfig, DdsEndpoint, ReceivedMessage};
+use bridge::dds::{DdsConfig, DdsEndpoint, RosLink};
 use bridge::{Bridge, BridgeConfig, FleetMessage, Transport, process_clock};
 use futures::StreamExt;
 
@@ -18,6 +18,7 @@ use std::cell::RefCell;
 use std::future::Future;
 use std::net::Ipv4Addr;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::{LocalSet, spawn_local};
 
@@ -108,8 +109,8 @@ async fn stamps(subscription: &Subscription<Grid>) -> Vec<i32> {
 fn a_late_reader_gets_the_newest_map_once() {
     run(async {
         let config = config(0);
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
-        spawn_local(endpoint.clone().serve(|_| {}, |_, _| {}));
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
+        spawn_local(endpoint.clone().serve(|_, _| {}));
         (1..=20).for_each(|second| send_map(&endpoint, second, 50));
         let mut other = node(&config);
         let first = maps(&mut other);
@@ -131,8 +132,8 @@ fn topics_are_in_the_configured_namespace() {
     run(async {
         let mut config = config(25);
         config.dds.namespace = "/lab/floor_2".into();
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
-        spawn_local(endpoint.clone().serve(|_| {}, |_, _| {}));
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
+        spawn_local(endpoint.clone().serve(|_, _| {}));
         send_map(&endpoint, 7, 20);
         let mut other = node(&config);
         let there = maps_on(&mut other, "/lab/floor_2/robot1/map");
@@ -157,7 +158,7 @@ impl Message for SaveMapResponse {}
 fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
     run(async {
         let config = config(75);
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
         // SLAM saves the map that is named `monday` only.
         let answering = Rc::downgrade(&endpoint);
         let ask = move |robot: RobotId, request: SlamRequest| {
@@ -170,7 +171,7 @@ fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
                 answering.upgrade().map(|endpoint| endpoint.answer_request(robot, &answer, true))
             });
         };
-        spawn_local(endpoint.clone().serve(|_| {}, ask));
+        spawn_local(endpoint.clone().serve(ask));
         let mut other = node(&config);
         let client = other
             .create_client::<SaveMapRequest, SaveMapResponse>(
@@ -201,17 +202,20 @@ fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
 fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
     run(async {
         let config = config(50);
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false).unwrap());
+        let link = Arc::new(RosLink::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
         let commands = Rc::new(RefCell::new(Vec::<VelocityCommand>::new()));
         let taken = commands.clone();
         let bridge = Rc::new(
             Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),
         );
         let receiver = bridge.clone();
-        spawn_local(endpoint.clone().serve(
-            move |message: ReceivedMessage| receiver.receive_dds(&message, process_clock()),
-            |_, _| {},
-        ));
+        spawn_local(endpoint.clone().serve(|_, _| {}));
+        spawn_local(async move {
+            loop {
+                receiver.receive_ros(link.next_event().await, process_clock());
+            }
+        });
         let mut other = node(&config);
         let qos = QosProfile::publisher_default();
         let name = Name::parse("/robot1/cmd_vel").unwrap();

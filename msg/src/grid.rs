@@ -2,7 +2,13 @@
 //!
 //! A cell collects the evidence about a square of the floor. Evidence of several scans, or of several
 //! robots, is added (Elfes 1989; Thrun, Burgard, Fox, "Probabilistic Robotics", 2005, eq. 9.7). ROS's
-//! occupancy values are derived from it by [`percent_table`].
+//! occupancy values are derived from it by [`trinary_table`], or graded by [`percent_table`].
+//!
+//! [`occupancy`] alone says which cells are free, occupied and unknown: published maps, map files, statistics and
+//! comparisons use it. Its thresholds are those of map_server's map_saver. SLAM Toolbox counts beams instead: it
+//! publishes a cell once more than 2 beams reached it (`min_pass_through`), as occupied if more than 10 % of them
+//! ended there (`occupancy_threshold`; Karto's `OccupancyGrid::UpdateCell`). With SLAM's default evidence a cell is
+//! free here after 3 beams too, but more than a third of many beams must end in an occupied one.
 
 use crate::{Header, Monotonic, Pose2};
 use bytemuck::{Pod, Zeroable};
@@ -24,9 +30,9 @@ pub const CELLS_MAX: usize = 4096 * 4096;
 /// 64 MiB, the limit of the bridge's clients.
 pub const MAP_CELLS_MAX: usize = 15 << 22;
 
-/// Smallest value of an occupied cell: map_server's threshold, probability 0.65, ln(0.65/0.35) = 0.619.
+/// Smallest value of an occupied cell: map_saver's `occupied_thresh`, probability 0.65, ln(0.65/0.35) = 0.619.
 pub const OCCUPIED_MIN: i8 = 13;
-/// Largest value of a free cell: map_server's threshold, probability 0.25, ln(0.25/0.75) = -1.099.
+/// Largest value of a free cell: map_saver's `free_thresh`, probability 0.25, ln(0.25/0.75) = -1.099.
 pub const FREE_MAX: i8 = -22;
 
 /// Trinary state of a cell, as map_server defines it.
@@ -50,8 +56,20 @@ pub fn occupancy(cell: i8) -> Occupancy {
     }
 }
 
-/// Returns nav_msgs/OccupancyGrid's value for each cell value, indexed by the cell's bits (`cell as u8`).
-/// A value is the probability of occupation in percent, or -1 for unknown.
+/// Returns nav_msgs/OccupancyGrid's trinary value for each cell value, indexed by the cell's bits (`cell as u8`).
+///
+/// A value is 0 for free, 100 for occupied and -1 for unknown, as SLAM Toolbox and map_server publish maps.
+pub fn trinary_table() -> [i8; 256] {
+    core::array::from_fn(|bits| match occupancy(bits as u8 as i8) {
+        Occupancy::Unknown => -1,
+        Occupancy::Free => 0,
+        Occupancy::Occupied => 100,
+    })
+}
+
+/// Returns nav_msgs/OccupancyGrid's graded value for each cell value, indexed by the cell's bits (`cell as u8`).
+///
+/// A value is the probability of occupation in percent, or -1 for a cell that no robot has seen.
 pub fn percent_table() -> [i8; 256] {
     core::array::from_fn(|bits| match bits as u8 as i8 {
         UNKNOWN => -1,
@@ -168,6 +186,15 @@ mod tests {
         assert_eq!(percent[UNKNOWN as u8 as usize], -1);
         assert_eq!(percent[0], 50);
         assert_eq!(percent[LOG_ODDS_MAX as u8 as usize], 100);
+    }
+
+    #[test]
+    fn trinary_values_are_those_of_the_occupancy() {
+        let trinary = trinary_table();
+        let of = |cell: i8| trinary[cell as u8 as usize];
+        assert_eq!([UNKNOWN, SWEPT_FREE, LOG_ODDS_MIN, FREE_MAX].map(of), [-1, 0, 0, 0]);
+        assert_eq!([FREE_MAX + 1, 0, OCCUPIED_MIN - 1].map(of), [-1; 3], "evidence that decides nothing");
+        assert_eq!([OCCUPIED_MIN, LOG_ODDS_MAX].map(of), [100; 2]);
     }
 
     #[test]

@@ -44,7 +44,7 @@ pub struct Correction {
     pub scan_seq: u64,
     /// Time at which the scan left its simulator. Scan-to-pose latency is counted from it.
     pub scan_sent: Monotonic,
-    /// Transform to `robotK/map` from `odom`, which REP-105 assigns to SLAM.
+    /// Transform to `robotK/map` from `odom`, which REP-105 assigns to SLAM. Read it by [`Correction::map_from_odom`].
     pub map_from_odom: Pose2,
     /// Pose of `base_footprint` in `robotK/map` at the stamp.
     pub map_from_base: Pose2,
@@ -57,11 +57,38 @@ pub struct Correction {
     pub nodes: u32,
     /// Number of loop closures in the pose graph.
     pub closures: u32,
-    /// Padding, always zero.
-    pub reserved: u32,
+    /// 1 if `map_from_odom` is not known, because odometry or the robot's place in the map never was; else 0.
+    pub map_from_odom_unknown: u32,
 }
 
 impl Correction {
+    /// Transform to `robotK/map` from `odom`; `None` if it is not known. While odometry is missing or the robot is not
+    /// located, it is the last known one.
+    pub fn map_from_odom(&self) -> Option<Pose2> {
+        (self.map_from_odom_unknown == 0).then_some(self.map_from_odom)
+    }
+
+    /// Returns the correction in another map frame, of which `other_from_map` is the pose of this one.
+    pub fn transformed(&self, other_from_map: Pose2) -> Self {
+        let (sin, cos) = other_from_map.yaw_rad.sin_cos();
+        let [xx, xy, x_yaw, yy, y_yaw, yaw_yaw] = self.covariance;
+        // The covariance of R p, with the rotation R of positions: R C R^T.
+        let covariance = [
+            cos * cos * xx - 2.0 * cos * sin * xy + sin * sin * yy,
+            cos * sin * (xx - yy) + (cos * cos - sin * sin) * xy,
+            cos * x_yaw - sin * y_yaw,
+            sin * sin * xx + 2.0 * cos * sin * xy + cos * cos * yy,
+            sin * x_yaw + cos * y_yaw,
+            yaw_yaw,
+        ];
+        Self {
+            map_from_odom: other_from_map * self.map_from_odom,
+            map_from_base: other_from_map * self.map_from_base,
+            covariance,
+            ..*self
+        }
+    }
+
     /// Decodes the state; an unknown code reads as lost.
     pub fn state(&self) -> TrackingState {
         TrackingState::from_code(self.state).unwrap_or(TrackingState::Lost)
@@ -88,4 +115,24 @@ pub struct MapTransforms {
     pub header: Header,
     /// Transforms by [`crate::RobotId::index`]. Those beyond the fleet are unknown.
     pub robots: [MapTransform; ROBOTS_MAX],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_correction_in_a_turned_map_has_its_axes_swapped() {
+        let correction = Correction {
+            map_from_base: Pose2::new(1.0, 0.0, 0.0),
+            covariance: [4.0, 0.5, 0.1, 1.0, 0.2, 0.3],
+            ..Correction::default()
+        };
+        let turned = correction.transformed(Pose2::new(10.0, 0.0, core::f64::consts::FRAC_PI_2));
+        assert!(
+            (turned.map_from_base.x_m - 10.0).abs() < 1e-12 && (turned.map_from_base.y_m - 1.0).abs() < 1e-12
+        );
+        let expected = [1.0, -0.5, -0.2, 4.0, 0.1, 0.3];
+        assert!(turned.covariance.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{turned:?}");
+    }
 }

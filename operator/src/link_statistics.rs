@@ -207,6 +207,17 @@ pub enum MessageContent {
     Encoded,
 }
 
+impl MessageContent {
+    /// Decodes scans and transforms; messages of other topics are left encoded.
+    pub fn decode(topic: &str, payload: &[u8]) -> Result<Self, DecodeError> {
+        Ok(match robot_topic(topic) {
+            Some((robot, "scan")) => Self::Scan(robot, ros::decode(payload)?),
+            _ if topic == "/tf" => Self::Transforms(ros::decode(payload)?),
+            _ => Self::Encoded,
+        })
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum StreamKind {
     Scan(RobotId),
@@ -277,22 +288,24 @@ impl LinkStatistics {
         payload: &[u8],
         received_ns: i64,
     ) -> Result<MessageContent, DecodeError> {
-        if topic == "/tf" {
-            let message: TfMessage = ros::decode(payload)?;
-            for transform in &message.transforms {
-                let child = transform.child_frame_id.as_str();
-                let kind = match is_slam_frame(child) {
-                    true => StreamKind::SlamTransform,
-                    false => StreamKind::RobotTransform,
-                };
-                self.time(kind, child, transform.stamp, received_ns);
+        let content = MessageContent::decode(topic, payload)?;
+        match &content {
+            MessageContent::Transforms(message) => {
+                for transform in &message.transforms {
+                    let child = transform.child_frame_id.as_str();
+                    let kind = match is_slam_frame(child) {
+                        true => StreamKind::SlamTransform,
+                        false => StreamKind::RobotTransform,
+                    };
+                    self.time(kind, child, transform.stamp, received_ns);
+                }
             }
-            return Ok(MessageContent::Transforms(message));
+            MessageContent::Scan(robot, scan) => {
+                self.time(StreamKind::Scan(*robot), "", scan.stamp, received_ns);
+            }
+            MessageContent::Encoded => {}
         }
-        let Some((robot, "scan")) = robot_topic(topic) else { return Ok(MessageContent::Encoded) };
-        let scan: LaserScan = ros::decode(payload)?;
-        self.time(StreamKind::Scan(robot), "", scan.stamp, received_ns);
-        Ok(MessageContent::Scan(robot, scan))
+        Ok(content)
     }
 
     fn count(&mut self, topic: &str, bytes: usize, received_ns: i64) {

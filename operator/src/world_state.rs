@@ -106,7 +106,8 @@ pub struct WorldState {
 impl Default for WorldState {
     fn default() -> Self {
         Self {
-            frame_names: [NameStyle::Flat, NameStyle::Slash].map(FrameNames::new),
+            frame_names: [NameStyle::Flat, NameStyle::Slash]
+                .map(|style| FrameNames::new(style, &ROBOTS_MAX.into())),
             transforms: BTreeMap::new(),
             scans: Default::default(),
             merged_map: MapSlot::default(),

@@ -1,8 +1,9 @@
 //! Fine alignment: Gauss-Newton on point-to-line distances with robust weights
 //! (Censi, "An ICP variant using a point-to-line metric", ICRA 2008; weights: Cauchy).
 
-use crate::cloud::{Cloud, PointTransform};
+use crate::cloud::Cloud;
 use crate::config::LinkConfig;
+use crate::point_transform::PointTransform;
 use msg::Pose2;
 use nalgebra::{Matrix3, Vector3};
 

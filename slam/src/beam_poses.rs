@@ -2,7 +2,7 @@
 //!
 //! The motion during the sweep comes from odometry, or from the robot's last speed.
 
-use crate::cloud::PointTransform;
+use crate::point_transform::PointTransform;
 use msg::{Pose2, Scan};
 
 /// Segments of a sweep; the robot's speed is constant within each.

@@ -7,6 +7,8 @@
 
 mod candidate;
 mod passes;
+#[cfg(test)]
+mod tests;
 
 pub use candidate::{ClosureCandidate, ClosureDetectorState, ClosureSearchCounts};
 pub(crate) use passes::{GraphView, PosedNode, compare_passes};
@@ -288,7 +290,7 @@ impl ClosureDetector {
         let stride = total.div_ceil(c.query_points_max).max(1);
         let mut points = Vec::with_capacity(c.query_points_max + query.len());
         for (node, query_from_node) in query {
-            let transform = crate::cloud::PointTransform::new(*query_from_node);
+            let transform = crate::point_transform::PointTransform::new(*query_from_node);
             points.extend(node.cloud.points().iter().step_by(stride).map(|p| transform.point(p.at)));
         }
         let limits =

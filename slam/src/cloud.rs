@@ -8,6 +8,7 @@ pub use surfaces::CloudScratch;
 
 use crate::beam_poses::BeamPoses;
 use crate::config::LidarConfig;
+use crate::point_transform::PointTransform;
 use msg::{Pose2, Scan};
 
 /// Side of an index cell, metres: a search covers half of it in every direction.
@@ -237,33 +238,6 @@ impl core::ops::AddAssign for Agreement {
     fn add_assign(&mut self, other: Self) {
         self.agree += other.agree;
         self.contradict += other.contradict;
-    }
-}
-
-/// A pose in single precision that transforms points, its sine and cosine computed once.
-#[derive(Clone, Copy, Debug)]
-pub struct PointTransform {
-    x: f32,
-    y: f32,
-    sin: f32,
-    cos: f32,
-}
-
-impl PointTransform {
-    /// The transform of a pose.
-    pub fn new(pose: Pose2) -> Self {
-        let (sin, cos) = pose.yaw_rad.sin_cos();
-        Self { x: pose.x_m as f32, y: pose.y_m as f32, sin: sin as f32, cos: cos as f32 }
-    }
-
-    /// Rotates and translates a point, metres.
-    pub fn point(&self, [x, y]: [f32; 2]) -> [f32; 2] {
-        [self.cos * x - self.sin * y + self.x, self.sin * x + self.cos * y + self.y]
-    }
-
-    /// Rotates a direction.
-    pub fn direction(&self, [x, y]: [f32; 2]) -> [f32; 2] {
-        [self.cos * x - self.sin * y, self.sin * x + self.cos * y]
     }
 }
 

@@ -28,22 +28,28 @@ mod localizer;
 mod mapper;
 mod node;
 mod odometry;
+mod point_transform;
 mod relocalize;
 mod scan_buffers;
 pub mod session;
 mod stages;
 mod submap;
 
+#[cfg(test)]
+#[path = "../tests/common/mod.rs"]
+mod common;
+
 pub use back_end::{BackEnd, BackEndCounts, BackEndState, ClosureReport, InitialPose};
 pub use beam_poses::BeamPoses;
 pub use closure::ClosureSearchCounts;
-pub use cloud::{Cloud, CloudScratch, PointTransform, SurfacePoint};
+pub use cloud::{Cloud, CloudScratch, SurfacePoint};
 pub use config::*;
 pub use front_end::{FrontEnd, FrontEndCounts, FrontEndState, ScanRejection, ScanResult, TrajectorySample};
 pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty};
 pub use localizer::LocalizerCounts;
 pub use mapper::OccupancyMapper;
 pub use node::{Node, Rays, Revision, SweptPath};
+pub use point_transform::PointTransform;
 pub use relocalize::{PoseEstimate, RelocalizationCounts};
 pub use scan_buffers::NODES_IN_FLIGHT_MAX;
 pub use session::{Identity, Session, SessionError};

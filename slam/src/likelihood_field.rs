@@ -4,7 +4,8 @@
 //! branch and bound finds the best pose of a window (Olson, "Real-time correlative scan matching", ICRA 2009;
 //! Hess et al., "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, section V-B).
 
-use crate::cloud::{Cloud, PointTransform, floor_i32};
+use crate::cloud::{Cloud, floor_i32};
+use crate::point_transform::PointTransform;
 use msg::Pose2;
 
 /// Levels of the pyramid: a cell of the last one is 2^5 = 32 fine cells wide.

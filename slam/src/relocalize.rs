@@ -3,6 +3,8 @@
 //! All poses that score nearly as well as the best one (`whole_map`) are aligned and compared with the
 //! scans taken there. One must remain, and a second search from elsewhere must find the same.
 
+#[cfg(test)]
+mod tests;
 mod whole_map;
 
 use crate::align::{Reference, align};

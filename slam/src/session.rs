@@ -11,7 +11,7 @@ mod bytes;
 mod from_grid;
 mod records;
 
-use crate::back_end::BackEndState;
+use crate::back_end::{BackEnd, BackEndState};
 use crate::config::SlamConfig;
 use crate::front_end::{FrontEndState, TrajectorySample};
 use bytes::{In, Out};
@@ -147,6 +147,26 @@ pub struct Session {
     pub front: Option<FrontEndState>,
     /// Every scan's pose relative to its node; empty if they were not kept.
     pub samples: Vec<TrajectorySample>,
+}
+
+impl BackEnd {
+    /// A session to continue from later. `front`: the state of the front end, after exactly the nodes
+    /// that were added here; it is kept if its newest nodes are the map's. `samples`: its scans, if they are to
+    /// be kept.
+    pub fn session(
+        &self,
+        identity: Identity,
+        front: Option<FrontEndState>,
+        samples: &[TrajectorySample],
+    ) -> Session {
+        Session {
+            identity,
+            mode: self.mode(),
+            back: self.state(),
+            front: front.filter(|front| self.is_continued_by(front)),
+            samples: self.all_samples(samples).collect(),
+        }
+    }
 }
 
 impl Session {

@@ -13,6 +13,10 @@ pub struct FleetArgs {
     /// Number of robots, 1 to 16 [default: 3]
     #[arg(long, value_name = "N")]
     pub robots: Option<usize>,
+    /// Names of the robots in ROS, separated by commas; `--names ''` gives one robot plain names such as /scan
+    /// [default: robot1,robot2,...]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub names: Option<Vec<String>>,
     /// Seed of all random numbers [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
@@ -45,17 +49,37 @@ pub enum Starts {
 impl FleetArgs {
     /// Returns the file's or the default configuration with the options applied.
     pub fn config(&self) -> Result<FleetConfig, ConfigError> {
-        let mut config = match &self.config {
-            Some(path) => FleetConfig::from_file(path)?,
-            None => FleetConfig::default(),
+        self.config_with(|_| {})
+    }
+
+    /// Returns the configuration with the options and another change applied; it is checked after them.
+    pub fn config_with(&self, change: impl FnOnce(&mut FleetConfig)) -> Result<FleetConfig, ConfigError> {
+        let apply = |config: &mut FleetConfig| {
+            self.apply(config);
+            change(config);
         };
+        if let Some(path) = &self.config {
+            return FleetConfig::from_file_with(path, apply);
+        }
+        let mut config = FleetConfig::default();
+        apply(&mut config);
+        config.check()?;
+        Ok(config)
+    }
+
+    fn apply(&self, config: &mut FleetConfig) {
         let fleet = &mut config.fleet;
         if let Some(robots) = self.robots {
             if robots != fleet.robots {
-                // Poses for another number of robots are invalid.
+                // Poses and names for another number of robots are invalid.
                 fleet.starts.clear();
+                fleet.names.clear();
             }
             fleet.robots = robots;
+        }
+        if let Some(names) = &self.names {
+            fleet.robots = self.robots.unwrap_or(names.len());
+            fleet.names.clone_from(names);
         }
         config.world = self.world.unwrap_or(config.world);
         // `--world ros` alone shall work: it enables ROS 2.
@@ -69,7 +93,5 @@ impl FleetArgs {
         if self.localize {
             config.sessions.mode = Mode::Localization;
         }
-        config.check()?;
-        Ok(config)
     }
 }

@@ -70,9 +70,9 @@ pub fn run(cli: Cli) -> Result<(), Error> {
     match cli.command {
         Command::Demo(args) => {
             let mut operator = demo::OperatorProcess::new(args.seconds);
-            up::run(&args, &mut operator, &Stop::on_signals()?)?;
+            up::run_or_detach(&args, &mut operator)?;
         }
-        Command::Up(args) => drop(up::run(&args, &mut up::NoHooks, &Stop::on_signals()?)?),
+        Command::Up(args) => up::run_or_detach(&args, &mut up::NoHooks)?,
         Command::Status(args) => status::run(&args)?,
         Command::Doctor(args) => doctor::run(&args)?,
         Command::Edges(args) => edges::run(&args)?,

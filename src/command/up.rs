@@ -1,8 +1,10 @@
 //! Tool `mr-slam up`, which launches a fleet, shows its figures, and writes maps and a report.
 
 mod console;
+mod detach;
 mod events;
 mod report;
+mod scan_rates;
 mod screen;
 
 pub use report::Report;
@@ -19,6 +21,7 @@ use crate::supervisor::Supervisor;
 use crate::view::FleetView;
 use console::OperatorConsole;
 use events::Events;
+use scan_rates::ScanRates;
 use screen::Screen;
 use std::net::{IpAddr, TcpListener};
 use std::path::PathBuf;
@@ -51,8 +54,14 @@ pub struct UpArgs {
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub seconds: Option<f64>,
     /// Folder for the maps and the report [default: runs/TIME]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", overrides_with = "run_dir")]
     pub run_dir: Option<PathBuf>,
+    /// Go on in the background, also after logging out; the output goes to launcher.log in the run's folder
+    #[arg(long)]
+    pub detach: bool,
+    /// Set by `--detach` for the process in the background.
+    #[arg(long, hide = true)]
+    pub in_background: bool,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -84,6 +93,14 @@ pub enum UpError {
     /// A process cannot be started.
     #[error("cannot start the fleet: {0}")]
     Start(#[from] std::io::Error),
+    /// The fleet in the background did not start.
+    #[error("the fleet did not start; its last words in {log}:\n{words}")]
+    Background {
+        /// Path of the log.
+        log: PathBuf,
+        /// End of the log.
+        words: String,
+    },
     /// The final maps cannot be written.
     #[error(transparent)]
     Map(#[from] formats::map_file::MapFileError),
@@ -91,20 +108,19 @@ pub enum UpError {
 
 impl UpArgs {
     fn config(&self) -> Result<FleetConfig, ConfigError> {
-        let mut config = self.fleet.config()?;
-        config.fleet.port = self.port.unwrap_or(config.fleet.port);
-        config.bridge.allow.extend(&self.allow);
-        if self.trust_lan {
-            config.bridge.drive = bridge::Permission::Anyone;
-        }
-        if let Some(domain) = self.ros_domain {
-            (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
-            config.check()?;
-        }
-        Ok(config)
+        self.fleet.config_with(|config| {
+            config.fleet.port = self.port.unwrap_or(config.fleet.port);
+            config.bridge.allow.extend(&self.allow);
+            if self.trust_lan {
+                config.bridge.drive = bridge::Permission::Anyone;
+            }
+            if let Some(domain) = self.ros_domain {
+                (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
+            }
+        })
     }
 
-    fn folder(&self) -> PathBuf {
+    pub(super) fn folder(&self) -> PathBuf {
         self.run_dir.clone().unwrap_or_else(|| PathBuf::from("runs").join(folder_name_now()))
     }
 }
@@ -134,6 +150,18 @@ impl FleetHooks for NoHooks {
     }
 }
 
+/// Runs a fleet to its end, or starts it in the background if `--detach` is given.
+pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), UpError> {
+    if args.detach && !args.in_background {
+        return detach::start(&args.folder());
+    }
+    if args.in_background {
+        // A session of its own: the end of the terminal does not reach it.
+        rustix::process::setsid().map_err(std::io::Error::from)?;
+    }
+    run(args, hooks, &Stop::on_signals()?).map(drop)
+}
+
 /// Runs a fleet from start to end, writes its maps and report into the run's folder, and returns the report.
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
     let config = args.config()?;
@@ -145,10 +173,10 @@ pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Rep
         why,
     })?;
     let port = listener.local_addr()?.port();
-    let run = Run::create(&args.folder(), config, port)?;
+    let run = Run::create(&args.folder(), config, port, args.in_background)?;
     sessions::create_folder(&sessions::folder(&run), &fleet::known_starts(&run.config)?)
         .map_err(FleetError::from)?;
-    let mut screen = Screen::new(&run);
+    let mut screen = Screen::new(&run, args.in_background);
     let mut supervisor = Supervisor::start(&run, listener)?;
     let result = watch(&run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
     supervisor.end();
@@ -169,14 +197,14 @@ fn watch(
 ) -> Result<Report, UpError> {
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
     let mut console = OperatorConsole::new(run);
-    let mut events = Events::default();
+    let (mut events, mut rates) = (Events::default(), ScanRates::default());
     hooks.on_start(run)?;
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
     loop {
         let mut tell = |event: String| {
             screen.show_event(&event);
-            events.push(event);
+            events.push(begun.elapsed(), event);
         };
         if stop.requested() || over() || !hooks.poll(&mut tell) {
             break;
@@ -186,9 +214,11 @@ fn watch(
         for edge in observer.changed_edges() {
             let event = edge.to_string();
             screen.show_event(&event);
-            events.push(event);
+            events.push(begun.elapsed(), event);
         }
-        if has_new_stats && let Some(fleet) = fleet_view(&observer, console.refresh()) {
+        if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refresh()) {
+            rates.add(&fleet);
+            rates.fill(&mut fleet);
             screen.show(&fleet, console.help(), begun.elapsed(), seconds);
         }
         if let Some(done) = console.handle_key() {
@@ -201,12 +231,16 @@ fn watch(
     observer.poll();
     let maps = observer.write_maps(&run.dir)?;
     observer.changed_edges();
-    let fleet = fleet_view(&observer, console.newest());
+    let mut fleet = fleet_view(run, &observer, console.newest());
+    if let Some(fleet) = &mut fleet {
+        rates.add(fleet);
+        rates.fill(fleet);
+    }
     Ok(Report::new(run, begun.elapsed(), fleet, operator, maps, events))
 }
 
-fn fleet_view(observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
-    let view = FleetView::new(observer.stats()?);
+fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
+    let view = FleetView::new(observer.stats()?).without_given_transforms(&run.config);
     Some(FleetView { bridge, merge_edges: observer.merge_edges(), ..view })
 }
 

@@ -77,6 +77,8 @@ pub struct FaultPlan {
     full: Vec<Window>,
     /// Intervals in which the disk is full.
     disk_full: Vec<Window>,
+    /// Intervals in which the network between clients and the bridge is cut.
+    cut: Vec<Window>,
     /// Intervals in which the queue from a scan path to its back end has room for nodes only.
     events_lost: Vec<Window>,
     faults: Vec<(Monotonic, Fault)>,
@@ -91,6 +93,7 @@ impl FaultPlan {
             disturbances: Vec::new(),
             full: Vec::new(),
             disk_full: Vec::new(),
+            cut: Vec::new(),
             events_lost: Vec::new(),
             faults: Vec::new(),
         }
@@ -180,6 +183,16 @@ impl FaultPlan {
     /// Returns whether the disk is full now.
     pub fn is_disk_full(&self, now: Monotonic) -> bool {
         self.disk_full.iter().any(|window| window.contains(now))
+    }
+
+    /// Returns whether the network between clients and the bridge is cut now.
+    pub fn is_cut(&self, now: Monotonic) -> bool {
+        self.cut.iter().any(|window| window.contains(now))
+    }
+
+    /// Returns when the network that is cut now is whole again.
+    pub fn cut_until(&self, now: Monotonic) -> Option<Monotonic> {
+        self.cut.iter().filter(|window| window.contains(now)).map(|window| window.until).max()
     }
 
     /// Returns whether events of scan paths other than nodes are lost now.

@@ -1,10 +1,11 @@
 //! The processes of a fleet in lockstep: the components that run live, started, stopped and killed like processes.
 
 use super::memory_storage::MemoryStorage;
-use super::operator::Operator;
 use super::queues::{MemoryPorts, Network};
+use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
 use crate::ports::Clock;
+use crate::process::bridge::BridgeProcess;
 use crate::process::graph::GraphWorker;
 use crate::process::merge::{self, MapDrawing};
 use crate::process::sim::Simulation;
@@ -16,7 +17,6 @@ use crate::processes::ProcessRow;
 use crate::run::Run;
 use crate::supervisor::restarts::RestartPolicy;
 use msg::{Monotonic, Pose2, RobotId, Role};
-use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -28,10 +28,8 @@ pub struct World {
     pub network: Rc<Network>,
     /// The run's folder.
     pub storage: MemoryStorage,
-    /// Whether the operator drives all robots at once.
-    pub together: bool,
-    /// The operator sends no velocity until then.
-    pub idle_until: Rc<Cell<Monotonic>>,
+    /// The bridge's TCP port.
+    pub port: Rc<Port>,
 }
 
 /// One process of the fleet, running or ended.
@@ -62,7 +60,7 @@ enum Body {
     Slam(Box<SlamBody>),
     Merge(Box<(MapDrawing<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<Figures<MemoryPorts>>),
-    Operator(Box<Operator<MemoryPorts>>),
+    Bridge(Box<BridgeServer<MemoryStorage>>),
 }
 
 /// A SLAM process, and what it took from its queues to process next.
@@ -135,8 +133,11 @@ impl Member {
         }
         let Thread { ports, due } = &self.threads[thread];
         let woken = *due <= now || ports.is_notified();
-        let Some(Body::Slam(slam)) = &mut self.body else { return woken };
-        woken || slam.take_next(thread, world)
+        match &mut self.body {
+            Some(Body::Slam(slam)) => woken || slam.take_next(thread, world),
+            Some(Body::Bridge(server)) => woken || server.has_input(),
+            _ => woken,
+        }
     }
 
     /// Runs one step of a thread.
@@ -149,7 +150,7 @@ impl Member {
             (Body::Merge(merge), 0) => merge.0.step(),
             (Body::Merge(merge), _) => merge.1.step(),
             (Body::Telemetry(figures), _) => figures.step(),
-            (Body::Operator(operator), _) => operator.step(),
+            (Body::Bridge(server), _) => server.step(),
         };
     }
 }
@@ -179,8 +180,9 @@ impl Body {
             }
             Role::Telemetry => Self::Telemetry(Box::new(Figures::open(&ports[0], run)?)),
             Role::Bridge => {
-                let idle_until = world.idle_until.clone();
-                Self::Operator(Box::new(Operator::open(&ports[0], run, world.together, idle_until)?))
+                let process = BridgeProcess::open(&ports[0], run, world.storage.clone())?;
+                let frame_bytes_max = run.config.bridge.frame_bytes_max;
+                Self::Bridge(Box::new(BridgeServer::new(process, world.port.clone(), frame_bytes_max)))
             }
         })
     }

@@ -1,193 +1,151 @@
-//! The operator of a fleet in lockstep: the scripted tour, with the data that a client of the bridge receives.
+//! The operator of a fleet in lockstep: the scripted tour as a ros_tcp client of the bridge.
 
-use crate::channel;
-use crate::clock::Epoch;
-use crate::ports::{ChannelError, Clock, Ports, ReadMapPort, ReadPort, WritePort};
-use crate::process::Component;
-use crate::process::heartbeat::{HealthCounters, Heartbeat};
+use super::client::Client;
+use super::queues::Network;
+use super::tcp::Port;
+use crate::ports::Clock;
 use crate::run::Run;
-use msg::{
-    Correction, DenseMap, MapTransforms, Monotonic, Odometry, Pose2, RobotId, Role, Scan, VelocityCommand,
-};
-use nav::{ExplorationTour, FleetObservation, MapView, RobotObservation, ScanView, TourConfig};
+use bridge::ros;
+use msg::{Monotonic, RobotId, Stamp};
+use nav::{DriveCommand, ExplorationTour, FleetObservation, RobotObservation, TourConfig, Twist};
 use operator::joystick::SimulatedJoystick;
-use std::cell::Cell;
+use operator::link_statistics::MessageContent;
+use operator::world_state::{RobotState, WorldState, decode_maps};
+use std::net::SocketAddr;
 use std::rc::Rc;
+use std::time::Duration;
 
-/// The operator acts at 20 Hz, as a headset's stick is read.
-const PERIOD_NS: u64 = 50_000_000;
+/// Period of the operator's control loop: a headset's stick is read at 20 Hz.
+const PERIOD: Duration = Duration::from_millis(50);
+/// Time between two attempts to connect, as the connector waits.
+const RETRY_PERIOD: Duration = Duration::from_secs(1);
+/// Address of the operator's client.
+const PEER: ([u8; 4], u16) = ([127, 0, 0, 1], 50_001);
 
 /// Drives the robots by the scripted tour.
-pub struct Operator<P: Ports> {
+pub struct Operator {
+    client: Client,
+    network: Rc<Network>,
+    run: Run,
+    world: WorldState,
     tour: Option<ExplorationTour>,
     joystick: SimulatedJoystick,
     together: bool,
-    robots: Vec<RobotInputs<P>>,
-    merged_map: MapInput<P>,
-    map_transforms: P::Reader<MapTransforms>,
-    newest_transforms: MapTransforms,
-    heartbeat: Heartbeat<P>,
-    clock: P::Clock,
-    epoch: Epoch,
-    due: Monotonic,
+    /// The robot that it selected last on this connection.
+    selected: Option<RobotId>,
+    retry_at: Monotonic,
+    /// Moment at which it acts next.
+    pub due: Monotonic,
     /// No velocity is sent until then.
-    idle_until: Rc<Cell<Monotonic>>,
+    pub idle_until: Monotonic,
 }
 
-/// A map as the operator receives it.
-struct MapInput<P: Ports> {
-    reader: P::MapReader,
-    grid: DenseMap,
-    drawn: bool,
-}
-
-impl<P: Ports> MapInput<P> {
-    fn new(reader: P::MapReader) -> Self {
-        Self { reader, grid: DenseMap::default(), drawn: false }
-    }
-
-    fn poll(&mut self) {
-        if self.reader.poll() {
-            self.grid.update(self.reader.map());
-            self.drawn = true;
-        }
-    }
-
-    fn view(&self) -> Option<MapView<'_>> {
-        if self.drawn { MapView::from_log_odds(self.grid.view()) } else { None }
-    }
-}
-
-/// The data that the operator receives of one robot, and its stick.
-struct RobotInputs<P: Ports> {
-    robot: RobotId,
-    corrections: P::Reader<Correction>,
-    odometry: P::Reader<Odometry>,
-    scans: P::Reader<Scan>,
-    map: MapInput<P>,
-    commands: P::Writer<VelocityCommand>,
-    map_from_odom: Option<Pose2>,
-    odom_from_base: Pose2,
-    scan: Option<<P::Reader<Scan> as ReadPort<Scan>>::Received>,
-}
-
-impl<P: Ports> Operator<P> {
-    /// Opens the channels. `together`: drives all robots at once, not one after the other. No velocity is sent before
-    /// `idle_until`.
-    pub fn open(
-        ports: &P,
-        run: &Run,
-        together: bool,
-        idle_until: Rc<Cell<Monotonic>>,
-    ) -> Result<Self, ChannelError> {
+impl Operator {
+    /// Creates an operator that connects at once. `together`: it drives all robots at once, each by its own topic, not
+    /// the selected one after the other.
+    pub fn new(network: &Rc<Network>, port: &Rc<Port>, run: &Run, together: bool) -> Self {
         let config = TourConfig { seed: run.config.fleet.seed, ..TourConfig::default() };
-        let clock = ports.clock();
-        Ok(Self {
+        let mut client = Client::new(port, SocketAddr::from(PEER));
+        client.subscribe("/tf", "tf2_msgs/TFMessage");
+        client.subscribe("/merged_map", "nav_msgs/OccupancyGrid");
+        client.subscribe("/selected_robot", "std_msgs/Int32");
+        client.subscribe("/emergency_stop", "std_msgs/Bool");
+        for robot in run.robots() {
+            client.subscribe(&format!("/{robot}/scan"), "sensor_msgs/LaserScan");
+            client.subscribe(&format!("/{robot}/map"), "nav_msgs/OccupancyGrid");
+            client.advertise::<ros::Twist>(&velocity_topic(robot));
+        }
+        client.advertise::<ros::Int32>("/selected_robot");
+        client.advertise::<ros::Twist>("/cmd_vel");
+        Self {
+            client,
+            network: network.clone(),
+            world: WorldState::default(),
             tour: ExplorationTour::new(config, run.robots()),
             joystick: SimulatedJoystick::default(),
             together,
-            robots: run.robots().map(|robot| RobotInputs::open(ports, robot)).collect::<Result<_, _>>()?,
-            merged_map: MapInput::new(ports.map_reader(&channel::merged_map())?),
-            map_transforms: ports.reader(&channel::map_transforms())?,
-            newest_transforms: MapTransforms::default(),
-            heartbeat: Heartbeat::new(ports, run, Role::Bridge, None)?,
-            epoch: run.epoch,
-            due: clock.now(),
-            clock,
-            idle_until,
-        })
+            selected: None,
+            retry_at: Monotonic(0),
+            due: Monotonic(0),
+            idle_until: Monotonic(0),
+            run: run.clone(),
+        }
     }
 
-    fn drive(&mut self) {
-        let Some(tour) = &mut self.tour else { return };
-        let stamp = self.epoch.stamp(self.clock.now());
-        let merged = self.merged_map.view();
-        let robots: Vec<RobotObservation<'_>> =
-            self.robots.iter().map(|robot| robot.observation(merged, &self.newest_transforms)).collect();
-        let observation = FleetObservation { stamp, robots: &robots };
-        let mut drive_commands = Vec::new();
-        if self.together {
-            tour.step_all(&observation, &mut drive_commands);
-        } else {
-            drive_commands.push(tour.step_in_turn(&observation));
-        }
-        drop(robots);
-        if self.clock.now() < self.idle_until.get() {
+    fn on_disconnected(&mut self, retry_at: Monotonic) {
+        self.world.on_disconnected();
+        (self.selected, self.retry_at) = (None, retry_at);
+    }
+
+    /// Reads what has arrived and drives, at [`PERIOD`].
+    pub fn step(&mut self) {
+        let now = self.network.clock().now();
+        if now < self.due {
             return;
         }
-        for drive_command in drive_commands {
-            let twist = self.joystick.drive(stamp, &drive_command);
-            self.robots[drive_command.robot.index()].commands.send_with(|command| {
-                command.header.stamp = stamp;
-                command.linear_m_s = twist.linear_m_s;
-                command.angular_rad_s = twist.angular_rad_s;
-            });
+        self.due = (self.due + PERIOD).max(now);
+        let stamp = self.run.epoch.stamp(now);
+        self.receive(stamp);
+        if self.client.is_connected() {
+            self.drive(now, stamp);
+        } else if self.retry_at <= now {
+            self.client.connect();
+            self.on_disconnected(now + RETRY_PERIOD);
+        }
+    }
+
+    fn receive(&mut self, stamp: Stamp) {
+        let (world, network) = (&mut self.world, &self.network);
+        self.client.receive(|topic, payload| {
+            network.record("operator", topic, payload);
+            if let Ok(content) = MessageContent::decode(topic, payload) {
+                let _ = world.store(stamp, topic, payload, content);
+            }
+        });
+        let maps = decode_maps(self.world.take_encoded_maps());
+        self.world.store_maps(maps);
+    }
+
+    fn drive(&mut self, now: Monotonic, stamp: Stamp) {
+        let Some(tour) = &mut self.tour else { return };
+        let states: Vec<RobotState> = self.run.robots().map(|robot| self.world.robot(stamp, robot)).collect();
+        let robots: Vec<RobotObservation<'_>> = states.iter().map(RobotState::observation).collect();
+        let observation = FleetObservation { stamp, robots: &robots };
+        let mut commands = Vec::new();
+        if self.together {
+            tour.step_all(&observation, &mut commands);
+        } else {
+            commands.push(tour.step_in_turn(&observation));
+        }
+        if now < self.idle_until {
+            return;
+        }
+        for command in commands {
+            let twist = match self.world.is_emergency_stopped() {
+                true => Twist::STOP,
+                false => self.joystick.drive(stamp, &command),
+            };
+            self.publish_velocity(DriveCommand { twist, ..command });
+        }
+    }
+
+    fn publish_velocity(&mut self, command: DriveCommand) {
+        let Twist { linear_m_s, angular_rad_s } = command.twist;
+        let twist = ros::Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
+        if self.together {
+            return self.client.publish(&velocity_topic(command.robot), &twist);
+        }
+        if self.selected != Some(command.robot) {
+            self.selected = Some(command.robot);
+            return self.client.publish("/selected_robot", &ros::Int32(command.robot.number() as i32));
+        }
+        if self.world.selected_robot() == Some(command.robot.number() as i32) {
+            self.client.publish("/cmd_vel", &twist);
         }
     }
 }
 
-impl<P: Ports> Component for Operator<P> {
-    fn step(&mut self) -> Monotonic {
-        self.merged_map.poll();
-        if let Some(transforms) = self.map_transforms.newest() {
-            self.newest_transforms = *transforms;
-        }
-        self.robots.iter_mut().for_each(RobotInputs::poll);
-        let now = self.clock.now();
-        if now >= self.due {
-            self.drive();
-            self.due = Monotonic((self.due.0 + PERIOD_NS).max(now.0));
-        }
-        self.heartbeat.publish_if_due(HealthCounters::default);
-        self.due
-    }
-}
-
-impl<P: Ports> RobotInputs<P> {
-    fn open(ports: &P, robot: RobotId) -> Result<Self, ChannelError> {
-        Ok(Self {
-            robot,
-            corrections: ports.reader(&channel::correction(robot))?,
-            odometry: ports.reader(&channel::odometry(robot))?,
-            scans: ports.reader(&channel::scan(robot))?,
-            map: MapInput::new(ports.map_reader(&channel::map(robot))?),
-            commands: ports.writer(&channel::command(robot))?,
-            map_from_odom: None,
-            odom_from_base: Pose2::IDENTITY,
-            scan: None,
-        })
-    }
-
-    fn poll(&mut self) {
-        if let Some(correction) = self.corrections.newest() {
-            self.map_from_odom = Some(correction.map_from_odom);
-        }
-        if let Some(odometry) = self.odometry.newest() {
-            self.odom_from_base = odometry.odom_from_base;
-        }
-        if let Some(scan) = self.scans.newest() {
-            self.scan = Some(scan);
-        }
-        self.map.poll();
-    }
-
-    /// Returns the robot for the tour: in its own map while its transform to the merged one is unknown.
-    fn observation<'a>(
-        &'a self,
-        merged: Option<MapView<'a>>,
-        transforms: &MapTransforms,
-    ) -> RobotObservation<'a> {
-        let transform = transforms.robots[self.robot.index()];
-        let is_merged = transform.known != 0;
-        let map_from_robot_map = if is_merged { transform.map_from_robot_map } else { Pose2::IDENTITY };
-        RobotObservation {
-            robot: self.robot,
-            map: if is_merged { merged } else { self.map.view() },
-            in_merged_map: is_merged,
-            map_from_base: self
-                .map_from_odom
-                .map(|map_from_odom| map_from_robot_map * map_from_odom * self.odom_from_base),
-            scan: self.scan.as_deref().map(ScanView::from_burger_scan),
-        }
-    }
+/// Returns the topic of one robot's velocities.
+pub fn velocity_topic(robot: RobotId) -> String {
+    format!("/cmd_vel_{}", robot.number())
 }

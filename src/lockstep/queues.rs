@@ -91,6 +91,11 @@ impl Network {
         self.openings.borrow().clone()
     }
 
+    /// Records a message that a client received on a topic, beside those of the channels.
+    pub fn record(&self, client: &str, topic: &str, payload: &[u8]) {
+        self.sent.borrow_mut().push((format!("{client}{topic}").into(), payload.to_vec()));
+    }
+
     /// Passes on the messages that were sent since the last call.
     pub fn report_messages(&self, observer: MessageObserver<'_>) {
         for (name, bytes) in self.sent.take() {

@@ -99,7 +99,7 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<Rc<Bridge>, E
     };
     let config = run.config.bridge.clone();
     let bridge = match run.config.world {
-        World::Simulator => Bridge::new(config, run.config.fleet.robots, send)?,
+        World::Simulator => Bridge::new(config, run.config.robot_names(), send)?,
         World::Headset | World::Ros => {
             let (world, epoch) = (outside::open_world(ports, run)?, run.epoch);
             Bridge::with_external_world(config, world, move |now| epoch.stamp(now), send)?

@@ -27,7 +27,7 @@ pub fn open_world<P: Ports + 'static>(ports: &P, run: &Run) -> Result<ExternalWo
     let mut robots =
         run.robots().map(|robot| RobotWriters::<P>::open(ports, robot)).collect::<Result<Vec<_>, _>>()?;
     let mut clock = ports.writer(&channel::clock())?;
-    Ok(ExternalWorld::new(run.config.fleet.robots, move |message| match message {
+    Ok(ExternalWorld::new(run.config.robot_names(), move |message| match message {
         WorldMessage::Scan(robot, scan) => robots[robot.index()].scan.send(scan),
         WorldMessage::Odometry(robot, odometry) => robots[robot.index()].odometry.send(odometry),
         WorldMessage::Transforms(robot, transforms) => robots[robot.index()].transforms.send(transforms),

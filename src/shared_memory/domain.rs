@@ -2,12 +2,60 @@
 
 use super::failed;
 use crate::ports::ChannelError;
+use crate::runtime_folder::Lock;
 use iceoryx2::node::NodeView;
 use iceoryx2::prelude::*;
+use std::collections::BTreeMap;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path as FsPath, PathBuf};
+use std::time::Duration;
 
 /// Folder of the system's shared memory.
 pub const SHARED_MEMORY: &str = "/dev/shm";
+
+/// Start of the names of all files of fleets in shared memory.
+const PREFIX: &str = "mrslam_";
+/// Number of parts of a fleet's name: the launcher's process id and a random number, with `_` between them.
+const NAME_PARTS: usize = 2;
+/// Hexadecimal digits of the random number.
+const RANDOM_DIGITS: usize = 8;
+/// Name of the file that the launcher holds locked, at the end of its path.
+const PROGRESS: &str = "progress";
+/// Age after which files without that file are leftovers: it is made first.
+const UNLOCKED_AGE_MAX: Duration = Duration::from_secs(60);
+
+/// Removes the files of this user's fleets whose launchers are dead. Files of other users stay.
+pub fn remove_leftovers() {
+    remove_leftovers_in(FsPath::new(SHARED_MEMORY));
+}
+
+fn remove_leftovers_in(folder: &FsPath) {
+    let user = rustix::process::geteuid().as_raw();
+    let mut is_dead = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let file_name = entry.file_name().to_string_lossy().into_owned();
+        let Some(rest) = file_name.strip_prefix(PREFIX) else { continue };
+        let parts: Vec<&str> = rest.splitn(NAME_PARTS + 1, '_').collect();
+        let [pid, random, _] = parts[..] else { continue };
+        let Ok(about) = entry.path().symlink_metadata() else { continue };
+        let is_name = pid.bytes().all(|byte| byte.is_ascii_digit())
+            && random.len() == RANDOM_DIGITS
+            && random.bytes().all(|byte| byte.is_ascii_hexdigit());
+        if !is_name || about.uid() != user || !about.is_file() {
+            continue;
+        }
+        let name = format!("{pid}_{random}");
+        let lock = folder.join(format!("{PREFIX}{name}_{PROGRESS}"));
+        let is_old = || about.modified().ok().and_then(|at| at.elapsed().ok()) > Some(UNLOCKED_AGE_MAX);
+        let dead = *is_dead.entry(name).or_insert_with(|| match lock.exists() {
+            true => !Lock::is_held(&lock),
+            false => is_old(),
+        });
+        if dead {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
 
 /// Names of one run in shared memory. Two runs on one machine have different names.
 #[derive(Clone, Debug)]
@@ -18,11 +66,11 @@ pub struct Domain {
 }
 
 impl Domain {
-    /// `name`: letters, digits, `_`; unique on the machine (the launcher's process id is).
-    pub fn new(name: &str) -> Result<Self, ChannelError> {
-        let prefix = format!("mrslam_{name}_");
-        // Short, because sockets live below it and their paths have 108 bytes.
-        let root = std::env::temp_dir().join(format!("mrslam-{name}"));
+    /// `name`: letters, digits, `_`; unique on the machine. `root`: the run's private folder; short, because sockets
+    /// live below it and their paths have 108 bytes.
+    pub fn new(name: &str, root: &FsPath) -> Result<Self, ChannelError> {
+        let prefix = format!("{PREFIX}{name}_");
+        let root = root.to_path_buf();
         let mut config = Config::default();
         config.global.prefix =
             FileName::new(prefix.as_bytes()).map_err(failed("a run cannot be called", name))?;
@@ -55,9 +103,9 @@ impl Domain {
         }
     }
 
-    /// Returns the path of a file of the run in the shared memory of the system; [`Domain::remove`] removes it.
-    pub fn shared_file(&self, name: &str) -> PathBuf {
-        FsPath::new(SHARED_MEMORY).join(format!("{}{name}", self.prefix))
+    /// Returns the path of the file with the progress of the run's threads; [`Domain::remove`] removes it.
+    pub fn progress_file(&self) -> PathBuf {
+        FsPath::new(SHARED_MEMORY).join(format!("{}{PROGRESS}", self.prefix))
     }
 
     pub(super) fn config(&self) -> &Config {
@@ -67,5 +115,32 @@ impl Domain {
     /// Returns the folder of the run's sockets and service files.
     pub fn root(&self) -> &FsPath {
         &self.root
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_files_of_dead_launchers_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, "").unwrap();
+            path
+        };
+        let dead = [file("mrslam_1_aaaaaaaa_progress"), file("mrslam_1_aaaaaaaa_data")];
+        let _lock = Lock::acquire(&file("mrslam_2_bbbbbbbb_progress")).unwrap().unwrap();
+        // A live fleet, one that is just starting, and what is not ours.
+        let kept = [
+            file("mrslam_2_bbbbbbbb_data"),
+            file("mrslam_3_cccccccc_data"),
+            file("mrslam_x_data"),
+            file("other_1_aaaaaaaa_x"),
+        ];
+        remove_leftovers_in(folder.path());
+        assert!(dead.iter().all(|path| !path.exists()));
+        assert!(kept.iter().all(|path| path.exists()));
     }
 }

@@ -1,7 +1,7 @@
 //! Progress of the fleet's threads: a counter for each in a small file of the run's shared memory.
 //!
 //! A thread counts on in its loop. The launcher reads all counters at once, and so sees which thread stands still. The
-//! file is written and read as a file: nobody waits for anybody.
+//! file is written and read as a file: nobody waits for anybody. The launcher holds its lock, which says that the fleet lives.
 
 use super::watchdog::{ThreadSample, ThreadState};
 use crate::clock::now;
@@ -9,10 +9,10 @@ use crate::config::FleetConfig;
 use crate::processes;
 use crate::shared_memory::Domain;
 use msg::{Monotonic, RobotId, Role};
+use rustix::fs::{FlockOperation, flock};
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
-use std::path::PathBuf;
 use std::time::Duration;
 
 /// Bytes of a thread's entry: its count and its id in the operating system, each 8 bytes.
@@ -32,10 +32,6 @@ pub enum WatchedThread {
 impl WatchedThread {
     /// Number of watched threads of a process.
     pub const COUNT: usize = 2;
-}
-
-fn file_path(domain: &Domain) -> PathBuf {
-    domain.shared_file("progress")
 }
 
 /// Entry of a thread as it was read.
@@ -58,8 +54,10 @@ impl ProgressBoard {
     pub fn create(domain: &Domain, processes: usize) -> io::Result<Self> {
         let bytes = vec![0; processes * WatchedThread::COUNT * ENTRY_BYTES];
         let mut options = OpenOptions::new();
-        let file = options.read(true).write(true).create_new(true).mode(0o600).open(file_path(domain))?;
+        let file =
+            options.read(true).write(true).create_new(true).mode(0o600).open(domain.progress_file())?;
         file.write_all_at(&bytes, 0)?;
+        flock(&file, FlockOperation::NonBlockingLockExclusive)?;
         Ok(Self { file, bytes })
     }
 
@@ -110,7 +108,7 @@ impl ProgressCounter {
         thread: WatchedThread,
     ) -> Self {
         let index = processes::of_fleet(config).position(|(row, of)| row.role == role && of == robot);
-        let file = OpenOptions::new().write(true).open(file_path(domain)).ok();
+        let file = OpenOptions::new().write(true).open(domain.progress_file()).ok();
         Self {
             file: file.filter(|_| index.is_some()),
             offset: entry_offset(index.unwrap_or(0), thread) as u64,
@@ -178,7 +176,8 @@ mod tests {
     #[test]
     fn the_launcher_reads_what_a_thread_counts() {
         let config = FleetConfig::default();
-        let domain = Domain::new(&format!("progress_{}", std::process::id())).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let domain = Domain::new(&format!("{}_progress", std::process::id()), folder.path()).unwrap();
         let processes = processes::of_fleet(&config).count();
         let mut board = ProgressBoard::create(&domain, processes).unwrap();
         assert!(ProgressBoard::create(&domain, processes).is_err(), "an existing file is never taken over");
@@ -193,7 +192,7 @@ mod tests {
         board.read().unwrap();
         assert_eq!(board.entry(merge, WatchedThread::Second), Entry::default());
         domain.remove();
-        assert!(!file_path(&domain).exists());
+        assert!(!domain.progress_file().exists());
         // Nobody watches any more: the thread works on.
         ProgressCounter::open(&domain, &config, Role::Merge, None, WatchedThread::Main).advance();
     }

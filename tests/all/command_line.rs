@@ -1,6 +1,9 @@
 //! Command line: printing into a closed pipe, and the choice among several running fleets.
 
 use crate::harness::{Folder, mr_slam, output};
+use mr_slam::runtime_folder::Lock;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::PathBuf;
 use std::process::Stdio;
 
 #[test]
@@ -20,24 +23,30 @@ fn help_lists_the_tools_and_hides_the_workers() {
     assert!(output(&["worker", "slam", "--help"]).status.success());
 }
 
-/// Describes a run that seems to be alive in a folder for temporary files.
-fn pretend_run(temporary: &Folder, pid: u32) -> String {
-    let dir = temporary.path().join(format!("run-{pid}"));
-    std::fs::create_dir_all(&dir).unwrap();
-    let run =
-        serde_json::json!({ "pid": pid, "domain": pid.to_string(), "epoch_ns": 0, "begun_ns": 1, "port": 0 });
+/// Describes a run that seems to be alive in a folder for temporary files. It does as long as the lock is held.
+fn pretend_run(temporary: &Folder, number: u32) -> (String, Lock) {
+    let private = |path: PathBuf| {
+        std::fs::DirBuilder::new().recursive(true).mode(0o700).create(&path).unwrap();
+        path
+    };
+    let user = rustix::process::geteuid().as_raw();
+    let home = private(temporary.path().join(format!("mr-slam-{user}")));
+    let runtime = private(home.join(number.to_string()));
+    let dir = private(temporary.path().join(format!("run-{number}")));
+    let run = serde_json::json!({
+        "pid": number, "domain": "test", "runtime": runtime, "epoch_ns": 0, "begun_ns": 1, "port": 0
+    });
     std::fs::write(dir.join("run.json"), run.to_string()).unwrap();
-    let pointer = temporary.path().join(format!("mrslam-{pid}"));
-    std::fs::create_dir_all(&pointer).unwrap();
-    std::fs::write(pointer.join("run-dir"), dir.as_os_str().as_encoded_bytes()).unwrap();
-    dir.display().to_string()
+    std::fs::write(dir.join("fleet.toml"), "").unwrap();
+    std::fs::write(runtime.join("run-dir"), dir.as_os_str().as_encoded_bytes()).unwrap();
+    (dir.display().to_string(), Lock::acquire(&runtime.join("lock")).unwrap().unwrap())
 }
 
 #[test]
 fn a_change_must_name_the_run_if_several_fleets_run() {
     let temporary = Folder::new();
-    // Process 1 always lives, and so does this one.
-    let runs = [1, std::process::id()].map(|pid| pretend_run(&temporary, pid));
+    let (runs, _locks): (Vec<String>, Vec<Lock>) =
+        [1, 2].iter().map(|number| pretend_run(&temporary, *number)).unzip();
     for words in [
         &["release"][..],
         &["allow", "10.0.0.1"],
@@ -45,7 +54,12 @@ fn a_change_must_name_the_run_if_several_fleets_run() {
         &["edges", "undo", "1", "2"],
         &["slam", "1", "pause"],
     ] {
-        let ended = mr_slam().args(words).env("TMPDIR", temporary.path()).output().unwrap();
+        let ended = mr_slam()
+            .args(words)
+            .env("TMPDIR", temporary.path())
+            .env("XDG_RUNTIME_DIR", temporary.path())
+            .output()
+            .unwrap();
         let error = String::from_utf8_lossy(&ended.stderr).into_owned();
         assert!(!ended.status.success(), "{words:?}");
         assert!(
@@ -58,13 +72,17 @@ fn a_change_must_name_the_run_if_several_fleets_run() {
 #[test]
 fn stop_is_latched_in_every_fleet_whether_it_answers_or_not() {
     let temporary = Folder::new();
-    let runs = [1, std::process::id()].map(|pid| pretend_run(&temporary, pid));
-    let stop = || mr_slam().arg("stop").env("TMPDIR", temporary.path()).output().unwrap();
+    let runs = [1, 2].map(|number| pretend_run(&temporary, number));
+    let stop = || {
+        let mut command = mr_slam();
+        command.arg("stop").env("TMPDIR", temporary.path()).env("XDG_RUNTIME_DIR", temporary.path());
+        command.output().unwrap()
+    };
     let ended = stop();
     let said = String::from_utf8_lossy(&ended.stdout).into_owned();
     assert!(ended.status.success(), "{said}");
-    assert!(runs.iter().all(|run| said.contains(run)) && said.contains("latched"), "{said}");
-    for run in &runs {
+    assert!(runs.iter().all(|(run, _)| said.contains(run)) && said.contains("latched"), "{said}");
+    for (run, _) in &runs {
         let file = std::path::Path::new(run).join("stopped");
         std::fs::remove_file(&file).unwrap();
         // A file cannot replace a folder.

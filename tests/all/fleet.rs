@@ -88,3 +88,55 @@ fn a_port_in_use_is_reported_with_the_option_to_change_it() {
     let said = String::from_utf8_lossy(&up.stderr).into_owned();
     assert!(said.contains(&port) && said.contains("--port"), "{said}");
 }
+
+#[test]
+fn a_closed_terminal_ends_a_fleet_with_its_maps_and_report() {
+    let mut fleet = Fleet::start("up", &["--robots", "1"]);
+    fleet.until("a map", |view| view.merged_map.slam_stats[0] > 0.0);
+    // A second fleet may not use the folder of a live one.
+    let dir = fleet.folder.path().to_str().unwrap().to_string();
+    let second = output(&["up", "--port", "0", "--seconds", "1", "--run-dir", &dir]);
+    let said = String::from_utf8_lossy(&second.stderr).into_owned();
+    assert!(!second.status.success() && said.contains("a fleet is running in this folder"), "{said}");
+    let ended = fleet.end(Signal::HUP);
+    assert!(ended.success);
+    for file in ["robot1_map.pgm", "merged_map.png", "report.json"] {
+        assert!(ended.folder.path().join(file).exists(), "no {file}");
+    }
+}
+
+#[test]
+fn a_fleet_removes_what_a_killed_launcher_left() {
+    let mut fleet = Fleet::start("up", &["--robots", "1"]);
+    fleet.until("a scan", |view| view.robots.first().is_some_and(|robot| robot.scans > 0));
+    let killed = fleet.kill();
+    let left = |run: &mr_slam::run::Run| {
+        let prefix = format!("mrslam_{}_", run.pid);
+        let files = std::fs::read_dir("/dev/shm").unwrap().flatten();
+        let files = files.filter(|file| file.file_name().to_string_lossy().starts_with(&prefix)).count();
+        files + usize::from(run.domain.root().exists())
+    };
+    // Another test's fleet may have removed it already.
+    let ended = Fleet::start("up", &["--robots", "1", "--seconds", "1"]).wait();
+    assert!(ended.success);
+    assert_eq!(left(&killed.run), 0);
+}
+
+#[test]
+fn a_detached_fleet_goes_on_and_says_how_to_end_it() {
+    let folder = crate::harness::Folder::new();
+    let dir = folder.path().to_str().unwrap();
+    let up = output(&["up", "--robots", "1", "--port", "0", "--seconds", "60", "--detach", "--run-dir", dir]);
+    let said = String::from_utf8_lossy(&up.stdout).into_owned();
+    assert!(up.status.success(), "{up:?}");
+    let run = mr_slam::run::Run::open_running(folder.path()).unwrap();
+    assert!(said.contains(&format!("kill {}", run.pid)) && said.contains("launcher.log"), "{said}");
+    let of = |pid: u32| rustix::process::getsid(rustix::process::Pid::from_raw(pid as i32)).unwrap();
+    assert_ne!(of(run.pid), of(std::process::id()), "it has a session of its own");
+    crate::harness::send(run.pid, Signal::TERM);
+    let begun = std::time::Instant::now();
+    while !folder.path().join("report.json").exists() {
+        assert!(begun.elapsed() < crate::harness::WATCHDOG, "no report");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}

@@ -114,10 +114,12 @@ impl Fleet {
             .unwrap();
         let mut messages = BufReader::new(child.stderr.take().unwrap());
         let launcher = Launcher(child);
-        // The launcher prints its first line when the run's folder is complete.
+        // The launcher prints this line when the run's folder is complete. It may first remove what killed fleets left.
         let mut line = String::new();
         let limit = KillAfter::new(launcher.0.id(), WATCHDOG);
-        messages.read_line(&mut line).unwrap();
+        while messages.read_line(&mut line).unwrap() > 0 && line.contains("removed what a fleet had left") {
+            line.clear();
+        }
         drop(limit);
         assert!(line.starts_with("fleet of"), "the launcher printed: {line}");
         std::thread::spawn(move || {
@@ -149,6 +151,19 @@ impl Fleet {
     /// Ends the launcher with a signal, as Ctrl-C or `kill` does, and waits for it.
     pub fn end(self, signal: Signal) -> Ended {
         send(self.launcher.0.id(), signal);
+        self.wait()
+    }
+
+    /// Kills the launcher, which then leaves its files behind, and waits until its processes have ended.
+    pub fn kill(mut self) -> Ended {
+        let view = self.until("processes", |view| !view.processes.is_empty());
+        send(self.launcher.0.id(), Signal::KILL);
+        let begun = Instant::now();
+        let lives = |pid: u32| Path::new(&format!("/proc/{pid}")).exists();
+        while view.processes.iter().any(|process| lives(process.pid)) {
+            assert!(begun.elapsed() < WATCHDOG, "processes outlive their launcher: {view:#?}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
         self.wait()
     }
 

@@ -2,130 +2,21 @@
 //! ahead.
 
 use crate::harness::{Fleet, Folder, WATCHDOG, output};
-use bridge::cdr::Writer;
-use bridge::command::{Notice, Registration, name};
-use bridge::frame::{Parser, Side};
-use bridge::ros::{self, FrameNames, NameStyle, TfMessage, TransformStamped, write};
-use bytemuck::Zeroable;
+use crate::headset_app::{AHEAD, Headset};
+use bridge::command::Notice;
+use bridge::frame::Parser;
+use bridge::ros::{self, TfMessage};
 use mr_slam::clock::Epoch;
 use mr_slam::config::FleetConfig;
 use mr_slam::fleet;
-use msg::{Pose2, RobotId, Scan, Stamp, VelocityCommand};
+use msg::{Pose2, Stamp};
 use rustix::process::Signal;
-use sim::Simulator;
-use std::io::{Read, Write};
+use std::io::Read;
 use std::net::TcpStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
 
 const ROBOTS: usize = 2;
-/// Difference of the two clocks in the MR-SLAM paper.
-const AHEAD: Duration = Duration::from_secs(5);
-const OUT: [(&str, &str); 4] = [
-    ("/tf", "tf2_msgs/TFMessage"),
-    ("/clock", "rosgraph_msgs/Clock"),
-    ("/robot1/scan", "sensor_msgs/LaserScan"),
-    ("/robot2/scan", "sensor_msgs/LaserScan"),
-];
-const IN: [(&str, &str); 3] = [
-    ("/tf", "tf2_msgs/TFMessage"),
-    ("/merged_map", "nav_msgs/OccupancyGrid"),
-    ("/robot2/slam_stats", "std_msgs/Float32MultiArray"),
-];
-
-/// The headset's application: it simulates robots that turn in place.
-struct Headset {
-    stream: TcpStream,
-    robots: Vec<(RobotId, Simulator)>,
-    names: FrameNames,
-    frames: Vec<u8>,
-    scan: Box<Scan>,
-}
-
-impl Headset {
-    fn attach(port: u16, config: &FleetConfig) -> Self {
-        let room = fleet::room(config).unwrap();
-        let starts = fleet::starts(config, &room).unwrap();
-        let simulator = |(robot, start)| (robot, fleet::simulator(config, &room, robot, start).unwrap());
-        let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-        let mut frames = bridge::frame::KEEPALIVE.to_vec();
-        for (command, topics) in [(name::SUBSCRIBE, &IN[..]), (name::PUBLISH, &OUT[..])] {
-            for (topic, class) in topics {
-                let about = Registration {
-                    topic: (*topic).into(),
-                    message_name: (*class).into(),
-                    queue_size: 10,
-                    latch: false,
-                };
-                Side::Client.write_command(&mut frames, command, &about);
-            }
-        }
-        (&stream).write_all(&frames).unwrap();
-        Self {
-            stream,
-            robots: RobotId::first(ROBOTS).zip(starts).map(simulator).collect(),
-            names: FrameNames::new(NameStyle::Flat),
-            frames,
-            scan: Box::new(Scan::zeroed()),
-        }
-    }
-
-    fn frame(&mut self, topic: &str, message: impl FnOnce(&mut Writer<'_>)) {
-        Side::Client.write_with(&mut self.frames, topic, |out| message(&mut Writer::new(out)));
-    }
-
-    /// One tick of the world, stamped by the headset's clock.
-    fn tick(&mut self, stamp: Stamp, guarded: bool) {
-        self.frames.clear();
-        self.frame("/clock", |to| write::stamp(to, stamp));
-        for index in 0..self.robots.len() {
-            let (robot, simulator) = &mut self.robots[index];
-            let robot = *robot;
-            simulator.command(&VelocityCommand { angular_rad_s: 0.5, ..VelocityCommand::default() });
-            let tick = simulator.step();
-            let names = self.names.clone();
-            if let Some(mut transforms) = tick.transforms {
-                transforms.header.stamp = stamp;
-                self.frame("/tf", |to| write::transforms(to, &names, robot, &transforms));
-            }
-            if tick.scan_due {
-                let mut scan = self.scan.clone();
-                self.robots[index].1.scan_into(&mut scan);
-                scan.header.stamp = stamp;
-                let (topic, frame) = (format!("/{robot}/scan"), names.link(robot, msg::Link::BaseScan));
-                self.frame(&topic, |to| write::laser_scan(to, frame, &scan));
-            }
-        }
-        if guarded {
-            let correction = TransformStamped {
-                stamp,
-                frame_id: "map".into(),
-                child_frame_id: "odom_1".into(),
-                rotation: [0.0, 0.0, 0.0, 1.0],
-                ..TransformStamped::default()
-            };
-            let tree = TfMessage { transforms: vec![correction] };
-            self.frame("/tf", |to| ros::Message::write(&tree, to));
-        }
-        self.stream.write_all(&self.frames).unwrap();
-    }
-
-    /// Plays until told to stop, in real time: what stamps say is what a clock would.
-    fn play(mut self, stop: &AtomicBool) {
-        let begun = Instant::now();
-        // The headset's time of day.
-        let first = Epoch::unix().stamp(mr_slam::clock::now()) + AHEAD;
-        for tick in 0_u32.. {
-            if stop.load(Ordering::Relaxed) {
-                break;
-            }
-            let at = Simulator::TICK * tick;
-            std::thread::sleep((begun + at).saturating_duration_since(Instant::now()));
-            self.tick(first + at, tick % 100 == 50);
-        }
-    }
-}
 
 /// What came back to the headset.
 #[derive(Default)]
@@ -176,7 +67,7 @@ fn the_world_of_a_headset_is_mapped_on_the_runs_clock() {
     let ears = std::thread::spawn(move || listen(stream));
     let stop = Arc::new(AtomicBool::new(false));
     let stopped = stop.clone();
-    let player = std::thread::spawn(move || headset.play(&stopped));
+    let player = std::thread::spawn(move || headset.play(true, &stopped));
 
     let view = fleet.until("maps of the headset's robots, merged", |view| {
         view.robots.len() == ROBOTS

@@ -3,7 +3,7 @@
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::view::FleetView;
-use msg::{Correction, Odometry, Scan};
+use msg::{Correction, Odometry, Scan, Stamp, Transforms};
 use std::collections::BTreeMap;
 
 /// Every message a fleet says in so many seconds, by channel.
@@ -121,4 +121,61 @@ fn three_robots_map_the_laboratory() {
     assert!(view.room_coverage.is_some_and(|coverage| coverage > 0.8), "{view:?}");
     assert!(view.consistency.is_some_and(|consistency| consistency > 0.9), "{view:?}");
     assert!(view.occupied_f1.is_some_and(|f1| f1 > 0.6), "{view:?}");
+}
+
+/// Messages of one kind of each robot: what the fleet wrote, and what a client received.
+#[derive(Default)]
+struct Traffic<T> {
+    written: Vec<T>,
+    received: Vec<T>,
+}
+
+#[test]
+fn every_transform_reaches_a_client_once_and_in_order() {
+    let mut fleet = Lockstep::new(&config(3, 2), true).unwrap();
+    let mut client = fleet.client(([127, 0, 0, 1], 50_100).into());
+    client.subscribe("/tf", "tf2_msgs/TFMessage");
+    client.connect();
+    let mut links: BTreeMap<String, Traffic<Stamp>> = BTreeMap::new();
+    let mut corrections: BTreeMap<String, Traffic<[f64; 2]>> = BTreeMap::new();
+    for _ in 0..20 * 100 {
+        fleet.tick(&mut |channel, bytes| {
+            let Some((robot, name)) = channel.strip_prefix("robot").and_then(|rest| rest.split_once('/'))
+            else {
+                return;
+            };
+            if name == "transforms" {
+                let message: Transforms = bytemuck::pod_read_unaligned(bytes);
+                links.entry(robot.into()).or_default().written.push(message.header.stamp);
+            } else if name == "correction" {
+                let Correction { map_from_odom, .. } = bytemuck::pod_read_unaligned(bytes);
+                let written = &mut corrections.entry(robot.into()).or_default().written;
+                written.push([map_from_odom.x_m, map_from_odom.y_m]);
+            }
+        });
+        client.receive(|_, payload| {
+            let message: bridge::ros::TfMessage = bridge::ros::decode(payload).unwrap();
+            for transform in message.transforms {
+                let child = transform.child_frame_id.as_str();
+                if let Some(robot) = child.strip_prefix("base_footprint_") {
+                    links.entry(robot.into()).or_default().received.push(transform.stamp);
+                } else if let Some(robot) = child.strip_prefix("odom_") {
+                    let [x_m, y_m, _] = transform.translation;
+                    corrections.entry(robot.into()).or_default().received.push([x_m, y_m]);
+                }
+            }
+        });
+    }
+    assert_eq!((links.len(), corrections.len()), (3, 3));
+    for (robot, Traffic { written, received }) in &links {
+        assert!(written.len() > 390, "robot{robot}: {} messages in 20 s", written.len());
+        assert_eq!(written, received, "transforms of robot{robot}");
+    }
+    for (robot, Traffic { written, received }) in &corrections {
+        assert!(written.len() > 190, "robot{robot}: {} corrections in 20 s", written.len());
+        // A correction may be sent again, never left out.
+        let mut received = received.iter();
+        let lost = written.iter().position(|place| !received.any(|other| other == place));
+        assert_eq!(lost, None, "of robot{robot}'s corrections, this one did not arrive");
+    }
 }

@@ -15,6 +15,7 @@ mod fleet;
 mod glossary;
 mod harness;
 mod headset;
+mod headset_app;
 mod layering;
 mod lockstep;
 mod malformed;

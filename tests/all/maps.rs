@@ -1,11 +1,15 @@
-//! Maps through shared memory: readers that start late, sleep, or lose their writer get its map in the end.
+//! Maps through shared memory: readers that start late, sleep, or lose their writer get its map in the end. And what
+//! the statistics, published maps and map files call free, occupied and unknown is the same.
 
 use crate::harness::WATCHDOG;
+use bridge::cdr::Writer;
+use bridge::ros::{OccupancyGrid, write};
 use mr_slam::channel::{self, Opener, Program};
 use mr_slam::ports::{ReadMapPort, WriteMapPort};
 use mr_slam::shared_memory::{Domain, MapReader, MapWriter, Participant};
+use msg::grid::occupancy;
 use msg::tiles::{MAP_TILES_MAX, TILE, TILE_CELLS};
-use msg::{MapHeader, Rect, Role, TileMap};
+use msg::{GridHeader, GridView, MapHeader, Monotonic, Rect, Role, Stamp, TileMap};
 use std::time::Instant;
 
 /// Shared memory of one test, removed at its end.
@@ -13,7 +17,10 @@ struct Memory(Domain);
 
 impl Memory {
     fn new(name: &str) -> Self {
-        Self(Domain::new(&format!("test{}_{name}", std::process::id())).unwrap())
+        Self({
+            let name = format!("test{}_{name}", std::process::id());
+            Domain::new(&name, &std::env::temp_dir().join(format!("mr-slam-{name}"))).unwrap()
+        })
     }
 
     fn participant(&self, program: Program) -> Participant {
@@ -149,4 +156,32 @@ fn a_map_of_the_largest_size_is_sent_in_bounded_parts() {
     assert!(reader.poll() && same(reader.map(), &map));
     assert_eq!(lots, 64 * 64 / 64 / channel::MAP_MESSAGES_MAX);
     assert_eq!(map.extent().area(), Some(TILE as usize * TILE as usize));
+}
+
+/// One definition of known cells: the paper's coverage and areas, computed from `/merged_map`, are those of
+/// `/robotN/slam_stats`, and a saved map has the same cells.
+#[test]
+fn statistics_published_maps_and_files_count_the_same_cells() {
+    let cells: Vec<i8> = (0..=255_u8).flat_map(|bits| [bits as i8; 3]).collect();
+    let header = GridHeader { width: 32, height: 24, resolution_m: 0.05, ..GridHeader::default() };
+    let map = GridView::new(&header, &cells).unwrap();
+
+    let mut telemetry = telemetry::Telemetry::new(1, None, &[]);
+    telemetry.update_merged_map(map, Monotonic(1));
+    let merged = telemetry.compute_stats(Stamp(0), Monotonic(1)).merged;
+    let counted =
+        [merged.unknown_cells, merged.free_cells, merged.occupied_cells].map(|count| count as usize);
+
+    let mut payload = Vec::new();
+    write::occupancy_grid(&mut Writer::new(&mut payload), "map", &msg::grid::trinary_table(), map);
+    let published: OccupancyGrid = bridge::ros::decode(&payload).unwrap();
+    let of_value = |value: i8| published.data.iter().filter(|cell| **cell == value).count();
+    assert_eq!([-1, 0, 100].map(of_value), counted);
+    assert_eq!(counted.iter().sum::<usize>(), cells.len(), "no other values");
+
+    let folder = tempfile::tempdir().unwrap();
+    formats::map_file::write_map(&folder.path().join("map"), map).unwrap();
+    let saved = formats::map_file::read_map(&folder.path().join("map.yaml")).unwrap();
+    let readings = |cells: &[i8]| cells.iter().map(|cell| occupancy(*cell)).collect::<Vec<_>>();
+    assert_eq!(readings(&saved.cells), readings(&cells), "as map_server reads it");
 }

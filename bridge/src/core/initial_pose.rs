@@ -2,7 +2,7 @@
 
 use super::Core;
 use crate::ros::PoseWithCovarianceStamped;
-use crate::ros::names::{FleetFrame, MAP, parse_frame};
+use crate::ros::names::{FleetFrame, MAP};
 use crate::ros::read::Transform;
 use crate::world::{TransformError, floor_pose};
 use msg::{Pose2, RobotId, SlamRequest, SlamRequestKind};
@@ -91,7 +91,7 @@ impl Core {
     /// Returns the robot whose map a frame is, which must be the robot that the topic names, if it names one.
     fn robot_of_map(&self, named: Option<RobotId>, frame: &str) -> Result<RobotId, InitialPoseError> {
         let robot_count = self.fleet.robot_count();
-        let of = match parse_frame(frame, robot_count) {
+        let of = match self.fleet.robot_names().parse_frame(frame) {
             Some((of, FleetFrame::Map)) if of.number() <= robot_count => of,
             _ => return Err(InitialPoseError::Frame { frame: frame.to_owned() }),
         };

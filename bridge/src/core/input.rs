@@ -9,7 +9,7 @@ use crate::dds::ReceivedMessage;
 use crate::drive::Driver;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
 use crate::input::Input;
-use crate::ros::names::{is_correction, parse_frame};
+use crate::ros::names::RobotNames;
 use crate::ros::read::{self, Transform};
 use crate::ros::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
 use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
@@ -148,7 +148,9 @@ impl Core {
         if let Source::Input(input) = topic.source {
             return self.apply_input(id, input, publication, payload, now);
         }
-        self.router.forward(publication.topic, with_dummy_byte(self.config.payloads, payload));
+        let payload = with_dummy_byte(self.config.payloads, payload);
+        self.router.forward(publication.topic, payload);
+        self.relay_message(id, publication.topic, payload);
         Ok(())
     }
 
@@ -349,10 +351,10 @@ impl Core {
         now: Monotonic,
     ) -> Result<(), InputError> {
         let from = Reader::with(self.config.payloads, payload)?;
-        let robot_count = self.fleet.robot_count();
+        let robots = self.fleet.robot_names().clone();
         let (mut foreign, mut result) = (0, Ok(()));
         read::transforms(&mut from.clone(), |transform| {
-            if is_foreign(&transform, robot_count) {
+            if is_foreign(&transform, &robots) {
                 foreign += 1;
             } else if result.is_ok() && self.world.is_none() {
                 let (parent, child) = (transform.frame_id.to_owned(), transform.child_frame_id.to_owned());
@@ -367,7 +369,7 @@ impl Core {
             self.router.publish(topic, |to| {
                 to.count(foreign);
                 let reread = read::transforms(&mut from.clone(), |transform| {
-                    if is_foreign(&transform, robot_count) {
+                    if is_foreign(&transform, &robots) {
                         let stamp =
                             world.map_or(transform.stamp, |w| w.translate(id.serial, transform.stamp));
                         let (frame, child) = (transform.frame_id, transform.child_frame_id);
@@ -382,7 +384,7 @@ impl Core {
 }
 
 /// Returns whether a transform is not between the fleet's frames.
-fn is_foreign(transform: &Transform<'_>, robot_count: usize) -> bool {
+fn is_foreign(transform: &Transform<'_>, robots: &RobotNames) -> bool {
     let (parent, child) = (transform.frame_id, transform.child_frame_id);
-    parse_frame(child, robot_count).is_none() && !is_correction(parent, child, robot_count)
+    robots.parse_frame(child).is_none() && !robots.is_correction(parent, child)
 }

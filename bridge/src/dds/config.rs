@@ -6,6 +6,32 @@ use serde::{Deserialize, Serialize};
 /// The highest domain whose UDP ports exist (RTPS 2.5, 9.6.1.1).
 const DOMAIN_MAX: u16 = 232;
 
+/// The highest `relayed_topics_max`. RustDDS's cost of discovery grows with every reader and writer.
+const RELAYED_TOPICS_LIMIT: usize = 1024;
+/// Type of velocities on DDS, where a topic is read and written by type.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VelocityMessage {
+    /// geometry_msgs/Twist.
+    #[default]
+    Twist,
+    /// geometry_msgs/TwistStamped.
+    TwistStamped,
+    /// Both, each with its own readers and writers.
+    Either,
+}
+
+impl VelocityMessage {
+    /// Returns the types of the messages, whether each is stamped.
+    pub(crate) fn is_stamped(self) -> &'static [bool] {
+        match self {
+            Self::Twist => &[false],
+            Self::TwistStamped => &[true],
+            Self::Either => &[false, true],
+        }
+    }
+}
+
 /// The table `bridge.dds` of the fleet file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -21,8 +47,11 @@ pub struct DdsConfig {
     pub namespace: String,
     /// Name of the node in the ROS graph.
     pub node: String,
-    /// Whether real robots get TwistStamped on `/robotN/cmd_vel`, as TurtleBots expect from Jazzy on, or Twist.
-    pub stamped_commands: bool,
+    /// Type of velocities on `/cmd_vel`, `/cmd_vel_N` and `/robotN/cmd_vel`: `twist`, `twist_stamped` (TurtleBots and Nav2
+    /// may expect it from Jazzy on), or `either`, which reads and writes both.
+    pub velocity: VelocityMessage,
+    /// Topics, besides the fleet's, that clients and ROS nodes may exchange at a time, 0 to 1024.
+    pub relayed_topics_max: usize,
 }
 
 impl Default for DdsConfig {
@@ -33,7 +62,8 @@ impl Default for DdsConfig {
             loopback_only: true,
             namespace: String::new(),
             node: "mr_slam".into(),
-            stamped_commands: false,
+            velocity: VelocityMessage::Twist,
+            relayed_topics_max: 256,
         }
     }
 }
@@ -43,6 +73,10 @@ impl DdsConfig {
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         if self.domain > DOMAIN_MAX {
             return Err(ConfigError::new("dds.domain", self.domain.to_string(), "domains 0 to 232 exist"));
+        }
+        if self.relayed_topics_max > RELAYED_TOPICS_LIMIT {
+            let value = self.relayed_topics_max.to_string();
+            return Err(ConfigError::new("dds.relayed_topics_max", value, "0 to 1024 topics work"));
         }
         let parts = self.namespace.strip_prefix('/').map(|rest| rest.split('/'));
         let is_valid = self.namespace.is_empty() || parts.is_some_and(|mut parts| parts.all(is_name));

@@ -4,16 +4,23 @@ use super::config::DdsConfig;
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
 use super::graph::Graph;
 use super::inputs::{self, InputTopic, ReceivedMessage};
+use super::link::RosLink;
+use super::relay::TopicRelay;
 use super::services::ServiceServers;
-use super::writers::{TopicWriters, VelocityType};
+use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, Permission};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
+use crate::relay::{RosCommand, RosEvent};
+use crate::ros::RobotNames;
 use crate::transport::Transport;
 use futures::StreamExt;
 use msg::{Monotonic, RobotId, SlamRequest, SlamResponse, VelocityCommand};
-use ros2_client::dds::rustdds::{DomainParticipant, GUID, RTPSEntity, StatusEvented};
+use ros2_client::dds::rustdds::{
+    DomainParticipant, DomainParticipantStatusEvent, GUID, RTPSEntity, StatusEvented,
+};
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
@@ -41,52 +48,61 @@ pub struct DdsEndpoint {
     inputs: Vec<(InputTopic, Rc<RawReader>)>,
     requests: Vec<Rc<RawReader>>,
     participant: DomainParticipant,
+    link: Arc<RosLink>,
     started: Instant,
 }
 
 struct EndpointState {
     writers: TopicWriters,
+    relay: TopicRelay,
     publisher: FleetPublisher,
     services: ServiceServers,
     graph: Graph,
     input_guids: Vec<GUID>,
+    /// Whether readers or writers have come or gone that the graph does not show yet.
+    is_graph_due: bool,
 }
 
 impl DdsEndpoint {
     /// Joins the domain and creates every topic. Blocks for a moment.
     ///
     /// `is_external`: the robots are ROS's own. Their scans, odometry and time are received, and velocities published.
-    pub fn open(config: &BridgeConfig, robot_count: usize, is_external: bool) -> Result<Self, EndpointError> {
+    /// `link`: the link to the bridge.
+    pub fn open(
+        config: &BridgeConfig,
+        robots: impl Into<RobotNames>,
+        is_external: bool,
+        link: Arc<RosLink>,
+    ) -> Result<Self, EndpointError> {
+        let robots: RobotNames = robots.into();
         let dds: &DdsConfig = &config.dds;
         let participant = join_domain(dds)?;
         let node = node_name(dds)?;
         let factory = EntityFactory::new(&participant, node.clone(), &dds.namespace)?;
         let graph = Graph::new(&participant, factory.publisher(), node);
         let graph = graph.map_err(cannot_create("the node graph"))?;
-        let velocity_type = match (is_external, dds.stamped_commands) {
-            (false, _) => VelocityType::None,
-            (true, false) => VelocityType::Twist,
-            (true, true) => VelocityType::TwistStamped,
-        };
-        let writers = TopicWriters::open(&factory, robot_count, velocity_type)?;
+        let writers = TopicWriters::open(&factory, &robots, is_external.then_some(dds.velocity))?;
         let may_drive = may_drive(config);
-        let inputs = inputs::topics(robot_count, is_external, may_drive)
+        let inputs = inputs::topics(&robots, dds.velocity, is_external, may_drive)
             .into_iter()
             .map(|input| factory.input_reader(&input).map(|reader| (input, reader)))
             .collect::<Result<Vec<_>, EndpointError>>()?;
         // Who may not drive may not reset maps either.
-        let services = ServiceServers::open(&factory, if may_drive { robot_count } else { 0 })?;
+        let services = ServiceServers::open(&factory, may_drive.then_some(&robots))?;
         let link_transforms = if is_external { LinkTransforms::ByRobots } else { LinkTransforms::Split };
         let requests = services.request_readers();
         let state = EndpointState {
             writers,
-            publisher: FleetPublisher::new(config.frame_names, robot_count, link_transforms),
+            relay: TopicRelay::new(&participant, factory, link.clone()),
+            publisher: FleetPublisher::new(config.frame_names, &robots, link_transforms),
             services,
             graph,
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
+            is_graph_due: false,
         };
         state.publish_graph();
-        Ok(Self { state: RefCell::new(state), inputs, requests, participant, started: Instant::now() })
+        let (state, started) = (RefCell::new(state), Instant::now());
+        Ok(Self { state, inputs, requests, participant, link, started })
     }
 
     fn now(&self) -> Monotonic {
@@ -95,21 +111,25 @@ impl DdsEndpoint {
 
     /// Returns what has been counted.
     pub fn counters(&self) -> DdsCounters {
-        self.state.borrow().writers.counters()
+        let state = self.state.borrow();
+        let counted = state.writers.counters();
+        let (readers, received) = state.relay.counts();
+        DdsCounters {
+            readers: counted.readers + readers as u32,
+            received: counted.received + received,
+            dropped: counted.dropped + self.link.dropped(),
+            ..counted
+        }
     }
 
     /// Receives messages and requests until it is dropped. Runs inside a [`tokio::task::LocalSet`].
     ///
-    /// `on_message` gets the messages on input topics. `on_request` gets the requests to robots' SLAM, whose answers
+    /// Messages go to the link, and the bridge's commands come from there. `on_request` gets the requests to robots' SLAM, whose answers
     /// come back by [`DdsEndpoint::answer_request`].
-    pub async fn serve(
-        self: Rc<Self>,
-        on_message: impl Fn(ReceivedMessage) + 'static,
-        on_request: impl FnMut(RobotId, SlamRequest) + 'static,
-    ) {
+    pub async fn serve(self: Rc<Self>, on_request: impl FnMut(RobotId, SlamRequest) + 'static) {
         let mut tasks = JoinSet::new();
         self.spawn_request_tasks(&mut tasks, Rc::new(RefCell::new(on_request)));
-        self.spawn_input_tasks(&mut tasks, Rc::new(on_message));
+        self.spawn_input_tasks(&mut tasks);
         let listener = self.participant.status_listener();
         let mut events = listener.as_async_status_stream();
         let mut tick = interval(TICK);
@@ -118,13 +138,11 @@ impl DdsEndpoint {
             tokio::select! {
                 event = events.next() => match event {
                     Some(event) => {
-                        let state = &mut *self.state.borrow_mut();
-                        if state.writers.apply_event(&event, self.now()) {
-                            state.publish_graph();
-                        }
+                        self.state.borrow_mut().apply_event(&event, self.now());
                     }
                     None => return,
                 },
+                command = self.link.next_command() => self.state.borrow_mut().apply(command, self.now()),
                 _ = tick.tick() => self.state.borrow_mut().tick(self.now()),
             }
         }
@@ -151,15 +169,11 @@ impl DdsEndpoint {
         }
     }
 
-    fn spawn_input_tasks(
-        self: &Rc<Self>,
-        tasks: &mut JoinSet<()>,
-        on_message: Rc<impl Fn(ReceivedMessage) + 'static>,
-    ) {
+    fn spawn_input_tasks(self: &Rc<Self>, tasks: &mut JoinSet<()>) {
         let own = self.participant.guid().prefix;
         for (input, reader) in &self.inputs {
             let (input, reader) = (input.clone(), reader.clone());
-            let (endpoint, on_message) = (self.clone(), on_message.clone());
+            let endpoint = self.clone();
             tasks.spawn_local(async move {
                 let mut samples = std::pin::pin!(reader.as_async_stream());
                 while let Some(sample) = samples.next().await {
@@ -168,7 +182,8 @@ impl DdsEndpoint {
                         continue;
                     }
                     endpoint.state.borrow_mut().writers.count_received();
-                    on_message(ReceivedMessage::new(&input, sample.into_value().0.to_vec()));
+                    let message = ReceivedMessage::new(&input, sample.into_value().0.to_vec());
+                    endpoint.link.send_event(RosEvent::Input(message));
                 }
             });
         }
@@ -209,13 +224,35 @@ impl EndpointState {
     /// Publishes which readers and writers the node has.
     fn publish_graph(&self) {
         let (requests, replies) = self.services.guids();
-        let readers = self.input_guids.iter().copied().chain(requests);
-        self.graph.publish(readers, self.writers.guids().chain(replies));
+        let (relay_readers, relay_writers) = self.relay.guids();
+        let readers = self.input_guids.iter().copied().chain(requests).chain(relay_readers);
+        self.graph.publish(readers, self.writers.guids().chain(replies).chain(relay_writers));
+    }
+
+    fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) {
+        let has_changed = self.writers.apply_event(event, now);
+        if self.relay.apply_event(event, now) || has_changed {
+            self.publish_graph();
+        }
+    }
+
+    /// Does what the bridge asks.
+    fn apply(&mut self, command: RosCommand, now: Monotonic) {
+        let topic = command.topic().clone();
+        match self.relay.apply(command, now) {
+            Ok((outcome, has_changed)) => {
+                outcome.into_iter().for_each(|outcome| self.writers.count(outcome));
+                self.is_graph_due |= has_changed;
+            }
+            Err(why) => self.relay.report(topic, &why),
+        }
     }
 
     fn tick(&mut self, now: Monotonic) {
         self.services.tick(now);
-        if self.writers.tick(now) {
+        let is_replaced = self.writers.tick(now);
+        let has_changed = self.relay.tick(now);
+        if std::mem::take(&mut self.is_graph_due) || is_replaced || has_changed {
             self.publish_graph();
         }
         self.publisher.tick(now, &mut self.writers.sink(now));

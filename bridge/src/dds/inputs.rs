@@ -1,13 +1,13 @@
 //! The topics that the endpoint subscribes to, and the messages received on them.
 
+use super::config::VelocityMessage;
 use crate::input::Input;
 use crate::ros::{
-    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, Text, TfMessage,
-    Twist, TwistStamped,
+    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, RobotNames, Text,
+    TfMessage, Twist, TwistStamped,
 };
-use msg::RobotId;
 
-/// A message from DDS that is not decoded yet; for [`crate::Bridge::receive_dds`].
+/// A message from DDS on a topic of the fleet, not decoded yet.
 #[derive(Clone, Debug)]
 pub struct ReceivedMessage {
     input: Input,
@@ -85,24 +85,27 @@ impl InputTopic {
 }
 
 /// Returns all input topics. `may_drive`: commands are accepted.
-pub fn topics(robot_count: usize, is_external: bool, may_drive: bool) -> Vec<InputTopic> {
+pub fn topics(
+    robots: &RobotNames,
+    velocity: VelocityMessage,
+    is_external: bool,
+    may_drive: bool,
+) -> Vec<InputTopic> {
     let mut all = Vec::new();
     if is_external {
-        all.extend(world_topics(robot_count));
+        all.extend(world_topics(robots));
     }
     if may_drive {
-        all.extend(command_topics(robot_count, is_external));
+        all.extend(command_topics(robots, velocity, is_external));
     }
     all
 }
 
 /// Returns the topics of people and planners.
 ///
-/// A topic has one type in ROS: TwistStamped, as Nav2 may send it, has topics of its own. Robots of an external world
-/// subscribe to `/robotN/cmd_vel` themselves.
-fn command_topics(robot_count: usize, is_external: bool) -> Vec<InputTopic> {
+/// Robots of an external world subscribe to `/robotN/cmd_vel` themselves, and one with plain names to `/cmd_vel`.
+fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: bool) -> Vec<InputTopic> {
     let mut all = vec![
-        InputTopic::new::<Twist>("/cmd_vel".into(), Input::SelectedCommand),
         InputTopic::new::<TwistStamped>("/cmd_vel_stamped".into(), Input::SelectedCommand),
         InputTopic::new::<Int32>("/selected_robot".into(), Input::SelectRobot),
         InputTopic::new::<Int32>("/take_control".into(), Input::TakeControl),
@@ -111,28 +114,44 @@ fn command_topics(robot_count: usize, is_external: bool) -> Vec<InputTopic> {
         InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
         InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
     ];
-    for robot in RobotId::first(robot_count) {
-        let command = Input::Command(robot);
-        all.push(InputTopic::new::<Twist>(format!("/cmd_vel_{}", robot.number()), command));
-        let (name, input) = (format!("/{robot}/initialpose"), Input::InitialPose(Some(robot)));
+    let mut add_velocity = |name: &str, input: Input| {
+        for is_stamped in velocity.is_stamped() {
+            all.push(match is_stamped {
+                false => InputTopic::new::<Twist>(name.to_owned(), input),
+                true => InputTopic::new::<TwistStamped>(name.to_owned(), input),
+            });
+        }
+    };
+    if !(is_external && robots.is_plain()) {
+        add_velocity("/cmd_vel", Input::SelectedCommand);
+    }
+    for robot in robots.robots() {
+        add_velocity(&format!("/cmd_vel_{}", robot.number()), Input::Command(robot));
+        if !is_external && !robots.is_plain() {
+            add_velocity(&robots.topic(robot, "cmd_vel"), Input::Command(robot));
+        }
+    }
+    // The topics of a robot with plain names are those above.
+    for robot in robots.robots().filter(|_| !robots.is_plain()) {
+        let (name, input) = (robots.topic(robot, "initialpose"), Input::InitialPose(Some(robot)));
         all.push(InputTopic::new::<PoseWithCovarianceStamped>(name, input));
         if !is_external {
-            all.push(InputTopic::new::<Twist>(format!("/{robot}/cmd_vel"), command));
-            all.push(InputTopic::new::<TwistStamped>(format!("/{robot}/cmd_vel_stamped"), command));
+            let name = robots.topic(robot, "cmd_vel_stamped");
+            all.push(InputTopic::new::<TwistStamped>(name, Input::Command(robot)));
         }
     }
     all
 }
 
 /// Returns the topics of robots of an external world.
-fn world_topics(robot_count: usize) -> Vec<InputTopic> {
+fn world_topics(robots: &RobotNames) -> Vec<InputTopic> {
     let mut all = vec![
         InputTopic::new::<TfMessage>("/tf".into(), Input::Transforms),
         InputTopic::new::<Clock>("/clock".into(), Input::Clock),
     ];
-    for robot in RobotId::first(robot_count) {
-        all.push(InputTopic::new::<LaserScan>(format!("/{robot}/scan"), Input::Scan(robot)));
-        all.push(InputTopic::new::<Odometry>(format!("/{robot}/odom"), Input::Odometry(robot)));
+    for robot in robots.robots() {
+        all.push(InputTopic::new::<LaserScan>(robots.topic(robot, "scan"), Input::Scan(robot)));
+        all.push(InputTopic::new::<Odometry>(robots.topic(robot, "odom"), Input::Odometry(robot)));
     }
     all
 }

@@ -5,6 +5,7 @@ use super::entities::{EndpointError, EntityFactory, RawReader, RawWriter};
 use super::raw::Raw;
 use super::topic_writer::stream_qos;
 use crate::cdr::{Reader as CdrReader, Writer};
+use crate::ros::RobotNames;
 use crate::slam_services::{self, SERVICES, Service, ServiceFailure, SlamRequests};
 use msg::{Monotonic, RobotId, SlamOutcome, SlamRequest, SlamResponse};
 use ros2_client::MessageInfo;
@@ -52,15 +53,19 @@ pub struct ServiceServers {
 }
 
 impl ServiceServers {
-    /// Creates every service of every robot.
-    pub fn open(factory: &EntityFactory<'_>, robot_count: usize) -> Result<Self, EndpointError> {
+    /// Creates every service of every robot; `None`: of no robot.
+    pub fn open(factory: &EntityFactory, robots: Option<&RobotNames>) -> Result<Self, EndpointError> {
         let mut servers = Vec::new();
-        for robot in RobotId::first(robot_count) {
+        for (robots, robot) in
+            robots.iter().flat_map(|robots| robots.robots().map(move |robot| (robots, robot)))
+        {
             for service in &SERVICES {
-                servers.push(ServiceServer::open(factory, robot, service)?);
+                let name = robots.topic(robot, service.name);
+                servers.push(ServiceServer::open(factory, robot, &name, service)?);
             }
         }
-        Ok(Self { servers, calls: Vec::new(), calls_begun: 0, paused: vec![false; robot_count] })
+        let paused = vec![false; robots.map_or(0, RobotNames::count)];
+        Ok(Self { servers, calls: Vec::new(), calls_begun: 0, paused })
     }
 
     /// Returns the readers of requests, in order of the servers.
@@ -158,11 +163,12 @@ fn identity(info: &MessageInfo) -> SampleIdentity {
 
 impl ServiceServer {
     fn open(
-        factory: &EntityFactory<'_>,
+        factory: &EntityFactory,
         robot: RobotId,
+        name: &str,
         service: &slam_services::NamedService,
     ) -> Result<Self, EndpointError> {
-        let name = format!("{}/{robot}/{}", factory.namespace(), service.name);
+        let name = format!("{}{name}", factory.namespace());
         let qos = stream_qos(REPLY_DEPTH);
         let (package, class) = service.service_type.split_once('/').unwrap_or(("", service.service_type));
         let dds_type = |part: &str| format!("{package}::srv::dds_::{class}_{part}_");

@@ -1,86 +1,73 @@
 //! The writers of all topics that the fleet publishes on DDS.
 
+use super::config::VelocityMessage;
 use super::endpoint::DdsCounters;
 use super::entities::{EndpointError, EntityFactory};
-use super::topic_writer::{TopicWriter, WriteOutcome, latched_qos, stream_qos};
+use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::cdr::Writer;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
-use crate::ros::{FrameNames, Message, Twist, TwistStamped, write};
+use crate::ros::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use msg::{Link, Monotonic, RobotId, VelocityCommand};
-use ros2_client::dds::rustdds::dds::CreateResult;
 use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
 
 /// Velocities that a writer keeps for a slow robot: half a minute at 20 Hz.
 const VELOCITY_DEPTH: usize = 1024;
-
-/// How velocities are published to robots of an external world.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum VelocityType {
-    /// Not at all: the robots are simulated.
-    None,
-    /// geometry_msgs/Twist, without a stamp.
-    Twist,
-    /// geometry_msgs/TwistStamped, as TurtleBots expect from Jazzy on.
-    TwistStamped,
-}
 
 /// All writers of the fleet's topics.
 pub struct TopicWriters {
     writers: Vec<TopicWriter>,
     /// Indices of writers, by row of [`OUTGOING_TOPICS`], then by robot; empty if the topic is not on DDS.
     by_topic: [Vec<usize>; OUTGOING_TOPICS.len()],
-    /// Indices of the writers of `/robotN/cmd_vel`, by robot.
-    velocity: Vec<usize>,
-    velocity_type: VelocityType,
+    /// Indices of the writers of `/robotN/cmd_vel`, by robot, and whether each writes TwistStamped.
+    velocity: Vec<Vec<(usize, bool)>>,
     counted: DdsCounters,
 }
 
 impl TopicWriters {
-    /// Creates the writers of a fleet of `robot_count`.
+    /// Creates the writers of a fleet. `velocity`: the robots are external, and get velocities of this type.
     pub fn open(
-        factory: &EntityFactory<'_>,
-        robot_count: usize,
-        velocity_type: VelocityType,
+        factory: &EntityFactory,
+        robots: &RobotNames,
+        velocity: Option<VelocityMessage>,
     ) -> Result<Self, EndpointError> {
         let mut all = Self {
             writers: Vec::new(),
             by_topic: [const { Vec::new() }; OUTGOING_TOPICS.len()],
             velocity: Vec::new(),
-            velocity_type,
             counted: DdsCounters::default(),
         };
-        let is_external = velocity_type != VelocityType::None;
+        let is_external = velocity.is_some();
         for row in OUTGOING_TOPICS.iter().filter(|row| !(is_external && row.robots_publish_it)) {
-            all.by_topic[row.topic as usize] = all.open_topic(factory, row, robot_count)?;
+            all.by_topic[row.topic as usize] = all.open_topic(factory, row, robots)?;
         }
-        let message_type = match velocity_type {
-            VelocityType::None => return Ok(all),
-            VelocityType::Twist => Twist::TYPE,
-            VelocityType::TwistStamped => TwistStamped::TYPE,
-        };
-        for robot in RobotId::first(robot_count) {
-            let name = format!("{}/{robot}/cmd_vel", factory.namespace());
-            let writer = factory.topic_writer(&name, message_type, stream_qos(VELOCITY_DEPTH))?;
-            all.velocity.push(all.writers.len());
-            all.writers.push(writer);
+        let Some(velocity) = velocity else { return Ok(all) };
+        for robot in robots.robots() {
+            let name = format!("{}{}", factory.namespace(), robots.topic(robot, "cmd_vel"));
+            let mut of_robot = Vec::new();
+            for is_stamped in velocity.is_stamped() {
+                let message_type = if *is_stamped { TwistStamped::TYPE } else { Twist::TYPE };
+                of_robot.push((all.writers.len(), *is_stamped));
+                all.writers.push(factory.topic_writer(&name, message_type, stream_qos(VELOCITY_DEPTH))?);
+            }
+            all.velocity.push(of_robot);
         }
         Ok(all)
     }
 
     fn open_topic(
         &mut self,
-        factory: &EntityFactory<'_>,
+        factory: &EntityFactory,
         row: &OutgoingTopic,
-        robot_count: usize,
+        robots: &RobotNames,
     ) -> Result<Vec<usize>, EndpointError> {
         let Some(delivery) = row.dds else { return Ok(Vec::new()) };
         let qos = match delivery {
             Delivery::Latched => latched_qos(),
-            stream => stream_qos(stream.depth(robot_count)),
+            stream => stream_qos(stream.depth(robots.count())),
         };
         let namespace = if row.is_global() { "" } else { factory.namespace() };
         let mut indices = Vec::new();
-        for name in row.names(robot_count) {
+        for name in row.names(robots) {
             let name = format!("{namespace}{name}");
             indices.push(self.writers.len());
             self.writers.push(factory.topic_writer(&name, row.message_type, qos.clone())?);
@@ -112,14 +99,16 @@ impl TopicWriters {
         names: &FrameNames,
         now: Monotonic,
     ) {
-        let Some(index) = self.velocity.get(robot.index()).copied() else { return };
-        let is_stamped = self.velocity_type == VelocityType::TwistStamped;
-        self.write(index, now, |to| {
-            if is_stamped {
-                write::header(to, command.header.stamp, names.link(robot, Link::BaseFootprint));
-            }
-            to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
-        });
+        let writers = self.velocity.get(robot.index()).map_or(0, Vec::len);
+        for writer in 0..writers {
+            let (index, is_stamped) = self.velocity[robot.index()][writer];
+            self.write(index, now, |to| {
+                if is_stamped {
+                    write::header(to, command.header.stamp, names.link(robot, Link::BaseFootprint));
+                }
+                to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
+            });
+        }
     }
 
     fn write(&mut self, index: usize, now: Monotonic, encode: impl FnOnce(&mut Writer<'_>)) {
@@ -127,7 +116,8 @@ impl TopicWriters {
         self.count(outcome);
     }
 
-    fn count(&mut self, outcome: WriteOutcome) {
+    /// Counts what happened to a message.
+    pub fn count(&mut self, outcome: WriteOutcome) {
         match outcome {
             WriteOutcome::Written => self.counted.sent += 1,
             WriteOutcome::Dropped => self.counted.dropped += 1,
@@ -137,25 +127,7 @@ impl TopicWriters {
 
     /// Handles a reader of another participant that has come or gone; returns whether a writer was replaced.
     pub fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) -> bool {
-        use DomainParticipantStatusEvent::{ParticipantLost, ReaderLost, RemoteReaderMatched};
-        let mut replaced = false;
-        let mut record = |result: CreateResult<bool>| replaced |= result.unwrap_or(false);
-        match event {
-            RemoteReaderMatched { local_writer, remote_reader } => {
-                let matched = self.writers.iter_mut().find(|writer| writer.guid() == *local_writer);
-                matched.into_iter().for_each(|writer| record(writer.add_reader(*remote_reader, now)));
-            }
-            ReaderLost { guid, .. } => {
-                let is_lost = |reader: &GUID| reader == guid;
-                self.writers.iter_mut().for_each(|writer| record(writer.remove_readers(is_lost)));
-            }
-            ParticipantLost { id, .. } => {
-                let is_lost = |reader: &GUID| reader.prefix == *id;
-                self.writers.iter_mut().for_each(|writer| record(writer.remove_readers(is_lost)));
-            }
-            _ => {}
-        }
-        replaced
+        topic_writer::apply_event(self.writers.iter_mut(), event, now)
     }
 
     /// Retries what could not be written; returns whether a writer was replaced.
@@ -194,5 +166,10 @@ impl TopicSink for DdsSink<'_> {
             let outcome = self.writers.writers[to].write_bytes(self.now, bytes);
             self.writers.count(outcome);
         }
+    }
+
+    fn is_subscribed(&self, topic: FleetTopic) -> bool {
+        let of_topic = &self.writers.by_topic[topic as usize];
+        of_topic.iter().any(|index| self.writers.writers[*index].readers() > 0)
     }
 }

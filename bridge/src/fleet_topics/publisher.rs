@@ -1,8 +1,9 @@
 //! Selects the topics of a message of the fleet, and encodes the message for each.
 
+use super::map_updates::MapUpdates;
 use super::table::FleetTopic;
 use crate::cdr::Writer;
-use crate::ros::{FrameNames, NameStyle, names, write};
+use crate::ros::{FrameNames, NameStyle, RobotNames, names, write};
 use msg::{
     Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, RobotId, Scan, Stamp,
     Transforms,
@@ -30,7 +31,7 @@ pub enum FleetMessage<'a> {
     Clock(&'a Clock),
     /// A robot's whole map: `/robotN/map`.
     Map(RobotId, GridView<'a>),
-    /// The map of all robots: `/merged_map`, and `/map` on DDS.
+    /// The map of all robots: `/merged_map`, `/map`, `/map_updates` and `/merged_map_probability`.
     MergedMap(GridView<'a>),
     /// The fleet's statistics: `/robotN/slam_stats` of every robot.
     Stats(&'a FleetStats),
@@ -44,7 +45,10 @@ pub trait TopicSink {
     fn send(&mut self, topic: FleetTopic, robot: Option<RobotId>, encode: impl FnOnce(&mut Writer<'_>));
 
     /// Sends the newest message of a latched topic on another topic, without encoding it again.
-    fn send_again(&mut self, _topic: FleetTopic, _newest_of: FleetTopic) {}
+    fn send_again(&mut self, topic: FleetTopic, newest_of: FleetTopic);
+
+    /// Returns whether somebody subscribes to a topic of the whole fleet.
+    fn is_subscribed(&self, topic: FleetTopic) -> bool;
 }
 
 /// How the transforms between a robot's own links are published.
@@ -60,10 +64,13 @@ pub enum LinkTransforms {
 
 /// Publishes the fleet's messages on a transport's topics.
 pub struct FleetPublisher {
-    robot_count: usize,
+    robots: RobotNames,
     names: FrameNames,
+    /// Published value of each cell value: free, occupied or unknown.
+    trinary: [i8; 256],
     /// Percent of occupation for each cell value.
     percent: [i8; 256],
+    map_updates: MapUpdates,
     link_transforms: LinkTransforms,
     /// Each robot's transforms, once seen; filled only if they are [`LinkTransforms::Split`].
     static_transforms: Vec<Option<Transforms>>,
@@ -73,23 +80,25 @@ pub struct FleetPublisher {
 }
 
 impl FleetPublisher {
-    /// Creates the publisher of robots 1 to `robot_count`.
-    pub fn new(style: NameStyle, robot_count: usize, link_transforms: LinkTransforms) -> Self {
+    /// Creates the publisher of a fleet.
+    pub fn new(style: NameStyle, robots: &RobotNames, link_transforms: LinkTransforms) -> Self {
         Self {
-            robot_count,
-            names: FrameNames::new(style),
+            robots: robots.clone(),
+            names: FrameNames::new(style, robots),
+            trinary: msg::grid::trinary_table(),
             percent: msg::grid::percent_table(),
+            map_updates: MapUpdates::default(),
             link_transforms,
-            static_transforms: vec![None; robot_count],
+            static_transforms: vec![None; robots.count()],
             map_transforms: None,
             map_transforms_due: None,
             now: Stamp(0),
         }
     }
 
-    /// Returns the number of robots.
-    pub fn robot_count(&self) -> usize {
-        self.robot_count
+    /// Returns the robots' names.
+    pub fn robots(&self) -> &RobotNames {
+        &self.robots
     }
 
     /// Returns the names of the robots' frames.
@@ -108,7 +117,7 @@ impl FleetPublisher {
     }
 
     fn has(&self, robot: RobotId) -> bool {
-        robot.number() <= self.robot_count
+        robot.number() <= self.robots.count()
     }
 
     /// Publishes a message on its topics. Messages of robots that the fleet does not have are dropped.
@@ -131,8 +140,8 @@ impl FleetPublisher {
                 self.publish_correction(robot, correction, sink);
             }
             FleetMessage::Map(robot, map) if self.has(robot) => {
-                let (frame, percent) = (self.names.map(robot), &self.percent);
-                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, frame, percent, map);
+                let (frame, values) = (self.names.map(robot), &self.trinary);
+                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, frame, values, map);
                 sink.send(FleetTopic::Map, Some(robot), encode);
             }
             FleetMessage::Scan(..)
@@ -145,19 +154,31 @@ impl FleetPublisher {
                 self.now = clock.header.stamp;
                 sink.send(FleetTopic::Clock, None, |to| write::stamp(to, clock.header.stamp));
             }
-            FleetMessage::MergedMap(map) => {
-                let percent = &self.percent;
-                let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, percent, map);
-                sink.send(FleetTopic::MergedMap, None, encode);
-                sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
-            }
+            FleetMessage::MergedMap(map) => self.publish_merged_map(map, sink),
             FleetMessage::Stats(stats) => {
-                for robot in RobotId::first(self.robot_count) {
+                for robot in self.robots.robots() {
                     let encode = |to: &mut Writer<'_>| write::slam_stats(to, &stats.robots[robot.index()]);
                     sink.send(FleetTopic::SlamStats, Some(robot), encode);
                 }
             }
             FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
+        }
+    }
+
+    /// Publishes the merged map, and what changed in it since the last one.
+    fn publish_merged_map(&mut self, map: GridView<'_>, sink: &mut impl TopicSink) {
+        let (trinary, percent) = (&self.trinary, &self.percent);
+        let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, trinary, map);
+        sink.send(FleetTopic::MergedMap, None, encode);
+        sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
+        let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, percent, map);
+        sink.send(FleetTopic::MergedMapProbability, None, encode);
+        if !sink.is_subscribed(FleetTopic::MapUpdates) {
+            self.map_updates.clear();
+        } else if let Some(area) = self.map_updates.changed_area(map) {
+            let encode =
+                |to: &mut Writer<'_>| write::occupancy_grid_update(to, names::MAP, trinary, map, area);
+            sink.send(FleetTopic::MapUpdates, None, encode);
         }
     }
 
@@ -183,7 +204,7 @@ impl FleetPublisher {
 
     /// Publishes the fixed transforms of all robots seen so far: the newest message is the only one kept.
     fn publish_static_transforms(&self, sink: &mut impl TopicSink) {
-        let all = RobotId::first(self.robot_count).zip(&self.static_transforms);
+        let all = self.robots.robots().zip(&self.static_transforms);
         let seen: Vec<_> = all.filter_map(|(robot, seen)| Some((robot, seen.as_ref()?))).collect();
         sink.send(FleetTopic::StaticTransforms, None, |to| {
             write::some_transforms(to, &self.names, &seen, Link::is_fixed);
@@ -195,10 +216,26 @@ impl FleetPublisher {
             // Nobody else may say the time there.
             self.now = self.now.max(correction.header.stamp);
         }
+        let Some(correction) = self.in_published_map(correction) else { return };
         let (names, frame) = (&self.names, self.names.map(robot));
+        let correction = &correction;
         sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, correction));
-        let encode = |to: &mut Writer<'_>| write::correction(to, names, robot, correction);
+        // Where odometry was never known, `odom` lies nowhere: no transform is sent.
+        let Some(map_from_odom) = correction.map_from_odom() else { return };
+        let stamp = correction.header.stamp;
+        let encode = |to: &mut Writer<'_>| write::map_from_odom(to, names, robot, stamp, map_from_odom);
         sink.send(FleetTopic::Transforms, None, encode);
+    }
+
+    /// Returns a correction in the map that its frame names: a robot with plain names has the merged map alone.
+    ///
+    /// `None` while that map's transform is not known.
+    fn in_published_map(&self, correction: &Correction) -> Option<Correction> {
+        if !self.robots.is_plain() {
+            return Some(*correction);
+        }
+        let transform = self.map_transforms.as_ref()?.robots[0];
+        (transform.known == 1).then(|| correction.transformed(transform.map_from_robot_map))
     }
 
     fn set_map_transforms(&mut self, transforms: &MapTransforms, sink: &mut impl TopicSink) {
@@ -212,7 +249,8 @@ impl FleetPublisher {
     /// Publishes the transforms from the robots' maps to the merged map with the newest time of the run.
     pub fn publish_map_transforms(&mut self, sink: &mut impl TopicSink) {
         let Some(transforms) = &self.map_transforms else { return };
-        if transforms.robots.iter().all(|robot| robot.known != 1) {
+        // A robot with plain names has no map of its own.
+        if self.robots.is_plain() || transforms.robots.iter().all(|robot| robot.known != 1) {
             return;
         }
         let stamp = self.now.max(transforms.header.stamp);

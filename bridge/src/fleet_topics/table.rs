@@ -1,11 +1,10 @@
 //! The table of the topics that the fleet publishes. It drives their registration on TCP and on DDS.
 
 use crate::ros::{
-    Bool, Clock, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, Odometry,
-    PoseWithCovarianceStamped, Text, TfMessage,
+    Bool, Clock, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, Odometry,
+    PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
 };
 use crate::router::DEPTH_DEFAULT;
-use msg::RobotId;
 
 /// Identifies a row of [`OUTGOING_TOPICS`], in the order of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +29,10 @@ pub enum FleetTopic {
     MergedMap,
     /// The same map under the name that RViz and Nav2 expect.
     MergedMapAlias,
+    /// The cells of `/map` that changed since it was published last.
+    MapUpdates,
+    /// The map of all robots with the probability of each cell.
+    MergedMapProbability,
     /// The edges between the robots' maps, as JSON.
     MergeEdges,
     /// The robot that `/cmd_vel` drives.
@@ -84,6 +87,8 @@ const DDS_TRANSFORMS_DEPTH: usize = 8192;
 const DDS_ODOMETRY_DEPTH: usize = 1024;
 const DDS_SCAN_DEPTH: usize = 512;
 const DDS_STATS_DEPTH: usize = 64;
+/// Updates of the map that a DDS writer keeps for a slow reader: 2 s at 5 Hz, for each may be as long as the map.
+const DDS_MAP_UPDATES_DEPTH: usize = 10;
 
 const fn stream(depth: usize) -> Option<Delivery> {
     Some(Delivery::Stream { depth })
@@ -105,7 +110,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 13] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 15] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -155,8 +160,19 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 13] = [
         ..row(FleetTopic::MergedMap, "/merged_map", OccupancyGrid::TYPE, "merged_map")
     },
     OutgoingTopic {
+        tcp: LATCHED,
         dds: LATCHED,
         ..row(FleetTopic::MergedMapAlias, "/map", OccupancyGrid::TYPE, "merged_map")
+    },
+    OutgoingTopic {
+        tcp: stream(DEPTH_DEFAULT),
+        dds: stream(DDS_MAP_UPDATES_DEPTH),
+        ..row(FleetTopic::MapUpdates, "/map_updates", OccupancyGridUpdate::TYPE, "merged_map")
+    },
+    OutgoingTopic {
+        tcp: stream(1),
+        dds: stream(1),
+        ..row(FleetTopic::MergedMapProbability, "/merged_map_probability", OccupancyGrid::TYPE, "merged_map")
     },
     OutgoingTopic {
         tcp: LATCHED,
@@ -185,10 +201,18 @@ impl OutgoingTopic {
         matches!(self.topic, FleetTopic::Transforms | FleetTopic::StaticTransforms | FleetTopic::Clock)
     }
 
-    /// Returns the ROS names in a fleet of `robot_count`, in order of the robots.
-    pub fn names(&self, robot_count: usize) -> Vec<String> {
+    /// Returns whether the topic has no messages of its own: it repeats those of `/merged_map`.
+    pub(crate) fn is_alias(&self) -> bool {
+        self.topic == FleetTopic::MergedMapAlias
+    }
+
+    /// Returns the ROS names in a fleet, in order of the robots.
+    ///
+    /// A robot with plain names has no map of its own: its map would be `/map`, which is the fleet's.
+    pub fn names(&self, robots: &RobotNames) -> Vec<String> {
         match self.name.strip_prefix(ROBOT_PREFIX) {
-            Some(rest) => RobotId::first(robot_count).map(|robot| format!("/{robot}/{rest}")).collect(),
+            Some(_) if self.topic == FleetTopic::Map && robots.is_plain() => Vec::new(),
+            Some(rest) => robots.robots().map(|robot| robots.topic(robot, rest)).collect(),
             None => vec![self.name.to_owned()],
         }
     }
@@ -219,7 +243,10 @@ mod tests {
 
     #[test]
     fn a_topic_per_robot_is_named_after_each_robot() {
-        assert_eq!(FleetTopic::Scan.row().names(2), ["/robot1/scan", "/robot2/scan"]);
-        assert_eq!(FleetTopic::Clock.row().names(2), ["/clock"]);
+        assert_eq!(FleetTopic::Scan.row().names(&2.into()), ["/robot1/scan", "/robot2/scan"]);
+        assert_eq!(FleetTopic::Clock.row().names(&2.into()), ["/clock"]);
+        let plain = RobotNames::new(vec![String::new()]).unwrap();
+        assert_eq!(FleetTopic::Scan.row().names(&plain), ["/scan"]);
+        assert!(FleetTopic::Map.row().names(&plain).is_empty(), "/map is the merged map");
     }
 }

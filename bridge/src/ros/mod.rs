@@ -17,8 +17,8 @@ pub use message::{
     Bool, Clock, Empty, Float32MultiArray, Int32, Message, Text, TfMessage, TransformStamped, Twist,
     TwistStamped, decode, decode_as, encode, encode_as,
 };
-pub use names::{FrameNames, NameStyle};
-pub use sensor::{LaserScan, OccupancyGrid, Odometry, PoseWithCovarianceStamped};
+pub use names::{FrameNames, NameStyle, RobotNameError, RobotNames};
+pub use sensor::{LaserScan, OccupancyGrid, OccupancyGridUpdate, Odometry, PoseWithCovarianceStamped};
 
 #[cfg(test)]
 mod tests;

@@ -149,7 +149,7 @@ pub struct OccupancyGrid {
     pub position: [f64; 3],
     /// Orientation: unit quaternion x, y, z, w.
     pub orientation: [f64; 4],
-    /// Occupancy in percent, row-major from the lowest row; -1 is unknown.
+    /// 0 free, 100 occupied, -1 unknown, or percent if graded; row-major from the lowest row.
     pub data: Vec<i8>,
 }
 
@@ -172,6 +172,50 @@ impl Message for OccupancyGrid {
         write::header(to, self.stamp, &self.frame_id);
         let size = (self.width, self.height);
         write::map_info(to, self.stamp, self.resolution, size, self.position, self.orientation);
+        to.byte_seq_with(self.data.len(), |bytes| {
+            bytes.iter_mut().zip(&self.data).for_each(|(byte, cell)| *byte = *cell as u8);
+        });
+    }
+}
+
+/// map_msgs/OccupancyGridUpdate: a rectangle of a map that was published before.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OccupancyGridUpdate {
+    /// Time of the newest content.
+    pub stamp: Stamp,
+    /// Frame of the map.
+    pub frame_id: String,
+    /// First column of the map's that the rectangle replaces.
+    pub x: i32,
+    /// First row of the map's that the rectangle replaces.
+    pub y: i32,
+    /// Number of cells along x.
+    pub width: u32,
+    /// Number of cells along y.
+    pub height: u32,
+    /// Values as in [`OccupancyGrid::data`].
+    pub data: Vec<i8>,
+}
+
+impl Message for OccupancyGridUpdate {
+    const TYPE: &'static str = "map_msgs/OccupancyGridUpdate";
+    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let (stamp, frame_id) = read_header(from)?;
+        let (x, y) = (from.i32("x")?, from.i32("y")?);
+        let (width, height) = (from.u32("width")?, from.u32("height")?);
+        let data = from.byte_seq("data")?;
+        if u64::from(width) * u64::from(height) != data.len() as u64 {
+            return Err(DecodeError::GridSize { width, height, cells: data.len() });
+        }
+        let data = data.iter().map(|byte| *byte as i8).collect();
+        Ok(Self { stamp, frame_id, x, y, width, height, data })
+    }
+    fn write(&self, to: &mut Writer<'_>) {
+        write::header(to, self.stamp, &self.frame_id);
+        to.i32(self.x);
+        to.i32(self.y);
+        to.u32(self.width);
+        to.u32(self.height);
         to.byte_seq_with(self.data.len(), |bytes| {
             bytes.iter_mut().zip(&self.data).for_each(|(byte, cell)| *byte = *cell as u8);
         });

@@ -4,8 +4,7 @@ use super::*;
 use crate::cdr::Writer;
 use bytemuck::Zeroable;
 use msg::{
-    Correction, GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp,
-    Transforms,
+    GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp, Transforms,
 };
 use proptest::prelude::*;
 use std::fmt::Debug;
@@ -138,11 +137,11 @@ proptest! {
     }
 
     #[test]
-    fn cells_become_percent(cells in prop::collection::vec(any::<i8>(), 0..300), filled in 0_usize..300) {
+    fn cells_become_table_values(cells in prop::collection::vec(any::<i8>(), 0..300), filled in 0_usize..300) {
         let mut cells = cells;
         let end = filled.min(cells.len());
         cells[..end].fill(msg::grid::UNKNOWN);
-        let table = msg::grid::percent_table();
+        let table = msg::grid::trinary_table();
         let header = GridHeader { width: cells.len() as u32, height: 1, resolution_m: 0.05, ..Default::default() };
         let mut out = Vec::new();
         write::occupancy_grid(&mut Writer::new(&mut out), "map", &table, GridView::new(&header, &cells).unwrap());
@@ -218,7 +217,7 @@ fn a_scan_is_encoded_field_by_field() {
 
 #[test]
 fn all_transforms_have_their_frame_names() {
-    let names = FrameNames::new(NameStyle::Flat);
+    let names = FrameNames::new(NameStyle::Flat, &3.into());
     let mut links = Transforms { header: header(7), len: 3, ..Default::default() };
     let link = |parent: u32, child: u32| LinkTransform { parent, child, ..Default::default() };
     links.links[0] = link(Link::Odom as u32, Link::BaseFootprint as u32);
@@ -231,11 +230,10 @@ fn all_transforms_have_their_frame_names() {
         tree.transforms.iter().map(|t| (t.frame_id.as_str(), t.child_frame_id.as_str())).collect();
     assert_eq!(edges, [("odom_2", "base_footprint_2"), ("base_link_2", "base_scan_2")]);
 
-    let correction =
-        Correction { map_from_odom: Pose2::new(1.0, 2.0, 0.6), header: header(9), ..Default::default() };
+    let map_from_odom = Pose2::new(1.0, 2.0, 0.6);
     out.clear();
-    let slash = FrameNames::new(NameStyle::Slash);
-    write::correction(&mut Writer::new(&mut out), &slash, robot(3), &correction);
+    let slash = FrameNames::new(NameStyle::Slash, &3.into());
+    write::map_from_odom(&mut Writer::new(&mut out), &slash, robot(3), header(9).stamp, map_from_odom);
     let tree: TfMessage = decode(&out).unwrap();
     assert_eq!(tree.transforms[0].frame_id, "robot3/map");
     assert_eq!(tree.transforms[0].child_frame_id, "robot3/odom");

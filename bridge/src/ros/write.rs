@@ -3,8 +3,8 @@
 use crate::cdr::{Dialect, Writer};
 use crate::ros::names::{FrameNames, MAP};
 use msg::{
-    Correction, GridView, Link, LinkTransform, MapTransforms, Odometry, Pose2, RobotId, RobotStats, Scan,
-    Stamp, Transforms,
+    Correction, GridView, Link, LinkTransform, MapTransforms, Odometry, Pose2, Rect, RobotId, RobotStats,
+    Scan, Stamp, Transforms,
 };
 
 /// Writes builtin_interfaces/Time: whole seconds and the remaining nanoseconds.
@@ -119,10 +119,16 @@ pub fn some_transforms(
 }
 
 /// Writes tf2_msgs/TFMessage with the transform that SLAM owns: the robot's map from its odometry (REP-105).
-pub fn correction(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Correction) {
+pub fn map_from_odom(
+    to: &mut Writer<'_>,
+    names: &FrameNames,
+    robot: RobotId,
+    stamp: Stamp,
+    map_from_odom: Pose2,
+) {
     to.count(1);
     let (map, odom) = (names.map(robot), names.link(robot, Link::Odom));
-    planar_transform(to, message.header.stamp, map, odom, message.map_from_odom);
+    planar_transform(to, stamp, map, odom, map_from_odom);
 }
 
 /// Writes geometry_msgs/PoseWithCovarianceStamped: SLAM's pose of the robot in its map.
@@ -174,21 +180,42 @@ pub fn slam_stats(to: &mut Writer<'_>, stats: &RobotStats) {
     float_array(to, &[free, occupied, unknown, total as f32, size[0], size[1], size[2]]);
 }
 
-/// Writes nav_msgs/OccupancyGrid. `percent` is [`msg::grid::percent_table`].
-pub fn occupancy_grid(to: &mut Writer<'_>, frame_id: &str, percent: &[i8; 256], grid: GridView<'_>) {
+/// Writes nav_msgs/OccupancyGrid. `values` is [`msg::grid::trinary_table`] or [`msg::grid::percent_table`].
+pub fn occupancy_grid(to: &mut Writer<'_>, frame_id: &str, values: &[i8; 256], grid: GridView<'_>) {
     let GridView { header: about, cells } = grid;
     let (position, orientation) = spatial(about.origin);
     let size = (about.width, about.height);
     header(to, about.header.stamp, frame_id);
     map_info(to, about.header.stamp, about.resolution_m as f32, size, position, orientation);
-    to.byte_seq_with(cells.len(), |bytes| percents(bytes, cells, percent));
+    to.byte_seq_with(cells.len(), |bytes| write_values(bytes, cells, values));
+}
+
+/// Writes map_msgs/OccupancyGridUpdate: the cells of `area`, which lies in the grid, as [`occupancy_grid`] has them.
+pub fn occupancy_grid_update(
+    to: &mut Writer<'_>,
+    frame_id: &str,
+    values: &[i8; 256],
+    grid: GridView<'_>,
+    area: Rect,
+) {
+    header(to, grid.header.header.stamp, frame_id);
+    to.i32(area.x0 as i32);
+    to.i32(area.y0 as i32);
+    to.u32(area.width() as u32);
+    to.u32(area.height() as u32);
+    let rows = grid.cells.chunks_exact((grid.header.width as usize).max(1)).skip(area.y0 as usize);
+    to.byte_seq_with(area.width() * area.height(), |bytes| {
+        for (place, row) in bytes.chunks_exact_mut(area.width().max(1)).zip(rows) {
+            write_values(place, &row[area.x0 as usize..area.x1 as usize], values);
+        }
+    });
 }
 
 /// Cells converted together: most of a map is blocks of one value, which are filled without a table look-up each.
 const BLOCK: usize = 64;
 
-fn percents(bytes: &mut [u8], cells: &[i8], percent: &[i8; 256]) {
-    let of = |cell: i8| percent[cell as u8 as usize] as u8;
+fn write_values(bytes: &mut [u8], cells: &[i8], values: &[i8; 256]) {
+    let of = |cell: i8| values[cell as u8 as usize] as u8;
     let (blocks, rest) = cells.as_chunks::<BLOCK>();
     let (places, rest_places) = bytes.as_chunks_mut::<BLOCK>();
     for (place, block) in places.iter_mut().zip(blocks) {

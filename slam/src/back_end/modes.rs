@@ -8,7 +8,6 @@ use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
 use crate::node::{Node, Revision};
 use crate::relocalize::{MapNodes, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
-use crate::session::{Identity, Session};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
 
@@ -236,26 +235,18 @@ impl BackEnd {
         samples.map(|ride| (ride.stamp, poses[ride.node as usize] * ride.node_from_base))
     }
 
-    /// A session to continue from later. `front`: the state of the front end, after exactly the nodes
-    /// that were added here; it is kept if its newest nodes are the map's. `samples`: its scans, if they are to
-    /// be kept.
-    pub fn session(
-        &self,
-        identity: Identity,
-        front: Option<FrontEndState>,
-        samples: &[TrajectorySample],
-    ) -> Session {
+    /// Whether a front end in this state can continue with this map: it made the map's newest node, and the map grows.
+    pub(crate) fn is_continued_by(&self, front: &FrontEndState) -> bool {
         let grows = self.location.relocalizer.is_none() && self.location.localizer.is_none();
-        let same =
-            |front: &FrontEndState| front.next_node.checked_sub(1) == self.numbers.front_ids.last().copied();
-        let front = front.filter(|front| grows && same(front));
-        Session {
-            identity,
-            mode: self.location.mode,
-            back: self.state(),
-            front,
-            samples: self.numbers.samples(samples).collect(),
-        }
+        grows && front.next_node.checked_sub(1) == self.numbers.front_ids.last().copied()
+    }
+
+    /// Every scan's pose relative to its node, those of earlier front ends first.
+    pub(crate) fn all_samples<'a>(
+        &'a self,
+        samples: &'a [TrajectorySample],
+    ) -> impl Iterator<Item = TrajectorySample> + 'a {
+        self.numbers.samples(samples)
     }
 
     /// Counts of relocalization searches by how they ended.

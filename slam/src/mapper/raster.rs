@@ -1,9 +1,9 @@
 //! Rasterization of a node: traces its beams and its swept path through the grid's cells.
 
 use super::swept_positions_m;
-use crate::cloud::PointTransform;
 use crate::config::MapConfig;
 use crate::node::Node;
+use crate::point_transform::PointTransform;
 use msg::grid::{LOG_ODDS_MAX, LOG_ODDS_MIN, LOG_ODDS_PER_STEP, SWEPT_FREE, UNKNOWN};
 use msg::tiles::{OpenTiles, TILE};
 use msg::{Pose2, SweptDisk};

@@ -5,9 +5,10 @@
 //! first, over all positions and headings.
 
 use super::{MapNodes, is_same_place};
-use crate::cloud::{Cloud, PointTransform, floor_i32};
+use crate::cloud::{Cloud, floor_i32};
 use crate::config::{RelocalizeConfig, SlamConfig};
 use crate::likelihood_field::kernel;
+use crate::point_transform::PointTransform;
 use msg::{Pose2, pose::wrap_angle};
 use std::collections::BinaryHeap;
 

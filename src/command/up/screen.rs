@@ -10,16 +10,20 @@ use std::time::{Duration, Instant};
 /// Period of the tables in a log.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 
+/// Period of the tables in the log of a fleet in the background, which may run for weeks: 0.3 MB a day.
+const BACKGROUND_LOG_PERIOD: Duration = Duration::from_secs(600);
+
 /// Terminal or log of the launcher. It writes to standard error; standard output is for results.
 pub(super) struct Screen {
     live: bool,
     lines_shown: usize,
     logged: Option<Instant>,
+    log_period: Duration,
 }
 
 impl Screen {
     /// Prints what is being started.
-    pub fn new(run: &Run) -> Self {
+    pub fn new(run: &Run, in_background: bool) -> Self {
         let Run { dir, port, config, .. } = run;
         note(&format!(
             "fleet of {} robots in {}; headsets connect to port {port}; maps and report go to {}",
@@ -27,7 +31,8 @@ impl Screen {
             config.world_name(),
             dir.display()
         ));
-        Self { live: stderr().is_terminal(), lines_shown: 0, logged: None }
+        let log_period = if in_background { BACKGROUND_LOG_PERIOD } else { LOG_PERIOD };
+        Self { live: stderr().is_terminal(), lines_shown: 0, logged: None, log_period }
     }
 
     /// Prints an event.
@@ -49,7 +54,7 @@ impl Screen {
             };
             note_text(&format!("{up}{text}"));
             self.lines_shown = text.lines().count();
-        } else if self.logged.is_none_or(|logged| logged.elapsed() >= LOG_PERIOD) {
+        } else if self.logged.is_none_or(|logged| logged.elapsed() >= self.log_period) {
             self.logged = Some(Instant::now());
             note(&format!("{clock}\n{}", fleet.table()));
         }

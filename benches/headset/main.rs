@@ -1,0 +1,215 @@
+//! The mode of the paper: the robots live in a headset, and their scans come over a link to SLAM on the laptop.
+//!
+//! `cargo bench --bench headset [-- --seconds 60 --json FILE]`
+//!
+//! Three robots send scans at 10 Hz, transforms at 20 Hz and the clock at 100 Hz, over loopback and over links that stand
+//! for Wi-Fi (see `LINKS`; the paper does not say how its own behaved). Counted is what SLAM received.
+
+#[path = "../../tests/all/headset_app.rs"]
+mod headset_app;
+mod link;
+
+use headset_app::Headset;
+use link::Link;
+use mr_slam::config::{FleetConfig, World};
+use mr_slam::fleet;
+use mr_slam::observer::Observer;
+use mr_slam::run::Run;
+use mr_slam::view::{FleetView, RobotView};
+use serde_json::json;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+const ROBOTS: usize = 3;
+const SEED: u64 = 1;
+const WARM_UP: Duration = Duration::from_secs(4);
+const START_MAX: Duration = Duration::from_secs(20);
+const POLL: Duration = Duration::from_millis(50);
+/// Scan rate of the paper's robots, Hz.
+const PAPER_HZ: f64 = 8.83;
+
+/// A link that passes everything at once; the others change what they say.
+const LOOPBACK: Link = Link {
+    name: "loopback",
+    delay_ms: 0.0,
+    jitter_ms: 0.0,
+    mbit_s: 1e4,
+    loss: 0.0,
+    stall_ms: 0.0,
+    outage_s: [1.0, 0.0],
+};
+/// A 5 GHz network with nobody else on it.
+const QUIET_WIFI: Link = Link {
+    name: "quiet Wi-Fi",
+    delay_ms: 2.0,
+    jitter_ms: 1.5,
+    mbit_s: 100.0,
+    loss: 0.001,
+    stall_ms: 12.0,
+    ..LOOPBACK
+};
+/// A network that others use as well.
+const BUSY_WIFI: Link = Link {
+    name: "busy Wi-Fi",
+    delay_ms: 4.0,
+    jitter_ms: 8.0,
+    mbit_s: 10.0,
+    loss: 0.02,
+    stall_ms: 40.0,
+    ..LOOPBACK
+};
+const LINKS: [Link; 4] = [
+    LOOPBACK,
+    QUIET_WIFI,
+    BUSY_WIFI,
+    Link { name: "Wi-Fi with outages", outage_s: [15.0, 1.0], ..BUSY_WIFI },
+];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let words: Vec<String> = std::env::args().collect();
+    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
+    let length = Duration::from_secs(value("--seconds").map_or(Ok(60), |text| text.parse())?);
+    println!(
+        "{:<20} {:>10} {:>8} {:>16} {:>16}",
+        "link", "scans, Hz", "lost", "TF jitter, ms", "scan to pose, ms"
+    );
+    println!("{:<20} {:>10} {:>8} {:>16} {:>16}", "", "slowest", "", "median   P95", "median   P95");
+    let mut rows = Vec::new();
+    for link in LINKS {
+        let row = measure(link, length)?;
+        println!(
+            "{:<20} {:>10.2} {:>8} {:>8.2} {:>7.2} {:>8.2} {:>7.2}",
+            link.name,
+            row.scan_hz,
+            row.lost,
+            row.jitter_ms[0],
+            row.jitter_ms[1],
+            row.pose_ms[0],
+            row.pose_ms[1]
+        );
+        rows.push(json!({
+            "link": link.name, "scan_hz": row.scan_hz, "scans_lost": row.lost,
+            "tf_jitter_median_ms": row.jitter_ms[0], "tf_jitter_p95_ms": row.jitter_ms[1],
+            "scan_to_pose_median_ms": row.pose_ms[0], "scan_to_pose_p95_ms": row.pose_ms[1],
+        }));
+    }
+    println!("the paper, over its own Wi-Fi: {PAPER_HZ} Hz, TF jitter 6.3 ms (median)");
+    if let Some(path) = value("--json") {
+        let report = json!({ "robots": ROBOTS, "seconds": length.as_secs(), "rows": rows });
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
+    }
+    Ok(())
+}
+
+/// Figures of one link.
+struct Row {
+    /// Rate of the slowest robot's scans at SLAM, Hz.
+    scan_hz: f64,
+    /// Number of scans that were sent and did not reach SLAM, all robots together.
+    lost: u64,
+    /// Largest over the robots: median and 95th percentile.
+    jitter_ms: [f64; 2],
+    pose_ms: [f64; 2],
+}
+
+fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
+    let run = Fleet::start()?;
+    let headset = Headset::attach(link::start(link, run.port, SEED)?, &run.config);
+    let mut reading = headset.stream.try_clone()?;
+    // What the bridge sends is discarded, so that its queues do not fill.
+    std::thread::spawn(move || std::io::copy(&mut reading, &mut std::io::sink()));
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = stop.clone();
+    let player = std::thread::spawn(move || headset.play(false, &stopped));
+    std::thread::sleep(WARM_UP);
+    let before = run.view()?;
+    std::thread::sleep(length);
+    let after = run.view()?;
+    stop.store(true, Ordering::Relaxed);
+    player.join().map_err(|_| "the headset failed")?;
+    let seconds = after.time_s - before.time_s;
+    let pairs = || before.robots.iter().zip(&after.robots);
+    let hz = pairs().map(|(then, now)| (now.scans - then.scans) as f64 / seconds);
+    let worst = |of: fn(&RobotView) -> f32| f64::from(after.robots.iter().map(of).fold(0.0, f32::max));
+    Ok(Row {
+        scan_hz: hz.fold(f64::INFINITY, f64::min),
+        lost: pairs().map(|(then, now)| now.scans_lost - then.scans_lost).sum(),
+        jitter_ms: [
+            worst(|robot| robot.tf_jitter_ms.p50.unwrap_or(f32::INFINITY)),
+            worst(|robot| robot.tf_jitter_ms.p95.unwrap_or(f32::INFINITY)),
+        ],
+        pose_ms: [
+            worst(|robot| robot.scan_to_pose_ms.p50.unwrap_or(f32::INFINITY)),
+            worst(|robot| robot.scan_to_pose_ms.p95.unwrap_or(f32::INFINITY)),
+        ],
+    })
+}
+
+/// A fleet whose robots live in a headset.
+struct Fleet {
+    process: Child,
+    folder: PathBuf,
+    config: FleetConfig,
+    port: u16,
+}
+
+impl Fleet {
+    fn start() -> Result<Self, Box<dyn Error>> {
+        let folder = std::env::temp_dir().join(format!("mr-slam-headset-{}", std::process::id()));
+        std::fs::create_dir_all(&folder)?;
+        let file = folder.join("fleet.toml");
+        let mut config = FleetConfig { world: World::Headset, ..FleetConfig::default() };
+        let starts = fleet::room(&config)?.starts(ROBOTS)?;
+        config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
+        config.fleet.robots = ROBOTS;
+        let starts = &config.fleet.starts;
+        std::fs::write(
+            &file,
+            format!("world = \"headset\"\n[fleet]\nrobots = {ROBOTS}\nstarts = {starts:?}\n"),
+        )?;
+        let process = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
+            .args(["up", "--port", "0", "--config"])
+            .args([&file, Path::new("--run-dir"), &folder.join("run")])
+            .stderr(Stdio::null())
+            .spawn()?;
+        let mut fleet = Self { process, folder, config, port: 0 };
+        let begun = Instant::now();
+        while begun.elapsed() < START_MAX {
+            if let Ok(run) = Run::open(&fleet.folder.join("run")) {
+                fleet.port = run.port;
+                return Ok(fleet);
+            }
+            std::thread::sleep(POLL);
+        }
+        Err("the fleet did not start".into())
+    }
+
+    /// Returns the newest figures.
+    fn view(&self) -> Result<FleetView, Box<dyn Error>> {
+        let run = Run::open(&self.folder.join("run"))?;
+        let mut observer = Observer::attach(&run, "headset")?;
+        let begun = Instant::now();
+        while begun.elapsed() < START_MAX {
+            observer.wait(Duration::from_secs(2));
+            observer.poll();
+            if let Some(stats) = observer.stats() {
+                return Ok(FleetView::new(stats));
+            }
+        }
+        Err("no figures came".into())
+    }
+}
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        if let Some(pid) = rustix::process::Pid::from_raw(self.process.id() as i32) {
+            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+        }
+        let _ = self.process.wait();
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}

@@ -1,0 +1,5 @@
+//! What the bridge publishes on the fleet's topics, seen by clients of the test's own process.
+
+mod local;
+mod maps;
+mod names;

@@ -1,0 +1,144 @@
+//! A robot that believes to be back in a hall: it is, or it stands in another one that looks much the same.
+
+use super::{ClosureDetector, ClosureSearch, GraphView};
+use crate::beam_poses::BeamPoses;
+use crate::cloud::{Cloud, CloudScratch};
+use crate::common::{FULL, Lidar, Noise, Wall, cast, rectangle};
+use crate::config::SlamConfig;
+use crate::graph::Graph;
+use crate::node::{Node, Rays, SweptPath};
+use msg::{Header, Pose2, Stamp};
+use std::sync::Arc;
+
+/// Sees all of a hall from everywhere in it.
+const LIDAR: Lidar = Lidar { range_max_m: 15.0, ..FULL };
+/// Nodes of one pass through a hall, 0.4 m apart.
+const PASS_NODES: usize = 12;
+/// Nodes between the two passes, far away: enough that the passes are not linked as neighbours.
+const BETWEEN_NODES: usize = 16;
+
+/// A hall of 8 m x 6 m with posts by its walls, which tell its corners apart.
+fn hall() -> Vec<Wall> {
+    let outline = [(0.0, 0.0, 8.0, 6.0), (0.0, 4.6, 1.1, 6.0), (7.1, 0.0, 8.0, 0.6), (3.0, 5.5, 3.6, 6.0)];
+    outline.iter().flat_map(|b| rectangle(b.0, b.1, b.2, b.3)).collect()
+}
+
+/// The same hall with stacks of boxes where a robot saw through the first one.
+fn hall_with_boxes() -> Vec<Wall> {
+    let boxes = [(4.2, 3.2, 5.6, 4.6), (1.6, 3.0, 2.6, 4.0), (6.4, 1.2, 7.2, 3.0)];
+    let boxes = boxes.iter().flat_map(|b| rectangle(b.0, b.1, b.2, b.3));
+    hall().into_iter().chain(boxes).collect()
+}
+
+/// Passes of a robot through halls, and where the pose graph has them.
+struct Passes {
+    nodes: Vec<Node>,
+    poses: Vec<Pose2>,
+    noise: Noise,
+    config: SlamConfig,
+}
+
+impl Passes {
+    /// A pass through a hall, then a way outside and a pass through a hall for each of `later`. The graph has all halls
+    /// at one place, later passes this far off along the hall's length, metres.
+    fn new(first: &[Wall], later: &[(Vec<Wall>, f64)]) -> Self {
+        let config = SlamConfig::default();
+        let mut passes = Self { nodes: Vec::new(), poses: Vec::new(), noise: Noise::new(5), config };
+        passes.drive_through(first, 0.0);
+        for (hall, drift_m) in later {
+            for i in 0..BETWEEN_NODES {
+                let outside = Pose2::new(50.0 + i as f64, 0.0, 0.0);
+                passes.add(&rectangle(45.0, -1.0, 75.0, 1.0), outside, outside);
+            }
+            passes.drive_through(hall, *drift_m);
+        }
+        passes
+    }
+
+    fn drive_through(&mut self, hall: &[Wall], drift_m: f64) {
+        for pose in (0..PASS_NODES).map(Self::pose) {
+            self.add(hall, pose, Pose2::new(pose.x_m + drift_m, pose.y_m, pose.yaw_rad));
+        }
+    }
+
+    /// Pose of a pass's node in the hall.
+    fn pose(i: usize) -> Pose2 {
+        Pose2::new(1.5 + 0.4 * i as f64, 2.0, 0.05)
+    }
+
+    fn add(&mut self, walls: &[Wall], pose: Pose2, graph_pose: Pose2) {
+        let (lidar, id) = (&self.config.lidar, self.nodes.len() as u32);
+        let scan = cast(walls, &LIDAR, pose, Stamp::default(), &mut self.noise);
+        let sweep = BeamPoses::still(Pose2::IDENTITY);
+        let mut cloud = Cloud::with_capacity(lidar.points_max);
+        cloud.fill(&scan, &sweep, lidar, &mut CloudScratch::with_capacity(lidar.points_max));
+        self.nodes.push(Node {
+            id,
+            header: Header::default(),
+            local_from_base: graph_pose,
+            previous_from_this: None,
+            fits: true,
+            odometry_break: false,
+            disconnected: None,
+            cloud: Arc::new(cloud),
+            rays: Arc::new(Rays::default()),
+            swept_path: SweptPath::default(),
+        });
+        self.poses.push(graph_pose);
+    }
+
+    /// Searches for a node of a later pass (from 1), counted from its first; nothing is known about how far it drifted.
+    fn search(&self, detector: &mut ClosureDetector, pass: usize, node: usize) -> ClosureSearch {
+        // While the robot drives, no node is newer than the one that is searched for.
+        let node = pass * (PASS_NODES + BETWEEN_NODES) + node;
+        let graph = Graph::from_parts(self.config.graph.clone(), self.poses[..=node].to_vec(), Vec::new());
+        let view = GraphView { nodes: &self.nodes[..=node], graph: &graph };
+        let unknown = vec![None; node + 1];
+        detector.search(&view, node as u32, &unknown, node as f64)
+    }
+}
+
+#[test]
+fn a_place_is_accepted_when_a_second_search_agrees_and_not_before() {
+    let passes = Passes::new(&hall(), &[(hall(), 0.4)]);
+    let mut detector = ClosureDetector::new(passes.config.clone());
+    assert!(
+        matches!(passes.search(&mut detector, 1, 6), ClosureSearch::Unconfirmed),
+        "one search is no proof"
+    );
+    assert_eq!(detector.counts().accepted, 0);
+    let ClosureSearch::Accepted(closures) = passes.search(&mut detector, 1, 9) else {
+        panic!("not accepted: {:?}", detector.counts());
+    };
+    assert_eq!(closures.len(), 2);
+    for closure in closures {
+        let [old, new] = [closure.candidate, closure.node]
+            .map(|id| Passes::pose(id as usize % (PASS_NODES + BETWEEN_NODES)));
+        let error_m = closure.candidate_from_node.distance_m(old.between(new));
+        assert!(error_m < 0.03, "{error_m} m off");
+    }
+}
+
+#[test]
+fn searches_that_disagree_confirm_nothing() {
+    // Both passes are found in the hall, but the graph has them 0.8 m apart: one of the two is wrong, or the graph is.
+    let passes = Passes::new(&hall(), &[(hall(), 0.4), (hall(), -0.4)]);
+    let mut detector = ClosureDetector::new(passes.config.clone());
+    for pass in [1, 2] {
+        let search = passes.search(&mut detector, pass, 9);
+        assert!(matches!(search, ClosureSearch::Unconfirmed), "pass {pass}: {:?}", detector.counts());
+    }
+    assert_eq!(detector.counts().accepted, 0);
+}
+
+#[test]
+fn a_hall_of_the_same_walls_that_scans_contradict_is_not_taken_for_the_first() {
+    let passes = Passes::new(&hall(), &[(hall_with_boxes(), 0.4)]);
+    let mut detector = ClosureDetector::new(passes.config.clone());
+    for node in 5..PASS_NODES {
+        let search = passes.search(&mut detector, 1, node);
+        assert!(matches!(search, ClosureSearch::NotFound), "node {node}: {:?}", detector.counts());
+    }
+    // The walls alone look right: it is the scans that contradict.
+    assert!(detector.counts().contradicted > 0, "{:?}", detector.counts());
+}

@@ -1,0 +1,59 @@
+//! A robot that is searched for in a map: how many searches must agree before it counts as found.
+
+use super::{MapNodes, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
+use crate::beam_poses::BeamPoses;
+use crate::cloud::{Cloud, CloudScratch};
+use crate::common::{FULL, Lidar, Noise, cast, laboratory};
+use crate::config::SlamConfig;
+use crate::node::{Node, Rays, SweptPath};
+use msg::{Header, Pose2, Stamp};
+use std::sync::Arc;
+
+/// Sees the laboratory from wall to wall.
+const LIDAR: Lidar = Lidar { range_max_m: 12.0, ..FULL };
+
+/// A node that sees the laboratory from `pose`. `local_from_base`: where the front end has it.
+fn node(id: u32, pose: Pose2, local_from_base: Pose2, noise: &mut Noise, config: &SlamConfig) -> Node {
+    let scan = cast(&laboratory(), &LIDAR, pose, Stamp::default(), noise);
+    let mut cloud = Cloud::with_capacity(config.lidar.points_max);
+    let mut scratch = CloudScratch::with_capacity(config.lidar.points_max);
+    cloud.fill(&scan, &BeamPoses::still(Pose2::IDENTITY), &config.lidar, &mut scratch);
+    Node {
+        id,
+        header: Header::default(),
+        local_from_base,
+        previous_from_this: None,
+        fits: true,
+        odometry_break: false,
+        disconnected: None,
+        cloud: Arc::new(cloud),
+        rays: Arc::new(Rays::default()),
+        swept_path: SweptPath::default(),
+    }
+}
+
+#[test]
+fn a_robot_is_found_when_searches_along_its_path_agree_and_not_before() {
+    let (config, mut noise) = (SlamConfig::default(), Noise::new(2));
+    let poses: Vec<Pose2> = (0..10).map(|i| Pose2::new(-0.5, -1.8 + 0.4 * f64::from(i), 1.5)).collect();
+    let nodes: Vec<Node> =
+        poses.iter().enumerate().map(|(i, pose)| node(i as u32, *pose, *pose, &mut noise, &config)).collect();
+    let map = MapNodes { nodes: &nodes, poses: &poses };
+    let mut relocalizer = Relocalizer::new(config.clone(), map, None, RelocalizationCounts::default());
+    // The robot drives beside the path of the map, in a frame of its own.
+    let map_from_local = Pose2::new(0.0, -1.5, 1.4);
+    for i in 0..24 {
+        let local = Pose2::new(0.15 * f64::from(i), 0.0, 0.0);
+        let newest = node(i, map_from_local * local, local, &mut noise, &config);
+        let outcome = relocalizer.add_node(newest, map);
+        let counts = relocalizer.counts();
+        if counts.found < 3 {
+            assert_eq!(outcome, RelocalizationOutcome::NotFound, "{} searches are no proof", counts.found);
+        }
+        if let RelocalizationOutcome::Found(found) = outcome {
+            assert!(found.distance_m(map_from_local) < 0.05, "{found:?}");
+            return;
+        }
+    }
+    panic!("not found: {:?}", relocalizer.counts());
+}

@@ -1,0 +1,186 @@
+//! TCP in memory: connections of ros_tcp clients to the bridge of a fleet in lockstep.
+//!
+//! As live, the launcher holds the port, so that clients queue while no bridge runs; the connections end with the
+//! bridge's process; and what a client does not read waits in the connection first and in the bridge then.
+
+use super::queues::{MemoryPorts, Network};
+use crate::ports::Clock;
+use crate::process::Component;
+use crate::process::bridge::BridgeProcess;
+use crate::storage::Storage;
+use bridge::ClientId;
+use bridge::frame::Parser;
+use msg::Monotonic;
+use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
+use std::net::SocketAddr;
+use std::rc::Rc;
+
+/// Bytes to a client that wait in its connection before the bridge keeps the rest: about what the kernel holds.
+const CONNECTION_BYTES_MAX: usize = 256 << 10;
+
+/// The TCP port, which the launcher holds.
+pub struct Port {
+    network: Rc<Network>,
+    /// Connections that no bridge has accepted yet.
+    backlog: RefCell<VecDeque<(SocketAddr, Rc<Connection>)>>,
+}
+
+/// One connection. While the network is cut, nothing arrives at either end.
+#[derive(Default)]
+pub struct Connection {
+    to_bridge: RefCell<Vec<u8>>,
+    to_client: RefCell<Vec<u8>>,
+    closed_by_client: Cell<bool>,
+    closed_by_bridge: Cell<bool>,
+}
+
+impl Port {
+    /// Creates a port without clients.
+    pub fn new(network: &Rc<Network>) -> Rc<Self> {
+        Rc::new(Self { network: network.clone(), backlog: RefCell::default() })
+    }
+
+    /// Connects a client; the bridge accepts it when it runs.
+    pub fn connect(&self, peer: SocketAddr) -> Rc<Connection> {
+        let connection = Rc::<Connection>::default();
+        self.backlog.borrow_mut().push_back((peer, connection.clone()));
+        connection
+    }
+
+    /// Returns whether bytes pass between clients and the bridge now.
+    pub fn is_open(&self) -> bool {
+        !self.network.faults().is_cut(self.network.clock().now())
+    }
+}
+
+impl Connection {
+    /// Sends bytes to the bridge.
+    pub fn write(&self, bytes: &[u8]) {
+        self.to_bridge.borrow_mut().extend_from_slice(bytes);
+    }
+
+    /// Takes the bytes that have arrived at the client.
+    pub fn read(&self) -> Vec<u8> {
+        self.to_client.take()
+    }
+
+    /// Closes it at the client's end.
+    pub fn close(&self) {
+        self.closed_by_client.set(true);
+    }
+
+    /// Returns whether the bridge has closed it or has died.
+    pub fn is_closed_by_bridge(&self) -> bool {
+        self.closed_by_bridge.get()
+    }
+}
+
+/// A client as the bridge's process sees it.
+struct Session {
+    id: ClientId,
+    connection: Rc<Connection>,
+    parser: Parser,
+    /// Whether the connection held too much to take more from the bridge.
+    blocked: bool,
+}
+
+impl Session {
+    fn has_input(&self) -> bool {
+        let Connection { to_bridge, to_client, closed_by_client, .. } = &*self.connection;
+        let has_room = to_client.borrow().len() < CONNECTION_BYTES_MAX;
+        !to_bridge.borrow().is_empty() || closed_by_client.get() || (self.blocked && has_room)
+    }
+}
+
+/// The bridge's process with its clients on connections in memory.
+pub struct BridgeServer<S: Storage> {
+    /// The process that runs live, without its sockets.
+    pub process: BridgeProcess<MemoryPorts, S>,
+    port: Rc<Port>,
+    sessions: Vec<Session>,
+    frame_bytes_max: usize,
+}
+
+impl<S: Storage> BridgeServer<S> {
+    /// Serves the port with a process whose frames have at most `frame_bytes_max` bytes.
+    pub fn new(process: BridgeProcess<MemoryPorts, S>, port: Rc<Port>, frame_bytes_max: usize) -> Self {
+        Self { process, port, sessions: Vec::new(), frame_bytes_max }
+    }
+
+    /// Returns whether something has come from a client.
+    pub fn has_input(&self) -> bool {
+        let is_waiting =
+            !self.port.backlog.borrow().is_empty() || self.sessions.iter().any(Session::has_input);
+        is_waiting && self.port.is_open()
+    }
+
+    fn accept(&mut self) {
+        while let Some((peer, connection)) = { self.port.backlog.borrow_mut().pop_front() } {
+            match self.process.bridge.connect(peer) {
+                Ok(id) => {
+                    let parser = Parser::new(self.frame_bytes_max);
+                    self.sessions.push(Session { id, connection, parser, blocked: false });
+                }
+                Err(_) => connection.closed_by_bridge.set(true),
+            }
+        }
+    }
+
+    /// Reads what has come from the clients.
+    fn receive(&mut self, now: Monotonic) {
+        let bridge = &self.process.bridge;
+        self.sessions.retain_mut(|session| {
+            session.parser.push(&session.connection.to_bridge.take());
+            let is_valid = loop {
+                match session.parser.next_frame() {
+                    Ok(Some(frame)) => bridge.receive(session.id, frame, now),
+                    Ok(None) => break true,
+                    Err(_) => break false,
+                }
+            };
+            let stays = is_valid && !session.connection.closed_by_client.get();
+            if !stays {
+                bridge.disconnect(session.id);
+                session.connection.closed_by_bridge.set(true);
+            }
+            stays
+        });
+    }
+
+    /// Writes the frames that wait for the clients.
+    fn send(&mut self) {
+        let bridge = &self.process.bridge;
+        self.sessions.retain_mut(|session| {
+            let mut to_client = session.connection.to_client.borrow_mut();
+            session.blocked = to_client.len() >= CONNECTION_BYTES_MAX;
+            let stays = session.blocked || bridge.take_outgoing(session.id, &mut to_client).is_ok();
+            if !stays {
+                bridge.disconnect(session.id);
+                session.connection.closed_by_bridge.set(true);
+            }
+            stays
+        });
+    }
+}
+
+impl<S: Storage> Component for BridgeServer<S> {
+    fn step(&mut self) -> Monotonic {
+        if self.port.is_open() {
+            self.accept();
+            self.receive(self.port.network.clock().now());
+        }
+        let due = self.process.step();
+        if self.port.is_open() {
+            self.send();
+        }
+        due
+    }
+}
+
+impl<S: Storage> Drop for BridgeServer<S> {
+    fn drop(&mut self) {
+        // The connections of a process end with it.
+        self.sessions.iter().for_each(|session| session.connection.closed_by_bridge.set(true));
+    }
+}

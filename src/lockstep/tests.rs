@@ -1,0 +1,61 @@
+//! Tests of the channels that the processes of a fleet in lockstep open.
+
+use super::Lockstep;
+use super::queues::Openings;
+use crate::channel::{CHANNELS, Direction, End, Opener, Program, Scope, process_health};
+use crate::config::FleetConfig;
+use crate::processes;
+use msg::{RobotId, Role};
+
+/// Channels that a process opens only if it serves DDS, which lockstep does not.
+const OF_DDS: [(&str, Direction, Program); 1] =
+    [("slam_response", Direction::Read, Program::Worker(Role::Bridge))];
+
+/// Returns what the table of channels declares for the processes of a simulated fleet.
+fn declared(config: &FleetConfig) -> Openings {
+    let processes: Vec<Opener> =
+        processes::of_fleet(config).map(|(row, robot)| Opener { program: row.role.into(), robot }).collect();
+    let mut declared = Openings::new();
+    for row in CHANNELS {
+        for (ends, direction) in [(row.writers, Direction::Write), (row.readers, Direction::Read)] {
+            let ends = || ends.iter().filter(|end| !matches!(end, End::OutsideWorld(_)));
+            let channels: Vec<(String, Option<RobotId>)> = match row.scope {
+                Scope::Fleet => vec![(row.name.into(), None)],
+                Scope::Robot => RobotId::first(config.fleet.robots)
+                    .map(|robot| (format!("{robot}/{}", row.name), Some(robot)))
+                    .collect(),
+                Scope::Process => Vec::new(),
+            };
+            for opener in &processes {
+                for (name, robot) in &channels {
+                    let is_of_dds = OF_DDS.contains(&(row.name, direction, opener.program));
+                    if !is_of_dds && ends().any(|end| end.includes(*opener, *robot)) {
+                        declared.insert((name.clone(), direction, *opener));
+                    }
+                }
+            }
+        }
+    }
+    let telemetry = Opener::of_fleet(Program::Worker(Role::Telemetry));
+    for (row, robot) in processes::of_fleet(config) {
+        let opener = Opener { program: row.role.into(), robot };
+        let name = process_health(row.role, robot).name;
+        declared.insert((name.clone(), Direction::Write, opener));
+        declared.insert((name, Direction::Read, telemetry));
+    }
+    declared
+}
+
+#[test]
+fn every_process_opens_the_channels_that_the_table_declares_and_no_others() {
+    let mut config = FleetConfig::default();
+    config.fleet.robots = 3;
+    let mut fleet = Lockstep::new(&config, true).unwrap();
+    fleet.tick(&mut |_, _| {});
+    let is_process = |opener: &Opener| matches!(opener.program, Program::Worker(_));
+    let opened: Openings = fleet.openings().into_iter().filter(|(_, _, opener)| is_process(opener)).collect();
+    let declared = declared(&config);
+    let missing: Vec<_> = declared.difference(&opened).collect();
+    let surplus: Vec<_> = opened.difference(&declared).collect();
+    assert!(missing.is_empty() && surplus.is_empty(), "not opened: {missing:#?}; not declared: {surplus:#?}");
+}
