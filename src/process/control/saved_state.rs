@@ -249,7 +249,9 @@ mod tests {
     fn run_in(folder: &Path) -> Run {
         let bridge = BridgeConfig { drive: ::bridge::Permission::Anyone, ..Default::default() };
         let config = FleetConfig { bridge, ..FleetConfig::default() };
-        Run { dir: folder.into(), ..Run::in_memory(config).unwrap() }
+        let mut run = Run::in_memory(config).unwrap();
+        run.dir = folder.into();
+        run
     }
 
     fn at_ms(ms: u64) -> Monotonic {
@@ -277,7 +279,8 @@ mod tests {
         again.send(STRANGER, "/cmd_vel", &twist, at_ms(6_000));
         assert_eq!(again.take_moved(), [2], "it is not kept for ever");
 
-        let other = Run { begun: Monotonic(7), ..run };
+        let mut other = run;
+        other.begun = Monotonic(7);
         let selected = Process::start(&other, at_ms(0)).bridge.selected_robot();
         assert_eq!(selected.number(), 1, "another run in this folder begins anew");
     }
