@@ -13,6 +13,8 @@ pub trait Storage: Clone + 'static {
     fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>>;
     /// Writes a file, and its folder if need be. At any moment the file is the old one or the new one.
     fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    /// Writes a file without waiting for the disk: at any moment it is the old or the new one, but a power cut may lose it.
+    fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
     /// Removes a file; it is no error if there is none.
     fn remove(&self, path: &Path) -> io::Result<()>;
     /// Writes a map as PGM with YAML, and as PNG.
@@ -38,6 +40,11 @@ impl Storage for DiskStorage {
     fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
         create_folder_of(path)?;
         write_durably(path, |file| file.write_all(bytes))
+    }
+
+    fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        create_folder_of(path)?;
+        formats::atomic::write(path, |file| file.write_all(bytes))
     }
 
     fn remove(&self, path: &Path) -> io::Result<()> {

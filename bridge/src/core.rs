@@ -12,6 +12,7 @@ use crate::access::AccessControl;
 use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
+use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopics};
 use crate::frame::{Frame, Side};
@@ -21,7 +22,6 @@ use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
 use crate::services::ServiceCalls;
-use crate::velocity_gate::{Velocity, VelocityGate};
 use crate::world::WorldInput;
 use msg::{Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;

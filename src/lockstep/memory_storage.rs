@@ -43,6 +43,10 @@ impl Storage for MemoryStorage {
         Ok(())
     }
 
+    fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.write(path, bytes)
+    }
+
     fn remove(&self, path: &Path) -> io::Result<()> {
         self.files.borrow_mut().remove(path);
         Ok(())

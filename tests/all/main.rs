@@ -9,6 +9,7 @@ mod command_line;
 mod config;
 mod default_config;
 mod edges;
+mod emergency_stop;
 mod faults;
 mod fleet;
 mod glossary;
