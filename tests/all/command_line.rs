@@ -1,6 +1,6 @@
 //! Command line: printing into a closed pipe, and the choice among several running fleets.
 
-use crate::harness::{Folder, mr_slam, output};
+use crate::harness::{Folder, mr_slam, output, output_of};
 use mr_slam::runtime_folder::Lock;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
@@ -67,6 +67,25 @@ fn a_change_must_name_the_run_if_several_fleets_run() {
             "{words:?}: {error}"
         );
     }
+}
+
+#[test]
+fn an_endless_file_is_refused_instead_of_read() {
+    for words in [&["up", "--config", "/dev/zero"][..], &["replay", "/dev/zero", "--config", "/dev/zero"]] {
+        let ended = output(words);
+        let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert!(!ended.status.success() && error.contains("longer than"), "{words:?}: {error}");
+    }
+}
+
+#[test]
+fn too_few_descriptors_are_said_in_words_before_the_start() {
+    let folder = Folder::new();
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", "ulimit -n 64; exec \"$0\" up --port 0 --seconds 1 --run-dir \"$1\""]);
+    let ended = output_of(shell.arg(env!("CARGO_BIN_EXE_mr-slam")).arg(folder.path()));
+    let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert!(!ended.status.success() && error.contains("ulimit -n"), "{error}");
 }
 
 #[test]

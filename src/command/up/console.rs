@@ -38,11 +38,11 @@ impl<'a> OperatorConsole<'a> {
 
     /// Keys that work now, for people.
     pub fn help(&self) -> &'static str {
-        match self.keys.available() {
-            true => {
-                "a allows the first waiting address to drive, d denies it; s stops all robots, r releases; Ctrl-C ends"
-            }
-            false => "Ctrl-C ends",
+        let somebody_waits = self.newest.as_ref().is_some_and(|bridge| !bridge.waiting.is_empty());
+        match (self.keys.available(), somebody_waits) {
+            (true, true) => "keys: a allows, d denies   s stops all robots   r releases   Ctrl-C ends",
+            (true, false) => "keys: s stops all robots   r releases   Ctrl-C ends",
+            (false, _) => "Ctrl-C ends",
         }
     }
 
