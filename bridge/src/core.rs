@@ -12,6 +12,7 @@ use crate::access::AccessControl;
 use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
+use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopics};
 use crate::frame::{Frame, Side};
@@ -21,7 +22,6 @@ use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
 use crate::services::ServiceCalls;
-use crate::velocity_gate::{Velocity, VelocityGate};
 use crate::world::WorldInput;
 use msg::{Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
@@ -67,7 +67,8 @@ impl Core {
     /// Creates the core of a valid configuration.
     pub fn new(config: BridgeConfig, robots: &RobotNames, world: Option<WorldInput>) -> Self {
         let mut topics = TopicTable::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        let mut fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        fleet.set_odometry_sigmas(config.odometry_sigmas);
         let drive = DriveArbiter::new(robots.count(), FIRST_ROBOT, config.lease());
         let mut core = Self {
             router: TopicRouter::new(topics, &config),

@@ -209,7 +209,7 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
 /// Reads a log, unpacked if it is gzip.
 fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
     let fail = |source| ReplayError::Read { path: path.to_owned(), source };
-    let bytes = std::fs::read(path).map_err(fail)?;
+    let bytes = formats::limited::read(path, LOG_MAX).map_err(fail)?;
     gzip::unpack(bytes, LOG_MAX).map_err(fail)
 }
 

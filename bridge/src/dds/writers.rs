@@ -37,7 +37,7 @@ impl TopicWriters {
             counted: DdsCounters::default(),
         };
         let is_external = velocity.is_some();
-        for row in OUTGOING_TOPICS.iter().filter(|row| !(is_external && row.robots_publish_it)) {
+        for row in OUTGOING_TOPICS.iter().filter(|row| row.is_on_dds(is_external)) {
             all.by_topic[row.topic as usize] = all.open_topic(factory, row, robots)?;
         }
         let Some(velocity) = velocity else { return Ok(all) };

@@ -107,7 +107,10 @@ proptest! {
     #[test]
     fn odometry_decodes_to_itself(stamp in stamp(), frame_id in text(), child_frame_id in text(), space in space(), twist in twist()) {
         let (position, orientation) = space;
-        let message = Odometry { stamp, frame_id, child_frame_id, position, orientation, twist };
+        let (pose_covariance, twist_covariance) = ([0.1; 36], [0.2; 36]);
+        let message = Odometry {
+            stamp, frame_id, child_frame_id, position, orientation, pose_covariance, twist, twist_covariance,
+        };
         prop_assert_eq!(&round(&message, 3), &message);
         survives_cuts(&message);
     }
@@ -262,11 +265,14 @@ fn odometry_is_encoded_field_by_field() {
         angular_rad_s: -0.5,
     };
     let mut out = Vec::new();
-    write::odometry(&mut Writer::new(&mut out), "odom_1", "base_footprint_1", &about);
+    let (of_pose, of_velocity) = ([0.25; 36], [0.5; 36]);
+    let to = &mut Writer::new(&mut out);
+    write::odometry(to, "odom_1", "base_footprint_1", &about, &of_pose, &of_velocity);
     let ros: Odometry = decode(&out).unwrap();
     assert_eq!(ros.position, [1.0, -2.0, 0.0]);
     assert_eq!(ros.orientation, [0.0, 0.0, 0.0, 1.0]);
     assert_eq!((ros.twist.linear[0], ros.twist.angular[2]), (0.1, -0.5));
+    assert_eq!((ros.pose_covariance, ros.twist_covariance), (of_pose, of_velocity));
 }
 
 #[test]
