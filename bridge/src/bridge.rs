@@ -159,6 +159,10 @@ impl Bridge {
     pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
         self.core.borrow_mut().relay.open();
         *self.on_ros_command.borrow_mut() = Box::new(sink);
+        self.update(|core| {
+            core.publish_selected();
+            core.publish_stop();
+        });
     }
 
     /// Changes the core, then writes the frames and passes on the commands that result.
@@ -277,6 +281,29 @@ impl Bridge {
     /// Returns the robot that `/cmd_vel` drives.
     pub fn selected_robot(&self) -> RobotId {
         self.core.borrow().gate.drive().selected()
+    }
+
+    /// Selects the robot that `/cmd_vel` drives, as `/selected_robot` does; a robot that the fleet has not is ignored.
+    pub fn select_robot(&self, robot: RobotId) {
+        self.update(|core| {
+            if robot.number() <= core.fleet.robot_count() {
+                core.gate.drive_mut().select(robot);
+                core.publish_selected();
+            }
+        });
+    }
+
+    /// Returns the robots that somebody drives now, with the driver's address; `None` for ROS 2.
+    pub fn drivers(&self, now: Monotonic) -> Vec<(RobotId, Option<IpAddr>)> {
+        let core = self.core.borrow();
+        let driver = |robot| Some((robot, core.gate.drive().leaseholder(robot, now)?.address));
+        core.fleet.robots().filter_map(driver).collect()
+    }
+
+    /// Keeps a robot until `until` for the driver that an earlier bridge saved: nobody else drives it, unless by
+    /// `/take_control`.
+    pub fn restore_driver(&self, robot: RobotId, address: Option<IpAddr>, until: Monotonic) {
+        self.core.borrow_mut().gate.drive_mut().restore_lease(robot, address, until);
     }
 
     /// Returns the addresses that wait for permission.
