@@ -159,6 +159,10 @@ impl Bridge {
     pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
         self.core.borrow_mut().relay.open();
         *self.on_ros_command.borrow_mut() = Box::new(sink);
+        self.update(|core| {
+            core.publish_selected();
+            core.publish_stop();
+        });
     }
 
     /// Changes the core, then writes the frames and passes on the commands that result.

@@ -8,6 +8,7 @@ mod table;
 pub use table::{RelayTable, Unpublished};
 
 use crate::dds::ReceivedMessage;
+use msg::RobotId;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -76,6 +77,10 @@ pub enum RosEvent {
     },
     /// The topics that ROS nodes publish and subscribe to, after a change.
     Graph(RosGraph),
+    /// A robot of an external world listens to its velocities from now on.
+    RobotListens(RobotId),
+    /// The participant or writer that sent the last velocity is gone.
+    DriverLost,
 }
 
 impl RosCommand {

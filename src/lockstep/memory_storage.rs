@@ -52,6 +52,20 @@ impl Storage for MemoryStorage {
         Ok(())
     }
 
+    fn append(&self, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
+        if self.network.faults().is_disk_full(self.network.clock().now()) {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        let mut files = self.files.borrow_mut();
+        let file = files.entry(path.to_owned()).or_default();
+        if (file.len() as u64) < at {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+        file.truncate(at as usize);
+        file.extend_from_slice(bytes);
+        Ok(())
+    }
+
     fn write_map(&self, _: &Path, _: GridView<'_>) -> Result<(), MapFileError> {
         // Nobody reads pictures in lockstep.
         Ok(())

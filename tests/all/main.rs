@@ -16,6 +16,7 @@ mod glossary;
 mod harness;
 mod headset;
 mod headset_app;
+mod killed_slam;
 mod layering;
 mod lockstep;
 mod malformed;

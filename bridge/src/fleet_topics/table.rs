@@ -197,8 +197,16 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 16] = [
         dds: LATCHED,
         ..row(FleetTopic::MergeEdges, "/merge_edges", Text::TYPE, "merge_edges")
     },
-    OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::SelectedRobot, "/selected_robot", Int32::TYPE, "") },
-    OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::EmergencyStop, "/emergency_stop", Bool::TYPE, "") },
+    OutgoingTopic {
+        tcp: LATCHED,
+        dds: LATCHED,
+        ..row(FleetTopic::SelectedRobot, "/selected_robot", Int32::TYPE, "")
+    },
+    OutgoingTopic {
+        tcp: LATCHED,
+        dds: LATCHED,
+        ..row(FleetTopic::EmergencyStop, "/emergency_stop", Bool::TYPE, "")
+    },
 ];
 
 impl FleetTopic {

@@ -2,6 +2,7 @@
 
 use super::{RosCommand, RosGraph};
 use crate::interfaces;
+use crate::ros::{Message, encode};
 use crate::router::{ClientId, Topic, TopicId};
 use msg::Monotonic;
 use ros2_client::dds::rustdds::bytes::Bytes;
@@ -96,6 +97,15 @@ impl RelayTable {
     /// Replaces the topics of ROS nodes.
     pub fn set_graph(&mut self, graph: RosGraph) {
         self.graph = graph;
+    }
+
+    /// Publishes the newest state of a topic of the fleet that the core alone knows, in ROS 2's encoding.
+    pub fn publish_state(&mut self, name: &str, message: &impl Message) {
+        if self.is_open {
+            let mut payload = Vec::new();
+            encode(message, &mut payload);
+            self.commands.push_back(RosCommand::Publish { topic: name.into(), payload: payload.into() });
+        }
     }
 
     /// Takes the oldest command for the endpoint.
