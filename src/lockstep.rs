@@ -20,6 +20,7 @@ pub use command::{LockstepArgs, run};
 pub use queues::MessageObserver;
 
 use crate::channel::{self, Opener, Program};
+use crate::command::output;
 use crate::config::FleetConfig;
 use crate::fleet;
 use crate::ports::{ChannelError, Clock, Ports, ReadMapPort, ReadPort, WritePort};
@@ -250,7 +251,7 @@ impl Lockstep {
             }
             let at = member.robot.and_then(|robot| self.observer.last_seen(member.row.role, robot));
             if let Err(why) = member.start(&self.world, at) {
-                eprintln!("cannot start the {}: {why}", member.row.title(member.robot));
+                output::note(&format!("cannot start the {}: {why}", member.row.title(member.robot)));
                 member.policy.on_death(now);
             }
         }
