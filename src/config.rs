@@ -8,7 +8,6 @@ use crate::sessions::SessionsConfig;
 use bridge::RobotNames;
 use msg::{Pose2, ROBOTS_MAX};
 use serde::{Deserialize, Serialize};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Reason why a configuration was refused.
@@ -135,7 +134,7 @@ pub fn burger_slam() -> slam::SlamConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fleet {
-    /// Number of robots, 1 to 16.
+    /// Number of robots, 1 to 64.
     pub robots: usize,
     /// Names of the robots in ROS, one for each robot, such as `["alice", "lab/bob"]`: topics `/alice/scan`, frames
     /// `odom_alice`. Empty: `robot1`, `robot2` and so on. `[""]`, for one robot: plain `/scan`, `odom`, `base_footprint`.
@@ -171,6 +170,9 @@ impl Default for Fleet {
     }
 }
 
+/// Largest size of a fleet file, bytes: the default with its explanations has 60 kB.
+const FILE_BYTES_MAX: u64 = 1 << 20;
+
 /// Name of the built-in room.
 pub const LABORATORY: &str = "laboratory";
 
@@ -182,8 +184,8 @@ impl FleetConfig {
 
     /// Reads a file, changes it as options say, and checks the result.
     pub fn from_file_with(path: &Path, change: impl FnOnce(&mut Self)) -> Result<Self, ConfigError> {
-        let text =
-            fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
+        let text = formats::limited::read_text(path, FILE_BYTES_MAX)
+            .map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
         let mut config = Self::parse(path, &text)?;
         let of_file = config.check();
         change(&mut config);
@@ -273,6 +275,17 @@ impl FleetConfig {
             World::Headset => "the world of a headset",
             World::Ros => "a world over ROS 2",
         }
+    }
+
+    /// Returns the bridge's settings with what it needs of the others.
+    pub fn bridge_config(&self) -> bridge::BridgeConfig {
+        let odometry = &self.slam.odometry;
+        let odometry_sigmas = bridge::OdometrySigmas {
+            m_per_m: odometry.sigma_m_per_m,
+            rad_per_rad: odometry.sigma_rad_per_rad,
+            rad_per_m: odometry.sigma_rad_per_m,
+        };
+        bridge::BridgeConfig { odometry_sigmas, ..self.bridge.clone() }
     }
 
     /// Returns the robots' names in ROS, of a configuration that was checked.

@@ -9,6 +9,7 @@ use bridge::dds::{DdsConfig, DdsEndpoint};
 use bridge::{FleetMessage, Transport};
 use msg::{GridHeader, GridView, Header, Pose2, RobotId, Stamp};
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::{LocalSet, spawn_local};
 
@@ -26,8 +27,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false)?);
-        spawn_local(endpoint.clone().serve(|_| {}, |_, _| {}));
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default())?);
+        spawn_local(endpoint.clone().serve(|_, _| {}));
         let side = side as usize;
         // Values vary from cell to cell, so that nothing can be compressed or skipped.
         let cells: Vec<i8> =

@@ -5,9 +5,9 @@ use crate::cdr::Dialect;
 use crate::command::name;
 use crate::config::{BridgeConfig, ConfigError};
 use crate::core::{ConnectError, Core};
-use crate::dds::ReceivedMessage;
 use crate::fleet_topics::FleetMessage;
 use crate::frame::Frame;
+use crate::relay::{RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters, OutgoingQueue};
 use crate::world::{ClockEstimate, ExternalWorld, WorldInput};
@@ -44,6 +44,8 @@ type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 /// Where requests to SLAM go.
 type SlamRequestSink = Box<dyn FnMut(RobotId, SlamRequest)>;
+/// Where commands for the ROS 2 endpoint go.
+type RosCommandSink = Box<dyn FnMut(RosCommand)>;
 
 /// The bridge between the fleet and its clients.
 ///
@@ -91,6 +93,7 @@ pub struct Bridge {
     on_command: RefCell<CommandSink>,
     on_edge_command: RefCell<EdgeCommandSink>,
     on_slam_request: RefCell<SlamRequestSink>,
+    on_ros_command: RefCell<RosCommandSink>,
 }
 
 impl Bridge {
@@ -134,6 +137,7 @@ impl Bridge {
             on_command: RefCell::new(on_command),
             on_edge_command: RefCell::new(Box::new(|_| {})),
             on_slam_request: RefCell::new(Box::new(|_, _| {})),
+            on_ros_command: RefCell::new(Box::new(|_| {})),
         })
     }
 
@@ -147,6 +151,18 @@ impl Bridge {
     /// The caller fills in the request's `client` and `id`.
     pub fn on_slam_request(&self, sink: impl FnMut(RobotId, SlamRequest) + 'static) {
         *self.on_slam_request.borrow_mut() = Box::new(sink);
+    }
+
+    /// Exchanges clients' topics with ROS: sets where commands for the ROS 2 endpoint go. It must not call the bridge.
+    ///
+    /// Call it before clients connect. What the endpoint tells comes back by [`Bridge::receive_ros`].
+    pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
+        self.core.borrow_mut().relay.open();
+        *self.on_ros_command.borrow_mut() = Box::new(sink);
+        self.update(|core| {
+            core.publish_selected();
+            core.publish_stop();
+        });
     }
 
     /// Changes the core, then writes the frames and passes on the commands that result.
@@ -176,6 +192,11 @@ impl Bridge {
         if let Ok(mut sink) = self.on_slam_request.try_borrow_mut() {
             while let Some((robot, request)) = { self.core.borrow_mut().commands.next_slam_request() } {
                 sink(robot, request);
+            }
+        }
+        if let Ok(mut sink) = self.on_ros_command.try_borrow_mut() {
+            while let Some(command) = { self.core.borrow_mut().relay.next_command() } {
+                sink(command);
             }
         }
     }
@@ -210,9 +231,9 @@ impl Bridge {
         self.pass_commands();
     }
 
-    /// Handles a message that was received on DDS, like one from a client on loopback.
-    pub fn receive_dds(&self, message: &ReceivedMessage, now: Monotonic) {
-        self.update(|core| core.receive_dds(message, now));
+    /// Handles what the ROS 2 endpoint tells: messages, and changes of the ROS graph.
+    pub fn receive_ros(&self, event: RosEvent, now: Monotonic) {
+        self.update(|core| core.receive_ros(event, now));
     }
 
     /// Appends the frames that wait for a client of this process to `out`.
@@ -260,6 +281,29 @@ impl Bridge {
     /// Returns the robot that `/cmd_vel` drives.
     pub fn selected_robot(&self) -> RobotId {
         self.core.borrow().gate.drive().selected()
+    }
+
+    /// Selects the robot that `/cmd_vel` drives, as `/selected_robot` does; a robot that the fleet has not is ignored.
+    pub fn select_robot(&self, robot: RobotId) {
+        self.update(|core| {
+            if robot.number() <= core.fleet.robot_count() {
+                core.gate.drive_mut().select(robot);
+                core.publish_selected();
+            }
+        });
+    }
+
+    /// Returns the robots that somebody drives now, with the driver's address; `None` for ROS 2.
+    pub fn drivers(&self, now: Monotonic) -> Vec<(RobotId, Option<IpAddr>)> {
+        let core = self.core.borrow();
+        let driver = |robot| Some((robot, core.gate.drive().leaseholder(robot, now)?.address));
+        core.fleet.robots().filter_map(driver).collect()
+    }
+
+    /// Keeps a robot until `until` for the driver that an earlier bridge saved: nobody else drives it, unless by
+    /// `/take_control`.
+    pub fn restore_driver(&self, robot: RobotId, address: Option<IpAddr>, until: Monotonic) {
+        self.core.borrow_mut().gate.drive_mut().restore_lease(robot, address, until);
     }
 
     /// Returns the addresses that wait for permission.

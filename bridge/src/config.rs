@@ -1,8 +1,9 @@
 //! The settings of the bridge.
 
 use crate::dds::DdsConfig;
+use crate::drive::velocity_gate::VelocityConfig;
+use crate::odometry_covariance::OdometrySigmas;
 use crate::ros::{Dialect, NameStyle};
-use crate::velocity_gate::VelocityConfig;
 use crate::world::ClockOffset;
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
@@ -47,6 +48,9 @@ pub struct BridgeConfig {
     pub watch: Permission,
     /// Who may publish to the fleet: velocities, selection, poses. Everybody may set the emergency stop.
     pub drive: Permission,
+    /// Topics and services that every client may publish or offer in ROS, such as `/chat`; others need the
+    /// permission to drive.
+    pub open_topics: Vec<String>,
     /// Addresses on the allow list, which may watch and drive.
     pub allow: Vec<IpAddr>,
     /// Whether an address that the operator allows may drive in later runs too.
@@ -67,6 +71,9 @@ pub struct BridgeConfig {
     pub velocity: VelocityConfig,
     /// The ROS 2 endpoint.
     pub dds: DdsConfig,
+    /// Errors of the robots' odometry, for its published covariances. They are those of `[slam.odometry]`.
+    #[serde(skip)]
+    pub odometry_sigmas: OdometrySigmas,
 }
 
 impl Default for BridgeConfig {
@@ -83,6 +90,7 @@ impl Default for BridgeConfig {
             message_packages: Vec::new(),
             watch: Permission::Anyone,
             drive: Permission::Allowed,
+            open_topics: Vec::new(),
             allow: Vec::new(),
             remember: true,
             trust_loopback: true,
@@ -93,6 +101,7 @@ impl Default for BridgeConfig {
             service_timeout_s: 10.0,
             velocity: VelocityConfig::default(),
             dds: DdsConfig::default(),
+            odometry_sigmas: OdometrySigmas::default(),
         }
     }
 }
@@ -120,6 +129,12 @@ impl BridgeConfig {
         self.validate_dds_access()?;
         self.validate_limits()?;
         self.validate_times()?;
+        if let Some(name) =
+            self.open_topics.iter().find(|name| crate::interfaces::resolve_name(name).is_err())
+        {
+            let expected = "expected a topic's name such as /chat";
+            return Err(ConfigError::new("open_topics", format!("'{name}'"), expected));
+        }
         let packages = &self.message_packages;
         match packages.iter().find(|name| !crate::interfaces::is_package_name(name)) {
             Some(package) => Err(ConfigError::new(

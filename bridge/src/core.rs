@@ -5,21 +5,23 @@
 mod initial_pose;
 mod input;
 mod registration;
+mod relay;
 mod service_frames;
 
 use crate::access::AccessControl;
 use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
+use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, Driver};
-use crate::fleet_topics::{FleetMessage, FleetTopics};
+use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{Frame, Side};
-use crate::ros::{RobotNames, Twist};
+use crate::relay::RelayTable;
+use crate::ros::{Bool, Int32, RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
 use crate::services::ServiceCalls;
-use crate::velocity_gate::{Velocity, VelocityGate};
 use crate::world::WorldInput;
 use msg::{Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
@@ -53,6 +55,8 @@ pub struct Core {
     pub access: AccessControl,
     /// Services between clients.
     pub services: ServiceCalls,
+    /// The exchange of clients' topics with ROS.
+    pub relay: RelayTable,
     /// Commands for robots, merging and SLAM that wait to be taken.
     pub commands: CommandQueues,
     /// Receives sensor data if the world is not simulated here.
@@ -63,7 +67,8 @@ impl Core {
     /// Creates the core of a valid configuration.
     pub fn new(config: BridgeConfig, robots: &RobotNames, world: Option<WorldInput>) -> Self {
         let mut topics = TopicTable::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        let mut fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        fleet.set_odometry_sigmas(config.odometry_sigmas);
         let drive = DriveArbiter::new(robots.count(), FIRST_ROBOT, config.lease());
         let mut core = Self {
             router: TopicRouter::new(topics, &config),
@@ -71,6 +76,7 @@ impl Core {
             gate: VelocityGate::new(&config.velocity, robots.count(), drive),
             access: AccessControl::new(&config),
             services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
+            relay: RelayTable::new(config.dds.relayed_topics_max, &config.open_topics),
             commands: CommandQueues::default(),
             config,
             world,
@@ -117,7 +123,7 @@ impl Core {
                     format!("{name} came between a service's number and its frame: the call is dropped");
                 self.router.refuse(id, text);
             }
-            return self.receive_system_command(id, name, frame);
+            return self.receive_system_command(id, name, frame, now);
         }
         match expected {
             None => self.receive_data(id, name, frame.payload, now),
@@ -141,6 +147,7 @@ impl Core {
         for call in self.services.remove_expired(now) {
             self.fail_call(&call, "no answer came in time");
         }
+        self.tell_unpublished(now);
         self.fleet.tick(&mut self.router, now);
     }
 
@@ -149,6 +156,7 @@ impl Core {
     /// Returns the client's unsent frames, or `None` if it is disconnected already.
     pub fn disconnect(&mut self, id: ClientId) -> Option<OutgoingQueue> {
         let unsent = self.router.disconnect(id)?;
+        self.remove_unused_relays();
         if let Some(world) = &mut self.world {
             world.disconnect(id.serial);
         }
@@ -185,12 +193,16 @@ impl Core {
 
     /// Publishes which robot is selected.
     pub fn publish_selected(&mut self) {
-        self.fleet.publish_selected(&mut self.router, self.gate.drive().selected());
+        let selected = self.gate.drive().selected();
+        self.fleet.publish_selected(&mut self.router, selected);
+        self.relay.publish_state(FleetTopic::SelectedRobot.row().name, &Int32(selected.number() as i32));
     }
 
     /// Publishes whether the emergency stop is set.
     pub fn publish_stop(&mut self) {
-        self.fleet.publish_stop(&mut self.router, self.gate.drive().is_stopped());
+        let is_stopped = self.gate.drive().is_stopped();
+        self.fleet.publish_stop(&mut self.router, is_stopped);
+        self.relay.publish_state(FleetTopic::EmergencyStop.row().name, &Bool(is_stopped));
     }
 
     /// Sets the emergency stop: every robot stops, and stays stopped until it is released.

@@ -10,7 +10,7 @@ mod topics;
 pub use buffers::BufferPool;
 pub use client::{Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, Publication, RefusalKind};
 pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
-pub use topics::{DEPTH_DEFAULT, Retention, Source, TopicError, TopicId, TopicTable};
+pub use topics::{DEPTH_DEFAULT, Retention, Source, Topic, TopicError, TopicId, TopicTable};
 
 use crate::cdr::{Dialect, Writer};
 use crate::command::{Notice, name};
@@ -22,7 +22,7 @@ use serde::Serialize;
 use std::io::{IoSlice, Write};
 use std::net::SocketAddr;
 use std::rc::Rc;
-use topics::{Subscriber, Topic};
+use topics::Subscriber;
 
 /// Room for a reply's first bytes: a topic list or a service frame of usual length.
 const REPLY_BYTES: usize = 1024;

@@ -12,17 +12,15 @@ use crate::ports::{Ports, ReadPort};
 use crate::run::Run;
 use crate::stop::Stop;
 use crate::supervisor::progress::WatchedThread;
-use ::bridge::dds::{DdsEndpoint, ReceivedMessage};
+use ::bridge::dds::{DdsEndpoint, RosLink};
 use ::bridge::{Bridge, FleetMessage};
 use msg::{Clock, RobotId, Role};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 
-/// Received messages that may wait for the bridge; more are dropped.
-const RECEIVED_MAX: usize = 256;
 /// Kind of requester that marks this endpoint's requests to SLAM.
 const REQUESTER_KIND: u64 = 2;
 /// Period of the clock messages to clients on TCP if ROS publishes none: 50 Hz, as a simulator would.
@@ -30,11 +28,13 @@ const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
 /// Starts the thread; returns the task that passes its messages to the bridge.
 pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()>, Error> {
-    let (sender, receiver) = mpsc::channel::<ReceivedMessage>(RECEIVED_MAX);
-    let task = spawn_local(pass_to_bridge(run.clone(), bridge.clone(), receiver));
+    let link = Arc::new(RosLink::default());
+    let commands = link.clone();
+    bridge.on_ros_command(move |command| commands.send_command(command));
+    let task = spawn_local(pass_to_bridge(run.clone(), bridge.clone(), link.clone()));
     let (run, stop) = (run.clone(), stop.clone());
     std::thread::Builder::new().name("ros2".into()).spawn(move || {
-        if let Err(why) = serve(&run, &stop, sender) {
+        if let Err(why) = serve(&run, &stop, link) {
             tracing::error!("bridge: {why}; ROS 2 is not served");
         }
     })?;
@@ -42,13 +42,14 @@ pub fn open(run: &Run, stop: &Stop, bridge: &Rc<Bridge>) -> Result<JoinHandle<()
 }
 
 /// Passes received messages to the bridge, and publishes the time until ROS does.
-async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, mut receiver: mpsc::Receiver<ReceivedMessage>) {
+async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<RosLink>) {
     // A simulator such as Gazebo publishes /clock; real robots use the time of day.
     let has_clock = Cell::new(run.config.world != World::Ros);
     let receive = async {
-        while let Some(message) = receiver.recv().await {
-            has_clock.set(has_clock.get() || message.is_clock());
-            bridge.receive_dds(&message, now());
+        loop {
+            let event = link.next_event().await;
+            has_clock.set(has_clock.get() || event.is_clock());
+            bridge.receive_ros(event, now());
         }
     };
     let publish_time = async {
@@ -63,13 +64,14 @@ async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, mut receiver: mpsc::Receiv
 }
 
 /// Runs the endpoint until it is asked to stop.
-fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Result<(), Error> {
+fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
     // A participant of its own: ports of shared memory stay on the thread that opened them.
     let participant = run.attach_thread(Role::Bridge, None, "ros2")?;
     let is_external = run.config.world == World::Ros;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge, run.config.robot_names(), is_external)?);
+        let robots = run.config.robot_names();
+        let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, link)?);
         let mut feeds = open_feeds(&participant, run, &endpoint)?;
         let requester = Rc::new(RefCell::new(SlamRequester::open(&participant, run, REQUESTER_KIND)?));
         for robot in run.robots() {
@@ -86,9 +88,8 @@ fn serve(run: &Run, stop: &Stop, sender: mpsc::Sender<ReceivedMessage>) -> Resul
             }
         }
         let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
-        let on_message = move |message| drop(sender.try_send(message));
         let on_request = move |robot, request| requester.borrow_mut().send(robot, request);
-        tasks.push(spawn_local(endpoint.serve(on_message, on_request)));
+        tasks.push(spawn_local(endpoint.serve(on_request)));
         stop_requested(stop.clone(), run.progress(Role::Bridge, None, WatchedThread::Second)).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())

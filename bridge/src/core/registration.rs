@@ -9,7 +9,9 @@ use crate::interfaces::{self, Kind, NameError, TypeError};
 use crate::ros::{Message, Twist, TwistStamped};
 use crate::router::{ClientId, DEPTH_DEFAULT, ExpectedFrame, Publication, Source, TopicError, TopicId};
 use crate::services::ServiceError;
+use msg::Monotonic;
 use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
 use thiserror::Error;
 
 /// Commands that carry a [`Registration`].
@@ -69,7 +71,13 @@ pub enum RegistrationError {
 
 impl Core {
     /// Handles a frame whose name begins with `__`.
-    pub(super) fn receive_system_command(&mut self, id: ClientId, command: &str, frame: Frame<'_>) {
+    pub(super) fn receive_system_command(
+        &mut self,
+        id: ClientId,
+        command: &str,
+        frame: Frame<'_>,
+        now: Monotonic,
+    ) {
         let result = match command {
             name::TOPIC_LIST => {
                 self.send_topic_list(id);
@@ -81,8 +89,9 @@ impl Core {
             name::RESPONSE => {
                 parse(frame).map(|Call { srv_id }| self.expect(id, ExpectedFrame::Response(srv_id)))
             }
-            _ => parse(frame).and_then(|registration| self.register(id, command, &registration)),
+            _ => parse(frame).and_then(|registration| self.register(id, command, &registration, now)),
         };
+        self.remove_unused_relays();
         if let Err(error) = result {
             self.router.refuse(id, format!("{command}: {error}"));
         }
@@ -99,13 +108,14 @@ impl Core {
         id: ClientId,
         command: &str,
         registration: &Registration,
+        now: Monotonic,
     ) -> Result<(), RegistrationError> {
         if !REGISTRATIONS.contains(&command) {
             return Err(RegistrationError::UnknownCommand);
         }
         let topic = interfaces::resolve_name(&registration.topic)?;
         match command {
-            name::SUBSCRIBE => self.subscribe(id, topic, registration)?,
+            name::SUBSCRIBE => self.subscribe(id, topic, registration, now)?,
             name::PUBLISH => self.register_publisher(id, topic, registration)?,
             name::ROS_SERVICE => {
                 let service_type = self.resolve_type(Kind::Service, registration)?;
@@ -133,9 +143,19 @@ impl Core {
         Ok(())
     }
 
+    /// Returns a type that is known here, or that the topic has in ROS.
     fn resolve_type(&self, kind: Kind, registration: &Registration) -> Result<String, RegistrationError> {
-        interfaces::resolve(kind, &registration.message_name, &self.config.message_packages)
-            .map_err(|source| RegistrationError::Type { source, topic: registration.topic.clone() })
+        let Registration { topic, message_name, .. } = registration;
+        let is_in_ros = |name: &str| {
+            let known = interfaces::resolve_name(topic).ok().and_then(|t| self.relay.graph().topics.get(&t));
+            kind == Kind::Message && known.is_some_and(|known| known.types().any(|theirs| theirs == name))
+        };
+        match interfaces::resolve(kind, message_name, &self.config.message_packages) {
+            Err(_) if is_in_ros(message_name) => Ok(message_name.clone()),
+            result => {
+                result.map_err(|source| RegistrationError::Type { source, topic: registration.topic.clone() })
+            }
+        }
     }
 
     fn find_topic(&self, name: String) -> Result<TopicId, RegistrationError> {
@@ -147,6 +167,7 @@ impl Core {
         id: ClientId,
         name: String,
         registration: &Registration,
+        now: Monotonic,
     ) -> Result<(), RegistrationError> {
         let message_type = self.resolve_type(Kind::Message, registration)?;
         if let Some(client) = self.router.client(id) {
@@ -156,6 +177,7 @@ impl Core {
         if self.router.subscribe(id, topic, is_without_slash(registration)) {
             self.fleet.subscribed(&mut self.router, topic);
             self.stop_new_listener(topic);
+            self.relay_subscription(id, topic, now);
         }
         Ok(())
     }
@@ -193,6 +215,7 @@ impl Core {
         }
         let publication = Publication { topic, stamped, latch: registration.latch };
         self.router.add_publisher(id, publication, *queue_size);
+        self.relay_publication(id, topic);
         Ok(())
     }
 
@@ -204,9 +227,16 @@ impl Core {
         })
     }
 
+    /// Sends the list of topics: those of the bridge, and those of ROS nodes.
     fn send_topic_list(&mut self, id: ClientId) {
-        let pairs = self.router.topics.sorted().map(|topic| (topic.name.clone(), topic.message_type.clone()));
-        let (topics, types) = pairs.unzip();
+        let ours = self.router.topics.sorted().map(|topic| (topic.name.clone(), topic.message_type.clone()));
+        let mut all: BTreeMap<String, String> = ours.collect();
+        for (name, topic) in &self.relay.graph().topics {
+            if let Some(message_type) = topic.types().next() {
+                all.entry(name.clone()).or_insert_with(|| message_type.to_owned());
+            }
+        }
+        let (topics, types) = all.into_iter().unzip();
         self.router.send_command(id, name::TOPIC_LIST, &TopicList { topics, types });
     }
 }

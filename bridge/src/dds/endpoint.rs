@@ -4,17 +4,24 @@ use super::config::DdsConfig;
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
 use super::graph::Graph;
 use super::inputs::{self, InputTopic, ReceivedMessage};
+use super::link::RosLink;
+use super::relay::TopicRelay;
 use super::services::ServiceServers;
 use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, Permission};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
+use crate::input::Input;
+use crate::relay::{RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::transport::Transport;
 use futures::StreamExt;
 use msg::{Monotonic, RobotId, SlamRequest, SlamResponse, VelocityCommand};
-use ros2_client::dds::rustdds::{DomainParticipant, GUID, RTPSEntity, StatusEvented};
+use ros2_client::dds::rustdds::{
+    DomainParticipant, DomainParticipantStatusEvent, GUID, RTPSEntity, StatusEvented,
+};
 use std::cell::RefCell;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
@@ -42,25 +49,36 @@ pub struct DdsEndpoint {
     inputs: Vec<(InputTopic, Rc<RawReader>)>,
     requests: Vec<Rc<RawReader>>,
     participant: DomainParticipant,
+    link: Arc<RosLink>,
     started: Instant,
+    /// Time between two repetitions of the transforms map -> odom.
+    transform_period: Option<Duration>,
 }
 
 struct EndpointState {
     writers: TopicWriters,
+    relay: TopicRelay,
     publisher: FleetPublisher,
     services: ServiceServers,
     graph: Graph,
     input_guids: Vec<GUID>,
+    /// The writer of another participant that sent the last velocity.
+    last_driver: Option<GUID>,
+    link: Arc<RosLink>,
+    /// Whether readers or writers have come or gone that the graph does not show yet.
+    is_graph_due: bool,
 }
 
 impl DdsEndpoint {
     /// Joins the domain and creates every topic. Blocks for a moment.
     ///
     /// `is_external`: the robots are ROS's own. Their scans, odometry and time are received, and velocities published.
+    /// `link`: the link to the bridge.
     pub fn open(
         config: &BridgeConfig,
         robots: impl Into<RobotNames>,
         is_external: bool,
+        link: Arc<RosLink>,
     ) -> Result<Self, EndpointError> {
         let robots: RobotNames = robots.into();
         let dds: &DdsConfig = &config.dds;
@@ -79,15 +97,30 @@ impl DdsEndpoint {
         let services = ServiceServers::open(&factory, may_drive.then_some(&robots))?;
         let link_transforms = if is_external { LinkTransforms::ByRobots } else { LinkTransforms::Split };
         let requests = services.request_readers();
+        let mut publisher = FleetPublisher::new(config.frame_names, &robots, link_transforms);
+        publisher.set_odometry_sigmas(config.odometry_sigmas);
+        publisher.set_repetition(dds.repetition());
         let state = EndpointState {
             writers,
-            publisher: FleetPublisher::new(config.frame_names, &robots, link_transforms),
+            relay: TopicRelay::new(&participant, factory, link.clone()),
+            publisher,
             services,
             graph,
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
+            last_driver: None,
+            link: link.clone(),
+            is_graph_due: false,
         };
         state.publish_graph();
-        Ok(Self { state: RefCell::new(state), inputs, requests, participant, started: Instant::now() })
+        Ok(Self {
+            state: RefCell::new(state),
+            inputs,
+            requests,
+            participant,
+            link,
+            started: Instant::now(),
+            transform_period: dds.transform_period(),
+        })
     }
 
     fn now(&self) -> Monotonic {
@@ -96,37 +129,44 @@ impl DdsEndpoint {
 
     /// Returns what has been counted.
     pub fn counters(&self) -> DdsCounters {
-        self.state.borrow().writers.counters()
+        let state = self.state.borrow();
+        let counted = state.writers.counters();
+        let (readers, received) = state.relay.counts();
+        DdsCounters {
+            readers: counted.readers + readers as u32,
+            received: counted.received + received,
+            dropped: counted.dropped + self.link.dropped(),
+            ..counted
+        }
     }
 
     /// Receives messages and requests until it is dropped. Runs inside a [`tokio::task::LocalSet`].
     ///
-    /// `on_message` gets the messages on input topics. `on_request` gets the requests to robots' SLAM, whose answers
+    /// Messages go to the link, and the bridge's commands come from there. `on_request` gets the requests to robots' SLAM, whose answers
     /// come back by [`DdsEndpoint::answer_request`].
-    pub async fn serve(
-        self: Rc<Self>,
-        on_message: impl Fn(ReceivedMessage) + 'static,
-        on_request: impl FnMut(RobotId, SlamRequest) + 'static,
-    ) {
+    pub async fn serve(self: Rc<Self>, on_request: impl FnMut(RobotId, SlamRequest) + 'static) {
         let mut tasks = JoinSet::new();
         self.spawn_request_tasks(&mut tasks, Rc::new(RefCell::new(on_request)));
-        self.spawn_input_tasks(&mut tasks, Rc::new(on_message));
+        self.spawn_input_tasks(&mut tasks);
         let listener = self.participant.status_listener();
         let mut events = listener.as_async_status_stream();
         let mut tick = interval(TICK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut repeat = self.transform_period.map(interval);
+        if let Some(repeat) = &mut repeat {
+            repeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        }
         loop {
             tokio::select! {
                 event = events.next() => match event {
                     Some(event) => {
-                        let state = &mut *self.state.borrow_mut();
-                        if state.writers.apply_event(&event, self.now()) {
-                            state.publish_graph();
-                        }
+                        self.state.borrow_mut().apply_event(&event, self.now());
                     }
                     None => return,
                 },
+                command = self.link.next_command() => self.state.borrow_mut().apply(command, self.now()),
                 _ = tick.tick() => self.state.borrow_mut().tick(self.now()),
+                () = next_tick(&mut repeat) => self.state.borrow_mut().repeat_transforms(self.now()),
             }
         }
     }
@@ -152,24 +192,22 @@ impl DdsEndpoint {
         }
     }
 
-    fn spawn_input_tasks(
-        self: &Rc<Self>,
-        tasks: &mut JoinSet<()>,
-        on_message: Rc<impl Fn(ReceivedMessage) + 'static>,
-    ) {
+    fn spawn_input_tasks(self: &Rc<Self>, tasks: &mut JoinSet<()>) {
         let own = self.participant.guid().prefix;
         for (input, reader) in &self.inputs {
             let (input, reader) = (input.clone(), reader.clone());
-            let (endpoint, on_message) = (self.clone(), on_message.clone());
+            let endpoint = self.clone();
             tasks.spawn_local(async move {
                 let mut samples = std::pin::pin!(reader.as_async_stream());
                 while let Some(sample) = samples.next().await {
                     let Ok(sample) = sample else { continue };
-                    if sample.writer_guid().prefix == own {
+                    let writer = sample.writer_guid();
+                    if writer.prefix == own {
                         continue;
                     }
-                    endpoint.state.borrow_mut().writers.count_received();
-                    on_message(ReceivedMessage::new(&input, sample.into_value().0.to_vec()));
+                    let message = ReceivedMessage::new(&input, sample.into_value().0.to_vec());
+                    endpoint.state.borrow_mut().record(&message, writer);
+                    endpoint.link.send_event(RosEvent::Input(message));
                 }
             });
         }
@@ -197,7 +235,20 @@ impl DdsEndpoint {
 impl Transport for DdsEndpoint {
     fn publish(&self, message: FleetMessage<'_>) {
         let state = &mut *self.state.borrow_mut();
-        state.publisher.publish(message, &mut state.writers.sink(self.now()));
+        let now = self.now();
+        state.publisher.publish(message, &mut state.writers.sink(now));
+        if let FleetMessage::Correction(robot, correction) = message {
+            state.publisher.receive_correction(robot, correction, now);
+            state.repeat_transforms(now);
+        }
+    }
+}
+
+/// Waits for the next tick of an interval; without one for ever.
+async fn next_tick(interval: &mut Option<tokio::time::Interval>) {
+    match interval {
+        Some(interval) => drop(interval.tick().await),
+        None => std::future::pending().await,
     }
 }
 
@@ -210,13 +261,69 @@ impl EndpointState {
     /// Publishes which readers and writers the node has.
     fn publish_graph(&self) {
         let (requests, replies) = self.services.guids();
-        let readers = self.input_guids.iter().copied().chain(requests);
-        self.graph.publish(readers, self.writers.guids().chain(replies));
+        let (relay_readers, relay_writers) = self.relay.guids();
+        let readers = self.input_guids.iter().copied().chain(requests).chain(relay_readers);
+        self.graph.publish(readers, self.writers.guids().chain(replies).chain(relay_writers));
+    }
+
+    fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) {
+        self.report_drivers(event);
+        let has_changed = self.writers.apply_event(event, now);
+        if self.relay.apply_event(event, now) || has_changed {
+            self.publish_graph();
+        }
+    }
+
+    /// Tells the bridge that a robot begins to listen, or that whoever sent the last velocity is gone.
+    fn report_drivers(&mut self, event: &DomainParticipantStatusEvent) {
+        use DomainParticipantStatusEvent::{ParticipantLost, WriterLost};
+        if let Some(robot) = self.writers.new_listener(event) {
+            self.link.send_event(RosEvent::RobotListens(robot));
+        }
+        let is_gone = |driver: &GUID| match event {
+            WriterLost { guid, .. } => driver == guid,
+            ParticipantLost { id, .. } => driver.prefix == *id,
+            _ => false,
+        };
+        if self.last_driver.take_if(|driver| is_gone(driver)).is_some() {
+            self.link.send_event(RosEvent::DriverLost);
+        }
+    }
+
+    /// Does what the bridge asks.
+    fn apply(&mut self, command: RosCommand, now: Monotonic) {
+        if let RosCommand::Publish { topic, payload } = &command
+            && self.writers.publish_state(topic, payload.clone(), now)
+        {
+            return;
+        }
+        let topic = command.topic().clone();
+        match self.relay.apply(command, now) {
+            Ok((outcome, has_changed)) => {
+                outcome.into_iter().for_each(|outcome| self.writers.count(outcome));
+                self.is_graph_due |= has_changed;
+            }
+            Err(why) => self.relay.report(topic, &why),
+        }
+    }
+
+    fn record(&mut self, message: &ReceivedMessage, writer: GUID) {
+        self.writers.count_received();
+        if let Input::SelectedCommand | Input::Command(_) = message.input() {
+            self.last_driver = Some(writer);
+        }
+        self.publisher.learn_frames(message.input(), message.payload());
+    }
+
+    fn repeat_transforms(&mut self, now: Monotonic) {
+        self.publisher.repeat_transforms(now, &mut self.writers.sink(now));
     }
 
     fn tick(&mut self, now: Monotonic) {
         self.services.tick(now);
-        if self.writers.tick(now) {
+        let is_replaced = self.writers.tick(now);
+        let has_changed = self.relay.tick(now);
+        if std::mem::take(&mut self.is_graph_due) || is_replaced || has_changed {
             self.publish_graph();
         }
         self.publisher.tick(now, &mut self.writers.sink(now));

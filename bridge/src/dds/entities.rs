@@ -51,6 +51,14 @@ pub enum EndpointError {
         /// What is wrong with it.
         reason: String,
     },
+    /// Too many names of topics were relayed since the start.
+    #[error("topic {name} is not relayed: {limit} names were since the start; restart the bridge")]
+    TooManyNames {
+        /// The topic's name.
+        name: String,
+        /// Most names of one run.
+        limit: usize,
+    },
     /// DDS cannot create a topic, a reader or a writer.
     #[error("cannot open the ROS 2 endpoint: DDS cannot create {what}: {source}")]
     Entity {
@@ -85,24 +93,25 @@ pub fn node_name(config: &DdsConfig) -> Result<NodeName, EndpointError> {
 }
 
 /// Creates topics, readers and writers of one participant.
-pub struct EntityFactory<'a> {
-    participant: &'a DomainParticipant,
+pub struct EntityFactory {
+    participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
     node: NodeName,
-    namespace: &'a str,
+    namespace: String,
 }
 
-impl<'a> EntityFactory<'a> {
+impl EntityFactory {
     /// Creates the factory with its DDS publisher and subscriber.
     pub fn new(
-        participant: &'a DomainParticipant,
+        participant: &DomainParticipant,
         node: NodeName,
-        namespace: &'a str,
+        namespace: &str,
     ) -> Result<Self, EndpointError> {
         let qos = QosPolicyBuilder::new().build();
         let publisher = participant.create_publisher(&qos).map_err(cannot_create("a publisher"))?;
         let subscriber = participant.create_subscriber(&qos).map_err(cannot_create("a subscriber"))?;
+        let (participant, namespace) = (participant.clone(), namespace.to_owned());
         Ok(Self { participant, publisher, subscriber, node, namespace })
     }
 
@@ -113,7 +122,7 @@ impl<'a> EntityFactory<'a> {
 
     /// Returns what stands before the names of all topics but the global ones.
     pub fn namespace(&self) -> &str {
-        self.namespace
+        &self.namespace
     }
 
     /// Creates a topic by its ROS name and `package/Type`.
@@ -150,9 +159,21 @@ impl<'a> EntityFactory<'a> {
         let qos = QosPolicyBuilder::new().durability(Durability::Volatile).history(history);
         // Best-effort readers accept best-effort and reliable writers; a single event must be reliable.
         let qos = if input.is_stream() { qos.best_effort() } else { qos.reliable(Duration::ZERO) }.build();
-        let namespace = if input.is_global() { "" } else { self.namespace };
+        let namespace = if input.is_global() { "" } else { &self.namespace };
         let name = format!("{namespace}{}", input.name);
         let topic = self.topic(&name, input.message_type, &qos)?;
+        let reader = self.subscriber.create_simple_datareader_no_key(&topic, Some(qos));
+        reader.map(Rc::new).map_err(cannot_create(name))
+    }
+
+    /// Creates the reader of a topic that clients subscribed to.
+    pub fn relay_reader(
+        &self,
+        name: &str,
+        message_type: &str,
+        qos: QosPolicies,
+    ) -> Result<Rc<RawReader>, EndpointError> {
+        let topic = self.topic(name, message_type, &qos)?;
         let reader = self.subscriber.create_simple_datareader_no_key(&topic, Some(qos));
         reader.map(Rc::new).map_err(cannot_create(name))
     }

@@ -7,7 +7,7 @@ use crate::ros::{
     TfMessage, Twist, TwistStamped,
 };
 
-/// A message from DDS that is not decoded yet; for [`crate::Bridge::receive_dds`].
+/// A message from DDS on a topic of the fleet, not decoded yet.
 #[derive(Clone, Debug)]
 pub struct ReceivedMessage {
     input: Input,
@@ -152,6 +152,9 @@ fn world_topics(robots: &RobotNames) -> Vec<InputTopic> {
     for robot in robots.robots() {
         all.push(InputTopic::new::<LaserScan>(robots.topic(robot, "scan"), Input::Scan(robot)));
         all.push(InputTopic::new::<Odometry>(robots.topic(robot, "odom"), Input::Odometry(robot)));
+        if !robots.is_plain() {
+            all.push(InputTopic::new::<TfMessage>(robots.topic(robot, "tf"), Input::RobotTransforms(robot)));
+        }
     }
     all
 }

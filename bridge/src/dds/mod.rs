@@ -2,7 +2,8 @@
 //!
 //! ```text
 //!   fleet ── FleetMessage ──▶ DdsEndpoint::publish ──▶ RustDDS ──▶ RViz, Nav2, rosbag ...
-//!   Bridge::receive_dds ◀── ReceivedMessage ◀── DdsEndpoint::serve ◀── RustDDS ◀── /cmd_vel_1, /robot2/cmd_vel ...
+//!   Bridge::receive_ros ◀── RosEvent ◀── RosLink ◀── DdsEndpoint::serve ◀── RustDDS ◀── /cmd_vel_1, /plan ...
+//!   Bridge::on_ros_command ── RosCommand ──▶ RosLink ──▶ DdsEndpoint::serve ──▶ RustDDS ──▶ /goal_pose ...
 //! ```
 //! It runs on a thread of its own, so that DDS never delays a headset on TCP. Messages are encoded by [`crate::ros`],
 //! as for TCP, and handed to RustDDS as bytes.
@@ -16,7 +17,9 @@ mod endpoint;
 mod entities;
 mod graph;
 mod inputs;
+mod link;
 mod raw;
+mod relay;
 mod services;
 mod topic_writer;
 mod writers;
@@ -25,4 +28,5 @@ pub use config::{DdsConfig, VelocityMessage};
 pub use endpoint::{DdsCounters, DdsEndpoint};
 pub use entities::EndpointError;
 pub use inputs::ReceivedMessage;
+pub use link::RosLink;
 pub use raw::{Adapter, Raw};

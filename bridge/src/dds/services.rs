@@ -54,7 +54,7 @@ pub struct ServiceServers {
 
 impl ServiceServers {
     /// Creates every service of every robot; `None`: of no robot.
-    pub fn open(factory: &EntityFactory<'_>, robots: Option<&RobotNames>) -> Result<Self, EndpointError> {
+    pub fn open(factory: &EntityFactory, robots: Option<&RobotNames>) -> Result<Self, EndpointError> {
         let mut servers = Vec::new();
         for (robots, robot) in
             robots.iter().flat_map(|robots| robots.robots().map(move |robot| (robots, robot)))
@@ -163,7 +163,7 @@ fn identity(info: &MessageInfo) -> SampleIdentity {
 
 impl ServiceServer {
     fn open(
-        factory: &EntityFactory<'_>,
+        factory: &EntityFactory,
         robot: RobotId,
         name: &str,
         service: &slam_services::NamedService,

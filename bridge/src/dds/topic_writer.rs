@@ -8,7 +8,8 @@ use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::dds::{CreateResult, WriteError};
 use ros2_client::dds::rustdds::policy::{Deadline, Durability, History, ResourceLimits};
 use ros2_client::dds::rustdds::{
-    Duration, GUID, Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity, Timestamp, Topic,
+    DomainParticipantStatusEvent, Duration, GUID, Publisher, QosPolicies, QosPolicyBuilder, RTPSEntity,
+    Timestamp, Topic,
 };
 use std::collections::BTreeSet;
 
@@ -49,6 +50,28 @@ pub fn latched_qos() -> QosPolicies {
 
 fn limits(samples: i32) -> ResourceLimits {
     ResourceLimits { max_samples: samples, max_instances: 1, max_samples_per_instance: samples }
+}
+
+/// Handles a reader of another participant that has come or gone; returns whether a writer was replaced.
+pub fn apply_event<'a>(
+    writers: impl Iterator<Item = &'a mut TopicWriter>,
+    event: &DomainParticipantStatusEvent,
+    now: Monotonic,
+) -> bool {
+    use DomainParticipantStatusEvent::{ParticipantLost, ReaderLost, RemoteReaderMatched};
+    let mut replaced = false;
+    for writer in writers {
+        let result = match event {
+            RemoteReaderMatched { local_writer, remote_reader } if writer.guid() == *local_writer => {
+                writer.add_reader(*remote_reader, now)
+            }
+            ReaderLost { guid, .. } => writer.remove_readers(|reader| reader == guid),
+            ParticipantLost { id, .. } => writer.remove_readers(|reader| reader.prefix == *id),
+            _ => Ok(false),
+        };
+        replaced |= result.unwrap_or(false);
+    }
+    replaced
 }
 
 /// What happened to a message.

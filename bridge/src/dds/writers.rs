@@ -3,12 +3,12 @@
 use super::config::VelocityMessage;
 use super::endpoint::DdsCounters;
 use super::entities::{EndpointError, EntityFactory};
-use super::topic_writer::{TopicWriter, WriteOutcome, latched_qos, stream_qos};
+use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::cdr::Writer;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
 use crate::ros::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use msg::{Link, Monotonic, RobotId, VelocityCommand};
-use ros2_client::dds::rustdds::dds::CreateResult;
+use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
 
 /// Velocities that a writer keeps for a slow robot: half a minute at 20 Hz.
@@ -27,7 +27,7 @@ pub struct TopicWriters {
 impl TopicWriters {
     /// Creates the writers of a fleet. `velocity`: the robots are external, and get velocities of this type.
     pub fn open(
-        factory: &EntityFactory<'_>,
+        factory: &EntityFactory,
         robots: &RobotNames,
         velocity: Option<VelocityMessage>,
     ) -> Result<Self, EndpointError> {
@@ -38,7 +38,7 @@ impl TopicWriters {
             counted: DdsCounters::default(),
         };
         let is_external = velocity.is_some();
-        for row in OUTGOING_TOPICS.iter().filter(|row| !(is_external && row.robots_publish_it)) {
+        for row in OUTGOING_TOPICS.iter().filter(|row| row.is_on_dds(is_external)) {
             all.by_topic[row.topic as usize] = all.open_topic(factory, row, robots)?;
         }
         let Some(velocity) = velocity else { return Ok(all) };
@@ -57,7 +57,7 @@ impl TopicWriters {
 
     fn open_topic(
         &mut self,
-        factory: &EntityFactory<'_>,
+        factory: &EntityFactory,
         row: &OutgoingTopic,
         robots: &RobotNames,
     ) -> Result<Vec<usize>, EndpointError> {
@@ -112,12 +112,34 @@ impl TopicWriters {
         }
     }
 
+    /// Publishes a state that the bridge has encoded; returns whether the topic is one of the fleet's states.
+    pub fn publish_state(&mut self, name: &str, payload: Bytes, now: Monotonic) -> bool {
+        let states = [FleetTopic::SelectedRobot, FleetTopic::EmergencyStop];
+        let Some(topic) = states.into_iter().find(|topic| topic.row().name == name) else { return false };
+        for index in self.by_topic[topic as usize].clone() {
+            let outcome = self.writers[index].write_bytes(now, payload.clone());
+            self.count(outcome);
+        }
+        true
+    }
+
+    /// Returns the robot whose velocities a reader of another participant begins to receive by this event.
+    pub fn new_listener(&self, event: &DomainParticipantStatusEvent) -> Option<RobotId> {
+        let DomainParticipantStatusEvent::RemoteReaderMatched { local_writer, .. } = event else {
+            return None;
+        };
+        let is_matched = |(index, _): &(usize, bool)| self.writers[*index].guid() == *local_writer;
+        let robot = self.velocity.iter().position(|writers| writers.iter().any(is_matched))?;
+        RobotId::new(robot + 1)
+    }
+
     fn write(&mut self, index: usize, now: Monotonic, encode: impl FnOnce(&mut Writer<'_>)) {
         let outcome = self.writers[index].write(now, encode);
         self.count(outcome);
     }
 
-    fn count(&mut self, outcome: WriteOutcome) {
+    /// Counts what happened to a message.
+    pub fn count(&mut self, outcome: WriteOutcome) {
         match outcome {
             WriteOutcome::Written => self.counted.sent += 1,
             WriteOutcome::Dropped => self.counted.dropped += 1,
@@ -127,25 +149,7 @@ impl TopicWriters {
 
     /// Handles a reader of another participant that has come or gone; returns whether a writer was replaced.
     pub fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) -> bool {
-        use DomainParticipantStatusEvent::{ParticipantLost, ReaderLost, RemoteReaderMatched};
-        let mut replaced = false;
-        let mut record = |result: CreateResult<bool>| replaced |= result.unwrap_or(false);
-        match event {
-            RemoteReaderMatched { local_writer, remote_reader } => {
-                let matched = self.writers.iter_mut().find(|writer| writer.guid() == *local_writer);
-                matched.into_iter().for_each(|writer| record(writer.add_reader(*remote_reader, now)));
-            }
-            ReaderLost { guid, .. } => {
-                let is_lost = |reader: &GUID| reader == guid;
-                self.writers.iter_mut().for_each(|writer| record(writer.remove_readers(is_lost)));
-            }
-            ParticipantLost { id, .. } => {
-                let is_lost = |reader: &GUID| reader.prefix == *id;
-                self.writers.iter_mut().for_each(|writer| record(writer.remove_readers(is_lost)));
-            }
-            _ => {}
-        }
-        replaced
+        topic_writer::apply_event(self.writers.iter_mut(), event, now)
     }
 
     /// Retries what could not be written; returns whether a writer was replaced.

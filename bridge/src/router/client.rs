@@ -100,6 +100,8 @@ pub struct Client {
     /// The connection must end.
     pub has_failed: bool,
     recent_refusals: Vec<(RefusalKind, Option<TopicId>, Monotonic)>,
+    /// Topics of which the client knows that they are not published in ROS.
+    unrelayed: Vec<TopicId>,
 }
 
 impl Client {
@@ -122,6 +124,7 @@ impl Client {
             is_blocked: false,
             has_failed: false,
             recent_refusals: Vec::new(),
+            unrelayed: Vec::new(),
         }
     }
 
@@ -162,5 +165,14 @@ impl Client {
             self.recent_refusals.push((kind, topic, now));
         }
         !is_recent
+    }
+
+    /// Returns whether the client has not been told yet that a topic is not published in ROS, and records it.
+    pub fn should_tell_unrelayed(&mut self, topic: TopicId) -> bool {
+        let is_new = !self.unrelayed.contains(&topic);
+        if is_new {
+            self.unrelayed.push(topic);
+        }
+        is_new
     }
 }

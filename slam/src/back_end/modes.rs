@@ -67,6 +67,12 @@ impl BackEnd {
         &self.config
     }
 
+    /// Returns whether the next node extends the map: nobody looks for the robot, and the map is not fixed. What the back
+    /// end does then depends on its nodes alone.
+    pub fn grows_map(&self) -> bool {
+        self.location.relocalizer.is_none() && self.location.localizer.is_none()
+    }
+
     /// The mode: mapping, localization or lifelong mapping.
     pub fn mode(&self) -> SlamMode {
         self.location.mode
@@ -237,8 +243,7 @@ impl BackEnd {
 
     /// Whether a front end in this state can continue with this map: it made the map's newest node, and the map grows.
     pub(crate) fn is_continued_by(&self, front: &FrontEndState) -> bool {
-        let grows = self.location.relocalizer.is_none() && self.location.localizer.is_none();
-        grows && front.next_node.checked_sub(1) == self.numbers.front_ids.last().copied()
+        self.grows_map() && front.next_node.checked_sub(1) == self.numbers.front_ids.last().copied()
     }
 
     /// Every scan's pose relative to its node, those of earlier front ends first.

@@ -16,6 +16,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
 
+/// Largest size of the file with the robots' starts, bytes.
+const STARTS_BYTES_MAX: u64 = 1 << 20;
 /// Number of merging tasks after one node; the others wait for the next.
 const TASKS_PER_SCAN: usize = 16;
 /// Largest number of merging tasks when all logs have ended.
@@ -304,7 +306,7 @@ fn correction(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -> Pose2 {
 
 /// Reads lines `index time x y theta`; `#` begins a comment.
 fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayError> {
-    let text = std::fs::read_to_string(path)
+    let text = formats::limited::read_text(path, STARTS_BYTES_MAX)
         .map_err(|source| ReplayError::Read { path: path.to_owned(), source })?;
     let mut starts = vec![None; count];
     for (line, text) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {

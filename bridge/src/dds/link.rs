@@ -1,0 +1,197 @@
+//! The link between the bridge and the ROS 2 endpoint, which run on two threads.
+//!
+//! Both directions are bounded: of a topic the newest messages are kept, and what is dropped is counted.
+
+use crate::relay::{RosCommand, RosEvent};
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use tokio::sync::Notify;
+
+/// Messages of one topic that may wait in one direction.
+const DEPTH_MAX: usize = 64;
+/// Bytes of messages that may wait in one direction; one longer message may wait alone.
+const BYTES_MAX: usize = 32 << 20;
+/// Registrations that may wait in one direction. They are few: clients may register a limited number of topics.
+const REGISTRATIONS_MAX: usize = 16_384;
+
+/// What passes over the link.
+trait Parcel {
+    /// Returns the topic and the length of a message, bytes; `None` for a registration, which is not dropped.
+    fn message(&self) -> Option<(&str, usize)>;
+}
+
+impl Parcel for RosCommand {
+    fn message(&self) -> Option<(&str, usize)> {
+        match self {
+            Self::Publish { topic, payload } => Some((topic, payload.len())),
+            _ => None,
+        }
+    }
+}
+
+impl Parcel for RosEvent {
+    fn message(&self) -> Option<(&str, usize)> {
+        match self {
+            Self::Message { topic, payload } => Some((topic, payload.len())),
+            Self::OtherEncoding { topic } => Some((topic, 0)),
+            Self::Input(message) => Some((message.topic(), message.payload().len())),
+            Self::Failure { .. } | Self::Graph(_) | Self::RobotListens(_) | Self::DriverLost => None,
+        }
+    }
+}
+
+/// What waits in one direction.
+#[derive(Debug)]
+struct Waiting<T> {
+    parcels: VecDeque<T>,
+    bytes: usize,
+    dropped: u64,
+}
+
+/// One direction of the link.
+#[derive(Debug)]
+struct Mailbox<T> {
+    waiting: Mutex<Waiting<T>>,
+    arrived: Notify,
+}
+
+impl<T: Parcel> Mailbox<T> {
+    fn new() -> Self {
+        let waiting = Waiting { parcels: VecDeque::new(), bytes: 0, dropped: 0 };
+        Self { waiting: Mutex::new(waiting), arrived: Notify::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Waiting<T>> {
+        // Nothing panics while it is locked.
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, parcel: T) {
+        self.lock().push(parcel);
+        self.arrived.notify_one();
+    }
+
+    /// Waits for the oldest parcel. One task at a time may wait.
+    async fn next(&self) -> T {
+        loop {
+            let next = self.lock().pop();
+            match next {
+                Some(parcel) => return parcel,
+                None => self.arrived.notified().await,
+            }
+        }
+    }
+}
+
+impl<T: Parcel> Waiting<T> {
+    fn push(&mut self, parcel: T) {
+        match parcel.message() {
+            Some((topic, bytes)) => {
+                let is_same = |other: &T| other.message().is_some_and(|(of, _)| of == topic);
+                let depth = self.parcels.iter().filter(|other| is_same(other)).count();
+                let oldest = self.parcels.iter().position(is_same).filter(|_| depth >= DEPTH_MAX);
+                oldest.into_iter().for_each(|at| self.drop_at(at));
+                while self.bytes > 0 && self.bytes + bytes > BYTES_MAX {
+                    let long = |other: &T| other.message().is_some_and(|(_, bytes)| bytes > 0);
+                    let Some(at) = self.parcels.iter().position(long) else { break };
+                    self.drop_at(at);
+                }
+                self.bytes += bytes;
+            }
+            None if self.parcels.len() >= REGISTRATIONS_MAX => {
+                self.dropped += 1;
+                return;
+            }
+            None => {}
+        }
+        self.parcels.push_back(parcel);
+    }
+
+    fn drop_at(&mut self, at: usize) {
+        if let Some(parcel) = self.parcels.remove(at) {
+            self.bytes -= parcel.message().map_or(0, |(_, bytes)| bytes);
+            self.dropped += 1;
+        }
+    }
+
+    fn pop(&mut self) -> Option<T> {
+        let parcel = self.parcels.pop_front()?;
+        self.bytes -= parcel.message().map_or(0, |(_, bytes)| bytes);
+        Some(parcel)
+    }
+}
+
+/// The link between one bridge and one endpoint.
+#[derive(Debug)]
+pub struct RosLink {
+    commands: Mailbox<RosCommand>,
+    events: Mailbox<RosEvent>,
+}
+
+impl Default for RosLink {
+    fn default() -> Self {
+        Self { commands: Mailbox::new(), events: Mailbox::new() }
+    }
+}
+
+impl RosLink {
+    /// Sends a command to the endpoint. Returns without waiting.
+    pub fn send_command(&self, command: RosCommand) {
+        self.commands.push(command);
+    }
+
+    /// Waits for the oldest event of the endpoint.
+    pub async fn next_event(&self) -> RosEvent {
+        self.events.next().await
+    }
+
+    /// Sends an event to the bridge. Returns without waiting.
+    pub(super) fn send_event(&self, event: RosEvent) {
+        self.events.push(event);
+    }
+
+    /// Waits for the oldest command of the bridge.
+    pub(super) async fn next_command(&self) -> RosCommand {
+        self.commands.next().await
+    }
+
+    /// Returns how many messages were dropped in both directions, because the other side was slow.
+    pub fn dropped(&self) -> u64 {
+        self.commands.lock().dropped + self.events.lock().dropped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ros2_client::dds::rustdds::bytes::Bytes;
+
+    fn message(topic: &str, bytes: usize) -> RosCommand {
+        RosCommand::Publish { topic: topic.into(), payload: Bytes::from(vec![7; bytes]) }
+    }
+
+    #[test]
+    fn the_newest_messages_of_a_topic_are_kept_and_registrations_are_never_dropped() {
+        let link = RosLink::default();
+        link.send_command(RosCommand::Unadvertise { topic: "/a".into() });
+        (0..DEPTH_MAX + 3).for_each(|length| link.send_command(message("/a", length)));
+        link.send_command(message("/b", 5));
+        let waiting = &mut *link.commands.lock();
+        assert_eq!((waiting.parcels.len(), waiting.dropped), (DEPTH_MAX + 2, 3));
+        assert!(matches!(waiting.pop(), Some(RosCommand::Unadvertise { .. })));
+        assert!(matches!(waiting.pop(), Some(RosCommand::Publish { payload, .. }) if payload.len() == 3));
+    }
+
+    #[test]
+    fn bytes_are_bounded_and_one_long_message_passes() {
+        let link = RosLink::default();
+        (0..8).for_each(|_| link.send_command(message("/map", BYTES_MAX / 4)));
+        assert_eq!(link.commands.lock().bytes, BYTES_MAX);
+        assert_eq!(link.dropped(), 4);
+        link.send_command(message("/map", 2 * BYTES_MAX));
+        let waiting = &mut *link.commands.lock();
+        assert_eq!((waiting.parcels.len(), waiting.bytes), (1, 2 * BYTES_MAX));
+        while waiting.pop().is_some() {}
+        assert_eq!(waiting.bytes, 0);
+    }
+}

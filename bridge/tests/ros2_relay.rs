@@ -1,0 +1,254 @@
+//! Topics between a client and ROS nodes through the bridge and its ROS 2 endpoint: ros2-client is the other side.
+
+use bridge::command::{Registration, name};
+use bridge::dds::{DdsConfig, DdsEndpoint, RosLink};
+use bridge::frame::{Parser, Side};
+use bridge::{Bridge, BridgeConfig, ClientId, process_clock};
+use ros2_client::dds::rustdds::DomainParticipantBuilder;
+use ros2_client::dds::{Context, Node, Publisher, Subscription};
+use ros2_client::qos::{Durability, QosProfile, Reliability};
+use ros2_client::{MessageTypeName, Name, NodeName, NodeOptions};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::future::Future;
+use std::net::Ipv4Addr;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::task::{LocalSet, spawn_local};
+
+/// No test takes this long unless it hangs.
+const WATCHDOG: Duration = Duration::from_secs(60);
+/// Whatever else is on its way arrives within this time.
+const QUIET: Duration = Duration::from_millis(400);
+const PAUSE: Duration = Duration::from_millis(20);
+
+fn run(test: impl Future<Output = ()>) {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    LocalSet::new().block_on(&runtime, async {
+        tokio::time::timeout(WATCHDOG, test).await.expect("the test hangs");
+    });
+}
+
+/// A bridge with its endpoint, and one client of it.
+struct Ours {
+    config: BridgeConfig,
+    bridge: Rc<Bridge>,
+    client: ClientId,
+}
+
+impl Ours {
+    /// Opens the endpoint in a domain that no other test uses at the same time, in all probability.
+    fn open(offset: u32) -> Self {
+        let domain = (101 + (std::process::id() * 7 + offset) % 100) as u16;
+        let dds = DdsConfig { enabled: true, domain, ..DdsConfig::default() };
+        let config = BridgeConfig { dds, ..BridgeConfig::default() };
+        let link = Arc::new(RosLink::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
+        spawn_local(endpoint.serve(|_, _| {}));
+        let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
+        let (commands, receiver) = (link.clone(), bridge.clone());
+        bridge.on_ros_command(move |command| commands.send_command(command));
+        spawn_local(async move {
+            loop {
+                receiver.receive_ros(link.next_event().await, process_clock());
+            }
+        });
+        let client = bridge.connect(([127, 0, 0, 1], 5000).into()).unwrap();
+        Self { config, bridge, client }
+    }
+
+    fn node(&self) -> Node {
+        let builder =
+            DomainParticipantBuilder::new(self.config.dds.domain).with_only_networks([Ipv4Addr::LOCALHOST]);
+        let context = Context::from_domain_participant(builder.build().unwrap()).unwrap();
+        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
+        context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
+    }
+
+    fn receive(&self, bytes: &[u8]) {
+        let mut parser = Parser::new(1 << 20);
+        parser.push(bytes);
+        while let Some(frame) = parser.next_frame().unwrap() {
+            self.bridge.receive(self.client, frame, process_clock());
+        }
+    }
+
+    fn register(&self, command: &str, topic: &str, message_type: &str) {
+        let (topic, message_name) = (topic.to_owned(), message_type.to_owned());
+        let registration = Registration { topic, message_name, ..Registration::default() };
+        let mut bytes = Vec::new();
+        Side::Client.write_command(&mut bytes, command, &registration);
+        self.receive(&bytes);
+    }
+
+    fn send(&self, topic: &str, payload: &[u8]) {
+        let mut bytes = Vec::new();
+        Side::Client.write(&mut bytes, topic, payload);
+        self.receive(&bytes);
+    }
+
+    /// Takes the payloads that wait for the client on a topic.
+    fn received(&self, topic: &str) -> Vec<Vec<u8>> {
+        let mut bytes = Vec::new();
+        self.bridge.take_outgoing(self.client, &mut bytes).unwrap();
+        let mut parser = Parser::new(1 << 20);
+        parser.push(&bytes);
+        let mut payloads = Vec::new();
+        while let Some(frame) = parser.next_frame().unwrap() {
+            if frame.name == topic.as_bytes() {
+                payloads.push(frame.payload.to_vec());
+            }
+        }
+        payloads
+    }
+
+    /// Waits for messages on a topic.
+    async fn wait_for(&self, topic: &str) -> Vec<Vec<u8>> {
+        loop {
+            let payloads = self.received(topic);
+            if !payloads.is_empty() {
+                return payloads;
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+}
+
+fn publisher<M: Serialize>(
+    node: &mut Node,
+    name: &str,
+    class: (&str, &str),
+    qos: &QosProfile,
+) -> Publisher<M> {
+    let topic = node.create_topic(&Name::parse(name).unwrap(), MessageTypeName::new(class.0, class.1), qos);
+    node.create_publisher(&topic.unwrap(), None).unwrap()
+}
+
+fn subscription<M: DeserializeOwned + 'static>(
+    node: &mut Node,
+    name: &str,
+    class: (&str, &str),
+) -> Subscription<M> {
+    let qos = QosProfile::subscription_default();
+    let topic = node.create_topic(&Name::parse(name).unwrap(), MessageTypeName::new(class.0, class.1), &qos);
+    node.create_subscription(&topic.unwrap(), None).unwrap()
+}
+
+/// std_msgs/String as ROS 2 encodes it: the text's length with its NUL, and the text.
+fn text(text: &str) -> Vec<u8> {
+    let length = text.len() as u32 + 1;
+    [&[0, 1, 0, 0][..], &length.to_le_bytes(), text.as_bytes(), &[0]].concat()
+}
+
+/// Returns whether a payload is a std_msgs/String; RustDDS pads messages to a multiple of 4 bytes.
+fn is_text(payload: &[u8], expected: &str) -> bool {
+    let expected = text(expected);
+    payload.starts_with(&expected) && payload.len() < expected.len() + 4
+}
+
+#[test]
+fn a_message_passes_in_both_directions_and_does_not_come_back() {
+    run(async {
+        let ours = Ours::open(0);
+        ours.register(name::SUBSCRIBE, "/chat", "std_msgs/String");
+        ours.register(name::PUBLISH, "/chat", "std_msgs/String");
+        let mut node = ours.node();
+        let there =
+            publisher::<String>(&mut node, "/chat", ("std_msgs", "String"), &QosProfile::publisher_default());
+        let heard = subscription::<String>(&mut node, "/chat", ("std_msgs", "String"));
+        // Messages are lost until discovery is complete.
+        loop {
+            there.publish("from ROS".into()).unwrap();
+            if let [first, ..] = &ours.received("/chat")[..] {
+                assert!(is_text(first, "from ROS"), "{first:?}");
+                break;
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
+        ours.received("/chat");
+        let mut sent = 0;
+        loop {
+            ours.send("/chat", &text("from a client"));
+            sent += 1;
+            tokio::time::sleep(PAUSE).await;
+            if let Ok(Some((message, _))) = heard.take()
+                && message == "from a client"
+            {
+                break;
+            }
+        }
+        tokio::time::sleep(QUIET).await;
+        // The client subscribed to its own topic: it gets each message once, from the bridge.
+        let payloads = ours.received("/chat");
+        let own = payloads.iter().filter(|payload| is_text(payload, "from a client")).count();
+        assert_eq!(own, sent);
+    });
+}
+
+#[test]
+fn best_effort_and_latched_publishers_are_heard() {
+    run(async {
+        let ours = Ours::open(25);
+        let mut node = ours.node();
+        let latched = QosProfile::publisher_default().durability(Durability::TransientLocal);
+        let there = publisher::<String>(&mut node, "/description", ("std_msgs", "String"), &latched);
+        there.publish("published before anybody subscribed".into()).unwrap();
+        ours.register(name::SUBSCRIBE, "/description", "std_msgs/String");
+        let payloads = ours.wait_for("/description").await;
+        assert_eq!(payloads.len(), 1);
+        assert!(is_text(&payloads[0], "published before anybody subscribed"), "{payloads:?}");
+
+        ours.register(name::SUBSCRIBE, "/fast", "std_msgs/String");
+        let hasty = QosProfile::publisher_default().reliability(Reliability::BestEffort);
+        let there = publisher::<String>(&mut node, "/fast", ("std_msgs", "String"), &hasty);
+        while ours.received("/fast").is_empty() {
+            there.publish("now".into()).unwrap();
+            tokio::time::sleep(PAUSE).await;
+        }
+    });
+}
+
+#[test]
+fn messages_of_another_type_do_not_reach_the_client() {
+    run(async {
+        let ours = Ours::open(50);
+        let mut node = ours.node();
+        let qos = QosProfile::publisher_default();
+        let wrong = publisher::<u32>(&mut node, "/count", ("std_msgs", "UInt32"), &qos);
+        ours.register(name::SUBSCRIBE, "/count", "std_msgs/String");
+        let texts = ours.wait_for(name::ERROR).await;
+        assert!(String::from_utf8_lossy(&texts[0]).contains("std_msgs/UInt32 in ROS"), "{texts:?}");
+        let right = publisher::<String>(&mut node, "/count", ("std_msgs", "String"), &qos);
+        let payloads = loop {
+            wrong.publish(7).unwrap();
+            right.publish("seven".into()).unwrap();
+            tokio::time::sleep(PAUSE).await;
+            let payloads = ours.received("/count");
+            if !payloads.is_empty() {
+                break payloads;
+            }
+        };
+        assert!(payloads.iter().all(|payload| is_text(payload, "seven")), "{payloads:?}");
+    });
+}
+
+#[test]
+fn the_reader_goes_with_its_last_client() {
+    run(async {
+        let ours = Ours::open(75);
+        let builder =
+            DomainParticipantBuilder::new(ours.config.dds.domain).with_only_networks([Ipv4Addr::LOCALHOST]);
+        let other = builder.build().unwrap();
+        let readers = || {
+            let readers = other.discovered_readers();
+            readers.iter().filter(|reader| reader.subscription_topic_data.topic_name() == "rt/chat").count()
+        };
+        for (command, wanted) in [(name::SUBSCRIBE, 1), (name::REMOVE_SUBSCRIBER, 0)] {
+            ours.register(command, "/chat", "std_msgs/String");
+            while readers() != wanted {
+                tokio::time::sleep(PAUSE).await;
+            }
+        }
+    });
+}
