@@ -29,7 +29,6 @@ use crate::config::FleetConfig;
 use crate::fleet;
 use crate::ports::{Clock, Ports, ReadMapPort};
 use crate::process::Error;
-use crate::processes;
 use crate::run::Run;
 use faults::FaultPlan;
 use members::{Member, World};
@@ -83,7 +82,7 @@ impl Lockstep {
         let storage = MemoryStorage::new(&network);
         let run = Run::in_memory(config.clone())?;
         let port = Port::new(&network);
-        let mut rows: Vec<_> = processes::of_fleet(config).collect();
+        let mut rows: Vec<_> = fleet::processes(config).collect();
         // Processes in the order of the data flow: robots, SLAM, merging, figures, bridge.
         rows.sort_by_key(|(row, robot)| (row.role, *robot));
         let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::SlamTool));

@@ -75,7 +75,10 @@ pub fn free_bytes(folder: &Path) -> Option<u64> {
 
 /// Compares free shared memory with the need of a fleet.
 pub fn check_shared_memory(config: &FleetConfig) -> Option<Finding> {
-    judge_shared_memory(free_bytes(Path::new(SHARED_MEMORY))?, shared_memory_need(config))
+    judge_shared_memory(
+        free_bytes(Path::new(SHARED_MEMORY))?,
+        shared_memory_need(config.fleet.robots, config.world.is_outside()),
+    )
 }
 
 fn judge_shared_memory(free: u64, need: SharedMemoryNeed) -> Option<Finding> {

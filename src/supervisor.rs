@@ -8,14 +8,14 @@ pub mod restarts;
 pub mod watchdog;
 
 use crate::clock::now;
-use crate::processes::{self, ProcessRow};
+use crate::fleet;
+use crate::processes::ProcessRow;
 use crate::run::Run;
 use crate::shared_memory::SHARED_MEMORY;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use progress::{ProgressBoard, WatchedThread};
 use restarts::{DEATHS_MAX, RestartPolicy, State};
 use rustix::process::{Pid, Signal, kill_process};
-use signal_hook::consts::SIGBUS;
 use std::io;
 use std::net::TcpListener;
 use std::os::fd::OwnedFd;
@@ -70,7 +70,7 @@ impl Supervisor {
     /// while it restarts.
     pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
         let now = now();
-        let members = processes::of_fleet(&run.config).map(|(row, robot)| Member::new(row, robot, now));
+        let members = fleet::processes(&run.config).map(|(row, robot)| Member::new(row, robot, now));
         let members: Vec<Member> = members.collect();
         let progress = ProgressBoard::create(&run.domain, members.len())?;
         let mut supervisor = Self { run: run.clone(), listener, members, progress };
@@ -221,6 +221,9 @@ fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
         tell(format!("the {} died {DEATHS_MAX} times in a row and is not started again", member.name()));
     }
 }
+
+/// What the kernel sends when shared memory runs out.
+const SIGBUS: i32 = Signal::BUS.as_raw();
 
 fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
