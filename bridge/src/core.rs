@@ -13,10 +13,10 @@ use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
 use crate::drive::{DriveArbiter, Driver};
-use crate::fleet_topics::{FleetMessage, FleetTopics};
+use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{Frame, Side};
 use crate::relay::RelayTable;
-use crate::ros::{RobotNames, Twist};
+use crate::ros::{Bool, Int32, RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
@@ -192,12 +192,16 @@ impl Core {
 
     /// Publishes which robot is selected.
     pub fn publish_selected(&mut self) {
-        self.fleet.publish_selected(&mut self.router, self.gate.drive().selected());
+        let selected = self.gate.drive().selected();
+        self.fleet.publish_selected(&mut self.router, selected);
+        self.relay.publish_state(FleetTopic::SelectedRobotState, &Int32(selected.number() as i32));
     }
 
     /// Publishes whether the emergency stop is set.
     pub fn publish_stop(&mut self) {
-        self.fleet.publish_stop(&mut self.router, self.gate.drive().is_stopped());
+        let is_stopped = self.gate.drive().is_stopped();
+        self.fleet.publish_stop(&mut self.router, is_stopped);
+        self.relay.publish_state(FleetTopic::EmergencyStopState, &Bool(is_stopped));
     }
 
     /// Sets the emergency stop: every robot stops, and stays stopped until it is released.

@@ -8,6 +8,7 @@ mod table;
 pub use table::{RelayTable, Unpublished};
 
 use crate::dds::ReceivedMessage;
+use crate::fleet_topics::FleetTopic;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -40,6 +41,13 @@ pub enum RosCommand {
     Unadvertise {
         /// The topic's name with leading slash.
         topic: Arc<str>,
+    },
+    /// Publish the newest state of the bridge on a topic of the fleet.
+    PublishState {
+        /// The topic.
+        topic: FleetTopic,
+        /// The message as CDR with its encapsulation header.
+        payload: Bytes,
     },
     /// Publish a message on a topic that was announced.
     Publish {
@@ -79,14 +87,15 @@ pub enum RosEvent {
 }
 
 impl RosCommand {
-    /// Returns the topic's name with leading slash.
-    pub fn topic(&self) -> &Arc<str> {
+    /// Returns the name with leading slash of a client's topic.
+    pub fn topic(&self) -> Option<&Arc<str>> {
         match self {
             Self::Subscribe { topic, .. }
             | Self::Unsubscribe { topic }
             | Self::Advertise { topic, .. }
             | Self::Unadvertise { topic }
-            | Self::Publish { topic, .. } => topic,
+            | Self::Publish { topic, .. } => Some(topic),
+            Self::PublishState { .. } => None,
         }
     }
 }

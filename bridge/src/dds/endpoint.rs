@@ -238,13 +238,16 @@ impl EndpointState {
 
     /// Does what the bridge asks.
     fn apply(&mut self, command: RosCommand, now: Monotonic) {
-        let topic = command.topic().clone();
+        if let RosCommand::PublishState { topic, payload } = command {
+            return self.writers.publish_state(topic, payload, now);
+        }
+        let topic = command.topic().cloned();
         match self.relay.apply(command, now) {
             Ok((outcome, has_changed)) => {
                 outcome.into_iter().for_each(|outcome| self.writers.count(outcome));
                 self.is_graph_due |= has_changed;
             }
-            Err(why) => self.relay.report(topic, &why),
+            Err(why) => topic.into_iter().for_each(|topic| self.relay.report(topic, &why)),
         }
     }
 

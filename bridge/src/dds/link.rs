@@ -24,6 +24,7 @@ impl Parcel for RosCommand {
     fn message(&self) -> Option<(&str, usize)> {
         match self {
             Self::Publish { topic, payload } => Some((topic, payload.len())),
+            Self::PublishState { topic, payload } => Some((topic.row().name, payload.len())),
             _ => None,
         }
     }

@@ -8,6 +8,7 @@ use crate::cdr::Writer;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
 use crate::ros::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use msg::{Link, Monotonic, RobotId, VelocityCommand};
+use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
 
 /// Velocities that a writer keeps for a slow robot: half a minute at 20 Hz.
@@ -108,6 +109,14 @@ impl TopicWriters {
                 }
                 to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
             });
+        }
+    }
+
+    /// Publishes an encoded message on a topic of the whole fleet.
+    pub fn publish_state(&mut self, topic: FleetTopic, payload: Bytes, now: Monotonic) {
+        if let Some(index) = self.by_topic[topic as usize].first().copied() {
+            let outcome = self.writers[index].write_bytes(now, payload);
+            self.count(outcome);
         }
     }
 

@@ -39,6 +39,10 @@ pub enum FleetTopic {
     SelectedRobot,
     /// Whether the emergency stop is set.
     EmergencyStop,
+    /// The robot that `/cmd_vel` drives, on DDS.
+    SelectedRobotState,
+    /// Whether the emergency stop is set, on DDS.
+    EmergencyStopState,
 }
 
 /// How a topic's messages are kept for its subscribers.
@@ -110,7 +114,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 15] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 17] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -144,6 +148,7 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 15] = [
         ..row(FleetTopic::Transforms, "/tf", TfMessage::TYPE, "robotN/transforms")
     },
     OutgoingTopic {
+        tcp: LATCHED,
         dds: LATCHED,
         robots_publish_it: true,
         ..row(FleetTopic::StaticTransforms, "/tf_static", TfMessage::TYPE, "robotN/transforms")
@@ -181,6 +186,16 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 15] = [
     },
     OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::SelectedRobot, "/selected_robot", Int32::TYPE, "") },
     OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::EmergencyStop, "/emergency_stop", Bool::TYPE, "") },
+    // On DDS the states have names of their own: the endpoint would read its own states as commands, and a second fleet
+    // in the domain would obey them.
+    OutgoingTopic {
+        dds: LATCHED,
+        ..row(FleetTopic::SelectedRobotState, "/selected_robot_state", Int32::TYPE, "")
+    },
+    OutgoingTopic {
+        dds: LATCHED,
+        ..row(FleetTopic::EmergencyStopState, "/emergency_stop_state", Bool::TYPE, "")
+    },
 ];
 
 impl FleetTopic {
