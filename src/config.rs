@@ -275,6 +275,17 @@ impl FleetConfig {
         }
     }
 
+    /// Returns the bridge's settings with what it needs of the others.
+    pub fn bridge_config(&self) -> bridge::BridgeConfig {
+        let odometry = &self.slam.odometry;
+        let odometry_sigmas = bridge::OdometrySigmas {
+            m_per_m: odometry.sigma_m_per_m,
+            rad_per_rad: odometry.sigma_rad_per_rad,
+            rad_per_m: odometry.sigma_rad_per_m,
+        };
+        bridge::BridgeConfig { odometry_sigmas, ..self.bridge.clone() }
+    }
+
     /// Returns the robots' names in ROS, of a configuration that was checked.
     pub fn robot_names(&self) -> RobotNames {
         RobotNames::new(self.fleet.names.clone()).unwrap_or_else(|_| self.fleet.robots.into())

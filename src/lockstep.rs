@@ -345,7 +345,7 @@ impl Observer {
                 robot.world_from_base = Some(truth.world_from_base);
             }
             if let Some(correction) = robot.corrections.newest() {
-                robot.map_from_odom = Some(correction.map_from_odom);
+                robot.map_from_odom = correction.map_from_odom().or(robot.map_from_odom);
                 robot.map_from_base = Some(correction.map_from_base);
             }
         }

@@ -54,7 +54,7 @@ impl RobotWatch {
             self.world_from_base = Some(truth.world_from_base);
         }
         if let Some(correction) = self.corrections.newest() {
-            self.map_from_odom = Some(correction.map_from_odom);
+            self.map_from_odom = correction.map_from_odom().or(self.map_from_odom);
             self.map_from_base = Some(correction.map_from_base);
         }
     }

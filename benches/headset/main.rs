@@ -138,8 +138,14 @@ fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
     Ok(Row {
         scan_hz: hz.fold(f64::INFINITY, f64::min),
         lost: pairs().map(|(then, now)| now.scans_lost - then.scans_lost).sum(),
-        jitter_ms: [worst(|robot| robot.tf_jitter_ms.p50), worst(|robot| robot.tf_jitter_ms.p95)],
-        pose_ms: [worst(|robot| robot.scan_to_pose_ms.p50), worst(|robot| robot.scan_to_pose_ms.p95)],
+        jitter_ms: [
+            worst(|robot| robot.tf_jitter_ms.p50.unwrap_or(f32::INFINITY)),
+            worst(|robot| robot.tf_jitter_ms.p95.unwrap_or(f32::INFINITY)),
+        ],
+        pose_ms: [
+            worst(|robot| robot.scan_to_pose_ms.p50.unwrap_or(f32::INFINITY)),
+            worst(|robot| robot.scan_to_pose_ms.p95.unwrap_or(f32::INFINITY)),
+        ],
     })
 }
 

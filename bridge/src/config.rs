@@ -1,6 +1,7 @@
 //! The settings of the bridge.
 
 use crate::dds::DdsConfig;
+use crate::odometry_covariance::OdometrySigmas;
 use crate::ros::{Dialect, NameStyle};
 use crate::velocity_gate::VelocityConfig;
 use crate::world::ClockOffset;
@@ -70,6 +71,9 @@ pub struct BridgeConfig {
     pub velocity: VelocityConfig,
     /// The ROS 2 endpoint.
     pub dds: DdsConfig,
+    /// Errors of the robots' odometry, for its published covariances. They are those of `[slam.odometry]`.
+    #[serde(skip)]
+    pub odometry_sigmas: OdometrySigmas,
 }
 
 impl Default for BridgeConfig {
@@ -97,6 +101,7 @@ impl Default for BridgeConfig {
             service_timeout_s: 10.0,
             velocity: VelocityConfig::default(),
             dds: DdsConfig::default(),
+            odometry_sigmas: OdometrySigmas::default(),
         }
     }
 }

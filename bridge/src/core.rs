@@ -67,7 +67,8 @@ impl Core {
     /// Creates the core of a valid configuration.
     pub fn new(config: BridgeConfig, robots: &RobotNames, world: Option<WorldInput>) -> Self {
         let mut topics = TopicTable::new(config.client_topics_max);
-        let fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        let mut fleet = FleetTopics::new(&mut topics, config.frame_names, robots, world.is_some());
+        fleet.set_odometry_sigmas(config.odometry_sigmas);
         let drive = DriveArbiter::new(robots.count(), FIRST_ROBOT, config.lease());
         let mut core = Self {
             router: TopicRouter::new(topics, &config),

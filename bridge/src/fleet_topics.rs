@@ -1,6 +1,7 @@
 //! The fleet's topics towards ros_tcp clients.
 
 mod map_updates;
+mod odom_frames;
 mod publisher;
 mod table;
 
@@ -9,6 +10,7 @@ pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 
 use crate::cdr::Writer;
 use crate::input::Input;
+use crate::odometry_covariance::OdometrySigmas;
 use crate::ros::{
     Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PoseWithCovarianceStamped, RobotNames, Text,
     Twist,
@@ -86,6 +88,11 @@ impl FleetTopics {
         });
         let publisher = FleetPublisher::new(style, robots, LinkTransforms::OnTf);
         Self { publisher, ids, velocity, selected_velocity }
+    }
+
+    /// Sets the errors of the robots' odometry.
+    pub fn set_odometry_sigmas(&mut self, sigmas: OdometrySigmas) {
+        self.publisher.set_odometry_sigmas(sigmas);
     }
 
     /// Publishes a message of the fleet.
@@ -194,3 +201,6 @@ impl TopicSink for RouterSink<'_> {
         of_topic.into_iter().any(|topic| !topic.subscribers.is_empty())
     }
 }
+
+#[cfg(test)]
+mod tests;

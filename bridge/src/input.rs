@@ -27,6 +27,8 @@ pub enum Input {
     MergeEdge,
     /// Transforms. Those of the fleet's own frames are refused, or taken as the robots' own in an external world.
     Transforms,
+    /// Transforms of one robot on its own topic, in an external world: its frames may be plain.
+    RobotTransforms(RobotId),
     /// A robot's scan, in an external world.
     Scan(RobotId),
     /// A robot's wheel odometry, in an external world.

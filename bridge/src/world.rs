@@ -108,6 +108,8 @@ pub enum Incoming<'a> {
     Scan(RobotId, Reader<'a>),
     /// tf2_msgs/TFMessage; its frame names tell which robots it is about.
     Transforms(Reader<'a>),
+    /// tf2_msgs/TFMessage of one robot, whose frames may be plain: `odom`, `base_footprint`.
+    RobotTransforms(RobotId, Reader<'a>),
     /// nav_msgs/Odometry of a robot, whatever its frames are called.
     Odometry(RobotId, Reader<'a>),
     /// rosgraph_msgs/Clock of the whole world.
@@ -175,7 +177,10 @@ impl ExternalWorld {
         let mut origin = Origin { source, clock, received };
         match message {
             Incoming::Scan(robot, from) => self.receive_scan(&mut origin, robot, from),
-            Incoming::Transforms(from) => self.receive_transforms(&mut origin, &from),
+            Incoming::Transforms(from) => self.receive_transforms(&mut origin, None, &from),
+            Incoming::RobotTransforms(robot, from) => {
+                self.receive_transforms(&mut origin, Some(robot), &from)
+            }
             Incoming::Odometry(robot, from) => self.receive_odometry(&mut origin, robot, from),
             Incoming::Clock(from) => self.receive_clock(&mut origin, from),
         }
@@ -202,13 +207,19 @@ impl ExternalWorld {
         Ok(())
     }
 
-    fn receive_transforms(&mut self, origin: &mut Origin<'_>, from: &Reader<'_>) -> Result<(), WorldError> {
+    /// Takes transforms; `of`: all are this robot's.
+    fn receive_transforms(
+        &mut self,
+        origin: &mut Origin<'_>,
+        of: Option<RobotId>,
+        from: &Reader<'_>,
+    ) -> Result<(), WorldError> {
         // The whole message must be readable before any part of it is taken.
         read::transforms(&mut from.clone(), |_| {})?;
         self.links.iter_mut().for_each(|links| links.len = 0);
         let mut result = Ok(());
         read::transforms(&mut from.clone(), |transform| {
-            let taken = self.receive_transform(origin, &transform);
+            let taken = self.receive_transform(origin, of, &transform);
             if result.is_ok() {
                 result = taken;
             }
@@ -277,9 +288,16 @@ impl ExternalWorld {
     }
 
     /// Returns the robot and the links of a transform, `None` if it is not between the fleet's frames.
-    fn fleet_link(&self, transform: &Transform<'_>) -> Result<Option<(RobotId, Link, Link)>, TransformError> {
+    fn fleet_link(
+        &self,
+        of: Option<RobotId>,
+        transform: &Transform<'_>,
+    ) -> Result<Option<(RobotId, Link, Link)>, TransformError> {
         let robot_count = self.names.count();
-        let parse = |name| self.names.parse_frame(name);
+        let parse = |name| match of {
+            Some(robot) => self.names.parse_frame_of(robot, name).map(|frame| (robot, frame)),
+            None => self.names.parse_frame(name),
+        };
         let Some((robot, FleetFrame::Link(child))) = parse(transform.child_frame_id) else { return Ok(None) };
         if robot.number() > robot_count {
             return Err(TransformError::NoSuchRobot { robot_count });
@@ -294,14 +312,17 @@ impl ExternalWorld {
     fn receive_transform(
         &mut self,
         origin: &mut Origin<'_>,
+        of: Option<RobotId>,
         transform: &Transform<'_>,
     ) -> Result<(), WorldError> {
         let (parent, child) = (transform.frame_id, transform.child_frame_id);
-        if self.names.is_correction(parent, child) {
+        let own = of.and_then(|robot| self.names.parse_frame_of(robot, child));
+        let is_own_odom = matches!(own, Some(FleetFrame::Map | FleetFrame::Link(Link::Odom)));
+        if is_own_odom || self.names.is_correction(parent, child) {
             return Err(WorldError::Correction { parent: parent.into(), child: child.into() });
         }
         let wrong = |source| WorldError::Transform { parent: parent.into(), child: child.into(), source };
-        let Some((robot, parent_link, child_link)) = self.fleet_link(transform).map_err(wrong)? else {
+        let Some((robot, parent_link, child_link)) = self.fleet_link(of, transform).map_err(wrong)? else {
             return Ok(());
         };
         self.check_source(origin, robot)?;

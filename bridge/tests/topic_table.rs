@@ -1,6 +1,9 @@
 //! The tables of topics in `docs/` name the topics that the fleet publishes, with their types.
 
-use bridge::{Delivery, OUTGOING_TOPICS};
+use bridge::command::{TopicList, name};
+use bridge::frame::{Parser, Side};
+use bridge::{Bridge, BridgeConfig, Delivery, OUTGOING_TOPICS};
+use msg::Monotonic;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -47,5 +50,44 @@ fn the_topics_on_dds_alone_are_documented() {
     for row in OUTGOING_TOPICS.iter().filter(|row| row.tcp.is_none()) {
         let line = format!("| `{}` | {} |", row.name, row.message_type);
         assert!(page.contains(&line), "docs/ros2.md lacks a row that begins with: {line}");
+    }
+}
+
+/// All topics of a bridge with one robot, by name: their types.
+fn topics_of_a_bridge() -> BTreeMap<String, String> {
+    let bridge = Bridge::new(BridgeConfig::default(), 1, |_, _| {}).unwrap();
+    let client = bridge.connect(([127, 0, 0, 1], 1).into()).unwrap();
+    let (mut request, mut answer) = (Vec::new(), Vec::new());
+    Side::Client.write_command(&mut request, name::TOPIC_LIST, &serde_json::json!({}));
+    let mut parser = Parser::new(1 << 20);
+    parser.push(&request);
+    bridge.receive(client, parser.next_frame().unwrap().unwrap(), Monotonic(0));
+    bridge.take_outgoing(client, &mut answer).unwrap();
+    let mut parser = Parser::new(1 << 20);
+    parser.push(&answer);
+    while let Some(frame) = parser.next_frame().unwrap() {
+        if frame.name == name::TOPIC_LIST.as_bytes() {
+            let TopicList { topics, types } = serde_json::from_slice(frame.payload).unwrap();
+            return topics.into_iter().zip(types).collect();
+        }
+    }
+    panic!("no topic list");
+}
+
+#[test]
+fn the_documented_inputs_on_tcp_are_those_of_the_bridge() {
+    let documented = table(&page("headset.md"), "In:");
+    let topics = topics_of_a_bridge();
+    let in_docs = |name: &str| name.replace("/robot1/", "/robotN/").replace("cmd_vel_1", "cmd_vel_N");
+    let published = |name: &str| OUTGOING_TOPICS.iter().any(|row| row.name == name);
+    for (topic, message_type) in &topics {
+        let name = in_docs(topic);
+        match documented.get(&name) {
+            Some((types, _)) => assert!(types.contains(message_type.as_str()), "{name}: {types}"),
+            None => assert!(published(&name), "{name} is missing in the table `In:` of docs/headset.md"),
+        }
+    }
+    for name in documented.keys() {
+        assert!(topics.keys().any(|topic| in_docs(topic) == *name), "{name} is documented, but not there");
     }
 }

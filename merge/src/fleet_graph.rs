@@ -314,7 +314,9 @@ impl FleetPoseGraph {
         self.pairs.iter().enumerate().find_map(|(index, pair)| {
             let in_graph = self.relation_in_graph(index)?;
             let [a, b] = robots_of_pair(index).map(|robot| &self.robots[robot]);
-            if pair.edge.is_rejected(in_graph) { None } else { pair.closures.next_match(index, a, b) }
+            let nodes = a.submaps.node_count() + b.submaps.node_count();
+            let is_out = pair.edge.is_rejected(in_graph) || pair.edge.is_refuted(in_graph, nodes);
+            if is_out { None } else { pair.closures.next_match(index, a, b) }
         })
     }
 

@@ -44,7 +44,7 @@ pub struct Correction {
     pub scan_seq: u64,
     /// Time at which the scan left its simulator. Scan-to-pose latency is counted from it.
     pub scan_sent: Monotonic,
-    /// Transform to `robotK/map` from `odom`, which REP-105 assigns to SLAM.
+    /// Transform to `robotK/map` from `odom`, which REP-105 assigns to SLAM. Read it by [`Correction::map_from_odom`].
     pub map_from_odom: Pose2,
     /// Pose of `base_footprint` in `robotK/map` at the stamp.
     pub map_from_base: Pose2,
@@ -57,11 +57,17 @@ pub struct Correction {
     pub nodes: u32,
     /// Number of loop closures in the pose graph.
     pub closures: u32,
-    /// Padding, always zero.
-    pub reserved: u32,
+    /// 1 if `map_from_odom` is not known, because odometry or the robot's place in the map never was; else 0.
+    pub map_from_odom_unknown: u32,
 }
 
 impl Correction {
+    /// Transform to `robotK/map` from `odom`; `None` if it is not known. While odometry is missing or the robot is not
+    /// located, it is the last known one.
+    pub fn map_from_odom(&self) -> Option<Pose2> {
+        (self.map_from_odom_unknown == 0).then_some(self.map_from_odom)
+    }
+
     /// Returns the correction in another map frame, of which `other_from_map` is the pose of this one.
     pub fn transformed(&self, other_from_map: Pose2) -> Self {
         let (sin, cos) = other_from_map.yaw_rad.sin_cos();

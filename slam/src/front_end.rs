@@ -33,6 +33,12 @@ use std::sync::Arc;
 const NOT_LOCATED_M: f64 = 100.0;
 const NOT_LOCATED_RAD: f64 = core::f64::consts::PI;
 
+/// Covariance over (x, y, yaw) of a robot that may be anywhere.
+fn unknown_pose_covariance() -> Matrix3<f64> {
+    let variance_m2 = NOT_LOCATED_M.powi(2);
+    Matrix3::from_diagonal(&Vector3::new(variance_m2, variance_m2, NOT_LOCATED_RAD.powi(2)))
+}
+
 /// Counts of scans by what became of them.
 // More than 12 fields: one counter for each outcome of a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -118,6 +124,8 @@ pub struct FrontEnd {
     matcher: ScanMatcher,
     nodes: NodeBuilder,
     frame: MapFrame,
+    /// The last pose in the map with odometry, and its inverse by odometry: `map_from_base`, `base_from_continuous`.
+    newest_with_odometry: Option<[Pose2; 2]>,
     samples: Vec<TrajectorySample>,
     counts: FrontEndCounts,
     stages: Box<dyn StageObserver>,
@@ -133,6 +141,7 @@ impl FrontEnd {
             matcher: ScanMatcher::new(&config.tracking),
             nodes: NodeBuilder::new(),
             frame: MapFrame::new(),
+            newest_with_odometry: None,
             // The operating system provides the memory as it is used.
             samples: Vec::with_capacity(config.graph.trajectory_max),
             counts: FrontEndCounts::default(),
@@ -183,10 +192,17 @@ impl FrontEnd {
         let is_unknown = self.motion.odometry.take_unknown_motion();
         if is_unknown {
             self.motion.forget();
+            self.newest_with_odometry = None;
             self.frame.set(None);
             self.request_node();
         }
         is_unknown
+    }
+
+    /// Pose by odometry at a stamp, in the driver's own frame; `None` if odometry is missing there.
+    pub fn odom_from_base(&self, stamp: Stamp) -> Option<Pose2> {
+        let odometry = &self.motion.odometry;
+        Some(odometry.continuous_from_odom().inverse() * odometry.at(stamp)?)
     }
 
     /// Adds the back end's answer to an earlier node; it takes effect with the node that it names.
@@ -309,29 +325,35 @@ impl FrontEnd {
         self.motion.record(stamp, pose.local_from_base, pose.covariance, odom_from_base);
     }
 
-    fn correction(&self, scan: &Scan, pose: &TrackedPose, odom_from_base: Option<Pose2>) -> Correction {
+    /// The answer to a scan. `odom_from_base` is `None` if odometry is missing at its stamp: the transform of `odom` stays
+    /// as it was.
+    fn correction(&mut self, scan: &Scan, pose: &TrackedPose, odom_from_base: Option<Pose2>) -> Correction {
         let MapFrame { map_from_local, is_located, .. } = self.frame;
         let map_from_base = map_from_local * pose.local_from_base;
         let (sin, cos) = map_from_local.yaw_rad.sin_cos();
         let rotation = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        let anywhere = Vector3::new(NOT_LOCATED_M.powi(2), NOT_LOCATED_M.powi(2), NOT_LOCATED_RAD.powi(2));
         let c = match is_located {
             true => rotation * pose.covariance * rotation.transpose(),
-            false => Matrix3::from_diagonal(&anywhere),
+            false => unknown_pose_covariance(),
         };
-        let base_from_odom =
-            odom_from_base.unwrap_or(Pose2::IDENTITY).inverse() * self.motion.odometry.continuous_from_odom();
+        if let (Some(odom_from_base), true) = (odom_from_base, is_located) {
+            self.newest_with_odometry = Some([map_from_base, odom_from_base.inverse()]);
+        }
+        let continuous_from_odom = self.motion.odometry.continuous_from_odom();
+        let map_from_odom = self.newest_with_odometry.map(|[map_from_base, base_from_continuous]| {
+            map_from_base * (base_from_continuous * continuous_from_odom)
+        });
         Correction {
             header: msg::Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
             scan_sent: scan.header.sent,
-            map_from_odom: map_from_base * base_from_odom,
+            map_from_odom: map_from_odom.unwrap_or_default(),
             map_from_base,
             covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
             state: if is_located { pose.state } else { TrackingState::Lost } as u32,
             nodes: self.nodes.next_node,
             closures: self.frame.closures,
-            reserved: 0,
+            map_from_odom_unknown: map_from_odom.is_none().into(),
         }
     }
 }

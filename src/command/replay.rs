@@ -177,8 +177,9 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     let start = Instant::now();
     let log = read_log(log)?;
     let mut replayed = feed(&log, config, args)?;
-    replayed.summary.wall_s = start.elapsed().as_secs_f64();
-    replayed.summary.times_real_time = replayed.duration_s / replayed.summary.wall_s;
+    let wall_s = start.elapsed().as_secs_f64();
+    replayed.summary.wall_s = Some(wall_s);
+    replayed.summary.times_real_time = Some(replayed.duration_s / wall_s);
     finish(args, replayed)
 }
 
@@ -194,8 +195,8 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
     }
     let drawing = Instant::now();
     let grid = back.map();
-    summary.map_ms = drawing.elapsed().as_secs_f64() * 1e3;
-    (summary.map_width, summary.map_height) = (grid.header.width, grid.header.height);
+    summary.map_ms = Some(drawing.elapsed().as_secs_f64() * 1e3);
+    (summary.map_width, summary.map_height) = (Some(grid.header.width), Some(grid.header.height));
     if let Some(path) = &args.map {
         write_map(&path.with_extension(""), grid)?;
     }

@@ -61,7 +61,7 @@ fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
     let begun = Instant::now();
     while !observer.poll() && !observer.wait(PATIENCE) && begun.elapsed() <= PATIENCE {}
     let stats = observer.stats().ok_or(StatusError::NoFigures { run: run.dir.clone() })?;
-    let view = FleetView::new(stats);
+    let view = FleetView::new(stats).without_given_transforms(&run.config);
     observer.changed_edges();
     // Figures without the bridge's state are still worth having: it may just be restarting.
     let bridge = control::ask(run, Request::State, PATIENCE).ok();

@@ -4,6 +4,7 @@ mod console;
 mod detach;
 mod events;
 mod report;
+mod scan_rates;
 mod screen;
 
 pub use report::Report;
@@ -20,6 +21,7 @@ use crate::supervisor::Supervisor;
 use crate::view::FleetView;
 use console::OperatorConsole;
 use events::Events;
+use scan_rates::ScanRates;
 use screen::Screen;
 use std::net::{IpAddr, TcpListener};
 use std::path::PathBuf;
@@ -195,14 +197,14 @@ fn watch(
 ) -> Result<Report, UpError> {
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
     let mut console = OperatorConsole::new(run);
-    let mut events = Events::default();
+    let (mut events, mut rates) = (Events::default(), ScanRates::default());
     hooks.on_start(run)?;
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
     loop {
         let mut tell = |event: String| {
             screen.show_event(&event);
-            events.push(event);
+            events.push(begun.elapsed(), event);
         };
         if stop.requested() || over() || !hooks.poll(&mut tell) {
             break;
@@ -212,9 +214,11 @@ fn watch(
         for edge in observer.changed_edges() {
             let event = edge.to_string();
             screen.show_event(&event);
-            events.push(event);
+            events.push(begun.elapsed(), event);
         }
-        if has_new_stats && let Some(fleet) = fleet_view(&observer, console.refresh()) {
+        if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refresh()) {
+            rates.add(&fleet);
+            rates.fill(&mut fleet);
             screen.show(&fleet, console.help(), begun.elapsed(), seconds);
         }
         if let Some(done) = console.handle_key() {
@@ -227,12 +231,16 @@ fn watch(
     observer.poll();
     let maps = observer.write_maps(&run.dir)?;
     observer.changed_edges();
-    let fleet = fleet_view(&observer, console.newest());
+    let mut fleet = fleet_view(run, &observer, console.newest());
+    if let Some(fleet) = &mut fleet {
+        rates.add(fleet);
+        rates.fill(fleet);
+    }
     Ok(Report::new(run, begun.elapsed(), fleet, operator, maps, events))
 }
 
-fn fleet_view(observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
-    let view = FleetView::new(observer.stats()?);
+fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
+    let view = FleetView::new(observer.stats()?).without_given_transforms(&run.config);
     Some(FleetView { bridge, merge_edges: observer.merge_edges(), ..view })
 }
 

@@ -94,7 +94,7 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<Rc<Bridge>, E
             writer.send(&command);
         }
     };
-    let config = run.config.bridge.clone();
+    let config = run.config.bridge_config();
     let bridge = match run.config.world {
         World::Simulator => Bridge::new(config, run.config.robot_names(), send)?,
         World::Headset | World::Ros => {

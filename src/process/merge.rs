@@ -159,7 +159,7 @@ fn apply_estimate(merger: &mut Merger, estimate: &FleetEstimate) -> u64 {
 }
 
 /// Tells where a robot has been since the last step: after the maps, so that what they show of it is not older. A
-/// robot that is lost does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
+/// robot that is lost, or that has seen no scan yet, does not know. Nobody is woken for it: a peer's map is what shows a robot where it stands.
 fn set_footprint<P: Ports>(
     merger: &mut Merger,
     robot: RobotId,
@@ -168,7 +168,7 @@ fn set_footprint<P: Ports>(
 ) -> bool {
     let mut changed = false;
     while let Some(at) = reader.receive() {
-        if at.state() != TrackingState::Lost {
+        if at.state() != TrackingState::Lost && at.nodes > 0 {
             changed |= merger.set_robot_footprint(robot, at.map_from_base, radius_m);
         }
     }

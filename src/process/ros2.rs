@@ -71,7 +71,7 @@ fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let robots = run.config.robot_names();
-        let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge, robots, is_external, link)?);
+        let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, link)?);
         let mut feeds = open_feeds(&participant, run, &endpoint)?;
         let requester = Rc::new(RefCell::new(SlamRequester::open(&participant, run, REQUESTER_KIND)?));
         for robot in run.robots() {

@@ -7,6 +7,7 @@ mod table;
 pub use edges::{EdgeView, edge_table, edges_json};
 pub use slam::{ClosureView, SlamView};
 
+use crate::config::FleetConfig;
 use crate::control::BridgeState;
 
 use msg::{Distribution, FleetStats, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState};
@@ -58,8 +59,10 @@ pub struct RobotView {
     pub robot: String,
     /// Tracking state of SLAM: `tracking`, `lost` ...
     pub state: &'static str,
-    /// Scans that SLAM receives per second.
-    pub scan_hz: f64,
+    /// Scans that SLAM received per second: mean of the run; `None` where one moment is shown, as by `status`.
+    pub scan_hz: Option<f64>,
+    /// Scans that SLAM received in the last second, Hz.
+    pub scan_hz_last_second: f64,
     /// Scans that SLAM received since its start.
     pub scans: u64,
     /// Scans that were sent and not received since the start.
@@ -115,14 +118,14 @@ pub struct MapView {
 pub struct DistributionView {
     /// Number of values.
     pub count: u64,
-    /// 50th percentile of the values.
-    pub p50: f32,
+    /// 50th percentile of the values; `None` without values, like the others.
+    pub p50: Option<f32>,
     /// 95th percentile of the values.
-    pub p95: f32,
+    pub p95: Option<f32>,
     /// 99th percentile of the values.
-    pub p99: f32,
+    pub p99: Option<f32>,
     /// Largest of the values.
-    pub max: f32,
+    pub max: Option<f32>,
 }
 
 /// Health of one process.
@@ -165,6 +168,16 @@ pub struct ProcessView {
 const SILENT_AFTER_S: f64 = 2.5;
 
 impl FleetView {
+    /// Removes the errors of the robots' map transforms where these were given and not found: they say nothing.
+    pub fn without_given_transforms(mut self, config: &FleetConfig) -> Self {
+        if config.fleet.starts_known {
+            for robot in &mut self.robots {
+                (robot.map_transform_error_m, robot.map_transform_error_deg) = (None, None);
+            }
+        }
+        self
+    }
+
     /// Converts telemetry's message; edges and the bridge's state are added by the caller.
     pub fn new(stats: &FleetStats) -> Self {
         let count = (stats.robot_count as usize).min(stats.robots.len());
@@ -199,12 +212,18 @@ impl FleetView {
 }
 
 impl RobotView {
+    /// Known share of the robot's map, 0 to 1; `None`: it has no map.
+    pub fn coverage(&self) -> Option<f64> {
+        (self.map.slam_stats[3] > 0.0).then_some(self.map.coverage)
+    }
+
     fn new(robot: RobotId, stats: &RobotStats) -> Self {
         let Pose2 { x_m, y_m, yaw_rad } = stats.map_from_base;
         Self {
             robot: robot.to_string(),
             state: TrackingState::from_code(stats.state).map_or("?", TrackingState::name),
-            scan_hz: stats.scan_hz,
+            scan_hz: None,
+            scan_hz_last_second: stats.scan_hz,
             scans: stats.scans,
             scans_lost: stats.scans_lost,
             map: MapView::new(stats),
@@ -236,6 +255,7 @@ impl MapView {
 impl DistributionView {
     fn new(distribution: &Distribution) -> Self {
         let Distribution { count, p50, p95, p99, max } = *distribution;
+        let [p50, p95, p99, max] = [p50, p95, p99, max].map(|value| (count > 0).then_some(value));
         Self { count, p50, p95, p99, max }
     }
 }

@@ -31,7 +31,7 @@ impl FleetView {
                 "{:<8} {:<10} {:>8.2} {:>6} {:>9.1} {:>16} {:>16} {:>9}",
                 robot.robot,
                 robot.state,
-                robot.scan_hz,
+                robot.scan_hz_last_second,
                 robot.scans_lost,
                 100.0 * robot.map.coverage,
                 robot.tf_jitter_ms.p50_and_p99(),
@@ -116,6 +116,9 @@ impl FleetView {
 
 impl DistributionView {
     fn p50_and_p99(&self) -> String {
-        if self.count == 0 { "-".into() } else { format!("{:.3} / {:.3}", self.p50, self.p99) }
+        match (self.p50, self.p99) {
+            (Some(p50), Some(p99)) => format!("{p50:.3} / {p99:.3}"),
+            _ => "-".into(),
+        }
     }
 }

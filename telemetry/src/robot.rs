@@ -15,6 +15,12 @@ const TRUTH_GAP_MAX_S: f64 = 0.1;
 /// Messages of one robot, counted.
 #[derive(Default)]
 pub(crate) struct RobotTelemetry {
+    /// Incarnation of the SLAM process that sent the newest correction.
+    slam_incarnation: Option<u64>,
+    /// When the first scan was sent that this SLAM process answered.
+    first_scan_sent: Option<Monotonic>,
+    /// When the newest scan was sent that was in a map.
+    newest_map_scan: Monotonic,
     /// Jitter of its transforms.
     pub jitter: TransformJitter,
     scans: ScanCounter,
@@ -39,14 +45,23 @@ impl RobotTelemetry {
 
     /// Adds SLAM's answer to a scan.
     pub fn add_correction(&mut self, correction: &Correction, received: Monotonic) {
+        if self.slam_incarnation != Some(correction.header.incarnation) {
+            self.slam_incarnation = Some(correction.header.incarnation);
+            self.first_scan_sent = Some(correction.scan_sent);
+        }
         self.scans.add(correction);
         record_latency(&mut self.scan_to_pose, correction.scan_sent, received);
         self.newest = Some(*correction);
     }
 
-    /// Records the latency of a map.
+    /// Records the latency of a map, unless it is older than one before.
     pub fn record_map_arrival(&mut self, scan_sent: Monotonic, received: Monotonic) {
-        record_latency(&mut self.scan_to_map, scan_sent, received);
+        // A map that a restarted process had saved, or one that telemetry missed, says nothing about latency.
+        let is_answered = self.first_scan_sent.is_some_and(|first| scan_sent >= first);
+        if is_answered && scan_sent >= self.newest_map_scan {
+            self.newest_map_scan = scan_sent;
+            record_latency(&mut self.scan_to_map, scan_sent, received);
+        }
     }
 
     /// Replaces the map; a malformed one is ignored.

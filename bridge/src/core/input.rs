@@ -107,6 +107,9 @@ impl Core {
             (Input::Odometry(robot), Ok(from)) => {
                 self.receive_dds_world(Incoming::Odometry(robot, from), now)
             }
+            (Input::RobotTransforms(robot), Ok(from)) => {
+                self.receive_dds_world(Incoming::RobotTransforms(robot, from), now)
+            }
             (Input::Transforms, Ok(from)) => self.receive_dds_world(Incoming::Transforms(from), now),
             (Input::Clock, Ok(from)) => self.receive_dds_world(Incoming::Clock(from), now),
             (input, Ok(_)) => {
@@ -184,6 +187,9 @@ impl Core {
             Input::Scan(robot) => self.receive_world(id, Incoming::Scan(robot, self.reader(payload)?), now),
             Input::Odometry(robot) => {
                 self.receive_world(id, Incoming::Odometry(robot, self.reader(payload)?), now)
+            }
+            Input::RobotTransforms(robot) => {
+                self.receive_world(id, Incoming::RobotTransforms(robot, self.reader(payload)?), now)
             }
             Input::Clock => self.receive_world(id, Incoming::Clock(self.reader(payload)?), now),
             Input::InitialPose(robot) => {

@@ -1,7 +1,9 @@
 //! The settings of the ROS 2 endpoint.
 
 use crate::config::ConfigError;
+use crate::repeater::Repetition;
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 
 /// The highest domain whose UDP ports exist (RTPS 2.5, 9.6.1.1).
 const DOMAIN_MAX: u16 = 232;
@@ -12,10 +14,10 @@ const RELAYED_TOPICS_LIMIT: usize = 1024;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VelocityMessage {
-    /// geometry_msgs/Twist.
+    /// geometry_msgs/Twist, without a stamp.
     #[default]
     Twist,
-    /// geometry_msgs/TwistStamped.
+    /// geometry_msgs/TwistStamped, with stamp and frame.
     TwistStamped,
     /// Both, each with its own readers and writers.
     Either,
@@ -33,7 +35,7 @@ impl VelocityMessage {
 }
 
 /// The table `bridge.dds` of the fleet file.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DdsConfig {
     /// Whether the fleet's topics are on DDS, for ROS 2.
@@ -50,6 +52,15 @@ pub struct DdsConfig {
     /// Type of velocities on `/cmd_vel`, `/cmd_vel_N` and `/robotN/cmd_vel`: `twist`, `twist_stamped` (TurtleBots and Nav2
     /// may expect it from Jazzy on), or `either`, which reads and writes both.
     pub velocity: VelocityMessage,
+    /// Rate at which the last transforms from `map` to `odom` are sent again, Hz; 0 to 200. 0: once for each scan. SLAM
+    /// Toolbox has 50 (transform_publish_period 0.02). On TCP they are sent once for each scan, with its stamp.
+    pub transform_rate_hz: f64,
+    /// How far ahead of the time they are dated, seconds; 0 to 5. SLAM Toolbox has 0.2 (transform_timeout): tf2's readers
+    /// need not wait for a transform that is on its way.
+    pub transform_tolerance_s: f64,
+    /// For how long they are sent again after SLAM's last answer, seconds; 0.1 to 60. 1 s bridges a few lost scans. While
+    /// a robot is lost they are not sent.
+    pub transform_hold_s: f64,
     /// Topics, besides the fleet's, that clients and ROS nodes may exchange at a time, 0 to 1024.
     pub relayed_topics_max: usize,
 }
@@ -63,6 +74,9 @@ impl Default for DdsConfig {
             namespace: String::new(),
             node: "mr_slam".into(),
             velocity: VelocityMessage::Twist,
+            transform_rate_hz: 50.0,
+            transform_tolerance_s: 0.2,
+            transform_hold_s: 1.0,
             relayed_topics_max: 256,
         }
     }
@@ -88,7 +102,36 @@ impl DdsConfig {
             let value = format!("'{}'", self.node);
             return Err(ConfigError::new("dds.node", value, "expected letters, digits and underscores"));
         }
+        self.validate_transforms()
+    }
+
+    fn validate_transforms(&self) -> Result<(), ConfigError> {
+        let limits = [
+            ("dds.transform_rate_hz", self.transform_rate_hz, 0.0..=200.0, "0 to 200 Hz work"),
+            ("dds.transform_tolerance_s", self.transform_tolerance_s, 0.0..=5.0, "0 to 5 seconds work"),
+            ("dds.transform_hold_s", self.transform_hold_s, 0.1..=60.0, "0.1 to 60 seconds work"),
+        ];
+        for (key, value, range, expected) in limits {
+            if !range.contains(&value) {
+                return Err(ConfigError::new(key, value.to_string(), expected));
+            }
+        }
         Ok(())
+    }
+}
+
+impl DdsConfig {
+    /// Returns how transforms map -> odom are repeated.
+    pub(crate) fn repetition(&self) -> Repetition {
+        Repetition {
+            tolerance: Duration::from_secs_f64(self.transform_tolerance_s),
+            hold: Duration::from_secs_f64(self.transform_hold_s),
+        }
+    }
+
+    /// Returns the time between two of them; `None` if they are not repeated.
+    pub(crate) fn transform_period(&self) -> Option<Duration> {
+        (self.transform_rate_hz > 0.0).then(|| Duration::from_secs_f64(1.0 / self.transform_rate_hz))
     }
 }
 

@@ -50,6 +50,8 @@ pub struct DdsEndpoint {
     participant: DomainParticipant,
     link: Arc<RosLink>,
     started: Instant,
+    /// Time between two repetitions of the transforms map -> odom.
+    transform_period: Option<Duration>,
 }
 
 struct EndpointState {
@@ -91,18 +93,28 @@ impl DdsEndpoint {
         let services = ServiceServers::open(&factory, may_drive.then_some(&robots))?;
         let link_transforms = if is_external { LinkTransforms::ByRobots } else { LinkTransforms::Split };
         let requests = services.request_readers();
+        let mut publisher = FleetPublisher::new(config.frame_names, &robots, link_transforms);
+        publisher.set_odometry_sigmas(config.odometry_sigmas);
+        publisher.set_repetition(dds.repetition());
         let state = EndpointState {
             writers,
             relay: TopicRelay::new(&participant, factory, link.clone()),
-            publisher: FleetPublisher::new(config.frame_names, &robots, link_transforms),
+            publisher,
             services,
             graph,
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
             is_graph_due: false,
         };
         state.publish_graph();
-        let (state, started) = (RefCell::new(state), Instant::now());
-        Ok(Self { state, inputs, requests, participant, link, started })
+        Ok(Self {
+            state: RefCell::new(state),
+            inputs,
+            requests,
+            participant,
+            link,
+            started: Instant::now(),
+            transform_period: dds.transform_period(),
+        })
     }
 
     fn now(&self) -> Monotonic {
@@ -134,6 +146,10 @@ impl DdsEndpoint {
         let mut events = listener.as_async_status_stream();
         let mut tick = interval(TICK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut repeat = self.transform_period.map(interval);
+        if let Some(repeat) = &mut repeat {
+            repeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        }
         loop {
             tokio::select! {
                 event = events.next() => match event {
@@ -144,6 +160,7 @@ impl DdsEndpoint {
                 },
                 command = self.link.next_command() => self.state.borrow_mut().apply(command, self.now()),
                 _ = tick.tick() => self.state.borrow_mut().tick(self.now()),
+                () = next_tick(&mut repeat) => self.state.borrow_mut().repeat_transforms(self.now()),
             }
         }
     }
@@ -181,8 +198,8 @@ impl DdsEndpoint {
                     if sample.writer_guid().prefix == own {
                         continue;
                     }
-                    endpoint.state.borrow_mut().writers.count_received();
                     let message = ReceivedMessage::new(&input, sample.into_value().0.to_vec());
+                    endpoint.state.borrow_mut().record(&message);
                     endpoint.link.send_event(RosEvent::Input(message));
                 }
             });
@@ -211,7 +228,20 @@ impl DdsEndpoint {
 impl Transport for DdsEndpoint {
     fn publish(&self, message: FleetMessage<'_>) {
         let state = &mut *self.state.borrow_mut();
-        state.publisher.publish(message, &mut state.writers.sink(self.now()));
+        let now = self.now();
+        state.publisher.publish(message, &mut state.writers.sink(now));
+        if let FleetMessage::Correction(robot, correction) = message {
+            state.publisher.receive_correction(robot, correction, now);
+            state.repeat_transforms(now);
+        }
+    }
+}
+
+/// Waits for the next tick of an interval; without one for ever.
+async fn next_tick(interval: &mut Option<tokio::time::Interval>) {
+    match interval {
+        Some(interval) => drop(interval.tick().await),
+        None => std::future::pending().await,
     }
 }
 
@@ -238,9 +268,6 @@ impl EndpointState {
 
     /// Does what the bridge asks.
     fn apply(&mut self, command: RosCommand, now: Monotonic) {
-        if let RosCommand::PublishState { topic, payload } = command {
-            return self.writers.publish_state(topic, payload, now);
-        }
         let topic = command.topic().cloned();
         match self.relay.apply(command, now) {
             Ok((outcome, has_changed)) => {
@@ -249,6 +276,15 @@ impl EndpointState {
             }
             Err(why) => topic.into_iter().for_each(|topic| self.relay.report(topic, &why)),
         }
+    }
+
+    fn record(&mut self, message: &ReceivedMessage) {
+        self.writers.count_received();
+        self.publisher.learn_frames(message.input(), message.payload());
+    }
+
+    fn repeat_transforms(&mut self, now: Monotonic) {
+        self.publisher.repeat_transforms(now, &mut self.writers.sink(now));
     }
 
     fn tick(&mut self, now: Monotonic) {

@@ -152,6 +152,9 @@ fn world_topics(robots: &RobotNames) -> Vec<InputTopic> {
     for robot in robots.robots() {
         all.push(InputTopic::new::<LaserScan>(robots.topic(robot, "scan"), Input::Scan(robot)));
         all.push(InputTopic::new::<Odometry>(robots.topic(robot, "odom"), Input::Odometry(robot)));
+        if !robots.is_plain() {
+            all.push(InputTopic::new::<TfMessage>(robots.topic(robot, "tf"), Input::RobotTransforms(robot)));
+        }
     }
     all
 }

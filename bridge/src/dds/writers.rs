@@ -8,7 +8,6 @@ use crate::cdr::Writer;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
 use crate::ros::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use msg::{Link, Monotonic, RobotId, VelocityCommand};
-use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
 
 /// Velocities that a writer keeps for a slow robot: half a minute at 20 Hz.
@@ -38,7 +37,7 @@ impl TopicWriters {
             counted: DdsCounters::default(),
         };
         let is_external = velocity.is_some();
-        for row in OUTGOING_TOPICS.iter().filter(|row| !(is_external && row.robots_publish_it)) {
+        for row in OUTGOING_TOPICS.iter().filter(|row| row.is_on_dds(is_external)) {
             all.by_topic[row.topic as usize] = all.open_topic(factory, row, robots)?;
         }
         let Some(velocity) = velocity else { return Ok(all) };
@@ -61,7 +60,8 @@ impl TopicWriters {
         row: &OutgoingTopic,
         robots: &RobotNames,
     ) -> Result<Vec<usize>, EndpointError> {
-        let Some(delivery) = row.dds else { return Ok(Vec::new()) };
+        // States of the bridge come over the link, which opens their writers.
+        let Some(delivery) = row.dds.filter(|_| !row.channel.is_empty()) else { return Ok(Vec::new()) };
         let qos = match delivery {
             Delivery::Latched => latched_qos(),
             stream => stream_qos(stream.depth(robots.count())),
@@ -109,14 +109,6 @@ impl TopicWriters {
                 }
                 to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
             });
-        }
-    }
-
-    /// Publishes an encoded message on a topic of the whole fleet.
-    pub fn publish_state(&mut self, topic: FleetTopic, payload: Bytes, now: Monotonic) {
-        if let Some(index) = self.by_topic[topic as usize].first().copied() {
-            let outcome = self.writers[index].write_bytes(now, payload);
-            self.count(outcome);
         }
     }
 

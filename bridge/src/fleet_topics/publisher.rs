@@ -1,12 +1,16 @@
 //! Selects the topics of a message of the fleet, and encodes the message for each.
 
 use super::map_updates::MapUpdates;
+use super::odom_frames::OdomFrames;
 use super::table::FleetTopic;
 use crate::cdr::Writer;
+use crate::input::Input;
+use crate::odometry_covariance::{OdometryCovariance, OdometrySigmas};
+use crate::repeater::{CorrectionRepeater, Repetition};
 use crate::ros::{FrameNames, NameStyle, RobotNames, names, write};
 use msg::{
-    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, RobotId, Scan, Stamp,
-    Transforms,
+    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, Pose2, RobotId, Scan,
+    Stamp, Transforms,
 };
 use std::time::Duration;
 
@@ -62,15 +66,38 @@ pub enum LinkTransforms {
     ByRobots,
 }
 
+/// Published values of each cell value, by its bits.
+struct GridValues {
+    /// Free, occupied or unknown.
+    trinary: [i8; 256],
+    /// Percent of occupation.
+    percent: [i8; 256],
+}
+
+/// The covariances of all robots' odometry.
+struct OdometryCovariances {
+    sigmas: OdometrySigmas,
+    robots: Vec<OdometryCovariance>,
+}
+
+/// What repeated transforms need.
+struct RepeatedTransforms {
+    repeater: CorrectionRepeater,
+    /// The frames of external robots, as they call them.
+    frames: Option<OdomFrames>,
+    /// The corrections that are being sent.
+    due: Vec<(RobotId, Correction)>,
+}
+
 /// Publishes the fleet's messages on a transport's topics.
 pub struct FleetPublisher {
     robots: RobotNames,
     names: FrameNames,
-    /// Published value of each cell value: free, occupied or unknown.
-    trinary: [i8; 256],
-    /// Percent of occupation for each cell value.
-    percent: [i8; 256],
+    values: GridValues,
     map_updates: MapUpdates,
+    odometry: OdometryCovariances,
+    /// The transforms map -> odom if they are repeated; otherwise they are sent with each of SLAM's answers.
+    repeated: Option<RepeatedTransforms>,
     link_transforms: LinkTransforms,
     /// Each robot's transforms, once seen; empty if they are [`LinkTransforms::ByRobots`].
     static_transforms: Vec<Option<Transforms>>,
@@ -85,14 +112,41 @@ impl FleetPublisher {
         Self {
             robots: robots.clone(),
             names: FrameNames::new(style, robots),
-            trinary: msg::grid::trinary_table(),
-            percent: msg::grid::percent_table(),
+            values: GridValues { trinary: msg::grid::trinary_table(), percent: msg::grid::percent_table() },
             map_updates: MapUpdates::default(),
+            odometry: OdometryCovariances {
+                sigmas: OdometrySigmas::default(),
+                robots: vec![OdometryCovariance::default(); robots.count()],
+            },
+            repeated: None,
             link_transforms,
             static_transforms: vec![None; robots.count()],
             map_transforms: None,
             map_transforms_due: None,
             now: Stamp(0),
+        }
+    }
+
+    /// Sets the errors of the robots' odometry.
+    pub fn set_odometry_sigmas(&mut self, sigmas: OdometrySigmas) {
+        self.odometry.sigmas = sigmas;
+    }
+
+    /// Repeats the transforms map -> odom from now on, by [`FleetPublisher::repeat_transforms`], dated ahead.
+    pub fn set_repetition(&mut self, repetition: Repetition) {
+        let robot_count = self.robots.count();
+        let is_external = self.link_transforms == LinkTransforms::ByRobots;
+        self.repeated = Some(RepeatedTransforms {
+            repeater: CorrectionRepeater::new(repetition, robot_count),
+            frames: is_external.then(|| OdomFrames::new(robot_count)),
+            due: Vec::with_capacity(robot_count),
+        });
+    }
+
+    /// Takes the names of an external robot's frames from its message.
+    pub fn learn_frames(&mut self, input: Input, payload: &[u8]) {
+        if let Some(frames) = self.repeated.as_mut().and_then(|repeated| repeated.frames.as_mut()) {
+            frames.learn(&self.robots, input, payload);
         }
     }
 
@@ -133,14 +187,20 @@ impl FleetPublisher {
             FleetMessage::Odometry(robot, odometry) if self.has(robot) => {
                 let frame = self.names.link(robot, Link::Odom);
                 let child = self.names.link(robot, Link::BaseFootprint);
-                let encode = |to: &mut Writer<'_>| write::odometry(to, frame, child, odometry);
+                let OdometryCovariances { sigmas, robots } = &mut self.odometry;
+                let covariance = &mut robots[robot.index()];
+                covariance.add(sigmas, odometry);
+                let encode = |to: &mut Writer<'_>| {
+                    let of_velocity = OdometryCovariance::of_velocity(sigmas, odometry);
+                    write::odometry(to, frame, child, odometry, &covariance.of_pose(), &of_velocity);
+                };
                 sink.send(FleetTopic::Odometry, Some(robot), encode);
             }
             FleetMessage::Correction(robot, correction) if self.has(robot) => {
                 self.publish_correction(robot, correction, sink);
             }
             FleetMessage::Map(robot, map) if self.has(robot) => {
-                let (frame, values) = (self.names.map(robot), &self.trinary);
+                let (frame, values) = (self.names.map(robot), &self.values.trinary);
                 let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, frame, values, map);
                 sink.send(FleetTopic::Map, Some(robot), encode);
             }
@@ -167,7 +227,7 @@ impl FleetPublisher {
 
     /// Publishes the merged map, and what changed in it since the last one.
     fn publish_merged_map(&mut self, map: GridView<'_>, sink: &mut impl TopicSink) {
-        let (trinary, percent) = (&self.trinary, &self.percent);
+        let GridValues { trinary, percent } = &self.values;
         let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, trinary, map);
         sink.send(FleetTopic::MergedMap, None, encode);
         sink.send_again(FleetTopic::MergedMapAlias, FleetTopic::MergedMap);
@@ -223,8 +283,80 @@ impl FleetPublisher {
         let (names, frame) = (&self.names, self.names.map(robot));
         let correction = &correction;
         sink.send(FleetTopic::Pose, Some(robot), |to| write::pose_estimate(to, frame, correction));
-        let encode = |to: &mut Writer<'_>| write::correction(to, names, robot, correction);
+        // Where odometry was never known, `odom` lies nowhere: no transform is sent.
+        let Some(map_from_odom) = correction.map_from_odom().filter(|_| self.repeated.is_none()) else {
+            return;
+        };
+        let stamp = correction.header.stamp;
+        let encode = |to: &mut Writer<'_>| write::map_from_odom(to, names, robot, stamp, map_from_odom);
         sink.send(FleetTopic::Transforms, None, encode);
+    }
+
+    /// Takes SLAM's answer to a scan at a time, for [`FleetPublisher::repeat_transforms`].
+    pub fn receive_correction(&mut self, robot: RobotId, correction: &Correction, now: Monotonic) {
+        if let Some(repeated) = &mut self.repeated {
+            repeated.repeater.receive(robot, correction, now);
+        }
+    }
+
+    /// Publishes the last known transforms map -> odom with the stamp that they have now, dated ahead.
+    ///
+    /// With them go the transforms of the robots' maps, so that the whole chain is as new.
+    pub fn repeat_transforms(&mut self, now: Monotonic, sink: &mut impl TopicSink) {
+        let Some(mut repeated) = self.repeated.take() else { return };
+        repeated.due.clear();
+        for robot in self.robots.robots() {
+            let due = repeated.repeater.take_due(robot, now);
+            repeated.due.extend(due.map(|correction| (robot, correction)));
+        }
+        let frames = repeated.frames.as_ref();
+        // The frame `odom`, and whether the transform belongs on the robot's own topic; `None` while it is not known.
+        let odom_of = |robot| match frames {
+            Some(frames) => frames.of(robot),
+            None => Some((self.names.link(robot, Link::Odom), false)),
+        };
+        let on_tf = |robot| odom_of(robot).is_some_and(|(_, is_own)| !is_own);
+        if repeated.due.iter().any(|(robot, _)| on_tf(*robot)) {
+            let all = repeated.due.iter().filter(|(robot, _)| on_tf(*robot));
+            sink.send(FleetTopic::Transforms, None, |to| self.write_chains(to, all, odom_of));
+        }
+        for entry in
+            repeated.due.iter().filter(|(robot, _)| odom_of(*robot).is_some_and(|(_, is_own)| is_own))
+        {
+            let one = std::iter::once(entry);
+            sink.send(FleetTopic::RobotTransforms, Some(entry.0), |to| self.write_chains(to, one, odom_of));
+        }
+        self.repeated = Some(repeated);
+    }
+
+    /// Writes tf2_msgs/TFMessage with map -> map_N, where known, and map_N -> odom of some robots.
+    fn write_chains<'a>(
+        &self,
+        to: &mut Writer<'_>,
+        corrections: impl Iterator<Item = &'a (RobotId, Correction)> + Clone,
+        odom_of: impl Fn(RobotId) -> Option<(&'a str, bool)>,
+    ) {
+        let map_of = |robot: RobotId| {
+            let transform = self.map_transforms.as_ref()?.robots[robot.index()];
+            (transform.known == 1 && !self.robots.is_plain()).then_some(transform.map_from_robot_map)
+        };
+        let each = |write: &mut dyn FnMut(Stamp, &str, &str, Pose2)| {
+            for (robot, correction) in corrections.clone() {
+                let (Some(published), Some((odom, _))) = (self.in_published_map(correction), odom_of(*robot))
+                else {
+                    continue;
+                };
+                let (stamp, map) = (correction.header.stamp, self.names.map(*robot));
+                if let Some(map_from_robot_map) = map_of(*robot) {
+                    write(stamp, names::MAP, map, map_from_robot_map);
+                }
+                write(stamp, map, odom, published.map_from_odom);
+            }
+        };
+        let mut count = 0;
+        each(&mut |_, _, _, _| count += 1);
+        to.count(count);
+        each(&mut |stamp, parent, child, pose| write::planar_transform(to, stamp, parent, child, pose));
     }
 
     /// Returns a correction in the map that its frame names: a robot with plain names has the merged map alone.

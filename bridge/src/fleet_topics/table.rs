@@ -23,6 +23,8 @@ pub enum FleetTopic {
     Transforms,
     /// Transforms that never change.
     StaticTransforms,
+    /// Transforms map -> odom for an external robot whose frames are plain.
+    RobotTransforms,
     /// The run's time.
     Clock,
     /// The map of all robots.
@@ -77,6 +79,8 @@ pub struct OutgoingTopic {
     pub dds: Option<Delivery>,
     /// Whether robots of an external ROS world publish this topic themselves, so that the bridge must not on DDS.
     pub robots_publish_it: bool,
+    /// Whether only robots of an external ROS world have the topic, on DDS.
+    pub external_only: bool,
     /// The shared-memory channel that feeds the topic; empty if the bridge itself does.
     pub channel: &'static str,
 }
@@ -107,14 +111,23 @@ const fn row(
     message_type: &'static str,
     channel: &'static str,
 ) -> OutgoingTopic {
-    OutgoingTopic { topic, name, message_type, tcp: None, dds: None, robots_publish_it: false, channel }
+    OutgoingTopic {
+        topic,
+        name,
+        message_type,
+        tcp: None,
+        dds: None,
+        robots_publish_it: false,
+        external_only: false,
+        channel,
+    }
 }
 
 /// All topics that the fleet publishes.
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 17] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 18] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -154,6 +167,11 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 17] = [
         ..row(FleetTopic::StaticTransforms, "/tf_static", TfMessage::TYPE, "robotN/transforms")
     },
     OutgoingTopic {
+        dds: stream(DDS_TRANSFORMS_DEPTH),
+        external_only: true,
+        ..row(FleetTopic::RobotTransforms, "/robotN/tf", TfMessage::TYPE, "robotN/correction")
+    },
+    OutgoingTopic {
         tcp: stream(1),
         dds: stream(DDS_CLOCK_DEPTH),
         robots_publish_it: true,
@@ -186,8 +204,8 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 17] = [
     },
     OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::SelectedRobot, "/selected_robot", Int32::TYPE, "") },
     OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::EmergencyStop, "/emergency_stop", Bool::TYPE, "") },
-    // On DDS the states have names of their own: the endpoint would read its own states as commands, and a second fleet
-    // in the domain would obey them.
+    // On DDS the states have names of their own: a second fleet in the domain would read
+    // them as commands.
     OutgoingTopic {
         dds: LATCHED,
         ..row(FleetTopic::SelectedRobotState, "/selected_robot_state", Int32::TYPE, "")
@@ -211,6 +229,11 @@ impl OutgoingTopic {
         self.name.starts_with(ROBOT_PREFIX)
     }
 
+    /// Returns whether the bridge publishes the topic on DDS, in a world of external robots or of simulated ones.
+    pub(crate) fn is_on_dds(&self, is_external: bool) -> bool {
+        self.dds.is_some() && if is_external { !self.robots_publish_it } else { !self.external_only }
+    }
+
     /// Returns whether the topic's name is the same in every namespace.
     pub fn is_global(&self) -> bool {
         matches!(self.topic, FleetTopic::Transforms | FleetTopic::StaticTransforms | FleetTopic::Clock)
@@ -221,12 +244,17 @@ impl OutgoingTopic {
         self.topic == FleetTopic::MergedMapAlias
     }
 
+    /// Returns whether the topic under a plain name is another topic of the fleet: `/map` or `/tf`.
+    fn has_plain_twin(&self) -> bool {
+        matches!(self.topic, FleetTopic::Map | FleetTopic::RobotTransforms)
+    }
+
     /// Returns the ROS names in a fleet, in order of the robots.
     ///
     /// A robot with plain names has no map of its own: its map would be `/map`, which is the fleet's.
     pub fn names(&self, robots: &RobotNames) -> Vec<String> {
         match self.name.strip_prefix(ROBOT_PREFIX) {
-            Some(_) if self.topic == FleetTopic::Map && robots.is_plain() => Vec::new(),
+            Some(_) if robots.is_plain() && self.has_plain_twin() => Vec::new(),
             Some(rest) => robots.robots().map(|robot| robots.topic(robot, rest)).collect(),
             None => vec![self.name.to_owned()],
         }

@@ -27,7 +27,7 @@ pub enum RobotNameError {
     /// The name is not a ROS name.
     #[error("'{name}' is no name of a robot; expected letters, digits and _, such as alice or lab/alice")]
     Invalid {
-        /// The name.
+        /// The name as configured.
         name: String,
     },
     /// Two names would give the same topics or frames.
@@ -140,6 +140,13 @@ impl RobotNames {
         let alone =
             || Some((RobotId::new(1)?, frame_called(name).filter(|frame| *frame != FleetFrame::Map)?));
         slash().or_else(flat).or_else(|| alone().filter(|_| self.count() == 1))
+    }
+
+    /// Returns the frame of one robot that a name means in the robot's own messages, where it may be plain.
+    pub fn parse_frame_of(&self, robot: RobotId, name: &str) -> Option<FleetFrame> {
+        let plain = || frame_called(name.strip_prefix('/').unwrap_or(name));
+        let named = self.parse_frame(name).filter(|(of, _)| *of == robot);
+        named.map(|(_, frame)| frame).or_else(plain)
     }
 
     fn robot_named(&self, name: &str) -> Option<RobotId> {

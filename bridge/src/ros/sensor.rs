@@ -94,8 +94,8 @@ impl Message for PoseWithCovarianceStamped {
     }
 }
 
-/// nav_msgs/Odometry without its covariances, which the fleet's robots leave zero.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// nav_msgs/Odometry.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Odometry {
     /// Time of the pose.
     pub stamp: Stamp,
@@ -107,8 +107,27 @@ pub struct Odometry {
     pub position: [f64; 3],
     /// Orientation: unit quaternion x, y, z, w.
     pub orientation: [f64; 4],
+    /// Row-major covariance of the pose over x, y, z and the rotations about them; m, rad.
+    pub pose_covariance: [f64; 36],
     /// Velocity, m/s and rad/s.
     pub twist: Twist,
+    /// Row-major covariance of the velocity, in the same order.
+    pub twist_covariance: [f64; 36],
+}
+
+impl Default for Odometry {
+    fn default() -> Self {
+        Self {
+            stamp: Stamp(0),
+            frame_id: String::new(),
+            child_frame_id: String::new(),
+            position: [0.0; 3],
+            orientation: [0.0; 4],
+            pose_covariance: [0.0; 36],
+            twist: Twist::default(),
+            twist_covariance: [0.0; 36],
+        }
+    }
 }
 
 impl Message for Odometry {
@@ -117,18 +136,27 @@ impl Message for Odometry {
         let (stamp, frame_id) = read_header(from)?;
         let child_frame_id = from.string("child_frame_id")?.to_owned();
         let (position, orientation) = read_pose(from)?;
-        from.f64s::<36>("pose.covariance")?;
+        let pose_covariance = from.f64s("pose.covariance")?;
         let twist = Twist::read(from)?;
-        from.f64s::<36>("twist.covariance")?;
-        Ok(Self { stamp, frame_id, child_frame_id, position, orientation, twist })
+        let twist_covariance = from.f64s("twist.covariance")?;
+        Ok(Self {
+            stamp,
+            frame_id,
+            child_frame_id,
+            position,
+            orientation,
+            pose_covariance,
+            twist,
+            twist_covariance,
+        })
     }
     fn write(&self, to: &mut Writer<'_>) {
         write::header(to, self.stamp, &self.frame_id);
         to.string(&self.child_frame_id);
         write::pose(to, self.position, self.orientation);
-        to.f64s(&[0.0; 36]);
+        to.f64s(&self.pose_covariance);
         self.twist.write(to);
-        to.f64s(&[0.0; 36]);
+        to.f64s(&self.twist_covariance);
     }
 }
 

@@ -4,8 +4,7 @@ use super::*;
 use crate::cdr::Writer;
 use bytemuck::Zeroable;
 use msg::{
-    Correction, GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp,
-    Transforms,
+    GridHeader, GridView, Header, Link, LinkTransform, MapTransforms, Pose2, RobotId, Stamp, Transforms,
 };
 use proptest::prelude::*;
 use std::fmt::Debug;
@@ -108,7 +107,10 @@ proptest! {
     #[test]
     fn odometry_decodes_to_itself(stamp in stamp(), frame_id in text(), child_frame_id in text(), space in space(), twist in twist()) {
         let (position, orientation) = space;
-        let message = Odometry { stamp, frame_id, child_frame_id, position, orientation, twist };
+        let (pose_covariance, twist_covariance) = ([0.1; 36], [0.2; 36]);
+        let message = Odometry {
+            stamp, frame_id, child_frame_id, position, orientation, pose_covariance, twist, twist_covariance,
+        };
         prop_assert_eq!(&round(&message, 3), &message);
         survives_cuts(&message);
     }
@@ -231,11 +233,10 @@ fn all_transforms_have_their_frame_names() {
         tree.transforms.iter().map(|t| (t.frame_id.as_str(), t.child_frame_id.as_str())).collect();
     assert_eq!(edges, [("odom_2", "base_footprint_2"), ("base_link_2", "base_scan_2")]);
 
-    let correction =
-        Correction { map_from_odom: Pose2::new(1.0, 2.0, 0.6), header: header(9), ..Default::default() };
+    let map_from_odom = Pose2::new(1.0, 2.0, 0.6);
     out.clear();
     let slash = FrameNames::new(NameStyle::Slash, &3.into());
-    write::correction(&mut Writer::new(&mut out), &slash, robot(3), &correction);
+    write::map_from_odom(&mut Writer::new(&mut out), &slash, robot(3), header(9).stamp, map_from_odom);
     let tree: TfMessage = decode(&out).unwrap();
     assert_eq!(tree.transforms[0].frame_id, "robot3/map");
     assert_eq!(tree.transforms[0].child_frame_id, "robot3/odom");
@@ -264,11 +265,14 @@ fn odometry_is_encoded_field_by_field() {
         angular_rad_s: -0.5,
     };
     let mut out = Vec::new();
-    write::odometry(&mut Writer::new(&mut out), "odom_1", "base_footprint_1", &about);
+    let (of_pose, of_velocity) = ([0.25; 36], [0.5; 36]);
+    let to = &mut Writer::new(&mut out);
+    write::odometry(to, "odom_1", "base_footprint_1", &about, &of_pose, &of_velocity);
     let ros: Odometry = decode(&out).unwrap();
     assert_eq!(ros.position, [1.0, -2.0, 0.0]);
     assert_eq!(ros.orientation, [0.0, 0.0, 0.0, 1.0]);
     assert_eq!((ros.twist.linear[0], ros.twist.angular[2]), (0.1, -0.5));
+    assert_eq!((ros.pose_covariance, ros.twist_covariance), (of_pose, of_velocity));
 }
 
 #[test]

@@ -72,7 +72,8 @@ pub fn spatial(planar: Pose2) -> ([f64; 3], [f64; 4]) {
     ([planar.x_m, planar.y_m, 0.0], [0.0, 0.0, sin, cos])
 }
 
-fn planar_transform(to: &mut Writer<'_>, at: Stamp, frame: &str, child: &str, frame_from_child: Pose2) {
+/// Writes geometry_msgs/TransformStamped of a planar pose.
+pub fn planar_transform(to: &mut Writer<'_>, at: Stamp, frame: &str, child: &str, frame_from_child: Pose2) {
     let (translation, rotation) = spatial(frame_from_child);
     transform(to, at, frame, child, translation, rotation);
 }
@@ -119,10 +120,16 @@ pub fn some_transforms(
 }
 
 /// Writes tf2_msgs/TFMessage with the transform that SLAM owns: the robot's map from its odometry (REP-105).
-pub fn correction(to: &mut Writer<'_>, names: &FrameNames, robot: RobotId, message: &Correction) {
+pub fn map_from_odom(
+    to: &mut Writer<'_>,
+    names: &FrameNames,
+    robot: RobotId,
+    stamp: Stamp,
+    map_from_odom: Pose2,
+) {
     to.count(1);
     let (map, odom) = (names.map(robot), names.link(robot, Link::Odom));
-    planar_transform(to, message.header.stamp, map, odom, message.map_from_odom);
+    planar_transform(to, stamp, map, odom, map_from_odom);
 }
 
 /// Writes geometry_msgs/PoseWithCovarianceStamped: SLAM's pose of the robot in its map.
@@ -152,15 +159,22 @@ pub fn map_transforms(to: &mut Writer<'_>, names: &FrameNames, at: Stamp, messag
     }
 }
 
-/// Writes nav_msgs/Odometry. The covariance of wheel odometry is unknown: zero.
-pub fn odometry(to: &mut Writer<'_>, frame_id: &str, child_frame_id: &str, message: &Odometry) {
+/// Writes nav_msgs/Odometry. Covariances are row-major over x, y, z and the rotations about them.
+pub fn odometry(
+    to: &mut Writer<'_>,
+    frame_id: &str,
+    child_frame_id: &str,
+    message: &Odometry,
+    pose_covariance: &[f64; 36],
+    twist_covariance: &[f64; 36],
+) {
     header(to, message.header.stamp, frame_id);
     to.string(child_frame_id);
     let (position, orientation) = spatial(message.odom_from_base);
     pose(to, position, orientation);
-    to.f64s(&[0.0; 36]);
+    to.f64s(pose_covariance);
     to.f64s(&[message.linear_m_s, 0.0, 0.0, 0.0, 0.0, message.angular_rad_s]);
-    to.f64s(&[0.0; 36]);
+    to.f64s(twist_covariance);
 }
 
 /// Writes std_msgs/Float32MultiArray as the paper's `slam_stats`:

@@ -314,3 +314,22 @@ fn the_clock_does_not_run_backwards() {
     }
     assert_eq!(*messages.borrow(), ["clock 5", "clock 7", "clock 8"]);
 }
+
+#[test]
+fn plain_frames_on_a_robots_own_topic_are_that_robots() {
+    let (mut world, messages) = world();
+    let mut send = |transforms: Vec<TransformStamped>| {
+        let bytes = payload(&TfMessage { transforms });
+        let message = Incoming::RobotTransforms(robot(2), Reader::new(&bytes).unwrap());
+        world.receive(7, &mut exact(), message, Stamp(0))
+    };
+    let tree = vec![
+        edge("odom", "base_footprint", 0, 1.0, LEVEL),
+        edge("base_footprint", "base_link", 0, 0.0, LEVEL),
+    ];
+    assert_eq!(send(tree), Ok(()));
+    let expected = ["robot2 odometry 1.00 0.00 0.00 0.00", "robot2 transforms base_footprint base_link"];
+    assert_eq!(*messages.borrow(), expected);
+    let correction = send(vec![edge("map", "odom", 1, 0.0, LEVEL)]);
+    assert!(matches!(correction, Err(WorldError::Correction { .. })), "{correction:?}");
+}

@@ -81,6 +81,11 @@ fn each_type_of_message_reaches_its_subscriber() {
             &Transforms { header: header(8), ..Default::default() },
         ));
         assert_eq!(client.message::<TfMessage>("/tf").await.transforms, []);
+        // While `odom` lies nowhere, no transform of it is published.
+        served.bridge.publish(FleetMessage::Correction(
+            robot(1),
+            &Correction { header: header(9), map_from_odom_unknown: 1, ..Default::default() },
+        ));
         let map_from_odom = Pose2::new(1.0, 0.0, 0.0);
         served.bridge.publish(FleetMessage::Correction(
             robot(2),

@@ -32,11 +32,12 @@ fn with_world(config: BridgeConfig, test: impl AsyncFnOnce(&Served, &WorldMessag
     );
 }
 
-const AHEAD_S: i64 = 5_000_000_000;
+/// Stamp of the client's messages: its clock is further ahead than this process is old.
+const AHEAD: Stamp = Stamp(3600 * 1_000_000_000);
 
 fn scan() -> LaserScan {
     LaserScan {
-        stamp: Stamp(AHEAD_S),
+        stamp: AHEAD,
         angle_increment: 0.1,
         range_min: 0.1,
         range_max: 3.0,
@@ -47,7 +48,7 @@ fn scan() -> LaserScan {
 
 fn edge(parent: &str, child: &str) -> TransformStamped {
     TransformStamped {
-        stamp: Stamp(AHEAD_S),
+        stamp: AHEAD,
         frame_id: parent.into(),
         child_frame_id: child.into(),
         rotation: [0.0, 0.0, 0.0, 1.0],
@@ -62,7 +63,7 @@ fn scans_transforms_and_clock_are_converted_to_the_runs_time() {
         client.publish("/robot2/scan", LaserScan::TYPE).await;
         client.publish("/tf", TfMessage::TYPE).await;
         client.publish("/clock", ros::Clock::TYPE).await;
-        client.send("/clock", &ros::Clock { clock: Stamp(AHEAD_S) }).await;
+        client.send("/clock", &ros::Clock { clock: AHEAD }).await;
         client.send("/tf", &TfMessage { transforms: vec![edge("odom_2", "base_footprint_2")] }).await;
         client.send("/robot2/scan", &scan()).await;
         client.settle().await;
@@ -70,8 +71,11 @@ fn scans_transforms_and_clock_are_converted_to_the_runs_time() {
         let names = messages.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>();
         assert_eq!(names, ["clock", "robot2/odometry", "robot2/transforms", "robot2/scan"]);
         let clock = served.bridge.clients(process_clock())[0].clock.unwrap();
-        assert!((messages[3].1.seconds() - (5.0 - clock.offset_s)).abs() < 1e-6, "{messages:?} {clock:?}");
-        assert!(messages[3].1.seconds() < 5.0 && clock.messages == 3, "{clock:?}");
+        assert!(
+            (messages[3].1.seconds() - (AHEAD.seconds() - clock.offset_s)).abs() < 1e-6,
+            "{messages:?} {clock:?}"
+        );
+        assert!(messages[3].1 < AHEAD && clock.messages == 3, "{clock:?}");
         assert_eq!(served.bridge.counters().refused, 0);
     });
 }
@@ -93,7 +97,7 @@ fn only_slams_transform_is_refused_and_the_error_names_it() {
         let passed: TfMessage = viewer.message("/tf").await;
         assert_eq!(passed.transforms.len(), 1);
         assert_eq!(passed.transforms[0].child_frame_id, "table");
-        assert!(passed.transforms[0].stamp < Stamp(AHEAD_S), "on our time");
+        assert!(passed.transforms[0].stamp < AHEAD, "on our time");
     });
 }
 
@@ -158,7 +162,7 @@ fn another_client_sends_a_robots_data_only_when_its_source_has_left() {
         while served.bridge.counters().clients > 1 {
             tokio::task::yield_now().await;
         }
-        let later = LaserScan { stamp: Stamp(AHEAD_S + 1_000_000_000), ..scan() };
+        let later = LaserScan { stamp: Stamp(AHEAD.0 + 1_000_000_000), ..scan() };
         second.send("/robot1/scan", &later).await;
         second.settle().await;
         assert_eq!(messages.borrow().len(), 2);

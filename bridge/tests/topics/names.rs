@@ -34,7 +34,10 @@ fn external(robots: &[&str]) -> (Bridge, Log) {
         });
     });
     let on_command = move |robot: RobotId, command: msg::VelocityCommand| {
-        to_commands.borrow_mut().push(format!("{robot} {:.2}", command.linear_m_s));
+        // The bridge begins with zeros for all robots.
+        if command.linear_m_s != 0.0 {
+            to_commands.borrow_mut().push(format!("{robot} {:.2}", command.linear_m_s));
+        }
     };
     let stamp_at = |now: Monotonic| Stamp(now.0 as i64);
     (Bridge::with_external_world(BridgeConfig::default(), world, stamp_at, on_command).unwrap(), log)
@@ -123,7 +126,8 @@ fn unitys_navigation_example_is_mapped_under_its_own_names() {
     driver.publish::<Twist>("/cmd_vel");
     driver.send("/cmd_vel", &Twist { linear: [0.1, 0.0, 0.0], ..Twist::default() }, NOW);
     let velocities: Vec<Twist> = unity.take("cmd_vel");
-    assert_eq!(velocities.len(), 1, "each velocity once: {velocities:?}");
+    let moving = velocities.iter().filter(|twist| twist.linear[0] != 0.0);
+    assert_eq!(moving.count(), 1, "each velocity once: {velocities:?}");
     assert_eq!(log.borrow().last().map(String::as_str), Some("robot1 0.10"));
 }
 

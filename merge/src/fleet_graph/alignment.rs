@@ -171,8 +171,8 @@ impl MapsChecked {
             CheckResult::Confirmed => return false,
             CheckResult::Contradicted => pair.schedule.checked_at_nodes = 0,
             CheckResult::Refuted => {
-                pair.schedule.checked_at_nodes = 0;
-                pair.drop_edge();
+                let nodes = core::mem::take(&mut pair.schedule.checked_at_nodes);
+                pair.drop_edge(nodes);
                 return true;
             }
         }

@@ -19,6 +19,9 @@ const CONTRADICTED_F1: f64 = 0.4;
 const CONTRADICTED_OVERLAP_M2: f64 = 10.0;
 /// Contradictions in a row after which an edge is dropped.
 const CONTRADICTIONS_MAX: u32 = 2;
+/// Factor by which the nodes of both robots must grow before an alignment that their maps contradicted may be accepted
+/// again: only new parts of the maps are new evidence.
+const NEW_EVIDENCE_FACTOR: f64 = 1.25;
 /// Number of closures that make an edge between two robots that are connected through others.
 const CLOSURES_MIN: usize = 2;
 
@@ -43,6 +46,15 @@ pub(crate) struct MapEdge {
     /// Alignments that the operator rejected.
     rejected: Vec<Pose2>,
     contradictions: u32,
+    refuted: Option<RefutedAlignment>,
+}
+
+/// The newest alignment for which the edge was dropped.
+#[derive(Clone, Copy, Debug)]
+struct RefutedAlignment {
+    a_from_b: Pose2,
+    /// Nodes of both robots together when the maps contradicted it.
+    nodes: u32,
 }
 
 impl Default for MapEdge {
@@ -54,6 +66,7 @@ impl Default for MapEdge {
             found_at_nodes: [0; 2],
             rejected: Vec::new(),
             contradictions: 0,
+            refuted: None,
         }
     }
 }
@@ -106,6 +119,15 @@ impl MapEdge {
         self.rejected.iter().any(|rejected| is_same_alignment(*rejected, a_from_b))
     }
 
+    /// Returns whether the maps contradicted this alignment, and have hardly grown since: `nodes` are those of both
+    /// robots together.
+    pub fn is_refuted(&self, a_from_b: Pose2, nodes: u32) -> bool {
+        self.refuted.is_some_and(|refuted| {
+            is_same_alignment(refuted.a_from_b, a_from_b)
+                && f64::from(nodes) < NEW_EVIDENCE_FACTOR * f64::from(refuted.nodes)
+        })
+    }
+
     /// Applies an operator's command. `in_graph` is the relation that the fleet's graph has, if it has both robots.
     ///
     /// Returns the new state if the command changes it, and `None` if it does not apply.
@@ -134,6 +156,13 @@ impl MapEdge {
         Some(self.state)
     }
 
+    /// Drops the edge, which the maps contradict; it is not accepted again before they have grown. `nodes` are those of
+    /// both robots together.
+    pub fn refute(&mut self, nodes: u32) {
+        self.refuted = Some(RefutedAlignment { a_from_b: self.a_from_b, nodes });
+        self.deactivate(EdgeState::Dropped);
+    }
+
     /// Removes the edge from the graph.
     pub fn deactivate(&mut self, state: EdgeState) {
         self.state = state;
@@ -155,7 +184,8 @@ impl MapEdge {
         let alignment = found.alignment;
         let verified = alignment.accepted
             && alignment.occupied_f1 >= found.null_f1_max + LEAD_OVER_NULL
-            && !self.is_rejected(alignment.a_from_b);
+            && !self.is_rejected(alignment.a_from_b)
+            && !self.is_refuted(alignment.a_from_b, nodes[0] + nodes[1]);
         if !verified {
             return false;
         }
@@ -187,11 +217,13 @@ impl MapEdge {
         }
     }
 
-    /// Follows a solution of the graph that relates the two robots. Enough closures make the edge accepted.
-    pub fn apply_solution(&mut self, a_from_b: Pose2, closures: usize) {
+    /// Follows a solution of the graph that relates the two robots. Enough closures make the edge accepted. `nodes` are
+    /// those of both robots together.
+    pub fn apply_solution(&mut self, a_from_b: Pose2, closures: usize, nodes: u32) {
         if self.is_active() || closures >= CLOSURES_MIN {
             self.a_from_b = a_from_b;
-            if !self.is_active() && !self.is_rejected(a_from_b) {
+            let is_out = self.is_rejected(a_from_b) || self.is_refuted(a_from_b, nodes);
+            if !self.is_active() && !is_out {
                 self.state = EdgeState::Accepted;
             }
         }

@@ -216,9 +216,11 @@ impl JointSolution {
         for SolvedPair { pair, in_force, residual_m } in self.pairs {
             let closures = in_force.len();
             pairs[pair].closures.apply_solution(in_force, residual_m);
-            let [a, b] = robots_of_pair(pair).map(|robot| robots[robot].estimate.transform());
+            let both = robots_of_pair(pair).map(|robot| &robots[robot]);
+            let nodes = both.iter().map(|robot| robot.submaps.node_count()).sum();
+            let [a, b] = both.map(|robot| robot.estimate.transform());
             if let Some((a, b)) = a.zip(b) {
-                pairs[pair].edge.apply_solution(a.between(b), closures);
+                pairs[pair].edge.apply_solution(a.between(b), closures, nodes);
             }
         }
     }

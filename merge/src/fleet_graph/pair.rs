@@ -41,9 +41,10 @@ impl RobotPair {
         true
     }
 
-    /// Drops the edge, because the maps contradict it, and the closures with it.
-    pub fn drop_edge(&mut self) {
-        self.edge.deactivate(EdgeState::Dropped);
+    /// Drops the edge, because the maps contradict it, and the closures with it. `nodes` are those of both robots
+    /// together.
+    pub fn drop_edge(&mut self, nodes: u32) {
+        self.edge.refute(nodes);
         self.closures.clear();
     }
 

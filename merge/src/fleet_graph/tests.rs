@@ -322,3 +322,26 @@ fn candidates_and_unconnected_robots_are_not_restored() {
         (Some(Pose2::IDENTITY), None)
     );
 }
+
+#[test]
+fn a_dropped_edge_is_not_accepted_again_on_the_same_evidence() {
+    // The second robot's given start is wrong. Closures agree with each other and not with it: wherever the graph puts
+    // the robot, walls lie on floor.
+    let paths = [true_path(4.0, 16.0, 5.0), true_path(5.0, 17.0, 6.0)];
+    let estimated = [0, 1].map(|k| drifted_path(&paths[k], 0.0));
+    let starts = [paths[0][0], paths[1][0] * Pose2::new(0.9, 0.0, 0.05)].map(Some);
+    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &starts);
+    send(&mut fleet, 1, &paths[0], &estimated[0], 1);
+    send(&mut fleet, 2, &paths[1][..4], &estimated[1][..4], 1);
+    let dropped = edge(&fleet);
+    assert_eq!(dropped.state(), EdgeState::Dropped);
+    assert_eq!(dropped.closures, 0, "closures of the dropped edge are in force: {dropped:?}");
+    // More of the map is new evidence, by which the right place is found.
+    send(&mut fleet, 2, &paths[1], &estimated[1], 1);
+    fleet.finish();
+    work(&mut fleet);
+    let found = edge(&fleet);
+    let true_place = paths[0][0].between(paths[1][0]);
+    assert_eq!(found.state(), EdgeState::Accepted);
+    assert!(found.a_from_b.distance_m(true_place) < 0.1, "{found:?}");
+}

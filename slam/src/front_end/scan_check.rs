@@ -1,9 +1,8 @@
 //! Checks scans and rejects those that cannot be used.
 
-use super::{FrontEnd, ScanResult, TrackedPose};
+use super::{FrontEnd, ScanResult, TrackedPose, unknown_pose_covariance};
 use crate::clock_reset::ClockResetDetector;
 use msg::{Pose2, Scan, Stamp, TrackingState};
-use nalgebra::Matrix3;
 
 /// Why a scan was not used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -78,11 +77,11 @@ impl FrontEnd {
         let last = self.motion.last;
         let pose = TrackedPose {
             local_from_base: last.map_or(Pose2::IDENTITY, |l| l.local_from_base),
-            covariance: last.map_or(Matrix3::zeros(), |l| l.covariance),
+            covariance: last.map_or(unknown_pose_covariance(), |l| l.covariance),
             state: if last.is_some() { TrackingState::Lost } else { TrackingState::Starting },
             slipped: false,
         };
-        let correction = self.correction(scan, &pose, last.and_then(|l| l.odom_from_base));
+        let correction = self.correction(scan, &pose, None);
         ScanResult { correction, rejected: Some(rejection), node: None, node_id: None }
     }
 }

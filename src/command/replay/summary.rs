@@ -44,20 +44,20 @@ pub struct Summary {
     pub solutions: u64,
     /// Number of solutions that failed; the map stayed as it was.
     pub failed_solutions: u64,
-    /// Duration from reading to the final trajectory, seconds.
-    pub wall_s: f64,
+    /// Duration from reading to the final trajectory, seconds; `None`, like the others: not measured.
+    pub wall_s: Option<f64>,
     /// Duration of the log over the duration of the replay.
-    pub times_real_time: f64,
+    pub times_real_time: Option<f64>,
     /// Duration of the front end for a scan, milliseconds.
-    pub scan_ms: Percentiles,
+    pub scan_ms: Option<Percentiles>,
     /// Duration of the back end for a node, milliseconds.
-    pub back_end_ms: Percentiles,
-    /// Width of the map, cells.
-    pub map_width: u32,
+    pub back_end_ms: Option<Percentiles>,
+    /// Width of the map, cells; `None`, like the others: it was not drawn.
+    pub map_width: Option<u32>,
     /// Height of the map, cells.
-    pub map_height: u32,
+    pub map_height: Option<u32>,
     /// Duration of drawing the whole map, milliseconds.
-    pub map_ms: f64,
+    pub map_ms: Option<f64>,
 }
 
 impl Summary {
@@ -78,13 +78,16 @@ impl Summary {
                 s.relocalization.contradicted
             );
         }
-        text += &format!(
-            "  map       {} x {} cells, rendered in {:.1} ms\n  wall time {:.2} s, {:.0} x real time\n",
-            s.map_width, s.map_height, s.map_ms, s.wall_s, s.times_real_time
-        );
+        if let (Some(width), Some(height), Some(ms)) = (s.map_width, s.map_height, s.map_ms) {
+            text += &format!("  map       {width} x {height} cells, rendered in {ms:.1} ms\n");
+        }
+        if let (Some(wall_s), Some(times)) = (s.wall_s, s.times_real_time) {
+            text += &format!("  wall time {wall_s:.2} s, {times:.0} x real time\n");
+        }
         for (name, times) in [("front end", s.scan_ms), ("back end ", s.back_end_ms)] {
-            text +=
-                &format!("  {name} p50 {:.2}, p99 {:.2}, max {:.2} ms\n", times.p50, times.p99, times.max);
+            if let Some(Percentiles { p50, p99, max }) = times {
+                text += &format!("  {name} p50 {p50:.2}, p99 {p99:.2}, max {max:.2} ms\n");
+            }
         }
         text
     }
@@ -115,10 +118,11 @@ pub struct Percentiles {
 }
 
 impl Percentiles {
-    pub(super) fn of(mut times: Vec<Duration>) -> Self {
+    /// Returns the percentiles of the durations; `None` without any.
+    pub(super) fn of(mut times: Vec<Duration>) -> Option<Self> {
         times.sort_unstable();
-        let Some(last) = times.len().checked_sub(1) else { return Self::default() };
+        let last = times.len().checked_sub(1)?;
         let at = |share: f64| times[(share * last as f64).ceil() as usize].as_secs_f64() * 1e3;
-        Self { p50: at(0.5), p99: at(0.99), max: at(1.0) }
+        Some(Self { p50: at(0.5), p99: at(0.99), max: at(1.0) })
     }
 }

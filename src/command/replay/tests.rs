@@ -78,3 +78,13 @@ fn a_log_without_scans_says_what_was_expected() {
     assert!(message.contains("x.log") && message.contains("FLASER"), "{message}");
     assert!(message.contains("1 other lines, 1 malformed"), "{message}");
 }
+
+#[test]
+fn figures_that_were_not_measured_are_null() {
+    let json = serde_json::to_value(Summary::default()).unwrap();
+    for name in ["wall_s", "times_real_time", "scan_ms", "back_end_ms", "map_width", "map_height", "map_ms"] {
+        assert!(json[name].is_null(), "{name} of a robot in `--merge`: {json:#}");
+    }
+    let replayed = feed(log().as_bytes(), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
+    assert!(replayed.summary.scan_ms.is_some_and(|times| times.p50 > 0.0));
+}

@@ -1,29 +1,41 @@
 //! Events of a run, such as deaths and restarts, for the report.
 
+use serde::Serialize;
 use std::collections::VecDeque;
+use std::time::Duration;
 
 /// Events that are kept. A fleet that restarts a process every five seconds fills them in more than an hour.
 const EVENTS_MAX: usize = 1000;
 
+/// Event of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Event {
+    /// Time since the start of the run, seconds.
+    pub at_s: f64,
+    /// What happened, for people.
+    pub event: String,
+}
+
 /// Newest events of a run, oldest first, and the number of those that were dropped.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Events {
-    newest: VecDeque<String>,
+    newest: VecDeque<Event>,
     dropped: u64,
 }
 
 impl Events {
     /// Adds an event; the oldest makes way.
-    pub fn push(&mut self, event: String) {
+    pub fn push(&mut self, at: Duration, event: String) {
         if self.newest.len() == EVENTS_MAX {
             self.newest.pop_front();
             self.dropped += 1;
         }
-        self.newest.push_back(event);
+        let at_s = (at.as_secs_f64() * 1e3).round() / 1e3;
+        self.newest.push_back(Event { at_s, event });
     }
 
     /// Returns the kept events, and how many older ones were dropped.
-    pub fn into_parts(self) -> (Vec<String>, u64) {
+    pub fn into_parts(self) -> (Vec<Event>, u64) {
         (self.newest.into(), self.dropped)
     }
 }
@@ -35,9 +47,11 @@ mod tests {
     #[test]
     fn the_oldest_events_are_dropped_and_counted() {
         let mut events = Events::default();
-        (0..EVENTS_MAX + 3).for_each(|number| events.push(number.to_string()));
+        let seconds = |number: usize| Duration::from_secs(number as u64);
+        (0..EVENTS_MAX + 3).for_each(|number| events.push(seconds(number), number.to_string()));
         let (newest, dropped) = events.into_parts();
         assert_eq!((newest.len(), dropped), (EVENTS_MAX, 3));
-        assert_eq!((newest[0].as_str(), newest[EVENTS_MAX - 1].as_str()), ("3", "1002"));
+        assert_eq!(newest[0], Event { at_s: 3.0, event: "3".into() });
+        assert_eq!(newest[EVENTS_MAX - 1], Event { at_s: 1002.0, event: "1002".into() });
     }
 }

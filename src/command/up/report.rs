@@ -1,6 +1,6 @@
 //! Report of a run, `report.json` for programs and a summary for people.
 
-use super::events::Events;
+use super::events::{Event, Events};
 use crate::run::{Run, RunError};
 use crate::view::{DistributionView, FleetView, RobotView};
 use serde::Serialize;
@@ -25,44 +25,143 @@ pub struct Report {
     pub operator: Option<serde_json::Value>,
     /// Paths of the maps without extension (.pgm, .yaml, .png).
     pub maps: Vec<PathBuf>,
-    /// Deaths, restarts and changed edges, oldest first; the newest 1000.
-    pub events: Vec<String>,
+    /// Deaths, restarts and changed edges with their times, oldest first; the newest 1000.
+    pub events: Vec<Event>,
     /// Number of older events that were dropped.
     pub events_dropped: u64,
 }
 
-/// Figures of the paper for the whole fleet.
+/// Figures of the paper for the whole fleet, as the paper defines them; `None` without data.
 #[derive(Clone, Debug, Serialize)]
 pub struct Paper {
-    /// Scans that SLAM receives per second: mean over the run of the slowest robot (paper: 8.83).
-    pub scan_hz: f64,
+    /// Duration of the run, seconds.
+    pub duration_s: f64,
+    /// Scans that SLAM received per second: mean of the run, of the slowest robot (paper: 8.83).
+    pub scan_hz: Option<f64>,
     /// Scans that were sent and not received by SLAM, all robots.
     pub scans_lost: u64,
+    /// Known area of the merged map, free and occupied, square metres.
+    pub merged_m2: Option<f64>,
+    /// Known cells over all cells of the merged map, 0 to 1.
+    pub merged_fraction: Option<f64>,
     /// Known cells over all cells, mean over the robots' maps, 0 to 1.
-    pub coverage: f64,
+    pub coverage: Option<f64>,
     /// Cross-instance consistency, 0 to 1 (paper: 0.947).
     pub consistency: Option<f64>,
-    /// TF jitter of the worst robot, median, milliseconds (paper: 6.3).
-    pub tf_jitter_ms: f32,
-    /// Delay from the simulator's scan to the map that contains it, of the worst robot, median, milliseconds.
-    pub scan_to_map_ms: f32,
+    /// TF jitter at telemetry, in shared memory, of the worst robot: median and P95, milliseconds (paper: 6.3).
+    pub tf_jitter_ms: Option<Spread>,
+    /// TF jitter at the end of TCP, as the operator's client measures it over all robots, milliseconds.
+    pub tf_jitter_client_ms: Option<Spread>,
+    /// What the operator drove; `None` without an operator.
+    pub teleoperation: Option<Teleoperation>,
+}
+
+/// Median and 95th percentile of a distribution.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// 50th percentile.
+    pub p50: f64,
+    /// 95th percentile.
+    pub p95: f64,
+}
+
+/// Profile of the teleoperation: sums over the robots.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Teleoperation {
+    /// Number of velocities that were sent.
+    pub commands: u64,
+    /// Velocities sent per second.
+    pub commands_hz: f64,
+    /// Number of turns at a robot.
+    pub turns: u64,
+    /// Time in which a robot was held, seconds.
+    pub held_s: f64,
+    /// Distance driven, metres.
+    pub driven_m: f64,
+}
+
+impl Spread {
+    fn of(distribution: &DistributionView) -> Option<Self> {
+        Some(Self { p50: distribution.p50?.into(), p95: distribution.p95?.into() })
+    }
+
+    fn of_json(percentiles: &serde_json::Value) -> Option<Self> {
+        Some(Self { p50: percentiles["median"].as_f64()?, p95: percentiles["p95"].as_f64()? })
+    }
+
+    /// Formats the values, which are in milliseconds.
+    fn milliseconds(spread: Option<Self>) -> String {
+        spread.map_or_else(|| "no data".into(), |s| format!("{:.3} ms, P95 {:.3}", s.p50, s.p95))
+    }
+}
+
+impl Teleoperation {
+    fn of_json(operator: &serde_json::Value) -> Option<Self> {
+        let robots = operator["robots"].as_array()?;
+        let sum = |of: fn(&serde_json::Value) -> Option<f64>| robots.iter().filter_map(of).sum::<f64>();
+        let (commands, seconds) = (operator["commands"].as_u64()?, operator["seconds"].as_f64()?);
+        Some(Self {
+            commands,
+            commands_hz: if seconds > 0.0 { commands as f64 / seconds } else { 0.0 },
+            turns: sum(|robot| robot["turns"].as_f64()) as u64,
+            held_s: sum(|robot| robot["held_s"].as_f64()),
+            driven_m: sum(|robot| robot["did"]["driven_m"].as_f64()),
+        })
+    }
 }
 
 impl Paper {
-    fn new(fleet: &FleetView) -> Self {
+    fn new(duration: Duration, fleet: &FleetView, operator: Option<&serde_json::Value>) -> Self {
         let robots = &fleet.robots;
-        let slowest = robots.iter().map(|robot| robot.scan_hz).fold(f64::INFINITY, f64::min);
-        let worst = |of: fn(&RobotView) -> &DistributionView| {
-            robots.iter().map(|robot| of(robot).p50).fold(0.0, f32::max)
-        };
+        let rates = robots.iter().filter_map(|robot| robot.scan_hz);
+        let jitters = robots.iter().filter_map(|robot| Spread::of(&robot.tf_jitter_ms));
+        let coverages: Vec<f64> = robots.iter().filter_map(RobotView::coverage).collect();
+        let [free, occupied, _, total, _, _, resolution_m] = fleet.merged_map.slam_stats;
+        let known = (total > 0.0).then_some(free + occupied);
         Self {
-            scan_hz: if slowest.is_finite() { slowest } else { 0.0 },
+            duration_s: duration.as_secs_f64(),
+            scan_hz: rates.min_by(f64::total_cmp),
             scans_lost: robots.iter().map(|robot| robot.scans_lost).sum(),
-            coverage: robots.iter().map(|robot| robot.map.coverage).sum::<f64>() / robots.len().max(1) as f64,
+            merged_m2: known.map(|cells| cells * resolution_m * resolution_m),
+            merged_fraction: known.map(|cells| cells / total),
+            coverage: (!coverages.is_empty()).then(|| coverages.iter().sum::<f64>() / coverages.len() as f64),
             consistency: fleet.consistency,
-            tf_jitter_ms: worst(|robot| &robot.tf_jitter_ms),
-            scan_to_map_ms: worst(|robot| &robot.scan_to_map_ms),
+            tf_jitter_ms: jitters.max_by(|a, b| a.p50.total_cmp(&b.p50)),
+            tf_jitter_client_ms: operator
+                .filter(|operator| operator["link"]["tf"]["received"].as_u64() > Some(0))
+                .and_then(|operator| Spread::of_json(&operator["link"]["tf"]["jitter_ms"])),
+            teleoperation: operator.and_then(Teleoperation::of_json),
         }
+    }
+
+    /// Formats the figures beside those that the paper gives.
+    fn table(&self) -> String {
+        let no_data = || "no data".to_owned();
+        let percent = |value: Option<f64>| value.map_or_else(no_data, |v| format!("{:.1} %", 100.0 * v));
+        let rate = self.scan_hz.map_or_else(no_data, |hz| format!("{hz:.2} Hz, {} lost", self.scans_lost));
+        let merged = self.merged_m2.map_or_else(no_data, |m2| format!("{m2:.1} m2"));
+        let rows = [
+            ("duration", format!("{:.0} s", self.duration_s), ""),
+            ("scan rate, mean", rate, "8.83 Hz"),
+            ("merged map, known", format!("{merged}, {}", percent(self.merged_fraction)), ""),
+            ("robots' maps, known", percent(self.coverage), ""),
+            ("consistency", percent(self.consistency), "94.7 %"),
+            ("TF jitter, telemetry", Spread::milliseconds(self.tf_jitter_ms), "6.3 ms"),
+            ("TF jitter, TCP client", Spread::milliseconds(self.tf_jitter_client_ms), ""),
+        ];
+        let mut text = format!("\n{:<22} {:<26} the paper\n", "", "this run");
+        for (name, here, there) in rows {
+            text += format!("{name:<22} {here:<26} {there}").trim_end();
+            text.push('\n');
+        }
+        if let Some(Teleoperation { commands, commands_hz, turns, held_s, driven_m }) = self.teleoperation {
+            let _ = writeln!(
+                text,
+                "{:<22} {turns} turns, {held_s:.0} s held, {driven_m:.1} m driven, {commands} commands ({commands_hz:.1} Hz)",
+                "teleoperation"
+            );
+        }
+        text
     }
 }
 
@@ -81,7 +180,7 @@ impl Report {
             seconds: elapsed.as_secs_f64(),
             room: run.config.world_name().into(),
             seed: run.config.fleet.seed,
-            paper: fleet.as_ref().map(Paper::new),
+            paper: fleet.as_ref().map(|fleet| Paper::new(elapsed, fleet, operator.as_ref())),
             fleet,
             operator,
             maps,
@@ -105,18 +204,7 @@ impl Report {
             text += &map_figures(fleet);
         }
         if let Some(paper) = &self.paper {
-            let consistency = paper.consistency.map_or("-".into(), |c| format!("{:.1} %", 100.0 * c));
-            let rows = [
-                ("scan rate", format!("{:.2} Hz, {} lost", paper.scan_hz, paper.scans_lost), "8.83 Hz"),
-                ("map coverage", format!("{:.1} %", 100.0 * paper.coverage), ""),
-                ("consistency", consistency, "94.7 %"),
-                ("TF jitter, median", format!("{:.3} ms", paper.tf_jitter_ms), "6.3 ms"),
-                ("scan to map, median", format!("{:.2} ms", paper.scan_to_map_ms), ""),
-            ];
-            let _ = writeln!(text, "\n{:<22} {:<22} the paper", "", "this run");
-            for (name, here, there) in rows {
-                let _ = writeln!(text, "{name:<22} {here:<22} {there}");
-            }
+            text += &paper.table();
         }
         for map in &self.maps {
             let _ = writeln!(text, "{}.png", map.display());
@@ -163,4 +251,67 @@ fn map_figures(fleet: &FleetView) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::{Distribution, FleetStats};
+
+    fn stats() -> Box<FleetStats> {
+        let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
+        stats.robot_count = 2;
+        stats
+    }
+
+    #[test]
+    fn figures_without_data_are_null_and_not_zero() {
+        let paper = Paper::new(Duration::from_secs(60), &FleetView::new(&stats()), None);
+        let json = serde_json::to_value(&paper).unwrap();
+        for name in [
+            "scan_hz",
+            "merged_m2",
+            "merged_fraction",
+            "coverage",
+            "consistency",
+            "tf_jitter_ms",
+            "tf_jitter_client_ms",
+            "teleoperation",
+        ] {
+            assert!(json[name].is_null(), "{name}: {json:#}");
+        }
+        assert_eq!(json["duration_s"], 60.0);
+        let text = paper.table();
+        assert!(text.contains("no data") && !text.contains("0.000 ms"), "{text}");
+    }
+
+    #[test]
+    fn the_figures_are_those_of_the_slowest_and_worst_robot_and_of_the_client() {
+        let mut stats = stats();
+        for (robot, p50) in stats.robots.iter_mut().zip([0.1, 0.4]) {
+            robot.tf_jitter_ms = Distribution { count: 9, p50, p95: 2.0 * p50, p99: 1.0, max: 2.0 };
+        }
+        stats.merged.free_cells = 300;
+        stats.merged.occupied_cells = 100;
+        (stats.merged.width, stats.merged.height, stats.merged.resolution_m) = (20, 40, 0.1);
+        let mut fleet = FleetView::new(&stats);
+        (fleet.robots[0].scan_hz, fleet.robots[1].scan_hz) = (Some(10.0), Some(9.67));
+        fleet.robots[1].scan_hz_last_second = 10.0;
+        let operator = serde_json::json!({
+            "commands": 200, "seconds": 10.0,
+            "robots": [{ "turns": 2, "held_s": 4.0, "did": { "driven_m": 1.5 } },
+                       { "turns": 1, "held_s": 5.0, "did": { "driven_m": 2.0 } }],
+            "link": { "tf": { "received": 40, "jitter_ms": { "median": 0.5, "p95": 0.9 } } },
+        });
+        let paper = Paper::new(Duration::from_secs(10), &fleet, Some(&operator));
+        assert_eq!(paper.scan_hz, Some(9.67), "the mean, not the last second");
+        let jitter = paper.tf_jitter_ms.unwrap();
+        assert!((jitter.p50 - 0.4).abs() < 1e-6 && (jitter.p95 - 0.8).abs() < 1e-6);
+        assert_eq!(paper.tf_jitter_client_ms, Some(Spread { p50: 0.5, p95: 0.9 }));
+        assert!((paper.merged_m2.unwrap() - 4.0).abs() < 1e-9);
+        assert!((paper.merged_fraction.unwrap() - 0.5).abs() < 1e-9);
+        let expected =
+            Teleoperation { commands: 200, commands_hz: 20.0, turns: 3, held_s: 9.0, driven_m: 3.5 };
+        assert_eq!(paper.teleoperation, Some(expected));
+    }
 }

@@ -158,8 +158,7 @@ impl FrontEndRunner {
                     if let Some(odometry) = &self.odometry {
                         self.front.add_odometry(odometry);
                     }
-                    self.odom_pose = self.last.filter(|_| in_place).map(|last| last.map_from_odom);
-                    (self.restart, self.waited) = (None, 0);
+                    self.continue_in_place(in_place);
                     // Dropping it takes long, so the back end does that.
                     self.report(FrontEvent::Replaced(old));
                     self.number = number;
@@ -175,7 +174,9 @@ impl FrontEndRunner {
     fn add_odometry(&mut self, odometry: &Odometry) {
         let before = self.odometry.replace(*odometry);
         let restarted = before.filter(|before| before.header.incarnation != odometry.header.incarnation);
-        if let (Some(before), Some(last)) = (restarted, &mut self.last) {
+        if let (Some(before), Some(last)) = (restarted, &mut self.last)
+            && last.map_from_odom().is_some()
+        {
             // The restarted driver counts odometry from a new origin; the robot stood meanwhile.
             let odom_from_new_odom = before.odom_from_base * odometry.odom_from_base.inverse();
             last.map_from_odom = last.map_from_odom * odom_from_new_odom;
@@ -201,11 +202,18 @@ impl FrontEndRunner {
             self.last = self.last.map(|last| self.dead_reckoned(last, scan));
             return (self.last, true);
         }
+        if self.odom_pose.is_some() && self.front.odom_from_base(scan.header.stamp).is_none() {
+            // Without odometry, where `odom` lies does not tell where the robot is.
+            self.odom_pose = None;
+            self.front.set_map_from_local(None);
+            self.restart = Some(Restart::Unknown);
+        }
         let mut step = self.front.process(scan);
         if step.rejected.is_none()
+            && let Some(local_from_odom) = step.correction.map_from_odom()
             && let Some(map_from_odom) = self.odom_pose.take()
         {
-            let map_from_local = map_from_odom * step.correction.map_from_odom.inverse();
+            let map_from_local = map_from_odom * local_from_odom.inverse();
             self.front.set_map_from_local(Some(map_from_local));
             step.correction.map_from_base = map_from_local * step.correction.map_from_base;
             step.correction.map_from_odom = map_from_odom;
@@ -220,14 +228,29 @@ impl FrontEndRunner {
         (self.last, step.rejected.is_none())
     }
 
-    /// Returns the pose by odometry alone, while scans are ignored.
+    /// Begins with a new front end: at the robot's last pose if the frame of the map stays `in_place`.
+    fn continue_in_place(&mut self, in_place: bool) {
+        (self.odom_pose, self.restart, self.waited) = (None, None, 0);
+        match self.last.filter(|_| in_place) {
+            Some(last) if last.map_from_odom().is_some() => self.odom_pose = last.map_from_odom(),
+            Some(last) => {
+                // Without odometry: the new front end's frame lies where the robot stands.
+                self.front.set_map_from_local(Some(last.map_from_base));
+                self.restart = Some(Restart::At(last.map_from_base));
+            }
+            None => {}
+        }
+    }
+
+    /// Returns the pose by odometry alone, while scans are ignored; without odometry, the last pose.
     fn dead_reckoned(&self, last: Correction, scan: &Scan) -> Correction {
-        let odom_from_base = self.odometry.map_or(Pose2::IDENTITY, |odometry| odometry.odom_from_base);
+        let moved = last.map_from_odom().zip(self.front.odom_from_base(scan.header.stamp));
         Correction {
             header: Header { stamp: scan.header.stamp, ..Default::default() },
             scan_seq: scan.header.seq,
             scan_sent: scan.header.sent,
-            map_from_base: last.map_from_odom * odom_from_base,
+            map_from_base: moved
+                .map_or(last.map_from_base, |(map_from_odom, odom_from_base)| map_from_odom * odom_from_base),
             ..last
         }
     }

@@ -64,6 +64,37 @@ fn the_statistics_of_one_robot_are_those_of_its_messages() {
 }
 
 #[test]
+fn a_map_from_before_a_restart_has_no_latency() {
+    let mut telemetry = Telemetry::new(1, None, &[None]);
+    let mut map = house();
+    let mut arrive = |telemetry: &mut Telemetry, scan_sent: u64, received: u64| {
+        map.header.scan_sent = Monotonic(scan_sent * MS);
+        telemetry.add_map(robot(1), map.view(), Monotonic(received * MS));
+    };
+    let answer = |telemetry: &mut Telemetry, incarnation: u64, scan_sent: u64| {
+        let header = Header { incarnation, ..Default::default() };
+        let correction = Correction { header, scan_sent: Monotonic(scan_sent * MS), ..Default::default() };
+        telemetry.add_correction(robot(1), &correction, Monotonic((scan_sent + 5) * MS));
+    };
+    // Telemetry starts late and gets an old map.
+    arrive(&mut telemetry, 1_000, 210_000);
+    answer(&mut telemetry, 1, 210_000);
+    arrive(&mut telemetry, 1_000, 210_010);
+    arrive(&mut telemetry, 210_000, 210_040);
+    answer(&mut telemetry, 1, 220_000);
+    arrive(&mut telemetry, 220_000, 220_040);
+    // SLAM is killed; its successor first sends the map that was saved.
+    arrive(&mut telemetry, 215_000, 230_000);
+    answer(&mut telemetry, 2, 230_100);
+    arrive(&mut telemetry, 215_000, 230_110);
+    arrive(&mut telemetry, 230_100, 230_140);
+    let stats = telemetry.compute_stats(Stamp(0), Monotonic(0));
+    let latency = stats.robots[0].scan_to_map_ms;
+    assert_eq!(latency.count, 3);
+    within(latency.max.into(), 40.0, 0.4);
+}
+
+#[test]
 fn maps_are_compared_once_their_transforms_are_known() {
     let mut telemetry = Telemetry::new(3, Some(house()), &[Some(Pose2::IDENTITY), None]);
     for number in 1..=3 {
