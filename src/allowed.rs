@@ -57,7 +57,7 @@ pub fn remember(storage: &impl Storage, path: &Path, address: IpAddr, may_drive:
     for address in addresses.drain(surplus..) {
         text += &format!("{address}\n");
     }
-    storage.write(path, text.as_bytes())
+    storage.replace(path, text.as_bytes())
 }
 
 #[cfg(test)]

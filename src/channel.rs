@@ -5,8 +5,10 @@
 //! ARCHITECTURE.md: see [`document`].
 
 pub mod document;
+mod memory;
 mod table;
 
+pub use memory::{SharedMemoryNeed, shared_memory_need};
 pub use table::*;
 
 use crate::processes::PROCESSES;
@@ -149,6 +151,8 @@ pub struct ChannelRow {
     pub name: &'static str,
     /// The message type's name between processes.
     pub message: &'static str,
+    /// Size of a message, bytes; of a map's, without its tiles.
+    pub message_bytes: usize,
     /// Whether there is one such channel, or one for each robot or process.
     pub scope: Scope,
     /// Content and rate, for people.
@@ -188,7 +192,8 @@ pub struct TypedRow<T> {
 
 impl<T: Message> TypedRow<T> {
     const fn new(row: ChannelRow) -> Self {
-        Self { row: ChannelRow { message: T::NAME, ..row }, message: PhantomData }
+        let row = ChannelRow { message: T::NAME, message_bytes: size_of::<T>(), ..row };
+        Self { row, message: PhantomData }
     }
 
     fn channel(&'static self, robot: Option<RobotId>, name: String) -> Channel<T> {

@@ -8,7 +8,6 @@ use crate::sessions::SessionsConfig;
 use bridge::RobotNames;
 use msg::{Pose2, ROBOTS_MAX};
 use serde::{Deserialize, Serialize};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Reason why a configuration was refused.
@@ -171,6 +170,9 @@ impl Default for Fleet {
     }
 }
 
+/// Largest size of a fleet file, bytes: the default with its explanations has 60 kB.
+const FILE_BYTES_MAX: u64 = 1 << 20;
+
 /// Name of the built-in room.
 pub const LABORATORY: &str = "laboratory";
 
@@ -182,8 +184,8 @@ impl FleetConfig {
 
     /// Reads a file, changes it as options say, and checks the result.
     pub fn from_file_with(path: &Path, change: impl FnOnce(&mut Self)) -> Result<Self, ConfigError> {
-        let text =
-            fs::read_to_string(path).map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
+        let text = formats::limited::read_text(path, FILE_BYTES_MAX)
+            .map_err(|why| ConfigError::Unreadable { path: path.into(), why })?;
         let mut config = Self::parse(path, &text)?;
         let of_file = config.check();
         change(&mut config);

@@ -105,22 +105,40 @@ pub fn socket(run: &Run) -> PathBuf {
     run.domain.root().join("bridge.sock")
 }
 
+/// Why a request has no good answer.
+#[derive(Debug, thiserror::Error)]
+pub enum AskError {
+    /// Nobody listens, or the bridge did not answer in time.
+    #[error("the bridge does not answer ({source}); it may be restarting, see `mr-slam status`")]
+    NoAnswer {
+        /// Error of the socket.
+        source: std::io::Error,
+        /// Whether a process listens on the socket: a bridge that is frozen or overloaded.
+        is_listening: bool,
+    },
+    /// The answer is not the protocol's.
+    #[error("the bridge's answer cannot be read: {0}")]
+    Invalid(#[from] serde_json::Error),
+    /// The bridge did not do it, or not wholly.
+    #[error("{0}")]
+    Refused(String),
+}
+
 /// Sends a request to a run's bridge and returns its answer; waits at most `patience` at each step.
-pub fn ask(run: &Run, request: Request, patience: Duration) -> Reply {
-    let exchange = || -> std::io::Result<String> {
-        let mut stream = UnixStream::connect(socket(run))?;
+pub fn ask(run: &Run, request: Request, patience: Duration) -> Result<BridgeState, AskError> {
+    let line = serde_json::to_string(&request)? + "\n";
+    let no_answer = |is_listening| move |source| AskError::NoAnswer { source, is_listening };
+    let stream = UnixStream::connect(socket(run)).map_err(no_answer(false))?;
+    let exchange = |mut stream: UnixStream| -> std::io::Result<String> {
         stream.set_read_timeout(Some(patience))?;
         stream.set_write_timeout(Some(patience))?;
-        let line = serde_json::to_string(&request)? + "\n";
         stream.write_all(line.as_bytes())?;
         let mut answer = String::new();
         BufReader::new(stream.take(LINE_MAX)).read_line(&mut answer)?;
         Ok(answer)
     };
-    let answer = exchange().map_err(|why| {
-        format!("the bridge does not answer ({why}); it may be restarting, see `mr-slam status`")
-    })?;
-    serde_json::from_str(&answer).map_err(|why| format!("the bridge's answer cannot be read: {why}"))?
+    let answer = exchange(stream).map_err(no_answer(true))?;
+    serde_json::from_str::<Reply>(&answer)?.map_err(AskError::Refused)
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ pub mod lockstep;
 pub mod process;
 pub mod processes;
 pub mod realtime;
+pub mod resources;
 pub mod run;
 pub mod runtime_folder;
 pub mod supervisor;
@@ -24,6 +25,7 @@ pub mod allowed;
 pub mod keys;
 pub mod merge_memory;
 pub mod observer;
+pub mod terminal;
 pub mod view;
 // Files that outlive a process.
 pub mod session_file;

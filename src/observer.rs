@@ -138,14 +138,19 @@ impl Observer {
         }
     }
 
-    /// Writes every map that came as PGM with YAML and as PNG. Returns the paths without extension.
-    pub fn write_maps(&self, dir: &Path) -> Result<Vec<PathBuf>, map_file::MapFileError> {
+    /// Writes every map that came as PGM with YAML and as PNG. Returns the paths without extension, and the errors of
+    /// those that could not be written.
+    pub fn write_maps(&self, dir: &Path) -> (Vec<PathBuf>, Vec<map_file::MapFileError>) {
         let seen = self.maps.iter().chain([&self.merged_map]);
         let seen = seen.filter(|watch| watch.reader.map().tiles().next().is_some());
-        seen.map(|watch| {
+        let (mut written, mut errors) = (Vec::new(), Vec::new());
+        for watch in seen {
             let stem = dir.join(&watch.name);
-            map_file::write_map(&stem, DenseMap::default().update(watch.reader.map())).map(|()| stem)
-        })
-        .collect()
+            match map_file::write_map(&stem, DenseMap::default().update(watch.reader.map())) {
+                Ok(()) => written.push(stem),
+                Err(why) => errors.push(why),
+            }
+        }
+        (written, errors)
     }
 }

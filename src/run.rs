@@ -18,7 +18,7 @@ use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -99,19 +99,13 @@ impl RunFile {
         let path = dir.join("run.json");
         // What another user put there is not a fleet of this user's.
         runtime_folder::check_file(&path, Forbidden::Writing)?;
-        let json = read_bounded(&path).map_err(RunError::file(&path))?;
+        let json = formats::limited::read_text(&path, FILE_BYTES_MAX).map_err(RunError::file(&path))?;
         serde_json::from_str(&json).map_err(|why| RunError::File { path, why: why.to_string() })
     }
 
     fn is_alive(&self) -> bool {
         runtime_folder::is_alive(&self.runtime)
     }
-}
-
-fn read_bounded(path: &Path) -> io::Result<String> {
-    let mut text = String::new();
-    fs::File::open(path)?.take(FILE_BYTES_MAX).read_to_string(&mut text)?;
-    Ok(text)
 }
 
 fn display_all(runs: &[PathBuf]) -> String {
@@ -219,7 +213,7 @@ impl Run {
     fn running_in(live_fleets: &[PathBuf]) -> Vec<PathBuf> {
         let mut found = Vec::new();
         for root in live_fleets {
-            let Ok(dir) = read_bounded(&root.join(POINTER)) else { continue };
+            let Ok(dir) = formats::limited::read_text(&root.join(POINTER), FILE_BYTES_MAX) else { continue };
             let dir = PathBuf::from(dir);
             // Process ids do not grow with time, so the start is read from the run's own file.
             if let Ok(file) = RunFile::read(&dir)

@@ -10,14 +10,17 @@ pub mod watchdog;
 use crate::clock::now;
 use crate::processes::{self, ProcessRow};
 use crate::run::Run;
+use crate::shared_memory::SHARED_MEMORY;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use progress::{ProgressBoard, WatchedThread};
 use restarts::{DEATHS_MAX, RestartPolicy, State};
 use rustix::process::{Pid, Signal, kill_process};
+use signal_hook::consts::SIGBUS;
 use std::io;
 use std::net::TcpListener;
 use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use watchdog::{Finding, ThreadState, Watchdog};
@@ -223,6 +226,10 @@ fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("exit code {code}"),
+        (None, Some(SIGBUS)) => {
+            let free = crate::resources::free_bytes(Path::new(SHARED_MEMORY)).unwrap_or(0);
+            format!("signal {SIGBUS}, as when {SHARED_MEMORY} is full: {:.1} MB free", free as f64 * 1e-6)
+        }
         (None, Some(signal)) => format!("signal {signal}"),
         (None, None) => "no reason given".into(),
     }

@@ -18,6 +18,8 @@ pub enum Action {
     Watch,
     /// Publish to the fleet.
     Drive,
+    /// Set the emergency stop.
+    Stop,
 }
 
 impl fmt::Display for Action {
@@ -25,16 +27,34 @@ impl fmt::Display for Action {
         f.write_str(match self {
             Self::Watch => "watch",
             Self::Drive => "drive",
+            Self::Stop => "set the emergency stop",
         })
     }
 }
 
-/// An address has no permission yet; the operator has been asked for it.
+/// Why an address may not do something.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("{address} may not {action} yet: press `a` at the laptop, or run `mr-slam allow {address}` there")]
-pub struct PermissionError {
-    address: IpAddr,
-    action: Action,
+pub enum PermissionError {
+    /// The operator has been asked.
+    #[error(
+        "{address} may not {action} yet: press `a` at the laptop, or run `mr-slam allow {address}` there"
+    )]
+    NotAllowed {
+        /// Address that asked.
+        address: IpAddr,
+        /// What it asked to do.
+        action: Action,
+    },
+    /// The operator has denied it.
+    #[error(
+        "{address} may not {action}: it is denied; `mr-slam allow {address}` at the laptop allows it again"
+    )]
+    Denied {
+        /// Address that asked.
+        address: IpAddr,
+        /// What it asked to do.
+        action: Action,
+    },
 }
 
 /// The permissions of addresses, and the addresses that wait for one.
@@ -68,10 +88,16 @@ impl AccessControl {
     }
 
     /// Returns whether an address may do this.
+    ///
+    /// Everybody may set the emergency stop but a denied address: it could keep the fleet stopped. What the operator has denied
+    /// comes before every permission to drive.
     pub fn may(&self, action: Action, address: IpAddr) -> bool {
+        let is_denied = self.denied.contains(&address.to_canonical());
         let permission = match action {
             Action::Watch => self.watch,
+            Action::Drive | Action::Stop if is_denied => return false,
             Action::Drive => self.drive,
+            Action::Stop => return true,
         };
         permission == Permission::Anyone || self.trusts(address)
     }
@@ -82,7 +108,12 @@ impl AccessControl {
             return Ok(());
         }
         self.add_request(address);
-        Err(PermissionError { address, action })
+        let is_denied = self.denied.contains(&address.to_canonical());
+        Err(if is_denied && action != Action::Watch {
+            PermissionError::Denied { address, action }
+        } else {
+            PermissionError::NotAllowed { address, action }
+        })
     }
 
     fn add_request(&mut self, address: IpAddr) {
@@ -140,5 +171,21 @@ mod tests {
         access.deny(address);
         assert!(access.check(Action::Drive, address).is_err());
         assert!(access.waiting().is_empty(), "the operator is not asked again");
+    }
+
+    #[test]
+    fn a_denied_address_neither_drives_nor_stops_the_fleet() {
+        let (denied, other) = (IpAddr::from([192, 168, 1, 20]), IpAddr::from([192, 168, 1, 21]));
+        let config = BridgeConfig { drive: Permission::Anyone, allow: vec![denied], ..Default::default() };
+        let mut access = AccessControl::new(&config);
+        access.deny(denied);
+        for action in [Action::Drive, Action::Stop] {
+            let error = access.check(action, denied).unwrap_err().to_string();
+            assert!(error.contains("it is denied"), "{error}");
+            assert_eq!(access.check(action, other), Ok(()));
+        }
+        let strict = AccessControl::new(&BridgeConfig::default());
+        assert!(strict.may(Action::Stop, other), "who may not drive may stop");
+        assert_eq!(access.check(Action::Watch, denied), Ok(()));
     }
 }

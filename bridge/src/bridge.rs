@@ -283,6 +283,29 @@ impl Bridge {
         self.core.borrow().gate.drive().selected()
     }
 
+    /// Selects the robot that `/cmd_vel` drives, as `/selected_robot` does; a robot that the fleet has not is ignored.
+    pub fn select_robot(&self, robot: RobotId) {
+        self.update(|core| {
+            if robot.number() <= core.fleet.robot_count() {
+                core.gate.drive_mut().select(robot);
+                core.publish_selected();
+            }
+        });
+    }
+
+    /// Returns the robots that somebody drives now, with the driver's address; `None` for ROS 2.
+    pub fn drivers(&self, now: Monotonic) -> Vec<(RobotId, Option<IpAddr>)> {
+        let core = self.core.borrow();
+        let driver = |robot| Some((robot, core.gate.drive().leaseholder(robot, now)?.address));
+        core.fleet.robots().filter_map(driver).collect()
+    }
+
+    /// Keeps a robot until `until` for the driver that an earlier bridge saved: nobody else drives it, unless by
+    /// `/take_control`.
+    pub fn restore_driver(&self, robot: RobotId, address: Option<IpAddr>, until: Monotonic) {
+        self.core.borrow_mut().gate.drive_mut().restore_lease(robot, address, until);
+    }
+
     /// Returns the addresses that wait for permission.
     pub fn waiting_addresses(&self) -> Vec<IpAddr> {
         self.core.borrow().access.waiting().to_vec()

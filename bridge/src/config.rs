@@ -1,9 +1,9 @@
 //! The settings of the bridge.
 
 use crate::dds::DdsConfig;
+use crate::drive::velocity_gate::VelocityConfig;
 use crate::odometry_covariance::OdometrySigmas;
 use crate::ros::{Dialect, NameStyle};
-use crate::velocity_gate::VelocityConfig;
 use crate::world::ClockOffset;
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;

@@ -12,6 +12,7 @@ use crate::access::AccessControl;
 use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
+use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{Frame, Side};
@@ -21,7 +22,6 @@ use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
 use crate::services::ServiceCalls;
-use crate::velocity_gate::{Velocity, VelocityGate};
 use crate::world::WorldInput;
 use msg::{Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
@@ -195,14 +195,14 @@ impl Core {
     pub fn publish_selected(&mut self) {
         let selected = self.gate.drive().selected();
         self.fleet.publish_selected(&mut self.router, selected);
-        self.relay.publish_state(FleetTopic::SelectedRobotState, &Int32(selected.number() as i32));
+        self.relay.publish_state(FleetTopic::SelectedRobot.row().name, &Int32(selected.number() as i32));
     }
 
     /// Publishes whether the emergency stop is set.
     pub fn publish_stop(&mut self) {
         let is_stopped = self.gate.drive().is_stopped();
         self.fleet.publish_stop(&mut self.router, is_stopped);
-        self.relay.publish_state(FleetTopic::EmergencyStopState, &Bool(is_stopped));
+        self.relay.publish_state(FleetTopic::EmergencyStop.row().name, &Bool(is_stopped));
     }
 
     /// Sets the emergency stop: every robot stops, and stays stopped until it is released.

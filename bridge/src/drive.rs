@@ -1,5 +1,7 @@
 //! Decides whose velocities a robot gets: the selected robot, one lease for each robot, the emergency stop.
 
+pub mod velocity_gate;
+
 use crate::router::ClientId;
 use msg::{Monotonic, ROBOTS_MAX, RobotId};
 use std::net::IpAddr;

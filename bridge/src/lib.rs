@@ -30,12 +30,12 @@ mod services;
 pub mod slam_services;
 mod teleop;
 mod transport;
-pub mod velocity_gate;
 pub mod world;
 
 pub use bridge::{Bridge, ClientStatus};
 pub use config::{BridgeConfig, ConfigError, Permission};
 pub use core::ConnectError;
+pub use drive::velocity_gate;
 pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 pub use odometry_covariance::OdometrySigmas;
 pub use ros::{RobotNameError, RobotNames};

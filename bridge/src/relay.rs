@@ -8,7 +8,7 @@ mod table;
 pub use table::{RelayTable, Unpublished};
 
 use crate::dds::ReceivedMessage;
-use crate::fleet_topics::FleetTopic;
+use msg::RobotId;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -41,13 +41,6 @@ pub enum RosCommand {
     Unadvertise {
         /// The topic's name with leading slash.
         topic: Arc<str>,
-    },
-    /// Publish the newest state of the bridge on a topic of the fleet.
-    PublishState {
-        /// The topic.
-        topic: FleetTopic,
-        /// The message as CDR with its encapsulation header.
-        payload: Bytes,
     },
     /// Publish a message on a topic that was announced.
     Publish {
@@ -84,18 +77,21 @@ pub enum RosEvent {
     },
     /// The topics that ROS nodes publish and subscribe to, after a change.
     Graph(RosGraph),
+    /// A robot of an external world listens to its velocities from now on.
+    RobotListens(RobotId),
+    /// The participant or writer that sent the last velocity is gone.
+    DriverLost,
 }
 
 impl RosCommand {
     /// Returns the name with leading slash of a client's topic.
-    pub fn topic(&self) -> Option<&Arc<str>> {
+    pub fn topic(&self) -> &Arc<str> {
         match self {
             Self::Subscribe { topic, .. }
             | Self::Unsubscribe { topic }
             | Self::Advertise { topic, .. }
             | Self::Unadvertise { topic }
-            | Self::Publish { topic, .. } => Some(topic),
-            Self::PublishState { .. } => None,
+            | Self::Publish { topic, .. } => topic,
         }
     }
 }

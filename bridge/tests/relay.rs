@@ -114,7 +114,6 @@ impl Simulation {
             }
             RosCommand::Unadvertise { topic } => format!("unadvertise {topic}"),
             RosCommand::Publish { topic, payload } => format!("publish {topic} {}", payload.len()),
-            RosCommand::PublishState { topic, payload } => format!("{topic:?} {:?}", &payload[4..]),
         };
         self.commands.borrow_mut().drain(..).map(text).collect()
     }
@@ -293,20 +292,6 @@ fn the_number_of_relayed_topics_is_limited() {
     simulation.register(client, name::REMOVE_SUBSCRIBER, "/a", PATH);
     simulation.register(client, name::SUBSCRIBE, "/d", PATH);
     assert_eq!(simulation.asked(), ["unsubscribe /a", "subscribe /d nav_msgs/Path"]);
-}
-
-#[test]
-fn the_emergency_stop_and_the_selection_are_states_in_ros() {
-    let simulation = Simulation::new();
-    simulation.bridge.on_ros_command({
-        let sink = simulation.commands.clone();
-        move |command| sink.borrow_mut().push(command)
-    });
-    assert_eq!(simulation.asked(), ["SelectedRobotState [1, 0, 0, 0]", "EmergencyStopState [0]"]);
-    simulation.bridge.stop_robots();
-    assert_eq!(simulation.asked(), ["EmergencyStopState [1]"]);
-    simulation.bridge.release_stop();
-    assert_eq!(simulation.asked(), ["EmergencyStopState [0]"]);
 }
 
 #[test]

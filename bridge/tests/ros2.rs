@@ -2,6 +2,7 @@
 //! `.ci/interop` tests it against ROS 2 itself.
 
 use bridge::dds::{DdsConfig, DdsEndpoint, RosLink};
+use bridge::world::ExternalWorld;
 use bridge::{Bridge, BridgeConfig, FleetMessage, Transport, process_clock};
 use futures::StreamExt;
 
@@ -229,10 +230,88 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
             valid.publish(Twist([0.1, 0.0, 0.0, 0.0, 0.0, -0.5])).unwrap();
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
-        let commands = commands.borrow();
-        assert!(
-            commands.iter().filter(moving).all(|c| (c.linear_m_s, c.angular_rad_s) == (0.1, -0.5)),
-            "{commands:?}"
-        );
+        let all = |commands: &[VelocityCommand]| {
+            commands.iter().filter(moving).all(|c| (c.linear_m_s, c.angular_rad_s) == (0.1, -0.5))
+        };
+        assert!(all(&commands.borrow()), "{:?}", commands.borrow());
+    });
+}
+
+/// Passes what the endpoint and the bridge tell each other.
+fn connect(bridge: &Rc<Bridge>, endpoint: &Rc<DdsEndpoint>, link: Arc<RosLink>) {
+    let (receiver, commands) = (bridge.clone(), link.clone());
+    bridge.on_ros_command(move |command| commands.send_command(command));
+    spawn_local(endpoint.clone().serve(|_, _| {}));
+    spawn_local(async move {
+        loop {
+            receiver.receive_ros(link.next_event().await, process_clock());
+        }
+    });
+}
+
+#[test]
+fn a_robot_stops_at_once_when_its_writer_is_gone_and_the_stop_can_be_read() {
+    run(async {
+        let mut config = config(12);
+        config.velocity.timeout_s = 10.0;
+        let link = Arc::new(RosLink::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
+        let commands = Rc::new(RefCell::new(Vec::<f64>::new()));
+        let taken = commands.clone();
+        let take = move |_, command: VelocityCommand| taken.borrow_mut().push(command.linear_m_s);
+        let bridge = Rc::new(Bridge::new(config.clone(), 1, take).unwrap());
+        connect(&bridge, &endpoint, link);
+        let mut other = node(&config);
+        let qos = QosProfile::publisher_default();
+        let name = Name::parse("/cmd_vel").unwrap();
+        let topic = other.create_topic(&name, MessageTypeName::new("geometry_msgs", "Twist"), &qos).unwrap();
+        let driver = other.create_publisher::<Twist>(&topic, None).unwrap();
+        while commands.borrow().last() != Some(&0.1) {
+            driver.publish(Twist([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap();
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        drop(driver);
+        // Nobody calls `tick`: only the end of the writer stops the robot.
+        while commands.borrow().last() != Some(&0.0) {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+
+        bridge.stop_robots();
+        let qos = QosProfile::publisher_default().durability(Durability::TransientLocal);
+        let name = Name::parse("/emergency_stop").unwrap();
+        let topic = other.create_topic(&name, MessageTypeName::new("std_msgs", "Bool"), &qos).unwrap();
+        let stop = other.create_subscription::<bool>(&topic, None).unwrap();
+        let mut states = std::pin::pin!(stop.async_stream());
+        assert!(states.next().await.unwrap().unwrap().0, "a late reader learns that the stop is set");
+        bridge.release_stop();
+        assert!(!states.next().await.unwrap().unwrap().0);
+        let name = Name::parse("/selected_robot").unwrap();
+        let topic = other.create_topic(&name, MessageTypeName::new("std_msgs", "Int32"), &qos).unwrap();
+        let selected = other.create_subscription::<i32>(&topic, None).unwrap();
+        let mut states = std::pin::pin!(selected.async_stream());
+        assert_eq!(states.next().await.unwrap().unwrap().0, 1);
+    });
+}
+
+#[test]
+fn an_external_robot_that_begins_to_listen_is_sent_a_zero() {
+    run(async {
+        let config = config(37);
+        let link = Arc::new(RosLink::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, true, link.clone()).unwrap());
+        let robots = endpoint.clone();
+        let send = move |robot, command: VelocityCommand| robots.publish_velocity(robot, &command);
+        let world = ExternalWorld::new(1, |_| {});
+        let bridge =
+            Bridge::with_external_world(config.clone(), world, |now| Stamp(now.0 as i64), send).unwrap();
+        connect(&Rc::new(bridge), &endpoint, link);
+        let mut other = node(&config);
+        let qos = QosProfile::publisher_default();
+        let name = Name::parse("/robot1/cmd_vel").unwrap();
+        let topic = other.create_topic(&name, MessageTypeName::new("geometry_msgs", "Twist"), &qos).unwrap();
+        let robot = other.create_subscription::<Twist>(&topic, None).unwrap();
+        let mut velocities = std::pin::pin!(robot.async_stream());
+        let (velocity, _) = velocities.next().await.unwrap().unwrap();
+        assert_eq!(velocity.0, [0.0; 6], "although nobody drives, and zeros of the start found no reader");
     });
 }

@@ -259,8 +259,8 @@ fn a_late_node_reads_the_emergency_stop() {
         let ours = Ours::open(90);
         ours.bridge.stop_robots();
         let mut node = ours.node();
-        let name = Name::parse("/emergency_stop_state").unwrap();
-        let latched = QosProfile::subscription_default().durability(Durability::TransientLocal);
+        let name = Name::parse("/emergency_stop").unwrap();
+        let latched = QosProfile::publisher_default().durability(Durability::TransientLocal);
         let topic = node.create_topic(&name, MessageTypeName::new("std_msgs", "Bool"), &latched).unwrap();
         let states = node.create_subscription::<bool>(&topic, None).unwrap();
         loop {

@@ -14,4 +14,5 @@
 pub mod atomic;
 pub mod carmen;
 pub mod gzip;
+pub mod limited;
 pub mod map_file;

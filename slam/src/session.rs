@@ -9,18 +9,20 @@
 
 mod bytes;
 mod from_grid;
+pub mod log;
 mod records;
 
 use crate::back_end::{BackEnd, BackEndState};
 use crate::config::SlamConfig;
 use crate::front_end::{FrontEndState, TrajectorySample};
 use bytes::{In, Out};
+use log::LogPosition;
 use msg::{SlamMode, pose::wrap_angle};
 use records::*;
 
 /// Version of the format that is written.
-pub const VERSION: u32 = 4;
-/// Oldest version of the format that is read: its nodes have no swept path.
+pub const VERSION: u32 = 5;
+/// Oldest version of the format that is read: it has no place in a log, and its nodes have no swept path.
 const VERSION_OLDEST: u32 = 3;
 /// First bytes of a session file.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
@@ -147,6 +149,8 @@ pub struct Session {
     pub front: Option<FrontEndState>,
     /// Every scan's pose relative to its node; empty if they were not kept.
     pub samples: Vec<TrajectorySample>,
+    /// The newest record of the log beside the session's file whose nodes are in the session.
+    pub log: LogPosition,
 }
 
 impl BackEnd {
@@ -165,6 +169,7 @@ impl BackEnd {
             back: self.state(),
             front: front.filter(|front| self.is_continued_by(front)),
             samples: self.all_samples(samples).collect(),
+            log: LogPosition::default(),
         }
     }
 }
@@ -180,6 +185,7 @@ impl Session {
         out.put(&u64::from(self.front.is_some()));
         self.front.iter().for_each(|front| put_front(&mut out, front));
         put_rides(&mut out, &self.samples);
+        out.put(&[self.log.number, u64::from(self.log.checksum)]);
         let mut bytes = out.bytes;
         let (checksum, length) = (crc32fast::hash(&bytes[HEAD..]), (bytes.len() - HEAD) as u64);
         bytes[..8].copy_from_slice(&MAGIC);
@@ -241,9 +247,10 @@ impl Session {
             _ => Some(take_front(&mut from, back.nodes.len())?),
         };
         let samples = take_rides(&mut from, back.nodes.len())?;
+        let log = take_log_position(&mut from)?;
         if !from.is_empty() {
             return Err(SessionError::Value { what: "length (something follows its content)" });
         }
-        Ok(Self { identity, mode, back, front, samples })
+        Ok(Self { identity, mode, back, front, samples, log })
     }
 }

@@ -3,12 +3,10 @@
 
 mod common;
 
-use common::{FULL, HALF, Lidar, Noise, Robot, Wall, cast, laboratory, rectangle, ring};
+use common::{FULL, Lidar, Log, Noise, Robot, Wall, bits, cast, laboratory, rectangle, ring, ring_log};
 use msg::grid::{Occupancy, occupancy};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
 use slam::{Identity, InitialPose, PoseEstimate, Session, SessionError, Slam, SlamConfig, SweptPath};
-
-type Log = Vec<(Odometry, Box<Scan>, Pose2)>;
 
 /// Drives (linear m/s, angular rad/s, seconds) legs at 10 scans a second.
 fn log(walls: &[Wall], lidar: &Lidar, robot: &mut Robot, legs: &[(f64, f64, f64)], seed: u64) -> Log {
@@ -57,30 +55,6 @@ fn mapped(lidar: &Lidar) -> (Session, Pose2) {
     feed(&mut slam, &log);
     slam.finish();
     (slam.session(identity()), log[0].2)
-}
-
-fn bits(poses: impl Iterator<Item = Pose2>) -> Vec<[u64; 3]> {
-    poses.map(|p| [p.x_m, p.y_m, p.yaw_rad].map(f64::to_bits)).collect()
-}
-
-/// Two rounds of the ring of corridors, with closures.
-fn ring_log() -> Log {
-    let lidar = Lidar { range_max_m: 4.0, sigma_m: 0.02, ..HALF };
-    let mut robot = Robot::new(Pose2::new(-7.8, -5.8, 0.0));
-    robot.veer_rad_per_m = 0.01;
-    let mut noise = Noise::new(11);
-    let (walls, mut log) = (ring(3), Vec::new());
-    for side_m in [15.6, 11.6, 15.6, 11.6, 15.6, 11.6, 15.6] {
-        let legs = (0..(side_m / 0.4) as usize)
-            .map(|_| (0.4, 0.0))
-            .chain((0..4).map(|_| (0.0, core::f64::consts::FRAC_PI_8)));
-        for (way, turn) in legs {
-            robot.drive(way, turn, 1.0, &mut noise);
-            let scan = cast(&walls, &lidar, robot.world_from_base, robot.stamp(), &mut noise);
-            log.push((robot.odometry(), scan, robot.world_from_base));
-        }
-    }
-    log
 }
 
 #[test]

@@ -28,6 +28,7 @@ const REQUEST_WRITERS_MAX: usize = 8;
 const STREAM: ChannelRow = ChannelRow {
     name: "",
     message: "",
+    message_bytes: 0,
     scope: Scope::Robot,
     content: "",
     writers: &[],

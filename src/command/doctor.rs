@@ -1,12 +1,17 @@
 //! Tool `mr-slam doctor`, which checks what this machine permits and names a remedy for the rest.
 
 use super::output;
+use crate::channel::shared_memory_need;
 use crate::clock;
-use msg::Monotonic;
+use crate::config::FleetConfig;
+use crate::resources;
+use crate::shared_memory::SHARED_MEMORY;
+use msg::{Monotonic, ROBOTS_MAX};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
+use std::path::Path;
 use std::time::Duration;
 
 /// Check what this machine permits: timers, limits, network
@@ -15,6 +20,9 @@ pub struct DoctorArgs {
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
+    /// Number of robots of the fleet that is to run [default: 3]
+    #[arg(long, value_name = "N")]
+    pub robots: Option<usize>,
     /// TCP port that should be free
     #[arg(long, value_name = "P", default_value_t = 10_000)]
     pub port: u16,
@@ -25,8 +33,6 @@ pub struct DoctorArgs {
 const RECEIVE_BUFFER_MIN: u64 = 4 << 20;
 /// Buffer size that our own readers and writers ask for, bytes.
 const BUFFER_MAX_MIN: u64 = 4 << 20;
-/// Shared memory for a fleet of three with large maps, bytes.
-const SHARED_MEMORY_MIN: u64 = 512 << 20;
 /// Locked memory for every process of a fleet, bytes.
 const LOCKED_MEMORY_MIN: u64 = 256 << 20;
 /// Number of sleeps in the measurement of the wake-up delay: two beyond the 99th percentile.
@@ -81,13 +87,15 @@ pub struct Findings {
 }
 
 /// Runs all checks; takes about a second.
-pub fn examine(port: u16) -> Findings {
+pub fn examine(port: u16, config: &FleetConfig) -> Findings {
+    let [shared_memory, open_files] = resources(config);
     let checks = vec![
         processors(),
         wake_up(),
         real_time(),
         locked_memory(),
-        shared_memory(),
+        shared_memory,
+        open_files,
         port_free(port),
         loopback(),
         multicast(),
@@ -100,7 +108,9 @@ pub fn examine(port: u16) -> Findings {
 
 /// Prints the outcomes. Warnings are no failure.
 pub fn run(args: &DoctorArgs) -> std::io::Result<()> {
-    let findings = examine(args.port);
+    let mut config = FleetConfig::default();
+    config.fleet.robots = args.robots.unwrap_or(config.fleet.robots).clamp(1, ROBOTS_MAX);
+    let findings = examine(args.port, &config);
     output::print_either(args.json, &findings, || findings.to_string() + "\n")
 }
 
@@ -176,10 +186,24 @@ fn locked_memory() -> Check {
     Check::new("locked memory", capable || most >= LOCKED_MEMORY_MIN, found, advice)
 }
 
-fn shared_memory() -> Check {
-    let free = rustix::fs::statvfs("/dev/shm").map_or(0, |about| about.f_bavail * about.f_frsize);
-    let advice = "docker run --shm-size=2g, or a larger tmpfs: mount -o remount,size=2G /dev/shm";
-    Check::new("shared memory", free >= SHARED_MEMORY_MIN, format!("{} free", megabytes(free)), advice)
+/// Checks what `up` checks before it starts a fleet: the same resources, for the fleet's size.
+fn resources(config: &FleetConfig) -> [Check; 2] {
+    let free = resources::free_bytes(Path::new(SHARED_MEMORY)).unwrap_or(0);
+    let need = shared_memory_need(config);
+    let found = format!(
+        "{} free; {} robots need {} to {}",
+        megabytes(free),
+        config.fleet.robots,
+        megabytes(need.least),
+        megabytes(need.most)
+    );
+    let judge = |name, found, finding: Option<resources::Finding>| {
+        let advice = finding.as_ref().map(|finding| finding.shortage.to_string()).unwrap_or_default();
+        Check::new(name, finding.is_none(), found, &advice)
+    };
+    let files = resources::check_descriptors(config);
+    let limit = format!("{} for each process", limit(Resource::Nofile));
+    [judge("shared memory", found, resources::check_shared_memory(config)), judge("open files", limit, files)]
 }
 
 fn port_free(port: u16) -> Check {
@@ -257,7 +281,7 @@ mod tests {
 
     #[test]
     fn every_warning_has_advice() {
-        let findings = examine(0);
+        let findings = examine(0, &FleetConfig::default());
         assert!(findings.checks.len() >= 10);
         for check in &findings.checks {
             assert!(!check.found.is_empty(), "{check:?}");

@@ -46,9 +46,9 @@ enum Command {
     Allow(permissions::AllowArgs),
     /// Forbid an address to drive
     Deny(permissions::DenyArgs),
-    /// Stop every robot of a running fleet until `release`: the emergency stop
+    /// Stop every robot of all running fleets, or of one, until `release`: the emergency stop
     Stop(permissions::StopArgs),
-    /// Release the emergency stop
+    /// Release the emergency stop of a running fleet
     Release(permissions::StopArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),

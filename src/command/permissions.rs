@@ -1,9 +1,16 @@
 //! Tools `mr-slam allow`, `deny`, `stop` and `release` for permissions to drive and the emergency stop.
 
+mod stop;
+
+pub use stop::{release, stop};
+
 use super::output;
 use super::run_args::RunArgs;
+use crate::allowed;
 use crate::control::{self, BridgeState, Request};
+use crate::process::control::saved_state::denied_file;
 use crate::run::{Run, RunError};
+use crate::storage::DiskStorage;
 use serde::Serialize;
 use std::net::IpAddr;
 use std::path::Path;
@@ -59,6 +66,30 @@ pub enum PermissionError {
         /// Reason of the bridge.
         why: String,
     },
+    /// The bridge did not answer: it will deny the address when it starts.
+    #[error("{address} is denied from the bridge's next start on, not before: {error}")]
+    DeniedLater {
+        /// The denied address.
+        address: IpAddr,
+        /// Why it is not denied now.
+        error: Box<PermissionError>,
+    },
+    /// A fleet could be stopped neither by its bridge nor on the disk.
+    #[error("{failed} of {all} fleets may still drive; end them with Ctrl-C or `kill`")]
+    NotStopped {
+        /// Fleets that are not stopped.
+        failed: usize,
+        /// All fleets that were to be stopped.
+        all: usize,
+    },
+    /// The emergency stop is not, or not surely, released.
+    #[error("run {run}: {why}")]
+    NotReleased {
+        /// Folder of the run.
+        run: String,
+        /// What is so instead.
+        why: String,
+    },
     /// The answer cannot be written to standard output.
     #[error("cannot print the answer: {0}")]
     Print(#[from] std::io::Error),
@@ -79,20 +110,19 @@ pub fn allow(args: &AllowArgs) -> Result<(), PermissionError> {
     }
 }
 
-/// Forbids an address to drive.
+/// Forbids an address to drive: on the disk first, so that a bridge that does not answer starts with it.
 pub fn deny(args: &DenyArgs) -> Result<(), PermissionError> {
     let address = args.address;
-    change(&args.common, Request::Deny(address), &format!("{address} may not drive"))
-}
-
-/// Sets the emergency stop.
-pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
-    change(args, Request::Stop, "every robot is stopped until `mr-slam release`")
-}
-
-/// Releases the emergency stop.
-pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
-    change(args, Request::Release, "the robots may be driven again")
+    let run = args.common.run.open_to_change()?;
+    let denied = denied_file(&run);
+    let written = allowed::remember(&DiskStorage, &denied, address, true)
+        .and_then(|()| allowed::remember(&DiskStorage, &allowed::file(&run), address, false));
+    let bridge = ask(&run, Request::Deny(address)).map_err(|error| match written {
+        Ok(()) => PermissionError::DeniedLater { address, error: Box::new(error) },
+        Err(_) => error,
+    })?;
+    let text = || format!("{address} may not drive (run {})\n", run.dir.display());
+    Ok(output::print_either(args.common.json, &Answer { run: &run.dir, bridge: &bridge }, text)?)
 }
 
 fn change(args: &StopArgs, request: Request, done: &str) -> Result<(), PermissionError> {
@@ -119,5 +149,5 @@ fn list(args: &StopArgs) -> Result<(), PermissionError> {
 
 fn ask(run: &Run, request: Request) -> Result<BridgeState, PermissionError> {
     control::ask(run, request, PATIENCE)
-        .map_err(|why| PermissionError::Bridge { run: run.dir.display().to_string(), why })
+        .map_err(|why| PermissionError::Bridge { run: run.dir.display().to_string(), why: why.to_string() })
 }

@@ -6,6 +6,7 @@ use crate::control::{self, Request};
 use crate::observer::Observer;
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
+use crate::terminal;
 use crate::view::FleetView;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -51,7 +52,8 @@ pub fn run(args: &StatusArgs) -> Result<(), StatusError> {
     let text = || {
         let age_s = crate::clock::now().since(run.begun) as f64 * 1e-9;
         let heading = format!("run {} on port {}, {age_s:.0} s\n", run.dir.display(), run.port);
-        format!("{heading}{}\n{}", fleet.table(), fleet.process_table())
+        let style = terminal::style(&std::io::stdout());
+        format!("{heading}{}\n{}", fleet.table(&style), fleet.process_table(&style))
     };
     Ok(output::print_either(args.json, &fleet, text)?)
 }

@@ -14,6 +14,7 @@ use crate::config::{ConfigError, FleetConfig};
 use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
+use crate::resources::{self, ResourceMonitor, Shortage};
 use crate::run::{Run, RunError};
 use crate::sessions;
 use crate::stop::Stop;
@@ -101,9 +102,12 @@ pub enum UpError {
         /// End of the log.
         words: String,
     },
-    /// The final maps cannot be written.
+    /// The machine has too little of a resource.
     #[error(transparent)]
-    Map(#[from] formats::map_file::MapFileError),
+    Shortage(#[from] Shortage),
+    /// Some results cannot be written. The others are there.
+    #[error("not everything was written: {}", .0.join("; "))]
+    NotWritten(Vec<String>),
 }
 
 impl UpArgs {
@@ -177,13 +181,16 @@ pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Rep
     sessions::create_folder(&sessions::folder(&run), &fleet::known_starts(&run.config)?)
         .map_err(FleetError::from)?;
     let mut screen = Screen::new(&run, args.in_background);
+    check_resources(&run, &mut screen)?;
     let mut supervisor = Supervisor::start(&run, listener)?;
     let result = watch(&run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
     supervisor.end();
     let report = result?;
-    report.write(&run.dir)?;
+    let written = report.write(&run.dir);
     screen.end(&report);
-    Ok(report)
+    let mut missing = report.not_written.clone();
+    missing.extend(written.err().map(|why| why.to_string()));
+    if missing.is_empty() { Ok(report) } else { Err(UpError::NotWritten(missing)) }
 }
 
 /// Tends the processes and shows the figures until the fleet is to end.
@@ -197,6 +204,7 @@ fn watch(
 ) -> Result<Report, UpError> {
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
     let mut console = OperatorConsole::new(run);
+    let mut resources = ResourceMonitor::new(&run.dir);
     let (mut events, mut rates) = (Events::default(), ScanRates::default());
     hooks.on_start(run)?;
     let begun = Instant::now();
@@ -211,6 +219,9 @@ fn watch(
         }
         supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut tell);
         let has_new_stats = observer.poll();
+        if has_new_stats {
+            resources.poll(&mut tell);
+        }
         for edge in observer.changed_edges() {
             let event = edge.to_string();
             screen.show_event(&event);
@@ -221,6 +232,7 @@ fn watch(
             rates.fill(&mut fleet);
             screen.show(&fleet, console.help(), begun.elapsed(), seconds);
         }
+        screen.show_age();
         if let Some(done) = console.handle_key() {
             screen.show_event(&done);
         }
@@ -229,14 +241,32 @@ fn watch(
     let operator = hooks.on_stop();
     std::thread::sleep(LAST_MAPS);
     observer.poll();
-    let maps = observer.write_maps(&run.dir)?;
+    let (maps, errors) = observer.write_maps(&run.dir);
+    let not_written: Vec<String> = errors.iter().map(ToString::to_string).collect();
     observer.changed_edges();
     let mut fleet = fleet_view(run, &observer, console.newest());
     if let Some(fleet) = &mut fleet {
         rates.add(fleet);
         rates.fill(fleet);
     }
-    Ok(Report::new(run, begun.elapsed(), fleet, operator, maps, events))
+    let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
+    Ok(Report { not_written, ..report })
+}
+
+/// Compares the machine's resources with what the fleet needs. What is short but not too short is shown.
+fn check_resources(run: &Run, screen: &mut Screen) -> Result<(), UpError> {
+    let checks = [
+        resources::check_shared_memory(&run.config),
+        resources::check_descriptors(&run.config),
+        resources::check_disk(&run.dir, &run.config),
+    ];
+    for resources::Finding { shortage, is_fatal } in checks.into_iter().flatten() {
+        if is_fatal {
+            return Err(shortage.into());
+        }
+        screen.show_event(&shortage.to_string());
+    }
+    Ok(())
 }
 
 fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {

@@ -8,7 +8,7 @@ use crate::command::{Error, output};
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
-use crate::view::FleetView;
+use crate::view::{FleetView, Style};
 use formats::map_file;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -82,7 +82,9 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     }
     let view = FleetView::new(fleet.stats());
     let report = serde_json::json!({ "sha256": hash, "times_real_time": faster, "fleet": view });
-    let text = || format!("{}{faster:.0} times real time; SHA-256 of all messages {hash}\n", view.table());
+    let text = || {
+        format!("{}{faster:.0} times real time; SHA-256 of all messages {hash}\n", view.table(&Style::PLAIN))
+    };
     output::print_either(args.json, &report, text)?;
     let violations = if args.faults.is_some() { checker.finish(&fleet) } else { Vec::new() };
     if violations.is_empty() {

@@ -43,8 +43,26 @@ impl Storage for MemoryStorage {
         Ok(())
     }
 
+    fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.write(path, bytes)
+    }
+
     fn remove(&self, path: &Path) -> io::Result<()> {
         self.files.borrow_mut().remove(path);
+        Ok(())
+    }
+
+    fn append(&self, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
+        if self.network.faults().is_disk_full(self.network.clock().now()) {
+            return Err(ErrorKind::StorageFull.into());
+        }
+        let mut files = self.files.borrow_mut();
+        let file = files.entry(path.to_owned()).or_default();
+        if (file.len() as u64) < at {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+        file.truncate(at as usize);
+        file.extend_from_slice(bytes);
         Ok(())
     }
 

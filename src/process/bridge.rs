@@ -42,11 +42,14 @@ pub struct BridgeProcess<P: Ports, S: Storage> {
 }
 
 impl<P: Ports + 'static, S: Storage> BridgeProcess<P, S> {
-    /// Opens the channels and applies the saved state: the allow list and the emergency stop.
+    /// Opens the channels, stops every robot, and applies the saved state: permissions, drivers, emergency stop.
     pub fn open(ports: &P, run: &Run, storage: S) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Bridge, None)?;
         let bridge = open_bridge(ports, run)?;
-        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, storage)));
+        // Every robot gets a zero before anything else: what moved it before is not known.
+        let now = ports.clock().now();
+        bridge.tick(now);
+        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, storage, now)));
         let feeds = open_feeds(ports, run, &bridge)?;
         let upkeep = Upkeep { bridge: bridge.clone(), control, heartbeat, clock: ports.clock() };
         Ok(Self { bridge, feeds, upkeep })
@@ -73,7 +76,7 @@ impl<P: Ports, S: Storage> Component for Upkeep<P, S> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.bridge.tick(now);
-        self.control.borrow_mut().record_stop();
+        self.control.borrow_mut().update_files(now);
         self.heartbeat.publish_if_due(|| {
             let counters = self.bridge.counters();
             let mut account = HealthCounters { clients: counters.clients, ..HealthCounters::default() };
@@ -81,7 +84,7 @@ impl<P: Ports, S: Storage> Component for Upkeep<P, S> {
             account.gaps.received = counters.received;
             account
         });
-        now + UPKEEP_PERIOD
+        self.bridge.next_tick(now).min(now + UPKEEP_PERIOD)
     }
 }
 

@@ -1,13 +1,18 @@
 //! The bridge's control socket, for the operator at the laptop: see [`crate::control`].
 
+pub mod saved_state;
+
 use crate::allowed;
 use crate::clock::now;
 use crate::control::{self, BridgeState, ClientView, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::bridge::{Bridge, ClientStatus};
+use msg::Monotonic;
+use saved_state::{SavedFiles, denied_file};
 use std::io;
-use std::path::PathBuf;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
@@ -18,73 +23,39 @@ use tokio::time::timeout;
 const EXCHANGE_MAX: Duration = Duration::from_secs(1);
 /// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
-/// Largest part of the emergency stop's file that is read, bytes: that it exists is enough.
-const STOP_BYTES_MAX: u64 = 4096;
 
-/// Applies the operator's requests, and keeps in files what must outlive one bridge process: the allow list and the
-/// emergency stop.
+/// Applies the operator's requests, and keeps in files what must outlive one bridge process.
 pub struct Control<S> {
     bridge: Rc<Bridge>,
     storage: S,
     /// The file of the allow list; `None` if addresses are not remembered.
     allowed: Option<PathBuf>,
-    /// A file that exists while the emergency stop is set.
-    stop_file: PathBuf,
-    /// Whether the file exists.
-    stop_recorded: bool,
-    /// Whether the person has been told that it cannot be recorded.
-    has_warned: bool,
+    /// The file of the addresses that may not drive.
+    denied: PathBuf,
+    files: SavedFiles<S>,
 }
 
 impl<S: Storage> Control<S> {
     /// Applies to the bridge what the files say.
-    pub fn new(bridge: Rc<Bridge>, run: &Run, storage: S) -> Self {
+    pub fn new(bridge: Rc<Bridge>, run: &Run, storage: S, now: Monotonic) -> Self {
         let allowed = run.config.bridge.remember.then(|| allowed::file(run));
         if let Some(path) = &allowed {
-            match allowed::read(&storage, path) {
-                Ok((addresses, unsound)) => {
-                    addresses.into_iter().for_each(|address| bridge.allow(address));
-                    unsound.iter().for_each(|line| {
-                        tracing::warn!("{}: `{line}` is not an address and is ignored", path.display())
-                    });
-                }
-                Err(why) => tracing::warn!("{}: {why}; no address is remembered", path.display()),
-            }
+            read_addresses(&storage, path).into_iter().for_each(|address| bridge.allow(address));
         }
-        let stop_file = run.dir.join("stopped");
-        // A file that cannot be read may say that the stop is set.
-        let stop_recorded = !matches!(storage.read(&stop_file, STOP_BYTES_MAX), Err(why) if why.kind() == io::ErrorKind::NotFound);
-        if stop_recorded {
-            bridge.stop_robots();
-        }
-        Self { bridge, storage, allowed, stop_file, stop_recorded, has_warned: false }
+        let files = SavedFiles::restore(&bridge, run, storage.clone(), now);
+        let denied = denied_file(run);
+        read_addresses(&storage, &denied).into_iter().for_each(|address| bridge.deny(address));
+        Self { bridge, storage, allowed, denied, files }
     }
 
-    /// Records in a file whether the emergency stop is set: a restarted bridge must keep it. Call it often.
-    pub fn record_stop(&mut self) {
-        let is_stopped = self.bridge.is_stopped();
-        if is_stopped == self.stop_recorded {
-            return;
-        }
-        let result = match is_stopped {
-            true => self.storage.write(&self.stop_file, b"The emergency stop is set.\n"),
-            false => self.storage.remove(&self.stop_file),
-        };
-        match result {
-            Ok(()) => (self.stop_recorded, self.has_warned) = (is_stopped, false),
-            // It is tried again, and said once.
-            Err(why) => {
-                if !std::mem::replace(&mut self.has_warned, true) {
-                    let path = self.stop_file.display();
-                    tracing::warn!(
-                        "{path}: {why}; a restarted bridge will not keep the emergency stop as it is"
-                    );
-                }
-            }
-        }
+    /// Saves in files what has changed, and sets the emergency stop if `mr-slam stop` has written it. Call it often.
+    pub fn update_files(&mut self, now: Monotonic) {
+        self.files.update(&self.bridge, now);
     }
 
     fn apply(&mut self, request: Request) -> Reply {
+        // What was written on the disk before this request comes first.
+        self.update_files(now());
         match request {
             Request::State => {}
             Request::Allow(address) => self.bridge.allow(address),
@@ -92,13 +63,21 @@ impl<S: Storage> Control<S> {
             Request::Stop => self.bridge.stop_robots(),
             Request::Release => self.bridge.release_stop(),
         }
-        self.record_stop();
-        if let (Request::Allow(address) | Request::Deny(address), Some(path)) = (request, &self.allowed) {
-            let may_drive = matches!(request, Request::Allow(_));
-            allowed::remember(&self.storage, path, address, may_drive)
-                .map_err(|why| format!("done, but not for later runs: {}: {why}", path.display()))?;
+        self.update_files(now());
+        if let Request::Allow(address) | Request::Deny(address) = request {
+            self.remember(address, matches!(request, Request::Allow(_)))
+                .map_err(|why| format!("done, but not for later: {why}"))?;
         }
         Ok(self.bridge_state())
+    }
+
+    /// Writes a permission into the files of those who may drive and of those who may not.
+    fn remember(&self, address: IpAddr, may_drive: bool) -> io::Result<()> {
+        let allowed = self.allowed.iter().map(|path| (path, may_drive));
+        allowed.chain([(&self.denied, !may_drive)]).try_for_each(|(path, is_listed)| {
+            allowed::remember(&self.storage, path, address, is_listed)
+                .map_err(|why| io::Error::other(format!("{}: {why}", path.display())))
+        })
     }
 
     fn bridge_state(&self) -> BridgeState {
@@ -117,6 +96,22 @@ impl<S: Storage> Control<S> {
             waiting: self.bridge.waiting_addresses(),
             allowed: self.bridge.allowed_addresses(),
             clients: self.bridge.clients(now()).into_iter().map(client).collect(),
+        }
+    }
+}
+
+/// Reads a list of addresses, and reports what cannot be read.
+fn read_addresses(storage: &impl Storage, path: &Path) -> Vec<IpAddr> {
+    match allowed::read(storage, path) {
+        Ok((addresses, unsound)) => {
+            unsound.iter().for_each(|line| {
+                tracing::warn!("{}: `{line}` is not an address and is ignored", path.display())
+            });
+            addresses
+        }
+        Err(why) => {
+            tracing::warn!("{}: {why}; no address is taken from it", path.display());
+            Vec::new()
         }
     }
 }

@@ -13,6 +13,7 @@ pub mod commands;
 pub mod files;
 pub mod scan_path;
 mod services;
+pub mod session_log;
 
 use super::{Error, serve};
 use crate::ports::{ChannelError, Clock, Ports};
@@ -23,12 +24,13 @@ use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use ::slam::{
-    BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, SlamConfig,
+    BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, Session, SlamConfig,
 };
 use back_end::BackEndWorker;
 use files::{FileWorker, Job, JobOutcome};
 use msg::{Header, Pose2, RobotId, Role, SlamMode};
 use scan_path::ScanPath;
+use session_log::LogEnd;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
@@ -116,7 +118,7 @@ impl<P: Ports, S: Storage> SlamProcess<P, S> {
         at: Option<Pose2>,
         storage: S,
     ) -> Result<Self, Error> {
-        let Beginning { front, back, odom_pose } = begin(run, robot, at, &storage, &scan_ports.clock())?;
+        let Start { front, back, odom_pose } = begin(run, robot, at, &storage, &scan_ports.clock())?;
         let (events, inputs) = sync_channel::<BackEndInput>(EVENTS_MAX);
         let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
         let (job_sender, jobs) = sync_channel::<Job>(files::JOBS_MAX);
@@ -136,7 +138,7 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let (commands, commands_in) = sync_channel::<FrontCommand>(COMMANDS_MAX);
     let (job_sender, jobs) = sync_channel::<Job>(files::JOBS_MAX);
     let mut files = FileWorker::new(live_config(run), DiskStorage, scan_ports.clock(), events.clone());
-    let Beginning { front, back, odom_pose } = begun;
+    let Start { front, back, odom_pose } = begun;
     let mut scan_path = ScanPath::open(&scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
     std::thread::scope(|scope| {
         scope.spawn(move || jobs.into_iter().for_each(|job| files.run(job)));
@@ -177,47 +179,77 @@ fn serve_back_end(
     }
 }
 
-/// Front end and back end with which SLAM begins.
-struct Beginning {
+/// Front end and back end with which SLAM starts.
+struct Start {
     front: FrontEnd,
-    back: BackEnd,
+    /// The back end, and the end of the log with its nodes.
+    back: (BackEnd, LogEnd),
     /// Newest known transform of `odom` in the map, if a new front end begins.
     odom_pose: Option<Pose2>,
 }
 
-/// Loads what an earlier process of this run saved, else the fleet's initial session, else an empty map.
+/// Loads what an earlier process of this run saved and logged, else the fleet's initial session, else an empty map.
 fn begin(
     run: &Run,
     robot: RobotId,
     at: Option<Pose2>,
     storage: &impl Storage,
     clock: &impl Clock,
-) -> Result<Beginning, Error> {
+) -> Result<Start, Error> {
     let config = live_config(run);
+    let identity = sessions::identity(run, robot);
+    let saved = read_own_session(run, robot, storage);
+    let has_session = saved.is_some();
+    let position = saved.as_ref().map(|session| session.log).unwrap_or_default();
+    let (records, log_end) = session_log::read(storage, run, robot, position);
+    let (session, mode) = match saved {
+        Some(saved) => {
+            let mode = saved.mode;
+            (Some(saved), mode)
+        }
+        None => {
+            let first = sessions::first(&run.config, robot)?;
+            let mode = sessions::first_mode(&run.config, first.is_some());
+            (first, mode)
+        }
+    };
+    if !has_session && records.is_empty() {
+        let (front, mut back) = ::slam::begin(config, session, mode, InitialPose::Unknown);
+        // No scan of this run is in it yet.
+        back.set_map_header(Header::default(), clock.now());
+        // Whether the robot had been found in a session's map is not known.
+        let odom_pose = at.filter(|_| back.nodes().is_empty());
+        return Ok(Start { front, back: (back, log_end), odom_pose });
+    }
+    let kept = match (session, records.is_empty()) {
+        (Some(session), true) => session,
+        (session, _) => {
+            let start = if has_session { InitialPose::Continue } else { InitialPose::Unknown };
+            let (_, mut back) = ::slam::begin(config.clone(), session, mode, start);
+            let front = back.replay(records);
+            back.session(identity, front, &[])
+        }
+    };
+    // A robot that was localized is looked for where it was; one that was looked for, everywhere.
+    let odom_pose = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
+    let (front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
+    Ok(Start { front, back: (back, log_end), odom_pose })
+}
+
+/// Reads what an earlier process of this run saved.
+fn read_own_session(run: &Run, robot: RobotId, storage: &impl Storage) -> Option<Session> {
     let own = sessions::file(&sessions::folder(run), robot);
     let identity = sessions::identity(run, robot);
     match sessions::read(storage, &own, &identity) {
-        Ok(kept) if kept.identity.run == identity.run => {
-            let mode = kept.mode;
-            // A robot that was localized is looked for where it was; one that was looked for, everywhere.
-            let odom_pose = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
-            let (front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
-            return Ok(Beginning { front, back, odom_pose });
+        // Else the file is from another run in the same folder.
+        Ok(kept) => Some(kept).filter(|kept| kept.identity.run == identity.run),
+        Err(why) => {
+            if !why.is_missing() {
+                tracing::warn!("slam of {robot}: {why}; it begins without the session");
+            }
+            None
         }
-        Err(why) if !why.is_missing() => {
-            tracing::warn!("slam of {robot}: {why}; it begins without the session")
-        }
-        // The file is from another run in the same folder.
-        _ => {}
     }
-    let first = sessions::first(&run.config, robot)?;
-    let mode = sessions::first_mode(&run.config, first.is_some());
-    let (front, mut back) = ::slam::begin(config, first, mode, InitialPose::Unknown);
-    // No scan of this run is in it yet.
-    back.set_map_header(Header::default(), clock.now());
-    // Whether the robot had been found in a session's map is not known.
-    let odom_pose = at.filter(|_| back.nodes().is_empty());
-    Ok(Beginning { front, back, odom_pose })
 }
 
 /// Returns the fleet's configuration of SLAM for a live process, which needs no trajectory of all scans.

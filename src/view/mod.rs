@@ -1,10 +1,12 @@
 //! Figures of a fleet as people and programs read them: tables and JSON.
 
 mod edges;
+mod layout;
 mod slam;
 mod table;
 
 pub use edges::{EdgeView, edge_table, edges_json};
+pub use layout::{Emphasis, Style};
 pub use slam::{ClosureView, SlamView};
 
 use crate::config::FleetConfig;
@@ -212,6 +214,16 @@ impl FleetView {
 }
 
 impl RobotView {
+    /// Returns whether SLAM does not know where the robot is.
+    pub fn is_lost(&self) -> bool {
+        self.state == TrackingState::Lost.name()
+    }
+
+    /// Returns whether scans came once and do not come any more.
+    pub fn has_stale_scans(&self) -> bool {
+        self.scans > 0 && self.scan_hz_last_second == 0.0
+    }
+
     /// Known share of the robot's map, 0 to 1; `None`: it has no map.
     pub fn coverage(&self) -> Option<f64> {
         (self.map.slam_stats[3] > 0.0).then_some(self.map.coverage)

@@ -1,64 +1,115 @@
 //! Tables of a fleet's figures for a terminal.
 
+use super::layout::{Cell, Column, Emphasis, Style, table};
 use super::{DistributionView, FleetView};
-use std::fmt::Write;
+use crate::control::{BridgeState, ClientView};
+
+/// Indent of wrapped lines below a name.
+const INDENT: usize = 9;
+/// Clients that the live table lists; `mr-slam status` lists all.
+const LIVE_CLIENTS_MAX: usize = 3;
+
+const ROBOT_COLUMNS: [Column; 8] = [
+    Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
+    Column { heading: ["state", ""], width: 10, is_left: true, drop_order: 0 },
+    Column { heading: ["scans", "Hz"], width: 8, is_left: false, drop_order: 1 },
+    Column { heading: ["lost", "scans"], width: 6, is_left: false, drop_order: 3 },
+    Column { heading: ["coverage", "%"], width: 9, is_left: false, drop_order: 2 },
+    Column { heading: ["TF jitter", "p50 / p99 ms"], width: 16, is_left: false, drop_order: 5 },
+    Column { heading: ["scan to pose", "p50 / p99 ms"], width: 16, is_left: false, drop_order: 6 },
+    Column { heading: ["pose error", "m"], width: 10, is_left: false, drop_order: 4 },
+];
+
+const PROCESS_COLUMNS: [Column; 10] = [
+    Column { heading: ["process", ""], width: 16, is_left: true, drop_order: 0 },
+    Column { heading: ["pid", ""], width: 8, is_left: false, drop_order: 3 },
+    Column { heading: ["state", ""], width: 7, is_left: true, drop_order: 0 },
+    Column { heading: ["restarts", ""], width: 8, is_left: false, drop_order: 1 },
+    Column { heading: ["received", ""], width: 9, is_left: false, drop_order: 7 },
+    Column { heading: ["lost", ""], width: 6, is_left: false, drop_order: 6 },
+    Column { heading: ["dropped", ""], width: 8, is_left: false, drop_order: 8 },
+    Column { heading: ["work p50/max us", ""], width: 15, is_left: false, drop_order: 9 },
+    Column { heading: ["memory MB", ""], width: 9, is_left: false, drop_order: 4 },
+    Column { heading: ["CPU s", ""], width: 8, is_left: false, drop_order: 5 },
+];
 
 impl FleetView {
-    /// Formats the robots' and the merged map's figures for a terminal.
-    pub fn table(&self) -> String {
-        let mut text = format!(
-            "{:<8} {:<10} {:>8} {:>6} {:>9} {:>16} {:>16} {:>9}\n{:<8} {:<10} {:>8} {:>6} {:>9} {:>16} {:>16} {:>9}\n",
-            "robot",
-            "state",
-            "scans",
-            "lost",
-            "coverage",
-            "TF jitter",
-            "scan to pose",
-            "pose error",
-            "",
-            "",
-            "Hz",
-            "scans",
-            "%",
-            "p50 / p99 ms",
-            "p50 / p99 ms",
-            "m"
-        );
-        for robot in &self.robots {
-            let _ = writeln!(
-                text,
-                "{:<8} {:<10} {:>8.2} {:>6} {:>9.1} {:>16} {:>16} {:>9}",
-                robot.robot,
-                robot.state,
-                robot.scan_hz_last_second,
-                robot.scans_lost,
-                100.0 * robot.map.coverage,
-                robot.tf_jitter_ms.p50_and_p99(),
-                robot.scan_to_pose_ms.p50_and_p99(),
-                robot.pose_error_m.map_or_else(|| "-".into(), |error| format!("{error:.3}")),
-            );
-        }
-        let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
-        let _ = writeln!(
-            text,
-            "merged   room covered {}   consistency {} ({} within one cell)   occupied F1 {} (by chance: {}, F1 {})",
-            percent(self.room_coverage),
-            percent(self.consistency),
-            percent(self.consistency_one_cell),
-            percent(self.occupied_f1),
-            percent(self.null_consistency_mean),
-            percent(self.null_f1_mean),
-        );
-        text += &self.merge_lines();
-        if let Some(bridge) = &self.bridge {
-            text += &bridge.table();
+    /// Formats all figures of robots, merging and clients for a terminal.
+    pub fn table(&self, style: &Style) -> String {
+        let mut text = self.figures(style);
+        for line in self
+            .bridge
+            .iter()
+            .flat_map(|bridge| bridge.table().lines().map(str::to_owned).collect::<Vec<_>>())
+        {
+            text += &style.wrap(&line, INDENT);
         }
         text
     }
 
+    /// Formats the figures for the live table: what is wrong first, and few lines for many clients.
+    pub fn live_table(&self, style: &Style) -> String {
+        let mut text = String::new();
+        for alarm in self.alarms() {
+            text += &paint_lines(&style.wrap(&format!("! {alarm}"), 2), style, Emphasis::Alarm);
+        }
+        let waiting = self.bridge.iter().flat_map(|bridge| &bridge.waiting);
+        for address in waiting.clone().take(LIVE_CLIENTS_MAX) {
+            let line = format!("? {address} asks to drive: key a, or mr-slam allow {address}");
+            text += &paint_lines(&style.wrap(&line, 2), style, Emphasis::Attention);
+        }
+        let more = waiting.count().saturating_sub(LIVE_CLIENTS_MAX);
+        if more > 0 {
+            text += &style.wrap(&format!("? {more} more ask to drive: mr-slam allow"), 2);
+        }
+        text += &self.figures(style);
+        if let Some(bridge) = &self.bridge {
+            text += &client_lines(bridge, style);
+        }
+        text
+    }
+
+    /// Lists what is wrong, for people.
+    pub fn alarms(&self) -> Vec<String> {
+        let mut alarms = Vec::new();
+        if self.bridge.as_ref().is_some_and(|bridge| bridge.stopped) {
+            alarms.push("EMERGENCY STOP is set: robots stand until key r or mr-slam release".into());
+        }
+        for robot in &self.robots {
+            if robot.is_lost() {
+                alarms.push(format!("{} is lost: it looks for its place in the map", robot.robot));
+            }
+            if robot.has_stale_scans() {
+                alarms.push(format!("{}: no scan for a second or more", robot.robot));
+            }
+        }
+        for process in self.processes.iter().filter(|process| process.state != "up") {
+            alarms.push(format!("{} does not answer", process.process));
+        }
+        alarms
+    }
+
+    fn figures(&self, style: &Style) -> String {
+        let rows: Vec<Vec<Cell>> = self.robots.iter().map(robot_row).collect();
+        let mut text = table(&ROBOT_COLUMNS, &rows, style);
+        let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1}%", 100.0 * v));
+        text += &style.wrap(
+            &format!(
+                "merged   room covered {}   consistency {} ({} within one cell)   occupied F1 {}   by chance: {}, F1 {}",
+                percent(self.room_coverage),
+                percent(self.consistency),
+                percent(self.consistency_one_cell),
+                percent(self.occupied_f1),
+                percent(self.null_consistency_mean),
+                percent(self.null_f1_mean),
+            ),
+            INDENT,
+        );
+        text + &self.merge_lines(style)
+    }
+
     /// Lists the robots that are not in the merged map, and the edges that were found.
-    fn merge_lines(&self) -> String {
+    fn merge_lines(&self, style: &Style) -> String {
         let of = |merged: bool| {
             let robots = self.robots.iter().filter(|robot| robot.merged == merged);
             robots.map(|robot| robot.robot.as_str()).collect::<Vec<_>>().join(", ")
@@ -67,51 +118,74 @@ impl FleetView {
         let (merged, unmerged) = (of(true), of(false));
         if !unmerged.is_empty() {
             let merged = if merged.is_empty() { "no robot" } else { &merged };
-            let _ = writeln!(
-                text,
+            let line = format!(
                 "         merged map of {merged}; place of {unmerged} not known (each keeps its own map)"
             );
+            text += &style.wrap(&line, INDENT);
         }
         for edge in self.merge_edges.iter().filter(|edge| edge.was_found()) {
-            let _ = writeln!(text, "         {edge}");
+            text += &style.wrap(&format!("         {edge}"), INDENT);
         }
         text
     }
 
     /// Formats the processes' figures for a terminal.
-    pub fn process_table(&self) -> String {
-        let mut text = format!(
-            "{:<16} {:>8} {:<7} {:>8} {:>9} {:>6} {:>8} {:>15} {:>9} {:>8}\n",
-            "process",
-            "pid",
-            "state",
-            "restarts",
-            "received",
-            "lost",
-            "dropped",
-            "work p50/max us",
-            "memory MB",
-            "CPU s"
-        );
-        for p in &self.processes {
-            let _ = writeln!(
-                text,
-                "{:<16} {:>8} {:<7} {:>8} {:>9} {:>6} {:>8} {:>8.0}/{:<6.0} {:>9.1} {:>8.1}",
-                p.process,
-                p.pid,
-                p.state,
-                p.restarts,
-                p.received,
-                p.lost,
-                p.dropped,
-                p.work_p50_us,
-                p.work_max_us,
-                p.memory_mb,
-                p.cpu_s
-            );
-        }
-        text
+    pub fn process_table(&self, style: &Style) -> String {
+        let row = |p: &super::ProcessView| -> Vec<Cell> {
+            vec![
+                p.process.as_str().into(),
+                p.pid.to_string().into(),
+                Cell::alarm_if(p.state != "up", p.state),
+                p.restarts.to_string().into(),
+                p.received.to_string().into(),
+                p.lost.to_string().into(),
+                p.dropped.to_string().into(),
+                format!("{:.0}/{:<6.0}", p.work_p50_us, p.work_max_us).into(),
+                format!("{:.1}", p.memory_mb).into(),
+                format!("{:.1}", p.cpu_s).into(),
+            ]
+        };
+        table(&PROCESS_COLUMNS, &self.processes.iter().map(row).collect::<Vec<_>>(), style)
     }
+}
+
+fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
+    vec![
+        robot.robot.as_str().into(),
+        Cell::alarm_if(robot.is_lost(), robot.state),
+        Cell::alarm_if(robot.has_stale_scans(), format!("{:.2}", robot.scan_hz_last_second)),
+        robot.scans_lost.to_string().into(),
+        format!("{:.1}", 100.0 * robot.map.coverage).into(),
+        robot.tf_jitter_ms.p50_and_p99().into(),
+        robot.scan_to_pose_ms.p50_and_p99().into(),
+        robot.pose_error_m.map_or_else(|| "-".into(), |error| format!("{error:.3}")).into(),
+    ]
+}
+
+fn client_lines(bridge: &BridgeState, style: &Style) -> String {
+    let mut text = String::new();
+    for client in bridge.clients.iter().take(LIVE_CLIENTS_MAX) {
+        let ClientView { address, subscriptions, waiting_bytes, dropped, drives, .. } = client;
+        let mut line = format!("client   {address}");
+        drives.iter().for_each(|robot| line += &format!("   drives robot{robot}"));
+        line += &format!("   {subscriptions} topics");
+        if *waiting_bytes > 0 {
+            line += &format!("   {:.0} kB waiting", *waiting_bytes as f64 / 1e3);
+        }
+        if *dropped > 0 {
+            line += &format!("   {dropped} dropped");
+        }
+        text += &style.wrap(&line, INDENT);
+    }
+    let more = bridge.clients.len().saturating_sub(LIVE_CLIENTS_MAX);
+    if more > 0 {
+        text += &style.wrap(&format!("         and {more} more clients: mr-slam status"), INDENT);
+    }
+    text
+}
+
+fn paint_lines(text: &str, style: &Style, emphasis: Emphasis) -> String {
+    text.lines().map(|line| style.paint(line, emphasis) + "\n").collect()
 }
 
 impl DistributionView {
@@ -120,5 +194,67 @@ impl DistributionView {
             (Some(p50), Some(p99)) => format!("{p50:.3} / {p99:.3}"),
             _ => "-".into(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use msg::{FleetStats, TrackingState};
+
+    /// A fleet in which everything is wrong, with many clients.
+    fn fleet() -> FleetView {
+        let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
+        stats.robot_count = 3;
+        for robot in &mut stats.robots[..3] {
+            (robot.state, robot.scans, robot.scan_hz) = (TrackingState::Tracking as u32, 100, 10.0);
+        }
+        stats.robots[1].state = TrackingState::Lost as u32;
+        stats.robots[2].scan_hz = 0.0;
+        let client = |port: usize| ClientView {
+            address: format!("192.168.100.200:{}", 50_000 + port).parse().unwrap(),
+            subscriptions: 12,
+            publications: 1,
+            waiting_bytes: 2_000_000,
+            dropped: 345,
+            drives: vec![2],
+            clock: None,
+        };
+        let waiting = (1..9).map(|n| format!("10.0.0.{n}").parse().unwrap()).collect();
+        let clients = (0..64).map(client).collect();
+        let bridge = BridgeState { stopped: true, waiting, clients, ..BridgeState::default() };
+        FleetView { bridge: Some(bridge), ..FleetView::new(&stats) }
+    }
+
+    #[test]
+    fn no_line_is_wider_than_the_terminal() {
+        for width in [39, 60, 79, 100, 119] {
+            let style = Style { width, is_coloured: false };
+            let text = fleet().live_table(&style) + &fleet().process_table(&style);
+            for line in text.lines() {
+                assert!(line.chars().count() <= width, "{width}: `{line}`");
+            }
+            assert!(text.contains("robot3"), "{width}: {text}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_comes_first_and_stands_out() {
+        let fleet = fleet();
+        let plain = fleet.live_table(&Style::PLAIN);
+        assert!(plain.starts_with("! EMERGENCY STOP"), "{plain}");
+        assert!(plain.contains("! robot2 is lost") && plain.contains("! robot3: no scan"), "{plain}");
+        assert!(!plain.contains('\x1b'), "no colours in a file: {plain:?}");
+        let coloured = fleet.live_table(&Style { width: 80, is_coloured: true });
+        assert!(coloured.contains("\x1b[1;31mlost"), "{coloured:?}");
+        assert!(coloured.starts_with("\x1b[1;31m! EMERGENCY"), "{coloured:?}");
+    }
+
+    #[test]
+    fn many_clients_do_not_make_the_live_table_long() {
+        let text = fleet().live_table(&Style { width: 79, is_coloured: false });
+        assert!(text.contains("and 61 more clients") && text.contains("5 more ask to drive"), "{text}");
+        assert!(text.lines().count() < 24, "{} lines: {text}", text.lines().count());
+        assert_eq!(fleet().table(&Style::PLAIN).matches("192.168.100.200").count(), 64);
     }
 }

@@ -106,7 +106,7 @@ fn an_allowed_headset_and_an_emergency_stop_survive_the_bridge() {
     moved(&mut fleet, &mut headset, 0.1);
 
     say(&["deny", "127.0.0.1"], &dir);
-    headset.drive_until_told("__error", "may not drive yet");
+    headset.drive_until_told("__error", "may not drive: it is denied");
     assert_eq!(
         say(&["allow"], &dir),
         "nobody has asked; loopback may drive\n",

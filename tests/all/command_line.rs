@@ -1,6 +1,6 @@
 //! Command line: printing into a closed pipe, and the choice among several running fleets.
 
-use crate::harness::{Folder, mr_slam, output};
+use crate::harness::{Folder, mr_slam, output, output_of};
 use mr_slam::runtime_folder::Lock;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
@@ -48,8 +48,7 @@ fn a_change_must_name_the_run_if_several_fleets_run() {
     let (runs, _locks): (Vec<String>, Vec<Lock>) =
         [1, 2].iter().map(|number| pretend_run(&temporary, *number)).unzip();
     for words in [
-        &["stop"][..],
-        &["release"],
+        &["release"][..],
         &["allow", "10.0.0.1"],
         &["deny", "10.0.0.1"],
         &["edges", "undo", "1", "2"],
@@ -68,4 +67,47 @@ fn a_change_must_name_the_run_if_several_fleets_run() {
             "{words:?}: {error}"
         );
     }
+}
+
+#[test]
+fn an_endless_file_is_refused_instead_of_read() {
+    for words in [&["up", "--config", "/dev/zero"][..], &["replay", "/dev/zero", "--config", "/dev/zero"]] {
+        let ended = output(words);
+        let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert!(!ended.status.success() && error.contains("longer than"), "{words:?}: {error}");
+    }
+}
+
+#[test]
+fn too_few_descriptors_are_said_in_words_before_the_start() {
+    let folder = Folder::new();
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", "ulimit -n 64; exec \"$0\" up --port 0 --seconds 1 --run-dir \"$1\""]);
+    let ended = output_of(shell.arg(env!("CARGO_BIN_EXE_mr-slam")).arg(folder.path()));
+    let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert!(!ended.status.success() && error.contains("ulimit -n"), "{error}");
+}
+
+#[test]
+fn stop_is_latched_in_every_fleet_whether_it_answers_or_not() {
+    let temporary = Folder::new();
+    let runs = [1, 2].map(|number| pretend_run(&temporary, number));
+    let stop = || {
+        let mut command = mr_slam();
+        command.arg("stop").env("TMPDIR", temporary.path()).env("XDG_RUNTIME_DIR", temporary.path());
+        command.output().unwrap()
+    };
+    let ended = stop();
+    let said = String::from_utf8_lossy(&ended.stdout).into_owned();
+    assert!(ended.status.success(), "{said}");
+    assert!(runs.iter().all(|(run, _)| said.contains(run)) && said.contains("latched"), "{said}");
+    for (run, _) in &runs {
+        let file = std::path::Path::new(run).join("stopped");
+        std::fs::remove_file(&file).unwrap();
+        // A file cannot replace a folder.
+        std::fs::create_dir_all(file.join("in-the-way")).unwrap();
+    }
+    let ended = stop();
+    assert!(!ended.status.success(), "it is neither set nor latched");
+    assert!(String::from_utf8_lossy(&ended.stdout).contains("NOT STOPPED"));
 }

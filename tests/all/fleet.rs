@@ -140,3 +140,19 @@ fn a_detached_fleet_goes_on_and_says_how_to_end_it() {
         std::thread::sleep(Duration::from_millis(20));
     }
 }
+
+#[test]
+fn a_map_that_cannot_be_written_does_not_cost_the_report() {
+    let mut fleet = Fleet::start("up", &["--robots", "1"]);
+    fleet.until("a map", |view| view.merged_map.slam_stats[0] > 0.0);
+    // A folder stands where the map is to be.
+    std::fs::create_dir_all(fleet.folder.path().join("robot1_map.pgm/in_the_way")).unwrap();
+    let ended = fleet.end(Signal::TERM);
+    assert!(!ended.success, "the exit code says that something is missing");
+    assert!(ended.folder.path().join("merged_map.png").exists(), "the other map is there");
+    let report = std::fs::read_to_string(ended.folder.path().join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    let missing = report["not_written"].as_array().unwrap();
+    assert!(missing.len() == 1 && missing[0].as_str().unwrap().contains("robot1_map"), "{missing:?}");
+    assert!(report["paper"]["duration_s"].as_f64().unwrap() > 0.0);
+}

@@ -7,13 +7,13 @@ use crate::cdr::{DecodeError, Reader, with_dummy_byte};
 use crate::command::name;
 use crate::dds::ReceivedMessage;
 use crate::drive::Driver;
+use crate::drive::velocity_gate::{GateDecision, Velocity};
 use crate::input::Input;
 use crate::ros::names::RobotNames;
 use crate::ros::read::{self, Transform};
 use crate::ros::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
 use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
 use crate::teleop::Stick;
-use crate::velocity_gate::{GateDecision, Velocity};
 use crate::world::{DDS_SOURCE, Incoming, WorldError};
 use msg::{EdgeCommand, Monotonic, RobotId};
 use thiserror::Error;
@@ -166,9 +166,11 @@ impl Core {
         payload: &[u8],
         now: Monotonic,
     ) -> Result<(), InputError> {
-        // Anyone may stop the robots, and an idle hand controller needs no permission.
-        if !matches!(input, Input::EmergencyStop | Input::Joystick | Input::HandInputs) {
-            self.check_drive(id)?;
+        // Anyone who is not denied may stop the robots, and an idle hand controller needs no permission.
+        match input {
+            Input::EmergencyStop => self.check(Action::Stop, id)?,
+            Input::Joystick | Input::HandInputs => {}
+            _ => self.check(Action::Drive, id)?,
         }
         match input {
             Input::SelectedCommand => self.drive(id, self.gate.drive().selected(), publication, payload, now),
@@ -227,10 +229,10 @@ impl Core {
         Reader::with(self.config.payloads, payload)
     }
 
-    /// Fails if the client's address may not drive. On DDS nobody is known; its inputs exist only if all may drive.
-    fn check_drive(&mut self, id: ClientId) -> Result<(), PermissionError> {
+    /// Fails if the client's address may not do this. On DDS nobody is known; its inputs exist only if all may drive.
+    fn check(&mut self, action: Action, id: ClientId) -> Result<(), PermissionError> {
         match self.router.client(id) {
-            Some(client) => self.access.check(Action::Drive, client.peer.ip()),
+            Some(client) => self.access.check(action, client.peer.ip()),
             None => Ok(()),
         }
     }
@@ -295,7 +297,7 @@ impl Core {
             self.request_velocity(id, robot, Velocity::ZERO, now)?;
         }
         if let (Some(stick), Some(robot)) = (held, target) {
-            self.check_drive(id)?;
+            self.check(Action::Drive, id)?;
             let (linear_m_s, angular_rad_s) = stick.velocity(&self.config);
             self.request_velocity(id, robot, Velocity { linear_m_s, angular_rad_s }, now)?;
         }

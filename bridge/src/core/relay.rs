@@ -36,6 +36,11 @@ impl Core {
                 }
             }
             RosEvent::Graph(graph) => self.set_ros_graph(graph),
+            RosEvent::RobotListens(robot) => {
+                self.gate.repeat_stop(robot);
+                self.send_velocities();
+            }
+            RosEvent::DriverLost => self.stop_robots_of(ClientId::DDS),
         }
     }
 

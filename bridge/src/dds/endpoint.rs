@@ -10,6 +10,7 @@ use super::services::ServiceServers;
 use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, Permission};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
+use crate::input::Input;
 use crate::relay::{RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::transport::Transport;
@@ -61,6 +62,9 @@ struct EndpointState {
     services: ServiceServers,
     graph: Graph,
     input_guids: Vec<GUID>,
+    /// The writer of another participant that sent the last velocity.
+    last_driver: Option<GUID>,
+    link: Arc<RosLink>,
     /// Whether readers or writers have come or gone that the graph does not show yet.
     is_graph_due: bool,
 }
@@ -103,6 +107,8 @@ impl DdsEndpoint {
             services,
             graph,
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
+            last_driver: None,
+            link: link.clone(),
             is_graph_due: false,
         };
         state.publish_graph();
@@ -195,11 +201,12 @@ impl DdsEndpoint {
                 let mut samples = std::pin::pin!(reader.as_async_stream());
                 while let Some(sample) = samples.next().await {
                     let Ok(sample) = sample else { continue };
-                    if sample.writer_guid().prefix == own {
+                    let writer = sample.writer_guid();
+                    if writer.prefix == own {
                         continue;
                     }
                     let message = ReceivedMessage::new(&input, sample.into_value().0.to_vec());
-                    endpoint.state.borrow_mut().record(&message);
+                    endpoint.state.borrow_mut().record(&message, writer);
                     endpoint.link.send_event(RosEvent::Input(message));
                 }
             });
@@ -260,26 +267,51 @@ impl EndpointState {
     }
 
     fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) {
+        self.report_drivers(event);
         let has_changed = self.writers.apply_event(event, now);
         if self.relay.apply_event(event, now) || has_changed {
             self.publish_graph();
         }
     }
 
+    /// Tells the bridge that a robot begins to listen, or that whoever sent the last velocity is gone.
+    fn report_drivers(&mut self, event: &DomainParticipantStatusEvent) {
+        use DomainParticipantStatusEvent::{ParticipantLost, WriterLost};
+        if let Some(robot) = self.writers.new_listener(event) {
+            self.link.send_event(RosEvent::RobotListens(robot));
+        }
+        let is_gone = |driver: &GUID| match event {
+            WriterLost { guid, .. } => driver == guid,
+            ParticipantLost { id, .. } => driver.prefix == *id,
+            _ => false,
+        };
+        if self.last_driver.take_if(|driver| is_gone(driver)).is_some() {
+            self.link.send_event(RosEvent::DriverLost);
+        }
+    }
+
     /// Does what the bridge asks.
     fn apply(&mut self, command: RosCommand, now: Monotonic) {
-        let topic = command.topic().cloned();
+        if let RosCommand::Publish { topic, payload } = &command
+            && self.writers.publish_state(topic, payload.clone(), now)
+        {
+            return;
+        }
+        let topic = command.topic().clone();
         match self.relay.apply(command, now) {
             Ok((outcome, has_changed)) => {
                 outcome.into_iter().for_each(|outcome| self.writers.count(outcome));
                 self.is_graph_due |= has_changed;
             }
-            Err(why) => topic.into_iter().for_each(|topic| self.relay.report(topic, &why)),
+            Err(why) => self.relay.report(topic, &why),
         }
     }
 
-    fn record(&mut self, message: &ReceivedMessage) {
+    fn record(&mut self, message: &ReceivedMessage, writer: GUID) {
         self.writers.count_received();
+        if let Input::SelectedCommand | Input::Command(_) = message.input() {
+            self.last_driver = Some(writer);
+        }
         self.publisher.learn_frames(message.input(), message.payload());
     }
 

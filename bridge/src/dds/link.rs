@@ -24,7 +24,6 @@ impl Parcel for RosCommand {
     fn message(&self) -> Option<(&str, usize)> {
         match self {
             Self::Publish { topic, payload } => Some((topic, payload.len())),
-            Self::PublishState { topic, payload } => Some((topic.row().name, payload.len())),
             _ => None,
         }
     }
@@ -36,7 +35,7 @@ impl Parcel for RosEvent {
             Self::Message { topic, payload } => Some((topic, payload.len())),
             Self::OtherEncoding { topic } => Some((topic, 0)),
             Self::Input(message) => Some((message.topic(), message.payload().len())),
-            Self::Failure { .. } | Self::Graph(_) => None,
+            Self::Failure { .. } | Self::Graph(_) | Self::RobotListens(_) | Self::DriverLost => None,
         }
     }
 }

@@ -3,13 +3,11 @@
 use super::entities::{EndpointError, EntityFactory, RawReader};
 use super::link::RosLink;
 use super::raw::Raw;
-use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, small_latched_qos, stream_qos};
-use crate::fleet_topics::FleetTopic;
+use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::relay::{RosCommand, RosEvent, RosGraph};
 use futures::StreamExt;
 use msg::Monotonic;
 use ros2_client::MessageInfo;
-use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::no_key::DeserializedCacheChange;
 use ros2_client::dds::rustdds::policy::{Durability, History, Reliability};
 use ros2_client::dds::rustdds::{
@@ -148,27 +146,8 @@ impl TopicRelay {
                 self.writers.insert(topic, self.factory.topic_writer(&name, &message_type, qos)?);
             }
             RosCommand::Unadvertise { topic } => drop(self.writers.remove(&topic)),
-            RosCommand::PublishState { topic, payload } => return self.publish_state(topic, payload, now),
         }
         Ok((None, true))
-    }
-
-    /// Publishes a state of the bridge; its writer is opened with the first.
-    fn publish_state(
-        &mut self,
-        topic: FleetTopic,
-        payload: Bytes,
-        now: Monotonic,
-    ) -> Result<(Option<WriteOutcome>, bool), EndpointError> {
-        let row = topic.row();
-        let is_new = !self.writers.contains_key(row.name);
-        if is_new {
-            let name = format!("{}{}", self.factory.namespace(), row.name);
-            let writer = self.factory.topic_writer(&name, row.message_type, small_latched_qos())?;
-            self.writers.insert(row.name.into(), writer);
-        }
-        let outcome = self.writers.get_mut(row.name).map(|writer| writer.write_bytes(now, payload));
-        Ok((outcome, is_new))
     }
 
     fn check_name(&mut self, topic: &Arc<str>) -> Result<(), EndpointError> {

@@ -39,21 +39,13 @@ pub fn stream_qos(depth: usize) -> QosPolicies {
 ///
 /// The newest message is kept for late readers; the next is written when all readers have the one before.
 pub fn latched_qos() -> QosPolicies {
-    latched().deadline(Deadline(REPAIR_DEADLINE)).build()
-}
-
-/// Returns the quality of service of a latched topic whose messages fit into a datagram: no fast repair, whose timers
-/// cost processor time at every writer.
-pub fn small_latched_qos() -> QosPolicies {
-    latched().build()
-}
-
-fn latched() -> QosPolicyBuilder {
     QosPolicyBuilder::new()
         .reliable(Duration::ZERO)
         .durability(Durability::TransientLocal)
         .history(History::KeepLast { depth: 1 })
+        .deadline(Deadline(REPAIR_DEADLINE))
         .resource_limits(limits(1))
+        .build()
 }
 
 fn limits(samples: i32) -> ResourceLimits {

@@ -8,6 +8,7 @@ use crate::cdr::Writer;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
 use crate::ros::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use msg::{Link, Monotonic, RobotId, VelocityCommand};
+use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
 
 /// Velocities that a writer keeps for a slow robot: half a minute at 20 Hz.
@@ -60,8 +61,7 @@ impl TopicWriters {
         row: &OutgoingTopic,
         robots: &RobotNames,
     ) -> Result<Vec<usize>, EndpointError> {
-        // States of the bridge come over the link, which opens their writers.
-        let Some(delivery) = row.dds.filter(|_| !row.channel.is_empty()) else { return Ok(Vec::new()) };
+        let Some(delivery) = row.dds else { return Ok(Vec::new()) };
         let qos = match delivery {
             Delivery::Latched => latched_qos(),
             stream => stream_qos(stream.depth(robots.count())),
@@ -110,6 +110,27 @@ impl TopicWriters {
                 to.f64s(&[command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s]);
             });
         }
+    }
+
+    /// Publishes a state that the bridge has encoded; returns whether the topic is one of the fleet's states.
+    pub fn publish_state(&mut self, name: &str, payload: Bytes, now: Monotonic) -> bool {
+        let states = [FleetTopic::SelectedRobot, FleetTopic::EmergencyStop];
+        let Some(topic) = states.into_iter().find(|topic| topic.row().name == name) else { return false };
+        for index in self.by_topic[topic as usize].clone() {
+            let outcome = self.writers[index].write_bytes(now, payload.clone());
+            self.count(outcome);
+        }
+        true
+    }
+
+    /// Returns the robot whose velocities a reader of another participant begins to receive by this event.
+    pub fn new_listener(&self, event: &DomainParticipantStatusEvent) -> Option<RobotId> {
+        let DomainParticipantStatusEvent::RemoteReaderMatched { local_writer, .. } = event else {
+            return None;
+        };
+        let is_matched = |(index, _): &(usize, bool)| self.writers[*index].guid() == *local_writer;
+        let robot = self.velocity.iter().position(|writers| writers.iter().any(is_matched))?;
+        RobotId::new(robot + 1)
     }
 
     fn write(&mut self, index: usize, now: Monotonic, encode: impl FnOnce(&mut Writer<'_>)) {

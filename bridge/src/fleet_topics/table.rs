@@ -41,10 +41,6 @@ pub enum FleetTopic {
     SelectedRobot,
     /// Whether the emergency stop is set.
     EmergencyStop,
-    /// The robot that `/cmd_vel` drives, on DDS.
-    SelectedRobotState,
-    /// Whether the emergency stop is set, on DDS.
-    EmergencyStopState,
 }
 
 /// How a topic's messages are kept for its subscribers.
@@ -127,7 +123,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 18] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 16] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -202,17 +198,15 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 18] = [
         dds: LATCHED,
         ..row(FleetTopic::MergeEdges, "/merge_edges", Text::TYPE, "merge_edges")
     },
-    OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::SelectedRobot, "/selected_robot", Int32::TYPE, "") },
-    OutgoingTopic { tcp: LATCHED, ..row(FleetTopic::EmergencyStop, "/emergency_stop", Bool::TYPE, "") },
-    // On DDS the states have names of their own: a second fleet in the domain would read
-    // them as commands.
     OutgoingTopic {
+        tcp: LATCHED,
         dds: LATCHED,
-        ..row(FleetTopic::SelectedRobotState, "/selected_robot_state", Int32::TYPE, "")
+        ..row(FleetTopic::SelectedRobot, "/selected_robot", Int32::TYPE, "")
     },
     OutgoingTopic {
+        tcp: LATCHED,
         dds: LATCHED,
-        ..row(FleetTopic::EmergencyStopState, "/emergency_stop_state", Bool::TYPE, "")
+        ..row(FleetTopic::EmergencyStop, "/emergency_stop", Bool::TYPE, "")
     },
 ];
 

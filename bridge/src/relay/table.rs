@@ -1,7 +1,6 @@
 //! The topics that are exchanged with ROS now, and the commands to the endpoint that wait.
 
 use super::{RosCommand, RosGraph};
-use crate::fleet_topics::FleetTopic;
 use crate::interfaces;
 use crate::ros::{Message, encode};
 use crate::router::{ClientId, Topic, TopicId};
@@ -100,6 +99,15 @@ impl RelayTable {
         self.graph = graph;
     }
 
+    /// Publishes the newest state of a topic of the fleet that the core alone knows, in ROS 2's encoding.
+    pub fn publish_state(&mut self, name: &str, message: &impl Message) {
+        if self.is_open {
+            let mut payload = Vec::new();
+            encode(message, &mut payload);
+            self.commands.push_back(RosCommand::Publish { topic: name.into(), payload: payload.into() });
+        }
+    }
+
     /// Takes the oldest command for the endpoint.
     pub fn next_command(&mut self) -> Option<RosCommand> {
         self.commands.pop_front()
@@ -155,15 +163,6 @@ impl RelayTable {
         if let Some(relayed) = self.topics.get(&id).filter(|relayed| relayed.advertised.is_some()) {
             let (topic, payload) = (relayed.name.clone(), Bytes::copy_from_slice(payload));
             self.commands.push_back(RosCommand::Publish { topic, payload });
-        }
-    }
-
-    /// Publishes a state of the bridge on a topic of the fleet in ROS.
-    pub fn publish_state(&mut self, topic: FleetTopic, state: &impl Message) {
-        if self.is_open {
-            let mut bytes = Vec::new();
-            encode(state, &mut bytes);
-            self.commands.push_back(RosCommand::PublishState { topic, payload: bytes.into() });
         }
     }
 

@@ -191,6 +191,9 @@ fn an_unknown_client_needs_permission_to_drive_but_may_stop_the_robots() {
         assert_eq!(served.commands.borrow().last(), Some(&(1, 0.2, 0.0)));
         served.bridge.deny(here);
         assert_eq!(served.commands.borrow().last(), Some(&(1, 0.0, 0.0)), "what it drove stops");
+        client.send("/emergency_stop", &Bool(true)).await;
+        assert!(client.error().await.contains("denied"));
+        assert!(!served.bridge.is_stopped(), "a denied address cannot keep the fleet stopped");
     });
 }
 

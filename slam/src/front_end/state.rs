@@ -85,6 +85,9 @@ impl FrontEnd {
         front.frame.last_break = state.last_break;
         front.frame.closures = state.closures;
         front.counts = state.counts;
+        front.newest_with_odometry = state.last.filter(|_| state.located).and_then(|last| {
+            Some([state.map_from_local * last.local_from_base, last.odom_from_base?.inverse()])
+        });
         front
     }
 

@@ -1,6 +1,7 @@
 //! A session from a map that is only a grid (PGM and YAML): scans are taken in it, all around, from
 //! places a metre apart. Good for localization; there is no graph that could be gone on with.
 
+use super::log::LogPosition;
 use super::{Identity, Session};
 use crate::back_end::BackEndState;
 use crate::beam_poses::BeamPoses;
@@ -59,7 +60,14 @@ impl Session {
             back.front_ids.push(id as u32);
             back.poses.push(map_from_base);
         }
-        Self { identity, mode: SlamMode::Localization, back, front: None, samples: Vec::new() }
+        Self {
+            identity,
+            mode: SlamMode::Localization,
+            back,
+            front: None,
+            samples: Vec::new(),
+            log: LogPosition::default(),
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! The parts of a session, one function to write and one to read each; what is read is checked.
 
 use super::bytes::{In, Out};
+use super::log::LogPosition;
 use super::{Identity, SessionError};
 use crate::back_end::{BackEndState, RejectedClosure};
 use crate::closure::{ClosureCandidate, ClosureDetectorState, ClosureSearchCounts};
@@ -8,6 +9,7 @@ use crate::cloud::{BEARINGS, Cloud, SurfacePoint};
 use crate::front_end::{FrontEndCounts, FrontEndState, LastScan, TrajectorySample};
 use crate::graph::{Edge, EdgeKind};
 use crate::node::{Node, Rays, Revision, SWEPT_PATH_POSITIONS_MAX, SweptPath};
+use crate::relocalize::PoseEstimate;
 use bytemuck::{Pod, Zeroable};
 use msg::{BEAMS_MAX, Header, Odometry, Pose2, SlamMode, Stamp};
 use nalgebra::Matrix3;
@@ -162,6 +164,38 @@ fn take_node(from: &mut In<'_>, id: u32) -> Result<Node> {
         rays: Arc::new(Rays { sensor: record.rays_sensor, hits, misses }),
         swept_path,
     })
+}
+
+/// A node with the front end's id, and the estimate with which an empty map begins.
+pub fn put_log_node(out: &mut Out, node: &Node, begins_at: Option<PoseEstimate>) {
+    out.put(&u64::from(node.id));
+    out.maybe(begins_at.map(|estimate| estimate.map_from_local));
+    out.put(&begins_at.map_or([0.0; 2], |estimate| [estimate.sigma_m, estimate.sigma_rad]));
+    put_node(out, node);
+}
+
+pub fn take_log_node(from: &mut In<'_>) -> Result<(Node, Option<PoseEstimate>)> {
+    const WHAT: &str = "node of a record";
+    let id = u32::try_from(from.take::<u64>(WHAT)?).map_err(|_| SessionError::Value { what: WHAT })?;
+    let map_from_local: Option<Pose2> = from.maybe(WHAT)?;
+    let [sigma_m, sigma_rad]: [f64; 2] = from.take(WHAT)?;
+    check([sigma_m, sigma_rad].iter().all(|sigma| (0.0..=1e3).contains(sigma)), WHAT)?;
+    let begins_at = map_from_local
+        .map(|pose| check_pose(pose, WHAT))
+        .transpose()?
+        .map(|map_from_local| PoseEstimate { map_from_local, sigma_m, sigma_rad });
+    Ok((take_node(from, id)?, begins_at))
+}
+
+/// The place in the log; sessions of version 4 and before have none.
+pub fn take_log_position(from: &mut In<'_>) -> Result<LogPosition> {
+    const WHAT: &str = "place in the log";
+    if from.is_empty() {
+        return Ok(LogPosition::default());
+    }
+    let [number, checksum]: [u64; 2] = from.take(WHAT)?;
+    let checksum = u32::try_from(checksum).map_err(|_| SessionError::Value { what: WHAT })?;
+    Ok(LogPosition { number, checksum })
 }
 
 /// So many places, none farther than so many metres.

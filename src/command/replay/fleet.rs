@@ -3,7 +3,7 @@
 //! Scans are used in the order of their stamps. Each robot has its own SLAM, and the fleet's pose graph gets each
 //! submap when it would get it live. One thread: the same logs give the same maps.
 
-use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, write_trajectory};
+use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, trajectory::write_trajectory};
 use crate::command::output;
 use crate::view::{EdgeView, edge_table};
 use formats::carmen::{LaserLine, Reader};
@@ -16,6 +16,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Instant;
 
+/// Largest size of the file with the robots' starts, bytes.
+const STARTS_BYTES_MAX: u64 = 1 << 20;
 /// Number of merging tasks after one node; the others wait for the next.
 const TASKS_PER_SCAN: usize = 16;
 /// Largest number of merging tasks when all logs have ended.
@@ -288,7 +290,8 @@ fn write_trajectories(
         let known = robot.front.samples().iter().filter(|ride| (ride.node as usize) < poses.len());
         let trajectory = known.map(|ride| {
             let in_robot_map = poses[ride.node as usize] * ride.node_from_base;
-            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map)
+            let disconnected = robot.back.nodes()[ride.node as usize].disconnected;
+            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map, disconnected)
         });
         write_trajectory(&path, trajectory).map_err(|source| ReplayError::Write { path, source })?;
     }
@@ -304,7 +307,7 @@ fn correction(robot: &Robot<'_>, fleet: &FleetPoseGraph, node: u32) -> Pose2 {
 
 /// Reads lines `index time x y theta`; `#` begins a comment.
 fn read_starts(path: &Path, count: usize) -> Result<Vec<Option<Pose2>>, ReplayError> {
-    let text = std::fs::read_to_string(path)
+    let text = formats::limited::read_text(path, STARTS_BYTES_MAX)
         .map_err(|source| ReplayError::Read { path: path.to_owned(), source })?;
     let mut starts = vec![None; count];
     for (line, text) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {

@@ -2,7 +2,9 @@
 
 use crate::control::{self, BridgeState, Request};
 use crate::keys::Keys;
+use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::run::Run;
+use crate::storage::DiskStorage;
 use std::time::Duration;
 
 /// How long the launcher waits for the bridge, once a second and at a key. It has children to look after meanwhile.
@@ -36,11 +38,11 @@ impl<'a> OperatorConsole<'a> {
 
     /// Keys that work now, for people.
     pub fn help(&self) -> &'static str {
-        match self.keys.available() {
-            true => {
-                "a allows the first waiting address to drive, d denies it; s stops all robots, r releases; Ctrl-C ends"
-            }
-            false => "Ctrl-C ends",
+        let somebody_waits = self.newest.as_ref().is_some_and(|bridge| !bridge.waiting.is_empty());
+        match (self.keys.available(), somebody_waits) {
+            (true, true) => "keys: a allows, d denies   s stops all robots   r releases   Ctrl-C ends",
+            (true, false) => "keys: s stops all robots   r releases   Ctrl-C ends",
+            (false, _) => "Ctrl-C ends",
         }
     }
 
@@ -55,12 +57,20 @@ impl<'a> OperatorConsole<'a> {
             'r' => (Request::Release, "the robots may be driven again".into()),
             _ => return None,
         };
+        // On the disk first: a bridge that does not answer now sets the stop when it goes on or is replaced.
+        let is_latched = request == Request::Stop
+            && latch_stop(&DiskStorage, &stop_file(&self.run.dir), crate::clock::now()).is_ok();
         Some(match control::ask(self.run, request, PATIENCE) {
             Ok(state) => {
                 self.newest = Some(state);
                 done
             }
-            Err(why) => why,
+            Err(why) if is_latched => {
+                format!(
+                    "the stop is latched: the bridge sets it as soon as it goes on or is replaced ({why})"
+                )
+            }
+            Err(why) => why.to_string(),
         })
     }
 }

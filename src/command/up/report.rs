@@ -2,9 +2,10 @@
 
 use super::events::{Event, Events};
 use crate::run::{Run, RunError};
-use crate::view::{DistributionView, FleetView, RobotView};
+use crate::view::{DistributionView, FleetView, RobotView, Style};
 use serde::Serialize;
-use std::fmt::Write;
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -25,6 +26,8 @@ pub struct Report {
     pub operator: Option<serde_json::Value>,
     /// Paths of the maps without extension (.pgm, .yaml, .png).
     pub maps: Vec<PathBuf>,
+    /// What could not be written, with the reasons; empty if everything was.
+    pub not_written: Vec<String>,
     /// Deaths, restarts and changed edges with their times, oldest first; the newest 1000.
     pub events: Vec<Event>,
     /// Number of older events that were dropped.
@@ -184,6 +187,7 @@ impl Report {
             fleet,
             operator,
             maps,
+            not_written: Vec::new(),
             events,
             events_dropped,
         }
@@ -193,14 +197,15 @@ impl Report {
     pub fn write(&self, dir: &Path) -> Result<(), RunError> {
         let path = dir.join("report.json");
         let json = serde_json::to_string_pretty(self).unwrap_or_default();
-        std::fs::write(&path, json).map_err(|why| RunError::File { path, why: why.to_string() })
+        formats::atomic::write(&path, |file| file.write_all(json.as_bytes()))
+            .map_err(|why| RunError::File { path, why: why.to_string() })
     }
 
     /// Formats the report for a terminal.
-    pub fn summary(&self) -> String {
+    pub fn summary(&self, style: &Style) -> String {
         let mut text = format!("\n{:.0} s in {}\n", self.seconds, self.room);
         if let Some(fleet) = &self.fleet {
-            text += &fleet.table();
+            text += &fleet.table(style);
             text += &map_figures(fleet);
         }
         if let Some(paper) = &self.paper {

@@ -21,6 +21,8 @@ const GRID_PERIOD: Duration = Duration::from_millis(200);
 const GRID_CELL_TIME: Duration = Duration::from_nanos(200);
 /// Period at which a map's channel is polled without a notification: a request for the whole map may be due again.
 const MAP_POLL_PERIOD: Duration = Duration::from_millis(500);
+/// Period at which a channel with a history is polled without a notification.
+const HISTORY_POLL_PERIOD: Duration = Duration::from_millis(500);
 /// Due moment of a feed that runs when its channel is written, and at no other time.
 const WHEN_WRITTEN: Monotonic = Monotonic(u64::MAX);
 
@@ -85,15 +87,17 @@ pub fn forward<P: Ports, M: Message, T: 'static>(
     })
 }
 
-/// Calls `pass` at the start and whenever the channel is written.
+/// Calls `pass` at the start, whenever the channel is written, and every [`HISTORY_POLL_PERIOD`] if the channel has a
+/// history: a reader that was opened later gets it without a notification.
 pub fn when_written<P: Ports, M: Message>(
     ports: &P,
     channel: &Channel<M>,
     mut pass: impl FnMut() + 'static,
 ) -> FeedResult<P> {
+    let (clock, has_history) = (ports.clock(), channel.row.history > 0);
     let pass = Box::new(move || {
         pass();
-        WHEN_WRITTEN
+        if has_history { clock.now() + HISTORY_POLL_PERIOD } else { WHEN_WRITTEN }
     });
     Ok(Feed { listener: ports.listener(channel)?, pass })
 }

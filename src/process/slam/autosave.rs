@@ -9,7 +9,9 @@ use std::time::Duration;
 
 /// Largest share of the time that saving may take: a large map is saved less often.
 const SAVING_SHARE_MAX: u32 = 20;
-/// Longest time from the start to the first save: a process that dies earlier leaves no map.
+/// Time after a failed save until one that the session log needs.
+const RETRY_PERIOD: Duration = Duration::from_secs(2);
+/// Longest time from the start to the first save: a process that dies earlier has the log alone.
 const FIRST_SAVE: Duration = Duration::from_secs(1);
 
 /// Times of the saves, and whether the map has changed since the last.
@@ -18,6 +20,8 @@ pub(super) struct Autosave {
     /// Time between two saves; `None` switches autosave off.
     every: Option<Duration>,
     due: Monotonic,
+    /// Earliest moment of the next save, whatever needs it.
+    not_before: Monotonic,
     /// The map has changed since it was saved.
     pub changed: bool,
     busy: bool,
@@ -37,6 +41,7 @@ impl Autosave {
             path: sessions::file(&sessions::folder(run), robot),
             every,
             due: after(now, FIRST_SAVE.min(turn)),
+            not_before: now,
             changed: false,
             busy: false,
             turn,
@@ -53,6 +58,12 @@ impl Autosave {
         self.is_wanted() && !self.busy && now >= self.due
     }
 
+    /// Saves as soon as may be, because the session log goes on from there only.
+    pub fn hurry(&mut self) {
+        self.changed = true;
+        self.due = self.due.min(self.not_before);
+    }
+
     pub fn begin(&mut self) {
         (self.busy, self.changed) = (true, false);
     }
@@ -61,6 +72,7 @@ impl Autosave {
     pub fn put_off(&mut self, now: Monotonic) {
         (self.busy, self.changed) = (false, true);
         self.due = after(now, self.every.unwrap_or_default());
+        self.not_before = after(now, RETRY_PERIOD);
     }
 
     pub fn finish(&mut self, outcome: &JobOutcome, now: Monotonic) {
@@ -69,6 +81,8 @@ impl Autosave {
         let pause = if first { self.turn } else { self.every.unwrap_or_default() };
         self.due = after(now, pause.max(outcome.took * SAVING_SHARE_MAX));
         let why = outcome.result.as_ref().err();
+        let rest = outcome.took * SAVING_SHARE_MAX;
+        self.not_before = after(now, if why.is_some() { rest.max(RETRY_PERIOD) } else { rest });
         if let Some(why) = why.filter(|why| self.reported.as_ref() != Some(why)) {
             tracing::warn!("slam: the session is not saved: {why}; it is tried again later");
         }

@@ -2,8 +2,9 @@
 
 use super::autosave::Autosave;
 use super::commands::CommandSender;
-use super::files::{Job, Loaded, Work};
+use super::files::{Job, JobOutcome, Loaded, Work};
 use super::services::{PendingRequest, Services};
+use super::session_log::{LogEnd, SessionLog};
 use super::{BackEndInput, FrontCommand, FrontEvent, Restart};
 use crate::ports::{ChannelError, Clock, Ports};
 use crate::process::map_publisher::MapPublisher;
@@ -20,6 +21,8 @@ use std::time::Duration;
 const REQUEST_PERIOD: Duration = Duration::from_millis(100);
 /// Time without an answer after which the scan path's state is requested again: its queue may have been full.
 const STATE_PATIENCE: Duration = Duration::from_secs(1);
+/// Requests that may wait for the scan path's state when the session log adds one.
+const PENDING_LOG_MAX: usize = 32;
 /// Standard deviation of the pose with which a restarted SLAM continues, metres and radians.
 const CARRIED_SIGMA: [f64; 2] = [0.1, 0.05];
 
@@ -39,7 +42,7 @@ impl<P: Ports> BackEndWorker<P> {
         ports: &P,
         run: &Run,
         robot: RobotId,
-        back: BackEnd,
+        (back, log_end): (BackEnd, LogEnd),
         commands: SyncSender<FrontCommand>,
         jobs: SyncSender<Job>,
     ) -> Result<Self, ChannelError> {
@@ -55,6 +58,7 @@ impl<P: Ports> BackEndWorker<P> {
                 commands: CommandSender::new(commands),
                 jobs,
                 autosave: Autosave::new(run, robot, now),
+                log: SessionLog::new(run, robot, log_end),
                 front_number: 0,
                 is_new: false,
                 redraw: true,
@@ -82,11 +86,12 @@ impl<P: Ports> BackEndWorker<P> {
             Some(BackEndInput::File(outcome)) if outcome.request.is_some() => {
                 services.finish_job(state, *outcome);
             }
-            Some(BackEndInput::File(outcome)) => state.autosave.finish(&outcome, state.now),
+            Some(BackEndInput::File(outcome)) => state.finish_write(&outcome),
             None => {}
         }
         services.serve(state);
         state.autosave_if_due();
+        state.request_log_record();
         state.ask_again();
         if std::mem::take(&mut state.is_new) {
             submaps.restart();
@@ -98,7 +103,8 @@ impl<P: Ports> BackEndWorker<P> {
         let now = state.now;
         let map_due = map.step(&mut state.back, now);
         let submaps_due = submaps.step(&state.back, now);
-        map_due.min(submaps_due).min(Monotonic(now.0 + REQUEST_PERIOD.as_nanos() as u64))
+        let log_due = state.log.due().unwrap_or(map_due);
+        map_due.min(submaps_due).min(log_due).min(Monotonic(now.0 + REQUEST_PERIOD.as_nanos() as u64))
     }
 
     /// Returns whether the scan path has ended, and this thread with it.
@@ -132,6 +138,7 @@ pub struct WorkerState {
     pub commands: CommandSender,
     jobs: SyncSender<Job>,
     autosave: Autosave,
+    log: SessionLog,
     /// Number of the current or next front end: events of earlier ones are ignored.
     front_number: u32,
     /// The back end has been replaced since the last step.
@@ -163,13 +170,16 @@ impl WorkerState {
     }
 
     fn add_node(&mut self, node: Node, restart: Option<Restart>) {
-        match restart {
-            Some(Restart::At(map_from_local)) => {
-                let [sigma_m, sigma_rad] = CARRIED_SIGMA;
-                self.back.start_relocalization(Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }));
-            }
-            Some(Restart::Unknown) => self.back.start_relocalization(None),
-            None => {}
+        let [sigma_m, sigma_rad] = CARRIED_SIGMA;
+        let estimate = match restart {
+            Some(Restart::At(map_from_local)) => Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }),
+            Some(Restart::Unknown) | None => None,
+        };
+        let is_first = self.back.nodes().is_empty();
+        let is_repeatable = self.back.grows_map() && (is_first || restart.is_none());
+        self.log.add(&node, estimate, is_repeatable, self.now);
+        if restart.is_some() {
+            self.back.start_relocalization(estimate);
         }
         let was_found = self.back.map_from_base().is_some();
         let failed_before = self.back.failed_solutions();
@@ -179,14 +189,15 @@ impl WorkerState {
         }
         self.commands.send_or_drop(FrontCommand::ApplyRevision(revision));
         if self.back.mode() != SlamMode::Localization {
-            self.mark_changed();
+            (self.redraw, self.autosave.changed) = (true, true);
         }
         // A found pose is worth saving even if the map is unchanged.
         self.autosave.changed |= !was_found && self.back.map_from_base().is_some();
     }
 
-    /// Marks the map as changed, to be drawn, published and saved.
+    /// Marks the map as changed by something else than nodes: to be drawn, published and saved.
     pub fn mark_changed(&mut self) {
+        self.log.suspend();
         self.redraw = true;
         self.autosave.changed = true;
     }
@@ -247,7 +258,37 @@ impl WorkerState {
         self.back.session(self.identity, Some(state.clone()), &[])
     }
 
+    /// Handles the outcome of a write that no request waits for.
+    fn finish_write(&mut self, outcome: &JobOutcome) {
+        match outcome.appended_at {
+            Some(at) => {
+                let error = outcome.result.as_ref().err().map(String::as_str);
+                self.log.finish_record(&outcome.path, at, error);
+            }
+            None => {
+                self.log.finish_session(outcome.result.is_ok());
+                self.autosave.finish(outcome, self.now);
+            }
+        }
+    }
+
+    /// Requests the scan path's state for a record of the session log, if one is due.
+    fn request_log_record(&mut self) {
+        if self.log.is_due(self.now) && self.pending.len() < PENDING_LOG_MAX {
+            self.log.is_requested = true;
+            self.wait_for_state(PendingRequest::LogRecord);
+        }
+    }
+
+    /// Writes the nodes that wait to the session log, with the scan path at `state`.
+    pub fn write_log(&mut self, state: &FrontEndState) {
+        self.log.write(&self.identity, state, &self.jobs);
+    }
+
     fn autosave_if_due(&mut self) {
+        if self.log.needs_session() && self.back.grows_map() {
+            self.autosave.hurry();
+        }
         if self.autosave.is_due(self.now) && !self.back.nodes().is_empty() {
             self.autosave.begin();
             self.wait_for_state(PendingRequest::Autosave);
@@ -256,17 +297,25 @@ impl WorkerState {
 
     /// Starts a save on the file worker.
     pub fn save(&mut self, state: &FrontEndState) {
-        let session = Box::new(self.session(state));
+        let session = self.session_after_log(state);
         if !self.give(None, self.autosave.path.clone(), Work::Save(session)) {
+            self.log.finish_session(false);
             self.autosave.put_off(self.now);
         }
+    }
+
+    /// Returns the session to save, after the nodes that wait were written to the log.
+    fn session_after_log(&mut self, state: &FrontEndState) -> Box<Session> {
+        self.write_log(state);
+        let log = self.log.begin_session();
+        Box::new(Session { log, ..self.session(state) })
     }
 
     /// Saves at the end of the process, with the front end of this number at `state`.
     fn end(&mut self, number: u32, state: &FrontEndState) {
         let same_front = number == self.front_number;
         if self.autosave.is_wanted() && same_front && !self.back.nodes().is_empty() {
-            let work = Work::Save(Box::new(self.session(state)));
+            let work = Work::Save(self.session_after_log(state));
             // The running save must end first, or the older session would replace the newer one.
             let _ = self.jobs.send(Job { request: None, path: self.autosave.path.clone(), work });
         }

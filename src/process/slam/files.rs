@@ -15,7 +15,7 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::Duration;
 
 /// Jobs that wait; a request that needs one more is refused.
-pub const JOBS_MAX: usize = 4;
+pub const JOBS_MAX: usize = 8;
 
 /// Job of the file worker: one operation on one file.
 pub struct Job {
@@ -31,6 +31,13 @@ pub struct Job {
 pub enum Work {
     /// Write a session.
     Save(Box<Session>),
+    /// Write bytes at a place in a log, and cut off what follows.
+    Append {
+        /// Offset in the file, bytes.
+        at: u64,
+        /// One record.
+        bytes: Vec<u8>,
+    },
     /// Write a map's pictures.
     Draw(Grid),
     /// Read a session or a map for this robot.
@@ -47,6 +54,8 @@ pub struct JobOutcome {
     pub result: Result<Option<Box<Loaded>>, String>,
     /// Duration of the job.
     pub took: Duration,
+    /// Place in the log at which a record was to be written; `None` for other jobs.
+    pub appended_at: Option<u64>,
 }
 
 /// Front end and back end read from a session file.
@@ -97,9 +106,14 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
 
     fn perform(&mut self, Job { request, path, work }: Job) -> JobOutcome {
         let begun = self.clock.now();
+        let appended_at = if let Work::Append { at, .. } = &work { Some(*at) } else { None };
         let result = match work {
             Work::Save(session) => {
                 let written = self.storage.write(&path, &session.encode());
+                written.map(|()| None).map_err(|why| format!("{}: {why}", path.display()))
+            }
+            Work::Append { at, bytes } => {
+                let written = self.storage.append(&path, at, &bytes);
                 written.map(|()| None).map_err(|why| format!("{}: {why}", path.display()))
             }
             Work::Draw(grid) => {
@@ -111,7 +125,7 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
             }
         };
         let took = Duration::from_nanos(self.clock.now().since(begun));
-        JobOutcome { request, path, result, took }
+        JobOutcome { request, path, result, took, appended_at }
     }
 
     fn load(

@@ -25,6 +25,8 @@ const SESSION_ENDING: &str = "slam";
 pub enum PendingRequest {
     /// Save what has changed.
     Autosave,
+    /// Write the nodes that wait to the session log.
+    LogRecord,
     /// Save a session to a file.
     Save(Box<SlamRequest>, PathBuf),
     /// Relocalize the robot at the given pose.
@@ -186,6 +188,7 @@ impl<P: Ports> Services<P> {
     pub fn resume(&mut self, state: &mut WorkerState, pending: PendingRequest, front: &FrontEndState) {
         match pending {
             PendingRequest::Autosave => state.save(front),
+            PendingRequest::LogRecord => state.write_log(front),
             PendingRequest::Save(request, path) => {
                 let session = Box::new(state.session(front));
                 let outcome = give(state, &request, path, Work::Save(session));
@@ -210,7 +213,7 @@ impl<P: Ports> Services<P> {
 
     /// Answers a request whose file was read or written.
     pub fn finish_job(&mut self, state: &mut WorkerState, outcome: JobOutcome) {
-        let JobOutcome { request: Some(request), path, result, took: _ } = outcome else { return };
+        let JobOutcome { request: Some(request), path, result, .. } = outcome else { return };
         let loads = request.kind == SlamRequestKind::LoadSession as u32;
         self.loading &= !loads;
         let outcome = result.map(|loaded| {

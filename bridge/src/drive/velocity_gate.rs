@@ -26,9 +26,9 @@ const OUTPUTS_MAX: usize = 4 * ROBOTS_MAX;
 /// A velocity of a robot on the floor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Velocity {
-    /// Forward, m/s.
+    /// Speed forward, m/s.
     pub linear_m_s: f64,
-    /// Counter-clockwise, rad/s.
+    /// Turning rate counter-clockwise, rad/s.
     pub angular_rad_s: f64,
 }
 

@@ -1,0 +1,74 @@
+//! Shared memory that a fleet's channels need, computed from the table of channels.
+
+use super::{CHANNELS, ChannelRow, End, Scope};
+use crate::config::FleetConfig;
+use crate::processes;
+use msg::tiles::PATCH_TILES_MAX;
+use msg::{MapTile, Message, PatchHeader};
+
+/// Messages that a writer keeps beside those of its readers: one that is being filled, and one that is spare.
+const WRITER_MESSAGES: usize = 2;
+/// Descriptions, queues and indices of one channel, bytes: they are in files of whole pages.
+const CHANNEL_BYTES: usize = 64 << 10;
+
+/// Need of a fleet, bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SharedMemoryNeed {
+    /// Need while every reader keeps up: a fleet does not start with less.
+    pub least: u64,
+    /// Need when every reader is as far behind as its queue allows, and every map changes as a whole.
+    pub most: u64,
+}
+
+/// Computes what the channels of a fleet need.
+pub fn shared_memory_need(config: &FleetConfig) -> SharedMemoryNeed {
+    let robots = config.fleet.robots;
+    let processes = processes::of_fleet(config).count();
+    let mut need = SharedMemoryNeed { least: 0, most: 0 };
+    for row in CHANNELS {
+        let channels = match row.scope {
+            Scope::Fleet => 1,
+            Scope::Robot => robots,
+            Scope::Process => processes,
+        };
+        let readers = ends(row.readers, robots);
+        let writers = if row.scope == Scope::Process { 1 } else { row.writers.len() };
+        let message = message_bytes(row);
+        let at = |depth: usize| (writers * (readers * depth + row.history + WRITER_MESSAGES)) * message;
+        need.least += (channels * (at(1) + CHANNEL_BYTES)) as u64;
+        need.most += (channels * (at(row.depth) + CHANNEL_BYTES)) as u64;
+    }
+    need
+}
+
+/// Number of processes at the ends of one channel.
+fn ends(ends: &[End], robots: usize) -> usize {
+    let of = |end: &End| if matches!(end, End::OfOthers(_)) { robots.saturating_sub(1) } else { 1 };
+    ends.iter().map(of).sum()
+}
+
+/// Size of a message; a map's is that of the largest.
+fn message_bytes(row: &ChannelRow) -> usize {
+    let tiles = if row.message == PatchHeader::NAME { PATCH_TILES_MAX * size_of::<MapTile>() } else { 0 };
+    row.message_bytes + tiles
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn need(robots: usize) -> SharedMemoryNeed {
+        let mut config = FleetConfig::default();
+        config.fleet.robots = robots;
+        shared_memory_need(&config)
+    }
+
+    #[test]
+    fn the_need_grows_with_the_fleet() {
+        let [one, eight] = [need(1), need(8)];
+        assert!(one.least < one.most && eight.least < eight.most);
+        assert!(eight.least > 4 * one.least && eight.least < 9 * one.least, "{one:?} {eight:?}");
+        // Eight robots were seen to use 9 MB.
+        assert!(eight.least > 9 << 20, "{eight:?}");
+    }
+}

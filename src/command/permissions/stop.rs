@@ -1,0 +1,114 @@
+//! Tools `mr-slam stop` and `mr-slam release`: the emergency stop is set on the disk first, then in the bridge.
+
+use super::{PATIENCE, PermissionError, StopArgs};
+use crate::command::output;
+use crate::control::{self, AskError, Request};
+use crate::process::control::saved_state::{latch_stop, stop_file};
+use crate::run::{Run, RunError};
+use crate::storage::{DiskStorage, Storage};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// What `mr-slam stop` has achieved with one fleet.
+#[derive(Debug, Serialize)]
+struct StoppedFleet {
+    /// Folder of the run.
+    run: PathBuf,
+    /// Whether the bridge has confirmed the stop: every robot has been sent a zero.
+    confirmed: bool,
+    /// Whether the stop is on the disk, where the bridge finds it when it goes on or starts.
+    latched: bool,
+    /// Why the bridge has not confirmed it, or why it is not latched.
+    why: Option<String>,
+}
+
+impl StoppedFleet {
+    fn line(&self) -> String {
+        let why = self.why.as_deref().unwrap_or_default();
+        let state = match (self.confirmed, self.latched) {
+            (true, true) => "every robot is stopped until `mr-slam release`".to_owned(),
+            (true, false) => format!("every robot is stopped, but not across a restart: {why}"),
+            (false, true) => {
+                format!(
+                    "the stop is latched: the bridge sets it as soon as it goes on or is replaced ({why})"
+                )
+            }
+            (false, false) => format!("NOT STOPPED: {why}"),
+        };
+        format!("{state} (run {})\n", self.run.display())
+    }
+}
+
+/// Sets the emergency stop of the named fleet, or of all fleets.
+pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
+    let dirs = match &args.run.run_dir {
+        Some(dir) => vec![dir.clone()],
+        None => Run::all_running(),
+    };
+    if dirs.is_empty() {
+        return Err(RunError::NoneRunning.into());
+    }
+    // Latched everywhere before a bridge that does not answer costs time.
+    let latched: Vec<_> = dirs.into_iter().map(latch).collect();
+    let fleets: Vec<_> = latched.into_iter().map(confirm).collect();
+    output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
+    let (all, failed) =
+        (fleets.len(), fleets.iter().filter(|fleet| !fleet.confirmed && !fleet.latched).count());
+    if failed > 0 { Err(PermissionError::NotStopped { failed, all }) } else { Ok(()) }
+}
+
+/// A run's folder with the result of writing its stop to the disk.
+type Latched = (PathBuf, Result<(), String>);
+
+/// Latches the stop in a run's folder, whether or not its fleet can be reached.
+fn latch(dir: PathBuf) -> Latched {
+    let path = stop_file(&dir);
+    let written = if dir.join("run.json").exists() {
+        latch_stop(&DiskStorage, &path, crate::clock::now())
+            .map_err(|why| format!("{}: {why}", path.display()))
+    } else {
+        Err(RunError::NoneRunning.to_string())
+    };
+    (dir, written)
+}
+
+fn confirm((dir, written): Latched) -> StoppedFleet {
+    let asked = match Run::open_running(&dir) {
+        Ok(run) => match control::ask(&run, Request::Stop, PATIENCE) {
+            Ok(state) if state.stopped => Ok(()),
+            Ok(_) => Err("the bridge has released it again".to_owned()),
+            Err(why) => Err(why.to_string()),
+        },
+        Err(why) => Err(why.to_string()),
+    };
+    let (confirmed, latched) = (asked.is_ok(), written.is_ok());
+    StoppedFleet { run: dir, confirmed, latched, why: written.err().or(asked.err()) }
+}
+
+/// Releases the emergency stop of one fleet, in the bridge or, while there is none, on the disk.
+pub fn release(args: &StopArgs) -> Result<(), PermissionError> {
+    let run = args.run.open_to_change()?;
+    let fail = |why: String| PermissionError::NotReleased { run: run.dir.display().to_string(), why };
+    let state = match control::ask(&run, Request::Release, PATIENCE) {
+        Ok(state) if state.stopped => {
+            return Err(fail("the emergency stop was set anew meanwhile and holds".into()));
+        }
+        Ok(_) => "the robots may be driven again",
+        Err(AskError::NoAnswer { source, is_listening: false }) => {
+            DiskStorage.remove(&stop_file(&run.dir)).map_err(|why| {
+                fail(format!("the bridge does not run ({source}), and the stop stays on the disk: {why}"))
+            })?;
+            "the bridge does not run; the stop is removed from the disk, and the next bridge lets robots be driven"
+        }
+        Err(why) => return Err(fail(format!("{why}; the emergency stop holds, try again"))),
+    };
+    let text = || format!("{state} (run {})\n", run.dir.display());
+    Ok(output::print_either(args.json, &Released { run: &run.dir, state }, text)?)
+}
+
+/// Result of `mr-slam release`.
+#[derive(Serialize)]
+struct Released<'a> {
+    run: &'a std::path::Path,
+    state: &'a str,
+}

@@ -1,0 +1,321 @@
+//! Files in the run's folder that a restarted bridge continues with: selection, drivers, permissions, emergency stop.
+//!
+//! They are written without waiting for the disk, because robots would not be stopped meanwhile. They outlive the process;
+//! a power cut ends the run too.
+
+use crate::run::Run;
+use crate::storage::Storage;
+use ::bridge::Bridge;
+use msg::{Monotonic, RobotId};
+use serde::{Deserialize, Serialize};
+use std::io;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// The name of the file that exists while the emergency stop is set.
+const STOP_FILE: &str = "stopped";
+/// The name of the file of denied addresses, one a line.
+const DENIED_FILE: &str = "denied";
+/// The name of the file of everything else.
+const STATE_FILE: &str = "bridge.json";
+/// Content of [`STOP_FILE`] when the bridge writes it. `mr-slam stop` writes another, by which the bridge sees that the stop
+/// was set anew.
+const STOPPED_BY_BRIDGE: &[u8] = b"The emergency stop is set.\n";
+/// Largest part of a file that is read, bytes.
+const BYTES_MAX: u64 = 64 << 10;
+/// After a restart a robot is kept for its driver for the lease and this time: Unity's connector returns within it.
+const RECONNECTED_WITHIN: Duration = Duration::from_secs(3);
+
+/// Content of [`STATE_FILE`], as JSON.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SavedState {
+    /// Start of the run, which tells it from others in the same folder.
+    run: u64,
+    /// Number of the robot that `/cmd_vel` drives.
+    selected: usize,
+    /// Who drives which robot.
+    drivers: Vec<SavedDriver>,
+    /// Addresses on the allow list.
+    allowed: Vec<IpAddr>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SavedDriver {
+    robot: usize,
+    /// `None` for ROS 2.
+    address: Option<IpAddr>,
+}
+
+/// Returns the path of the file that exists while the emergency stop of the run in this folder is set.
+pub fn stop_file(run_dir: &Path) -> PathBuf {
+    run_dir.join(STOP_FILE)
+}
+
+/// Returns the path of the file of the addresses that may not drive a run's robots.
+pub fn denied_file(run: &Run) -> PathBuf {
+    run.dir.join(DENIED_FILE)
+}
+
+/// Keeps the files as the bridge is.
+pub struct SavedFiles<S> {
+    storage: S,
+    state_file: PathBuf,
+    saved: SavedState,
+    stop_file: PathBuf,
+    /// Content of the stop file when it was read or written last.
+    latch: Option<Vec<u8>>,
+    /// Whether the person has been told that a file cannot be written.
+    has_warned: bool,
+}
+
+impl<S: Storage> SavedFiles<S> {
+    /// Applies to the bridge what an earlier bridge of this run saved.
+    pub fn restore(bridge: &Bridge, run: &Run, storage: S, now: Monotonic) -> Self {
+        let mut files = Self {
+            storage,
+            state_file: run.dir.join(STATE_FILE),
+            saved: SavedState { run: run.begun.0, ..SavedState::default() },
+            stop_file: stop_file(&run.dir),
+            latch: None,
+            has_warned: false,
+        };
+        match files.read_state() {
+            Ok(Some(state)) if state.run == run.begun.0 => {
+                state.allowed.iter().for_each(|address| bridge.allow(*address));
+                RobotId::new(state.selected).into_iter().for_each(|robot| bridge.select_robot(robot));
+                let until = now + run.config.bridge.lease() + RECONNECTED_WITHIN;
+                for driver in &state.drivers {
+                    if let Some(robot) = RobotId::new(driver.robot) {
+                        bridge.restore_driver(robot, driver.address, until);
+                    }
+                }
+                files.saved = state;
+            }
+            Ok(_) => {}
+            Err(why) => {
+                let path = files.state_file.display();
+                tracing::warn!("{path}: {why}; the selected robot and the drivers are not restored");
+            }
+        }
+        match files.read_latch() {
+            Ok(None) => {}
+            // A file that cannot be read may say that the stop is set.
+            latch => {
+                files.latch = Some(latch.ok().flatten().unwrap_or_default());
+                bridge.stop_robots();
+                tracing::warn!("the emergency stop is set since before this start; see `mr-slam release`");
+            }
+        }
+        files
+    }
+
+    fn read_state(&self) -> io::Result<Option<SavedState>> {
+        match self.storage.read(&self.state_file, BYTES_MAX) {
+            Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes)?)),
+            Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(why) => Err(why),
+        }
+    }
+
+    fn read_latch(&self) -> io::Result<Option<Vec<u8>>> {
+        match self.storage.read(&self.stop_file, BYTES_MAX) {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(why) => Err(why),
+        }
+    }
+
+    /// Sets the bridge's emergency stop if `mr-slam stop` has written the file, and writes the files anew if the bridge has
+    /// changed. Call it often.
+    pub fn update(&mut self, bridge: &Bridge, now: Monotonic) {
+        let result = self.update_stop(bridge).and_then(|()| self.update_state(bridge, now));
+        match result {
+            Ok(()) => self.has_warned = false,
+            // It is tried again, and said once.
+            Err((path, why)) => {
+                if !std::mem::replace(&mut self.has_warned, true) {
+                    tracing::warn!("{}: {why}; a restarted bridge will not continue from it", path.display());
+                }
+            }
+        }
+    }
+
+    fn update_stop(&mut self, bridge: &Bridge) -> Result<(), (PathBuf, io::Error)> {
+        let failed = |why| (self.stop_file.clone(), why);
+        let latch = self.read_latch().map_err(failed)?;
+        if latch.is_some() && latch != self.latch {
+            bridge.stop_robots();
+        }
+        self.latch = latch;
+        match (bridge.is_stopped(), self.latch.is_some()) {
+            (true, false) => {
+                self.storage.replace(&self.stop_file, STOPPED_BY_BRIDGE).map_err(failed)?;
+                self.latch = Some(STOPPED_BY_BRIDGE.to_vec());
+            }
+            (false, true) => {
+                self.storage.remove(&self.stop_file).map_err(failed)?;
+                self.latch = None;
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn update_state(&mut self, bridge: &Bridge, now: Monotonic) -> Result<(), (PathBuf, io::Error)> {
+        let driver =
+            |(robot, address): (RobotId, Option<IpAddr>)| SavedDriver { robot: robot.number(), address };
+        let state = SavedState {
+            run: self.saved.run,
+            selected: bridge.selected_robot().number(),
+            drivers: bridge.drivers(now).into_iter().map(driver).collect(),
+            allowed: bridge.allowed_addresses(),
+        };
+        if state != self.saved {
+            let json = serde_json::to_vec_pretty(&state).unwrap_or_default();
+            self.storage.replace(&self.state_file, &json).map_err(|why| (self.state_file.clone(), why))?;
+            self.saved = state;
+        }
+        Ok(())
+    }
+}
+
+/// Sets a run's emergency stop on the disk: the bridge sets it when it reads the file, or when it starts.
+pub fn latch_stop(storage: &impl Storage, path: &Path, now: Monotonic) -> io::Result<()> {
+    let pid = std::process::id();
+    let text = format!("The emergency stop is set, by `mr-slam stop` of process {pid} at {} ns.\n", now.0);
+    storage.write(path, text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::FleetConfig;
+    use crate::storage::DiskStorage;
+    use ::bridge::command::{Registration, name};
+    use ::bridge::frame::{Parser, Side};
+    use ::bridge::ros::{Int32, Message, Twist, encode};
+    use ::bridge::{BridgeConfig, ClientId};
+    use msg::VelocityCommand;
+    use std::cell::RefCell;
+    use std::rc::Rc;
+
+    const HOLDER: [u8; 4] = [10, 0, 0, 7];
+    const STRANGER: [u8; 4] = [10, 0, 0, 8];
+
+    /// A bridge of two robots with its files, as one process has them.
+    struct Process {
+        bridge: Bridge,
+        files: SavedFiles<DiskStorage>,
+        moved: Rc<RefCell<Vec<usize>>>,
+    }
+
+    impl Process {
+        fn start(run: &Run, now: Monotonic) -> Self {
+            let moved = Rc::new(RefCell::new(Vec::new()));
+            let sink = moved.clone();
+            let on_command = move |robot: RobotId, command: VelocityCommand| {
+                if command.linear_m_s != 0.0 {
+                    sink.borrow_mut().push(robot.number());
+                }
+            };
+            let bridge = Bridge::new(run.config.bridge.clone(), 2, on_command).unwrap();
+            let files = SavedFiles::restore(&bridge, run, DiskStorage, now);
+            Self { bridge, files, moved }
+        }
+
+        fn send<M: Message>(&self, address: [u8; 4], topic: &str, message: &M, now: Monotonic) -> ClientId {
+            let client = self.bridge.connect((address, 5000).into()).unwrap();
+            let mut bytes = Vec::new();
+            let registration =
+                Registration { topic: topic.into(), message_name: M::TYPE.into(), ..Default::default() };
+            Side::Client.write_command(&mut bytes, name::PUBLISH, &registration);
+            Side::Client.write_with(&mut bytes, topic, |out| encode(message, out));
+            let mut parser = Parser::new(1 << 20);
+            parser.push(&bytes);
+            while let Some(frame) = parser.next_frame().unwrap() {
+                self.bridge.receive(client, frame, now);
+            }
+            client
+        }
+
+        fn take_moved(&self) -> Vec<usize> {
+            std::mem::take(&mut self.moved.borrow_mut())
+        }
+    }
+
+    fn run_in(folder: &Path) -> Run {
+        let bridge = BridgeConfig { drive: ::bridge::Permission::Anyone, ..Default::default() };
+        let config = FleetConfig { bridge, ..FleetConfig::default() };
+        let mut run = Run::in_memory(config).unwrap();
+        run.dir = folder.into();
+        run
+    }
+
+    fn at_ms(ms: u64) -> Monotonic {
+        Monotonic(ms * 1_000_000)
+    }
+
+    #[test]
+    fn a_restarted_bridge_keeps_the_selection_and_the_robot_for_its_driver() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        let twist = Twist { linear: [0.1, 0.0, 0.0], ..Default::default() };
+        let mut before = Process::start(&run, at_ms(0));
+        before.send(HOLDER, "/selected_robot", &Int32(2), at_ms(10));
+        before.send(HOLDER, "/cmd_vel", &twist, at_ms(20));
+        before.files.update(&before.bridge, at_ms(30));
+        assert_eq!(before.take_moved(), [2]);
+
+        let after = Process::start(&run, at_ms(1_000));
+        assert_eq!(after.bridge.selected_robot().number(), 2);
+        after.send(STRANGER, "/cmd_vel", &twist, at_ms(1_100));
+        assert!(after.take_moved().is_empty(), "a stranger does not profit");
+        after.send(HOLDER, "/cmd_vel", &twist, at_ms(1_200));
+        assert_eq!(after.take_moved(), [2], "its driver drives the same robot");
+        let again = Process::start(&run, at_ms(1_000));
+        again.send(STRANGER, "/cmd_vel", &twist, at_ms(6_000));
+        assert_eq!(again.take_moved(), [2], "it is not kept for ever");
+
+        let mut other = run;
+        other.begun = Monotonic(7);
+        let selected = Process::start(&other, at_ms(0)).bridge.selected_robot();
+        assert_eq!(selected.number(), 1, "another run in this folder begins anew");
+    }
+
+    #[test]
+    fn the_emergency_stop_on_the_disk_is_the_bridges() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = run_in(folder.path());
+        let path = stop_file(&run.dir);
+        let mut process = Process::start(&run, at_ms(0));
+        process.files.update(&process.bridge, at_ms(0));
+        assert!(!process.bridge.is_stopped() && !path.exists());
+
+        latch_stop(&DiskStorage, &path, at_ms(1)).unwrap();
+        process.files.update(&process.bridge, at_ms(100));
+        assert!(process.bridge.is_stopped(), "the bridge reads what `mr-slam stop` writes");
+        let mut next = Process::start(&run, at_ms(200));
+        assert!(next.bridge.is_stopped(), "it holds across a restart");
+
+        next.bridge.release_stop();
+        next.files.update(&next.bridge, at_ms(300));
+        assert!(!next.bridge.is_stopped() && !path.exists());
+        next.bridge.stop_robots();
+        next.files.update(&next.bridge, at_ms(400));
+        assert!(path.exists());
+
+        // A release that waited in a frozen bridge does not undo a stop that was set after it.
+        latch_stop(&DiskStorage, &path, at_ms(500)).unwrap();
+        next.bridge.release_stop();
+        next.files.update(&next.bridge, at_ms(600));
+        assert!(next.bridge.is_stopped() && path.exists());
+
+        // Somebody removes the file: the stop holds, and is written again.
+        std::fs::remove_file(&path).unwrap();
+        next.files.update(&next.bridge, at_ms(700));
+        assert!(next.bridge.is_stopped() && path.exists());
+    }
+}

@@ -1,0 +1,220 @@
+//! The log beside a robot's session: nodes since the session was saved, appended to a file as they come.
+//!
+//! Two files take turns: while a session is written, records go to the other one, and those of the first stay until the
+//! session is whole. A change that records cannot repeat (a loaded map, undone closures, a lost robot) suspends the
+//! log until a session with that change is saved.
+
+use super::files::{Job, Work};
+use crate::run::Run;
+use crate::sessions;
+use crate::storage::Storage;
+use ::slam::session::log::{LogContents, LogPosition, LogRecord, LogRecordBuilder, continuation};
+use ::slam::{FrontEndState, Identity, Node, PoseEstimate};
+use msg::{Monotonic, RobotId};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::SyncSender;
+use std::time::Duration;
+
+/// Time from a node to the request of its record. With the scan path's answer at its next scan (0.1 s) and the write,
+/// nodes older than 0.5 s are in the file.
+const RECORD_PERIOD: Duration = Duration::from_millis(200);
+/// Bytes of one file at which a session is saved in its place: about 4000 nodes of a dense LiDAR.
+const FILE_BYTES_MAX: u64 = 64 << 20;
+/// Bytes that wait for the scan path's state; more are dropped, and a session is saved instead.
+const WAITING_BYTES_MAX: usize = 8 << 20;
+
+/// The newest record that was read, and where the next one goes.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LogEnd {
+    /// Place of the newest record.
+    pub newest: LogPosition,
+    /// Index of the file with it.
+    file: usize,
+    /// Bytes of that file up to its end.
+    end: u64,
+    /// Whether a file has records that the session has not.
+    has_records: bool,
+}
+
+/// Writer of the log, on the back-end thread; the file worker writes the bytes.
+pub(super) struct SessionLog {
+    waiting: LogRecordBuilder,
+    files: [PathBuf; 2],
+    to: LogEnd,
+    /// The other file's records are in no saved session yet.
+    other_is_needed: bool,
+    /// Moment of the first node that waits.
+    waits_since: Option<Monotonic>,
+    /// A record is requested from the scan path.
+    pub is_requested: bool,
+    /// Nothing is recorded until a session is saved.
+    suspended: bool,
+    /// The session that is being saved is to end a suspension.
+    resumes: bool,
+    /// Autosave is off, and so is the log.
+    is_off: bool,
+    /// The last write failed, which was said.
+    failed: bool,
+}
+
+impl SessionLog {
+    pub fn new(run: &Run, robot: RobotId, to: LogEnd) -> Self {
+        Self {
+            waiting: LogRecordBuilder::default(),
+            files: files(run, robot),
+            to,
+            other_is_needed: to.has_records,
+            waits_since: None,
+            is_requested: false,
+            suspended: false,
+            resumes: false,
+            is_off: run.config.sessions.autosave_s == 0.0,
+            failed: false,
+        }
+    }
+
+    /// Records a node before the back end receives it. `is_repeatable`: whether a restart can do the same with it.
+    pub fn add(&mut self, node: &Node, begins_at: Option<PoseEstimate>, is_repeatable: bool, now: Monotonic) {
+        if self.is_off || self.suspended {
+            return;
+        }
+        if !is_repeatable || self.waiting.len() > WAITING_BYTES_MAX || self.to.end > FILE_BYTES_MAX {
+            return self.suspend();
+        }
+        self.waiting.add(node, begins_at);
+        self.waits_since.get_or_insert(now);
+    }
+
+    /// Stops recording until a session is saved.
+    pub fn suspend(&mut self) {
+        self.suspended = !self.is_off;
+        self.waiting.clear();
+        (self.waits_since, self.is_requested) = (None, false);
+    }
+
+    /// Returns whether a session must be saved, because nothing is recorded until then.
+    pub fn needs_session(&self) -> bool {
+        self.suspended
+    }
+
+    /// Returns whether the scan path's state is to be requested for a record.
+    pub fn is_due(&self, now: Monotonic) -> bool {
+        let waits = self.waits_since.map(|since| Duration::from_nanos(now.since(since)));
+        !self.is_requested && waits.is_some_and(|waits| waits >= RECORD_PERIOD)
+    }
+
+    /// Moment at which [`SessionLog::is_due`] becomes true.
+    pub fn due(&self) -> Option<Monotonic> {
+        let since = self.waits_since.filter(|_| !self.is_requested)?;
+        Some(Monotonic(since.0 + RECORD_PERIOD.as_nanos() as u64))
+    }
+
+    /// Writes the nodes that wait as one record, with the front end's state after them.
+    pub fn write(&mut self, identity: &Identity, front: &FrontEndState, jobs: &SyncSender<Job>) {
+        self.is_requested = false;
+        if self.suspended || self.waiting.is_empty() {
+            return;
+        }
+        self.waits_since = None;
+        let bytes = self.waiting.encode(identity, &mut self.to.newest, front);
+        let (at, length) = (self.to.end, bytes.len() as u64);
+        let path = self.files[self.to.file].clone();
+        if jobs.try_send(Job { request: None, path, work: Work::Append { at, bytes } }).is_err() {
+            return self.suspend();
+        }
+        self.to.end += length;
+    }
+
+    /// A session with all records so far, or in place of a suspended log, is about to be saved. Returns its place in the
+    /// log. Records go to the other file from now on, if that is free.
+    pub fn begin_session(&mut self) -> LogPosition {
+        if self.suspended {
+            // No record follows from the one before.
+            self.to.newest.number += 1;
+            (self.suspended, self.resumes) = (false, true);
+        }
+        if !self.other_is_needed {
+            (self.to.file, self.to.end) = (1 - self.to.file, 0);
+            self.other_is_needed = true;
+        }
+        self.to.newest
+    }
+
+    /// A session was saved, or could not be.
+    pub fn finish_session(&mut self, is_saved: bool) {
+        if std::mem::take(&mut self.resumes) && !is_saved {
+            self.suspend();
+        }
+        if is_saved {
+            self.other_is_needed = false;
+            if std::mem::take(&mut self.failed) {
+                tracing::warn!("slam: the session log is written again");
+            }
+        }
+    }
+
+    /// A record was written to a file at a place, or could not be.
+    pub fn finish_record(&mut self, path: &Path, at: u64, error: Option<&str>) {
+        if let Some(why) = error {
+            if path == self.files[self.to.file] {
+                self.to.end = self.to.end.min(at);
+            }
+            if !std::mem::replace(&mut self.failed, true) {
+                tracing::warn!(
+                    "slam: the session log is not written: {why}; mapping goes on, and the session is tried again"
+                );
+            }
+            self.suspend();
+        }
+    }
+}
+
+/// Paths of a robot's log files.
+fn files(run: &Run, robot: RobotId) -> [PathBuf; 2] {
+    let session = sessions::file(&sessions::folder(run), robot);
+    [session.with_extension("log0"), session.with_extension("log1")]
+}
+
+/// Reads the records that follow a session at `newest`, and where the next record goes.
+pub(super) fn read(
+    storage: &impl Storage,
+    run: &Run,
+    robot: RobotId,
+    newest: LogPosition,
+) -> (Vec<LogRecord>, LogEnd) {
+    let identity = sessions::identity(run, robot);
+    let mut to = LogEnd { newest, ..LogEnd::default() };
+    let mut records = Vec::new();
+    let mut ends = Vec::new();
+    for (file, path) in files(run, robot).into_iter().enumerate() {
+        let bytes = match storage.read(&path, FILE_BYTES_MAX + WAITING_BYTES_MAX as u64 * 2) {
+            Ok(bytes) => bytes,
+            Err(why) if why.kind() == std::io::ErrorKind::NotFound => continue,
+            Err(why) => {
+                tracing::warn!("slam of {robot}: {}: {why}; its nodes are lost", path.display());
+                continue;
+            }
+        };
+        let contents = LogContents::decode(&bytes);
+        if let Some((end, why)) = contents.torn {
+            let cut = bytes.len() as u64 - end;
+            tracing::warn!(
+                "slam of {robot}: {}: the last {cut} bytes are cut off: the file {why}",
+                path.display()
+            );
+        }
+        for (record, end) in contents.records {
+            if (record.identity.run, record.identity.robot) == (identity.run, identity.robot) {
+                ends.push((record.position, file, end));
+                records.push(record);
+            }
+        }
+    }
+    let chain = continuation(newest, records);
+    if let Some(last) = chain.last()
+        && let Some(&(_, file, end)) = ends.iter().find(|(position, ..)| *position == last.position)
+    {
+        to = LogEnd { newest: last.position, file, end, has_records: true };
+    }
+    (chain, to)
+}

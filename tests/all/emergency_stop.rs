@@ -1,0 +1,120 @@
+//! `mr-slam stop` without a folder: every fleet of the user, and bridges that do not answer.
+
+use crate::harness::{Folder, WATCHDOG, mr_slam, output_of, send};
+use rustix::process::Signal;
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Fleets that share folders for temporary files with nobody else, so that no other test's fleet is stopped.
+struct Fleets {
+    folder: Folder,
+    launchers: Vec<Child>,
+}
+
+impl Fleets {
+    fn start(count: usize) -> Self {
+        let mut fleets = Self { folder: Folder::new(), launchers: Vec::new() };
+        for number in 0..count {
+            let mut command = fleets.command();
+            command.args(["up", "--port", "0", "--robots", "1", "--run-dir"]).arg(fleets.run_dir(number));
+            let mut launcher = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+            let messages = BufReader::new(launcher.stderr.take().unwrap());
+            fleets.launchers.push(launcher);
+            // The launcher says a line when the run's folder is complete; it ends if it cannot.
+            let mut lines = messages.lines().map_while(Result::ok);
+            assert!(lines.next().is_some_and(|line| line.starts_with("fleet of")));
+            std::thread::spawn(move || lines.for_each(|line| eprintln!("{line}")));
+        }
+        fleets
+    }
+
+    fn command(&self) -> Command {
+        let mut command = mr_slam();
+        let path = self.folder.path();
+        command.env("TMPDIR", path).env("XDG_RUNTIME_DIR", path).env("XDG_STATE_HOME", path.join("state"));
+        command
+    }
+
+    fn run_dir(&self, number: usize) -> PathBuf {
+        self.folder.path().join(format!("run-{number}"))
+    }
+
+    /// Returns the process id of a fleet's bridge, once there is one.
+    fn bridge(&self, number: usize) -> u32 {
+        let launcher = self.launchers[number].id();
+        let children = format!("/proc/{launcher}/task/{launcher}/children");
+        until("a bridge", || {
+            let pids = std::fs::read_to_string(&children).unwrap_or_default();
+            pids.split_whitespace().filter_map(|pid| pid.parse().ok()).find(|pid: &u32| {
+                let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+                line.split(|byte| *byte == 0).any(|word| word == b"bridge")
+            })
+        })
+    }
+
+    /// Returns whether a fleet's bridge says that the emergency stop is set; `None` while it says nothing.
+    fn is_stopped(&self, number: usize) -> Option<bool> {
+        let status =
+            output_of(self.command().args(["status", "--json", "--run-dir"]).arg(self.run_dir(number)));
+        let figures: Value = serde_json::from_slice(&status.stdout).ok()?;
+        figures["bridge"]["stopped"].as_bool()
+    }
+}
+
+impl Drop for Fleets {
+    fn drop(&mut self) {
+        for launcher in &mut self.launchers {
+            send(launcher.id(), Signal::TERM);
+        }
+        for launcher in &mut self.launchers {
+            let begun = Instant::now();
+            while matches!(launcher.try_wait(), Ok(None)) && begun.elapsed() < WATCHDOG {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            let _ = launcher.kill();
+        }
+    }
+}
+
+fn until<T>(what: &str, mut value: impl FnMut() -> Option<T>) -> T {
+    let begun = Instant::now();
+    loop {
+        if let Some(value) = value() {
+            return value;
+        }
+        assert!(begun.elapsed() < WATCHDOG, "no {what} within {WATCHDOG:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn stop_reaches_every_fleet_and_bridges_that_do_not_answer() {
+    let fleets = Fleets::start(3);
+    for number in 0..3 {
+        until("a bridge that answers", || fleets.is_stopped(number));
+    }
+    // One bridge answers, one is frozen, one is killed.
+    send(fleets.bridge(1), Signal::STOP);
+    send(fleets.bridge(2), Signal::KILL);
+    let stop = output_of(fleets.command().args(["stop", "--json"]));
+    assert!(stop.status.success(), "{}", String::from_utf8_lossy(&stop.stderr));
+    let said: Value = serde_json::from_slice(&stop.stdout).unwrap();
+    let said = said.as_array().unwrap();
+    assert_eq!(said.len(), 3, "{said:?}");
+    assert!(said.iter().all(|fleet| fleet["latched"] == true), "{said:?}");
+    assert_eq!(said[0]["confirmed"], true, "{said:?}");
+    for number in 0..3 {
+        until("a fleet that is stopped", || fleets.is_stopped(number).filter(|stopped| *stopped));
+    }
+    // A release names its fleet, and says what is so.
+    let release = output_of(fleets.command().arg("release"));
+    assert!(!release.status.success());
+    assert!(String::from_utf8_lossy(&release.stderr).contains("--run-dir"));
+    let release = output_of(fleets.command().args(["release", "--run-dir"]).arg(fleets.run_dir(1)));
+    assert!(release.status.success(), "{}", String::from_utf8_lossy(&release.stderr));
+    until("a fleet that is released", || fleets.is_stopped(1).filter(|stopped| !*stopped));
+    assert_eq!(fleets.is_stopped(0), Some(true));
+}
