@@ -102,6 +102,11 @@ impl TopicRelay {
         }
     }
 
+    /// Returns what creates readers and writers.
+    pub fn factory(&self) -> &EntityFactory {
+        &self.factory
+    }
+
     /// Returns the identifiers of readers and writers.
     pub fn guids(&self) -> (Vec<GUID>, Vec<GUID>) {
         (
