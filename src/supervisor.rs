@@ -29,7 +29,7 @@ use watchdog::{Finding, ThreadState, Watchdog};
 /// 5 s, of which the maps' writing takes some.
 const END_GRACE: Duration = Duration::from_secs(2);
 /// Longest time until a process's first pass of its loop: it reads its room and its session.
-const START_MAX: Duration = Duration::from_secs(10);
+pub(crate) const START_MAX: Duration = Duration::from_secs(10);
 /// Longest time without a pass of a process's second thread, which computes for long.
 const SECOND_SILENCE_MAX: Duration = Duration::from_secs(10);
 
@@ -75,12 +75,8 @@ impl Supervisor {
         let progress = ProgressBoard::create(&run.domain, members.len())?;
         let mut supervisor = Self { run: run.clone(), listener, members, progress };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
-        let missing = supervisor.members.iter().find(|member| member.child.is_none()).map(Member::name);
-        match missing {
-            Some(name) => {
-                supervisor.end();
-                Err(io::Error::other(format!("cannot start the {name}")))
-            }
+        match supervisor.members.iter().find(|member| member.child.is_none()) {
+            Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
             None => Ok(supervisor),
         }
     }
