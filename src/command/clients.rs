@@ -40,8 +40,10 @@ pub fn run(args: &ClientsArgs) -> Result<(), PermissionError> {
         Some(which) => (args.run.open_to_change()?, Request::Drop(which)),
         None => (args.run.open()?, Request::State),
     };
-    let state = control::ask(&run, request, PATIENCE)
-        .map_err(|why| PermissionError::Bridge { run: run.dir.display().to_string(), why })?;
+    let state = control::ask(&run, request, PATIENCE).map_err(|why| PermissionError::Bridge {
+        run: run.dir.display().to_string(),
+        why: why.to_string(),
+    })?;
     let answer = Answer { run: &run.dir, clients: &state.clients };
     Ok(output::print_either(args.json, &answer, || state.client_table())?)
 }
