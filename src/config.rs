@@ -134,7 +134,7 @@ pub fn burger_slam() -> slam::SlamConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fleet {
-    /// Number of robots, 1 to 16.
+    /// Number of robots, 1 to 64.
     pub robots: usize,
     /// Names of the robots in ROS, one for each robot, such as `["alice", "lab/bob"]`: topics `/alice/scan`, frames
     /// `odom_alice`. Empty: `robot1`, `robot2` and so on. `[""]`, for one robot: plain `/scan`, `odom`, `base_footprint`.

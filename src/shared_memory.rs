@@ -30,8 +30,9 @@ use tokio::io::unix::AsyncFd;
 
 /// Samples that one reader may hold at a time.
 const BORROWED_MAX: usize = 2;
-/// Processes that may open one channel at a time: a fleet of 16 robots has 35, and tools are added.
-const NODES_MAX: usize = 64;
+/// Processes that may open one channel at a time: all simulators a robot's true pose; telemetry, the launcher and tools are
+/// added.
+const NODES_MAX: usize = ROBOTS_MAX + 16;
 /// Listeners that one thread may wait for: merge and telemetry have a few for each robot.
 const LISTENERS_MAX: usize = 4 * ROBOTS_MAX;
 

@@ -29,7 +29,7 @@ use watchdog::{Finding, ThreadState, Watchdog};
 /// 5 s, of which the maps' writing takes some.
 const END_GRACE: Duration = Duration::from_secs(2);
 /// Longest time until a process's first pass of its loop: it reads its room and its session.
-const START_MAX: Duration = Duration::from_secs(10);
+pub(crate) const START_MAX: Duration = Duration::from_secs(10);
 /// Longest time without a pass of a process's second thread, which computes for long.
 const SECOND_SILENCE_MAX: Duration = Duration::from_secs(10);
 

@@ -43,7 +43,9 @@ use crate::limits::is_plausible;
 use alignment::{next_alignment, next_check};
 use frame::{ReferenceRobot, connect_robots, set_reference, successor};
 use joint::JointProblem;
-use msg::{EdgeAction, Grid, MERGE_EDGES_MAX, MergeEdges, Pose2, ROBOTS_MAX, RobotId, Submap, SubmapPoses};
+use msg::{
+    EdgeAction, EdgeState, Grid, MERGE_EDGES_MAX, MergeEdges, Pose2, ROBOTS_MAX, RobotId, Submap, SubmapPoses,
+};
 use pair::{RobotPair, pair_count, robots_of_pair};
 use robot::{Robot, next_redraw};
 use std::sync::Arc;
@@ -273,12 +275,19 @@ impl FleetPoseGraph {
     }
 
     /// Writes the state of each pair of robots, with its evidence, into a message.
+    ///
+    /// If there are more pairs than places, those without an edge are left out first, and then the last.
     pub fn write_edges(&self, out: &mut MergeEdges) {
-        let pairs = self.pairs.iter().enumerate().take(MERGE_EDGES_MAX);
-        for (slot, (index, pair)) in out.edges.iter_mut().zip(pairs) {
+        let has_space = self.pairs.len() <= MERGE_EDGES_MAX;
+        let pairs = self.pairs.iter().enumerate();
+        let wanted = pairs.filter(|(_, pair)| has_space || pair.edge.state() != EdgeState::None);
+        let mut written = 0;
+        for (slot, (index, pair)) in out.edges.iter_mut().zip(wanted) {
             *slot = pair.message(index);
+            written += 1;
         }
-        out.len = self.pairs.len().min(MERGE_EDGES_MAX) as u32;
+        out.len = written as u32;
+        out.left_out = (self.pairs.len() - written) as u32;
     }
 
     /// Returns the number of solutions of the joint graph so far.

@@ -1,10 +1,10 @@
 //! Messages with the transforms between pairs of robots' maps (merge edges) and their evidence.
 
-use crate::{Header, Pose2, ROBOTS_MAX, RobotId};
+use crate::{Header, Pose2, RobotId};
 use bytemuck::{Pod, Zeroable};
 
-/// Number of pairs of robots in the largest fleet.
-pub const MERGE_EDGES_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
+/// Most edges in one message: all pairs of 16 robots. Those of the largest fleet would have 0.3 MB.
+pub const MERGE_EDGES_MAX: usize = 120;
 
 /// State of a merge edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -111,9 +111,10 @@ pub struct MergeEdges {
     pub commands: u32,
     /// Number of those commands that were refused: no such edge, or no transform known for it.
     pub refused: u32,
-    /// Padding, always zero.
-    pub reserved: u32,
-    /// Edges in the order of pairs of robots (1, 2), (1, 3), (2, 3), (1, 4) and so on.
+    /// Number of edges that have no place in the message.
+    pub left_out: u32,
+    /// Edges in the order of pairs of robots (1, 2), (1, 3), (2, 3), (1, 4) and so on. Of a fleet with more pairs than
+    /// places, those that were never found are left out first.
     pub edges: [MergeEdge; MERGE_EDGES_MAX],
 }
 
@@ -195,7 +196,7 @@ mod tests {
         assert_eq!(edge(" undo 3 1 "), Some((2, EdgeAction::Undo as u32)));
         assert_eq!(edge("unpin 16 15"), Some((MERGE_EDGES_MAX as u32, EdgeAction::Unpin as u32)));
         for wrong in
-            ["", "pin", "pin 1", "pin 1 1", "pin 0 1", "pin 1 17", "pin 1 2 3", "keep 1 2", "pin 1 -2"]
+            ["", "pin", "pin 1", "pin 1 1", "pin 0 1", "pin 1 65", "pin 1 2 3", "keep 1 2", "pin 1 -2"]
         {
             assert_eq!(edge(wrong), None, "{wrong}");
         }

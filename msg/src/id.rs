@@ -3,7 +3,7 @@
 use core::fmt;
 
 /// Number of robots in the largest fleet. Arrays over robots have this length, so a [`RobotId`] always fits.
-pub const ROBOTS_MAX: usize = 16;
+pub const ROBOTS_MAX: usize = 64;
 
 /// Number of a robot, 1 to [`ROBOTS_MAX`], as topics and people count them (`robot1`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -109,12 +109,18 @@ pub struct MapTransform {
 
 /// Transforms from every robot's map to the merged map.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct MapTransforms {
     /// Header whose `stamp` is that of the newest merged map.
     pub header: Header,
     /// Transforms by [`crate::RobotId::index`]. Those beyond the fleet are unknown.
     pub robots: [MapTransform; ROBOTS_MAX],
+}
+
+impl Default for MapTransforms {
+    fn default() -> Self {
+        Self::zeroed()
+    }
 }
 
 #[cfg(test)]

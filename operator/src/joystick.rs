@@ -118,10 +118,16 @@ impl StickFilter {
 }
 
 /// One stick for each robot, moved as a thumb would to drive what navigation asks for.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct SimulatedJoystick {
     profile: JoystickProfile,
     filters: [StickFilter; ROBOTS_MAX],
+}
+
+impl Default for SimulatedJoystick {
+    fn default() -> Self {
+        Self { profile: JoystickProfile::default(), filters: [StickFilter::default(); ROBOTS_MAX] }
+    }
 }
 
 impl SimulatedJoystick {

@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 /// Most topics counted one by one; messages on further topics are counted together.
-const TOPICS_MAX: usize = 256;
-/// Most streams timed: transforms and scans of 16 robots, and some to spare.
-const STREAMS_MAX: usize = 256;
+const TOPICS_MAX: usize = 1024;
+/// Most streams timed: transforms and scans of 64 robots, and some to spare.
+const STREAMS_MAX: usize = 1024;
 /// Newest arrivals kept of each stream: seven minutes at 20 Hz.
 const ARRIVALS_MAX: usize = 8192;
 

@@ -11,8 +11,8 @@ use nav::{MapView, RobotObservation, ScanView};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Most frames kept: 16 robots with 8 frames each, twice over.
-const FRAMES_MAX: usize = 256;
+/// Most frames kept: 64 robots with 8 frames each, twice over.
+const FRAMES_MAX: usize = 1024;
 /// Most steps from a frame to an ancestor: base to map takes three, so more mean a loop.
 const STEPS_MAX: usize = 16;
 /// Age at which a pose is no longer used, seconds: 20 periods of a robot's transforms.
@@ -109,9 +109,9 @@ impl Default for WorldState {
             frame_names: [NameStyle::Flat, NameStyle::Slash]
                 .map(|style| FrameNames::new(style, &ROBOTS_MAX.into())),
             transforms: BTreeMap::new(),
-            scans: Default::default(),
+            scans: [const { None }; ROBOTS_MAX],
             merged_map: MapSlot::default(),
-            robot_maps: Default::default(),
+            robot_maps: std::array::from_fn(|_| MapSlot::default()),
             selected_robot: None,
             is_emergency_stopped: false,
         }

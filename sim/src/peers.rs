@@ -23,8 +23,13 @@ struct Peer {
 }
 
 /// All peers, by [`RobotId::index`].
-#[derive(Default)]
 pub(crate) struct Peers([Option<Peer>; ROBOTS_MAX]);
+
+impl Default for Peers {
+    fn default() -> Self {
+        Self([None; ROBOTS_MAX])
+    }
+}
 
 impl Peers {
     /// Records the pose of a peer. The caller has checked that `truth` is finite.

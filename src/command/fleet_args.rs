@@ -10,7 +10,7 @@ pub struct FleetArgs {
     /// Fleet file; other options override it
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Number of robots, 1 to 16 [default: 3]
+    /// Number of robots, 1 to 64 [default: 3]
     #[arg(long, value_name = "N")]
     pub robots: Option<usize>,
     /// Names of the robots in ROS, separated by commas; `--names ''` gives one robot plain names such as /scan

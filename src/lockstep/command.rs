@@ -59,6 +59,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
                 hash.update(message);
                 checker.receive(channel, message);
             });
+            checker.check_bounds(&fleet);
         }
         if second % 10 == 9 {
             output::note(&format!("{} of {} s", second + 1, args.seconds));

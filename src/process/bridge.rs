@@ -24,7 +24,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 
-/// Period at which the bridge does what is due with time, and its state is saved if it has changed.
+/// Longest time until the bridge's state is saved after it has changed.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(100);
 /// Kind of requester that marks this process's requests to SLAM.
 const REQUESTER_KIND: u64 = 1;

@@ -59,7 +59,7 @@ impl Telemetry {
             room: valid_plan.map(|plan| ObservableArea::new(plan, starts_m)),
             merged: MergedMap::default(),
             map_transforms: MapTransforms::default(),
-            pairs: PairComparisons::new(),
+            pairs: PairComparisons::new(robot_count),
             processes: ProcessTable::new(robot_count),
             stats: FleetStats::default(),
         }

@@ -3,8 +3,6 @@
 use crate::consistency::{Consistency, compare, one_wrong, overlap_centre_m};
 use msg::{Grid, Pose2, ROBOTS_MAX};
 
-/// Number of pairs in the largest fleet.
-const PAIRS_MAX: usize = ROBOTS_MAX * (ROBOTS_MAX - 1) / 2;
 /// Cells compared in one call, about 20 ms of work: other pairs wait for the next call.
 const CELLS_PER_CALL: usize = 6_000_000;
 /// Newest wrong transforms of a pair that count.
@@ -51,13 +49,14 @@ pub(crate) struct PairMeans {
 }
 
 impl PairComparisons {
-    /// Creates a table in which no pair has been compared yet.
-    pub fn new() -> Self {
+    /// Creates the table of a fleet in which no pair has been compared yet.
+    pub fn new(robot_count: usize) -> Self {
+        let pairs = robot_count * robot_count.saturating_sub(1) / 2;
         Self {
-            results: vec![None; PAIRS_MAX],
-            compared: vec![None; PAIRS_MAX],
+            results: vec![None; pairs],
+            compared: vec![None; pairs],
             next: 0,
-            nulls: vec![heapless::HistoryBuf::new(); PAIRS_MAX],
+            nulls: vec![heapless::HistoryBuf::new(); pairs],
             next_null: 0,
             draws: 0,
         }
@@ -67,10 +66,11 @@ impl PairComparisons {
     /// been compared. The pairs take turns.
     pub fn draw_null(&mut self, maps: &[PlacedMap<'_>]) {
         let overlapping = |slot: &usize| self.results[*slot].is_some();
-        let Some(slot) = (self.next_null..PAIRS_MAX).chain(0..self.next_null).find(overlapping) else {
+        let Some(slot) = (self.next_null..self.results.len()).chain(0..self.next_null).find(overlapping)
+        else {
             return;
         };
-        self.next_null = (slot + 1) % PAIRS_MAX;
+        self.next_null = (slot + 1) % self.results.len();
         let (i, j) = robots_of(slot);
         let (Some(right), Some((.., a_from_b))) = (&self.results[slot], self.compared[slot]) else { return };
         let (a, b) = (maps[i].grid.view(), maps[j].grid.view());
@@ -89,8 +89,8 @@ impl PairComparisons {
     /// Compares the pairs whose maps or transforms have changed, in turns if there are many.
     pub fn refresh(&mut self, maps: &[PlacedMap<'_>]) {
         let mut cells = 0;
-        for step in 0..PAIRS_MAX {
-            let slot = (self.next + step) % PAIRS_MAX;
+        for step in 0..self.results.len() {
+            let slot = (self.next + step) % self.results.len();
             if cells >= CELLS_PER_CALL {
                 self.next = slot;
                 return;
@@ -154,29 +154,32 @@ mod tests {
     use super::*;
     use crate::testing::house;
 
+    const ROBOTS: usize = 16;
+    const PAIRS: usize = ROBOTS * (ROBOTS - 1) / 2;
+
     #[test]
     fn every_pair_has_one_slot() {
-        let mut pairs: Vec<_> = (0..PAIRS_MAX).map(robots_of).collect();
-        assert!(pairs.iter().all(|(i, j)| i < j && *j < ROBOTS_MAX));
+        let mut pairs: Vec<_> = (0..PAIRS).map(robots_of).collect();
+        assert!(pairs.iter().all(|(i, j)| i < j && *j < ROBOTS));
         pairs.sort_unstable();
         pairs.dedup();
-        assert_eq!(pairs.len(), PAIRS_MAX);
+        assert_eq!(pairs.len(), PAIRS);
     }
 
     #[test]
     fn many_pairs_take_turns_until_all_are_compared() {
         let grid = house();
-        let maps: Vec<_> = (0..ROBOTS_MAX)
+        let maps: Vec<_> = (0..ROBOTS)
             .map(|_| PlacedMap { grid: &grid, version: 1, map_from_robot_map: Some(Pose2::IDENTITY) })
             .collect();
-        let mut pairs = PairComparisons::new();
+        let mut pairs = PairComparisons::new(ROBOTS);
         pairs.refresh(&maps);
         let first = pairs.means().count;
-        assert!(first >= 1 && (first as usize) < PAIRS_MAX, "{first}");
-        for _ in 0..PAIRS_MAX {
+        assert!(first >= 1 && (first as usize) < PAIRS, "{first}");
+        for _ in 0..PAIRS {
             pairs.refresh(&maps);
         }
-        assert_eq!(pairs.means().count as usize, PAIRS_MAX);
+        assert_eq!(pairs.means().count as usize, PAIRS);
         assert_eq!(pairs.means().mean.strict, 1.0);
         let nobody: Vec<_> = maps
             .iter()

@@ -31,7 +31,7 @@ fn values_of_the_wrong_type_are_refused() {
 #[test]
 fn values_out_of_range_are_refused() {
     refused("[fleet]\nseed = 1\nrobots = 17\n", 3, &["17", "16"]);
-    refused("[fleet]\nrobots = 0\n", 2, &["1 to 16"]);
+    refused("[fleet]\nrobots = 0\n", 2, &["1 to 64"]);
     refused("[fleet]\nrobots = 2\nstarts = [[0.0, 0.0, 0.0]]\n", 3, &["1 poses for 2"]);
     refused("[fleet]\nrobots = 1\nstarts = [[nan, 0.0, 0.0]]\n", 3, &["finite"]);
     refused("[fleet]\naddress = \"everywhere\"\n", 2, &["everywhere"]);

@@ -79,8 +79,8 @@ fn memory_is_bounded_for_any_messages() {
 fn robot_topics_name_a_robot() {
     let robot = |n| RobotId::new(n).unwrap();
     assert_eq!(robot_topic("/robot2/scan"), Some((robot(2), "scan")));
-    assert_eq!(robot_topic("/robot16/map"), Some((robot(16), "map")));
-    assert_eq!(robot_topic("/robot17/map"), None);
+    assert_eq!(robot_topic("/robot64/map"), Some((robot(64), "map")));
+    assert_eq!(robot_topic("/robot65/map"), None);
     assert_eq!(robot_topic("/robot/map"), None);
     assert_eq!(robot_topic("/merged_map"), None);
 }
