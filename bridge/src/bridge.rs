@@ -142,9 +142,9 @@ impl Bridge {
     ///
     /// Call it before clients connect. What the endpoint tells comes back by [`Bridge::receive_ros`].
     pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
-        self.core.borrow_mut().relay.open();
         *self.on_ros_command.borrow_mut() = Box::new(sink);
         self.update(|core| {
+            core.relay.open();
             core.publish_selected();
             core.publish_stop();
         });

@@ -133,6 +133,11 @@ impl ServiceCalls {
         }
     }
 
+    /// Returns the type of a service that is registered, `package/Type`.
+    pub fn service_type(&self, name: &str) -> Option<&str> {
+        self.services.get(name).map(|service| service.service_type.as_str())
+    }
+
     /// Registers a client as caller of a service.
     pub fn register_caller(
         &mut self,
