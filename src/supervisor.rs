@@ -165,6 +165,9 @@ impl Supervisor {
             Role::Bridge => Stdio::from(OwnedFd::from(self.listener.try_clone()?)),
             _ => Stdio::null(),
         };
+        if row.role == Role::Bridge {
+            command.envs(bridge::ALLOCATOR_SETTINGS);
+        }
         // A process group of its own: Ctrl-C reaches the launcher only, which then ends the children.
         command.stdin(stdin).process_group(0).spawn()
     }

@@ -76,6 +76,7 @@ impl<P: Ports, S: Storage> Component for Upkeep<P, S> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.bridge.tick(now);
+        self.bridge.take_events().iter().for_each(|event| tracing::warn!("{event}"));
         self.control.borrow_mut().update_files(now);
         self.heartbeat.publish_if_due(|| {
             let counters = self.bridge.counters();

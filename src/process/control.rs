@@ -63,6 +63,10 @@ impl<S: Storage> Control<S> {
             Request::Deny(address) => self.bridge.deny(address),
             Request::Stop => self.bridge.stop_robots(),
             Request::Release => self.bridge.release_stop(),
+            Request::Drop(which) if self.bridge.drop_clients(which) == 0 => {
+                return Err("no such client is connected, see `mr-slam clients`".into());
+            }
+            Request::Drop(_) => {}
         }
         self.update_files(now);
         if let Request::Allow(address) | Request::Deny(address) = request {
@@ -83,10 +87,15 @@ impl<S: Storage> Control<S> {
 
     fn bridge_state(&self, now: Monotonic) -> BridgeState {
         let client = |status: ClientStatus| ClientView {
+            number: status.number,
             address: status.peer,
+            connected_s: status.connected_s,
+            silent_s: status.silent_s,
             subscriptions: status.subscriptions,
             publications: status.publications,
             waiting_bytes: status.waiting_bytes,
+            link_bytes_per_s: status.link_bytes_per_s,
+            held_back_bytes: status.held_back_bytes,
             dropped: status.dropped,
             drives: status.drives.iter().map(|robot| robot.number()).collect(),
             clock: status.clock,
