@@ -5,6 +5,7 @@
 //! of the live table use it.
 
 use crate::run::Run;
+use bridge::ClientSelector;
 use bridge::world::ClockEstimate;
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -30,6 +31,8 @@ pub enum Request {
     Stop,
     /// Releases the emergency stop.
     Release,
+    /// Closes connections of clients.
+    Drop(ClientSelector),
 }
 
 /// Answer: the state after the request was done, or the reason why it was not.
@@ -53,14 +56,24 @@ pub struct BridgeState {
 /// State of one connection.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClientView {
+    /// Number of the connection, counted from 1 since the bridge's start.
+    pub number: u64,
     /// Address and port of the client.
     pub address: SocketAddr,
+    /// Seconds since it connected.
+    pub connected_s: f64,
+    /// Seconds since it last sent anything: Unity's connector sends at least once a second.
+    pub silent_s: f64,
     /// Number of topics that it subscribes to.
     pub subscriptions: usize,
     /// Number of topics that it publishes.
     pub publications: usize,
     /// Bytes that wait to be sent to it.
     pub waiting_bytes: usize,
+    /// Bytes per second that its connection takes, measured while messages wait for it; `None` if none ever did.
+    pub link_bytes_per_s: Option<f64>,
+    /// Bytes of maps that are held back, because they would delay transforms on its slow connection.
+    pub held_back_bytes: usize,
     /// Number of messages that were dropped because it reads too slowly.
     pub dropped: u64,
     /// Numbers of the robots that it drives now.
@@ -70,6 +83,36 @@ pub struct ClientView {
 }
 
 impl BridgeState {
+    /// Formats the clients as a table; a line of text without any.
+    pub fn client_table(&self) -> String {
+        if self.clients.is_empty() {
+            return "no client is connected\n".into();
+        }
+        let mut text = String::from(
+            "  no  address                 since s  silent s  receives  sends  waiting kB  held kB  link kB/s  dropped  drives\n",
+        );
+        for client in &self.clients {
+            let drives: Vec<String> = client.drives.iter().map(|robot| format!("robot{robot}")).collect();
+            text += format!(
+                "{:4}  {:22}  {:7.0}  {:8.1}  {:8}  {:5}  {:10.0}  {:7.0}  {:>9}  {:7}  {}",
+                client.number,
+                client.address.to_string(),
+                client.connected_s,
+                client.silent_s,
+                client.subscriptions,
+                client.publications,
+                client.waiting_bytes as f64 / 1e3,
+                client.held_back_bytes as f64 / 1e3,
+                client.link_bytes_per_s.map_or("-".into(), |rate| format!("{:.0}", rate / 1e3)),
+                client.dropped,
+                drives.join(" ")
+            )
+            .trim_end();
+            text += "\n";
+        }
+        text
+    }
+
     /// Formats clients, requests and the emergency stop for a terminal; empty without clients.
     pub fn table(&self) -> String {
         let mut text = String::new();
@@ -82,6 +125,13 @@ impl BridgeState {
                 "client {address}: receives {subscriptions} topics, sends {publications}; {:.0} kB waiting, {dropped} messages dropped",
                 *waiting_bytes as f64 / 1e3
             );
+            if let (Some(rate), true) = (client.link_bytes_per_s, client.held_back_bytes > 0) {
+                text += &format!(
+                    "; slow link of {:.0} kB/s: {:.0} kB of maps are held back, so that transforms are not late",
+                    rate / 1e3,
+                    client.held_back_bytes as f64 / 1e3
+                );
+            }
             for robot in &client.drives {
                 text += &format!(", drives robot{robot}");
             }
@@ -148,20 +198,27 @@ mod tests {
     #[test]
     fn the_table_shows_slow_and_waiting_clients() {
         let client = ClientView {
+            number: 3,
+            connected_s: 75.0,
+            silent_s: 0.25,
             address: "10.0.0.7:4321".parse().unwrap(),
             subscriptions: 12,
             publications: 1,
             waiting_bytes: 2_000_000,
+            link_bytes_per_s: Some(61_000.0),
+            held_back_bytes: 150_000,
             dropped: 345,
             drives: vec![2],
             clock: None,
         };
         let waiting = vec!["10.0.0.8".parse().unwrap()];
         let state = BridgeState { clients: vec![client], waiting, ..BridgeState::default() };
+        let row = "   3  10.0.0.7:4321                75       0.2        12      1        2000      150         61      345  robot2\n";
+        assert!(state.client_table().ends_with(row), "{}", state.client_table());
         let lines = state.table();
         assert!(
             lines.contains(
-                "10.0.0.7:4321: receives 12 topics, sends 1; 2000 kB waiting, 345 messages dropped, drives robot2\n"
+                "10.0.0.7:4321: receives 12 topics, sends 1; 2000 kB waiting, 345 messages dropped; slow link of 61 kB/s: 150 kB of maps are held back, so that transforms are not late, drives robot2\n"
             )
         );
         assert!(lines.contains("10.0.0.8 asks to drive: mr-slam allow 10.0.0.8\n"));

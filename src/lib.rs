@@ -1,4 +1,9 @@
-//! Processes of an MR-SLAM fleet, the channels between them, and the command line of `mr-slam`.
+//! Processes of an MR-SLAM fleet, and the command line of `mr-slam`.
+
+// What processes run on is a crate of its own.
+pub use runtime::{
+    channel, clock, keys, ports, processes, realtime, runtime_folder, shared_memory, stop, storage,
+};
 
 // Command line, configuration and processes.
 pub mod command;
@@ -7,22 +12,12 @@ pub mod demo;
 pub mod fleet;
 pub mod lockstep;
 pub mod process;
-pub mod processes;
-pub mod realtime;
 pub mod resources;
 pub mod run;
-pub mod runtime_folder;
 pub mod supervisor;
-// Communication between the processes.
-pub mod channel;
-pub mod clock;
-pub mod control;
-pub mod ports;
-pub mod shared_memory;
-pub mod stop;
 // What people read and control.
 pub mod allowed;
-pub mod keys;
+pub mod control;
 pub mod merge_memory;
 pub mod observer;
 pub mod terminal;
@@ -30,4 +25,3 @@ pub mod view;
 // Files that outlive a process.
 pub mod session_file;
 pub mod sessions;
-pub mod storage;

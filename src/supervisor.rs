@@ -8,14 +8,14 @@ pub mod restarts;
 pub mod watchdog;
 
 use crate::clock::now;
-use crate::processes::{self, ProcessRow};
+use crate::fleet;
+use crate::processes::ProcessRow;
 use crate::run::Run;
 use crate::shared_memory::SHARED_MEMORY;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use progress::{ProgressBoard, WatchedThread};
 use restarts::{DEATHS_MAX, RestartPolicy, State};
 use rustix::process::{Pid, Signal, kill_process};
-use signal_hook::consts::SIGBUS;
 use std::io;
 use std::net::TcpListener;
 use std::os::fd::OwnedFd;
@@ -29,7 +29,7 @@ use watchdog::{Finding, ThreadState, Watchdog};
 /// 5 s, of which the maps' writing takes some.
 const END_GRACE: Duration = Duration::from_secs(2);
 /// Longest time until a process's first pass of its loop: it reads its room and its session.
-const START_MAX: Duration = Duration::from_secs(10);
+pub(crate) const START_MAX: Duration = Duration::from_secs(10);
 /// Longest time without a pass of a process's second thread, which computes for long.
 const SECOND_SILENCE_MAX: Duration = Duration::from_secs(10);
 
@@ -70,17 +70,13 @@ impl Supervisor {
     /// while it restarts.
     pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
         let now = now();
-        let members = processes::of_fleet(&run.config).map(|(row, robot)| Member::new(row, robot, now));
+        let members = fleet::processes(&run.config).map(|(row, robot)| Member::new(row, robot, now));
         let members: Vec<Member> = members.collect();
         let progress = ProgressBoard::create(&run.domain, members.len())?;
         let mut supervisor = Self { run: run.clone(), listener, members, progress };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
-        let missing = supervisor.members.iter().find(|member| member.child.is_none()).map(Member::name);
-        match missing {
-            Some(name) => {
-                supervisor.end();
-                Err(io::Error::other(format!("cannot start the {name}")))
-            }
+        match supervisor.members.iter().find(|member| member.child.is_none()) {
+            Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
             None => Ok(supervisor),
         }
     }
@@ -169,6 +165,9 @@ impl Supervisor {
             Role::Bridge => Stdio::from(OwnedFd::from(self.listener.try_clone()?)),
             _ => Stdio::null(),
         };
+        if row.role == Role::Bridge {
+            command.envs(bridge::ALLOCATOR_SETTINGS);
+        }
         // A process group of its own: Ctrl-C reaches the launcher only, which then ends the children.
         command.stdin(stdin).process_group(0).spawn()
     }
@@ -225,6 +224,9 @@ fn record_death(member: &mut Member, tell: &mut dyn FnMut(String)) {
         tell(format!("the {} died {DEATHS_MAX} times in a row and is not started again", member.name()));
     }
 }
+
+/// What the kernel sends when shared memory runs out.
+const SIGBUS: i32 = Signal::BUS.as_raw();
 
 fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;

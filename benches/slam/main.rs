@@ -13,10 +13,12 @@
 //! half of intel, put down in its second half, and in other buildings, where it must not be found.
 //!
 //! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
-//! them (`varied.rs`), to find where the default configuration generalises badly. `--maps DIR` writes
+//! them (`varied.rs`), to find where the default configuration generalises badly. `--logs generated [--seeds 0..400]`: buildings, robots and accidents drawn from
+//! seeds, with known truth (`generated/`); seeds from 10000 on are held back from tuning. `--maps DIR` writes
 //! every log's map there, as YAML, PGM and PNG.
 
 mod drive;
+mod generated;
 mod relations;
 mod relocalize;
 mod table;
@@ -65,17 +67,21 @@ const SOUGHT: [(&str, Option<f64>, usize); 6] = [
     ("csail", Some(90.0), 6),
 ];
 
+/// Number of generated logs unless `--seeds` is given.
+const SEEDS_DEFAULT: u64 = 96;
+
 struct Args {
     data: PathBuf,
     json: Option<PathBuf>,
     logs: Option<Vec<String>>,
     maps: Option<PathBuf>,
+    seeds: std::ops::Range<u64>,
     check: bool,
 }
 
 fn args() -> Result<Args, String> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/lidar");
-    let mut args = Args { data, json: None, logs: None, maps: None, check: false };
+    let mut args = Args { data, json: None, logs: None, maps: None, seeds: 0..SEEDS_DEFAULT, check: false };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
         let mut value = || given.next().ok_or(format!("{name} wants a value"));
@@ -84,6 +90,7 @@ fn args() -> Result<Args, String> {
             "--json" => args.json = Some(value()?.into()),
             "--logs" => args.logs = Some(value()?.split(',').map(str::to_owned).collect()),
             "--maps" => args.maps = Some(value()?.into()),
+            "--seeds" => args.seeds = generated::parse_seeds(&value()?)?,
             "--check" => args.check = true,
             // cargo bench says this to every bench.
             "--bench" => {}
@@ -97,6 +104,7 @@ fn args() -> Result<Args, String> {
     let known = |log: &String| {
         log == "relocalize"
             || log == "varied"
+            || log == "generated"
             || log.starts_with("varied/")
             || ROWS.iter().any(|row| row.name == log)
     };
@@ -143,13 +151,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let varied = vary(&args)?;
+    let generated = match &args.logs {
+        Some(logs) if logs.iter().any(|log| log == "generated") => {
+            generated::run_all(args.seeds.clone(), args.maps.as_deref())?
+        }
+        _ => Vec::new(),
+    };
     if !done.is_empty() {
         table::print(&done);
     }
     table::relocalized(&relocalization);
     table::varied(&varied);
+    generated::print(&generated);
     if let Some(path) = args.json {
-        std::fs::write(path, serde_json::to_string_pretty(&table::json(&done, &relocalization, &varied))?)?;
+        let mut report = table::json(&done, &relocalization, &varied);
+        report["generated"] = generated::json(&generated);
+        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
     }
     let wrong = |(_, outcome): &(relocalize::Task, relocalize::Outcome)| outcome.wrong > 0;
     let missed =

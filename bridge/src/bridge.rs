@@ -1,5 +1,9 @@
 //! The public interface of the bridge: the fleet's messages in, commands for robots out.
 
+mod clients;
+
+pub use clients::ClientStatus;
+
 use crate::access::Action;
 use crate::cdr::Dialect;
 use crate::command::name;
@@ -9,31 +13,12 @@ use crate::fleet_topics::FleetMessage;
 use crate::frame::Frame;
 use crate::relay::{RosCommand, RosEvent};
 use crate::ros::RobotNames;
-use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters, OutgoingQueue};
-use crate::world::{ClockEstimate, ExternalWorld, WorldInput};
+use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
+use crate::world::{ExternalWorld, WorldInput};
 use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
-
-/// The state of one connection, for the operator's table.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ClientStatus {
-    /// The client's address.
-    pub peer: SocketAddr,
-    /// Number of topics that are sent to the client.
-    pub subscriptions: usize,
-    /// Number of topics that the client may publish.
-    pub publications: usize,
-    /// Bytes that wait for the client.
-    pub waiting_bytes: usize,
-    /// Messages dropped or replaced because the client was slow.
-    pub dropped: u64,
-    /// Robots whose lease the client holds now.
-    pub drives: Vec<RobotId>,
-    /// The client's clock, if it is the source of an external world.
-    pub clock: Option<ClockEstimate>,
-}
 
 /// Longest time between two ticks: late service calls and transforms to repeat wait for it.
 const TICK_MAX: Duration = Duration::from_millis(250);
@@ -157,9 +142,9 @@ impl Bridge {
     ///
     /// Call it before clients connect. What the endpoint tells comes back by [`Bridge::receive_ros`].
     pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
-        self.core.borrow_mut().relay.open();
         *self.on_ros_command.borrow_mut() = Box::new(sink);
         self.update(|core| {
+            core.relay.open();
             core.publish_selected();
             core.publish_stop();
         });
@@ -240,7 +225,7 @@ impl Bridge {
     ///
     /// Fails if the client is disconnected, or must be because it left too many replies unread.
     pub fn take_outgoing(&self, client: ClientId, out: &mut Vec<u8>) -> Result<(), ConnectionEnded> {
-        self.core.borrow_mut().router.take_outgoing(client, out)
+        self.core.borrow_mut().take_outgoing(client, out)
     }
 
     /// Does what is due: stops robots whose last velocity is too old, fails late service calls, repeats transforms for
@@ -345,28 +330,6 @@ impl Bridge {
         self.core.borrow().counters()
     }
 
-    /// Returns the state of every connection.
-    pub fn clients(&self, now: Monotonic) -> Vec<ClientStatus> {
-        let core = self.core.borrow();
-        let status = |client: &Client| ClientStatus {
-            peer: client.peer,
-            subscriptions: client.subscriptions.len(),
-            publications: client.publications.len(),
-            waiting_bytes: client.outgoing.bytes(),
-            dropped: client.outgoing.dropped(),
-            drives: core
-                .fleet
-                .robots()
-                .filter(|robot| {
-                    let holder = core.gate.drive().leaseholder(*robot, now);
-                    holder.is_some_and(|holder| holder.client == Some(client.id))
-                })
-                .collect(),
-            clock: core.world.as_ref().and_then(|world| world.clock_estimate(client.id.serial)),
-        };
-        core.router.clients().map(status).collect()
-    }
-
     pub(crate) fn clients_max(&self) -> usize {
         self.core.borrow().config.clients_max
     }
@@ -396,14 +359,5 @@ impl Bridge {
     /// Continues writing for a client whose socket accepts bytes again; returns whether it is blocked still.
     pub(crate) fn flush_client(&self, id: ClientId) -> bool {
         self.core.borrow_mut().router.flush_client(id)
-    }
-
-    /// Disconnects a client whose stream cannot be cut into frames any more; returns its unsent frames, the last of
-    /// which says why.
-    pub(crate) fn disconnect_with_error(&self, id: ClientId, text: String) -> Option<OutgoingQueue> {
-        self.update(|core| {
-            core.router.refuse(id, text);
-            core.disconnect(id)
-        })
     }
 }

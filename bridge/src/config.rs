@@ -2,6 +2,7 @@
 
 use crate::dds::DdsConfig;
 use crate::drive::velocity_gate::VelocityConfig;
+use crate::limits::ClientLimits;
 use crate::odometry_covariance::OdometrySigmas;
 use crate::ros::{Dialect, NameStyle};
 use crate::world::ClockOffset;
@@ -25,7 +26,8 @@ pub enum Permission {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BridgeConfig {
-    /// The longest payload that a client may send, bytes. A map of 4096 x 4096 cells has 16.8 million.
+    /// The longest payload that a client may send, bytes, at most half of `limits.held_bytes_max`: a message is held
+    /// twice while it is passed on. A map of 4096 x 4096 cells has 16.8 million.
     pub frame_bytes_max: usize,
     /// Bytes that may wait for one slow client, besides the newest map and the frame that is being written.
     pub outbox_bytes_max: usize,
@@ -67,6 +69,8 @@ pub struct BridgeConfig {
     pub clock_offset: ClockOffset,
     /// How long a service call may wait for its response, seconds; then it fails.
     pub service_timeout_s: f64,
+    /// Limits of what clients may hold and do.
+    pub limits: ClientLimits,
     /// Limits of all velocities that the bridge sends. A velocity beyond them is clamped.
     pub velocity: VelocityConfig,
     /// The ROS 2 endpoint.
@@ -79,12 +83,12 @@ pub struct BridgeConfig {
 impl Default for BridgeConfig {
     fn default() -> Self {
         Self {
-            frame_bytes_max: 64 << 20,
+            frame_bytes_max: 32 << 20,
             outbox_bytes_max: 6 << 20,
-            unsent_bytes_max: 256 << 10,
+            unsent_bytes_max: 16 << 10,
             clients_max: 64,
             client_topics_max: 1024,
-            latched_bytes_max: 64 << 20,
+            latched_bytes_max: 32 << 20,
             payloads: Dialect::Ros2,
             frame_names: NameStyle::Flat,
             message_packages: Vec::new(),
@@ -99,6 +103,7 @@ impl Default for BridgeConfig {
             stick_angular_rad_s: 1.5,
             clock_offset: ClockOffset::Measured,
             service_timeout_s: 10.0,
+            limits: ClientLimits::default(),
             velocity: VelocityConfig::default(),
             dds: DdsConfig::default(),
             odometry_sigmas: OdometrySigmas::default(),
@@ -125,6 +130,7 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.limits.validate()?;
         self.velocity.validate()?;
         self.validate_dds_access()?;
         self.validate_limits()?;
@@ -161,14 +167,20 @@ impl BridgeConfig {
 
     fn validate_limits(&self) -> Result<(), ConfigError> {
         let limits = [
-            ("frame_bytes_max", self.frame_bytes_max, 64 << 10, 1 << 30, "65536 to 1073741824 bytes work"),
+            (
+                "frame_bytes_max",
+                self.frame_bytes_max,
+                64 << 10,
+                self.limits.held_bytes_max / 2,
+                "65536 bytes to half of limits.held_bytes_max work",
+            ),
             ("outbox_bytes_max", self.outbox_bytes_max, 64 << 10, 64 << 20, "65536 to 67108864 bytes work"),
             (
                 "unsent_bytes_max",
                 self.unsent_bytes_max as usize,
-                16 << 10,
+                4 << 10,
                 16 << 20,
-                "16384 to 16777216 bytes work",
+                "4096 to 16777216 bytes work",
             ),
             ("clients_max", self.clients_max, 1, 1024, "1 to 1024 clients work"),
             ("client_topics_max", self.client_topics_max, 0, 65_536, "at most 65536 topics work"),

@@ -2,6 +2,7 @@
 //!
 //! It reads no clock and no socket. Time comes in as `now`, a monotonic time of the caller's.
 
+mod admission;
 mod initial_pose;
 mod input;
 mod registration;
@@ -25,21 +26,12 @@ use crate::services::ServiceCalls;
 use crate::world::WorldInput;
 use msg::{Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
-use thiserror::Error;
+
+use admission::Departures;
+pub use admission::{ClientSelector, ConnectError, SelectorError};
 
 /// The robot that is selected at start.
 const FIRST_ROBOT: RobotId = RobotId::new(1).unwrap();
-
-/// Why a client cannot connect.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum ConnectError {
-    /// As many clients are connected as may be.
-    #[error("the bridge has {limit} clients, its limit (clients_max); disconnect one, or raise the limit")]
-    TooManyClients {
-        /// Most clients at a time (`clients_max`).
-        limit: usize,
-    },
-}
 
 /// The parts of the bridge.
 pub struct Core {
@@ -61,6 +53,8 @@ pub struct Core {
     pub commands: CommandQueues,
     /// Receives sensor data if the world is not simulated here.
     pub world: Option<WorldInput>,
+    /// The clients that are being dropped.
+    departures: Departures,
 }
 
 impl Core {
@@ -80,6 +74,7 @@ impl Core {
             commands: CommandQueues::default(),
             config,
             world,
+            departures: Departures::default(),
         };
         core.send_velocities();
         core.publish_selected();
@@ -93,12 +88,9 @@ impl Core {
         peer: SocketAddr,
         socket: Option<Box<dyn ClientSocket>>,
     ) -> Result<ClientId, ConnectError> {
-        let limit = self.config.clients_max;
-        if self.router.clients().count() >= limit {
-            self.router.counted.refused += 1;
-            return Err(ConnectError::TooManyClients { limit });
-        }
+        self.make_place(peer)?;
         let id = self.router.connect(peer, socket);
+        self.record_connected(id);
         let payload = handshake(self.config.payloads);
         self.router
             .send_frames(id, FrameKind::Reply, |out| Side::Server.write(out, name::HANDSHAKE, payload));
@@ -108,6 +100,7 @@ impl Core {
     /// Handles one frame from a client.
     pub fn receive(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
         self.router.counted.received += 1;
+        self.record_received(Some(id), now);
         if frame.is_keepalive() {
             return;
         }
@@ -140,10 +133,11 @@ impl Core {
     }
 
     /// Does what is due at this time: stops robots whose last velocity is too old, fails late service calls, repeats
-    /// transforms for late subscribers.
+    /// transforms for late subscribers, drops clients that are gone.
     pub fn tick(&mut self, now: Monotonic) {
         self.gate.tick(now);
         self.send_velocities();
+        self.enforce_limits(now);
         for call in self.services.remove_expired(now) {
             self.fail_call(&call, "no answer came in time");
         }

@@ -11,11 +11,9 @@ pub const NAME_MAX: usize = 1024;
 /// The frame that a client sends when it has sent nothing for a second: no name and no payload.
 pub const KEEPALIVE: [u8; 8] = [0; 8];
 /// Size of an idle parser's buffer, bytes: as much as one read returns.
-const IDLE_BYTES: usize = 64 * 1024;
+pub(crate) const IDLE_BYTES: usize = 64 * 1024;
 /// The largest growth of the buffer for one read while a long frame arrives, bytes.
 const GROWTH_MAX: usize = 4 * 1024 * 1024;
-/// A buffer that has grown beyond this is shrunk once it is empty, bytes.
-const KEPT_BYTES: usize = 64 * 1024 * 1024;
 
 /// The stream cannot be cut into frames any more: the connection must be closed.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -86,16 +84,32 @@ pub struct Parser {
     end: usize,
     payload_max: usize,
     kept_bytes: usize,
+    /// Bytes of a skipped frame that have not arrived yet.
+    skipping: usize,
+}
+
+/// A frame that has not arrived whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IncompleteFrame<'a> {
+    /// The name without trailing NULs.
+    pub name: &'a [u8],
+    /// Announced length of the payload, bytes.
+    pub payload_bytes: usize,
+    /// Length of the whole frame, bytes.
+    pub frame_bytes: usize,
+    /// Bytes of the whole frame that have arrived.
+    pub arrived_bytes: usize,
 }
 
 impl Parser {
     /// Creates a parser that refuses payloads longer than `payload_max` bytes.
     pub fn new(payload_max: usize) -> Self {
-        Self { buffer: vec![0; IDLE_BYTES], begin: 0, end: 0, payload_max, kept_bytes: KEPT_BYTES }
+        let buffer = vec![0; IDLE_BYTES];
+        Self { buffer, begin: 0, end: 0, payload_max, kept_bytes: IDLE_BYTES, skipping: 0 }
     }
 
     /// Keeps up to `bytes` of a buffer that has grown, for a client that reads many large frames: allocating memory
-    /// for a map of 16 MB takes longer than reading it.
+    /// for a map of 16 MB takes longer than reading it. By default a buffer is shrunk as soon as it is empty.
     pub fn keep(self, bytes: usize) -> Self {
         Self { kept_bytes: bytes, ..self }
     }
@@ -104,23 +118,48 @@ impl Parser {
     ///
     /// Take all frames before asking for space again, or the buffer grows.
     pub fn space(&mut self) -> &mut [u8] {
-        if self.begin == self.end {
-            (self.begin, self.end) = (0, 0);
-            if self.buffer.len() > self.kept_bytes {
-                self.buffer.truncate(IDLE_BYTES);
-                self.buffer.shrink_to_fit();
-            }
-        } else {
+        self.release();
+        if self.begin != self.end {
             self.make_room();
         }
         &mut self.buffer[self.end..]
     }
 
-    /// Makes space for the rest of an incomplete frame, or for a large part of it.
-    fn make_room(&mut self) {
+    /// Gives back the memory of a buffer that has grown, if little of it is used.
+    pub fn release(&mut self) {
+        if self.begin == self.end {
+            (self.begin, self.end) = (0, 0);
+        }
+        if self.is_oversized() {
+            self.buffer.copy_within(self.begin..self.end, 0);
+            (self.begin, self.end) = (0, self.end - self.begin);
+            self.buffer.truncate(IDLE_BYTES);
+            self.buffer.shrink_to_fit();
+        }
+    }
+
+    fn is_oversized(&self) -> bool {
+        self.buffer.len() > self.kept_bytes && self.pending() <= IDLE_BYTES
+    }
+
+    /// Returns the space that the rest of an incomplete frame needs, or a large part of it, bytes.
+    fn wanted(&self) -> usize {
         let have = self.end - self.begin;
         let rest = self.announced().unwrap_or(0).saturating_sub(have).max(1);
-        let want = rest.min(have.max(IDLE_BYTES)).min(GROWTH_MAX);
+        rest.min(have.max(IDLE_BYTES)).min(GROWTH_MAX)
+    }
+
+    /// Returns the size that the buffer will have after [`Parser::space`], bytes.
+    pub fn next_size(&self) -> usize {
+        let (have, want) = (self.pending(), self.wanted());
+        let (size, end) =
+            if self.is_oversized() { (IDLE_BYTES, have) } else { (self.buffer.len(), self.end) };
+        if have == 0 || size - end >= want { size } else { size.max(have + want) }
+    }
+
+    /// Makes space for the rest of an incomplete frame, or for a large part of it.
+    fn make_room(&mut self) {
+        let (have, want) = (self.end - self.begin, self.wanted());
         if self.buffer.len() - self.end >= want {
             return;
         }
@@ -135,6 +174,31 @@ impl Parser {
     /// Adds the first `count` bytes of [`Parser::space`] to the stream.
     pub fn filled(&mut self, count: usize) {
         self.end = (self.end + count).min(self.buffer.len());
+        let skipped = self.skipping.min(self.end - self.begin);
+        self.begin += skipped;
+        self.skipping -= skipped;
+    }
+
+    /// Returns the frame that has not arrived whole, once its name and length have.
+    pub fn incomplete(&self) -> Option<IncompleteFrame<'_>> {
+        let whole = self.announced()?;
+        let name_bytes = self.length_at(0)? as usize;
+        let name = self.begin + 4..self.begin + 4 + name_bytes;
+        Some(IncompleteFrame {
+            name: without_nuls(&self.buffer[name]),
+            payload_bytes: whole - 8 - name_bytes,
+            frame_bytes: whole,
+            arrived_bytes: self.pending(),
+        })
+    }
+
+    /// Drops the incomplete frame: what has arrived of it now, and the rest as it arrives.
+    pub fn skip_frame(&mut self) {
+        if let Some(whole) = self.announced() {
+            self.skipping = whole.saturating_sub(self.pending());
+            self.begin = (self.begin + whole).min(self.end);
+            self.release();
+        }
     }
 
     /// Appends bytes of the stream that are in memory already.

@@ -77,6 +77,17 @@ const SERVICES: &[(&str, &str)] = &[
     ("visualization_msgs", "GetInteractiveMarkers"),
 ];
 
+/// Services of [`SERVICES`] whose response has no fields.
+const EMPTY_RESPONSES: &[&str] = &["map_msgs/ProjectedMapsInfo", "map_msgs/SaveMap", "std_srvs/Empty"];
+
+/// Returns whether a service's response is known to have fields, so that no empty payload can be read as one.
+pub fn has_response_fields(service_type: &str) -> bool {
+    let (package, class) = service_type.split_once('/').unwrap_or_default();
+    let of_package = SERVICES.iter().find(|(known, _)| *known == package);
+    of_package.is_some_and(|(_, types)| types.split(' ').any(|known| known == class))
+        && !EMPTY_RESPONSES.contains(&service_type)
+}
+
 /// Well-known packages whose types are not listed.
 const OTHERS: &[&str] = &[
     "ackermann_msgs",

@@ -84,7 +84,7 @@ pub enum RosEvent {
 }
 
 impl RosCommand {
-    /// Returns the topic's name with leading slash.
+    /// Returns the name with leading slash of a client's topic.
     pub fn topic(&self) -> &Arc<str> {
         match self {
             Self::Subscribe { topic, .. }

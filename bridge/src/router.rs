@@ -4,20 +4,26 @@
 
 mod buffers;
 mod client;
+mod link;
+mod memory;
+mod notices;
 mod outgoing;
 mod topics;
 
 pub use buffers::BufferPool;
-pub use client::{Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, Publication, RefusalKind};
+pub use client::{
+    Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, LargeFrame, Publication, RefusalKind,
+};
 pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 pub use topics::{DEPTH_DEFAULT, Retention, Source, Topic, TopicError, TopicId, TopicTable};
 
 use crate::cdr::{Dialect, Writer};
-use crate::command::{Notice, name};
 use crate::config::BridgeConfig;
-use crate::frame::Side;
+use crate::frame::{IDLE_BYTES, Side};
 use buffers::SharedFrame;
-use msg::Monotonic;
+use link::Urgency;
+use memory::ClientMemory;
+use outgoing::memory_bytes;
 use serde::Serialize;
 use std::io::{IoSlice, Write};
 use std::net::SocketAddr;
@@ -61,6 +67,8 @@ pub struct TopicRouter {
     /// Bytes of the latched messages on clients' topics.
     latched_bytes: usize,
     latched_bytes_max: usize,
+    /// What is held for clients.
+    pub memory: ClientMemory,
 }
 
 impl TopicRouter {
@@ -76,6 +84,7 @@ impl TopicRouter {
             queue_bytes_max: config.outbox_bytes_max,
             latched_bytes: 0,
             latched_bytes_max: config.latched_bytes_max,
+            memory: ClientMemory::new(config.limits.held_bytes_max),
         }
     }
 
@@ -97,6 +106,8 @@ impl TopicRouter {
         self.client(id)?;
         let client = self.clients[id.slot].take()?;
         self.counted.dropped += client.outgoing.dropped();
+        self.release_input(&client);
+        client.wake();
         for topic in client.subscriptions {
             self.unsubscribe(id.slot, topic, None);
         }
@@ -137,11 +148,12 @@ impl TopicRouter {
             return false;
         }
         entry.subscribers.push(subscriber);
-        let latched = entry.latched.clone();
+        let (latched, is_live) = (entry.latched.clone(), entry.urgency == Urgency::Live);
         if let Some(client) = self.client_mut(id)
             && !client.subscriptions.contains(&topic)
         {
             client.subscriptions.push(topic);
+            client.live_subscriptions += usize::from(is_live);
         }
         if let Some(frame) = latched {
             self.queue_frame(topic, frame, Some(subscriber));
@@ -152,6 +164,7 @@ impl TopicRouter {
     /// Ends a subscription and removes its waiting messages. `without_slash` selects one spelling, `None` both.
     pub fn unsubscribe(&mut self, slot: usize, topic: TopicId, without_slash: Option<bool>) {
         let Some(entry) = self.topics.get_mut(topic) else { return };
+        let is_live = entry.urgency == Urgency::Live;
         let stays = |subscriber: &Subscriber| {
             subscriber.slot != slot || without_slash.is_some_and(|which| subscriber.without_slash != which)
         };
@@ -159,7 +172,10 @@ impl TopicRouter {
         if entry.subscribers.iter().all(|subscriber| subscriber.slot != slot)
             && let Some(client) = self.clients.get_mut(slot).and_then(Option::as_mut)
         {
+            let before = client.subscriptions.len();
             client.subscriptions.retain(|subscribed| *subscribed != topic);
+            let is_removed = is_live && client.subscriptions.len() < before;
+            client.live_subscriptions -= usize::from(is_removed);
             client.outgoing.remove_topic(topic, &mut self.pool);
         }
         self.remove_if_unused(topic);
@@ -203,8 +219,12 @@ impl TopicRouter {
         self.publish_with(topic, |out| encode(&mut Writer::with(dialect, out)));
     }
 
-    /// Queues a payload that is encoded already for all subscribers.
+    /// Queues a payload that is encoded already for all subscribers. One that cannot be held is dropped.
     pub fn forward(&mut self, topic: TopicId, payload: &[u8]) {
+        if payload.len() > IDLE_BYTES && !self.can_hold(payload.len()) {
+            self.counted.dropped += 1;
+            return;
+        }
         if let Some(topic) = self.topics.get_mut(topic) {
             topic.last_frame_bytes = 8 + topic.name.len() + payload.len();
         }
@@ -229,10 +249,13 @@ impl TopicRouter {
         // The buffer has no other holder yet, so that this makes no copy.
         Side::Server.write_with(Rc::make_mut(&mut frame), &topic.name, payload);
         topic.last_frame_bytes = frame.len();
+        let is_held = !topic.subscribers.is_empty();
+        self.memory.add_created(if is_held { memory_bytes(&frame) } else { 0 });
         if topic.retention.latch {
             self.latch(id, &frame);
         }
         self.queue_frame(id, frame, None);
+        self.enforce_memory();
     }
 
     /// Keeps the newest message for late subscribers. On clients' topics the total of bytes is limited.
@@ -241,6 +264,9 @@ impl TopicRouter {
         let is_clients = topic.source == Source::Clients;
         if let Some(old) = topic.latched.take() {
             self.latched_bytes -= if is_clients { old.len() } else { 0 };
+            // Clients that are still writing it hold it from now on.
+            let is_held = Rc::strong_count(&old) > 1;
+            self.memory.add_created(if is_held { memory_bytes(&old) } else { 0 });
             self.pool.recycle(old);
         }
         let fits = self.latched_bytes + frame.len() <= self.latched_bytes_max;
@@ -256,7 +282,9 @@ impl TopicRouter {
         let depth = topic.retention.depth;
         // All clients share the fleet's newest map and states, so that slow clients cost no memory for them.
         let counted = !(topic.source == Source::Fleet && depth == 1);
-        let kind = FrameKind::Topic { id, depth, counted };
+        let (urgency, latch) = (topic.urgency, topic.retention.latch);
+        let expires = urgency == Urgency::Live && topic.source != Source::Clients && !latch;
+        let kind = FrameKind::Topic { id, depth, counted, urgency, expires };
         let mut renamed: Option<SharedFrame> = None;
         let all = topic.subscribers.iter().filter(|_| only.is_none());
         for subscriber in all.chain(&only) {
@@ -265,7 +293,12 @@ impl TopicRouter {
             };
             let own = match subscriber.without_slash {
                 false => frame.clone(),
-                true => renamed.get_or_insert_with(|| without_slash(&frame, topic, &mut self.pool)).clone(),
+                true => renamed
+                    .get_or_insert_with(|| {
+                        self.memory.add_created(memory_bytes(&frame));
+                        without_slash(&frame, topic, &mut self.pool)
+                    })
+                    .clone(),
             };
             client.push(kind, own, &mut self.pool);
             mark_unflushed(&mut self.unflushed, client);
@@ -288,36 +321,11 @@ impl TopicRouter {
         };
         let mut frames = self.pool.acquire(REPLY_BYTES);
         write(Rc::make_mut(&mut frames));
+        self.memory.add_created(memory_bytes(&frames));
         client.push(kind, frames, &mut self.pool);
         mark_unflushed(&mut self.unflushed, client);
         self.counted.sent += 1;
-    }
-
-    /// Counts a refusal and sends the client its reason.
-    pub fn refuse(&mut self, id: ClientId, text: String) {
-        self.counted.refused += 1;
-        self.send_notice(id, name::ERROR, text);
-    }
-
-    /// Counts the refusal of a data frame and sends the client its reason, the same one once a second.
-    pub fn refuse_data(
-        &mut self,
-        id: ClientId,
-        kind: RefusalKind,
-        topic: Option<TopicId>,
-        now: Monotonic,
-        text: impl FnOnce() -> String,
-    ) {
-        self.counted.refused += 1;
-        if self.client_mut(id).is_some_and(|client| client.should_report(kind, topic, now)) {
-            self.send_notice(id, name::ERROR, text());
-        }
-    }
-
-    /// Sends a client text for a person: [`name::LOG`], [`name::WARN`] or [`name::ERROR`].
-    pub fn send_notice(&mut self, id: ClientId, kind: &str, text: String) {
-        let notice = Notice { text };
-        self.send_frames(id, FrameKind::Notice, |out| Side::Server.write_command(out, kind, &notice));
+        self.enforce_memory();
     }
 
     /// Writes waiting frames to the sockets.
@@ -372,3 +380,6 @@ fn without_slash(frame: &SharedFrame, topic: &Topic, pool: &mut BufferPool) -> S
     Side::Server.write(Rc::make_mut(&mut renamed), topic.name.trim_start_matches('/'), payload);
     renamed
 }
+
+#[cfg(test)]
+mod weak_link;

@@ -3,7 +3,7 @@
 use crate::bridge::Bridge;
 use crate::command::{Notice, handshake, name};
 use crate::core::ConnectError;
-use crate::frame::{Parser, Side};
+use crate::frame::{IDLE_BYTES, Parser, Side};
 use crate::router::{BufferPool, ClientId, ClientSocket, FlushOutcome, OutgoingQueue};
 use msg::Monotonic;
 use socket2::{SockRef, TcpKeepalive};
@@ -92,9 +92,14 @@ async fn run_ticks(bridge: Rc<Bridge>, clock: fn() -> Monotonic) {
 struct TcpSocket {
     stream: Rc<TcpStream>,
     wake: Rc<Notify>,
+    clock: fn() -> Monotonic,
 }
 
 impl ClientSocket for TcpSocket {
+    fn now(&self) -> Monotonic {
+        (self.clock)()
+    }
+
     fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
         self.stream.try_write_vectored(slices)
     }
@@ -125,7 +130,7 @@ async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clo
     }
     let stream = Rc::new(stream);
     let wake = Rc::new(Notify::new());
-    let socket = Box::new(TcpSocket { stream: stream.clone(), wake: wake.clone() });
+    let socket = Box::new(TcpSocket { stream: stream.clone(), wake: wake.clone(), clock });
     let id = match bridge.connect_socket(peer, socket) {
         Ok(id) => id,
         Err(error) => {
@@ -133,11 +138,11 @@ async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clo
         }
     };
     let connection = Connection { bridge: &bridge, id, stream: &stream, wake: &wake, clock };
-    let end = serve_client(&connection).await;
-    if let ConnectionEnd::InvalidStream(why) = end
-        && let Some(unsent) = bridge.disconnect_with_error(id, why)
-    {
-        drop(connection);
+    if let ConnectionEnd::InvalidStream(why) = serve_client(&connection).await {
+        bridge.drop_client(id, why);
+    }
+    drop(connection);
+    if let Some(unsent) = bridge.take_unsent(id) {
         drain_and_close(&stream, unsent).await;
     }
 }
@@ -197,7 +202,26 @@ async fn read_frames(connection: &Connection<'_>, parser: &mut Parser) -> Option
         }
     }
     connection.bridge.flush();
+    check_large_frame(connection, parser);
     None
+}
+
+/// Asks whether the rest of a large frame may be received, and skips it if not.
+fn check_large_frame(connection: &Connection<'_>, parser: &mut Parser) {
+    let size = parser.next_size();
+    match parser.incomplete() {
+        Some(frame) if frame.frame_bytes > IDLE_BYTES => {
+            let now = (connection.clock)();
+            if !connection.bridge.admit_large_frame(connection.id, frame, size, now) {
+                parser.skip_frame();
+            }
+        }
+        _ if parser.capacity() > size => {
+            parser.release();
+            connection.bridge.end_large_frame(connection.id);
+        }
+        _ => {}
+    }
 }
 
 /// Reads with quick acknowledgement before and after.

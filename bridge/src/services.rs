@@ -20,6 +20,12 @@ pub enum ServiceError {
         /// Most services of all clients together (`client_topics_max`).
         limit: usize,
     },
+    /// Another client offers the service already.
+    #[error("service '{name}' is offered by another client; you offer it as soon as that client leaves")]
+    Taken {
+        /// The service's name.
+        name: String,
+    },
     /// The service is registered with another type.
     #[error("service '{name}' is {existing}, not {requested}")]
     OtherType {
@@ -50,9 +56,25 @@ pub enum ServiceError {
 #[derive(Debug, Default)]
 struct Service {
     service_type: String,
-    /// The client that answers: the newest that registered.
+    /// The client that answers: the first that registered, while it lives.
     provider: Option<ClientId>,
+    /// Clients that offer the service too, first come first: one answers when the provider has left.
+    successors: Vec<ClientId>,
     callers: Vec<ClientId>,
+}
+
+impl Service {
+    fn has(&self, client: ClientId) -> bool {
+        self.provider == Some(client) || self.callers.contains(&client) || self.successors.contains(&client)
+    }
+
+    /// Removes a client from the providers; the next of them answers.
+    fn remove_provider(&mut self, client: ClientId) {
+        self.successors.retain(|successor| *successor != client);
+        if self.provider == Some(client) {
+            self.provider = (!self.successors.is_empty()).then(|| self.successors.remove(0));
+        }
+    }
 }
 
 /// A call that waits for its response.
@@ -111,6 +133,11 @@ impl ServiceCalls {
         }
     }
 
+    /// Returns the type of a service that is registered, `package/Type`.
+    pub fn service_type(&self, name: &str) -> Option<&str> {
+        self.services.get(name).map(|service| service.service_type.as_str())
+    }
+
     /// Registers a client as caller of a service.
     pub fn register_caller(
         &mut self,
@@ -125,15 +152,38 @@ impl ServiceCalls {
         Ok(())
     }
 
-    /// Registers a client as provider of a service, in place of the one before.
+    /// Registers a client as provider of a service. If another client is that and lives, it waits for its place.
     pub fn register_provider(
         &mut self,
         client: ClientId,
         name: &str,
         service_type: &str,
+        is_alive: impl Fn(ClientId) -> bool,
     ) -> Result<(), ServiceError> {
-        self.find_or_add(name, service_type)?.provider = Some(client);
-        Ok(())
+        let service = self.find_or_add(name, service_type)?;
+        match service.provider {
+            Some(owner) if owner != client && is_alive(owner) => {
+                if !service.successors.contains(&client) {
+                    service.successors.push(client);
+                }
+                Err(ServiceError::Taken { name: name.to_owned() })
+            }
+            _ => {
+                service.successors.retain(|successor| *successor != client);
+                service.provider = Some(client);
+                Ok(())
+            }
+        }
+    }
+
+    /// Returns how many services a client offers or calls, without the one of this name.
+    pub fn count_others(&self, client: ClientId, name: &str) -> usize {
+        self.services.iter().filter(|(of, service)| *of != name && service.has(client)).count()
+    }
+
+    /// Returns whether a client offers or calls any service.
+    pub fn is_registered(&self, client: ClientId) -> bool {
+        self.services.values().any(|service| service.has(client))
     }
 
     /// Removes a client from the callers of a service.
@@ -147,7 +197,7 @@ impl ServiceCalls {
     /// Removes a client as provider of a service; returns the calls that get no response any more.
     pub fn remove_provider(&mut self, client: ClientId, name: &str) -> Vec<ServiceCall> {
         if let Some(service) = self.services.get_mut(name) {
-            service.provider = service.provider.filter(|provider| *provider != client);
+            service.remove_provider(client);
         }
         self.remove_unused();
         self.remove_calls(|call| call.provider == client && is_same_name(&call.service, name))
@@ -157,7 +207,7 @@ impl ServiceCalls {
     pub fn remove_client(&mut self, client: ClientId) -> Vec<ServiceCall> {
         for service in self.services.values_mut() {
             service.callers.retain(|caller| *caller != client);
-            service.provider = service.provider.filter(|provider| *provider != client);
+            service.remove_provider(client);
         }
         self.remove_unused();
         self.remove_calls(|call| call.caller == client);

@@ -12,21 +12,24 @@
 
 mod checks;
 mod clock;
+mod error;
 mod input;
+mod suspects;
 
 pub(crate) use checks::floor_pose;
 pub use checks::{ScanError, TransformError};
 pub use clock::{ClockEstimate, ClockOffset, SourceClock};
+pub use error::WorldError;
 pub(crate) use input::{DDS_SOURCE, WorldInput};
+pub use suspects::OutlierError;
 
-use crate::cdr::{DecodeError, Reader};
+use crate::cdr::Reader;
 use crate::ros::names::{FleetFrame, RobotNames};
 use crate::ros::read::{self, Transform};
 use checks::{check_link, check_scan, empty_scan, planar_pose};
 use msg::{
     Clock, LINKS_MAX, Link, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotId, Scan, Stamp, Transforms,
 };
-use thiserror::Error;
 
 /// A robot keeps its source for so long after the source's last message, seconds; then another may take its place.
 const SOURCE_TIMEOUT_S: f64 = 2.0;
@@ -44,46 +47,6 @@ pub enum WorldMessage<'a> {
     Transforms(RobotId, &'a Transforms),
     /// The run's time, for the channel `clock`.
     Clock(&'a Clock),
-}
-
-/// Why a message, or a part of one, is refused.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum WorldError {
-    /// The payload is not the topic's message.
-    #[error(transparent)]
-    Payload(#[from] DecodeError),
-    /// The scan's numbers are not accepted.
-    #[error(transparent)]
-    Scan(#[from] ScanError),
-    /// The odometry's pose is not accepted.
-    #[error(transparent)]
-    Pose(#[from] TransformError),
-    /// A transform is not accepted.
-    #[error("{parent} -> {child}: {source}")]
-    Transform {
-        /// The parent frame in the message.
-        parent: String,
-        /// The child frame in the message.
-        child: String,
-        /// What is wrong with it.
-        source: TransformError,
-    },
-    /// Another source sends this robot's data, or the clock.
-    #[error("{what} has another source, which sent less than {SOURCE_TIMEOUT_S} s ago")]
-    OtherSource {
-        /// A robot, or the clock.
-        what: String,
-    },
-    /// The transform map -> odom belongs to SLAM (REP-105).
-    #[error(
-        "{parent} -> {child} is refused: SLAM owns map -> odom (REP-105); the rest of the message is taken"
-    )]
-    Correction {
-        /// The parent frame in the message.
-        parent: String,
-        /// The child frame in the message.
-        child: String,
-    },
 }
 
 /// Number of a source, chosen by the caller.
@@ -196,7 +159,7 @@ impl ExternalWorld {
         read::laser_scan(&mut from, &mut self.scan)?;
         check_scan(&mut self.scan)?;
         let sent = self.scan.header.stamp;
-        let stamp = origin.clock.convert(sent, origin.received);
+        let stamp = origin.clock.convert(sent, origin.received)?;
         let state = &mut self.robots[robot.index()];
         if state.last_scan.is_some_and(|before| stamp <= before) {
             return Err(ScanError::NotNewer { stamp_s: sent.seconds() }.into());
@@ -238,7 +201,7 @@ impl ExternalWorld {
         self.check_source(origin, robot)?;
         let transform = read::odometry(&mut from)?;
         let link = check_link(Link::Odom, Link::BaseFootprint, &transform)?;
-        let stamp = origin.clock.convert(transform.stamp, origin.received);
+        let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         let is_new = state.last_pose.is_none_or(|(_, before, _)| stamp > before);
         state.source = Some((origin.source, origin.received));
@@ -256,7 +219,7 @@ impl ExternalWorld {
         if is_held_by_other(self.clock_source, origin) {
             return Err(WorldError::OtherSource { what: "the clock".into() });
         }
-        let stamp = origin.clock.convert(read::stamp(&mut from, "clock")?, origin.received);
+        let stamp = origin.clock.convert(read::stamp(&mut from, "clock")?, origin.received)?;
         self.clock_source = Some((origin.source, origin.received));
         // The fleet's time never runs backwards, however late a message is.
         if stamp > self.clock {
@@ -327,7 +290,7 @@ impl ExternalWorld {
         };
         self.check_source(origin, robot)?;
         let link = check_link(parent_link, child_link, transform).map_err(wrong)?;
-        let stamp = origin.clock.convert(transform.stamp, origin.received);
+        let stamp = origin.clock.convert(transform.stamp, origin.received)?;
         let state = &mut self.robots[robot.index()];
         state.source = Some((origin.source, origin.received));
         if parent_link == Link::Odom && matches!(child_link, Link::BaseFootprint | Link::BaseLink) {

@@ -228,3 +228,114 @@ fn a_client_that_takes_no_replies_must_be_disconnected() {
     }
     assert!(simulation.bridge.take_outgoing(client, &mut Vec::new()).is_err());
 }
+
+/// Connects clients at different addresses until the bridge has as many as it may.
+fn fill(simulation: &Simulation) -> Vec<ClientId> {
+    let limit = BridgeConfig::default().clients_max;
+    let address = |index: usize| ([10, 0, 0, index as u8], 1).into();
+    (0..limit).map(|index| simulation.bridge.connect(address(index)).unwrap()).collect()
+}
+
+#[test]
+fn a_silent_connection_makes_room_and_a_living_one_does_not() {
+    let mut simulation = Simulation::new();
+    let clients = fill(&simulation);
+    simulation.advance_ms(4_900);
+    let (silent, living) = clients.split_first().unwrap();
+    living.iter().for_each(|client| simulation.receive(*client, &bridge::frame::KEEPALIVE));
+    let newcomer = ([10, 0, 1, 1], 1).into();
+    assert!(simulation.bridge.connect(newcomer).unwrap_err().to_string().contains("clients_max"));
+    simulation.advance_ms(200);
+    let newcomer = simulation.bridge.connect(newcomer).unwrap();
+    assert!(simulation.bridge.connect(([10, 0, 1, 2], 1).into()).is_err(), "the others are not silent");
+    let reason = simulation.errors(*silent).remove(0);
+    assert!(reason.contains("sent nothing for 5 s, and its place was needed"), "{reason}");
+    assert!(simulation.bridge.take_outgoing(*silent, &mut Vec::new()).is_err());
+    assert_eq!(simulation.take_frames(newcomer)[0].0, name::HANDSHAKE);
+}
+
+#[test]
+fn a_connection_that_is_silent_for_minutes_is_closed() {
+    let mut simulation = Simulation::new();
+    let client = simulation.connect(1, &[]);
+    simulation.advance_ms(299_000);
+    assert_eq!(simulation.bridge.counters().clients, 1);
+    simulation.advance_ms(1_000);
+    assert_eq!(simulation.bridge.counters().clients, 0);
+    assert!(simulation.errors(client)[0].contains("silence_max_s"));
+}
+
+#[test]
+fn one_address_cannot_take_all_places() {
+    let mut simulation = Simulation::new();
+    let connect = |simulation: &Simulation, port| simulation.bridge.connect(([10, 0, 0, 9], port).into());
+    let ids: Vec<ClientId> = (1..=16).map(|port| connect(&simulation, port).unwrap()).collect();
+    let error = connect(&simulation, 17).unwrap_err().to_string();
+    assert!(error.contains("10.0.0.9 has 16 connections"), "{error}");
+    assert!(simulation.bridge.connect(([10, 0, 0, 8], 1).into()).is_ok());
+    simulation.advance_ms(5_000);
+    ids[1..].iter().for_each(|client| simulation.receive(*client, &bridge::frame::KEEPALIVE));
+    assert!(connect(&simulation, 17).is_ok(), "the silent one has made room");
+    assert_eq!(simulation.bridge.drop_clients("10.0.0.9".parse().unwrap()), 16);
+    assert_eq!(simulation.bridge.counters().clients, 1);
+}
+
+#[test]
+fn a_service_is_not_taken_over_while_its_owner_lives() {
+    let mut simulation = Simulation::new();
+    let (caller, owner, thief) =
+        (simulation.connect(1, &[]), simulation.connect(2, &[]), simulation.connect(3, &[]));
+    simulation.register(owner, name::UNITY_SERVICE, "/save", "std_srvs/Trigger");
+    simulation.register(thief, name::UNITY_SERVICE, "/save", "std_srvs/Trigger");
+    simulation.register(caller, name::ROS_SERVICE, "/save", "std_srvs/Trigger");
+    assert!(simulation.errors(thief)[0].contains("offered by another client"));
+    let call = |simulation: &Simulation, number| {
+        let mut bytes = Vec::new();
+        Side::Client.write_command(&mut bytes, name::REQUEST, &bridge::command::Call { srv_id: number });
+        Side::Client.write(&mut bytes, "/save", &[0, 1, 0, 0]);
+        simulation.receive(caller, &bytes);
+    };
+    let requests = |simulation: &Simulation, client| {
+        simulation.take_frames(client).iter().filter(|(name, _)| name == name::REQUEST).count()
+    };
+    call(&simulation, 101);
+    assert_eq!((requests(&simulation, owner), requests(&simulation, thief)), (1, 0));
+    simulation.bridge.disconnect(owner);
+    call(&simulation, 102);
+    assert_eq!(requests(&simulation, thief), 1, "the next in line answers");
+    // An owner that has been silent for long is replaced by who registers then.
+    simulation.advance_ms(5_000);
+    let heir = simulation.connect(4, &[]);
+    simulation.register(heir, name::UNITY_SERVICE, "/save", "std_srvs/Trigger");
+    call(&simulation, 103);
+    assert_eq!((requests(&simulation, heir), requests(&simulation, thief)), (1, 0));
+}
+
+/// Every frame counts: at a client that keeps up none is lost, repeated or out of order.
+#[test]
+fn a_client_that_keeps_up_gets_every_transform_in_order() {
+    let simulation = Simulation::new();
+    let client = simulation.connect(1, &[]);
+    simulation.register(client, name::SUBSCRIBE, "/tf", bridge::ros::TfMessage::TYPE);
+    simulation.register(client, name::SUBSCRIBE, "/clock", Clock::TYPE);
+    simulation.take_frames(client);
+    let robot = msg::RobotId::new(1).unwrap();
+    for sent in 1..=2_000 {
+        let mut transforms = msg::Transforms { len: 1, ..Default::default() };
+        transforms.links[0].parent = msg::Link::Odom as u32;
+        transforms.links[0].child = msg::Link::BaseFootprint as u32;
+        transforms.header.stamp = msg::Stamp(sent * 50_000_000);
+        let mut clock = msg::Clock::default();
+        clock.header.stamp = msg::Stamp(sent * 50_000_000 + 1);
+        simulation.bridge.publish(FleetMessage::Transforms(robot, &transforms));
+        simulation.bridge.publish(FleetMessage::Clock(&clock));
+        let frames = simulation.take_frames(client);
+        let names: Vec<&str> = frames.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["/tf", "/clock"], "after {sent} of each");
+        let tf: bridge::ros::TfMessage = bridge::ros::decode(&frames[0].1).unwrap();
+        assert_eq!(tf.transforms[0].stamp, transforms.header.stamp);
+        let received: Clock = bridge::ros::decode(&frames[1].1).unwrap();
+        assert_eq!(received.clock, clock.header.stamp);
+    }
+    assert_eq!(simulation.bridge.counters().dropped, 0);
+}

@@ -1,9 +1,9 @@
 //! The exchange of clients' topics with ROS, without sockets and with a simulated clock: the test is the ROS 2 endpoint.
 
-use bridge::command::{Notice, Registration, TopicList, name};
+use bridge::command::{Call, Notice, Registration, TopicList, name};
 use bridge::frame::{Parser, Side};
 use bridge::relay::{RosCommand, RosEvent, RosGraph, RosTopic};
-use bridge::{Bridge, BridgeConfig, ClientId, Permission};
+use bridge::{Bridge, BridgeConfig, ClientId, FleetMessage, Permission};
 use msg::Monotonic;
 use std::cell::RefCell;
 use std::net::SocketAddr;
@@ -29,6 +29,7 @@ impl Simulation {
         let commands = Rc::new(RefCell::new(Vec::new()));
         let sink = commands.clone();
         bridge.on_ros_command(move |command| sink.borrow_mut().push(command));
+        commands.borrow_mut().clear();
         Self { bridge, commands, now: Monotonic(0) }
     }
 
@@ -291,4 +292,37 @@ fn the_number_of_relayed_topics_is_limited() {
     simulation.register(client, name::REMOVE_SUBSCRIBER, "/a", PATH);
     simulation.register(client, name::SUBSCRIBE, "/d", PATH);
     assert_eq!(simulation.asked(), ["unsubscribe /a", "subscribe /d nav_msgs/Path"]);
+}
+
+#[test]
+fn fixed_transforms_are_latched_on_tcp() {
+    let simulation = Simulation::new();
+    let transforms = msg::Transforms::default();
+    simulation.bridge.publish(FleetMessage::Transforms(msg::RobotId::new(1).unwrap(), &transforms));
+    let client = simulation.connect();
+    simulation.register(client, name::SUBSCRIBE, "/tf_static", "tf2_msgs/TFMessage");
+    let frames = simulation.frames(client);
+    assert_eq!(frames.len(), 1);
+    assert_eq!(frames[0].0, "/tf_static");
+}
+
+#[test]
+fn a_failed_call_never_reads_as_success() {
+    let simulation = Simulation::new();
+    let client = simulation.connect();
+    let call = |service: &str| {
+        let mut bytes = Vec::new();
+        Side::Client.write_command(&mut bytes, name::REQUEST, &Call { srv_id: 101 });
+        Side::Client.write(&mut bytes, service, &[0, 1, 0, 0, 0]);
+        simulation.receive(client, &bytes);
+        let frames = simulation.frames(client);
+        assert!(frames.iter().any(|(of, _)| of == name::ERROR), "{service}");
+        frames.iter().filter(|(of, _)| of == service).map(|(_, payload)| payload.clone()).collect::<Vec<_>>()
+    };
+    for (service, service_type) in [("/clear", "std_srvs/Empty"), ("/own", "nav2_msgs/ClearEntireCostmap")] {
+        simulation.register(client, name::ROS_SERVICE, service, service_type);
+        assert!(call(service).is_empty(), "{service}: an empty response would read as success");
+    }
+    simulation.register(client, name::ROS_SERVICE, "/trigger", "std_srvs/Trigger");
+    assert_eq!(call("/trigger"), [[0, 1, 0, 0]], "no std_srvs/Trigger: the caller stops waiting");
 }

@@ -252,3 +252,22 @@ fn the_reader_goes_with_its_last_client() {
         }
     });
 }
+
+#[test]
+fn a_late_node_reads_the_emergency_stop() {
+    run(async {
+        let ours = Ours::open(90);
+        ours.bridge.stop_robots();
+        let mut node = ours.node();
+        let name = Name::parse("/emergency_stop").unwrap();
+        let latched = QosProfile::publisher_default().durability(Durability::TransientLocal);
+        let topic = node.create_topic(&name, MessageTypeName::new("std_msgs", "Bool"), &latched).unwrap();
+        let states = node.create_subscription::<bool>(&topic, None).unwrap();
+        loop {
+            if let Ok(Some((true, _))) = states.take() {
+                return;
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
+    });
+}

@@ -25,6 +25,8 @@ const ODOMETRY_TICKS: i64 = 5;
 const TICKS_PER_SECOND: f64 = 100.0;
 /// Ticks without contact after which the next contact counts as a new one: 0.2 s.
 const CONTACT_GAP_TICKS: i64 = 20;
+/// Ticks in which a robot comes to rest from its full speed, with some to spare: its motors take 14.
+const BRAKING_TICKS: usize = 40;
 
 /// Simulation of one robot in a room.
 ///
@@ -134,6 +136,16 @@ impl Simulator {
         self.ticks = now.0.div_euclid(Self::TICK.as_nanos() as i64);
     }
 
+    /// Skips the time until `now`, for a simulator that was stopped for over [`BRAKING_TICKS`]. The robot comes to rest
+    /// meanwhile: its command is not valid any more.
+    pub fn skip_to(&mut self, now: Stamp) {
+        self.stop();
+        for _ in 0..BRAKING_TICKS {
+            self.step();
+        }
+        self.set_time(now);
+    }
+
     /// Returns the current time of the run.
     pub fn now(&self) -> Stamp {
         Stamp(self.ticks * Self::TICK.as_nanos() as i64)
@@ -153,6 +165,11 @@ impl Simulator {
             ..*command
         };
         self.command = Some((clamped, self.ticks));
+    }
+
+    /// Makes the newest command invalid: the robot stops.
+    pub fn stop(&mut self) {
+        self.command = None;
     }
 
     /// Sets the pose of a peer, which the LiDAR sees and the robot collides with. A peer without a message

@@ -322,7 +322,7 @@ pub struct RelocalizeConfig {
     pub evaluations_max: usize,
     /// Nodes after which a robot that was given an estimate and was not found there is believed to
     /// be there, in a part that is not mapped yet; 1 or more.
-    pub hint_nodes: usize,
+    pub estimate_nodes_max: usize,
     /// Localization: path without a scan that fits after which the whole map is searched, metres;
     /// above 0.
     pub give_up_m: f64,

@@ -181,7 +181,7 @@ impl Relocalizer {
             }
         }
         match self.initial_estimate {
-            Some(estimate) if self.added >= self.config.relocalize.hint_nodes => {
+            Some(estimate) if self.added >= self.config.relocalize.estimate_nodes_max => {
                 RelocalizationOutcome::EstimateAccepted(estimate)
             }
             _ => RelocalizationOutcome::NotFound,

@@ -189,7 +189,7 @@ fn locked_memory() -> Check {
 /// Checks what `up` checks before it starts a fleet: the same resources, for the fleet's size.
 fn resources(config: &FleetConfig) -> [Check; 2] {
     let free = resources::free_bytes(Path::new(SHARED_MEMORY)).unwrap_or(0);
-    let need = shared_memory_need(config);
+    let need = shared_memory_need(config.fleet.robots, config.world.is_outside());
     let found = format!(
         "{} free; {} robots need {} to {}",
         megabytes(free),

@@ -1,5 +1,6 @@
 //! Command line of `mr-slam`: one module for each tool, with its arguments and a `run` function.
 
+pub mod clients;
 pub mod doctor;
 pub mod edges;
 pub mod fleet_args;
@@ -50,6 +51,8 @@ enum Command {
     Stop(permissions::StopArgs),
     /// Release the emergency stop of a running fleet
     Release(permissions::StopArgs),
+    /// List the clients of a running fleet, or close connections
+    Clients(clients::ClientsArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
     /// Drive a running fleet over TCP, as a headset does
@@ -80,6 +83,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Deny(args) => permissions::deny(&args)?,
         Command::Stop(args) => permissions::stop(&args)?,
         Command::Release(args) => permissions::release(&args)?,
+        Command::Clients(args) => clients::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
         Command::Operator(args) => {
             let stop = args.launcher_pid.map_or_else(Stop::on_signals, Stop::for_child)?;

@@ -46,7 +46,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let faults =
         args.faults.map_or_else(FaultPlan::none, |seed| FaultPlan::draw(seed, quiet_from(args.seconds)));
     if args.faults.is_some() {
-        output::note(&format!("{faults:?}"));
+        eprintln!("{faults:?}");
     }
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, faults)?;
     let mut checker = Checker::new(&config)?;
@@ -59,6 +59,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
                 hash.update(message);
                 checker.receive(channel, message);
             });
+            checker.check_bounds(&fleet);
         }
         if second % 10 == 9 {
             output::note(&format!("{} of {} s", second + 1, args.seconds));

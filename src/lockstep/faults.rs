@@ -15,6 +15,10 @@ const FREEZE_MS: [u64; 2] = [100, 3000];
 const CLOCK_STEP_MS: [u64; 2] = [50, 4000];
 /// Largest number of faults of one kind in a run.
 const COUNT_MAX: u64 = 3;
+/// Kinds of faults at one moment that are drawn.
+const FAULT_KINDS: usize = 11;
+/// Number that chooses the bridge among the processes.
+pub const BRIDGE: usize = usize::MAX;
 
 /// Delivery of a message to one reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,6 +46,14 @@ pub enum Fault {
     Pause(usize, Duration),
     /// The operator sends no velocity for a while.
     LetGo(Duration),
+    /// The operator's client disconnects, and connects again after a while.
+    OperatorLeaves(Duration),
+    /// The operator's client is stopped for a while, with its connection open.
+    OperatorFrozen(Duration),
+    /// A second operator drives a robot for a while; the number chooses the robot.
+    Contend(usize, Duration),
+    /// The person at the laptop sets the emergency stop for a while.
+    EmergencyStop(Duration),
 }
 
 /// Interval of time: from a moment to another.
@@ -107,29 +119,41 @@ impl FaultPlan {
             let [lost, late, doubled] = [200, 200, 100].map(|most| plan.below(most));
             plan.disturbances.push(Disturbance { window, lost, late, doubled });
         }
-        for kind in 0..3 {
+        for kind in 0..4 {
             for _ in 0..plan.below(2) {
                 let window = plan.window(quiet);
-                [&mut plan.full, &mut plan.disk_full, &mut plan.events_lost][kind].push(window);
+                [&mut plan.full, &mut plan.disk_full, &mut plan.events_lost, &mut plan.cut][kind]
+                    .push(window);
             }
         }
-        for kind in 0..6 {
+        for kind in 0..FAULT_KINDS {
             for _ in 0..plan.below(COUNT_MAX) {
+                let fault = plan.fault(kind);
                 let at = plan.moment(quiet);
-                let chosen = plan.below(1 << 20) as usize;
-                let fault = match kind {
-                    0 => Fault::Kill(chosen),
-                    1 => Fault::Freeze(chosen, plan.duration(FREEZE_MS)),
-                    2 => Fault::ClockStep(plan.duration(CLOCK_STEP_MS)),
-                    3 => Fault::ResetMap(chosen),
-                    4 => Fault::Pause(chosen, plan.duration(FREEZE_MS)),
-                    _ => Fault::LetGo(plan.duration(FREEZE_MS)),
-                };
                 plan.faults.push((at, fault));
             }
         }
         plan.faults.sort_by_key(|(at, _)| *at);
         plan
+    }
+
+    fn fault(&mut self, kind: usize) -> Fault {
+        let chosen = self.below(1 << 20) as usize;
+        let duration = self.duration(if kind == 2 { CLOCK_STEP_MS } else { FREEZE_MS });
+        match kind {
+            0 => Fault::Kill(chosen),
+            1 => Fault::Freeze(chosen, duration),
+            2 => Fault::ClockStep(duration),
+            3 => Fault::ResetMap(chosen),
+            4 => Fault::Pause(chosen, duration),
+            5 => Fault::LetGo(duration),
+            6 if chosen.is_multiple_of(2) => Fault::Freeze(BRIDGE, duration),
+            6 => Fault::Kill(BRIDGE),
+            7 => Fault::OperatorLeaves(duration),
+            8 => Fault::OperatorFrozen(duration),
+            9 => Fault::Contend(chosen, duration),
+            _ => Fault::EmergencyStop(duration),
+        }
     }
 
     /// Adds one fault to a plan, for tests of one kind.
@@ -142,6 +166,18 @@ impl FaultPlan {
     /// Adds an interval in which the queue from scan paths to back ends has room for nodes only.
     pub fn with_lost_events(mut self, from: Monotonic, until: Monotonic) -> Self {
         self.events_lost.push(Window { from, until });
+        self
+    }
+
+    /// Adds an interval in which the network between clients and the bridge is cut.
+    pub fn with_cut(mut self, from: Monotonic, until: Monotonic) -> Self {
+        self.cut.push(Window { from, until });
+        self
+    }
+
+    /// Adds an interval in which the disk is full.
+    pub fn with_full_disk(mut self, from: Monotonic, until: Monotonic) -> Self {
+        self.disk_full.push(Window { from, until });
         self
     }
 

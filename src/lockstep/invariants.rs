@@ -2,32 +2,26 @@
 //! queues are bounded, and every process works again after the last fault.
 
 use super::Lockstep;
+use super::drive_checks::DriveChecks;
 use super::faults::FaultPlan;
+use super::members::Member;
 use crate::config::FleetConfig;
 use crate::fleet;
 use crate::ports::ReadMapPort;
 use crate::process::Error;
 use crate::sessions;
 use crate::storage::Storage;
-use msg::{
-    Correction, GridView, GroundTruth, Monotonic, Pose2, RobotId, Stamp, TrackingState, VelocityCommand,
-};
+use msg::{Correction, GridView, GroundTruth, Monotonic, Pose2, RobotId, Stamp, TrackingState};
 use sha2::{Digest, Sha256};
 use std::collections::VecDeque;
 
 /// Time that a fleet has to recover after the last fault, seconds: back-off after two deaths, and a pause.
 pub const RECOVERY_S: u32 = 7;
-/// Longest time from the last command until a robot stands, in units of the simulator's dead-man time: a command
-/// is valid that long, and may have waited as long.
-const DEAD_MAN_TIMES: f64 = 2.0;
-/// Tolerance of that time, seconds: one tick of the simulator and one of the operator.
-const REST_MARGIN_S: f64 = 0.1;
+/// Time in which a robot comes to rest when its last command is not valid any more, seconds. From full speed its motors
+/// take 0.14 s, a tick included.
+const BRAKING_S: f64 = 0.16;
 /// Velocity below which a robot counts as standing, m/s and rad/s.
 const REST_SPEED: [f64; 2] = [0.01, 0.05];
-/// Step of a simulator's time that counts as a jump, seconds.
-const JUMP_MIN_S: f64 = 0.05;
-/// Ticks of its own time within which a robot comes to rest.
-const STOPPING_TICKS: u32 = 20;
 /// Pose error above which a pose is in a wrong frame; a correct one errs by 0.05 m and 2 degrees.
 const POSE_ERROR_MAX: [f64; 2] = [0.5, 0.35];
 /// Number of scans in a row with that error: one bad match is no wrong frame.
@@ -38,6 +32,8 @@ pub const WRONG_POSE: &str = "is sure of a wrong pose";
 const KNOWN_SHARE_MIN: f64 = 0.9;
 /// Largest number of commands and requests that may wait in a back end.
 const BACKLOG_MAX: usize = 24;
+/// Violations after which no more is looked for: one is enough.
+const VIOLATIONS_MAX: usize = 32;
 /// Number of true poses kept for late corrections: five seconds.
 const TRUTHS_MAX: usize = 500;
 /// Time without a correction after which a robot's SLAM counts as not working, seconds.
@@ -55,10 +51,7 @@ struct RobotChecker {
     robot: RobotId,
     world_from_start: Option<Pose2>,
     truths: VecDeque<(Stamp, Pose2)>,
-    /// When it was last told to move.
-    driven: Option<Monotonic>,
-    /// Ticks since its time jumped: a robot needs some of them to come to rest.
-    ticks: u32,
+    drive: DriveChecks,
     /// Corrections in a row that are far from the truth.
     wrong: u32,
     corrected: Option<Stamp>,
@@ -76,8 +69,7 @@ impl Checker {
             robot,
             world_from_start,
             truths: VecDeque::new(),
-            driven: None,
-            ticks: 0,
+            drive: DriveChecks::new(config, robot),
             wrong: 0,
             corrected: None,
         });
@@ -87,18 +79,33 @@ impl Checker {
 
     /// Receives a message of the fleet.
     pub fn receive(&mut self, channel: &str, bytes: &[u8]) {
-        let rest_after_s = DEAD_MAN_TIMES * self.dead_man_s + REST_MARGIN_S;
+        let rest_after_s = self.dead_man_s + BRAKING_S;
         let Some((robot, name)) = channel.split_once('/') else { return };
+        if robot == "fault" {
+            let at = Monotonic(bytemuck::pod_read_unaligned(bytes));
+            self.robots.iter_mut().for_each(|robot| robot.drive.on_event(name, at));
+            return;
+        }
         let Some(robot) = self.robots.iter_mut().find(|known| known.robot.to_string() == robot) else {
             return;
         };
         let violation = match name {
-            "command" => robot.command(&bytemuck::pod_read_unaligned(bytes)),
+            "command" => robot.drive.command(&bytemuck::pod_read_unaligned(bytes)),
             "truth" => robot.truth(&bytemuck::pod_read_unaligned(bytes), rest_after_s),
             "correction" => robot.correction(&bytemuck::pod_read_unaligned(bytes)),
             _ => None,
         };
         self.violations.extend(violation);
+    }
+
+    /// Checks that what waits in the fleet's processes is bounded, and that no robot waits for its zero. Call it after each tick.
+    pub fn check_bounds(&mut self, fleet: &Lockstep) {
+        if self.violations.len() < VIOLATIONS_MAX {
+            self.violations.extend(fleet.backlog_violations());
+            let (now, is_disturbed) = (fleet.time(), fleet.is_bridge_disturbed());
+            let late = self.robots.iter_mut().filter_map(|robot| robot.drive.check_zero(now, is_disturbed));
+            self.violations.extend(late);
+        }
     }
 
     /// Checks the fleet's state at the end. Returns all violations.
@@ -116,25 +123,18 @@ impl Checker {
 }
 
 impl RobotChecker {
-    fn command(&mut self, command: &VelocityCommand) -> Option<String> {
-        if command.linear_m_s != 0.0 || command.angular_rad_s != 0.0 {
-            self.driven = Some(command.header.sent);
-        }
-        None
-    }
-
     fn truth(&mut self, truth: &GroundTruth, rest_after_s: f64) -> Option<String> {
         let stamp = truth.header.stamp;
-        let jumped = self.truths.back().is_none_or(|(before, _)| stamp - *before > JUMP_MIN_S);
-        self.ticks = if jumped { 0 } else { self.ticks.saturating_add(1) };
         self.truths.push_back((stamp, truth.world_from_base));
         if self.truths.len() > TRUTHS_MAX {
             self.truths.pop_front();
         }
         let moves = truth.linear_m_s.abs() > REST_SPEED[0] || truth.angular_rad_s.abs() > REST_SPEED[1];
-        let since_s = self.driven.map(|sent| stamp.seconds() - sent.0 as f64 * 1e-9);
-        let may_move = since_s.is_some_and(|since| since <= rest_after_s) || self.ticks < STOPPING_TICKS;
-        (moves && !may_move).then(|| format!("{} moves {since_s:?} s after the last command", self.robot))
+        let since_s = self.drive.driven().map(|sent| stamp.seconds() - sent.0 as f64 * 1e-9);
+        let may_move = since_s.is_some_and(|since| since <= rest_after_s);
+        (moves && !may_move).then(|| {
+            format!("{} moves at {:.2} s, {since_s:?} s after the last command", self.robot, stamp.seconds())
+        })
     }
 
     fn correction(&mut self, correction: &Correction) -> Option<String> {
@@ -171,19 +171,45 @@ impl Lockstep {
         })
     }
 
+    /// Returns whether the bridge cannot send: it does not run, is stopped, or its channels are full.
+    fn is_bridge_disturbed(&self) -> bool {
+        let now = self.time();
+        let runs = |member: &Member| member.bridge().is_some() && member.frozen_until <= now;
+        !self.members.iter().any(runs) || self.world.network.faults().is_full(now)
+    }
+
+    /// Returns the processes in which more waits than may.
+    fn backlog_violations(&self) -> Vec<String> {
+        let mut violations = Vec::new();
+        for member in &self.members {
+            let title = member.row.title(member.robot);
+            if let Some(slam) = member.slam() {
+                let backlog = slam.process.back_end.backlog();
+                if backlog.iter().any(|waiting| *waiting > BACKLOG_MAX) {
+                    violations.push(format!("the {title} has a backlog of {backlog:?}"));
+                }
+            }
+            if let Some(process) = member.bridge() {
+                let bytes_max = self.world.run.config.bridge.outbox_bytes_max;
+                let clients = process.bridge.clients(self.time());
+                let fullest = clients.iter().map(|client| client.waiting_bytes).max().unwrap_or(0);
+                if fullest > bytes_max {
+                    violations.push(format!("the {title} keeps {fullest} bytes for a client"));
+                }
+            }
+        }
+        violations
+    }
+
     /// Returns the violations in the fleet's state.
     fn state_violations(&self) -> Vec<String> {
-        let mut violations = Vec::new();
+        let mut violations = self.violations.clone();
         for member in &self.members {
             let title = member.row.title(member.robot);
             if !member.is_running() {
                 violations.push(format!("the {title} does not run: {:?}", member.policy.state()));
             }
-            let (Some(slam), Some(robot)) = (member.slam(), member.robot) else { continue };
-            let backlog = slam.process.back_end.backlog();
-            if backlog.iter().any(|waiting| *waiting > BACKLOG_MAX) {
-                violations.push(format!("the {title} has a backlog of {backlog:?}"));
-            }
+            let (Some(_), Some(robot)) = (member.slam(), member.robot) else { continue };
             let saved = self.saved[robot.index()];
             let (_, reader, _) = &self.observer.maps[robot.index()];
             let known: usize = reader.map().tiles().map(|tile| count(&tile.cells)).sum();
@@ -212,12 +238,18 @@ pub struct FaultReport {
     pub violations: Vec<String>,
 }
 
-/// Runs a fleet for `seconds` of virtual time with these faults, and checks the invariants.
+/// Runs a fleet for `seconds` of virtual time with these faults, and checks the invariants. `together`: the operator
+/// drives all robots at once.
 ///
 /// # Errors
 /// The fleet cannot be built.
-pub fn check(config: &FleetConfig, faults: FaultPlan, seconds: u32) -> Result<FaultReport, Error> {
-    let mut fleet = Lockstep::with_faults(config, true, faults)?;
+pub fn check(
+    config: &FleetConfig,
+    together: bool,
+    faults: FaultPlan,
+    seconds: u32,
+) -> Result<FaultReport, Error> {
+    let mut fleet = Lockstep::with_faults(config, together, faults)?;
     let mut checker = Checker::new(config)?;
     let mut hash = Sha256::new();
     while fleet.now().seconds() < f64::from(seconds) {
@@ -226,6 +258,7 @@ pub fn check(config: &FleetConfig, faults: FaultPlan, seconds: u32) -> Result<Fa
             hash.update(message);
             checker.receive(channel, message);
         });
+        checker.check_bounds(&fleet);
     }
     let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     Ok(FaultReport { sha256, violations: checker.finish(&fleet) })

@@ -15,10 +15,13 @@ use crate::process::telemetry::Figures;
 use crate::process::{Component, Error};
 use crate::processes::ProcessRow;
 use crate::run::Run;
+use crate::supervisor::START_MAX;
 use crate::supervisor::restarts::RestartPolicy;
+use crate::supervisor::watchdog::{Finding, ThreadSample, ThreadState, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::rc::Rc;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Surroundings that all processes of a fleet in lockstep share.
 pub struct World {
@@ -45,6 +48,9 @@ pub struct Member {
     /// Its threads, while it runs.
     pub threads: Vec<Thread>,
     body: Option<Body>,
+    watchdog: Watchdog,
+    /// Passes of the first thread's loop, which the watchdog compares.
+    passes: u64,
 }
 
 /// One thread of a process.
@@ -83,6 +89,8 @@ impl Member {
             frozen_until: Monotonic(0),
             threads: Vec::new(),
             body: None,
+            watchdog: Watchdog::new(START_MAX, row.silence_max, Monotonic(0)),
+            passes: 0,
         }
     }
 
@@ -100,6 +108,8 @@ impl Member {
         self.body = Some(Body::open(world, self.row.role, self.robot, at, &ports)?);
         self.threads = ports.into_iter().map(|ports| Thread { ports, due: now }).collect();
         self.frozen_until = Monotonic(0);
+        self.watchdog = Watchdog::new(START_MAX, self.row.silence_max, now);
+        self.passes = 0;
         self.policy.on_started(now);
         Ok(())
     }
@@ -117,10 +127,26 @@ impl Member {
         self.body.is_some()
     }
 
+    /// Returns whether the process hangs, by the live supervisor's watchdog.
+    pub fn is_hung(&mut self, now: Monotonic) -> bool {
+        let state = if now < self.frozen_until { ThreadState::Stopped } else { ThreadState::Sleeping };
+        let sample = || ThreadSample { state, cpu: Duration::ZERO };
+        self.is_running()
+            && matches!(self.watchdog.poll(now, self.passes, sample), Some(Finding::Hung { .. }))
+    }
+
     /// Returns the SLAM process, if this is one and runs.
     pub fn slam(&self) -> Option<&SlamBody> {
         match &self.body {
             Some(Body::Slam(slam)) => Some(slam),
+            _ => None,
+        }
+    }
+
+    /// Returns the bridge, if this is its process and runs.
+    pub fn bridge(&self) -> Option<&BridgeProcess<MemoryPorts, MemoryStorage>> {
+        match &self.body {
+            Some(Body::Bridge(server)) => Some(&server.process),
             _ => None,
         }
     }
@@ -143,6 +169,7 @@ impl Member {
     /// Runs one step of a thread.
     pub fn step(&mut self, thread: usize) {
         let Some(body) = &mut self.body else { return };
+        self.passes += u64::from(thread == 0);
         self.threads[thread].ports.take_notifications();
         self.threads[thread].due = match (body, thread) {
             (Body::Sim(simulation), _) => simulation.step(),

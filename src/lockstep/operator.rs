@@ -72,6 +72,12 @@ impl Operator {
         }
     }
 
+    /// Closes the connection; it connects again at `retry_at`.
+    pub fn disconnect(&mut self, retry_at: Monotonic) {
+        self.client.disconnect();
+        self.on_disconnected(retry_at);
+    }
+
     fn on_disconnected(&mut self, retry_at: Monotonic) {
         self.world.on_disconnected();
         (self.selected, self.retry_at) = (None, retry_at);

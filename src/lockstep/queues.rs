@@ -96,6 +96,12 @@ impl Network {
         self.sent.borrow_mut().push((format!("{client}{topic}").into(), payload.to_vec()));
     }
 
+    /// Records that a fault was injected now, or its consequence, beside the messages of the channels.
+    pub fn record_event(&self, event: &str) {
+        let now = self.clock.now().0.to_le_bytes();
+        self.sent.borrow_mut().push((format!("fault/{event}").into(), now.to_vec()));
+    }
+
     /// Passes on the messages that were sent since the last call.
     pub fn report_messages(&self, observer: MessageObserver<'_>) {
         for (name, bytes) in self.sent.take() {

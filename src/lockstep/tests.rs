@@ -4,7 +4,7 @@ use super::Lockstep;
 use super::queues::Openings;
 use crate::channel::{CHANNELS, Direction, End, Opener, Program, Scope, process_health};
 use crate::config::FleetConfig;
-use crate::processes;
+use crate::fleet;
 use msg::{RobotId, Role};
 
 /// Channels that a process opens only if it serves DDS, which lockstep does not.
@@ -14,7 +14,7 @@ const OF_DDS: [(&str, Direction, Program); 1] =
 /// Returns what the table of channels declares for the processes of a simulated fleet.
 fn declared(config: &FleetConfig) -> Openings {
     let processes: Vec<Opener> =
-        processes::of_fleet(config).map(|(row, robot)| Opener { program: row.role.into(), robot }).collect();
+        fleet::processes(config).map(|(row, robot)| Opener { program: row.role.into(), robot }).collect();
     let mut declared = Openings::new();
     for row in CHANNELS {
         for (ends, direction) in [(row.writers, Direction::Write), (row.readers, Direction::Read)] {
@@ -37,7 +37,7 @@ fn declared(config: &FleetConfig) -> Openings {
         }
     }
     let telemetry = Opener::of_fleet(Program::Worker(Role::Telemetry));
-    for (row, robot) in processes::of_fleet(config) {
+    for (row, robot) in fleet::processes(config) {
         let opener = Opener { program: row.role.into(), robot };
         let name = process_health(row.role, robot).name;
         declared.insert((name.clone(), Direction::Write, opener));

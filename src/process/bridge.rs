@@ -24,7 +24,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 
-/// Period at which the bridge does what is due with time, and its state is saved if it has changed.
+/// Longest time until the bridge's state is saved after it has changed.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(100);
 /// Kind of requester that marks this process's requests to SLAM.
 const REQUESTER_KIND: u64 = 1;
@@ -76,6 +76,7 @@ impl<P: Ports, S: Storage> Component for Upkeep<P, S> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.bridge.tick(now);
+        self.bridge.take_events().iter().for_each(|event| tracing::warn!("{event}"));
         self.control.borrow_mut().update_files(now);
         self.heartbeat.publish_if_due(|| {
             let counters = self.bridge.counters();

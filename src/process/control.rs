@@ -53,22 +53,27 @@ impl<S: Storage> Control<S> {
         self.files.update(&self.bridge, now);
     }
 
-    fn apply(&mut self, request: Request) -> Reply {
+    /// Applies a request and returns the state after it.
+    pub fn apply(&mut self, request: Request, now: Monotonic) -> Reply {
         // What was written on the disk before this request comes first.
-        self.update_files(now());
+        self.update_files(now);
         match request {
             Request::State => {}
             Request::Allow(address) => self.bridge.allow(address),
             Request::Deny(address) => self.bridge.deny(address),
             Request::Stop => self.bridge.stop_robots(),
             Request::Release => self.bridge.release_stop(),
+            Request::Drop(which) if self.bridge.drop_clients(which) == 0 => {
+                return Err("no such client is connected, see `mr-slam clients`".into());
+            }
+            Request::Drop(_) => {}
         }
-        self.update_files(now());
+        self.update_files(now);
         if let Request::Allow(address) | Request::Deny(address) = request {
             self.remember(address, matches!(request, Request::Allow(_)))
                 .map_err(|why| format!("done, but not for later: {why}"))?;
         }
-        Ok(self.bridge_state())
+        Ok(self.bridge_state(now))
     }
 
     /// Writes a permission into the files of those who may drive and of those who may not.
@@ -80,12 +85,17 @@ impl<S: Storage> Control<S> {
         })
     }
 
-    fn bridge_state(&self) -> BridgeState {
+    fn bridge_state(&self, now: Monotonic) -> BridgeState {
         let client = |status: ClientStatus| ClientView {
+            number: status.number,
             address: status.peer,
+            connected_s: status.connected_s,
+            silent_s: status.silent_s,
             subscriptions: status.subscriptions,
             publications: status.publications,
             waiting_bytes: status.waiting_bytes,
+            link_bytes_per_s: status.link_bytes_per_s,
+            held_back_bytes: status.held_back_bytes,
             dropped: status.dropped,
             drives: status.drives.iter().map(|robot| robot.number()).collect(),
             clock: status.clock,
@@ -95,7 +105,7 @@ impl<S: Storage> Control<S> {
             selected: self.bridge.selected_robot().number(),
             waiting: self.bridge.waiting_addresses(),
             allowed: self.bridge.allowed_addresses(),
-            clients: self.bridge.clients(now()).into_iter().map(client).collect(),
+            clients: self.bridge.clients(now).into_iter().map(client).collect(),
         }
     }
 }
@@ -142,7 +152,7 @@ async fn exchange(
     let mut line = String::new();
     BufReader::new(read.take(LINE_MAX)).read_line(&mut line).await?;
     let reply: Reply = match serde_json::from_str(&line) {
-        Ok(request) => control.borrow_mut().apply(request),
+        Ok(request) => control.borrow_mut().apply(request, now()),
         Err(why) => Err(format!("not a request: {why}")),
     };
     let answer = serde_json::to_string(&reply)? + "\n";

@@ -16,6 +16,8 @@ const POLL_PERIOD: Duration = Duration::from_millis(200);
 pub struct MapPublisher<P: Ports> {
     writer: P::MapWriter,
     drawing: bool,
+    /// The whole map has been drawn once: before that, readers keep what the process before this one sent.
+    has_drawn: bool,
     /// The map has changes that readers do not have yet.
     unsent: bool,
     sending: bool,
@@ -27,7 +29,7 @@ impl<P: Ports> MapPublisher<P> {
     /// Opens the channel of the robot's map.
     pub fn open(ports: &P, robot: RobotId) -> Result<Self, ChannelError> {
         let writer = ports.map_writer(&channel::map(robot))?;
-        Ok(Self { writer, drawing: false, unsent: false, sending: false, sent: None })
+        Ok(Self { writer, drawing: false, has_drawn: false, unsent: false, sending: false, sent: None })
     }
 
     /// Marks the map as changed, so that it is drawn and sent.
@@ -38,7 +40,8 @@ impl<P: Ports> MapPublisher<P> {
     /// Draws a slice, and sends changed tiles if they are due. Returns when the next step is due.
     pub fn step(&mut self, back: &mut BackEnd, now: Monotonic) -> Monotonic {
         self.drawing = self.drawing && back.draw(SLICE_CELLS);
-        if self.pause_left(now).is_zero() {
+        self.has_drawn |= !self.drawing;
+        if self.has_drawn && self.pause_left(now).is_zero() {
             let before = self.writer.bytes();
             self.sending = !self.writer.send(back.tiles());
             self.unsent = self.drawing || self.sending;

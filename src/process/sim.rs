@@ -48,6 +48,8 @@ struct Inputs<P: Ports> {
     peers: Vec<(RobotId, P::Reader<GroundTruth>)>,
     /// Age above which a command is out of date.
     command_age_max: Duration,
+    /// Until when the newest command is valid.
+    valid_until: Monotonic,
     /// Commands ignored because they were out of date.
     outdated: u64,
 }
@@ -106,7 +108,7 @@ impl<P: Ports> Component for Simulation<P> {
         });
         let now = self.now();
         if now - self.simulator.now() > BEHIND_MAX_S {
-            self.simulator.set_time(now);
+            self.simulator.skip_to(now);
         }
         self.due()
     }
@@ -127,6 +129,7 @@ impl<P: Ports> Inputs<P> {
             command_listener: ports.listener(&channel::command(robot))?,
             peers: peers.collect::<Result<_, ChannelError>>()?,
             command_age_max: Duration::from_secs_f64(run.config.sim.limits.command_timeout_s),
+            valid_until: Monotonic(0),
             outdated: 0,
         })
     }
@@ -140,6 +143,11 @@ impl<P: Ports> Inputs<P> {
                 continue;
             }
             simulator.command(&command);
+            self.valid_until = command.header.sent + self.command_age_max;
+        }
+        // By the machine's clock: a command that waited, or a process that was stopped, makes it valid no longer.
+        if now >= self.valid_until {
+            simulator.stop();
         }
     }
 

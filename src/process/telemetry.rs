@@ -6,7 +6,6 @@ use crate::channel;
 use crate::config::World;
 use crate::fleet;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
-use crate::processes;
 use crate::run::Run;
 use crate::stop::Stop;
 use crate::supervisor::progress::WatchedThread;
@@ -128,7 +127,7 @@ impl<P: Ports> Inputs<P> {
                 map: MapInput::new(ports.map_reader(&channel::map(robot))?),
             })
         };
-        let health = processes::of_fleet(&run.config)
+        let health = fleet::processes(&run.config)
             .map(|(row, robot)| ports.reader(&channel::process_health(row.role, robot)));
         let mut listeners = Vec::new();
         for robot in run.robots() {

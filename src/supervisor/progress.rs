@@ -6,7 +6,7 @@
 use super::watchdog::{ThreadSample, ThreadState};
 use crate::clock::now;
 use crate::config::FleetConfig;
-use crate::processes;
+use crate::fleet;
 use crate::shared_memory::Domain;
 use msg::{Monotonic, RobotId, Role};
 use rustix::fs::{FlockOperation, flock};
@@ -107,7 +107,7 @@ impl ProgressCounter {
         robot: Option<RobotId>,
         thread: WatchedThread,
     ) -> Self {
-        let index = processes::of_fleet(config).position(|(row, of)| row.role == role && of == robot);
+        let index = fleet::processes(config).position(|(row, of)| row.role == role && of == robot);
         let file = OpenOptions::new().write(true).open(domain.progress_file()).ok();
         Self {
             file: file.filter(|_| index.is_some()),
@@ -178,10 +178,10 @@ mod tests {
         let config = FleetConfig::default();
         let folder = tempfile::tempdir().unwrap();
         let domain = Domain::new(&format!("{}_progress", std::process::id()), folder.path()).unwrap();
-        let processes = processes::of_fleet(&config).count();
+        let processes = fleet::processes(&config).count();
         let mut board = ProgressBoard::create(&domain, processes).unwrap();
         assert!(ProgressBoard::create(&domain, processes).is_err(), "an existing file is never taken over");
-        let merge = processes::of_fleet(&config).position(|(row, _)| row.role == Role::Merge).unwrap();
+        let merge = fleet::processes(&config).position(|(row, _)| row.role == Role::Merge).unwrap();
         let mut counter = ProgressCounter::open(&domain, &config, Role::Merge, None, WatchedThread::Second);
         counter.advance();
         board.read().unwrap();

@@ -212,6 +212,11 @@ mod tests {
         stats.robots[1].state = TrackingState::Lost as u32;
         stats.robots[2].scan_hz = 0.0;
         let client = |port: usize| ClientView {
+            number: port as u64,
+            connected_s: 60.0,
+            silent_s: 0.5,
+            link_bytes_per_s: None,
+            held_back_bytes: 0,
             address: format!("192.168.100.200:{}", 50_000 + port).parse().unwrap(),
             subscriptions: 12,
             publications: 1,

@@ -1,7 +1,8 @@
 //! A fleet in lockstep in which things go wrong, drawn from a seed: processes die and stop, messages are lost, late or
-//! doubled, channels and the disk are full, time jumps, people reset maps. What must hold is in
-//! `src/lockstep/invariants.rs`. A seed runs again, byte for byte, with `autosave_s = 2.0` in a fleet file and
-//! `mr-slam lockstep --config FILE --robots 2 --seconds 14 --seed SEED --faults SEED`.
+//! doubled, channels and the disk are full, time jumps, people reset maps and set the emergency stop, the operator's
+//! client leaves, is stopped or is cut off, and another contends with it. What must hold is in
+//! `src/lockstep/invariants.rs` and `src/lockstep/drive_checks.rs`. A seed runs again, byte for byte, with
+//! `autosave_s = 2.0` below `[sessions]` in a fleet file and the command that the test prints.
 //!
 //! Found and mended so far:
 //! - a lost `Replaced` event of a SLAM front end made the back end ignore every later node: events carry numbers now;
@@ -13,29 +14,60 @@
 //! - the pose of `odom` that the launcher passes on was that of a simulator that had been started again since;
 //! - SLAM that was restored from a session older than the last start of its robot's driver took the robot to have
 //!   stood in between, and was sure of a wrong heading: it is lost now, and relocalizes the robot.
+//! - a simulator went on with a command for up to 0.6 s if it came late, and coasted on where its time jumped: a
+//!   command is valid for 0.3 s after it was sent, by the machine's clock;
+//! - the emergency stop was not saved again after a full disk had refused it once.
 //!
-//! Open: SLAM is sure of a wrong heading in 3 of the first 60 seeds (14, 21, 23). In each, odometry and scans are lost
-//! for a second or more around a pause, a reset or a step of time.
+//! Open: SLAM is sure of a wrong heading in 1 of the first 100 seeds (21).
 
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
-use mr_slam::lockstep::faults::{Fault, FaultPlan};
+use mr_slam::lockstep::faults::{BRIDGE, Fault, FaultPlan};
 use mr_slam::lockstep::invariants::{WRONG_POSE, check, quiet_from};
 use msg::Monotonic;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// Seeds of a test run; this variable asks for more.
 const SEEDS_VARIABLE: &str = "MR_SLAM_FAULT_SEEDS";
-const SEEDS: u64 = 60;
-/// In at most this share of the runs a robot is sure of a wrong pose: see what is open above. It was 3 of 60 runs.
-const WRONG_POSE_SHARE_MAX: f64 = 0.1;
+const SEEDS: u64 = 100;
+/// Two rooms beside a corridor.
+const TWO_ROOMS: &str = "tests/rooms/two_rooms.obj";
+/// In at most this share of the runs a robot is sure of a wrong pose: see what is open above. It was 1 of 100 runs.
+const WRONG_POSE_SHARE_MAX: f64 = 0.03;
 /// Virtual seconds of each run.
 const SECONDS: u32 = 14;
 
+/// Returns a fleet of 1 to 4 robots in one of two rooms.
 fn config(seed: u64) -> FleetConfig {
     let mut config = FleetConfig::default();
-    (config.fleet.robots, config.fleet.seed) = (2, seed);
+    (config.fleet.robots, config.fleet.seed) = (1 + (seed % 4) as usize, seed);
+    if seed.is_multiple_of(3) {
+        config.fleet.room = TWO_ROOMS.into();
+    }
     config.sessions.autosave_s = 2.0;
+    config
+}
+
+/// Returns whether the operator drives all robots at once, and not the selected one.
+fn together(seed: u64) -> bool {
+    seed % 8 < 5
+}
+
+/// Returns the command that runs a seed again.
+fn command(seed: u64) -> String {
+    let config = config(seed);
+    let in_turn = if together(seed) { "" } else { " --in-turn" };
+    format!(
+        "mr-slam lockstep --config FILE --room {} --robots {} --seconds {SECONDS} --seed {seed} --faults {seed}{in_turn}",
+        config.fleet.room, config.fleet.robots
+    )
+}
+
+/// A fleet of two in the laboratory.
+fn pair() -> FleetConfig {
+    let mut config = config(1);
+    config.fleet.robots = 2;
     config
 }
 
@@ -48,43 +80,54 @@ const SIM_1: usize = 0;
 const SLAM_1: usize = 2;
 const SLAM_2: usize = 3;
 const MERGE: usize = 4;
-const BRIDGE: usize = 6;
 
 /// Runs a fleet with chosen faults: nothing may go wrong.
 fn assert_survives(faults: FaultPlan, seconds: u32) {
-    let report = check(&config(1), faults, seconds).unwrap();
+    let report = check(&pair(), true, faults, seconds).unwrap();
     assert!(report.violations.is_empty(), "{:#?}", report.violations);
 }
 
 #[test]
 fn invariants_hold_for_every_seed() {
     let seeds = std::env::var(SEEDS_VARIABLE).ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(SEEDS);
-    let (mut failed, mut wrong_poses) = (Vec::new(), Vec::new());
-    for seed in 1..=seeds {
-        let faults = FaultPlan::draw(seed, quiet_from(SECONDS));
-        let report = check(&config(seed), faults, SECONDS).unwrap();
-        let (wrong, others): (Vec<_>, Vec<_>) =
-            report.violations.into_iter().partition(|violation| violation.contains(WRONG_POSE));
-        if !wrong.is_empty() {
-            wrong_poses.push((seed, wrong));
+    let next = AtomicU64::new(1);
+    // A run is on one thread from its beginning to its end.
+    let run_seeds = || {
+        let mut violations = Vec::new();
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed > seeds {
+                return violations;
+            }
+            let faults = FaultPlan::draw(seed, quiet_from(SECONDS));
+            let report = check(&config(seed), together(seed), faults, SECONDS).unwrap();
+            if !report.violations.is_empty() {
+                violations.push((command(seed), report.violations));
+            }
         }
-        if !others.is_empty() {
-            failed.push((seed, others));
-        }
-    }
+    };
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let violations: Vec<_> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(run_seeds)).collect();
+        threads.into_iter().flat_map(|thread| thread.join().unwrap()).collect()
+    });
+    let is_wrong_pose =
+        |(_, found): &(String, Vec<String>)| found.iter().all(|text| text.contains(WRONG_POSE));
+    let (wrong_poses, failed): (Vec<_>, Vec<_>) = violations.into_iter().partition(is_wrong_pose);
+    assert!(failed.is_empty(), "{} of {seeds} seeds: {failed:#?}", failed.len());
     let wrong_max = WRONG_POSE_SHARE_MAX * seeds as f64;
     assert!(
         wrong_poses.len() as f64 <= wrong_max,
         "wrong poses in {} runs: {wrong_poses:#?}",
         wrong_poses.len()
     );
-    assert!(failed.is_empty(), "{} of {seeds} seeds: {failed:#?}", failed.len());
 }
 
 #[test]
 fn a_seed_with_faults_gives_the_same_bytes_twice() {
     for seed in [3, 7] {
-        let run = || check(&config(seed), FaultPlan::draw(seed, quiet_from(SECONDS)), SECONDS).unwrap();
+        let faults = || FaultPlan::draw(seed, quiet_from(SECONDS));
+        let run = || check(&config(seed), together(seed), faults(), SECONDS).unwrap();
         assert_eq!(run(), run(), "seed {seed}");
     }
 }
@@ -107,9 +150,8 @@ fn simulator_and_slam_killed_together_never_give_a_wrong_pose() {
 #[test]
 fn a_lost_replaced_event_does_not_end_the_map() {
     let faults = FaultPlan::none().with_lost_events(second(0.0), second(8.0));
-    let config = config(1);
     let mut fleet =
-        Lockstep::with_faults(&config, true, faults.with(second(4.0), Fault::ResetMap(0))).unwrap();
+        Lockstep::with_faults(&pair(), true, faults.with(second(4.0), Fault::ResetMap(0))).unwrap();
     while fleet.now().seconds() < 14.0 {
         fleet.tick(&mut |_, _| {});
     }
@@ -134,4 +176,50 @@ fn robots_stand_when_a_stopped_simulator_goes_on() {
 fn merging_killed_goes_on_with_the_same_map() {
     let faults = FaultPlan::none().with(second(5.0), Fault::Kill(MERGE));
     assert_survives(faults.with(second(6.0), Fault::Kill(SLAM_2)), 14);
+}
+
+#[test]
+fn robots_stand_however_their_operator_vanishes() {
+    let away = Duration::from_secs(3);
+    for fault in [Fault::LetGo(away), Fault::OperatorLeaves(away), Fault::OperatorFrozen(away)] {
+        assert_survives(FaultPlan::none().with(second(5.0), fault), 12);
+    }
+    assert_survives(FaultPlan::none().with_cut(second(5.0), second(8.0)), 12);
+}
+
+#[test]
+fn a_second_operator_drives_only_what_nobody_drives() {
+    let faults = FaultPlan::none().with(second(2.0), Fault::Contend(0, Duration::from_secs(8)));
+    let faults = faults.with(second(5.0), Fault::OperatorFrozen(Duration::from_secs(3)));
+    assert_survives(faults.with(second(6.5), Fault::Kill(BRIDGE)), 14);
+}
+
+#[test]
+fn the_emergency_stop_outlives_the_bridge() {
+    for kill_after in [0.0, 0.05, 1.0] {
+        let faults = FaultPlan::none().with(second(4.0), Fault::EmergencyStop(Duration::from_secs(4)));
+        assert_survives(faults.with(second(4.0 + kill_after), Fault::Kill(BRIDGE)), 12);
+    }
+}
+
+#[test]
+fn a_bridge_that_is_stopped_is_replaced_and_robots_stand_meanwhile() {
+    let faults = FaultPlan::none().with(second(4.0), Fault::Freeze(BRIDGE, Duration::from_secs(60)));
+    assert_survives(faults, 14);
+}
+
+#[test]
+fn a_paused_robots_pose_is_right_though_its_driver_is_started_again() {
+    let faults = FaultPlan::none().with(second(8.0), Fault::Pause(0, Duration::from_secs(3)));
+    assert_survives(faults.with(second(9.0), Fault::Kill(SIM_1)), 14);
+}
+
+#[test]
+fn a_map_begun_anew_after_the_driver_was_started_again_is_in_the_same_frame() {
+    for apart in [0.25, 0.4] {
+        // The disk is full: SLAM finds no session, and begins where `odom` lay.
+        let faults = FaultPlan::none().with_full_disk(second(0.0), second(14.0));
+        let faults = faults.with(second(8.0), Fault::Kill(SIM_1));
+        assert_survives(faults.with(second(8.0 + apart), Fault::Kill(SLAM_1)), 14);
+    }
 }

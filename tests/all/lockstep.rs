@@ -148,9 +148,9 @@ fn every_transform_reaches_a_client_once_and_in_order() {
                 let message: Transforms = bytemuck::pod_read_unaligned(bytes);
                 links.entry(robot.into()).or_default().written.push(message.header.stamp);
             } else if name == "correction" {
-                let Correction { map_from_odom, .. } = bytemuck::pod_read_unaligned(bytes);
-                let written = &mut corrections.entry(robot.into()).or_default().written;
-                written.push([map_from_odom.x_m, map_from_odom.y_m]);
+                let correction: Correction = bytemuck::pod_read_unaligned(bytes);
+                let place = correction.map_from_odom().map(|place| [place.x_m, place.y_m]);
+                corrections.entry(robot.into()).or_default().written.extend(place);
             }
         });
         client.receive(|_, payload| {

@@ -343,7 +343,11 @@ impl Core {
         now: Monotonic,
     ) -> Result<(), InputError> {
         let Some(world) = &mut self.world else { return Ok(()) };
-        Ok(world.receive(id.serial, message, now)?)
+        let result = world.receive(id.serial, message, now);
+        if let Some(step_s) = world.take_clock_step(id.serial) {
+            self.report_clock_step(id, step_s);
+        }
+        Ok(result?)
     }
 
     /// Forwards a client's own transforms; those between the fleet's frames belong to SLAM and the robots.

@@ -64,6 +64,18 @@ pub enum RegistrationError {
     /// The service has another type, or there are too many services.
     #[error(transparent)]
     Service(#[from] ServiceError),
+    /// The client uses as many topics of clients, or services, as one client may.
+    #[error("'{name}' would be one {kind} too many for one client: the limit is {limit} (limits.{key})")]
+    Quota {
+        /// The topic's or service's name.
+        name: String,
+        /// `topic` or `service`.
+        kind: &'static str,
+        /// The limit of one client.
+        limit: usize,
+        /// The limit's key in the fleet file.
+        key: &'static str,
+    },
     /// The client's address has no permission.
     #[error(transparent)]
     Permission(#[from] PermissionError),
@@ -119,11 +131,15 @@ impl Core {
             name::PUBLISH => self.register_publisher(id, topic, registration)?,
             name::ROS_SERVICE => {
                 let service_type = self.resolve_type(Kind::Service, registration)?;
+                self.check_service_quota(id, &topic)?;
                 self.services.register_caller(id, &topic, &service_type)?;
             }
             name::UNITY_SERVICE => {
                 let service_type = self.resolve_type(Kind::Service, registration)?;
-                self.services.register_provider(id, &topic, &service_type)?;
+                self.check_service_quota(id, &topic)?;
+                let living = self.living_clients();
+                let is_alive = |owner| living.contains(&owner);
+                self.services.register_provider(id, &topic, &service_type, is_alive)?;
             }
             name::REMOVE_ROS_SERVICE => self.services.remove_caller(id, &topic),
             name::REMOVE_UNITY_SERVICE => {
@@ -141,6 +157,36 @@ impl Core {
             }
         }
         Ok(())
+    }
+
+    /// Refuses a topic that would be one too many for one client. The fleet's own topics do not count.
+    fn check_topic_quota(&self, id: ClientId, name: &str) -> Result<(), RegistrationError> {
+        let (limit, key) = (self.config.limits.topics_per_client, "topics_per_client");
+        let Some(client) = self.router.client(id) else { return Ok(()) };
+        let is_clients = |topic: &TopicId| {
+            self.router.topics.get(*topic).is_some_and(|topic| topic.source == Source::Clients)
+        };
+        let is_used = |topic: TopicId| client.subscriptions.contains(&topic) || client.publishes(topic);
+        let known = self.router.topics.find(name);
+        if known.is_some_and(|topic| !is_clients(&topic) || is_used(topic)) {
+            return Ok(());
+        }
+        let published = client.publications.iter().map(|publication| publication.topic);
+        let only_published = published.filter(|topic| !client.subscriptions.contains(topic));
+        let count = client.subscriptions.iter().copied().chain(only_published).filter(is_clients).count();
+        if count < limit {
+            return Ok(());
+        }
+        Err(RegistrationError::Quota { name: name.to_owned(), kind: "topic", limit, key })
+    }
+
+    /// Refuses a service that would be one too many for one client.
+    fn check_service_quota(&self, id: ClientId, name: &str) -> Result<(), RegistrationError> {
+        let (limit, key) = (self.config.limits.services_per_client, "services_per_client");
+        if self.services.count_others(id, name) < limit {
+            return Ok(());
+        }
+        Err(RegistrationError::Quota { name: name.to_owned(), kind: "service", limit, key })
     }
 
     /// Returns a type that is known here, or that the topic has in ROS.
@@ -173,6 +219,7 @@ impl Core {
         if let Some(client) = self.router.client(id) {
             self.access.check(Action::Watch, client.peer.ip())?;
         }
+        self.check_topic_quota(id, &name)?;
         let topic = self.router.topics.find_or_add(name, &message_type)?;
         if self.router.subscribe(id, topic, is_without_slash(registration)) {
             self.fleet.subscribed(&mut self.router, topic);
@@ -201,6 +248,7 @@ impl Core {
     ) -> Result<(), RegistrationError> {
         let message_type = self.resolve_type(Kind::Message, registration)?;
         let stamped = message_type == TwistStamped::TYPE && self.accepts_stamped(&name);
+        self.check_topic_quota(id, &name)?;
         let topic =
             self.router.topics.find_or_add(name, if stamped { Twist::TYPE } else { &message_type })?;
         let Some(entry) = self.router.topics.get(topic) else { return Ok(()) };

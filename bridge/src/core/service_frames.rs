@@ -39,7 +39,7 @@ impl Core {
             }),
             Err(error) => {
                 self.router.refuse(id, format!("__request {number}: {error}"));
-                self.send_response(id, number, spelled, self.empty_response());
+                self.send_failure(id, number, spelled);
             }
         }
     }
@@ -71,17 +71,25 @@ impl Core {
         });
     }
 
-    /// Returns the response to a call that fails: no fields, so that the caller's reader fails and stops waiting.
-    fn empty_response(&self) -> &'static [u8] {
-        match self.config.payloads {
-            Dialect::Ros2 => &ENCAPSULATION,
-            Dialect::Ros1 => &[],
+    /// Answers a call that fails with a response without fields, so that the caller's reader fails and stops waiting.
+    ///
+    /// The protocol has no error response. If the service's response has no fields, or its fields are not known, an empty
+    /// one would read as success: then there is none, and the caller has the error alone.
+    fn send_failure(&mut self, caller: ClientId, number: i64, service: &str) {
+        let name = interfaces::resolve_name(service).unwrap_or_default();
+        let service_type = self.services.service_type(&name).unwrap_or_default();
+        if interfaces::has_response_fields(service_type) {
+            let payload: &[u8] = match self.config.payloads {
+                Dialect::Ros2 => &ENCAPSULATION,
+                Dialect::Ros1 => &[],
+            };
+            self.send_response(caller, number, service, payload);
         }
     }
 
-    /// Tells a caller that its call gets no response, so that it does not wait for ever.
+    /// Tells a caller that its call fails.
     pub(super) fn fail_call(&mut self, call: &ServiceCall, reason: &str) {
         self.router.refuse(call.caller, format!("service '{}': {reason}", call.service));
-        self.send_response(call.caller, call.caller_number, &call.service, self.empty_response());
+        self.send_failure(call.caller, call.caller_number, &call.service);
     }
 }

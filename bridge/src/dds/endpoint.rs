@@ -292,10 +292,15 @@ impl EndpointState {
 
     /// Does what the bridge asks.
     fn apply(&mut self, command: RosCommand, now: Monotonic) {
-        if let RosCommand::Publish { topic, payload } = &command
-            && self.writers.publish_state(topic, payload.clone(), now)
-        {
-            return;
+        if let RosCommand::Publish { topic, payload } = &command {
+            match self.writers.publish_state(self.relay.factory(), topic, payload.clone(), now) {
+                Ok(false) => {}
+                Ok(true) => {
+                    self.is_graph_due = true;
+                    return;
+                }
+                Err(why) => return self.relay.report(topic.clone(), &why),
+            }
         }
         let topic = command.topic().clone();
         match self.relay.apply(command, now) {

@@ -2,14 +2,17 @@
 
 use super::entities::{EndpointError, EntityFactory, RawReader};
 use super::link::RosLink;
+use super::raw::Raw;
 use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::relay::{RosCommand, RosEvent, RosGraph};
 use futures::StreamExt;
 use msg::Monotonic;
+use ros2_client::MessageInfo;
+use ros2_client::dds::rustdds::no_key::DeserializedCacheChange;
 use ros2_client::dds::rustdds::policy::{Durability, History, Reliability};
 use ros2_client::dds::rustdds::{
-    DomainParticipant, DomainParticipantStatusEvent, Duration, GUID, QosPolicies, QosPolicyBuilder,
-    RTPSEntity,
+    DomainParticipant, DomainParticipantStatusEvent, Duration, EndpointDescription, GUID, QosPolicies,
+    QosPolicyBuilder, RTPSEntity, SequenceNumber,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,6 +26,8 @@ const READER_DEPTH: i32 = 16;
 const WRITER_DEPTH: usize = 64;
 /// Names of topics that are relayed during one run. RustDDS keeps something of each name for ever.
 const NAMES_MAX: usize = 4096;
+/// Readers and writers of other participants that are remembered: those of a few hundred nodes.
+const REMOTE_MAX: usize = 16_384;
 /// Topics of ROS nodes that are told to the bridge.
 const GRAPH_TOPICS_MAX: usize = 2048;
 
@@ -32,6 +37,11 @@ struct ReaderQos {
     is_reliable: bool,
     is_latched: bool,
 }
+
+/// The number of the newest message of each writer.
+///
+/// RustDDS gives a new reader what the topic's former reader has had.
+type Newest = Rc<RefCell<BTreeMap<GUID, SequenceNumber>>>;
 
 /// A reader of one topic. Its task ends with it.
 struct RelayReader {
@@ -50,11 +60,13 @@ impl Drop for RelayReader {
     }
 }
 
-/// A writer of another participant.
-struct RemoteWriter {
-    guid: GUID,
+/// A reader or writer of another participant.
+struct RemoteEndpoint {
+    /// The topic's name on TCP.
+    topic: String,
     message_type: String,
-    qos: ReaderQos,
+    /// What a writer offers; `None` for a reader.
+    offer: Option<ReaderQos>,
 }
 
 /// The readers and writers of relayed topics.
@@ -64,8 +76,10 @@ pub struct TopicRelay {
     link: Arc<RosLink>,
     readers: BTreeMap<Arc<str>, RelayReader>,
     writers: BTreeMap<Arc<str>, TopicWriter>,
-    names: BTreeSet<Arc<str>>,
-    remote_writers: BTreeMap<String, Vec<RemoteWriter>>,
+    /// Every topic received since the start, with the newest message of each of its writers.
+    names: BTreeMap<Arc<str>, Newest>,
+    /// The endpoints of other participants, by events: reading RustDDS's own table would wait for its discovery.
+    remote: BTreeMap<GUID, RemoteEndpoint>,
     graph: RosGraph,
     has_graph_changed: bool,
     received: Rc<Cell<u64>>,
@@ -80,12 +94,17 @@ impl TopicRelay {
             link,
             readers: BTreeMap::new(),
             writers: BTreeMap::new(),
-            names: BTreeSet::new(),
-            remote_writers: BTreeMap::new(),
+            names: BTreeMap::new(),
+            remote: BTreeMap::new(),
             graph: RosGraph::default(),
             has_graph_changed: true,
             received: Rc::new(Cell::new(0)),
         }
+    }
+
+    /// Returns what creates readers and writers.
+    pub fn factory(&self) -> &EntityFactory {
+        &self.factory
     }
 
     /// Returns the identifiers of readers and writers.
@@ -115,6 +134,10 @@ impl TopicRelay {
             RosCommand::Subscribe { topic, message_type } => {
                 self.check_name(&topic)?;
                 let qos = self.matching_qos(&topic, &message_type);
+                if let Some(newest) = self.names.get(&topic).filter(|_| qos.is_latched) {
+                    // The new client has not had the newest message.
+                    newest.borrow_mut().clear();
+                }
                 let reader = self.open_reader(&topic, message_type, qos)?;
                 self.readers.insert(topic, reader);
             }
@@ -133,18 +156,17 @@ impl TopicRelay {
     }
 
     fn check_name(&mut self, topic: &Arc<str>) -> Result<(), EndpointError> {
-        if self.names.len() >= NAMES_MAX && !self.names.contains(topic) {
+        if self.names.len() >= NAMES_MAX && !self.names.contains_key(topic) {
             return Err(EndpointError::TooManyNames { name: topic.to_string(), limit: NAMES_MAX });
         }
-        self.names.insert(topic.clone());
+        self.names.entry(topic.clone()).or_default();
         Ok(())
     }
 
     /// Returns the most that every writer of the topic and type offers.
     fn matching_qos(&self, topic: &str, message_type: &str) -> ReaderQos {
-        let writers = self.remote_writers.get(topic).into_iter().flatten();
-        let mut offers =
-            writers.filter(|writer| writer.message_type == message_type).map(|writer| writer.qos).peekable();
+        let of_type = self.remote_writers(topic).filter(|(_, writer)| writer.message_type == message_type);
+        let mut offers = of_type.filter_map(|(_, writer)| writer.offer).peekable();
         let is_known = offers.peek().is_some();
         let least =
             offers.fold(ReaderQos { is_reliable: true, is_latched: true }, |least, offer| ReaderQos {
@@ -163,33 +185,41 @@ impl TopicRelay {
         let name = format!("{}{topic}", self.factory.namespace());
         let reader = self.factory.relay_reader(&name, &message_type, qos.policies())?;
         let of_other_type = Rc::new(RefCell::new(self.writers_of_other_type(topic, &message_type)));
-        let task = spawn_local(receive(
-            reader.clone(),
-            topic.clone(),
-            self.participant.guid(),
-            of_other_type.clone(),
-            self.link.clone(),
-            self.received.clone(),
-        ));
+        let reception = Reception {
+            topic: topic.clone(),
+            own: self.participant.guid(),
+            of_other_type: of_other_type.clone(),
+            newest: self.names.get(topic).cloned().unwrap_or_default(),
+            link: self.link.clone(),
+            received: self.received.clone(),
+        };
+        let task = spawn_local(reception.receive(reader.clone()));
         Ok(RelayReader { name: topic.clone(), message_type, qos, reader, of_other_type, task })
     }
 
     fn writers_of_other_type(&self, topic: &str, message_type: &str) -> BTreeSet<GUID> {
-        let writers = self.remote_writers.get(topic).into_iter().flatten();
-        writers.filter(|writer| writer.message_type != message_type).map(|writer| writer.guid).collect()
+        let writers = self.remote_writers(topic);
+        writers.filter(|(_, writer)| writer.message_type != message_type).map(|(guid, _)| guid).collect()
+    }
+
+    /// Returns the writers of other participants on a topic.
+    fn remote_writers(&self, topic: &str) -> impl Iterator<Item = (GUID, &RemoteEndpoint)> {
+        let writers = self.remote.iter().filter(|(_, endpoint)| endpoint.offer.is_some());
+        writers.filter(move |(_, writer)| writer.topic == topic).map(|(guid, writer)| (*guid, writer))
     }
 
     /// Handles an event of DDS; returns whether a writer was replaced.
     pub fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) -> bool {
         use DomainParticipantStatusEvent as Event;
-        self.has_graph_changed |= matches!(
-            event,
-            Event::WriterDetected { .. }
-                | Event::ReaderDetected { .. }
-                | Event::WriterLost { .. }
-                | Event::ReaderLost { .. }
-                | Event::ParticipantLost { .. }
-        );
+        let before = self.remote.len();
+        match event {
+            Event::WriterDetected { writer } => self.add_remote(writer, true),
+            Event::ReaderDetected { reader } => self.add_remote(reader, false),
+            Event::WriterLost { guid, .. } | Event::ReaderLost { guid, .. } => drop(self.remote.remove(guid)),
+            Event::ParticipantLost { id, .. } => self.remote.retain(|guid, _| guid.prefix != *id),
+            _ => {}
+        }
+        self.has_graph_changed |= self.remote.len() != before;
         topic_writer::apply_event(self.writers.values_mut(), event, now)
     }
 
@@ -206,37 +236,40 @@ impl TopicRelay {
         has_changed
     }
 
-    /// Reads which topics other participants publish and subscribe to, and tells the bridge of a change.
-    fn update_graph(&mut self) {
-        let own = self.participant.guid().prefix;
-        let mut graph = RosGraph::default();
-        self.remote_writers.clear();
-        for writer in self.participant.discovered_writers() {
-            let data = &writer.publication_topic_data;
-            let Some((name, message_type)) = self.ros_names(&data.topic_name, &data.type_name) else {
-                continue;
-            };
-            if data.key.prefix == own || is_beyond_limit(&graph, &name) {
-                continue;
-            }
-            let qos = ReaderQos {
-                is_reliable: matches!(data.reliability, Some(Reliability::Reliable { .. })),
-                is_latched: !matches!(data.durability, None | Some(Durability::Volatile)),
-            };
-            let topic = graph.topics.entry(name.clone()).or_default();
-            topic.is_latched = (topic.published.is_empty() || topic.is_latched) && qos.is_latched;
-            add_type(&mut topic.published, &message_type);
-            let remote = RemoteWriter { guid: data.key, message_type, qos };
-            self.remote_writers.entry(name).or_default().push(remote);
+    /// Adds a reader or writer of another participant on a topic in the namespace.
+    fn add_remote(&mut self, endpoint: &EndpointDescription, is_writer: bool) {
+        let Some((topic, message_type)) = self.ros_names(&endpoint.topic_name, &endpoint.type_name) else {
+            return;
+        };
+        let is_own = endpoint.guid.prefix == self.participant.guid().prefix;
+        if is_own || self.remote.len() >= REMOTE_MAX {
+            return;
         }
-        for reader in self.participant.discovered_readers() {
-            let data = &reader.subscription_topic_data;
-            let Some((name, message_type)) = self.ros_names(data.topic_name(), data.type_name()) else {
+        let offer = is_writer.then(|| ReaderQos {
+            is_reliable: matches!(endpoint.qos.reliability(), Some(Reliability::Reliable { .. })),
+            is_latched: !matches!(endpoint.qos.durability(), None | Some(Durability::Volatile)),
+        });
+        self.remote.insert(endpoint.guid, RemoteEndpoint { topic, message_type, offer });
+    }
+
+    /// Tells the bridge which topics other participants publish and subscribe to, if that has changed.
+    fn update_graph(&mut self) {
+        let mut graph = RosGraph::default();
+        for RemoteEndpoint { topic, message_type, offer } in self.remote.values() {
+            if graph.topics.len() >= GRAPH_TOPICS_MAX && !graph.topics.contains_key(topic) {
                 continue;
-            };
-            if reader.reader_proxy.remote_reader_guid.prefix != own && !is_beyond_limit(&graph, &name) {
-                add_type(&mut graph.topics.entry(name).or_default().subscribed, &message_type);
             }
+            let known = graph.topics.entry(topic.clone()).or_default();
+            match offer {
+                Some(offer) => {
+                    known.is_latched = (known.published.is_empty() || known.is_latched) && offer.is_latched;
+                    add_type(&mut known.published, message_type);
+                }
+                None => add_type(&mut known.subscribed, message_type),
+            }
+        }
+        for newest in self.names.values() {
+            newest.borrow_mut().retain(|guid, _| self.remote.contains_key(guid));
         }
         if graph != self.graph {
             self.link.send_event(RosEvent::Graph(graph.clone()));
@@ -290,36 +323,52 @@ impl ReaderQos {
     }
 }
 
-fn is_beyond_limit(graph: &RosGraph, name: &str) -> bool {
-    graph.topics.len() >= GRAPH_TOPICS_MAX && !graph.topics.contains_key(name)
-}
-
 fn add_type(types: &mut Vec<String>, message_type: &str) {
     if let Err(at) = types.binary_search_by(|known| known.as_str().cmp(message_type)) {
         types.insert(at, message_type.to_owned());
     }
 }
 
-/// Passes the messages of one reader to the bridge, but for those that the bridge itself has written.
-async fn receive(
-    reader: Rc<RawReader>,
+/// What the task of one reader needs.
+struct Reception {
     topic: Arc<str>,
     own: GUID,
     of_other_type: Rc<RefCell<BTreeSet<GUID>>>,
+    newest: Newest,
     link: Arc<RosLink>,
     received: Rc<Cell<u64>>,
-) {
-    let mut samples = std::pin::pin!(reader.as_async_stream());
-    while let Some(sample) = samples.next().await {
-        let Ok(sample) = sample else {
-            link.send_event(RosEvent::OtherEncoding { topic: topic.clone() });
-            continue;
-        };
-        let writer = sample.writer_guid();
-        if writer.prefix == own.prefix || of_other_type.borrow().contains(&writer) {
-            continue;
+}
+
+impl Reception {
+    /// Passes the messages of one reader to the bridge, but for those that the bridge itself has written.
+    async fn receive(self, reader: Rc<RawReader>) {
+        let mut samples = std::pin::pin!(reader.as_async_stream());
+        while let Some(sample) = samples.next().await {
+            let topic = self.topic.clone();
+            let Ok(sample) = sample else {
+                self.link.send_event(RosEvent::OtherEncoding { topic });
+                continue;
+            };
+            let writer = sample.writer_guid();
+            let is_foreign = writer.prefix != self.own.prefix;
+            if is_foreign && !self.of_other_type.borrow().contains(&writer) && self.is_new(&sample) {
+                self.received.set(self.received.get() + 1);
+                self.link.send_event(RosEvent::Message { topic, payload: sample.into_value().0 });
+            }
         }
-        received.set(received.get() + 1);
-        link.send_event(RosEvent::Message { topic: topic.clone(), payload: sample.into_value().0 });
+    }
+
+    /// Returns whether a message is newer than its writer's last one, and records it.
+    fn is_new(&self, sample: &DeserializedCacheChange<Raw>) -> bool {
+        let number = SequenceNumber::from(MessageInfo::from(sample).sequence_number());
+        let newest = &mut *self.newest.borrow_mut();
+        let last = newest.insert(sample.writer_guid(), number);
+        match last.filter(|last| *last >= number) {
+            Some(last) => {
+                newest.insert(sample.writer_guid(), last);
+                false
+            }
+            None => true,
+        }
     }
 }

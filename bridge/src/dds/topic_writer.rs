@@ -62,7 +62,10 @@ pub fn apply_event<'a>(
     let mut replaced = false;
     for writer in writers {
         let result = match event {
-            RemoteReaderMatched { local_writer, remote_reader } if writer.guid() == *local_writer => {
+            // The endpoint's own reader of a name that is command and state takes nothing.
+            RemoteReaderMatched { local_writer, remote_reader }
+                if writer.guid() == *local_writer && remote_reader.prefix != local_writer.prefix =>
+            {
                 writer.add_reader(*remote_reader, now)
             }
             ReaderLost { guid, .. } => writer.remove_readers(|reader| reader == guid),

@@ -61,7 +61,8 @@ impl TopicWriters {
         row: &OutgoingTopic,
         robots: &RobotNames,
     ) -> Result<Vec<usize>, EndpointError> {
-        let Some(delivery) = row.dds else { return Ok(Vec::new()) };
+        // The bridge's states have no channel: their writers are opened when the first comes.
+        let Some(delivery) = row.dds.filter(|_| !row.channel.is_empty()) else { return Ok(Vec::new()) };
         let qos = match delivery {
             Delivery::Latched => latched_qos(),
             stream => stream_qos(stream.depth(robots.count())),
@@ -113,14 +114,28 @@ impl TopicWriters {
     }
 
     /// Publishes a state that the bridge has encoded; returns whether the topic is one of the fleet's states.
-    pub fn publish_state(&mut self, name: &str, payload: Bytes, now: Monotonic) -> bool {
+    ///
+    /// The first state opens its writer.
+    pub fn publish_state(
+        &mut self,
+        factory: &EntityFactory,
+        name: &str,
+        payload: Bytes,
+        now: Monotonic,
+    ) -> Result<bool, EndpointError> {
         let states = [FleetTopic::SelectedRobot, FleetTopic::EmergencyStop];
-        let Some(topic) = states.into_iter().find(|topic| topic.row().name == name) else { return false };
+        let Some(topic) = states.into_iter().find(|topic| topic.row().name == name) else { return Ok(false) };
+        if self.by_topic[topic as usize].is_empty() {
+            let name = format!("{}{name}", factory.namespace());
+            let writer = factory.topic_writer(&name, topic.row().message_type, latched_qos())?;
+            self.by_topic[topic as usize].push(self.writers.len());
+            self.writers.push(writer);
+        }
         for index in self.by_topic[topic as usize].clone() {
             let outcome = self.writers[index].write_bytes(now, payload.clone());
             self.count(outcome);
         }
-        true
+        Ok(true)
     }
 
     /// Returns the robot whose velocities a reader of another participant begins to receive by this event.

@@ -58,7 +58,7 @@ pub trait TopicSink {
 /// How the transforms between a robot's own links are published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkTransforms {
-    /// All of them on `/tf`: ros_tcp clients know no `/tf_static`.
+    /// All of them on `/tf`, because Unity's connector listens to that alone; the fixed ones on `/tf_static` too.
     OnTf,
     /// The moving ones on `/tf`, the fixed ones once on `/tf_static`.
     Split,
@@ -99,7 +99,7 @@ pub struct FleetPublisher {
     /// The transforms map -> odom if they are repeated; otherwise they are sent with each of SLAM's answers.
     repeated: Option<RepeatedTransforms>,
     link_transforms: LinkTransforms,
-    /// Each robot's transforms, once seen; filled only if they are [`LinkTransforms::Split`].
+    /// Each robot's transforms, once seen; empty if they are [`LinkTransforms::ByRobots`].
     static_transforms: Vec<Option<Transforms>>,
     map_transforms: Option<MapTransforms>,
     map_transforms_due: Option<Monotonic>,
@@ -248,22 +248,25 @@ impl FleetPublisher {
             LinkTransforms::OnTf => {
                 let encode = |to: &mut Writer<'_>| write::transforms(to, names, robot, transforms);
                 sink.send(FleetTopic::Transforms, None, encode);
+                self.publish_fixed_links(robot, transforms, sink);
             }
             LinkTransforms::Split => {
                 sink.send(FleetTopic::Transforms, None, |to| {
                     write::some_transforms(to, names, &[(robot, transforms)], |link| !link.is_fixed());
                 });
-                if self.static_transforms[robot.index()].is_none() {
-                    self.static_transforms[robot.index()] = Some(*transforms);
-                    self.publish_static_transforms(sink);
-                }
+                self.publish_fixed_links(robot, transforms, sink);
             }
             LinkTransforms::ByRobots => {}
         }
     }
 
-    /// Publishes the fixed transforms of all robots seen so far: the newest message is the only one kept.
-    fn publish_static_transforms(&self, sink: &mut impl TopicSink) {
+    /// Publishes the fixed transforms of all robots seen so far, when a robot is seen first: the newest message is the
+    /// only one kept.
+    fn publish_fixed_links(&mut self, robot: RobotId, transforms: &Transforms, sink: &mut impl TopicSink) {
+        if self.static_transforms[robot.index()].is_some() {
+            return;
+        }
+        self.static_transforms[robot.index()] = Some(*transforms);
         let all = self.robots.robots().zip(&self.static_transforms);
         let seen: Vec<_> = all.filter_map(|(robot, seen)| Some((robot, seen.as_ref()?))).collect();
         sink.send(FleetTopic::StaticTransforms, None, |to| {

@@ -157,6 +157,7 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 16] = [
         ..row(FleetTopic::Transforms, "/tf", TfMessage::TYPE, "robotN/transforms")
     },
     OutgoingTopic {
+        tcp: LATCHED,
         dds: LATCHED,
         robots_publish_it: true,
         ..row(FleetTopic::StaticTransforms, "/tf_static", TfMessage::TYPE, "robotN/transforms")

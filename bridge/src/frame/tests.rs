@@ -99,8 +99,31 @@ fn a_large_frame_is_parsed_and_its_memory_released() {
     let mut parser = Parser::new(payload.len());
     let frames = parse(&mut parser, &bytes, &[]).unwrap();
     assert_eq!(frames[0].1, payload);
-    parser.space();
-    assert!(parser.capacity() <= KEPT_BYTES);
+    parser.release();
+    assert_eq!(parser.capacity(), IDLE_BYTES);
+}
+
+#[test]
+fn a_skipped_frame_is_not_held_and_the_next_one_is_parsed() {
+    let mut bytes = Vec::new();
+    Side::Client.write(&mut bytes, "/large", &vec![7; 1_000_000]);
+    let first = bytes.len();
+    Side::Client.write(&mut bytes, "/next", b"whole");
+    for step in [1000, 64 << 10] {
+        let (mut parser, mut names) = (Parser::new(1 << 20), Vec::new());
+        for part in bytes.chunks(step) {
+            parser.push(part);
+            if let Some(incomplete) = parser.incomplete().filter(|frame| frame.name == b"/large") {
+                assert_eq!((incomplete.payload_bytes, incomplete.arrived_bytes), (1_000_000, step));
+                parser.skip_frame();
+            }
+            while let Some(frame) = parser.next_frame().unwrap() {
+                names.push(frame.name.to_vec());
+            }
+            assert!(parser.next_size() <= IDLE_BYTES && parser.capacity() == IDLE_BYTES);
+        }
+        assert_eq!(names, [b"/next".to_vec()], "after {first} bytes in steps of {step}");
+    }
 }
 
 #[test]

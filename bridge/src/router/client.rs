@@ -1,6 +1,7 @@
 //! One connected client, with its subscriptions, its publications and the frames that wait for it.
 
 use super::buffers::{BufferPool, SharedFrame};
+use super::link::LinkRate;
 use super::outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 use super::topics::TopicId;
 use msg::Monotonic;
@@ -31,6 +32,8 @@ pub struct ConnectionEnded;
 pub trait ClientSocket {
     /// Writes as many bytes as the socket accepts now; [`io::ErrorKind::WouldBlock`] if it accepts none.
     fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize>;
+    /// Returns the monotonic time.
+    fn now(&self) -> Monotonic;
     /// Wakes the task that serves this client: frames wait for the socket, or the connection must end.
     fn wake(&self);
 }
@@ -77,7 +80,30 @@ pub struct Publication {
     pub latch: bool,
 }
 
+/// A frame over [`crate::frame::IDLE_BYTES`] that is being received.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LargeFrame {
+    /// Bytes that had arrived at the time `at`.
+    pub arrived_bytes: usize,
+    /// When the frame last made progress.
+    pub at: Monotonic,
+}
+
+/// What a client has sent, and when.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct InputState {
+    /// When the client connected.
+    pub connected_at: Monotonic,
+    /// When the client last sent a whole frame, or made progress with a large one.
+    pub last_at: Monotonic,
+    /// The large frame that is being received.
+    pub large_frame: Option<LargeFrame>,
+    /// Size of the input buffer, bytes, if it has grown for a large frame.
+    pub buffer_bytes: usize,
+}
+
 /// One connected client.
+// More than 12 fields: what is sent, what is received, and the state of the connection.
 pub struct Client {
     /// Identifies the connection.
     pub id: ClientId,
@@ -91,6 +117,12 @@ pub struct Client {
     pub expected: Option<ExpectedFrame>,
     /// Frames that wait for the client.
     pub outgoing: OutgoingQueue,
+    /// The measured rate of the connection.
+    pub link: LinkRate,
+    /// Subscriptions to live topics, which bulk frames must not delay.
+    pub live_subscriptions: usize,
+    /// What the client has sent.
+    pub input: InputState,
     /// `None` for a client in this process, which takes its frames itself.
     socket: Option<Box<dyn ClientSocket>>,
     /// Frames wait that no flush has tried to write yet.
@@ -119,6 +151,9 @@ impl Client {
             publications: Vec::new(),
             expected: None,
             outgoing,
+            link: LinkRate::default(),
+            live_subscriptions: 0,
+            input: InputState::default(),
             socket,
             needs_flush: false,
             is_blocked: false,
@@ -128,32 +163,72 @@ impl Client {
         }
     }
 
+    /// Returns whether the client has registered to publish a topic.
+    pub fn publishes(&self, topic: TopicId) -> bool {
+        self.publications.iter().any(|publication| publication.topic == topic)
+    }
+
     /// Puts a frame into the client's queue.
     pub fn push(&mut self, kind: FrameKind, frame: SharedFrame, pool: &mut BufferPool) {
         if self.outgoing.is_full(kind, &frame) {
             // The queue may be full only because this turn's frames have not been written yet.
             self.flush(pool);
         }
+        self.update_time();
         if self.outgoing.push(kind, frame, pool).is_err() {
             self.fail();
         }
     }
 
+    /// Tells the queue the time, and how long a map may be that is written now.
+    fn update_time(&mut self) {
+        let Some(socket) = &self.socket else { return };
+        let now = socket.now();
+        let is_free = self.live_subscriptions == 0;
+        let bulk_bytes_max = if is_free { usize::MAX } else { self.link.bulk_bytes_max(now) };
+        // Behind a held map urgent frames must go first, too.
+        let is_slow = self.is_blocked || bulk_bytes_max != usize::MAX;
+        self.outgoing.set_link(now, bulk_bytes_max, is_slow);
+    }
+
     /// Writes waiting frames to the socket, unless the client's task already waits for the socket.
     pub fn flush(&mut self, pool: &mut BufferPool) {
-        let Some(socket) = self.socket.as_ref().filter(|_| !self.is_blocked) else { return };
-        match self.outgoing.flush(|slices| socket.try_write(slices), pool) {
-            Ok(FlushOutcome::Complete) => {}
-            Ok(FlushOutcome::Blocked | FlushOutcome::TurnEnded) => {
-                self.is_blocked = true;
-                socket.wake();
+        if self.is_blocked || self.socket.is_none() {
+            return;
+        }
+        self.update_time();
+        self.outgoing.drop_expired(pool);
+        let Some(socket) = &self.socket else { return };
+        let mut written = 0;
+        let result = self.outgoing.flush(
+            |slices| {
+                let count = socket.try_write(slices)?;
+                written += count;
+                Ok(count)
+            },
+            pool,
+        );
+        match result {
+            Ok(outcome) => {
+                self.is_blocked = outcome != FlushOutcome::Complete;
+                self.link.record(written, self.is_blocked, socket.now());
+                if self.is_blocked {
+                    socket.wake();
+                }
             }
             Err(_) => self.fail(),
         }
     }
 
-    fn fail(&mut self) {
+    /// Ends the connection, and drops what waits.
+    pub fn fail(&mut self) {
         self.has_failed = true;
+        self.outgoing.clear();
+        self.wake();
+    }
+
+    /// Wakes the task that serves the client.
+    pub fn wake(&self) {
         self.socket.iter().for_each(|socket| socket.wake());
     }
 

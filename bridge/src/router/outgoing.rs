@@ -1,6 +1,10 @@
 //! The queue of frames for one client: bounded, drops the oldest first, keeps only the newest map.
 
+mod pressure;
+
 use super::buffers::{BufferPool, SharedFrame};
+use super::link::Urgency;
+use msg::Monotonic;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 
@@ -36,17 +40,39 @@ pub enum FrameKind {
         depth: usize,
         /// Whether the frame counts against the byte limit. The fleet's own maps do not: all clients share them.
         counted: bool,
+        /// When the frame is written, if several wait.
+        urgency: Urgency,
+        /// Whether the frame is worthless once it is older than [`LIVE_AGE_MAX`].
+        expires: bool,
     },
 }
 
+impl FrameKind {
+    fn urgency(self) -> Urgency {
+        match self {
+            Self::Reply | Self::Notice => Urgency::Live,
+            Self::Topic { urgency, .. } => urgency,
+        }
+    }
+}
+
 /// Returns the memory that a frame uses: buffers are larger than their frames, but untouched pages cost nothing.
-fn memory_bytes(frame: &SharedFrame) -> usize {
+pub(super) fn memory_bytes(frame: &SharedFrame) -> usize {
     frame.len().next_multiple_of(PAGE_BYTES).min(frame.capacity())
 }
 
 struct WaitingFrame {
     kind: FrameKind,
     frame: SharedFrame,
+    /// When the frame was queued.
+    at: Monotonic,
+}
+
+impl WaitingFrame {
+    /// Returns whether the frame must wait because it would delay live frames.
+    fn is_held(&self, bulk_bytes_max: usize) -> bool {
+        self.kind.urgency() == Urgency::Bulk && self.frame.len() > bulk_bytes_max
+    }
 }
 
 /// How far a flush got.
@@ -68,6 +94,7 @@ pub struct Overflow;
 pub struct OutgoingQueue {
     /// The frame that is being written, and how many of its bytes are. Once begun it must be written whole.
     writing: Option<(SharedFrame, usize)>,
+    /// In the order in which they are written: by age; while the connection is slow, by urgency and then by age.
     frames: VecDeque<WaitingFrame>,
     /// The number of messages in `frames`, by topic.
     depths: Vec<u32>,
@@ -78,6 +105,12 @@ pub struct OutgoingQueue {
     counted_frames: usize,
     topic_bytes_max: usize,
     dropped: u64,
+    /// The longest bulk frame that is written now, bytes.
+    bulk_bytes_max: usize,
+    /// Whether urgent frames go before others: the connection takes less than is published.
+    is_slow: bool,
+    /// The time of the call.
+    now: Monotonic,
 }
 
 impl OutgoingQueue {
@@ -93,17 +126,15 @@ impl OutgoingQueue {
             counted_frames: 0,
             topic_bytes_max,
             dropped: 0,
+            bulk_bytes_max: usize::MAX,
+            is_slow: false,
+            now: Monotonic(0),
         }
     }
 
     /// Creates a queue that holds one buffer of whole frames.
     pub fn with_frames(frames: SharedFrame) -> Self {
         Self { writing: Some((frames, 0)), ..Self::new(0) }
-    }
-
-    /// Returns whether no frame waits.
-    pub fn is_empty(&self) -> bool {
-        self.writing.is_none() && self.frames.is_empty()
     }
 
     /// Returns how many messages were dropped or replaced by newer ones.
@@ -123,7 +154,7 @@ impl OutgoingQueue {
         match kind {
             FrameKind::Reply => self.reply_bytes > 0 && self.reply_bytes + bytes > REPLY_BYTES_MAX,
             FrameKind::Notice => self.notices >= NOTICES_MAX,
-            FrameKind::Topic { id, depth, counted } => {
+            FrameKind::Topic { id, depth, counted, .. } => {
                 let waiting = self.depths.get(id).copied().unwrap_or(0) as usize;
                 waiting >= depth || (counted && self.topic_bytes + bytes > self.topic_bytes_max)
             }
@@ -157,7 +188,11 @@ impl OutgoingQueue {
             _ => {}
         }
         self.add_to_totals(kind, memory_bytes(&frame));
-        self.frames.push_back(WaitingFrame { kind, frame });
+        let mut place = self.frames.len();
+        while self.is_slow && place > 0 && self.frames[place - 1].kind.urgency() > kind.urgency() {
+            place -= 1;
+        }
+        self.frames.insert(place, WaitingFrame { kind, frame, at: self.now });
         self.trim(pool);
         Ok(())
     }
@@ -165,8 +200,16 @@ impl OutgoingQueue {
     /// Drops the oldest messages until the byte limit holds. One message longer than the limit may wait alone.
     fn trim(&mut self, pool: &mut BufferPool) {
         while self.topic_bytes > self.topic_bytes_max && self.counted_frames > 1 {
-            self.drop_oldest(|kind| matches!(kind, FrameKind::Topic { counted: true, .. }), pool);
+            let is_counted = |kind| matches!(kind, FrameKind::Topic { counted: true, .. });
+            let last = self.frames.iter().rev().find(|waiting| is_counted(waiting.kind));
+            let Some(urgency) = last.map(|waiting| waiting.kind.urgency()) else { return };
+            self.drop_oldest(|kind| is_counted(kind) && kind.urgency() == urgency, pool);
         }
+    }
+
+    /// Returns whether a frame can be written now.
+    fn has_writable(&self) -> bool {
+        self.writing.is_some() || self.frames.iter().any(|waiting| !waiting.is_held(self.bulk_bytes_max))
     }
 
     fn waiting_of(&mut self, topic: usize) -> usize {
@@ -213,7 +256,7 @@ impl OutgoingQueue {
             return;
         };
         let new_bytes = memory_bytes(&frame);
-        let old = std::mem::replace(&mut self.frames[place], WaitingFrame { kind, frame });
+        let old = std::mem::replace(&mut self.frames[place], WaitingFrame { kind, frame, at: self.now });
         self.subtract_from_totals(old.kind, memory_bytes(&old.frame));
         self.add_to_totals(kind, new_bytes);
         pool.recycle(old.frame);
@@ -221,21 +264,23 @@ impl OutgoingQueue {
     }
 
     fn drop_oldest(&mut self, is_wanted: impl Fn(FrameKind) -> bool, pool: &mut BufferPool) {
-        let place = self.frames.iter().position(|waiting| is_wanted(waiting.kind));
-        if let Some(old) = place.and_then(|place| self.frames.remove(place)) {
+        if let Some(place) = self.frames.iter().position(|waiting| is_wanted(waiting.kind)) {
+            self.remove(place, pool);
+            self.dropped += 1;
+        }
+    }
+
+    fn remove(&mut self, place: usize, pool: &mut BufferPool) {
+        if let Some(old) = self.frames.remove(place) {
             self.subtract_from_totals(old.kind, memory_bytes(&old.frame));
             pool.recycle(old.frame);
-            self.dropped += 1;
         }
     }
 
     /// Removes the waiting messages of a topic that the client no longer subscribes to.
     pub fn remove_topic(&mut self, topic: usize, pool: &mut BufferPool) {
         while let Some(place) = self.frames.iter().position(|waiting| is_of_topic(waiting.kind, topic)) {
-            if let Some(old) = self.frames.remove(place) {
-                self.subtract_from_totals(old.kind, memory_bytes(&old.frame));
-                pool.recycle(old.frame);
-            }
+            self.remove(place, pool);
         }
     }
 
@@ -246,7 +291,7 @@ impl OutgoingQueue {
         pool: &mut BufferPool,
     ) -> io::Result<FlushOutcome> {
         let mut written_in_turn = 0;
-        while !self.is_empty() {
+        while self.has_writable() {
             if written_in_turn >= BYTES_PER_TURN {
                 return Ok(FlushOutcome::TurnEnded);
             }
@@ -267,7 +312,8 @@ impl OutgoingQueue {
         let mut slices = [IoSlice::new(&[]); FRAMES_PER_WRITE];
         let (mut count, mut total) = (0, 0);
         let begun = self.writing.as_ref().map(|(frame, written)| &frame[*written..]);
-        for frame in begun.into_iter().chain(self.frames.iter().map(|waiting| waiting.frame.as_slice())) {
+        let writable = self.frames.iter().filter(|waiting| !waiting.is_held(self.bulk_bytes_max));
+        for frame in begun.into_iter().chain(writable.map(|waiting| waiting.frame.as_slice())) {
             if count == FRAMES_PER_WRITE || total >= BYTES_PER_TURN {
                 break;
             }
@@ -286,7 +332,9 @@ impl OutgoingQueue {
     fn advance(&mut self, mut written: usize, pool: &mut BufferPool) {
         while written > 0 {
             if self.writing.is_none() {
-                let Some(next) = self.frames.pop_front() else { return };
+                let limit = self.bulk_bytes_max;
+                let place = self.frames.iter().position(|waiting| !waiting.is_held(limit));
+                let Some(next) = place.and_then(|place| self.frames.remove(place)) else { return };
                 self.subtract_from_totals(next.kind, memory_bytes(&next.frame));
                 self.writing = Some((next.frame, 0));
             }

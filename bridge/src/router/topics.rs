@@ -2,6 +2,7 @@
 
 use super::buffers::SharedFrame;
 use super::client::ClientId;
+use super::link::Urgency;
 use crate::input::Input;
 use std::collections::BTreeMap;
 use thiserror::Error;
@@ -60,6 +61,8 @@ pub struct Topic {
     pub subscribers: Vec<Subscriber>,
     /// Slots of the clients that registered to publish.
     pub publishers: Vec<usize>,
+    /// When its frames are written to a slow connection.
+    pub urgency: Urgency,
     /// Length of the last frame, bytes: the size of the next frame's buffer.
     pub last_frame_bytes: usize,
 }
@@ -134,6 +137,7 @@ impl TopicTable {
             latched: None,
             subscribers: Vec::new(),
             publishers: Vec::new(),
+            urgency: Urgency::of(message_type),
             last_frame_bytes: 0,
         };
         let id = self.free.pop().unwrap_or_else(|| {
@@ -192,6 +196,11 @@ impl TopicTable {
         self.free.push(id);
         self.client_topics -= 1;
         topic.latched
+    }
+
+    /// Returns all latched messages.
+    pub fn latched(&self) -> impl Iterator<Item = &SharedFrame> {
+        self.topics.iter().flatten().filter_map(|topic| topic.latched.as_ref())
     }
 
     /// Returns all topics, sorted by name.

@@ -9,6 +9,7 @@
 //! their lower convex hull, the edge below their mean time, which is the line under all points with the least sum of
 //! distances (Zhang, Liu and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002).
 
+use super::suspects::{OutlierError, STEP_MESSAGES, Suspects};
 use msg::Stamp;
 use serde::{Deserialize, Serialize};
 
@@ -18,10 +19,12 @@ const SECONDS_MAX: usize = 60;
 const DRIFT_SPAN_S: f64 = 20.0;
 /// Two quartz clocks drift apart less than this, seconds per second; a steeper edge is a growing queue.
 const DRIFT_MAX: f64 = 200e-6;
-/// A delay this far below the bound means that the source's clock was set, seconds.
+/// Messages this far from the bound mean that the source's clock was set, if [`STEP_MESSAGES`] agree, seconds.
 const STEP_S: f64 = 1.0;
-/// As many whole seconds this far above the bound mean the same: the clock was set back.
+/// As many whole seconds far above the bound mean that the clock was set back: networks stall for shorter.
 const STEP_SECONDS: u32 = 3;
+/// A message this far below the bound is believed only if others agree, seconds: no network delivers so early.
+const OUTLIER_S: f64 = 0.05;
 /// The offset in use follows the estimate at most at this rate, seconds per second, so that stamps stay in order ...
 const SLEW_RATE: f64 = 0.01;
 /// ... unless it is farther off than this, seconds, or the clock is younger than [`SETTLE_S`].
@@ -74,6 +77,9 @@ pub struct ClockEstimate {
     pub messages: u64,
     /// How often the clock was found to be set anew.
     pub steps: u64,
+    /// Messages that were dropped because their stamp agrees with no other message's.
+    #[serde(default)]
+    pub outliers: u64,
 }
 
 /// The lower bound of the delays: a line over time. All in seconds since the first message.
@@ -149,9 +155,15 @@ pub struct SourceClock {
     since: f64,
     /// Whole seconds in a row that were far above the bound.
     far_seconds: u32,
+    suspects: Suspects,
+    /// Messages that arrived one after the other and support the bound, up to [`STEP_MESSAGES`].
+    support: usize,
     history: DelayHistory,
     messages: u64,
     steps: u64,
+    outliers: u64,
+    /// Seconds by which the clock was set, until [`SourceClock::take_step`].
+    step_s: Option<f64>,
 }
 
 impl SourceClock {
@@ -166,22 +178,37 @@ impl SourceClock {
             applied: 0.0,
             since: 0.0,
             far_seconds: 0,
+            suspects: Suspects::default(),
+            support: 0,
             history: DelayHistory { delays: Vec::with_capacity(DELAYS_MAX), next: 0 },
             messages: 0,
             steps: 0,
+            outliers: 0,
+            step_s: None,
         }
     }
 
     /// Measures a message that its source stamped `stamp` and that arrived at `received`; returns its stamp by the
     /// run's time.
-    pub fn convert(&mut self, stamp: Stamp, received: Stamp) -> Stamp {
+    ///
+    /// Fails if the stamp is far from what the source's other messages lead to expect. If several messages in a row
+    /// agree, the source's clock was set, and they are right.
+    pub fn convert(&mut self, stamp: Stamp, received: Stamp) -> Result<Stamp, OutlierError> {
         self.messages += 1;
         if self.setting == ClockOffset::Measured {
             let (first_stamp, first_received) = *self.origin.get_or_insert((stamp, received));
             let (at, sent) = (received - first_received, stamp - first_stamp);
-            self.add_delay(at, at - sent);
+            if let Err(outlier) = self.add_delay(at, at - sent) {
+                self.outliers += 1;
+                return Err(outlier);
+            }
         }
-        self.translate(stamp)
+        Ok(self.translate(stamp))
+    }
+
+    /// Returns by how many seconds the source's clock was found to be set since the last call.
+    pub fn take_step(&mut self) -> Option<f64> {
+        self.step_s.take()
     }
 
     /// Converts a stamp of the source into the run's time, by what is known now.
@@ -214,18 +241,36 @@ impl SourceClock {
             spread_p95_ms,
             messages: self.messages,
             steps: self.steps,
+            outliers: self.outliers,
         })
     }
 
     /// Adds a message that arrived `at` seconds after the first, with this much more delay than it.
-    fn add_delay(&mut self, at: f64, delay: f64) {
+    fn add_delay(&mut self, at: f64, delay: f64) -> Result<(), OutlierError> {
         if self.messages == 1 {
             self.open = OpenSecond { end: at + 1.0, at, smallest_delay: delay };
             self.bound.at = at;
-            return self.history.push(0.0);
+            self.support = 1;
+            self.history.push(0.0);
+            return Ok(());
         }
-        if delay < self.bound.height_at(at) - STEP_S || self.far_seconds >= STEP_SECONDS {
-            return self.restart(at, delay);
+        let ahead_s = self.bound.height_at(at) - delay;
+        let is_established = self.support >= STEP_MESSAGES;
+        let mut delay = delay;
+        if ahead_s > OUTLIER_S || (!is_established && ahead_s < -STEP_S) {
+            delay = self.suspects.add(at, delay).ok_or(OutlierError { ahead_s })?;
+        } else if ahead_s > -STEP_S {
+            // A clock that was set sends no message of its old time any more.
+            let last = self.suspects.delays[0];
+            if self.suspects.count > 0 && (last - self.bound.height_at(at)).abs() > STEP_S {
+                self.suspects.count = 0;
+            }
+            self.support = STEP_MESSAGES.min(self.support + usize::from(at > self.bound.at));
+        }
+        let change_s = self.bound.height_at(at) - delay;
+        if change_s > STEP_S || (!is_established && change_s < -STEP_S) || self.far_seconds >= STEP_SECONDS {
+            self.restart(at, delay, is_established);
+            return Ok(());
         }
         let slew = SLEW_RATE * (at - self.bound.at).clamp(0.0, 1.0);
         if at >= self.open.end {
@@ -243,10 +288,18 @@ impl SourceClock {
         } else {
             self.applied + error.clamp(-slew, slew)
         };
+        Ok(())
     }
 
     /// Starts the estimate anew, because the source's clock was set: earlier measurements are void.
-    fn restart(&mut self, at: f64, delay: f64) {
+    ///
+    /// Before several messages have agreed, it was not set: the first messages were wrong.
+    fn restart(&mut self, at: f64, delay: f64, was_set: bool) {
+        if was_set {
+            self.steps += 1;
+            self.step_s = Some(self.step_s.unwrap_or(0.0) + self.applied - delay);
+        }
+        self.support = STEP_MESSAGES;
         self.seconds.clear();
         self.history.clear();
         self.far_seconds = 0;
@@ -254,7 +307,6 @@ impl SourceClock {
         self.applied = delay;
         self.open = OpenSecond { end: at + 1.0, at, smallest_delay: delay };
         self.since = at;
-        self.steps += 1;
     }
 
     /// Adds the smallest delay of the second that is over, and fits the bound to all seconds.
@@ -262,6 +314,9 @@ impl SourceClock {
         let OpenSecond { at, smallest_delay, .. } = self.open;
         let is_far = smallest_delay > self.bound.height_at(at) + STEP_S;
         self.far_seconds = if is_far { self.far_seconds + 1 } else { 0 };
+        if is_far {
+            return;
+        }
         if self.seconds.len() == SECONDS_MAX {
             self.seconds.remove(0);
         }

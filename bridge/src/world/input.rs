@@ -41,6 +41,11 @@ impl WorldInput {
         self.world.receive(source, clock, message, (self.stamp_at)(now))
     }
 
+    /// Returns by how many seconds a source's clock was found to be set since the last call.
+    pub fn take_clock_step(&mut self, source: SourceId) -> Option<f64> {
+        self.clocks.get_mut(&source).and_then(SourceClock::take_step)
+    }
+
     /// Forgets a source that has left, so that another may take its robots at once.
     pub fn disconnect(&mut self, source: SourceId) {
         self.world.disconnect(source);

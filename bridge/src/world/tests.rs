@@ -1,5 +1,6 @@
 //! The estimate of a source's clock, and what an external world accepts and refuses.
 
+use super::suspects::STEP_MESSAGES;
 use super::*;
 use crate::cdr::Reader;
 use crate::ros::{self, LaserScan, Message, TfMessage, TransformStamped, encode};
@@ -30,6 +31,7 @@ fn measure(
         let there_s = at_s * (1.0 + drift_ppm * 1e-6) + offset_s;
         let stamp = clock.convert(Stamp::from_seconds(there_s), Stamp::from_seconds(at_s + delay_s(i)));
         if i >= settle {
+            let stamp = stamp.expect("no message of a clock that was not set is dropped");
             worst = worst.max((stamp - Stamp::from_seconds(at_s)).abs());
         }
     }
@@ -63,12 +65,15 @@ fn a_drifting_clock_is_followed_and_a_step_is_found() {
     for (offset_s, from) in [(5.0, 0), (60.0, 400), (-3.0, 800)] {
         for i in from..from + 400 {
             let at_s = 0.05 * i as f64;
-            clock.convert(Stamp::from_seconds(at_s + offset_s), Stamp::from_seconds(at_s + 0.002));
+            let _ = clock.convert(Stamp::from_seconds(at_s + offset_s), Stamp::from_seconds(at_s + 0.002));
         }
         let estimate = clock.estimate().unwrap();
         assert!((estimate.offset_s - offset_s).abs() < 3e-3, "{offset_s}: {estimate:?}");
     }
-    assert_eq!(clock.estimate().unwrap().steps, 2);
+    let estimate = clock.estimate().unwrap();
+    assert_eq!((estimate.steps, estimate.outliers), (2, 4), "ahead, the fifth message is believed");
+    assert!((clock.take_step().unwrap() - (-3.0 - 5.0)).abs() < 0.01);
+    assert_eq!(clock.take_step(), None);
 }
 
 #[test]
@@ -83,7 +88,7 @@ fn a_stalled_network_is_not_taken_for_a_clock_step() {
 #[test]
 fn a_fixed_offset_is_applied_unmeasured() {
     let mut clock = SourceClock::new(ClockOffset::Fixed(5.0));
-    assert_eq!(clock.convert(Stamp(7 * SECOND), Stamp(0)), Stamp(2 * SECOND));
+    assert_eq!(clock.convert(Stamp(7 * SECOND), Stamp(0)), Ok(Stamp(2 * SECOND)));
     assert_eq!(clock.estimate().unwrap().offset_s, 5.0);
     let read = |text: &str| serde_json::from_str::<ClockOffset>(text);
     assert_eq!(read("\"measured\"").unwrap(), ClockOffset::Measured);
@@ -101,12 +106,46 @@ proptest! {
     }
 
     #[test]
+    fn a_single_wrong_stamp_at_any_place_changes_nothing(
+        place in 0_usize..300,
+        size_s in prop_oneof![0.06..0.9_f64, 1.1..10.0, 10.0..1e9],
+        is_ahead in any::<bool>(),
+        copies in 1_usize..20,
+    ) {
+        let mut clock = SourceClock::new(ClockOffset::Measured);
+        let mut refused = 0;
+        for i in 0..400 {
+            let at_s = 1000.0 + 0.05 * i as f64;
+            let received = Stamp::from_seconds(at_s + 0.002);
+            if i == place {
+                // A message can have several transforms, all with the same stamp.
+                let wrong_s = at_s + 5.0 + if is_ahead { size_s } else { -size_s };
+                for _ in 0..copies {
+                    let _ = clock.convert(Stamp::from_seconds(wrong_s), received);
+                }
+                continue;
+            }
+            match clock.convert(Stamp::from_seconds(at_s + 5.0), received) {
+                Ok(stamp) if place > 0 || i > STEP_MESSAGES => {
+                    prop_assert!((stamp - received).abs() < 1e-3, "{}", stamp - received);
+                }
+                Ok(_) => {}
+                Err(_) => refused += 1,
+            }
+        }
+        prop_assert_eq!(clock.estimate().unwrap().steps, 0);
+        // If the first message is wrong, the next ones are not believed until they agree.
+        prop_assert!(refused == 0 || (place == 0 && refused < STEP_MESSAGES), "{refused}");
+        prop_assert_eq!(clock.take_step(), None);
+    }
+
+    #[test]
     fn any_stamps_give_a_finite_estimate(stamps in proptest::collection::vec((any::<i32>(), any::<u32>(), 0_i64..SECOND), 1..300)) {
         let mut clock = SourceClock::new(ClockOffset::Measured);
         let mut received = 0;
         for (sec, nanosec, step) in stamps {
             received += step;
-            clock.convert(Stamp(i64::from(sec) * SECOND + i64::from(nanosec)), Stamp(received));
+            let _ = clock.convert(Stamp(i64::from(sec) * SECOND + i64::from(nanosec)), Stamp(received));
         }
         let estimate = clock.estimate().unwrap();
         prop_assert!(estimate.offset_s.is_finite() && estimate.spread_p95_ms.is_finite());
@@ -121,6 +160,7 @@ proptest! {
         for (i, delay_s) in delays.iter().enumerate() {
             let at_s = 0.05 * i as f64;
             let stamp = clock.convert(Stamp::from_seconds(at_s + 5.0), Stamp::from_seconds(at_s + delay_s));
+            let stamp = stamp.unwrap();
             prop_assert!(stamp > before);
             before = stamp;
         }

@@ -5,8 +5,13 @@ use bridge::frame::{Parser, Side};
 use bridge::ros::{Message, decode, encode};
 use serde::Serialize;
 use std::net::SocketAddr;
+use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use tokio::time::timeout;
+
+/// A frame that has not come by then never comes: a test fails, and does not hang.
+const WAIT_MAX: Duration = Duration::from_secs(20);
 
 pub struct Client {
     pub stream: TcpStream,
@@ -33,7 +38,8 @@ impl Client {
     }
 
     pub async fn raw(&mut self, bytes: &[u8]) {
-        self.stream.write_all(bytes).await.unwrap();
+        let write = timeout(WAIT_MAX, self.stream.write_all(bytes)).await;
+        write.unwrap_or_else(|_| panic!("the server took nothing for {WAIT_MAX:?}")).unwrap();
     }
 
     pub async fn command(&mut self, name: &str, body: &impl Serialize) {
@@ -75,7 +81,8 @@ impl Client {
                 assert!(!frame.payload.ends_with(b"}\0"), "no NUL toward the client");
                 return Some((name, frame.payload.to_vec()));
             }
-            let count = self.stream.read(self.parser.space()).await.ok()?;
+            let read = timeout(WAIT_MAX, self.stream.read(self.parser.space())).await;
+            let count = read.unwrap_or_else(|_| panic!("no frame came in {WAIT_MAX:?}")).ok()?;
             if count == 0 {
                 return None;
             }
@@ -122,6 +129,6 @@ impl Client {
 
     /// Closes with a reset, as a crash does.
     pub fn abort(self) {
-        socket2::SockRef::from(&self.stream).set_linger(Some(std::time::Duration::ZERO)).unwrap();
+        socket2::SockRef::from(&self.stream).set_linger(Some(Duration::ZERO)).unwrap();
     }
 }

@@ -15,8 +15,12 @@ use msg::{Header, ROBOTS_MAX, RobotId, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::rc::Rc;
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::task::LocalSet;
+
+/// A test that takes longer waits for something that never happens.
+const TEST_MAX: Duration = Duration::from_secs(120);
 
 /// A bridge that serves on a port, and the velocities that it has sent: robot, m/s, rad/s. Repeated ones are left out,
 /// and so are zeros for a robot that stands.
@@ -54,7 +58,8 @@ pub(crate) fn serve_bridge(make: impl FnOnce(OnCommand) -> Bridge, test: impl As
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
         let stopped = async move { drop(stopped.await) };
         let server = tokio::task::spawn_local(serve(bridge.clone(), listener, process_clock, stopped));
-        test(&Served { bridge, address, commands }).await;
+        let served = Served { bridge, address, commands };
+        tokio::time::timeout(TEST_MAX, test(&served)).await.expect("the test takes too long");
         drop(stop);
         server.await.unwrap();
     });

@@ -23,7 +23,7 @@ fn a_frame_over_the_limit_gets_an_error_and_is_closed() {
         let mut client = Client::connect(served.address).await;
         client.raw(b"\x03\0\0\0/x\0\0\0\0\x20abcd").await;
         let text = client.error().await;
-        assert!(text.contains("'/x' announces 536870912 bytes, the limit is 67108864"), "{text}");
+        assert!(text.contains("'/x' announces 536870912 bytes, the limit is 33554432"), "{text}");
         assert_eq!(client.next().await, None);
         assert_eq!(served.bridge.counters().clients, 0);
     });
@@ -137,5 +137,85 @@ fn the_number_of_clients_topics_is_limited() {
         client.register(name::REMOVE_SUBSCRIBER, "/a", "").await;
         client.subscribe("/c", Text::TYPE).await;
         assert!(client.settle().await.0.is_empty());
+    });
+}
+
+#[test]
+fn a_large_frame_needs_a_registered_topic_and_is_skipped_without_one() {
+    with_bridge(Default::default(), async |served| {
+        let mut client = Client::connect(served.address).await;
+        client.publish("/cmd_vel", Twist::TYPE).await;
+        client.send_bytes("/unknown", &vec![0; 1 << 20]).await;
+        let text = client.error().await;
+        assert!(text.contains("1048576 bytes for '/unknown' is skipped") && text.contains("65536"), "{text}");
+        client.send_bytes("/cmd_vel", &vec![0; 2 << 20]).await;
+        let text = client.error().await;
+        assert!(text.contains("no message of this topic is over 1048576 bytes"), "{text}");
+        client.send_bytes("__subscribe", &vec![b'x'; 100_000]).await;
+        let text = client.error().await;
+        assert!(text.contains("a command of 100000 bytes"), "{text}");
+        // The stream is in step still, and the parts that were skipped are not held.
+        assert!(client.settle().await.0.is_empty());
+        assert!(served.bridge.held_bytes() <= 64 << 10, "{} bytes", served.bridge.held_bytes());
+    });
+}
+
+#[test]
+fn a_large_frame_that_stops_ends_its_connection_and_frees_its_memory() {
+    let mut config = BridgeConfig::default();
+    config.limits.frame_timeout_s = 2.0;
+    with_bridge(config, async |served| {
+        let mut witness = Client::connect(served.address).await;
+        let mut client = Client::connect(served.address).await;
+        client.publish("/log", Text::TYPE).await;
+        client.settle().await;
+        client.raw(&[b"\x05\0\0\0/log\0\0\0\x80\0", &vec![0; 3 << 20][..]].concat()).await;
+        while served.bridge.held_bytes() < 3 << 20 {
+            witness.settle().await;
+        }
+        // A keepalive cannot come in the middle of a frame: these bytes are part of it.
+        client.raw(&[0; 8]).await;
+        let text = client.error().await;
+        assert!(text.contains("stopped in its middle for 2 s"), "{text}");
+        assert_eq!(client.next().await, None);
+        assert_eq!(served.bridge.counters().clients, 1);
+        assert!(served.bridge.held_bytes() <= 64 << 10, "{} bytes", served.bridge.held_bytes());
+    });
+}
+
+#[test]
+fn one_client_cannot_take_all_topics_and_services() {
+    let mut config = BridgeConfig::default();
+    (config.limits.topics_per_client, config.limits.services_per_client) = (2, 1);
+    with_bridge(config, async |served| {
+        let mut client = Client::connect(served.address).await;
+        client.subscribe("/clock", Clock::TYPE).await;
+        for topic in ["/a", "/b", "/a"] {
+            client.subscribe(topic, Text::TYPE).await;
+            client.publish(topic, Text::TYPE).await;
+        }
+        client.publish("/cmd_vel", Twist::TYPE).await;
+        client.publish("/c", Text::TYPE).await;
+        let text = client.error().await;
+        assert!(text.contains("'/c' would be one topic too many for one client: the limit is 2"), "{text}");
+        client.register(name::UNITY_SERVICE, "/one", "std_srvs/Trigger").await;
+        client.register(name::ROS_SERVICE, "/one", "std_srvs/Trigger").await;
+        client.register(name::ROS_SERVICE, "/two", "std_srvs/Trigger").await;
+        assert!(client.error().await.contains("'/two' would be one service too many"));
+        assert!(client.settle().await.0.is_empty());
+        Client::connect(served.address).await.subscribe("/c", Text::TYPE).await;
+    });
+}
+
+#[test]
+fn a_dropped_client_is_told_why() {
+    with_bridge(Default::default(), async |served| {
+        let mut client = Client::connect(served.address).await;
+        let number = served.bridge.clients(process_clock())[0].number;
+        assert_eq!(served.bridge.drop_clients("10.1.2.3".parse().unwrap()), 0);
+        assert_eq!(served.bridge.drop_clients(number.to_string().parse().unwrap()), 1);
+        assert!(client.error().await.contains("the operator has closed"));
+        assert_eq!(client.next().await, None);
+        assert!("robot1".parse::<bridge::ClientSelector>().is_err());
     });
 }

@@ -66,6 +66,156 @@ impl SlamConfig {
         between("lifelong.views", l.views as f64, 1.0, 100.0, "1 to 100")?;
         between("lifelong.batch", l.batch as f64, 1.0, 1000.0, "1 to 1000")?;
         between("lifelong.nodes_max", l.nodes_max as f64, 100.0, 1e6, "100 to 1 000 000")?;
-        between("map.range_max_m", map.range_max_m.into(), 0.1, 200.0, "0.1 to 200 m")
+        between("map.range_max_m", map.range_max_m.into(), 0.1, 200.0, "0.1 to 200 m")?;
+        self.check_shares()?;
+        self.check_amounts()?;
+        self.check_counts()
+    }
+
+    /// Checks the shares, 0 to 1.
+    fn check_shares(&self) -> Result<(), ConfigError> {
+        let (links, closures, relocalize) = (&self.links, &self.closures, &self.relocalize);
+        let shares = [
+            ("tracking.overlap_min", f64::from(self.tracking.overlap_min)),
+            ("links.overlap_min", links.overlap_min.into()),
+            ("links.agreement_min", links.agreement_min.into()),
+            ("closures.response_min", closures.response_min.into()),
+            ("closures.rival_max", closures.rival_max.into()),
+            ("closures.agreement_min", closures.agreement_min.into()),
+            ("closures.overlap_min", closures.overlap_min.into()),
+            ("graph.new_share", self.graph.new_share),
+            ("relocalize.response_min", relocalize.response_min.into()),
+            ("relocalize.rival_share", relocalize.rival_share.into()),
+            ("relocalize.overlap_min", relocalize.overlap_min.into()),
+            ("relocalize.agreement_min", relocalize.agreement_min.into()),
+            ("lifelong.contradicted_share", self.lifelong.contradicted_share.into()),
+        ];
+        check_all(&shares, |value| (0.0..=1.0).contains(&value), "a share, 0 to 1")
+    }
+
+    /// Checks distances, angles and standard deviations that have no upper limit.
+    fn check_amounts(&self) -> Result<(), ConfigError> {
+        let (odometry, links, closures) = (&self.odometry, &self.links, &self.closures);
+        let (relocalize, lifelong) = (&self.relocalize, &self.lifelong);
+        let zero_or_more = [
+            ("odometry.extrapolation_max_s", odometry.extrapolation_max_s),
+            ("odometry.sigma_m_per_m", odometry.sigma_m_per_m),
+            ("odometry.sigma_rad_per_rad", odometry.sigma_rad_per_rad),
+            ("odometry.sigma_rad_per_m", odometry.sigma_rad_per_m),
+            ("links.drift_m_per_m", links.drift_m_per_m),
+            ("links.drift_rad_per_m", links.drift_rad_per_m),
+            ("closures.radius_m", closures.radius_m),
+            ("closures.travel_m", closures.travel_m),
+            ("map.clear_without_return_m", self.map.clear_without_return_m.into()),
+            ("map.redraw_m", self.map.redraw_m),
+            ("relocalize.apart_m", relocalize.apart_m),
+            ("relocalize.travel_m", relocalize.travel_m),
+        ];
+        let above_zero = [
+            ("odometry.speed_max_m_s", odometry.speed_max_m_s),
+            ("odometry.turn_max_rad_s", odometry.turn_max_rad_s),
+            ("tracking.degenerate_sigma_m", self.tracking.degenerate_sigma_m),
+            ("links.distance_max_m", links.distance_max_m),
+            ("links.sigma_max_m", links.sigma_max_m),
+            ("links.sigma_max_rad", links.sigma_max_rad),
+            ("links.cauchy_m", links.cauchy_m),
+            ("links.floor_m", links.floor_m),
+            ("links.floor_rad", links.floor_rad),
+            ("closures.window_max_rad", closures.window_max_rad),
+            ("closures.window_sigmas", closures.window_sigmas),
+            ("closures.chain_m", closures.chain_m),
+            ("closures.query_m", closures.query_m),
+            ("closures.agree_m", closures.agree_m),
+            ("closures.agree_rad", closures.agree_rad),
+            ("graph.step_min", self.graph.step_min),
+            ("graph.retract_sigmas", self.graph.retract_sigmas),
+            ("relocalize.agree_m", relocalize.agree_m),
+            ("relocalize.agree_rad", relocalize.agree_rad),
+            ("relocalize.give_up_m", relocalize.give_up_m),
+            ("lifelong.view_m", lifelong.view_m),
+            ("lifelong.view_rad", lifelong.view_rad),
+        ];
+        check_all(&zero_or_more, |value| value.is_finite() && value >= 0.0, "a number, 0 or more")?;
+        check_all(&above_zero, |value| value.is_finite() && value > 0.0, "a number above 0")
+    }
+
+    /// Checks counts that have no upper limit.
+    fn check_counts(&self) -> Result<(), ConfigError> {
+        let counts = [
+            ("tracking.lost_scans_max", f64::from(self.tracking.lost_scans_max)),
+            ("closures.query_points_max", self.closures.query_points_max as f64),
+            ("closures.witnesses", self.closures.witnesses as f64),
+            ("closures.evaluations_max", self.closures.evaluations_max as f64),
+            ("graph.iterations_max", self.graph.iterations_max as f64),
+            ("graph.revision_lag_nodes", f64::from(self.graph.revision_lag_nodes)),
+            ("relocalize.witnesses", self.relocalize.witnesses as f64),
+            ("relocalize.estimate_nodes_max", self.relocalize.estimate_nodes_max as f64),
+            ("lifelong.contradictions", f64::from(self.lifelong.contradictions)),
+        ];
+        check_all(&counts, |value| value >= 1.0, "1 or more")
+    }
+}
+
+/// Checks numbers of one kind; the first that is out of range is the error.
+fn check_all(
+    values: &[(&'static str, f64)],
+    is_sound: impl Fn(f64) -> bool,
+    expected: &'static str,
+) -> Result<(), ConfigError> {
+    match values.iter().find(|(_, value)| !is_sound(*value)) {
+        Some(&(field, found)) => Err(ConfigError { field, found, expected }),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    /// Counts whose range begins at 0.
+    const MAY_BE_ZERO: &[&str] = &[
+        "links.near",
+        "graph.trajectory_max",
+        "tracking.points_min",
+        "lifelong.newest",
+        "relocalize.estimate_nodes_max",
+    ];
+
+    /// The default configuration with one value replaced; `None` if its type does not hold the value.
+    fn with(section: &str, key: &str, value: Value) -> Option<SlamConfig> {
+        let mut config = serde_json::to_value(SlamConfig::default()).unwrap();
+        config[section][key] = value;
+        serde_json::from_value(config).ok()
+    }
+
+    /// Asserts that the value is refused with an error that names key, value and range.
+    fn assert_refused(field: &str, config: &SlamConfig, value: &str) {
+        let error = config.validate().expect_err(&format!("slam.{field} = {value} is accepted")).to_string();
+        assert!(error.starts_with(&format!("slam.{field} is {value}, expected ")), "{error}");
+    }
+
+    #[test]
+    fn every_number_out_of_its_range_is_refused_with_key_value_and_range() {
+        let default = serde_json::to_value(SlamConfig::default()).unwrap();
+        let mut numbers = 0;
+        for (section, keys) in default.as_object().unwrap() {
+            for (key, value) in keys.as_object().unwrap() {
+                let field = format!("{section}.{key}");
+                if value.is_f64() {
+                    assert_refused(&field, &with(section, key, json!(-1.0)).unwrap(), "-1");
+                    numbers += 1;
+                } else if value.is_u64() {
+                    if !MAY_BE_ZERO.contains(&field.as_str()) {
+                        assert_refused(&field, &with(section, key, json!(0)).unwrap(), "0");
+                    }
+                    numbers += 1;
+                } else if value.is_array() {
+                    assert_refused(&field, &with(section, key, json!([0.0, 11.0, 0.0])).unwrap(), "11");
+                }
+            }
+        }
+        assert!(numbers > 80, "{numbers} keys");
+        assert_eq!(SlamConfig::default().validate(), Ok(()));
     }
 }

@@ -20,7 +20,7 @@ impl Default for RelocalizeConfig {
             agree_rad: 0.08,
             near_node_m: 3.0,
             evaluations_max: 2_000_000,
-            hint_nodes: 10,
+            estimate_nodes_max: 10,
             give_up_m: 5.0,
         }
     }

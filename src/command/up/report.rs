@@ -62,9 +62,9 @@ pub struct Paper {
 /// Median and 95th percentile of a distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
-    /// 50th percentile of the values.
+    /// 50th percentile.
     pub p50: f64,
-    /// 95th percentile of the values.
+    /// 95th percentile.
     pub p95: f64,
 }
 

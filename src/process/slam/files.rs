@@ -138,7 +138,7 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
         let is_map = session_file::is_map(path);
         if is_map && mode != SlamMode::Localization {
             return Err(format!(
-                "{} is a map and no session: it can be localized in, but not gone on with (load FILE --localize)",
+                "{} is a map and no session: it can be localized in, but not continued (load FILE --localize)",
                 path.display()
             ));
         }

@@ -83,7 +83,7 @@ impl<P: Ports> Services<P> {
 
     fn apply(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         let ask = SlamRequestKind::from_code(request.kind)
-            .ok_or_else(|| format!("request code {} means nothing here", request.kind))?;
+            .ok_or_else(|| format!("request code {} is unknown", request.kind))?;
         match ask {
             SlamRequestKind::State => done(""),
             SlamRequestKind::Pause | SlamRequestKind::Resume => {
@@ -171,7 +171,7 @@ impl<P: Ports> Services<P> {
             return Err(why);
         }
         publish_changed_graph(state);
-        done(&format!("closure {} is taken back, and not accepted again", request.number))
+        done(&format!("closure {} is removed, and not accepted again", request.number))
     }
 
     fn clear_closures(&mut self, state: &mut WorkerState) -> RequestResult {
@@ -181,7 +181,7 @@ impl<P: Ports> Services<P> {
             return done("there was no closure in force");
         }
         publish_changed_graph(state);
-        done(&format!("{count} taken back, and not accepted again"))
+        done(&format!("{count} removed, and not accepted again"))
     }
 
     /// Continues a request that waited for the scan path's state.
@@ -329,7 +329,7 @@ fn publish_changed_graph(state: &mut WorkerState) {
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, String> {
-    SlamMode::from_code(request.mode).ok_or_else(|| format!("mode code {} means nothing here", request.mode))
+    SlamMode::from_code(request.mode).ok_or_else(|| format!("mode code {} is unknown", request.mode))
 }
 
 fn pose_of(request: &SlamRequest) -> Result<Pose2, String> {

@@ -9,7 +9,7 @@ fn bytes(of: u8, length: usize) -> SharedFrame {
 }
 
 fn topic(id: usize, depth: usize) -> FrameKind {
-    FrameKind::Topic { id, depth, counted: true }
+    FrameKind::Topic { id, depth, counted: true, urgency: Urgency::Ordinary, expires: false }
 }
 
 /// Writes everything, at most `room` bytes in a call.

@@ -1,6 +1,5 @@
 //! The table of the fleet's processes: it drives the supervisor, telemetry, lockstep and ARCHITECTURE.md.
 
-use crate::config::FleetConfig;
 use msg::{RobotId, Role};
 use std::fmt;
 use std::time::Duration;
@@ -94,15 +93,17 @@ pub static PROCESSES: [ProcessRow; 5] = [
 ];
 
 /// Every process of a fleet, in the order in which they are started: those of the fleet, then robot by robot.
+///
+/// `outside`: the robots are not simulated here.
 pub fn of_fleet(
-    config: &FleetConfig,
+    robots: usize,
+    outside: bool,
 ) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
-    let outside = config.world.is_outside();
     let runs = move |row: &&ProcessRow| !(row.simulated_world_only && outside);
     let of_robot = move |robot| {
         let rows = PROCESSES.iter().filter(|row| row.per_robot).filter(runs);
         rows.map(move |row| (row, Some(robot)))
     };
     let of_fleet = PROCESSES.iter().filter(|row| !row.per_robot).filter(runs).map(|row| (row, None));
-    of_fleet.chain(RobotId::first(config.fleet.robots).flat_map(of_robot))
+    of_fleet.chain(RobotId::first(robots).flat_map(of_robot))
 }

@@ -1,7 +1,6 @@
 //! Shared memory that a fleet's channels need, computed from the table of channels.
 
 use super::{CHANNELS, ChannelRow, End, Scope};
-use crate::config::FleetConfig;
 use crate::processes;
 use msg::tiles::PATCH_TILES_MAX;
 use msg::{MapTile, Message, PatchHeader};
@@ -20,10 +19,9 @@ pub struct SharedMemoryNeed {
     pub most: u64,
 }
 
-/// Computes what the channels of a fleet need.
-pub fn shared_memory_need(config: &FleetConfig) -> SharedMemoryNeed {
-    let robots = config.fleet.robots;
-    let processes = processes::of_fleet(config).count();
+/// Computes what the channels of a fleet need. `outside`: the robots are not simulated here.
+pub fn shared_memory_need(robots: usize, outside: bool) -> SharedMemoryNeed {
+    let processes = processes::of_fleet(robots, outside).count();
     let mut need = SharedMemoryNeed { least: 0, most: 0 };
     for row in CHANNELS {
         let channels = match row.scope {
@@ -58,9 +56,7 @@ mod tests {
     use super::*;
 
     fn need(robots: usize) -> SharedMemoryNeed {
-        let mut config = FleetConfig::default();
-        config.fleet.robots = robots;
-        shared_memory_need(&config)
+        shared_memory_need(robots, false)
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Traits of the ports of a process's loop: channels to read and write, and a clock.
 //!
 //! Live, [`crate::shared_memory::Participant`] gives both on iceoryx2 and CLOCK_MONOTONIC; in lockstep,
-//! `crate::lockstep::queues` gives them on queues in memory and virtual time. The loops in [`crate::process`] are
-//! written once over these traits.
+//! the program gives them on queues in memory and virtual time. Its process loops are written once over these traits.
 
 use crate::channel::{Channel, Undeclared};
 use msg::{Header, Message, Monotonic, PatchHeader, TileMap};

@@ -56,7 +56,7 @@ pub enum TrustError {
     Mode {
         /// Path of the folder or file.
         path: PathBuf,
-        /// Permission bits of the folder or file.
+        /// Its permissions.
         mode: u32,
         /// Change of the permissions that makes it acceptable.
         expected: &'static str,

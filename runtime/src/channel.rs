@@ -106,7 +106,7 @@ impl End {
     }
 
     /// Returns whether `opener` is at this end of a channel of `channel_robot`'s.
-    pub(crate) fn includes(self, opener: Opener, channel_robot: Option<RobotId>) -> bool {
+    pub fn includes(self, opener: Opener, channel_robot: Option<RobotId>) -> bool {
         let same_program = self.program() == opener.program;
         same_program
             && match self {
@@ -224,7 +224,7 @@ pub struct Channel<T> {
 /// A process opened a channel that the table does not grant it.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "the table of channels lets only {allowed} {verb} `{channel}`, not the {opener}; see src/channel/table.rs"
+    "the table of channels lets only {allowed} {verb} `{channel}`, not the {opener}; see runtime/src/channel/table.rs"
 )]
 pub struct Undeclared {
     channel: String,

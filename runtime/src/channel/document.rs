@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// The line of ARCHITECTURE.md after which the generated chapter begins.
-pub const BEGIN: &str = "<!-- generated from src/channel/table.rs and src/processes.rs: begin -->";
+pub const BEGIN: &str =
+    "<!-- generated from runtime/src/channel/table.rs and runtime/src/processes.rs: begin -->";
 /// The line of ARCHITECTURE.md before which it ends.
 pub const END: &str = "<!-- generated: end -->";
 

@@ -1,0 +1,181 @@
+//! Generated logs with known truth: buildings, robots and accidents drawn from seeds.
+//!
+//! `--logs generated --seeds 0..400`. The seeds from [`HELD_BACK`] on are for reporting: nothing is tuned on them. A seed is
+//! one building, one robot and one run; the same seed gives the same figures.
+
+mod building;
+mod robot;
+mod run;
+
+use run::{Case, METRE_SCALE_M, Outcome, run};
+use serde_json::{Value, json};
+use std::ops::Range;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The first seed on which nothing may be tuned.
+pub const HELD_BACK: u64 = 10_000;
+/// Number of the worst runs that are named and drawn.
+const WORST: usize = 10;
+
+/// Reads `FROM..TO`.
+pub fn parse_seeds(text: &str) -> Result<Range<u64>, String> {
+    let range = text.split_once("..").and_then(|(from, to)| Some(from.parse().ok()?..to.parse().ok()?));
+    range
+        .filter(|range| !range.is_empty())
+        .ok_or_else(|| format!("--seeds {text}: expected FROM..TO, as 0..400"))
+}
+
+/// Runs all seeds on as many threads as there are cores; draws the worst maps if there is a folder for them.
+pub fn run_all(seeds: Range<u64>, maps: Option<&Path>) -> Result<Vec<Outcome>, String> {
+    let next = AtomicU64::new(seeds.start);
+    let outcomes = Mutex::new(Vec::new());
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..cores {
+            scope.spawn(|| {
+                loop {
+                    let seed = next.fetch_add(1, Ordering::Relaxed);
+                    if seed >= seeds.end {
+                        return;
+                    }
+                    let outcome = run(&Case::draw(seed), None);
+                    let mut outcomes = outcomes.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+                    outcomes.push(outcome);
+                    eprint!("\r{} of {}", outcomes.len(), seeds.end - seeds.start);
+                }
+            });
+        }
+    });
+    eprintln!();
+    let outcomes = outcomes.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut outcomes = outcomes.into_iter().collect::<Result<Vec<_>, _>>()?;
+    outcomes.sort_by_key(|outcome| outcome.seed);
+    for outcome in worst(&outcomes) {
+        if let Some(folder) = maps {
+            run(&Case::draw(outcome.seed), Some(&folder.join(format!("generated-{}", outcome.seed))))?;
+        }
+    }
+    Ok(outcomes)
+}
+
+fn worst(outcomes: &[Outcome]) -> Vec<&Outcome> {
+    let mut worst: Vec<&Outcome> = outcomes.iter().filter(|outcome| outcome.is_wrong()).collect();
+    worst.sort_by(|a, b| b.max_error_tied_m.total_cmp(&a.max_error_tied_m));
+    worst.truncate(WORST);
+    worst
+}
+
+/// Prints the figures by group, and the worst runs.
+pub fn print(outcomes: &[Outcome]) {
+    if outcomes.is_empty() {
+        return;
+    }
+    println!(
+        "{:<28} {:>5} {:>7} {:>7} {:>8} {:>8} {:>10} {:>10} {:>9} {:>8} {:>6}",
+        "generated logs",
+        "runs",
+        "wrong",
+        "silent",
+        "mean m",
+        "tied %",
+        "closures",
+        "wrong",
+        "back",
+        "wrong",
+        "NEES"
+    );
+    let row = |name: &str, of: &dyn Fn(&Outcome) -> bool| {
+        let group: Vec<&Outcome> = outcomes.iter().filter(|outcome| of(outcome)).collect();
+        if !group.is_empty() {
+            println!("{}", Summary::new(&group).line(name));
+        }
+    };
+    row("all", &|_| true);
+    row("with odometry", &|outcome| outcome.odometry != "None");
+    row("without odometry", &|outcome| outcome.odometry == "None");
+    row("tuned on", &|outcome| outcome.seed < HELD_BACK);
+    row("held back", &|outcome| outcome.seed >= HELD_BACK);
+    for kind in building::Kind::ALL {
+        row(kind.name(), &|outcome| outcome.building == kind.name());
+    }
+    for sensor in robot::SENSORS {
+        row(sensor.name, &|outcome| outcome.sensor == sensor.name);
+    }
+    for odometry in robot::OdometryKind::ALL {
+        let name = format!("{odometry:?}");
+        row(&format!("odometry: {name}"), &|outcome| outcome.odometry == name);
+    }
+    for event in robot::Event::ALL {
+        let name = format!("{event:?}");
+        row(&format!("event: {name}"), &|outcome| outcome.event == name);
+    }
+    println!(
+        "wrong: a pose more than {METRE_SCALE_M} m off. silent: SLAM calls that pose part of its map. back: closures taken back."
+    );
+    for outcome in worst(outcomes) {
+        println!(
+            "seed {}: {}, {}, odometry {}, {}, {}: {:.2} m off, {:.2} m in the map",
+            outcome.seed,
+            outcome.building,
+            outcome.sensor,
+            outcome.odometry,
+            outcome.event,
+            if outcome.thinned_m > 0.0 {
+                format!("a scan each {:.1} m", outcome.thinned_m)
+            } else {
+                "10 Hz".into()
+            },
+            outcome.max_error_m,
+            outcome.max_error_tied_m,
+        );
+    }
+}
+
+/// Figures of a group of runs.
+struct Summary {
+    runs: usize,
+    wrong: usize,
+    silent: usize,
+    mean_m: f64,
+    tied_percent: f64,
+    closures: [usize; 2],
+    retracted: [usize; 2],
+    nees: Option<f64>,
+}
+
+impl Summary {
+    fn new(group: &[&Outcome]) -> Self {
+        let mean = |of: fn(&Outcome) -> f64| group.iter().map(|o| of(o)).sum::<f64>() / group.len() as f64;
+        let sum = |of: fn(&Outcome) -> [usize; 2]| {
+            group.iter().map(|o| of(o)).fold([0; 2], |sum, two| [sum[0] + two[0], sum[1] + two[1]])
+        };
+        let mut nees: Vec<f64> = group.iter().filter_map(|o| o.nees).collect();
+        nees.sort_by(f64::total_cmp);
+        Self {
+            runs: group.len(),
+            wrong: group.iter().filter(|o| o.is_wrong()).count(),
+            silent: group.iter().filter(|o| o.is_silent()).count(),
+            mean_m: mean(|o| o.mean_error_m),
+            tied_percent: 100.0 * mean(|o| o.tied_share),
+            closures: sum(|o| o.closures),
+            retracted: sum(|o| o.retracted),
+            nees: nees.get(nees.len() / 2).copied(),
+        }
+    }
+
+    fn line(&self, name: &str) -> String {
+        let ([right, wrong], [right_back, wrong_back]) = (self.closures, self.retracted);
+        let nees = self.nees.map_or("-".into(), |nees| format!("{nees:.2}"));
+        format!(
+            "{name:<28} {:>5} {:>7} {:>7} {:>8.3} {:>8.1} {right:>10} {wrong:>10} {right_back:>9} {wrong_back:>8} {nees:>6}",
+            self.runs, self.wrong, self.silent, self.mean_m, self.tied_percent
+        )
+    }
+}
+
+/// Returns all outcomes as JSON.
+pub fn json(outcomes: &[Outcome]) -> Value {
+    json!(outcomes)
+}

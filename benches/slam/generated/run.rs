@@ -1,0 +1,244 @@
+//! One generated log through SLAM, and what came of it against the truth.
+
+use super::building::{Building, Kind};
+use super::robot::{Event, OdometryKind, Robot, SENSORS, Sensor, Step, angles_rad, drive};
+use crate::varied::Noise;
+use formats::map_file::write_map;
+use mr_slam::config::recorded_log_slam;
+use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
+use nalgebra::{Matrix3, Vector3};
+use serde::Serialize;
+use slam::{BackEnd, EdgeKind, FrontEnd, Slam};
+use std::path::Path;
+
+/// An error that people call a wrong map, metres.
+pub const METRE_SCALE_M: f64 = 1.0;
+/// An edge further from the truth is wrong.
+const WRONG_M: f64 = 0.5;
+const WRONG_RAD: f64 = 0.15;
+/// Each so many scans the covariance is compared with the error.
+const NEES_EVERY: usize = 10;
+/// Smallest range of the sensors, metres.
+const RANGE_MIN_M: f32 = 0.05;
+
+/// What a seed stands for.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    /// The seed.
+    pub seed: u64,
+    /// The building's kind.
+    pub kind: Kind,
+    /// The robot.
+    pub robot: Robot,
+}
+
+impl Case {
+    /// Draws the case of a seed. Kind, sensor and odometry take turns, so that few seeds cover them; the rest is random.
+    pub fn draw(seed: u64) -> Self {
+        let mut noise = Noise::new(seed ^ 0x67E9_E7A7);
+        let pick = |count: usize, stride: u64| ((seed / stride) % count as u64) as usize;
+        let kind = Kind::ALL[pick(Kind::ALL.len(), 1)];
+        let sensor = SENSORS[(pick(SENSORS.len(), 8) + pick(SENSORS.len(), 1)) % SENSORS.len()];
+        let odometry =
+            OdometryKind::ALL[(pick(OdometryKind::ALL.len(), 48) + pick(OdometryKind::ALL.len(), 3)) % 6];
+        let event =
+            if noise.uniform() < 0.5 { Event::Nothing } else { Event::ALL[noise.below(Event::ALL.len())] };
+        let thinned_m = if noise.uniform() < 0.5 { noise.between(0.5, 1.0) } else { 0.0 };
+        let people = if noise.uniform() < 0.3 { 1 + noise.below(4) } else { 0 };
+        let dropout = if noise.uniform() < 0.3 { noise.between(0.0, 0.1) } else { 0.0 };
+        Self { seed, kind, robot: Robot { sensor, odometry, event, thinned_m, people, dropout } }
+    }
+}
+
+/// What came of a case.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Outcome {
+    /// The seed.
+    pub seed: u64,
+    /// Names of the case's parts.
+    pub building: String,
+    /// The sensor's name.
+    pub sensor: String,
+    /// The odometry's kind.
+    pub odometry: String,
+    /// What happened on the way.
+    pub event: String,
+    /// Distance between scans, metres; 0: ten a second.
+    pub thinned_m: f64,
+    /// Length of the way, metres.
+    pub way_m: f64,
+    /// Number of scans.
+    pub scans: usize,
+    /// Mean and largest distance of the poses from the truth, after the best rigid alignment, metres.
+    pub mean_error_m: f64,
+    /// The largest.
+    pub max_error_m: f64,
+    /// The largest of the poses that SLAM said are tied to the map, metres.
+    pub max_error_tied_m: f64,
+    /// Share of the scans whose node is tied to the map.
+    pub tied_share: f64,
+    /// Whether SLAM was lost at the end.
+    pub lost_at_end: bool,
+    /// Number of closures in force: right, wrong.
+    pub closures: [usize; 2],
+    /// Number of closures taken back: right, wrong.
+    pub retracted: [usize; 2],
+    /// Number of wrong links between scans in force.
+    pub wrong_links: usize,
+    /// NEES over its degrees of freedom: median over the scans that were tracked.
+    pub nees: Option<f64>,
+}
+
+impl Outcome {
+    /// Whether some pose is wrong by a metre.
+    pub fn is_wrong(&self) -> bool {
+        self.max_error_m > METRE_SCALE_M
+    }
+
+    /// Whether a wrong pose is called part of the map, and the robot is not lost at the end.
+    pub fn is_silent(&self) -> bool {
+        self.max_error_tied_m > METRE_SCALE_M && !self.lost_at_end
+    }
+}
+
+/// Runs a case; writes the map if a place for it is given.
+pub fn run(case: &Case, map: Option<&Path>) -> Result<Outcome, String> {
+    let mut noise = Noise::new(case.seed);
+    let mut building = Building::draw(case.kind, &mut noise);
+    let glass_share = if noise.uniform() < 0.2 { 0.1 } else { 0.0 };
+    building.walls.iter_mut().for_each(|wall| wall.is_glass = noise.uniform() < glass_share);
+    let steps = drive(&building, &case.robot, &mut noise);
+    let mut config = recorded_log_slam();
+    config.lidar.base_from_scan = [0.0; 3];
+    let (mut front, mut back) = Slam::new(config).split();
+    let mut outcome = Outcome {
+        seed: case.seed,
+        building: case.kind.name().into(),
+        sensor: case.robot.sensor.name.into(),
+        odometry: format!("{:?}", case.robot.odometry),
+        event: format!("{:?}", case.robot.event),
+        thinned_m: case.robot.thinned_m,
+        way_m: steps.windows(2).map(|pair| pair[0].truth.distance_m(pair[1].truth)).sum(),
+        scans: steps.len(),
+        ..Outcome::default()
+    };
+    outcome.feed(&mut front, &mut back, &steps, case.robot.sensor);
+    outcome.score(&front, &back, &steps);
+    if let Some(stem) = map {
+        write_map(stem, back.map()).map_err(|why| why.to_string())?;
+    }
+    Ok(outcome)
+}
+
+impl Outcome {
+    fn feed(&mut self, front: &mut FrontEnd, back: &mut BackEnd, steps: &[Step], sensor: Sensor) {
+        let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+        let [first, increment] = angles_rad(sensor);
+        (scan.angle_min_rad, scan.angle_increment_rad) = (first as f32, increment as f32);
+        (scan.range_min_m, scan.range_max_m) = (RANGE_MIN_M, sensor.range_m as f32);
+        let mut nees = Vec::new();
+        let Some(start) = steps.first().map(|step| step.truth) else { return };
+        for (index, step) in steps.iter().enumerate() {
+            let header =
+                Header { stamp: Stamp::from_seconds(step.stamp_s), seq: index as u64, ..Header::default() };
+            if let Some(odom_from_base) = step.odometry {
+                front.add_odometry(&Odometry { header, odom_from_base, ..Odometry::default() });
+                if front.take_unknown_motion() {
+                    back.start_relocalization(None);
+                }
+            }
+            scan.header = header;
+            scan.len = step.ranges_m.len() as u32;
+            scan.ranges_m[..step.ranges_m.len()].copy_from_slice(&step.ranges_m);
+            let result = front.process(&scan);
+            if let Some(node) = result.node {
+                front.add_revision(back.add_node(node));
+            }
+            let correction = result.correction;
+            self.lost_at_end = correction.state() == TrackingState::Lost;
+            if !self.lost_at_end && index % NEES_EVERY == NEES_EVERY - 1 {
+                nees.extend(nees_of(
+                    correction.map_from_base,
+                    start.between(step.truth),
+                    correction.covariance,
+                ));
+            }
+        }
+        back.finish();
+        nees.sort_by(f64::total_cmp);
+        self.nees = nees.get(nees.len() / 2).copied();
+    }
+
+    fn score(&mut self, front: &FrontEnd, back: &BackEnd, steps: &[Step]) {
+        let truth_at = |stamp: Stamp| {
+            let index = steps.partition_point(|step| step.stamp_s < stamp.0 as f64 * 1e-9 - 1e-3);
+            steps.get(index).map(|step| step.truth)
+        };
+        let tied = |number: u32| {
+            let node = back.node_from_front_end(number).map(|id| &back.nodes()[id as usize]);
+            node.is_some_and(|node| node.disconnected.is_none())
+        };
+        let samples = front.samples().iter().map(|sample| tied(sample.node));
+        let poses: Vec<(Pose2, Pose2, bool)> = slam::trajectory(front, back)
+            .zip(samples)
+            .filter_map(|((stamp, pose), tied)| Some((pose, truth_at(stamp)?, tied)))
+            .collect();
+        // The map is put where the poses that are tied to it fit best.
+        let tied_poses: Vec<_> = poses.iter().filter(|pose| pose.2).copied().collect();
+        let world_from_map = fit(if tied_poses.is_empty() { &poses } else { &tied_poses });
+        let errors = |poses: &[(Pose2, Pose2, bool)]| -> Vec<f64> {
+            poses.iter().map(|(pose, truth, _)| (world_from_map * *pose).distance_m(*truth)).collect()
+        };
+        let (all, of_tied) = (errors(&poses), errors(&tied_poses));
+        self.mean_error_m = all.iter().sum::<f64>() / all.len().max(1) as f64;
+        self.max_error_m = all.iter().copied().fold(0.0, f64::max);
+        self.max_error_tied_m = of_tied.iter().copied().fold(0.0, f64::max);
+        self.tied_share = tied_poses.len() as f64 / steps.len().max(1) as f64;
+        for edge in back.graph().edges() {
+            let at = |id: u32| truth_at(back.nodes()[id as usize].header.stamp);
+            let Some((a, b)) = at(edge.a).zip(at(edge.b)) else { continue };
+            let error = a.between(b).between(edge.a_from_b);
+            let wrong = usize::from(error.x_m.hypot(error.y_m) > WRONG_M || error.yaw_rad.abs() > WRONG_RAD);
+            match (edge.kind, edge.in_force) {
+                (EdgeKind::Closure, true) => self.closures[wrong] += 1,
+                (EdgeKind::Closure, false) => self.retracted[wrong] += 1,
+                (EdgeKind::Link, true) => self.wrong_links += wrong,
+                _ => {}
+            }
+        }
+    }
+}
+
+/// Returns the rigid transform that puts the poses nearest to the truth (Umeyama 1991, without scale).
+fn fit(poses: &[(Pose2, Pose2, bool)]) -> Pose2 {
+    let count = poses.len().max(1) as f64;
+    let mean = |of: fn(&(Pose2, Pose2, bool)) -> Pose2| {
+        let sum = poses.iter().map(of).fold([0.0; 2], |sum, at| [sum[0] + at.x_m, sum[1] + at.y_m]);
+        [sum[0] / count, sum[1] / count]
+    };
+    let (here, there) = (mean(|pose| pose.0), mean(|pose| pose.1));
+    let (mut dot, mut cross) = (0.0, 0.0);
+    for (pose, truth, _) in poses {
+        let (a, b) = ([pose.x_m - here[0], pose.y_m - here[1]], [truth.x_m - there[0], truth.y_m - there[1]]);
+        dot += a[0] * b[0] + a[1] * b[1];
+        cross += a[0] * b[1] - a[1] * b[0];
+    }
+    let yaw_rad = f64::atan2(cross, dot);
+    let (sin, cos) = yaw_rad.sin_cos();
+    Pose2::new(
+        there[0] - (cos * here[0] - sin * here[1]),
+        there[1] - (sin * here[0] + cos * here[1]),
+        yaw_rad,
+    )
+}
+
+/// Returns the normalised squared error over its three degrees of freedom (Bar-Shalom et al. 2001, section 5.4); `None`
+/// if the covariance cannot be inverted.
+fn nees_of(estimate: Pose2, truth: Pose2, covariance: [f64; 6]) -> Option<f64> {
+    let [xx, xy, xt, yy, yt, tt] = covariance;
+    let inverse = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt).try_inverse()?;
+    let yaw = msg::pose::wrap_angle(estimate.yaw_rad - truth.yaw_rad);
+    let error = Vector3::new(estimate.x_m - truth.x_m, estimate.y_m - truth.y_m, yaw);
+    let squared = (error.transpose() * inverse * error)[0];
+    squared.is_finite().then_some(squared / 3.0)
+}

@@ -1,0 +1,48 @@
+//! Why a message of an external world is refused.
+
+use super::{OutlierError, SOURCE_TIMEOUT_S, ScanError, TransformError};
+use crate::cdr::DecodeError;
+use thiserror::Error;
+
+/// Why a message, or a part of one, is refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum WorldError {
+    /// The payload is not the topic's message.
+    #[error(transparent)]
+    Payload(#[from] DecodeError),
+    /// The scan's numbers are not accepted.
+    #[error(transparent)]
+    Scan(#[from] ScanError),
+    /// The odometry's pose is not accepted.
+    #[error(transparent)]
+    Pose(#[from] TransformError),
+    /// A transform is not accepted.
+    #[error("{parent} -> {child}: {source}")]
+    Transform {
+        /// The parent frame in the message.
+        parent: String,
+        /// The child frame in the message.
+        child: String,
+        /// What is wrong with it.
+        source: TransformError,
+    },
+    /// The message's time agrees with no other message of its source.
+    #[error(transparent)]
+    Outlier(#[from] OutlierError),
+    /// Another source sends this robot's data, or the clock.
+    #[error("{what} has another source, which sent less than {SOURCE_TIMEOUT_S} s ago")]
+    OtherSource {
+        /// A robot, or the clock.
+        what: String,
+    },
+    /// The transform map -> odom belongs to SLAM (REP-105).
+    #[error(
+        "{parent} -> {child} is refused: SLAM owns map -> odom (REP-105); the rest of the message is taken"
+    )]
+    Correction {
+        /// The parent frame in the message.
+        parent: String,
+        /// The child frame in the message.
+        child: String,
+    },
+}

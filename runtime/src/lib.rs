@@ -1,0 +1,17 @@
+//! What a process of the fleet runs on: channels, ports, clock, storage, and settings of the machine.
+//!
+//! The tables of processes and of channels are data ([`processes`], [`channel`]). Live, ports are channels in shared memory
+//! ([`shared_memory`]), the clock is the system's, and storage is the disk.
+
+// The tables, and what carries the messages.
+pub mod channel;
+pub mod clock;
+pub mod ports;
+pub mod processes;
+pub mod shared_memory;
+pub mod storage;
+// Files, signals and settings of a process.
+pub mod keys;
+pub mod realtime;
+pub mod runtime_folder;
+pub mod stop;

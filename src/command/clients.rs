@@ -1,0 +1,49 @@
+//! Tool `mr-slam clients`, which lists the clients of a running fleet and closes connections.
+
+use super::output;
+use super::permissions::PermissionError;
+use super::run_args::RunArgs;
+use crate::control::{self, ClientView, Request};
+use bridge::ClientSelector;
+use serde::Serialize;
+use std::path::Path;
+use std::time::Duration;
+
+/// How long the command waits for the bridge at each step: a bridge that was killed is back by then.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Arguments of `clients`
+#[derive(Clone, Debug, clap::Args)]
+pub struct ClientsArgs {
+    /// Close connections: all of an IP address, the one of ADDRESS:PORT, or the one of a number of the list. The
+    /// client may connect again; `mr-slam deny` takes its permission to drive
+    #[arg(long, value_name = "WHICH")]
+    pub drop: Option<ClientSelector>,
+    /// Choice of the running fleet.
+    #[command(flatten)]
+    pub run: RunArgs,
+    /// Print the clients as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Clients as JSON.
+#[derive(Serialize)]
+struct Answer<'a> {
+    run: &'a Path,
+    clients: &'a [ClientView],
+}
+
+/// Lists the clients, after it has closed connections if asked to.
+pub fn run(args: &ClientsArgs) -> Result<(), PermissionError> {
+    let (run, request) = match args.drop {
+        Some(which) => (args.run.open_to_change()?, Request::Drop(which)),
+        None => (args.run.open()?, Request::State),
+    };
+    let state = control::ask(&run, request, PATIENCE).map_err(|why| PermissionError::Bridge {
+        run: run.dir.display().to_string(),
+        why: why.to_string(),
+    })?;
+    let answer = Answer { run: &run.dir, clients: &state.clients };
+    Ok(output::print_either(args.json, &answer, || state.client_table())?)
+}

@@ -1,0 +1,87 @@
+//! The figures and maps of a fleet in lockstep, as the launcher receives them.
+
+use super::queues::{MemoryPorts, Network, QueueMapReader, QueueReader};
+use crate::channel::{self, Opener, Program};
+use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
+use crate::run::Run;
+use msg::{Correction, DenseMap, FleetStats, GroundTruth, Pose2, RobotId, Role};
+use std::rc::Rc;
+
+/// The fleet's figures and maps, as the launcher and clients receive them.
+pub struct Observer {
+    stats: QueueReader<FleetStats>,
+    /// The newest figures.
+    pub newest: Box<FleetStats>,
+    /// Every map with its name.
+    pub maps: Vec<(String, QueueMapReader, DenseMap)>,
+    robots: Vec<LastSeen>,
+}
+
+/// Newest pose that was received from a robot.
+struct LastSeen {
+    truths: QueueReader<GroundTruth>,
+    corrections: QueueReader<Correction>,
+    world_from_base: Option<Pose2>,
+    map_from_odom: Option<Pose2>,
+    map_from_base: Option<Pose2>,
+}
+
+impl Observer {
+    /// Opens the channels that the launcher reads.
+    pub fn open(network: &Rc<Network>, run: &Run) -> Result<Self, ChannelError> {
+        let ports = MemoryPorts::attach(network, Opener::of_fleet(Program::Launcher));
+        let mut maps = Vec::new();
+        for robot in run.robots() {
+            maps.push((format!("{robot}_map"), ports.map_reader(&channel::map(robot))?, DenseMap::default()));
+        }
+        maps.push(("merged_map".into(), ports.map_reader(&channel::merged_map())?, DenseMap::default()));
+        let last_seen = |robot| {
+            Ok(LastSeen {
+                truths: ports.reader(&channel::truth(robot))?,
+                corrections: ports.reader(&channel::correction(robot))?,
+                world_from_base: None,
+                map_from_odom: None,
+                map_from_base: None,
+            })
+        };
+        Ok(Self {
+            stats: ports.reader(&channel::stats())?,
+            newest: Box::default(),
+            maps,
+            robots: run.robots().map(last_seen).collect::<Result<_, ChannelError>>()?,
+        })
+    }
+
+    /// Receives all that has come.
+    pub fn poll(&mut self) {
+        if let Some(stats) = self.stats.newest() {
+            *self.newest = *stats;
+        }
+        self.maps.iter_mut().for_each(|(_, reader, _)| {
+            reader.poll();
+        });
+        for robot in &mut self.robots {
+            if let Some(truth) = robot.truths.newest() {
+                robot.world_from_base = Some(truth.world_from_base);
+            }
+            if let Some(correction) = robot.corrections.newest() {
+                robot.map_from_odom = correction.map_from_odom().or(robot.map_from_odom);
+                robot.map_from_base = Some(correction.map_from_base);
+            }
+        }
+    }
+
+    /// Returns the pose that a restarted process of a robot is given.
+    pub fn last_seen(&mut self, role: Role, robot: RobotId) -> Option<Pose2> {
+        let seen = &mut self.robots[robot.index()];
+        match role {
+            Role::Sim => {
+                // Its odometry begins where the robot stands.
+                seen.map_from_odom = seen.map_from_base;
+                seen.world_from_base
+            }
+            Role::Slam => seen.map_from_odom,
+            _ => None,
+        }
+    }
+}

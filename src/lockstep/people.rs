@@ -1,0 +1,63 @@
+//! The people around a fleet in lockstep: the operator, other clients' drivers, and the person at the laptop.
+
+use super::drivers::Driver;
+use super::operator::Operator;
+use super::queues::Network;
+use super::tcp::Port;
+use crate::ports::Clock;
+use crate::run::Run;
+use msg::{Monotonic, RobotId};
+use std::rc::Rc;
+
+/// All that act from outside of the fleet's processes.
+pub struct People {
+    /// The scripted operator.
+    pub operator: Operator,
+    /// A second operator that contends for a robot.
+    pub contender: Driver,
+    /// A client without permission; only in a fleet with faults.
+    intruder: Option<Driver>,
+    network: Rc<Network>,
+    /// Requests to SLAM that are due later: `Resume` after `Pause`.
+    pub resume_at: Vec<(Monotonic, RobotId)>,
+    /// When the person at the laptop releases the emergency stop.
+    pub release_at: Option<Monotonic>,
+}
+
+impl People {
+    /// Creates the people of a fleet; in one with faults, there is a client without permission.
+    pub fn new(network: &Rc<Network>, port: &Rc<Port>, run: &Run, together: bool) -> Self {
+        let has_intruder = network.faults().is_shuffled();
+        Self {
+            operator: Operator::new(network, port, run, together),
+            contender: Driver::contender(network, port),
+            intruder: has_intruder.then(|| Driver::intruder(network, port, run.robots())),
+            network: network.clone(),
+            resume_at: Vec::new(),
+            release_at: None,
+        }
+    }
+
+    /// Returns when a client acts next.
+    pub fn due(&self) -> Monotonic {
+        let intruder = self.intruder.as_ref().map_or(Monotonic(u64::MAX), |intruder| intruder.due);
+        self.operator.due.min(self.contender.due).min(intruder)
+    }
+
+    /// Returns when a request of the person at the laptop is due next.
+    pub fn request_due(&self) -> Option<Monotonic> {
+        self.resume_at.iter().map(|(at, _)| *at).chain(self.release_at).min()
+    }
+
+    /// Runs one step of the first client that is due.
+    pub fn step(&mut self) {
+        let now = self.network.clock().now();
+        if self.operator.due <= now {
+            self.operator.step();
+        } else if self.contender.due <= now {
+            self.contender.step();
+        } else if let Some(intruder) = self.intruder.as_mut().filter(|intruder| intruder.due <= now) {
+            intruder.step();
+        }
+    }
+}
