@@ -101,18 +101,11 @@ impl Core {
     pub fn receive_dds(&mut self, message: &ReceivedMessage, now: Monotonic) {
         self.router.counted.received += 1;
         let payload = message.payload();
-        let is_accepted = match (message.input(), Reader::new(payload)) {
-            (_, Err(_)) => false,
-            (Input::Scan(robot), Ok(from)) => self.receive_dds_world(Incoming::Scan(robot, from), now),
-            (Input::Odometry(robot), Ok(from)) => {
-                self.receive_dds_world(Incoming::Odometry(robot, from), now)
-            }
-            (Input::RobotTransforms(robot), Ok(from)) => {
-                self.receive_dds_world(Incoming::RobotTransforms(robot, from), now)
-            }
-            (Input::Transforms, Ok(from)) => self.receive_dds_world(Incoming::Transforms(from), now),
-            (Input::Clock, Ok(from)) => self.receive_dds_world(Incoming::Clock(from), now),
-            (input, Ok(_)) => {
+        let input = message.input();
+        let is_accepted = match Reader::new(payload).map(|from| world_message(input, from)) {
+            Err(_) => false,
+            Ok(Some(message)) => self.receive_dds_world(message, now),
+            Ok(None) => {
                 let Some(topic) = self.router.topics.find(message.topic()) else { return };
                 let publication = Publication { topic, stamped: message.is_stamped(), latch: false };
                 self.apply_input(ClientId::DDS, input, publication, payload, now).is_ok()
@@ -186,14 +179,10 @@ impl Core {
                 self.apply_stick(id, stick, now)
             }
             Input::Transforms => self.receive_transforms(id, publication.topic, payload, now),
-            Input::Scan(robot) => self.receive_world(id, Incoming::Scan(robot, self.reader(payload)?), now),
-            Input::Odometry(robot) => {
-                self.receive_world(id, Incoming::Odometry(robot, self.reader(payload)?), now)
+            Input::Scan(_) | Input::Odometry(_) | Input::RobotTransforms(_) | Input::Clock => {
+                let message = world_message(input, self.reader(payload)?);
+                message.map_or(Ok(()), |message| self.receive_world(id, message, now))
             }
-            Input::RobotTransforms(robot) => {
-                self.receive_world(id, Incoming::RobotTransforms(robot, self.reader(payload)?), now)
-            }
-            Input::Clock => self.receive_world(id, Incoming::Clock(self.reader(payload)?), now),
             Input::InitialPose(robot) => {
                 let message = self.decode(payload)?;
                 Ok(self.request_initial_pose(robot, &message)?)
@@ -391,6 +380,18 @@ impl Core {
         }
         result
     }
+}
+
+/// Returns the message to the external world that an input is, if it is one.
+fn world_message(input: Input, from: Reader<'_>) -> Option<Incoming<'_>> {
+    Some(match input {
+        Input::Scan(robot) => Incoming::Scan(robot, from),
+        Input::Transforms => Incoming::Transforms(from),
+        Input::Odometry(robot) => Incoming::Odometry(robot, from),
+        Input::RobotTransforms(robot) => Incoming::RobotTransforms(robot, from),
+        Input::Clock => Incoming::Clock(from),
+        _ => return None,
+    })
 }
 
 /// Returns whether a transform is not between the fleet's frames.

@@ -94,7 +94,7 @@ impl Message for PoseWithCovarianceStamped {
     }
 }
 
-/// nav_msgs/Odometry.
+/// nav_msgs/Odometry: pose and velocity by the wheels, with covariances.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Odometry {
     /// Time of the pose.
