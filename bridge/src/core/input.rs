@@ -100,8 +100,7 @@ impl Core {
     /// Handles a message from DDS. Nobody can be told of a refusal there: it is counted.
     pub fn receive_dds(&mut self, message: &ReceivedMessage, now: Monotonic) {
         self.router.counted.received += 1;
-        let payload = message.payload();
-        let input = message.input();
+        let (input, payload) = (message.input(), message.payload());
         let is_accepted = match Reader::new(payload).map(|from| world_message(input, from)) {
             Err(_) => false,
             Ok(Some(message)) => self.receive_dds_world(message, now),
