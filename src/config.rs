@@ -83,7 +83,7 @@ impl Default for FleetConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum World {
-    /// Built-in simulators
+    /// The built-in simulators, one for each robot.
     #[default]
     Simulator,
     /// A headset's application, which publishes scans, transforms and the clock over TCP

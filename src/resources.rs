@@ -21,7 +21,7 @@ const DISK_LEAST: u64 = 1 << 20;
 /// Resource that a fleet would lack.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum Shortage {
-    /// Shared memory.
+    /// Shared memory does not suffice.
     #[error("{SHARED_MEMORY} has {} free; the fleet needs {} at least, {} when readers fall behind: mount -o remount,size={}M {SHARED_MEMORY}, or docker run --shm-size={}m", megabytes(*free), megabytes(need.least), megabytes(need.most), mebibytes(need.most), mebibytes(need.most))]
     SharedMemory {
         /// Bytes that are free.
@@ -29,7 +29,7 @@ pub enum Shortage {
         /// Bytes that are needed.
         need: SharedMemoryNeed,
     },
-    /// File descriptors.
+    /// File descriptors do not suffice.
     #[error(
         "a process may open {limit} files; the fleet's need {need}: ulimit -n {need}, or `nofile` in /etc/security/limits.conf"
     )]

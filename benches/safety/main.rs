@@ -35,7 +35,7 @@ const LINEAR_MAX_M_S: f64 = 0.22;
 
 /// How an operator, or the bridge, vanishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Way {
+enum Vanishing {
     TcpClose,
     TcpSilence,
     TcpFrozen,
@@ -45,7 +45,7 @@ enum Way {
     BridgeStopped,
 }
 
-impl Way {
+impl Vanishing {
     const ALL: [Self; 7] = [
         Self::TcpClose,
         Self::TcpSilence,
@@ -101,8 +101,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     for world in ["simulator", "headset", "ros"] {
         let mut fleet = None;
         let link = CutLink::open();
-        for way in Way::ALL {
-            if let (Way::CutLink, Err(why)) = (way, &link) {
+        for way in Vanishing::ALL {
+            if let (Vanishing::CutLink, Err(why)) = (way, &link) {
                 println!("{world:<10} {:<30} not checked: {why}", way.name());
                 rows.push(json!({ "world": world, "way": way.name(), "not_checked": why.to_string() }));
                 continue;
@@ -137,7 +137,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn measure(
     world: &str,
     fleet: &mut Option<Fleet>,
-    way: Way,
+    way: Vanishing,
     link: Option<&CutLink>,
     trials: usize,
 ) -> Result<Row, Box<dyn Error>> {
@@ -172,15 +172,15 @@ fn stopped_at(heard: &[Heard]) -> Option<msg::Monotonic> {
 /// Drives, vanishes, and waits as long as a zero may take; returns the time of the last command.
 fn vanish(
     fleet: &Fleet,
-    way: Way,
+    way: Vanishing,
     link: Option<&CutLink>,
     robot: &Robot,
     driven: Duration,
 ) -> Result<msg::Monotonic, Box<dyn Error>> {
     let tcp = fleet.address();
     let mut operator = match (way, link) {
-        (Way::DdsKilled, _) => Operator::start("dds", &fleet.domain.to_string(), None)?,
-        (Way::CutLink, Some(link)) => {
+        (Vanishing::DdsKilled, _) => Operator::start("dds", &fleet.domain.to_string(), None)?,
+        (Vanishing::CutLink, Some(link)) => {
             link.connect()?;
             Operator::start("tcp", &link.address(fleet), Some(link))?
         }
@@ -191,19 +191,19 @@ fn vanish(
     let bridge = fleet.bridge()?;
     let mut last = None;
     match way {
-        Way::TcpClose => operator.tell("close")?,
-        Way::TcpSilence => operator.tell("silence")?,
-        Way::TcpFrozen => operator.signal(Signal::STOP),
-        Way::DdsKilled => operator.signal(Signal::KILL),
-        Way::CutLink => {
+        Vanishing::TcpClose => operator.tell("close")?,
+        Vanishing::TcpSilence => operator.tell("silence")?,
+        Vanishing::TcpFrozen => operator.signal(Signal::STOP),
+        Vanishing::DdsKilled => operator.signal(Signal::KILL),
+        Vanishing::CutLink => {
             // What the operator sends from now on reaches nobody.
             link.ok_or("no link")?.cut()?;
             last = Some(mr_slam::clock::now());
         }
-        Way::BridgeKilled | Way::BridgeStopped => {
+        Vanishing::BridgeKilled | Vanishing::BridgeStopped => {
             // The operator's link ends with the bridge; it does not come back.
             last = Some(operator.last_command());
-            fleet::send(bridge, if way == Way::BridgeKilled { Signal::KILL } else { Signal::STOP });
+            fleet::send(bridge, if way == Vanishing::BridgeKilled { Signal::KILL } else { Signal::STOP });
             operator.signal(Signal::STOP);
         }
     }

@@ -72,7 +72,7 @@ pub enum RosEvent {
     Failure {
         /// The topic's name with leading slash.
         topic: Arc<str>,
-        /// The reason.
+        /// Why it failed, for the client.
         text: String,
     },
     /// The topics that ROS nodes publish and subscribe to, after a change.

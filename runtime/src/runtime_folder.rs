@@ -56,7 +56,7 @@ pub enum TrustError {
     Mode {
         /// Path of the folder or file.
         path: PathBuf,
-        /// Its permissions.
+        /// Its permissions, as bits of st_mode.
         mode: u32,
         /// Change of the permissions that makes it acceptable.
         expected: &'static str,

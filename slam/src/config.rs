@@ -84,6 +84,7 @@ pub struct OdometryConfig {
 }
 
 /// The front end: matching scans against the local map.
+// More than 12 fields: one field for each key of one table of the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrackingConfig {
@@ -129,6 +130,7 @@ pub struct TrackingConfig {
 }
 
 /// Scan-to-scan links in the pose graph, and the alignment behind them.
+// More than 12 fields: one field for each key of one table of the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkConfig {
@@ -181,6 +183,7 @@ pub struct LinkConfig {
 }
 
 /// Loop closures: where to search, and what a closure must pass.
+// More than 12 fields: one field for each key of one table of the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClosureConfig {
@@ -289,6 +292,7 @@ pub struct MapConfig {
 }
 
 /// The search for a robot in a whole map.
+// More than 12 fields: one field for each key of one table of the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RelocalizeConfig {

@@ -13,6 +13,7 @@ const TRUTHS_MAX: usize = 64;
 const TRUTH_GAP_MAX_S: f64 = 0.1;
 
 /// Messages of one robot, counted.
+// More than 12 fields: one for each stream or figure of a robot.
 #[derive(Default)]
 pub(crate) struct RobotTelemetry {
     /// Incarnation of the SLAM process that sent the newest correction.

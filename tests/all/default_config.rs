@@ -81,6 +81,8 @@ fn all_fields() -> Fields {
     let mut fields = Fields::new();
     for (name, folder) in [
         ("src", "src"),
+        // The program uses its modules under its own name.
+        ("src", "runtime/src"),
         ("sim", "sim/src"),
         ("slam", "slam/src"),
         ("merge", "merge/src"),

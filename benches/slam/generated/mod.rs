@@ -111,6 +111,10 @@ pub fn print(outcomes: &[Outcome]) {
         let name = format!("{event:?}");
         row(&format!("event: {name}"), &|outcome| outcome.event == name);
     }
+    print_worst(outcomes);
+}
+
+fn print_worst(outcomes: &[Outcome]) {
     println!(
         "wrong: a pose more than {METRE_SCALE_M} m off. silent: SLAM calls that pose part of its map. back: closures taken back."
     );

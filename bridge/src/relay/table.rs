@@ -30,7 +30,7 @@ pub struct TooManyTopics {
 /// A subscription to a topic without a known publisher.
 #[derive(Clone, Debug)]
 pub struct Unpublished {
-    /// The subscriber.
+    /// The client that has subscribed.
     pub client: ClientId,
     /// The topic's name.
     pub topic: String,

@@ -54,6 +54,42 @@ struct Outcome {
     held_back: usize,
 }
 
+/// What a fleet of three publishes.
+struct World {
+    scan: Box<Scan>,
+    cells: Vec<i8>,
+}
+
+impl Default for World {
+    fn default() -> Self {
+        Self { scan: Box::new(Scan { len: 180, ..Scan::zeroed() }), cells: vec![0; 150_000] }
+    }
+}
+
+impl World {
+    /// Publishes what is due in this millisecond.
+    fn publish(&self, bridge: &Bridge, ms: u64) {
+        for robot in RobotId::first(3) {
+            if ms % 50 == 0 {
+                let mut transforms = Transforms { len: 6, ..Default::default() };
+                transforms.header.stamp = Stamp(ms as i64 * 1_000_000);
+                for link in &mut transforms.links[..6] {
+                    (link.parent, link.child) = (Link::BaseFootprint as u32, Link::BaseLink as u32);
+                }
+                bridge.publish(FleetMessage::Transforms(robot, &transforms));
+            }
+            if ms % 100 == 0 {
+                bridge.publish(FleetMessage::Scan(robot, &self.scan));
+            }
+        }
+        if ms % 1000 == 0 {
+            let shape = GridHeader { width: 500, height: 300, resolution_m: 0.05, ..Default::default() };
+            bridge.publish(FleetMessage::MergedMap(GridView::new(&shape, &self.cells).unwrap()));
+        }
+        bridge.publish(FleetMessage::Clock(&msg::Clock::default()));
+    }
+}
+
 /// Runs three robots for some seconds: 20 Hz transforms, 10 Hz scans, a map of 150 kB each second.
 fn run(seconds: usize, topics: &[(&str, &str)]) -> Outcome {
     let bridge = Bridge::new(BridgeConfig::default(), 3, |_, _| {}).unwrap();
@@ -70,30 +106,12 @@ fn run(seconds: usize, topics: &[(&str, &str)]) -> Outcome {
     }
     let mut outcome = Outcome { oldest_s: vec![0.0; seconds], maps: vec![0; seconds], held_back: 0 };
     let mut parser = crate::frame::Parser::new(1 << 20);
-    let (mut arrived, cells) = (0, vec![0; 150_000]);
-    let scan = Box::new(Scan { len: 180, ..Scan::zeroed() });
+    let (mut arrived, world) = (0, World::default());
     for ms in 0..seconds as u64 * 1000 {
         let now_ns = ms * 1_000_000;
         link.now.set(now_ns);
         link.waiting.set((link.waiting.get() - RATE / 1e3).max(0.0));
-        for robot in RobotId::first(3) {
-            if ms % 50 == 0 {
-                let mut transforms = Transforms { len: 6, ..Default::default() };
-                transforms.header.stamp = Stamp(now_ns as i64);
-                for link in &mut transforms.links[..6] {
-                    (link.parent, link.child) = (Link::BaseFootprint as u32, Link::BaseLink as u32);
-                }
-                bridge.publish(FleetMessage::Transforms(robot, &transforms));
-            }
-            if ms % 100 == 0 {
-                bridge.publish(FleetMessage::Scan(robot, &scan));
-            }
-        }
-        if ms % 1000 == 0 {
-            let shape = GridHeader { width: 500, height: 300, resolution_m: 0.05, ..Default::default() };
-            bridge.publish(FleetMessage::MergedMap(GridView::new(&shape, &cells).unwrap()));
-        }
-        bridge.publish(FleetMessage::Clock(&msg::Clock::default()));
+        world.publish(&bridge, ms);
         if bridge.is_blocked(id).unwrap() {
             bridge.flush_client(id);
         } else {

@@ -140,6 +140,7 @@ impl DelayHistory {
 }
 
 /// The clock of one source: of a client, or of a machine on the network.
+// More than 12 fields: the estimate, and what is remembered until it is believed changed.
 #[derive(Debug)]
 pub struct SourceClock {
     setting: ClockOffset,

@@ -79,7 +79,9 @@ fn every_call_ends() {
     with_bridge(BridgeConfig { service_timeout_s: 0.1, ..Default::default() }, async |served| {
         let mut caller = Client::connect(served.address).await;
         pair(&mut caller, name::REQUEST, 1, "/save", b"\0\x01\0\0").await;
-        failed(&mut caller, 1, "'/save' is not registered").await;
+        // Its type is not known: an empty response might read as a success.
+        let text = caller.error().await;
+        assert!(text.contains("'/save' is not registered"), "{text}");
         caller.register(name::ROS_SERVICE, "/save", TRIGGER).await;
         pair(&mut caller, name::REQUEST, 2, "/save", b"\0\x01\0\0").await;
         failed(&mut caller, 2, "nobody offers").await;

@@ -42,7 +42,13 @@ impl StoppedFleet {
 /// Sets the emergency stop of the named fleet, or of all fleets.
 pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
     let dirs = match &args.run.run_dir {
-        Some(dir) => vec![dir.clone()],
+        Some(dir) => {
+            if !dir.join("run.json").exists() {
+                // The error names the file that is missing.
+                Run::open(dir)?;
+            }
+            vec![dir.clone()]
+        }
         None => Run::all_running(),
     };
     if dirs.is_empty() {

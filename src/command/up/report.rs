@@ -62,9 +62,9 @@ pub struct Paper {
 /// Median and 95th percentile of a distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
-    /// 50th percentile.
+    /// Median of the values.
     pub p50: f64,
-    /// 95th percentile.
+    /// 95th percentile of the values.
     pub p95: f64,
 }
 

@@ -35,7 +35,7 @@ pub enum Work {
     Append {
         /// Offset in the file, bytes.
         at: u64,
-        /// One record.
+        /// One record of the session log, encoded.
         bytes: Vec<u8>,
     },
     /// Write a map's pictures.
