@@ -11,7 +11,7 @@ pub use picture::{Picture, Rgb};
 
 use crate::atomic;
 use image::{Pixels, decode_image, read_image};
-use msg::grid::{self, CELLS_MAX, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, Occupancy, UNKNOWN, occupancy};
+use msg::grid::{self, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, GridView, Pose2};
 use serde::Deserialize;
 use std::fs::File;

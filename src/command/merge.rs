@@ -3,7 +3,7 @@
 use super::output;
 use formats::map_file::{MapFileError, read_map, write_map};
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
-use msg::{Grid, Pose2, ROBOTS_MAX, RobotId};
+use msg::{Grid, GridHeader, GridView, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -63,6 +63,7 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         return Err(MergeMapsError::TooMany(args.maps.len()));
     }
     let maps = args.maps.iter().map(|yaml| read_map(yaml)).collect::<Result<Vec<Grid>, _>>()?;
+    let frame_from_lattice = maps[0].header.origin;
     let mut merger = start(args, &maps)?;
     let places = place_all(args, &maps, &mut merger)?;
     for (yaml, place) in args.maps.iter().zip(&places).skip(1) {
@@ -74,16 +75,20 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
     if let Some(out) = &args.out {
         let stem =
             if out.extension().is_some_and(|e| e == "yaml") { out.with_extension("") } else { out.clone() };
-        write_map(&stem, merger.merged())?;
+        let merged = merger.merged();
+        let origin = frame_from_lattice * merged.header.origin;
+        let header = GridHeader { origin, ..*merged.header };
+        write_map(&stem, GridView { header: &header, cells: merged.cells })?;
     }
     Ok(())
 }
 
-/// Creates a merger with all maps, of which the first has a place.
+/// Creates a merger with all maps, of which the first has a place: its cells are those of the merged map, so that it is
+/// not resampled. The merger's frame is the first map's grid.
 fn start(args: &MergeArgs, maps: &[Grid]) -> Result<Merger, MergeMapsError> {
     let config = MergeConfig { resolution_m: maps[0].header.resolution_m, ..MergeConfig::default() };
     let mut starts = vec![None; maps.len()];
-    starts[0] = Some(Pose2::IDENTITY);
+    starts[0] = Some(maps[0].header.origin.inverse());
     let mut merger = Merger::new(&config, &starts);
     for ((robot, map), yaml) in RobotId::first(maps.len()).zip(maps).zip(&args.maps) {
         merger
@@ -108,11 +113,14 @@ fn place_all(
             }
             let began = Instant::now();
             let alignment = align(merger.merged(), map.view(), &AlignConfig::default());
+            let first_from_map = |found: &Alignment| maps[0].header.origin * found.a_from_b;
+            let in_lattice = alignment.as_ref().map(|found| found.a_from_b);
+            let alignment = alignment.map(|found| Alignment { a_from_b: first_from_map(&found), ..found });
             let place = Place { alignment, ms: began.elapsed().as_secs_f64() * 1e3 };
-            if let Some(found) = place.accepted() {
+            if place.accepted().is_some() {
                 let file = || args.maps[robot.index()].clone();
                 merger
-                    .set_map_transform(robot, Some(found.a_from_b))
+                    .set_map_transform(robot, in_lattice)
                     .map_err(|why| MergeMapsError::Refused { file: file(), why })?;
                 grown = true;
             }
@@ -170,7 +178,6 @@ fn as_text(name: &str, place: &Place) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use msg::{Grid, GridHeader};
 
     /// Map of one house between columns `from` and `to`, in a frame of its own.
     fn part(from: i64, to: i64, origin: Pose2) -> Grid {
@@ -219,6 +226,32 @@ mod tests {
         assert!((198..=204).contains(&whole.header.height), "{:?}", whole.header);
         let known = whole.cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count();
         assert!((58_000..62_000).contains(&known), "{known}");
+    }
+
+    #[test]
+    fn a_map_merged_with_itself_is_that_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        // Neither a whole number of cells nor a right angle from the frame's origin.
+        let origin = Pose2::new(-2.013, 1.021, 0.3);
+        write_map(&path("a"), part(0, 300, origin).view()).unwrap();
+        let map = read_map(&path("a.yaml")).unwrap();
+        let maps = vec![path("a.yaml"), path("a.yaml")];
+        let args = MergeArgs { maps, out: Some(path("whole.yaml")), json: true };
+        let grids = [map.clone(), map.clone()];
+        let mut merger = start(&args, &grids).unwrap();
+        let places = place_all(&args, &grids, &mut merger).unwrap();
+        let found = places[1].as_ref().and_then(Place::accepted).unwrap().a_from_b;
+        assert!(found.distance_m(Pose2::IDENTITY) < 1e-3 && found.yaw_rad.abs() < 1e-4, "{found:?}");
+        run(&args).unwrap();
+        let whole = read_map(&path("whole.yaml")).unwrap();
+        for (x, y) in [(0, 0), (110, 100), (299, 199), (20, 31), (170, 60)] {
+            let at = map.view().centre_m(x, y);
+            let (u, v) = whole.view().cell_of(at);
+            assert!((whole.view().cell(u, v) > 0) == (map.view().cell(x, y) > 0), "cell {x}, {y}");
+            let [p, q] = whole.view().centre_m(u, v);
+            assert!((p - at[0]).hypot(q - at[1]) < 1e-3, "cell {x}, {y} lies elsewhere");
+        }
     }
 
     #[test]

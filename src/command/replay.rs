@@ -5,6 +5,7 @@
 
 mod fleet;
 mod summary;
+mod trajectory;
 
 pub use fleet::Starts;
 pub use summary::{Percentiles, Summary};
@@ -19,11 +20,10 @@ use formats::map_file::{MapFileError, write_map};
 use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PoseEstimate, Revision, SlamConfig};
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
+use trajectory::write_trajectory;
 
 /// Largest log when unpacked, bytes.
 const LOG_MAX: u64 = 1 << 30;
@@ -184,10 +184,13 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
 }
 
 fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
-    let Replayed { front, mut back, mut summary, .. } = replayed;
+    let Replayed { front, mut back, mut summary, localized, .. } = replayed;
     if let Some(path) = &args.trajectory {
-        write_trajectory(path, slam::trajectory(&front, &back))
-            .map_err(|source| ReplayError::Write { path: path.clone(), source })?;
+        let written = match localized {
+            Some(poses) => write_trajectory(path, poses.into_iter().map(|(stamp, pose)| (stamp, pose, None))),
+            None => write_trajectory(path, back.trajectory_by_component(front.samples())),
+        };
+        written.map_err(|source| ReplayError::Write { path: path.clone(), source })?;
     }
     if let Some(path) = &args.save_session {
         let identity = Identity::new(0, 0, back.config());
@@ -214,6 +217,8 @@ fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
 struct Replayed {
     front: FrontEnd,
     back: BackEnd,
+    /// In localization, the pose in the map of each scan that got one: the map's graph does not have these scans.
+    localized: Option<Vec<(Stamp, Pose2)>>,
     summary: Summary,
     duration_s: f64,
 }
@@ -232,6 +237,8 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
     let mut summary = Summary { log: args.logs[0].display().to_string(), ..Default::default() };
     let started = first.stamp;
     let mut ended = started;
+    let mut localized = None;
+    let localizes = args.mode == Mode::Localization;
     std::thread::scope(|scope| {
         let back = &mut back;
         let back_end = scope.spawn(move || run_back_end(back, nodes, to_front));
@@ -241,14 +248,19 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
         while let Some(line) = next {
             ended = line.stamp;
             revisions.try_iter().for_each(|revision| front.add_revision(revision));
-            if let Some(node) = feeder.scan(front, &line) {
-                let _ = to_back.send(node);
+            if let Some(node) = feeder.scan(front, &line)
+                && to_back.send(node).is_ok()
+                && localizes
+            {
+                // The poses that the scans get depend on the answers' order: wait for each.
+                revisions.recv().into_iter().for_each(|revision| front.add_revision(revision));
             }
             let enough = args.scans.is_some_and(|scans| feeder.seq as usize >= scans);
             next = if enough { None } else { records.next_laser() };
         }
         drop(to_back);
         summary.not_located = feeder.not_located;
+        localized = localizes.then(|| core::mem::take(&mut feeder.located));
         summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
         summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
     });
@@ -256,7 +268,7 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
     summary.count(&front, &back);
     let Pose2 { x_m, y_m, yaw_rad } = back.latest_revision().map_from_local * front.local_from_base();
     summary.ends_at = [x_m, y_m, yaw_rad];
-    Ok(Replayed { front, back, summary, duration_s: ended - started })
+    Ok(Replayed { front, back, localized, summary, duration_s: ended - started })
 }
 
 /// Creates front end and back end, new or from a session.
@@ -328,14 +340,25 @@ struct Feeder {
     fov_rad: Option<f64>,
     times: Vec<Duration>,
     noted: Instant,
+    /// Scans that got no pose in the map.
     not_located: u64,
+    /// Stamps and poses in the map of the others.
+    located: Vec<(Stamp, Pose2)>,
 }
 
 impl Feeder {
     fn new(args: &ReplayArgs) -> Self {
         let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
         let fov_rad = args.fov_deg.map(f64::to_radians);
-        Self { scan, seq: 0, fov_rad, times: Vec::new(), noted: Instant::now(), not_located: 0 }
+        Self {
+            scan,
+            seq: 0,
+            fov_rad,
+            times: Vec::new(),
+            noted: Instant::now(),
+            not_located: 0,
+            located: Vec::new(),
+        }
     }
 
     fn scan(&mut self, front: &mut FrontEnd, line: &LaserLine) -> Option<Node> {
@@ -347,30 +370,19 @@ impl Feeder {
         let start = Instant::now();
         let step = front.process(&self.scan);
         self.times.push(start.elapsed());
-        self.not_located += u64::from(!front.is_located());
+        if step.rejected.is_none() {
+            if front.is_located() {
+                self.located.push((line.stamp, step.correction.map_from_base));
+            } else {
+                self.not_located += 1;
+            }
+        }
         if self.noted.elapsed() > PROGRESS {
             self.noted = Instant::now();
             output::note(&format!("{} scans, {} nodes", self.seq, step.correction.nodes));
         }
         step.node
     }
-}
-
-/// Writes one line a scan, `t x y z qx qy qz qw`: seconds, metres, unit quaternion.
-fn write_trajectory(path: &Path, poses: impl Iterator<Item = (Stamp, Pose2)>) -> std::io::Result<()> {
-    let mut file = BufWriter::new(File::create(path)?);
-    for (stamp, pose) in poses {
-        let microseconds = stamp.0.div_euclid(1000) + i64::from(stamp.0.rem_euclid(1000) >= 500);
-        let sign = if microseconds < 0 { "-" } else { "" };
-        let (seconds, fraction) = (microseconds.abs() / 1_000_000, microseconds.abs() % 1_000_000);
-        let (sin, cos) = (pose.yaw_rad / 2.0).sin_cos();
-        writeln!(
-            file,
-            "{sign}{seconds}.{fraction:06} {:.6} {:.6} 0 0 0 {sin:.9} {cos:.9}",
-            pose.x_m, pose.y_m
-        )?;
-    }
-    file.flush()
 }
 
 #[cfg(test)]

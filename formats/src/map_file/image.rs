@@ -1,6 +1,6 @@
 //! Reader of a map's image: PGM (binary and plain) and PNG. Sizes are checked before memory is allocated.
 
-use super::{CELLS_MAX, File, MapFileError, Path, Read};
+use super::{File, MAP_CELLS_MAX, MapFileError, Path, Read};
 use std::io::{BufRead, BufReader, Seek};
 
 /// Longest PGM header that is read, comments included, bytes.
@@ -36,11 +36,12 @@ pub(super) fn decode_image(path: &Path, mut file: impl BufRead + Seek) -> Result
 }
 
 fn check_size(path: &Path, width: u64, height: u64) -> Result<(u32, u32), MapFileError> {
-    let sound = width > 0 && height > 0 && width.checked_mul(height).is_some_and(|n| n <= CELLS_MAX as u64);
+    let sound =
+        width > 0 && height > 0 && width.checked_mul(height).is_some_and(|n| n <= MAP_CELLS_MAX as u64);
     if sound {
-        return Ok((width as u32, height as u32)); // both are at most CELLS_MAX
+        return Ok((width as u32, height as u32)); // both are at most MAP_CELLS_MAX
     }
-    let expected = format!("1 to {CELLS_MAX} cells in all");
+    let expected = format!("1 to {MAP_CELLS_MAX} cells in all");
     Err(MapFileError::content(path, format!("{width} x {height} cells"), expected))
 }
 
@@ -109,11 +110,11 @@ fn plain_pixels(text: &[u8], size: usize) -> Vec<u8> {
 
 fn read_png(path: &Path, file: impl BufRead + Seek) -> Result<Pixels, MapFileError> {
     let refuse = |error: png::DecodingError| MapFileError::content(path, error.to_string(), "a sound PNG");
-    let mut decoder = png::Decoder::new_with_limits(file, png::Limits { bytes: 8 * CELLS_MAX });
+    let mut decoder = png::Decoder::new_with_limits(file, png::Limits { bytes: 8 * MAP_CELLS_MAX });
     decoder.set_transformations(png::Transformations::normalize_to_color8());
     let mut reader = decoder.read_info().map_err(refuse)?;
     let (width, height) = check_size(path, reader.info().width.into(), reader.info().height.into())?;
-    let bytes = reader.output_buffer_size().filter(|bytes| *bytes <= 4 * CELLS_MAX).ok_or_else(|| {
+    let bytes = reader.output_buffer_size().filter(|bytes| *bytes <= 4 * MAP_CELLS_MAX).ok_or_else(|| {
         MapFileError::content(path, "too many bytes a pixel", "8 bits of grey, colour and transparency")
     })?;
     let mut raw = vec![0; bytes];

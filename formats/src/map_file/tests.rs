@@ -172,3 +172,17 @@ proptest! {
         let _ = read(YAML, &[b"P2 3 ", &image[..]].concat());
     }
 }
+
+#[test]
+fn a_merged_map_of_more_cells_than_a_robots_is_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (width, height) = (4200, 4100);
+    let header = GridHeader { resolution_m: 0.05, width, height, ..Default::default() };
+    let mut cells = vec![msg::grid::UNKNOWN; (width * height) as usize];
+    assert!(cells.len() > msg::grid::CELLS_MAX);
+    cells[17] = 60;
+    write_map(&folder.path().join("whole"), GridView { header: &header, cells: &cells }).unwrap();
+    let read = read_map(&folder.path().join("whole.yaml")).unwrap();
+    assert_eq!((read.header.width, read.header.height), (width, height));
+    assert!(read.cells[17] > 0 && read.cells[18] == msg::grid::UNKNOWN);
+}

@@ -91,6 +91,12 @@ impl BackEnd {
         self.update_components();
     }
 
+    /// Number of components that nothing connects with the map.
+    pub fn disconnected_components(&self) -> usize {
+        // A component is named by its first node.
+        self.nodes.iter().filter(|node| node.disconnected == Some(node.id)).count()
+    }
+
     /// Whether the newest node is part of the map.
     pub(super) fn newest_in_map(&self) -> bool {
         self.nodes.last().is_none_or(|node| node.disconnected.is_none())

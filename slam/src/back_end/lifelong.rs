@@ -138,6 +138,7 @@ impl BackEnd {
         for (id, node) in self.nodes.iter_mut().enumerate() {
             node.id = id as u32;
         }
+        self.numbers.earlier_nodes = (0..self.numbers.earlier_nodes).filter(|id| keep(*id)).count();
         let mut id = 0;
         self.numbers.front_ids.retain(|_| (keep(id), id += 1).0);
         let mut id = 0;

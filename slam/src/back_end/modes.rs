@@ -43,6 +43,7 @@ impl BackEnd {
         back.numbers.earlier = samples;
         back.lifelong.contradicted = vec![0; state.nodes.len()];
         back.unverified_edge = state.unverified_edge;
+        back.numbers.earlier_nodes = if start == InitialPose::Continue { 0 } else { state.nodes.len() };
         back.numbers.newest_front = state.front_ids.last().copied().unwrap_or(0);
         (back.nodes, back.numbers.front_ids) = (state.nodes, state.front_ids);
         back.update_components();
@@ -225,7 +226,7 @@ impl BackEnd {
         self.revision()
     }
 
-    /// The back end's id of a front end's node; the newest one if front ends used the id twice.
+    /// The back end's id of a node of the present front end; `None` if the map does not have it.
     pub fn node_from_front_end(&self, front_id: u32) -> Option<u32> {
         self.numbers.id_of(front_id)
     }
@@ -236,9 +237,20 @@ impl BackEnd {
         &'a self,
         samples: &'a [TrajectorySample],
     ) -> impl Iterator<Item = (Stamp, Pose2)> + 'a {
+        self.trajectory_by_component(samples).map(|(stamp, pose, _)| (stamp, pose))
+    }
+
+    /// The same, with the first node of the component of each scan while that is disconnected from the map: its pose
+    /// is then in a frame whose relation to the map's is unknown.
+    pub fn trajectory_by_component<'a>(
+        &'a self,
+        samples: &'a [TrajectorySample],
+    ) -> impl Iterator<Item = (Stamp, Pose2, Option<u32>)> + 'a {
         let poses = self.graph.poses();
-        let samples = self.numbers.samples(samples);
-        samples.map(|ride| (ride.stamp, poses[ride.node as usize] * ride.node_from_base))
+        self.numbers.samples(samples).map(|sample| {
+            let node = sample.node as usize;
+            (sample.stamp, poses[node] * sample.node_from_base, self.nodes[node].disconnected)
+        })
     }
 
     /// Whether a front end in this state can continue with this map: it made the map's newest node, and the map grows.

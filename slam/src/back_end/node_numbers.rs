@@ -7,6 +7,8 @@ use crate::front_end::TrajectorySample;
 pub(super) struct NodeNumbers {
     /// The front end's number of each node.
     pub front_ids: Vec<u32>,
+    /// Nodes that earlier front ends numbered: the present one's numbers begin after them.
+    pub earlier_nodes: usize,
     /// The front end's number of the newest node, kept or not.
     pub newest_front: u32,
     /// Scans of earlier front ends, by the back end's numbers.
@@ -14,16 +16,17 @@ pub(super) struct NodeNumbers {
 }
 
 impl NodeNumbers {
-    /// The back end's number of a node of the front end; the newest if that number came twice.
+    /// The back end's number of a node of the present front end; `None` if the map does not have it.
     pub fn id_of(&self, front_id: u32) -> Option<u32> {
-        let newest = self.front_ids.len().checked_sub(1)?;
-        // Numbers rise by one, but where nodes were dropped, or another front end began.
-        let guess = newest.checked_sub(self.front_ids[newest].checked_sub(front_id)? as usize)?;
-        let found = match self.front_ids[guess] == front_id {
+        let ids = &self.front_ids[self.earlier_nodes..];
+        let newest = ids.len().checked_sub(1)?;
+        // Numbers rise by one, but where nodes were dropped.
+        let guess = newest.saturating_sub(ids[newest].checked_sub(front_id)? as usize);
+        let found = match ids[guess] == front_id {
             true => guess,
-            false => self.front_ids.iter().rposition(|id| *id == front_id)?,
+            false => ids.iter().rposition(|id| *id == front_id)?,
         };
-        Some(found as u32)
+        Some((self.earlier_nodes + found) as u32)
     }
 
     /// Scans by the back end's node numbers: those of earlier front ends, then these.

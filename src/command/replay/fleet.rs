@@ -3,7 +3,7 @@
 //! Scans are used in the order of their stamps. Each robot has its own SLAM, and the fleet's pose graph gets each
 //! submap when it would get it live. One thread: the same logs give the same maps.
 
-use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, write_trajectory};
+use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, trajectory::write_trajectory};
 use crate::command::output;
 use crate::view::{EdgeView, edge_table};
 use formats::carmen::{LaserLine, Reader};
@@ -290,7 +290,8 @@ fn write_trajectories(
         let known = robot.front.samples().iter().filter(|ride| (ride.node as usize) < poses.len());
         let trajectory = known.map(|ride| {
             let in_robot_map = poses[ride.node as usize] * ride.node_from_base;
-            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map)
+            let disconnected = robot.back.nodes()[ride.node as usize].disconnected;
+            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map, disconnected)
         });
         write_trajectory(&path, trajectory).map_err(|source| ReplayError::Write { path, source })?;
     }

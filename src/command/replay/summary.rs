@@ -20,7 +20,7 @@ pub struct Summary {
     pub refused_other: u64,
     /// Number of scans that did not match the map.
     pub lost: u64,
-    /// Number of scans before the robot was located in the session's map.
+    /// Number of scans without a pose in the map: the robot was not located then.
     pub not_located: u64,
     /// Outcomes of the searches for the robot.
     pub relocalization: RelocalizationCounts,
@@ -32,6 +32,10 @@ pub struct Summary {
     pub skipped_lines: u64,
     /// Number of nodes in the pose graph.
     pub nodes: usize,
+    /// Number of nodes that nothing connects with the map: they are not in it.
+    pub disconnected_nodes: usize,
+    /// Number of components of such nodes.
+    pub disconnected_components: usize,
     /// Number of scan-to-scan edges.
     pub links: usize,
     /// Number of loop closures in the pose graph.
@@ -70,12 +74,18 @@ impl Summary {
         );
         if s.relocalization.searches > 0 {
             text += &format!(
-                "  located   after {} scans; {} searches, {} found, {} ambiguous, {} contradicted\n",
+                "  located   in all but {} scans; {} searches, {} found, {} ambiguous, {} contradicted\n",
                 s.not_located,
                 s.relocalization.searches,
                 s.relocalization.found,
                 s.relocalization.ambiguous,
                 s.relocalization.contradicted
+            );
+        }
+        if s.disconnected_nodes > 0 {
+            text += &format!(
+                "  missing   {} nodes in {} components that nothing connects with the map\n",
+                s.disconnected_nodes, s.disconnected_components
             );
         }
         if let (Some(width), Some(height), Some(ms)) = (s.map_width, s.map_height, s.map_ms) {
@@ -100,6 +110,8 @@ impl Summary {
         self.refused_other = counts.beam_count + counts.geometry;
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
+        self.disconnected_nodes = done.disconnected;
+        self.disconnected_components = back.disconnected_components();
         self.failed_solutions = done.failed_solutions;
         self.closure_searches = done.searches;
         self.relocalization = done.relocalization;

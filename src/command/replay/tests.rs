@@ -1,6 +1,7 @@
 //! Replays of a small made-up log.
 
 use super::*;
+use std::io::Write as _;
 
 /// A robot that drives 2 m through a box of 8 m x 6 m, one scan each 0.25 m.
 fn log() -> String {
@@ -87,4 +88,71 @@ fn figures_that_were_not_measured_are_null() {
     }
     let replayed = feed(log().as_bytes(), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
     assert!(replayed.summary.scan_ms.is_some_and(|times| times.p50 > 0.0));
+}
+
+#[test]
+fn localization_writes_the_poses_of_its_own_scans_in_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, session) = (folder.path().join("room.log"), folder.path().join("room.session"));
+    std::fs::write(&path, furnished_log()).unwrap();
+    let mapping = ReplayArgs { save_session: Some(session.clone()), ..args(&path) };
+    run(&mapping).unwrap();
+    let trajectory = folder.path().join("localized.tum");
+    let localizing = ReplayArgs {
+        session: Some(session),
+        mode: Mode::Localization,
+        at: Some(Pose2::IDENTITY),
+        trajectory: Some(trajectory.clone()),
+        save_session: None,
+        ..mapping
+    };
+    run(&localizing).unwrap();
+    let text = std::fs::read_to_string(&trajectory).unwrap();
+    let poses: Vec<(f64, f64)> = text
+        .lines()
+        .map(|line| {
+            let mut values = line.split(' ').map(|value| value.parse::<f64>().unwrap());
+            (values.next().unwrap(), values.next().unwrap())
+        })
+        .collect();
+    assert!(poses.len() > STEPS / 2, "{} poses of {STEPS} scans:\n{text}", poses.len());
+    for (stamp, x) in &poses {
+        let driven_m = (stamp - FIRST_STAMP_S) * SPEED_M_S;
+        assert!((x - driven_m).abs() < 0.1, "{x} m at {stamp}, where the robot had driven {driven_m} m");
+    }
+    let replayed = feed(&std::fs::read(&path).unwrap(), SlamConfig::default(), &localizing).unwrap();
+    assert_eq!(replayed.summary.not_located + poses.len() as u64, STEPS as u64);
+}
+
+/// Scans of [`furnished_log`].
+const STEPS: usize = 40;
+/// Stamp of its first scan, seconds.
+const FIRST_STAMP_S: f64 = 1000.0;
+/// Speed of its robot.
+const SPEED_M_S: f64 = 0.1;
+
+/// A robot that drives 3.9 m along a room of 8 m x 6 m with boxes by its walls, one scan a second.
+fn furnished_log() -> String {
+    let boxes = [(2.0, 2.0, 1.0), (4.0, -2.4, 0.6), (5.2, 1.8, 1.4), (1.0, -1.9, 1.3), (6.2, -0.8, 0.9)];
+    // Whether a point is no floor.
+    let is_solid = |x: f64, y: f64| {
+        !(-1.0..7.0).contains(&x)
+            || y.abs() > 3.0
+            || boxes
+                .iter()
+                .any(|(left, low, side)| (*left..left + side).contains(&x) && (*low..low + side).contains(&y))
+    };
+    let mut log = String::new();
+    for step in 0..STEPS {
+        let seconds = step as f64;
+        let x = seconds * SPEED_M_S;
+        log += "FLASER 181";
+        for beam in 0..181 {
+            let (sin, cos) = (f64::from(beam) - 90.0).to_radians().sin_cos();
+            let range = (1..1000).map(|k| 0.01 * f64::from(k)).find(|r| is_solid(x + r * cos, r * sin));
+            log += &format!(" {:.3}", range.unwrap_or(10.0));
+        }
+        log += &format!(" {x} 0 0 {x} 0 0 {} host 0\n", FIRST_STAMP_S + seconds);
+    }
+    log
 }

@@ -1,0 +1,30 @@
+//! Trajectory files of a replay: one line a scan, as `evo` and the TUM benchmark read them.
+
+use msg::{Pose2, Stamp};
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
+use std::path::Path;
+
+/// Writes one line a scan, `t x y z qx qy qz qw`: seconds, metres, unit quaternion. Scans of a component that nothing
+/// connects with the map are comments: their poses are in a frame of their own.
+pub(super) fn write_trajectory(
+    path: &Path,
+    poses: impl Iterator<Item = (Stamp, Pose2, Option<u32>)>,
+) -> std::io::Result<()> {
+    let mut file = BufWriter::new(File::create(path)?);
+    for (stamp, pose, disconnected) in poses {
+        if let Some(first_node) = disconnected {
+            write!(file, "# disconnected component {first_node}: ")?;
+        }
+        let microseconds = stamp.0.div_euclid(1000) + i64::from(stamp.0.rem_euclid(1000) >= 500);
+        let sign = if microseconds < 0 { "-" } else { "" };
+        let (seconds, fraction) = (microseconds.abs() / 1_000_000, microseconds.abs() % 1_000_000);
+        let (sin, cos) = (pose.yaw_rad / 2.0).sin_cos();
+        writeln!(
+            file,
+            "{sign}{seconds}.{fraction:06} {:.6} {:.6} 0 0 0 {sin:.9} {cos:.9}",
+            pose.x_m, pose.y_m
+        )?;
+    }
+    file.flush()
+}
