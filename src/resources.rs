@@ -5,6 +5,7 @@ use crate::config::FleetConfig;
 use crate::shared_memory::SHARED_MEMORY;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// Descriptors of a process beside its channels: standard streams, clients, files, DDS.
 const DESCRIPTORS_BASE: u64 = 256;
@@ -21,7 +22,7 @@ const DISK_LEAST: u64 = 1 << 20;
 /// Resource that a fleet would lack.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum Shortage {
-    /// Shared memory does not suffice.
+    /// Shared memory has too little room.
     #[error("{SHARED_MEMORY} has {} free; the fleet needs {} at least, {} when readers fall behind: mount -o remount,size={}M {SHARED_MEMORY}, or docker run --shm-size={}m", megabytes(*free), megabytes(need.least), megabytes(need.most), mebibytes(need.most), mebibytes(need.most))]
     SharedMemory {
         /// Bytes that are free.
@@ -29,7 +30,7 @@ pub enum Shortage {
         /// Bytes that are needed.
         need: SharedMemoryNeed,
     },
-    /// File descriptors do not suffice.
+    /// A process may open too few files.
     #[error(
         "a process may open {limit} files; the fleet's need {need}: ulimit -n {need}, or `nofile` in /etc/security/limits.conf"
     )]
@@ -39,7 +40,7 @@ pub enum Shortage {
         /// Number that is needed.
         need: u64,
     },
-    /// Room on the disk.
+    /// The disk of the run's folder has too little room.
     #[error("{folder}: {} free; the fleet's maps and sessions need up to {}", megabytes(*free), megabytes(*need))]
     Disk {
         /// Folder of the run.
@@ -119,20 +120,27 @@ fn judge_disk(folder: &Path, free: u64, robots: usize) -> Option<Finding> {
 #[derive(Debug)]
 pub struct ResourceMonitor {
     folder: PathBuf,
+    polled: Option<Instant>,
     is_short: [bool; 2],
 }
 
+/// Period at which a running fleet's free bytes are looked at.
+const POLL_PERIOD: Duration = Duration::from_secs(1);
 /// Free bytes below which a running fleet's shared memory or disk counts as full: a few of the largest messages.
 const NEARLY_FULL: u64 = 4 << 20;
 
 impl ResourceMonitor {
     /// Creates the monitor of a run in `folder`.
     pub fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_owned(), is_short: [false; 2] }
+        Self { folder: folder.to_owned(), polled: None, is_short: [false; 2] }
     }
 
-    /// Looks at the free bytes, and calls `tell` with what has changed. Call it once a second.
+    /// Looks at the free bytes once a second, and calls `tell` with what has changed.
     pub fn poll(&mut self, tell: &mut dyn FnMut(String)) {
+        if self.polled.is_some_and(|polled| polled.elapsed() < POLL_PERIOD) {
+            return;
+        }
+        self.polled = Some(Instant::now());
         let free = [free_bytes(Path::new(SHARED_MEMORY)), free_bytes(&self.folder)];
         self.judge(free, tell);
     }

@@ -75,8 +75,12 @@ impl Supervisor {
         let progress = ProgressBoard::create(&run.domain, members.len())?;
         let mut supervisor = Self { run: run.clone(), listener, members, progress };
         supervisor.tend(&mut |_, _| None, &mut |_| {});
-        match supervisor.members.iter().find(|member| member.child.is_none()) {
-            Some(member) => Err(io::Error::other(format!("cannot start the {}", member.name()))),
+        let missing = supervisor.members.iter().find(|member| member.child.is_none()).map(Member::name);
+        match missing {
+            Some(name) => {
+                supervisor.end();
+                Err(io::Error::other(format!("cannot start the {name}")))
+            }
             None => Ok(supervisor),
         }
     }

@@ -56,7 +56,7 @@ pub enum TrustError {
     Mode {
         /// Path of the folder or file.
         path: PathBuf,
-        /// Its permissions, as bits of st_mode.
+        /// Permission bits of the folder or file.
         mode: u32,
         /// Change of the permissions that makes it acceptable.
         expected: &'static str,

@@ -178,12 +178,26 @@ pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Rep
     })?;
     let port = listener.local_addr()?.port();
     let run = Run::create(&args.folder(), config, port, args.in_background)?;
-    sessions::create_folder(&sessions::folder(&run), &fleet::known_starts(&run.config)?)
+    let result = run_created(&run, listener, args, hooks, stop);
+    // A fleet that did not start leaves nothing either.
+    run.domain.remove();
+    result
+}
+
+/// Runs the fleet of a run that was created.
+fn run_created(
+    run: &Run,
+    listener: TcpListener,
+    args: &UpArgs,
+    hooks: &mut dyn FleetHooks,
+    stop: &Stop,
+) -> Result<Report, UpError> {
+    sessions::create_folder(&sessions::folder(run), &fleet::known_starts(&run.config)?)
         .map_err(FleetError::from)?;
-    let mut screen = Screen::new(&run, args.in_background);
-    check_resources(&run, &mut screen)?;
-    let mut supervisor = Supervisor::start(&run, listener)?;
-    let result = watch(&run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
+    let mut screen = Screen::new(run, args.in_background);
+    check_resources(run, &mut screen)?;
+    let mut supervisor = Supervisor::start(run, listener)?;
+    let result = watch(run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
     supervisor.end();
     let report = result?;
     let written = report.write(&run.dir);
@@ -219,9 +233,7 @@ fn watch(
         }
         supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut tell);
         let has_new_stats = observer.poll();
-        if has_new_stats {
-            resources.poll(&mut tell);
-        }
+        resources.poll(&mut tell);
         for edge in observer.changed_edges() {
             let event = edge.to_string();
             screen.show_event(&event);

@@ -46,7 +46,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let faults =
         args.faults.map_or_else(FaultPlan::none, |seed| FaultPlan::draw(seed, quiet_from(args.seconds)));
     if args.faults.is_some() {
-        eprintln!("{faults:?}");
+        output::note(&format!("{faults:?}"));
     }
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, faults)?;
     let mut checker = Checker::new(&config)?;

@@ -2,6 +2,7 @@
 
 use super::Lockstep;
 use super::faults::{BRIDGE, Fault};
+use crate::command::output;
 use crate::control::Request;
 use crate::ports::WritePort;
 use crate::supervisor::restarts::State;
@@ -29,7 +30,7 @@ impl Lockstep {
             }
             let at = member.robot.and_then(|robot| self.observer.last_seen(member.row.role, robot));
             if let Err(why) = member.start(&self.world, at) {
-                eprintln!("cannot start the {}: {why}", member.row.title(member.robot));
+                output::note(&format!("cannot start the {}: {why}", member.row.title(member.robot)));
                 member.policy.on_death(now);
             }
             let selected = member.bridge().map(|process| process.bridge.selected_robot());

@@ -12,7 +12,7 @@ const GAP: &str = "   ";
 /// How much a piece of text wants to be seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Emphasis {
-    /// Ordinary text without emphasis.
+    /// Ordinary text, in no colour.
     #[default]
     None,
     /// Somebody waits for an answer: yellow.

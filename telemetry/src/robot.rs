@@ -12,16 +12,41 @@ const TRUTHS_MAX: usize = 64;
 /// Largest gap between the stamps of a true pose and a correction that are compared, seconds: 2 cm at 0.2 m/s.
 const TRUTH_GAP_MAX_S: f64 = 0.1;
 
-/// Messages of one robot, counted.
-// More than 12 fields: one for each stream or figure of a robot.
+/// Scans for which the latency of their map means something: not those of a map that a restarted process had saved, and
+/// not those of a map that was drawn before telemetry began.
 #[derive(Default)]
-pub(crate) struct RobotTelemetry {
+struct MapScans {
     /// Incarnation of the SLAM process that sent the newest correction.
     slam_incarnation: Option<u64>,
     /// When the first scan was sent that this SLAM process answered.
-    first_scan_sent: Option<Monotonic>,
+    first_sent: Option<Monotonic>,
     /// When the newest scan was sent that was in a map.
-    newest_map_scan: Monotonic,
+    newest_in_map: Monotonic,
+}
+
+impl MapScans {
+    fn add_correction(&mut self, correction: &Correction) {
+        if self.slam_incarnation != Some(correction.header.incarnation) {
+            self.slam_incarnation = Some(correction.header.incarnation);
+            self.first_sent = Some(correction.scan_sent);
+        }
+    }
+
+    fn accept_map(&mut self, scan_sent: Monotonic) -> bool {
+        let is_answered = self.first_sent.is_some_and(|first| scan_sent >= first);
+        let is_accepted = is_answered && scan_sent >= self.newest_in_map;
+        if is_accepted {
+            self.newest_in_map = scan_sent;
+        }
+        is_accepted
+    }
+}
+
+/// Messages of one robot, counted.
+#[derive(Default)]
+pub(crate) struct RobotTelemetry {
+    /// Scans whose maps have a latency.
+    map_scans: MapScans,
     /// Jitter of its transforms.
     pub jitter: TransformJitter,
     scans: ScanCounter,
@@ -46,10 +71,7 @@ impl RobotTelemetry {
 
     /// Adds SLAM's answer to a scan.
     pub fn add_correction(&mut self, correction: &Correction, received: Monotonic) {
-        if self.slam_incarnation != Some(correction.header.incarnation) {
-            self.slam_incarnation = Some(correction.header.incarnation);
-            self.first_scan_sent = Some(correction.scan_sent);
-        }
+        self.map_scans.add_correction(correction);
         self.scans.add(correction);
         record_latency(&mut self.scan_to_pose, correction.scan_sent, received);
         self.newest = Some(*correction);
@@ -57,10 +79,7 @@ impl RobotTelemetry {
 
     /// Records the latency of a map, unless it is older than one before.
     pub fn record_map_arrival(&mut self, scan_sent: Monotonic, received: Monotonic) {
-        // A map that a restarted process had saved, or one that telemetry missed, says nothing about latency.
-        let is_answered = self.first_scan_sent.is_some_and(|first| scan_sent >= first);
-        if is_answered && scan_sent >= self.newest_map_scan {
-            self.newest_map_scan = scan_sent;
+        if self.map_scans.accept_map(scan_sent) {
             record_latency(&mut self.scan_to_map, scan_sent, received);
         }
     }

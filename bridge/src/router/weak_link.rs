@@ -70,7 +70,7 @@ impl World {
     /// Publishes what is due in this millisecond.
     fn publish(&self, bridge: &Bridge, ms: u64) {
         for robot in RobotId::first(3) {
-            if ms % 50 == 0 {
+            if ms.is_multiple_of(50) {
                 let mut transforms = Transforms { len: 6, ..Default::default() };
                 transforms.header.stamp = Stamp(ms as i64 * 1_000_000);
                 for link in &mut transforms.links[..6] {
@@ -78,11 +78,11 @@ impl World {
                 }
                 bridge.publish(FleetMessage::Transforms(robot, &transforms));
             }
-            if ms % 100 == 0 {
+            if ms.is_multiple_of(100) {
                 bridge.publish(FleetMessage::Scan(robot, &self.scan));
             }
         }
-        if ms % 1000 == 0 {
+        if ms.is_multiple_of(1000) {
             let shape = GridHeader { width: 500, height: 300, resolution_m: 0.05, ..Default::default() };
             bridge.publish(FleetMessage::MergedMap(GridView::new(&shape, &self.cells).unwrap()));
         }
