@@ -23,9 +23,9 @@ impl Fleets {
             let mut launcher = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
             let messages = BufReader::new(launcher.stderr.take().unwrap());
             fleets.launchers.push(launcher);
-            // The launcher says a line when the run's folder is complete; it ends if it cannot.
+            // The launcher says a line when the run's folder is complete; it ends if it cannot. What it swept up comes before.
             let mut lines = messages.lines().map_while(Result::ok);
-            assert!(lines.next().is_some_and(|line| line.starts_with("fleet of")));
+            assert!(lines.any(|line| line.starts_with("fleet of")));
             std::thread::spawn(move || lines.for_each(|line| eprintln!("{line}")));
         }
         fleets
