@@ -25,7 +25,7 @@ const COUNT_PERIOD_NS: u64 = 50_000_000;
 pub enum WatchedThread {
     /// The process's main thread.
     Main,
-    /// The thread that [`processes::ProcessRow::second_thread`] names.
+    /// The thread that [`crate::processes::ProcessRow::second_thread`] names.
     Second,
 }
 

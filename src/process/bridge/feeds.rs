@@ -87,7 +87,7 @@ pub fn forward<P: Ports, M: Message, T: 'static>(
     })
 }
 
-/// Calls `pass` at the start, whenever the channel is written, and every [`HISTORY_POLL_PERIOD`] if the channel has a
+/// Calls `pass` at the start, whenever the channel is written, and every `HISTORY_POLL_PERIOD` if the channel has a
 /// history: a reader that was opened later gets it without a notification.
 pub fn when_written<P: Ports, M: Message>(
     ports: &P,
