@@ -136,7 +136,7 @@ impl Simulator {
         self.ticks = now.0.div_euclid(Self::TICK.as_nanos() as i64);
     }
 
-    /// Skips the time until `now`, for a simulator that was stopped for over [`BRAKING_TICKS`]. The robot comes to rest
+    /// Skips the time until `now`, for a simulator that was stopped for over `BRAKING_TICKS`. The robot comes to rest
     /// meanwhile: its command is not valid any more.
     pub fn skip_to(&mut self, now: Stamp) {
         self.stop();
