@@ -11,12 +11,14 @@ use std::time::{Duration, Instant};
 /// Fleets that share folders for temporary files with nobody else, so that no other test's fleet is stopped.
 struct Fleets {
     folder: Folder,
+    runtime: tempfile::TempDir,
     launchers: Vec<Child>,
 }
 
 impl Fleets {
     fn start(count: usize) -> Self {
-        let mut fleets = Self { folder: Folder::new(), launchers: Vec::new() };
+        let mut fleets =
+            Self { folder: Folder::new(), runtime: tempfile::tempdir().unwrap(), launchers: Vec::new() };
         for number in 0..count {
             let mut command = fleets.command();
             command.args(["up", "--port", "0", "--robots", "1", "--run-dir"]).arg(fleets.run_dir(number));
@@ -34,7 +36,12 @@ impl Fleets {
     fn command(&self) -> Command {
         let mut command = mr_slam();
         let path = self.folder.path();
-        command.env("TMPDIR", path).env("XDG_RUNTIME_DIR", path).env("XDG_STATE_HOME", path.join("state"));
+        // Sockets are below the runtime folder, and their paths must be short.
+        let runtime = self.runtime.path();
+        command
+            .env("TMPDIR", runtime)
+            .env("XDG_RUNTIME_DIR", runtime)
+            .env("XDG_STATE_HOME", path.join("state"));
         command
     }
 

@@ -89,6 +89,13 @@ fn a_port_in_use_is_reported_with_the_option_to_change_it() {
     assert!(said.contains(&port) && said.contains("--port"), "{said}");
 }
 
+/// Returns whether this process, and so its children, ignores SIGHUP: bit 0 of SigIgn in proc(5).
+fn is_hangup_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).unwrap();
+    u64::from_str_radix(mask.trim(), 16).unwrap() & 1 == 1
+}
+
 #[test]
 fn a_closed_terminal_ends_a_fleet_with_its_maps_and_report() {
     let mut fleet = Fleet::start("up", &["--robots", "1"]);
@@ -98,7 +105,18 @@ fn a_closed_terminal_ends_a_fleet_with_its_maps_and_report() {
     let second = output(&["up", "--port", "0", "--seconds", "1", "--run-dir", &dir]);
     let said = String::from_utf8_lossy(&second.stderr).into_owned();
     assert!(!second.status.success() && said.contains("a fleet is running in this folder"), "{said}");
-    let ended = fleet.end(Signal::HUP);
+    // Who starts a program with `nohup` wants it to go on.
+    let ended = if is_hangup_ignored() {
+        rustix::process::kill_process(
+            rustix::process::Pid::from_raw(fleet.run.pid as i32).unwrap(),
+            Signal::HUP,
+        )
+        .unwrap();
+        fleet.until("figures after the hangup", |view| view.time_s > 0.0);
+        fleet.end(Signal::TERM)
+    } else {
+        fleet.end(Signal::HUP)
+    };
     assert!(ended.success);
     for file in ["robot1_map.pgm", "merged_map.png", "report.json"] {
         assert!(ended.folder.path().join(file).exists(), "no {file}");

@@ -301,9 +301,13 @@ fn invalid_requests_are_refused_with_the_reason() {
     let view =
         fleet.until("its process", |view| view.processes.iter().any(|p| p.process == "slam of robot2"));
     let worker = view.processes.iter().find(|p| p.process == "slam of robot2").unwrap().pid;
+    // The launcher would replace it.
+    let launcher = fleet.run.pid;
+    send(launcher, Signal::STOP);
     send(worker, Signal::STOP);
     let said = refusal(&dir, "robot2", &["state"]);
     send(worker, Signal::CONT);
+    send(launcher, Signal::CONT);
     assert!(said.contains("robot2's SLAM does not answer") && said.contains("mr-slam status"), "{said}");
     assert_eq!(answer(&dir, "robot2", &["state"])["robot"], "robot2");
 

@@ -126,8 +126,12 @@ proptest! {
                 continue;
             }
             match clock.convert(Stamp::from_seconds(at_s + 5.0), received) {
-                Ok(stamp) if place > 0 || i > STEP_MESSAGES => {
+                Ok(stamp) if place > 0 => {
                     prop_assert!((stamp - received).abs() < 1e-3, "{}", stamp - received);
+                }
+                // A first message that is wrong by little looks like one that was delayed less; it is forgotten slowly.
+                Ok(stamp) if i > STEP_MESSAGES => {
+                    prop_assert!((stamp - received).abs() < 0.1, "{}", stamp - received);
                 }
                 Ok(_) => {}
                 Err(_) => refused += 1,

@@ -57,6 +57,11 @@ fn remove_leftovers_in(folder: &FsPath) {
     }
 }
 
+/// Longest path of a Unix socket, bytes: sun_path of unix(7) without its NUL.
+const SOCKET_PATH_MAX: usize = 107;
+/// What iceoryx2 adds to folder and prefix, bytes: a slash, a number of 128 bits in decimal, and `.event`.
+const SOCKET_NAME_BYTES: usize = 1 + 39 + 6;
+
 /// Names of one run in shared memory. Two runs on one machine have different names.
 #[derive(Clone, Debug)]
 pub struct Domain {
@@ -75,6 +80,16 @@ impl Domain {
         config.global.prefix =
             FileName::new(prefix.as_bytes()).map_err(failed("a run cannot be called", name))?;
         let root_bytes = root.as_os_str().as_encoded_bytes();
+        let socket_bytes = root_bytes.len() + prefix.len() + SOCKET_NAME_BYTES;
+        if socket_bytes > SOCKET_PATH_MAX {
+            return Err(ChannelError::SharedMemory {
+                what: "a shorter path is needed for sockets (set XDG_RUNTIME_DIR or TMPDIR) than",
+                name: root.display().to_string(),
+                why: format!(
+                    "a socket's path would have {socket_bytes} bytes, the limit is {SOCKET_PATH_MAX}"
+                ),
+            });
+        }
         config.global.set_root_path(&Path::new(root_bytes).map_err(failed("no folder", name))?);
         Ok(Self { config, prefix, root })
     }
