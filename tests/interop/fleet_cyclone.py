@@ -27,7 +27,8 @@ def main():
     row("Cyclone: LaserScan's content", "180 beams, base_scan_2", f"{len(scans[-1].ranges)} beams",
         len(scans[-1].ranges) == 180 and scans[-1].header.frame_id == "base_scan_2")
     # Each robot: its links at 20 Hz, map -> odom at 10 Hz; the map_transforms at about 1 Hz.
-    moving = rate(participant, "/tf", TFMessage, 61)
+    # The robots' own edges at 20 Hz, merging's corrections, and the chain of map repeated at 50 Hz (transform_rate_hz).
+    moving = rate(participant, "/tf", TFMessage, 111)
     edges = {(t.header.frame_id, t.child_frame_id) for m in moving for t in m.transforms}
     wanted = {(f"odom_{k}", f"base_footprint_{k}") for k in (1, 2)} | {(f"map_{k}", f"odom_{k}") for k in (1, 2)}
     wanted |= {("map", "map_1"), ("map", "map_2")}
