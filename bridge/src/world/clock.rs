@@ -260,6 +260,14 @@ impl SourceClock {
         let mut delay = delay;
         if ahead_s > OUTLIER_S || (!is_established && ahead_s < -STEP_S) {
             delay = self.suspects.add(at, delay).ok_or(OutlierError { ahead_s })?;
+        } else if !is_established && ahead_s < -OUTLIER_S {
+            // If several messages agree closely, they are not late, but the first one was too early.
+            if let Some(agreed) = self.suspects.add(at, delay)
+                && self.suspects.spread_s() <= OUTLIER_S
+            {
+                self.restart(at, agreed, false);
+                return Ok(());
+            }
         } else if ahead_s > -STEP_S {
             // A clock that was set sends no message of its old time any more.
             let last = self.suspects.delays[0];

@@ -51,4 +51,10 @@ impl Suspects {
         self.count = 0;
         self.delays.into_iter().reduce(f64::max)
     }
+
+    /// Returns how far apart the delays are that agreed last, seconds.
+    pub fn spread_s(&self) -> f64 {
+        let [low, high] = [f64::min, f64::max].map(|of| self.delays.into_iter().reduce(of).unwrap_or(0.0));
+        high - low
+    }
 }
