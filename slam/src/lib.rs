@@ -34,6 +34,8 @@ mod scan_buffers;
 pub mod session;
 mod stages;
 mod submap;
+#[cfg(test)]
+mod testing;
 
 #[cfg(test)]
 #[path = "../tests/common/mod.rs"]

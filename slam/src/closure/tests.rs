@@ -1,14 +1,12 @@
 //! A robot that believes to be back in a hall: it is, or it stands in another one that looks much the same.
 
 use super::{ClosureDetector, ClosureSearch, GraphView};
-use crate::beam_poses::BeamPoses;
-use crate::cloud::{Cloud, CloudScratch};
 use crate::common::{FULL, Lidar, Noise, Wall, cast, rectangle};
 use crate::config::SlamConfig;
 use crate::graph::Graph;
-use crate::node::{Node, Rays, SweptPath};
-use msg::{Header, Pose2, Stamp};
-use std::sync::Arc;
+use crate::node::Node;
+use crate::testing::standing_node;
+use msg::{Pose2, Stamp};
 
 /// Sees all of a hall from everywhere in it.
 const LIDAR: Lidar = Lidar { range_max_m: 15.0, ..FULL };
@@ -67,23 +65,8 @@ impl Passes {
     }
 
     fn add(&mut self, walls: &[Wall], pose: Pose2, graph_pose: Pose2) {
-        let (lidar, id) = (&self.config.lidar, self.nodes.len() as u32);
         let scan = cast(walls, &LIDAR, pose, Stamp::default(), &mut self.noise);
-        let sweep = BeamPoses::still(Pose2::IDENTITY);
-        let mut cloud = Cloud::with_capacity(lidar.points_max);
-        cloud.fill(&scan, &sweep, lidar, &mut CloudScratch::with_capacity(lidar.points_max));
-        self.nodes.push(Node {
-            id,
-            header: Header::default(),
-            local_from_base: graph_pose,
-            previous_from_this: None,
-            fits: true,
-            odometry_break: false,
-            disconnected: None,
-            cloud: Arc::new(cloud),
-            rays: Arc::new(Rays::default()),
-            swept_path: SweptPath::default(),
-        });
+        self.nodes.push(standing_node(self.nodes.len() as u32, &scan, graph_pose, &self.config.lidar));
         self.poses.push(graph_pose);
     }
 

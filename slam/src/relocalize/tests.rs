@@ -1,13 +1,11 @@
 //! A robot that is searched for in a map: how many searches must agree before it counts as found.
 
 use super::{MapNodes, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
-use crate::beam_poses::BeamPoses;
-use crate::cloud::{Cloud, CloudScratch};
 use crate::common::{FULL, Lidar, Noise, cast, laboratory};
 use crate::config::SlamConfig;
-use crate::node::{Node, Rays, SweptPath};
-use msg::{Header, Pose2, Stamp};
-use std::sync::Arc;
+use crate::node::Node;
+use crate::testing::standing_node;
+use msg::{Pose2, Stamp};
 
 /// Sees the laboratory from wall to wall.
 const LIDAR: Lidar = Lidar { range_max_m: 12.0, ..FULL };
@@ -15,21 +13,7 @@ const LIDAR: Lidar = Lidar { range_max_m: 12.0, ..FULL };
 /// A node that sees the laboratory from `pose`. `local_from_base`: where the front end has it.
 fn node(id: u32, pose: Pose2, local_from_base: Pose2, noise: &mut Noise, config: &SlamConfig) -> Node {
     let scan = cast(&laboratory(), &LIDAR, pose, Stamp::default(), noise);
-    let mut cloud = Cloud::with_capacity(config.lidar.points_max);
-    let mut scratch = CloudScratch::with_capacity(config.lidar.points_max);
-    cloud.fill(&scan, &BeamPoses::still(Pose2::IDENTITY), &config.lidar, &mut scratch);
-    Node {
-        id,
-        header: Header::default(),
-        local_from_base,
-        previous_from_this: None,
-        fits: true,
-        odometry_break: false,
-        disconnected: None,
-        cloud: Arc::new(cloud),
-        rays: Arc::new(Rays::default()),
-        swept_path: SweptPath::default(),
-    }
+    standing_node(id, &scan, local_from_base, &config.lidar)
 }
 
 #[test]
