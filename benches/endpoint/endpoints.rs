@@ -1,12 +1,10 @@
 //! The two endpoints as processes.
 
+use crate::fleet::Fleet;
 use crate::peer::set_ros_environment;
-use mr_slam::observer::Observer;
-use mr_slam::run::Run;
-use mr_slam::view::FleetView;
 use std::error::Error;
 use std::net::{TcpListener, TcpStream};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -37,11 +35,26 @@ impl Kind {
 pub struct Endpoint {
     /// Its TCP port.
     pub port: u16,
-    /// The process to stop.
-    process: Child,
     /// The process that serves the port.
     pid: u32,
-    folder: Option<PathBuf>,
+    /// Ends with the endpoint.
+    _process: Process,
+}
+
+/// What has to be ended.
+enum Process {
+    Python { _process: KilledAtEnd },
+    Ours { _fleet: Box<Fleet> },
+}
+
+/// A process that is killed when nobody needs it any more.
+struct KilledAtEnd(Child);
+
+impl Drop for KilledAtEnd {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 impl Endpoint {
@@ -65,7 +78,7 @@ impl Endpoint {
             .stderr(Stdio::inherit())
             .spawn()?;
         let pid = process.id();
-        let endpoint = Self { port, process, pid, folder: None };
+        let endpoint = Self { port, pid, _process: Process::Python { _process: KilledAtEnd(process) } };
         let begun = Instant::now();
         while TcpStream::connect(("127.0.0.1", port)).is_err() {
             if begun.elapsed() > START_MAX {
@@ -81,33 +94,18 @@ impl Endpoint {
 
     /// Starts a fleet of one robot that is simulated nowhere, so that little but the bridge runs.
     fn start_ours(domain: u16) -> Result<Self, Box<dyn Error>> {
-        let folder = std::env::temp_dir().join(format!("mr-slam-endpoint-{}", std::process::id()));
-        let mut command = Command::new(env!("CARGO_BIN_EXE_mr-slam"));
-        set_ros_environment(&mut command, domain);
-        let process = command
-            .args(["up", "--world", "ros", "--robots", "1", "--port", "0"])
-            .args(["--ros-domain", &domain.to_string(), "--run-dir"])
-            .arg(&folder)
-            .stderr(Stdio::null())
-            .spawn()?;
-        let mut endpoint = Self { port: 0, process, pid: 0, folder: Some(folder.clone()) };
+        let mut fleet = Fleet::start_with(1, &["--world", "ros", "--ros-domain", &domain.to_string()])?;
         let begun = Instant::now();
-        while begun.elapsed() < START_MAX {
-            std::thread::sleep(POLL);
-            let Ok(run) = Run::open(&folder) else { continue };
-            endpoint.port = run.port;
-            let mut observer = Observer::attach(&run, "endpoint")?;
-            observer.wait(Duration::from_secs(3));
-            observer.poll();
-            let view = observer.stats().map(FleetView::new);
-            let bridge =
-                view.and_then(|view| view.processes.into_iter().find(|known| known.process == "bridge"));
-            if let Some(bridge) = bridge {
-                endpoint.pid = bridge.pid;
-                return Ok(endpoint);
+        let pid = loop {
+            if let Some(pid) = fleet.pid("bridge") {
+                break pid;
             }
-        }
-        Err("the bridge of mr-slam did not start".into())
+            if begun.elapsed() > START_MAX {
+                return Err("the bridge of mr-slam did not start".into());
+            }
+        };
+        let port = fleet.run().port;
+        Ok(Self { port, pid, _process: Process::Ours { _fleet: Box::new(fleet) } })
     }
 
     /// Returns the processor time that the endpoint's process has used, seconds.
@@ -118,21 +116,5 @@ impl Endpoint {
         let ticks = |index: usize| fields.get(index).and_then(|field| field.parse::<f64>().ok());
         let ticks = ticks(11).zip(ticks(12)).map(|(user, system)| user + system);
         Ok(ticks.ok_or("no times in /proc")? / rustix::param::clock_ticks_per_second() as f64)
-    }
-}
-
-impl Drop for Endpoint {
-    fn drop(&mut self) {
-        if let Some(pid) = rustix::process::Pid::from_raw(self.process.id() as i32) {
-            let signal = match self.folder {
-                Some(_) => rustix::process::Signal::TERM,
-                None => rustix::process::Signal::KILL,
-            };
-            let _ = rustix::process::kill_process(pid, signal);
-        }
-        let _ = self.process.wait();
-        if let Some(folder) = &self.folder {
-            let _ = std::fs::remove_dir_all(folder);
-        }
     }
 }

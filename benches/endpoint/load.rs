@@ -1,5 +1,6 @@
 //! The clients on TCP, and what is computed from their samples.
 
+use crate::measure::{Spread, Streams};
 use crate::peer::PeerReport;
 use bridge::command::name;
 use bridge::frame::{KEEPALIVE, Parser, Side};
@@ -17,6 +18,8 @@ const FRAME_MAX: usize = 16 << 20;
 const COMMAND_TOPIC: &str = "/compared/command";
 /// Period of commands, as a headset at 50 Hz.
 const COMMAND_PERIOD: Duration = Duration::from_millis(20);
+/// Period of the peer's transforms.
+const TRANSFORM_PERIOD_NS: i64 = 50_000_000;
 /// Time for the last messages to arrive.
 const TAIL: Duration = Duration::from_secs(1);
 const READ_TIMEOUT: Duration = Duration::from_millis(200);
@@ -26,8 +29,8 @@ const HEADER_BYTES: usize = 16;
 /// An error that crosses threads.
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-/// Delays of the messages of each topic, nanoseconds.
-pub type Received = BTreeMap<String, Vec<i64>>;
+/// Stamp and arrival of the messages of each topic, nanoseconds.
+pub type Received = BTreeMap<String, Vec<(i64, u64)>>;
 
 /// What the client asks for: command, topic, type. It is one connection: ROS-TCP-Endpoint serves one at a time.
 const WISHES: [(&str, &str, &str); 10] = [
@@ -90,11 +93,11 @@ fn listen(mut stream: TcpStream, length: Duration) -> Result<Received, Failure> 
             Err(why) if matches!(why.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => continue,
             Err(why) => return Err(why.into()),
         }
-        let received_ns = now().0 as i64;
+        let received_ns = now().0;
         while let Some(frame) = parser.next_frame()? {
             let topic = std::str::from_utf8(frame.name).ok().filter(|name| name.starts_with("/compared/"));
             let Some((topic, stamp_ns)) = topic.zip(stamp_ns(frame.payload)) else { continue };
-            received.entry(topic.to_owned()).or_default().push(received_ns - stamp_ns);
+            received.entry(topic.to_owned()).or_default().push((stamp_ns, received_ns));
         }
     }
     Ok(received)
@@ -138,6 +141,8 @@ fn send_command(stream: &mut TcpStream) -> std::io::Result<()> {
 #[derive(Default)]
 pub struct Sample {
     delays_ns: BTreeMap<&'static str, Vec<i64>>,
+    /// Jitter of each link in each round.
+    jitter: Vec<Spread>,
     command_delays_ns: Vec<i64>,
     sent: u64,
     received: u64,
@@ -155,10 +160,18 @@ impl Sample {
             command_delays_ns: peer.command_delays_ns.clone(),
             ..Self::default()
         };
-        for (topic, delays) in received {
-            sample.received += delays.len() as u64;
+        for (topic, messages) in received {
+            sample.received += messages.len() as u64;
             let kind = ["transform", "scan", "map"].into_iter().find(|kind| topic.ends_with(kind));
+            let delays = messages.iter().map(|(stamp_ns, received_ns)| *received_ns as i64 - stamp_ns);
             sample.delays_ns.entry(kind.unwrap_or("other")).or_default().extend(delays);
+            if kind == Some("transform") {
+                let mut stream = Streams::new(TRANSFORM_PERIOD_NS);
+                messages
+                    .iter()
+                    .for_each(|(stamp_ns, received_ns)| stream.record(&topic, *stamp_ns, *received_ns));
+                sample.jitter.push(stream.spread());
+            }
         }
         sample
     }
@@ -168,6 +181,7 @@ impl Sample {
         for (kind, delays) in other.delays_ns {
             self.delays_ns.entry(kind).or_default().extend(delays);
         }
+        self.jitter.extend(other.jitter);
         self.command_delays_ns.extend(other.command_delays_ns);
         self.sent += other.sent;
         self.received += other.received;
@@ -184,10 +198,15 @@ impl Sample {
                 rows.push((format!("{label}, ROS to TCP: delay, {part}, ms"), percentile_ms(delays, share)));
             }
             if kind == "transform" {
-                let mean = delays.iter().sum::<i64>() / (delays.len().max(1) as i64);
-                let jitter: Vec<i64> = delays.iter().map(|delay| (delay - mean).abs()).collect();
-                rows.push((format!("{label}, ROS to TCP: jitter, median, ms"), percentile_ms(&jitter, 0.5)));
-                rows.push((format!("{label}, ROS to TCP: jitter, 95 %, ms"), percentile_ms(&jitter, 0.95)));
+                let worst = |of: fn(&Spread) -> f64| self.jitter.iter().map(of).fold(f64::NAN, f64::max);
+                rows.push((
+                    format!("{label}: jitter of the worst link, median, ms"),
+                    worst(|link| link.p50_ms),
+                ));
+                rows.push((
+                    format!("{label}: jitter of the worst link, 95 %, ms"),
+                    worst(|link| link.p95_ms),
+                ));
             }
         }
         let lost = 100.0 * self.sent.saturating_sub(self.received) as f64 / self.sent.max(1) as f64;

@@ -7,7 +7,13 @@
 //! each message has one hop on DDS and one on TCP. The rounds take turns, so that both meet the same machine.
 
 mod endpoints;
+#[allow(dead_code, reason = "the jitter bench uses all of it")]
+#[path = "../jitter/fleet.rs"]
+mod fleet;
 mod load;
+#[allow(dead_code, reason = "the jitter bench uses all of it")]
+#[path = "../jitter/measure.rs"]
+mod measure;
 mod peer;
 
 use endpoints::{Endpoint, Kind};

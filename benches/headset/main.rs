@@ -5,21 +5,25 @@
 //! Three robots send scans at 10 Hz, transforms at 20 Hz and the clock at 100 Hz, over loopback and over links that stand
 //! for Wi-Fi (see `LINKS`; the paper does not say how its own behaved). Counted is what SLAM received.
 
+#[allow(dead_code, reason = "the jitter bench uses all of it")]
+#[path = "../jitter/fleet.rs"]
+mod fleet;
 #[path = "../../tests/all/headset_app.rs"]
 mod headset_app;
 mod link;
+#[allow(dead_code, reason = "the jitter bench uses all of it")]
+#[path = "../jitter/measure.rs"]
+mod measure;
 
 use headset_app::Headset;
 use link::Link;
 use mr_slam::config::{FleetConfig, World};
-use mr_slam::fleet;
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
 use mr_slam::view::{FleetView, RobotView};
 use serde_json::json;
 use std::error::Error;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -27,8 +31,8 @@ use std::time::{Duration, Instant};
 const ROBOTS: usize = 3;
 const SEED: u64 = 1;
 const WARM_UP: Duration = Duration::from_secs(4);
-const START_MAX: Duration = Duration::from_secs(20);
-const POLL: Duration = Duration::from_millis(50);
+/// Longest wait for a fleet's figures.
+const FIGURES_MAX: Duration = Duration::from_secs(20);
 /// Scan rate of the paper's robots, Hz.
 const PAPER_HZ: f64 = 8.83;
 
@@ -117,8 +121,9 @@ struct Row {
 }
 
 fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
-    let run = Fleet::start()?;
-    let headset = Headset::attach(link::start(link, run.port, SEED)?, &run.config);
+    let (fleet, config) = start_fleet()?;
+    let run = fleet.run();
+    let headset = Headset::attach(link::start(link, run.port, SEED)?, &config);
     let mut reading = headset.stream.try_clone()?;
     // What the bridge sends is discarded, so that its queues do not fill.
     std::thread::spawn(move || std::io::copy(&mut reading, &mut std::io::sink()));
@@ -126,9 +131,9 @@ fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
     let stopped = stop.clone();
     let player = std::thread::spawn(move || headset.play(false, &stopped));
     std::thread::sleep(WARM_UP);
-    let before = run.view()?;
+    let before = view(run)?;
     std::thread::sleep(length);
-    let after = run.view()?;
+    let after = view(run)?;
     stop.store(true, Ordering::Relaxed);
     player.join().map_err(|_| "the headset failed")?;
     let seconds = after.time_s - before.time_s;
@@ -149,67 +154,29 @@ fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
     })
 }
 
-/// A fleet whose robots live in a headset.
-struct Fleet {
-    process: Child,
-    folder: PathBuf,
-    config: FleetConfig,
-    port: u16,
+/// Starts a fleet whose robots live in a headset; returns it with its configuration.
+fn start_fleet() -> Result<(fleet::Fleet, FleetConfig), Box<dyn Error>> {
+    let mut config = FleetConfig { world: World::Headset, ..FleetConfig::default() };
+    let starts = mr_slam::fleet::room(&config)?.starts(ROBOTS)?;
+    config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
+    config.fleet.robots = ROBOTS;
+    let starts = &config.fleet.starts;
+    let mut file = tempfile::NamedTempFile::with_suffix(".toml")?;
+    write!(file, "world = \"headset\"\n[fleet]\nrobots = {ROBOTS}\nstarts = {starts:?}\n")?;
+    let path = file.path().to_str().ok_or("the temporary folder's name is not UTF-8")?;
+    Ok((fleet::Fleet::start_with(ROBOTS, &["--config", path])?, config))
 }
 
-impl Fleet {
-    fn start() -> Result<Self, Box<dyn Error>> {
-        let folder = std::env::temp_dir().join(format!("mr-slam-headset-{}", std::process::id()));
-        std::fs::create_dir_all(&folder)?;
-        let file = folder.join("fleet.toml");
-        let mut config = FleetConfig { world: World::Headset, ..FleetConfig::default() };
-        let starts = fleet::room(&config)?.starts(ROBOTS)?;
-        config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
-        config.fleet.robots = ROBOTS;
-        let starts = &config.fleet.starts;
-        std::fs::write(
-            &file,
-            format!("world = \"headset\"\n[fleet]\nrobots = {ROBOTS}\nstarts = {starts:?}\n"),
-        )?;
-        let process = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
-            .args(["up", "--port", "0", "--config"])
-            .args([&file, Path::new("--run-dir"), &folder.join("run")])
-            .stderr(Stdio::null())
-            .spawn()?;
-        let mut fleet = Self { process, folder, config, port: 0 };
-        let begun = Instant::now();
-        while begun.elapsed() < START_MAX {
-            if let Ok(run) = Run::open(&fleet.folder.join("run")) {
-                fleet.port = run.port;
-                return Ok(fleet);
-            }
-            std::thread::sleep(POLL);
+/// Returns a fleet's newest figures.
+fn view(run: &Run) -> Result<FleetView, Box<dyn Error>> {
+    let mut observer = Observer::attach(run, "headset")?;
+    let begun = Instant::now();
+    while begun.elapsed() < FIGURES_MAX {
+        observer.wait(Duration::from_secs(2));
+        observer.poll();
+        if let Some(stats) = observer.stats() {
+            return Ok(FleetView::new(stats));
         }
-        Err("the fleet did not start".into())
     }
-
-    /// Returns the newest figures.
-    fn view(&self) -> Result<FleetView, Box<dyn Error>> {
-        let run = Run::open(&self.folder.join("run"))?;
-        let mut observer = Observer::attach(&run, "headset")?;
-        let begun = Instant::now();
-        while begun.elapsed() < START_MAX {
-            observer.wait(Duration::from_secs(2));
-            observer.poll();
-            if let Some(stats) = observer.stats() {
-                return Ok(FleetView::new(stats));
-            }
-        }
-        Err("no figures came".into())
-    }
-}
-
-impl Drop for Fleet {
-    fn drop(&mut self) {
-        if let Some(pid) = rustix::process::Pid::from_raw(self.process.id() as i32) {
-            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
-        }
-        let _ = self.process.wait();
-        let _ = std::fs::remove_dir_all(&self.folder);
-    }
+    Err("no figures came".into())
 }

@@ -1,5 +1,8 @@
 //! The fleet under measurement, and a ros_tcp client that reads from it as a headset does.
 
+#[path = "../launcher.rs"]
+mod launcher;
+
 use crate::measure::{Figures, Streams};
 use bridge::command::{Registration, name};
 use bridge::frame::{Frame, Parser, Side};
@@ -10,7 +13,7 @@ use mr_slam::run::Run;
 use mr_slam::view::FleetView;
 use serde::Serialize;
 use std::error::Error;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -57,12 +60,8 @@ impl Fleet {
             .args(words)
             .stderr(Stdio::piped())
             .spawn()?;
-        let mut output = BufReader::new(launcher.stderr.take().ok_or("no stderr")?);
-        let mut line = String::new();
-        output.read_line(&mut line)?;
-        // The rest of the output is discarded, so that the pipe does not fill.
-        std::thread::spawn(move || output.lines().for_each(drop));
-        let run = Run::open(&dir).map_err(|why| format!("{why}; the launcher said: {line}"))?;
+        launcher::wait_until_ready(&mut launcher)?;
+        let run = Run::open(&dir)?;
         let observer = Observer::attach(&run, "jitter")?;
         Ok(Self { launcher, dir, observer, run, before: None, after: None })
     }
@@ -150,9 +149,7 @@ impl Fleet {
 
 impl Drop for Fleet {
     fn drop(&mut self) {
-        if let Some(pid) = rustix::process::Pid::from_raw(self.launcher.id() as i32) {
-            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
-        }
+        launcher::terminate(&self.launcher);
         let _ = self.launcher.wait();
         let _ = std::fs::remove_dir_all(&self.dir);
     }

@@ -1,9 +1,11 @@
 //! A fleet of one robot in one of the worlds.
 
+#[path = "../launcher.rs"]
+mod launcher;
+
 use crate::link::OPERATOR_ADDRESS;
 use rustix::process::{Pid, Signal, kill_process};
 use std::error::Error;
-use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -36,13 +38,9 @@ impl Fleet {
             .stdin(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()?;
-        let mut messages = BufReader::new(launcher.stderr.take().ok_or("no standard error")?);
-        let mut line = String::new();
-        messages.read_line(&mut line)?;
-        std::thread::spawn(move || messages.lines().for_each(drop));
+        launcher::wait_until_ready(&mut launcher)?;
         let mut fleet = Self { launcher, dir, is_ros: world == "ros", domain, port: 0 };
-        let run = std::fs::read(fleet.dir.join("run.json"))
-            .map_err(|why| format!("{why}; the launcher printed: {line}"))?;
+        let run = std::fs::read(fleet.dir.join("run.json"))?;
         let run: serde_json::Value = serde_json::from_slice(&run)?;
         fleet.port = run["port"].as_u64().ok_or("no port in run.json")? as u16;
         crate::wait("a bridge", || fleet.bridge().is_ok())?;
@@ -69,7 +67,7 @@ impl Fleet {
 
 impl Drop for Fleet {
     fn drop(&mut self) {
-        send(self.launcher.id(), Signal::TERM);
+        launcher::terminate(&self.launcher);
         let begun = Instant::now();
         while matches!(self.launcher.try_wait(), Ok(None)) && begun.elapsed() < END_WITHIN {
             std::thread::sleep(Duration::from_millis(20));
