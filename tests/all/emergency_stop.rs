@@ -4,6 +4,7 @@ use crate::harness::{Folder, WATCHDOG, mr_slam, output_of, send};
 use rustix::process::Signal;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
+use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -15,10 +16,15 @@ struct Fleets {
     launchers: Vec<Child>,
 }
 
+/// Creates a folder with a short name that no other user may enter.
+fn private_folder() -> tempfile::TempDir {
+    let mode = std::fs::Permissions::from_mode(0o700);
+    tempfile::Builder::new().prefix("f").permissions(mode).tempdir().unwrap()
+}
+
 impl Fleets {
     fn start(count: usize) -> Self {
-        let mut fleets =
-            Self { folder: Folder::new(), runtime: tempfile::tempdir().unwrap(), launchers: Vec::new() };
+        let mut fleets = Self { folder: Folder::new(), runtime: private_folder(), launchers: Vec::new() };
         for number in 0..count {
             let mut command = fleets.command();
             command.args(["up", "--port", "0", "--robots", "1", "--run-dir"]).arg(fleets.run_dir(number));
@@ -27,7 +33,10 @@ impl Fleets {
             fleets.launchers.push(launcher);
             // The launcher says a line when the run's folder is complete; it ends if it cannot. What it swept up comes before.
             let mut lines = messages.lines().map_while(Result::ok);
-            assert!(lines.any(|line| line.starts_with("fleet of")));
+            let mut said = Vec::new();
+            while !said.last().is_some_and(|line: &String| line.starts_with("fleet of")) {
+                said.push(lines.next().unwrap_or_else(|| panic!("the launcher ended: {said:?}")));
+            }
             std::thread::spawn(move || lines.for_each(|line| eprintln!("{line}")));
         }
         fleets

@@ -256,6 +256,23 @@ fn load_into_another_fleet(folder: &Folder, map: &Path, kept: &Path, mapped: u64
     assert!(fleet.end(Signal::TERM).success);
 }
 
+/// Stops robot 2's SLAM for a moment: a request to it is answered with who is silent.
+fn a_silent_process_is_named(fleet: &mut Fleet) {
+    let dir = fleet.run.dir.clone();
+    let view =
+        fleet.until("its process", |view| view.processes.iter().any(|p| p.process == "slam of robot2"));
+    let worker = view.processes.iter().find(|p| p.process == "slam of robot2").unwrap().pid;
+    // The launcher would replace it.
+    let launcher = fleet.run.pid;
+    send(launcher, Signal::STOP);
+    send(worker, Signal::STOP);
+    let said = refusal(&dir, "robot2", &["state"]);
+    send(worker, Signal::CONT);
+    send(launcher, Signal::CONT);
+    assert!(said.contains("robot2's SLAM does not answer") && said.contains("mr-slam status"), "{said}");
+    assert_eq!(answer(&dir, "robot2", &["state"])["robot"], "robot2");
+}
+
 #[test]
 fn invalid_requests_are_refused_with_the_reason() {
     let folder = Folder::new();
@@ -297,19 +314,7 @@ fn invalid_requests_are_refused_with_the_reason() {
     assert_eq!((&paused["paused"], nodes(&paused) >= 1), (&true.into(), true), "{paused}");
     assert_eq!(answer(&dir, "robot1", &["resume"])["paused"], false);
 
-    // One that is silent is said to be.
-    let view =
-        fleet.until("its process", |view| view.processes.iter().any(|p| p.process == "slam of robot2"));
-    let worker = view.processes.iter().find(|p| p.process == "slam of robot2").unwrap().pid;
-    // The launcher would replace it.
-    let launcher = fleet.run.pid;
-    send(launcher, Signal::STOP);
-    send(worker, Signal::STOP);
-    let said = refusal(&dir, "robot2", &["state"]);
-    send(worker, Signal::CONT);
-    send(launcher, Signal::CONT);
-    assert!(said.contains("robot2's SLAM does not answer") && said.contains("mr-slam status"), "{said}");
-    assert_eq!(answer(&dir, "robot2", &["state"])["robot"], "robot2");
+    a_silent_process_is_named(&mut fleet);
 
     // A fleet that is to begin with such files is not started.
     folder.file("robot1.slam", &bytes[..bytes.len() / 2]);
