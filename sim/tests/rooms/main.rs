@@ -87,7 +87,8 @@ fn the_laboratory_is_furnished_and_passable() {
         }
         assert_eq!(starts, room.starts(count).unwrap());
     }
-    assert_eq!(room.starts(17), Err(StartError::Full { count: 17, found: 16 }));
+    let count = msg::ROBOTS_MAX + 1;
+    assert_eq!(room.starts(count), Err(StartError::Full { count, found: msg::ROBOTS_MAX }));
 }
 
 #[test]
