@@ -113,15 +113,16 @@ impl<S: Storage> SavedFiles<S> {
     }
 
     fn read_state(&self) -> io::Result<Option<SavedState>> {
-        match self.storage.read(&self.state_file, BYTES_MAX) {
-            Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes)?)),
-            Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(None),
-            Err(why) => Err(why),
-        }
+        let bytes = self.read_if_present(&self.state_file)?;
+        bytes.map(|bytes| Ok(serde_json::from_slice(&bytes)?)).transpose()
     }
 
     fn read_latch(&self) -> io::Result<Option<Vec<u8>>> {
-        match self.storage.read(&self.stop_file, BYTES_MAX) {
+        self.read_if_present(&self.stop_file)
+    }
+
+    fn read_if_present(&self, path: &Path) -> io::Result<Option<Vec<u8>>> {
+        match self.storage.read(path, BYTES_MAX) {
             Ok(bytes) => Ok(Some(bytes)),
             Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(why) => Err(why),
