@@ -1,5 +1,9 @@
 //! The settings of the bridge.
 
+mod page;
+
+pub use page::PageConfig;
+
 use crate::dds::DdsConfig;
 use crate::drive::velocity_gate::VelocityConfig;
 use crate::limits::ClientLimits;
@@ -73,6 +77,8 @@ pub struct BridgeConfig {
     pub limits: ClientLimits,
     /// Limits of all velocities that the bridge sends. A velocity beyond them is clamped.
     pub velocity: VelocityConfig,
+    /// The operator's page, and the Foxglove protocol.
+    pub page: PageConfig,
     /// The ROS 2 endpoint.
     pub dds: DdsConfig,
     /// Errors of the robots' odometry, for its published covariances. They are those of `[slam.odometry]`.
@@ -105,6 +111,7 @@ impl Default for BridgeConfig {
             service_timeout_s: 10.0,
             limits: ClientLimits::default(),
             velocity: VelocityConfig::default(),
+            page: PageConfig::default(),
             dds: DdsConfig::default(),
             odometry_sigmas: OdometrySigmas::default(),
         }
@@ -130,6 +137,7 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.page.validate()?;
         self.limits.validate()?;
         self.velocity.validate()?;
         self.validate_dds_access()?;
