@@ -21,7 +21,6 @@ mod fleet_topics;
 pub mod frame;
 mod input;
 pub mod interfaces;
-mod limits;
 mod odometry_covariance;
 mod page;
 pub mod relay;
@@ -36,11 +35,13 @@ mod transport;
 pub mod world;
 
 pub use bridge::{Bridge, ClientStatus};
-pub use config::{BridgeConfig, ConfigError, PageConfig, Permission};
+pub use config::{
+    ALLOCATOR_SETTINGS, BridgeConfig, ClientLimits, ConfigError, LimitsOfRobot, PageConfig, Permission,
+    VelocityConfig,
+};
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
 pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
-pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use odometry_covariance::OdometrySigmas;
 pub use page::{PageFile, serve_page};
 pub use ros::{RobotNameError, RobotNames};

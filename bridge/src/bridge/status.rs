@@ -3,6 +3,7 @@
 use super::Bridge;
 use crate::core::Core;
 use crate::drive::Driver;
+use crate::drive::velocity_gate::RobotLimits;
 use crate::router::ClientId;
 use msg::{Distribution, FleetStats, Monotonic, RobotId, RobotStats, TrackingState};
 use serde::Serialize;
@@ -86,7 +87,7 @@ impl Bridge {
 fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -> RobotStatus {
     let stats = core.stats.as_deref().map(|stats| &stats.robots[robot.index()]);
     let driver = core.gate.drive().leaseholder(robot, now);
-    let limits = core.config.velocity.limits(robot);
+    let limits = RobotLimits::new(&core.config.velocity, robot);
     RobotStatus {
         prefix: core.fleet.robot_names().topic(robot, ""),
         number: robot.number(),
