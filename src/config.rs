@@ -3,10 +3,14 @@
 //! Errors name the file, the line and the reason: an unknown key, a wrong type, a value out of range. The file
 //! `config/default.toml` lists every key with its default; it is generated from the types and their doc comments.
 
+mod sessions;
+
+pub use sessions::{Mode, SessionsConfig};
+
+use crate::processes::{self, ProcessRow};
 use crate::realtime::RealtimeConfig;
-use crate::sessions::SessionsConfig;
 use bridge::RobotNames;
-use msg::{Pose2, ROBOTS_MAX};
+use msg::{Pose2, ROBOTS_MAX, RobotId};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -266,6 +270,11 @@ impl FleetConfig {
         sections
             .into_iter()
             .try_for_each(|(field, checked)| checked.map_err(|why| ConfigError::Value { field, why }))
+    }
+
+    /// Returns every process of the fleet with its row of the table, in the order in which they are started.
+    pub fn processes(&self) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
+        processes::of_fleet(self.fleet.robots, self.world.is_outside())
     }
 
     /// Returns the room's name, or the source of the world, for people.

@@ -1,8 +1,13 @@
 //! The settings of the bridge.
 
-use crate::dds::DdsConfig;
-use crate::drive::velocity_gate::VelocityConfig;
-use crate::limits::ClientLimits;
+mod dds;
+mod limits;
+mod velocity;
+
+pub use dds::{DdsConfig, VelocityMessage};
+pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
+pub use velocity::{LimitsOfRobot, VelocityConfig};
+
 use crate::odometry_covariance::OdometrySigmas;
 use crate::ros::{Dialect, NameStyle};
 use crate::world::ClockOffset;

@@ -2,10 +2,9 @@
 
 use super::Lockstep;
 use super::faults::{BRIDGE, Fault};
-use crate::command::output;
 use crate::control::Request;
 use crate::ports::WritePort;
-use crate::supervisor::restarts::State;
+use crate::restarts::State;
 use msg::{Monotonic, RobotId, SlamRequest, SlamRequestKind};
 use std::time::Duration;
 
@@ -30,7 +29,7 @@ impl Lockstep {
             }
             let at = member.robot.and_then(|robot| self.observer.last_seen(member.row.role, robot));
             if let Err(why) = member.start(&self.world, at) {
-                output::note(&format!("cannot start the {}: {why}", member.row.title(member.robot)));
+                tracing::warn!("cannot start the {}: {why}", member.row.title(member.robot));
                 member.policy.on_death(now);
             }
             let selected = member.bridge().map(|process| process.bridge.selected_robot());

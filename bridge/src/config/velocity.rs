@@ -1,8 +1,7 @@
-//! Limits of the velocities that the bridge sends to robots.
+//! The settings of the velocities that the bridge sends to robots.
 
-use super::Velocity;
-use crate::config::ConfigError;
-use msg::{ROBOTS_MAX, RobotId};
+use super::ConfigError;
+use msg::ROBOTS_MAX;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -45,25 +44,6 @@ impl Default for VelocityConfig {
     }
 }
 
-/// Largest speeds of a robot in either direction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RobotLimits {
-    /// Forward and backward, m/s.
-    pub linear_m_s: f64,
-    /// In either direction, rad/s.
-    pub angular_rad_s: f64,
-}
-
-impl RobotLimits {
-    /// Returns the velocity with each component within its limit; it must be finite.
-    pub fn clamp(&self, velocity: Velocity) -> Velocity {
-        Velocity {
-            linear_m_s: velocity.linear_m_s.clamp(-self.linear_m_s, self.linear_m_s),
-            angular_rad_s: velocity.angular_rad_s.clamp(-self.angular_rad_s, self.angular_rad_s),
-        }
-    }
-}
-
 impl VelocityConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
@@ -83,15 +63,6 @@ impl VelocityConfig {
             check_limits(limits.linear_m_s, limits.angular_rad_s)?;
         }
         Ok(())
-    }
-
-    /// Returns the limits of a robot.
-    pub fn limits(&self, robot: RobotId) -> RobotLimits {
-        let own = self.robots.iter().find(|limits| limits.robot == robot.number());
-        let (linear_m_s, angular_rad_s) = own.map_or((self.linear_m_s, self.angular_rad_s), |limits| {
-            (limits.linear_m_s, limits.angular_rad_s)
-        });
-        RobotLimits { linear_m_s, angular_rad_s }
     }
 
     /// Returns [`Self::timeout_s`] as a duration.

@@ -1,6 +1,6 @@
 //! Limits of what clients may hold and do, so that nobody who reaches the port can exhaust the bridge.
 
-use crate::config::ConfigError;
+use super::ConfigError;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 

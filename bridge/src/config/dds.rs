@@ -1,6 +1,6 @@
 //! The settings of the ROS 2 endpoint.
 
-use crate::config::ConfigError;
+use super::ConfigError;
 use crate::repeater::Repetition;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
