@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 
 /// Shortest autosave period, seconds: saving a large map takes a good part of a second.
 const AUTOSAVE_MIN_S: f64 = 1.0;
+/// Longest autosave period, seconds: a day. Somebody who wants it longer wants none.
+const AUTOSAVE_MAX_S: f64 = 86_400.0;
 
 /// Use of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -32,6 +34,31 @@ impl From<Mode> for SlamMode {
     }
 }
 
+/// Reason why the section `[sessions]` is refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SessionsConfigError {
+    /// The period is out of range.
+    #[error(
+        "sessions.autosave_s is {0}; expected {AUTOSAVE_MIN_S} to {AUTOSAVE_MAX_S} seconds, or 0 for never"
+    )]
+    Autosave(f64),
+    /// There is no map to localize in.
+    #[error(
+        "sessions.mode is `localization`, which needs maps; expected begin_with = \"DIR\", or the option --sessions DIR"
+    )]
+    LocalizationWithoutMaps,
+}
+
+impl SessionsConfigError {
+    /// Returns the key below `sessions`.
+    pub fn key(&self) -> &'static str {
+        match self {
+            Self::Autosave(_) => "autosave_s",
+            Self::LocalizationWithoutMaps => "mode",
+        }
+    }
+}
+
 /// Section `[sessions]` of the configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -54,15 +81,12 @@ impl Default for SessionsConfig {
 
 impl SessionsConfig {
     /// Checks ranges and keys that depend on each other.
-    pub fn validate(&self) -> Result<(), String> {
-        if self.autosave_s != 0.0 && !(AUTOSAVE_MIN_S..=86_400.0).contains(&self.autosave_s) {
-            return Err(format!(
-                "autosave_s is {}; expected {AUTOSAVE_MIN_S} to 86400 seconds, or 0 for never",
-                self.autosave_s
-            ));
+    pub fn validate(&self) -> Result<(), SessionsConfigError> {
+        if self.autosave_s != 0.0 && !(AUTOSAVE_MIN_S..=AUTOSAVE_MAX_S).contains(&self.autosave_s) {
+            return Err(SessionsConfigError::Autosave(self.autosave_s));
         }
         if self.mode == Mode::Localization && self.folder().is_none() {
-            return Err("localization needs maps: begin_with = \"DIR\", or --sessions DIR".into());
+            return Err(SessionsConfigError::LocalizationWithoutMaps);
         }
         Ok(())
     }
