@@ -175,6 +175,8 @@ function takeOver() {
   if (selected !== null) live.publish("/take_control", "std_msgs/msg/Int32", writeInt(selected), true);
 }
 
+element("take-over").addEventListener("click", takeOver);
+
 // --- Keys ---
 
 /** @type {Record<string, () => void>} */
@@ -304,6 +306,12 @@ function showHint() {
   setText(hint, text);
 }
 
+/** Offers to take the selected robot over while somebody else drives it. */
+function showTakeOver() {
+  const figures = selected === null ? null : fleet.robots.get(selected)?.figures;
+  element("take-over").hidden = !figures?.driver || figures.is_mine;
+}
+
 function frame() {
   const time = now();
   view.draw(fleet, selected, time);
@@ -313,6 +321,7 @@ function frame() {
     fleetPanel.update(fleet, time);
     attention.update(fleet.attention(time, live.isOpen), fleet);
     showHint();
+    showTakeOver();
   }
   requestAnimationFrame(frame);
 }
