@@ -50,7 +50,7 @@ pub struct BridgeConfig {
     pub watch: Permission,
     /// Who may publish to the fleet: velocities, selection, poses. Everybody may set the emergency stop.
     pub drive: Permission,
-    /// Topics and services that every client may publish or offer in ROS, such as `/chat`; others need the
+    /// Topics and services that every client may publish, offer or call in ROS, such as `/chat`; others need the
     /// permission to drive.
     pub open_topics: Vec<String>,
     /// Addresses on the allow list, which may watch and drive.
@@ -157,7 +157,7 @@ impl BridgeConfig {
         if self.dds.enabled && self.payloads != Dialect::Ros2 {
             return Err(ConfigError::new("payloads", "ros1".into(), "ROS 2 (bridge.dds) needs \"ros2\""));
         }
-        if self.dds.enabled && !self.dds.loopback_only && self.watch != Permission::Anyone {
+        if self.dds.enabled && !self.dds.is_loopback_only() && self.watch != Permission::Anyone {
             let expected =
                 "DDS does not identify subscribers: set watch = \"anyone\", or loopback_only = true";
             return Err(ConfigError::new("watch", "allowed".into(), expected));
@@ -204,6 +204,11 @@ impl BridgeConfig {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Returns whether ROS 2 nodes may drive: those on this machine as on TCP, others only if anyone may.
+    pub fn may_ros_drive(&self) -> bool {
+        self.drive == Permission::Anyone || (self.dds.is_loopback_only() && self.trust_loopback)
     }
 
     /// Returns [`Self::lease_s`] as a duration.
