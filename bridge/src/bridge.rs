@@ -14,6 +14,7 @@ use crate::frame::Frame;
 use crate::relay::{RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
+use crate::transport::Transport;
 use crate::world::{ExternalWorld, WorldInput};
 use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, SlamResponse, Stamp, VelocityCommand};
 use std::cell::RefCell;
@@ -368,3 +369,12 @@ impl Bridge {
         self.core.borrow_mut().router.flush_client(id)
     }
 }
+
+impl Transport for Bridge {
+    fn publish(&self, message: FleetMessage<'_>) {
+        self.publish(message);
+    }
+}
+
+#[cfg(test)]
+mod tests;

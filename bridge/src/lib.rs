@@ -20,7 +20,6 @@ mod fleet_topics;
 pub mod frame;
 mod input;
 pub mod interfaces;
-mod limits;
 mod odometry_covariance;
 pub mod relay;
 mod repeater;
@@ -34,11 +33,12 @@ mod transport;
 pub mod world;
 
 pub use bridge::{Bridge, ClientStatus};
-pub use config::{BridgeConfig, ConfigError, Permission};
+pub use config::{
+    ALLOCATOR_SETTINGS, BridgeConfig, ClientLimits, ConfigError, LimitsOfRobot, Permission, VelocityConfig,
+};
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
 pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
-pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use odometry_covariance::OdometrySigmas;
 pub use ros::{RobotNameError, RobotNames};
 pub use router::{ClientId, ConnectionEnded, Counters};

@@ -16,10 +16,10 @@ pub mod slam;
 mod submap_publisher;
 pub mod telemetry;
 
+use crate::progress::ProgressCounter;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
-use crate::supervisor::progress::ProgressCounter;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;

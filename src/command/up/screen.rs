@@ -32,7 +32,7 @@ impl Screen {
     pub fn new(run: &Run, in_background: bool) -> Self {
         let Run { dir, port, config, .. } = run;
         note(&format!(
-            "fleet of {} robots in {}; headsets connect to port {port}; maps and report go to {}",
+            "fleet of {} robots in {}; headsets connect to port {port}\nmaps and report go to {}",
             config.fleet.robots,
             config.world_name(),
             dir.display()

@@ -1,6 +1,6 @@
 //! Which ROS 2 nodes are found: the fleet file's settings, and ROS 2's own environment variables where it leaves them open.
 
-use super::config::DdsConfig;
+use super::DdsConfig;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
