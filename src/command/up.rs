@@ -10,7 +10,7 @@ mod screen;
 pub use report::Report;
 
 use super::fleet_args::FleetArgs;
-use crate::config::{ConfigError, FleetConfig};
+use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
@@ -20,7 +20,7 @@ use crate::sessions;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
 use crate::view::FleetView;
-use bridge::dds::{Discovery, DiscoveryError, DiscoveryVariables};
+use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 use events::Events;
 use scan_rates::ScanRates;
@@ -131,8 +131,7 @@ impl UpArgs {
                 dds.set_discovery(discovery);
             }
         })?;
-        let wrong = |why: DiscoveryError| ConfigError::Value { field: "bridge.dds", why: why.to_string() };
-        if let Some(warning) = discovery.map_err(wrong)?.and_then(|discovery| discovery.warning) {
+        if let Some(warning) = discovery.map_err(ValueError::from)?.and_then(|discovery| discovery.warning) {
             tracing::warn!("{warning}");
         }
         Ok(config)
