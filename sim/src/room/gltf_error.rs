@@ -46,7 +46,7 @@ pub enum GltfError {
     TooDeep {
         /// Number of the node.
         node: usize,
-        /// Largest depth.
+        /// Largest depth of nested nodes.
         max: usize,
     },
     /// The mesh of a node does not exist.
