@@ -57,7 +57,7 @@ pub fn folder(run: &Run) -> PathBuf {
 /// Reads a robot's session from wherever a run's files are.
 pub fn read(storage: &impl Storage, path: &Path, identity: &Identity) -> Result<Session, SessionFileError> {
     let bytes = storage
-        .read(path, session_file::BYTES_MAX)
+        .read(path, ::slam::session::BYTES_MAX as u64)
         .map_err(|source| SessionFileError::Io { file: path.to_owned(), source })?;
     Session::decode(&bytes, identity).map_err(|why| SessionFileError::Content { file: path.to_owned(), why })
 }

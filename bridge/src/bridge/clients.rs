@@ -82,6 +82,12 @@ impl Bridge {
         core.router.clients().map(status).collect()
     }
 
+    /// Returns all topics, sorted by name: name and type.
+    pub(crate) fn topics(&self) -> Vec<(String, String)> {
+        let core = self.core.borrow();
+        core.router.topics.sorted().map(|topic| (topic.name.clone(), topic.message_type.clone())).collect()
+    }
+
     /// Decides whether the rest of a large frame is received; if not, the client is told why and the frame skipped.
     pub(crate) fn admit_large_frame(
         &self,
