@@ -1,8 +1,10 @@
 //! The public interface of the bridge: the fleet's messages in, commands for robots out.
 
 mod clients;
+mod status;
 
 pub use clients::ClientStatus;
+pub(crate) use status::FleetStatus;
 
 use crate::access::Action;
 use crate::cdr::Dialect;

@@ -3,11 +3,13 @@
 mod dds;
 mod discovery;
 mod limits;
+mod page;
 mod velocity;
 
 pub use dds::{DdsConfig, VelocityMessage};
 pub use discovery::{Discovery, DiscoveryError, DiscoveryVariables, OrEnvironment};
 pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
+pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};
 
 use crate::odometry_covariance::OdometrySigmas;
@@ -80,6 +82,8 @@ pub struct BridgeConfig {
     pub limits: ClientLimits,
     /// Limits of all velocities that the bridge sends. A velocity beyond them is clamped.
     pub velocity: VelocityConfig,
+    /// The operator's page, and the Foxglove protocol.
+    pub page: PageConfig,
     /// The ROS 2 endpoint.
     pub dds: DdsConfig,
     /// Errors of the robots' odometry, for its published covariances. They are those of `[slam.odometry]`.
@@ -112,6 +116,7 @@ impl Default for BridgeConfig {
             service_timeout_s: 10.0,
             limits: ClientLimits::default(),
             velocity: VelocityConfig::default(),
+            page: PageConfig::default(),
             dds: DdsConfig::default(),
             odometry_sigmas: OdometrySigmas::default(),
         }
@@ -140,6 +145,7 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.page.validate()?;
         self.limits.validate()?;
         self.velocity.validate()?;
         self.validate_dds_access()?;

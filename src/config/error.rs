@@ -63,7 +63,7 @@ pub enum ValueError {
     Start {
         /// Place in the list, from 0.
         index: usize,
-        /// The pose.
+        /// Pose as the file has it.
         start: [f64; 3],
     },
     /// The number of names is not that of the robots.
