@@ -8,7 +8,6 @@
 //! Candidates are ranked by their walls alone, because floor agrees with floor almost anywhere. Whether the best one is
 //! accepted depends on both maps' cells too ([`AlignConfig`]).
 
-mod comparison;
 mod distance_field;
 mod fft2;
 mod null;
@@ -26,7 +25,7 @@ pub(crate) use wall_match::{WallMatch, match_walls};
 
 use crate::config::AlignConfig;
 use crate::limits::{RESOLUTION_M, is_plausible};
-use comparison::{GridComparison, compare_grids};
+use msg::grid_agreement::{GridAgreement, compare_grids};
 use msg::{GridView, Pose2, pose::wrap_angle};
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
 use serde::{Deserialize, Serialize};
@@ -48,6 +47,8 @@ const RIVAL_SCORE_MIN: f64 = 50.0;
 const SMALL_OVERLAP_SHARE: f64 = 0.2;
 /// Factor on [`AlignConfig::overlap_min_m2`] for an overlap with such a small share.
 const SMALL_OVERLAP_FACTOR: f64 = 2.0;
+/// Tolerance of the F1 of occupied cells, metres: a cell of the usual 0.05 m.
+const OCCUPIED_TOLERANCE_M: f64 = 0.05;
 /// Largest distance of two alignments that are one place, metres.
 const SAME_PLACE_M: f64 = 0.5;
 /// Largest rotation between two alignments that are one place, radians.
@@ -140,7 +141,7 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let margin = best.score() / others.map(WallMatch::score).fold(RIVAL_SCORE_MIN, f64::max);
     let a_from_b =
         field_a.points.frame_from_centred * best.a_from_b * field_b.points.frame_from_centred.inverse();
-    Some(judge(a_from_b, &best, margin, &compare_grids(a, b, a_from_b), config))
+    Some(judge(a_from_b, &best, margin, &compare_cells(a, b, a_from_b), config))
 }
 
 /// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
@@ -154,7 +155,7 @@ pub(crate) fn evaluate(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Opt
     let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
     let matched = match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS));
     let config = AlignConfig { margin_min: 0.0, ..AlignConfig::default() };
-    Some(judge(a_from_b, &matched, 0.0, &compare_grids(a, b, a_from_b), &config))
+    Some(judge(a_from_b, &matched, 0.0, &compare_cells(a, b, a_from_b), &config))
 }
 
 /// Returns the strides at which about this many wall points of each map are used.
@@ -220,15 +221,21 @@ fn is_same_place(x: Pose2, y: Pose2) -> bool {
     x.distance_m(y) < SAME_PLACE_M && wrap_angle(x.yaw_rad - y.yaw_rad).abs() < SAME_PLACE_RAD
 }
 
+/// Compares two grids cell by cell; all zero if they have no cell in common.
+fn compare_cells(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> GridAgreement {
+    compare_grids(a, b, a_from_b, OCCUPIED_TOLERANCE_M).unwrap_or_default()
+}
+
 /// Compares the evidence with the thresholds.
 fn judge(
     a_from_b: Pose2,
     walls: &WallMatch,
     margin: f64,
-    cells: &GridComparison,
+    cells: &GridAgreement,
     config: &AlignConfig,
 ) -> Alignment {
-    let GridComparison { agreement, occupied_f1, overlap_m2, overlap_share, inliers } = *cells;
+    let GridAgreement { agreement, occupied_f1, overlap_m2, overlap_share, occupied_found, .. } = *cells;
+    let inliers = (occupied_found[0] + occupied_found[1]) as u32;
     let factor = if overlap_share < SMALL_OVERLAP_SHARE { SMALL_OVERLAP_FACTOR } else { 1.0 };
     let accepted = agreement >= config.agreement_min
         && occupied_f1 >= config.occupied_f1_min
