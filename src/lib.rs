@@ -11,6 +11,7 @@ pub mod command;
 pub mod config;
 pub mod fleet;
 pub mod lockstep;
+mod page_files;
 pub mod process;
 pub mod resources;
 pub mod run;

@@ -1,11 +1,15 @@
 //! The settings of the bridge.
 
 mod dds;
+mod discovery;
 mod limits;
+mod page;
 mod velocity;
 
 pub use dds::{DdsConfig, VelocityMessage};
+pub use discovery::{Discovery, DiscoveryError, DiscoveryVariables, OrEnvironment};
 pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
+pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};
 
 use crate::odometry_covariance::OdometrySigmas;
@@ -55,7 +59,7 @@ pub struct BridgeConfig {
     pub watch: Permission,
     /// Who may publish to the fleet: velocities, selection, poses. Everybody may set the emergency stop.
     pub drive: Permission,
-    /// Topics and services that every client may publish or offer in ROS, such as `/chat`; others need the
+    /// Topics and services that every client may publish, offer or call in ROS, such as `/chat`; others need the
     /// permission to drive.
     pub open_topics: Vec<String>,
     /// Addresses on the allow list, which may watch and drive.
@@ -78,6 +82,8 @@ pub struct BridgeConfig {
     pub limits: ClientLimits,
     /// Limits of all velocities that the bridge sends. A velocity beyond them is clamped.
     pub velocity: VelocityConfig,
+    /// The operator's page, and the Foxglove protocol.
+    pub page: PageConfig,
     /// The ROS 2 endpoint.
     pub dds: DdsConfig,
     /// Errors of the robots' odometry, for its published covariances. They are those of `[slam.odometry]`.
@@ -110,6 +116,7 @@ impl Default for BridgeConfig {
             service_timeout_s: 10.0,
             limits: ClientLimits::default(),
             velocity: VelocityConfig::default(),
+            page: PageConfig::default(),
             dds: DdsConfig::default(),
             odometry_sigmas: OdometrySigmas::default(),
         }
@@ -138,6 +145,7 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.page.validate()?;
         self.limits.validate()?;
         self.velocity.validate()?;
         self.validate_dds_access()?;
@@ -170,7 +178,7 @@ impl BridgeConfig {
                 "\"ros2\", which ROS 2 (bridge.dds) needs",
             ));
         }
-        if self.dds.enabled && !self.dds.loopback_only && self.watch != Permission::Anyone {
+        if self.dds.enabled && !self.dds.is_loopback_only() && self.watch != Permission::Anyone {
             let expected = "anyone, or bridge.dds.loopback_only = true: DDS does not identify subscribers";
             return Err(ConfigError::new("watch", "allowed".into(), expected));
         }
@@ -211,6 +219,11 @@ impl BridgeConfig {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Returns whether ROS 2 nodes may drive: those on this machine as on TCP, others only if anyone may.
+    pub fn may_ros_drive(&self) -> bool {
+        self.drive == Permission::Anyone || (self.dds.is_loopback_only() && self.trust_loopback)
     }
 
     /// Returns [`Self::lease_s`] as a duration.

@@ -63,7 +63,7 @@ pub enum RealtimeConfigError {
     UnknownRole {
         /// Key below `realtime`.
         key: String,
-        /// The name.
+        /// Name as the file has it.
         name: String,
     },
     /// No machine has such a core.
@@ -71,7 +71,7 @@ pub enum RealtimeConfigError {
     Core {
         /// Name of the role.
         role: String,
-        /// The core.
+        /// Number of the core, from 0.
         core: usize,
     },
 }

@@ -63,7 +63,7 @@ pub enum ValueError {
     Start {
         /// Place in the list, from 0.
         index: usize,
-        /// The pose.
+        /// Pose as the file has it.
         start: [f64; 3],
     },
     /// The number of names is not that of the robots.
@@ -100,6 +100,9 @@ pub enum ValueError {
     /// A value of the bridge.
     #[error(transparent)]
     Bridge(#[from] bridge::ConfigError),
+    /// A value of ROS 2's environment variables.
+    #[error(transparent)]
+    Discovery(#[from] bridge::dds::DiscoveryError),
     /// A value of the real-time settings.
     #[error(transparent)]
     Realtime(#[from] RealtimeConfigError),
@@ -128,6 +131,7 @@ impl ValueError {
             Self::Sessions(why) => format!("sessions.{}", why.key()),
             Self::Merge(why) => format!("merge.{}", why.key),
             Self::Bridge(why) => format!("bridge.{}", why.key),
+            Self::Discovery(_) => "bridge.dds".into(),
             Self::Realtime(why) => format!("realtime.{}", why.key()),
         }
     }
