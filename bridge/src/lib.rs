@@ -42,5 +42,5 @@ pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use odometry_covariance::OdometrySigmas;
 pub use ros::{RobotNameError, RobotNames};
 pub use router::{ClientId, ConnectionEnded, Counters};
-pub use server::{process_clock, serve};
+pub use server::{process_clock, serve, serve_clients};
 pub use transport::Transport;

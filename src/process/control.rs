@@ -96,6 +96,8 @@ impl<S: Storage> Control<S> {
             waiting_bytes: status.waiting_bytes,
             link_bytes_per_s: status.link_bytes_per_s,
             held_back_bytes: status.held_back_bytes,
+            reduced_maps: status.reduced_maps,
+            live_delay_s: status.live_delay_s,
             dropped: status.dropped,
             drives: status.drives.iter().map(|robot| robot.number()).collect(),
             clock: status.clock,
