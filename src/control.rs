@@ -54,6 +54,7 @@ pub struct BridgeState {
 }
 
 /// State of one connection.
+// More than 12 fields: one for each column of the operator's table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClientView {
     /// Number of the connection, counted from 1 since the bridge's start.

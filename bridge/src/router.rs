@@ -303,7 +303,7 @@ impl TopicRouter {
             let Some(client) = self.clients.get_mut(subscriber.slot).and_then(Option::as_mut) else {
                 continue;
             };
-            // What changed in a map means nothing to a client whose map has larger cells.
+            // Changes count whole cells: a client whose map has larger ones cannot use them.
             if matches!(map, MapRole::UpdateOf(map) if client.outgoing.is_reduced(map)) {
                 continue;
             }

@@ -9,6 +9,7 @@ use msg::{Monotonic, RobotId};
 use std::net::SocketAddr;
 
 /// The state of one connection, for the operator's table.
+// More than 12 fields: one for each column of the operator's table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClientStatus {
     /// Number of the connection, counted from 1 since the bridge's start.

@@ -30,7 +30,7 @@ const MEASURED_BYTES_MIN: usize = 8 << 10;
 const MEASURED_BYTES_FIRST: usize = 3 << 10;
 /// The rate is otherwise measured over at least so long a time.
 const MEASURED_TIME_MIN: Duration = Duration::from_millis(250);
-/// The share of a rate that is believed after a shorter time: the kernel's buffer empties in steps of a third.
+/// The share of a rate that is used after a shorter time: the kernel's buffer empties in steps of a third.
 const SHORT_MEASUREMENT_SHARE: f64 = 0.5;
 /// Shortest time that a rate is computed from: the clock of a scheduler is no finer.
 const TIME_MIN_S: f64 = 1e-3;

@@ -33,7 +33,7 @@ pub enum MapRole {
     None,
     /// A whole map in this encoding: its cells may be made larger.
     Whole(Dialect),
-    /// Changes of the map of this topic: they mean nothing to a client whose map has larger cells.
+    /// Changes of the map of this topic: a client whose map has larger cells cannot use them.
     UpdateOf(usize),
 }
 
@@ -108,6 +108,7 @@ pub enum FlushOutcome {
 pub struct Overflow;
 
 /// Frames that wait for one client.
+// More than 12 fields: the frames, their totals, and what the connection admits now.
 pub struct OutgoingQueue {
     /// The frame that is being written, and how many of its bytes are. Once begun it must be written whole.
     writing: Option<(SharedFrame, usize)>,
