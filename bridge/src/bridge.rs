@@ -1,8 +1,10 @@
 //! The public interface of the bridge: the fleet's messages in, commands for robots out.
 
 mod clients;
+mod status;
 
 pub use clients::ClientStatus;
+pub(crate) use status::FleetStatus;
 
 use crate::access::Action;
 use crate::cdr::Dialect;
@@ -14,6 +16,7 @@ use crate::frame::Frame;
 use crate::relay::{RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
+use crate::transport::Transport;
 use crate::world::{ExternalWorld, WorldInput};
 use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, Stamp, VelocityCommand};
 use std::cell::RefCell;
@@ -361,3 +364,12 @@ impl Bridge {
         self.core.borrow_mut().router.flush_client(id)
     }
 }
+
+impl Transport for Bridge {
+    fn publish(&self, message: FleetMessage<'_>) {
+        self.publish(message);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -24,7 +24,7 @@ use crate::router::{
 };
 use crate::services::ServiceCalls;
 use crate::world::WorldInput;
-use msg::{Header, Monotonic, RobotId, VelocityCommand};
+use msg::{FleetStats, Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
 
 use admission::Departures;
@@ -53,6 +53,8 @@ pub struct Core {
     pub commands: CommandQueues,
     /// Receives sensor data if the world is not simulated here.
     pub world: Option<WorldInput>,
+    /// The newest figures of telemetry, for the operator's page.
+    pub stats: Option<Box<FleetStats>>,
     /// The clients that are being dropped.
     departures: Departures,
 }
@@ -74,6 +76,7 @@ impl Core {
             commands: CommandQueues::default(),
             config,
             world,
+            stats: None,
             departures: Departures::default(),
         };
         core.send_velocities();
@@ -129,6 +132,12 @@ impl Core {
 
     /// Publishes a message of the fleet.
     pub fn publish(&mut self, message: FleetMessage<'_>) {
+        if let FleetMessage::Stats(stats) = message {
+            match &mut self.stats {
+                Some(newest) => **newest = *stats,
+                None => self.stats = Some(Box::new(*stats)),
+            }
+        }
         self.fleet.publish(&mut self.router, message);
     }
 

@@ -3,11 +3,12 @@
 //! The core asks the ROS 2 endpoint by [`RosCommand`] and is told by [`RosEvent`]; both are plain values, so that the
 //! endpoint may run on another thread. Names are those on TCP: the endpoint adds and removes its namespace.
 
+mod received_message;
 mod table;
 
+pub use received_message::ReceivedMessage;
 pub use table::{RelayTable, Unpublished};
 
-use crate::dds::ReceivedMessage;
 use msg::RobotId;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use std::collections::BTreeMap;

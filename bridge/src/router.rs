@@ -16,6 +16,7 @@ pub use buffers::BufferPool;
 pub use client::{
     Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, LargeFrame, Publication, RefusalKind,
 };
+#[cfg(test)]
 pub use link::SEND_BUFFER_FIRST;
 pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 pub use topics::{DEPTH_DEFAULT, Retention, Source, Topic, TopicError, TopicId, TopicTable};
@@ -372,6 +373,3 @@ fn without_slash(frame: &SharedFrame, topic: &Topic, pool: &mut BufferPool) -> S
     Side::Server.write(Rc::make_mut(&mut renamed), topic.name.trim_start_matches('/'), payload);
     renamed
 }
-
-#[cfg(test)]
-mod weak_link;

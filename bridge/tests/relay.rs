@@ -1,7 +1,9 @@
 //! The exchange of clients' topics with ROS, without sockets and with a simulated clock: the test is the ROS 2 endpoint.
 
+mod in_memory;
+
 use bridge::command::{Call, Notice, Registration, TopicList, name};
-use bridge::frame::{Parser, Side};
+use bridge::frame::Side;
 use bridge::relay::{RosCommand, RosEvent, RosGraph, RosTopic};
 use bridge::{Bridge, BridgeConfig, ClientId, FleetMessage, Permission};
 use msg::Monotonic;
@@ -56,11 +58,7 @@ impl Simulation {
     }
 
     fn receive(&self, client: ClientId, bytes: &[u8]) {
-        let mut parser = Parser::new(1 << 20);
-        parser.push(bytes);
-        while let Some(frame) = parser.next_frame().unwrap() {
-            self.bridge.receive(client, frame, self.now);
-        }
+        in_memory::receive(&self.bridge, client, bytes, self.now);
     }
 
     fn register(&self, client: ClientId, command: &str, topic: &str, message_type: &str) {
@@ -83,15 +81,7 @@ impl Simulation {
 
     /// Takes the frames that wait for a client: name and payload.
     fn frames(&self, client: ClientId) -> Vec<(String, Vec<u8>)> {
-        let mut bytes = Vec::new();
-        self.bridge.take_outgoing(client, &mut bytes).unwrap();
-        let mut parser = Parser::new(1 << 20);
-        parser.push(&bytes);
-        let mut frames = Vec::new();
-        while let Some(frame) = parser.next_frame().unwrap() {
-            frames.push((String::from_utf8(frame.name.to_vec()).unwrap(), frame.payload.to_vec()));
-        }
-        frames
+        in_memory::take_frames(&self.bridge, client)
     }
 
     /// Takes the frames that wait for a client; returns the texts for a person.

@@ -3,6 +3,7 @@
 mod console;
 mod detach;
 mod events;
+mod page;
 mod report;
 mod scan_rates;
 mod screen;
@@ -42,6 +43,9 @@ pub struct UpArgs {
     /// TCP port for headsets; 0: any free port [default: 10000]
     #[arg(long, value_name = "P")]
     pub port: Option<u16>,
+    /// TCP port of the operator's page, 0 for any free port, or `off`; overrides the configuration
+    #[arg(long, value_name = "P")]
+    pub page: Option<page::PageChoice>,
     /// Address that may drive, such as the headset's; may be given several times
     #[arg(long, value_name = "ADDRESS")]
     pub allow: Vec<IpAddr>,
@@ -65,8 +69,13 @@ pub struct UpArgs {
     pub in_background: bool,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or("expected a number above 0".into())
+/// Text that is no duration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected a number of seconds above 0")]
+struct SecondsError;
+
+fn seconds(text: &str) -> Result<f64, SecondsError> {
+    text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or(SecondsError)
 }
 
 /// Reason why a fleet did not come up.
@@ -115,6 +124,9 @@ impl UpArgs {
         self.fleet.config_with(|config| {
             config.fleet.port = self.port.unwrap_or(config.fleet.port);
             config.bridge.allow.extend(&self.allow);
+            if let Some(choice) = self.page {
+                choice.apply(config);
+            }
             if self.trust_lan {
                 config.bridge.drive = bridge::Permission::Anyone;
             }
@@ -168,8 +180,9 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
 
 /// Runs a fleet from start to end, writes its maps and report into the run's folder, and returns the report.
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
-    let config = args.config()?;
+    let mut config = args.config()?;
     fleet::check(&config)?;
+    page::choose_port(&mut config);
     let (address, port) = (config.fleet.address.clone(), config.fleet.port);
     let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
         address: address.clone(),

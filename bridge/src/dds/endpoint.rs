@@ -1,17 +1,16 @@
 //! The ROS 2 endpoint as one DDS participant with one ROS node.
 
-use super::config::DdsConfig;
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
 use super::graph::Graph;
-use super::inputs::{self, InputTopic, ReceivedMessage};
+use super::inputs::{self, InputTopic};
 use super::link::RosLink;
 use super::relay::TopicRelay;
 use super::services::ServiceServers;
 use super::writers::TopicWriters;
-use crate::config::{BridgeConfig, Permission};
+use crate::config::{BridgeConfig, DdsConfig, Permission};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
 use crate::input::Input;
-use crate::relay::{RosCommand, RosEvent};
+use crate::relay::{ReceivedMessage, RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::transport::Transport;
 use futures::StreamExt;
@@ -205,7 +204,7 @@ impl DdsEndpoint {
                     if writer.prefix == own {
                         continue;
                     }
-                    let message = ReceivedMessage::new(&input, sample.into_value().0.to_vec());
+                    let message = input.message(sample.into_value().0.to_vec());
                     endpoint.state.borrow_mut().record(&message, writer);
                     endpoint.link.send_event(RosEvent::Input(message));
                 }

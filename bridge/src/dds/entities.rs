@@ -1,9 +1,9 @@
 //! Creates the DDS entities of the endpoint: topics with ROS names, readers and writers.
 
-use super::config::DdsConfig;
 use super::inputs::InputTopic;
 use super::raw::{Adapter, Raw};
 use super::topic_writer::TopicWriter;
+use crate::config::DdsConfig;
 use ros2_client::dds::rustdds::dds::CreateError;
 use ros2_client::dds::rustdds::no_key::{DataWriter, SimpleDataReader};
 use ros2_client::dds::rustdds::policy::{Durability, History};

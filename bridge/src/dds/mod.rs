@@ -12,7 +12,6 @@
 //! ros2-client's encode every message anew, cannot limit what a writer keeps, and its node subscribes to `/clock`
 //! with a type that is not ROS's.
 
-mod config;
 mod endpoint;
 mod entities;
 mod graph;
@@ -24,9 +23,9 @@ mod services;
 mod topic_writer;
 mod writers;
 
-pub use config::{DdsConfig, VelocityMessage};
+pub use crate::config::{DdsConfig, VelocityMessage};
+pub use crate::relay::ReceivedMessage;
 pub use endpoint::{DdsCounters, DdsEndpoint};
 pub use entities::EndpointError;
-pub use inputs::ReceivedMessage;
 pub use link::RosLink;
 pub use raw::{Adapter, Raw};

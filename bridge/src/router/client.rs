@@ -152,6 +152,8 @@ impl Client {
         socket: Option<Box<dyn ClientSocket>>,
         outgoing: OutgoingQueue,
     ) -> Self {
+        // Until the connection's rate is known.
+        socket.iter().for_each(|socket| socket.set_send_buffer(SEND_BUFFER_FIRST));
         Self {
             id,
             peer,

@@ -1,6 +1,6 @@
 //! The settings of the ROS 2 endpoint.
 
-use crate::config::ConfigError;
+use super::ConfigError;
 use crate::repeater::Repetition;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -86,30 +86,30 @@ impl DdsConfig {
     /// Refuses values that cannot work.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
         if self.domain > DOMAIN_MAX {
-            return Err(ConfigError::new("dds.domain", self.domain.to_string(), "domains 0 to 232 exist"));
+            return Err(ConfigError::new("dds.domain", self.domain.to_string(), "0 to 232"));
         }
         if self.relayed_topics_max > RELAYED_TOPICS_LIMIT {
             let value = self.relayed_topics_max.to_string();
-            return Err(ConfigError::new("dds.relayed_topics_max", value, "0 to 1024 topics work"));
+            return Err(ConfigError::new("dds.relayed_topics_max", value, "0 to 1024 topics"));
         }
         let parts = self.namespace.strip_prefix('/').map(|rest| rest.split('/'));
         let is_valid = self.namespace.is_empty() || parts.is_some_and(|mut parts| parts.all(is_name));
         if !is_valid {
             let value = format!("'{}'", self.namespace);
-            return Err(ConfigError::new("dds.namespace", value, "expected nothing, or a name like /lab"));
+            return Err(ConfigError::new("dds.namespace", value, "nothing, or a name like /lab"));
         }
         if !is_name(&self.node) {
             let value = format!("'{}'", self.node);
-            return Err(ConfigError::new("dds.node", value, "expected letters, digits and underscores"));
+            return Err(ConfigError::new("dds.node", value, "letters, digits and underscores"));
         }
         self.validate_transforms()
     }
 
     fn validate_transforms(&self) -> Result<(), ConfigError> {
         let limits = [
-            ("dds.transform_rate_hz", self.transform_rate_hz, 0.0..=200.0, "0 to 200 Hz work"),
-            ("dds.transform_tolerance_s", self.transform_tolerance_s, 0.0..=5.0, "0 to 5 seconds work"),
-            ("dds.transform_hold_s", self.transform_hold_s, 0.1..=60.0, "0.1 to 60 seconds work"),
+            ("dds.transform_rate_hz", self.transform_rate_hz, 0.0..=200.0, "0 to 200 Hz"),
+            ("dds.transform_tolerance_s", self.transform_tolerance_s, 0.0..=5.0, "0 to 5 seconds"),
+            ("dds.transform_hold_s", self.transform_hold_s, 0.1..=60.0, "0.1 to 60 seconds"),
         ];
         for (key, value, range, expected) in limits {
             if !range.contains(&value) {

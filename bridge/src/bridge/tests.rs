@@ -1,15 +1,16 @@
 //! Tests of clients on weak links: a simulated socket that takes a few kB/s, on simulated time.
 
 use super::*;
-use crate::fleet_topics::FleetMessage;
-use crate::ros::{Clock, LaserScan, TfMessage};
-use crate::{Bridge, ClientStatus, command::Registration};
+use crate::command::Registration;
+use crate::frame::Side;
+use crate::ros::{Clock, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, TfMessage};
+use crate::router::SEND_BUFFER_FIRST;
 use bytemuck::Zeroable;
-use link::SEND_BUFFER_FIRST;
-use msg::{GridHeader, GridView, Link, Monotonic, RobotId, Scan, Stamp, Transforms};
+use msg::{GridHeader, GridView, Link, Scan, Transforms};
 use proptest::prelude::*;
-use std::cell::{Cell, RefCell};
+use std::cell::Cell;
 use std::io::IoSlice;
+use std::rc::Rc;
 
 /// What a weak link carries, bytes per second.
 const RATE: f64 = 60e3;
