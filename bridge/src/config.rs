@@ -1,11 +1,13 @@
 //! The settings of the bridge.
 
 mod dds;
+mod discovery;
 mod limits;
 mod page;
 mod velocity;
 
 pub use dds::{DdsConfig, VelocityMessage};
+pub use discovery::{Discovery, DiscoveryError, DiscoveryVariables, OrEnvironment};
 pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};
@@ -57,7 +59,7 @@ pub struct BridgeConfig {
     pub watch: Permission,
     /// Who may publish to the fleet: velocities, selection, poses. Everybody may set the emergency stop.
     pub drive: Permission,
-    /// Topics and services that every client may publish or offer in ROS, such as `/chat`; others need the
+    /// Topics and services that every client may publish, offer or call in ROS, such as `/chat`; others need the
     /// permission to drive.
     pub open_topics: Vec<String>,
     /// Addresses on the allow list, which may watch and drive.
@@ -176,7 +178,7 @@ impl BridgeConfig {
                 "\"ros2\", which ROS 2 (bridge.dds) needs",
             ));
         }
-        if self.dds.enabled && !self.dds.loopback_only && self.watch != Permission::Anyone {
+        if self.dds.enabled && !self.dds.is_loopback_only() && self.watch != Permission::Anyone {
             let expected = "anyone, or bridge.dds.loopback_only = true: DDS does not identify subscribers";
             return Err(ConfigError::new("watch", "allowed".into(), expected));
         }
@@ -217,6 +219,11 @@ impl BridgeConfig {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Returns whether ROS 2 nodes may drive: those on this machine as on TCP, others only if anyone may.
+    pub fn may_ros_drive(&self) -> bool {
+        self.drive == Permission::Anyone || (self.dds.is_loopback_only() && self.trust_loopback)
     }
 
     /// Returns [`Self::lease_s`] as a duration.

@@ -7,6 +7,7 @@ mod initial_pose;
 mod input;
 mod registration;
 mod relay;
+mod service_exchange;
 mod service_frames;
 
 use crate::access::AccessControl;
@@ -22,7 +23,8 @@ use crate::ros::{Bool, Int32, RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
-use crate::services::ServiceCalls;
+use crate::services::{Provider, ServiceCalls};
+use crate::slam_services::SlamServices;
 use crate::world::WorldInput;
 use msg::{FleetStats, Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
@@ -45,8 +47,10 @@ pub struct Core {
     pub gate: VelocityGate,
     /// Who may watch and drive.
     pub access: AccessControl,
-    /// Services between clients.
+    /// Services of clients, and all calls that wait.
     pub services: ServiceCalls,
+    /// SLAM's services by their ROS names.
+    pub slam: SlamServices,
     /// The exchange of clients' topics with ROS.
     pub relay: RelayTable,
     /// Commands for robots, merging and SLAM that wait to be taken.
@@ -71,8 +75,13 @@ impl Core {
             fleet,
             gate: VelocityGate::new(&config.velocity, robots.count(), drive),
             access: AccessControl::new(&config),
-            services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
-            relay: RelayTable::new(config.dds.relayed_topics_max, &config.open_topics),
+            services: ServiceCalls::new(config.client_topics_max),
+            slam: SlamServices::new(robots),
+            relay: RelayTable::new(
+                config.dds.relayed_topics_max,
+                config.dds.relayed_services_max,
+                &config.open_topics,
+            ),
             commands: CommandQueues::default(),
             config,
             world,
@@ -165,9 +174,15 @@ impl Core {
             world.disconnect(id.serial);
         }
         self.stop_robots_of(id);
+        for call in self.services.remove_calls_of(id) {
+            if call.provider == Provider::Ros {
+                self.relay.cancel_call(&call.service, call.number);
+            }
+        }
         for call in self.services.remove_client(id) {
             self.fail_call(&call, "the client that offered it has left");
         }
+        self.update_services();
         Some(unsent)
     }
 

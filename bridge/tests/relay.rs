@@ -91,7 +91,7 @@ impl Simulation {
         notices.map(|(_, payload)| serde_json::from_slice::<Notice>(payload).unwrap().text).collect()
     }
 
-    /// Takes what was asked of ROS, as text without the messages' bytes.
+    /// Takes what was asked of ROS about topics, as text without the messages' bytes.
     fn asked(&self) -> Vec<String> {
         let text = |command: RosCommand| match command {
             RosCommand::Subscribe { topic, message_type } => format!("subscribe {topic} {message_type}"),
@@ -104,8 +104,10 @@ impl Simulation {
             }
             RosCommand::Unadvertise { topic } => format!("unadvertise {topic}"),
             RosCommand::Publish { topic, payload } => format!("publish {topic} {}", payload.len()),
+            other => format!("{other:?}"),
         };
-        self.commands.borrow_mut().drain(..).map(text).collect()
+        let mut commands = self.commands.borrow_mut();
+        commands.drain(..).filter(|command| !command.is_of_service()).map(text).collect()
     }
 }
 
@@ -116,7 +118,7 @@ fn message(topic: &str) -> RosEvent {
 /// A graph in which a node publishes one topic.
 fn graph(topic: &str, message_type: &str, is_latched: bool) -> RosEvent {
     let known = RosTopic { published: vec![message_type.into()], is_latched, ..RosTopic::default() };
-    RosEvent::Graph(RosGraph { topics: [(topic.to_owned(), known)].into() })
+    RosEvent::Graph(RosGraph { topics: [(topic.to_owned(), known)].into(), ..RosGraph::default() })
 }
 
 #[test]

@@ -11,7 +11,7 @@ mod screen;
 pub use report::Report;
 
 use super::fleet_args::FleetArgs;
-use crate::config::{ConfigError, FleetConfig};
+use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
@@ -21,6 +21,7 @@ use crate::sessions;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
 use crate::view::FleetView;
+use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 use events::Events;
 use scan_rates::ScanRates;
@@ -52,7 +53,7 @@ pub struct UpArgs {
     /// Let everybody who reaches the port drive the robots
     #[arg(long)]
     pub trust_lan: bool,
-    /// Serve ROS 2 on this machine in this domain (ROS_DOMAIN_ID)
+    /// Serve ROS 2 in this domain [default with --world ros: ROS_DOMAIN_ID, or 0]
     #[arg(long, value_name = "ID")]
     pub ros_domain: Option<u16>,
     /// Seconds until the fleet ends [default: until Ctrl-C]
@@ -121,7 +122,8 @@ pub enum UpError {
 
 impl UpArgs {
     fn config(&self) -> Result<FleetConfig, ConfigError> {
-        self.fleet.config_with(|config| {
+        let mut discovery = Ok(None);
+        let config = self.fleet.config_with(|config| {
             config.fleet.port = self.port.unwrap_or(config.fleet.port);
             config.bridge.allow.extend(&self.allow);
             if let Some(choice) = self.page {
@@ -131,14 +133,30 @@ impl UpArgs {
                 config.bridge.drive = bridge::Permission::Anyone;
             }
             if let Some(domain) = self.ros_domain {
-                (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
+                (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain.into());
             }
-        })
+            let dds = &mut config.bridge.dds;
+            if dds.enabled {
+                discovery = Discovery::new(dds, &ros_variables()).map(Some);
+            }
+            if let Ok(Some(discovery)) = &discovery {
+                dds.set_discovery(discovery);
+            }
+        })?;
+        if let Some(warning) = discovery.map_err(ValueError::from)?.and_then(|discovery| discovery.warning) {
+            tracing::warn!("{warning}");
+        }
+        Ok(config)
     }
 
     pub(super) fn folder(&self) -> PathBuf {
         self.run_dir.clone().unwrap_or_else(|| PathBuf::from("runs").join(folder_name_now()))
     }
+}
+
+/// Returns ROS 2's environment variables for discovery.
+pub(super) fn ros_variables() -> DiscoveryVariables {
+    DiscoveryVariables::new(|name| std::env::var(name).ok())
 }
 
 /// Additions to a running fleet: none for `up`, the scripted operator for `demo`.

@@ -100,6 +100,9 @@ pub enum ValueError {
     /// A value of the bridge.
     #[error(transparent)]
     Bridge(#[from] bridge::ConfigError),
+    /// A value of ROS 2's environment variables.
+    #[error(transparent)]
+    Discovery(#[from] bridge::dds::DiscoveryError),
     /// A value of the real-time settings.
     #[error(transparent)]
     Realtime(#[from] RealtimeConfigError),
@@ -128,6 +131,7 @@ impl ValueError {
             Self::Sessions(why) => format!("sessions.{}", why.key()),
             Self::Merge(why) => format!("merge.{}", why.key),
             Self::Bridge(why) => format!("bridge.{}", why.key),
+            Self::Discovery(_) => "bridge.dds".into(),
             Self::Realtime(why) => format!("realtime.{}", why.key()),
         }
     }

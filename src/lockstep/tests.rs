@@ -6,10 +6,6 @@ use crate::channel::{CHANNELS, Direction, End, Opener, Program, Scope, process_h
 use crate::config::FleetConfig;
 use msg::{RobotId, Role};
 
-/// Channels that a process opens only if it serves DDS, which lockstep does not.
-const OF_DDS: [(&str, Direction, Program); 1] =
-    [("slam_response", Direction::Read, Program::Worker(Role::Bridge))];
-
 /// Returns what the table of channels declares for the processes of a simulated fleet.
 fn declared(config: &FleetConfig) -> Openings {
     let processes: Vec<Opener> =
@@ -27,8 +23,7 @@ fn declared(config: &FleetConfig) -> Openings {
             };
             for opener in &processes {
                 for (name, robot) in &channels {
-                    let is_of_dds = OF_DDS.contains(&(row.name, direction, opener.program));
-                    if !is_of_dds && ends().any(|end| end.includes(*opener, *robot)) {
+                    if ends().any(|end| end.includes(*opener, *robot)) {
                         declared.insert((name.clone(), direction, *opener));
                     }
                 }
