@@ -41,7 +41,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 /// map on.
 pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(FleetPoseGraph, MergeMemory<S>), Error> {
     let starts = fleet::known_starts(&run.config)?;
-    let mut graph = FleetPoseGraph::new(&run.config.merge.align, &starts);
+    let mut graph = FleetPoseGraph::new(&run.config.merge, &starts);
     let memory = MergeMemory::restore(run, storage, &mut graph);
     Ok((graph, memory))
 }
