@@ -98,7 +98,7 @@ pub struct BulkBudget {
 }
 
 impl BulkBudget {
-    /// No limit.
+    /// Messages are sent without a limit.
     pub const UNLIMITED: Self = Self { bytes: usize::MAX, one_of_any_length: true, reduces_maps: false };
     /// No bulk frame.
     pub const NONE: Self = Self { bytes: 0, one_of_any_length: false, reduces_maps: false };
