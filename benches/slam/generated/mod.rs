@@ -4,10 +4,12 @@
 //! one building, one robot and one run; the same seed gives the same figures.
 
 mod building;
+mod picture;
 mod robot;
 mod run;
+mod walls;
 
-use run::{Case, METRE_SCALE_M, Outcome, run};
+use run::{Case, METRE_SCALE_M, Outcome, median, run};
 use serde_json::{Value, json};
 use std::ops::Range;
 use std::path::Path;
@@ -73,18 +75,21 @@ pub fn print(outcomes: &[Outcome]) {
         return;
     }
     println!(
-        "{:<28} {:>5} {:>7} {:>7} {:>8} {:>8} {:>10} {:>10} {:>9} {:>8} {:>6}",
+        "{:<28} {:>5} {:>5} {:>6} {:>7} {:>6} {:>7} {:>6} {:>6} {:>5} {:>5} {:>8} {:>6} {:>8}",
         "generated logs",
         "runs",
         "wrong",
         "silent",
         "mean m",
         "tied %",
-        "closures",
+        "walls %",
+        "right",
         "wrong",
         "back",
         "wrong",
-        "NEES"
+        "NEES",
+        "links",
+        "closures"
     );
     let row = |name: &str, of: &dyn Fn(&Outcome) -> bool| {
         let group: Vec<&Outcome> = outcomes.iter().filter(|outcome| of(outcome)).collect();
@@ -116,7 +121,9 @@ pub fn print(outcomes: &[Outcome]) {
 
 fn print_worst(outcomes: &[Outcome]) {
     println!(
-        "wrong: a pose more than {METRE_SCALE_M} m off. silent: SLAM calls that pose part of its map. back: closures taken back."
+        "wrong: runs with a pose more than {METRE_SCALE_M} m off; silent: those in which SLAM calls it part of its map and is not \
+         lost at the end. walls: share of the walls hit that the map has. Then closures in force and closures taken back, \
+         right and wrong ones. NEES over its degrees of freedom (1 is right) of the pose given out, links and closures: medians."
     );
     for outcome in worst(outcomes) {
         println!(
@@ -144,9 +151,10 @@ struct Summary {
     silent: usize,
     mean_m: f64,
     tied_percent: f64,
+    walls_percent: f64,
     closures: [usize; 2],
     retracted: [usize; 2],
-    nees: Option<f64>,
+    nees: [Option<f64>; 3],
 }
 
 impl Summary {
@@ -155,26 +163,28 @@ impl Summary {
         let sum = |of: fn(&Outcome) -> [usize; 2]| {
             group.iter().map(|o| of(o)).fold([0; 2], |sum, two| [sum[0] + two[0], sum[1] + two[1]])
         };
-        let mut nees: Vec<f64> = group.iter().filter_map(|o| o.nees).collect();
-        nees.sort_by(f64::total_cmp);
+        let nees = |of: fn(&Outcome) -> Option<f64>| median(group.iter().filter_map(|o| of(o)).collect());
         Self {
             runs: group.len(),
             wrong: group.iter().filter(|o| o.is_wrong()).count(),
             silent: group.iter().filter(|o| o.is_silent()).count(),
             mean_m: mean(|o| o.mean_error_m),
             tied_percent: 100.0 * mean(|o| o.tied_share),
+            walls_percent: 100.0 * mean(|o| o.walls_share),
             closures: sum(|o| o.closures),
             retracted: sum(|o| o.retracted),
-            nees: nees.get(nees.len() / 2).copied(),
+            nees: [nees(|o| o.nees), nees(|o| o.edge_nees[0]), nees(|o| o.edge_nees[1])],
         }
     }
 
     fn line(&self, name: &str) -> String {
         let ([right, wrong], [right_back, wrong_back]) = (self.closures, self.retracted);
-        let nees = self.nees.map_or("-".into(), |nees| format!("{nees:.2}"));
+        let [pose, links, closures] =
+            self.nees.map(|nees| nees.map_or("-".into(), |nees| format!("{nees:.2}")));
         format!(
-            "{name:<28} {:>5} {:>7} {:>7} {:>8.3} {:>8.1} {right:>10} {wrong:>10} {right_back:>9} {wrong_back:>8} {nees:>6}",
-            self.runs, self.wrong, self.silent, self.mean_m, self.tied_percent
+            "{name:<28} {:>5} {:>5} {:>6} {:>7.3} {:>6.1} {:>7.1} {right:>6} {wrong:>6} {right_back:>5} {wrong_back:>5} \
+             {pose:>8} {links:>6} {closures:>8}",
+            self.runs, self.wrong, self.silent, self.mean_m, self.tied_percent, self.walls_percent
         )
     }
 }
