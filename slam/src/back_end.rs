@@ -145,6 +145,7 @@ impl BackEnd {
         let relative = self.uncertainty_from(id);
         let linked = self.link_near(id, &relative);
         self.unsolved += usize::from(linked > 0);
+        self.graph.update_newest_covariance();
         // Verify an odometry edge that no scan has confirmed.
         self.check_unverified_edge(id, &relative);
         let disconnected = !self.newest_in_map();
@@ -384,6 +385,7 @@ impl BackEnd {
     /// Updates components and the number of closures, after edges changed.
     fn count_closures(&mut self) {
         self.update_components();
+        self.update_covariances();
         let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
         self.loop_closer.in_force = self.graph.edges().iter().filter(in_force).count() as u32;
     }

@@ -4,6 +4,7 @@ use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use msg::{Header, Pose2, Scan};
+use nalgebra::Matrix3;
 use std::sync::Arc;
 
 /// A scan that entered the pose graph.
@@ -88,6 +89,21 @@ impl SweptPath {
     }
 }
 
+/// Covariance of a pose in the map, and where in the map it is: seen from elsewhere, an error in heading moves it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameUncertainty {
+    /// Covariance over (x, y, yaw) of the pose, relative to the map's first node.
+    pub covariance: Matrix3<f64>,
+    /// Position of the pose in the map, metres.
+    pub at: [f64; 2],
+}
+
+impl Default for FrameUncertainty {
+    fn default() -> Self {
+        Self { covariance: Matrix3::zeros(), at: [0.0; 2] }
+    }
+}
+
 /// The back end's result after a node, for the front end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Revision {
@@ -97,6 +113,8 @@ pub struct Revision {
     pub effective_from: u32,
     /// Pose of the front end's frame in the loop-closed map, by the newest node.
     pub map_from_local: Pose2,
+    /// How well that is known: the covariance of the newest node's pose in the map.
+    pub uncertainty: FrameUncertainty,
     /// Number of active closures.
     pub closures: u32,
     /// Whether the robot is located in its map; if not, `map_from_local` is not valid.

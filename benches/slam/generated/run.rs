@@ -17,6 +17,8 @@ pub const METRE_SCALE_M: f64 = 1.0;
 /// An edge further from the truth is wrong.
 const WRONG_M: f64 = 0.5;
 const WRONG_RAD: f64 = 0.15;
+/// An error within so many standard deviations of the position is one that the covariance admits.
+const SAID_SIGMAS: f64 = 3.0;
 /// Each so many scans the covariance is compared with the error.
 const NEES_EVERY: usize = 10;
 /// Smallest range of the sensors, metres.
@@ -76,6 +78,8 @@ pub struct Outcome {
     pub max_error_m: f64,
     /// The largest of the poses that SLAM said are tied to the map, metres.
     pub max_error_tied_m: f64,
+    /// The largest of those that are more than [`SAID_SIGMAS`] standard deviations off, by their covariance in the map.
+    pub max_error_unsaid_m: f64,
     /// Share of the scans whose node is tied to the map.
     pub tied_share: f64,
     /// Whether SLAM was lost at the end.
@@ -100,9 +104,10 @@ impl Outcome {
         self.max_error_m > METRE_SCALE_M
     }
 
-    /// Whether a wrong pose is called part of the map, and the robot is not lost at the end.
+    /// Whether a pose is wrong by a metre although SLAM calls it part of its map, its covariance in the map says otherwise,
+    /// and the robot is not lost at the end.
     pub fn is_silent(&self) -> bool {
-        self.max_error_tied_m > METRE_SCALE_M && !self.lost_at_end
+        self.max_error_unsaid_m > METRE_SCALE_M && !self.lost_at_end
     }
 }
 
@@ -145,6 +150,8 @@ pub struct ScoredPose {
     pub truth: Pose2,
     /// Whether SLAM calls it part of its map.
     pub is_tied: bool,
+    /// Standard deviation of the position of the pose's node in the map, metres.
+    pub sigma_m: f64,
 }
 
 /// A final trajectory against the truth.
@@ -200,15 +207,17 @@ impl Outcome {
             let index = steps.partition_point(|step| step.stamp_s < stamp.0 as f64 * 1e-9 - 1e-3);
             steps.get(index).map(|step| step.truth)
         };
-        let tied = |number: u32| {
-            let node = back.node_from_front_end(number).map(|id| &back.nodes()[id as usize]);
-            node.is_some_and(|node| node.disconnected.is_none())
+        let belief = |number: u32| {
+            let Some(id) = back.node_from_front_end(number) else { return (false, 0.0) };
+            let covariance = back.graph().covariance(id);
+            let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+            (back.nodes()[id as usize].disconnected.is_none(), sigma_m)
         };
-        let samples = front.samples().iter().map(|sample| tied(sample.node));
+        let samples = front.samples().iter().map(|sample| belief(sample.node));
         let poses: Vec<ScoredPose> = slam::trajectory(front, back)
             .zip(samples)
-            .filter_map(|((stamp, map_from_base), is_tied)| {
-                Some(ScoredPose { map_from_base, truth: truth_at(stamp)?, is_tied })
+            .filter_map(|((stamp, map_from_base), (is_tied, sigma_m))| {
+                Some(ScoredPose { map_from_base, truth: truth_at(stamp)?, is_tied, sigma_m })
             })
             .collect();
         // The map is put where the poses that are tied to it fit best.
@@ -221,6 +230,9 @@ impl Outcome {
         self.mean_error_m = all.iter().sum::<f64>() / all.len().max(1) as f64;
         self.max_error_m = all.iter().copied().fold(0.0, f64::max);
         self.max_error_tied_m = of_tied.iter().copied().fold(0.0, f64::max);
+        let unsaid = of_tied.iter().zip(&tied_poses);
+        let unsaid = unsaid.filter(|(error_m, pose)| **error_m > SAID_SIGMAS * pose.sigma_m);
+        self.max_error_unsaid_m = unsaid.map(|(error_m, _)| *error_m).fold(0.0, f64::max);
         self.tied_share = tied_poses.len() as f64 / steps.len().max(1) as f64;
         let closures = self.score_edges(back, &truth_at);
         Scored { world_from_map, poses, closures }

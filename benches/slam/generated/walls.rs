@@ -32,9 +32,8 @@ pub fn share_in_map(map: GridView<'_>, steps: &[Step], sensor: Sensor, world_fro
     let reach = (NEAR_M / map.header.resolution_m).round() as i64;
     let is_wall = |cell: &&[i64; 2]| {
         let (x, y) = map.cell_of(map_from_world.apply(cell.map(|v| (v as f64 + 0.5) * CELL_M)));
-        (-reach..=reach).any(|dx| {
-            (-reach..=reach).any(|dy| occupancy(map.cell(x + dx, y + dy)) == Occupancy::Occupied)
-        })
+        (-reach..=reach)
+            .any(|dx| (-reach..=reach).any(|dy| occupancy(map.cell(x + dx, y + dy)) == Occupancy::Occupied))
     };
     hits.iter().filter(is_wall).count() as f64 / hits.len().max(1) as f64
 }

@@ -6,7 +6,7 @@ use crate::config::SlamConfig;
 use crate::front_end::{FrontEndState, TrajectorySample};
 use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
-use crate::node::{Node, Revision};
+use crate::node::{FrameUncertainty, Node, Revision};
 use crate::relocalize::{MapNodes, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
@@ -216,9 +216,19 @@ impl BackEnd {
             cause: self.numbers.newest_front,
             effective_from: self.numbers.newest_front.saturating_add(lag),
             map_from_local: map_from_local.unwrap_or_default(),
+            uncertainty: self.frame_uncertainty(),
             closures: self.loop_closer.in_force,
             located: map_from_local.is_some() && self.is_located(),
         }
+    }
+
+    /// Covariance of the newest node's pose in the map. In a fixed map it is the map's own frame that counts: none is added.
+    fn frame_uncertainty(&self) -> FrameUncertainty {
+        let newest = self.nodes.last().filter(|_| self.grows_map());
+        newest.map_or(FrameUncertainty::default(), |node| {
+            let at = self.graph.poses()[node.id as usize];
+            FrameUncertainty { covariance: self.graph.covariance(node.id), at: [at.x_m, at.y_m] }
+        })
     }
 
     /// The current revision, for a front end that begins.

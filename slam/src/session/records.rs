@@ -8,7 +8,7 @@ use crate::closure::{ClosureCandidate, ClosureDetectorState, ClosureSearchCounts
 use crate::cloud::{BEARINGS, Cloud, SurfacePoint};
 use crate::front_end::{FrontEndCounts, FrontEndState, LastScan, TrajectorySample};
 use crate::graph::{Edge, EdgeKind};
-use crate::node::{Node, Rays, Revision, SWEPT_PATH_POSITIONS_MAX, SweptPath};
+use crate::node::{FrameUncertainty, Node, Rays, Revision, SWEPT_PATH_POSITIONS_MAX, SweptPath};
 use crate::relocalize::PoseEstimate;
 use bytemuck::{Pod, Zeroable};
 use msg::{BEAMS_MAX, Header, Odometry, Pose2, SlamMode, Stamp};
@@ -492,6 +492,8 @@ pub fn take_front(from: &mut In<'_>, nodes: usize) -> Result<FrontEndState> {
             cause: r.cause,
             effective_from: r.effective_from,
             map_from_local: check_pose(r.map_from_local, "revision")?,
+            // The back end finds it anew when it answers the next node.
+            uncertainty: FrameUncertainty::default(),
             closures: r.closures,
             located: r.located != 0,
         })
