@@ -46,6 +46,7 @@ impl BackEnd {
         back.numbers.earlier_nodes = if start == InitialPose::Continue { 0 } else { state.nodes.len() };
         back.numbers.newest_front = state.front_ids.last().copied().unwrap_or(0);
         (back.nodes, back.numbers.front_ids) = (state.nodes, state.front_ids);
+        (0..back.nodes.len() as u32).for_each(|id| back.learn_odometry_noise(id));
         back.update_components();
         back.mapper.restore(&back.nodes, &state.drawn);
         (back.loop_closer.not_found, back.loop_closer.again) = (state.not_found.into(), state.again.into());
