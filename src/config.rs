@@ -3,43 +3,18 @@
 //! Errors name the file, the line and the reason: an unknown key, a wrong type, a value out of range. The file
 //! `config/default.toml` lists every key with its default; it is generated from the types and their doc comments.
 
-use crate::realtime::RealtimeConfig;
-use crate::sessions::SessionsConfig;
-use bridge::RobotNames;
-use msg::{Pose2, ROBOTS_MAX};
-use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+mod error;
+mod sessions;
 
-/// Reason why a configuration was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("{path}: {why}")]
-    Unreadable {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        why: std::io::Error,
-    },
-    /// The file is no TOML, has an unknown key or a value out of range.
-    #[error("{path}:{line}: {why}")]
-    Wrong {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line number, from 1.
-        line: usize,
-        /// Text that was found, and what was expected.
-        why: String,
-    },
-    /// A value of the configuration or of an option is out of range.
-    #[error("{field}: {why}")]
-    Value {
-        /// Key of the value, such as `fleet.robots`.
-        field: &'static str,
-        /// Value that was found, and what was expected.
-        why: String,
-    },
-}
+pub use error::{ConfigError, ValueError};
+pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
+
+use crate::processes::{self, ProcessRow};
+use crate::realtime::RealtimeConfig;
+use bridge::RobotNames;
+use msg::{Pose2, ROBOTS_MAX, RobotId};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
 
 /// Configuration of a whole fleet. Keys that a file leaves out keep their default.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -170,6 +145,33 @@ impl Default for Fleet {
     }
 }
 
+impl Fleet {
+    fn check(&self) -> Result<(), ValueError> {
+        let robots = self.robots;
+        if !(1..=ROBOTS_MAX).contains(&robots) {
+            return Err(ValueError::Robots(robots));
+        }
+        if !self.starts.is_empty() && self.starts.len() != robots {
+            return Err(ValueError::StartsCount { starts: self.starts.len(), robots });
+        }
+        for (index, start) in self.starts.iter().enumerate() {
+            if start.iter().any(|value| !value.is_finite()) {
+                return Err(ValueError::Start { index, start: *start });
+            }
+        }
+        if !self.names.is_empty() {
+            if self.names.len() != robots {
+                return Err(ValueError::NamesCount { names: self.names.len(), robots });
+            }
+            RobotNames::new(self.names.clone())?;
+        }
+        match self.address.parse::<std::net::IpAddr>() {
+            Ok(_) => Ok(()),
+            Err(_) => Err(ValueError::Address(self.address.clone())),
+        }
+    }
+}
+
 /// Largest size of a fleet file, bytes: the default with its explanations has 60 kB.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 
@@ -193,25 +195,24 @@ impl FleetConfig {
             Ok(()) => Ok(config),
             // What the file alone has wrong too is reported at its line.
             Err(error) if of_file.is_err_and(|of_file| of_file.to_string() == error.to_string()) => {
-                Err(locate(path, &text, error))
+                Err(error.locate(path, &text))
             }
-            Err(error) => Err(error),
+            Err(error) => Err(error.into()),
         }
     }
 
     /// Parses and checks a file's text; `path` is for errors.
     pub fn from_text(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let config = Self::parse(path, text)?;
-        config.check().map_err(|error| locate(path, text, error))?;
+        config.check().map_err(|error| error.locate(path, text))?;
         Ok(config)
     }
 
     /// Parses a file's text over the default.
     fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
-        let wrong = |error: toml::de::Error| ConfigError::Wrong {
-            path: path.into(),
-            line: line_of(text, error.span().map_or(0, |span| span.start)),
-            why: error.message().to_string(),
+        let wrong = |why: toml::de::Error| {
+            let line = error::line_of(text, why.span().map_or(0, |span| span.start));
+            ConfigError::Syntax { path: path.into(), line, why }
         };
         // Parsed alone first, since its errors have lines; then laid over the default, table by table.
         toml::from_str::<Self>(text).map_err(wrong)?;
@@ -221,51 +222,22 @@ impl FleetConfig {
     }
 
     /// Checks ranges and keys that depend on each other.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        let fleet = &self.fleet;
-        if !(1..=ROBOTS_MAX).contains(&fleet.robots) {
-            let why = format!("{} robots; a fleet has 1 to {ROBOTS_MAX}", fleet.robots);
-            return Err(ConfigError::Value { field: "fleet.robots", why });
-        }
-        if !fleet.starts.is_empty() && fleet.starts.len() != fleet.robots {
-            let why = format!(
-                "{} poses for {} robots; give one for each, or none",
-                fleet.starts.len(),
-                fleet.robots
-            );
-            return Err(ConfigError::Value { field: "fleet.starts", why });
-        }
-        if let Some(start) = fleet.starts.iter().find(|start| start.iter().any(|v| !v.is_finite())) {
-            let why = format!("{start:?} is not a pose; expected [x, y, yaw], finite");
-            return Err(ConfigError::Value { field: "fleet.starts", why });
-        }
-        if !fleet.names.is_empty() {
-            let wrong = |why| ConfigError::Value { field: "fleet.names", why };
-            if fleet.names.len() != fleet.robots {
-                let (names, robots) = (fleet.names.len(), fleet.robots);
-                return Err(wrong(format!("{names} names for {robots} robots; give one for each, or none")));
-            }
-            RobotNames::new(fleet.names.clone()).map_err(|why| wrong(why.to_string()))?;
-        }
-        if fleet.address.parse::<std::net::IpAddr>().is_err() {
-            let why = format!("`{}` is not an IP address, such as 0.0.0.0 or 127.0.0.1", fleet.address);
-            return Err(ConfigError::Value { field: "fleet.address", why });
-        }
+    pub fn check(&self) -> Result<(), ValueError> {
+        self.fleet.check()?;
         if self.world == World::Ros && !self.bridge.dds.enabled {
-            let why = "`ros` needs ROS 2: set bridge.dds.enabled = true, or give --ros-domain ID".into();
-            return Err(ConfigError::Value { field: "world", why });
+            return Err(ValueError::RosWithoutDds);
         }
-        let sections = [
-            ("sim", self.sim.validate().map_err(|error| error.to_string())),
-            ("slam", self.slam.validate().map_err(|error| error.to_string())),
-            ("sessions", self.sessions.validate()),
-            ("merge", self.merge.validate().map_err(|error| error.to_string())),
-            ("bridge", self.bridge.validate().map_err(|error| error.to_string())),
-            ("realtime", self.realtime.validate()),
-        ];
-        sections
-            .into_iter()
-            .try_for_each(|(field, checked)| checked.map_err(|why| ConfigError::Value { field, why }))
+        self.sim.validate()?;
+        self.slam.validate()?;
+        self.sessions.validate()?;
+        self.merge.validate()?;
+        self.bridge.validate()?;
+        Ok(self.realtime.validate()?)
+    }
+
+    /// Returns every process of the fleet with its row of the table, in the order in which they are started.
+    pub fn processes(&self) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
+        processes::of_fleet(self.fleet.robots, self.world.is_outside())
     }
 
     /// Returns the room's name, or the source of the world, for people.
@@ -313,22 +285,4 @@ fn overlay(base: &mut toml::Table, over: toml::Table) {
             (_, value) => drop(base.insert(key, value)),
         }
     }
-}
-
-/// Returns the line number, from 1, of a byte of the text.
-fn line_of(text: &str, byte: usize) -> usize {
-    1 + text.as_bytes()[..byte.min(text.len())].iter().filter(|b| **b == b'\n').count()
-}
-
-/// Adds to an error the line on which the file sets the value, or on which its section begins.
-fn locate(path: &Path, text: &str, error: ConfigError) -> ConfigError {
-    let ConfigError::Value { field, why } = error else { return error };
-    let (section, key) = field.split_once('.').unwrap_or((field, ""));
-    let header = text.lines().position(|line| line.trim().starts_with(&format!("[{section}")));
-    let key_line = header.and_then(|start| {
-        let sets = |line: &str| !key.is_empty() && line.trim_start().starts_with(key);
-        Some(start + text.lines().skip(start).position(sets)?)
-    });
-    let line = key_line.or(header).map_or(1, |index| index + 1);
-    ConfigError::Wrong { path: path.into(), line, why: format!("{field}: {why}") }
 }

@@ -5,11 +5,10 @@
 //! of the live table use it.
 
 use crate::run::Run;
-use bridge::ClientSelector;
-use bridge::world::ClockEstimate;
+use bridge::{ClientSelector, ClientStatus};
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{IpAddr, SocketAddr};
+use std::net::IpAddr;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -50,36 +49,7 @@ pub struct BridgeState {
     /// Addresses that may drive.
     pub allowed: Vec<IpAddr>,
     /// State of every connection of a ros_tcp client.
-    pub clients: Vec<ClientView>,
-}
-
-/// State of one connection.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ClientView {
-    /// Number of the connection, counted from 1 since the bridge's start.
-    pub number: u64,
-    /// Address and port of the client.
-    pub address: SocketAddr,
-    /// Seconds since it connected.
-    pub connected_s: f64,
-    /// Seconds since it last sent anything: Unity's connector sends at least once a second.
-    pub silent_s: f64,
-    /// Number of topics that it subscribes to.
-    pub subscriptions: usize,
-    /// Number of topics that it publishes.
-    pub publications: usize,
-    /// Bytes that wait to be sent to it.
-    pub waiting_bytes: usize,
-    /// Bytes per second that its connection takes, measured while messages wait for it; `None` if none ever did.
-    pub link_bytes_per_s: Option<f64>,
-    /// Bytes of maps that are held back, because they would delay transforms on its slow connection.
-    pub held_back_bytes: usize,
-    /// Number of messages that were dropped because it reads too slowly.
-    pub dropped: u64,
-    /// Numbers of the robots that it drives now.
-    pub drives: Vec<usize>,
-    /// Estimate of its clock, if it publishes a world of its own.
-    pub clock: Option<ClockEstimate>,
+    pub clients: Vec<ClientStatus>,
 }
 
 impl BridgeState {
@@ -120,7 +90,7 @@ impl BridgeState {
             text += "EMERGENCY STOP is set: robots do not move until `mr-slam release`\n";
         }
         for client in &self.clients {
-            let ClientView { address, subscriptions, publications, waiting_bytes, dropped, .. } = client;
+            let ClientStatus { address, subscriptions, publications, waiting_bytes, dropped, .. } = client;
             text += &format!(
                 "client {address}: receives {subscriptions} topics, sends {publications}; {:.0} kB waiting, {dropped} messages dropped",
                 *waiting_bytes as f64 / 1e3
@@ -197,7 +167,7 @@ mod tests {
 
     #[test]
     fn the_table_shows_slow_and_waiting_clients() {
-        let client = ClientView {
+        let client = ClientStatus {
             number: 3,
             connected_s: 75.0,
             silent_s: 0.25,

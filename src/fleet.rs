@@ -3,7 +3,6 @@
 
 use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
-use crate::processes::ProcessRow;
 use crate::sessions::{self, SessionsError};
 use msg::{Pose2, RobotId, Stamp};
 use sim::{Room, Simulator};
@@ -129,11 +128,4 @@ pub fn check(config: &FleetConfig) -> Result<(), FleetError> {
 /// Returns the epoch of a run on the machine's clock.
 pub fn stamp_now(epoch: Epoch) -> Stamp {
     epoch.stamp(crate::clock::now())
-}
-
-/// Every process of a fleet with its row of the table, in the order in which they are started.
-pub fn processes(
-    config: &FleetConfig,
-) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
-    runtime::processes::of_fleet(config.fleet.robots, config.world.is_outside())
 }

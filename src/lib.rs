@@ -2,15 +2,16 @@
 
 // What processes run on is a crate of its own.
 pub use runtime::{
-    channel, clock, keys, ports, processes, realtime, runtime_folder, shared_memory, stop, storage,
+    channel, clock, keys, ports, processes, progress, realtime, restarts, runtime_folder, shared_memory,
+    stop, storage, watchdog,
 };
 
 // Command line, configuration and processes.
 pub mod command;
 pub mod config;
-pub mod demo;
 pub mod fleet;
 pub mod lockstep;
+mod page_files;
 pub mod process;
 pub mod resources;
 pub mod run;

@@ -6,7 +6,6 @@
 //! first, are in the same process and exchange frames with it ([`client`]).
 
 pub mod client;
-mod command;
 mod drive_checks;
 mod drivers;
 pub mod faults;
@@ -21,7 +20,6 @@ pub mod queues;
 mod tcp;
 
 pub use client::Client;
-pub use command::{LockstepArgs, run};
 pub use queues::MessageObserver;
 
 use crate::channel::{self, Opener, Program};
@@ -82,7 +80,7 @@ impl Lockstep {
         let storage = MemoryStorage::new(&network);
         let run = Run::in_memory(config.clone())?;
         let port = Port::new(&network);
-        let mut rows: Vec<_> = fleet::processes(config).collect();
+        let mut rows: Vec<_> = config.processes().collect();
         // Processes in the order of the data flow: robots, SLAM, merging, figures, bridge.
         rows.sort_by_key(|(row, robot)| (row.role, *robot));
         let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::SlamTool));

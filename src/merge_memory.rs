@@ -30,9 +30,15 @@ struct Kept {
 /// Reason why a file cannot be used.
 #[derive(Debug, thiserror::Error)]
 enum Unusable {
-    /// The file cannot be read, or its content is not valid.
-    #[error("{0}")]
-    Content(String),
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(#[from] std::io::Error),
+    /// The content is not valid.
+    #[error(transparent)]
+    Content(#[from] serde_json::Error),
+    /// The content does not say its version.
+    #[error("does not say its version; expected {VERSION}")]
+    NoVersion,
     /// It has the format of another version of the program.
     #[error("is of format version {0}; this program reads version {VERSION}")]
     Version(u64),
@@ -42,6 +48,22 @@ enum Unusable {
     /// The merge process cannot continue from its content.
     #[error(transparent)]
     Fleet(#[from] SnapshotRejected),
+}
+
+/// Reason why the state cannot be saved.
+#[derive(Debug, thiserror::Error)]
+enum SaveError {
+    /// The state has no JSON.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// The file cannot be written.
+    #[error("{}: {why}", path.display())]
+    Write {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the storage.
+        why: std::io::Error,
+    },
 }
 
 /// Writes the state to the file when it has changed.
@@ -78,6 +100,7 @@ impl<S: Storage> MergeMemory<S> {
             Ok(()) => (self.kept, self.said) = (Some(memory), None),
             Err(why) => {
                 self.due = Monotonic(now.0 + AGAIN_NS);
+                let why = why.to_string();
                 if self.said.as_ref() != Some(&why) {
                     tracing::warn!("merge: the state is not saved: {why}; it is tried again later");
                 }
@@ -87,10 +110,10 @@ impl<S: Storage> MergeMemory<S> {
     }
 }
 
-fn write(storage: &impl Storage, path: &Path, run: u64, fleet: &FleetSnapshot) -> Result<(), String> {
+fn write(storage: &impl Storage, path: &Path, run: u64, fleet: &FleetSnapshot) -> Result<(), SaveError> {
     let kept = Kept { version: VERSION, run, fleet: fleet.clone() };
-    let text = serde_json::to_vec(&kept).map_err(|why| why.to_string())?;
-    storage.write(path, &text).map_err(|why| why.to_string())
+    let text = serde_json::to_vec(&kept)?;
+    storage.write(path, &text).map_err(|why| SaveError::Write { path: path.into(), why })
 }
 
 /// Reads the file, if it exists.
@@ -100,19 +123,18 @@ fn restore(
     run: u64,
     fleet: &mut FleetPoseGraph,
 ) -> Result<Option<FleetSnapshot>, Unusable> {
-    let content = |why: &dyn ToString| Unusable::Content(why.to_string());
     let bytes = match storage.read(path, BYTES_MAX) {
         Err(why) if why.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        bytes => bytes.map_err(|why| content(&why))?,
+        bytes => bytes?,
     };
-    let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(|why| content(&why))?;
+    let value: serde_json::Value = serde_json::from_slice(&bytes)?;
     // The version is read first: the other fields of another version may differ.
     match value["version"].as_u64() {
         Some(version) if version == u64::from(VERSION) => {}
         Some(other) => return Err(Unusable::Version(other)),
-        None => return Err(content(&"does not say its version")),
+        None => return Err(Unusable::NoVersion),
     }
-    let kept: Kept = serde_json::from_value(value).map_err(|why| content(&why))?;
+    let kept: Kept = serde_json::from_value(value)?;
     if kept.run != run {
         return Err(Unusable::Run);
     }

@@ -12,9 +12,9 @@ use crate::channel::Opener;
 use crate::clock::Epoch;
 use crate::config::FleetConfig;
 use crate::ports::ChannelError;
+use crate::progress::{ProgressCounter, WatchedThread};
 use crate::runtime_folder::{self, FleetPlace, Forbidden, Lock, TrustError};
 use crate::shared_memory::{Domain, Participant};
-use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -253,7 +253,8 @@ impl Run {
 
     /// Opens the counter with which the calling thread of one of the run's processes says that it works.
     pub fn progress(&self, role: Role, robot: Option<RobotId>, thread: WatchedThread) -> ProgressCounter {
-        ProgressCounter::open(&self.domain, &self.config, role, robot, thread)
+        let index = self.config.processes().position(|(row, of)| row.role == role && of == robot);
+        ProgressCounter::open(&self.domain, index, thread)
     }
 
     /// Returns the robots of the fleet.

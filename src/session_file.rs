@@ -4,13 +4,11 @@
 
 use formats::atomic;
 use formats::map_file::{MapFileError, read_map};
+use slam::session::BYTES_MAX;
 use slam::{Identity, Session, SessionError, SlamConfig};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-
-/// Largest file that is read, bytes. 20 000 nodes of a dense LiDAR take about 300 MB.
-pub(crate) const BYTES_MAX: u64 = 1 << 30;
 
 /// Reason why a session file could not be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -53,12 +51,9 @@ pub fn write(path: &Path, session: &Session) -> Result<(), SessionFileError> {
 pub fn read(path: &Path, identity: &Identity) -> Result<Session, SessionFileError> {
     let fail = |source| SessionFileError::Io { file: path.to_owned(), source };
     let mut bytes = Vec::new();
-    File::open(path).and_then(|file| file.take(BYTES_MAX + 1).read_to_end(&mut bytes)).map_err(fail)?;
-    if bytes.len() as u64 > BYTES_MAX {
-        return Err(fail(std::io::Error::other(
-            "is larger than 1 GiB; expected a session of at most that size",
-        )));
-    }
+    File::open(path)
+        .and_then(|file| file.take(BYTES_MAX as u64 + 1).read_to_end(&mut bytes))
+        .map_err(fail)?;
     Session::decode(&bytes, identity).map_err(|why| SessionFileError::Content { file: path.to_owned(), why })
 }
 

@@ -3,12 +3,11 @@
 //! Each SLAM process saves its session in the run's folder. A restarted process continues with it, and a later fleet
 //! may begin with the whole folder.
 
-use crate::config::FleetConfig;
+use crate::config::{FleetConfig, Mode};
 use crate::run::Run;
 use crate::session_file::{self, SessionFileError};
 use crate::storage::Storage;
 use msg::{Pose2, RobotId, SlamMode};
-use serde::{Deserialize, Serialize};
 use slam::{Identity, Session};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -22,74 +21,6 @@ const STARTS: &str = "starts.json";
 const STARTS_BYTES_MAX: u64 = 64 << 10;
 /// Standard deviation of a pose that a person gives: metres, radians.
 pub const TOLD_SIGMA: [f64; 2] = [0.3, 0.2];
-/// Shortest autosave period, seconds: saving a large map takes a good part of a second.
-const AUTOSAVE_MIN_S: f64 = 1.0;
-
-/// Use of a map.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "snake_case")]
-pub enum Mode {
-    /// The map grows
-    #[default]
-    #[value(alias = "continue")]
-    Mapping,
-    /// The map stays unchanged
-    #[value(alias = "localize")]
-    Localization,
-    /// The map grows, and obstacles that later scans contradict are removed
-    Lifelong,
-}
-
-impl From<Mode> for SlamMode {
-    fn from(mode: Mode) -> Self {
-        match mode {
-            Mode::Mapping => Self::Mapping,
-            Mode::Localization => Self::Localization,
-            Mode::Lifelong => Self::Lifelong,
-        }
-    }
-}
-
-/// Section `[sessions]` of the configuration.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SessionsConfig {
-    /// Use of the map at the start: `mapping`, `localization` or `lifelong`.
-    pub mode: Mode,
-    /// Folder of sessions to begin with, such as `runs/TIME/sessions`; empty: none. Robots without a file in it begin a
-    /// new map.
-    pub begin_with: PathBuf,
-    /// Period at which each SLAM process saves what has changed, seconds, 1 to 86400; 0: never. In between, nodes go to a
-    /// log beside the session: a crash of SLAM loses 0.5 s of the map at most. Without saving, it loses the map.
-    pub autosave_s: f64,
-}
-
-impl Default for SessionsConfig {
-    fn default() -> Self {
-        Self { mode: Mode::Mapping, begin_with: PathBuf::new(), autosave_s: 30.0 }
-    }
-}
-
-impl SessionsConfig {
-    /// Checks ranges and keys that depend on each other.
-    pub fn validate(&self) -> Result<(), String> {
-        if self.autosave_s != 0.0 && !(AUTOSAVE_MIN_S..=86_400.0).contains(&self.autosave_s) {
-            return Err(format!(
-                "autosave_s is {}; expected {AUTOSAVE_MIN_S} to 86400 seconds, or 0 for never",
-                self.autosave_s
-            ));
-        }
-        if self.mode == Mode::Localization && self.folder().is_none() {
-            return Err("localization needs maps: begin_with = \"DIR\", or --sessions DIR".into());
-        }
-        Ok(())
-    }
-
-    /// Returns the folder to begin with, if there is one.
-    pub fn folder(&self) -> Option<&Path> {
-        (!self.begin_with.as_os_str().is_empty()).then_some(self.begin_with.as_path())
-    }
-}
 
 /// Reason why a fleet cannot begin with a folder of sessions.
 #[derive(Debug, thiserror::Error)]
@@ -126,7 +57,7 @@ pub fn folder(run: &Run) -> PathBuf {
 /// Reads a robot's session from wherever a run's files are.
 pub fn read(storage: &impl Storage, path: &Path, identity: &Identity) -> Result<Session, SessionFileError> {
     let bytes = storage
-        .read(path, session_file::BYTES_MAX)
+        .read(path, ::slam::session::BYTES_MAX as u64)
         .map_err(|source| SessionFileError::Io { file: path.to_owned(), source })?;
     Session::decode(&bytes, identity).map_err(|why| SessionFileError::Content { file: path.to_owned(), why })
 }

@@ -3,18 +3,14 @@
 //! What a dead child left in shared memory is removed before its restart. A child that hangs is killed, and started again
 //! like one that died.
 
-pub mod progress;
-pub mod restarts;
-pub mod watchdog;
-
 use crate::clock::now;
-use crate::fleet;
 use crate::processes::ProcessRow;
+use crate::progress::{self, ProgressBoard, WatchedThread};
+use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
 use crate::shared_memory::SHARED_MEMORY;
+use crate::watchdog::{Finding, ThreadState, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
-use progress::{ProgressBoard, WatchedThread};
-use restarts::{DEATHS_MAX, RestartPolicy, State};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io;
 use std::net::TcpListener;
@@ -23,7 +19,6 @@ use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
-use watchdog::{Finding, ThreadState, Watchdog};
 
 /// How long a child may take to end when asked, before it is killed. The whole fleet ends within
 /// 5 s, of which the maps' writing takes some.
@@ -70,7 +65,7 @@ impl Supervisor {
     /// while it restarts.
     pub fn start(run: &Run, listener: TcpListener) -> io::Result<Self> {
         let now = now();
-        let members = fleet::processes(&run.config).map(|(row, robot)| Member::new(row, robot, now));
+        let members = run.config.processes().map(|(row, robot)| Member::new(row, robot, now));
         let members: Vec<Member> = members.collect();
         let progress = ProgressBoard::create(&run.domain, members.len())?;
         let mut supervisor = Self { run: run.clone(), listener, members, progress };

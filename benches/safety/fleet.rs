@@ -3,7 +3,7 @@
 #[path = "../launcher.rs"]
 mod launcher;
 
-use crate::link::OPERATOR_ADDRESS;
+use crate::link::operator_address;
 use rustix::process::{Pid, Signal, kill_process};
 use std::error::Error;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ impl Fleet {
         let domain = 2 + (std::process::id() % 98) as u16;
         let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
             .args(["up", "--port", "0", "--robots", "1", "--world", world])
-            .args(["--ros-domain", &domain.to_string(), "--allow", OPERATOR_ADDRESS, "--run-dir"])
+            .args(["--ros-domain", &domain.to_string(), "--allow", &operator_address(), "--run-dir"])
             .arg(&dir)
             .stdin(Stdio::null())
             .stderr(Stdio::piped())

@@ -3,10 +3,19 @@
 use crate::fleet::Fleet;
 use std::process::Command;
 
-/// Address of the operator behind the link.
-pub const OPERATOR_ADDRESS: &str = "10.213.77.2";
-/// Address of this machine on the link.
-const OWN_ADDRESS: &str = "10.213.77.1";
+/// Returns the address of the operator behind the link. Each run of the bench has a subnet of its own.
+pub fn operator_address() -> String {
+    address(2)
+}
+
+/// Returns the address of this machine on the link.
+fn own_address() -> String {
+    address(1)
+}
+
+fn address(host: u8) -> String {
+    format!("10.213.{}.{host}", std::process::id() % 256)
+}
 
 /// A pair of virtual network devices, one of them in a namespace of its own.
 pub struct CutLink {
@@ -23,9 +32,9 @@ impl CutLink {
         ip(&["netns", "add", namespace])?;
         ip(&["link", "add", device, "type", "veth", "peer", "name", peer])?;
         ip(&["link", "set", peer, "netns", namespace])?;
-        ip(&["address", "add", &format!("{OWN_ADDRESS}/24"), "dev", device])?;
+        ip(&["address", "add", &format!("{}/24", own_address()), "dev", device])?;
         let inside = ["netns", "exec", namespace, "ip"];
-        let address = format!("{OPERATOR_ADDRESS}/24");
+        let address = format!("{}/24", operator_address());
         ip(&[&inside[..], &["address", "add", &address, "dev", peer]].concat())?;
         ip(&[&inside[..], &["link", "set", peer, "up"]].concat())?;
         link.connect()?;
@@ -44,7 +53,7 @@ impl CutLink {
 
     /// Returns where an operator behind the link connects.
     pub fn address(&self, fleet: &Fleet) -> String {
-        format!("{OWN_ADDRESS}:{}", fleet.port)
+        format!("{}:{}", own_address(), fleet.port)
     }
 
     /// Returns a command that runs a program behind the link.

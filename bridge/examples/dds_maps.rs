@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [domain, side, period_s, count] = numbers[..] else {
         return Err("usage: dds_maps DOMAIN SIDE PERIOD_S COUNT".into());
     };
-    let dds = DdsConfig { enabled: true, domain: domain as u16, ..DdsConfig::default() };
+    let dds = DdsConfig { enabled: true, domain: (domain as u16).into(), ..DdsConfig::default() };
     let config = BridgeConfig { dds, ..BridgeConfig::default() };
     let robot = RobotId::new(1).ok_or("robot 1 exists")?;
     std::thread::spawn(|| {
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default())?);
-        spawn_local(endpoint.clone().serve(|_, _| {}));
+        spawn_local(endpoint.clone().serve());
         let side = side as usize;
         // Values vary from cell to cell, so that nothing can be compressed or skipped.
         let cells: Vec<i8> =

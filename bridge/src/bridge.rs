@@ -1,8 +1,10 @@
 //! The public interface of the bridge: the fleet's messages in, commands for robots out.
 
 mod clients;
+mod status;
 
 pub use clients::ClientStatus;
+pub(crate) use status::FleetStatus;
 
 use crate::access::Action;
 use crate::cdr::Dialect;
@@ -14,8 +16,9 @@ use crate::frame::Frame;
 use crate::relay::{RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
+use crate::transport::Transport;
 use crate::world::{ExternalWorld, WorldInput};
-use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, Stamp, VelocityCommand};
+use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, SlamResponse, Stamp, VelocityCommand};
 use std::cell::RefCell;
 use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
@@ -138,13 +141,13 @@ impl Bridge {
         *self.on_slam_request.borrow_mut() = Box::new(sink);
     }
 
-    /// Exchanges clients' topics with ROS: sets where commands for the ROS 2 endpoint go. It must not call the bridge.
+    /// Exchanges clients' topics and services with ROS: sets where commands for the ROS 2 endpoint go. It must not call the bridge.
     ///
     /// Call it before clients connect. What the endpoint tells comes back by [`Bridge::receive_ros`].
     pub fn on_ros_command(&self, sink: impl FnMut(RosCommand) + 'static) {
         *self.on_ros_command.borrow_mut() = Box::new(sink);
         self.update(|core| {
-            core.relay.open();
+            core.open_relay();
             core.publish_selected();
             core.publish_stop();
         });
@@ -216,7 +219,12 @@ impl Bridge {
         self.pass_commands();
     }
 
-    /// Handles what the ROS 2 endpoint tells: messages, and changes of the ROS graph.
+    /// Handles the answer of a robot's SLAM to a request. `is_ours`: the request was this bridge's.
+    pub fn receive_slam_response(&self, robot: RobotId, response: &SlamResponse, is_ours: bool) {
+        self.update(|core| core.receive_slam_response(robot, response, is_ours));
+    }
+
+    /// Handles what the ROS 2 endpoint tells: messages, requests, responses, and changes of the ROS graph.
     pub fn receive_ros(&self, event: RosEvent, now: Monotonic) {
         self.update(|core| core.receive_ros(event, now));
     }
@@ -305,6 +313,7 @@ impl Bridge {
     pub fn allow(&self, address: IpAddr) {
         self.update(|core| {
             core.access.allow(address);
+            core.update_services();
             let is_same = |peer: SocketAddr| peer.ip().to_canonical() == address.to_canonical();
             let there: Vec<ClientId> =
                 core.router.clients().filter(|client| is_same(client.peer)).map(|client| client.id).collect();
@@ -318,6 +327,7 @@ impl Bridge {
     pub fn deny(&self, address: IpAddr) {
         self.update(|core| {
             core.access.deny(address);
+            core.update_services();
             let is_denied = |client: &&Client| !core.access.may(Action::Drive, client.peer.ip());
             let there: Vec<ClientId> =
                 core.router.clients().filter(is_denied).map(|client| client.id).collect();
@@ -361,3 +371,12 @@ impl Bridge {
         self.core.borrow_mut().router.flush_client(id)
     }
 }
+
+impl Transport for Bridge {
+    fn publish(&self, message: FleetMessage<'_>) {
+        self.publish(message);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,8 +1,17 @@
 //! The settings of the bridge.
 
-use crate::dds::DdsConfig;
-use crate::drive::velocity_gate::VelocityConfig;
-use crate::limits::ClientLimits;
+mod dds;
+mod discovery;
+mod limits;
+mod page;
+mod velocity;
+
+pub use dds::{DdsConfig, VelocityMessage};
+pub use discovery::{Discovery, DiscoveryError, DiscoveryVariables, OrEnvironment};
+pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
+pub use page::PageConfig;
+pub use velocity::{LimitsOfRobot, VelocityConfig};
+
 use crate::odometry_covariance::OdometrySigmas;
 use crate::ros::{Dialect, NameStyle};
 use crate::world::ClockOffset;
@@ -36,9 +45,9 @@ pub struct BridgeConfig {
     pub unsent_bytes_max: u32,
     /// Clients that may be connected at a time, 1 to 1024.
     pub clients_max: usize,
-    /// Topics that all clients together may create; the same number of services.
+    /// Topics that all clients together may create, 0 to 65536; the same number of services.
     pub client_topics_max: usize,
-    /// Bytes of latched messages on all topics of clients together.
+    /// Bytes of latched messages on all topics of clients together, 0 to 1 GB.
     pub latched_bytes_max: usize,
     /// The ROS version that all clients were built for: it determines how payloads are encoded.
     pub payloads: Dialect,
@@ -50,7 +59,7 @@ pub struct BridgeConfig {
     pub watch: Permission,
     /// Who may publish to the fleet: velocities, selection, poses. Everybody may set the emergency stop.
     pub drive: Permission,
-    /// Topics and services that every client may publish or offer in ROS, such as `/chat`; others need the
+    /// Topics and services that every client may publish, offer or call in ROS, such as `/chat`; others need the
     /// permission to drive.
     pub open_topics: Vec<String>,
     /// Addresses on the allow list, which may watch and drive.
@@ -59,20 +68,22 @@ pub struct BridgeConfig {
     pub remember: bool,
     /// Whether 127.0.0.1 and ::1 have every permission. Switch it off only to try permissions on one machine.
     pub trust_loopback: bool,
-    /// How long a client holds a robot after its last moving velocity, seconds: others are refused meanwhile.
+    /// How long a client holds a robot after its last moving velocity, seconds, 0.1 to 3600: others are refused meanwhile.
     pub lease_s: f64,
-    /// Forward speed at full deflection of a thumb stick, m/s.
+    /// Forward speed at full deflection of a thumb stick, m/s, above 0, at most 10.
     pub stick_linear_m_s: f64,
-    /// Turning speed at full deflection of a thumb stick, rad/s.
+    /// Turning speed at full deflection of a thumb stick, rad/s, above 0, at most 20.
     pub stick_angular_rad_s: f64,
-    /// Seconds that the clock of an external world is ahead of ours, or `"measured"`.
+    /// Seconds that the clock of an external world is ahead of ours, -4e9 to 4e9, or `"measured"`.
     pub clock_offset: ClockOffset,
-    /// How long a service call may wait for its response, seconds; then it fails.
+    /// How long a service call may wait for its response, seconds, 0.1 to 3600; then it fails.
     pub service_timeout_s: f64,
     /// Limits of what clients may hold and do.
     pub limits: ClientLimits,
     /// Limits of all velocities that the bridge sends. A velocity beyond them is clamped.
     pub velocity: VelocityConfig,
+    /// The operator's page, and the Foxglove protocol.
+    pub page: PageConfig,
     /// The ROS 2 endpoint.
     pub dds: DdsConfig,
     /// Errors of the robots' odometry, for its published covariances. They are those of `[slam.odometry]`.
@@ -105,6 +116,7 @@ impl Default for BridgeConfig {
             service_timeout_s: 10.0,
             limits: ClientLimits::default(),
             velocity: VelocityConfig::default(),
+            page: PageConfig::default(),
             dds: DdsConfig::default(),
             odometry_sigmas: OdometrySigmas::default(),
         }
@@ -113,16 +125,19 @@ impl Default for BridgeConfig {
 
 /// Why a configuration is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
-#[error("bridge.{field} is {value}: {expected}")]
+#[error("bridge.{key} is {value}; expected {expected}")]
 pub struct ConfigError {
-    field: &'static str,
-    value: String,
-    expected: &'static str,
+    /// Path of the key below `bridge`, such as `velocity.robots[0].robot`.
+    pub key: String,
+    /// Value that was found.
+    pub value: String,
+    /// What was expected.
+    pub expected: &'static str,
 }
 
 impl ConfigError {
-    pub(crate) fn new(field: &'static str, value: String, expected: &'static str) -> Self {
-        Self { field, value, expected }
+    pub(crate) fn new(key: impl Into<String>, value: String, expected: &'static str) -> Self {
+        Self { key: key.into(), value, expected }
     }
 }
 
@@ -130,15 +145,17 @@ impl BridgeConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.dds.validate()?;
+        self.page.validate()?;
         self.limits.validate()?;
         self.velocity.validate()?;
         self.validate_dds_access()?;
         self.validate_limits()?;
         self.validate_times()?;
+        velocity::check_stick(self.stick_linear_m_s, self.stick_angular_rad_s)?;
         if let Some(name) =
             self.open_topics.iter().find(|name| crate::interfaces::resolve_name(name).is_err())
         {
-            let expected = "expected a topic's name such as /chat";
+            let expected = "a topic's name such as /chat";
             return Err(ConfigError::new("open_topics", format!("'{name}'"), expected));
         }
         let packages = &self.message_packages;
@@ -146,7 +163,7 @@ impl BridgeConfig {
             Some(package) => Err(ConfigError::new(
                 "message_packages",
                 format!("'{package}'"),
-                "a ROS package is named like my_robot_msgs",
+                "the name of a ROS package, such as my_robot_msgs",
             )),
             None => Ok(()),
         }
@@ -155,11 +172,14 @@ impl BridgeConfig {
     /// DDS carries ROS 2's encoding only, and cannot restrict who subscribes.
     fn validate_dds_access(&self) -> Result<(), ConfigError> {
         if self.dds.enabled && self.payloads != Dialect::Ros2 {
-            return Err(ConfigError::new("payloads", "ros1".into(), "ROS 2 (bridge.dds) needs \"ros2\""));
+            return Err(ConfigError::new(
+                "payloads",
+                "ros1".into(),
+                "\"ros2\", which ROS 2 (bridge.dds) needs",
+            ));
         }
-        if self.dds.enabled && !self.dds.loopback_only && self.watch != Permission::Anyone {
-            let expected =
-                "DDS does not identify subscribers: set watch = \"anyone\", or loopback_only = true";
+        if self.dds.enabled && !self.dds.is_loopback_only() && self.watch != Permission::Anyone {
+            let expected = "anyone, or bridge.dds.loopback_only = true: DDS does not identify subscribers";
             return Err(ConfigError::new("watch", "allowed".into(), expected));
         }
         Ok(())
@@ -172,21 +192,16 @@ impl BridgeConfig {
                 self.frame_bytes_max,
                 64 << 10,
                 self.limits.held_bytes_max / 2,
-                "65536 bytes to half of limits.held_bytes_max work",
+                "65536 bytes to half of limits.held_bytes_max",
             ),
-            ("outbox_bytes_max", self.outbox_bytes_max, 64 << 10, 64 << 20, "65536 to 67108864 bytes work"),
-            (
-                "unsent_bytes_max",
-                self.unsent_bytes_max as usize,
-                4 << 10,
-                16 << 20,
-                "4096 to 16777216 bytes work",
-            ),
-            ("clients_max", self.clients_max, 1, 1024, "1 to 1024 clients work"),
-            ("client_topics_max", self.client_topics_max, 0, 65_536, "at most 65536 topics work"),
+            ("outbox_bytes_max", self.outbox_bytes_max, 64 << 10, 64 << 20, "65536 to 67108864 bytes"),
+            ("unsent_bytes_max", self.unsent_bytes_max as usize, 4 << 10, 16 << 20, "4096 to 16777216 bytes"),
+            ("clients_max", self.clients_max, 1, 1024, "1 to 1024 clients"),
+            ("latched_bytes_max", self.latched_bytes_max, 0, 1 << 30, "at most 1073741824 bytes"),
+            ("client_topics_max", self.client_topics_max, 0, 65_536, "at most 65536 topics"),
         ];
         match limits.iter().find(|(_, value, low, high, _)| !(*low..=*high).contains(value)) {
-            Some((key, value, _, _, expected)) => Err(ConfigError::new(key, value.to_string(), expected)),
+            Some((key, value, _, _, expected)) => Err(ConfigError::new(*key, value.to_string(), expected)),
             None => Ok(()),
         }
     }
@@ -195,15 +210,20 @@ impl BridgeConfig {
         let is_valid = |seconds: f64| seconds.is_finite() && (0.1..=3600.0).contains(&seconds);
         let times = [("lease_s", self.lease_s), ("service_timeout_s", self.service_timeout_s)];
         if let Some((key, value)) = times.into_iter().find(|(_, value)| !is_valid(*value)) {
-            return Err(ConfigError::new(key, value.to_string(), "0.1 to 3600 seconds work"));
+            return Err(ConfigError::new(key, value.to_string(), "0.1 to 3600 seconds"));
         }
         match self.clock_offset {
             ClockOffset::Fixed(offset_s) if !(offset_s.is_finite() && offset_s.abs() <= 4e9) => {
-                let expected = "\"measured\", or up to 4e9 seconds work";
+                let expected = "\"measured\", or up to 4e9 seconds";
                 Err(ConfigError::new("clock_offset", offset_s.to_string(), expected))
             }
             _ => Ok(()),
         }
+    }
+
+    /// Returns whether ROS 2 nodes may drive: those on this machine as on TCP, others only if anyone may.
+    pub fn may_ros_drive(&self) -> bool {
+        self.drive == Permission::Anyone || (self.dds.is_loopback_only() && self.trust_loopback)
     }
 
     /// Returns [`Self::lease_s`] as a duration.

@@ -7,6 +7,7 @@ mod initial_pose;
 mod input;
 mod registration;
 mod relay;
+mod service_exchange;
 mod service_frames;
 
 use crate::access::AccessControl;
@@ -22,9 +23,10 @@ use crate::ros::{Bool, Int32, RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
-use crate::services::ServiceCalls;
+use crate::services::{Provider, ServiceCalls};
+use crate::slam_services::SlamServices;
 use crate::world::WorldInput;
-use msg::{Header, Monotonic, RobotId, VelocityCommand};
+use msg::{FleetStats, Header, Monotonic, RobotId, VelocityCommand};
 use std::net::SocketAddr;
 
 use admission::Departures;
@@ -45,14 +47,18 @@ pub struct Core {
     pub gate: VelocityGate,
     /// Who may watch and drive.
     pub access: AccessControl,
-    /// Services between clients.
+    /// Services of clients, and all calls that wait.
     pub services: ServiceCalls,
+    /// SLAM's services by their ROS names.
+    pub slam: SlamServices,
     /// The exchange of clients' topics with ROS.
     pub relay: RelayTable,
     /// Commands for robots, merging and SLAM that wait to be taken.
     pub commands: CommandQueues,
     /// Receives sensor data if the world is not simulated here.
     pub world: Option<WorldInput>,
+    /// The newest figures of telemetry, for the operator's page.
+    pub stats: Option<Box<FleetStats>>,
     /// The clients that are being dropped.
     departures: Departures,
 }
@@ -69,11 +75,17 @@ impl Core {
             fleet,
             gate: VelocityGate::new(&config.velocity, robots.count(), drive),
             access: AccessControl::new(&config),
-            services: ServiceCalls::new(config.client_topics_max, config.service_timeout()),
-            relay: RelayTable::new(config.dds.relayed_topics_max, &config.open_topics),
+            services: ServiceCalls::new(config.client_topics_max),
+            slam: SlamServices::new(robots),
+            relay: RelayTable::new(
+                config.dds.relayed_topics_max,
+                config.dds.relayed_services_max,
+                &config.open_topics,
+            ),
             commands: CommandQueues::default(),
             config,
             world,
+            stats: None,
             departures: Departures::default(),
         };
         core.send_velocities();
@@ -129,6 +141,12 @@ impl Core {
 
     /// Publishes a message of the fleet.
     pub fn publish(&mut self, message: FleetMessage<'_>) {
+        if let FleetMessage::Stats(stats) = message {
+            match &mut self.stats {
+                Some(newest) => **newest = *stats,
+                None => self.stats = Some(Box::new(*stats)),
+            }
+        }
         self.fleet.publish(&mut self.router, message);
     }
 
@@ -155,9 +173,15 @@ impl Core {
             world.disconnect(id.serial);
         }
         self.stop_robots_of(id);
+        for call in self.services.remove_calls_of(id) {
+            if call.provider == Provider::Ros {
+                self.relay.cancel_call(&call.service, call.number);
+            }
+        }
         for call in self.services.remove_client(id) {
             self.fail_call(&call, "the client that offered it has left");
         }
+        self.update_services();
         Some(unsent)
     }
 

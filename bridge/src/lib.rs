@@ -4,7 +4,8 @@
 //!   fleet  ── FleetMessage ──▶ Bridge::publish ──▶ one queue for each client ──▶ sockets
 //!   robots ◀── on_command ──── Bridge::receive ◀── frames ◀── serve(): one task for each client
 //! ```
-//! [`Bridge`] is the routing core and [`serve`] its TCP server; [`dds`] is the ROS 2 endpoint. [`frame`], [`command`]
+//! [`Bridge`] is the routing core and [`serve`] its TCP server; [`serve_page`] serves browsers, [`dds`] is the ROS 2
+//! endpoint. [`frame`], [`command`]
 //! and [`ros`] are the wire format, for clients too.
 
 mod access;
@@ -20,8 +21,8 @@ mod fleet_topics;
 pub mod frame;
 mod input;
 pub mod interfaces;
-mod limits;
 mod odometry_covariance;
+mod page;
 pub mod relay;
 mod repeater;
 pub mod ros;
@@ -34,12 +35,15 @@ mod transport;
 pub mod world;
 
 pub use bridge::{Bridge, ClientStatus};
-pub use config::{BridgeConfig, ConfigError, Permission};
+pub use config::{
+    ALLOCATOR_SETTINGS, BridgeConfig, ClientLimits, ConfigError, LimitsOfRobot, PageConfig, Permission,
+    VelocityConfig,
+};
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
 pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
-pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use odometry_covariance::OdometrySigmas;
+pub use page::{PageFile, serve_page};
 pub use ros::{RobotNameError, RobotNames};
 pub use router::{ClientId, ConnectionEnded, Counters};
 pub use server::{process_clock, serve};

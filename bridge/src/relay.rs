@@ -1,13 +1,16 @@
-//! What clients on TCP and ROS 2 nodes exchange beyond the fleet's own topics, and who publishes what in ROS.
+//! What clients on TCP and ROS 2 nodes exchange beyond the fleet's own topics: topics and services, and who in ROS has them.
 //!
 //! The core asks the ROS 2 endpoint by [`RosCommand`] and is told by [`RosEvent`]; both are plain values, so that the
 //! endpoint may run on another thread. Names are those on TCP: the endpoint adds and removes its namespace.
 
+mod received_message;
+mod services;
 mod table;
 
+pub use received_message::ReceivedMessage;
+pub use services::ServiceExchange;
 pub use table::{RelayTable, Unpublished};
 
-use crate::dds::ReceivedMessage;
 use msg::RobotId;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use std::collections::BTreeMap;
@@ -49,6 +52,66 @@ pub enum RosCommand {
         /// The message as CDR with its encapsulation header.
         payload: Bytes,
     },
+    /// Prepare to call a service.
+    OpenClient {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// Its type, `package/Type`.
+        service_type: String,
+    },
+    /// Call a service no longer.
+    CloseClient {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+    },
+    /// Call a service that was prepared.
+    Call {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// The bridge's number of the call, which the response carries.
+        number: i64,
+        /// The request as CDR with its encapsulation header.
+        payload: Bytes,
+    },
+    /// Do not send a request any more if it has not been sent yet: nobody waits for its response.
+    Cancel {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// The bridge's number of the call.
+        number: i64,
+    },
+    /// Offer a service to ROS.
+    OpenServer {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// Its type, `package/Type`.
+        service_type: String,
+    },
+    /// Offer a service no longer.
+    CloseServer {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+    },
+    /// Answer a ROS node's request.
+    Respond {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// The request that is answered.
+        request: RosRequestId,
+        /// The response as CDR with its encapsulation header.
+        payload: Bytes,
+    },
+}
+
+/// Identity of a ROS node's request, which the response must carry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RosRequestId {
+    /// The requester's identifier: of its reader or writer on Fast DDS, its own number on CycloneDDS.
+    pub requester: [u8; 16],
+    /// The requester's number of the call.
+    pub number: i64,
+    /// Whether the identity stands in the payload, as with CycloneDDS, and not beside it.
+    pub is_in_payload: bool,
 }
 
 /// What the ROS 2 endpoint tells the core.
@@ -75,7 +138,32 @@ pub enum RosEvent {
         /// Why it failed, for the client.
         text: String,
     },
-    /// The topics that ROS nodes publish and subscribe to, after a change.
+    /// A ROS node's request to a service that is offered to ROS.
+    Request {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// The request's identity.
+        id: RosRequestId,
+        /// The request as CDR with its encapsulation header.
+        payload: Bytes,
+    },
+    /// The response of a ROS node to a call.
+    Response {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// The bridge's number of the call.
+        number: i64,
+        /// The response as CDR with its encapsulation header.
+        payload: Bytes,
+    },
+    /// The endpoint cannot call or offer a service.
+    ServiceFailure {
+        /// The service's name with leading slash.
+        service: Arc<str>,
+        /// Why it failed, for the client.
+        text: String,
+    },
+    /// The topics and services of ROS nodes, after a change.
     Graph(RosGraph),
     /// A robot of an external world listens to its velocities from now on.
     RobotListens(RobotId),
@@ -84,15 +172,34 @@ pub enum RosEvent {
 }
 
 impl RosCommand {
-    /// Returns the name with leading slash of a client's topic.
-    pub fn topic(&self) -> &Arc<str> {
+    /// Returns the name with leading slash of the topic or service.
+    pub fn name(&self) -> &Arc<str> {
         match self {
-            Self::Subscribe { topic, .. }
-            | Self::Unsubscribe { topic }
-            | Self::Advertise { topic, .. }
-            | Self::Unadvertise { topic }
-            | Self::Publish { topic, .. } => topic,
+            Self::Subscribe { topic: name, .. }
+            | Self::Unsubscribe { topic: name }
+            | Self::Advertise { topic: name, .. }
+            | Self::Unadvertise { topic: name }
+            | Self::Publish { topic: name, .. }
+            | Self::OpenClient { service: name, .. }
+            | Self::CloseClient { service: name }
+            | Self::Call { service: name, .. }
+            | Self::Cancel { service: name, .. }
+            | Self::OpenServer { service: name, .. }
+            | Self::CloseServer { service: name }
+            | Self::Respond { service: name, .. } => name,
         }
+    }
+
+    /// Returns whether the command is about a service.
+    pub fn is_of_service(&self) -> bool {
+        !matches!(
+            self,
+            Self::Subscribe { .. }
+                | Self::Unsubscribe { .. }
+                | Self::Advertise { .. }
+                | Self::Unadvertise { .. }
+                | Self::Publish { .. }
+        )
     }
 }
 
@@ -103,11 +210,13 @@ impl RosEvent {
     }
 }
 
-/// The topics of ROS nodes outside this endpoint, by name with leading slash.
+/// The topics and services of ROS nodes outside this endpoint, by name with leading slash.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RosGraph {
     /// What is known of each topic.
     pub topics: BTreeMap<String, RosTopic>,
+    /// The types of each service that a node offers, `package/Type`, sorted; usually one.
+    pub services: BTreeMap<String, Vec<String>>,
 }
 
 /// What ROS nodes do with one topic.

@@ -380,6 +380,3 @@ fn without_slash(frame: &SharedFrame, topic: &Topic, pool: &mut BufferPool) -> S
     Side::Server.write(Rc::make_mut(&mut renamed), topic.name.trim_start_matches('/'), payload);
     renamed
 }
-
-#[cfg(test)]
-mod weak_link;

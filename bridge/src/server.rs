@@ -245,7 +245,8 @@ fn set_quick_ack(stream: &TcpStream) {
 #[cfg(not(target_os = "linux"))]
 fn set_quick_ack(_: &TcpStream) {}
 
-fn set_socket_options(stream: &TcpStream, unsent_bytes_max: u32) -> io::Result<()> {
+/// Sets keepalive, time-outs and the limit of unsent bytes; no delay for short frames.
+pub(crate) fn set_socket_options(stream: &TcpStream, unsent_bytes_max: u32) -> io::Result<()> {
     stream.set_nodelay(true)?;
     set_quick_ack(stream);
     let socket = SockRef::from(stream);
@@ -281,21 +282,30 @@ async fn drain_and_close(stream: &TcpStream, mut unsent: OutgoingQueue) {
                 FlushOutcome::TurnEnded => yield_now().await,
             }
         }
-        SockRef::from(stream).shutdown(Shutdown::Write)?;
-        let (mut buffer, mut total) = ([0; DRAIN_BUFFER_BYTES], 0);
-        while total < DRAINED_BYTES_MAX {
-            stream.readable().await?;
-            match stream.try_read(&mut buffer) {
-                Ok(0) => break,
-                Ok(count) => total += count,
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                Err(error) => return Err(error),
-            }
-        }
-        Ok::<(), io::Error>(())
+        close_and_read(stream).await
     };
     // The connection is closed in any case.
     let _ = timeout(CLOSE_TIMEOUT, drain).await;
+}
+
+/// Closes the bridge's side of a connection, and reads until the peer closes, at most [`CLOSE_TIMEOUT`].
+pub(crate) async fn close_gently(stream: &TcpStream) {
+    let _ = timeout(CLOSE_TIMEOUT, close_and_read(stream)).await;
+}
+
+async fn close_and_read(stream: &TcpStream) -> io::Result<()> {
+    SockRef::from(stream).shutdown(Shutdown::Write)?;
+    let (mut buffer, mut total) = ([0; DRAIN_BUFFER_BYTES], 0);
+    while total < DRAINED_BYTES_MAX {
+        stream.readable().await?;
+        match stream.try_read(&mut buffer) {
+            Ok(0) => break,
+            Ok(count) => total += count,
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -1,15 +1,19 @@
-//! Services between clients, with providers, callers and the calls that wait for a response.
+//! Services of clients, and the calls that wait for a response of a client, of SLAM or of a ROS 2 node.
 
+use crate::relay::RosRequestId;
 use crate::router::ClientId;
-use msg::Monotonic;
+use crate::slam_services;
+use msg::{Monotonic, RobotId, SlamRequest};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use thiserror::Error;
 
 /// The bridge numbers its calls from here, as the reference endpoint does.
 const FIRST_CALL_NUMBER: i64 = 1001;
-/// Calls that may wait for a response, of all clients together.
+/// Calls that may wait for a response, of all callers together.
 const CALLS_MAX: usize = 1024;
+/// Calls of one client, or of all ROS 2 nodes together, that may wait for a response.
+const CALLS_PER_CALLER_MAX: usize = 256;
 
 /// Why a service cannot be registered or called.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
@@ -42,15 +46,32 @@ pub enum ServiceError {
         /// The service's name as the client wrote it.
         name: String,
     },
-    /// No client provides the service.
-    #[error("nobody offers service '{name}' now")]
+    /// Neither a client nor a ROS 2 node provides the service.
+    #[error("nobody offers service '{name}' now: {hint}")]
     NoProvider {
         /// The service's name as the client wrote it.
         name: String,
+        /// Where a provider was looked for.
+        hint: &'static str,
     },
-    /// Too many calls wait for a response.
-    #[error("{CALLS_MAX} service calls wait for a response already; try again later")]
-    TooManyCalls,
+    /// The fleet offers the service itself.
+    #[error("service '{name}' is offered by the fleet; choose another name")]
+    OfFleet {
+        /// The service's name.
+        name: String,
+    },
+    /// A ROS 2 node offers the service.
+    #[error("service '{name}' is offered by a ROS 2 node; choose another name")]
+    OfRos {
+        /// The service's name.
+        name: String,
+    },
+    /// Too many calls of one caller, or of all, wait for a response.
+    #[error("{limit} service calls wait for a response already; try again later")]
+    TooManyCalls {
+        /// Most calls that may wait.
+        limit: usize,
+    },
 }
 
 #[derive(Debug, Default)]
@@ -77,18 +98,60 @@ impl Service {
     }
 }
 
-/// A call that waits for its response.
+/// Who waits for the response of a call.
 #[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Caller {
+    /// A client that has registered as caller.
+    Client {
+        /// The client that waits.
+        id: ClientId,
+        /// The client's number of the call.
+        number: i64,
+        /// The service's name as the client wrote it.
+        spelled: String,
+    },
+    /// A ROS 2 node, by its request.
+    Ros(RosRequestId),
+}
+
+impl Caller {
+    fn is_same(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Client { id, .. }, Self::Client { id: other, .. }) => id == other,
+            (Self::Ros(_), Self::Ros(_)) => true,
+            _ => false,
+        }
+    }
+}
+
+/// Who must respond to a call.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Provider {
+    /// A client that offers the service.
+    Client(ClientId),
+    /// A ROS 2 node that offers the service.
+    Ros,
+    /// A robot's SLAM.
+    Slam {
+        /// Robot whose SLAM must respond.
+        robot: RobotId,
+        /// What the service does.
+        service: slam_services::Service,
+        /// The request that follows when the present one is done.
+        next: Option<Box<SlamRequest>>,
+    },
+}
+
+/// A call that waits for its response.
+#[derive(Clone, Debug, PartialEq)]
 pub struct ServiceCall {
     /// The bridge's number of the call, which the provider answers to.
     pub number: i64,
-    /// The client that waits for the response.
-    pub caller: ClientId,
-    /// The caller's number of the call.
-    pub caller_number: i64,
-    /// The client that must respond.
-    pub provider: ClientId,
-    /// The service's name as the caller wrote it.
+    /// Who waits for the response.
+    pub caller: Caller,
+    /// Who must respond.
+    pub provider: Provider,
+    /// The service's name with leading slash.
     pub service: String,
     deadline: Monotonic,
 }
@@ -100,19 +163,12 @@ pub struct ServiceCalls {
     services_max: usize,
     calls: Vec<ServiceCall>,
     next_number: i64,
-    timeout: Duration,
 }
 
 impl ServiceCalls {
-    /// Creates an empty table. Clients may register `services_max` services; a call may take `timeout`.
-    pub fn new(services_max: usize, timeout: Duration) -> Self {
-        Self {
-            services: BTreeMap::new(),
-            services_max,
-            calls: Vec::new(),
-            next_number: FIRST_CALL_NUMBER,
-            timeout,
-        }
+    /// Creates an empty table. Clients may register `services_max` services.
+    pub fn new(services_max: usize) -> Self {
+        Self { services: BTreeMap::new(), services_max, calls: Vec::new(), next_number: FIRST_CALL_NUMBER }
     }
 
     fn find_or_add(&mut self, name: &str, service_type: &str) -> Result<&mut Service, ServiceError> {
@@ -136,6 +192,28 @@ impl ServiceCalls {
     /// Returns the type of a service that is registered, `package/Type`.
     pub fn service_type(&self, name: &str) -> Option<&str> {
         self.services.get(name).map(|service| service.service_type.as_str())
+    }
+
+    /// Returns the client that provides a service.
+    pub fn provider(&self, name: &str) -> Option<ClientId> {
+        self.services.get(name)?.provider
+    }
+
+    /// Returns whether a client is registered as caller of a service.
+    pub fn is_caller(&self, client: ClientId, name: &str) -> bool {
+        self.services.get(name).is_some_and(|service| service.callers.contains(&client))
+    }
+
+    /// Returns the services with a provider: name, type and provider.
+    pub fn provided(&self) -> impl Iterator<Item = (&str, &str, ClientId)> {
+        let services = self.services.iter();
+        services.filter_map(|(name, of)| Some((name.as_str(), of.service_type.as_str(), of.provider?)))
+    }
+
+    /// Returns the services that no client provides: name, type and callers.
+    pub fn called(&self) -> impl Iterator<Item = (&str, &str, &[ClientId])> {
+        let called = self.services.iter().filter(|(_, service)| service.provider.is_none());
+        called.map(|(name, of)| (name.as_str(), of.service_type.as_str(), &of.callers[..]))
     }
 
     /// Registers a client as caller of a service.
@@ -200,7 +278,7 @@ impl ServiceCalls {
             service.remove_provider(client);
         }
         self.remove_unused();
-        self.remove_calls(|call| call.provider == client && is_same_name(&call.service, name))
+        self.remove_calls(|call| call.provider == Provider::Client(client) && call.service == name)
     }
 
     /// Removes a client that has left; returns the calls that get no response any more.
@@ -210,8 +288,17 @@ impl ServiceCalls {
             service.remove_provider(client);
         }
         self.remove_unused();
-        self.remove_calls(|call| call.caller == client);
-        self.remove_calls(|call| call.provider == client)
+        self.remove_calls(|call| call.provider == Provider::Client(client))
+    }
+
+    /// Removes and returns the calls of a client that has left.
+    pub fn remove_calls_of(&mut self, client: ClientId) -> Vec<ServiceCall> {
+        self.remove_calls(|call| matches!(call.caller, Caller::Client { id, .. } if id == client))
+    }
+
+    /// Removes and returns the calls that wait for a ROS 2 node, of services that none offers any more.
+    pub fn remove_lost(&mut self, is_offered: impl Fn(&str) -> bool) -> Vec<ServiceCall> {
+        self.remove_calls(|call| call.provider == Provider::Ros && !is_offered(&call.service))
     }
 
     fn remove_unused(&mut self) {
@@ -224,36 +311,38 @@ impl ServiceCalls {
         removed
     }
 
-    /// Begins a client's call; returns the call to forward to the provider.
-    ///
-    /// `name` is the service's name with leading slash, `spelled` the name as the client wrote it.
+    /// Begins a call of a service, which must be answered within `timeout`; returns the call to forward.
     pub fn begin_call(
         &mut self,
-        caller: ClientId,
-        caller_number: i64,
-        name: &str,
-        spelled: &str,
+        caller: Caller,
+        provider: Provider,
+        service: &str,
+        timeout: Duration,
         now: Monotonic,
     ) -> Result<ServiceCall, ServiceError> {
-        let registered = self.services.get(name).filter(|service| service.callers.contains(&caller));
-        let service = registered.ok_or_else(|| ServiceError::NotRegistered { name: spelled.to_owned() })?;
-        let provider =
-            service.provider.ok_or_else(|| ServiceError::NoProvider { name: spelled.to_owned() })?;
-        if self.calls.len() >= CALLS_MAX {
-            return Err(ServiceError::TooManyCalls);
+        let of_caller = self.calls.iter().filter(|call| call.caller.is_same(&caller)).count();
+        let all = self.calls.len();
+        for (count, limit) in [(of_caller, CALLS_PER_CALLER_MAX), (all, CALLS_MAX)] {
+            if count >= limit {
+                return Err(ServiceError::TooManyCalls { limit });
+            }
         }
         let number = self.next_number;
         self.next_number += 1;
-        let deadline = now + self.timeout;
-        let call =
-            ServiceCall { number, caller, caller_number, provider, service: spelled.to_owned(), deadline };
+        let service = service.to_owned();
+        let call = ServiceCall { number, caller, provider, service, deadline: now + timeout };
         self.calls.push(call.clone());
         Ok(call)
     }
 
     /// Ends the call with the bridge's `number`; `None` if the provider has no such call.
-    pub fn end_call(&mut self, provider: ClientId, number: i64) -> Option<ServiceCall> {
-        self.remove_calls(|call| call.number == number && call.provider == provider).pop()
+    pub fn end_call(&mut self, number: i64, is_of: impl Fn(&Provider) -> bool) -> Option<ServiceCall> {
+        self.remove_calls(|call| call.number == number && is_of(&call.provider)).pop()
+    }
+
+    /// Waits again for a call that [`Self::end_call`] has returned.
+    pub fn resume_call(&mut self, call: ServiceCall) {
+        self.calls.push(call);
     }
 
     /// Removes and returns the calls whose deadline has passed.
@@ -263,8 +352,4 @@ impl ServiceCalls {
         }
         self.remove_calls(|call| now >= call.deadline)
     }
-}
-
-fn is_same_name(spelled: &str, resolved: &str) -> bool {
-    spelled.trim_start_matches('/') == resolved.trim_start_matches('/')
 }

@@ -3,8 +3,10 @@
 //! Names and types are SLAM Toolbox's where it has the service (slam_toolbox 2.8, Jazzy), otherwise std_srvs'. All names
 //! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.
 
-use crate::cdr::{DecodeError, Reader, Writer};
-use msg::{Pose2, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose, Text};
+use crate::cdr::{DecodeError, Dialect, Reader, Writer};
+use crate::ros::RobotNames;
+use msg::{Pose2, RobotId, SlamMode, SlamRequest, SlamRequestKind, SlamResponse, StartPose, Text};
+use std::collections::BTreeMap;
 use std::path::{Component, Path};
 use thiserror::Error;
 
@@ -89,23 +91,6 @@ pub enum RequestError {
     },
 }
 
-/// Why a call gets no answer of SLAM.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum ServiceFailure {
-    /// The request is invalid.
-    #[error(transparent)]
-    Request(#[from] RequestError),
-    /// Too many calls wait for SLAM.
-    #[error("{limit} calls wait for SLAM already; try again later")]
-    TooManyCalls {
-        /// Most calls that may wait for an answer of SLAM at a time.
-        limit: usize,
-    },
-    /// SLAM has not answered.
-    #[error("SLAM did not answer in time")]
-    Timeout,
-}
-
 /// The requests to SLAM that one call makes. The caller fills in `client` and `id`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlamRequests {
@@ -161,23 +146,65 @@ impl Service {
         })
     }
 
-    /// Writes the response: SLAM's answer, or why there is none.
-    pub fn write(self, to: &mut Writer<'_>, answer: Result<&SlamResponse, &ServiceFailure>) {
-        let done = answer.is_ok_and(|answer| answer.outcome() == SlamOutcome::Done);
+    /// Returns whether a response can say that the call failed.
+    ///
+    /// SLAM Toolbox's DeserializePoseGraph has an empty response, which reads as success: such a call that fails gets none.
+    pub fn can_tell_failure(self) -> bool {
+        self != Self::LoadSession
+    }
+
+    /// Writes the response. `text` tells a person what was done, or why not.
+    pub fn write(self, to: &mut Writer<'_>, is_done: bool, text: &str) {
         match self {
-            Self::TogglePause => to.bool(done),
+            Self::TogglePause => to.bool(is_done),
             Self::Reset | Self::SaveMap | Self::SaveSession => {
-                to.u8(if done { RESULT_SUCCESS } else { RESULT_FAILURE });
+                to.u8(if is_done { RESULT_SUCCESS } else { RESULT_FAILURE });
             }
             // An empty response is one byte in ROS 2.
-            Self::LoadSession => to.u8(0),
+            Self::LoadSession if to.dialect() == Dialect::Ros2 => to.u8(0),
+            Self::LoadSession => {}
             Self::Pause | Self::Trigger(_) => {
-                to.bool(done);
-                match answer {
-                    Ok(answer) => to.string(answer.text.as_str()),
-                    Err(failure) => to.string(&failure.to_string()),
-                }
+                to.bool(is_done);
+                to.string(text);
             }
+        }
+    }
+}
+
+/// SLAM's services of a fleet by their ROS names, and whether each robot's SLAM is paused by its last answer.
+#[derive(Debug)]
+pub struct SlamServices {
+    by_name: BTreeMap<String, (RobotId, NamedService)>,
+    paused: Vec<bool>,
+}
+
+impl SlamServices {
+    /// Creates the services of all robots.
+    pub fn new(robots: &RobotNames) -> Self {
+        let of_robot = |robot| SERVICES.map(|service| (robots.topic(robot, service.name), (robot, service)));
+        let by_name = robots.robots().flat_map(of_robot).collect();
+        Self { by_name, paused: vec![false; robots.count()] }
+    }
+
+    /// Finds a service by its name with leading slash.
+    pub fn find(&self, name: &str) -> Option<(RobotId, NamedService)> {
+        self.by_name.get(name).copied()
+    }
+
+    /// Returns the name and the type of every service.
+    pub fn names(&self) -> impl Iterator<Item = (&str, &'static str)> {
+        self.by_name.iter().map(|(name, (_, service))| (name.as_str(), service.service_type))
+    }
+
+    /// Returns whether a robot's SLAM is paused, by its last answer.
+    pub fn is_paused(&self, robot: RobotId) -> bool {
+        self.paused.get(robot.index()).copied().unwrap_or_default()
+    }
+
+    /// Records whether a robot's SLAM is paused.
+    pub fn record(&mut self, robot: RobotId, answer: &SlamResponse) {
+        if let Some(paused) = self.paused.get_mut(robot.index()) {
+            *paused = answer.paused == 1;
         }
     }
 }

@@ -1,7 +1,9 @@
 //! The routing core without sockets and with a simulated clock: clients of this process drive robots.
 
+mod in_memory;
+
 use bridge::command::{Notice, Registration, name};
-use bridge::frame::{Parser, Side};
+use bridge::frame::Side;
 use bridge::ros::{Bool, Clock, Empty, Int32, Joy, Message, Twist, encode};
 use bridge::{Bridge, BridgeConfig, ClientId, FleetMessage};
 use msg::{Monotonic, VelocityCommand};
@@ -71,25 +73,12 @@ impl Simulation {
     }
 
     fn receive(&self, client: ClientId, bytes: &[u8]) {
-        let mut parser = Parser::new(1 << 20);
-        parser.push(bytes);
-        while let Some(frame) = parser.next_frame().unwrap() {
-            self.bridge.receive(client, frame, self.now);
-        }
+        in_memory::receive(&self.bridge, client, bytes, self.now);
     }
 
     /// Takes the frames that wait for a client: name and payload.
     fn take_frames(&self, client: ClientId) -> Vec<(String, Vec<u8>)> {
-        let mut bytes = Vec::new();
-        self.bridge.take_outgoing(client, &mut bytes).unwrap();
-        let mut parser = Parser::new(1 << 20);
-        parser.push(&bytes);
-        let mut frames = Vec::new();
-        while let Some(frame) = parser.next_frame().unwrap() {
-            frames.push((String::from_utf8(frame.name.to_vec()).unwrap(), frame.payload.to_vec()));
-        }
-        assert_eq!(parser.pending(), 0, "whole frames only");
-        frames
+        in_memory::take_frames(&self.bridge, client)
     }
 
     fn errors(&self, client: ClientId) -> Vec<String> {

@@ -1,7 +1,9 @@
 //! The exchange of clients' topics with ROS, without sockets and with a simulated clock: the test is the ROS 2 endpoint.
 
+mod in_memory;
+
 use bridge::command::{Call, Notice, Registration, TopicList, name};
-use bridge::frame::{Parser, Side};
+use bridge::frame::Side;
 use bridge::relay::{RosCommand, RosEvent, RosGraph, RosTopic};
 use bridge::{Bridge, BridgeConfig, ClientId, FleetMessage, Permission};
 use msg::Monotonic;
@@ -56,11 +58,7 @@ impl Simulation {
     }
 
     fn receive(&self, client: ClientId, bytes: &[u8]) {
-        let mut parser = Parser::new(1 << 20);
-        parser.push(bytes);
-        while let Some(frame) = parser.next_frame().unwrap() {
-            self.bridge.receive(client, frame, self.now);
-        }
+        in_memory::receive(&self.bridge, client, bytes, self.now);
     }
 
     fn register(&self, client: ClientId, command: &str, topic: &str, message_type: &str) {
@@ -83,15 +81,7 @@ impl Simulation {
 
     /// Takes the frames that wait for a client: name and payload.
     fn frames(&self, client: ClientId) -> Vec<(String, Vec<u8>)> {
-        let mut bytes = Vec::new();
-        self.bridge.take_outgoing(client, &mut bytes).unwrap();
-        let mut parser = Parser::new(1 << 20);
-        parser.push(&bytes);
-        let mut frames = Vec::new();
-        while let Some(frame) = parser.next_frame().unwrap() {
-            frames.push((String::from_utf8(frame.name.to_vec()).unwrap(), frame.payload.to_vec()));
-        }
-        frames
+        in_memory::take_frames(&self.bridge, client)
     }
 
     /// Takes the frames that wait for a client; returns the texts for a person.
@@ -101,7 +91,7 @@ impl Simulation {
         notices.map(|(_, payload)| serde_json::from_slice::<Notice>(payload).unwrap().text).collect()
     }
 
-    /// Takes what was asked of ROS, as text without the messages' bytes.
+    /// Takes what was asked of ROS about topics, as text without the messages' bytes.
     fn asked(&self) -> Vec<String> {
         let text = |command: RosCommand| match command {
             RosCommand::Subscribe { topic, message_type } => format!("subscribe {topic} {message_type}"),
@@ -114,8 +104,10 @@ impl Simulation {
             }
             RosCommand::Unadvertise { topic } => format!("unadvertise {topic}"),
             RosCommand::Publish { topic, payload } => format!("publish {topic} {}", payload.len()),
+            other => format!("{other:?}"),
         };
-        self.commands.borrow_mut().drain(..).map(text).collect()
+        let mut commands = self.commands.borrow_mut();
+        commands.drain(..).filter(|command| !command.is_of_service()).map(text).collect()
     }
 }
 
@@ -126,7 +118,7 @@ fn message(topic: &str) -> RosEvent {
 /// A graph in which a node publishes one topic.
 fn graph(topic: &str, message_type: &str, is_latched: bool) -> RosEvent {
     let known = RosTopic { published: vec![message_type.into()], is_latched, ..RosTopic::default() };
-    RosEvent::Graph(RosGraph { topics: [(topic.to_owned(), known)].into() })
+    RosEvent::Graph(RosGraph { topics: [(topic.to_owned(), known)].into(), ..RosGraph::default() })
 }
 
 #[test]

@@ -54,13 +54,14 @@ fn run(test: impl Future<Output = ()>) {
 fn config(offset: u32) -> BridgeConfig {
     let domain = (1 + (std::process::id() * 7 + offset) % 100) as u16;
     BridgeConfig {
-        dds: DdsConfig { enabled: true, domain, ..DdsConfig::default() },
+        dds: DdsConfig { enabled: true, domain: domain.into(), ..DdsConfig::default() },
         ..BridgeConfig::default()
     }
 }
 
 fn node(config: &BridgeConfig) -> Node {
-    let builder = DomainParticipantBuilder::new(config.dds.domain).with_only_networks([Ipv4Addr::LOCALHOST]);
+    let builder =
+        DomainParticipantBuilder::new(config.dds.domain()).with_only_networks([Ipv4Addr::LOCALHOST]);
     let context = Context::from_domain_participant(builder.build().unwrap()).unwrap();
     let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
     context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
@@ -111,7 +112,7 @@ fn a_late_reader_gets_the_newest_map_once() {
     run(async {
         let config = config(0);
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
-        spawn_local(endpoint.clone().serve(|_, _| {}));
+        spawn_local(endpoint.clone().serve());
         (1..=20).for_each(|second| send_map(&endpoint, second, 50));
         let mut other = node(&config);
         let first = maps(&mut other);
@@ -134,7 +135,7 @@ fn topics_are_in_the_configured_namespace() {
         let mut config = config(25);
         config.dds.namespace = "/lab/floor_2".into();
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
-        spawn_local(endpoint.clone().serve(|_, _| {}));
+        spawn_local(endpoint.clone().serve());
         send_map(&endpoint, 7, 20);
         let mut other = node(&config);
         let there = maps_on(&mut other, "/lab/floor_2/robot1/map");
@@ -159,20 +160,22 @@ impl Message for SaveMapResponse {}
 fn slam_toolboxs_save_map_reaches_slam_and_is_answered() {
     run(async {
         let config = config(75);
-        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
+        let link = Arc::new(RosLink::default());
+        let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
+        let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
         // SLAM saves the map that is named `monday` only.
-        let answering = Rc::downgrade(&endpoint);
-        let ask = move |robot: RobotId, request: SlamRequest| {
+        let answering = Rc::downgrade(&bridge);
+        bridge.on_slam_request(move |robot: RobotId, request: SlamRequest| {
             assert_eq!(request.kind, SlamRequestKind::SaveMap as u32);
             let done = request.text.as_str() == "monday";
             let outcome = if done { SlamOutcome::Done } else { SlamOutcome::Refused } as u32;
             let answer = SlamResponse { id: request.id, outcome, ..SlamResponse::default() };
             let answering = answering.clone();
             spawn_local(async move {
-                answering.upgrade().map(|endpoint| endpoint.answer_request(robot, &answer, true))
+                answering.upgrade().map(|bridge| bridge.receive_slam_response(robot, &answer, true))
             });
-        };
-        spawn_local(endpoint.clone().serve(ask));
+        });
+        connect(&bridge, &endpoint, link);
         let mut other = node(&config);
         let client = other
             .create_client::<SaveMapRequest, SaveMapResponse>(
@@ -211,7 +214,7 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
             Bridge::new(config.clone(), 1, move |_, command| taken.borrow_mut().push(command)).unwrap(),
         );
         let receiver = bridge.clone();
-        spawn_local(endpoint.clone().serve(|_, _| {}));
+        spawn_local(endpoint.clone().serve());
         spawn_local(async move {
             loop {
                 receiver.receive_ros(link.next_event().await, process_clock());
@@ -241,7 +244,7 @@ fn a_velocity_reaches_the_robot_and_invalid_bytes_do_not() {
 fn connect(bridge: &Rc<Bridge>, endpoint: &Rc<DdsEndpoint>, link: Arc<RosLink>) {
     let (receiver, commands) = (bridge.clone(), link.clone());
     bridge.on_ros_command(move |command| commands.send_command(command));
-    spawn_local(endpoint.clone().serve(|_, _| {}));
+    spawn_local(endpoint.clone().serve());
     spawn_local(async move {
         loop {
             receiver.receive_ros(link.next_event().await, process_clock());

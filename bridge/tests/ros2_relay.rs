@@ -1,15 +1,15 @@
 //! Topics between a client and ROS nodes through the bridge and its ROS 2 endpoint: ros2-client is the other side.
 
-use bridge::command::{Registration, name};
+use bridge::command::{Call, Registration, name};
 use bridge::dds::{DdsConfig, DdsEndpoint, RosLink};
 use bridge::frame::{Parser, Side};
 use bridge::{Bridge, BridgeConfig, ClientId, process_clock};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::{Context, Node, Publisher, Subscription};
 use ros2_client::qos::{Durability, QosProfile, Reliability};
-use ros2_client::{MessageTypeName, Name, NodeName, NodeOptions};
-use serde::Serialize;
+use ros2_client::{Message, MessageTypeName, Name, NodeName, NodeOptions, ServiceMapping, ServiceTypeName};
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use std::future::Future;
 use std::net::Ipv4Addr;
 use std::rc::Rc;
@@ -41,11 +41,11 @@ impl Ours {
     /// Opens the endpoint in a domain that no other test uses at the same time, in all probability.
     fn open(offset: u32) -> Self {
         let domain = (101 + (std::process::id() * 7 + offset) % 100) as u16;
-        let dds = DdsConfig { enabled: true, domain, ..DdsConfig::default() };
+        let dds = DdsConfig { enabled: true, domain: domain.into(), ..DdsConfig::default() };
         let config = BridgeConfig { dds, ..BridgeConfig::default() };
         let link = Arc::new(RosLink::default());
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, link.clone()).unwrap());
-        spawn_local(endpoint.serve(|_, _| {}));
+        spawn_local(endpoint.serve());
         let bridge = Rc::new(Bridge::new(config.clone(), 1, |_, _| {}).unwrap());
         let (commands, receiver) = (link.clone(), bridge.clone());
         bridge.on_ros_command(move |command| commands.send_command(command));
@@ -60,7 +60,7 @@ impl Ours {
 
     fn node(&self) -> Node {
         let builder =
-            DomainParticipantBuilder::new(self.config.dds.domain).with_only_networks([Ipv4Addr::LOCALHOST]);
+            DomainParticipantBuilder::new(self.config.dds.domain()).with_only_networks([Ipv4Addr::LOCALHOST]);
         let context = Context::from_domain_participant(builder.build().unwrap()).unwrap();
         let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
         context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
@@ -79,6 +79,14 @@ impl Ours {
         let registration = Registration { topic, message_name, ..Registration::default() };
         let mut bytes = Vec::new();
         Side::Client.write_command(&mut bytes, command, &registration);
+        self.receive(&bytes);
+    }
+
+    /// Sends a call or a response of the client.
+    fn send_call(&self, command: &str, number: i64, service: &str, payload: &[u8]) {
+        let mut bytes = Vec::new();
+        Side::Client.write_command(&mut bytes, command, &Call { srv_id: number });
+        Side::Client.write(&mut bytes, service, payload);
         self.receive(&bytes);
     }
 
@@ -238,7 +246,7 @@ fn the_reader_goes_with_its_last_client() {
     run(async {
         let ours = Ours::open(75);
         let builder =
-            DomainParticipantBuilder::new(ours.config.dds.domain).with_only_networks([Ipv4Addr::LOCALHOST]);
+            DomainParticipantBuilder::new(ours.config.dds.domain()).with_only_networks([Ipv4Addr::LOCALHOST]);
         let other = builder.build().unwrap();
         let readers = || {
             let readers = other.discovered_readers();
@@ -269,5 +277,80 @@ fn a_late_node_reads_the_emergency_stop() {
             }
             tokio::time::sleep(PAUSE).await;
         }
+    });
+}
+
+/// A request and a response with one field, of any length.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Field(String);
+impl Message for Field {}
+
+#[test]
+fn a_client_calls_a_ros_nodes_service_also_with_a_long_request() {
+    run(async {
+        let ours = Ours::open(60);
+        let mut node = ours.node();
+        let (name, of) = (Name::parse("/echo").unwrap(), ServiceTypeName::new("odd_msgs", "Echo"));
+        let (qos, mapping) = (QosProfile::publisher_default(), ServiceMapping::Enhanced);
+        let server = node.create_server::<Field, Field>(mapping, &name, &of, qos.clone(), qos).unwrap();
+        spawn_local(async move {
+            loop {
+                let (id, Field(text)) = server.async_receive_request().await.unwrap();
+                server.async_send_response(id, Field(text.chars().take(9).collect())).await.unwrap();
+            }
+        });
+        for length in [3, 5000, 200_000] {
+            let payload = loop {
+                ours.register(name::ROS_SERVICE, "/echo", "odd_msgs/Echo");
+                ours.send_call(name::REQUEST, 101, "/echo", &text(&"a".repeat(length)));
+                tokio::time::sleep(QUIET).await;
+                if let Some(payload) = ours.received("/echo").pop() {
+                    break payload;
+                }
+            };
+            assert!(is_text(&payload, &"a".repeat(length.min(9))), "{length}: {payload:?}");
+        }
+    });
+}
+
+#[test]
+fn a_ros_nodes_call_is_answered_by_a_client_once() {
+    run(async {
+        let ours = Ours::open(65);
+        ours.register(name::UNITY_SERVICE, "/trigger", "std_srvs/Trigger");
+        let mut node = ours.node();
+        let (name, of) = (Name::parse("/trigger").unwrap(), ServiceTypeName::new("std_srvs", "Trigger"));
+        let (qos, mapping) = (QosProfile::publisher_default(), ServiceMapping::Enhanced);
+        let client = node.create_client::<Field, Field>(mapping, &name, &of, qos.clone(), qos).unwrap();
+        let mut sent = 0;
+        let id = loop {
+            // Requests are lost until discovery is complete.
+            let id = client.send_request(Field("first".into())).unwrap();
+            sent += 1;
+            tokio::time::sleep(QUIET).await;
+            let calls = ours.received(name::REQUEST);
+            for call in &calls {
+                let Call { srv_id } = serde_json::from_slice(call).unwrap();
+                ours.send_call(name::RESPONSE, srv_id, "/trigger", &text("done"));
+            }
+            if !calls.is_empty() {
+                break id;
+            }
+        };
+        let mut answered = Vec::new();
+        while !answered.contains(&id) {
+            tokio::time::sleep(PAUSE).await;
+            if let Ok(Some((of, response))) = client.receive_response() {
+                assert_eq!(response, Field("done".into()));
+                answered.push(of);
+            }
+        }
+        assert!(answered.len() <= sent);
+        // A service that is offered anew does not get its old requests again.
+        for command in [name::REMOVE_UNITY_SERVICE, name::UNITY_SERVICE] {
+            ours.register(command, "/trigger", "std_srvs/Trigger");
+        }
+        tokio::time::sleep(QUIET).await;
+        assert!(ours.received(name::REQUEST).is_empty());
     });
 }

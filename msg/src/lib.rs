@@ -65,10 +65,11 @@ pub use tiles::{DenseMap, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
 
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// Stamp, sending time and number with which every message begins.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable, Serialize, Deserialize)]
 pub struct Header {
     /// Time at which the content was true, on the run's clock. Algorithms use no other time.
     pub stamp: Stamp,

@@ -19,7 +19,7 @@ pub struct VelocityCommand {
 
 /// Wheel odometry (nav_msgs/Odometry): smooth, but it drifts.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable, serde::Serialize, serde::Deserialize)]
 pub struct Odometry {
     /// Header whose `stamp` is the time of the pose.
     pub header: Header,

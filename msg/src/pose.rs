@@ -26,7 +26,7 @@ use core::ops::Mul;
 /// assert!((base_from_odom * odom_from_base).distance_m(Pose2::IDENTITY) < 1e-9);
 /// ```
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable, serde::Serialize, serde::Deserialize)]
 pub struct Pose2 {
     /// Position along x, metres.
     pub x_m: f64,

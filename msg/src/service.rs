@@ -54,7 +54,7 @@ impl Text {
 }
 
 /// Mode of a robot's SLAM.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[repr(u32)]
 pub enum SlamMode {
     /// Extends the map; a loaded map is continued.

@@ -10,6 +10,10 @@ pub mod ports;
 pub mod processes;
 pub mod shared_memory;
 pub mod storage;
+// Progress of threads, and what follows when there is none.
+pub mod progress;
+pub mod restarts;
+pub mod watchdog;
 // Files, signals and settings of a process.
 pub mod keys;
 pub mod realtime;

@@ -4,6 +4,7 @@
 //! without it.
 
 use msg::Role;
+use rustix::io::Errno;
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::thread::{CpuSet, sched_setaffinity};
 use serde::{Deserialize, Serialize};
@@ -12,6 +13,9 @@ use thread_priority::unix::{
     RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
+
+/// Highest priority of SCHED_FIFO on Linux: sched(7).
+const PRIORITY_MAX: u8 = 99;
 
 /// Section `[realtime]` of the fleet's configuration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,31 +44,97 @@ impl Default for RealtimeConfig {
 }
 
 /// A requested setting with its result.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct Outcome {
     /// Description of the setting, for people.
     pub setting: String,
     /// Success, or the reason of the refusal with the permission that is missing.
-    pub result: Result<(), String>,
+    pub result: Result<(), SettingError>,
+}
+
+/// Reason why the section `[realtime]` is refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum RealtimeConfigError {
+    /// The priority is out of range.
+    #[error("realtime.priority is {0}; expected 0 (none) to {PRIORITY_MAX}")]
+    Priority(u8),
+    /// A role is none of a fleet's processes.
+    #[error("realtime.{key} names `{name}`; expected {}", Role::ALL.map(Role::name).join(", "))]
+    UnknownRole {
+        /// Key below `realtime`.
+        key: String,
+        /// Name as the file has it.
+        name: String,
+    },
+    /// No machine has such a core.
+    #[error("realtime.cores.{role} has core {core}; expected 0 to {}", CpuSet::MAX_CPU - 1)]
+    Core {
+        /// Name of the role.
+        role: String,
+        /// Number of the core, from 0.
+        core: usize,
+    },
+}
+
+impl RealtimeConfigError {
+    /// Returns the path of the key below `realtime`.
+    pub fn key(&self) -> String {
+        match self {
+            Self::Priority(_) => "priority".into(),
+            Self::UnknownRole { key, .. } => key.clone(),
+            Self::Core { role, .. } => format!("cores.{role}"),
+        }
+    }
+}
+
+/// Reason why the system refuses a setting.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum SettingError {
+    /// The cores are refused.
+    #[error("{0}; does the machine have these cores?")]
+    Cores(Errno),
+    /// The priority is no number that the library takes.
+    #[error("priority {priority} is refused: {why}")]
+    PriorityValue {
+        /// The wished priority.
+        priority: u8,
+        /// The library's reason.
+        why: String,
+    },
+    /// The priority is not permitted.
+    #[error("{why:?}; it needs CAP_SYS_NICE, or `ulimit -r {priority}` (rtprio in limits.conf)")]
+    Priority {
+        /// The wished priority.
+        priority: u8,
+        /// The system's reason.
+        why: thread_priority::Error,
+    },
+    /// The memory cannot be locked.
+    #[error("{0}; it needs CAP_IPC_LOCK, or `ulimit -l unlimited` (memlock in limits.conf)")]
+    Memory(Errno),
 }
 
 impl RealtimeConfig {
     /// Checks all values. The error names the first invalid one and its range.
-    pub fn validate(&self) -> Result<(), String> {
-        if self.priority > 99 {
-            return Err(format!("priority {}; expected 0 (none) to 99", self.priority));
+    pub fn validate(&self) -> Result<(), RealtimeConfigError> {
+        if self.priority > PRIORITY_MAX {
+            return Err(RealtimeConfigError::Priority(self.priority));
         }
-        let known = |name: &String| Role::ALL.iter().any(|role| role.name() == name);
-        if let Some(name) = self.roles.iter().chain(self.cores.keys()).find(|name| !known(name)) {
-            let names = Role::ALL.map(Role::name).join(", ");
-            return Err(format!("`{name}` is no process of a fleet; expected one of {names}"));
+        let check_role = |key: String, name: &String| {
+            let is_known = Role::ALL.iter().any(|role| role.name() == name);
+            let error = || RealtimeConfigError::UnknownRole { key, name: name.clone() };
+            if is_known { Ok(()) } else { Err(error()) }
+        };
+        for (index, name) in self.roles.iter().enumerate() {
+            check_role(format!("roles[{index}]"), name)?;
         }
-        match self.cores.iter().find(|(_, cores)| cores.iter().any(|core| *core >= CpuSet::MAX_CPU)) {
-            Some((name, cores)) => {
-                Err(format!("cores.{name} = {cores:?}; cores are 0 to {}", CpuSet::MAX_CPU - 1))
+        for (role, cores) in &self.cores {
+            check_role(format!("cores.{role}"), role)?;
+            if let Some(core) = cores.iter().find(|core| **core >= CpuSet::MAX_CPU) {
+                return Err(RealtimeConfigError::Core { role: role.clone(), core: *core });
             }
-            None => Ok(()),
         }
+        Ok(())
     }
 
     /// Applies a role's settings to the calling thread and to the threads that it starts. `mr-slam doctor`
@@ -72,7 +142,7 @@ impl RealtimeConfig {
     pub fn apply(&self, role: Role) -> Vec<Outcome> {
         let mut outcomes = Vec::new();
         let mut record =
-            |setting: String, result: Result<(), String>| outcomes.push(Outcome { setting, result });
+            |setting: String, result: Result<(), SettingError>| outcomes.push(Outcome { setting, result });
         if let Some(cores) = self.cores.get(role.name()).filter(|cores| !cores.is_empty()) {
             record(format!("cores {cores:?}"), set_cores(cores));
         }
@@ -87,24 +157,22 @@ impl RealtimeConfig {
     }
 }
 
-fn set_cores(cores: &[usize]) -> Result<(), String> {
+fn set_cores(cores: &[usize]) -> Result<(), SettingError> {
     let mut set = CpuSet::new();
     cores.iter().filter(|core| **core < CpuSet::MAX_CPU).for_each(|core| set.set(*core));
-    sched_setaffinity(None, &set).map_err(|why| format!("{why}; does the machine have these cores?"))
+    sched_setaffinity(None, &set).map_err(SettingError::Cores)
 }
 
-fn set_priority(priority: u8) -> Result<(), String> {
-    let value = ThreadPriorityValue::try_from(priority)?;
+fn set_priority(priority: u8) -> Result<(), SettingError> {
+    let value = ThreadPriorityValue::try_from(priority)
+        .map_err(|why| SettingError::PriorityValue { priority, why })?;
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), policy).map_err(
-        |why| format!("{why:?}; it needs CAP_SYS_NICE, or `ulimit -r {priority}` (rtprio in limits.conf)"),
-    )
+    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(value), policy)
+        .map_err(|why| SettingError::Priority { priority, why })
 }
 
-fn lock_memory() -> Result<(), String> {
-    mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(|why| {
-        format!("{why}; it needs CAP_IPC_LOCK, or `ulimit -l unlimited` (memlock in limits.conf)")
-    })
+fn lock_memory() -> Result<(), SettingError> {
+    mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(SettingError::Memory)
 }
 
 #[cfg(test)]
@@ -117,8 +185,16 @@ mod tests {
         assert_eq!(config.validate(), Ok(()));
         assert!(Role::ALL.iter().all(|role| config.apply(*role).is_empty()));
         let wrong = RealtimeConfig { roles: vec!["robot".into()], ..config.clone() };
-        assert!(wrong.validate().unwrap_err().contains("`robot` is no process"));
-        assert!(RealtimeConfig { priority: 100, ..config }.validate().unwrap_err().contains("100"));
+        assert!(
+            wrong
+                .validate()
+                .unwrap_err()
+                .to_string()
+                .contains("realtime.roles[0] names `robot`; expected sim")
+        );
+        assert!(
+            RealtimeConfig { priority: 100, ..config }.validate().unwrap_err().to_string().contains("100")
+        );
     }
 
     #[test]
@@ -128,6 +204,6 @@ mod tests {
         // The setting applies to a thread of its own, which ends with the test.
         let outcomes = std::thread::spawn(move || config.apply(Role::Merge)).join().unwrap();
         assert_eq!(outcomes.len(), 1);
-        assert!(outcomes[0].result.as_ref().unwrap_err().contains("these cores"), "{outcomes:?}");
+        assert!(outcomes[0].result.as_ref().unwrap_err().to_string().contains("these cores"), "{outcomes:?}");
     }
 }

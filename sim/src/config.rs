@@ -30,9 +30,9 @@ impl SimConfig {
 
 /// An invalid value of the configuration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{field} is {value}, but must be {expected}")]
+#[error("sim.{field} is {value}; expected {expected}")]
 pub struct ConfigError {
-    /// Path of the key, such as `lidar.beams`.
+    /// Path of the key below `sim`, such as `lidar.beams`.
     pub field: &'static str,
     /// Value that was found.
     pub value: f64,
@@ -353,7 +353,7 @@ mod tests {
             assert_eq!(refused(text).field, field);
         }
         let words = refused("[lidar]\nrate_hz = 7").to_string();
-        assert_eq!(words, "lidar.rate_hz is 7, but must be 20, 10, 5, 4, 2 or 1");
+        assert_eq!(words, "sim.lidar.rate_hz is 7; expected 20, 10, 5, 4, 2 or 1");
         assert_eq!(SimConfig::default().validate(), Ok(()));
     }
 }

@@ -21,5 +21,7 @@ mod room;
 mod simulator;
 
 pub use config::{ConfigError, Heading, LidarConfig, Limits, NoiseConfig, SimConfig};
-pub use room::{Room, RoomError, StartError};
+pub use room::{
+    AccessorError, EntityError, GltfError, MeshError, ObjError, Room, RoomError, SceneError, StartError,
+};
 pub use simulator::{Simulator, Tick};

@@ -2,6 +2,7 @@
 //!
 //! Points are thinned to an even spacing and lie in `base_footprint`.
 
+mod encoding;
 mod surfaces;
 
 pub use surfaces::CloudScratch;

@@ -118,8 +118,8 @@ pub struct TrackingConfig {
     pub references: usize,
     /// Least share of matched points, 0 to 1; below it the scan does not fit and the robot is lost.
     pub overlap_min: f32,
-    /// Least number of surface points; a scan with fewer is not matched. A dozen points determine a
-    /// pose only barely.
+    /// Least number of surface points; 1 to 4096; a scan with fewer is not matched. A dozen points
+    /// determine a pose only barely.
     pub points_min: usize,
     /// A pose whose position is less certain than this in some direction is degenerate, metres (one
     /// standard deviation); above 0. Two cells of the map.

@@ -27,6 +27,7 @@ use msg::{Correction, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use node_builder::NodeBuilder;
 use scan_matcher::{ScanMatcher, TrackedPose};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Standard deviations of a robot that is not located, metres and radians: it may be anywhere.
@@ -41,7 +42,7 @@ fn unknown_pose_covariance() -> Matrix3<f64> {
 
 /// Counts of scans by what became of them.
 // More than 12 fields: one counter for each outcome of a scan.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrontEndCounts {
     /// Scans that got a pose.
     pub accepted: u64,
@@ -92,7 +93,7 @@ pub struct ScanResult {
 }
 
 /// Pose of an accepted scan relative to the newest node, with which it moves when the graph is solved.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct TrajectorySample {
     /// Stamp of the scan.
     pub stamp: Stamp,
@@ -103,7 +104,7 @@ pub struct TrajectorySample {
 }
 
 /// The last accepted scan.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct LastScan {
     /// Stamp of the scan.
     pub stamp: Stamp,
@@ -114,6 +115,7 @@ pub struct LastScan {
     /// Motion over the last interval, and its length in seconds, for logs without odometry.
     pub motion: Option<(Pose2, f64)>,
     /// Covariance of the pose, see [`ScanResult::correction`].
+    #[serde(with = "crate::encoding::matrix")]
     pub covariance: Matrix3<f64>,
 }
 

@@ -10,6 +10,7 @@ use crate::config::GraphConfig;
 use msg::Pose2;
 use nalgebra::Matrix3;
 use posegraph::{Kernel, SolveError, SolverOptions, Summary};
+use serde::{Deserialize, Serialize};
 
 /// Information along a direction that no surface constrains, 1/m² and 1/rad²: a standard deviation of 10 m, more than
 /// any search window leaves open.
@@ -22,7 +23,7 @@ const POSITION_VARIANCE_MIN: f64 = 1e-8;
 const HEADING_VARIANCE_MIN: f64 = 1e-10;
 
 /// Origin of an edge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum EdgeKind {
     /// Odometry between a node and the next.
     Odometry,
@@ -37,7 +38,7 @@ pub enum EdgeKind {
 }
 
 /// A measured relative pose between two nodes.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Edge {
     /// The node that the measurement is made from.
     pub a: u32,
@@ -46,6 +47,7 @@ pub struct Edge {
     /// Pose of `b` in the frame of `a`, as measured.
     pub a_from_b: Pose2,
     /// Its inverse covariance over (x, y, yaw) in `a`.
+    #[serde(with = "crate::encoding::matrix")]
     pub information: Matrix3<f64>,
     /// Origin of the measurement.
     pub kind: EdgeKind,

@@ -21,6 +21,7 @@ mod clock_reset;
 mod closure;
 mod cloud;
 mod config;
+mod encoding;
 mod front_end;
 mod graph;
 mod likelihood_field;

@@ -3,12 +3,15 @@
 use crate::beam_poses::BeamPoses;
 use crate::cloud::Cloud;
 use crate::config::SlamConfig;
+use crate::encoding::plain;
 use msg::{Header, Pose2, Scan};
 use nalgebra::Matrix3;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::Arc;
 
 /// A scan that entered the pose graph.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Node {
     /// Nodes count from 0 without gaps: the front end numbers those it makes, the back end those it keeps.
     pub id: u32,
@@ -25,10 +28,13 @@ pub struct Node {
     pub odometry_break: bool,
     /// First node of the node's component while that is disconnected from the map; `None` in the map.
     /// Set by the back end.
+    #[serde(skip)]
     pub disconnected: Option<u32>,
     /// Surface points, for matching.
+    #[serde(with = "crate::encoding::shared")]
     pub cloud: Arc<Cloud>,
     /// Beam end points, for drawing.
+    #[serde(with = "crate::encoding::shared")]
     pub rays: Arc<Rays>,
     /// Positions of the robot since the node before.
     pub swept_path: SweptPath,
@@ -89,6 +95,23 @@ impl SweptPath {
     }
 }
 
+impl Serialize for SweptPath {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        plain::serialize(self.positions_m(), to)
+    }
+}
+
+/// Accepts at most [`SWEPT_PATH_POSITIONS_MAX`] positions.
+impl<'de> Deserialize<'de> for SweptPath {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let positions_m: Vec<[f32; 2]> = plain::deserialize(from)?;
+        if positions_m.len() > SWEPT_PATH_POSITIONS_MAX {
+            return Err(D::Error::invalid_length(positions_m.len(), &"at most a path's positions"));
+        }
+        Ok(Self::of(&positions_m))
+    }
+}
+
 /// Covariance of a pose in the map, and where in the map it is: seen from elsewhere, an error in heading moves it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameUncertainty {
@@ -105,7 +128,7 @@ impl Default for FrameUncertainty {
 }
 
 /// The back end's result after a node, for the front end.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Revision {
     /// The node that caused it.
     pub cause: u32,
@@ -114,6 +137,9 @@ pub struct Revision {
     /// Pose of the front end's frame in the loop-closed map, by the newest node.
     pub map_from_local: Pose2,
     /// How well that is known: the covariance of the newest node's pose in the map.
+    ///
+    /// A session does not keep it: the back end finds it anew.
+    #[serde(skip)]
     pub uncertainty: FrameUncertainty,
     /// Number of active closures.
     pub closures: u32,
@@ -122,13 +148,15 @@ pub struct Revision {
 }
 
 /// A scan's beams as end points in `base_footprint`, metres.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Rays {
     /// Sensor position, where the beams start.
     pub sensor: [f32; 2],
     /// End points of beams with a return.
+    #[serde(with = "crate::encoding::plain")]
     pub hits: Vec<[f32; 2]>,
     /// Points up to which beams without a return are known to be free.
+    #[serde(with = "crate::encoding::plain")]
     pub misses: Vec<[f32; 2]>,
 }
 

@@ -13,6 +13,7 @@ use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::node::Node;
 use msg::{Pose2, pose::wrap_angle};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use whole_map::{Bounds, WholeMap};
 
@@ -38,7 +39,7 @@ const ALIGNMENT_SHIFT_MAX_M: f64 = 0.5;
 const QUERY_SCANS: usize = 4;
 
 /// An estimate of where the front end's frame lies in the map.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseEstimate {
     /// Pose of the front end's frame in the map.
     pub map_from_local: Pose2,

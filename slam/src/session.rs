@@ -1,33 +1,36 @@
 //! Sessions: the state of a robot's SLAM, encoded to bytes and decoded from them. Callers read and write the files.
 //!
 //! ```text
-//! magic 8 | version u32 | CRC-32 of the rest u32 | length of the rest u64 | the rest
+//! magic 8 | version u32 | CRC-32 of the content u32 | length of the content u64 | content
 //! ```
 //!
-//! Whatever the bytes, decoding ends with a session that is sound (every number finite and in its
-//! range, every reference to a node that is there) or with the reason why it is none.
+//! The content is [`Session`] in postcard's encoding (<https://postcard.jamesmunns.com/wire-format>), field by field in
+//! the order of the types. So a field that is added, removed or moved in [`Session`] or in a type within it makes a new
+//! [`VERSION`].
+//!
+//! Whatever the bytes, decoding ends with a session that [`Session::validate`] accepts or with the reason why it is none.
+//! It never allocates by a length that the bytes only claim: postcard reserves 1 MiB of a list at most before its
+//! elements are there, and byte strings must be there whole.
 
-mod bytes;
 mod from_grid;
 pub mod log;
-mod records;
+mod validate;
 
 use crate::back_end::{BackEnd, BackEndState};
 use crate::config::SlamConfig;
 use crate::front_end::{FrontEndState, TrajectorySample};
-use bytes::{In, Out};
 use log::LogPosition;
 use msg::{SlamMode, pose::wrap_angle};
-use records::*;
+use serde::{Deserialize, Serialize};
 
-/// Version of the format that is written.
-pub const VERSION: u32 = 5;
-/// Oldest version of the format that is read: it has no place in a log, and its nodes have no swept path.
-const VERSION_OLDEST: u32 = 3;
+/// Version of the format of sessions and of records of their logs.
+pub const VERSION: u32 = 6;
 /// First bytes of a session file.
 pub const MAGIC: [u8; 8] = *b"MRSLAM\r\n";
 /// Length of the head before the content, bytes.
 const HEAD: usize = 24;
+/// Largest session that is decoded, bytes. 20 000 nodes of a dense LiDAR take about 300 MB.
+pub const BYTES_MAX: usize = 1 << 30;
 /// Mounting poses of a LiDAR nearer than this are the same, metres and radians.
 const SAME_PLACE: f64 = 1e-3;
 
@@ -38,10 +41,19 @@ pub enum SessionError {
     #[error("is not a session file: it begins with other bytes")]
     Magic,
     /// A version of the format that this program does not read.
-    #[error("is of format version {found}; this program reads versions {VERSION_OLDEST} to {VERSION}")]
+    #[error(
+        "is of format version {found}; this program reads version {VERSION}: map again, or save the map as pictures \
+         (mr-slam slam ROBOT map NAME) with the version of MR-SLAM that wrote it, and localize in that"
+    )]
     Version {
         /// Version in the head.
         found: u32,
+    },
+    /// More bytes than [`BYTES_MAX`].
+    #[error("has {found} bytes, expected at most {BYTES_MAX}")]
+    TooLarge {
+        /// Number of bytes.
+        found: u64,
     },
     /// The file is truncated, or has bytes after its content.
     #[error("is truncated or overlong: {found} bytes of content, expected {expected}")]
@@ -59,11 +71,20 @@ pub enum SessionError {
         /// Checksum in the head.
         expected: u32,
     },
-    /// The content ends within a value.
+    /// The bytes end within the head.
     #[error("ends within {what}")]
     Ends {
-        /// Value that is cut off.
+        /// Part that is cut off.
         what: &'static str,
+    },
+    /// The content does not follow the format.
+    #[error("cannot be decoded: {0}")]
+    Encoding(#[from] postcard::Error),
+    /// Bytes follow the content.
+    #[error("has {found} bytes after its content")]
+    Trailing {
+        /// Number of bytes.
+        found: usize,
     },
     /// A number of entries beyond its limit.
     #[error("has {found} {what}, expected at most {most}")]
@@ -94,7 +115,7 @@ pub enum SessionError {
 }
 
 /// Robot and run of a session. Another robot cannot continue it: its LiDAR is mounted differently.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     /// The robot's number; 0 for a log's.
     pub robot: u32,
@@ -137,7 +158,7 @@ impl Identity {
 }
 
 /// State of a robot's SLAM, from which it can continue.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Session {
     /// Robot and run that it was made by.
     pub identity: Identity,
@@ -177,16 +198,7 @@ impl BackEnd {
 impl Session {
     /// Encodes the session.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = Out::default();
-        out.bytes.resize(HEAD, 0);
-        put_identity(&mut out, &self.identity);
-        out.put(&u64::from(self.mode as u32));
-        put_back(&mut out, &self.back);
-        out.put(&u64::from(self.front.is_some()));
-        self.front.iter().for_each(|front| put_front(&mut out, front));
-        put_rides(&mut out, &self.samples);
-        out.put(&[self.log.number, u64::from(self.log.checksum)]);
-        let mut bytes = out.bytes;
+        let mut bytes = encode_after(vec![0; HEAD], self);
         let (checksum, length) = (crc32fast::hash(&bytes[HEAD..]), (bytes.len() - HEAD) as u64);
         bytes[..8].copy_from_slice(&MAGIC);
         bytes[8..12].copy_from_slice(&VERSION.to_le_bytes());
@@ -213,16 +225,18 @@ impl Session {
         if !bytes.starts_with(&MAGIC[..bytes.len().min(8)]) || bytes.is_empty() {
             return Err(SessionError::Magic);
         }
-        let Some((head, content)) = bytes.split_at_checked(HEAD) else {
+        if bytes.len() > BYTES_MAX {
+            return Err(SessionError::TooLarge { found: bytes.len() as u64 });
+        }
+        let Some((head, content)) = bytes.split_first_chunk::<HEAD>() else {
             return Err(SessionError::Ends { what: "its head" });
         };
-        let mut head = In::new(&head[8..]);
-        let found: u32 = head.take("its head")?;
-        if !(VERSION_OLDEST..=VERSION).contains(&found) {
-            return Err(SessionError::Version { found });
+        let (version, expected_sum, length) =
+            (word(head, 8), word(head, 12), [word(head, 16), word(head, 20)]);
+        if version != VERSION {
+            return Err(SessionError::Version { found: version });
         }
-        let expected_sum: u32 = head.take("its head")?;
-        let expected: u64 = head.take("its head")?;
+        let expected = u64::from(length[0]) | u64::from(length[1]) << 32;
         if content.len() as u64 != expected {
             return Err(SessionError::Length { found: content.len() as u64, expected });
         }
@@ -238,19 +252,26 @@ impl Session {
     /// # Errors
     /// [`SessionError`] if a value is missing or not valid.
     pub fn decode_content(content: &[u8]) -> Result<Self, SessionError> {
-        let mut from = In::new(content);
-        let identity = take_identity(&mut from)?;
-        let mode = take_mode(&mut from)?;
-        let back = take_back(&mut from)?;
-        let front = match from.take::<u64>("the scan path")? {
-            0 => None,
-            _ => Some(take_front(&mut from, back.nodes.len())?),
-        };
-        let samples = take_rides(&mut from, back.nodes.len())?;
-        let log = take_log_position(&mut from)?;
-        if !from.is_empty() {
-            return Err(SessionError::Value { what: "length (something follows its content)" });
-        }
-        Ok(Self { identity, mode, back, front, samples, log })
+        let mut session: Self = decode_whole(content)?;
+        session.validate()?;
+        // Nodes that were removed may still be counted.
+        session.back.unsolved = session.back.unsolved.min(session.back.nodes.len());
+        Ok(session)
     }
+}
+
+/// Appends a value to bytes.
+fn encode_after(bytes: Vec<u8>, value: &impl Serialize) -> Vec<u8> {
+    postcard::to_extend(value, bytes).expect("memory has room, and every list knows its length")
+}
+
+/// Decodes a value from bytes that hold nothing else.
+fn decode_whole<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, SessionError> {
+    let (value, rest) = postcard::take_from_bytes(bytes)?;
+    if rest.is_empty() { Ok(value) } else { Err(SessionError::Trailing { found: rest.len() }) }
+}
+
+/// Returns the 32-bit number at an offset of a head.
+fn word<const N: usize>(head: &[u8; N], at: usize) -> u32 {
+    u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]])
 }

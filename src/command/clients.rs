@@ -3,8 +3,9 @@
 use super::output;
 use super::permissions::PermissionError;
 use super::run_args::RunArgs;
-use crate::control::{self, ClientView, Request};
+use crate::control::{self, Request};
 use bridge::ClientSelector;
+use bridge::ClientStatus;
 use serde::Serialize;
 use std::path::Path;
 use std::time::Duration;
@@ -31,7 +32,7 @@ pub struct ClientsArgs {
 #[derive(Serialize)]
 struct Answer<'a> {
     run: &'a Path,
-    clients: &'a [ClientView],
+    clients: &'a [ClientStatus],
 }
 
 /// Lists the clients, after it has closed connections if asked to.

@@ -1,11 +1,13 @@
 //! Tool `mr-slam doctor`, which checks what this machine permits and names a remedy for the rest.
 
 use super::output;
+use super::up::ros_variables;
 use crate::channel::shared_memory_need;
 use crate::clock;
 use crate::config::FleetConfig;
 use crate::resources;
 use crate::shared_memory::SHARED_MEMORY;
+use bridge::dds::{Discovery, DiscoveryVariables};
 use msg::{Monotonic, ROBOTS_MAX};
 use rustix::process::{Resource, getrlimit};
 use serde::Serialize;
@@ -99,6 +101,7 @@ pub fn examine(port: u16, config: &FleetConfig) -> Findings {
         port_free(port),
         loopback(),
         multicast(),
+        ros_discovery(config, &ros_variables()),
         receive_buffer(),
         buffer_limit("udp receive limit", "rmem_max"),
         buffer_limit("udp send limit", "wmem_max"),
@@ -247,6 +250,21 @@ fn multicast() -> Check {
     let found = echoed.as_ref().map_or_else(ToString::to_string, |()| "works".to_string());
     let advice = "ROS 2 on other machines will not find the fleet; on this machine it will";
     Check::new("multicast", echoed.is_ok(), found, advice)
+}
+
+/// Checks whether ROS 2's environment variables for discovery can be obeyed, and says what they come to.
+fn ros_discovery(config: &FleetConfig, variables: &DiscoveryVariables) -> Check {
+    let name = "ros 2 discovery";
+    match Discovery::new(&config.bridge.dds, variables) {
+        Ok(Discovery { domain, is_loopback_only, warning }) => {
+            let whom = if is_loopback_only { "this machine alone" } else { "other machines too" };
+            let advice = warning.unwrap_or_default();
+            Check::new(name, advice.is_empty(), format!("domain {domain}, {whom}"), &advice)
+        }
+        Err(why) => {
+            Check::new(name, false, "--ros-domain and --world ros will be refused".into(), &why.to_string())
+        }
+    }
 }
 
 fn sysctl(name: &str) -> Option<u64> {

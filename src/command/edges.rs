@@ -53,10 +53,15 @@ pub struct Pair {
     pub b: RobotId,
 }
 
+/// Text that names no robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected robot1 to robot{ROBOTS_MAX}, or the number alone")]
+pub(super) struct RobotError;
+
 /// Parses a robot: `robot1`, or `1`.
-pub(super) fn robot(text: &str) -> Result<RobotId, String> {
+pub(super) fn robot(text: &str) -> Result<RobotId, RobotError> {
     let number = text.strip_prefix("robot").unwrap_or(text).parse().ok();
-    number.and_then(RobotId::new).ok_or(format!("expected robot1 to robot{ROBOTS_MAX}, or the number alone"))
+    number.and_then(RobotId::new).ok_or(RobotError)
 }
 
 /// Reason why edges could not be shown or changed.

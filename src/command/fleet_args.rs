@@ -1,7 +1,6 @@
 //! Options that describe a fleet, on top of its file.
 
-use crate::config::{ConfigError, FleetConfig, World};
-use crate::sessions::Mode;
+use crate::config::{ConfigError, FleetConfig, Mode, World};
 use std::path::PathBuf;
 
 /// Fleet to start: its file, and options that override the file.

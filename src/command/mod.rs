@@ -1,9 +1,11 @@
 //! Command line of `mr-slam`: one module for each tool, with its arguments and a `run` function.
 
 pub mod clients;
+pub mod demo;
 pub mod doctor;
 pub mod edges;
 pub mod fleet_args;
+pub mod lockstep;
 pub mod merge;
 pub mod output;
 pub mod permissions;
@@ -15,7 +17,6 @@ pub mod up;
 pub mod worker;
 
 use crate::stop::Stop;
-use crate::{demo, lockstep};
 use clap::{Parser, Subcommand};
 
 /// Reason why a tool ended without a result.

@@ -11,9 +11,10 @@ pub use fleet::Starts;
 pub use summary::{Percentiles, Summary};
 
 use super::output;
+use crate::config::Mode;
 use crate::config::{ConfigError, FleetConfig, recorded_log_slam};
 use crate::session_file::{self, SessionFileError};
-use crate::sessions::{Mode, TOLD_SIGMA};
+use crate::sessions::TOLD_SIGMA;
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::gzip;
 use formats::map_file::{MapFileError, write_map};

@@ -5,10 +5,10 @@ use super::output;
 use super::run_args::RunArgs;
 use crate::channel::{self, Opener, Program};
 use crate::clock::now;
+use crate::config::Mode;
 use crate::ports::ChannelError;
 use crate::process::pose;
 use crate::run::{Run, RunError};
-use crate::sessions::Mode;
 use crate::shared_memory::{Listener, Participant, Reader, Writer, wait};
 use crate::view::SlamView;
 use msg::{

@@ -3,6 +3,7 @@
 mod console;
 mod detach;
 mod events;
+mod page;
 mod report;
 mod scan_rates;
 mod screen;
@@ -10,7 +11,7 @@ mod screen;
 pub use report::Report;
 
 use super::fleet_args::FleetArgs;
-use crate::config::{ConfigError, FleetConfig};
+use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
@@ -20,6 +21,7 @@ use crate::sessions;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
 use crate::view::FleetView;
+use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 use events::Events;
 use scan_rates::ScanRates;
@@ -42,13 +44,16 @@ pub struct UpArgs {
     /// TCP port for headsets; 0: any free port [default: 10000]
     #[arg(long, value_name = "P")]
     pub port: Option<u16>,
+    /// TCP port of the operator's page, 0 for any free port, or `off`; overrides the configuration
+    #[arg(long, value_name = "P")]
+    pub page: Option<page::PageChoice>,
     /// Address that may drive, such as the headset's; may be given several times
     #[arg(long, value_name = "ADDRESS")]
     pub allow: Vec<IpAddr>,
     /// Let everybody who reaches the port drive the robots
     #[arg(long)]
     pub trust_lan: bool,
-    /// Serve ROS 2 on this machine in this domain (ROS_DOMAIN_ID)
+    /// Serve ROS 2 in this domain [default with --world ros: ROS_DOMAIN_ID, or 0]
     #[arg(long, value_name = "ID")]
     pub ros_domain: Option<u16>,
     /// Seconds until the fleet ends [default: until Ctrl-C]
@@ -65,8 +70,13 @@ pub struct UpArgs {
     pub in_background: bool,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or("expected a number above 0".into())
+/// Text that is no duration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected a number of seconds above 0")]
+struct SecondsError;
+
+fn seconds(text: &str) -> Result<f64, SecondsError> {
+    text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or(SecondsError)
 }
 
 /// Reason why a fleet did not come up.
@@ -112,21 +122,41 @@ pub enum UpError {
 
 impl UpArgs {
     fn config(&self) -> Result<FleetConfig, ConfigError> {
-        self.fleet.config_with(|config| {
+        let mut discovery = Ok(None);
+        let config = self.fleet.config_with(|config| {
             config.fleet.port = self.port.unwrap_or(config.fleet.port);
             config.bridge.allow.extend(&self.allow);
+            if let Some(choice) = self.page {
+                choice.apply(config);
+            }
             if self.trust_lan {
                 config.bridge.drive = bridge::Permission::Anyone;
             }
             if let Some(domain) = self.ros_domain {
-                (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain);
+                (config.bridge.dds.enabled, config.bridge.dds.domain) = (true, domain.into());
             }
-        })
+            let dds = &mut config.bridge.dds;
+            if dds.enabled {
+                discovery = Discovery::new(dds, &ros_variables()).map(Some);
+            }
+            if let Ok(Some(discovery)) = &discovery {
+                dds.set_discovery(discovery);
+            }
+        })?;
+        if let Some(warning) = discovery.map_err(ValueError::from)?.and_then(|discovery| discovery.warning) {
+            tracing::warn!("{warning}");
+        }
+        Ok(config)
     }
 
     pub(super) fn folder(&self) -> PathBuf {
         self.run_dir.clone().unwrap_or_else(|| PathBuf::from("runs").join(folder_name_now()))
     }
+}
+
+/// Returns ROS 2's environment variables for discovery.
+pub(super) fn ros_variables() -> DiscoveryVariables {
+    DiscoveryVariables::new(|name| std::env::var(name).ok())
 }
 
 /// Additions to a running fleet: none for `up`, the scripted operator for `demo`.
@@ -168,8 +198,9 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
 
 /// Runs a fleet from start to end, writes its maps and report into the run's folder, and returns the report.
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
-    let config = args.config()?;
+    let mut config = args.config()?;
     fleet::check(&config)?;
+    page::choose_port(&mut config);
     let (address, port) = (config.fleet.address.clone(), config.fleet.port);
     let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
         address: address.clone(),

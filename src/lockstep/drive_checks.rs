@@ -52,7 +52,7 @@ pub struct DriveChecks {
 impl DriveChecks {
     /// Creates the checks of a robot that was not commanded yet.
     pub fn new(config: &FleetConfig, robot: RobotId) -> Self {
-        let (limits, lease) = (config.bridge.velocity.limits(robot), config.bridge.lease());
+        let (limits, lease) = (RobotLimits::new(&config.bridge.velocity, robot), config.bridge.lease());
         Self { robot, limits, lease, driver: None, left: None, moving: false, stopped: false, unsaved: false }
     }
 

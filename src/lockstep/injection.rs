@@ -2,10 +2,9 @@
 
 use super::Lockstep;
 use super::faults::{BRIDGE, Fault};
-use crate::command::output;
+use super::members::Member;
 use crate::control::Request;
 use crate::ports::WritePort;
-use crate::supervisor::restarts::State;
 use msg::{Monotonic, RobotId, SlamRequest, SlamRequestKind};
 use std::time::Duration;
 
@@ -25,12 +24,12 @@ impl Lockstep {
             }
         }
         for member in &mut self.members {
-            if !member.policy.is_due(now) {
+            if member.start_due().is_none_or(|due| now < due) {
                 continue;
             }
             let at = member.robot.and_then(|robot| self.observer.last_seen(member.row.role, robot));
             if let Err(why) = member.start(&self.world, at) {
-                output::note(&format!("cannot start the {}: {why}", member.row.title(member.robot)));
+                tracing::warn!("cannot start the {}: {why}", member.row.title(member.robot));
                 member.policy.on_death(now);
             }
             let selected = member.bridge().map(|process| process.bridge.selected_robot());
@@ -44,10 +43,7 @@ impl Lockstep {
 
     /// Returns when the supervisor has something to do next.
     pub(super) fn supervisor_due(&self) -> Monotonic {
-        let restart = self.members.iter().filter_map(|member| match member.policy.state() {
-            State::Waiting { until } => Some(until),
-            _ => None,
-        });
+        let restart = self.members.iter().filter_map(Member::start_due);
         restart.min().unwrap_or(self.watch_due).min(self.watch_due)
     }
 

@@ -14,14 +14,17 @@ use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
 use crate::process::telemetry::Figures;
 use crate::process::{Component, Error};
 use crate::processes::ProcessRow;
+use crate::restarts::{RestartPolicy, State};
 use crate::run::Run;
 use crate::supervisor::START_MAX;
-use crate::supervisor::restarts::RestartPolicy;
-use crate::supervisor::watchdog::{Finding, ThreadSample, ThreadState, Watchdog};
+use crate::watchdog::{Finding, ThreadSample, ThreadState, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
+
+/// Time from a death until the new process runs: the launcher's poll, the program's start and the opening of its channels.
+const BACK_AFTER: Duration = Duration::from_millis(200);
 
 /// Surroundings that all processes of a fleet in lockstep share.
 pub struct World {
@@ -45,6 +48,8 @@ pub struct Member {
     pub policy: RestartPolicy,
     /// It is stopped until then.
     pub frozen_until: Monotonic,
+    /// Moment before which a killed process is not back, though it is started at once.
+    back_at: Monotonic,
     /// Its threads, while it runs.
     pub threads: Vec<Thread>,
     body: Option<Body>,
@@ -87,6 +92,7 @@ impl Member {
             robot,
             policy: RestartPolicy::new(Monotonic(0)),
             frozen_until: Monotonic(0),
+            back_at: Monotonic(0),
             threads: Vec::new(),
             body: None,
             watchdog: Watchdog::new(START_MAX, row.silence_max, Monotonic(0)),
@@ -119,6 +125,15 @@ impl Member {
         if self.body.take().is_some() {
             self.threads.clear();
             self.policy.on_death(now);
+            self.back_at = Monotonic(now.0 + BACK_AFTER.as_nanos() as u64);
+        }
+    }
+
+    /// Returns when the process is to run again; `None` if it runs or is not started again.
+    pub fn start_due(&self) -> Option<Monotonic> {
+        match self.policy.state() {
+            State::Waiting { until } => Some(until.max(self.back_at)),
+            State::Running { .. } | State::Held => None,
         }
     }
 

@@ -4,17 +4,12 @@ use super::Lockstep;
 use super::queues::Openings;
 use crate::channel::{CHANNELS, Direction, End, Opener, Program, Scope, process_health};
 use crate::config::FleetConfig;
-use crate::fleet;
 use msg::{RobotId, Role};
-
-/// Channels that a process opens only if it serves DDS, which lockstep does not.
-const OF_DDS: [(&str, Direction, Program); 1] =
-    [("slam_response", Direction::Read, Program::Worker(Role::Bridge))];
 
 /// Returns what the table of channels declares for the processes of a simulated fleet.
 fn declared(config: &FleetConfig) -> Openings {
     let processes: Vec<Opener> =
-        fleet::processes(config).map(|(row, robot)| Opener { program: row.role.into(), robot }).collect();
+        config.processes().map(|(row, robot)| Opener { program: row.role.into(), robot }).collect();
     let mut declared = Openings::new();
     for row in CHANNELS {
         for (ends, direction) in [(row.writers, Direction::Write), (row.readers, Direction::Read)] {
@@ -28,8 +23,7 @@ fn declared(config: &FleetConfig) -> Openings {
             };
             for opener in &processes {
                 for (name, robot) in &channels {
-                    let is_of_dds = OF_DDS.contains(&(row.name, direction, opener.program));
-                    if !is_of_dds && ends().any(|end| end.includes(*opener, *robot)) {
+                    if ends().any(|end| end.includes(*opener, *robot)) {
                         declared.insert((name.clone(), direction, *opener));
                     }
                 }
@@ -37,7 +31,7 @@ fn declared(config: &FleetConfig) -> Openings {
         }
     }
     let telemetry = Opener::of_fleet(Program::Worker(Role::Telemetry));
-    for (row, robot) in fleet::processes(config) {
+    for (row, robot) in config.processes() {
         let opener = Opener { program: row.role.into(), robot };
         let name = process_health(row.role, robot).name;
         declared.insert((name.clone(), Direction::Write, opener));

@@ -6,6 +6,7 @@
 
 pub mod feeds;
 pub mod live;
+mod page;
 
 pub use live::run;
 
@@ -18,8 +19,8 @@ use crate::ports::{ChannelError, Clock as _, Ports, WritePort};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::bridge::Bridge;
-use feeds::{Feed, open_feeds};
-use msg::{Monotonic, RobotId, Role, SlamRequest, VelocityCommand};
+use feeds::{Feed, forward, open_feeds};
+use msg::{Monotonic, RobotId, Role, SlamRequest, SlamResponse, VelocityCommand};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
@@ -45,12 +46,18 @@ impl<P: Ports + 'static, S: Storage> BridgeProcess<P, S> {
     /// Opens the channels, stops every robot, and applies the saved state: permissions, drivers, emergency stop.
     pub fn open(ports: &P, run: &Run, storage: S) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Bridge, None)?;
-        let bridge = open_bridge(ports, run)?;
+        let (bridge, requester) = open_bridge(ports, run)?;
         // Every robot gets a zero before anything else: what moved it before is not known.
         let now = ports.clock().now();
         bridge.tick(now);
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, storage, now)));
-        let feeds = open_feeds(ports, run, &bridge)?;
+        let mut feeds = open_feeds(ports, run, &bridge)?;
+        for robot in run.robots() {
+            let receive = move |bridge: &Bridge, response: &SlamResponse| {
+                bridge.receive_slam_response(robot, response, response.client == requester);
+            };
+            feeds.push(forward(ports, &bridge, &channel::slam_response(robot), receive)?);
+        }
         let upkeep = Upkeep { bridge: bridge.clone(), control, heartbeat, clock: ports.clock() };
         Ok(Self { bridge, feeds, upkeep })
     }
@@ -90,7 +97,9 @@ impl<P: Ports, S: Storage> Component for Upkeep<P, S> {
 }
 
 /// Creates the bridge, which writes the channels of velocities, of commands for merging and of requests to SLAM.
-fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<Rc<Bridge>, Error> {
+///
+/// Returns the number, too, that responses to its requests carry.
+fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, u64), Error> {
     let writers = run.robots().map(|robot| ports.writer(&channel::command(robot)));
     let mut writers = writers.collect::<Result<Vec<P::Writer<VelocityCommand>>, _>>()?;
     let send = move |robot: RobotId, command: VelocityCommand| {
@@ -109,27 +118,28 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<Rc<Bridge>, E
     let mut edge_commands = ports.writer(&channel::edge_command())?;
     bridge.on_edge_command(move |command| edge_commands.send(&command));
     let mut requester = SlamRequester::open(ports, run, REQUESTER_KIND)?;
+    let client = requester.client;
     bridge.on_slam_request(move |robot, request| requester.send(robot, request));
-    Ok(Rc::new(bridge))
+    Ok((Rc::new(bridge), client))
 }
 
-/// Sends requests to the robots' SLAM in the name of one endpoint.
-pub struct SlamRequester<P: Ports> {
+/// Sends requests to the robots' SLAM in the name of the bridge.
+struct SlamRequester<P: Ports> {
     /// The number that responses to this endpoint carry.
-    pub client: u64,
+    client: u64,
     requests: Vec<P::Writer<SlamRequest>>,
 }
 
 impl<P: Ports> SlamRequester<P> {
     /// Opens the robots' request channels. `kind` tells endpoints of one process apart; the command line's is 0.
-    pub fn open(ports: &P, run: &Run, kind: u64) -> Result<Self, ChannelError> {
+    fn open(ports: &P, run: &Run, kind: u64) -> Result<Self, ChannelError> {
         let client = kind << PID_BITS | u64::from(ports.clock().usage().pid);
         let requests = run.robots().map(|robot| ports.writer(&channel::slam_request(robot)));
         Ok(Self { client, requests: requests.collect::<Result<_, _>>()? })
     }
 
     /// Sends a request to a robot's SLAM.
-    pub fn send(&mut self, robot: RobotId, request: SlamRequest) {
+    fn send(&mut self, robot: RobotId, request: SlamRequest) {
         if let Some(writer) = self.requests.get_mut(robot.index()) {
             writer.send(&SlamRequest { client: self.client, ..request });
         }

@@ -4,10 +4,10 @@ pub mod saved_state;
 
 use crate::allowed;
 use crate::clock::now;
-use crate::control::{self, BridgeState, ClientView, LINE_MAX, Reply, Request};
+use crate::control::{self, BridgeState, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use crate::storage::Storage;
-use ::bridge::{Bridge, ClientStatus};
+use ::bridge::Bridge;
 use msg::Monotonic;
 use saved_state::{SavedFiles, denied_file};
 use std::io;
@@ -86,26 +86,12 @@ impl<S: Storage> Control<S> {
     }
 
     fn bridge_state(&self, now: Monotonic) -> BridgeState {
-        let client = |status: ClientStatus| ClientView {
-            number: status.number,
-            address: status.peer,
-            connected_s: status.connected_s,
-            silent_s: status.silent_s,
-            subscriptions: status.subscriptions,
-            publications: status.publications,
-            waiting_bytes: status.waiting_bytes,
-            link_bytes_per_s: status.link_bytes_per_s,
-            held_back_bytes: status.held_back_bytes,
-            dropped: status.dropped,
-            drives: status.drives.iter().map(|robot| robot.number()).collect(),
-            clock: status.clock,
-        };
         BridgeState {
             stopped: self.bridge.is_stopped(),
             selected: self.bridge.selected_robot().number(),
             waiting: self.bridge.waiting_addresses(),
             allowed: self.bridge.allowed_addresses(),
-            clients: self.bridge.clients(now).into_iter().map(client).collect(),
+            clients: self.bridge.clients(now),
         }
     }
 }

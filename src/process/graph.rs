@@ -7,9 +7,9 @@ use crate::channel;
 use crate::clock::Epoch;
 use crate::merge_memory::MergeMemory;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
+use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::storage::{DiskStorage, Storage};
-use crate::supervisor::progress::WatchedThread;
 use ::merge::FleetPoseGraph;
 use msg::{
     EdgeAction, EdgeCommand, Grid, MergeEdges, Monotonic, Pose2, RobotId, Role, Submap, SubmapPoses,

@@ -12,10 +12,10 @@ use crate::merge_memory::MergeMemory;
 use crate::ports::{
     ChannelError, Clock as _, Gaps, MAP_PAUSE, Ports, ReadMapPort, ReadPort, WriteMapPort, WritePort,
 };
+use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
-use crate::supervisor::progress::WatchedThread;
 use ::merge::{FleetPoseGraph, Merger};
 use msg::{Correction, MapTransforms, Monotonic, Pose2, RobotId, Role, TrackingState};
 use std::sync::Arc;

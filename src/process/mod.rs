@@ -16,10 +16,10 @@ pub mod slam;
 mod submap_publisher;
 pub mod telemetry;
 
+use crate::progress::ProgressCounter;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
-use crate::supervisor::progress::ProgressCounter;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -63,15 +63,20 @@ pub struct ProcessArgs {
     pub run_dir: PathBuf,
 }
 
+/// Text that is no pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected X,Y,YAW in metres and radians")]
+pub struct PoseError;
+
 /// Parses a pose from `X,Y,YAW`: metres, metres, radians.
-pub fn pose(text: &str) -> Result<Pose2, String> {
+pub fn pose(text: &str) -> Result<Pose2, PoseError> {
     let numbers =
         text.split(',').map(|number| number.trim().parse::<f64>().ok()).collect::<Option<Vec<f64>>>();
     match numbers.as_deref() {
         Some([x_m, y_m, yaw_rad]) if [x_m, y_m, yaw_rad].iter().all(|v| v.is_finite()) => {
             Ok(Pose2::new(*x_m, *y_m, *yaw_rad))
         }
-        _ => Err("expected X,Y,YAW in metres and radians".into()),
+        _ => Err(PoseError),
     }
 }
 

@@ -1,28 +1,24 @@
 //! The ROS 2 endpoint of the bridge process, on a thread of its own, so that DDS never delays a headset on TCP.
 
 use super::Error;
-use super::bridge::SlamRequester;
-use super::bridge::feeds::{FeedResult, forward, open_feeds, when_written};
+use super::bridge::feeds::{forward, open_feeds};
 use super::bridge::live::{run_feed, stop_requested};
 use crate::channel;
 use crate::clock::now;
 use crate::config::World;
 use crate::fleet;
-use crate::ports::{Ports, ReadPort};
+use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
-use crate::supervisor::progress::WatchedThread;
 use ::bridge::dds::{DdsEndpoint, RosLink};
 use ::bridge::{Bridge, FleetMessage};
-use msg::{Clock, RobotId, Role};
-use std::cell::{Cell, RefCell};
+use msg::{Clock, Role};
+use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::{JoinHandle, LocalSet, spawn_local};
 
-/// Kind of requester that marks this endpoint's requests to SLAM.
-const REQUESTER_KIND: u64 = 2;
 /// Period of the clock messages to clients on TCP if ROS publishes none: 50 Hz, as a simulator would.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 
@@ -73,9 +69,7 @@ fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
         let robots = run.config.robot_names();
         let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, link)?);
         let mut feeds = open_feeds(&participant, run, &endpoint)?;
-        let requester = Rc::new(RefCell::new(SlamRequester::open(&participant, run, REQUESTER_KIND)?));
         for robot in run.robots() {
-            feeds.push(forward_responses(&participant, &endpoint, &requester, robot)?);
             if is_external {
                 feeds.push(forward(
                     &participant,
@@ -88,29 +82,9 @@ fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
             }
         }
         let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
-        let on_request = move |robot, request| requester.borrow_mut().send(robot, request);
-        tasks.push(spawn_local(endpoint.serve(on_request)));
+        tasks.push(spawn_local(endpoint.serve()));
         stop_requested(stop.clone(), run.progress(Role::Bridge, None, WatchedThread::Second)).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
-    })
-}
-
-/// Passes the responses of a robot's SLAM to the endpoint, and sends the requests that follow them.
-fn forward_responses<P: Ports + 'static>(
-    ports: &P,
-    endpoint: &Rc<DdsEndpoint>,
-    requester: &Rc<RefCell<SlamRequester<P>>>,
-    robot: RobotId,
-) -> FeedResult<P> {
-    let mut reader = ports.reader(&channel::slam_response(robot))?;
-    let (endpoint, requester) = (endpoint.clone(), requester.clone());
-    when_written(ports, &channel::slam_response(robot), move || {
-        while let Some(response) = reader.receive() {
-            let is_ours = response.client == requester.borrow().client;
-            if let Some(next) = endpoint.answer_request(robot, &response, is_ours) {
-                requester.borrow_mut().send(robot, next);
-            }
-        }
     })
 }

@@ -5,9 +5,9 @@ use super::{Component, Error, Listens, serve};
 use crate::channel;
 use crate::fleet;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
+use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
-use crate::supervisor::progress::WatchedThread;
 use msg::{
     Clock, GroundTruth, Monotonic, Odometry, Pose2, RobotId, Role, Scan, Stamp, Transforms, VelocityCommand,
 };

@@ -17,12 +17,12 @@ pub mod session_log;
 
 use super::{Error, serve};
 use crate::ports::{ChannelError, Clock, Ports};
+use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;
 use crate::sessions;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
-use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use ::slam::{
     BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, Session, SlamConfig,
 };

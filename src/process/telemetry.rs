@@ -6,9 +6,9 @@ use crate::channel;
 use crate::config::World;
 use crate::fleet;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
+use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
-use crate::supervisor::progress::WatchedThread;
 use ::telemetry::Telemetry;
 use msg::{
     Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId, Role,
@@ -127,7 +127,9 @@ impl<P: Ports> Inputs<P> {
                 map: MapInput::new(ports.map_reader(&channel::map(robot))?),
             })
         };
-        let health = fleet::processes(&run.config)
+        let health = run
+            .config
+            .processes()
             .map(|(row, robot)| ports.reader(&channel::process_health(row.role, robot)));
         let mut listeners = Vec::new();
         for robot in run.robots() {

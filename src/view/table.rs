@@ -2,7 +2,8 @@
 
 use super::layout::{Cell, Column, Emphasis, Style, table};
 use super::{DistributionView, FleetView};
-use crate::control::{BridgeState, ClientView};
+use crate::control::BridgeState;
+use bridge::ClientStatus;
 
 /// Indent of wrapped lines below a name.
 const INDENT: usize = 9;
@@ -165,7 +166,7 @@ fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
 fn client_lines(bridge: &BridgeState, style: &Style) -> String {
     let mut text = String::new();
     for client in bridge.clients.iter().take(LIVE_CLIENTS_MAX) {
-        let ClientView { address, subscriptions, waiting_bytes, dropped, drives, .. } = client;
+        let ClientStatus { address, subscriptions, waiting_bytes, dropped, drives, .. } = client;
         let mut line = format!("client   {address}");
         drives.iter().for_each(|robot| line += &format!("   drives robot{robot}"));
         line += &format!("   {subscriptions} topics");
@@ -211,7 +212,7 @@ mod tests {
         }
         stats.robots[1].state = TrackingState::Lost as u32;
         stats.robots[2].scan_hz = 0.0;
-        let client = |port: usize| ClientView {
+        let client = |port: usize| ClientStatus {
             number: port as u64,
             connected_s: 60.0,
             silent_s: 0.5,

@@ -1,6 +1,8 @@
 //! A fleet file that is wrong is refused with the file, the line and the reason.
 
 use crate::harness::{Folder, output};
+use mr_slam::config::FleetConfig;
+use std::path::Path;
 
 /// Starts a fleet from `text`, which must be refused on `line` with all `words`.
 fn refused(text: &str, line: usize, words: &[&str]) {
@@ -51,20 +53,127 @@ fn missing_or_invalid_room_files_are_refused() {
 
 #[test]
 fn the_written_default_equals_the_built_in_default() {
-    let config = mr_slam::config::FleetConfig::default();
+    let config = FleetConfig::default();
     let folder = Folder::new();
     let file = folder.file("fleet.toml", config.to_toml());
-    assert_eq!(mr_slam::config::FleetConfig::from_file(&file).unwrap(), config);
-    let shipped = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.toml");
-    assert_eq!(mr_slam::config::FleetConfig::from_file(&shipped).unwrap(), config);
+    assert_eq!(FleetConfig::from_file(&file).unwrap(), config);
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.toml");
+    assert_eq!(FleetConfig::from_file(&shipped).unwrap(), config);
 }
 
 #[test]
 fn missing_keys_have_their_default() {
     let folder = Folder::new();
     let file = folder.file("fleet.toml", "[slam.tracking]\nreferences = 5\n");
-    let config = mr_slam::config::FleetConfig::from_file(&file).unwrap();
-    let mut expected = mr_slam::config::FleetConfig::default();
+    let config = FleetConfig::from_file(&file).unwrap();
+    let mut expected = FleetConfig::default();
     expected.slam.tracking.references = 5;
     assert_eq!(config, expected);
+}
+
+/// Keys whose every value of their type works: random seeds.
+const ANY_NUMBER: [&str; 1] = ["fleet.seed"];
+
+/// Returns each key of the configuration that holds a value, as a dotted path, with its default.
+fn all_keys() -> Vec<(String, toml::Value)> {
+    fn collect(table: &toml::Table, prefix: &str, found: &mut Vec<(String, toml::Value)>) {
+        for (name, value) in table {
+            match value {
+                toml::Value::Table(below) if !below.is_empty() => {
+                    collect(below, &format!("{prefix}{name}."), found)
+                }
+                value => found.push((format!("{prefix}{name}"), value.clone())),
+            }
+        }
+    }
+    let mut found = Vec::new();
+    collect(&FleetConfig::default().to_toml().parse().unwrap(), "", &mut found);
+    found
+}
+
+/// Writes a file that sets one key on its fifth line, in each way that TOML has.
+fn files_that_set(key: &str, value: &str) -> [String; 3] {
+    let (table, name) = key.rsplit_once('.').unwrap_or(("", key));
+    let header = if table.is_empty() { "#".into() } else { format!("[{table}]") };
+    let inline = match key.split_once('.') {
+        Some((first, rest)) => format!("{first} = {{ {rest} = {value} }}"),
+        None => format!("{key} = {value}"),
+    };
+    [
+        format!("# a fleet\n\n{header}\n\n{name} = {value}\n"),
+        format!("\n\n\n\n{key} = {value}\n"),
+        format!("\n# {name}\n\n\n{inline}\n"),
+    ]
+}
+
+/// Returns what is wrong with the refusal of a value: each file that sets it must be refused at its fifth line.
+fn faults_of_refusal(key: &str, value: &str) -> Vec<String> {
+    let mut faults = Vec::new();
+    for text in files_that_set(key, value) {
+        match FleetConfig::from_text(Path::new("fleet.toml"), &text).err().map(|why| why.to_string()) {
+            None => faults.push(format!("{key} = {value} is accepted")),
+            Some(why) if why.starts_with("fleet.toml:5: ") => {}
+            Some(why) => faults.push(format!("{key} = {value} is refused elsewhere: {why} in:\n{text}")),
+        }
+    }
+    faults
+}
+
+#[test]
+fn every_key_is_refused_at_its_line_if_its_type_is_wrong() {
+    let wrong = |default: toml::Value| if default.is_bool() { "7" } else { "true" };
+    let faults: Vec<_> =
+        all_keys().into_iter().flat_map(|(key, default)| faults_of_refusal(&key, wrong(default))).collect();
+    assert!(faults.is_empty(), "{faults:#?}");
+}
+
+#[test]
+fn every_number_is_refused_at_its_line_if_it_is_out_of_range() {
+    let is_refused = |key: &str, value: &str| {
+        FleetConfig::from_text(Path::new("fleet.toml"), &format!("{key} = {value}")).is_err()
+    };
+    let mut faults = Vec::new();
+    for (key, default) in all_keys().into_iter().filter(|(key, _)| !ANY_NUMBER.contains(&key.as_str())) {
+        match default {
+            // What is not finite is never in range.
+            toml::Value::Float(_) => {
+                faults.extend(["nan", "inf", "-inf"].iter().flat_map(|value| faults_of_refusal(&key, value)));
+            }
+            toml::Value::Integer(_) => {
+                let candidates = ["-1", "9223372036854775807"];
+                let refused: Vec<_> = candidates.iter().filter(|value| is_refused(&key, value)).collect();
+                if refused.is_empty() {
+                    faults.push(format!("{key} has no range"));
+                }
+                faults.extend(refused.into_iter().flat_map(|value| faults_of_refusal(&key, value)));
+            }
+            _ => {}
+        }
+    }
+    assert!(faults.is_empty(), "{faults:#?}");
+}
+
+#[test]
+fn a_value_out_of_range_is_named_with_its_line_its_key_and_what_is_expected() {
+    for (text, words) in [
+        ("[bridge]\n[bridge.limits]\nheld_bytes_max = 9000000", "fleet.toml:3: bridge.frame_bytes_max is "),
+        ("[sim.lidar]\nrange_min_m = 5", "fleet.toml:2: sim.lidar.range_max_m is 3.5; expected more than"),
+        (
+            "[bridge.velocity]\nrobots = [\n  { robot = 1, linear_m_s = 1, angular_rad_s = 1 },\n  \
+             { robot = 2, linear_m_s = 99, angular_rad_s = 1 },\n]",
+            "fleet.toml:4: bridge.velocity.robots[1].linear_m_s is 99; expected above 0",
+        ),
+        (
+            "[realtime]\nroles = [\n  \"sim\",\n  \"robot\",\n]",
+            "fleet.toml:4: realtime.roles[1] names `robot`; expected ",
+        ),
+        ("[realtime.cores]\nsim = [0]\nslam = [99999]", "fleet.toml:3: realtime.cores.slam has core 99999"),
+        ("[sessions]\nmode = \"localization\"", "fleet.toml:2: sessions.mode is `localization`, which needs"),
+        ("[slam.map]\nhit = 99", "fleet.toml:2: slam.map.hit is 99, expected"),
+        ("[merge.align]\nmargin_min = -2", "fleet.toml:2: merge.align.margin_min is -2; expected"),
+        ("world = \"ros\"", "fleet.toml:1: world is `ros`, which needs ROS 2; expected bridge.dds.enabled"),
+    ] {
+        let error = FleetConfig::from_text(Path::new("fleet.toml"), text).unwrap_err().to_string();
+        assert!(error.starts_with(words), "{error}; expected {words}");
+    }
 }

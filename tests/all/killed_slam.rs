@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 const KILLS: u64 = 24;
 /// What a process may lose: the newest nodes, up to this age, seconds.
 const LOST_MAX_S: f64 = 0.5;
-/// Time until a killed process works again, seconds: it is started after 0.2 s.
+/// Time until a killed process works again, seconds: in lockstep its start takes 0.2 s.
 const BACK_AFTER_S: f64 = 0.3;
 /// First and last moment of a kill, seconds.
 const KILLED_FROM_S: f64 = 1.0;

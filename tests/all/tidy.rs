@@ -13,14 +13,9 @@ const FIELDS_MAX: usize = 12;
 /// Start of the comment that gives the reason for more than [`FIELDS_MAX`] fields.
 const MANY_FIELDS: &str = "// More than 12 fields:";
 /// Largest share of one crate in the lines of product code, percent.
-const CRATE_SHARE_MAX_PERCENT: usize = 25;
-/// Largest share of the binary's crate, percent: it holds the lockstep scheduler and the fault injector, which
-/// run its own process loops.
-const BINARY_SHARE_MAX_PERCENT: usize = 26;
+const CRATE_SHARE_MAX_PERCENT: f64 = 25.0;
 /// Number of functions of product code that return a bare `Result<_, String>`. It must not grow.
-const STRING_ERRORS_MAX: usize = 28;
-/// Number of docs of one or two words. It must not grow.
-const SHORT_DOCS_MAX: usize = 1;
+const STRING_ERRORS_MAX: usize = 8;
 
 /// Files that may have over [`FILE_LINES_MAX`] lines: path and reason.
 const LONG_FILES: &[(&str, &str)] = &[
@@ -109,11 +104,7 @@ fn docs_have_more_than_two_words() {
             }
         }
     }
-    assert!(
-        short.len() <= SHORT_DOCS_MAX,
-        "{} docs of one or two words, at most {SHORT_DOCS_MAX}: {short:#?}",
-        short.len()
-    );
+    assert!(short.is_empty(), "docs of one or two words: {short:#?}");
 }
 
 #[test]
@@ -124,9 +115,9 @@ fn no_crate_holds_more_than_its_share_of_the_product_code() {
         .collect();
     let total: usize = sizes.iter().map(|(_, lines)| lines).sum();
     for (name, lines) in &sizes {
-        let percent = 100 * lines / total;
-        let max = if name == "mr-slam" { BINARY_SHARE_MAX_PERCENT } else { CRATE_SHARE_MAX_PERCENT };
-        assert!(percent <= max, "{name} has {percent} % of {total} lines: {sizes:?}");
+        let percent = 100.0 * *lines as f64 / total as f64;
+        let is_small = percent <= CRATE_SHARE_MAX_PERCENT;
+        assert!(is_small, "{name} has {percent:.1} % of {total} lines: {sizes:?}");
     }
 }
 

@@ -6,18 +6,19 @@ use crate::frame::IncompleteFrame;
 use crate::router::{Client, ClientId, OutgoingQueue};
 use crate::world::ClockEstimate;
 use msg::{Monotonic, RobotId};
+use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 
-/// The state of one connection, for the operator's table.
-#[derive(Clone, Debug, PartialEq)]
+/// The state of one connection, for the operator's table and for JSON.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClientStatus {
     /// Number of the connection, counted from 1 since the bridge's start.
     pub number: u64,
-    /// The client's address.
-    pub peer: SocketAddr,
+    /// Address and port of the client.
+    pub address: SocketAddr,
     /// Seconds since the client connected.
     pub connected_s: f64,
-    /// Seconds since the client last sent a whole frame.
+    /// Seconds since the client last sent a whole frame: Unity's connector sends at least once a second.
     pub silent_s: f64,
     /// Number of topics that are sent to the client.
     pub subscriptions: usize,
@@ -31,8 +32,8 @@ pub struct ClientStatus {
     pub held_back_bytes: usize,
     /// Messages dropped or replaced because the client was slow.
     pub dropped: u64,
-    /// Robots whose lease the client holds now.
-    pub drives: Vec<RobotId>,
+    /// Numbers of the robots whose lease the client holds now.
+    pub drives: Vec<usize>,
     /// The client's clock, if it is the source of an external world.
     pub clock: Option<ClockEstimate>,
 }
@@ -58,7 +59,7 @@ impl Bridge {
         let core = self.core.borrow();
         let status = |client: &Client| ClientStatus {
             number: client.id.serial,
-            peer: client.peer,
+            address: client.peer,
             connected_s: now.since(client.input.connected_at) as f64 * 1e-9,
             silent_s: now.since(client.input.last_at) as f64 * 1e-9,
             subscriptions: client.subscriptions.len(),
@@ -74,10 +75,17 @@ impl Bridge {
                     let holder = core.gate.drive().leaseholder(*robot, now);
                     holder.is_some_and(|holder| holder.client == Some(client.id))
                 })
+                .map(RobotId::number)
                 .collect(),
             clock: core.world.as_ref().and_then(|world| world.clock_estimate(client.id.serial)),
         };
         core.router.clients().map(status).collect()
+    }
+
+    /// Returns all topics, sorted by name: name and type.
+    pub(crate) fn topics(&self) -> Vec<(String, String)> {
+        let core = self.core.borrow();
+        core.router.topics.sorted().map(|topic| (topic.name.clone(), topic.message_type.clone())).collect()
     }
 
     /// Decides whether the rest of a large frame is received; if not, the client is told why and the frame skipped.

@@ -9,6 +9,7 @@ use crate::interfaces::{self, Kind, NameError, TypeError};
 use crate::ros::{Message, Twist, TwistStamped};
 use crate::router::{ClientId, DEPTH_DEFAULT, ExpectedFrame, Publication, Source, TopicError, TopicId};
 use crate::services::ServiceError;
+use crate::slam_services::NamedService;
 use msg::Monotonic;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -129,24 +130,10 @@ impl Core {
         match command {
             name::SUBSCRIBE => self.subscribe(id, topic, registration, now)?,
             name::PUBLISH => self.register_publisher(id, topic, registration)?,
-            name::ROS_SERVICE => {
-                let service_type = self.resolve_type(Kind::Service, registration)?;
-                self.check_service_quota(id, &topic)?;
-                self.services.register_caller(id, &topic, &service_type)?;
+            name::ROS_SERVICE | name::UNITY_SERVICE => {
+                self.register_service(id, command, topic, registration)?
             }
-            name::UNITY_SERVICE => {
-                let service_type = self.resolve_type(Kind::Service, registration)?;
-                self.check_service_quota(id, &topic)?;
-                let living = self.living_clients();
-                let is_alive = |owner| living.contains(&owner);
-                self.services.register_provider(id, &topic, &service_type, is_alive)?;
-            }
-            name::REMOVE_ROS_SERVICE => self.services.remove_caller(id, &topic),
-            name::REMOVE_UNITY_SERVICE => {
-                for call in self.services.remove_provider(id, &topic) {
-                    self.fail_call(&call, "the client no longer offers it");
-                }
-            }
+            name::REMOVE_ROS_SERVICE | name::REMOVE_UNITY_SERVICE => self.remove_service(id, command, &topic),
             name::REMOVE_SUBSCRIBER => {
                 let topic = self.find_topic(topic)?;
                 self.router.unsubscribe(id.slot, topic, Some(is_without_slash(registration)));
@@ -157,6 +144,48 @@ impl Core {
             }
         }
         Ok(())
+    }
+
+    /// Registers a client as caller or provider of a service.
+    fn register_service(
+        &mut self,
+        id: ClientId,
+        command: &str,
+        name: String,
+        registration: &Registration,
+    ) -> Result<(), RegistrationError> {
+        let service_type = self.resolve_type(Kind::Service, registration)?;
+        self.check_service_quota(id, &name)?;
+        if command == name::UNITY_SERVICE {
+            self.check_service_is_free(&name)?;
+            let living = self.living_clients();
+            let is_alive = |owner| living.contains(&owner);
+            let result = self.services.register_provider(id, &name, &service_type, is_alive);
+            self.update_services();
+            result?;
+            self.tell_unoffered(id, &name);
+            return Ok(());
+        }
+        if let Some((_, NamedService { service_type: existing, .. })) = self.slam.find(&name)
+            && existing != service_type
+        {
+            let existing = existing.to_owned();
+            return Err(ServiceError::OtherType { name, existing, requested: service_type }.into());
+        }
+        self.services.register_caller(id, &name, &service_type)?;
+        self.update_services();
+        Ok(())
+    }
+
+    fn remove_service(&mut self, id: ClientId, command: &str, name: &str) {
+        if command == name::REMOVE_ROS_SERVICE {
+            self.services.remove_caller(id, name);
+        } else {
+            for call in self.services.remove_provider(id, name) {
+                self.fail_call(&call, "the client no longer offers it");
+            }
+        }
+        self.update_services();
     }
 
     /// Refuses a topic that would be one too many for one client. The fleet's own topics do not count.
@@ -192,9 +221,18 @@ impl Core {
     /// Returns a type that is known here, or that the topic has in ROS.
     fn resolve_type(&self, kind: Kind, registration: &Registration) -> Result<String, RegistrationError> {
         let Registration { topic, message_name, .. } = registration;
-        let is_in_ros = |name: &str| {
-            let known = interfaces::resolve_name(topic).ok().and_then(|t| self.relay.graph().topics.get(&t));
-            kind == Kind::Message && known.is_some_and(|known| known.types().any(|theirs| theirs == name))
+        let is_in_ros = |message_name: &str| {
+            let (Ok(name), graph) = (interfaces::resolve_name(topic), self.relay.graph()) else {
+                return false;
+            };
+            match kind {
+                Kind::Message => {
+                    graph.topics.get(&name).is_some_and(|of| of.types().any(|it| it == message_name))
+                }
+                Kind::Service => {
+                    graph.services.get(&name).is_some_and(|of| of.iter().any(|it| it == message_name))
+                }
+            }
         };
         match interfaces::resolve(kind, message_name, &self.config.message_packages) {
             Err(_) if is_in_ros(message_name) => Ok(message_name.clone()),

@@ -35,6 +35,11 @@ impl Core {
                     self.tell_users(id, name::ERROR, &text);
                 }
             }
+            RosEvent::Request { service, id, payload } => {
+                self.receive_ros_request(&service, id, &payload, now);
+            }
+            RosEvent::Response { number, payload, .. } => self.receive_ros_response(number, &payload),
+            RosEvent::ServiceFailure { service, text } => self.receive_service_failure(&service, &text),
             RosEvent::Graph(graph) => self.set_ros_graph(graph),
             RosEvent::RobotListens(robot) => {
                 self.gate.repeat_stop(robot);
@@ -51,6 +56,7 @@ impl Core {
     }
 
     fn set_ros_graph(&mut self, graph: RosGraph) {
+        self.fail_lost_calls(&graph);
         self.relay.set_graph(graph);
         for id in self.relay.topics().collect::<Vec<_>>() {
             self.apply_graph(id, None);
@@ -110,18 +116,13 @@ impl Core {
         let Some(topic) = self.router.topics.get(id).filter(|topic| topic.source == Source::Clients) else {
             return;
         };
-        if is_fleet_velocity(topic, self.fleet.robot_names()) || !self.may_publish_in_ros(client, topic) {
+        if is_fleet_velocity(topic, self.fleet.robot_names()) || !self.may_use_ros(client, &topic.name) {
             return;
         }
         match self.relay.advertise(id, topic) {
             Ok(()) => self.apply_graph(id, Some(client)),
             Err(error) => self.router.refuse(client, error.to_string()),
         }
-    }
-
-    fn may_publish_in_ros(&self, client: ClientId, topic: &Topic) -> bool {
-        let peer = self.router.client(client).map(|client| client.peer.ip());
-        self.relay.is_open_topic(&topic.name) || peer.is_some_and(|ip| self.access.may(Action::Drive, ip))
     }
 
     /// Publishes a client's message in ROS, if the client may.
@@ -132,7 +133,7 @@ impl Core {
         let Some(topic) = self.router.topics.get(id) else { return };
         let refusal = if is_fleet_velocity(topic, self.fleet.robot_names()) {
             Some(format!("'{}' is not published in ROS: publish velocities on /cmd_vel_N", topic.name))
-        } else if self.may_publish_in_ros(client, topic) {
+        } else if self.may_use_ros(client, &topic.name) {
             None
         } else {
             let Some(peer) = self.router.client(client).map(|client| client.peer.ip()) else { return };

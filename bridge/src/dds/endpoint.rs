@@ -1,21 +1,20 @@
 //! The ROS 2 endpoint as one DDS participant with one ROS node.
 
-use super::config::DdsConfig;
 use super::entities::{EndpointError, EntityFactory, RawReader, cannot_create, join_domain, node_name};
 use super::graph::Graph;
-use super::inputs::{self, InputTopic, ReceivedMessage};
+use super::inputs::{self, InputTopic};
 use super::link::RosLink;
 use super::relay::TopicRelay;
-use super::services::ServiceServers;
+use super::services::ServiceRelay;
 use super::writers::TopicWriters;
-use crate::config::{BridgeConfig, Permission};
+use crate::config::{BridgeConfig, DdsConfig};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
 use crate::input::Input;
-use crate::relay::{RosCommand, RosEvent};
+use crate::relay::{ReceivedMessage, RosCommand, RosEvent};
 use crate::ros::RobotNames;
 use crate::transport::Transport;
 use futures::StreamExt;
-use msg::{Monotonic, RobotId, SlamRequest, SlamResponse, VelocityCommand};
+use msg::{Monotonic, RobotId, VelocityCommand};
 use ros2_client::dds::rustdds::{
     DomainParticipant, DomainParticipantStatusEvent, GUID, RTPSEntity, StatusEvented,
 };
@@ -47,7 +46,6 @@ pub struct DdsEndpoint {
     // Before the participant, so that readers and writers are dropped first.
     state: RefCell<EndpointState>,
     inputs: Vec<(InputTopic, Rc<RawReader>)>,
-    requests: Vec<Rc<RawReader>>,
     participant: DomainParticipant,
     link: Arc<RosLink>,
     started: Instant,
@@ -59,7 +57,7 @@ struct EndpointState {
     writers: TopicWriters,
     relay: TopicRelay,
     publisher: FleetPublisher,
-    services: ServiceServers,
+    services: ServiceRelay,
     graph: Graph,
     input_guids: Vec<GUID>,
     /// The writer of another participant that sent the last velocity.
@@ -88,15 +86,11 @@ impl DdsEndpoint {
         let graph = Graph::new(&participant, factory.publisher(), node);
         let graph = graph.map_err(cannot_create("the node graph"))?;
         let writers = TopicWriters::open(&factory, &robots, is_external.then_some(dds.velocity))?;
-        let may_drive = may_drive(config);
-        let inputs = inputs::topics(&robots, dds.velocity, is_external, may_drive)
+        let inputs = inputs::topics(&robots, dds.velocity, is_external, config.may_ros_drive())
             .into_iter()
             .map(|input| factory.input_reader(&input).map(|reader| (input, reader)))
             .collect::<Result<Vec<_>, EndpointError>>()?;
-        // Who may not drive may not reset maps either.
-        let services = ServiceServers::open(&factory, may_drive.then_some(&robots))?;
         let link_transforms = if is_external { LinkTransforms::ByRobots } else { LinkTransforms::Split };
-        let requests = services.request_readers();
         let mut publisher = FleetPublisher::new(config.frame_names, &robots, link_transforms);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
         publisher.set_repetition(dds.repetition());
@@ -104,7 +98,7 @@ impl DdsEndpoint {
             writers,
             relay: TopicRelay::new(&participant, factory, link.clone()),
             publisher,
-            services,
+            services: ServiceRelay::new(participant.guid(), link.clone()),
             graph,
             input_guids: inputs.iter().map(|(_, reader)| reader.guid()).collect(),
             last_driver: None,
@@ -115,7 +109,6 @@ impl DdsEndpoint {
         Ok(Self {
             state: RefCell::new(state),
             inputs,
-            requests,
             participant,
             link,
             started: Instant::now(),
@@ -134,19 +127,17 @@ impl DdsEndpoint {
         let (readers, received) = state.relay.counts();
         DdsCounters {
             readers: counted.readers + readers as u32,
-            received: counted.received + received,
+            received: counted.received + received + state.services.received(),
             dropped: counted.dropped + self.link.dropped(),
             ..counted
         }
     }
 
-    /// Receives messages and requests until it is dropped. Runs inside a [`tokio::task::LocalSet`].
+    /// Receives messages, requests and responses until it is dropped. Runs inside a [`tokio::task::LocalSet`].
     ///
-    /// Messages go to the link, and the bridge's commands come from there. `on_request` gets the requests to robots' SLAM, whose answers
-    /// come back by [`DdsEndpoint::answer_request`].
-    pub async fn serve(self: Rc<Self>, on_request: impl FnMut(RobotId, SlamRequest) + 'static) {
+    /// They go to the link, and the bridge's commands come from there.
+    pub async fn serve(self: Rc<Self>) {
         let mut tasks = JoinSet::new();
-        self.spawn_request_tasks(&mut tasks, Rc::new(RefCell::new(on_request)));
         self.spawn_input_tasks(&mut tasks);
         let listener = self.participant.status_listener();
         let mut events = listener.as_async_status_stream();
@@ -171,27 +162,6 @@ impl DdsEndpoint {
         }
     }
 
-    fn spawn_request_tasks(
-        self: &Rc<Self>,
-        tasks: &mut JoinSet<()>,
-        on_request: Rc<RefCell<impl FnMut(RobotId, SlamRequest) + 'static>>,
-    ) {
-        for (server, requests) in self.requests.iter().enumerate() {
-            let (endpoint, requests, on_request) = (self.clone(), requests.clone(), on_request.clone());
-            tasks.spawn_local(async move {
-                let mut samples = std::pin::pin!(requests.as_async_stream());
-                while let Some(sample) = samples.next().await {
-                    let Ok(sample) = sample else { continue };
-                    let now = endpoint.now();
-                    let request = endpoint.state.borrow_mut().services.receive(server, sample, now);
-                    if let Some((robot, request)) = request {
-                        (on_request.borrow_mut())(robot, request);
-                    }
-                }
-            });
-        }
-    }
-
     fn spawn_input_tasks(self: &Rc<Self>, tasks: &mut JoinSet<()>) {
         let own = self.participant.guid().prefix;
         for (input, reader) in &self.inputs {
@@ -205,24 +175,12 @@ impl DdsEndpoint {
                     if writer.prefix == own {
                         continue;
                     }
-                    let message = ReceivedMessage::new(&input, sample.into_value().0.to_vec());
+                    let message = input.message(sample.into_value().0.to_vec());
                     endpoint.state.borrow_mut().record(&message, writer);
                     endpoint.link.send_event(RosEvent::Input(message));
                 }
             });
         }
-    }
-
-    /// Passes on an answer of a robot's SLAM; returns the request that must follow it.
-    ///
-    /// `is_ours`: the answer is to a request of this endpoint.
-    pub fn answer_request(
-        &self,
-        robot: RobotId,
-        answer: &SlamResponse,
-        is_ours: bool,
-    ) -> Option<SlamRequest> {
-        self.state.borrow_mut().services.answer(robot, answer, is_ours)
     }
 
     /// Publishes a velocity to a robot of an external world.
@@ -252,11 +210,6 @@ async fn next_tick(interval: &mut Option<tokio::time::Interval>) {
     }
 }
 
-/// Returns whether participants may drive: those on this machine as on TCP, others only if anyone may.
-fn may_drive(config: &BridgeConfig) -> bool {
-    config.drive == Permission::Anyone || (config.dds.loopback_only && config.trust_loopback)
-}
-
 impl EndpointState {
     /// Publishes which readers and writers the node has.
     fn publish_graph(&self) {
@@ -268,6 +221,7 @@ impl EndpointState {
 
     fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) {
         self.report_drivers(event);
+        self.services.apply_event(event, now);
         let has_changed = self.writers.apply_event(event, now);
         if self.relay.apply_event(event, now) || has_changed {
             self.publish_graph();
@@ -302,7 +256,14 @@ impl EndpointState {
                 Err(why) => return self.relay.report(topic.clone(), &why),
             }
         }
-        let topic = command.topic().clone();
+        let topic = command.name().clone();
+        if command.is_of_service() {
+            match self.services.apply(command, self.relay.factory(), now) {
+                Ok(has_changed) => self.is_graph_due |= has_changed,
+                Err(why) => self.services.report(topic, &why),
+            }
+            return;
+        }
         match self.relay.apply(command, now) {
             Ok((outcome, has_changed)) => {
                 outcome.into_iter().for_each(|outcome| self.writers.count(outcome));

@@ -1,9 +1,10 @@
 //! Creates the DDS entities of the endpoint: topics with ROS names, readers and writers.
 
-use super::config::DdsConfig;
 use super::inputs::InputTopic;
 use super::raw::{Adapter, Raw};
+use super::service_endpoint::ServiceTopicName;
 use super::topic_writer::TopicWriter;
+use crate::config::DdsConfig;
 use ros2_client::dds::rustdds::dds::CreateError;
 use ros2_client::dds::rustdds::no_key::{DataWriter, SimpleDataReader};
 use ros2_client::dds::rustdds::policy::{Durability, History};
@@ -76,11 +77,11 @@ pub fn cannot_create(what: impl Into<String>) -> impl FnOnce(CreateError) -> End
 
 /// Joins the domain of the configuration.
 pub fn join_domain(config: &DdsConfig) -> Result<DomainParticipant, EndpointError> {
-    let mut builder = DomainParticipantBuilder::new(config.domain);
-    if config.loopback_only {
+    let mut builder = DomainParticipantBuilder::new(config.domain());
+    if config.is_loopback_only() {
         builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
     }
-    builder.build().map_err(|source| EndpointError::Participant { domain: config.domain, source })
+    builder.build().map_err(|source| EndpointError::Participant { domain: config.domain(), source })
 }
 
 /// Returns the name of the endpoint's ROS node.
@@ -178,27 +179,34 @@ impl EntityFactory {
         reader.map(Rc::new).map_err(cannot_create(name))
     }
 
-    /// Creates the reader of a service's requests. `name` and `dds_type` are DDS's.
-    pub fn request_reader(
+    /// Creates the reader of one of a service's topics. `dds_type` is DDS's.
+    pub fn service_reader(
         &self,
-        name: &str,
+        name: &ServiceTopicName,
         dds_type: String,
         qos: &QosPolicies,
     ) -> Result<Rc<RawReader>, EndpointError> {
-        let topic = self.dds_topic(name, dds_type, qos)?;
+        let name = self.dds_name(name);
+        let topic = self.dds_topic(&name, dds_type, qos)?;
         let reader = self.subscriber.create_simple_datareader_no_key(&topic, Some(qos.clone()));
         reader.map(Rc::new).map_err(cannot_create(name))
     }
 
-    /// Creates the writer of a service's replies. `name` and `dds_type` are DDS's.
-    pub fn reply_writer(
+    /// Creates the writer of one of a service's topics. `dds_type` is DDS's.
+    pub fn service_writer(
         &self,
-        name: &str,
+        name: &ServiceTopicName,
         dds_type: String,
         qos: &QosPolicies,
     ) -> Result<RawWriter, EndpointError> {
-        let topic = self.dds_topic(name, dds_type, qos)?;
+        let name = self.dds_name(name);
+        let topic = self.dds_topic(&name, dds_type, qos)?;
         let writer = self.publisher.create_datawriter_no_key(&topic, Some(qos.clone()));
         writer.map_err(cannot_create(name))
+    }
+
+    fn dds_name(&self, name: &ServiceTopicName) -> String {
+        let ServiceTopicName { prefix, service, suffix } = name;
+        format!("{prefix}{}{service}{suffix}", self.namespace)
     }
 }

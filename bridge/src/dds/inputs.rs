@@ -1,57 +1,12 @@
-//! The topics that the endpoint subscribes to, and the messages received on them.
+//! The topics that the endpoint subscribes to.
 
-use super::config::VelocityMessage;
+use crate::config::VelocityMessage;
 use crate::input::Input;
+use crate::relay::ReceivedMessage;
 use crate::ros::{
     Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, RobotNames, Text,
     TfMessage, Twist, TwistStamped,
 };
-
-/// A message from DDS on a topic of the fleet, not decoded yet.
-#[derive(Clone, Debug)]
-pub struct ReceivedMessage {
-    input: Input,
-    topic: String,
-    is_stamped: bool,
-    payload: Vec<u8>,
-}
-
-impl ReceivedMessage {
-    /// Creates a message of an input topic. `payload` is CDR with its encapsulation header.
-    pub(super) fn new(topic: &InputTopic, payload: Vec<u8>) -> Self {
-        Self {
-            input: topic.input,
-            topic: topic.tcp_topic.clone(),
-            is_stamped: topic.message_type == TwistStamped::TYPE,
-            payload,
-        }
-    }
-
-    /// Returns whether the message is the time of an external world.
-    pub fn is_clock(&self) -> bool {
-        self.input == Input::Clock
-    }
-
-    /// Returns what the fleet does with the message.
-    pub(crate) fn input(&self) -> Input {
-        self.input
-    }
-
-    /// Returns the topic's name among the topics on TCP.
-    pub(crate) fn topic(&self) -> &str {
-        &self.topic
-    }
-
-    /// Returns whether the message is geometry_msgs/TwistStamped instead of Twist.
-    pub(crate) fn is_stamped(&self) -> bool {
-        self.is_stamped
-    }
-
-    /// Returns the message as CDR with its encapsulation header.
-    pub(crate) fn payload(&self) -> &[u8] {
-        &self.payload
-    }
-}
 
 /// A topic that the endpoint subscribes to.
 #[derive(Clone, Debug)]
@@ -70,6 +25,12 @@ impl InputTopic {
     fn new<M: Message>(name: String, input: Input) -> Self {
         let tcp_topic = name.strip_suffix("_stamped").unwrap_or(&name).to_owned();
         Self { name, message_type: M::TYPE, input, tcp_topic }
+    }
+
+    /// Returns what was received on the topic. `payload` is CDR with its encapsulation header.
+    pub fn message(&self, payload: Vec<u8>) -> ReceivedMessage {
+        let is_stamped = self.message_type == TwistStamped::TYPE;
+        ReceivedMessage::new(self.input, self.tcp_topic.clone(), is_stamped, payload)
     }
 
     /// Returns whether a lost message is soon followed by a newer one.

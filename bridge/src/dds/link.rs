@@ -23,7 +23,9 @@ trait Parcel {
 impl Parcel for RosCommand {
     fn message(&self) -> Option<(&str, usize)> {
         match self {
-            Self::Publish { topic, payload } => Some((topic, payload.len())),
+            Self::Publish { topic: name, payload }
+            | Self::Call { service: name, payload, .. }
+            | Self::Respond { service: name, payload, .. } => Some((name, payload.len())),
             _ => None,
         }
     }
@@ -33,9 +35,16 @@ impl Parcel for RosEvent {
     fn message(&self) -> Option<(&str, usize)> {
         match self {
             Self::Message { topic, payload } => Some((topic, payload.len())),
+            Self::Request { service, payload, .. } | Self::Response { service, payload, .. } => {
+                Some((service, payload.len()))
+            }
             Self::OtherEncoding { topic } => Some((topic, 0)),
             Self::Input(message) => Some((message.topic(), message.payload().len())),
-            Self::Failure { .. } | Self::Graph(_) | Self::RobotListens(_) | Self::DriverLost => None,
+            Self::Failure { .. }
+            | Self::ServiceFailure { .. }
+            | Self::Graph(_)
+            | Self::RobotListens(_)
+            | Self::DriverLost => None,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The ROS 2 endpoint, with the fleet's topics and SLAM's services on DDS under the names that ROS tools expect.
+//! The ROS 2 endpoint, with the fleet's topics and all services on DDS under the names that ROS tools expect.
 //!
 //! ```text
 //!   fleet ── FleetMessage ──▶ DdsEndpoint::publish ──▶ RustDDS ──▶ RViz, Nav2, rosbag ...
@@ -12,21 +12,26 @@
 //! ros2-client's encode every message anew, cannot limit what a writer keeps, and its node subscribes to `/clock`
 //! with a type that is not ROS's.
 
-mod config;
 mod endpoint;
 mod entities;
 mod graph;
 mod inputs;
 mod link;
+mod newest;
 mod raw;
 mod relay;
+mod remote;
+mod service_endpoint;
+mod service_identity;
 mod services;
 mod topic_writer;
 mod writers;
 
-pub use config::{DdsConfig, VelocityMessage};
+pub use crate::config::{
+    DdsConfig, Discovery, DiscoveryError, DiscoveryVariables, OrEnvironment, VelocityMessage,
+};
+pub use crate::relay::ReceivedMessage;
 pub use endpoint::{DdsCounters, DdsEndpoint};
 pub use entities::EndpointError;
-pub use inputs::ReceivedMessage;
 pub use link::RosLink;
 pub use raw::{Adapter, Raw};

@@ -2,17 +2,16 @@
 
 use super::entities::{EndpointError, EntityFactory, RawReader};
 use super::link::RosLink;
-use super::raw::Raw;
+use super::newest::NewestSamples;
+use super::remote::{ReaderQos, RemoteEndpoints};
 use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::relay::{RosCommand, RosEvent, RosGraph};
 use futures::StreamExt;
 use msg::Monotonic;
-use ros2_client::MessageInfo;
-use ros2_client::dds::rustdds::no_key::DeserializedCacheChange;
-use ros2_client::dds::rustdds::policy::{Durability, History, Reliability};
+use ros2_client::dds::rustdds::policy::{Durability, History};
 use ros2_client::dds::rustdds::{
-    DomainParticipant, DomainParticipantStatusEvent, Duration, EndpointDescription, GUID, QosPolicies,
-    QosPolicyBuilder, RTPSEntity, SequenceNumber,
+    DomainParticipant, DomainParticipantStatusEvent, Duration, GUID, QosPolicies, QosPolicyBuilder,
+    RTPSEntity,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,22 +25,6 @@ const READER_DEPTH: i32 = 16;
 const WRITER_DEPTH: usize = 64;
 /// Names of topics that are relayed during one run. RustDDS keeps something of each name for ever.
 const NAMES_MAX: usize = 4096;
-/// Readers and writers of other participants that are remembered: those of a few hundred nodes.
-const REMOTE_MAX: usize = 16_384;
-/// Topics of ROS nodes that are told to the bridge.
-const GRAPH_TOPICS_MAX: usize = 2048;
-
-/// The quality of service that a reader asks for; it must not ask for more than a writer offers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct ReaderQos {
-    is_reliable: bool,
-    is_latched: bool,
-}
-
-/// The number of the newest message of each writer.
-///
-/// RustDDS gives a new reader what the topic's former reader has had.
-type Newest = Rc<RefCell<BTreeMap<GUID, SequenceNumber>>>;
 
 /// A reader of one topic. Its task ends with it.
 struct RelayReader {
@@ -60,15 +43,6 @@ impl Drop for RelayReader {
     }
 }
 
-/// A reader or writer of another participant.
-struct RemoteEndpoint {
-    /// The topic's name on TCP.
-    topic: String,
-    message_type: String,
-    /// What a writer offers; `None` for a reader.
-    offer: Option<ReaderQos>,
-}
-
 /// The readers and writers of relayed topics.
 pub struct TopicRelay {
     participant: DomainParticipant,
@@ -77,9 +51,8 @@ pub struct TopicRelay {
     readers: BTreeMap<Arc<str>, RelayReader>,
     writers: BTreeMap<Arc<str>, TopicWriter>,
     /// Every topic received since the start, with the newest message of each of its writers.
-    names: BTreeMap<Arc<str>, Newest>,
-    /// The endpoints of other participants, by events: reading RustDDS's own table would wait for its discovery.
-    remote: BTreeMap<GUID, RemoteEndpoint>,
+    names: BTreeMap<Arc<str>, NewestSamples>,
+    remote: RemoteEndpoints,
     graph: RosGraph,
     has_graph_changed: bool,
     received: Rc<Cell<u64>>,
@@ -90,12 +63,12 @@ impl TopicRelay {
     pub fn new(participant: &DomainParticipant, factory: EntityFactory, link: Arc<RosLink>) -> Self {
         Self {
             participant: participant.clone(),
+            remote: RemoteEndpoints::new(participant.guid(), factory.namespace()),
             factory,
             link,
             readers: BTreeMap::new(),
             writers: BTreeMap::new(),
             names: BTreeMap::new(),
-            remote: BTreeMap::new(),
             graph: RosGraph::default(),
             has_graph_changed: true,
             received: Rc::new(Cell::new(0)),
@@ -136,7 +109,7 @@ impl TopicRelay {
                 let qos = self.matching_qos(&topic, &message_type);
                 if let Some(newest) = self.names.get(&topic).filter(|_| qos.is_latched) {
                     // The new client has not had the newest message.
-                    newest.borrow_mut().clear();
+                    newest.clear();
                 }
                 let reader = self.open_reader(&topic, message_type, qos)?;
                 self.readers.insert(topic, reader);
@@ -151,6 +124,8 @@ impl TopicRelay {
                 self.writers.insert(topic, self.factory.topic_writer(&name, &message_type, qos)?);
             }
             RosCommand::Unadvertise { topic } => drop(self.writers.remove(&topic)),
+            // Those of services are not for this relay.
+            _ => return Ok((None, false)),
         }
         Ok((None, true))
     }
@@ -165,8 +140,8 @@ impl TopicRelay {
 
     /// Returns the most that every writer of the topic and type offers.
     fn matching_qos(&self, topic: &str, message_type: &str) -> ReaderQos {
-        let of_type = self.remote_writers(topic).filter(|(_, writer)| writer.message_type == message_type);
-        let mut offers = of_type.filter_map(|(_, writer)| writer.offer).peekable();
+        let of_type = self.remote.publishers(topic).filter(|(_, writer)| writer.ros_type == message_type);
+        let mut offers = of_type.filter_map(|(_, writer)| writer.offer()).peekable();
         let is_known = offers.peek().is_some();
         let least =
             offers.fold(ReaderQos { is_reliable: true, is_latched: true }, |least, offer| ReaderQos {
@@ -198,28 +173,13 @@ impl TopicRelay {
     }
 
     fn writers_of_other_type(&self, topic: &str, message_type: &str) -> BTreeSet<GUID> {
-        let writers = self.remote_writers(topic);
-        writers.filter(|(_, writer)| writer.message_type != message_type).map(|(guid, _)| guid).collect()
-    }
-
-    /// Returns the writers of other participants on a topic.
-    fn remote_writers(&self, topic: &str) -> impl Iterator<Item = (GUID, &RemoteEndpoint)> {
-        let writers = self.remote.iter().filter(|(_, endpoint)| endpoint.offer.is_some());
-        writers.filter(move |(_, writer)| writer.topic == topic).map(|(guid, writer)| (*guid, writer))
+        let writers = self.remote.publishers(topic);
+        writers.filter(|(_, writer)| writer.ros_type != message_type).map(|(guid, _)| guid).collect()
     }
 
     /// Handles an event of DDS; returns whether a writer was replaced.
     pub fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) -> bool {
-        use DomainParticipantStatusEvent as Event;
-        let before = self.remote.len();
-        match event {
-            Event::WriterDetected { writer } => self.add_remote(writer, true),
-            Event::ReaderDetected { reader } => self.add_remote(reader, false),
-            Event::WriterLost { guid, .. } | Event::ReaderLost { guid, .. } => drop(self.remote.remove(guid)),
-            Event::ParticipantLost { id, .. } => self.remote.retain(|guid, _| guid.prefix != *id),
-            _ => {}
-        }
-        self.has_graph_changed |= self.remote.len() != before;
+        self.has_graph_changed |= self.remote.apply_event(event);
         topic_writer::apply_event(self.writers.values_mut(), event, now)
     }
 
@@ -236,53 +196,16 @@ impl TopicRelay {
         has_changed
     }
 
-    /// Adds a reader or writer of another participant on a topic in the namespace.
-    fn add_remote(&mut self, endpoint: &EndpointDescription, is_writer: bool) {
-        let Some((topic, message_type)) = self.ros_names(&endpoint.topic_name, &endpoint.type_name) else {
-            return;
-        };
-        let is_own = endpoint.guid.prefix == self.participant.guid().prefix;
-        if is_own || self.remote.len() >= REMOTE_MAX {
-            return;
-        }
-        let offer = is_writer.then(|| ReaderQos {
-            is_reliable: matches!(endpoint.qos.reliability(), Some(Reliability::Reliable { .. })),
-            is_latched: !matches!(endpoint.qos.durability(), None | Some(Durability::Volatile)),
-        });
-        self.remote.insert(endpoint.guid, RemoteEndpoint { topic, message_type, offer });
-    }
-
-    /// Tells the bridge which topics other participants publish and subscribe to, if that has changed.
+    /// Tells the bridge which topics and services other participants have, if that has changed.
     fn update_graph(&mut self) {
-        let mut graph = RosGraph::default();
-        for RemoteEndpoint { topic, message_type, offer } in self.remote.values() {
-            if graph.topics.len() >= GRAPH_TOPICS_MAX && !graph.topics.contains_key(topic) {
-                continue;
-            }
-            let known = graph.topics.entry(topic.clone()).or_default();
-            match offer {
-                Some(offer) => {
-                    known.is_latched = (known.published.is_empty() || known.is_latched) && offer.is_latched;
-                    add_type(&mut known.published, message_type);
-                }
-                None => add_type(&mut known.subscribed, message_type),
-            }
-        }
         for newest in self.names.values() {
-            newest.borrow_mut().retain(|guid, _| self.remote.contains_key(guid));
+            newest.retain(|guid| self.remote.contains(guid));
         }
+        let graph = self.remote.graph();
         if graph != self.graph {
             self.link.send_event(RosEvent::Graph(graph.clone()));
             self.graph = graph;
         }
-    }
-
-    /// Returns a topic's name on TCP and its ROS type, or `None` if it is not a topic in the namespace.
-    fn ros_names(&self, dds_name: &str, dds_type: &str) -> Option<(String, String)> {
-        let name = dds_name.strip_prefix("rt")?.strip_prefix(self.factory.namespace())?;
-        let (package, class) = dds_type.split_once("::msg::dds_::")?;
-        let class = class.strip_suffix('_')?;
-        name.starts_with('/').then(|| (name.to_owned(), format!("{package}/{class}")))
     }
 
     /// Opens readers anew whose quality of service no longer matches; returns whether there were any.
@@ -323,18 +246,12 @@ impl ReaderQos {
     }
 }
 
-fn add_type(types: &mut Vec<String>, message_type: &str) {
-    if let Err(at) = types.binary_search_by(|known| known.as_str().cmp(message_type)) {
-        types.insert(at, message_type.to_owned());
-    }
-}
-
 /// What the task of one reader needs.
 struct Reception {
     topic: Arc<str>,
     own: GUID,
     of_other_type: Rc<RefCell<BTreeSet<GUID>>>,
-    newest: Newest,
+    newest: NewestSamples,
     link: Arc<RosLink>,
     received: Rc<Cell<u64>>,
 }
@@ -351,24 +268,10 @@ impl Reception {
             };
             let writer = sample.writer_guid();
             let is_foreign = writer.prefix != self.own.prefix;
-            if is_foreign && !self.of_other_type.borrow().contains(&writer) && self.is_new(&sample) {
+            if is_foreign && !self.of_other_type.borrow().contains(&writer) && self.newest.is_new(&sample) {
                 self.received.set(self.received.get() + 1);
                 self.link.send_event(RosEvent::Message { topic, payload: sample.into_value().0 });
             }
-        }
-    }
-
-    /// Returns whether a message is newer than its writer's last one, and records it.
-    fn is_new(&self, sample: &DeserializedCacheChange<Raw>) -> bool {
-        let number = SequenceNumber::from(MessageInfo::from(sample).sequence_number());
-        let newest = &mut *self.newest.borrow_mut();
-        let last = newest.insert(sample.writer_guid(), number);
-        match last.filter(|last| *last >= number) {
-            Some(last) => {
-                newest.insert(sample.writer_guid(), last);
-                false
-            }
-            None => true,
         }
     }
 }

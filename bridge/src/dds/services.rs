@@ -1,179 +1,205 @@
-//! SLAM's services on DDS: a request topic and a reply topic each, named as ROS 2's Fast DDS middleware does, and the
-//! request's identity beside the reply.
+//! Services on DDS: those that the bridge offers to ROS, and those of ROS nodes that clients call.
+//!
+//! A service has a topic of requests and one of replies, named as ROS 2 does. Requests and responses pass as bytes.
 
-use super::entities::{EndpointError, EntityFactory, RawReader, RawWriter};
-use super::raw::Raw;
+use super::entities::{EndpointError, EntityFactory};
+use super::link::RosLink;
+use super::newest::NewestSamples;
+use super::service_endpoint::{Client, SentCalls, Server, ServiceEndpoint, ServiceTopic};
+use super::service_identity as identity;
 use super::topic_writer::stream_qos;
-use crate::cdr::{Reader as CdrReader, Writer};
-use crate::ros::RobotNames;
-use crate::slam_services::{self, SERVICES, Service, ServiceFailure, SlamRequests};
-use msg::{Monotonic, RobotId, SlamOutcome, SlamRequest, SlamResponse};
-use ros2_client::MessageInfo;
-use ros2_client::dds::rustdds::no_key::DeserializedCacheChange;
-use ros2_client::dds::rustdds::{
-    GUID, RTPSEntity, SampleIdentity, SequenceNumber, Timestamp, WriteOptionsBuilder,
-};
+use crate::relay::{RosCommand, RosEvent};
+use futures::StreamExt;
+use msg::Monotonic;
+use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID, RTPSEntity};
+use std::cell::Cell;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::rc::Rc;
-use std::time::Duration;
+use std::sync::Arc;
+use tokio::task::spawn_local;
 
-/// Calls that may wait for SLAM; more are refused.
-const CALLS_MAX: usize = 64;
-/// A call fails after this time: SLAM writes a large session within it.
-const CALL_TIMEOUT: Duration = Duration::from_secs(20);
-/// Replies kept for a slow client.
-const REPLY_DEPTH: usize = 64;
+/// Requests or replies that a writer keeps for a reader that does not acknowledge.
+const DEPTH: usize = 64;
+/// Names of services that are exchanged during one run. RustDDS keeps something of each name for ever.
+const NAMES_MAX: usize = 4096;
 
-/// One service of one robot.
-struct ServiceServer {
-    robot: RobotId,
-    service: Service,
-    requests: Rc<RawReader>,
-    replies: RawWriter,
+/// All services that the bridge offers to ROS, and those that it calls there.
+pub struct ServiceRelay {
+    own: GUID,
+    link: Arc<RosLink>,
+    servers: BTreeMap<Arc<str>, Server>,
+    clients: BTreeMap<Arc<str>, Client>,
+    /// Every service since the start, with the newest request of each requester.
+    names: BTreeMap<Arc<str>, NewestSamples>,
+    received: Rc<Cell<u64>>,
 }
 
-/// A call that SLAM has not answered yet.
-struct WaitingCall {
-    /// Index of the service's server.
-    server: usize,
-    caller: SampleIdentity,
-    /// The endpoint's number of the call.
-    id: u64,
-    /// The request that must follow the first.
-    next: Option<SlamRequest>,
-    deadline: Monotonic,
-}
-
-/// All services, and the calls that wait.
-pub struct ServiceServers {
-    servers: Vec<ServiceServer>,
-    calls: Vec<WaitingCall>,
-    calls_begun: u64,
-    /// Whether each robot's SLAM is paused, by its last answer.
-    paused: Vec<bool>,
-}
-
-impl ServiceServers {
-    /// Creates every service of every robot; `None`: of no robot.
-    pub fn open(factory: &EntityFactory, robots: Option<&RobotNames>) -> Result<Self, EndpointError> {
-        let mut servers = Vec::new();
-        for (robots, robot) in
-            robots.iter().flat_map(|robots| robots.robots().map(move |robot| (robots, robot)))
-        {
-            for service in &SERVICES {
-                let name = robots.topic(robot, service.name);
-                servers.push(ServiceServer::open(factory, robot, &name, service)?);
-            }
-        }
-        let paused = vec![false; robots.map_or(0, RobotNames::count)];
-        Ok(Self { servers, calls: Vec::new(), calls_begun: 0, paused })
-    }
-
-    /// Returns the readers of requests, in order of the servers.
-    pub fn request_readers(&self) -> Vec<Rc<RawReader>> {
-        self.servers.iter().map(|server| server.requests.clone()).collect()
+impl ServiceRelay {
+    /// Creates the relay without services. `own`: the identifier of this participant.
+    pub fn new(own: GUID, link: Arc<RosLink>) -> Self {
+        let (servers, clients, names) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        Self { own, link, servers, clients, names, received: Rc::default() }
     }
 
     /// Returns the identifiers of readers and writers.
     pub fn guids(&self) -> (Vec<GUID>, Vec<GUID>) {
-        self.servers.iter().map(|server| (server.requests.guid(), server.replies.guid())).unzip()
+        let clients = self.clients.values().map(|client| &client.endpoint);
+        let endpoints = self.servers.values().map(|server| &server.endpoint).chain(clients);
+        endpoints.map(|endpoint| (endpoint.reader.guid(), endpoint.writer.guid())).unzip()
     }
 
-    /// Takes a request; returns what to ask of which robot's SLAM. An invalid request is answered at once.
-    pub fn receive(
+    /// Returns the number of requests and responses received.
+    pub fn received(&self) -> u64 {
+        self.received.get()
+    }
+
+    /// Does what the bridge asks; returns whether readers or writers changed.
+    pub fn apply(
         &mut self,
-        server: usize,
-        sample: DeserializedCacheChange<Raw>,
-        now: Monotonic,
-    ) -> Option<(RobotId, SlamRequest)> {
-        let ServiceServer { robot, service, .. } = *self.servers.get(server)?;
-        let caller = identity(&MessageInfo::from(&sample));
-        let paused = self.paused.get(robot.index()).copied().unwrap_or_default();
-        let Raw(payload) = sample.into_value();
-        match self.check(service, &payload, paused) {
-            Ok(SlamRequests { first, next }) => {
-                self.calls_begun += 1;
-                let id = self.calls_begun;
-                self.calls.push(WaitingCall { server, caller, id, next, deadline: now + CALL_TIMEOUT });
-                Some((robot, SlamRequest { id, ..first }))
-            }
-            Err(failure) => {
-                self.reply(server, caller, Err(&failure));
-                None
-            }
-        }
-    }
-
-    fn check(&self, service: Service, payload: &[u8], paused: bool) -> Result<SlamRequests, ServiceFailure> {
-        if self.calls.len() >= CALLS_MAX {
-            return Err(ServiceFailure::TooManyCalls { limit: CALLS_MAX });
-        }
-        let mut from = CdrReader::new(payload).map_err(slam_services::RequestError::from)?;
-        Ok(service.read(&mut from, paused)?)
-    }
-
-    /// Passes on SLAM's answer; returns the request that must follow it.
-    pub fn answer(&mut self, robot: RobotId, answer: &SlamResponse, is_ours: bool) -> Option<SlamRequest> {
-        if let Some(paused) = self.paused.get_mut(robot.index()) {
-            *paused = answer.paused == 1;
-        }
-        let found = self.calls.iter().position(|call| is_ours && call.id == answer.id)?;
-        let mut call = self.calls.swap_remove(found);
-        match call.next.take() {
-            Some(next) if answer.outcome() == SlamOutcome::Done => {
-                let next = SlamRequest { id: call.id, ..next };
-                self.calls.push(call);
-                Some(next)
-            }
-            _ => {
-                self.reply(call.server, call.caller, Ok(answer));
-                None
-            }
-        }
-    }
-
-    /// Fails the calls that SLAM has not answered in time.
-    pub fn tick(&mut self, now: Monotonic) {
-        while let Some(found) = self.calls.iter().position(|call| now >= call.deadline) {
-            let call = self.calls.swap_remove(found);
-            self.reply(call.server, call.caller, Err(&ServiceFailure::Timeout));
-        }
-    }
-
-    fn reply(&self, server: usize, caller: SampleIdentity, answer: Result<&SlamResponse, &ServiceFailure>) {
-        let mut bytes = Vec::new();
-        self.servers[server].service.write(&mut Writer::new(&mut bytes), answer);
-        let options =
-            WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).related_sample_identity(caller);
-        // The write fails only if the client reads none of its replies.
-        let _ = self.servers[server].replies.write_with_options(Raw(bytes.into()), options.build());
-    }
-}
-
-/// Returns the identity of a request, which its reply must carry.
-///
-/// Fast DDS sends the identity of its reply reader beside the request, without the sequence number.
-fn identity(info: &MessageInfo) -> SampleIdentity {
-    let number = SequenceNumber::from(info.sequence_number());
-    match info.related_request_id().map(SampleIdentity::from) {
-        Some(named) if named.sequence_number != SequenceNumber::UNKNOWN => named,
-        Some(named) => SampleIdentity { sequence_number: number, ..named },
-        None => SampleIdentity { writer_guid: info.publisher_gid().into(), sequence_number: number },
-    }
-}
-
-impl ServiceServer {
-    fn open(
+        command: RosCommand,
         factory: &EntityFactory,
-        robot: RobotId,
-        name: &str,
-        service: &slam_services::NamedService,
-    ) -> Result<Self, EndpointError> {
-        let name = format!("{}{name}", factory.namespace());
-        let qos = stream_qos(REPLY_DEPTH);
-        let (package, class) = service.service_type.split_once('/').unwrap_or(("", service.service_type));
-        let dds_type = |part: &str| format!("{package}::srv::dds_::{class}_{part}_");
-        let requests = factory.request_reader(&format!("rq{name}Request"), dds_type("Request"), &qos)?;
-        let replies = factory.reply_writer(&format!("rr{name}Reply"), dds_type("Response"), &qos)?;
-        Ok(Self { robot, service: service.service, requests, replies })
+        now: Monotonic,
+    ) -> Result<bool, EndpointError> {
+        match command {
+            RosCommand::OpenClient { service, service_type } => {
+                self.check_name(&service)?;
+                let client = self.open_client(factory, &service, &service_type)?;
+                self.clients.insert(service, client);
+            }
+            RosCommand::CloseClient { service } => drop(self.clients.remove(&service)),
+            RosCommand::OpenServer { service, service_type } => {
+                self.check_name(&service)?;
+                let server = self.open_server(factory, &service, &service_type)?;
+                self.servers.insert(service, server);
+            }
+            RosCommand::CloseServer { service } => drop(self.servers.remove(&service)),
+            RosCommand::Call { service, number, payload } => {
+                if let Some(client) = self.clients.get_mut(&service) {
+                    client.call(number, payload);
+                }
+                return Ok(false);
+            }
+            RosCommand::Cancel { service, number } => {
+                if let Some(client) = self.clients.get_mut(&service) {
+                    client.cancel(number);
+                }
+                return Ok(false);
+            }
+            RosCommand::Respond { service, request, payload } => {
+                if let Some(server) = self.servers.get_mut(&service) {
+                    server.respond(request, payload, now);
+                }
+                return Ok(false);
+            }
+            // Those of topics are not for this relay.
+            _ => return Ok(false),
+        }
+        Ok(true)
+    }
+
+    fn check_name(&mut self, service: &Arc<str>) -> Result<(), EndpointError> {
+        if self.names.len() >= NAMES_MAX && !self.names.contains_key(service) {
+            return Err(EndpointError::TooManyNames { name: service.to_string(), limit: NAMES_MAX });
+        }
+        self.names.entry(service.clone()).or_default();
+        Ok(())
+    }
+
+    fn open_server(
+        &self,
+        factory: &EntityFactory,
+        service: &Arc<str>,
+        service_type: &str,
+    ) -> Result<Server, EndpointError> {
+        let (requests, replies) =
+            (ServiceTopic::requests(service, service_type), ServiceTopic::replies(service, service_type));
+        let writer = factory.service_writer(&replies.name, replies.dds_type, &stream_qos(DEPTH))?;
+        let reader = factory.service_reader(&requests.name, requests.dds_type, &stream_qos(DEPTH))?;
+        let newest = self.names.get(service).cloned().unwrap_or_default();
+        let (own, link, received, service) =
+            (self.own, self.link.clone(), self.received.clone(), service.clone());
+        let samples = reader.clone();
+        let task = spawn_local(async move {
+            let mut samples = std::pin::pin!(samples.as_async_stream());
+            while let Some(sample) = samples.next().await {
+                let Ok(sample) = sample else { continue };
+                if sample.writer_guid().prefix == own.prefix || !newest.is_new(&sample) {
+                    continue;
+                }
+                if let Some((id, payload)) = identity::read_request(sample) {
+                    received.set(received.get() + 1);
+                    link.send_event(RosEvent::Request { service: service.clone(), id, payload });
+                }
+            }
+        });
+        let endpoint = ServiceEndpoint { reader, writer, remote: BTreeSet::new(), task };
+        Ok(Server { endpoint, held: VecDeque::new() })
+    }
+
+    fn open_client(
+        &self,
+        factory: &EntityFactory,
+        service: &Arc<str>,
+        service_type: &str,
+    ) -> Result<Client, EndpointError> {
+        let (requests, replies) =
+            (ServiceTopic::requests(service, service_type), ServiceTopic::replies(service, service_type));
+        let reader = factory.service_reader(&replies.name, replies.dds_type, &stream_qos(DEPTH))?;
+        let writer = factory.service_writer(&requests.name, requests.dds_type, &stream_qos(DEPTH))?;
+        let sent = SentCalls::default();
+        let (calls, link, received, service) =
+            (sent.clone(), self.link.clone(), self.received.clone(), service.clone());
+        let (samples, of_requests, of_replies) = (reader.clone(), writer.guid(), reader.guid());
+        let task = spawn_local(async move {
+            let mut samples = std::pin::pin!(samples.as_async_stream());
+            while let Some(sample) = samples.next().await {
+                let Ok(sample) = sample else { continue };
+                let answered = identity::read_response(sample, &of_requests, &of_replies);
+                let Some((request, payload)) = answered else { continue };
+                // Of several servers' responses the first counts.
+                if let Some(number) = { calls.borrow_mut().remove(&request) } {
+                    received.set(received.get() + 1);
+                    link.send_event(RosEvent::Response { service: service.clone(), number, payload });
+                }
+            }
+        });
+        let endpoint = ServiceEndpoint { reader, writer, remote: BTreeSet::new(), task };
+        Ok(Client { endpoint, sent, waiting: VecDeque::new() })
+    }
+
+    /// Handles an event of DDS: readers and writers of other participants come and go.
+    pub fn apply_event(&mut self, event: &DomainParticipantStatusEvent, now: Monotonic) {
+        use DomainParticipantStatusEvent as Event;
+        for server in self.servers.values_mut() {
+            if server.endpoint.apply_event(event) {
+                server.send_held(now);
+            }
+        }
+        for client in self.clients.values_mut() {
+            if client.endpoint.apply_event(event) {
+                client.send_waiting();
+            }
+        }
+        match event {
+            Event::WriterLost { guid, .. } => {
+                self.names.values().for_each(|newest| newest.retain(|of| of != guid))
+            }
+            Event::ParticipantLost { id, .. } => {
+                self.names.values().for_each(|newest| newest.retain(|of| of.prefix != *id));
+            }
+            _ => {}
+        }
+    }
+
+    /// Drops replies that have waited too long for their reader.
+    pub fn tick(&mut self, now: Monotonic) {
+        for server in self.servers.values_mut().filter(|server| !server.held.is_empty()) {
+            server.send_held(now);
+        }
+    }
+
+    /// Tells the bridge why a service cannot be called or offered.
+    pub fn report(&self, service: Arc<str>, why: &EndpointError) {
+        self.link.send_event(RosEvent::ServiceFailure { service, text: why.to_string() });
     }
 }

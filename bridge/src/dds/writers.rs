@@ -1,10 +1,10 @@
 //! The writers of all topics that the fleet publishes on DDS.
 
-use super::config::VelocityMessage;
 use super::endpoint::DdsCounters;
 use super::entities::{EndpointError, EntityFactory};
 use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
 use crate::cdr::Writer;
+use crate::config::VelocityMessage;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
 use crate::ros::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use msg::{Link, Monotonic, RobotId, VelocityCommand};

@@ -2,12 +2,10 @@
 //!
 //! It reads no clock: time comes in as `now`. What passes waits in [`VelocityGate::next_output`].
 
-mod config;
 #[cfg(test)]
 mod tests;
 
-pub use config::{RobotLimits, VelocityConfig};
-
+use crate::config::VelocityConfig;
 use crate::drive::{DriveArbiter, DriveDecision, Driver};
 use crate::router::ClientId;
 use msg::{Monotonic, ROBOTS_MAX, RobotId};
@@ -42,6 +40,34 @@ impl Velocity {
 
     fn is_finite(self) -> bool {
         self.linear_m_s.is_finite() && self.angular_rad_s.is_finite()
+    }
+}
+
+/// Largest speeds of a robot in either direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RobotLimits {
+    /// Forward and backward, m/s.
+    pub linear_m_s: f64,
+    /// In either direction, rad/s.
+    pub angular_rad_s: f64,
+}
+
+impl RobotLimits {
+    /// Returns a robot's own limits, or else those of all robots.
+    pub fn new(config: &VelocityConfig, robot: RobotId) -> Self {
+        let own = config.robots.iter().find(|limits| limits.robot == robot.number());
+        let (linear_m_s, angular_rad_s) = own.map_or((config.linear_m_s, config.angular_rad_s), |limits| {
+            (limits.linear_m_s, limits.angular_rad_s)
+        });
+        Self { linear_m_s, angular_rad_s }
+    }
+
+    /// Returns the velocity with each component within its limit; it must be finite.
+    pub fn clamp(&self, velocity: Velocity) -> Velocity {
+        Velocity {
+            linear_m_s: velocity.linear_m_s.clamp(-self.linear_m_s, self.linear_m_s),
+            angular_rad_s: velocity.angular_rad_s.clamp(-self.angular_rad_s, self.angular_rad_s),
+        }
     }
 }
 
@@ -94,7 +120,7 @@ impl VelocityGate {
     /// Creates the gate of robots 1 to `robot_count`, and sends each a zero: what moved it before is not known.
     pub fn new(config: &VelocityConfig, robot_count: usize, drive: DriveArbiter) -> Self {
         let robot_gate = |robot| RobotGate {
-            limits: config.limits(robot),
+            limits: RobotLimits::new(config, robot),
             motion: Motion::StopRequested,
             next_zero: Monotonic(0),
         };

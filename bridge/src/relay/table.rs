@@ -1,6 +1,6 @@
-//! The topics that are exchanged with ROS now, and the commands to the endpoint that wait.
+//! The topics and services that are exchanged with ROS now, and the commands to the endpoint that wait.
 
-use super::{RosCommand, RosGraph};
+use super::{RosCommand, RosGraph, RosRequestId, ServiceExchange};
 use crate::interfaces;
 use crate::ros::{Message, encode};
 use crate::router::{ClientId, Topic, TopicId};
@@ -59,15 +59,17 @@ pub struct RelayTable {
     /// Commands that the caller of the bridge has not taken yet: those of one event.
     commands: VecDeque<RosCommand>,
     unpublished: VecDeque<Unpublished>,
-    /// Topics that every client may publish into ROS, with leading slash.
-    open_topics: Vec<String>,
+    /// Topics and services that every client may exchange with ROS, with leading slash.
+    open_names: Vec<String>,
+    services: ServiceExchange,
 }
 
 impl RelayTable {
-    /// Creates an empty table for at most `topics_max` topics. Nothing is exchanged until it is opened.
+    /// Creates an empty table for at most `topics_max` topics and `services_max` services of clients. Nothing is
+    /// exchanged until it is opened.
     ///
-    /// Every client may publish `open_topics` into ROS.
-    pub fn new(topics_max: usize, open_topics: &[String]) -> Self {
+    /// Every client may publish, offer or call the names in `open_names` in ROS.
+    pub fn new(topics_max: usize, services_max: usize, open_names: &[String]) -> Self {
         Self {
             is_open: false,
             topics: BTreeMap::new(),
@@ -75,7 +77,8 @@ impl RelayTable {
             graph: RosGraph::default(),
             commands: VecDeque::new(),
             unpublished: VecDeque::new(),
-            open_topics: open_topics.iter().filter_map(|name| interfaces::resolve_name(name).ok()).collect(),
+            open_names: open_names.iter().filter_map(|name| interfaces::resolve_name(name).ok()).collect(),
+            services: ServiceExchange::new(services_max),
         }
     }
 
@@ -113,9 +116,42 @@ impl RelayTable {
         self.commands.pop_front()
     }
 
-    /// Returns whether every client may publish a topic into ROS.
-    pub fn is_open_topic(&self, name: &str) -> bool {
-        self.open_topics.iter().any(|open| open == name)
+    /// Returns whether every client may exchange a topic or service with ROS.
+    pub fn is_open_name(&self, name: &str) -> bool {
+        self.open_names.iter().any(|open| open == name)
+    }
+
+    /// Returns the services that are exchanged.
+    pub fn services(&self) -> &ServiceExchange {
+        &self.services
+    }
+
+    /// Replaces the services of clients that shall be called in ROS and offered to it.
+    pub fn update_services(&mut self, called: BTreeMap<&str, &str>, offered: BTreeMap<&str, &str>) {
+        self.services.update(called, offered, &mut self.commands);
+    }
+
+    /// Offers a service of the fleet to ROS.
+    pub fn offer_fleet_service(&mut self, name: &str, service_type: &str) {
+        let service_type = service_type.to_owned();
+        self.commands.push_back(RosCommand::OpenServer { service: name.into(), service_type });
+    }
+
+    /// Calls a service of a ROS node.
+    pub fn call_service(&mut self, name: &str, number: i64, payload: &[u8]) {
+        let payload = Bytes::copy_from_slice(payload);
+        self.commands.push_back(RosCommand::Call { service: name.into(), number, payload });
+    }
+
+    /// Withdraws a call of a ROS node's service, if it has not been sent.
+    pub fn cancel_call(&mut self, name: &str, number: i64) {
+        self.commands.push_back(RosCommand::Cancel { service: name.into(), number });
+    }
+
+    /// Answers a ROS node's request.
+    pub fn respond(&mut self, name: &str, request: RosRequestId, payload: &[u8]) {
+        let payload = Bytes::copy_from_slice(payload);
+        self.commands.push_back(RosCommand::Respond { service: name.into(), request, payload });
     }
 
     fn find_or_add(&mut self, id: TopicId, topic: &Topic) -> Result<&mut RelayedTopic, TooManyTopics> {

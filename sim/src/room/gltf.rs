@@ -3,6 +3,7 @@
 //! The library splits the container and has the document's types. Its validation and its iterators panic
 //! at some malformed documents. This module therefore checks every index itself.
 
+use super::gltf_error::{AccessorError, GltfError, MeshError};
 use super::mesh::Mesh;
 use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
 use base64::Engine;
@@ -21,51 +22,51 @@ const HARMLESS: [&str; 4] = ["KHR_materials_", "KHR_texture_", "KHR_lights_", "E
 
 /// Reads the triangles of the default scene, or of the first one, with their nodes' transforms.
 pub(crate) fn read(bytes: &[u8]) -> Result<Mesh, RoomError> {
-    read_scene(bytes).map(Mesh::with_z_up).map_err(|reason| RoomError::Malformed { format: "glTF", reason })
+    Ok(read_scene(bytes)?.with_z_up())
 }
 
-fn read_scene(bytes: &[u8]) -> Result<Mesh, String> {
+fn read_scene(bytes: &[u8]) -> Result<Mesh, GltfError> {
     let (json, mut blob) = if bytes.starts_with(b"glTF") {
         let Glb { json, bin, .. } = split(bytes)?;
         (json, bin.map(|bin| bin.into_owned()))
     } else {
         (bytes.into(), None)
     };
-    let root = Root::from_slice(&json).map_err(|error| error.to_string())?;
+    let root = Root::from_slice(&json)?;
     let unknown =
         root.extensions_required.iter().find(|name| !HARMLESS.iter().any(|known| name.starts_with(known)));
     if let Some(name) = unknown {
-        return Err(format!("it requires {name}, which is not supported: export without it"));
+        return Err(GltfError::Extension(name.clone()));
     }
     let mut buffers = Vec::new();
     for buffer in &root.buffers {
         buffers.push(match &buffer.uri {
             Some(uri) => embedded(uri)?,
-            None => blob.take().ok_or("the binary chunk is missing")?,
+            None => blob.take().ok_or(GltfError::NoBinaryChunk)?,
         });
     }
     let scene = root.scene.unwrap_or(Index::new(0));
-    let scene = root.get(scene).ok_or_else(|| format!("scenes[{}] is not there", scene.value()))?;
+    let scene = root.get(scene).ok_or(GltfError::NoScene(scene.value()))?;
     let mut walk = Walk { root: &root, buffers, mesh: Mesh::default(), nodes_left: root.nodes.len() };
     scene.nodes.iter().try_for_each(|node| walk.visit(*node, Mat4::IDENTITY, 0))?;
     Ok(walk.mesh)
 }
 
 /// Splits a .glb into its chunks.
-fn split(bytes: &[u8]) -> Result<Glb<'_>, String> {
+fn split(bytes: &[u8]) -> Result<Glb<'_>, GltfError> {
     // The library subtracts the header's size from this length without a check.
     let stated = bytes.get(8..12).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
     if stated < 12 || stated > bytes.len() {
-        return Err(format!("its header says {stated} bytes, but there are {}", bytes.len()));
+        return Err(GltfError::Length { stated, found: bytes.len() });
     }
-    Glb::from_slice(bytes).map_err(|error| error.to_string())
+    Ok(Glb::from_slice(bytes)?)
 }
 
 /// Decodes a buffer that is a data URI.
-fn embedded(uri: &str) -> Result<Vec<u8>, String> {
+fn embedded(uri: &str) -> Result<Vec<u8>, GltfError> {
     let data = uri.strip_prefix("data:").and_then(|rest| rest.split_once(";base64,"));
-    let (_, text) = data.ok_or("a buffer is in another file: pack the model into one .glb")?;
-    STANDARD.decode(text).map_err(|error| format!("a buffer's data URI: {error}"))
+    let (_, text) = data.ok_or(GltfError::OtherFile)?;
+    STANDARD.decode(text).map_err(GltfError::DataUri)
 }
 
 struct Walk<'a> {
@@ -77,34 +78,31 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn visit(&mut self, index: Index<Node>, world_from_parent: Mat4, depth: usize) -> Result<(), String> {
+    fn visit(&mut self, index: Index<Node>, world_from_parent: Mat4, depth: usize) -> Result<(), GltfError> {
         let number = index.value();
-        let at = |reason: String| format!("nodes[{number}] {reason}");
-        let node = self.root.get(index).ok_or_else(|| at("is not there".into()))?;
-        self.nodes_left = self
-            .nodes_left
-            .checked_sub(1)
-            .ok_or_else(|| at("is its own ancestor, or has two parents".into()))?;
+        let node = self.root.get(index).ok_or(GltfError::NoNode(number))?;
+        self.nodes_left = self.nodes_left.checked_sub(1).ok_or(GltfError::NodeTwice(number))?;
         if depth > DEPTH_MAX {
-            return Err(at(format!("is nested deeper than {DEPTH_MAX}")));
+            return Err(GltfError::TooDeep { node: number, max: DEPTH_MAX });
         }
         let world_from_node = world_from_parent * parent_from(node);
         if let Some(index) = node.mesh {
-            let mesh = self.root.get(index).ok_or_else(|| at(format!("has no meshes[{}]", index.value())))?;
+            let no_mesh = GltfError::NoMesh { node: number, mesh: index.value() };
+            let mesh = self.root.get(index).ok_or(no_mesh)?;
             for primitive in &mesh.primitives {
-                self.append(primitive, world_from_node)
-                    .map_err(|reason| at(format!("has a bad mesh: {reason}")))?;
+                let in_node = |why| GltfError::Mesh { node: number, why };
+                self.append(primitive, world_from_node).map_err(in_node)?;
             }
         }
         let mut children = node.children.iter().flatten();
         children.try_for_each(|child| self.visit(*child, world_from_node, depth + 1))
     }
 
-    fn append(&mut self, primitive: &Primitive, world_from_node: Mat4) -> Result<(), String> {
+    fn append(&mut self, primitive: &Primitive, world_from_node: Mat4) -> Result<(), MeshError> {
         match primitive.mode {
             Checked::Valid(Mode::Triangles) => {}
             Checked::Valid(Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) => return Ok(()),
-            _ => return Err("export triangles, no strips or fans".into()),
+            _ => return Err(MeshError::NoTriangles),
         }
         let Some(positions) = primitive.attributes.get(&Checked::Valid(Semantic::Positions)) else {
             return Ok(());
@@ -116,13 +114,13 @@ impl Walk<'_> {
             None => (0..count as u32).collect(),
         };
         if let Some(wrong) = corners.iter().find(|index| **index as usize >= count) {
-            return Err(format!("an index is {wrong}, but there are {count} vertices"));
+            return Err(MeshError::NoVertex { index: *wrong, count });
         }
         // Nodes may share a mesh, so the sum over all nodes is limited.
         if self.mesh.vertices.len() + count > VERTICES_MAX
             || self.mesh.triangles.len() + corners.len() / 3 > TRIANGLES_MAX
         {
-            return Err(format!("over {VERTICES_MAX} vertices or {TRIANGLES_MAX} triangles"));
+            return Err(MeshError::TooLarge);
         }
         let first = self.mesh.vertices.len() as u32;
         self.mesh.vertices.extend(positions.iter().map(|p| world_from_node.transform_point3(*p)));
@@ -131,58 +129,57 @@ impl Walk<'_> {
         Ok(())
     }
 
-    fn positions(&self, index: Index<Accessor>) -> Result<Vec<Vec3>, String> {
+    fn positions(&self, index: Index<Accessor>) -> Result<Vec<Vec3>, MeshError> {
         let records = self.records(index, Type::Vec3, VERTICES_MAX)?;
         if records.component != ComponentType::F32 {
-            return Err("positions are not f32: export without quantisation".into());
+            return Err(MeshError::Quantised);
         }
         let number = |bytes: &[u8]| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
         let point = |b: &[u8]| Vec3::new(number(&b[0..4]), number(&b[4..8]), number(&b[8..12]));
         Ok(records.iter().map(point).collect())
     }
 
-    fn indices(&self, index: Index<Accessor>) -> Result<Vec<u32>, String> {
+    fn indices(&self, index: Index<Accessor>) -> Result<Vec<u32>, MeshError> {
         let records = self.records(index, Type::Scalar, 3 * TRIANGLES_MAX)?;
         let numbers = records.iter();
         Ok(match records.component {
             ComponentType::U8 => numbers.map(|b| u32::from(b[0])).collect(),
             ComponentType::U16 => numbers.map(|b| u32::from(u16::from_le_bytes([b[0], b[1]]))).collect(),
             ComponentType::U32 => numbers.map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect(),
-            other => return Err(format!("indices are {other:?}")),
+            other => return Err(MeshError::IndexType(other)),
         })
     }
 
-    fn records(&self, index: Index<Accessor>, kind: Type, max: usize) -> Result<Records<'_>, String> {
-        let wrong = |what: &str| format!("accessors[{}] {what}", index.value());
-        let accessor = self.root.get(index).ok_or_else(|| wrong("is not there"))?;
+    fn records(&self, index: Index<Accessor>, kind: Type, max: usize) -> Result<Records<'_>, MeshError> {
+        let wrong = |why| MeshError::Accessor { accessor: index.value(), why };
+        let accessor = self.root.get(index).ok_or_else(|| wrong(AccessorError::Missing))?;
         let (Checked::Valid(component), Checked::Valid(found)) = (accessor.component_type, accessor.type_)
         else {
-            return Err(wrong("has an unknown type"));
+            return Err(wrong(AccessorError::UnknownType));
         };
         if found != kind {
-            return Err(wrong(&format!("is {found:?}, not {kind:?}")));
+            return Err(wrong(AccessorError::Type { found, expected: kind }));
         }
         if accessor.sparse.is_some() {
-            return Err(wrong("is sparse, which is not supported"));
+            return Err(wrong(AccessorError::Sparse));
         }
         let count = usize::try_from(accessor.count.0).unwrap_or(usize::MAX);
         if count > max {
-            return Err(wrong(&format!("has {count} elements, at most {max} are supported")));
+            return Err(wrong(AccessorError::TooLong { count, max }));
         }
-        let view =
-            accessor.buffer_view.ok_or_else(|| wrong("has no buffer view; is the mesh compressed?"))?;
-        let bytes = self.view(view).ok_or_else(|| wrong("has a buffer view over the end of its buffer"))?;
+        let view = accessor.buffer_view.ok_or_else(|| wrong(AccessorError::NoView))?;
+        let bytes = self.view(view).ok_or_else(|| wrong(AccessorError::ViewOverEnd))?;
         let offset = accessor.byte_offset.map_or(Some(0), |offset| usize::try_from(offset.0).ok());
         let bytes = offset.and_then(|offset| bytes.get(offset..));
-        let bytes = bytes.ok_or_else(|| wrong("reaches over the end of its buffer"))?;
+        let bytes = bytes.ok_or_else(|| wrong(AccessorError::OverEnd))?;
         let size = component.0.size() * kind.multiplicity();
         let stride = self.root.get(view).and_then(|view| view.byte_stride).map_or(size, |stride| stride.0);
         if stride < size {
-            return Err(wrong("overlaps itself"));
+            return Err(wrong(AccessorError::Overlap));
         }
         let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size));
         if needed.is_none_or(|needed| needed > bytes.len()) {
-            return Err(wrong("reaches over the end of its buffer"));
+            return Err(wrong(AccessorError::OverEnd));
         }
         Ok(Records { bytes, component: component.0, count, size, stride })
     }

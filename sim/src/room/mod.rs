@@ -1,6 +1,7 @@
 //! Rooms as triangle meshes in frame `world`, z up, with the floor at z = 0.
 
 mod gltf;
+mod gltf_error;
 mod ground;
 mod laboratory;
 mod mesh;
@@ -11,9 +12,12 @@ mod read;
 mod scene;
 
 use crate::config::ConfigError;
+pub use gltf_error::{AccessorError, GltfError, MeshError};
 use ground::{FLOOR_RELIEF_M, Ground};
 use mesh::Mesh;
+pub use obj::ObjError;
 use parry3d::shape::{SharedShape, TriMesh};
+pub use scene::{EntityError, SceneError};
 use std::sync::Arc;
 
 /// Largest number of triangles of a room.
@@ -45,14 +49,18 @@ pub enum RoomError {
         /// Name of the file as given.
         name: String,
     },
-    /// The reader of the format refuses the content.
-    #[error("not a readable {format} room: {reason}")]
-    Malformed {
-        /// Name of the format.
-        format: &'static str,
-        /// Description of what is wrong and where.
-        reason: String,
-    },
+    /// The content is no usable glTF.
+    #[error("not a readable glTF room: {0}")]
+    Gltf(#[from] GltfError),
+    /// The content is no usable scene.
+    #[error("not a readable scene JSON room: {0}")]
+    Scene(#[from] SceneError),
+    /// The content is no usable OBJ.
+    #[error("not a readable OBJ room: {0}")]
+    Obj(#[from] ObjError),
+    /// The compressed content is damaged.
+    #[error("not a readable gzip room: {0}")]
+    Gzip(#[source] std::io::Error),
     /// The file has more bytes than `BYTES_MAX`.
     #[error("the room has over {max} bytes")]
     TooManyBytes {

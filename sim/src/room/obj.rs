@@ -8,21 +8,35 @@ use tobj::{LoadError, LoadOptions};
 /// Number of lines at the beginning of a file that may state the up axis.
 const HEAD_LINES: usize = 32;
 
+/// Reason why an OBJ file is not a usable room.
+#[derive(Debug, thiserror::Error)]
+pub enum ObjError {
+    /// The file is no text in UTF-8.
+    #[error("byte {byte} is not text")]
+    NoText {
+        /// Number of the first such byte, from 0.
+        byte: usize,
+    },
+    /// The reader refuses a line.
+    #[error(transparent)]
+    Content(LoadError),
+    /// There is nothing to see or to stand on.
+    #[error("it has no vertices (v) or no faces (f)")]
+    Empty,
+}
+
 /// Reads the triangles of all objects.
 ///
 /// OBJ does not define the up axis. A comment `# up y` or `# up z` among the first lines states it. Without
 /// one it is the axis, y or z, with the larger floor, because a room is wider than it is high.
 pub(crate) fn read(bytes: &[u8]) -> Result<Mesh, RoomError> {
-    let malformed = |reason: String| RoomError::Malformed { format: "OBJ", reason };
-    let text = core::str::from_utf8(bytes)
-        .map_err(|error| malformed(format!("byte {} is not text", error.valid_up_to())))?;
+    let text = core::str::from_utf8(bytes).map_err(|why| ObjError::NoText { byte: why.valid_up_to() })?;
     check_counts(text)?;
     let options =
         LoadOptions { triangulate: true, ignore_points: true, ignore_lines: true, ..Default::default() };
     // Colours have no effect, so no material is loaded.
     let no_materials = |_: &std::path::Path| Err(LoadError::GenericFailure);
-    let (models, _) = tobj::load_obj_buf(&mut &*bytes, &options, no_materials)
-        .map_err(|error| malformed(error.to_string()))?;
+    let (models, _) = tobj::load_obj_buf(&mut &*bytes, &options, no_materials).map_err(ObjError::Content)?;
     let mut mesh = Mesh::default();
     for model in models {
         let first = mesh.vertices.len() as u32;
@@ -49,8 +63,7 @@ fn check_counts(text: &str) -> Result<(), RoomError> {
         }
     }
     if vertices == 0 || triangles == 0 {
-        let reason = "it has no vertices (v) or no faces (f)".to_owned();
-        return Err(RoomError::Malformed { format: "OBJ", reason });
+        return Err(ObjError::Empty.into());
     }
     let counts = [("vertices", vertices, VERTICES_MAX), ("triangles", triangles, TRIANGLES_MAX)];
     match counts.into_iter().find(|(_, count, max)| count > max) {

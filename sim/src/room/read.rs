@@ -70,8 +70,6 @@ fn inflate(bytes: &[u8]) -> Result<Cow<'_, [u8]>, RoomError> {
     }
     let mut inflated = Vec::new();
     let mut reader = flate2::read::MultiGzDecoder::new(bytes).take(BYTES_MAX as u64 + 1);
-    reader
-        .read_to_end(&mut inflated)
-        .map_err(|error| RoomError::Malformed { format: "gzip", reason: error.to_string() })?;
+    reader.read_to_end(&mut inflated).map_err(RoomError::Gzip)?;
     Ok(Cow::Owned(inflated))
 }

@@ -53,31 +53,96 @@ struct Triangles {
     indices: String,
 }
 
+/// Reason why a scene is not a usable room.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// The text is no JSON of a scene.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// No entity has triangles.
+    #[error("no entity has a triangleMesh_META: scan the room's mesh, not its walls alone")]
+    NoMesh,
+    /// An entity cannot be used.
+    #[error("spatialEntities[{number}]: {why}")]
+    Entity {
+        /// Number of the entity, from 0.
+        number: usize,
+        /// What is wrong with it.
+        why: EntityError,
+    },
+}
+
+/// Reason why an entity of a scene cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum EntityError {
+    /// Its position or orientation is no finite pose.
+    #[error("locatable_META is no pose (its orientation has length {norm})")]
+    Pose {
+        /// Length of the quaternion, which should be 1.
+        norm: f32,
+    },
+    /// A triangle uses a vertex that does not exist.
+    #[error("triangle {triangle} uses vertex {index}, but there are {count}")]
+    NoVertex {
+        /// Number of the triangle, from 0.
+        triangle: usize,
+        /// Number of the vertex.
+        index: u32,
+        /// Number of vertices.
+        count: usize,
+    },
+    /// A list of numbers is no base64.
+    #[error("{what}: {why}")]
+    Encoding {
+        /// Name of the list.
+        what: &'static str,
+        /// What is wrong with it.
+        why: base64::DecodeError,
+    },
+    /// A list is too long.
+    #[error("{what}: {count} records, at most {max} are supported")]
+    TooMany {
+        /// Name of the list.
+        what: &'static str,
+        /// Number of records.
+        count: usize,
+        /// Largest supported number.
+        max: usize,
+    },
+    /// A list ends within a record.
+    #[error("{what}: {bytes} bytes are no multiple of {record}")]
+    PartOfRecord {
+        /// Name of the list.
+        what: &'static str,
+        /// Bytes of the list.
+        bytes: usize,
+        /// Bytes of a record.
+        record: usize,
+    },
+}
+
 /// Reads the triangles of all entities, and the floor's height if an entity `FLOOR` states it.
 pub(crate) fn read(bytes: &[u8]) -> Result<(Mesh, Option<f32>), RoomError> {
-    let scene: Scene = serde_json::from_slice(bytes).map_err(|error| malformed(error.to_string()))?;
+    Ok(read_scene(bytes)?)
+}
+
+fn read_scene(bytes: &[u8]) -> Result<(Mesh, Option<f32>), SceneError> {
+    let scene: Scene = serde_json::from_slice(bytes)?;
     let mut mesh = Mesh::default();
     for (number, entity) in scene.entities.iter().enumerate() {
         if let Some(triangles) = &entity.mesh {
-            append(&mut mesh, entity, triangles)
-                .map_err(|reason| malformed(format!("spatialEntities[{number}]: {reason}")))?;
+            append(&mut mesh, entity, triangles).map_err(|why| SceneError::Entity { number, why })?;
         }
     }
     if mesh.triangles.is_empty() {
-        return Err(malformed(
-            "no entity has a triangleMesh_META: scan the room's mesh, not its walls alone".into(),
-        ));
+        return Err(SceneError::NoMesh);
     }
     let floor = scene.entities.iter().find(|entity| entity.label.as_deref() == Some("FLOOR"));
     let floor_m = floor.and_then(|entity| entity.place.as_ref()).map(|place| place.position.y);
     Ok((mesh.with_z_up(), floor_m.filter(|height| height.is_finite())))
 }
 
-fn malformed(reason: String) -> RoomError {
-    RoomError::Malformed { format: "scene JSON", reason }
-}
-
-fn append(mesh: &mut Mesh, entity: &Entity, triangles: &Triangles) -> Result<(), String> {
+fn append(mesh: &mut Mesh, entity: &Entity, triangles: &Triangles) -> Result<(), EntityError> {
     let vertices = decode::<12>("vertices", &triangles.vertices, VERTICES_MAX)?;
     let indices = decode::<12>("indices", &triangles.indices, TRIANGLES_MAX)?;
     let (rotation, position) = match &entity.place {
@@ -88,7 +153,7 @@ fn append(mesh: &mut Mesh, entity: &Entity, triangles: &Triangles) -> Result<(),
     };
     let norm = rotation.length();
     if !(0.9..=1.1).contains(&norm) || !position.is_finite() {
-        return Err(format!("locatable_META is no pose (its orientation has length {norm})"));
+        return Err(EntityError::Pose { norm });
     }
     let rotation = rotation.normalize();
     let first = mesh.vertices.len();
@@ -101,7 +166,7 @@ fn append(mesh: &mut Mesh, entity: &Entity, triangles: &Triangles) -> Result<(),
         let corner = |i: usize| u32::from_le_bytes([t[i], t[i + 1], t[i + 2], t[i + 3]]);
         let corners = [corner(0), corner(4), corner(8)];
         if let Some(wrong) = corners.iter().find(|i| **i as usize >= count) {
-            return Err(format!("triangle {number} uses vertex {wrong}, but there are {count}"));
+            return Err(EntityError::NoVertex { triangle: number, index: *wrong, count });
         }
         mesh.triangles.push(corners.map(|i| i + first as u32));
     }
@@ -109,12 +174,12 @@ fn append(mesh: &mut Mesh, entity: &Entity, triangles: &Triangles) -> Result<(),
 }
 
 /// Decodes records of `N` bytes from base64.
-fn decode<const N: usize>(what: &str, text: &str, max: usize) -> Result<Vec<[u8; N]>, String> {
-    let bytes = STANDARD.decode(text).map_err(|error| format!("{what}: {error}"))?;
+fn decode<const N: usize>(what: &'static str, text: &str, max: usize) -> Result<Vec<[u8; N]>, EntityError> {
+    let bytes = STANDARD.decode(text).map_err(|why| EntityError::Encoding { what, why })?;
     let (records, rest) = bytes.as_chunks::<N>();
     match rest.len() {
         0 if records.len() <= max => Ok(records.to_vec()),
-        0 => Err(format!("{what}: {} records, at most {max} are supported", records.len())),
-        _ => Err(format!("{what}: {} bytes are no multiple of {N}", bytes.len())),
+        0 => Err(EntityError::TooMany { what, count: records.len(), max }),
+        _ => Err(EntityError::PartOfRecord { what, bytes: bytes.len(), record: N }),
     }
 }

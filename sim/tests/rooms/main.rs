@@ -145,8 +145,8 @@ fn invalid_meshes_are_refused_with_the_reason() {
     assert!(matches!(obj(huge), RoomError::TooLarge { .. }));
     assert!(matches!(obj("v 0 0 nan\nv 4 0 0\nv 4 4 0\nf 1 2 3\n"), RoomError::NotFinite { vertex: 0 }));
     assert!(matches!(obj("v 0 0 0\nv 4 inf 0\nv 4 4 0\nf 1 2 3\n"), RoomError::NotFinite { vertex: 1 }));
-    assert!(matches!(obj("v 0 0 0\nv 4 0 0\nv 4 4 0\nf 1 2 9\n"), RoomError::Malformed { .. }));
-    assert!(matches!(obj("v 0 0 0\n"), RoomError::Malformed { .. }));
+    assert!(matches!(obj("v 0 0 0\nv 4 0 0\nv 4 4 0\nf 1 2 9\n"), RoomError::Obj(_)));
+    assert!(matches!(obj("v 0 0 0\n"), RoomError::Obj(_)));
     assert!(matches!(refusal("a.stl", b"solid"), RoomError::UnknownFormat { .. }));
     assert!(matches!(refusal("", b""), RoomError::UnknownFormat { .. }));
 }

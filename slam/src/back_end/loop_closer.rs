@@ -4,6 +4,7 @@ use crate::closure::{ClosureCandidate, ClosureDetector};
 use crate::config::SlamConfig;
 use crate::graph::Edge;
 use msg::{Pose2, pose::wrap_angle};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Nodes not found that are remembered, to be searched for again after a closure: some 80 m of path.
@@ -18,7 +19,7 @@ const REJECTED_DRIFT_M: f64 = 2.0;
 const REJECTED_MAX: usize = 256;
 
 /// A closure that a person undid: it is not accepted again.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RejectedClosure {
     /// The earlier node.
     pub a: u32,

@@ -5,10 +5,11 @@ use crate::closure::ClosureDetectorState;
 use crate::graph::Edge;
 use crate::node::Node;
 use msg::Pose2;
+use serde::{Deserialize, Serialize};
 
 /// State of the back end as plain values; scans are shared, not copied.
 // More than 12 fields: one for each value that a session stores.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct BackEndState {
     /// The nodes, numbered from 0.
     pub nodes: Vec<Node>,

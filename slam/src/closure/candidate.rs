@@ -2,9 +2,10 @@
 
 use msg::Pose2;
 use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
 
 /// A place seen before that a later node was found at.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct ClosureCandidate {
     /// The later node, which was searched for.
     pub node: u32,
@@ -13,13 +14,14 @@ pub struct ClosureCandidate {
     /// Pose of the later node in the frame of the earlier one, as measured.
     pub candidate_from_node: Pose2,
     /// Inverse covariance in the frame of the earlier node, 1/m² and 1/rad².
+    #[serde(with = "crate::encoding::matrix")]
     pub information: Matrix3<f64>,
     /// Mean field value under the later node's points, 0 to 1.
     pub response: f32,
 }
 
 /// State of a detector, kept in a session.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ClosureDetectorState {
     /// Candidates that wait for confirmation, oldest first.
     pub pending: Vec<ClosureCandidate>,
@@ -30,7 +32,7 @@ pub struct ClosureDetectorState {
 }
 
 /// Counts of closure searches by how they ended.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClosureSearchCounts {
     /// Searches of a place, whatever their result.
     pub searches: u64,

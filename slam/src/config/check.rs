@@ -18,7 +18,11 @@ impl SlamConfig {
     /// Checks that every number can be worked with.
     pub fn validate(&self) -> Result<(), ConfigError> {
         let between = |field, found: f64, low: f64, high: f64, expected| {
-            let sound = found >= low && found <= high;
+            // A key in single precision may be below a limit by its rounding alone: 0.02 as `f32` is below 0.02.
+            let single = found as f32;
+            let is_single = f64::from(single) == found;
+            let sound = (found >= low || is_single && single >= low as f32)
+                && (found <= high || is_single && single <= high as f32);
             if sound { Ok(()) } else { Err(ConfigError { field, found, expected }) }
         };
         for value in self.lidar.base_from_scan {
@@ -42,6 +46,7 @@ impl SlamConfig {
         let search_points_max = tracking.search_points_max as f64;
         between("tracking.search_points_max", search_points_max, 1.0, 4096.0, "1 to 4096")?;
         between("tracking.references", tracking.references as f64, 1.0, 64.0, "1 to 64")?;
+        between("tracking.points_min", tracking.points_min as f64, 1.0, 4096.0, "1 to 4096")?;
         between("links.sequential", self.links.sequential as f64, 1.0, 64.0, "1 to 64")?;
         between("links.near", self.links.near as f64, 0.0, 64.0, "0 to 64")?;
         between("links.gate_wide_m", self.links.gate_wide_m.into(), 0.01, 0.5, "0.01 to 0.5 m")?;
@@ -110,6 +115,8 @@ impl SlamConfig {
             ("map.redraw_m", self.map.redraw_m),
             ("relocalize.apart_m", relocalize.apart_m),
             ("relocalize.travel_m", relocalize.travel_m),
+            ("lifelong.view_m", lifelong.view_m),
+            ("lifelong.view_rad", lifelong.view_rad),
         ];
         let above_zero = [
             ("odometry.speed_max_m_s", odometry.speed_max_m_s),
@@ -132,8 +139,6 @@ impl SlamConfig {
             ("relocalize.agree_m", relocalize.agree_m),
             ("relocalize.agree_rad", relocalize.agree_rad),
             ("relocalize.give_up_m", relocalize.give_up_m),
-            ("lifelong.view_m", lifelong.view_m),
-            ("lifelong.view_rad", lifelong.view_rad),
         ];
         check_all(&zero_or_more, |value| value.is_finite() && value >= 0.0, "a number, 0 or more")?;
         check_all(&above_zero, |value| value.is_finite() && value > 0.0, "a number above 0")
@@ -173,14 +178,55 @@ mod tests {
     use super::*;
     use serde_json::{Value, json};
 
-    /// Counts whose range begins at 0.
-    const MAY_BE_ZERO: &[&str] = &[
-        "links.near",
-        "graph.trajectory_max",
-        "tracking.points_min",
-        "lifelong.newest",
-        "relocalize.estimate_nodes_max",
-    ];
+    /// Range that a key's explanation states.
+    #[derive(Debug)]
+    struct StatedRange {
+        low: f64,
+        /// Whether `low` itself is refused.
+        is_open: bool,
+        high: Option<f64>,
+    }
+
+    /// Reads the range in an explanation: `LOW to HIGH`, `LOW or more`, `above LOW`.
+    fn stated_range(text: &str) -> Option<StatedRange> {
+        // Digits are grouped by spaces, and clauses end with a punctuation mark.
+        let parts = text.split([',', ';', ':']).flat_map(|part| part.split(". "));
+        parts.map(|part| part.trim().trim_end_matches('.')).find_map(|part| {
+            let number = |text: &str| match text.trim() {
+                "10^9" => Some(1e9),
+                text => text.replace(' ', "").parse().ok(),
+            };
+            if let Some(low) = part.strip_prefix("above ").and_then(number) {
+                return Some(StatedRange { low, is_open: true, high: None });
+            }
+            if let Some(low) = part.strip_suffix(" or more").and_then(number) {
+                return Some(StatedRange { low, is_open: false, high: None });
+            }
+            let (low, high) = part.split_once(" to ")?;
+            let low = number(low.trim_start_matches("each "))?;
+            Some(StatedRange { low, is_open: false, high: Some(number(high)?) })
+        })
+    }
+
+    /// Explanations of all keys, by struct and field, from the source.
+    fn explanations() -> impl Iterator<Item = (&'static str, &'static str, String)> {
+        let (mut section, mut text) = ("", String::new());
+        include_str!("../config.rs").lines().filter_map(move |line| {
+            let line = line.trim();
+            if let Some(words) = line.strip_prefix("/// ") {
+                text = format!("{text} {words}");
+                return None;
+            }
+            let text = std::mem::take(&mut text);
+            let name = line.strip_prefix("pub ")?;
+            if let Some(name) = name.strip_prefix("struct ") {
+                section = name.trim_end_matches(" {");
+                return None;
+            }
+            let (key, _) = name.split_once(": ")?;
+            Some((section, key, text))
+        })
+    }
 
     /// The default configuration with one value replaced; `None` if its type does not hold the value.
     fn with(section: &str, key: &str, value: Value) -> Option<SlamConfig> {
@@ -189,33 +235,62 @@ mod tests {
         serde_json::from_value(config).ok()
     }
 
-    /// Asserts that the value is refused with an error that names key, value and range.
-    fn assert_refused(field: &str, config: &SlamConfig, value: &str) {
-        let error = config.validate().expect_err(&format!("slam.{field} = {value} is accepted")).to_string();
-        assert!(error.starts_with(&format!("slam.{field} is {value}, expected ")), "{error}");
+    /// Asserts that a value is refused with an error that names its key, if its type holds it.
+    fn assert_refused(section: &str, key: &str, value: Value) {
+        let Some(config) = with(section, key, value.clone()) else { return };
+        let error = config.validate().expect_err(&format!("slam.{section}.{key} = {value} is accepted"));
+        assert_eq!(error.field, format!("{section}.{key}"));
+        assert!(error.to_string().contains(", expected "), "{error}");
+    }
+
+    fn assert_accepted(section: &str, key: &str, value: Value) {
+        let config = with(section, key, value.clone()).unwrap();
+        assert_eq!(config.validate(), Ok(()), "slam.{section}.{key} = {value}");
     }
 
     #[test]
-    fn every_number_out_of_its_range_is_refused_with_key_value_and_range() {
+    fn every_key_states_a_range_and_is_held_to_it() {
         let default = serde_json::to_value(SlamConfig::default()).unwrap();
-        let mut numbers = 0;
-        for (section, keys) in default.as_object().unwrap() {
-            for (key, value) in keys.as_object().unwrap() {
-                let field = format!("{section}.{key}");
-                if value.is_f64() {
-                    assert_refused(&field, &with(section, key, json!(-1.0)).unwrap(), "-1");
-                    numbers += 1;
-                } else if value.is_u64() {
-                    if !MAY_BE_ZERO.contains(&field.as_str()) {
-                        assert_refused(&field, &with(section, key, json!(0)).unwrap(), "0");
-                    }
-                    numbers += 1;
-                } else if value.is_array() {
-                    assert_refused(&field, &with(section, key, json!([0.0, 11.0, 0.0])).unwrap(), "11");
-                }
+        // The types of the sections, from the fields of the whole.
+        let source = include_str!("../config.rs");
+        let (mut numbers, mut seen) = (0, std::collections::BTreeSet::new());
+        for (of, key, text) in explanations() {
+            let mut sections = default.as_object().unwrap().iter();
+            let Some((section, keys)) =
+                sections.find(|(name, _)| source.contains(&format!("pub {name}: {of},")))
+            else {
+                continue;
+            };
+            let value = &keys[key];
+            let whole = value.is_u64();
+            if !(whole || value.is_f64()) {
+                continue;
             }
+            let range =
+                stated_range(&text).unwrap_or_else(|| panic!("slam.{section}.{key} states no range:{text}"));
+            let as_value = |number: f64| if whole { json!(number as i64) } else { json!(number) };
+            let step = if whole { 1.0 } else { 1e-5 * range.low.abs().max(1e-3) };
+            if range.is_open {
+                assert_refused(section, key, as_value(range.low));
+                assert_accepted(section, key, as_value(range.low + step));
+            } else {
+                assert_refused(section, key, as_value(range.low - step));
+                assert_accepted(section, key, as_value(range.low));
+            }
+            if let Some(high) = range.high {
+                assert_accepted(section, key, as_value(high));
+                assert_refused(section, key, as_value(if whole { high + 1.0 } else { high * 1.00001 }));
+            }
+            seen.insert(format!("{section}.{key}"));
+            numbers += 1;
         }
-        assert!(numbers > 80, "{numbers} keys");
+        assert_eq!(numbers, seen.len());
+        let of_section = |keys: &Value| {
+            keys.as_object().unwrap().values().filter(|value| value.is_f64() || value.is_u64()).count()
+        };
+        let all: usize = default.as_object().unwrap().values().map(of_section).sum();
+        assert_eq!(numbers, all, "a key was not found in the source: {seen:?}");
+        assert_refused("lidar", "base_from_scan", json!([0.0, 11.0, 0.0]));
         assert_eq!(SlamConfig::default().validate(), Ok(()));
     }
 }

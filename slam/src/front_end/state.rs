@@ -8,10 +8,11 @@ use crate::node::{Node, Revision, SweptPath};
 use crate::odometry::OdometryBuffer;
 use msg::{Odometry, Pose2};
 use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
 
 /// State of the front end as plain values. Its local maps are rebuilt from the newest nodes.
 // More than 12 fields: one for each value that a session stores.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FrontEndState {
     /// Id of the next node.
     pub next_node: u32,
@@ -34,6 +35,7 @@ pub struct FrontEndState {
     /// Pose by odometry at the newest reference scan; `None` if unknown.
     pub node_odom_from_base: Option<Pose2>,
     /// Covariance over (x, y, yaw) of the newest reference scan's pose.
+    #[serde(with = "crate::encoding::matrix")]
     pub node_covariance: Matrix3<f64>,
     /// The newest node after an odometry break.
     pub last_break: Option<u32>,

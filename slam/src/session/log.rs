@@ -1,30 +1,28 @@
 //! Session logs: the nodes that a back end received since its session was saved, in records to be appended to a file.
 //!
 //! ```text
-//! magic 8 | length of the content u32 | CRC-32 of the content u32 | content
-//! content: identity | number u64 | checksum of the record before u64 | count u64 | nodes | state of the front end
+//! magic 8 | version u32 | length of the content u32 | CRC-32 of the content u32 | content
 //! ```
+//!
+//! The content is a [`LogRecord`] without its own checksum, encoded like a session. The version is the sessions'.
 //!
 //! The back end's result depends on its nodes alone, so that a session and the records after it give the pose graph of
 //! the process that wrote them, bit for bit.
 
-use super::bytes::{In, Out};
-use super::records::{put_front, put_identity, put_log_node, take_front, take_identity, take_log_node};
-use super::{Identity, SessionError};
+use super::{Identity, SessionError, VERSION, decode_whole, encode_after, word};
 use crate::back_end::BackEnd;
 use crate::front_end::FrontEndState;
 use crate::node::{Node, Revision};
 use crate::relocalize::PoseEstimate;
+use serde::{Deserialize, Serialize};
 
 /// First bytes of a record.
 const MAGIC: [u8; 8] = *b"MRSLOG\r\n";
 /// Length of a record's head, bytes.
-const HEAD: usize = 16;
-/// Nodes of one record; a front end makes a few in the time of one.
-const NODES_MAX: usize = 4096;
+const HEAD: usize = 20;
 
 /// Place in a chain of records: the newest one that a state has in it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LogPosition {
     /// Number of the record; 0 before the first.
     pub number: u64,
@@ -33,7 +31,7 @@ pub struct LogPosition {
 }
 
 /// A node as the back end received it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize)]
 pub struct LoggedNode {
     /// The node, with the front end's id.
     pub node: Node,
@@ -56,17 +54,27 @@ pub struct LogRecord {
     pub front: FrontEndState,
 }
 
+/// Content of a record before its nodes.
+#[derive(Serialize, Deserialize)]
+struct RecordStart {
+    identity: Identity,
+    number: u64,
+    /// Checksum of the record before.
+    previous: u32,
+}
+
 /// Nodes that wait to be written as one record.
 #[derive(Default)]
 pub struct LogRecordBuilder {
-    nodes: Out,
-    count: u64,
+    nodes: Vec<u8>,
+    count: usize,
 }
 
 impl LogRecordBuilder {
     /// Adds a node that the back end is about to receive.
     pub fn add(&mut self, node: &Node, begins_at: Option<PoseEstimate>) {
-        put_log_node(&mut self.nodes, node, begins_at);
+        // The fields of a `LoggedNode`.
+        self.nodes = encode_after(std::mem::take(&mut self.nodes), &(node, begins_at));
         self.count += 1;
     }
 
@@ -77,12 +85,12 @@ impl LogRecordBuilder {
 
     /// Number of bytes that wait.
     pub fn len(&self) -> usize {
-        self.nodes.bytes.len()
+        self.nodes.len()
     }
 
     /// Drops the nodes that wait.
     pub fn clear(&mut self) {
-        self.nodes.bytes.clear();
+        self.nodes.clear();
         self.count = 0;
     }
 
@@ -94,21 +102,20 @@ impl LogRecordBuilder {
         newest: &mut LogPosition,
         front: &FrontEndState,
     ) -> Vec<u8> {
-        let mut out = Out::default();
-        out.bytes.reserve(HEAD + self.nodes.bytes.len());
-        out.bytes.resize(HEAD, 0);
-        put_identity(&mut out, identity);
-        out.put(&[newest.number + 1, u64::from(newest.checksum), self.count]);
-        out.bytes.extend_from_slice(&self.nodes.bytes);
-        put_front(&mut out, front);
+        let mut bytes = Vec::with_capacity(HEAD + self.nodes.len());
+        bytes.resize(HEAD, 0);
+        let (identity, number, previous) = (*identity, newest.number + 1, newest.checksum);
+        bytes = encode_after(bytes, &(RecordStart { identity, number, previous }, self.count));
+        bytes.extend_from_slice(&self.nodes);
+        bytes = encode_after(bytes, front);
         self.clear();
-        let mut bytes = out.bytes;
         let checksum = crc32fast::hash(&bytes[HEAD..]);
         let length = (bytes.len() - HEAD) as u32;
         bytes[..8].copy_from_slice(&MAGIC);
-        bytes[8..12].copy_from_slice(&length.to_le_bytes());
-        bytes[12..16].copy_from_slice(&checksum.to_le_bytes());
-        *newest = LogPosition { number: newest.number + 1, checksum };
+        bytes[8..12].copy_from_slice(&VERSION.to_le_bytes());
+        bytes[12..16].copy_from_slice(&length.to_le_bytes());
+        bytes[16..20].copy_from_slice(&checksum.to_le_bytes());
+        *newest = LogPosition { number, checksum };
         bytes
     }
 }
@@ -145,15 +152,16 @@ impl LogContents {
 
 /// Decodes the first record, and returns its length in bytes.
 fn take_record(bytes: &[u8]) -> Result<(LogRecord, usize), SessionError> {
-    let Some((head, rest)) = bytes.split_at_checked(HEAD) else {
+    let Some((head, rest)) = bytes.split_first_chunk::<HEAD>() else {
         return Err(SessionError::Ends { what: "a record's head" });
     };
     if !head.starts_with(&MAGIC) {
         return Err(SessionError::Magic);
     }
-    let mut head = In::new(&head[MAGIC.len()..]);
-    let length = head.take::<u32>("a record's head")? as usize;
-    let expected: u32 = head.take("a record's head")?;
+    let (version, length, expected) = (word(head, 8), word(head, 12) as usize, word(head, 16));
+    if version != VERSION {
+        return Err(SessionError::Version { found: version });
+    }
     let content = rest.get(..length).ok_or(SessionError::Ends { what: "a record" })?;
     let checksum = crc32fast::hash(content);
     if checksum != expected {
@@ -168,23 +176,10 @@ impl LogRecord {
     /// # Errors
     /// [`SessionError`] if a value is missing or not valid.
     pub fn decode_content(content: &[u8], checksum: u32) -> Result<Self, SessionError> {
-        let mut from = In::new(content);
-        let identity = take_identity(&mut from)?;
-        let [number, previous]: [u64; 2] = from.take("a record's number")?;
-        let count = from.count(NODES_MAX, "nodes of a record")?;
-        let mut nodes = Vec::new();
-        for _ in 0..count {
-            let (node, begins_at) = take_log_node(&mut from)?;
-            nodes.push(LoggedNode { node, begins_at });
-        }
-        // How many nodes the map has is known when the record is applied.
-        let front = take_front(&mut from, usize::MAX)?;
-        if !from.is_empty() {
-            return Err(SessionError::Value { what: "length (something follows a record's content)" });
-        }
-        let previous = u32::try_from(previous)
-            .map_err(|_| SessionError::Value { what: "checksum of the record before" })?;
-        Ok(Self { identity, position: LogPosition { number, checksum }, previous, nodes, front })
+        let (RecordStart { identity, number, previous }, nodes, front) = decode_whole(content)?;
+        let record = Self { identity, position: LogPosition { number, checksum }, previous, nodes, front };
+        record.validate()?;
+        Ok(record)
     }
 }
 

@@ -32,13 +32,18 @@ pub enum Starts {
     Unknown,
 }
 
+/// Text that does not say what is known of the starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected `unknown`, or `known:FILE` with lines `index time x y theta`")]
+pub struct StartsError;
+
 impl FromStr for Starts {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
+    type Err = StartsError;
+    fn from_str(text: &str) -> Result<Self, StartsError> {
         match text.split_once(':') {
             None if text == "unknown" => Ok(Self::Unknown),
             Some(("known", file)) if !file.is_empty() => Ok(Self::Known(file.into())),
-            _ => Err("expected `unknown`, or `known:FILE` with lines `index time x y theta`".into()),
+            _ => Err(StartsError),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Start of a fleet in the background: option `--detach` of `mr-slam up` and `mr-slam demo`.
 
-use super::UpError;
+use super::{UpError, page};
 use crate::command::output;
 use crate::run::{self, Run};
 use std::fs::{File, OpenOptions};
@@ -48,7 +48,8 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
                     log_path.display(),
                     run.pid
                 );
-                return Ok(output::print(&text)?);
+                let page = page::url(&run.config).map(|url| format!("operator's page: {url}\n"));
+                return Ok(output::print(&(text + &page.unwrap_or_default()))?);
             }
             _ if child.try_wait()?.is_some() || begun.elapsed() >= START_WAIT_MAX => {
                 let _ = child.kill();

@@ -206,7 +206,7 @@ impl Report {
         let mut text = format!("\n{:.0} s in {}\n", self.seconds, self.room);
         if let Some(fleet) = &self.fleet {
             text += &fleet.table(style);
-            text += &map_figures(fleet);
+            text += &map_figures(fleet, style);
         }
         if let Some(paper) = &self.paper {
             text += &paper.table();
@@ -219,7 +219,7 @@ impl Report {
 }
 
 /// Formats how well the maps agree with each other and with the room: figures that a wrong merge cannot reach.
-fn map_figures(fleet: &FleetView) -> String {
+fn map_figures(fleet: &FleetView, style: &Style) -> String {
     let mut text = String::new();
     let percent = |value: Option<f64>| value.map_or_else(|| "-".into(), |v| format!("{:.1} %", 100.0 * v));
     let _ = writeln!(text, "\n{:<28} {:>9} {:>20}", "agreement of the robots' maps", "this run", "by chance");
@@ -232,28 +232,33 @@ fn map_figures(fleet: &FleetView) -> String {
         let _ = writeln!(text, "{name:<28} {:>9} {:>20}", percent(here), percent(chance));
     }
     let shared = fleet.overlap_m2.map_or_else(|| "-".into(), |m2| format!("{m2:.1} m2"));
-    let chance = format!("{} wrong transforms", fleet.null_transforms);
-    let _ = writeln!(text, "{:<28} {shared:>9} {chance:>20}", "shared area, mean of pairs");
+    let _ = writeln!(text, "{:<28} {shared:>9}", "shared area, mean of pairs");
+    if fleet.null_transforms > 0 {
+        let line = format!("by chance: the same maps under {} wrong transforms, mean", fleet.null_transforms);
+        let _ = writeln!(text, "{}", style.wrap(&line, 2));
+    }
     if let Some(room) = &fleet.against_room {
-        let _ = writeln!(
-            text,
-            "merged map and room: {} of the observable area known, occupied F1 {:.1} %, map to room {:.3} m, \
-             room to map {:.3} m, walls {:.3} m thick",
-            percent(fleet.room_coverage),
-            100.0 * room.occupied_f1,
-            room.map_to_room_m,
-            room.room_to_map_m,
-            room.wall_thickness_m
-        );
+        let _ = writeln!(text, "\n{:<36} {:>9}", "merged map beside the room", "this run");
+        let metres = |value: f64| format!("{value:.3} m");
+        let rows = [
+            ("known, of the observable area", percent(fleet.room_coverage)),
+            ("occupied F1", percent(Some(room.occupied_f1))),
+            ("from the map's walls to the room's", metres(room.map_to_room_m)),
+            ("from the room's walls to the map's", metres(room.room_to_map_m)),
+            ("thickness of walls", metres(room.wall_thickness_m)),
+        ];
+        for (name, value) in rows {
+            let _ = writeln!(text, "{name:<36} {value:>9}");
+        }
     }
     for robot in fleet.robots.iter().filter(|robot| robot.map_transform_error_m.is_some()) {
         let (m, deg) =
             (robot.map_transform_error_m.unwrap_or(0.0), robot.map_transform_error_deg.unwrap_or(0.0));
-        let _ = writeln!(
-            text,
+        let line = format!(
             "{}'s map is {m:.3} m and {deg:.2} degrees from its true pose in the merged map",
             robot.robot
         );
+        let _ = writeln!(text, "{}", style.wrap(&line, 2));
     }
     text
 }

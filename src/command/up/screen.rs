@@ -1,5 +1,6 @@
 //! Display of a running fleet: a table that is redrawn on a terminal, or printed every 10 s into a log.
 
+use super::page;
 use super::report::Report;
 use crate::command::output::{note, note_text};
 use crate::run::Run;
@@ -32,11 +33,14 @@ impl Screen {
     pub fn new(run: &Run, in_background: bool) -> Self {
         let Run { dir, port, config, .. } = run;
         note(&format!(
-            "fleet of {} robots in {}; headsets connect to port {port}; maps and report go to {}",
+            "fleet of {} robots in {}; headsets connect to port {port}\nmaps and report go to {}",
             config.fleet.robots,
             config.world_name(),
             dir.display()
         ));
+        if let Some(url) = page::url(config) {
+            note(&format!("operator's page: {url}"));
+        }
         let log_period = if in_background { BACKGROUND_LOG_PERIOD } else { LOG_PERIOD };
         Self { log_period, drawn: None, newest: None, age_shown_s: 0, logged: None }
     }

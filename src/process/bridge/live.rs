@@ -1,15 +1,15 @@
 //! The live bridge process: the tokio tasks that call its components, the TCP port and the control socket.
 
 use super::feeds::Feed;
-use super::{BridgeProcess, Upkeep};
+use super::{BridgeProcess, Upkeep, page};
 use crate::clock::now;
 use crate::ports::Ports;
 use crate::process::{Component, Error, control, ros2};
+use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;
 use crate::shared_memory::Listener;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
-use crate::supervisor::progress::{ProgressCounter, WatchedThread};
 use ::bridge::serve;
 use msg::{Monotonic, Role};
 use std::os::fd::AsFd;
@@ -30,6 +30,9 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
         if run.config.bridge.dds.enabled {
             tasks.push(ros2::open(run, stop, &bridge)?);
+        }
+        if run.config.bridge.page.enabled {
+            tasks.push(spawn_local(page::serve(bridge.clone(), run.config.bridge.page.clone())));
         }
         tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
         tasks.push(spawn_local(run_upkeep(upkeep)));

@@ -1,5 +1,5 @@
-use super::config::LimitsOfRobot;
 use super::*;
+use crate::config::LimitsOfRobot;
 use proptest::prelude::*;
 
 fn client(serial: u64) -> ClientId {

@@ -1,6 +1,6 @@
 //! Watchdog of one thread of a process: tells a hung thread from a slow one. Decisions only, in any clock's time.
 //!
-//! A thread that works counts on at least once a second (see [`super::progress`]). When the count stands still, the
+//! A thread that works counts on at least once a second (see [`crate::progress`]). When the count stands still, the
 //! operating system says why: a thread that is stopped, or that sleeps without using a processor, is hung. One that
 //! computes, waits for a processor or for the disk is slow, and is left alone.
 

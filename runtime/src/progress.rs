@@ -3,12 +3,10 @@
 //! A thread counts on in its loop. The launcher reads all counters at once, and so sees which thread stands still. The
 //! file is written and read as a file: nobody waits for anybody. The launcher holds its lock, which says that the fleet lives.
 
-use super::watchdog::{ThreadSample, ThreadState};
 use crate::clock::now;
-use crate::config::FleetConfig;
-use crate::fleet;
 use crate::shared_memory::Domain;
-use msg::{Monotonic, RobotId, Role};
+use crate::watchdog::{ThreadSample, ThreadState};
+use msg::Monotonic;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -99,19 +97,13 @@ pub struct ProgressCounter {
 }
 
 impl ProgressCounter {
-    /// Opens the counter of the calling thread. A process that was started by hand has no counter; it works without.
-    pub fn open(
-        domain: &Domain,
-        config: &FleetConfig,
-        role: Role,
-        robot: Option<RobotId>,
-        thread: WatchedThread,
-    ) -> Self {
-        let index = fleet::processes(config).position(|(row, of)| row.role == role && of == robot);
+    /// Opens the counter of the calling thread of a process, by the process's index among the fleet's. A process that was
+    /// started by hand has no index and no counter; it works without.
+    pub fn open(domain: &Domain, process: Option<usize>, thread: WatchedThread) -> Self {
         let file = OpenOptions::new().write(true).open(domain.progress_file()).ok();
         Self {
-            file: file.filter(|_| index.is_some()),
-            offset: entry_offset(index.unwrap_or(0), thread) as u64,
+            file: file.filter(|_| process.is_some()),
+            offset: entry_offset(process.unwrap_or(0), thread) as u64,
             count: 0,
             due: Monotonic(0),
         }
@@ -175,14 +167,12 @@ mod tests {
 
     #[test]
     fn the_launcher_reads_what_a_thread_counts() {
-        let config = FleetConfig::default();
         let folder = tempfile::tempdir().unwrap();
         let domain = Domain::new(&format!("{}_progress", std::process::id()), folder.path()).unwrap();
-        let processes = fleet::processes(&config).count();
+        let (processes, merge) = (3, 1);
         let mut board = ProgressBoard::create(&domain, processes).unwrap();
         assert!(ProgressBoard::create(&domain, processes).is_err(), "an existing file is never taken over");
-        let merge = fleet::processes(&config).position(|(row, _)| row.role == Role::Merge).unwrap();
-        let mut counter = ProgressCounter::open(&domain, &config, Role::Merge, None, WatchedThread::Second);
+        let mut counter = ProgressCounter::open(&domain, Some(merge), WatchedThread::Second);
         counter.advance();
         board.read().unwrap();
         let thread = rustix::thread::gettid().as_raw_nonzero().get() as u32;
@@ -194,7 +184,7 @@ mod tests {
         domain.remove();
         assert!(!domain.progress_file().exists());
         // Nobody watches any more: the thread works on.
-        ProgressCounter::open(&domain, &config, Role::Merge, None, WatchedThread::Main).advance();
+        ProgressCounter::open(&domain, Some(merge), WatchedThread::Main).advance();
     }
 
     #[test]

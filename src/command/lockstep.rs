@@ -1,10 +1,10 @@
 //! Tool `mr-slam lockstep`, which runs a fleet on virtual time.
 
-use super::Lockstep;
-use super::faults::FaultPlan;
-use super::invariants::{Checker, quiet_from};
-use crate::command::fleet_args::FleetArgs;
-use crate::command::{Error, output};
+use super::fleet_args::FleetArgs;
+use super::{Error, output};
+use crate::lockstep::Lockstep;
+use crate::lockstep::faults::FaultPlan;
+use crate::lockstep::invariants::{Checker, quiet_from};
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;

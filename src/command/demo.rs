@@ -1,11 +1,11 @@
 //! Tool `mr-slam demo`, which runs a fleet with a scripted operator that drives it over TCP, as a headset would.
 
+use super::up::FleetHooks;
 use crate::clock::now;
-use crate::command::up::FleetHooks;
+use crate::progress;
+use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
-use crate::supervisor::progress;
-use crate::supervisor::restarts::{DEATHS_MAX, RestartPolicy, State};
-use crate::supervisor::watchdog::{Finding, Watchdog};
+use crate::watchdog::{Finding, Watchdog};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
 use std::os::unix::process::CommandExt;

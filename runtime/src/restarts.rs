@@ -3,8 +3,8 @@
 use msg::Monotonic;
 use std::time::Duration;
 
-/// The shortest time between a death and the next start: the end can be seen in the table,
-/// and a child that cannot start does not take a whole core.
+/// Time between a second death in a row and the next start. A first death is followed by a start at once: a robot outside
+/// the simulator drives on until the next bridge stops it. A child that cannot start does not take a whole core.
 const RESTART_DELAY: Duration = Duration::from_millis(200);
 /// The longest time between a death and the next start: back-off doubles up to it.
 const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
@@ -70,7 +70,10 @@ impl RestartPolicy {
         self.state = if self.deaths > DEATHS_MAX {
             State::Held
         } else {
-            let delay = RESTART_DELAY.saturating_mul(1 << (self.deaths - 1)).min(RESTART_DELAY_MAX);
+            let delay = match self.deaths {
+                1 => Duration::ZERO,
+                deaths => RESTART_DELAY.saturating_mul(1 << (deaths - 2)).min(RESTART_DELAY_MAX),
+            };
             State::Waiting { until: Monotonic(now.0 + delay.as_nanos() as u64) }
         };
         self.state
@@ -91,7 +94,7 @@ mod tests {
             policy.on_started(Monotonic(now));
             now += lives;
             let State::Waiting { until } = policy.on_death(Monotonic(now)) else { break };
-            assert!(!policy.is_due(Monotonic(until.0 - 1)) && policy.is_due(until));
+            assert!(policy.is_due(until) && (until.0 == now || !policy.is_due(Monotonic(until.0 - 1))));
             delays.push((until.0 - now) / 1_000_000);
             now = until.0;
         }
@@ -100,11 +103,11 @@ mod tests {
 
     #[test]
     fn back_off_doubles_to_five_seconds_and_ends_after_eight_deaths() {
-        assert_eq!(delays(SECOND), [200, 400, 800, 1600, 3200, 5000, 5000, 5000]);
+        assert_eq!(delays(SECOND), [0, 200, 400, 800, 1600, 3200, 5000, 5000]);
     }
 
     #[test]
-    fn a_process_that_lived_ten_seconds_starts_the_back_off_anew() {
-        assert_eq!(delays(10 * SECOND), vec![200; 2 * DEATHS_MAX as usize]);
+    fn a_process_that_lived_ten_seconds_is_started_at_once() {
+        assert_eq!(delays(10 * SECOND), vec![0; 2 * DEATHS_MAX as usize]);
     }
 }

@@ -1,8 +1,7 @@
-//! Limits of the velocities that the bridge sends to robots.
+//! The settings of the velocities that the bridge sends to robots.
 
-use super::Velocity;
-use crate::config::ConfigError;
-use msg::{ROBOTS_MAX, RobotId};
+use super::ConfigError;
+use msg::ROBOTS_MAX;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -45,25 +44,6 @@ impl Default for VelocityConfig {
     }
 }
 
-/// Largest speeds of a robot in either direction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RobotLimits {
-    /// Forward and backward, m/s.
-    pub linear_m_s: f64,
-    /// In either direction, rad/s.
-    pub angular_rad_s: f64,
-}
-
-impl RobotLimits {
-    /// Returns the velocity with each component within its limit; it must be finite.
-    pub fn clamp(&self, velocity: Velocity) -> Velocity {
-        Velocity {
-            linear_m_s: velocity.linear_m_s.clamp(-self.linear_m_s, self.linear_m_s),
-            angular_rad_s: velocity.angular_rad_s.clamp(-self.angular_rad_s, self.angular_rad_s),
-        }
-    }
-}
-
 impl VelocityConfig {
     /// Refuses values that cannot work; the error names the key.
     pub fn validate(&self) -> Result<(), ConfigError> {
@@ -71,27 +51,19 @@ impl VelocityConfig {
             return Err(ConfigError::new(
                 "velocity.timeout_s",
                 self.timeout_s.to_string(),
-                "0.1 to 10 seconds work",
+                "0.1 to 10 seconds",
             ));
         }
-        check_limits(self.linear_m_s, self.angular_rad_s)?;
-        for limits in &self.robots {
+        check_limits("velocity", self.linear_m_s, self.angular_rad_s)?;
+        for (index, limits) in self.robots.iter().enumerate() {
+            let table = format!("velocity.robots[{index}]");
             if !(1..=ROBOTS_MAX).contains(&limits.robot) {
-                let expected = "the number of a robot of the fleet works";
-                return Err(ConfigError::new("velocity.robots.robot", limits.robot.to_string(), expected));
+                let expected = "the number of a robot, 1 to 64";
+                return Err(ConfigError::new(table + ".robot", limits.robot.to_string(), expected));
             }
-            check_limits(limits.linear_m_s, limits.angular_rad_s)?;
+            check_limits(&table, limits.linear_m_s, limits.angular_rad_s)?;
         }
         Ok(())
-    }
-
-    /// Returns the limits of a robot.
-    pub fn limits(&self, robot: RobotId) -> RobotLimits {
-        let own = self.robots.iter().find(|limits| limits.robot == robot.number());
-        let (linear_m_s, angular_rad_s) = own.map_or((self.linear_m_s, self.angular_rad_s), |limits| {
-            (limits.linear_m_s, limits.angular_rad_s)
-        });
-        RobotLimits { linear_m_s, angular_rad_s }
     }
 
     /// Returns [`Self::timeout_s`] as a duration.
@@ -100,11 +72,26 @@ impl VelocityConfig {
     }
 }
 
-fn check_limits(linear_m_s: f64, angular_rad_s: f64) -> Result<(), ConfigError> {
-    let check = |key, value: f64, max: f64, expected| {
-        let is_valid = value > 0.0 && value <= max;
-        if is_valid { Ok(()) } else { Err(ConfigError::new(key, value.to_string(), expected)) }
-    };
-    check("velocity.linear_m_s", linear_m_s, LINEAR_MAX_M_S, "above 0, at most 10 m/s work")?;
-    check("velocity.angular_rad_s", angular_rad_s, ANGULAR_MAX_RAD_S, "above 0, at most 20 rad/s work")
+/// Checks the limits of the table with this path.
+fn check_limits(table: &str, linear_m_s: f64, angular_rad_s: f64) -> Result<(), ConfigError> {
+    check_speed(|| format!("{table}.linear_m_s"), linear_m_s, LINEAR_MAX_M_S, "above 0, at most 10 m/s")?;
+    let key = || format!("{table}.angular_rad_s");
+    check_speed(key, angular_rad_s, ANGULAR_MAX_RAD_S, "above 0, at most 20 rad/s")
+}
+
+/// Checks the speeds of a thumb stick at full deflection.
+pub(super) fn check_stick(linear_m_s: f64, angular_rad_s: f64) -> Result<(), ConfigError> {
+    check_speed(|| "stick_linear_m_s".into(), linear_m_s, LINEAR_MAX_M_S, "above 0, at most 10 m/s")?;
+    let key = || "stick_angular_rad_s".into();
+    check_speed(key, angular_rad_s, ANGULAR_MAX_RAD_S, "above 0, at most 20 rad/s")
+}
+
+fn check_speed(
+    key: impl FnOnce() -> String,
+    value: f64,
+    max: f64,
+    expected: &'static str,
+) -> Result<(), ConfigError> {
+    let is_valid = value > 0.0 && value <= max;
+    if is_valid { Ok(()) } else { Err(ConfigError::new(key(), value.to_string(), expected)) }
 }

@@ -1,15 +1,16 @@
 //! The settings of the ROS 2 endpoint.
 
-use crate::config::ConfigError;
+use super::ConfigError;
+use super::discovery::{DOMAIN_MAX, Discovery, OrEnvironment};
 use crate::repeater::Repetition;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// The highest domain whose UDP ports exist (RTPS 2.5, 9.6.1.1).
-const DOMAIN_MAX: u16 = 232;
-
 /// The highest `relayed_topics_max`. RustDDS's cost of discovery grows with every reader and writer.
 const RELAYED_TOPICS_LIMIT: usize = 1024;
+/// The highest `relayed_services_max`, for the same reason.
+const RELAYED_SERVICES_LIMIT: usize = 1024;
+
 /// Type of velocities on DDS, where a topic is read and written by type.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -40,11 +41,12 @@ impl VelocityMessage {
 pub struct DdsConfig {
     /// Whether the fleet's topics are on DDS, for ROS 2.
     pub enabled: bool,
-    /// ROS_DOMAIN_ID of the ROS 2 nodes to communicate with, 0 to 232.
-    pub domain: u16,
+    /// Domain of the ROS 2 nodes to communicate with, 0 to 232; `"environment"`: ROS_DOMAIN_ID, or 0.
+    pub domain: OrEnvironment<u16>,
     /// Whether to communicate with this machine alone. Otherwise everybody in the domain may watch, and may drive
-    /// only if `bridge.drive` is `anyone`: DDS does not identify who publishes.
-    pub loopback_only: bool,
+    /// only if `bridge.drive` is `anyone`: DDS does not identify who publishes. `"environment"`: as
+    /// ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_LOCALHOST_ONLY say; without them this machine alone.
+    pub loopback_only: OrEnvironment<bool>,
     /// Prefix of all topics but /tf, /tf_static and /clock: `/lab` makes `/lab/robot1/scan`.
     pub namespace: String,
     /// Name of the node in the ROS graph.
@@ -63,14 +65,16 @@ pub struct DdsConfig {
     pub transform_hold_s: f64,
     /// Topics, besides the fleet's, that clients and ROS nodes may exchange at a time, 0 to 1024.
     pub relayed_topics_max: usize,
+    /// Services, besides SLAM's, that clients may call in ROS or offer to it at a time, 0 to 1024.
+    pub relayed_services_max: usize,
 }
 
 impl Default for DdsConfig {
     fn default() -> Self {
         Self {
             enabled: false,
-            domain: 0,
-            loopback_only: true,
+            domain: OrEnvironment::Environment,
+            loopback_only: OrEnvironment::Environment,
             namespace: String::new(),
             node: "mr_slam".into(),
             velocity: VelocityMessage::Twist,
@@ -78,6 +82,7 @@ impl Default for DdsConfig {
             transform_tolerance_s: 0.2,
             transform_hold_s: 1.0,
             relayed_topics_max: 256,
+            relayed_services_max: 128,
         }
     }
 }
@@ -85,31 +90,35 @@ impl Default for DdsConfig {
 impl DdsConfig {
     /// Refuses values that cannot work.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
-        if self.domain > DOMAIN_MAX {
-            return Err(ConfigError::new("dds.domain", self.domain.to_string(), "domains 0 to 232 exist"));
+        if self.domain() > DOMAIN_MAX {
+            return Err(ConfigError::new("dds.domain", self.domain().to_string(), "0 to 232"));
         }
         if self.relayed_topics_max > RELAYED_TOPICS_LIMIT {
             let value = self.relayed_topics_max.to_string();
-            return Err(ConfigError::new("dds.relayed_topics_max", value, "0 to 1024 topics work"));
+            return Err(ConfigError::new("dds.relayed_topics_max", value, "0 to 1024 topics"));
+        }
+        if self.relayed_services_max > RELAYED_SERVICES_LIMIT {
+            let value = self.relayed_services_max.to_string();
+            return Err(ConfigError::new("dds.relayed_services_max", value, "0 to 1024 services"));
         }
         let parts = self.namespace.strip_prefix('/').map(|rest| rest.split('/'));
         let is_valid = self.namespace.is_empty() || parts.is_some_and(|mut parts| parts.all(is_name));
         if !is_valid {
             let value = format!("'{}'", self.namespace);
-            return Err(ConfigError::new("dds.namespace", value, "expected nothing, or a name like /lab"));
+            return Err(ConfigError::new("dds.namespace", value, "nothing, or a name like /lab"));
         }
         if !is_name(&self.node) {
             let value = format!("'{}'", self.node);
-            return Err(ConfigError::new("dds.node", value, "expected letters, digits and underscores"));
+            return Err(ConfigError::new("dds.node", value, "letters, digits and underscores"));
         }
         self.validate_transforms()
     }
 
     fn validate_transforms(&self) -> Result<(), ConfigError> {
         let limits = [
-            ("dds.transform_rate_hz", self.transform_rate_hz, 0.0..=200.0, "0 to 200 Hz work"),
-            ("dds.transform_tolerance_s", self.transform_tolerance_s, 0.0..=5.0, "0 to 5 seconds work"),
-            ("dds.transform_hold_s", self.transform_hold_s, 0.1..=60.0, "0.1 to 60 seconds work"),
+            ("dds.transform_rate_hz", self.transform_rate_hz, 0.0..=200.0, "0 to 200 Hz"),
+            ("dds.transform_tolerance_s", self.transform_tolerance_s, 0.0..=5.0, "0 to 5 seconds"),
+            ("dds.transform_hold_s", self.transform_hold_s, 0.1..=60.0, "0.1 to 60 seconds"),
         ];
         for (key, value, range, expected) in limits {
             if !range.contains(&value) {
@@ -121,6 +130,23 @@ impl DdsConfig {
 }
 
 impl DdsConfig {
+    /// Returns the domain; 0 if it is left to the environment and [`Self::set_discovery`] was not called.
+    pub fn domain(&self) -> u16 {
+        self.domain.value().unwrap_or(0)
+    }
+
+    /// Returns whether only nodes on this machine are found, as it is if that is left to the environment and
+    /// [`Self::set_discovery`] was not called.
+    pub fn is_loopback_only(&self) -> bool {
+        self.loopback_only.value().unwrap_or(true)
+    }
+
+    /// Replaces what is left to the environment by what was decided.
+    pub fn set_discovery(&mut self, discovery: &Discovery) {
+        self.domain = discovery.domain.into();
+        self.loopback_only = discovery.is_loopback_only.into();
+    }
+
     /// Returns how transforms map -> odom are repeated.
     pub(crate) fn repetition(&self) -> Repetition {
         Repetition {
@@ -160,6 +186,6 @@ mod tests {
         assert!(with(|c| c.namespace = "lab".into()).is_err());
         assert!(with(|c| c.namespace = "/lab//a".into()).is_err());
         assert!(with(|c| c.node = "1st".into()).is_err());
-        assert!(with(|c| c.domain = 233).is_err());
+        assert!(with(|c| c.domain = 233.into()).is_err());
     }
 }

@@ -1,12 +1,14 @@
 //! Test of a client on a weak link: a simulated socket that takes 60 kB/s, on simulated time.
 
 use super::*;
-use crate::fleet_topics::FleetMessage;
+use crate::command::Registration;
+use crate::frame::Side;
 use crate::ros::{Clock, LaserScan, Message, OccupancyGrid, TfMessage};
-use crate::{Bridge, command::Registration};
 use bytemuck::Zeroable;
-use msg::{GridHeader, GridView, Link, Monotonic, RobotId, Scan, Stamp, Transforms};
-use std::cell::{Cell, RefCell};
+use msg::{GridHeader, GridView, Link, Scan, Transforms};
+use std::cell::Cell;
+use std::io::IoSlice;
+use std::rc::Rc;
 
 /// What the link carries, bytes per second.
 const RATE: f64 = 60e3;

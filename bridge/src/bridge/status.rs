@@ -1,0 +1,123 @@
+//! The state of the fleet as the operator's page shows it.
+
+use super::Bridge;
+use crate::core::Core;
+use crate::drive::Driver;
+use crate::drive::velocity_gate::RobotLimits;
+use crate::router::ClientId;
+use msg::{Distribution, FleetStats, Monotonic, RobotId, RobotStats, TrackingState};
+use serde::Serialize;
+
+/// The state of the fleet. What is not known is null in JSON.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct FleetStatus {
+    /// The robots, in order of their numbers.
+    pub robots: Vec<RobotStatus>,
+    /// Known area of the merged map, square metres.
+    merged_known_m2: Option<f64>,
+    /// Known cells of the merged map over the observable cells of the room, 0 to 1.
+    room_coverage: Option<f64>,
+    /// Share of commonly known cells on which the robots' maps agree, 0 to 1.
+    consistency: Option<f64>,
+    /// The same by chance, under wrong transforms.
+    null_consistency: Option<f64>,
+    /// Pairs of maps that overlap.
+    overlapping_pairs: Option<u32>,
+}
+
+/// The state of one robot.
+// More than 12 fields: one row of figures, as the page shows it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct RobotStatus {
+    /// The beginning of its topics' names, such as `/robot1/`.
+    prefix: String,
+    /// Number, from 1.
+    number: usize,
+    /// Who drives it: an address, or `ROS 2`.
+    driver: Option<String>,
+    /// Whether this client drives it.
+    is_mine: bool,
+    /// Largest speed forward and backward, m/s.
+    linear_max_m_s: f64,
+    /// Largest turning rate, rad/s.
+    angular_max_rad_s: f64,
+    /// State of SLAM, such as `tracking`.
+    slam: Option<&'static str>,
+    /// Scans that reached SLAM in the last second.
+    scan_hz: Option<f64>,
+    /// Scans lost since the start.
+    scans_lost: Option<u64>,
+    /// Known cells over all cells of its map, 0 to 1.
+    coverage: Option<f64>,
+    /// Known area of its map, square metres.
+    known_m2: Option<f64>,
+    /// Width and height of its map, cells.
+    map_cells: Option<[u32; 2]>,
+    /// Scan to pose, milliseconds: median and 95th percentile.
+    scan_to_pose_ms: Option<[f32; 2]>,
+    /// Scan to map, milliseconds: median and 95th percentile.
+    scan_to_map_ms: Option<[f32; 2]>,
+    /// Nodes of the pose graph.
+    nodes: Option<u32>,
+    /// Loop closures of the pose graph.
+    closures: Option<u32>,
+    /// Whether its map is part of the merged map.
+    is_merged: Option<bool>,
+}
+
+impl Bridge {
+    /// Returns the state of the fleet for a client.
+    pub(crate) fn fleet_status(&self, viewer: ClientId, now: Monotonic) -> FleetStatus {
+        let core = self.core.borrow();
+        let stats = core.stats.as_deref();
+        let finite = |value: fn(&FleetStats) -> f64| stats.map(value).filter(|value| value.is_finite());
+        FleetStatus {
+            robots: core.fleet.robots().map(|robot| robot_status(&core, robot, viewer, now)).collect(),
+            merged_known_m2: stats.map(|stats| known_m2(&stats.merged)),
+            room_coverage: finite(|stats| stats.room_coverage),
+            consistency: finite(|stats| stats.consistency)
+                .filter(|_| stats.is_some_and(|s| s.pair_count > 0)),
+            null_consistency: finite(|stats| stats.null_consistency_mean)
+                .filter(|_| stats.is_some_and(|stats| stats.null_count > 0)),
+            overlapping_pairs: stats.map(|stats| stats.pair_count),
+        }
+    }
+}
+
+fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -> RobotStatus {
+    let stats = core.stats.as_deref().map(|stats| &stats.robots[robot.index()]);
+    let driver = core.gate.drive().leaseholder(robot, now);
+    let limits = RobotLimits::new(&core.config.velocity, robot);
+    RobotStatus {
+        prefix: core.fleet.robot_names().topic(robot, ""),
+        number: robot.number(),
+        driver: driver.map(|driver| driver_name(core, driver)),
+        is_mine: driver.is_some_and(|driver| driver.client == Some(viewer)),
+        linear_max_m_s: limits.linear_m_s,
+        angular_max_rad_s: limits.angular_rad_s,
+        slam: stats.and_then(|stats| TrackingState::from_code(stats.state)).map(TrackingState::name),
+        scan_hz: stats.map(|stats| stats.scan_hz),
+        scans_lost: stats.map(|stats| stats.scans_lost),
+        coverage: stats.map(|stats| stats.coverage).filter(|coverage| coverage.is_finite()),
+        known_m2: stats.map(known_m2),
+        map_cells: stats.map(|stats| [stats.width, stats.height]),
+        scan_to_pose_ms: stats.and_then(|stats| percentiles(&stats.scan_to_pose_ms)),
+        scan_to_map_ms: stats.and_then(|stats| percentiles(&stats.scan_to_map_ms)),
+        nodes: stats.map(|stats| stats.nodes),
+        closures: stats.map(|stats| stats.closures),
+        is_merged: stats.map(|stats| stats.merged == 1),
+    }
+}
+
+fn driver_name(core: &Core, driver: Driver) -> String {
+    let peer = driver.client.and_then(|id| core.router.client(id)).map(|client| client.peer.to_string());
+    peer.or_else(|| driver.address.map(|address| address.to_string())).unwrap_or_else(|| "ROS 2".into())
+}
+
+fn known_m2(stats: &RobotStats) -> f64 {
+    f64::from(stats.free_cells + stats.occupied_cells) * stats.resolution_m * stats.resolution_m
+}
+
+fn percentiles(measured: &Distribution) -> Option<[f32; 2]> {
+    (measured.count > 0).then_some([measured.p50, measured.p95])
+}

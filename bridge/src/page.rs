@@ -1,0 +1,21 @@
+//! The operator's page: HTTP and the Foxglove WebSocket protocol on one port, around the same [`crate::Bridge`].
+//!
+//! ```text
+//!   browser ◀─ HTTP: the page ──────────── server ── files given by the caller
+//!   browser ◀─ WebSocket: Foxglove ─ encoder ◀─ ros_tcp frames ── the client's queue in the router
+//!   browser ── WebSocket: Foxglove ─▶ session ── ros_tcp frames ─▶ Bridge::receive
+//! ```
+//! To the bridge, a page is a client like one on TCP: permissions, leases, limits and queues are the same. Payloads are
+//! the same bytes; only what surrounds them is written anew, without a copy of maps.
+
+mod encoder;
+mod http;
+mod origin;
+mod protocol;
+mod schema;
+mod server;
+mod session;
+mod socket;
+
+pub use http::PageFile;
+pub use server::serve_page;

@@ -1,0 +1,260 @@
+//! Messages of the Foxglove WebSocket protocol (`foxglove.sdk.v1`), as far as the bridge speaks it.
+//!
+//! Text messages are JSON objects with the field `op`. Binary messages begin with one byte that says what they are;
+//! numbers in them are little-endian. Source: the protocol's description in foxglove/ws-protocol and foxglove-sdk.
+
+use crate::bridge::FleetStatus;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Names of the protocol that the bridge accepts, the preferred first.
+pub const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1.1", "foxglove.sdk.v1"];
+/// Encoding of all messages: CDR with its encapsulation header, as on DDS.
+pub const ENCODING: &str = "cdr";
+/// Encoding of all schemas: ROS 2 message definitions.
+pub const SCHEMA_ENCODING: &str = "ros2msg";
+/// The parameter with the state of the fleet: figures of telemetry, and who drives each robot.
+pub const FLEET_PARAMETER: &str = "/mr_slam/fleet";
+/// First byte of a message on a subscription, from the server.
+pub const MESSAGE_DATA: u8 = 1;
+/// First byte of a message that a client publishes.
+const CLIENT_MESSAGE: u8 = 1;
+/// Bytes before the payload of [`MESSAGE_DATA`]: kind, subscription, time.
+pub const MESSAGE_HEADER_BYTES: usize = 1 + 4 + 8;
+
+/// A text message from a client.
+#[derive(Debug, PartialEq, Eq, Deserialize)]
+#[serde(tag = "op", rename_all = "camelCase")]
+pub enum ClientCommand {
+    /// Begins to receive topics.
+    Subscribe {
+        /// What to subscribe to.
+        subscriptions: Vec<Subscription>,
+    },
+    /// Ends some of the client's subscriptions.
+    #[serde(rename_all = "camelCase")]
+    Unsubscribe {
+        /// The client's numbers of the subscriptions.
+        subscription_ids: Vec<u32>,
+    },
+    /// Registers topics that the client will publish.
+    Advertise {
+        /// Topics with the numbers that the client gives them.
+        channels: Vec<ClientChannel>,
+    },
+    /// Ends some of the client's publications.
+    #[serde(rename_all = "camelCase")]
+    Unadvertise {
+        /// The client's numbers of the topics.
+        channel_ids: Vec<u32>,
+    },
+    /// Asks for parameters' values whenever they change. The bridge has one, [`FLEET_PARAMETER`], and sends it always.
+    SubscribeParameterUpdates,
+    /// Ends what [`Self::SubscribeParameterUpdates`] began.
+    UnsubscribeParameterUpdates,
+    /// Anything that the bridge does not offer, such as services.
+    #[serde(other)]
+    Other,
+}
+
+/// A subscription that a client asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Subscription {
+    /// Number that the client chose: its messages carry it.
+    pub id: u32,
+    /// The server's number of the topic.
+    pub channel_id: u64,
+}
+
+/// A topic that a client will publish.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct ClientChannel {
+    /// Number that the client chose: its messages carry it.
+    pub id: u32,
+    /// Topic's name in ROS.
+    pub topic: String,
+    /// Encoding of the messages; the bridge takes [`ENCODING`].
+    pub encoding: String,
+    /// ROS type, as `geometry_msgs/msg/Twist` or `geometry_msgs/Twist`.
+    pub schema_name: String,
+}
+
+/// A text message from the server.
+#[derive(Debug, Serialize)]
+#[serde(tag = "op", rename_all = "camelCase")]
+pub enum ServerCommand<'a> {
+    /// The first message: what the server can do.
+    #[serde(rename_all = "camelCase")]
+    ServerInfo {
+        /// Name for people.
+        name: &'a str,
+        /// What clients may do beside subscribing.
+        capabilities: &'a [&'a str],
+        /// Encodings of clients' messages.
+        supported_encodings: &'a [&'a str],
+        /// Number of this bridge process: another one after a restart.
+        session_id: &'a str,
+    },
+    /// Topics that clients may subscribe to.
+    Advertise {
+        /// Topics with the numbers that the server gives them.
+        channels: Vec<Channel<'a>>,
+    },
+    /// Topics that are gone.
+    #[serde(rename_all = "camelCase")]
+    Unadvertise {
+        /// The server's numbers of the topics.
+        channel_ids: Vec<u64>,
+    },
+    /// Values of parameters.
+    ParameterValues {
+        /// The one parameter that there is.
+        parameters: [Parameter<'a>; 1],
+    },
+    /// Text for a person.
+    Status {
+        /// How much it matters.
+        level: StatusLevel,
+        /// Text for a person.
+        message: &'a str,
+    },
+}
+
+/// A parameter with its value.
+#[derive(Debug, Serialize)]
+pub struct Parameter<'a> {
+    /// Name of the parameter: [`FLEET_PARAMETER`].
+    pub name: &'a str,
+    /// State of the fleet.
+    pub value: &'a FleetStatus,
+}
+
+/// Severity of a status, as the protocol numbers it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StatusLevel {
+    /// Something happened that nobody needs to act on.
+    Info = 0,
+    /// Something needs attention.
+    Warning = 1,
+    /// Something was refused.
+    Error = 2,
+}
+
+impl Serialize for StatusLevel {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_u8(*self as u8)
+    }
+}
+
+/// A topic that clients may subscribe to.
+#[derive(Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Channel<'a> {
+    /// The server's number of the topic on this connection.
+    pub id: u64,
+    /// Topic's name in ROS.
+    pub topic: &'a str,
+    /// Encoding of the messages: [`ENCODING`].
+    pub encoding: &'a str,
+    /// ROS type, as `geometry_msgs/msg/Twist`.
+    pub schema_name: String,
+    /// The type's definition and those of the types that it uses.
+    pub schema: String,
+    /// Encoding of the schema: [`SCHEMA_ENCODING`].
+    pub schema_encoding: &'a str,
+}
+
+/// A binary message from a client: a message on one of its topics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClientMessage<'a> {
+    /// The client's number of the topic.
+    pub channel: u32,
+    /// The message, CDR with its encapsulation header.
+    pub payload: &'a [u8],
+}
+
+/// Why a binary message is refused.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum BinaryError {
+    /// The message ends before its header does.
+    #[error("a binary message of {0} bytes is too short")]
+    Short(usize),
+    /// The first byte names nothing that the bridge offers.
+    #[error("a binary message begins with {0}; the bridge takes 1 (a message on a topic)")]
+    Kind(u8),
+}
+
+impl<'a> ClientMessage<'a> {
+    /// Reads a binary message.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, BinaryError> {
+        match bytes {
+            [CLIENT_MESSAGE, a, b, c, d, payload @ ..] => {
+                Ok(Self { channel: u32::from_le_bytes([*a, *b, *c, *d]), payload })
+            }
+            [] | [CLIENT_MESSAGE, ..] => Err(BinaryError::Short(bytes.len())),
+            [kind, ..] => Err(BinaryError::Kind(*kind)),
+        }
+    }
+}
+
+/// Returns a ROS type as ROS 2 tools write it: `geometry_msgs/msg/Twist`.
+pub fn schema_name(message_type: &str) -> String {
+    match message_type.split_once('/') {
+        Some((package, name)) => format!("{package}/msg/{name}"),
+        None => message_type.to_owned(),
+    }
+}
+
+/// Returns a ROS type as the bridge writes it: `geometry_msgs/Twist`.
+pub fn message_type(schema_name: &str) -> String {
+    schema_name.replacen("/msg/", "/", 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn commands_are_read_as_the_protocol_writes_them() {
+        let read = |json: &str| serde_json::from_str::<ClientCommand>(json).unwrap();
+        let subscriptions = vec![Subscription { id: 3, channel_id: 7 }];
+        assert_eq!(
+            read(r#"{"op":"subscribe","subscriptions":[{"id":3,"channelId":7}]}"#),
+            ClientCommand::Subscribe { subscriptions }
+        );
+        let subscription_ids = vec![3];
+        assert_eq!(
+            read(r#"{"op":"unsubscribe","subscriptionIds":[3]}"#),
+            ClientCommand::Unsubscribe { subscription_ids }
+        );
+        assert_eq!(read(r#"{"op":"getParameters","parameterNames":[]}"#), ClientCommand::Other);
+        let advertise = read(
+            r#"{"op":"advertise","channels":[{"id":1,"topic":"/cmd_vel_1","encoding":"cdr",
+                "schemaName":"geometry_msgs/msg/Twist","schema":"","schemaEncoding":"ros2msg"}]}"#,
+        );
+        let ClientCommand::Advertise { channels } = advertise else { panic!("{advertise:?}") };
+        assert_eq!(message_type(&channels[0].schema_name), "geometry_msgs/Twist");
+        assert_eq!(schema_name("geometry_msgs/Twist"), "geometry_msgs/msg/Twist");
+    }
+
+    #[test]
+    fn a_status_has_the_protocols_numbers() {
+        let status = ServerCommand::Status { level: StatusLevel::Error, message: "no" };
+        let json = serde_json::to_string(&status).unwrap();
+        assert_eq!(json, r#"{"op":"status","level":2,"message":"no"}"#);
+    }
+
+    proptest! {
+        #[test]
+        fn random_bytes_are_a_message_or_an_error(bytes in proptest::collection::vec(any::<u8>(), 0..32)) {
+            match ClientMessage::parse(&bytes) {
+                Ok(message) => prop_assert_eq!(message.payload.len() + 5, bytes.len()),
+                Err(_) => prop_assert!(bytes.len() < 5 || bytes[0] != 1),
+            }
+            let _ = serde_json::from_slice::<ClientCommand>(&bytes);
+        }
+    }
+}

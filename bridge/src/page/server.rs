@@ -1,0 +1,366 @@
+//! The page's server: one task for each connection, on the thread of the bridge.
+
+use super::encoder::Encoder;
+use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_request, text_response};
+use super::protocol::{ENCODING, ServerCommand};
+use super::session::Session;
+use super::socket::{MessageReader, PageSocket};
+use crate::bridge::Bridge;
+use crate::config::PageConfig;
+use crate::frame::Frame;
+use crate::router::{BufferPool, ClientId, FlushOutcome, OutgoingQueue};
+use crate::server::{close_gently, set_socket_options};
+use msg::Monotonic;
+use std::cell::RefCell;
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::rc::Rc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::io::Interest;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Notify;
+use tokio::task::{JoinSet, yield_now};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
+use tungstenite::Message;
+
+/// Connections that are no clients yet or never will be, beside the clients; more are dropped.
+const REQUESTS_MAX: usize = 32;
+/// A request must be complete after this time.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+/// A file must be taken in this time. The whole page is smaller than a map.
+const FILE_TIMEOUT: Duration = Duration::from_secs(20);
+/// Pause after accept(2) failed, as it does when file descriptors run out.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+/// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
+const UPKEEP_PERIOD: Duration = Duration::from_millis(500);
+/// Bytes read at a time.
+const READ_BYTES: usize = 16 << 10;
+/// Messages of one client that are handled before other clients get their turn.
+const MESSAGES_PER_TURN: usize = 64;
+/// What the server can do beside subscriptions, in the protocol's words.
+const CAPABILITIES: [&str; 2] = ["clientPublish", "parametersSubscribe"];
+/// Name of the server for people.
+const SERVER_NAME: &str = "MR-SLAM";
+/// A WebSocket frame that closes the connection, with code 1000: normal (RFC 6455, 5.5.1 and 7.4.1).
+const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
+
+/// What all connections share.
+struct Shared {
+    bridge: Rc<Bridge>,
+    files: &'static [PageFile],
+    origins: Vec<String>,
+    clock: fn() -> Monotonic,
+    session_id: String,
+}
+
+impl Shared {
+    /// Returns the first message to each client.
+    fn greeting(&self) -> ServerCommand<'_> {
+        ServerCommand::ServerInfo {
+            name: SERVER_NAME,
+            capabilities: &CAPABILITIES,
+            supported_encodings: &[ENCODING],
+            session_id: &self.session_id,
+        }
+    }
+}
+
+/// Serves the page and its WebSockets until `stop` is ready.
+///
+/// Runs inside a [`tokio::task::LocalSet`] beside [`crate::serve`], which also calls the bridge when something is due.
+pub async fn serve_page(
+    bridge: Rc<Bridge>,
+    listener: TcpListener,
+    config: &PageConfig,
+    files: &'static [PageFile],
+    clock: fn() -> Monotonic,
+    stop: impl Future<Output = ()>,
+) {
+    let connections_max = bridge.clients_max() + REQUESTS_MAX;
+    let (origins, session_id) = (config.origins.clone(), session_id());
+    let shared = Rc::new(Shared { bridge, files, origins, clock, session_id });
+    let mut tasks = JoinSet::new();
+    let mut stop = std::pin::pin!(stop);
+    loop {
+        tokio::select! {
+            biased;
+            () = &mut stop => break,
+            Some(_) = tasks.join_next() => {}
+            accepted = listener.accept() => match accepted {
+                Ok((stream, peer)) if tasks.len() < connections_max => {
+                    tasks.spawn_local(serve_connection(shared.clone(), stream, peer));
+                }
+                Ok(_) => {}
+                Err(_) => sleep(ACCEPT_PAUSE).await,
+            },
+        }
+    }
+    tasks.shutdown().await;
+}
+
+/// Returns a text that is another one after each start.
+fn session_id() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    format!("{}-{}", std::process::id(), since.as_nanos())
+}
+
+/// Answers the connection's one request.
+async fn serve_connection(shared: Rc<Shared>, stream: TcpStream, peer: SocketAddr) {
+    let Ok(local) = stream.local_addr() else { return };
+    if set_socket_options(&stream, shared.bridge.unsent_bytes_max()).is_err() {
+        return;
+    }
+    let mut received = Vec::new();
+    let read = timeout(REQUEST_TIMEOUT, read_request(&stream, &mut received, local, &shared.origins)).await;
+    let Ok(Ok(request)) = read else { return };
+    let (head, body) = match request {
+        Ok((Request::WebSocket { response }, length)) => {
+            let first_bytes = received.split_off(length);
+            return serve_web_socket(&shared, stream, peer, response, &first_bytes).await;
+        }
+        Ok((Request::File { path, with_body }, _)) => file_response(shared.files, &path, with_body),
+        Err(error) => (error.response(), [].as_slice()),
+    };
+    respond(&stream, &head, body).await;
+}
+
+/// A request and its length, or why it is refused.
+type RequestResult = Result<(Request, usize), super::http::RequestError>;
+
+async fn read_request(
+    stream: &TcpStream,
+    received: &mut Vec<u8>,
+    local: SocketAddr,
+    origins: &[String],
+) -> io::Result<RequestResult> {
+    loop {
+        match parse_request(received, local.ip(), origins) {
+            Ok(Some(request)) => return Ok(Ok(request)),
+            Ok(None) => {}
+            Err(error) => return Ok(Err(error)),
+        }
+        stream.readable().await?;
+        let mut buffer = [0; 4096];
+        let space = buffer.len().min(HEAD_BYTES_MAX - received.len());
+        match stream.try_read(&mut buffer[..space]) {
+            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(count) => received.extend_from_slice(&buffer[..count]),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Sends a response and closes the connection.
+async fn respond(stream: &TcpStream, head: &[u8], body: &[u8]) {
+    let write = async {
+        for mut bytes in [head, body] {
+            while !bytes.is_empty() {
+                stream.writable().await?;
+                match stream.try_write(bytes) {
+                    Ok(written) => bytes = &bytes[written..],
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                    Err(error) => return Err(error),
+                }
+            }
+        }
+        Ok::<(), io::Error>(())
+    };
+    if let Ok(Ok(())) = timeout(FILE_TIMEOUT, write).await {
+        close_gently(stream).await;
+    }
+}
+
+/// One browser: its connection, and its state.
+struct Connection<'a> {
+    shared: &'a Shared,
+    id: ClientId,
+    stream: &'a TcpStream,
+    encoder: &'a RefCell<Encoder>,
+    session: Session,
+    reader: MessageReader,
+}
+
+impl Drop for Connection<'_> {
+    /// Disconnects the client however its task ends.
+    fn drop(&mut self) {
+        self.shared.bridge.disconnect(self.id);
+    }
+}
+
+async fn serve_web_socket(
+    shared: &Shared,
+    stream: TcpStream,
+    peer: SocketAddr,
+    response: Vec<u8>,
+    first_bytes: &[u8],
+) {
+    let (stream, wake) = (Rc::new(stream), Rc::new(Notify::new()));
+    let encoder = Rc::new(RefCell::new(Encoder::new(response)));
+    let socket = PageSocket {
+        stream: stream.clone(),
+        wake: wake.clone(),
+        clock: shared.clock,
+        encoder: encoder.clone(),
+    };
+    if encoder.borrow_mut().send(&shared.greeting()).is_err() {
+        return;
+    }
+    let id = match shared.bridge.connect_socket(peer, Box::new(socket)) {
+        Ok(id) => id,
+        Err(error) => {
+            let refusal = text_response("503 Service Unavailable", &error.to_string());
+            return respond(&stream, &refusal, &[]).await;
+        }
+    };
+    let (session, reader) = (Session::default(), MessageReader::new());
+    let mut connection = Connection { shared, id, stream: &stream, encoder: &encoder, session, reader };
+    // However it ends, the client is told what is left to say.
+    let _ = connection.run(&wake, first_bytes).await;
+    drop(connection);
+    let unsent = shared.bridge.take_unsent(id);
+    let last_words = send_last_words(unsent, &encoder, &stream);
+    if let Ok(Ok(())) = timeout(REQUEST_TIMEOUT, last_words).await {
+        close_gently(&stream).await;
+    }
+}
+
+/// Sends what is left for a client, then a WebSocket's close.
+async fn send_last_words(
+    mut unsent: Option<OutgoingQueue>,
+    encoder: &RefCell<Encoder>,
+    stream: &TcpStream,
+) -> io::Result<()> {
+    let mut pool = BufferPool::default();
+    while let Some(queue) = &mut unsent {
+        let write = |slices: &[io::IoSlice<'_>]| {
+            encoder.borrow_mut().write(slices, |slices| stream.try_write_vectored(slices))
+        };
+        match queue.flush(write, &mut pool)? {
+            FlushOutcome::Complete => unsent = None,
+            FlushOutcome::Blocked => stream.writable().await?,
+            FlushOutcome::TurnEnded => yield_now().await,
+        }
+    }
+    encoder.borrow_mut().send_frames(&CLOSE_FRAME)?;
+    while encoder.borrow().has_waiting() {
+        stream.writable().await?;
+        flush(encoder, stream)?;
+    }
+    Ok(())
+}
+
+/// Writes what the encoder holds, as far as the socket takes it.
+fn flush(encoder: &RefCell<Encoder>, stream: &TcpStream) -> io::Result<()> {
+    match encoder.borrow_mut().flush(&mut |slices: &[io::IoSlice<'_>]| stream.try_write_vectored(slices)) {
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
+        result => result,
+    }
+}
+
+impl Connection<'_> {
+    /// Reads and writes until the connection ends.
+    async fn run(&mut self, wake: &Notify, first_bytes: &[u8]) -> io::Result<()> {
+        let (bridge, stream) = (&self.shared.bridge, self.stream);
+        self.upkeep()?;
+        self.receive(first_bytes).await?;
+        let mut upkeep_due = Instant::now() + UPKEEP_PERIOD;
+        while let Ok(is_blocked) = bridge.is_blocked(self.id) {
+            let must_write = is_blocked || self.encoder.borrow().has_waiting();
+            let interest =
+                if must_write { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
+            let ready = tokio::select! {
+                biased;
+                ready = stream.ready(interest) => ready?,
+                () = wake.notified() => continue,
+                () = sleep_until(upkeep_due) => {
+                    upkeep_due = Instant::now() + UPKEEP_PERIOD;
+                    self.upkeep()?;
+                    continue;
+                }
+            };
+            if ready.is_readable() || ready.is_read_closed() {
+                let mut buffer = [0; READ_BYTES];
+                match stream.try_read(&mut buffer) {
+                    Ok(0) => break,
+                    Ok(count) => self.receive(&buffer[..count]).await?,
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                    Err(error) => return Err(error),
+                }
+            }
+            if ready.is_writable() {
+                flush(self.encoder, stream)?;
+                if is_blocked && bridge.flush_client(self.id) {
+                    yield_now().await;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Pings the client, tells it of topics that have come and gone, and of the fleet's state.
+    fn upkeep(&mut self) -> io::Result<()> {
+        let bridge = &self.shared.bridge;
+        let topics = bridge.topics();
+        self.session.update_channels(&topics, &mut self.encoder.borrow_mut())?;
+        let status = || bridge.fleet_status(self.id, (self.shared.clock)());
+        self.session.update_status(status, &mut self.encoder.borrow_mut())?;
+        self.reader.ping().map_err(io::Error::other)?;
+        self.send_replies()
+    }
+
+    fn send_replies(&mut self) -> io::Result<()> {
+        let replies = self.reader.take_replies();
+        self.encoder.borrow_mut().send_frames(&replies)?;
+        flush(self.encoder, self.stream)
+    }
+
+    /// Handles bytes from the client.
+    async fn receive(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.reader.push(bytes);
+        let mut messages = 0;
+        loop {
+            match self.reader.next_message() {
+                Ok(Some(message)) => self.handle(message)?,
+                Ok(None) => break,
+                Err(error) => {
+                    self.send_replies()?;
+                    return Err(io::Error::other(error));
+                }
+            }
+            messages += 1;
+            if messages % MESSAGES_PER_TURN == 0 {
+                self.shared.bridge.flush();
+                yield_now().await;
+            }
+        }
+        self.shared.bridge.flush();
+        self.send_replies()
+    }
+
+    fn handle(&mut self, message: Message) -> io::Result<()> {
+        let (bridge, now) = (&self.shared.bridge, (self.shared.clock)());
+        match message {
+            Message::Text(text) => {
+                let frames = self.session.receive_text(&text, &mut self.encoder.borrow_mut())?;
+                for frame in frames {
+                    let frame = Frame { name: frame.name.as_bytes(), payload: &frame.payload };
+                    bridge.receive(self.id, frame, now);
+                }
+            }
+            Message::Binary(bytes) => {
+                let found = self.session.receive_binary(&bytes, &mut self.encoder.borrow_mut())?;
+                if let Some((topic, payload)) = found {
+                    bridge.receive(self.id, Frame { name: topic.as_bytes(), payload }, now);
+                }
+            }
+            // Answers to pings: the client lives.
+            Message::Ping(_) | Message::Pong(_) => {
+                bridge.receive(self.id, Frame { name: b"", payload: b"" }, now);
+            }
+            Message::Close(_) | Message::Frame(_) => {}
+        }
+        Ok(())
+    }
+}

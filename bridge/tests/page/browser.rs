@@ -1,0 +1,153 @@
+//! A browser for the tests: the WebSocket side of one, as a blocking client.
+
+use bridge::ros::{Message, encode};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::http::HeaderValue;
+use tungstenite::protocol::Message as Frame;
+use tungstenite::{Error, HandshakeError, WebSocket};
+
+/// What has not come by then never comes: a test fails, and does not hang.
+pub(crate) const WAIT_MAX: Duration = Duration::from_secs(30);
+
+/// A connected browser.
+pub(crate) struct Browser {
+    pub(crate) socket: WebSocket<TcpStream>,
+    /// Channels by topic: number and schema name.
+    pub(crate) channels: BTreeMap<String, (u64, String)>,
+    pub(crate) statuses: Vec<(u64, String)>,
+    pub(crate) info: Value,
+    /// The newest state of the fleet.
+    pub(crate) fleet: Value,
+    next_id: u32,
+}
+
+/// A message on a subscription.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Data {
+    pub(crate) subscription: u32,
+    pub(crate) time_ns: u64,
+    pub(crate) payload: Vec<u8>,
+}
+
+impl Browser {
+    /// Connects with these headers; fails with the status of the response.
+    pub(crate) fn try_connect(address: SocketAddr, headers: &[(&'static str, &str)]) -> Result<Self, u16> {
+        let stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(WAIT_MAX)).unwrap();
+        let mut request = format!("ws://{address}/").into_client_request().unwrap();
+        let protocols = HeaderValue::from_static("foxglove.sdk.v1");
+        request.headers_mut().insert("Sec-WebSocket-Protocol", protocols);
+        for (name, value) in headers {
+            request.headers_mut().insert(*name, HeaderValue::from_str(value).unwrap());
+        }
+        let socket = match tungstenite::client::client(request, stream) {
+            Ok((socket, _)) => socket,
+            Err(HandshakeError::Failure(Error::Http(response))) => return Err(response.status().as_u16()),
+            Err(error) => panic!("{error}"),
+        };
+        let (channels, statuses) = (BTreeMap::new(), Vec::new());
+        let mut browser =
+            Self { socket, channels, statuses, info: Value::Null, fleet: Value::Null, next_id: 0 };
+        while browser.channels.is_empty() {
+            assert_eq!(browser.read(), None);
+        }
+        Ok(browser)
+    }
+
+    pub(crate) fn connect(address: SocketAddr) -> Self {
+        let origin = format!("http://{address}");
+        Self::try_connect(address, &[("Origin", &origin)]).unwrap()
+    }
+
+    /// Reads one message; returns it if it is of a subscription.
+    pub(crate) fn read(&mut self) -> Option<Data> {
+        match self.socket.read().expect("the bridge keeps the connection") {
+            Frame::Text(text) => {
+                self.read_text(&text);
+                None
+            }
+            Frame::Binary(bytes) => {
+                assert_eq!(bytes[0], 1);
+                Some(Data {
+                    subscription: u32::from_le_bytes(bytes[1..5].try_into().unwrap()),
+                    time_ns: u64::from_le_bytes(bytes[5..13].try_into().unwrap()),
+                    payload: bytes[13..].to_vec(),
+                })
+            }
+            _ => None,
+        }
+    }
+
+    fn read_text(&mut self, text: &str) {
+        let value: Value = serde_json::from_str(text).unwrap();
+        match value["op"].as_str().unwrap() {
+            "serverInfo" => self.info = value,
+            "advertise" => {
+                for channel in value["channels"].as_array().unwrap() {
+                    assert_eq!(
+                        (&channel["encoding"], &channel["schemaEncoding"]),
+                        (&json!("cdr"), &json!("ros2msg"))
+                    );
+                    let known =
+                        (channel["id"].as_u64().unwrap(), channel["schemaName"].as_str().unwrap().to_owned());
+                    self.channels.insert(channel["topic"].as_str().unwrap().to_owned(), known);
+                }
+            }
+            "status" => {
+                let level = value["level"].as_u64().unwrap();
+                self.statuses.push((level, value["message"].as_str().unwrap().to_owned()));
+            }
+            "parameterValues" => self.fleet = value["parameters"][0]["value"].clone(),
+            "unadvertise" => {}
+            other => panic!("{other}"),
+        }
+    }
+
+    /// Reads until a message of this subscription arrives.
+    pub(crate) fn data(&mut self, subscription: u32) -> Data {
+        loop {
+            if let Some(data) = self.read().filter(|data| data.subscription == subscription) {
+                return data;
+            }
+        }
+    }
+
+    /// Reads until a status contains this text.
+    pub(crate) fn wait_for_status(&mut self, text: &str) {
+        while !self.statuses.iter().any(|(_, message)| message.contains(text)) {
+            self.read();
+        }
+    }
+
+    pub(crate) fn send(&mut self, command: &Value) {
+        self.socket.send(Frame::text(command.to_string())).unwrap();
+    }
+
+    /// Subscribes to a topic; returns the subscription's number.
+    pub(crate) fn subscribe(&mut self, topic: &str) -> u32 {
+        self.next_id += 1;
+        let (id, channel) = (self.next_id, self.channels[topic].0);
+        self.send(&json!({"op": "subscribe", "subscriptions": [{"id": id, "channelId": channel}]}));
+        id
+    }
+
+    /// Registers a topic for publication; returns its number.
+    pub(crate) fn advertise<M: Message>(&mut self, topic: &str) -> u32 {
+        self.next_id += 1;
+        let schema = M::TYPE.replace('/', "/msg/");
+        let channel = json!({"id": self.next_id, "topic": topic, "encoding": "cdr", "schemaName": schema});
+        self.send(&json!({"op": "advertise", "channels": [channel]}));
+        self.next_id
+    }
+
+    pub(crate) fn publish<M: Message>(&mut self, channel: u32, message: &M) {
+        let mut bytes = vec![1];
+        bytes.extend_from_slice(&channel.to_le_bytes());
+        encode(message, &mut bytes);
+        self.socket.send(Frame::binary(bytes)).unwrap();
+    }
+}

@@ -1,0 +1,96 @@
+//! The operator's page from outside: HTTP requests and WebSockets on a real port.
+
+mod browser;
+mod driving;
+mod http;
+mod topics;
+
+use bridge::{Bridge, BridgeConfig, PageFile, process_clock, serve, serve_page};
+use msg::{RobotId, VelocityCommand};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::rc::Rc;
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::LocalSet;
+
+/// The page of the tests.
+const FILES: &[PageFile] =
+    &[PageFile { path: "/", content_type: "text/html; charset=utf-8", bytes: b"<!doctype html>" }];
+
+/// Something to do on the bridge's thread.
+type Job = Box<dyn FnOnce(&Bridge) + Send>;
+
+/// A bridge on a thread of its own.
+pub(crate) struct Served {
+    /// Address of the page.
+    pub(crate) page: SocketAddr,
+    /// Velocities that robots have got: robot, m/s, rad/s.
+    pub(crate) velocities: Arc<Mutex<Vec<(usize, f64, f64)>>>,
+    jobs: Option<mpsc::UnboundedSender<Job>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Served {
+    /// Starts a bridge of two robots.
+    pub(crate) fn start(config: BridgeConfig) -> Self {
+        let velocities = Arc::new(Mutex::new(Vec::new()));
+        let (jobs, received) = mpsc::unbounded_channel();
+        let (send_address, address) = std::sync::mpsc::channel();
+        let sink = velocities.clone();
+        let on_command = move |robot: RobotId, command: VelocityCommand| {
+            sink.lock().unwrap().push((robot.number(), command.linear_m_s, command.angular_rad_s));
+        };
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+            LocalSet::new().block_on(&runtime, async {
+                let page_config = config.page.clone();
+                let bridge = Rc::new(Bridge::new(config, 2, on_command).unwrap());
+                let tcp = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+                let page = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+                send_address.send(page.local_addr().unwrap()).unwrap();
+                let (stop, stopped) = oneshot::channel::<()>();
+                let stopped = async move { drop(stopped.await) };
+                let server = tokio::task::spawn_local(serve(bridge.clone(), tcp, process_clock, stopped));
+                let jobs = run_jobs(bridge.clone(), received);
+                serve_page(bridge, page, &page_config, FILES, process_clock, jobs).await;
+                drop(stop);
+                server.await.unwrap();
+            });
+        });
+        let page = address.recv().unwrap();
+        Self { page, velocities, jobs: Some(jobs), thread: Some(thread) }
+    }
+
+    /// Does something on the bridge's thread, and waits until it is done.
+    pub(crate) fn with<T: Send + 'static>(&self, job: impl FnOnce(&Bridge) -> T + Send + 'static) -> T {
+        let (send, done) = std::sync::mpsc::channel();
+        let job: Job = Box::new(move |bridge| drop(send.send(job(bridge))));
+        assert!(self.jobs.as_ref().unwrap().send(job).is_ok());
+        done.recv_timeout(browser::WAIT_MAX).unwrap()
+    }
+
+    /// Waits until the velocities that robots have got are as wanted.
+    pub(crate) fn wait_for(&self, is_wanted: impl Fn(&[(usize, f64, f64)]) -> bool) {
+        let begun = std::time::Instant::now();
+        while !is_wanted(&self.velocities.lock().unwrap()) {
+            assert!(begun.elapsed() < browser::WAIT_MAX, "{:?}", self.velocities.lock().unwrap());
+            std::thread::yield_now();
+        }
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        drop(self.jobs.take());
+        let result = self.thread.take().map(JoinHandle::join);
+        assert!(std::thread::panicking() || result.is_none_or(|result| result.is_ok()));
+    }
+}
+
+async fn run_jobs(bridge: Rc<Bridge>, mut jobs: mpsc::UnboundedReceiver<Job>) {
+    while let Some(job) = jobs.recv().await {
+        job(&bridge);
+    }
+}

@@ -1,0 +1,138 @@
+//! Messages of the fleet at browsers: the bytes of the other transports, the newest first.
+
+use crate::Served;
+use crate::browser::{Browser, WAIT_MAX};
+use bridge::command::{Registration, name};
+use bridge::frame::{Frame, Parser};
+use bridge::ros::Twist;
+use bridge::{Bridge, BridgeConfig, FleetMessage};
+use bytemuck::Zeroable;
+use msg::{GridHeader, GridView, Header, Monotonic, RobotId, Stamp};
+
+const ROBOT: RobotId = RobotId::new(1).unwrap();
+
+fn publish_scan(bridge: &Bridge, stamp: i64) {
+    let mut scan = msg::Scan::zeroed();
+    (scan.header, scan.len) = (Header { stamp: Stamp(stamp), ..Header::default() }, 3);
+    bridge.publish(FleetMessage::Scan(ROBOT, &scan));
+}
+
+/// Publishes a merged map of 1000 x 1000 cells.
+fn publish_map(bridge: &Bridge, stamp: i64) {
+    let cells = vec![0; 1_000_000];
+    let header = GridHeader {
+        header: Header { stamp: Stamp(stamp), ..Header::default() },
+        width: 1000,
+        height: 1000,
+        resolution_m: 0.05,
+        ..GridHeader::default()
+    };
+    bridge.publish(FleetMessage::MergedMap(GridView::new(&header, &cells).unwrap()));
+}
+
+#[test]
+fn the_server_says_who_it_is_and_what_it_has() {
+    let served = Served::start(BridgeConfig::default());
+    let browser = Browser::connect(served.page);
+    assert_eq!(browser.info["capabilities"], serde_json::json!(["clientPublish", "parametersSubscribe"]));
+    assert_eq!(browser.channels["/robot1/scan"].1, "sensor_msgs/msg/LaserScan");
+    assert_eq!(browser.channels["/merged_map"].1, "nav_msgs/msg/OccupancyGrid");
+    assert!(browser.channels.contains_key("/tf") && browser.channels.contains_key("/cmd_vel_2"));
+    assert!(!browser.channels.contains_key("/robot3/scan"), "the fleet has two robots");
+}
+
+#[test]
+fn a_browser_gets_the_bytes_that_a_client_on_tcp_gets() {
+    let served = Served::start(BridgeConfig::default());
+    let mut browser = Browser::connect(served.page);
+    let subscription = browser.subscribe("/robot1/scan");
+    // The topic's latched state shows that the subscriptions before it are made.
+    let stop = browser.subscribe("/emergency_stop");
+    browser.data(stop);
+    let on_tcp = served.with(|bridge| {
+        let client = bridge.connect(([127, 0, 0, 1], 5000).into()).unwrap();
+        let (topic, message_name) = ("/robot1/scan".to_owned(), "sensor_msgs/LaserScan".to_owned());
+        let registration = Registration { topic, message_name, ..Registration::default() };
+        let payload = serde_json::to_vec(&registration).unwrap();
+        bridge.receive(client, Frame { name: name::SUBSCRIBE.as_bytes(), payload: &payload }, Monotonic(0));
+        publish_scan(bridge, 7_000_000_001);
+        let mut bytes = Vec::new();
+        bridge.take_outgoing(client, &mut bytes).unwrap();
+        let mut parser = Parser::new(1 << 20);
+        parser.push(&bytes);
+        let mut payload = Vec::new();
+        while let Some(frame) = parser.next_frame().unwrap() {
+            payload = frame.payload.to_vec();
+        }
+        payload
+    });
+    let data = browser.data(subscription);
+    assert_eq!(data.time_ns, 7_000_000_001);
+    assert_eq!(data.payload, on_tcp);
+}
+
+#[test]
+fn a_late_browser_gets_the_newest_map() {
+    let served = Served::start(BridgeConfig::default());
+    served.with(|bridge| (1..4).for_each(|stamp| publish_map(bridge, stamp)));
+    let mut browser = Browser::connect(served.page);
+    let map = browser.subscribe("/merged_map");
+    let data = browser.data(map);
+    assert_eq!((data.time_ns, data.payload.len() > 1_000_000), (3, true));
+}
+
+#[test]
+fn a_browser_that_does_not_read_costs_one_map_and_gets_the_newest() {
+    let served = Served::start(BridgeConfig::default());
+    let mut browser = Browser::connect(served.page);
+    let map = browser.subscribe("/merged_map");
+    let stop = browser.subscribe("/emergency_stop");
+    browser.data(stop);
+    // More than the kernel takes: the browser is behind.
+    const MAPS: i64 = 40;
+    served.with(|bridge| (1..=MAPS).for_each(|stamp| publish_map(bridge, stamp)));
+    let held = served.with(|bridge| bridge.held_bytes());
+    assert!(held < 4 << 20, "{held} bytes are held for a browser that does not read");
+    let mut received = 0;
+    while browser.data(map).time_ns < MAPS as u64 {
+        received += 1;
+    }
+    assert!(received < MAPS, "the newest map replaces older ones");
+}
+
+#[test]
+fn a_topic_that_a_client_creates_reaches_the_browser_and_leaves_it() {
+    let served = Served::start(BridgeConfig::default());
+    let (mut first, mut second) = (Browser::connect(served.page), Browser::connect(served.page));
+    let channel = first.advertise::<Twist>("/mine");
+    let begun = std::time::Instant::now();
+    while !second.channels.contains_key("/mine") {
+        second.read();
+        assert!(begun.elapsed() < WAIT_MAX);
+    }
+    let subscription = second.subscribe("/mine");
+    let stop = second.subscribe("/emergency_stop");
+    second.data(stop);
+    let twist = Twist { linear: [1.0, 2.0, 3.0], angular: [4.0, 5.0, 6.0] };
+    first.publish(channel, &twist);
+    let payload = second.data(subscription).payload;
+    assert_eq!(payload.len(), 4 + 6 * 8);
+    assert_eq!(payload[4..12], 1.0_f64.to_le_bytes());
+}
+
+#[test]
+fn a_dropped_browser_is_told_why() {
+    let served = Served::start(BridgeConfig::default());
+    let mut browser = Browser::connect(served.page);
+    served.with(|bridge| {
+        let number = bridge.clients(Monotonic(0))[0].number;
+        assert_eq!(bridge.drop_clients(bridge::ClientSelector::Number(number)), 1);
+    });
+    browser.wait_for_status("the operator has closed this connection");
+    loop {
+        match browser.socket.read() {
+            Ok(message) => assert!(!message.is_binary()),
+            Err(error) => break assert!(matches!(error, tungstenite::Error::ConnectionClosed), "{error}"),
+        }
+    }
+}

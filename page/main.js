@@ -1,0 +1,329 @@
+// The operator's page: connections, controls and panels around one fleet.
+
+import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection } from "./input.js";
+import { writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
+import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
+import { Fleet } from "./state.js";
+import { Connection } from "./transport.js";
+import { View } from "./view.js";
+
+/** Period of velocities, ms: 20 Hz. The bridge stops a robot 300 ms after the last one. */
+const COMMAND_MS = 50;
+/** Period at which panels are brought up to date, ms. */
+const PANEL_MS = 200;
+/** The parameter with the state of the fleet. */
+const FLEET_PARAMETER = "/mr_slam/fleet";
+/** The level of a status that says that something was refused. */
+const ERROR = 2;
+
+const now = () => performance.now() / 1000;
+const fleet = new Fleet();
+const view = new View(/** @type {HTMLCanvasElement} */ (element("view")));
+const driver = new Driver();
+/** @type {number | null} */
+let selected = null;
+/** When the emergency stop was asked for, seconds, until the bridge has confirmed it. @type {number | null} */
+let stopAskedAt = null;
+let panelsDue = 0;
+
+const panels = new RobotPanels(select);
+const fleetPanel = new FleetPanel();
+const attention = new AttentionList(goTo);
+const url = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/`;
+
+/** Commands, transforms, scans and states: nothing large, so that nothing waits. */
+const live = new Connection(url, {
+  message: receive,
+  state: (isOpen) => {
+    const link = element("link");
+    setText(link, isOpen ? "connected" : "no connection");
+    link.className = `badge ${isOpen ? "good" : "bad"}`;
+  },
+  status: (level, text) => logMessage(text, level === ERROR),
+  parameter: (name, value) => {
+    if (name !== FLEET_PARAMETER) return;
+    for (const robot of fleet.setFigures(value, now())) addRobot(robot);
+  },
+});
+live.subscribeParameters();
+["/emergency_stop", "/tf_static", "/tf"].forEach((topic) => live.subscribe(topic));
+
+/** Maps have a connection of their own: they delay neither commands nor transforms. */
+const maps = new Connection(url, { message: receive });
+maps.subscribe("/merged_map");
+
+/** @param {string} topic @param {DataView} data */
+function receive(topic, data) {
+  try {
+    fleet.receive(topic, data, now());
+  } catch (error) {
+    if (!(error instanceof RangeError)) throw error;
+    logMessage(`${topic}: ${error.message}`, true);
+  }
+  if (topic === "/emergency_stop") showStop();
+}
+
+/** @param {import("./state.js").Robot} robot */
+function addRobot(robot) {
+  panels.add(robot);
+  for (const topic of ["odom", "scan", "pose"]) live.subscribe(robot.prefix + topic);
+  // One robot needs no choice; of several the operator chooses.
+  if (fleet.robots.size === 1) select(robot.number);
+}
+
+/** @param {number | null} number */
+function select(number) {
+  if (number !== null && !fleet.robots.has(number)) return;
+  selected = number;
+  if (view.followed !== null) view.followed = number;
+  const robot = number === null ? null : fleet.robots.get(number);
+  const target = element("target");
+  setText(target, robot ? `selected: ${robot.number} · ${robot.name}` : "no robot selected");
+  element("drive").style.borderColor = robot ? robot.colour : "";
+  panelsDue = 0;
+}
+
+/** @param {number} number */
+function goTo(number) {
+  const pose = fleet.robots.get(number)?.pose;
+  select(number);
+  if (!pose) return;
+  setFits(false);
+  view.camera.center = { x: pose.x, y: pose.y };
+}
+
+// --- Emergency stop ---
+
+function stop() {
+  stopAskedAt = now();
+  const isSent = live.publish("/emergency_stop", "std_msgs/msg/Bool", writeBool(true), true);
+  if (!isSent) logMessage("the emergency stop could not be sent: no connection", true);
+}
+
+function showStop() {
+  const isStopped = fleet.isStopped === true;
+  element("stop").classList.toggle("set", isStopped);
+  element("release").hidden = !isStopped;
+  if (isStopped && stopAskedAt !== null) {
+    logMessage(`emergency stop set, confirmed after ${((now() - stopAskedAt) * 1000).toFixed(0)} ms`);
+    stopAskedAt = null;
+  }
+}
+
+element("stop").addEventListener("click", stop);
+element("release").addEventListener("click", () => {
+  live.publish("/emergency_stop_release", "std_msgs/msg/Empty", writeEmpty(), true);
+});
+
+// --- Driving ---
+
+/** @type {Set<string>} */
+const held = new Set();
+/** @type {import("./input.js").Deflection | null} */
+let stick = null;
+
+function releaseAll() {
+  held.clear();
+  releaseStick();
+}
+
+function releaseStick() {
+  stick = null;
+  element("stick").classList.remove("held");
+  element("knob").style.transform = "";
+}
+
+setInterval(() => {
+  const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) ?? null : null;
+  const isStopped = fleet.isStopped === true;
+  const deflection = isStopped ? null : stick ?? keyDeflection(held) ?? gamepadDeflection(gamepad);
+  let shown = { linear: 0, angular: 0 };
+  for (const { robot: number, forward, left } of driver.tick(deflection, selected)) {
+    const robot = fleet.robots.get(number);
+    if (!robot) continue;
+    const { linear_max_m_s: linearMax = 0, angular_max_rad_s: angularMax = 0 } = robot.figures;
+    const [linear, angular] = [forward * linearMax, left * angularMax];
+    live.publish(`${robot.prefix}cmd_vel`, "geometry_msgs/msg/Twist", writeTwist(linear, angular));
+    if (number === selected) shown = { linear, angular };
+  }
+  setText(element("velocity"), isStopped ? "emergency stop" : `${shown.linear.toFixed(2)} m/s, ${shown.angular.toFixed(1)} rad/s`);
+}, COMMAND_MS);
+
+const stickElement = element("stick");
+stickElement.addEventListener("pointerdown", (event) => {
+  stickElement.setPointerCapture(event.pointerId);
+  moveStick(event);
+});
+stickElement.addEventListener("pointermove", (event) => {
+  if (stickElement.hasPointerCapture(event.pointerId)) moveStick(event);
+});
+["pointerup", "pointercancel", "lostpointercapture"].forEach((name) => stickElement.addEventListener(name, releaseStick));
+
+/** @param {PointerEvent} event */
+function moveStick(event) {
+  const box = stickElement.getBoundingClientRect();
+  const radius = box.width / 2;
+  let [x, y] = [(event.clientX - box.left - radius) / radius, (event.clientY - box.top - radius) / radius];
+  const length = Math.hypot(x, y);
+  if (length > 1) [x, y] = [x / length, y / length];
+  stick = stickDeflection(x, y);
+  stickElement.classList.add("held");
+  element("knob").style.transform = `translate(${x * radius * 0.62}px, ${y * radius * 0.62}px)`;
+}
+
+function takeOver() {
+  if (selected !== null) live.publish("/take_control", "std_msgs/msg/Int32", writeInt(selected), true);
+}
+
+element("take-over").addEventListener("click", takeOver);
+
+// --- Keys ---
+
+/** @type {Record<string, () => void>} */
+const KEYS = {
+  Escape: stop,
+  KeyT: takeOver,
+  KeyF: () => setFits(true),
+  KeyC: toggleFollow,
+  Equal: () => zoom(1.25),
+  NumpadAdd: () => zoom(1.25),
+  Minus: () => zoom(0.8),
+  NumpadSubtract: () => zoom(0.8),
+  BracketLeft: () => selectNext(-1),
+  BracketRight: () => selectNext(1),
+};
+
+/** @param {number} step */
+function selectNext(step) {
+  const numbers = [...fleet.robots.keys()].sort((a, b) => a - b);
+  if (numbers.length === 0) return;
+  const place = selected === null ? (step > 0 ? -1 : 0) : numbers.indexOf(selected);
+  select(numbers[(place + step + numbers.length) % numbers.length]);
+}
+
+window.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const digit = /^(?:Digit|Numpad)([1-9])$/.exec(event.code);
+  if (isDriveKey(event.code) || event.code.startsWith("Shift")) {
+    held.add(event.code);
+    if (isDriveKey(event.code)) event.preventDefault();
+  } else if (event.repeat) {
+    return;
+  } else if (digit) {
+    select(Number(digit[1]));
+  } else if (event.code in KEYS) {
+    event.preventDefault();
+    KEYS[event.code]();
+  }
+});
+window.addEventListener("keyup", (event) => held.delete(event.code));
+window.addEventListener("blur", releaseAll);
+document.addEventListener("visibilitychange", () => { if (document.hidden) releaseAll(); });
+
+// --- View ---
+
+/** @param {boolean} fits */
+function setFits(fits) {
+  view.fits = fits;
+  if (fits) view.followed = null;
+  showTools();
+}
+
+function toggleFollow() {
+  view.followed = view.followed === null ? selected : null;
+  view.fits = false;
+  showTools();
+}
+
+/** @param {number} factor @param {{x: number, y: number}} [pixel] */
+function zoom(factor, pixel = { x: view.camera.width / 2, y: view.camera.height / 2 }) {
+  view.fits = false;
+  view.camera.zoom(factor, pixel);
+  showTools();
+}
+
+function showTools() {
+  element("fit").setAttribute("aria-pressed", String(view.fits));
+  element("follow").setAttribute("aria-pressed", String(view.followed !== null));
+}
+
+element("fit").addEventListener("click", () => setFits(true));
+element("follow").addEventListener("click", toggleFollow);
+element("zoom-in").addEventListener("click", () => zoom(1.25));
+element("zoom-out").addEventListener("click", () => zoom(0.8));
+
+const { canvas } = view;
+/** Pointers on the map: where they are, pixels. @type {Map<number, {x: number, y: number, moved: number}>} */
+const pointers = new Map();
+/** Movement up to which a press is a click, pixels. */
+const CLICK_PX = 6;
+
+canvas.addEventListener("pointerdown", (event) => {
+  canvas.setPointerCapture(event.pointerId);
+  pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: 0 });
+});
+canvas.addEventListener("pointermove", (event) => {
+  const pointer = pointers.get(event.pointerId);
+  if (!pointer) return;
+  const [dx, dy] = [event.offsetX - pointer.x, event.offsetY - pointer.y];
+  const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
+  if (other) {
+    const before = Math.hypot(pointer.x - other.x, pointer.y - other.y);
+    const after = Math.hypot(event.offsetX - other.x, event.offsetY - other.y);
+    if (before > 0) zoom(after / before, other);
+  } else if (pointer.moved + Math.hypot(dx, dy) > CLICK_PX) {
+    view.fits = false;
+    view.followed = null;
+    view.camera.pan(dx, dy);
+    showTools();
+  }
+  pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: pointer.moved + Math.hypot(dx, dy) });
+});
+canvas.addEventListener("pointerup", (event) => {
+  const pointer = pointers.get(event.pointerId);
+  pointers.delete(event.pointerId);
+  if (!pointer || pointer.moved > CLICK_PX) return;
+  const number = view.robotAt(fleet, pointer);
+  if (number !== null) select(number);
+});
+canvas.addEventListener("pointercancel", (event) => pointers.delete(event.pointerId));
+canvas.addEventListener("wheel", (event) => {
+  event.preventDefault();
+  zoom(Math.exp(-event.deltaY * 0.0015), { x: event.offsetX, y: event.offsetY });
+}, { passive: false });
+
+// --- Drawing ---
+
+function showHint() {
+  const hint = element("hint");
+  const robot = selected === null ? null : fleet.robots.get(selected);
+  let text = "";
+  if (!live.isOpen) text = "No connection to the bridge: robots are at rest. Trying again …";
+  else if (fleet.isStopped) text = "Emergency stop is set. Release it at the top to drive on.";
+  else if (selected === null && fleet.robots.size > 1 && driver.driven === null && (stick || held.size > 0)) text = "Select a robot first.";
+  else if (robot?.figures.driver && !robot.figures.is_mine && (stick || [...held].some(isDriveKey))) text = `${robot.figures.driver} drives this robot. Press T to take it over.`;
+  hint.hidden = text === "";
+  setText(hint, text);
+}
+
+/** Offers to take the selected robot over while somebody else drives it. */
+function showTakeOver() {
+  const figures = selected === null ? null : fleet.robots.get(selected)?.figures;
+  element("take-over").hidden = !figures?.driver || figures.is_mine;
+}
+
+function frame() {
+  const time = now();
+  view.draw(fleet, selected, time);
+  if (time >= panelsDue) {
+    panelsDue = time + PANEL_MS / 1000;
+    panels.update(fleet, selected, time);
+    fleetPanel.update(fleet, time);
+    attention.update(fleet.attention(time, live.isOpen), fleet);
+    showHint();
+    showTakeOver();
+  }
+  requestAnimationFrame(frame);
+}
+requestAnimationFrame(frame);
+showTools();

@@ -1,0 +1,84 @@
+// The ROS messages that the page reads and writes.
+
+import { CdrReader, CdrWriter } from "./cdr.js";
+import { yawOf } from "./geometry.js";
+
+/** @typedef {import("./geometry.js").Pose} Pose */
+
+/** Reads tf2_msgs/TFMessage: each transform as the pose of the child in the parent. */
+export function readTransforms(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const count = from.length(1);
+  const transforms = [];
+  for (let i = 0; i < count; i += 1) {
+    const { stamp, frame: parent } = from.header();
+    const child = from.string();
+    const { x, y } = from.vector();
+    transforms.push({ stamp, parent, child, pose: { x, y, yaw: yawOf(from.quaternion()) } });
+  }
+  return transforms;
+}
+
+/** Reads sensor_msgs/LaserScan. */
+export function readScan(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const { stamp, frame } = from.header();
+  const angleMin = from.f32();
+  from.f32();
+  const angleStep = from.f32();
+  from.f32();
+  from.f32();
+  const rangeMin = from.f32();
+  const rangeMax = from.f32();
+  return { stamp, frame, angleMin, angleStep, rangeMin, rangeMax, ranges: from.f32s() };
+}
+
+/** Reads nav_msgs/OccupancyGrid. Cells are 0 to 100 percent, and 255 where nothing is known. */
+export function readGrid(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const { stamp, frame } = from.header();
+  from.time();
+  const resolution = from.f32();
+  const width = from.u32();
+  const height = from.u32();
+  const { x, y } = from.vector();
+  const yaw = yawOf(from.quaternion());
+  const cells = from.bytes(from.length(1));
+  if (cells.length !== width * height) throw new RangeError("a map's size is not that of its cells");
+  return { stamp, frame, resolution, width, height, origin: { x, y, yaw }, cells };
+}
+
+/** Reads the head of nav_msgs/Odometry: of which frame it is. */
+export function readOdometryFrames(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const { stamp, frame } = from.header();
+  return { stamp, frame, child: from.string() };
+}
+
+/** Reads geometry_msgs/PoseWithCovarianceStamped: pose, and standard deviations of x, y (m) and heading (rad). */
+export function readPose(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const { stamp, frame } = from.header();
+  const { x, y } = from.vector();
+  const yaw = yawOf(from.quaternion());
+  /** @type {number[]} */
+  const covariance = [];
+  for (let i = 0; i < 36; i += 1) covariance.push(from.f64());
+  const deviation = (/** @type {number} */ i) => Math.sqrt(Math.max(0, covariance[i]));
+  return { stamp, frame, pose: { x, y, yaw }, deviation: { x: deviation(0), y: deviation(7), yaw: deviation(35) } };
+}
+
+/** Reads std_msgs/Bool. */
+export function readBool(/** @type {DataView} */ view) { return new CdrReader(view).bool(); }
+
+/** Writes geometry_msgs/Twist of a robot on the floor. */
+export function writeTwist(/** @type {number} */ linear, /** @type {number} */ angular) {
+  const to = new CdrWriter();
+  [linear, 0, 0, 0, 0, angular].forEach((value) => to.f64(value));
+  return to.done();
+}
+
+export function writeBool(/** @type {boolean} */ value) { return new CdrWriter().bool(value).done(); }
+export function writeInt(/** @type {number} */ value) { return new CdrWriter().i32(value).done(); }
+/** Writes std_msgs/Empty, which has one byte in ROS 2. */
+export function writeEmpty() { return new CdrWriter().bool(false).done(); }

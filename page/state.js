@@ -1,0 +1,193 @@
+// What the page knows of the fleet: robots, their frames, scans and figures, the merged map. No drawing, no clock.
+
+import { FrameTree } from "./geometry.js";
+import { readBool, readGrid, readOdometryFrames, readPose, readScan, readTransforms } from "./messages.js";
+
+/** @typedef {import("./geometry.js").Pose} Pose */
+/** @typedef {import("./geometry.js").Point} Point */
+
+/** The frame of the merged map. */
+export const MAP = "map";
+/** Colours that differ for colour-blind eyes too (Okabe and Ito), for dark and light backgrounds. */
+export const COLOURS = ["#e69f00", "#3a9ad9", "#00a877", "#cc79a7", "#d55e00", "#8a7fe0", "#b5a800", "#7fb3c8"];
+/** Shapes: number of corners; 0 is a disc. */
+export const SHAPES = [0, 3, 4, 5, 6];
+/** Data older than this is stale, seconds: a scan comes ten times a second. */
+export const STALE_S = 1;
+/** Points of a trail; the oldest are dropped. */
+const TRAIL_MAX = 4000;
+/** Distance between the points of a trail, metres. */
+const TRAIL_STEP_M = 0.04;
+/** Points of the plot of the mapped area, one a second. */
+const AREA_MAX = 3600;
+
+/** One robot. */
+export class Robot {
+  /** @param {number} number from 1 @param {string} prefix beginning of its topics' names, such as `/robot1/` */
+  constructor(number, prefix) {
+    this.number = number;
+    this.prefix = prefix;
+    this.name = prefix.replaceAll("/", "") || "robot";
+    this.colour = COLOURS[(number - 1) % COLOURS.length];
+    this.corners = SHAPES[(number - 1) % SHAPES.length];
+    /** @type {any} the newest figures of the bridge */
+    this.figures = {};
+    /** @type {ReturnType<typeof readScan> | null} */
+    this.scan = null;
+    /** Where the scanner was in the map when the scan came. @type {Pose | null} */
+    this.scanPose = null;
+    /** When the scan came, seconds of the page. @type {number | null} */
+    this.scanAt = null;
+    /** Pose in the map. @type {Pose | null} */
+    this.pose = null;
+    /** When the pose was known last, seconds of the page. @type {number | null} */
+    this.poseAt = null;
+    this.baseFrame = "";
+    /** @type {{x: number, y: number, yaw: number} | null} */
+    this.deviation = null;
+    /** @type {Point[]} */
+    this.trail = [];
+  }
+
+  /** Returns the age of the newest scan, seconds, or null if there is none. */
+  scanAge(/** @type {number} */ now) { return this.scanAt === null ? null : now - this.scanAt; }
+  poseAge(/** @type {number} */ now) { return this.poseAt === null ? null : now - this.poseAt; }
+  isStale(/** @type {number} */ now) { return (this.poseAge(now) ?? Infinity) > STALE_S; }
+}
+
+/** The fleet. Times are seconds of the page's own clock. */
+export class Fleet {
+  constructor() {
+    /** @type {Map<number, Robot>} */
+    this.robots = new Map();
+    this.frames = new FrameTree();
+    /** @type {ReturnType<typeof readGrid> | null} */
+    this.map = null;
+    this.mapVersion = 0;
+    /** @type {number | null} */
+    this.mapAt = null;
+    /** @type {boolean | null} */
+    this.isStopped = null;
+    /** @type {any} */
+    this.figures = {};
+    /** Known area of the merged map over time. @type {{at: number, m2: number}[]} */
+    this.area = [];
+  }
+
+  /** Takes the state of the fleet as the bridge tells it; returns the robots that are new. */
+  setFigures(/** @type {any} */ figures, /** @type {number} */ now) {
+    this.figures = figures;
+    const added = [];
+    for (const row of figures.robots) {
+      let robot = this.robots.get(row.number);
+      if (!robot) {
+        robot = new Robot(row.number, row.prefix);
+        this.robots.set(row.number, robot);
+        added.push(robot);
+      }
+      robot.figures = row;
+    }
+    const last = this.area.at(-1);
+    if (typeof figures.merged_known_m2 === "number" && (!last || now - last.at >= 1)) {
+      this.area.push({ at: now, m2: figures.merged_known_m2 });
+      if (this.area.length > AREA_MAX) this.area.shift();
+    }
+    return added;
+  }
+
+  /** Takes a message. Throws a RangeError if it is not one of its type. */
+  receive(/** @type {string} */ topic, /** @type {DataView} */ view, /** @type {number} */ now) {
+    if (topic === "/tf" || topic === "/tf_static") return this.receiveTransforms(view, now);
+    if (topic === "/emergency_stop") {
+      this.isStopped = readBool(view);
+      return undefined;
+    }
+    if (topic === "/merged_map") {
+      this.map = readGrid(view);
+      this.mapVersion += 1;
+      this.mapAt = now;
+      return undefined;
+    }
+    for (const robot of this.robots.values()) {
+      if (topic.startsWith(robot.prefix)) {
+        this.receiveOfRobot(robot, topic.slice(robot.prefix.length), view, now);
+        return undefined;
+      }
+    }
+    return undefined;
+  }
+
+  receiveTransforms(/** @type {DataView} */ view, /** @type {number} */ now) {
+    const changed = new Set();
+    for (const { parent, child, pose, stamp } of readTransforms(view)) {
+      this.frames.set(parent, child, pose, stamp);
+      changed.add(child);
+    }
+    for (const robot of this.robots.values()) {
+      // A robot is where its odometry says: only that shows that the pose is new.
+      if (changed.has(robot.baseFrame)) this.updatePose(robot, now);
+    }
+  }
+
+  updatePose(/** @type {Robot} */ robot, /** @type {number} */ now) {
+    const pose = this.frames.find(MAP, robot.baseFrame);
+    if (!pose) return;
+    robot.pose = pose;
+    robot.poseAt = now;
+    const last = robot.trail.at(-1);
+    if (!last || Math.hypot(pose.x - last.x, pose.y - last.y) >= TRAIL_STEP_M) {
+      robot.trail.push({ x: pose.x, y: pose.y });
+      if (robot.trail.length > TRAIL_MAX) robot.trail.shift();
+    }
+  }
+
+  /** @param {Robot} robot @param {string} topic @param {DataView} view @param {number} now */
+  receiveOfRobot(robot, topic, view, now) {
+    if (topic === "scan") {
+      robot.scan = readScan(view);
+      robot.scanPose = this.frames.find(MAP, robot.scan.frame);
+      robot.scanAt = now;
+    } else if (topic === "odom") {
+      if (robot.baseFrame === "") robot.baseFrame = readOdometryFrames(view).child;
+    } else if (topic === "pose") {
+      robot.deviation = readPose(view).deviation;
+    }
+  }
+
+  /** Returns a rectangle around the map and the robots, or null if nothing is known. */
+  box() {
+    const points = [...this.robots.values()].flatMap((robot) => (robot.pose ? [robot.pose] : []));
+    const map = this.map;
+    if (map && map.width > 0) {
+      const [width, height] = [map.width * map.resolution, map.height * map.resolution];
+      points.push(map.origin, { ...map.origin, x: map.origin.x + width, y: map.origin.y + height });
+    }
+    if (points.length === 0) return null;
+    const [xs, ys] = [points.map((p) => p.x), points.map((p) => p.y)];
+    return { minX: Math.min(...xs), maxX: Math.max(...xs), minY: Math.min(...ys), maxY: Math.max(...ys) };
+  }
+
+  /**
+   * Returns what needs the operator's attention, the most urgent first.
+   * @param {number} now @param {boolean} isConnected
+   */
+  attention(now, isConnected) {
+    /** @type {{rank: number, robot: number | null, text: string}[]} */
+    const items = [];
+    if (!isConnected) items.push({ rank: 0, robot: null, text: "no connection to the bridge" });
+    if (this.isStopped) items.push({ rank: 1, robot: null, text: "emergency stop is set" });
+    for (const robot of this.robots.values()) {
+      const add = (/** @type {number} */ rank, /** @type {string} */ text) => {
+        items.push({ rank, robot: robot.number, text });
+      };
+      const age = robot.scanAge(now);
+      const { slam, is_merged: isMerged } = robot.figures;
+      if (slam === "lost" || slam === "relocalizing") add(2, `SLAM is ${slam}`);
+      if (age === null) add(3, "no scan yet");
+      else if (age > STALE_S) add(3, `no scan for ${age.toFixed(0)} s`);
+      if (slam === "degenerate") add(4, "SLAM is degenerate");
+      if (isMerged === false) add(5, "its map is not merged");
+    }
+    return items.sort((a, b) => a.rank - b.rank || (a.robot ?? 0) - (b.robot ?? 0));
+  }
+}

@@ -1,0 +1,91 @@
+// What the page knows of the fleet, and what it says of it.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { CdrWriter } from "../cdr.js";
+import { writeBool } from "../messages.js";
+import { Fleet } from "../state.js";
+
+const FIGURES = {
+  robots: [
+    { number: 1, prefix: "/robot1/", slam: "tracking", is_merged: true },
+    { number: 2, prefix: "/robot2/", slam: "tracking", is_merged: true },
+  ],
+  merged_known_m2: 5,
+};
+
+/** A message of one transform. */
+function transform(parent, child, x, y) {
+  const message = new CdrWriter();
+  const u32 = (value) => message.number(4, (view) => view.setUint32(0, value, true));
+  const string = (text) => {
+    u32(text.length + 1);
+    message.bytes.push(...new TextEncoder().encode(`${text}\0`));
+  };
+  u32(1);
+  message.i32(1);
+  u32(0);
+  string(parent);
+  string(child);
+  [x, y, 0, 0, 0, 0, 1].forEach((value) => message.f64(value));
+  return new DataView(message.done().buffer);
+}
+
+function fleetWithPose() {
+  const fleet = new Fleet();
+  fleet.setFigures(FIGURES, 0);
+  fleet.robots.get(1).baseFrame = "base_footprint_1";
+  fleet.receive("/tf", transform("map", "odom_1", 1, 0), 1);
+  fleet.receive("/tf", transform("odom_1", "base_footprint_1", 2, 3), 1);
+  return fleet;
+}
+
+test("robots are found once, with their own colours and shapes", () => {
+  const fleet = new Fleet();
+  assert.deepEqual(fleet.setFigures(FIGURES, 0).map((robot) => robot.name), ["robot1", "robot2"]);
+  assert.deepEqual(fleet.setFigures(FIGURES, 1), []);
+  const [first, second] = fleet.robots.values();
+  assert.ok(first.colour !== second.colour && first.corners !== second.corners);
+  assert.deepEqual(fleet.area, [{ at: 0, m2: 5 }, { at: 1, m2: 5 }]);
+});
+
+test("a robot's pose is that of its base in the map", () => {
+  const robot = fleetWithPose().robots.get(1);
+  assert.deepEqual(robot.pose, { x: 3, y: 3, yaw: 0 });
+  assert.equal(robot.trail.length, 1);
+});
+
+test("a pose becomes stale when no transform of the robot comes, whatever others send", () => {
+  const fleet = fleetWithPose();
+  fleet.receive("/tf", transform("map", "odom_1", 1, 0), 5);
+  fleet.receive("/tf", transform("odom_2", "base_footprint_2", 2, 3), 5);
+  const robot = fleet.robots.get(1);
+  assert.equal(robot.isStale(1.5), false);
+  assert.equal(robot.isStale(5), true);
+  assert.deepEqual(robot.pose, { x: 3, y: 3, yaw: 0 }, "it stays where it was seen last");
+});
+
+test("what is lost comes before what is late, and a link that is down before everything", () => {
+  const fleet = new Fleet();
+  fleet.setFigures({ robots: [{ ...FIGURES.robots[0], is_merged: false }, { ...FIGURES.robots[1], slam: "lost" }] }, 0);
+  fleet.robots.get(1).scanAt = 0;
+  fleet.robots.get(2).scanAt = 10;
+  const texts = fleet.attention(10, false).map((item) => `${item.robot ?? ""} ${item.text}`);
+  assert.deepEqual(texts, [
+    " no connection to the bridge", "2 SLAM is lost", "1 no scan for 10 s", "1 its map is not merged",
+  ]);
+});
+
+test("the emergency stop is known only when the bridge has said so", () => {
+  const fleet = new Fleet();
+  assert.equal(fleet.isStopped, null);
+  fleet.receive("/emergency_stop", new DataView(writeBool(true).buffer), 0);
+  assert.equal(fleet.isStopped, true);
+  assert.equal(fleet.attention(0, true)[0].text, "emergency stop is set");
+});
+
+test("a broken message changes nothing", () => {
+  const fleet = fleetWithPose();
+  assert.throws(() => fleet.receive("/merged_map", new DataView(new ArrayBuffer(20)), 2), RangeError);
+  assert.equal(fleet.map, null);
+});

@@ -1,0 +1,78 @@
+// The connection to the bridge, with a socket of the test's.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Connection } from "../transport.js";
+
+/** A socket that remembers what is sent. */
+class FakeSocket {
+  static all = [];
+  constructor(url, protocols) {
+    Object.assign(this, { url, protocols, sent: [], bufferedAmount: 0 });
+    FakeSocket.all.push(this);
+  }
+  send(data) { this.sent.push(data); }
+  receive(message) { this.onmessage({ data: JSON.stringify(message) }); }
+  commands(op) { return this.sent.filter((data) => typeof data === "string").map(JSON.parse).filter((m) => m.op === op); }
+}
+
+function open(handlers = {}) {
+  FakeSocket.all = [];
+  const connection = new Connection("ws://localhost:8080/", { message() {}, ...handlers }, FakeSocket);
+  const [socket] = FakeSocket.all;
+  socket.onopen();
+  return { connection, socket };
+}
+
+const ADVERTISE = { op: "advertise", channels: [{ id: 9, topic: "/robot1/scan", schemaName: "sensor_msgs/msg/LaserScan" }] };
+
+test("a topic is subscribed to once it is there, and its messages arrive", () => {
+  const received = [];
+  const { connection, socket } = open({ message: (topic, view) => received.push([topic, view.getUint8(0)]) });
+  connection.subscribe("/robot1/scan");
+  assert.deepEqual(socket.commands("subscribe"), []);
+  socket.receive(ADVERTISE);
+  const [{ subscriptions: [{ id, channelId }] }] = socket.commands("subscribe");
+  assert.equal(channelId, 9);
+  const data = new Uint8Array(14);
+  data[0] = 1;
+  new DataView(data.buffer).setUint32(1, id, true);
+  data[13] = 42;
+  socket.onmessage({ data: data.buffer });
+  assert.deepEqual(received, [["/robot1/scan", 42]]);
+  socket.onmessage({ data: new ArrayBuffer(3) });
+  assert.equal(received.length, 1);
+});
+
+test("a publication is announced once, and old commands do not pile up", () => {
+  const { connection, socket } = open();
+  const send = (isUrgent) => connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7]), isUrgent);
+  assert.equal(send(), true);
+  assert.equal(send(), true);
+  assert.equal(socket.commands("advertise").length, 1);
+  const messages = () => socket.sent.filter((data) => data instanceof Uint8Array);
+  assert.deepEqual([...messages()[0]], [1, connection.publications.get("/robot1/cmd_vel").id, 0, 0, 0, 7]);
+  socket.bufferedAmount = 1e6;
+  assert.equal(send(), false);
+  assert.equal(send(true), true, "an emergency stop is sent whatever waits");
+  assert.equal(messages().length, 3);
+});
+
+test("a new connection gets the subscriptions and publications of the one before", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const states = [];
+  const { connection, socket } = open({ state: (isOpen) => states.push(isOpen) });
+  connection.subscribe("/robot1/scan");
+  connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7]));
+  socket.receive(ADVERTISE);
+  socket.onclose();
+  assert.equal(connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", new Uint8Array([7])), false);
+  t.mock.timers.tick(1000);
+  const again = FakeSocket.all[1];
+  again.onopen();
+  again.receive(ADVERTISE);
+  assert.equal(again.commands("subscribe").length, 1);
+  assert.equal(again.commands("advertise").length, 1);
+  assert.deepEqual(states, [true, false, true]);
+  assert.equal(again.sent.some((data) => data instanceof Uint8Array), false, "no command is sent late");
+});

@@ -1,0 +1,158 @@
+// A connection to the bridge: the Foxglove WebSocket protocol, with messages in ROS 2's encoding.
+
+/** Names of the protocol, the preferred first. */
+const PROTOCOLS = ["foxglove.sdk.v1.1", "foxglove.sdk.v1"];
+/** First byte of a message on a subscription, and of one that a client publishes. */
+const MESSAGE = 1;
+/** Bytes before the payload: kind, subscription, time. */
+const MESSAGE_HEADER_BYTES = 13;
+/** Pause before the next attempt to connect, ms. */
+const RECONNECT_MS = 500;
+/** Commands are not sent while so many bytes wait: they would arrive too late. */
+const WAITING_MAX = 4096;
+
+/**
+ * @typedef {object} Handlers
+ * @property {(topic: string, view: DataView) => void} message a message on a topic that was subscribed to
+ * @property {(channels: {topic: string, schemaName: string}[]) => void} [topics] all topics, after a change
+ * @property {(isOpen: boolean) => void} [state] the connection is there, or is not
+ * @property {(level: number, text: string) => void} [status] a text for the operator
+ * @property {(name: string, value: any) => void} [parameter] a parameter has changed
+ */
+
+/** A connection that is opened again whenever it breaks. Subscriptions and publications are kept. */
+export class Connection {
+  /** @param {string} url @param {Handlers} handlers @param {typeof WebSocket} [Socket] */
+  constructor(url, handlers, Socket = WebSocket) {
+    this.url = url;
+    this.handlers = handlers;
+    this.Socket = Socket;
+    /** @type {Map<string, {id: number, isSent: boolean}>} */
+    this.subscriptions = new Map();
+    /** @type {Map<string, {id: number, schemaName: string}>} */
+    this.publications = new Map();
+    /** @type {Map<number, {topic: string, schemaName: string}>} */
+    this.channels = new Map();
+    this.wantsParameters = false;
+    this.nextId = 1;
+    this.isOpen = false;
+    this.connect();
+  }
+
+  connect() {
+    const socket = new this.Socket(this.url, PROTOCOLS);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    socket.onopen = () => this.opened();
+    socket.onmessage = (event) => {
+      if (socket !== this.socket) return;
+      if (typeof event.data === "string") this.receiveText(event.data);
+      else this.receiveBinary(event.data);
+    };
+    socket.onclose = () => {
+      if (socket !== this.socket) return;
+      this.isOpen = false;
+      this.handlers.state?.(false);
+      setTimeout(() => this.connect(), RECONNECT_MS);
+    };
+  }
+
+  opened() {
+    this.isOpen = true;
+    this.channels.clear();
+    for (const subscription of this.subscriptions.values()) subscription.isSent = false;
+    for (const topic of this.publications.keys()) this.sendAdvertise(topic);
+    if (this.wantsParameters) this.sendJson({ op: "subscribeParameterUpdates", parameterNames: [] });
+    this.handlers.state?.(true);
+  }
+
+  sendJson(/** @type {object} */ message) {
+    if (this.isOpen) this.socket?.send(JSON.stringify(message));
+  }
+
+  receiveText(/** @type {string} */ data) {
+    const message = JSON.parse(data);
+    if (message.op === "advertise") {
+      for (const { id, topic, schemaName } of message.channels) this.channels.set(id, { topic, schemaName });
+      this.sendSubscriptions();
+    } else if (message.op === "unadvertise") {
+      for (const id of message.channelIds) {
+        const subscription = this.subscriptions.get(this.channels.get(id)?.topic ?? "");
+        if (subscription) subscription.isSent = false;
+        this.channels.delete(id);
+      }
+    } else if (message.op === "status") {
+      this.handlers.status?.(message.level, message.message);
+    } else if (message.op === "parameterValues") {
+      for (const { name, value } of message.parameters) this.handlers.parameter?.(name, value);
+    }
+    if (message.op === "advertise" || message.op === "unadvertise") {
+      this.handlers.topics?.([...this.channels.values()]);
+    }
+  }
+
+  receiveBinary(/** @type {ArrayBuffer} */ data) {
+    const view = new DataView(data);
+    if (data.byteLength < MESSAGE_HEADER_BYTES || view.getUint8(0) !== MESSAGE) return;
+    const id = view.getUint32(1, true);
+    for (const [topic, subscription] of this.subscriptions) {
+      if (subscription.id === id) {
+        this.handlers.message(topic, new DataView(data, MESSAGE_HEADER_BYTES));
+        return;
+      }
+    }
+  }
+
+  /** Subscribes to a topic, at once or as soon as there is one of this name. */
+  subscribe(/** @type {string} */ topic) {
+    if (this.subscriptions.has(topic)) return;
+    this.subscriptions.set(topic, { id: this.nextId++, isSent: false });
+    this.sendSubscriptions();
+  }
+
+  sendSubscriptions() {
+    const subscriptions = [];
+    for (const [channelId, { topic }] of this.channels) {
+      const subscription = this.subscriptions.get(topic);
+      if (subscription && !subscription.isSent) {
+        subscription.isSent = true;
+        subscriptions.push({ id: subscription.id, channelId });
+      }
+    }
+    if (subscriptions.length > 0) this.sendJson({ op: "subscribe", subscriptions });
+  }
+
+  /** Asks to be told of parameters. */
+  subscribeParameters() {
+    this.wantsParameters = true;
+    this.sendJson({ op: "subscribeParameterUpdates", parameterNames: [] });
+  }
+
+  sendAdvertise(/** @type {string} */ topic) {
+    const publication = this.publications.get(topic);
+    if (!publication) return;
+    const channel = { id: publication.id, topic, encoding: "cdr", schemaName: publication.schemaName };
+    this.sendJson({ op: "advertise", channels: [channel] });
+  }
+
+  /**
+   * Publishes a message. Returns false if it cannot be sent now; it is not sent later.
+   * @param {string} topic @param {string} schemaName @param {Uint8Array} payload
+   * @param {boolean} [isUrgent] send it whatever waits: it is worth sending late too
+   */
+  publish(topic, schemaName, payload, isUrgent = false) {
+    let publication = this.publications.get(topic);
+    if (!publication) {
+      publication = { id: this.nextId++, schemaName };
+      this.publications.set(topic, publication);
+      this.sendAdvertise(topic);
+    }
+    if (!this.isOpen || !this.socket || (!isUrgent && this.socket.bufferedAmount > WAITING_MAX)) return false;
+    const message = new Uint8Array(5 + payload.length);
+    new DataView(message.buffer).setUint32(1, publication.id, true);
+    message[0] = MESSAGE;
+    message.set(payload, 5);
+    this.socket.send(message);
+    return true;
+  }
+}

@@ -1,0 +1,202 @@
+//! Reasons why a configuration is refused, and the line of the file that sets a key.
+
+use super::SessionsConfigError;
+use crate::realtime::RealtimeConfigError;
+use bridge::RobotNameError;
+use msg::ROBOTS_MAX;
+use std::path::{Path, PathBuf};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Reason why a configuration was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("{}: {why}", path.display())]
+    Unreadable {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        why: std::io::Error,
+    },
+    /// The file is no TOML, has an unknown key or a value of the wrong type.
+    #[error("{}:{line}: {}", path.display(), why.message())]
+    Syntax {
+        /// Path of the file.
+        path: PathBuf,
+        /// Line number, from 1.
+        line: usize,
+        /// Error of the parser.
+        why: toml::de::Error,
+    },
+    /// A value of the file is out of range.
+    #[error("{}:{line}: {why}", path.display())]
+    InFile {
+        /// Path of the file.
+        path: PathBuf,
+        /// Line number of the key, from 1.
+        line: usize,
+        /// The value, and what was expected.
+        why: ValueError,
+    },
+    /// A value that an option sets, or that the program sets itself, is out of range.
+    #[error(transparent)]
+    Value(#[from] ValueError),
+}
+
+/// A value that is out of range, or that does not go with another key's.
+#[derive(Debug, thiserror::Error)]
+pub enum ValueError {
+    /// No fleet has so many robots.
+    #[error("fleet.robots is {0}; expected 1 to {ROBOTS_MAX} robots")]
+    Robots(usize),
+    /// The number of starts is not that of the robots.
+    #[error("fleet.starts has {starts} poses for {robots} robots; expected one for each, or none")]
+    StartsCount {
+        /// Number of poses.
+        starts: usize,
+        /// Number of robots.
+        robots: usize,
+    },
+    /// A start is not finite.
+    #[error("fleet.starts[{index}] is {start:?}; expected [x, y, yaw] in metres and radians, finite")]
+    Start {
+        /// Place in the list, from 0.
+        index: usize,
+        /// Pose as the file has it.
+        start: [f64; 3],
+    },
+    /// The number of names is not that of the robots.
+    #[error("fleet.names has {names} names for {robots} robots; expected one for each, or none")]
+    NamesCount {
+        /// Number of names.
+        names: usize,
+        /// Number of robots.
+        robots: usize,
+    },
+    /// A name cannot be used in ROS.
+    #[error("fleet.names: {0}")]
+    Name(#[from] RobotNameError),
+    /// The address to listen on is none.
+    #[error("fleet.address is `{0}`; expected an IP address, such as 0.0.0.0 or 127.0.0.1")]
+    Address(String),
+    /// The world is ROS's, but ROS 2 is off.
+    #[error(
+        "world is `ros`, which needs ROS 2; expected bridge.dds.enabled = true, or the option --ros-domain ID"
+    )]
+    RosWithoutDds,
+    /// A value of the simulated robot.
+    #[error(transparent)]
+    Sim(#[from] sim::ConfigError),
+    /// A value of SLAM.
+    #[error(transparent)]
+    Slam(#[from] slam::ConfigError),
+    /// A value of the sessions.
+    #[error(transparent)]
+    Sessions(#[from] SessionsConfigError),
+    /// A value of merging.
+    #[error(transparent)]
+    Merge(#[from] merge::InvalidMergeConfig),
+    /// A value of the bridge.
+    #[error(transparent)]
+    Bridge(#[from] bridge::ConfigError),
+    /// A value of ROS 2's environment variables.
+    #[error(transparent)]
+    Discovery(#[from] bridge::dds::DiscoveryError),
+    /// A value of the real-time settings.
+    #[error(transparent)]
+    Realtime(#[from] RealtimeConfigError),
+}
+
+/// Keys whose range depends on another key, which alone may be in the file: key and other key.
+const DEPENDENT_KEYS: [(&str, &str); 4] = [
+    ("sim.lidar.range_max_m", "sim.lidar.range_min_m"),
+    ("bridge.frame_bytes_max", "bridge.limits.held_bytes_max"),
+    ("fleet.starts", "fleet.robots"),
+    ("fleet.names", "fleet.robots"),
+];
+
+impl ValueError {
+    /// Returns the dotted path of the key, such as `slam.map.resolution_m` or `fleet.starts[1]`.
+    pub fn key(&self) -> String {
+        match self {
+            Self::Robots(_) => "fleet.robots".into(),
+            Self::StartsCount { .. } => "fleet.starts".into(),
+            Self::Start { index, .. } => format!("fleet.starts[{index}]"),
+            Self::NamesCount { .. } | Self::Name(_) => "fleet.names".into(),
+            Self::Address(_) => "fleet.address".into(),
+            Self::RosWithoutDds => "world".into(),
+            Self::Sim(why) => format!("sim.{}", why.field),
+            Self::Slam(why) => format!("slam.{}", why.field),
+            Self::Sessions(why) => format!("sessions.{}", why.key()),
+            Self::Merge(why) => format!("merge.{}", why.key),
+            Self::Bridge(why) => format!("bridge.{}", why.key),
+            Self::Discovery(_) => "bridge.dds".into(),
+            Self::Realtime(why) => format!("realtime.{}", why.key()),
+        }
+    }
+
+    /// Adds the line on which a file's text sets the key, or the key that it depends on.
+    pub(super) fn locate(self, path: &Path, text: &str) -> ConfigError {
+        let key = self.key();
+        let other = DEPENDENT_KEYS.iter().find(|(dependent, _)| *dependent == key);
+        let line = line_of_key(text, &key).or_else(|| line_of_key(text, other?.1));
+        match line {
+            Some(line) => ConfigError::InFile { path: path.into(), line, why: self },
+            None => self.into(),
+        }
+    }
+}
+
+/// Returns the line number, from 1, of a byte of the text.
+pub(super) fn line_of(text: &str, byte: usize) -> usize {
+    1 + text.as_bytes()[..byte.min(text.len())].iter().filter(|b| **b == b'\n').count()
+}
+
+/// Returns the line, from 1, on which the text sets the key with this dotted path; `None` if it does not set it.
+fn line_of_key(text: &str, key: &str) -> Option<usize> {
+    let root = DeTable::parse(text).ok()?;
+    let mut names = key.split('.');
+    let (mut at, mut value) = find(root.get_ref(), names.next()?)?;
+    for name in names {
+        let DeValue::Table(table) = value.get_ref() else { return None };
+        (at, value) = find(table, name)?;
+    }
+    Some(line_of(text, at))
+}
+
+/// Finds a key of a table, or an element of its list as `key[index]`; returns its first byte and its value.
+fn find<'a, 'i>(table: &'a DeTable<'i>, name: &str) -> Option<(usize, &'a Spanned<DeValue<'i>>)> {
+    let (name, index) = match name.strip_suffix(']').and_then(|rest| rest.split_once('[')) {
+        Some((name, index)) => (name, Some(index.parse::<usize>().ok()?)),
+        None => (name, None),
+    };
+    let (key, value) = table.iter().find(|(key, _)| key.get_ref() == name)?;
+    let Some(index) = index else { return Some((key.span().start, value)) };
+    let DeValue::Array(list) = value.get_ref() else { return None };
+    let element = list.get(index)?;
+    Some((element.span().start, element))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_found_however_the_file_writes_it() {
+        for (text, key, line) in [
+            ("# world = 1\nworld = \"ros\"\n", "world", Some(2)),
+            ("[fleet]\nrobots_ = 1\nrobots = 2\n", "fleet.robots", Some(3)),
+            ("[slam.map]\nhit = 1\n\n[slam]\nmap_ = 1\n[sim.noise]\nhit = 3", "slam.map.hit", Some(2)),
+            ("slam.map.hit = 1", "slam.map.hit", Some(1)),
+            ("\nslam = { map = { hit = 1 } }", "slam.map.hit", Some(2)),
+            ("[slam]\n\"map\".'hit' = 1", "slam.map.hit", Some(2)),
+            ("[fleet]\nstarts = [\n  [0, 0, 0],\n  [1, nan, 0],\n]\n", "fleet.starts[1]", Some(4)),
+            ("[[a.b]]\nx = 1\n[[a.b]]\n\nx = 2\n", "a.b[1].x", Some(5)),
+            ("[slam]\n", "slam.map.hit", None),
+            ("slam = 3\n", "slam.map.hit", None),
+        ] {
+            assert_eq!(line_of_key(text, key), line, "{key} in {text}");
+        }
+    }
+}

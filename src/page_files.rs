@@ -1,0 +1,78 @@
+//! The files of the operator's page, embedded in the program: no file and no network is needed to serve them.
+
+use bridge::PageFile;
+
+const HTML: &str = "text/html; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const STYLE: &str = "text/css; charset=utf-8";
+const IMAGE: &str = "image/svg+xml";
+
+/// Embeds a file of `page/`; its path in the URL is its name.
+macro_rules! file {
+    ($name:literal, $content_type:ident) => {
+        file!(concat!("/", $name), $name, $content_type)
+    };
+    ($path:expr, $name:literal, $content_type:ident) => {
+        PageFile {
+            path: $path,
+            content_type: $content_type,
+            bytes: include_bytes!(concat!("../page/", $name)),
+        }
+    };
+}
+
+/// All files of the page.
+pub const PAGE_FILES: &[PageFile] = &[
+    file!("/", "index.html", HTML),
+    file!("style.css", STYLE),
+    file!("icon.svg", IMAGE),
+    file!("main.js", SCRIPT),
+    file!("cdr.js", SCRIPT),
+    file!("geometry.js", SCRIPT),
+    file!("input.js", SCRIPT),
+    file!("messages.js", SCRIPT),
+    file!("panels.js", SCRIPT),
+    file!("state.js", SCRIPT),
+    file!("transport.js", SCRIPT),
+    file!("view.js", SCRIPT),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Paths of the files that a file of the page refers to.
+    fn references(file: &PageFile) -> Vec<String> {
+        let text = std::str::from_utf8(file.bytes).unwrap();
+        let quoted = text.split('"').skip(1).step_by(2);
+        let of_imports = quoted.filter_map(|quoted| quoted.strip_prefix("./"));
+        let is_linked = |name: &&str| ["main.js", "style.css", "icon.svg"].contains(name);
+        let linked = text.split('"').filter(is_linked).filter(|_| file.path == "/");
+        of_imports.chain(linked).map(|name| format!("/{name}")).collect()
+    }
+
+    #[test]
+    fn every_file_that_the_page_refers_to_is_embedded() {
+        for file in PAGE_FILES.iter().filter(|file| [HTML, SCRIPT].contains(&file.content_type)) {
+            for path in references(file) {
+                assert!(PAGE_FILES.iter().any(|known| known.path == path), "{} needs {path}", file.path);
+            }
+        }
+        assert!(references(&PAGE_FILES[0]).len() >= 3);
+    }
+
+    #[test]
+    fn the_page_needs_nothing_from_elsewhere() {
+        for file in PAGE_FILES {
+            let text = std::str::from_utf8(file.bytes).unwrap();
+            let outside = text.replace("http://www.w3.org/2000/svg", "");
+            assert!(!outside.contains("http://") && !outside.contains("https://"), "{}", file.path);
+        }
+    }
+
+    #[test]
+    fn the_page_is_small() {
+        const BYTES_MAX: usize = 120 << 10;
+        assert!(PAGE_FILES.iter().map(|file| file.bytes.len()).sum::<usize>() < BYTES_MAX);
+    }
+}
