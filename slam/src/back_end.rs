@@ -52,6 +52,7 @@ const BREAK_RAD: f64 = 3.0;
 const BREAK_VARIANCE: [f64; 2] = [BREAK_M * BREAK_M, BREAK_RAD * BREAK_RAD];
 
 /// The back end of one robot's SLAM; see the module.
+// More than 12 fields: one for each part of its work, which a module of its own does, and the counts that they share.
 pub struct BackEnd {
     config: SlamConfig,
     /// The nodes, by id; their poses are the graph's.

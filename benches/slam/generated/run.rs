@@ -54,6 +54,7 @@ impl Case {
 }
 
 /// What came of a case.
+// More than 12 fields: one for each figure in the JSON.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Outcome {
     /// The seed.
