@@ -99,10 +99,16 @@ export class Camera {
     this.center = { x: this.center.x + before.x - after.x, y: this.center.y + before.y - after.y };
   }
 
-  /** Shows a rectangle whole, with some space around it. */
-  fit(/** @type {{minX: number, minY: number, maxX: number, maxY: number}} */ box) {
+  /**
+   * Shows a rectangle whole, with some space around it, between what covers the top and the bottom of the screen.
+   * @param {{minX: number, minY: number, maxX: number, maxY: number}} box metres
+   * @param {{top: number, bottom: number}} covered pixels
+   */
+  fit(box, covered = { top: 0, bottom: 0 }) {
     const [width, height] = [Math.max(1, box.maxX - box.minX), Math.max(1, box.maxY - box.minY)];
-    this.center = { x: (box.minX + box.maxX) / 2, y: (box.minY + box.maxY) / 2 };
-    this.scale = Math.min(200, 0.92 * Math.min(this.width / width, this.height / height));
+    const free = Math.max(100, this.height - covered.top - covered.bottom);
+    this.scale = Math.min(200, 0.92 * Math.min(this.width / width, free / height));
+    const shift = (covered.bottom - covered.top) / (2 * this.scale);
+    this.center = { x: (box.minX + box.maxX) / 2, y: (box.minY + box.maxY) / 2 - shift };
   }
 }

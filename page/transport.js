@@ -29,6 +29,8 @@ export class Connection {
     this.Socket = Socket;
     /** @type {Map<string, {id: number, isSent: boolean}>} */
     this.subscriptions = new Map();
+    /** Topics by the numbers of their subscriptions. @type {Map<number, string>} */
+    this.topics = new Map();
     /** @type {Map<string, {id: number, schemaName: string}>} */
     this.publications = new Map();
     /** @type {Map<number, {topic: string, schemaName: string}>} */
@@ -94,18 +96,14 @@ export class Connection {
   receiveBinary(/** @type {ArrayBuffer} */ data) {
     const view = new DataView(data);
     if (data.byteLength < MESSAGE_HEADER_BYTES || view.getUint8(0) !== MESSAGE) return;
-    const id = view.getUint32(1, true);
-    for (const [topic, subscription] of this.subscriptions) {
-      if (subscription.id === id) {
-        this.handlers.message(topic, new DataView(data, MESSAGE_HEADER_BYTES));
-        return;
-      }
-    }
+    const topic = this.topics.get(view.getUint32(1, true));
+    if (topic !== undefined) this.handlers.message(topic, new DataView(data, MESSAGE_HEADER_BYTES));
   }
 
   /** Subscribes to a topic, at once or as soon as there is one of this name. */
   subscribe(/** @type {string} */ topic) {
     if (this.subscriptions.has(topic)) return;
+    this.topics.set(this.nextId, topic);
     this.subscriptions.set(topic, { id: this.nextId++, isSent: false });
     this.sendSubscriptions();
   }

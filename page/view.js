@@ -13,6 +13,11 @@ const ROBOT_RADIUS_MIN_PX = 9;
 const OCCUPIED = 65;
 const FREE = 25;
 
+/** On a narrower map the controls lie above and below it, pixels. */
+const NARROW_PX = 560;
+/** Height of the controls above and below, pixels. */
+const COVERED_PX = { top: 52, bottom: 190 };
+
 /** Draws a fleet on a canvas. */
 export class View {
   /** @param {HTMLCanvasElement} canvas */
@@ -62,7 +67,7 @@ export class View {
     const followed = this.followed === null ? null : fleet.robots.get(this.followed)?.pose;
     if (followed) this.camera.center = { x: followed.x, y: followed.y };
     const box = this.fits ? fleet.box() : null;
-    if (box) this.camera.fit(box);
+    if (box) this.camera.fit(box, this.camera.width < NARROW_PX ? COVERED_PX : undefined);
     const colours = this.colours();
     const { context, camera } = this;
     context.fillStyle = colours.background;

@@ -146,7 +146,7 @@ fn restore(
 mod tests {
     use super::*;
     use crate::storage::DiskStorage;
-    use merge::AlignConfig;
+    use merge::MergeConfig;
     use msg::{EdgeAction, Pose2, RobotId};
 
     /// Two robots whose starts are known, and whose edge is pinned.
@@ -158,7 +158,7 @@ mod tests {
 
     fn fresh(robots: usize) -> FleetPoseGraph {
         let starts: Vec<_> = (0..robots).map(|k| Some(Pose2::new(0.1 * k as f64, -1.0 / 3.0, 0.7))).collect();
-        FleetPoseGraph::new(&AlignConfig::default(), &starts)
+        FleetPoseGraph::new(&MergeConfig::default(), &starts)
     }
 
     #[test]

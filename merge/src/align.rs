@@ -8,7 +8,6 @@
 //! Candidates are ranked by their walls alone, because floor agrees with floor almost anywhere. Whether the best one is
 //! accepted depends on both maps' cells too ([`AlignConfig`]).
 
-mod comparison;
 mod distance_field;
 mod fft2;
 mod null;
@@ -24,9 +23,9 @@ pub(crate) use points::MapPoints;
 pub(crate) use refine::{refine, wall_information, wall_proximity};
 pub(crate) use wall_match::{WallMatch, match_walls};
 
-use crate::config::AlignConfig;
+use crate::config::{AlignConfig, WallConfig};
 use crate::limits::{RESOLUTION_M, is_plausible};
-use comparison::{GridComparison, compare_grids};
+use msg::grid_agreement::{GridAgreement, compare_grids};
 use msg::{GridView, Pose2, pose::wrap_angle};
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
 use serde::{Deserialize, Serialize};
@@ -42,8 +41,10 @@ const COARSE_POINTS: usize = 2_000;
 const FINE_POINTS: usize = 20_000;
 /// Candidates that are refined by many points.
 const FINALISTS: usize = 2;
-/// Least score assumed for the best other place, in walls: chance finds as much anywhere.
-const RIVAL_SCORE_MIN: f64 = 50.0;
+/// Least score assumed for the best other place, metres of wall: chance finds as much anywhere.
+const RIVAL_WALLS_MIN_M: f64 = 2.5;
+/// Rounding of a length of walls, metres: far below a cell.
+const WALLS_ROUNDING_M: f64 = 1e-6;
 /// Share of the smaller map below which an overlap is small. It may then be a room that is like another.
 const SMALL_OVERLAP_SHARE: f64 = 0.2;
 /// Factor on [`AlignConfig::overlap_min_m2`] for an overlap with such a small share.
@@ -65,7 +66,7 @@ pub struct Alignment {
     pub accepted: bool,
     /// Occupied cells that the other map has too, of both maps together.
     pub inliers: u32,
-    /// F1 of occupied cells at a tolerance of one cell, 0 to 1.
+    /// F1 of occupied cells at the tolerance of [`WallConfig::tolerance_m`], 0 to 1.
     pub occupied_f1: f64,
     /// Share of the cells known to both maps on which they agree, 0 to 1.
     pub agreement: f64,
@@ -77,7 +78,7 @@ pub struct Alignment {
     pub conflict: f64,
     /// Mean distance of matched walls, metres.
     pub residual_m: f64,
-    /// Score (matched walls less contradicted ones) over that of the best other place, or over 50 walls if no other
+    /// Score (matched walls less contradicted ones) over that of the best other place, or over that of 2.5 m of wall if no other
     /// place has as many. 0 where only one place was looked at.
     pub margin: f64,
     /// Observability of the position: 0 if the map can slide along itself, 0.5 if it is held alike in all directions.
@@ -131,30 +132,47 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     }
     let candidates = find_candidates(&points[0], &points[1]);
     let [points_a, points_b] = points;
-    let (field_a, field_b) = (DistanceField::new(points_a, a), DistanceField::new(points_b, b));
+    let walls = &config.walls;
+    let (field_a, field_b) = (DistanceField::new(points_a, a, walls), DistanceField::new(points_b, b, walls));
     let fields = [&field_a, &field_b];
     let places = refine_candidates(fields, &candidates);
     let finalists = places.iter().take(FINALISTS).map(|coarse| (coarse, refine_finely(fields, coarse)));
     let (coarse, best) = finalists.max_by(|x, y| x.1.score().total_cmp(&y.1.score()))?;
     let others = places.iter().filter(|other| !is_same_place(other.a_from_b, coarse.a_from_b));
-    let margin = best.score() / others.map(WallMatch::score).fold(RIVAL_SCORE_MIN, f64::max);
+    let margin = best.score() / others.map(WallMatch::score).fold(rival_score_min(fields), f64::max);
     let a_from_b =
         field_a.points.frame_from_centred * best.a_from_b * field_b.points.frame_from_centred.inverse();
-    Some(judge(a_from_b, &best, margin, &compare_grids(a, b, a_from_b), config))
+    Some(judge([a, b], a_from_b, &best, margin, config))
 }
 
 /// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
 /// at. `None` if a map is malformed.
-pub(crate) fn evaluate(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> Option<Alignment> {
+pub(crate) fn evaluate(
+    a: GridView<'_>,
+    b: GridView<'_>,
+    a_from_b: Pose2,
+    config: &AlignConfig,
+) -> Option<Alignment> {
     if !is_usable(a) || !is_usable(b) {
         return None;
     }
-    let fields = [a, b].map(|map| DistanceField::new(MapPoints::from_grid(map, COARSE_CELL_M), map));
+    let fields =
+        [a, b].map(|map| DistanceField::new(MapPoints::from_grid(map, COARSE_CELL_M), map, &config.walls));
     let fields = [&fields[0], &fields[1]];
     let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
     let matched = match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS));
-    let config = AlignConfig { margin_min: 0.0, ..AlignConfig::default() };
-    Some(judge(a_from_b, &matched, 0.0, &compare_grids(a, b, a_from_b), &config))
+    let config = AlignConfig { margin_min: 0.0, ..config.clone() };
+    Some(judge([a, b], a_from_b, &matched, 0.0, &config))
+}
+
+/// Returns the number of wall points of a length of walls.
+pub(crate) fn wall_points([a, b]: [&DistanceField; 2], length_m: f64) -> f64 {
+    length_m / ((a.points.wall_point_m + b.points.wall_point_m) / 2.0)
+}
+
+/// Returns the least score assumed for the best other place, wall points.
+pub(crate) fn rival_score_min(fields: [&DistanceField; 2]) -> f64 {
+    wall_points(fields, RIVAL_WALLS_MIN_M)
 }
 
 /// Returns the strides at which about this many wall points of each map are used.
@@ -220,21 +238,30 @@ fn is_same_place(x: Pose2, y: Pose2) -> bool {
     x.distance_m(y) < SAME_PLACE_M && wrap_angle(x.yaw_rad - y.yaw_rad).abs() < SAME_PLACE_RAD
 }
 
+/// Compares two grids cell by cell; all zero if they have no cell in common.
+fn compare_cells(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, config: &WallConfig) -> GridAgreement {
+    compare_grids(a, b, a_from_b, config.tolerance_m).unwrap_or_default()
+}
+
 /// Compares the evidence with the thresholds.
 fn judge(
+    [a, b]: [GridView<'_>; 2],
     a_from_b: Pose2,
     walls: &WallMatch,
     margin: f64,
-    cells: &GridComparison,
     config: &AlignConfig,
 ) -> Alignment {
-    let GridComparison { agreement, occupied_f1, overlap_m2, overlap_share, inliers } = *cells;
+    let cells = compare_cells(a, b, a_from_b, &config.walls);
+    let GridAgreement { agreement, occupied_f1, overlap_m2, overlap_share, occupied_found, .. } = cells;
+    let [walls_a_m, walls_b_m] =
+        [(a, 0), (b, 1)].map(|(map, k)| occupied_found[k] as f64 * map.header.resolution_m);
+    let inliers = (occupied_found[0] + occupied_found[1]) as u32;
     let factor = if overlap_share < SMALL_OVERLAP_SHARE { SMALL_OVERLAP_FACTOR } else { 1.0 };
     let accepted = agreement >= config.agreement_min
         && occupied_f1 >= config.occupied_f1_min
         && walls.conflict() <= config.conflict_max
         && overlap_m2 >= factor * config.overlap_min_m2
-        && inliers >= config.inliers_min
+        && walls_a_m + walls_b_m >= config.walls_min_m - WALLS_ROUNDING_M
         && margin >= config.margin_min
         && walls.observability >= config.observability_min;
     Alignment {

@@ -38,7 +38,7 @@ mod task;
 pub use snapshot::{FleetSnapshot, SnapshotRejected};
 pub use task::{Outcome, Task};
 
-use crate::config::AlignConfig;
+use crate::config::MergeConfig;
 use crate::limits::is_plausible;
 use alignment::{next_alignment, next_check};
 use frame::{ReferenceRobot, connect_robots, set_reference, successor};
@@ -72,12 +72,12 @@ pub enum SubmapRejected {
 /// which order, depends on the messages alone.
 ///
 /// ```
-/// use merge::{AlignConfig, FleetPoseGraph};
+/// use merge::{FleetPoseGraph, MergeConfig};
 /// use msg::{EdgeAction, MergeEdges, Pose2, RobotId};
 ///
 /// // Two robots whose starts are known. Submaps would come by `add_submap` and `update_poses`.
 /// let starts = [Some(Pose2::IDENTITY), Some(Pose2::new(4.0, 0.0, 1.5))];
-/// let mut graph = FleetPoseGraph::new(&AlignConfig::default(), &starts);
+/// let mut graph = FleetPoseGraph::new(&MergeConfig::default(), &starts);
 /// while let Some(task) = graph.next_task() {
 ///     graph.apply_outcome(task.run());
 /// }
@@ -91,7 +91,7 @@ pub enum SubmapRejected {
 /// assert_eq!(edges.edges()[0].a_from_b, starts[1].unwrap());
 /// ```
 pub struct FleetPoseGraph {
-    config: AlignConfig,
+    config: MergeConfig,
     /// One element for each robot of the fleet, at [`RobotId::index`].
     robots: Vec<Robot>,
     /// In the order of [`robots_of_pair`].
@@ -118,7 +118,7 @@ impl FleetPoseGraph {
     ///
     /// `starts` is frame `map` from frame `robotK/map` where that is known, by [`RobotId::index`]. If no start is known,
     /// the first robot that sends submaps becomes the reference: its map fixes the frame `map`.
-    pub fn new(config: &AlignConfig, starts: &[Option<Pose2>]) -> Self {
+    pub fn new(config: &MergeConfig, starts: &[Option<Pose2>]) -> Self {
         let robot = |start: &Option<Pose2>| Robot::new(start.filter(|start| is_plausible(*start)));
         let robots: Vec<Robot> = starts.iter().take(ROBOTS_MAX).map(robot).collect();
         let pairs = vec![RobotPair::default(); pair_count(robots.len())];
@@ -210,7 +210,7 @@ impl FleetPoseGraph {
             .map(Job::Solve)
             .or_else(|| next_redraw(&self.robots).map(Job::Redraw))
             .or_else(|| self.next_match().map(Job::Match))
-            .or_else(|| next_check(&self.robots, &mut self.pairs).map(Job::Check))
+            .or_else(|| next_check(&self.robots, &mut self.pairs, &self.config).map(Job::Check))
             .or_else(|| next_alignment(&self.robots, &mut self.pairs, &self.config).map(Job::Align))?;
         self.task_is_out = true;
         Some(Task { generations: self.generations(), job })
@@ -315,7 +315,7 @@ impl FleetPoseGraph {
             let [a, b] = robots_of_pair(index).map(|robot| &self.robots[robot]);
             pair.link_by_alignment(a, b);
         }
-        JointProblem::collect(&self.robots, &self.pairs, self.reference)
+        JointProblem::collect(&self.robots, &self.pairs, self.reference, &self.config.closures)
     }
 
     /// Returns the next match of two submaps, of the first connected pair of robots that has any.
@@ -325,7 +325,7 @@ impl FleetPoseGraph {
             let [a, b] = robots_of_pair(index).map(|robot| &self.robots[robot]);
             let nodes = a.submaps.node_count() + b.submaps.node_count();
             let is_out = pair.edge.is_rejected(in_graph) || pair.edge.is_refuted(in_graph, nodes);
-            if is_out { None } else { pair.closures.next_match(index, a, b) }
+            if is_out { None } else { pair.closures.next_match(index, [a, b], &self.config) }
         })
     }
 

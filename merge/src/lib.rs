@@ -25,6 +25,6 @@ mod robot_map;
 mod swept_path;
 
 pub use align::{Alignment, align};
-pub use config::{AlignConfig, InvalidMergeConfig, MergeConfig};
+pub use config::{AlignConfig, CheckConfig, ClosureConfig, InvalidMergeConfig, MergeConfig, WallConfig};
 pub use fleet_graph::{FleetPoseGraph, FleetSnapshot, Outcome, SnapshotRejected, SubmapRejected, Task};
 pub use merger::{MapRejected, Merger};

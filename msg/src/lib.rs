@@ -36,6 +36,7 @@ mod stats;
 pub mod time;
 
 pub mod grid;
+pub mod grid_agreement;
 pub mod rect;
 mod slam;
 mod submap;

@@ -78,4 +78,6 @@ test("a rectangle that is fitted is on the screen", () => {
     const { x, y } = camera.toScreen(point);
     assert.ok(x >= 0 && x <= 375 && y >= 0 && y <= 500, `${x} ${y}`);
   }
+  camera.fit({ minX: 0, minY: 0, maxX: 4, maxY: 20 }, { top: 50, bottom: 150 });
+  assert.ok(camera.toScreen({ x: 0, y: 20 }).y >= 50 && camera.toScreen({ x: 0, y: 0 }).y <= 350);
 });

@@ -5,7 +5,7 @@
 
 use super::graph::{self, FleetEstimate, FleetEstimateSlot};
 use super::heartbeat::{HealthCounters, Heartbeat};
-use super::{Component, Error, Listens, serve};
+use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::fleet;
 use crate::merge_memory::MergeMemory;
@@ -41,7 +41,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 /// map on.
 pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(FleetPoseGraph, MergeMemory<S>), Error> {
     let starts = fleet::known_starts(&run.config)?;
-    let mut graph = FleetPoseGraph::new(&run.config.merge.align, &starts);
+    let mut graph = FleetPoseGraph::new(&run.config.merge, &starts);
     let memory = MergeMemory::restore(run, storage, &mut graph);
     Ok((graph, memory))
 }
@@ -124,7 +124,7 @@ impl<P: Ports> MapDrawing<P> {
     }
 }
 
-impl<P: Ports> Component for MapDrawing<P> {
+impl<P: Ports> ProcessLoop for MapDrawing<P> {
     fn step(&mut self) -> Monotonic {
         if self.receive() {
             // The transforms notify nobody. The merged map does, and its readers then find the transforms.

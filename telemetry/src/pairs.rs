@@ -1,6 +1,7 @@
-//! Consistency of every pair of the robots' maps, a bounded amount of work at a time.
+//! Agreement of every pair of the robots' maps, a bounded amount of work at a time.
 
-use crate::consistency::{Consistency, compare, one_wrong, overlap_centre_m};
+use crate::consistency::{compare, one_wrong, overlap_centre_m};
+use msg::grid_agreement::GridAgreement;
 use msg::{Grid, Pose2, ROBOTS_MAX};
 
 /// Cells compared in one call, about 20 ms of work: other pairs wait for the next call.
@@ -22,11 +23,11 @@ pub(crate) struct PlacedMap<'a> {
 
 /// The newest comparison of each pair.
 pub(crate) struct PairComparisons {
-    results: Vec<Option<Consistency>>,
+    results: Vec<Option<GridAgreement>>,
     /// Versions of both maps and the transform of each result.
     compared: Vec<Option<(u64, u64, Pose2)>>,
     next: usize,
-    /// Strict consistency and F1 of each pair under its newest wrong transforms.
+    /// Agreement and F1 of each pair under its newest wrong transforms.
     nulls: Vec<heapless::HistoryBuf<[f64; 2], NULL_TRANSFORMS>>,
     /// The pair that gets the next wrong transform.
     next_null: usize,
@@ -39,11 +40,11 @@ pub(crate) struct PairMeans {
     /// Pairs that overlap.
     pub count: u32,
     /// Means of their figures; NaN where no pair overlaps.
-    pub mean: Consistency,
+    pub mean: GridAgreement,
     /// Wrong transforms of all pairs that count.
     pub null_count: u32,
-    /// Mean strict consistency under them; NaN before any.
-    pub null_strict_mean: f64,
+    /// Mean agreement under them; NaN before any.
+    pub null_agreement_mean: f64,
     /// Mean F1 under them; NaN before any.
     pub null_f1_mean: f64,
 }
@@ -80,7 +81,7 @@ impl PairComparisons {
             self.draws += 1;
             cells += 1 + a.cells.len() + b.cells.len();
             if let Some(wrong) = one_wrong(a, b, a_from_b, (centre_m, right.overlap_m2), self.draws) {
-                self.nulls[slot].write([wrong.strict, wrong.occupied_f1]);
+                self.nulls[slot].write([wrong.agreement, wrong.occupied_f1]);
                 return;
             }
         }
@@ -117,29 +118,31 @@ impl PairComparisons {
     /// Computes the means over the pairs.
     pub fn means(&self) -> PairMeans {
         let overlapping = self.results.iter().flatten();
-        let (count, sum) = overlapping.fold((0_u32, Consistency::default()), |(count, sum), one| {
-            let sum = Consistency {
-                strict: sum.strict + one.strict,
-                one_cell: sum.one_cell + one.one_cell,
+        let (count, sum) = overlapping.fold((0_u32, GridAgreement::default()), |(count, sum), one| {
+            let sum = GridAgreement {
+                agreement: sum.agreement + one.agreement,
+                agreement_near: sum.agreement_near + one.agreement_near,
                 occupied_f1: sum.occupied_f1 + one.occupied_f1,
                 overlap_m2: sum.overlap_m2 + one.overlap_m2,
                 overlap_share: sum.overlap_share + one.overlap_share,
+                ..GridAgreement::default()
             };
             (count + 1, sum)
         });
         let n = f64::from(count);
-        let mean = Consistency {
-            strict: sum.strict / n,
-            one_cell: sum.one_cell / n,
+        let mean = GridAgreement {
+            agreement: sum.agreement / n,
+            agreement_near: sum.agreement_near / n,
             occupied_f1: sum.occupied_f1 / n,
             overlap_m2: sum.overlap_m2 / n,
             overlap_share: sum.overlap_share / n,
+            ..GridAgreement::default()
         };
         let draws = || self.nulls.iter().flat_map(|of_pair| of_pair.iter());
         let null_count = draws().count() as u32;
-        let [null_strict_mean, null_f1_mean] =
+        let [null_agreement_mean, null_f1_mean] =
             [0, 1].map(|k| draws().map(|draw| draw[k]).sum::<f64>() / f64::from(null_count));
-        PairMeans { count, mean, null_count, null_strict_mean, null_f1_mean }
+        PairMeans { count, mean, null_count, null_agreement_mean, null_f1_mean }
     }
 }
 
@@ -180,12 +183,12 @@ mod tests {
             pairs.refresh(&maps);
         }
         assert_eq!(pairs.means().count as usize, PAIRS);
-        assert_eq!(pairs.means().mean.strict, 1.0);
+        assert_eq!(pairs.means().mean.agreement, 1.0);
         let nobody: Vec<_> = maps
             .iter()
             .map(|map| PlacedMap { map_from_robot_map: None, grid: map.grid, version: 1 })
             .collect();
         pairs.refresh(&nobody);
-        assert!(pairs.means().count == 0 && pairs.means().mean.strict.is_nan());
+        assert!(pairs.means().count == 0 && pairs.means().mean.agreement.is_nan());
     }
 }

@@ -1,8 +1,8 @@
 //! Errors of a map against the true room (simulation only).
 
-use crate::consistency::for_known;
 use crate::distance::squared_distances;
 use msg::grid::{Occupancy, occupancy};
+use msg::grid_agreement::for_known_cells;
 use msg::{Grid, GridView, Pose2};
 
 /// Largest distance of a wall to the other map's walls that counts, metres: one missing room does not hide the rest.
@@ -142,7 +142,7 @@ fn wall_distances(
 ) -> WallDistances {
     let width = to.header.width as usize;
     let (mut count, mut found, mut sum_m) = (0_u64, 0_u64, 0.0);
-    for_known(from, to, to_from_from, |here, x, y| {
+    for_known_cells(from, to, to_from_from, |here, x, y| {
         if here != Occupancy::Occupied {
             return;
         }

@@ -21,6 +21,7 @@ mod layering;
 mod lockstep;
 mod malformed;
 mod maps;
+mod page;
 mod peers;
 mod relation_metric;
 mod restart;

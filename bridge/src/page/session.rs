@@ -69,6 +69,8 @@ pub struct OwnedFrame {
 /// The state of one connection.
 #[derive(Debug, Default)]
 pub struct Session {
+    /// All topics at the last update, sorted by name.
+    topics: Vec<TopicName>,
     /// Topics that the client knows of, by their numbers on this connection.
     channels: BTreeMap<u64, TopicName>,
     next_channel: u64,
@@ -83,6 +85,10 @@ pub struct Session {
 impl Session {
     /// Tells the client which topics have come and gone since the last call.
     pub fn update_channels(&mut self, topics: &[TopicName], encoder: &mut Encoder) -> io::Result<()> {
+        if self.topics == topics {
+            return Ok(());
+        }
+        self.topics = topics.to_vec();
         let is_gone = |topic: &TopicName| !topics.contains(topic);
         let gone: Vec<u64> =
             self.channels.iter().filter(|(_, topic)| is_gone(topic)).map(|(id, _)| *id).collect();

@@ -1,6 +1,7 @@
 //! Distance field of one map: distance to the nearest wall, floor, and the side from which each wall was seen.
 
 use super::points::MapPoints;
+use crate::config::WallConfig;
 use msg::GridView;
 use msg::grid::{Occupancy, occupancy};
 
@@ -8,8 +9,12 @@ use msg::grid::{Occupancy, occupancy};
 pub(super) const REACH_M: f64 = 0.8;
 /// Most cells of a field; larger maps get coarser ones.
 const CELLS_MAX: usize = 2048 * 2048;
-/// Half the side of the square in which a wall's floor is counted, cells of the field (0.15 m of maps at 0.05 m).
-const SIDE_CELLS: usize = 3;
+/// Least [`WallConfig::match_m`], cells: a wall's place is rounded to a cell.
+const MATCH_CELLS_MIN: f32 = 1.5;
+/// Least [`WallConfig::conflict_m`], cells, for the same reason.
+const CONFLICT_CELLS_MIN: f32 = 2.5;
+/// Least [`WallConfig::side_m`], cells: fewer do not tell a side from the other.
+const SIDE_CELLS_MIN: usize = 3;
 
 /// Distance to the nearest wall of one map, in the centred frame of its points.
 pub(crate) struct DistanceField {
@@ -29,13 +34,19 @@ pub(crate) struct DistanceField {
     pub height: usize,
     /// Side of a cell, metres.
     pub cell_m: f64,
+    /// Largest distance of matching walls, cells.
+    pub match_cells: f32,
+    /// Least distance to the walls of a contradicted wall, cells.
+    pub conflict_cells: f32,
+    /// Half the side of the square in which a wall's floor is counted, cells.
+    side_cells: usize,
     /// Lower left corner in the centred frame.
     corner_m: [f64; 2],
 }
 
 impl DistanceField {
     /// Computes the field of a grid with these points.
-    pub fn new(points: MapPoints, grid: GridView<'_>) -> Self {
+    pub fn new(points: MapPoints, grid: GridView<'_>, config: &WallConfig) -> Self {
         let margin_m = REACH_M;
         let span_m = 2.0 * (points.radius_m + margin_m);
         let cell_m = grid.header.resolution_m.max(span_m / (CELLS_MAX as f64).sqrt());
@@ -54,6 +65,9 @@ impl DistanceField {
             width,
             height,
             cell_m,
+            match_cells: ((config.match_m / cell_m) as f32).max(MATCH_CELLS_MIN),
+            conflict_cells: ((config.conflict_m / cell_m) as f32).max(CONFLICT_CELLS_MIN),
+            side_cells: ((config.side_m / cell_m).round() as usize).max(SIDE_CELLS_MIN),
             corner_m,
         };
         for [x, y] in &field.points.walls_m {
@@ -160,13 +174,14 @@ impl DistanceField {
     ///
     /// A wall was seen from there. It is near zero for a wall that was seen from both sides.
     pub fn floor_side(&self, x: usize, y: usize) -> [f64; 2] {
-        let (x0, x1) = (x.saturating_sub(SIDE_CELLS), (x + SIDE_CELLS + 1).min(self.width));
-        let (y0, y1) = (y.saturating_sub(SIDE_CELLS), (y + SIDE_CELLS + 1).min(self.height));
+        let side = self.side_cells;
+        let (x0, x1) = (x.saturating_sub(side), (x + side + 1).min(self.width));
+        let (y0, y1) = (y.saturating_sub(side), (y + side + 1).min(self.height));
         let stride = self.width + 1;
         let at = |x: usize, y: usize| i64::from(self.floor_sums[y * stride + x]);
         let floor =
             |x0: usize, y0: usize, x1: usize, y1: usize| at(x1, y1) + at(x0, y0) - at(x0, y1) - at(x1, y0);
-        let half = (SIDE_CELLS * (2 * SIDE_CELLS + 1)) as f64;
+        let half = (side * (2 * side + 1)) as f64;
         let across = floor(x + 1, y0, x1, y1) - floor(x0, y0, x, y1);
         let along = floor(x0, y + 1, x1, y1) - floor(x0, y0, x1, y);
         [across as f64 / half, along as f64 / half]

@@ -1,8 +1,9 @@
 //! Null distribution of an alignment, the agreement of the same two maps under wrong transforms.
 
-use super::comparison::compare_grids;
+use super::compare_cells;
 use super::points::MapPoints;
 use super::translation::COARSE_CELL_M;
+use crate::config::WallConfig;
 use core::f64::consts::TAU;
 use msg::{GridView, Pose2};
 
@@ -17,12 +18,12 @@ const ROTATION_RAD: [f64; 2] = [0.35, 2.79];
 /// Smallest translation of a wrong transform, and how much longer it can be, metres.
 const TRANSLATION_M: [f64; 2] = [2.0, 6.0];
 
-/// Largest F1 of occupied cells (tolerance of one cell) under wrong transforms: what chance reaches.
+/// Largest F1 of occupied cells under wrong transforms: what chance reaches.
 ///
 /// Each is 2 to 8 m and 20° to 180° off and leaves at least half the overlap. The same maps give the same figure. The
 /// fleet's statistics give a mean instead (`telemetry`).
-pub(crate) fn max_null_f1(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> f64 {
-    let right = compare_grids(a, b, a_from_b);
+pub(crate) fn max_null_f1(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, config: &WallConfig) -> f64 {
+    let right = compare_cells(a, b, a_from_b, config);
     // Rotating about the centre of b's walls keeps most of the overlap.
     let centre = MapPoints::from_grid(b, COARSE_CELL_M).frame_from_centred;
     let [x, y] = a_from_b.apply([centre.x_m, centre.y_m]);
@@ -37,7 +38,7 @@ pub(crate) fn max_null_f1(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2) -> 
         let wrong = Pose2::new(translation * direction.cos(), translation * direction.sin(), 0.0)
             * rotated
             * a_from_b;
-        let found = compare_grids(a, b, wrong);
+        let found = compare_cells(a, b, wrong, config);
         if found.overlap_m2 >= OVERLAP_SHARE_MIN * right.overlap_m2 {
             largest = largest.max(found.occupied_f1);
             left -= 1;

@@ -16,6 +16,8 @@ pub(crate) struct MapPoints {
     pub frame_from_centred: Pose2,
     /// Centres of occupied cells.
     pub walls_m: Vec<[f32; 2]>,
+    /// Length of wall that a point stands for, metres.
+    pub wall_point_m: f64,
     /// Centres of squares that hold mostly floor and no wall.
     pub floor_m: Vec<[f32; 2]>,
     /// Least and greatest x and y of the points, metres.
@@ -62,7 +64,7 @@ impl MapPoints {
                 blocked.fill(false);
             }
         }
-        Self::centred(&walls, &floor, grid)
+        Self { wall_point_m: keep as f64 * resolution, ..Self::centred(&walls, &floor, grid) }
     }
 
     /// Converts points in cells of the grid.
@@ -86,6 +88,7 @@ impl MapPoints {
         let hull_m = [0, 1].map(|end| {
             [0, 1].map(|k| if known { (hull[2 * end + k] - centre[k]) * resolution } else { 0.0 })
         });
-        Self { frame_from_centred: grid.header.origin * to_centre, hull_m, walls_m, floor_m, radius_m }
+        let frame_from_centred = grid.header.origin * to_centre;
+        Self { frame_from_centred, hull_m, walls_m, wall_point_m: resolution, floor_m, radius_m }
     }
 }

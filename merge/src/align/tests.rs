@@ -145,3 +145,47 @@ fn empty_and_malformed_maps_are_not_aligned() {
         assert!(align(a.view(), b.view(), &AlignConfig::default()).is_none_or(|found| !found.accepted));
     }
 }
+
+/// The same map with four cells in place of each.
+fn finer(map: &Grid) -> Grid {
+    let header = GridHeader {
+        resolution_m: map.header.resolution_m / 2.0,
+        width: 2 * map.header.width,
+        height: 2 * map.header.height,
+        ..map.header
+    };
+    let cell = |i: usize| {
+        let (x, y) = (i % header.width as usize / 2, i / header.width as usize / 2);
+        map.cells[y * map.header.width as usize + x]
+    };
+    Grid { header, cells: (0..header.width as usize * header.height as usize).map(cell).collect() }
+}
+
+#[test]
+fn walls_match_and_contradict_at_the_same_distances_whatever_the_resolution() {
+    let coarse = map(house, -160, 160);
+    let fine = finer(&coarse);
+    let config = WallConfig::default();
+    let shares = |grid: &Grid, shift_m: f64| {
+        let field =
+            || DistanceField::new(MapPoints::from_grid(grid.view(), COARSE_CELL_M), grid.view(), &config);
+        let (a, b) = (field(), field());
+        let found = match_walls([&a, &b], Pose2::new(shift_m, shift_m, 0.0), [1, 1]);
+        let all = (a.points.walls_m.len() + b.points.walls_m.len()) as f64;
+        [found.matched / all, found.contradicted / all]
+    };
+    // On the walls; beside them, which says nothing; on the floor.
+    for shift_m in [0.0, 0.1, 0.2] {
+        let [coarse, fine] = [&coarse, &fine].map(|grid| shares(grid, shift_m));
+        assert!((coarse[1] - fine[1]).abs() < 0.1, "{shift_m} m: {coarse:?}, in finer cells {fine:?}");
+        assert_eq!(
+            [coarse[1] > 0.02, fine[1] > 0.02],
+            [shift_m > 0.15; 2],
+            "{shift_m} m: {coarse:?}, {fine:?}"
+        );
+    }
+    let halves = [map(house, -160, 60), map(house, -60, 160)];
+    let found = [halves.clone(), halves.map(|half| finer(&half))]
+        .map(|[a, b]| align(a.view(), b.view(), &AlignConfig::default()).unwrap());
+    assert!(found.iter().all(|found| found.accepted), "{found:?}");
+}

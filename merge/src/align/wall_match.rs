@@ -9,10 +9,6 @@ const SIDE_PRODUCT_MIN: f64 = -0.15;
 /// Weight of a contradicted wall, where a matched one counts 1. In the right place nine walls in ten match, in the best
 /// of many wrong ones about half: the ratio of the log-likelihood ratios ln(0.1 / 0.5) and ln(0.9 / 0.5).
 const CONTRADICTED_WEIGHT: f64 = 2.7;
-/// Largest distance of matching walls, cells of the field. In cells, since a wall's place is rounded to a cell.
-const MATCH_CELLS: f32 = 1.5;
-/// Least distance to the other map's walls of a wall that its floor contradicts, cells of the field.
-const CONTRADICTED_CELLS: f32 = 2.5;
 
 /// How well two maps' walls match under a transform. Counts are of all points, though only some are looked at.
 #[derive(Clone, Copy, Debug, Default)]
@@ -70,7 +66,7 @@ impl DistanceField {
             }
             let index = v as usize * self.width + u as usize;
             let distance = self.distance[index];
-            if distance <= MATCH_CELLS {
+            if distance <= self.match_cells {
                 let [sx, sy] = side.map(f64::from);
                 let [tx, ty] = self.floor_side(u as usize, v as usize);
                 if tx * (cos * sx - sin * sy) + ty * (sin * sx + cos * sy) < SIDE_PRODUCT_MIN {
@@ -82,7 +78,7 @@ impl DistanceField {
                     information =
                         [information[0] + gx * gx, information[1] + gx * gy, information[2] + gy * gy];
                 }
-            } else if distance > CONTRADICTED_CELLS && self.floor[index] {
+            } else if distance > self.conflict_cells && self.floor[index] {
                 result.contradicted += 1.0;
             }
         }

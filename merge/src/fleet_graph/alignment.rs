@@ -6,7 +6,7 @@ use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
 use super::submaps::SubmapStore;
 use crate::align::{align, evaluate, max_null_f1};
-use crate::config::AlignConfig;
+use crate::config::{AlignConfig, CheckConfig, MergeConfig};
 use msg::{Grid, Pose2};
 
 /// Least number of nodes of a robot whose map is aligned: smaller maps hold too little evidence.
@@ -38,6 +38,7 @@ pub(crate) struct MapsAligned {
     pair: usize,
     nodes: [u32; 2],
     found: Option<Evidence>,
+    chance_lead_min: f64,
 }
 
 /// Work: compare the maps of two robots where the fleet's graph has them.
@@ -45,6 +46,7 @@ pub(crate) struct MapsAligned {
 pub(crate) struct CheckJob {
     pair: usize,
     maps: [Vec<PlacedSubmap>; 2],
+    config: MergeConfig,
 }
 
 /// Result of a [`CheckJob`].
@@ -52,6 +54,7 @@ pub(crate) struct CheckJob {
 pub(crate) struct MapsChecked {
     pair: usize,
     found: Option<Evidence>,
+    config: CheckConfig,
 }
 
 /// Returns the next alignment. Of the pairs that are not in one graph and have grown, it is a candidate or else the one
@@ -59,7 +62,7 @@ pub(crate) struct MapsChecked {
 pub(crate) fn next_alignment(
     robots: &[Robot],
     pairs: &mut [RobotPair],
-    config: &AlignConfig,
+    config: &MergeConfig,
 ) -> Option<AlignJob> {
     let due = pairs.iter().enumerate().filter(|(index, pair)| is_due(*index, pair, robots));
     let next = due.min_by_key(|(_, pair)| (!pair.edge.is_candidate(), pair.schedule.alignments));
@@ -77,11 +80,15 @@ pub(crate) fn next_alignment(
     schedule.alignments += 1;
     schedule.final_alignments = schedule.final_alignments.saturating_sub(1);
     schedule.aligned_at_nodes = nodes[0] + nodes[1];
-    Some(AlignJob { pair: index, nodes, maps, config: config.clone() })
+    Some(AlignJob { pair: index, nodes, maps, config: config.align.clone() })
 }
 
 /// Returns the next check of an active edge whose maps have grown.
-pub(crate) fn next_check(robots: &[Robot], pairs: &mut [RobotPair]) -> Option<CheckJob> {
+pub(crate) fn next_check(
+    robots: &[Robot],
+    pairs: &mut [RobotPair],
+    config: &MergeConfig,
+) -> Option<CheckJob> {
     for (index, pair) in pairs.iter_mut().enumerate().filter(|(_, pair)| pair.edge.is_active()) {
         let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
         let nodes = a.submaps.node_count() + b.submaps.node_count();
@@ -92,7 +99,7 @@ pub(crate) fn next_check(robots: &[Robot], pairs: &mut [RobotPair]) -> Option<Ch
         pair.schedule.checked_at_nodes = nodes.max(1);
         let maps = [a, b].map(|robot| robot.placed_in(Pose2::IDENTITY));
         if maps.iter().all(|map| !map.is_empty()) {
-            return Some(CheckJob { pair: index, maps });
+            return Some(CheckJob { pair: index, maps, config: config.clone() });
         }
     }
     None
@@ -135,11 +142,15 @@ impl AlignJob {
         let found = compose_both(&self.maps).and_then(|[a, b]| {
             let alignment = align(a.view(), b.view(), &self.config)?;
             // Only an accepted alignment is compared with chance.
-            let null_f1_max =
-                if alignment.accepted { max_null_f1(a.view(), b.view(), alignment.a_from_b) } else { 0.0 };
+            let null_f1_max = if alignment.accepted {
+                max_null_f1(a.view(), b.view(), alignment.a_from_b, &self.config.walls)
+            } else {
+                0.0
+            };
             Some(Evidence { alignment, null_f1_max })
         });
-        MapsAligned { pair: self.pair, nodes: self.nodes, found }
+        let chance_lead_min = self.config.chance_lead_min;
+        MapsAligned { pair: self.pair, nodes: self.nodes, found, chance_lead_min }
     }
 }
 
@@ -147,10 +158,12 @@ impl CheckJob {
     /// Compares the maps.
     pub fn run(self) -> MapsChecked {
         let found = compose_both(&self.maps).and_then(|[a, b]| {
-            let alignment = evaluate(a.view(), b.view(), Pose2::IDENTITY)?;
-            Some(Evidence { alignment, null_f1_max: max_null_f1(a.view(), b.view(), Pose2::IDENTITY) })
+            let config = &self.config.align;
+            let alignment = evaluate(a.view(), b.view(), Pose2::IDENTITY, config)?;
+            let null_f1_max = max_null_f1(a.view(), b.view(), Pose2::IDENTITY, &config.walls);
+            Some(Evidence { alignment, null_f1_max })
         });
-        MapsChecked { pair: self.pair, found }
+        MapsChecked { pair: self.pair, found, config: self.config.check }
     }
 }
 
@@ -158,7 +171,9 @@ impl MapsAligned {
     /// Records the alignment; returns whether the pair's edge became accepted.
     pub fn apply(self, pairs: &mut [RobotPair], maps_are_complete: bool) -> bool {
         let edge = &mut pairs[self.pair].edge;
-        self.found.is_some_and(|found| edge.record_alignment(self.nodes, found, maps_are_complete))
+        self.found.is_some_and(|found| {
+            edge.record_alignment(self.nodes, found, self.chance_lead_min, maps_are_complete)
+        })
     }
 }
 
@@ -167,7 +182,7 @@ impl MapsChecked {
     pub fn apply(self, pairs: &mut [RobotPair]) -> bool {
         let pair = &mut pairs[self.pair];
         let Some(found) = self.found.filter(|_| pair.edge.is_active()) else { return false };
-        match pair.edge.record_check(found) {
+        match pair.edge.record_check(found, &self.config) {
             CheckResult::Confirmed => return false,
             CheckResult::Contradicted => pair.schedule.checked_at_nodes = 0,
             CheckResult::Refuted => {

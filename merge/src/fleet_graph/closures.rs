@@ -2,6 +2,7 @@
 
 use super::robot::Robot;
 use super::submap_match::{SearchWindow, SubmapMatch, match_submaps};
+use crate::config::MergeConfig;
 use msg::{Grid, Pose2};
 use posegraph::{Edge, Kernel, information_from_sigmas};
 use std::collections::BTreeMap;
@@ -91,6 +92,7 @@ pub(crate) struct MatchJob {
     grids: [Arc<Grid>; 2],
     predicted: Pose2,
     window: SearchWindow,
+    config: MergeConfig,
 }
 
 /// Result of a [`MatchJob`].
@@ -106,7 +108,7 @@ impl MatchJob {
     /// Matches the submaps.
     pub fn run(self) -> Matched {
         let [i, j] = &self.grids;
-        let found = match_submaps(i.view(), j.view(), self.predicted, self.window);
+        let found = match_submaps(i.view(), j.view(), self.predicted, self.window, &self.config);
         Matched { pair: self.pair, ids: self.ids, found }
     }
 }
@@ -174,7 +176,7 @@ impl ClosureSet {
 
     /// Returns the next match: of the untried pairs of finished, overlapping submaps, the one whose prediction
     /// is the most certain.
-    pub fn next_match(&self, pair: usize, a: &Robot, b: &Robot) -> Option<MatchJob> {
+    pub fn next_match(&self, pair: usize, [a, b]: [&Robot; 2], config: &MergeConfig) -> Option<MatchJob> {
         let mut best: Option<(f64, [usize; 2], Pose2)> = None;
         let mut looked_at = 0;
         let exhausted = self.exhausted([a, b]);
@@ -201,7 +203,8 @@ impl ClosureSet {
         let (distance_m, ids, predicted) = best?;
         let ((i, _), (j, _)) = a.submaps.get(ids[0]).zip(b.submaps.get(ids[1]))?;
         let grids = [i.grid.clone(), j.grid.clone()];
-        Some(MatchJob { pair, ids, grids, predicted, window: window(distance_m) })
+        let window = window(distance_m);
+        Some(MatchJob { pair, ids, grids, predicted, window, config: config.clone() })
     }
 
     /// Records the result of a match; returns whether a closure was found.

@@ -1,6 +1,7 @@
 //! The edge between two robots: its state, its evidence, and what the operator decided.
 
 use crate::align::Alignment;
+use crate::config::CheckConfig;
 use msg::{EdgeAction, EdgeState, Pose2, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 
@@ -11,14 +12,6 @@ const SAME_ALIGNMENT_M: f64 = 1.0;
 const SAME_ALIGNMENT_RAD: f64 = 0.1;
 /// Most rejected alignments that are remembered: the oldest go first.
 pub(crate) const REJECTED_MAX: usize = 8;
-/// Lead in F1 that an alignment needs over the best of 20 wrong transforms.
-const LEAD_OVER_NULL: f64 = 0.3;
-/// Below this F1 the maps contradict an edge: right places have 0.8 and more, wrong ones 0.2 and less.
-const CONTRADICTED_F1: f64 = 0.4;
-/// Least overlap in which a low F1 counts, square metres.
-const CONTRADICTED_OVERLAP_M2: f64 = 10.0;
-/// Contradictions in a row after which an edge is dropped.
-const CONTRADICTIONS_MAX: u32 = 2;
 /// Factor by which the nodes of both robots must grow before an alignment that their maps contradicted may be accepted
 /// again: only new parts of the maps are new evidence.
 const NEW_EVIDENCE_FACTOR: f64 = 1.25;
@@ -179,11 +172,18 @@ impl MapEdge {
     }
 
     /// Records an alignment of maps with so many nodes. Two alignments of the same place, from maps that have grown in
-    /// between or are complete, make the edge accepted. Returns whether it became accepted.
-    pub fn record_alignment(&mut self, nodes: [u32; 2], found: Evidence, maps_are_complete: bool) -> bool {
+    /// between or are complete, make the edge accepted. Its F1 must lead over chance by so much. Returns whether it became
+    /// accepted.
+    pub fn record_alignment(
+        &mut self,
+        nodes: [u32; 2],
+        found: Evidence,
+        chance_lead_min: f64,
+        maps_are_complete: bool,
+    ) -> bool {
         let alignment = found.alignment;
         let verified = alignment.accepted
-            && alignment.occupied_f1 >= found.null_f1_max + LEAD_OVER_NULL
+            && alignment.occupied_f1 >= found.null_f1_max + chance_lead_min
             && !self.is_rejected(alignment.a_from_b)
             && !self.is_refuted(alignment.a_from_b, nodes[0] + nodes[1]);
         if !verified {
@@ -200,17 +200,17 @@ impl MapEdge {
     }
 
     /// Records a comparison of the two maps where the graph has them.
-    pub fn record_check(&mut self, found: Evidence) -> CheckResult {
+    pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> CheckResult {
         // This comparison is of one place, so the margin over other places stays as it was.
         let margin = self.evidence.map_or(0.0, |before| before.alignment.margin);
         let alignment = Alignment { a_from_b: self.a_from_b, margin, ..found.alignment };
         self.evidence = Some(Evidence { alignment, ..found });
         let contradicted =
-            alignment.overlap_m2 >= CONTRADICTED_OVERLAP_M2 && alignment.occupied_f1 < CONTRADICTED_F1;
+            alignment.overlap_m2 >= config.overlap_min_m2 && alignment.occupied_f1 < config.f1_min;
         self.contradictions = if contradicted { self.contradictions + 1 } else { 0 };
         match contradicted {
             false => CheckResult::Confirmed,
-            true if self.contradictions >= CONTRADICTIONS_MAX && self.state == EdgeState::Accepted => {
+            true if self.contradictions >= config.contradictions_max && self.state == EdgeState::Accepted => {
                 CheckResult::Refuted
             }
             true => CheckResult::Contradicted,

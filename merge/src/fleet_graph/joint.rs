@@ -6,18 +6,10 @@ use super::frame::ReferenceRobot;
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
 use super::submaps::distances_along_m;
+use crate::config::ClosureConfig;
 use msg::{Pose2, pose::wrap_angle};
 use posegraph::{Edge, Kernel, SolveError, SolverOptions, information_from_sigmas, solve};
 
-/// Largest error with which one of two consistent closures predicts the other, metres and radians.
-const CONSISTENT: [f64; 2] = [0.12, 0.03];
-/// Increase of that error for each metre that the robots drove between them: the drift of their SLAM. The drift of the
-/// heading moves the far end, too.
-const CONSISTENT_PER_M: [f64; 2] = [0.01, 0.004];
-/// Upper limit of the whole error: the drift of SLAM along a path without closures.
-const CONSISTENT_MAX: [f64; 2] = [4.0, 0.4];
-/// Standard deviations of error in the solution above which a closure is left out.
-const OUTLIER_SIGMAS: f64 = 6.0;
 /// Standard deviations of a given start, metres and radians.
 const START_SIGMAS: [f64; 2] = [0.02, 0.005];
 /// Standard deviations of the reference robot in the frame that it defines, metres and radians: practically fixed.
@@ -36,6 +28,7 @@ pub(crate) struct JointProblem {
     edges: Vec<Edge>,
     robots: Vec<RobotInGraph>,
     pairs: Vec<PairInGraph>,
+    config: ClosureConfig,
 }
 
 /// One robot of the graph.
@@ -81,9 +74,19 @@ struct SolvedPair {
 
 impl JointProblem {
     /// Collects the graph; `None` while no robot has both a transform and submaps.
-    pub fn collect(robots: &[Robot], pairs: &[RobotPair], reference: Option<ReferenceRobot>) -> Option<Self> {
-        let mut problem =
-            Self { poses: vec![Pose2::IDENTITY], edges: Vec::new(), robots: Vec::new(), pairs: Vec::new() };
+    pub fn collect(
+        robots: &[Robot],
+        pairs: &[RobotPair],
+        reference: Option<ReferenceRobot>,
+        config: &ClosureConfig,
+    ) -> Option<Self> {
+        let mut problem = Self {
+            poses: vec![Pose2::IDENTITY],
+            edges: Vec::new(),
+            robots: Vec::new(),
+            pairs: Vec::new(),
+            config: config.clone(),
+        };
         let mut place = vec![None; robots.len()];
         for (index, robot) in robots.iter().enumerate() {
             if robot.estimate.transform().is_some() && !robot.submaps.poses().is_empty() {
@@ -175,7 +178,7 @@ impl JointProblem {
 
     fn is_inlier(&self, pair: &PairInGraph, k: usize) -> bool {
         let edge = self.closure_edge(pair, k);
-        edge.chi_squared(self.poses[edge.a], self.poses[edge.b]) <= OUTLIER_SIGMAS.powi(2)
+        edge.chi_squared(self.poses[edge.a], self.poses[edge.b]) <= self.config.outlier_sigmas.powi(2)
     }
 
     fn closure_edge(&self, pair: &PairInGraph, k: usize) -> Edge {
@@ -186,16 +189,18 @@ impl JointProblem {
     fn consistent_closures(&self, pair: &PairInGraph) -> Vec<usize> {
         let [a, b] = pair.robots.map(|robot| &self.robots[robot].poses);
         let [along_a, along_b] = [a, b].map(|poses| distances_along_m(poses));
+        let config = &self.config;
         let is_consistent = |k: usize, l: usize| {
             let (one, other) = (&pair.closures[k], &pair.closures[l]);
             let ([i, j], [m, n]) = (one.ids, other.ids);
             let predicted = a[m].between(a[i]) * one.measured.i_from_j * b[j].between(b[n]);
             let driven_m = (along_a[i] - along_a[m]).abs() + (along_b[j] - along_b[n]).abs();
-            let [drift_m, drift_rad] = CONSISTENT_PER_M.map(|per_m| per_m * driven_m);
+            let [drift_m, drift_rad] =
+                [config.error_m_per_m, config.error_rad_per_m].map(|per_m| per_m * driven_m);
             // The heading drifts evenly along the way: its mean, times the distance of the two ends.
             let swing_m = 0.5 * drift_rad * a[i].distance_m(a[m]);
-            let within_m = (CONSISTENT[0] + drift_m + swing_m).min(CONSISTENT_MAX[0]);
-            let within_rad = (CONSISTENT[1] + drift_rad).min(CONSISTENT_MAX[1]);
+            let within_m = (config.error_m + drift_m + swing_m).min(config.error_max_m);
+            let within_rad = (config.error_rad + drift_rad).min(config.error_max_rad);
             let measured = other.measured.i_from_j;
             let rotation_rad = wrap_angle(predicted.yaw_rad - measured.yaw_rad).abs();
             predicted.distance_m(measured) <= within_m && rotation_rad <= within_rad
@@ -246,6 +251,7 @@ mod tests {
                 closures: vec![Closure { ids: [0, 0], measured }],
                 alignment: None,
             }],
+            config: ClosureConfig::default(),
         }
     }
 

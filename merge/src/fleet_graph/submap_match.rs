@@ -1,9 +1,10 @@
 //! Matching of two submaps of different robots around a predicted transform.
 
 use crate::align::{
-    DistanceField, MapPoints, WallMatch, keep_better, match_walls, refine, sort_by_score, strides,
-    wall_information, wall_proximity,
+    DistanceField, MapPoints, WallMatch, keep_better, match_walls, refine, rival_score_min, sort_by_score,
+    strides, wall_information, wall_points, wall_proximity,
 };
+use crate::config::{ClosureConfig, MergeConfig};
 use msg::{GridView, Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 use posegraph::{limit_information, transport_information};
@@ -24,16 +25,6 @@ const COARSE_KERNELS_M: &[f64] = &[0.25];
 const FINE_KERNELS_M: &[f64] = &[0.12, 0.05];
 /// Two transforms within this distance and rotation of each other are one place, metres and radians.
 const SAME_PLACE: [f64; 2] = [0.25, 0.05];
-/// Least number of matched wall points of both submaps.
-const MATCHED_MIN: f64 = 150.0;
-/// Largest share of walls that lie on the other submap's floor.
-const CONFLICT_MAX: f64 = 0.11;
-/// Least ratio of the best place's score to that of the best other place.
-const MARGIN_MIN: f64 = 1.3;
-/// Least score assumed for the best other place, in walls: chance finds as much anywhere.
-const RIVAL_SCORE_MIN: f64 = 50.0;
-/// Least observability of the position.
-const OBSERVABILITY_MIN: f64 = 0.04;
 /// Standard deviation of a wall point's distance from its wall, metres.
 const POINT_SIGMA_M: f64 = 0.03;
 /// Wall points that count as one measurement: neighbouring cells come from the same scans and share their errors.
@@ -73,15 +64,18 @@ pub(crate) fn match_submaps(
     j: GridView<'_>,
     predicted: Pose2,
     window: SearchWindow,
+    config: &MergeConfig,
 ) -> Option<SubmapMatch> {
-    let fields = [i, j].map(|grid| DistanceField::new(MapPoints::from_grid(grid, FLOOR_SQUARE_M), grid));
+    let walls = &config.align.walls;
+    let fields =
+        [i, j].map(|grid| DistanceField::new(MapPoints::from_grid(grid, FLOOR_SQUARE_M), grid, walls));
     if fields.iter().any(|field| field.points.walls_m.is_empty()) {
         return None;
     }
     let fields = [&fields[0], &fields[1]];
     let [i_from_a, j_from_b] = fields.map(|field| field.points.frame_from_centred);
     let predicted = i_from_a.inverse() * predicted * j_from_b;
-    let found = find_best_place(fields, predicted, window)?;
+    let found = find_best_place(fields, predicted, window, &config.closures)?;
     let moved = predicted.between(found.a_from_b);
     let moved = [moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs()];
     if moved[0] > window.half_m + START_SPACING[0] || moved[1] > window.half_rad + START_SPACING[1] {
@@ -101,7 +95,12 @@ pub(crate) fn match_submaps(
 }
 
 /// Returns the best place in the window, if it passes all thresholds.
-fn find_best_place(fields: [&DistanceField; 2], predicted: Pose2, window: SearchWindow) -> Option<WallMatch> {
+fn find_best_place(
+    fields: [&DistanceField; 2],
+    predicted: Pose2,
+    window: SearchWindow,
+    config: &ClosureConfig,
+) -> Option<WallMatch> {
     let few = strides(fields, POINTS[0]);
     let mut ranked: Vec<(f64, Pose2)> =
         starts(predicted, window).map(|start| (wall_proximity(fields, start, few), start)).collect();
@@ -120,11 +119,11 @@ fn find_best_place(fields: [&DistanceField; 2], predicted: Pose2, window: Search
     sort_by_score(&mut places);
     let best = *places.first()?;
     let others = places[1..].iter().filter(|other| !is_same_place(other.a_from_b, best.a_from_b));
-    let rival_score = others.map(WallMatch::score).fold(RIVAL_SCORE_MIN, f64::max);
-    let accepted = best.matched >= MATCHED_MIN
-        && best.conflict() <= CONFLICT_MAX
-        && best.observability >= OBSERVABILITY_MIN
-        && best.score() >= MARGIN_MIN * rival_score;
+    let rival_score = others.map(WallMatch::score).fold(rival_score_min(fields), f64::max);
+    let accepted = best.matched >= wall_points(fields, config.walls_min_m)
+        && best.conflict() <= config.conflict_max
+        && best.observability >= config.observability_min
+        && best.score() >= config.margin_min * rival_score;
     accepted.then_some(best)
 }
 

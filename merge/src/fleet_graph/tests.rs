@@ -103,7 +103,7 @@ fn robot(number: usize) -> RobotId {
 
 /// A fleet of two robots of unknown starts that are connected after these paths.
 fn connected_fleet(paths: &[Vec<Pose2>; 2], estimated: &[Vec<Pose2>; 2]) -> FleetPoseGraph {
-    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None, None]);
+    let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &[None, None]);
     send(&mut fleet, 1, &paths[0], &estimated[0], 1);
     send(&mut fleet, 2, &paths[1], &estimated[1], 1);
     fleet.finish();
@@ -227,7 +227,7 @@ fn a_restarted_robot_keeps_its_place_and_one_that_leaves_does_not_move_the_frame
 
 #[test]
 fn unknown_robots_and_malformed_messages_are_rejected() {
-    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None]);
+    let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &[None]);
     let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
     assert_eq!(fleet.add_submap(robot(2), &submap), Err(SubmapRejected::UnknownRobot(robot(2))));
     assert_eq!(fleet.add_submap(robot(1), &submap), Err(SubmapRejected::Malformed(robot(1))));
@@ -248,7 +248,7 @@ fn two_connected_robots() -> (FleetPoseGraph, [Vec<Pose2>; 2], [Vec<Pose2>; 2]) 
 }
 
 fn restored(snapshot: &FleetSnapshot) -> FleetPoseGraph {
-    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &[None, None]);
+    let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &[None, None]);
     fleet.restore(snapshot).unwrap();
     fleet
 }
@@ -330,7 +330,7 @@ fn a_dropped_edge_is_not_accepted_again_on_the_same_evidence() {
     let paths = [true_path(4.0, 16.0, 5.0), true_path(5.0, 17.0, 6.0)];
     let estimated = [0, 1].map(|k| drifted_path(&paths[k], 0.0));
     let starts = [paths[0][0], paths[1][0] * Pose2::new(0.9, 0.0, 0.05)].map(Some);
-    let mut fleet = FleetPoseGraph::new(&AlignConfig::default(), &starts);
+    let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &starts);
     send(&mut fleet, 1, &paths[0], &estimated[0], 1);
     send(&mut fleet, 2, &paths[1][..4], &estimated[1][..4], 1);
     let dropped = edge(&fleet);

@@ -213,7 +213,7 @@ mod tests {
         let (mut section, mut text) = ("", String::new());
         include_str!("../config.rs").lines().filter_map(move |line| {
             let line = line.trim();
-            if let Some(words) = line.strip_prefix("/// ") {
+            if let Some(words) = line.strip_prefix("///") {
                 text = format!("{text} {words}");
                 return None;
             }

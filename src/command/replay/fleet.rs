@@ -118,7 +118,7 @@ pub fn run(
         .map(|((id, log), path)| Robot::new(id, log, path, args, config))
         .collect::<Result<Vec<_>, _>>()?;
     let mut merged = Merged {
-        fleet: FleetPoseGraph::new(&merging.align, &known),
+        fleet: FleetPoseGraph::new(merging, &known),
         poses: bytemuck::allocation::zeroed_box(),
         merge_s: 0.0,
         task_max_ms: 0.0,

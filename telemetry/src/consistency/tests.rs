@@ -19,7 +19,10 @@ fn a_map_is_consistent_with_itself() {
     let map = house();
     let same = compare(map.view(), map.view(), Pose2::IDENTITY).unwrap();
     let known = map.cells.iter().filter(|cell| **cell != UNKNOWN).count() as f64;
-    assert_eq!((same.strict, same.one_cell, same.occupied_f1, same.overlap_share), (1.0, 1.0, 1.0, 1.0));
+    assert_eq!(
+        (same.agreement, same.agreement_near, same.occupied_f1, same.overlap_share),
+        (1.0, 1.0, 1.0, 1.0)
+    );
     within(same.overlap_m2, known * 0.0025, 1e-9);
 }
 
@@ -27,11 +30,11 @@ fn a_map_is_consistent_with_itself() {
 fn one_cell_beside_is_forgiven_only_by_the_tolerant_figures() {
     let map = house();
     let beside = compare(map.view(), shifted(&map).view(), Pose2::IDENTITY).unwrap();
-    assert!(beside.strict < 0.985, "{beside:?}");
-    assert!(beside.one_cell > 0.999, "{beside:?}");
+    assert!(beside.agreement < 0.985, "{beside:?}");
+    assert!(beside.agreement_near > 0.999, "{beside:?}");
     assert!(beside.occupied_f1 > 0.999, "{beside:?}");
     let right = compare(map.view(), shifted(&map).view(), Pose2::new(-0.05, 0.0, 0.0)).unwrap();
-    assert_eq!((right.strict, right.occupied_f1), (1.0, 1.0));
+    assert_eq!((right.agreement, right.occupied_f1), (1.0, 1.0));
 }
 
 #[test]
@@ -45,7 +48,7 @@ fn figures_equal_hand_counted_ones() {
     let a = row(vec![-90, 90, 90, -90, -90, -90, UNKNOWN]);
     let b = row(vec![90, 90, -90, -90, 90, -90, 90]);
     let both = compare(a.view(), b.view(), Pose2::IDENTITY).unwrap();
-    within(both.strict, 0.5, 1e-12);
+    within(both.agreement, 0.5, 1e-12);
     within(both.overlap_m2, 0.06, 1e-12);
     within(both.overlap_share, 1.0, 1e-12);
     // a's walls at 1, 2 are both near one of b's; b's at 0 and 1 are near one of a's, at 4 not.
@@ -60,8 +63,8 @@ fn chance_reaches_the_papers_figure_but_not_the_walls() {
     let right = compare(map.view(), map.view(), Pose2::IDENTITY).unwrap();
     let null = null(map.view(), map.view(), Pose2::IDENTITY, 20, 1);
     assert_eq!(null.len(), 20);
-    let mean = |part: fn(&Consistency) -> f64| null.iter().map(part).sum::<f64>() / 20.0;
-    assert!(mean(|wrong| wrong.strict) > 0.85, "floor lies on floor: {}", mean(|wrong| wrong.strict));
+    let mean = |part: fn(&GridAgreement) -> f64| null.iter().map(part).sum::<f64>() / 20.0;
+    assert!(mean(|wrong| wrong.agreement) > 0.85, "floor lies on floor: {}", mean(|wrong| wrong.agreement));
     assert!(mean(|wrong| wrong.occupied_f1) < 0.35, "walls do not: {}", mean(|wrong| wrong.occupied_f1));
     assert!(null.iter().all(|wrong| wrong.overlap_m2 >= 0.5 * right.overlap_m2));
     assert!(null.iter().all(|wrong| wrong.occupied_f1 < right.occupied_f1));
@@ -88,7 +91,7 @@ proptest! {
         let back = compare(b.view(), a.view(), a_from_b.inverse());
         match (forth, back) {
             (Some(forth), Some(back)) => {
-                prop_assert!((forth.strict - back.strict).abs() < 2e-3);
+                prop_assert!((forth.agreement - back.agreement).abs() < 2e-3);
                 prop_assert!((forth.occupied_f1 - back.occupied_f1).abs() < 1e-2);
             }
             (forth, back) => prop_assert_eq!(forth.is_some(), back.is_some()),
@@ -99,7 +102,7 @@ proptest! {
         let again = compare(a.view(), moved.view(), a_from_b * frame.inverse());
         prop_assert_eq!(forth.is_some(), again.is_some());
         if let (Some(forth), Some(again)) = (forth, again) {
-            prop_assert!((forth.strict - again.strict).abs() < 2e-3);
+            prop_assert!((forth.agreement - again.agreement).abs() < 2e-3);
         }
     }
 }
