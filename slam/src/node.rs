@@ -5,7 +5,6 @@ use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::encoding::plain;
 use msg::{Header, Pose2, Scan};
-use nalgebra::Matrix3;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::sync::Arc;
@@ -113,18 +112,12 @@ impl<'de> Deserialize<'de> for SweptPath {
 }
 
 /// Covariance of a pose in the map, and where in the map it is: seen from elsewhere, an error in heading moves it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameUncertainty {
-    /// Covariance over (x, y, yaw) of the pose, relative to the map's first node.
-    pub covariance: Matrix3<f64>,
+    /// Covariance of the pose, relative to the map's first node: upper triangle over (x, y, yaw), row by row.
+    pub covariance: [f64; 6],
     /// Position of the pose in the map, metres.
     pub at: [f64; 2],
-}
-
-impl Default for FrameUncertainty {
-    fn default() -> Self {
-        Self { covariance: Matrix3::zeros(), at: [0.0; 2] }
-    }
 }
 
 /// The back end's result after a node, for the front end.

@@ -228,7 +228,9 @@ impl BackEnd {
         let newest = self.nodes.last().filter(|_| self.grows_map());
         newest.map_or(FrameUncertainty::default(), |node| {
             let at = self.graph.poses()[node.id as usize];
-            FrameUncertainty { covariance: self.graph.covariance(node.id), at: [at.x_m, at.y_m] }
+            let c = self.graph.covariance(node.id);
+            let covariance = [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]];
+            FrameUncertainty { covariance, at: [at.x_m, at.y_m] }
         })
     }
 

@@ -53,7 +53,8 @@ impl MapFrame {
 
     /// Covariance of a pose in the map, `local` being that in the front end's frame.
     pub fn covariance_in_map(&self, local: Matrix3<f64>, map_from_base: Pose2) -> Matrix3<f64> {
-        let FrameUncertainty { covariance, at } = self.uncertainty;
+        let FrameUncertainty { covariance: [xx, xy, xt, yy, yt, tt], at } = self.uncertainty;
+        let covariance = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
         let moved = [map_from_base.x_m - at[0], map_from_base.y_m - at[1]];
         carry_covariance(covariance, moved) + turn_covariance(local, self.map_from_local.yaw_rad)
     }
