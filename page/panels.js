@@ -6,6 +6,8 @@ import { shapePath } from "./view.js";
 /** @typedef {import("./state.js").Fleet} Fleet */
 /** @typedef {import("./state.js").Robot} Robot */
 
+/** @typedef {ReturnType<Fleet["attention"]>[number]} Item */
+
 /** Messages that are kept. */
 const LOG_MAX = 30;
 /** Items of attention that are shown. */
@@ -28,6 +30,11 @@ export function format(/** @type {unknown} */ value, digits = 0, unit = "") {
   return typeof value === "number" && Number.isFinite(value) ? `${value.toFixed(digits)}${unit}` : "–";
 }
 
+/** Returns a share, 0 to 1, in percent, or a dash if it is not known. */
+export function percent(/** @type {unknown} */ share, digits = 0) {
+  return typeof share === "number" ? format(share * 100, digits, " %") : "–";
+}
+
 /** @param {string} name @param {string} [className] @param {string} [text] */
 function create(name, className = "", text = "") {
   const made = document.createElement(name);
@@ -43,7 +50,7 @@ const ROBOT_ROWS = [
   ["Lost", false, ({ figures }) => format(figures.scans_lost)],
   ["Age", false, (robot, now) => format(robot.scanAge(now), 1, " s")],
   ["Known", false, ({ figures }) => format(figures.known_m2, 1, " m²")],
-  ["Cover", false, ({ figures }) => format(figures.coverage * 100, 0, " %")],
+  ["Cover", false, ({ figures }) => percent(figures.coverage)],
   ["Map", false, ({ figures }) => figures.map_cells?.join(" × ") ?? "–"],
   ["σ x, y", false, ({ deviation }) => (deviation ? `${(Math.max(deviation.x, deviation.y) * 100).toFixed(1)} cm` : "–")],
   ["σ yaw", false, ({ deviation }) => (deviation ? `${(deviation.yaw * 180 / Math.PI).toFixed(2)}°` : "–")],
@@ -122,10 +129,10 @@ function drawIcon(canvas, robot) {
 
 /** Rows of the fleet's panel. @type {[string, (fleet: Fleet, now: number) => string][]} */
 const FLEET_ROWS = [
-  ["Mapped", ({ figures }) => `${format(figures.merged_known_m2, 1, " m²")}${typeof figures.room_coverage === "number" ? `, ${format(figures.room_coverage * 100, 0, " %")} of the room` : ""}`],
+  ["Mapped", ({ figures }) => `${format(figures.merged_known_m2, 1, " m²")}${typeof figures.room_coverage === "number" ? `, ${percent(figures.room_coverage)} of the room` : ""}`],
   ["Map", ({ map }) => (map ? `${map.width} × ${map.height} cells of ${(map.resolution * 100).toFixed(0)} cm` : "–")],
   ["Age of the map", (fleet, now) => format(fleet.mapAt === null ? null : now - fleet.mapAt, 1, " s")],
-  ["Maps agree", ({ figures }) => `${format(figures.consistency * 100, 1, " %")}${typeof figures.null_consistency === "number" ? `, by chance ${format(figures.null_consistency * 100, 1, " %")}` : ""}`],
+  ["Maps agree", ({ figures }) => `${percent(figures.consistency, 1)}${typeof figures.null_consistency === "number" ? `, by chance ${percent(figures.null_consistency, 1)}` : ""}`],
   ["Overlapping pairs", ({ figures }) => format(figures.overlapping_pairs)],
 ];
 
@@ -185,32 +192,47 @@ export class AttentionList {
   constructor(onGoTo) {
     this.onGoTo = onGoTo;
     this.shown = "";
+    /** Items that the operator has acknowledged; an item that ends and comes again is shown again. @type {Set<string>} */
+    this.acknowledged = new Set();
   }
 
   /** @param {ReturnType<Fleet["attention"]>} items @param {Fleet} fleet */
   update(items, fleet) {
+    const present = new Set(items.map(keyOf));
+    for (const key of this.acknowledged) if (!present.has(key)) this.acknowledged.delete(key);
+    items = items.filter((item) => !this.acknowledged.has(keyOf(item)));
     const shown = JSON.stringify(items.slice(0, ITEMS_MAX));
     if (shown === this.shown) return;
     this.shown = shown;
     const list = element("items");
     const focused = list.contains(document.activeElement);
     list.replaceChildren();
-    if (items.length === 0) list.append(create("li", "calm", "nothing"));
-    for (const { robot, text } of items.slice(0, ITEMS_MAX)) {
-      const item = create("li");
-      if (robot === null) {
-        item.textContent = text;
-      } else {
-        const button = create("button", "", `${robot} · ${fleet.robots.get(robot)?.name ?? ""}: ${text}`);
-        button.setAttribute("type", "button");
-        button.addEventListener("click", () => this.onGoTo(robot));
-        item.append(button);
-      }
-      list.append(item);
-    }
+    if (items.length === 0) list.append(create("li", "calm", this.acknowledged.size === 0 ? "nothing" : `nothing new, ${this.acknowledged.size} acknowledged`));
+    for (const item of items.slice(0, ITEMS_MAX)) list.append(this.row(item, fleet));
     if (focused) list.querySelector("button")?.focus();
   }
+
+  /** Returns the row of an item: about a robot a button that goes there, and one that acknowledges. @param {Item} item @param {Fleet} fleet */
+  row({ rank, robot, text }, fleet) {
+    const row = create("li");
+    if (robot === null) {
+      row.textContent = text;
+      return row;
+    }
+    const title = `${robot} · ${fleet.robots.get(robot)?.name ?? ""}: ${text}`;
+    const [goTo, acknowledge] = [create("button", "", title), create("button", "acknowledge", "✓")];
+    acknowledge.setAttribute("aria-label", `Acknowledge: ${title}`);
+    acknowledge.title = "Acknowledge: hide this until it comes again";
+    [goTo, acknowledge].forEach((button) => button.setAttribute("type", "button"));
+    goTo.addEventListener("click", () => this.onGoTo(robot));
+    acknowledge.addEventListener("click", () => this.acknowledged.add(keyOf({ rank, robot, text })));
+    row.append(goTo, acknowledge);
+    return row;
+  }
 }
+
+/** Returns what stays the same while an item is about the same thing, though its numbers change. @param {Item} item */
+function keyOf({ rank, robot }) { return `${rank} ${robot}`; }
 
 /** Adds a message to the log. */
 export function logMessage(/** @type {string} */ text, isError = false) {

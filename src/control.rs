@@ -59,12 +59,12 @@ impl BridgeState {
             return "no client is connected\n".into();
         }
         let mut text = String::from(
-            "  no  address                 since s  silent s  receives  sends  waiting kB  held kB  link kB/s  dropped  drives\n",
+            "  no  address                 since s  silent s  receives  sends  waiting kB  held kB  link kB/s  TF late s  dropped  drives\n",
         );
         for client in &self.clients {
             let drives: Vec<String> = client.drives.iter().map(|robot| format!("robot{robot}")).collect();
             text += format!(
-                "{:4}  {:22}  {:7.0}  {:8.1}  {:8}  {:5}  {:10.0}  {:7.0}  {:>9}  {:7}  {}",
+                "{:4}  {:22}  {:7.0}  {:8.1}  {:8}  {:5}  {:10.0}  {:7.0}  {:>9}  {:9.2}  {:7}  {}",
                 client.number,
                 client.address.to_string(),
                 client.connected_s,
@@ -74,6 +74,7 @@ impl BridgeState {
                 client.waiting_bytes as f64 / 1e3,
                 client.held_back_bytes as f64 / 1e3,
                 client.link_bytes_per_s.map_or("-".into(), |rate| format!("{:.0}", rate / 1e3)),
+                client.live_delay_s,
                 client.dropped,
                 drives.join(" ")
             )
@@ -97,8 +98,10 @@ impl BridgeState {
             );
             if let (Some(rate), true) = (client.link_bytes_per_s, client.held_back_bytes > 0) {
                 text += &format!(
-                    "; slow link of {:.0} kB/s: {:.0} kB of maps are held back, so that transforms are not late",
+                    "; slow link of {:.0} kB/s: transforms are {:.2} s late; {} maps have larger cells, {:.0} kB are held back",
                     rate / 1e3,
+                    client.live_delay_s,
+                    client.reduced_maps,
                     client.held_back_bytes as f64 / 1e3
                 );
             }
@@ -177,18 +180,20 @@ mod tests {
             waiting_bytes: 2_000_000,
             link_bytes_per_s: Some(61_000.0),
             held_back_bytes: 150_000,
+            reduced_maps: 1,
+            live_delay_s: 0.31,
             dropped: 345,
             drives: vec![2],
             clock: None,
         };
         let waiting = vec!["10.0.0.8".parse().unwrap()];
         let state = BridgeState { clients: vec![client], waiting, ..BridgeState::default() };
-        let row = "   3  10.0.0.7:4321                75       0.2        12      1        2000      150         61      345  robot2\n";
+        let row = "   3  10.0.0.7:4321                75       0.2        12      1        2000      150         61       0.31      345  robot2\n";
         assert!(state.client_table().ends_with(row), "{}", state.client_table());
         let lines = state.table();
         assert!(
             lines.contains(
-                "10.0.0.7:4321: receives 12 topics, sends 1; 2000 kB waiting, 345 messages dropped; slow link of 61 kB/s: 150 kB of maps are held back, so that transforms are not late, drives robot2\n"
+                "10.0.0.7:4321: receives 12 topics, sends 1; 2000 kB waiting, 345 messages dropped; slow link of 61 kB/s: transforms are 0.31 s late; 1 maps have larger cells, 150 kB are held back, drives robot2\n"
             )
         );
         assert!(lines.contains("10.0.0.8 asks to drive: mr-slam allow 10.0.0.8\n"));

@@ -18,6 +18,7 @@ mod inside;
 mod measure;
 mod peer;
 mod scenes;
+mod weak;
 
 use client::{Client, EVERYTHING};
 use serde_json::{Value, json};
@@ -33,6 +34,8 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 const WARM_UP: Duration = Duration::from_secs(4);
 const ROBOTS: usize = 3;
 const RECONNECTS: usize = 10_000;
+/// A weak link, bytes per second.
+const WEAK_BYTES_PER_S: f64 = 60e3;
 
 /// The table's rows, printed as they come.
 #[derive(Default)]
@@ -80,6 +83,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{:<58} {:>12} {:>12} {:<8} {:>10}", "", "measured", "reach", "unit", "machine");
     let mut fleet = fleet::Fleet::start(ROBOTS)?;
     mix(&mut table, &mut fleet, Duration::from_secs(seconds))?;
+    weak_link(&mut table, &fleet, seconds)?;
     outside(&mut table, &mut fleet, seconds)?;
     drop(fleet);
     with_ros(&mut table, Duration::from_secs(seconds))?;
@@ -199,6 +203,18 @@ fn outside(table: &mut Table, fleet: &mut fleet::Fleet, seconds: u64) -> Result<
     let alive = fleet.pid("bridge") == Some(pid);
     let what = format!("{RECONNECTS} abrupt reconnects, 5 registrations each: memory grown");
     table.row(&what, if alive { grown } else { f64::INFINITY }, AtMost(1.0), "MB", None);
+    Ok(())
+}
+
+/// A client behind a weak link.
+fn weak_link(table: &mut Table, fleet: &fleet::Fleet, seconds: u64) -> Result<(), Box<dyn Error>> {
+    let outcome = weak::measure(fleet.run().port, WEAK_BYTES_PER_S, Duration::from_secs(seconds))?;
+    let ages = &outcome.ages_ms;
+    let what = format!("age of transforms at 60 kB/s, first maps included, {} of them: median", ages.len());
+    table.row(&what, at(ages, 0.5), AtMost(500.0), "ms", None);
+    table.row("  P95", at(ages, 0.95), AtMost(500.0), "ms", None);
+    table.row("  oldest", at(ages, 1.0), AtMost(500.0), "ms", None);
+    table.row("  maps that arrived", outcome.maps as f64, AtLeast(seconds as f64 / 10.0), "maps", None);
     Ok(())
 }
 

@@ -161,6 +161,7 @@ impl Core {
         }
         self.tell_unpublished(now);
         self.fleet.tick(&mut self.router, now);
+        self.router.retry_held();
     }
 
     /// Disconnects a client: stops the robots that it drove, fails the calls that it should have answered.

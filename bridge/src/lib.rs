@@ -46,5 +46,5 @@ pub use odometry_covariance::OdometrySigmas;
 pub use page::{PageFile, serve_page};
 pub use ros::{RobotNameError, RobotNames};
 pub use router::{ClientId, ConnectionEnded, Counters};
-pub use server::{process_clock, serve};
+pub use server::{process_clock, serve, serve_clients};
 pub use transport::Transport;

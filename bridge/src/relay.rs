@@ -103,6 +103,11 @@ pub enum RosCommand {
     },
 }
 
+/// Longest request or response that carries an identity beside the payload, bytes: what fits into one datagram.
+///
+/// RustDDS 0.15 writes one byte too many into each fragment of a longer one: nobody can read it.
+pub const IDENTIFIED_BYTES_MAX: usize = 1024;
+
 /// Identity of a ROS node's request, which the response must carry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RosRequestId {
@@ -112,6 +117,13 @@ pub struct RosRequestId {
     pub number: i64,
     /// Whether the identity stands in the payload, as with CycloneDDS, and not beside it.
     pub is_in_payload: bool,
+}
+
+impl RosRequestId {
+    /// Returns whether a response of so many bytes can be sent to the requester.
+    pub fn can_carry(&self, response_bytes: usize) -> bool {
+        self.is_in_payload || response_bytes <= IDENTIFIED_BYTES_MAX
+    }
 }
 
 /// What the ROS 2 endpoint tells the core.

@@ -8,30 +8,37 @@ mod link;
 mod memory;
 mod notices;
 mod outgoing;
+mod reduced_map;
 mod topics;
+mod writing;
 
 pub use buffers::BufferPool;
 pub use client::{
     Client, ClientId, ClientSocket, ConnectionEnded, ExpectedFrame, LargeFrame, Publication, RefusalKind,
 };
+#[cfg(test)]
+pub use link::SEND_BUFFER_FIRST;
 pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 pub use topics::{DEPTH_DEFAULT, Retention, Source, Topic, TopicError, TopicId, TopicTable};
 
 use crate::cdr::{Dialect, Writer};
 use crate::config::BridgeConfig;
 use crate::frame::{IDLE_BYTES, Side};
+use crate::ros::{Message as _, OccupancyGrid, OccupancyGridUpdate};
 use buffers::SharedFrame;
 use link::Urgency;
 use memory::ClientMemory;
-use outgoing::memory_bytes;
+use outgoing::{MapRole, memory_bytes};
 use serde::Serialize;
-use std::io::{IoSlice, Write};
 use std::net::SocketAddr;
 use std::rc::Rc;
 use topics::Subscriber;
 
 /// Room for a reply's first bytes: a topic list or a service frame of usual length.
 const REPLY_BYTES: usize = 1024;
+
+/// A topic with a longer frame is bulk from then on, bytes.
+const ORDINARY_BYTES_MAX: usize = 16 << 10;
 
 /// What the bridge has counted since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -154,6 +161,7 @@ impl TopicRouter {
         {
             client.subscriptions.push(topic);
             client.live_subscriptions += usize::from(is_live);
+            client.subscribed_at = client.socket_time().unwrap_or_default();
         }
         if let Some(frame) = latched {
             self.queue_frame(topic, frame, Some(subscriber));
@@ -249,6 +257,9 @@ impl TopicRouter {
         // The buffer has no other holder yet, so that this makes no copy.
         Side::Server.write_with(Rc::make_mut(&mut frame), &topic.name, payload);
         topic.last_frame_bytes = frame.len();
+        if frame.len() > ORDINARY_BYTES_MAX && topic.urgency == Urgency::Ordinary {
+            topic.urgency = Urgency::Bulk;
+        }
         let is_held = !topic.subscribers.is_empty();
         self.memory.add_created(if is_held { memory_bytes(&frame) } else { 0 });
         if topic.retention.latch {
@@ -284,13 +295,19 @@ impl TopicRouter {
         let counted = !(topic.source == Source::Fleet && depth == 1);
         let (urgency, latch) = (topic.urgency, topic.retention.latch);
         let expires = urgency == Urgency::Live && topic.source != Source::Clients && !latch;
-        let kind = FrameKind::Topic { id, depth, counted, urgency, expires };
+        let map = self.map_role(topic);
+        let kind = FrameKind::Topic { id, depth, counted, urgency, expires, map };
+        let now = self.time();
         let mut renamed: Option<SharedFrame> = None;
         let all = topic.subscribers.iter().filter(|_| only.is_none());
         for subscriber in all.chain(&only) {
             let Some(client) = self.clients.get_mut(subscriber.slot).and_then(Option::as_mut) else {
                 continue;
             };
+            // Changes count whole cells: a client whose map has larger ones cannot use them.
+            if matches!(map, MapRole::UpdateOf(map) if client.outgoing.is_reduced(map)) {
+                continue;
+            }
             let own = match subscriber.without_slash {
                 false => frame.clone(),
                 true => renamed
@@ -300,7 +317,7 @@ impl TopicRouter {
                     })
                     .clone(),
             };
-            client.push(kind, own, &mut self.pool);
+            client.push(kind, own, now, &mut self.pool);
             mark_unflushed(&mut self.unflushed, client);
             self.counted.sent += 1;
         }
@@ -315,6 +332,7 @@ impl TopicRouter {
 
     /// Sends one client whole frames that must stay adjacent on its connection.
     pub fn send_frames(&mut self, id: ClientId, kind: FrameKind, write: impl FnOnce(&mut Vec<u8>)) {
+        let now = self.time();
         let Some(client) = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|c| c.id == id)
         else {
             return;
@@ -322,47 +340,22 @@ impl TopicRouter {
         let mut frames = self.pool.acquire(REPLY_BYTES);
         write(Rc::make_mut(&mut frames));
         self.memory.add_created(memory_bytes(&frames));
-        client.push(kind, frames, &mut self.pool);
+        client.push(kind, frames, now, &mut self.pool);
         mark_unflushed(&mut self.unflushed, client);
         self.counted.sent += 1;
         self.enforce_memory();
     }
 
-    /// Writes waiting frames to the sockets.
-    pub fn flush(&mut self) {
-        while let Some(slot) = self.unflushed.pop() {
-            let Some(client) = self.clients.get_mut(slot).and_then(Option::as_mut) else { continue };
-            client.needs_flush = false;
-            client.flush(&mut self.pool);
+    /// Returns what a topic has to do with maps: `/map_updates` has the changes of `/map`.
+    fn map_role(&self, topic: &Topic) -> MapRole {
+        match topic.message_type.as_str() {
+            OccupancyGrid::TYPE => MapRole::Whole(self.dialect),
+            OccupancyGridUpdate::TYPE => {
+                let map = topic.name.strip_suffix("_updates").and_then(|map| self.topics.find(map));
+                map.map_or(MapRole::None, MapRole::UpdateOf)
+            }
+            _ => MapRole::None,
         }
-    }
-
-    /// Returns whether frames of a client wait until its socket accepts bytes.
-    pub fn is_blocked(&self, id: ClientId) -> Result<bool, ConnectionEnded> {
-        let client = self.client(id).filter(|client| !client.has_failed).ok_or(ConnectionEnded)?;
-        Ok(client.is_blocked)
-    }
-
-    /// Continues writing for one client whose socket accepts bytes again; returns whether it is blocked still.
-    pub fn flush_client(&mut self, id: ClientId) -> bool {
-        let Some(client) = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|c| c.id == id)
-        else {
-            return false;
-        };
-        client.is_blocked = false;
-        client.flush(&mut self.pool);
-        client.is_blocked
-    }
-
-    /// Appends the waiting frames of a client without a socket to `out`, and removes them from its queue.
-    pub fn take_outgoing(&mut self, id: ClientId, out: &mut Vec<u8>) -> Result<(), ConnectionEnded> {
-        let client = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|client| client.id == id);
-        let client = client.filter(|client| !client.has_failed).ok_or(ConnectionEnded)?;
-        let mut write = |slices: &[IoSlice<'_>]| out.write_vectored(slices);
-        while client.outgoing.flush(&mut write, &mut self.pool).map_err(|_| ConnectionEnded)?
-            != FlushOutcome::Complete
-        {}
-        Ok(())
     }
 }
 

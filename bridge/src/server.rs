@@ -6,7 +6,9 @@ use crate::core::ConnectError;
 use crate::frame::{IDLE_BYTES, Parser, Side};
 use crate::router::{BufferPool, ClientId, ClientSocket, FlushOutcome, OutgoingQueue};
 use msg::Monotonic;
+use rustix::net::{SendAncillaryBuffer, SendFlags, sendmsg};
 use socket2::{SockRef, TcpKeepalive};
+use std::cell::Cell;
 use std::future::Future;
 use std::io::{self, IoSlice};
 use std::net::{Shutdown, SocketAddr};
@@ -38,6 +40,11 @@ const DRAINED_BYTES_MAX: usize = 1 << 20;
 const DRAIN_BUFFER_BYTES: usize = 4096;
 /// Connections that are being closed or refused, beside the clients; more are dropped without a reason.
 const CLOSING_MAX: usize = 64;
+/// Bytes handed to the kernel in one write while its send buffer is small, and the number of frames in them.
+const PORTION_BYTES: usize = 2048;
+const SLICES_MAX: usize = 64;
+/// A larger send buffer belongs to a fast connection, on which a few segments more or less do not matter, bytes.
+const BOUNDED_BUFFER_MAX: usize = 64 << 10;
 /// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
@@ -47,7 +54,7 @@ pub fn process_clock() -> Monotonic {
     Monotonic(START.get_or_init(Instant::now).elapsed().as_nanos() as u64)
 }
 
-/// Accepts clients until `stop` is ready, then disconnects them all.
+/// Accepts clients and calls [`Bridge::tick`] until `stop` is ready, then disconnects all clients.
 ///
 /// `clock` returns the monotonic time that the bridge is called with. Runs inside a [`tokio::task::LocalSet`] on a
 /// current-thread runtime with io and time enabled.
@@ -57,10 +64,21 @@ pub async fn serve(
     clock: fn() -> Monotonic,
     stop: impl Future<Output = ()>,
 ) {
+    let ticks = spawn_local(run_ticks(bridge.clone(), clock));
+    serve_clients(bridge, listener, clock, stop).await;
+    ticks.abort();
+}
+
+/// Accepts clients until `stop` is ready, then disconnects them all. The caller calls [`Bridge::tick`].
+pub async fn serve_clients(
+    bridge: Rc<Bridge>,
+    listener: TcpListener,
+    clock: fn() -> Monotonic,
+    stop: impl Future<Output = ()>,
+) {
     let clients_max = bridge.clients_max();
     let mut tasks = JoinSet::new();
     let mut stop = std::pin::pin!(stop);
-    let ticks = spawn_local(run_ticks(bridge.clone(), clock));
     loop {
         tokio::select! {
             biased;
@@ -76,7 +94,6 @@ pub async fn serve(
         }
     }
     tasks.shutdown().await;
-    ticks.abort();
 }
 
 /// Calls the bridge when something is due. It is a task of its own, so that robots stop in time whatever clients do.
@@ -93,6 +110,39 @@ struct TcpSocket {
     stream: Rc<TcpStream>,
     wake: Rc<Notify>,
     clock: fn() -> Monotonic,
+    /// Whether the kernel takes small portions, so that it holds no more than its send buffer.
+    is_bounded: Cell<bool>,
+    /// Bytes written since the last one that ended a portion.
+    portion: Cell<usize>,
+}
+
+impl TcpSocket {
+    fn new(stream: Rc<TcpStream>, wake: Rc<Notify>, clock: fn() -> Monotonic) -> Self {
+        Self { stream, wake, clock, is_bounded: Cell::new(true), portion: Cell::new(0) }
+    }
+
+    /// Writes one portion at most. Linux checks the send buffer only where it begins a new segment buffer, and would
+    /// fill the last one up to 64 kB; a write that ends a record closes it.
+    fn write_portion(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
+        let mut portion = [IoSlice::new(&[]); SLICES_MAX];
+        let (mut count, mut total) = (0, 0);
+        for slice in slices.iter().take(SLICES_MAX) {
+            let part = slice.len().min(PORTION_BYTES - total);
+            portion[count] = IoSlice::new(&slice[..part]);
+            (count, total) = (count + 1, total + part);
+            if total == PORTION_BYTES {
+                break;
+            }
+        }
+        let ends = self.portion.get() + total >= PORTION_BYTES / 2;
+        let flags = if ends { SendFlags::EOR } else { SendFlags::empty() };
+        let written = self.stream.try_io(Interest::WRITABLE, || {
+            let mut control = SendAncillaryBuffer::default();
+            Ok(sendmsg(&*self.stream, &portion[..count], &mut control, flags)?)
+        })?;
+        self.portion.set(if ends { 0 } else { self.portion.get() + written });
+        Ok(written)
+    }
 }
 
 impl ClientSocket for TcpSocket {
@@ -101,7 +151,17 @@ impl ClientSocket for TcpSocket {
     }
 
     fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
-        self.stream.try_write_vectored(slices)
+        if self.is_bounded.get() {
+            self.write_portion(slices)
+        } else {
+            self.stream.try_write_vectored(slices)
+        }
+    }
+
+    fn set_send_buffer(&self, bytes: usize) {
+        self.is_bounded.set(bytes <= BOUNDED_BUFFER_MAX);
+        // It fails only on a connection that is closed, which the next write notices.
+        let _ = SockRef::from(&*self.stream).set_send_buffer_size(bytes);
     }
 
     fn wake(&self) {
@@ -130,7 +190,7 @@ async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clo
     }
     let stream = Rc::new(stream);
     let wake = Rc::new(Notify::new());
-    let socket = Box::new(TcpSocket { stream: stream.clone(), wake: wake.clone(), clock });
+    let socket = Box::new(TcpSocket::new(stream.clone(), wake.clone(), clock));
     let id = match bridge.connect_socket(peer, socket) {
         Ok(id) => id,
         Err(error) => {

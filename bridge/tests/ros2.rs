@@ -67,6 +67,12 @@ fn node(config: &BridgeConfig) -> Node {
     context.new_node(NodeName::new("/", "other").unwrap(), options).unwrap()
 }
 
+/// Creates a node while the endpoint goes on: on one thread it could not react to the discovery of the node's readers.
+async fn node_elsewhere(config: &BridgeConfig) -> Node {
+    let config = config.clone();
+    tokio::task::spawn_blocking(move || node(&config)).await.unwrap()
+}
+
 fn maps(node: &mut Node) -> Subscription<Grid> {
     maps_on(node, "/robot1/map")
 }
@@ -114,7 +120,7 @@ fn a_late_reader_gets_the_newest_map_once() {
         let endpoint = Rc::new(DdsEndpoint::open(&config, 1, false, Arc::default()).unwrap());
         spawn_local(endpoint.clone().serve());
         (1..=20).for_each(|second| send_map(&endpoint, second, 50));
-        let mut other = node(&config);
+        let mut other = node_elsewhere(&config).await;
         let first = maps(&mut other);
         assert_eq!(stamps(&first).await, [20]);
         // The reader now gets every map, at least the last one.
@@ -123,7 +129,7 @@ fn a_late_reader_gets_the_newest_map_once() {
             tokio::task::yield_now().await;
         }
         assert_eq!(stamps(&first).await.last(), Some(&24));
-        let mut another = node(&config);
+        let mut another = node_elsewhere(&config).await;
         let late = maps(&mut another);
         assert_eq!(stamps(&late).await, [24]);
     });

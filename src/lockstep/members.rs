@@ -8,11 +8,11 @@ use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
 use crate::process::graph::GraphWorker;
 use crate::process::merge::{self, MapDrawing};
-use crate::process::sim::Simulation;
+use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::Job;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
-use crate::process::telemetry::Figures;
-use crate::process::{Component, Error};
+use crate::process::telemetry::TelemetryProcess;
+use crate::process::{Error, ProcessLoop};
 use crate::processes::ProcessRow;
 use crate::restarts::{RestartPolicy, State};
 use crate::run::Run;
@@ -67,10 +67,10 @@ pub struct Thread {
 
 /// The components of a running process.
 enum Body {
-    Sim(Box<Simulation<MemoryPorts>>),
+    Sim(Box<SimulatorProcess<MemoryPorts>>),
     Slam(Box<SlamBody>),
     Merge(Box<(MapDrawing<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
-    Telemetry(Box<Figures<MemoryPorts>>),
+    Telemetry(Box<TelemetryProcess<MemoryPorts>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
 }
 
@@ -208,7 +208,7 @@ impl Body {
         let run = &world.run;
         let robot = || robot.ok_or("a robot's process without a robot");
         Ok(match role {
-            Role::Sim => Self::Sim(Box::new(Simulation::open(&ports[0], run, robot()?, at)?)),
+            Role::Sim => Self::Sim(Box::new(SimulatorProcess::open(&ports[0], run, robot()?, at)?)),
             Role::Slam => {
                 let storage = world.storage.clone();
                 let process = SlamProcess::open([&ports[0], &ports[1]], run, robot()?, at, storage)?;
@@ -220,7 +220,7 @@ impl Body {
                 let drawing = MapDrawing::open(&ports[0], run, &graph, Arc::clone(&slot))?;
                 Self::Merge(Box::new((drawing, GraphWorker::open(&ports[1], run, graph, memory, slot)?)))
             }
-            Role::Telemetry => Self::Telemetry(Box::new(Figures::open(&ports[0], run)?)),
+            Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
             Role::Bridge => {
                 let process = BridgeProcess::open(&ports[0], run, world.storage.clone())?;
                 let frame_bytes_max = run.config.bridge.frame_bytes_max;

@@ -5,7 +5,7 @@
 
 use super::queues::{MemoryPorts, Network};
 use crate::ports::Clock;
-use crate::process::Component;
+use crate::process::ProcessLoop;
 use crate::process::bridge::BridgeProcess;
 use crate::storage::Storage;
 use bridge::ClientId;
@@ -164,7 +164,7 @@ impl<S: Storage> BridgeServer<S> {
     }
 }
 
-impl<S: Storage> Component for BridgeServer<S> {
+impl<S: Storage> ProcessLoop for BridgeServer<S> {
     fn step(&mut self) -> Monotonic {
         if self.port.is_open() {
             self.accept();

@@ -12,7 +12,7 @@ pub use live::run;
 
 use super::control::Control;
 use super::heartbeat::{HealthCounters, Heartbeat};
-use super::{Component, Error, outside};
+use super::{Error, ProcessLoop, outside};
 use crate::channel;
 use crate::config::World;
 use crate::ports::{ChannelError, Clock as _, Ports, WritePort};
@@ -63,9 +63,9 @@ impl<P: Ports + 'static, S: Storage> BridgeProcess<P, S> {
     }
 }
 
-impl<P: Ports, S: Storage> Component for BridgeProcess<P, S> {
+impl<P: Ports, S: Storage> ProcessLoop for BridgeProcess<P, S> {
     fn step(&mut self) -> Monotonic {
-        let due = self.feeds.iter_mut().map(Component::step).min();
+        let due = self.feeds.iter_mut().map(ProcessLoop::step).min();
         self.upkeep.step().min(due.unwrap_or(Monotonic(u64::MAX)))
     }
 }
@@ -79,7 +79,7 @@ pub struct Upkeep<P: Ports, S: Storage> {
     clock: P::Clock,
 }
 
-impl<P: Ports, S: Storage> Component for Upkeep<P, S> {
+impl<P: Ports, S: Storage> ProcessLoop for Upkeep<P, S> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.bridge.tick(now);

@@ -2,7 +2,7 @@
 //! graph.
 //! The merged map never waits for it, and it has less priority than all that robots wait for.
 
-use super::{Component, Listens, serve};
+use super::{Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::Epoch;
 use crate::merge_memory::MergeMemory;
@@ -106,7 +106,7 @@ impl<P: Ports, S: Storage> GraphWorker<P, S> {
     }
 }
 
-impl<P: Ports, S: Storage> Component for GraphWorker<P, S> {
+impl<P: Ports, S: Storage> ProcessLoop for GraphWorker<P, S> {
     fn step(&mut self) -> Monotonic {
         while let Some(command) = self.commands.receive() {
             self.output.apply_command(&mut self.graph, &command);

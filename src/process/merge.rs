@@ -5,7 +5,7 @@
 
 use super::graph::{self, FleetEstimate, FleetEstimateSlot};
 use super::heartbeat::{HealthCounters, Heartbeat};
-use super::{Component, Error, Listens, serve};
+use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::fleet;
 use crate::merge_memory::MergeMemory;
@@ -124,7 +124,7 @@ impl<P: Ports> MapDrawing<P> {
     }
 }
 
-impl<P: Ports> Component for MapDrawing<P> {
+impl<P: Ports> ProcessLoop for MapDrawing<P> {
     fn step(&mut self) -> Monotonic {
         if self.receive() {
             // The transforms notify nobody. The merged map does, and its readers then find the transforms.

@@ -1,6 +1,6 @@
 //! One main loop for each process of the fleet: it reads channels, calls a crate and writes channels.
 //!
-//! Each loop is a [`Component`] over [`crate::ports`]: live it runs on shared memory, in lockstep on queues and virtual
+//! Each loop is a [`ProcessLoop`] over [`crate::ports`]: live it runs on shared memory, in lockstep on queues and virtual
 //! time. Decisions about robots and maps are in the crates, not here.
 
 pub mod bridge;
@@ -29,29 +29,29 @@ pub const MAP_PERIOD: Duration = Duration::from_millis(100);
 /// Side of a cell of the room's plan, metres; the same as the maps'.
 pub const PLAN_RESOLUTION_M: f64 = 0.05;
 
-/// A loop's body, written once for live processes and for lockstep.
-pub trait Component {
+/// The body of a process's loop, written once for live processes and for lockstep.
+pub trait ProcessLoop {
     /// Reads the ports, does the work that is due, writes the ports, and never waits. Returns the moment at which it
     /// wants to run again, if nothing wakes it before.
     fn step(&mut self) -> Monotonic;
 }
 
-/// Listeners that wake a component before its next due moment.
+/// Listeners that wake a loop before its next due moment.
 pub trait Listens<L: 'static> {
     /// The listeners of its inputs.
     fn listeners(&self) -> impl Iterator<Item = &L>;
 }
 
-/// Runs a component on shared memory until `over` returns true.
+/// Runs a loop on shared memory until `over` returns true.
 fn serve(
-    component: &mut (impl Component + Listens<Listener>),
+    body: &mut (impl ProcessLoop + Listens<Listener>),
     mut progress: ProgressCounter,
     over: &dyn Fn() -> bool,
 ) {
     while !over() {
         progress.advance();
-        let due = component.step();
-        wait(component.listeners(), due);
+        let due = body.step();
+        wait(body.listeners(), due);
     }
 }
 

@@ -1,7 +1,7 @@
 //! The simulator process: one robot in its room, 100 ticks a second on absolute deadlines.
 
 use super::heartbeat::{HealthCounters, Heartbeat};
-use super::{Component, Error, Listens, serve};
+use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::fleet;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
@@ -24,13 +24,13 @@ const TIMEKEEPER: usize = 1;
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Sim, Some(robot))?;
-    let mut simulation = Simulation::open(&node, run, robot, at)?;
-    serve(&mut simulation, run.progress(Role::Sim, Some(robot), WatchedThread::Main), &|| stop.requested());
+    let mut process = SimulatorProcess::open(&node, run, robot, at)?;
+    serve(&mut process, run.progress(Role::Sim, Some(robot), WatchedThread::Main), &|| stop.requested());
     Ok(())
 }
 
 /// A robot's simulator with its channels.
-pub struct Simulation<P: Ports> {
+pub struct SimulatorProcess<P: Ports> {
     simulator: Simulator,
     inputs: Inputs<P>,
     outputs: Outputs<P>,
@@ -54,7 +54,7 @@ struct Inputs<P: Ports> {
     outdated: u64,
 }
 
-impl<P: Ports> Simulation<P> {
+impl<P: Ports> SimulatorProcess<P> {
     /// Puts the robot at its start, or `at` the pose where it was before.
     pub fn open(ports: &P, run: &Run, robot: RobotId, at: Option<Pose2>) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Sim, Some(robot))?;
@@ -87,7 +87,7 @@ impl<P: Ports> Simulation<P> {
     }
 }
 
-impl<P: Ports> Component for Simulation<P> {
+impl<P: Ports> ProcessLoop for SimulatorProcess<P> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.inputs.apply_commands(&mut self.simulator, now);
@@ -98,7 +98,7 @@ impl<P: Ports> Component for Simulation<P> {
         let Self { simulator, inputs, outputs, heartbeat, .. } = self;
         heartbeat.record_lateness(due);
         heartbeat.measure(|| {
-            inputs.see_peers(simulator);
+            inputs.update_peers(simulator);
             outputs.tick(simulator);
         });
         heartbeat.publish_if_due(|| HealthCounters {
@@ -114,7 +114,7 @@ impl<P: Ports> Component for Simulation<P> {
     }
 }
 
-impl<P: Ports> Listens<P::Listener> for Simulation<P> {
+impl<P: Ports> Listens<P::Listener> for SimulatorProcess<P> {
     fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
         std::iter::once(&self.inputs.command_listener)
     }
@@ -151,7 +151,7 @@ impl<P: Ports> Inputs<P> {
         }
     }
 
-    fn see_peers(&mut self, simulator: &mut Simulator) {
+    fn update_peers(&mut self, simulator: &mut Simulator) {
         for (peer, truths) in &mut self.peers {
             if let Some(truth) = truths.newest() {
                 simulator.update_peer(*peer, &truth);

@@ -1,7 +1,7 @@
 //! The telemetry process, which reads all figures and publishes the fleet's statistics once a second.
 
 use super::heartbeat::{HealthCounters, Heartbeat};
-use super::{Component, Error, Listens, PLAN_RESOLUTION_M, serve};
+use super::{Error, Listens, PLAN_RESOLUTION_M, ProcessLoop, serve};
 use crate::channel;
 use crate::config::World;
 use crate::fleet;
@@ -21,13 +21,13 @@ const PERIOD_NS: u64 = 1_000_000_000;
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
-    let mut figures = Figures::open(&node, run)?;
-    serve(&mut figures, run.progress(Role::Telemetry, None, WatchedThread::Main), &|| stop.requested());
+    let mut process = TelemetryProcess::open(&node, run)?;
+    serve(&mut process, run.progress(Role::Telemetry, None, WatchedThread::Main), &|| stop.requested());
     Ok(())
 }
 
 /// Computes the fleet's figures from all that is published.
-pub struct Figures<P: Ports> {
+pub struct TelemetryProcess<P: Ports> {
     telemetry: Telemetry,
     inputs: Inputs<P>,
     stats: P::Writer<FleetStats>,
@@ -37,7 +37,7 @@ pub struct Figures<P: Ports> {
     due: Monotonic,
 }
 
-impl<P: Ports> Figures<P> {
+impl<P: Ports> TelemetryProcess<P> {
     /// Opens all channels; the first figures are due in a second.
     pub fn open(ports: &P, run: &Run) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
@@ -61,7 +61,7 @@ impl<P: Ports> Figures<P> {
     }
 }
 
-impl<P: Ports> Component for Figures<P> {
+impl<P: Ports> ProcessLoop for TelemetryProcess<P> {
     fn step(&mut self) -> Monotonic {
         let received = self.clock.now();
         self.inputs.receive_streams(&mut self.telemetry, received);
@@ -77,7 +77,7 @@ impl<P: Ports> Component for Figures<P> {
     }
 }
 
-impl<P: Ports> Listens<P::Listener> for Figures<P> {
+impl<P: Ports> Listens<P::Listener> for TelemetryProcess<P> {
     fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
         self.inputs.listeners.iter()
     }

@@ -218,6 +218,8 @@ mod tests {
             silent_s: 0.5,
             link_bytes_per_s: None,
             held_back_bytes: 0,
+            reduced_maps: 0,
+            live_delay_s: 0.0,
             address: format!("192.168.100.200:{}", 50_000 + port).parse().unwrap(),
             subscriptions: 12,
             publications: 1,

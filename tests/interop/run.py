@@ -5,14 +5,17 @@ import json
 import os
 import pathlib
 import random
+import socket
 import subprocess
 import sys
 import tempfile
 
 HERE = pathlib.Path(__file__).parent
 ROOT = HERE.parent.parent
-BINARY = ROOT / "target/release/mr-slam"
-ENDPOINT = ROOT / "target/release/examples/dds_maps"
+# INTEROP_PROFILE=debug takes the development build.
+BUILD = ROOT / "target" / os.environ.get("INTEROP_PROFILE", "release")
+BINARY = BUILD / "mr-slam"
+ENDPOINT = BUILD / "examples/dds_maps"
 # No script needs half of it; none may take more.
 PEER_MAX_S = 240
 # Domains whose ports lie below those that the system gives to anybody.
@@ -56,10 +59,10 @@ def peer(script, domain, *arguments, **variables):
 
 
 @contextlib.contextmanager
-def fleet(out, domain, *arguments):
-    """A fleet with its ROS 2 door open; its folder."""
+def fleet(out, domain, port, *arguments):
+    """A fleet with its ROS 2 endpoint open; its folder."""
     with tempfile.TemporaryDirectory() as run_dir, open(out / "interop-fleet.log", "a") as log:
-        command = [BINARY, "up", "--port", "0", "--ros-domain", str(domain), "--run-dir", run_dir, *arguments]
+        command = [BINARY, "up", "--port", str(port), "--ros-domain", str(domain), "--run-dir", run_dir, *arguments]
         running = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
         try:
             yield run_dir
@@ -68,15 +71,26 @@ def fleet(out, domain, *arguments):
             running.wait(20)
 
 
+def free_port():
+    """A TCP port that nobody listens on."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
 def main(out):
     domain = random.randint(*DOMAINS)
     rows = []
-    with fleet(out, domain, "--robots", "2") as run_dir:
+    port = free_port()
+    with fleet(out, domain, port, "--robots", "2") as run_dir:
         rows += peer("fleet_rclpy.py", domain, run_dir)
         rows += peer("fleet_cyclone.py", domain)
         rows += peer("services.py", domain, run_dir, BINARY)
-    with fleet(out, domain, "--robots", "2", "--world", "ros"):
-        rows += peer("world_rclpy.py", domain)
+        rows += peer("tcp_rclpy.py", domain, port)
+        rows += peer("services_cyclone.py", domain, port)
+    port = free_port()
+    with fleet(out, domain, port, "--robots", "2", "--world", "ros"):
+        rows += peer("world_rclpy.py", domain, port)
         rows += peer("world_cyclone.py", domain)
     rows += peer("maps_rclpy.py", domain, ENDPOINT, BINARY)
     profile = str(HERE / "buffers.xml")

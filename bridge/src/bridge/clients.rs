@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 
 /// The state of one connection, for the operator's table and for JSON.
+// More than 12 fields: one for each column of the operator's table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClientStatus {
     /// Number of the connection, counted from 1 since the bridge's start.
@@ -28,8 +29,12 @@ pub struct ClientStatus {
     pub waiting_bytes: usize,
     /// Bytes per second that the connection takes, measured while frames wait for it; `None` if none ever did.
     pub link_bytes_per_s: Option<f64>,
-    /// Bytes of maps that are held back, because they would delay transforms on this slow connection.
+    /// Bytes of maps and images that are held back, because they would delay transforms on this slow connection.
     pub held_back_bytes: usize,
+    /// Topics whose newest map was sent with larger cells, for the same reason.
+    pub reduced_maps: usize,
+    /// The longest time that transforms and other live messages waited lately, in the bridge and in the kernel, seconds.
+    pub live_delay_s: f64,
     /// Messages dropped or replaced because the client was slow.
     pub dropped: u64,
     /// Numbers of the robots whose lease the client holds now.
@@ -67,6 +72,8 @@ impl Bridge {
             waiting_bytes: client.outgoing.bytes(),
             link_bytes_per_s: client.link.bytes_per_s(),
             held_back_bytes: client.outgoing.held_back_bytes(),
+            reduced_maps: client.outgoing.reduced_maps(),
+            live_delay_s: client.live_delay.longest().as_secs_f64(),
             dropped: client.outgoing.dropped(),
             drives: core
                 .fleet

@@ -6,7 +6,7 @@ use crate::cdr::{DecodeError, Dialect, ENCAPSULATION, Reader, Writer, with_dummy
 use crate::command::{Call, name};
 use crate::frame::Side;
 use crate::interfaces::{self, NameError};
-use crate::relay::RosRequestId;
+use crate::relay::{IDENTIFIED_BYTES_MAX, RosRequestId};
 use crate::router::{ClientId, FrameKind};
 use crate::services::{Caller, Provider, ServiceCall, ServiceError};
 use crate::slam_services;
@@ -247,6 +247,15 @@ impl Core {
             (Caller::Ros(_), Err(error)) => {
                 self.router.refuse(id, format!("__response {number}: {error}"));
                 self.fail_call(&call, "the response is not encoded as ROS 2 expects it");
+            }
+            (Caller::Ros(request), Ok(_)) if !request.can_carry(payload.len()) => {
+                let bytes = payload.len();
+                let text = format!(
+                    "__response {number}: {bytes} bytes are not sent to ROS 2: at most {IDENTIFIED_BYTES_MAX} reach a \
+                     node on Fast DDS; publish long data on a topic"
+                );
+                self.router.refuse(id, text);
+                self.fail_call(&call, "the response is too long");
             }
             _ => self.respond(&call, payload),
         }

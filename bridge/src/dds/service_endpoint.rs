@@ -3,7 +3,7 @@
 use super::entities::{RawReader, RawWriter};
 use super::raw::Raw;
 use super::service_identity::{self as identity, RequestNumber};
-use crate::relay::RosRequestId;
+use crate::relay::{IDENTIFIED_BYTES_MAX, RosRequestId};
 use msg::Monotonic;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::{
@@ -22,8 +22,6 @@ const REQUESTS_MAX: usize = 256;
 const HELD_MAX: usize = 64;
 /// A reply waits for this time: discovery of a reader takes less after its participant's request was received.
 const HOLD: Duration = Duration::from_secs(2);
-/// Longest request that names its reply reader, bytes: RustDDS 0.15 corrupts longer ones, which it sends in fragments.
-const NAMED_REQUEST_MAX: usize = 1024;
 
 /// The readers and writers of one service. Its task ends with it.
 pub struct ServiceEndpoint {
@@ -80,8 +78,11 @@ pub struct Server {
 }
 
 impl Server {
-    /// Sends a reply, or holds it until the requester's reader is found.
+    /// Sends a reply, or holds it until the requester's reader is found. One that is too long is not sent.
     pub fn respond(&mut self, id: RosRequestId, payload: Bytes, now: Monotonic) {
+        if !id.can_carry(payload.len()) {
+            return;
+        }
         if self.has_reader(&id) {
             return self.send(&id, payload);
         }
@@ -162,7 +163,7 @@ impl Client {
         } else {
             let named =
                 SampleIdentity { writer_guid: reader.guid(), sequence_number: SequenceNumber::UNKNOWN };
-            let named = (payload.len() <= NAMED_REQUEST_MAX).then_some(named);
+            let named = (payload.len() <= IDENTIFIED_BYTES_MAX).then_some(named);
             (payload, options.related_sample_identity_opt(named))
         };
         // A request that cannot be written gets no response: the call fails when its time is over.

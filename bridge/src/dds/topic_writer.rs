@@ -58,7 +58,9 @@ pub fn apply_event<'a>(
     event: &DomainParticipantStatusEvent,
     now: Monotonic,
 ) -> bool {
-    use DomainParticipantStatusEvent::{ParticipantLost, ReaderLost, RemoteReaderMatched};
+    use DomainParticipantStatusEvent::{
+        ParticipantDiscovered, ParticipantLost, ReaderLost, RemoteReaderMatched,
+    };
     let mut replaced = false;
     for writer in writers {
         let result = match event {
@@ -68,6 +70,8 @@ pub fn apply_event<'a>(
             {
                 writer.add_reader(*remote_reader, now)
             }
+            // Its readers follow within milliseconds, and must find no old messages.
+            ParticipantDiscovered { .. } => writer.drop_old_messages(),
             ReaderLost { guid, .. } => writer.remove_readers(|reader| reader == guid),
             ParticipantLost { id, .. } => writer.remove_readers(|reader| reader.prefix == *id),
             _ => Ok(false),
@@ -199,12 +203,24 @@ impl TopicWriter {
     pub fn add_reader(&mut self, reader: GUID, now: Monotonic) -> CreateResult<bool> {
         let is_new = self.readers.insert(reader);
         let Some(latched) = &self.latched else { return Ok(false) };
-        // RustDDS sends a new reader all that it keeps: correct only if that is the newest message alone.
+        // A reader of a participant that was known before: its request for old messages may come before this.
         let must_replace = is_new && latched.written > 1;
         if must_replace {
             self.replace_writer()?;
         }
         self.write_latched(now);
+        Ok(must_replace)
+    }
+
+    /// Replaces a writer that keeps more than the newest message; returns whether it did.
+    ///
+    /// RustDDS keeps old messages of a latched topic for 6 s. It sends all that it keeps to a new reader, 5 ms after the
+    /// reader's request: a writer that is replaced only when the reader is matched may have sent them on a busy machine.
+    fn drop_old_messages(&mut self) -> CreateResult<bool> {
+        let must_replace = self.latched.as_ref().is_some_and(|latched| latched.written > 1);
+        if must_replace {
+            self.replace_writer()?;
+        }
         Ok(must_replace)
     }
 

@@ -3,6 +3,7 @@
 use super::encoder::Encoder;
 use crate::router::ClientSocket;
 use msg::Monotonic;
+use socket2::SockRef;
 use std::cell::RefCell;
 use std::io::{self, IoSlice, Read, Write};
 use std::rc::Rc;
@@ -38,6 +39,11 @@ impl ClientSocket for PageSocket {
             self.wake.notify_one();
         }
         result
+    }
+
+    fn set_send_buffer(&self, bytes: usize) {
+        // It fails only on a connection that is closed, which the next write notices.
+        let _ = SockRef::from(&*self.stream).set_send_buffer_size(bytes);
     }
 
     fn wake(&self) {

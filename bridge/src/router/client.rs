@@ -1,7 +1,7 @@
 //! One connected client, with its subscriptions, its publications and the frames that wait for it.
 
 use super::buffers::{BufferPool, SharedFrame};
-use super::link::LinkRate;
+use super::link::{LinkRate, LiveDelay, SEND_BUFFER_FIRST};
 use super::outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 use super::topics::TopicId;
 use msg::Monotonic;
@@ -32,6 +32,8 @@ pub struct ConnectionEnded;
 pub trait ClientSocket {
     /// Writes as many bytes as the socket accepts now; [`io::ErrorKind::WouldBlock`] if it accepts none.
     fn try_write(&self, slices: &[IoSlice<'_>]) -> io::Result<usize>;
+    /// Sets how many bytes the kernel may hold for the connection, without what Linux adds for its own use.
+    fn set_send_buffer(&self, bytes: usize);
     /// Returns the monotonic time.
     fn now(&self) -> Monotonic;
     /// Wakes the task that serves this client: frames wait for the socket, or the connection must end.
@@ -119,8 +121,14 @@ pub struct Client {
     pub outgoing: OutgoingQueue,
     /// The measured rate of the connection.
     pub link: LinkRate,
+    /// The age of live messages when they leave.
+    pub live_delay: LiveDelay,
+    /// What the kernel may hold for the connection, bytes.
+    send_buffer: usize,
     /// Subscriptions to live topics, which bulk frames must not delay.
     pub live_subscriptions: usize,
+    /// When the client subscribed last, by its socket's clock.
+    pub subscribed_at: Monotonic,
     /// What the client has sent.
     pub input: InputState,
     /// `None` for a client in this process, which takes its frames itself.
@@ -144,6 +152,8 @@ impl Client {
         socket: Option<Box<dyn ClientSocket>>,
         outgoing: OutgoingQueue,
     ) -> Self {
+        // Until the connection's rate is known.
+        socket.iter().for_each(|socket| socket.set_send_buffer(SEND_BUFFER_FIRST));
         Self {
             id,
             peer,
@@ -152,7 +162,10 @@ impl Client {
             expected: None,
             outgoing,
             link: LinkRate::default(),
+            live_delay: LiveDelay::default(),
+            send_buffer: SEND_BUFFER_FIRST,
             live_subscriptions: 0,
+            subscribed_at: Monotonic::default(),
             input: InputState::default(),
             socket,
             needs_flush: false,
@@ -168,36 +181,43 @@ impl Client {
         self.publications.iter().any(|publication| publication.topic == topic)
     }
 
-    /// Puts a frame into the client's queue.
-    pub fn push(&mut self, kind: FrameKind, frame: SharedFrame, pool: &mut BufferPool) {
+    /// Puts a frame into the client's queue. `now` is the time of the client's socket.
+    pub fn push(&mut self, kind: FrameKind, frame: SharedFrame, now: Monotonic, pool: &mut BufferPool) {
         if self.outgoing.is_full(kind, &frame) {
             // The queue may be full only because this turn's frames have not been written yet.
-            self.flush(pool);
+            self.flush(now, pool);
         }
-        self.update_time();
+        self.update_time(now);
         if self.outgoing.push(kind, frame, pool).is_err() {
             self.fail();
         }
     }
 
-    /// Tells the queue the time, and how long a map may be that is written now.
-    fn update_time(&mut self) {
-        let Some(socket) = &self.socket else { return };
-        let now = socket.now();
-        let is_free = self.live_subscriptions == 0;
-        let bulk_bytes_max = if is_free { usize::MAX } else { self.link.bulk_bytes_max(now) };
-        // Behind a held map urgent frames must go first, too.
-        let is_slow = self.is_blocked || bulk_bytes_max != usize::MAX;
-        self.outgoing.set_link(now, bulk_bytes_max, is_slow);
+    /// Returns the time of the client's socket, if it has one.
+    pub fn socket_time(&self) -> Option<Monotonic> {
+        self.socket.as_ref().map(|socket| socket.now())
+    }
+
+    /// Tells the queue the time, and which bulk frames may be begun now.
+    fn update_time(&mut self, now: Monotonic) {
+        if self.socket.is_none() {
+            return;
+        }
+        let budget = match self.live_subscriptions {
+            0 => LinkRate::budget_without_live_topics(self.subscribed_at, now),
+            _ => self.link.bulk_budget(now),
+        };
+        self.outgoing.set_link(now, budget, self.is_blocked || self.link.is_slow());
     }
 
     /// Writes waiting frames to the socket, unless the client's task already waits for the socket.
-    pub fn flush(&mut self, pool: &mut BufferPool) {
+    pub fn flush(&mut self, now: Monotonic, pool: &mut BufferPool) {
         if self.is_blocked || self.socket.is_none() {
             return;
         }
-        self.update_time();
+        self.update_time(now);
         self.outgoing.drop_expired(pool);
+        self.outgoing.reduce_held(pool);
         let Some(socket) = &self.socket else { return };
         let mut written = 0;
         let result = self.outgoing.flush(
@@ -211,12 +231,30 @@ impl Client {
         match result {
             Ok(outcome) => {
                 self.is_blocked = outcome != FlushOutcome::Complete;
-                self.link.record(written, self.is_blocked, socket.now());
+                self.record_written(written, now);
                 if self.is_blocked {
-                    socket.wake();
+                    self.wake();
                 }
             }
             Err(_) => self.fail(),
+        }
+    }
+
+    /// Measures the connection's rate, and fits the kernel's buffer to it.
+    fn record_written(&mut self, written: usize, now: Monotonic) {
+        let Some(socket) = &self.socket else { return };
+        // Only a rate needs the time after the write.
+        let now = if self.is_blocked || self.link.is_waiting() { socket.now() } else { now };
+        self.link.record(written, self.is_blocked, now);
+        let begun = self.outgoing.take_begun();
+        if begun.bulk_bytes > 0 {
+            self.link.record_bulk(begun.bulk_bytes, now);
+        }
+        self.live_delay.record(begun.live_wait + self.link.kernel_delay(), now);
+        let send_buffer = self.link.send_buffer_bytes();
+        if send_buffer != self.send_buffer {
+            socket.set_send_buffer(send_buffer);
+            self.send_buffer = send_buffer;
         }
     }
 

@@ -2,8 +2,12 @@
 
 mod pressure;
 
+pub use pressure::BegunFrames;
+use pressure::ReducedMap;
+
 use super::buffers::{BufferPool, SharedFrame};
-use super::link::Urgency;
+use super::link::{BulkBudget, Urgency};
+use crate::cdr::Dialect;
 use msg::Monotonic;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
@@ -21,6 +25,17 @@ const NOTICES_MAX: usize = 64;
 const REPLY_BYTES_MAX: usize = 1 << 20;
 /// Size of a page of memory: only pages of a buffer that were written count as used.
 const PAGE_BYTES: usize = 4096;
+
+/// What a frame has to do with a map, which a slow connection may get with larger cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapRole {
+    /// Nothing, or its cells are larger already.
+    None,
+    /// A whole map in this encoding: its cells may be made larger.
+    Whole(Dialect),
+    /// Changes of the map of this topic: a client whose map has larger cells cannot use them.
+    UpdateOf(usize),
+}
 
 /// The kind of a waiting frame: it decides what happens when the queue is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +59,8 @@ pub enum FrameKind {
         urgency: Urgency,
         /// Whether the frame is worthless once it is older than [`LIVE_AGE_MAX`].
         expires: bool,
+        /// What the frame has to do with maps.
+        map: MapRole,
     },
 }
 
@@ -52,6 +69,13 @@ impl FrameKind {
         match self {
             Self::Reply | Self::Notice => Urgency::Live,
             Self::Topic { urgency, .. } => urgency,
+        }
+    }
+
+    fn map(self) -> MapRole {
+        match self {
+            Self::Topic { map, .. } => map,
+            _ => MapRole::None,
         }
     }
 }
@@ -66,13 +90,6 @@ struct WaitingFrame {
     frame: SharedFrame,
     /// When the frame was queued.
     at: Monotonic,
-}
-
-impl WaitingFrame {
-    /// Returns whether the frame must wait because it would delay live frames.
-    fn is_held(&self, bulk_bytes_max: usize) -> bool {
-        self.kind.urgency() == Urgency::Bulk && self.frame.len() > bulk_bytes_max
-    }
 }
 
 /// How far a flush got.
@@ -91,6 +108,7 @@ pub enum FlushOutcome {
 pub struct Overflow;
 
 /// Frames that wait for one client.
+// More than 12 fields: the frames, their totals, and what the connection admits now.
 pub struct OutgoingQueue {
     /// The frame that is being written, and how many of its bytes are. Once begun it must be written whole.
     writing: Option<(SharedFrame, usize)>,
@@ -105,8 +123,12 @@ pub struct OutgoingQueue {
     counted_frames: usize,
     topic_bytes_max: usize,
     dropped: u64,
-    /// The longest bulk frame that is written now, bytes.
-    bulk_bytes_max: usize,
+    /// The bulk frames that may be begun in this call.
+    budget: BulkBudget,
+    /// The maps that were sent with larger cells.
+    reduced: Vec<ReducedMap>,
+    /// What was begun since it was asked for last.
+    begun: BegunFrames,
     /// Whether urgent frames go before others: the connection takes less than is published.
     is_slow: bool,
     /// The time of the call.
@@ -126,7 +148,9 @@ impl OutgoingQueue {
             counted_frames: 0,
             topic_bytes_max,
             dropped: 0,
-            bulk_bytes_max: usize::MAX,
+            budget: BulkBudget::UNLIMITED,
+            reduced: Vec::new(),
+            begun: BegunFrames::default(),
             is_slow: false,
             now: Monotonic(0),
         }
@@ -209,7 +233,7 @@ impl OutgoingQueue {
 
     /// Returns whether a frame can be written now.
     fn has_writable(&self) -> bool {
-        self.writing.is_some() || self.frames.iter().any(|waiting| !waiting.is_held(self.bulk_bytes_max))
+        self.writing.is_some() || self.frames.iter().any(|waiting| !waiting.is_held(self.budget))
     }
 
     fn waiting_of(&mut self, topic: usize) -> usize {
@@ -279,6 +303,7 @@ impl OutgoingQueue {
 
     /// Removes the waiting messages of a topic that the client no longer subscribes to.
     pub fn remove_topic(&mut self, topic: usize, pool: &mut BufferPool) {
+        self.reduced.retain(|reduced| reduced.topic != topic);
         while let Some(place) = self.frames.iter().position(|waiting| is_of_topic(waiting.kind, topic)) {
             self.remove(place, pool);
         }
@@ -312,7 +337,8 @@ impl OutgoingQueue {
         let mut slices = [IoSlice::new(&[]); FRAMES_PER_WRITE];
         let (mut count, mut total) = (0, 0);
         let begun = self.writing.as_ref().map(|(frame, written)| &frame[*written..]);
-        let writable = self.frames.iter().filter(|waiting| !waiting.is_held(self.bulk_bytes_max));
+        let mut budget = self.budget;
+        let writable = self.frames.iter().filter(|waiting| waiting.is_admitted(&mut budget));
         for frame in begun.into_iter().chain(writable.map(|waiting| waiting.frame.as_slice())) {
             if count == FRAMES_PER_WRITE || total >= BYTES_PER_TURN {
                 break;
@@ -332,10 +358,11 @@ impl OutgoingQueue {
     fn advance(&mut self, mut written: usize, pool: &mut BufferPool) {
         while written > 0 {
             if self.writing.is_none() {
-                let limit = self.bulk_bytes_max;
-                let place = self.frames.iter().position(|waiting| !waiting.is_held(limit));
+                let budget = &mut self.budget;
+                let place = self.frames.iter().position(|waiting| waiting.is_admitted(budget));
                 let Some(next) = place.and_then(|place| self.frames.remove(place)) else { return };
                 self.subtract_from_totals(next.kind, memory_bytes(&next.frame));
+                self.record_begun(&next);
                 self.writing = Some((next.frame, 0));
             }
             let Some((frame, begun)) = &mut self.writing else { return };

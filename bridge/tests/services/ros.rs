@@ -46,6 +46,23 @@ fn a_ros_node_calls_a_service_of_a_client() {
 }
 
 #[test]
+fn a_response_that_dds_cannot_carry_is_refused_and_told() {
+    let simulation = Simulation::new();
+    let client = simulation.connect();
+    simulation.register(client, name::UNITY_SERVICE, "/photo", TRIGGER);
+    simulation.asked();
+    for (length, responses) in [(1024, 1), (1025, 0)] {
+        simulation.request_from_ros("/photo", EMPTY);
+        let (calls, _) = simulation.received(client);
+        let response = [&[0, 1, 0, 0][..], &vec![7; length - 4]].concat();
+        simulation.send(client, name::RESPONSE, calls[0].0, "/photo", &response);
+        assert_eq!(simulation.responses_to_ros().len(), responses, "{length} bytes");
+    }
+    let (_, texts) = simulation.received(client);
+    assert!(texts.len() == 1 && texts[0].contains("1025 bytes are not sent to ROS 2"), "{texts:?}");
+}
+
+#[test]
 fn a_call_of_a_ros_node_that_fails_never_reads_as_success() {
     let mut simulation = Simulation::new();
     let client = simulation.connect();

@@ -2,7 +2,7 @@
 
 use crate::channel::{self, Channel};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort};
-use crate::process::Component;
+use crate::process::ProcessLoop;
 use crate::run::Run;
 use crate::view::edges_json;
 use ::bridge::{FleetMessage, Transport};
@@ -33,7 +33,7 @@ pub struct Feed<L> {
     pub(super) pass: Box<dyn FnMut() -> Monotonic>,
 }
 
-impl<L> Component for Feed<L> {
+impl<L> ProcessLoop for Feed<L> {
     fn step(&mut self) -> Monotonic {
         (self.pass)()
     }

@@ -4,13 +4,13 @@ use super::feeds::Feed;
 use super::{BridgeProcess, Upkeep, page};
 use crate::clock::now;
 use crate::ports::Ports;
-use crate::process::{Component, Error, control, ros2};
+use crate::process::{Error, ProcessLoop, control, ros2};
 use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;
 use crate::shared_memory::Listener;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
-use ::bridge::serve;
+use ::bridge::serve_clients;
 use msg::{Monotonic, Role};
 use std::os::fd::AsFd;
 use std::time::Duration;
@@ -37,7 +37,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
         tasks.push(spawn_local(run_upkeep(upkeep)));
         let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
-        serve(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
+        serve_clients(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
         tasks.iter().for_each(JoinHandle::abort);
         Ok(())
     })
@@ -63,7 +63,7 @@ pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
     }
 }
 
-/// Calls the upkeep whenever it is due.
+/// Calls the upkeep whenever it is due. It is a task of its own, so that robots stop in time whatever clients do.
 async fn run_upkeep<P: Ports, S: Storage>(mut upkeep: Upkeep<P, S>) {
     loop {
         let due = upkeep.step();

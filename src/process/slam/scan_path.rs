@@ -4,7 +4,7 @@ use super::{BackEndInput, FrontCommand, FrontEvent, Restart};
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::process::heartbeat::{HealthCounters, Heartbeat};
-use crate::process::{Component, Listens};
+use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use ::slam::{FrontEnd, FrontEndState};
 use msg::{Correction, Header, Monotonic, Odometry, Pose2, RobotId, Role, Scan};
@@ -66,7 +66,7 @@ impl<P: Ports> ScanPath<P> {
     }
 }
 
-impl<P: Ports> Component for ScanPath<P> {
+impl<P: Ports> ProcessLoop for ScanPath<P> {
     fn step(&mut self) -> Monotonic {
         let Self { runner, scans, odometry, corrections, heartbeat, refused, .. } = self;
         runner.apply_commands();

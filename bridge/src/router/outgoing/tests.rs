@@ -9,7 +9,14 @@ fn bytes(of: u8, length: usize) -> SharedFrame {
 }
 
 fn topic(id: usize, depth: usize) -> FrameKind {
-    FrameKind::Topic { id, depth, counted: true, urgency: Urgency::Ordinary, expires: false }
+    FrameKind::Topic {
+        id,
+        depth,
+        counted: true,
+        urgency: Urgency::Ordinary,
+        expires: false,
+        map: MapRole::None,
+    }
 }
 
 /// Writes everything, at most `room` bytes in a call.
