@@ -13,7 +13,7 @@
 //! half of intel, put down in its second half, and in other buildings, where it must not be found.
 //!
 //! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
-//! them (`varied.rs`), to find where the default configuration generalises badly. `--logs generated [--seeds 0..400]`: buildings, robots and accidents drawn from
+//! them (`varied.rs`), to find where the default configuration generalises badly. `--logs generated [--seeds 0..400[/8]]`: buildings, robots and accidents drawn from
 //! seeds, with known truth (`generated/`); seeds from 10000 on are held back from tuning. `--maps DIR` writes
 //! every log's map there, as YAML, PGM and PNG.
 
@@ -75,13 +75,20 @@ struct Args {
     json: Option<PathBuf>,
     logs: Option<Vec<String>>,
     maps: Option<PathBuf>,
-    seeds: std::ops::Range<u64>,
+    seeds: generated::Seeds,
     check: bool,
 }
 
 fn args() -> Result<Args, String> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/lidar");
-    let mut args = Args { data, json: None, logs: None, maps: None, seeds: 0..SEEDS_DEFAULT, check: false };
+    let mut args = Args {
+        data,
+        json: None,
+        logs: None,
+        maps: None,
+        seeds: generated::Seeds { range: 0..SEEDS_DEFAULT, step: 1 },
+        check: false,
+    };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
         let mut value = || given.next().ok_or(format!("{name} wants a value"));

@@ -12,6 +12,7 @@ mod links;
 mod loop_closer;
 mod modes;
 mod node_numbers;
+mod odometry_noise;
 mod robot_location;
 mod state;
 mod undo;
@@ -34,6 +35,7 @@ use loop_closer::LoopCloser;
 use msg::{GridView, Header, Monotonic, Pose2, TileMap};
 use nalgebra::{Matrix3, Vector3};
 use node_numbers::NodeNumbers;
+use odometry_noise::OdometryNoise;
 use posegraph::information_from_sigmas;
 use robot_location::RobotLocation;
 
@@ -50,6 +52,7 @@ const BREAK_RAD: f64 = 3.0;
 const BREAK_VARIANCE: [f64; 2] = [BREAK_M * BREAK_M, BREAK_RAD * BREAK_RAD];
 
 /// The back end of one robot's SLAM; see the module.
+// More than 12 fields: one for each part of its work, which a module of its own does, and the counts that they share.
 pub struct BackEnd {
     config: SlamConfig,
     /// The nodes, by id; their poses are the graph's.
@@ -59,6 +62,7 @@ pub struct BackEnd {
     location: RobotLocation,
     lifelong: Lifelong,
     numbers: NodeNumbers,
+    odometry_noise: OdometryNoise,
     mapper: OccupancyMapper,
     /// The newest node that odometry alone connects with the nodes before: whether that is right is not yet verified.
     unverified_edge: Option<u32>,
@@ -108,6 +112,7 @@ impl BackEnd {
             location: RobotLocation::new(),
             lifelong: Lifelong::default(),
             numbers: NodeNumbers::default(),
+            odometry_noise: OdometryNoise::new(),
             mapper: OccupancyMapper::new(config.map.clone()),
             unverified_edge: None,
             unsolved: 0,
@@ -142,9 +147,11 @@ impl BackEnd {
         self.append_node(node);
         // Link it with the nodes just before, and with others near by whose relative pose is well known.
         self.link_sequential(id);
+        self.learn_odometry_noise(id);
         let relative = self.uncertainty_from(id);
         let linked = self.link_near(id, &relative);
         self.unsolved += usize::from(linked > 0);
+        self.graph.update_newest_covariance();
         // Verify an odometry edge that no scan has confirmed.
         self.check_unverified_edge(id, &relative);
         let disconnected = !self.newest_in_map();
@@ -312,11 +319,9 @@ impl BackEnd {
     }
 
     fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
-        let c = &self.config.odometry;
-        let (distance_m, turn_rad) = (moved.x_m.hypot(moved.y_m), moved.yaw_rad.abs());
-        let factor = if measured { 1.0 } else { UNMEASURED_FACTOR };
-        let m = factor * (c.sigma_m + c.sigma_m_per_m * distance_m);
-        let rad = factor * (c.sigma_rad + c.sigma_rad_per_rad * turn_rad + c.sigma_rad_per_m * distance_m);
+        let sigmas = self.configured_odometry_sigmas(moved);
+        let scales = if measured { self.odometry_noise.scales() } else { [UNMEASURED_FACTOR; 2] };
+        let [m, rad] = [0, 1].map(|k| scales[k] * sigmas[k]);
         Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
     }
 
@@ -384,6 +389,7 @@ impl BackEnd {
     /// Updates components and the number of closures, after edges changed.
     fn count_closures(&mut self) {
         self.update_components();
+        self.update_covariances();
         let in_force = |e: &&crate::graph::Edge| e.in_force && e.kind == EdgeKind::Closure;
         self.loop_closer.in_force = self.graph.edges().iter().filter(in_force).count() as u32;
     }

@@ -77,10 +77,13 @@ pub struct FrontEndCounts {
 pub struct ScanResult {
     /// Pose of the robot with its covariance; after a rejected scan the last one.
     ///
-    /// The covariance is that of the pose in the local map of the newest nodes; how far the map's far
-    /// parts have drifted is not in it. While the scan does not fit, it grows with the path since the
-    /// newest node. While the robot is not located in its map, it is that of an unknown pose (100 m, pi).
+    /// The covariance is that of the pose in the map, relative to the map's first node. While the scan does not fit, it
+    /// grows with the path since the newest node. While the robot is not located in its map, it is that of an unknown
+    /// pose (100 m, pi).
     pub correction: Correction,
+    /// Covariance over (x, y, yaw) of the pose in the local map of the newest nodes, in the front end's frame: how well
+    /// the scan fits, whatever the map has drifted since its first node.
+    pub local_covariance: Matrix3<f64>,
     /// Reason why the scan was not used; `None` if it was.
     pub rejected: Option<ScanRejection>,
     /// The node for the back end, if the scan became one. ([`crate::Slam`] keeps it.)
@@ -179,7 +182,13 @@ impl FrontEnd {
         // Answer in the map's frame.
         let correction = self.correction(scan, &pose, odom_from_base);
         self.stages.stage_started(Stage::Idle);
-        ScanResult { correction, rejected: None, node_id: node.as_ref().map(|n| n.id), node }
+        ScanResult {
+            correction,
+            local_covariance: pose.covariance,
+            rejected: None,
+            node_id: node.as_ref().map(|n| n.id),
+            node,
+        }
     }
 
     /// Adds one odometry message.
@@ -332,10 +341,8 @@ impl FrontEnd {
     fn correction(&mut self, scan: &Scan, pose: &TrackedPose, odom_from_base: Option<Pose2>) -> Correction {
         let MapFrame { map_from_local, is_located, .. } = self.frame;
         let map_from_base = map_from_local * pose.local_from_base;
-        let (sin, cos) = map_from_local.yaw_rad.sin_cos();
-        let rotation = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
         let c = match is_located {
-            true => rotation * pose.covariance * rotation.transpose(),
+            true => self.frame.covariance_in_map(pose.covariance, map_from_base),
             false => unknown_pose_covariance(),
         };
         if let (Some(odom_from_base), true) = (odom_from_base, is_located) {

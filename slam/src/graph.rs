@@ -2,6 +2,10 @@
 //! solution with robust weights (Grisetti et al., "A tutorial on graph-based SLAM", IEEE ITS
 //! Magazine 2010; graduated robustness after Yang et al., "Graduated non-convexity", RA-L 2020).
 
+mod pose_covariance;
+
+pub(crate) use pose_covariance::{carry_covariance, turn_covariance};
+
 use crate::config::GraphConfig;
 use msg::Pose2;
 use nalgebra::Matrix3;
@@ -81,6 +85,8 @@ pub struct RelativeUncertainty {
 pub struct Graph {
     config: GraphConfig,
     poses: Vec<Pose2>,
+    /// Covariance of each pose in the map; `None` where no edge says.
+    covariances: Vec<Option<Matrix3<f64>>>,
     edges: Vec<Edge>,
     /// Edges of each node.
     around: Vec<Vec<u32>>,
@@ -91,7 +97,14 @@ pub struct Graph {
 impl Graph {
     /// A graph without nodes.
     pub fn new(config: GraphConfig) -> Self {
-        Self { config, poses: Vec::new(), edges: Vec::new(), around: Vec::new(), failed_solutions: 0 }
+        Self {
+            config,
+            poses: Vec::new(),
+            covariances: Vec::new(),
+            edges: Vec::new(),
+            around: Vec::new(),
+            failed_solutions: 0,
+        }
     }
 
     /// A graph of these nodes and edges.
@@ -108,6 +121,7 @@ impl Graph {
             self.around[edge.a as usize].push(index as u32);
             self.around[edge.b as usize].push(index as u32);
         }
+        self.covariances = vec![None; poses.len()];
         (self.poses, self.edges) = (poses, edges);
     }
 
@@ -145,6 +159,7 @@ impl Graph {
     /// Appends a node.
     pub fn add_node(&mut self, map_from_node: Pose2) {
         self.poses.push(map_from_node);
+        self.covariances.push(None);
         self.around.push(Vec::new());
     }
 

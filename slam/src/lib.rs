@@ -51,7 +51,7 @@ pub use front_end::{FrontEnd, FrontEndCounts, FrontEndState, ScanRejection, Scan
 pub use graph::{Edge, EdgeKind, Graph, RelativeUncertainty};
 pub use localizer::LocalizerCounts;
 pub use mapper::OccupancyMapper;
-pub use node::{Node, Rays, Revision, SweptPath};
+pub use node::{FrameUncertainty, Node, Rays, Revision, SweptPath};
 pub use point_transform::PointTransform;
 pub use relocalize::{PoseEstimate, RelocalizationCounts};
 pub use scan_buffers::NODES_IN_FLIGHT_MAX;

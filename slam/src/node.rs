@@ -111,6 +111,15 @@ impl<'de> Deserialize<'de> for SweptPath {
     }
 }
 
+/// Covariance of a pose in the map, and where in the map it is: seen from elsewhere, an error in heading moves it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameUncertainty {
+    /// Covariance of the pose, relative to the map's first node: upper triangle over (x, y, yaw), row by row.
+    pub covariance: [f64; 6],
+    /// Position of the pose in the map, metres.
+    pub at: [f64; 2],
+}
+
 /// The back end's result after a node, for the front end.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Revision {
@@ -120,6 +129,11 @@ pub struct Revision {
     pub effective_from: u32,
     /// Pose of the front end's frame in the loop-closed map, by the newest node.
     pub map_from_local: Pose2,
+    /// How well that is known: the covariance of the newest node's pose in the map.
+    ///
+    /// A session does not keep it: the back end finds it anew.
+    #[serde(skip)]
+    pub uncertainty: FrameUncertainty,
     /// Number of active closures.
     pub closures: u32,
     /// Whether the robot is located in its map; if not, `map_from_local` is not valid.

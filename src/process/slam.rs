@@ -11,6 +11,7 @@ mod autosave;
 pub mod back_end;
 pub mod commands;
 pub mod files;
+pub mod refused;
 pub mod scan_path;
 mod services;
 pub mod session_log;

@@ -15,20 +15,16 @@ const MANY_FIELDS: &str = "// More than 12 fields:";
 /// Largest share of one crate in the lines of product code, percent.
 const CRATE_SHARE_MAX_PERCENT: f64 = 25.0;
 /// Number of functions of product code that return a bare `Result<_, String>`. It must not grow.
-const STRING_ERRORS_MAX: usize = 8;
+const STRING_ERRORS_MAX: usize = 1;
 
 /// Files that may have over [`FILE_LINES_MAX`] lines: path and reason.
-const LONG_FILES: &[(&str, &str)] = &[
-    ("benches/slam/drive.rs", "a bench that drives one log through all stages"),
-    ("slam/src/session/records.rs", "the reader and the writer of one file format stay side by side"),
-];
+const LONG_FILES: &[(&str, &str)] =
+    &[("benches/slam/drive.rs", "a bench that drives one log through all stages")];
 
 /// Functions that may have over [`FUNCTION_LINES_MAX`] lines: path, name and reason.
 const LONG_FUNCTIONS: &[(&str, &str, &str)] = &[
     ("benches/slam/main.rs", "main", "the subcommands of a bench, in one match"),
     ("bridge/benches/ros_tcp/mix.rs", "mix", "one workload, written in the order of its steps"),
-    ("slam/src/session/records.rs", "take_back", "reads the fields of one record in their order"),
-    ("slam/src/session/records.rs", "take_front", "reads the fields of one record in their order"),
 ];
 
 #[test]

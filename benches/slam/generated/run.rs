@@ -1,9 +1,10 @@
 //! One generated log through SLAM, and what came of it against the truth.
 
 use super::building::{Building, Kind};
+use super::picture;
 use super::robot::{Event, OdometryKind, Robot, SENSORS, Sensor, Step, angles_rad, drive};
+use super::walls::share_in_map;
 use crate::varied::Noise;
-use formats::map_file::write_map;
 use mr_slam::config::recorded_log_slam;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
@@ -16,6 +17,8 @@ pub const METRE_SCALE_M: f64 = 1.0;
 /// An edge further from the truth is wrong.
 const WRONG_M: f64 = 0.5;
 const WRONG_RAD: f64 = 0.15;
+/// An error within so many standard deviations of the position is one that the covariance admits.
+const SAID_SIGMAS: f64 = 3.0;
 /// Each so many scans the covariance is compared with the error.
 const NEES_EVERY: usize = 10;
 /// Smallest range of the sensors, metres.
@@ -51,6 +54,7 @@ impl Case {
 }
 
 /// What came of a case.
+// More than 12 fields: one for each figure in the JSON.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Outcome {
     /// The seed.
@@ -75,6 +79,8 @@ pub struct Outcome {
     pub max_error_m: f64,
     /// The largest of the poses that SLAM said are tied to the map, metres.
     pub max_error_tied_m: f64,
+    /// The largest of those that are more than [`SAID_SIGMAS`] standard deviations off, by their covariance in the map.
+    pub max_error_unsaid_m: f64,
     /// Share of the scans whose node is tied to the map.
     pub tied_share: f64,
     /// Whether SLAM was lost at the end.
@@ -87,6 +93,10 @@ pub struct Outcome {
     pub wrong_links: usize,
     /// NEES over its degrees of freedom: median over the scans that were tracked.
     pub nees: Option<f64>,
+    /// The same of links and of closures in force, against the truth: median over the edges.
+    pub edge_nees: [Option<f64>; 2],
+    /// Share of the walls that scans hit that are walls in the map.
+    pub walls_share: f64,
 }
 
 impl Outcome {
@@ -95,9 +105,10 @@ impl Outcome {
         self.max_error_m > METRE_SCALE_M
     }
 
-    /// Whether a wrong pose is called part of the map, and the robot is not lost at the end.
+    /// Whether a pose is wrong by a metre although SLAM calls it part of its map, its covariance in the map says otherwise,
+    /// and the robot is not lost at the end.
     pub fn is_silent(&self) -> bool {
-        self.max_error_tied_m > METRE_SCALE_M && !self.lost_at_end
+        self.max_error_unsaid_m > METRE_SCALE_M && !self.lost_at_end
     }
 }
 
@@ -123,11 +134,35 @@ pub fn run(case: &Case, map: Option<&Path>) -> Result<Outcome, String> {
         ..Outcome::default()
     };
     outcome.feed(&mut front, &mut back, &steps, case.robot.sensor);
-    outcome.score(&front, &back, &steps);
+    let scored = outcome.score(&front, &back, &steps);
+    outcome.walls_share = share_in_map(back.map(), &steps, case.robot.sensor, scored.world_from_map);
     if let Some(stem) = map {
-        write_map(stem, back.map()).map_err(|why| why.to_string())?;
+        picture::write(stem, back.map(), &building, &scored).map_err(|why| why.to_string())?;
     }
     Ok(outcome)
+}
+
+/// A pose of the final trajectory, where the robot truly was, and whether the pose's node is tied to the map.
+#[derive(Clone, Copy)]
+pub struct ScoredPose {
+    /// Pose in the map.
+    pub map_from_base: Pose2,
+    /// The true pose.
+    pub truth: Pose2,
+    /// Whether SLAM calls it part of its map.
+    pub is_tied: bool,
+    /// Standard deviation of the position of the pose's node in the map, metres.
+    pub sigma_m: f64,
+}
+
+/// A final trajectory against the truth.
+pub struct Scored {
+    /// The truth's frame from the map's, where the poses that are tied fit best.
+    pub world_from_map: Pose2,
+    /// All poses in order.
+    pub poses: Vec<ScoredPose>,
+    /// Both ends of the closures in force in the map, and whether each is wrong.
+    pub closures: Vec<([Pose2; 2], bool)>,
 }
 
 impl Outcome {
@@ -165,60 +200,94 @@ impl Outcome {
             }
         }
         back.finish();
-        nees.sort_by(f64::total_cmp);
-        self.nees = nees.get(nees.len() / 2).copied();
+        self.nees = median(nees);
     }
 
-    fn score(&mut self, front: &FrontEnd, back: &BackEnd, steps: &[Step]) {
+    fn score(&mut self, front: &FrontEnd, back: &BackEnd, steps: &[Step]) -> Scored {
         let truth_at = |stamp: Stamp| {
             let index = steps.partition_point(|step| step.stamp_s < stamp.0 as f64 * 1e-9 - 1e-3);
             steps.get(index).map(|step| step.truth)
         };
-        let tied = |number: u32| {
-            let node = back.node_from_front_end(number).map(|id| &back.nodes()[id as usize]);
-            node.is_some_and(|node| node.disconnected.is_none())
+        let belief = |number: u32| {
+            let Some(id) = back.node_from_front_end(number) else { return (false, 0.0) };
+            let covariance = back.graph().covariance(id);
+            let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+            (back.nodes()[id as usize].disconnected.is_none(), sigma_m)
         };
-        let samples = front.samples().iter().map(|sample| tied(sample.node));
-        let poses: Vec<(Pose2, Pose2, bool)> = slam::trajectory(front, back)
+        let samples = front.samples().iter().map(|sample| belief(sample.node));
+        let poses: Vec<ScoredPose> = slam::trajectory(front, back)
             .zip(samples)
-            .filter_map(|((stamp, pose), tied)| Some((pose, truth_at(stamp)?, tied)))
+            .filter_map(|((stamp, map_from_base), (is_tied, sigma_m))| {
+                Some(ScoredPose { map_from_base, truth: truth_at(stamp)?, is_tied, sigma_m })
+            })
             .collect();
         // The map is put where the poses that are tied to it fit best.
-        let tied_poses: Vec<_> = poses.iter().filter(|pose| pose.2).copied().collect();
+        let tied_poses: Vec<_> = poses.iter().filter(|pose| pose.is_tied).copied().collect();
         let world_from_map = fit(if tied_poses.is_empty() { &poses } else { &tied_poses });
-        let errors = |poses: &[(Pose2, Pose2, bool)]| -> Vec<f64> {
-            poses.iter().map(|(pose, truth, _)| (world_from_map * *pose).distance_m(*truth)).collect()
+        let errors = |poses: &[ScoredPose]| -> Vec<f64> {
+            poses.iter().map(|pose| (world_from_map * pose.map_from_base).distance_m(pose.truth)).collect()
         };
         let (all, of_tied) = (errors(&poses), errors(&tied_poses));
         self.mean_error_m = all.iter().sum::<f64>() / all.len().max(1) as f64;
         self.max_error_m = all.iter().copied().fold(0.0, f64::max);
         self.max_error_tied_m = of_tied.iter().copied().fold(0.0, f64::max);
+        let unsaid = of_tied.iter().zip(&tied_poses);
+        let unsaid = unsaid.filter(|(error_m, pose)| **error_m > SAID_SIGMAS * pose.sigma_m);
+        self.max_error_unsaid_m = unsaid.map(|(error_m, _)| *error_m).fold(0.0, f64::max);
         self.tied_share = tied_poses.len() as f64 / steps.len().max(1) as f64;
+        let closures = self.score_edges(back, &truth_at);
+        Scored { world_from_map, poses, closures }
+    }
+
+    /// Counts right and wrong edges, and returns the closures in force.
+    fn score_edges(
+        &mut self,
+        back: &BackEnd,
+        truth_at: &dyn Fn(Stamp) -> Option<Pose2>,
+    ) -> Vec<([Pose2; 2], bool)> {
+        let (mut in_force, mut nees) = (Vec::new(), [Vec::new(), Vec::new()]);
         for edge in back.graph().edges() {
             let at = |id: u32| truth_at(back.nodes()[id as usize].header.stamp);
             let Some((a, b)) = at(edge.a).zip(at(edge.b)) else { continue };
             let error = a.between(b).between(edge.a_from_b);
             let wrong = usize::from(error.x_m.hypot(error.y_m) > WRONG_M || error.yaw_rad.abs() > WRONG_RAD);
+            let measured = normalized_squared(edge.a_from_b, a.between(b), edge.information);
             match (edge.kind, edge.in_force) {
-                (EdgeKind::Closure, true) => self.closures[wrong] += 1,
+                (EdgeKind::Closure, true) => {
+                    self.closures[wrong] += 1;
+                    nees[1].push(measured);
+                    let poses = [edge.a, edge.b].map(|id| back.graph().poses()[id as usize]);
+                    in_force.push((poses, wrong == 1));
+                }
                 (EdgeKind::Closure, false) => self.retracted[wrong] += 1,
-                (EdgeKind::Link, true) => self.wrong_links += wrong,
+                (EdgeKind::Link, true) => {
+                    self.wrong_links += wrong;
+                    nees[0].push(measured);
+                }
                 _ => {}
             }
         }
+        self.edge_nees = nees.map(median);
+        in_force
     }
 }
 
+/// Returns the median, if there is a value.
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
 /// Returns the rigid transform that puts the poses nearest to the truth (Umeyama 1991, without scale).
-fn fit(poses: &[(Pose2, Pose2, bool)]) -> Pose2 {
+fn fit(poses: &[ScoredPose]) -> Pose2 {
     let count = poses.len().max(1) as f64;
-    let mean = |of: fn(&(Pose2, Pose2, bool)) -> Pose2| {
+    let mean = |of: fn(&ScoredPose) -> Pose2| {
         let sum = poses.iter().map(of).fold([0.0; 2], |sum, at| [sum[0] + at.x_m, sum[1] + at.y_m]);
         [sum[0] / count, sum[1] / count]
     };
-    let (here, there) = (mean(|pose| pose.0), mean(|pose| pose.1));
+    let (here, there) = (mean(|pose| pose.map_from_base), mean(|pose| pose.truth));
     let (mut dot, mut cross) = (0.0, 0.0);
-    for (pose, truth, _) in poses {
+    for ScoredPose { map_from_base: pose, truth, .. } in poses {
         let (a, b) = ([pose.x_m - here[0], pose.y_m - here[1]], [truth.x_m - there[0], truth.y_m - there[1]]);
         dot += a[0] * b[0] + a[1] * b[1];
         cross += a[0] * b[1] - a[1] * b[0];
@@ -237,8 +306,12 @@ fn fit(poses: &[(Pose2, Pose2, bool)]) -> Pose2 {
 fn nees_of(estimate: Pose2, truth: Pose2, covariance: [f64; 6]) -> Option<f64> {
     let [xx, xy, xt, yy, yt, tt] = covariance;
     let inverse = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt).try_inverse()?;
+    let normalized = normalized_squared(estimate, truth, inverse);
+    normalized.is_finite().then_some(normalized)
+}
+
+fn normalized_squared(estimate: Pose2, truth: Pose2, information: Matrix3<f64>) -> f64 {
     let yaw = msg::pose::wrap_angle(estimate.yaw_rad - truth.yaw_rad);
     let error = Vector3::new(estimate.x_m - truth.x_m, estimate.y_m - truth.y_m, yaw);
-    let squared = (error.transpose() * inverse * error)[0];
-    squared.is_finite().then_some(squared / 3.0)
+    (error.transpose() * information * error)[0] / 3.0
 }

@@ -5,6 +5,7 @@ use crate::align::{Reference, align};
 use crate::cloud::SEE_THROUGH_M;
 use crate::config::LinkConfig;
 use crate::graph::{EdgeKind, RelativeUncertainty, UNOBSERVED};
+use crate::node::Node;
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 use posegraph::limit_information;
@@ -107,6 +108,12 @@ impl BackEnd {
     pub(super) fn drift(&self, a_from_b: Pose2) -> [f64; 2] {
         let distance_m = a_from_b.x_m.hypot(a_from_b.y_m);
         [self.config.links.drift_m_per_m * distance_m, self.config.links.drift_rad_per_m * distance_m]
+    }
+
+    /// Finds the covariances of all nodes in the map anew, relative to the map's first node.
+    pub(super) fn update_covariances(&mut self) {
+        let first = self.nodes.iter().position(Node::in_map).unwrap_or(0);
+        self.graph.update_covariances(first as u32);
     }
 
     fn linked(&self, a: u32, b: u32) -> bool {

@@ -6,7 +6,7 @@ use crate::config::SlamConfig;
 use crate::front_end::{FrontEndState, TrajectorySample};
 use crate::graph::{EdgeKind, Graph};
 use crate::localizer::Localizer;
-use crate::node::{Node, Revision};
+use crate::node::{FrameUncertainty, Node, Revision};
 use crate::relocalize::{MapNodes, PoseEstimate, RelocalizationCounts, RelocalizationOutcome, Relocalizer};
 use msg::{Pose2, SlamMode, Stamp};
 use posegraph::information_from_sigmas;
@@ -46,6 +46,7 @@ impl BackEnd {
         back.numbers.earlier_nodes = if start == InitialPose::Continue { 0 } else { state.nodes.len() };
         back.numbers.newest_front = state.front_ids.last().copied().unwrap_or(0);
         (back.nodes, back.numbers.front_ids) = (state.nodes, state.front_ids);
+        (0..back.nodes.len() as u32).for_each(|id| back.learn_odometry_noise(id));
         back.update_components();
         back.mapper.restore(&back.nodes, &state.drawn);
         (back.loop_closer.not_found, back.loop_closer.again) = (state.not_found.into(), state.again.into());
@@ -216,9 +217,21 @@ impl BackEnd {
             cause: self.numbers.newest_front,
             effective_from: self.numbers.newest_front.saturating_add(lag),
             map_from_local: map_from_local.unwrap_or_default(),
+            uncertainty: self.frame_uncertainty(),
             closures: self.loop_closer.in_force,
             located: map_from_local.is_some() && self.is_located(),
         }
+    }
+
+    /// Covariance of the newest node's pose in the map. In a fixed map it is the map's own frame that counts: none is added.
+    fn frame_uncertainty(&self) -> FrameUncertainty {
+        let newest = self.nodes.last().filter(|_| self.grows_map());
+        newest.map_or(FrameUncertainty::default(), |node| {
+            let at = self.graph.poses()[node.id as usize];
+            let c = self.graph.covariance(node.id);
+            let covariance = [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]];
+            FrameUncertainty { covariance, at: [at.x_m, at.y_m] }
+        })
     }
 
     /// The current revision, for a front end that begins.

@@ -1,7 +1,9 @@
 //! Pose of the front end's frame in the map, updated by the back end's revisions.
 
-use crate::node::Revision;
+use crate::graph::{carry_covariance, turn_covariance};
+use crate::node::{FrameUncertainty, Revision};
 use msg::Pose2;
+use nalgebra::Matrix3;
 use std::collections::VecDeque;
 
 /// Revisions that may wait for their node; beyond them the oldest is dropped, which a newer one replaces anyway.
@@ -10,6 +12,8 @@ const REVISIONS_MAX: usize = 64;
 /// Pose of the front end's frame in the map, and the revisions that will change it.
 pub(super) struct MapFrame {
     pub map_from_local: Pose2,
+    /// How well it is known.
+    pub uncertainty: FrameUncertainty,
     /// Whether `map_from_local` is known: whether the robot is located in its map.
     pub is_located: bool,
     /// The newest node whose odometry edge is broken: revisions caused by older nodes do not locate the robot.
@@ -24,6 +28,7 @@ impl MapFrame {
     pub fn new() -> Self {
         Self {
             map_from_local: Pose2::IDENTITY,
+            uncertainty: FrameUncertainty::default(),
             is_located: true,
             last_break: None,
             closures: 0,
@@ -36,6 +41,7 @@ impl MapFrame {
         self.is_located = map_from_local.is_some();
         self.last_break = None;
         self.map_from_local = map_from_local.unwrap_or(self.map_from_local);
+        self.uncertainty = FrameUncertainty::default();
         self.revisions.clear();
     }
 
@@ -43,6 +49,14 @@ impl MapFrame {
     pub fn break_at(&mut self, node: u32) {
         self.last_break = Some(node);
         self.is_located = false;
+    }
+
+    /// Covariance of a pose in the map, `local` being that in the front end's frame.
+    pub fn covariance_in_map(&self, local: Matrix3<f64>, map_from_base: Pose2) -> Matrix3<f64> {
+        let FrameUncertainty { covariance: [xx, xy, xt, yy, yt, tt], at } = self.uncertainty;
+        let covariance = Matrix3::new(xx, xy, xt, xy, yy, yt, xt, yt, tt);
+        let moved = [map_from_base.x_m - at[0], map_from_base.y_m - at[1]];
+        carry_covariance(covariance, moved) + turn_covariance(local, self.map_from_local.yaw_rad)
     }
 
     pub fn add_revision(&mut self, revision: Revision) {
@@ -57,6 +71,7 @@ impl MapFrame {
         let Some(due) = self.revisions.iter().rposition(|r| r.effective_from <= node) else { return };
         for revision in self.revisions.drain(..=due) {
             self.map_from_local = revision.map_from_local;
+            self.uncertainty = revision.uncertainty;
             self.is_located = revision.located && self.last_break.is_none_or(|at| revision.cause >= at);
             self.closures = revision.closures;
         }

@@ -82,6 +82,12 @@ impl FrontEnd {
             slipped: false,
         };
         let correction = self.correction(scan, &pose, None);
-        ScanResult { correction, rejected: Some(rejection), node: None, node_id: None }
+        ScanResult {
+            correction,
+            local_covariance: pose.covariance,
+            rejected: Some(rejection),
+            node: None,
+            node_id: None,
+        }
     }
 }

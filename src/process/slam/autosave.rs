@@ -80,14 +80,14 @@ impl Autosave {
         let first = !std::mem::replace(&mut self.saved, true);
         let pause = if first { self.turn } else { self.every.unwrap_or_default() };
         self.due = after(now, pause.max(outcome.took * SAVING_SHARE_MAX));
-        let why = outcome.result.as_ref().err();
+        let why = outcome.result.as_ref().err().map(ToString::to_string);
         let rest = outcome.took * SAVING_SHARE_MAX;
         self.not_before = after(now, if why.is_some() { rest.max(RETRY_PERIOD) } else { rest });
-        if let Some(why) = why.filter(|why| self.reported.as_ref() != Some(why)) {
+        if let Some(why) = why.as_ref().filter(|why| self.reported.as_ref() != Some(why)) {
             tracing::warn!("slam: the session is not saved: {why}; it is tried again later");
         }
         self.changed |= why.is_some();
-        self.reported = why.cloned();
+        self.reported = why;
     }
 }
 

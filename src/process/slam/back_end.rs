@@ -262,8 +262,8 @@ impl WorkerState {
     fn finish_write(&mut self, outcome: &JobOutcome) {
         match outcome.appended_at {
             Some(at) => {
-                let error = outcome.result.as_ref().err().map(String::as_str);
-                self.log.finish_record(&outcome.path, at, error);
+                let error = outcome.result.as_ref().err().map(ToString::to_string);
+                self.log.finish_record(&outcome.path, at, error.as_deref());
             }
             None => {
                 self.log.finish_session(outcome.result.is_ok());

@@ -4,6 +4,7 @@
 //! the scan path needed (a process has one lock on its memory): scan to pose p99 200 to 390 ms instead of 3 to 60.
 
 use super::BackEndInput;
+use super::refused::FileJobError;
 use crate::ports::Clock;
 use crate::session_file;
 use crate::sessions::{self, TOLD_SIGMA};
@@ -51,7 +52,7 @@ pub struct JobOutcome {
     /// The job's file.
     pub path: PathBuf,
     /// Loaded session, if the job was to load one, or the reason of the failure.
-    pub result: Result<Option<Box<Loaded>>, String>,
+    pub result: Result<Option<Box<Loaded>>, FileJobError>,
     /// Duration of the job.
     pub took: Duration,
     /// Place in the log at which a record was to be written; `None` for other jobs.
@@ -110,14 +111,14 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
         let result = match work {
             Work::Save(session) => {
                 let written = self.storage.write(&path, &session.encode());
-                written.map(|()| None).map_err(|why| format!("{}: {why}", path.display()))
+                written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
             }
             Work::Append { at, bytes } => {
                 let written = self.storage.append(&path, at, &bytes);
-                written.map(|()| None).map_err(|why| format!("{}: {why}", path.display()))
+                written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
             }
             Work::Draw(grid) => {
-                self.storage.write_map(&path, grid.view()).map(|()| None).map_err(|why| why.to_string())
+                self.storage.write_map(&path, grid.view()).map(|()| None).map_err(FileJobError::from)
             }
             Work::Load(identity, mode) => {
                 let request = request.as_deref().copied().unwrap_or_default();
@@ -134,22 +135,19 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
         identity: &Identity,
         mode: SlamMode,
         request: &SlamRequest,
-    ) -> Result<Loaded, String> {
+    ) -> Result<Loaded, FileJobError> {
         let is_map = session_file::is_map(path);
         if is_map && mode != SlamMode::Localization {
-            return Err(format!(
-                "{} is a map and no session: it can be localized in, but not continued (load FILE --localize)",
-                path.display()
-            ));
+            return Err(FileJobError::MapIsNoSession(path.to_owned()));
         }
         let session = if is_map {
-            let grid = self.storage.read_map(path).map_err(|why| why.to_string())?;
+            let grid = self.storage.read_map(path)?;
             Session::from_grid(*identity, grid.view(), &self.config)
         } else {
-            sessions::read(&self.storage, path, identity).map_err(|why| why.to_string())?
+            sessions::read(&self.storage, path, identity)?
         };
         if session.back.nodes.is_empty() {
-            return Err(format!("{} has no map in it", path.display()));
+            return Err(FileJobError::EmptySession(path.to_owned()));
         }
         let [m, rad] = TOLD_SIGMA;
         let or = |told: f64, otherwise: f64| if told > 0.0 { told } else { otherwise };

@@ -3,6 +3,7 @@
 use super::FrontCommand;
 use super::back_end::WorkerState;
 use super::files::{JobOutcome, Work};
+use super::refused::RequestRefused;
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
@@ -42,7 +43,7 @@ enum RequestOutcome {
 }
 
 /// Outcome of a request, or the reason why it is refused.
-type RequestResult = Result<RequestOutcome, String>;
+type RequestResult = Result<RequestOutcome, RequestRefused>;
 
 fn done(text: &str) -> RequestResult {
     Ok(RequestOutcome::Done(text.to_owned()))
@@ -74,7 +75,7 @@ impl<P: Ports> Services<P> {
         for _ in 0..REQUESTS_MAX {
             let Some(request) = self.requests.receive().map(|request| *request) else { return };
             let outcome = match state.commands.is_full() {
-                true => Err("the scan path does not keep up; try again in a moment".into()),
+                true => Err(RequestRefused::ScanPathBusy),
                 false => self.apply(&request, state),
             };
             self.respond(&request, outcome, state);
@@ -82,8 +83,8 @@ impl<P: Ports> Services<P> {
     }
 
     fn apply(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
-        let ask = SlamRequestKind::from_code(request.kind)
-            .ok_or_else(|| format!("request code {} is unknown", request.kind))?;
+        let ask =
+            SlamRequestKind::from_code(request.kind).ok_or(RequestRefused::UnknownRequest(request.kind))?;
         match ask {
             SlamRequestKind::State => done(""),
             SlamRequestKind::Pause | SlamRequestKind::Resume => {
@@ -151,7 +152,7 @@ impl<P: Ports> Services<P> {
 
     fn load_session(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {
         if self.loading {
-            return Err("another file is being loaded; try again when it is".into());
+            return Err(RequestRefused::Loading);
         }
         let mode = mode_of(request)?;
         if StartPose::from_code(request.start) == Some(StartPose::Given) {
@@ -167,8 +168,7 @@ impl<P: Ports> Services<P> {
         may_change(state)?;
         if !state.back.undo_closure(request.number) {
             let count = state.back.closures().count();
-            let why = format!("there is no closure {} in force; {count} were made", request.number);
-            return Err(why);
+            return Err(RequestRefused::NoClosure { number: request.number, count });
         }
         publish_changed_graph(state);
         done(&format!("closure {} is removed, and not accepted again", request.number))
@@ -232,10 +232,11 @@ impl<P: Ports> Services<P> {
             }
             RequestOutcome::Done(text)
         });
+        let outcome = outcome.map_err(RequestRefused::File);
         self.respond(&request, outcome, state);
     }
 
-    fn session_path(&self, request: &SlamRequest) -> Result<PathBuf, String> {
+    fn session_path(&self, request: &SlamRequest) -> Result<PathBuf, RequestRefused> {
         file_path(&self.dir, request.text.as_str(), Some(SESSION_ENDING))
     }
 
@@ -243,7 +244,7 @@ impl<P: Ports> Services<P> {
         let (outcome, text) = match outcome {
             Ok(RequestOutcome::Deferred) => return,
             Ok(RequestOutcome::Done(text)) => (SlamOutcome::Done, text),
-            Err(why) => (SlamOutcome::Refused, why),
+            Err(why) => (SlamOutcome::Refused, why.to_string()),
         };
         let (back, counts) = (&state.back, state.back.counts());
         let mut answer = SlamResponse {
@@ -275,14 +276,14 @@ impl<P: Ports> Services<P> {
 }
 
 /// Returns the path of a request's file: relative names lie below the run's folder.
-fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, String> {
+fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, RequestRefused> {
     let named = Path::new(name);
     if named.file_name().is_none() || name.contains(char::is_control) {
-        return Err(format!("'{}' names no file", name.escape_debug()));
+        return Err(RequestRefused::NoFileName(name.to_owned()));
     }
     let inside = named.components().all(|part| matches!(part, Component::Normal(_)));
     if !named.is_absolute() && !inside {
-        return Err(format!("'{name}' leads out of the run's folder"));
+        return Err(RequestRefused::OutsideRun(name.to_owned()));
     }
     let mut path = dir.join(named);
     if let (Some(ending), None) = (ending, path.extension()) {
@@ -294,30 +295,30 @@ fn file_path(dir: &Path, name: &str, ending: Option<&str>) -> Result<PathBuf, St
 fn give(state: &WorkerState, request: &SlamRequest, path: PathBuf, work: Work) -> RequestResult {
     match state.give(Some(request), path, work) {
         true => Ok(RequestOutcome::Deferred),
-        false => Err("too many files are being written; try again in a moment".into()),
+        false => Err(RequestRefused::TooManyFiles),
     }
 }
 
 fn wait_for_state(state: &mut WorkerState, pending: PendingRequest) -> RequestResult {
     if state.pending() >= PENDING_MAX {
-        return Err("too many requests wait; try again in a moment".into());
+        return Err(RequestRefused::TooManyRequests);
     }
     state.wait_for_state(pending);
     Ok(RequestOutcome::Deferred)
 }
 
-fn has_map(state: &WorkerState) -> Result<(), String> {
+fn has_map(state: &WorkerState) -> Result<(), RequestRefused> {
     let empty = state.back.nodes().is_empty();
-    if empty { Err("there is nothing in the map yet: no scan has come".into()) } else { Ok(()) }
+    if empty { Err(RequestRefused::EmptyMap) } else { Ok(()) }
 }
 
 /// Refuses to remove closures in localization, where the map is fixed.
-fn may_change(state: &WorkerState) -> Result<(), String> {
+fn may_change(state: &WorkerState) -> Result<(), RequestRefused> {
     if state.back.mode() == SlamMode::Localization {
-        return Err("in localization the map stays as it is; set the mode to mapping first".into());
+        return Err(RequestRefused::MapIsFixed);
     }
     if state.back.map_from_base().is_none() {
-        return Err("while the robot is looked for, the map stays as it is".into());
+        return Err(RequestRefused::Relocalizing);
     }
     Ok(())
 }
@@ -328,13 +329,13 @@ fn publish_changed_graph(state: &mut WorkerState) {
     state.commands.send(FrontCommand::SetMapFromLocal(Some(state.back.latest_revision().map_from_local)));
 }
 
-fn mode_of(request: &SlamRequest) -> Result<SlamMode, String> {
-    SlamMode::from_code(request.mode).ok_or_else(|| format!("mode code {} is unknown", request.mode))
+fn mode_of(request: &SlamRequest) -> Result<SlamMode, RequestRefused> {
+    SlamMode::from_code(request.mode).ok_or(RequestRefused::UnknownMode(request.mode))
 }
 
-fn pose_of(request: &SlamRequest) -> Result<Pose2, String> {
+fn pose_of(request: &SlamRequest) -> Result<Pose2, RequestRefused> {
     let sound = request.pose.is_finite() && request.sigma_m.is_finite() && request.sigma_rad.is_finite();
-    sound.then_some(request.pose).ok_or_else(|| "the pose has numbers that are not finite".into())
+    sound.then_some(request.pose).ok_or(RequestRefused::PoseNotFinite)
 }
 
 fn info(closure: &ClosureReport) -> ClosureInfo {
@@ -366,7 +367,7 @@ mod tests {
         for (name, reason) in
             [("../a", "leads out"), ("a/../../b", "leads out"), ("", "no file"), ("a\n", "no file")]
         {
-            assert!(path(name).unwrap_err().contains(reason), "{name}");
+            assert!(path(name).unwrap_err().to_string().contains(reason), "{name}");
         }
     }
 

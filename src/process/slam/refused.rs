@@ -1,0 +1,85 @@
+//! Reasons why a request to SLAM, or a job on a file, is refused.
+
+use crate::session_file::SessionFileError;
+use formats::map_file::MapFileError;
+use std::path::PathBuf;
+
+/// Reason why a request is refused. Its text is the answer to the client.
+#[derive(Debug, thiserror::Error)]
+pub enum RequestRefused {
+    /// The queue to the scan path is full.
+    #[error("the scan path does not keep up; try again in a moment")]
+    ScanPathBusy,
+    /// Too many requests wait for the scan path's state.
+    #[error("too many requests wait; try again in a moment")]
+    TooManyRequests,
+    /// The queue of the file worker is full.
+    #[error("too many files are being written; try again in a moment")]
+    TooManyFiles,
+    /// A file is being loaded.
+    #[error("another file is being loaded; try again when it is")]
+    Loading,
+    /// The code of the request has no meaning.
+    #[error("request code {0} is unknown")]
+    UnknownRequest(u32),
+    /// The code of the mode has no meaning.
+    #[error("mode code {0} is unknown")]
+    UnknownMode(u32),
+    /// The pose or its uncertainty has NaN or infinity in it.
+    #[error("the pose has numbers that are not finite")]
+    PoseNotFinite,
+    /// The map has no nodes.
+    #[error("there is nothing in the map yet: no scan has come")]
+    EmptyMap,
+    /// The mode is localization.
+    #[error("in localization the map stays as it is; set the mode to mapping first")]
+    MapIsFixed,
+    /// The robot has no pose in the map.
+    #[error("while the robot is looked for, the map stays as it is")]
+    Relocalizing,
+    /// The closure does not exist or has no effect.
+    #[error("there is no closure {number} in force; {count} were made")]
+    NoClosure {
+        /// Number of the closure in the request.
+        number: u32,
+        /// Number of closures in the graph.
+        count: usize,
+    },
+    /// The text of the request is no file name.
+    #[error("'{}' names no file", .0.escape_debug())]
+    NoFileName(String),
+    /// A relative path has components such as `..`.
+    #[error("'{0}' leads out of the run's folder")]
+    OutsideRun(String),
+    /// The job on the request's file failed.
+    #[error(transparent)]
+    File(#[from] FileJobError),
+}
+
+/// Reason why a job on a file failed.
+#[derive(Debug, thiserror::Error)]
+pub enum FileJobError {
+    /// The operating system refused to write the file.
+    #[error("{}: {source}", path.display())]
+    Write {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// A map could not be read or written.
+    #[error(transparent)]
+    Map(#[from] MapFileError),
+    /// A session could not be read.
+    #[error(transparent)]
+    Session(#[from] SessionFileError),
+    /// A map can only be localized in.
+    #[error(
+        "{} is a map and no session: it can be localized in, but not continued (load FILE --localize)",
+        .0.display()
+    )]
+    MapIsNoSession(PathBuf),
+    /// A session without nodes.
+    #[error("{} has no map in it", .0.display())]
+    EmptySession(PathBuf),
+}
