@@ -2,7 +2,7 @@
 //!
 //! Unknown fields are ignored, as Unity's JSON reader does.
 
-use crate::cdr::Dialect;
+use ros_messages::cdr::Dialect;
 use serde::{Deserialize, Serialize};
 
 /// Version of the endpoint: Unity's connector expects `v0.7.` at its beginning.
@@ -106,8 +106,8 @@ pub struct TopicList {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::interfaces::{self, Kind};
     use proptest::prelude::*;
+    use ros_messages::interfaces::{self, Kind};
 
     /// Parses a command's JSON as the bridge does.
     fn parse(json: &[u8]) {

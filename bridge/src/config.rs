@@ -12,9 +12,9 @@ pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};
 
-use crate::odometry_covariance::OdometrySigmas;
-use crate::ros::{Dialect, NameStyle};
 use crate::world::ClockOffset;
+use ros_messages::OdometrySigmas;
+use ros_messages::{Dialect, NameStyle};
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 use std::time::Duration;
@@ -153,13 +153,13 @@ impl BridgeConfig {
         self.validate_times()?;
         velocity::check_stick(self.stick_linear_m_s, self.stick_angular_rad_s)?;
         if let Some(name) =
-            self.open_topics.iter().find(|name| crate::interfaces::resolve_name(name).is_err())
+            self.open_topics.iter().find(|name| ros_messages::interfaces::resolve_name(name).is_err())
         {
             let expected = "a topic's name such as /chat";
             return Err(ConfigError::new("open_topics", format!("'{name}'"), expected));
         }
         let packages = &self.message_packages;
-        match packages.iter().find(|name| !crate::interfaces::is_package_name(name)) {
+        match packages.iter().find(|name| !ros_messages::interfaces::is_package_name(name)) {
             Some(package) => Err(ConfigError::new(
                 "message_packages",
                 format!("'{package}'"),

@@ -19,7 +19,6 @@ use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{Frame, Side};
 use crate::relay::RelayTable;
-use crate::ros::{Bool, Int32, RobotNames, Twist};
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
 };
@@ -27,6 +26,7 @@ use crate::services::{Provider, ServiceCalls};
 use crate::slam_services::SlamServices;
 use crate::world::WorldInput;
 use msg::{FleetStats, Header, Monotonic, RobotId, VelocityCommand};
+use ros_messages::{Bool, Int32, RobotNames, Twist};
 use std::net::SocketAddr;
 
 use admission::Departures;

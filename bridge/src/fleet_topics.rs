@@ -8,15 +8,15 @@ mod table;
 pub use publisher::{FleetMessage, FleetPublisher, LinkTransforms, TopicSink};
 pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 
-use crate::cdr::Writer;
 use crate::input::Input;
-use crate::odometry_covariance::OdometrySigmas;
-use crate::ros::{
+use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
+use msg::{Monotonic, RobotId, Stamp};
+use ros_messages::OdometrySigmas;
+use ros_messages::cdr::Writer;
+use ros_messages::{
     Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PoseWithCovarianceStamped, RobotNames, Text,
     Twist,
 };
-use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
-use msg::{Monotonic, RobotId, Stamp};
 
 /// The fleet's topics in the router, and what is published on them.
 pub struct FleetTopics {

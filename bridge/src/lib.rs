@@ -6,11 +6,10 @@
 //! ```
 //! [`Bridge`] is the routing core and [`serve`] its TCP server; [`serve_page`] serves browsers, [`dds`] is the ROS 2
 //! endpoint. [`frame`], [`command`]
-//! and [`ros`] are the wire format, for clients too.
+//! and the crate [`ros_messages`] are the wire format, for clients too.
 
 mod access;
 mod bridge;
-pub mod cdr;
 pub mod command;
 mod command_queues;
 mod config;
@@ -20,12 +19,9 @@ mod drive;
 mod fleet_topics;
 pub mod frame;
 mod input;
-pub mod interfaces;
-mod odometry_covariance;
 mod page;
 pub mod relay;
 mod repeater;
-pub mod ros;
 mod router;
 mod server;
 mod services;
@@ -42,9 +38,9 @@ pub use config::{
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
 pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
-pub use odometry_covariance::OdometrySigmas;
 pub use page::{PageFile, serve_page};
-pub use ros::{RobotNameError, RobotNames};
+pub use ros_messages as ros;
+pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};
 pub use router::{ClientId, ConnectionEnded, Counters};
 pub use server::{process_clock, serve, serve_clients};
 pub use transport::Transport;

@@ -21,14 +21,14 @@ pub use link::SEND_BUFFER_FIRST;
 pub use outgoing::{FlushOutcome, FrameKind, OutgoingQueue};
 pub use topics::{DEPTH_DEFAULT, Retention, Source, Topic, TopicError, TopicId, TopicTable};
 
-use crate::cdr::{Dialect, Writer};
 use crate::config::BridgeConfig;
 use crate::frame::{IDLE_BYTES, Side};
-use crate::ros::{Message as _, OccupancyGrid, OccupancyGridUpdate};
 use buffers::SharedFrame;
 use link::Urgency;
 use memory::ClientMemory;
 use outgoing::{MapRole, memory_bytes};
+use ros_messages::cdr::{Dialect, Writer};
+use ros_messages::{Message as _, OccupancyGrid, OccupancyGridUpdate};
 use serde::Serialize;
 use std::net::SocketAddr;
 use std::rc::Rc;

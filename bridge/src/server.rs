@@ -323,7 +323,7 @@ pub(crate) fn set_socket_options(stream: &TcpStream, unsent_bytes_max: u32) -> i
 }
 
 /// Returns the frames for a client that cannot connect: the handshake, which must come first, and the reason.
-fn refusal(dialect: crate::cdr::Dialect, error: &ConnectError) -> OutgoingQueue {
+fn refusal(dialect: ros_messages::cdr::Dialect, error: &ConnectError) -> OutgoingQueue {
     let mut frames = Vec::new();
     Side::Server.write(&mut frames, name::HANDSHAKE, handshake(dialect));
     Side::Server.write_command(&mut frames, name::ERROR, &Notice { text: error.to_string() });

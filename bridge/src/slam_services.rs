@@ -3,9 +3,9 @@
 //! Names and types are SLAM Toolbox's where it has the service (slam_toolbox 2.8, Jazzy), otherwise std_srvs'. All names
 //! lie under `/robotN/`. Files are written below the run's folder: a name from the network must not lead out of it.
 
-use crate::cdr::{DecodeError, Dialect, Reader, Writer};
-use crate::ros::RobotNames;
 use msg::{Pose2, RobotId, SlamMode, SlamRequest, SlamRequestKind, SlamResponse, StartPose, Text};
+use ros_messages::RobotNames;
+use ros_messages::cdr::{DecodeError, Dialect, Reader, Writer};
 use std::collections::BTreeMap;
 use std::path::{Component, Path};
 use thiserror::Error;
@@ -271,7 +271,7 @@ mod tests {
     proptest! {
         #[test]
         fn any_bytes_are_a_request_or_an_error(which in 0..SERVICES.len(), bytes in proptest::collection::vec(any::<u8>(), 0..80)) {
-            let payload = [&crate::cdr::ENCAPSULATION[..], &bytes].concat();
+            let payload = [&ros_messages::cdr::ENCAPSULATION[..], &bytes].concat();
             if let Ok(requests) = read(SERVICES[which].service, &payload) {
                 prop_assert!(requests.first.pose.is_finite());
                 prop_assert!(!requests.first.text.as_str().starts_with('/'));

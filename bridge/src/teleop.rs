@@ -1,7 +1,7 @@
 //! Converts a hand controller's thumb stick and grip into a velocity, for headset applications without cmd_vel.
 
 use crate::config::BridgeConfig;
-use crate::ros::{HandInputs, Joy};
+use ros_messages::{HandInputs, Joy};
 
 /// The grip (dead man's switch) counts as held from here on, of 0 to 1.
 const GRIP_HELD: f32 = 0.5;

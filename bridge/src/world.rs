@@ -23,13 +23,13 @@ pub use error::WorldError;
 pub(crate) use input::{DDS_SOURCE, WorldInput};
 pub use suspects::OutlierError;
 
-use crate::cdr::Reader;
-use crate::ros::names::{FleetFrame, RobotNames};
-use crate::ros::read::{self, Transform};
 use checks::{check_link, check_scan, empty_scan, planar_pose};
 use msg::{
     Clock, LINKS_MAX, Link, LinkTransform, Odometry, Pose2, ROBOTS_MAX, RobotId, Scan, Stamp, Transforms,
 };
+use ros_messages::cdr::Reader;
+use ros_messages::names::{FleetFrame, RobotNames};
+use ros_messages::read::{self, Transform};
 
 /// A robot keeps its source for so long after the source's last message, seconds; then another may take its place.
 const SOURCE_TIMEOUT_S: f64 = 2.0;

@@ -13,14 +13,15 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("telemetry", &["msg"]),
     ("nav", &["msg"]),
     ("formats", &["msg"]),
-    ("bridge", &["msg"]),
+    ("ros_messages", &["msg"]),
+    ("bridge", &["msg", "ros_messages"]),
     ("runtime", &["msg", "formats"]),
     // The operator is a client: it plans with `nav`, and writes and reads ros_tcp with `bridge`.
     ("operator", &["msg", "nav", "bridge"]),
 ];
 
 /// Crates of pure computation: the same input gives the same output.
-const PURE: &[&str] = &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav"];
+const PURE: &[&str] = &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "ros_messages"];
 
 /// What a pure crate must not use, because it depends on the machine or talks to the outside.
 const IMPURE: &[&str] = &[

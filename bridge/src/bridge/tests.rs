@@ -3,11 +3,11 @@
 use super::*;
 use crate::command::Registration;
 use crate::frame::Side;
-use crate::ros::{Clock, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, TfMessage};
 use crate::router::SEND_BUFFER_FIRST;
 use bytemuck::Zeroable;
 use msg::{GridHeader, GridView, Link, Scan, Transforms};
 use proptest::prelude::*;
+use ros_messages::{Clock, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, TfMessage};
 use std::cell::Cell;
 use std::io::IoSlice;
 use std::rc::Rc;
@@ -187,11 +187,11 @@ impl World {
         while let Some(frame) = self.parser.next_frame().unwrap() {
             match frame.name {
                 b"/tf" => {
-                    let tf: TfMessage = crate::ros::decode(frame.payload).unwrap();
+                    let tf: TfMessage = ros_messages::decode(frame.payload).unwrap();
                     outcome.newest_ms = Some((tf.transforms[0].stamp.0 / 1_000_000) as u64);
                 }
                 b"/merged_map" => {
-                    let map: OccupancyGrid = crate::ros::decode(frame.payload).unwrap();
+                    let map: OccupancyGrid = ros_messages::decode(frame.payload).unwrap();
                     outcome.maps.push((self.ms, map.resolution));
                 }
                 b"/merged_map_updates" | b"/map_updates" => outcome.updates += 1,

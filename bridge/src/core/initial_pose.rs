@@ -1,11 +1,11 @@
 //! Initial poses from a person: RViz's "2D Pose Estimate" on `/initialpose`, or `/robotN/initialpose`.
 
 use super::Core;
-use crate::ros::PoseWithCovarianceStamped;
-use crate::ros::names::{FleetFrame, MAP};
-use crate::ros::read::Transform;
 use crate::world::{TransformError, floor_pose};
 use msg::{Pose2, RobotId, SlamRequest, SlamRequestKind};
+use ros_messages::PoseWithCovarianceStamped;
+use ros_messages::names::{FleetFrame, MAP};
+use ros_messages::read::Transform;
 use thiserror::Error;
 
 /// Indices of the variances of x, y and the rotation about z in the row-major 6 x 6 covariance.

@@ -3,19 +3,19 @@
 use super::Core;
 use super::initial_pose::InitialPoseError;
 use crate::access::{Action, PermissionError};
-use crate::cdr::{DecodeError, Reader, with_dummy_byte};
 use crate::command::name;
 use crate::drive::Driver;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
 use crate::input::Input;
 use crate::relay::ReceivedMessage;
-use crate::ros::names::RobotNames;
-use crate::ros::read::{self, Transform};
-use crate::ros::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
 use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
 use crate::teleop::Stick;
 use crate::world::{DDS_SOURCE, Incoming, WorldError};
 use msg::{EdgeCommand, Monotonic, RobotId};
+use ros_messages::cdr::{DecodeError, Reader, with_dummy_byte};
+use ros_messages::names::RobotNames;
+use ros_messages::read::{self, Transform};
+use ros_messages::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
 use thiserror::Error;
 
 /// Characters of a client's text that are quoted in an error.

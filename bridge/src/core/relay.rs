@@ -4,9 +4,9 @@ use super::Core;
 use crate::access::Action;
 use crate::command::name;
 use crate::relay::{RosEvent, RosGraph};
-use crate::ros::{Message, RobotNames, Twist, TwistStamped};
 use crate::router::{Client, ClientId, Source, Topic, TopicId};
 use msg::Monotonic;
+use ros_messages::{Message, RobotNames, Twist, TwistStamped};
 
 impl Core {
     /// Handles what the ROS 2 endpoint tells.

@@ -2,15 +2,15 @@
 
 use super::Core;
 use crate::access::{Action, PermissionError};
-use crate::cdr::{DecodeError, Dialect, ENCAPSULATION, Reader, Writer, with_dummy_byte};
 use crate::command::{Call, name};
 use crate::frame::Side;
-use crate::interfaces::{self, NameError};
 use crate::relay::{IDENTIFIED_BYTES_MAX, RosRequestId};
 use crate::router::{ClientId, FrameKind};
 use crate::services::{Caller, Provider, ServiceCall, ServiceError};
 use crate::slam_services;
 use msg::{Monotonic, RobotId, SlamOutcome, SlamRequest, SlamResponse};
+use ros_messages::cdr::{DecodeError, Dialect, ENCAPSULATION, Reader, Writer, with_dummy_byte};
+use ros_messages::interfaces::{self, NameError};
 use std::time::Duration;
 use thiserror::Error;
 

@@ -11,10 +11,10 @@ use crate::config::{BridgeConfig, DdsConfig};
 use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
 use crate::input::Input;
 use crate::relay::{ReceivedMessage, RosCommand, RosEvent};
-use crate::ros::RobotNames;
 use crate::transport::Transport;
 use futures::StreamExt;
 use msg::{Monotonic, RobotId, VelocityCommand};
+use ros_messages::RobotNames;
 use ros2_client::dds::rustdds::{
     DomainParticipant, DomainParticipantStatusEvent, GUID, RTPSEntity, StatusEvented,
 };

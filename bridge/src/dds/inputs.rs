@@ -3,7 +3,7 @@
 use crate::config::VelocityMessage;
 use crate::input::Input;
 use crate::relay::ReceivedMessage;
-use crate::ros::{
+use ros_messages::{
     Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, RobotNames, Text,
     TfMessage, Twist, TwistStamped,
 };

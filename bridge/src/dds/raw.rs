@@ -1,6 +1,6 @@
 //! Passes messages that are CDR already through RustDDS, without a serializer.
 
-use crate::cdr::ENCAPSULATION;
+use ros_messages::cdr::ENCAPSULATION;
 use ros2_client::dds::rustdds::RepresentationIdentifier;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter};

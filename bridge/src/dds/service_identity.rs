@@ -5,8 +5,8 @@
 //! bytes that the requester chose, and its number of the call (rmw_cyclonedds, serdata.hpp).
 
 use super::raw::Raw;
-use crate::cdr::ENCAPSULATION;
 use crate::relay::RosRequestId;
+use ros_messages::cdr::ENCAPSULATION;
 use ros2_client::MessageInfo;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::no_key::DeserializedCacheChange;

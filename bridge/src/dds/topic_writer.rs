@@ -2,8 +2,8 @@
 
 use super::entities::RawWriter;
 use super::raw::Raw;
-use crate::cdr::Writer;
 use msg::Monotonic;
+use ros_messages::cdr::Writer;
 use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::dds::{CreateResult, WriteError};
 use ros2_client::dds::rustdds::policy::{Deadline, Durability, History, ResourceLimits};

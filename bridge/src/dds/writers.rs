@@ -3,11 +3,11 @@
 use super::endpoint::DdsCounters;
 use super::entities::{EndpointError, EntityFactory};
 use super::topic_writer::{self, TopicWriter, WriteOutcome, latched_qos, stream_qos};
-use crate::cdr::Writer;
 use crate::config::VelocityMessage;
 use crate::fleet_topics::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic, TopicSink};
-use crate::ros::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use msg::{Link, Monotonic, RobotId, VelocityCommand};
+use ros_messages::cdr::Writer;
+use ros_messages::{FrameNames, Message, RobotNames, Twist, TwistStamped, write};
 use ros2_client::dds::rustdds::bytes::Bytes;
 use ros2_client::dds::rustdds::{DomainParticipantStatusEvent, GUID};
 

@@ -1,11 +1,11 @@
 //! The frames that external robots call `odom`, as their own messages say, so that map -> odom joins their trees.
 
-use crate::cdr::Reader;
 use crate::input::Input;
-use crate::ros::RobotNames;
-use crate::ros::names::FleetFrame;
-use crate::ros::read::{self, Transform};
 use msg::{Link, RobotId};
+use ros_messages::RobotNames;
+use ros_messages::cdr::Reader;
+use ros_messages::names::FleetFrame;
+use ros_messages::read::{self, Transform};
 
 /// The longest frame name that is kept, bytes.
 const NAME_BYTES_MAX: usize = 256;
@@ -103,7 +103,7 @@ fn is_odometry(parent: Option<FleetFrame>, child: Option<FleetFrame>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros::{Odometry, TfMessage, TransformStamped, encode};
+    use ros_messages::{Odometry, TfMessage, TransformStamped, encode};
 
     fn robot(number: usize) -> RobotId {
         RobotId::new(number).unwrap()

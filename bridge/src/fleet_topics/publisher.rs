@@ -5,15 +5,15 @@ mod repeated;
 use super::map_updates::MapUpdates;
 use super::odom_frames::OdomFrames;
 use super::table::FleetTopic;
-use crate::cdr::Writer;
 use crate::input::Input;
-use crate::odometry_covariance::{OdometryCovariance, OdometrySigmas};
 use crate::repeater::{CorrectionRepeater, Repetition};
-use crate::ros::{FrameNames, NameStyle, RobotNames, names, write};
 use msg::{
     Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, RobotId, Scan, Stamp,
     Transforms,
 };
+use ros_messages::cdr::Writer;
+use ros_messages::{FrameNames, NameStyle, RobotNames, names, write};
+use ros_messages::{OdometryCovariance, OdometrySigmas};
 use std::time::Duration;
 
 /// The transforms from the robots' maps to the merged map are published again after this time, because `/tf` keeps

@@ -1,10 +1,10 @@
 //! The table of the topics that the fleet publishes. It drives their registration on TCP and on DDS.
 
-use crate::ros::{
+use crate::router::DEPTH_DEFAULT;
+use ros_messages::{
     Bool, Clock, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, Odometry,
     PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
 };
-use crate::router::DEPTH_DEFAULT;
 
 /// Identifies a row of [`OUTGOING_TOPICS`], in the order of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

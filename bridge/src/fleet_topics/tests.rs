@@ -2,10 +2,10 @@
 
 use super::*;
 use crate::input::Input;
-use crate::odometry_covariance::OdometrySigmas;
 use crate::repeater::Repetition;
-use crate::ros::{Odometry, TfMessage, TransformStamped, decode, encode};
 use msg::{Correction, Header, MapTransform, MapTransforms, Pose2, TrackingState};
+use ros_messages::OdometrySigmas;
+use ros_messages::{Odometry, TfMessage, TransformStamped, decode, encode};
 use std::time::Duration;
 
 /// A transport that keeps what is sent.

@@ -1,10 +1,10 @@
 //! The topics and services that are exchanged with ROS now, and the commands to the endpoint that wait.
 
 use super::{RosCommand, RosGraph, RosRequestId, ServiceExchange};
-use crate::interfaces;
-use crate::ros::{Message, encode};
 use crate::router::{ClientId, Topic, TopicId};
 use msg::Monotonic;
+use ros_messages::interfaces;
+use ros_messages::{Message, encode};
 use ros2_client::dds::rustdds::bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;

@@ -7,8 +7,8 @@ use pressure::ReducedMap;
 
 use super::buffers::{BufferPool, SharedFrame};
 use super::link::{BulkBudget, Urgency};
-use crate::cdr::Dialect;
 use msg::Monotonic;
+use ros_messages::cdr::Dialect;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 

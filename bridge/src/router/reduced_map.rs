@@ -1,8 +1,8 @@
 //! Maps with larger cells, for connections that are too slow for the whole map.
 
-use crate::cdr::Dialect;
 use crate::frame::Side;
-use crate::ros::{OccupancyGrid, decode_as, encode_as};
+use ros_messages::cdr::Dialect;
+use ros_messages::{OccupancyGrid, decode_as, encode_as};
 
 /// Steps of the factor by which cells grow: eighths, so that a map comes close to the bytes that it may have.
 const STEPS: u32 = 8;

@@ -1,7 +1,7 @@
 //! Checks of the numbers in sensor data from outside: what is accepted is finite and within physical bounds.
 
-use crate::ros::read::Transform;
 use msg::{BEAMS_MAX, Header, Link, LinkTransform, Pose2, Scan};
+use ros_messages::read::Transform;
 use std::f64::consts::TAU;
 use thiserror::Error;
 

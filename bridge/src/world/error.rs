@@ -1,7 +1,7 @@
 //! Why a message of an external world is refused.
 
 use super::{OutlierError, SOURCE_TIMEOUT_S, ScanError, TransformError};
-use crate::cdr::DecodeError;
+use ros_messages::cdr::DecodeError;
 use thiserror::Error;
 
 /// Why a message, or a part of one, is refused.

@@ -2,10 +2,10 @@
 
 use super::suspects::STEP_MESSAGES;
 use super::*;
-use crate::cdr::Reader;
-use crate::ros::{self, LaserScan, Message, TfMessage, TransformStamped, encode};
 use msg::BEAMS_MAX;
 use proptest::prelude::*;
+use ros_messages::cdr::Reader;
+use ros_messages::{self, LaserScan, Message, TfMessage, TransformStamped, encode};
 use std::cell::RefCell;
 use std::rc::Rc;
 
@@ -355,7 +355,7 @@ fn a_robot_has_one_source_at_a_time() {
 fn the_clock_does_not_run_backwards() {
     let (mut world, messages) = world();
     for stamp in [5, 7, 6, 8] {
-        let bytes = payload(&ros::Clock { clock: Stamp(stamp) });
+        let bytes = payload(&ros_messages::Clock { clock: Stamp(stamp) });
         let from = Reader::new(&bytes).unwrap();
         world.receive(1, &mut exact(), Incoming::Clock(from), Stamp(stamp)).unwrap();
     }

@@ -2,9 +2,9 @@
 
 use super::super::table::FleetTopic;
 use super::{FleetPublisher, TopicSink};
-use crate::cdr::Writer;
-use crate::ros::{names, write};
 use msg::{Correction, Link, Monotonic, Pose2, RobotId, Stamp};
+use ros_messages::cdr::Writer;
+use ros_messages::{names, write};
 
 impl FleetPublisher {
     /// Takes SLAM's answer to a scan at a time, for [`FleetPublisher::repeat_transforms`].

@@ -1,8 +1,8 @@
 //! Messages of hand controllers, as two Quest applications send them.
 
 use crate::cdr::{DecodeError, Reader, Writer};
-use crate::ros::message::{Message, read_header};
-use crate::ros::write;
+use crate::message::{Message, read_header};
+use crate::write;
 use msg::Stamp;
 
 /// sensor_msgs/Joy: a hand controller's axes and buttons.

@@ -2,7 +2,7 @@
 
 use super::message::{Message, Twist, read_header};
 use crate::cdr::{DecodeError, Reader, Writer};
-use crate::ros::{read, write};
+use crate::{read, write};
 use msg::Stamp;
 
 fn read_pose(from: &mut Reader<'_>) -> Result<([f64; 3], [f64; 4]), DecodeError> {

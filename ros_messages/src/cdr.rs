@@ -90,14 +90,14 @@ pub enum DecodeError {
 /// Appends a CDR message to a buffer that may already hold other bytes.
 ///
 /// ```
-/// use bridge::cdr::{Reader, Writer};
+/// use ros_messages::cdr::{Reader, Writer};
 /// let mut bytes = Vec::new();
 /// let mut writer = Writer::new(&mut bytes);
 /// writer.string("map");
 /// writer.f64(2.5);
 /// let mut reader = Reader::new(&bytes)?;
 /// assert_eq!((reader.string("frame")?, reader.f64("x")?), ("map", 2.5));
-/// # Ok::<(), bridge::cdr::DecodeError>(())
+/// # Ok::<(), ros_messages::cdr::DecodeError>(())
 /// ```
 pub struct Writer<'a> {
     out: &'a mut Vec<u8>,

@@ -1,7 +1,7 @@
 //! Encodes the fleet's messages as CDR, without an intermediate message and without allocating.
 
 use crate::cdr::{Dialect, Writer};
-use crate::ros::names::{FrameNames, MAP};
+use crate::names::{FrameNames, MAP};
 use msg::{
     Correction, GridView, Link, LinkTransform, MapTransforms, Odometry, Pose2, Rect, RobotId, RobotStats,
     Scan, Stamp, Transforms,

@@ -257,7 +257,7 @@ pub enum NameError {
 ///
 /// ROS 2's rule for names: tokens of letters, digits and underscores between slashes, none beginning with a digit.
 /// ```
-/// use bridge::interfaces::resolve_name;
+/// use ros_messages::interfaces::resolve_name;
 /// assert_eq!(resolve_name("robot1/scan").as_deref(), Ok("/robot1/scan"));
 /// assert!(resolve_name("/1st").is_err());
 /// ```

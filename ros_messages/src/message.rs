@@ -1,7 +1,7 @@
 //! Owned ROS messages with the fields of their definitions (common_interfaces, Jazzy); units are SI.
 
 use crate::cdr::{DecodeError, Dialect, Reader, Writer};
-use crate::ros::{read, write};
+use crate::{read, write};
 use msg::Stamp;
 
 /// A message with a definition in ROS.
@@ -22,7 +22,7 @@ pub fn decode<M: Message>(payload: &[u8]) -> Result<M, DecodeError> {
 /// Appends a message's payload with its encapsulation header.
 ///
 /// ```
-/// use bridge::ros::{Int32, decode, encode};
+/// use ros_messages::{Int32, decode, encode};
 /// let mut payload = Vec::new();
 /// encode(&Int32(7), &mut payload);
 /// assert_eq!(payload, [0, 1, 0, 0, 7, 0, 0, 0]);
@@ -43,7 +43,7 @@ pub fn encode_as<M: Message>(dialect: Dialect, message: &M, out: &mut Vec<u8>) {
 }
 
 /// Reads std_msgs/Header: stamp and frame.
-pub(super) fn read_header(from: &mut Reader<'_>) -> Result<(Stamp, String), DecodeError> {
+pub(crate) fn read_header(from: &mut Reader<'_>) -> Result<(Stamp, String), DecodeError> {
     read::header(from).map(|(stamp, frame_id)| (stamp, frame_id.to_owned()))
 }
 
