@@ -10,8 +10,8 @@ const RESTART_DELAY: Duration = Duration::from_millis(200);
 const RESTART_DELAY_MAX: Duration = Duration::from_secs(5);
 /// Life time after which a child counts as recovered; its next death starts the back-off anew.
 const HEALTHY_AFTER: Duration = Duration::from_secs(10);
-/// Deaths in a row after which a process is held, because restarts do not help.
-pub const DEATHS_MAX: u32 = 8;
+/// Deaths in a row at which a process is held, because restarts do not help.
+pub const DEATHS_MAX: u32 = 9;
 
 /// The state of one process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +67,7 @@ impl RestartPolicy {
             self.deaths = 0;
         }
         self.deaths += 1;
-        self.state = if self.deaths > DEATHS_MAX {
+        self.state = if self.deaths >= DEATHS_MAX {
             State::Held
         } else {
             let delay = match self.deaths {
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn back_off_doubles_to_five_seconds_and_ends_after_eight_deaths() {
+    fn back_off_doubles_to_five_seconds_and_ends_at_the_ninth_death() {
         assert_eq!(delays(SECOND), [0, 200, 400, 800, 1600, 3200, 5000, 5000]);
     }
 
