@@ -100,7 +100,7 @@ impl Serialize for SweptPath {
     }
 }
 
-/// Accepts at most 24 positions, the length of the array that holds them.
+/// Accepts at most `SWEPT_PATH_POSITIONS_MAX` positions.
 impl<'de> Deserialize<'de> for SweptPath {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         let positions_m: Vec<[f32; 2]> = plain::deserialize(from)?;

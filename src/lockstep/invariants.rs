@@ -17,9 +17,10 @@ use std::collections::VecDeque;
 
 /// Time that a fleet has to recover after the last fault, seconds: back-off after two deaths, and a pause.
 pub const RECOVERY_S: u32 = 7;
-/// Time in which a robot comes to rest when its last command is not valid any more, seconds. From full speed its motors
-/// take 0.14 s, a tick included.
-const BRAKING_S: f64 = 0.16;
+/// Time after the end of the dead man's timeout within which the gate sends the zero, seconds: the period of its check.
+const GATE_PERIOD_S: f64 = 0.05;
+/// Time in which a robot comes to rest after a zero, seconds: what its motors take from full speed, a tick included.
+const BRAKING_S: f64 = 0.14;
 /// Velocity below which a robot counts as standing, m/s and rad/s.
 const REST_SPEED: [f64; 2] = [0.01, 0.05];
 /// Pose error above which a pose is in a wrong frame; a correct one errs by 0.05 m and 2 degrees.
@@ -79,7 +80,7 @@ impl Checker {
 
     /// Receives a message of the fleet.
     pub fn receive(&mut self, channel: &str, bytes: &[u8]) {
-        let rest_after_s = self.dead_man_s + BRAKING_S;
+        let rest_after_s = self.dead_man_s + GATE_PERIOD_S + BRAKING_S;
         let Some((robot, name)) = channel.split_once('/') else { return };
         if robot == "fault" {
             let at = Monotonic(bytemuck::pod_read_unaligned(bytes));
