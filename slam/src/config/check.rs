@@ -214,7 +214,7 @@ mod tests {
         include_str!("../config.rs").lines().filter_map(move |line| {
             let line = line.trim();
             if let Some(words) = line.strip_prefix("///") {
-                text = format!("{text} {words}");
+                text = format!("{text} {}", words.trim());
                 return None;
             }
             let text = std::mem::take(&mut text);
