@@ -1,4 +1,4 @@
-//! The two kinds of time: stamps on the run's clock, and monotonic time. Only the binary's `Epoch` converts between them.
+//! The two kinds of time: stamps on the run's clock, and monotonic time. Only `Epoch` of `runtime` converts between them.
 
 use bytemuck::{Pod, Zeroable};
 use core::ops::{Add, Sub};

@@ -26,8 +26,10 @@ impl Source {
     }
 }
 
-/// Longest time from a moving command to the zero that follows it, when nobody drives: the gate's 0.3 s and its tick.
-const ZERO_MAX: Duration = Duration::from_millis(350);
+/// Longest time after the end of the dead man's timeout until the gate sends the zero.
+pub const GATE_PERIOD: Duration = Duration::from_millis(50);
+/// Longest time from a moving command to the zero that follows it, when nobody drives: the gate's 0.3 s and its period.
+const ZERO_MAX: Duration = Duration::from_millis(300).saturating_add(GATE_PERIOD);
 
 /// Longest time until the bridge hears that a client left: the longest faults in a row that keep it from that.
 const LEAVE_HEARD_MAX: Duration = Duration::from_secs(6);

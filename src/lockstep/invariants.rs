@@ -2,7 +2,7 @@
 //! queues are bounded, and every process works again after the last fault.
 
 use super::Lockstep;
-use super::drive_checks::DriveChecks;
+use super::drive_checks::{DriveChecks, GATE_PERIOD};
 use super::faults::FaultPlan;
 use super::members::Member;
 use crate::config::FleetConfig;
@@ -17,8 +17,6 @@ use std::collections::VecDeque;
 
 /// Time that a fleet has to recover after the last fault, seconds: back-off after two deaths, and a pause.
 pub const RECOVERY_S: u32 = 7;
-/// Time after the end of the dead man's timeout within which the gate sends the zero, seconds: the period of its check.
-const GATE_PERIOD_S: f64 = 0.05;
 /// Time in which a robot comes to rest after a zero, seconds: what its motors take from full speed, a tick included.
 const BRAKING_S: f64 = 0.14;
 /// Velocity below which a robot counts as standing, m/s and rad/s.
@@ -80,7 +78,7 @@ impl Checker {
 
     /// Receives a message of the fleet.
     pub fn receive(&mut self, channel: &str, bytes: &[u8]) {
-        let rest_after_s = self.dead_man_s + GATE_PERIOD_S + BRAKING_S;
+        let rest_after_s = self.dead_man_s + GATE_PERIOD.as_secs_f64() + BRAKING_S;
         let Some((robot, name)) = channel.split_once('/') else { return };
         if robot == "fault" {
             let at = Monotonic(bytemuck::pod_read_unaligned(bytes));
