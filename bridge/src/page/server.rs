@@ -68,7 +68,7 @@ impl Shared {
 
 /// Serves the page and its WebSockets until `stop` is ready.
 ///
-/// Runs inside a [`tokio::task::LocalSet`] beside [`crate::serve`], which also calls the bridge when something is due.
+/// Runs inside a [`tokio::task::LocalSet`] beside [`crate::serve_clients`]. The caller calls [`Bridge::tick`].
 pub async fn serve_page(
     bridge: Rc<Bridge>,
     listener: TcpListener,
