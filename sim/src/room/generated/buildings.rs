@@ -125,9 +125,9 @@ pub(super) fn add_museum(draw: &mut Draw) {
     let ys: Vec<f32> = draw.divide(-9.0, 9.0, 5.0, 7.0);
     draw.shell(Rect::new([-12.0, -9.0], [12.0, 9.0]));
     for pair in ys.windows(2) {
-        for (i, x) in xs.iter().enumerate().take(xs.len() - 1).skip(1) {
-            // Each wall but few has a door; the first row's walls all have, so that no hall is cut off.
-            let is_open = pair[0] == ys[0] || (i + pair[0].to_bits() as usize) % 4 != 0 || draw.chance(0.5);
+        for x in &xs[1..xs.len() - 1] {
+            // Most walls have a door; those of the first row all have, so that no hall is cut off.
+            let is_open = pair[0] == ys[0] || draw.chance(0.8);
             let door = (draw.between(pair[0] + 1.2, pair[1] - 1.2), draw.between(1.2, 1.8));
             draw.wall([*x, pair[0]], [*x, pair[1]], if is_open { core::slice::from_ref(&door) } else { &[] });
         }
