@@ -36,13 +36,19 @@ globalThis.quest = {
   show() { device.sem.meshesVisible = true; },
   /** Returns the pixels of the next frame as the page drew it, without the room. */
   pixels: () => new Promise((resolve) => waiting.push(resolve)),
-  /** Counts opaque pixels near a colour, and returns their middle: from the left and from the top. */
-  async find([red, green, blue], tolerance) {
+  /**
+   * Counts opaque pixels of a colour in the shades that light makes of it, and returns their middle: from the left and from the
+   * top. Flat things (points, panels) have the colour itself.
+   */
+  async find(colour) {
     const { width, height, pixels } = await globalThis.quest.pixels();
+    const square = colour.reduce((sum, value) => sum + value * value, 0);
     let [count, x, y] = [0, 0, 0];
     for (let i = 0; i < pixels.length; i += 4) {
-      const away = Math.abs(pixels[i] - red) + Math.abs(pixels[i + 1] - green) + Math.abs(pixels[i + 2] - blue);
-      if (pixels[i + 3] < 250 || away > tolerance) continue;
+      const pixel = [pixels[i], pixels[i + 1], pixels[i + 2]];
+      const shade = pixel.reduce((sum, value, k) => sum + value * colour[k], 0) / square;
+      const away = pixel.reduce((sum, value, k) => sum + Math.abs(value - shade * colour[k]), 0);
+      if (pixels[i + 3] < 250 || away > 12 || shade < 0.55 || shade > 0.96) continue;
       count += 1;
       x += (i / 4) % width;
       y += height - 1 - Math.floor(i / 4 / width);
