@@ -348,13 +348,37 @@ async fn drain_and_close(stream: &TcpStream, mut unsent: OutgoingQueue) {
     let _ = timeout(CLOSE_TIMEOUT, drain).await;
 }
 
+/// What closing a connection needs of its stream.
+pub(crate) trait ClosingStream {
+    /// Returns the socket.
+    fn socket(&self) -> SockRef<'_>;
+    /// Waits until something can be read, or the other side has closed.
+    async fn readable(&self) -> io::Result<()>;
+    /// Reads what is there.
+    fn try_read(&self, buffer: &mut [u8]) -> io::Result<usize>;
+}
+
+impl ClosingStream for TcpStream {
+    fn socket(&self) -> SockRef<'_> {
+        SockRef::from(self)
+    }
+
+    async fn readable(&self) -> io::Result<()> {
+        self.readable().await
+    }
+
+    fn try_read(&self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.try_read(buffer)
+    }
+}
+
 /// Closes the bridge's side of a connection, and reads until the peer closes, at most [`CLOSE_TIMEOUT`].
-pub(crate) async fn close_gently(stream: &TcpStream) {
+pub(crate) async fn close_gently(stream: &impl ClosingStream) {
     let _ = timeout(CLOSE_TIMEOUT, close_and_read(stream)).await;
 }
 
-async fn close_and_read(stream: &TcpStream) -> io::Result<()> {
-    SockRef::from(stream).shutdown(Shutdown::Write)?;
+async fn close_and_read(stream: &impl ClosingStream) -> io::Result<()> {
+    stream.socket().shutdown(Shutdown::Write)?;
     let (mut buffer, mut total) = ([0; DRAIN_BUFFER_BYTES], 0);
     while total < DRAINED_BYTES_MAX {
         stream.readable().await?;

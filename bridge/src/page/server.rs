@@ -5,16 +5,18 @@ use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_reques
 use super::protocol::{ENCODING, ServerCommand};
 use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
+use super::stream::PageStream;
+use super::tls::serve_encrypted;
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
 use crate::frame::Frame;
 use crate::router::{BufferPool, ClientId, FlushOutcome, OutgoingQueue};
-use crate::server::{close_gently, set_socket_options};
+use crate::server::{ClosingStream, close_gently, set_socket_options};
 use msg::Monotonic;
 use std::cell::RefCell;
 use std::future::Future;
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::rc::Rc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::io::Interest;
@@ -22,12 +24,13 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 use tokio::task::{JoinSet, yield_now};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
+use tokio_rustls::TlsAcceptor;
 use tungstenite::Message;
 
 /// Connections that are no clients yet or never will be, beside the clients; more are dropped.
 const REQUESTS_MAX: usize = 32;
 /// A request must be complete after this time.
-const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// A file must be taken in this time. The whole page is smaller than a map.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Pause after accept(2) failed, as it does when file descriptors run out.
@@ -46,8 +49,8 @@ const SERVER_NAME: &str = "MR-SLAM";
 const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
 /// What all connections share.
-struct Shared {
-    bridge: Rc<Bridge>,
+pub(super) struct Shared {
+    pub(super) bridge: Rc<Bridge>,
     files: &'static [PageFile],
     origins: Vec<String>,
     clock: fn() -> Monotonic,
@@ -66,12 +69,13 @@ impl Shared {
     }
 }
 
-/// Serves the page and its WebSockets until `stop` is ready.
+/// Serves the page and its WebSockets until `stop` is ready: encrypted with a TLS acceptor, otherwise in clear.
 ///
 /// Runs inside a [`tokio::task::LocalSet`] beside [`crate::serve_clients`]. The caller calls [`Bridge::tick`].
 pub async fn serve_page(
     bridge: Rc<Bridge>,
     listener: TcpListener,
+    encryption: Option<TlsAcceptor>,
     config: &PageConfig,
     files: &'static [PageFile],
     clock: fn() -> Monotonic,
@@ -89,7 +93,10 @@ pub async fn serve_page(
             Some(_) = tasks.join_next() => {}
             accepted = listener.accept() => match accepted {
                 Ok((stream, peer)) if tasks.len() < connections_max => {
-                    tasks.spawn_local(serve_connection(shared.clone(), stream, peer));
+                    match encryption.clone() {
+                        Some(acceptor) => tasks.spawn_local(serve_encrypted(shared.clone(), stream, peer, acceptor)),
+                        None => tasks.spawn_local(serve_connection(shared.clone(), stream, peer)),
+                    };
                 }
                 Ok(_) => {}
                 Err(_) => sleep(ACCEPT_PAUSE).await,
@@ -105,19 +112,24 @@ fn session_id() -> String {
     format!("{}-{}", std::process::id(), since.as_nanos())
 }
 
-/// Answers the connection's one request.
+/// Serves one connection in clear.
 async fn serve_connection(shared: Rc<Shared>, stream: TcpStream, peer: SocketAddr) {
     let Ok(local) = stream.local_addr() else { return };
     if set_socket_options(&stream, shared.bridge.unsent_bytes_max()).is_err() {
         return;
     }
+    answer(&shared, PageStream::Plain(stream), peer, local.ip()).await;
+}
+
+/// Answers the connection's one request. `local` is the address that the browser has reached.
+pub(super) async fn answer(shared: &Shared, stream: PageStream, peer: SocketAddr, local: IpAddr) {
     let mut received = Vec::new();
     let read = timeout(REQUEST_TIMEOUT, read_request(&stream, &mut received, local, &shared.origins)).await;
     let Ok(Ok(request)) = read else { return };
     let (head, body) = match request {
         Ok((Request::WebSocket { response }, length)) => {
             let first_bytes = received.split_off(length);
-            return serve_web_socket(&shared, stream, peer, response, &first_bytes).await;
+            return serve_web_socket(shared, stream, peer, response, &first_bytes).await;
         }
         Ok((Request::File { path, with_body }, _)) => file_response(shared.files, &path, with_body),
         Err(error) => (error.response(), [].as_slice()),
@@ -129,13 +141,13 @@ async fn serve_connection(shared: Rc<Shared>, stream: TcpStream, peer: SocketAdd
 type RequestResult = Result<(Request, usize), super::http::RequestError>;
 
 async fn read_request(
-    stream: &TcpStream,
+    stream: &PageStream,
     received: &mut Vec<u8>,
-    local: SocketAddr,
+    local: IpAddr,
     origins: &[String],
 ) -> io::Result<RequestResult> {
     loop {
-        match parse_request(received, local.ip(), origins) {
+        match parse_request(received, local, origins) {
             Ok(Some(request)) => return Ok(Ok(request)),
             Ok(None) => {}
             Err(error) => return Ok(Err(error)),
@@ -153,7 +165,7 @@ async fn read_request(
 }
 
 /// Sends a response and closes the connection.
-async fn respond(stream: &TcpStream, head: &[u8], body: &[u8]) {
+async fn respond(stream: &PageStream, head: &[u8], body: &[u8]) {
     let write = async {
         for mut bytes in [head, body] {
             while !bytes.is_empty() {
@@ -176,7 +188,7 @@ async fn respond(stream: &TcpStream, head: &[u8], body: &[u8]) {
 struct Connection<'a> {
     shared: &'a Shared,
     id: ClientId,
-    stream: &'a TcpStream,
+    stream: &'a PageStream,
     encoder: &'a RefCell<Encoder>,
     session: Session,
     reader: MessageReader,
@@ -191,7 +203,7 @@ impl Drop for Connection<'_> {
 
 async fn serve_web_socket(
     shared: &Shared,
-    stream: TcpStream,
+    stream: PageStream,
     peer: SocketAddr,
     response: Vec<u8>,
     first_bytes: &[u8],
@@ -222,7 +234,7 @@ async fn serve_web_socket(
     let unsent = shared.bridge.take_unsent(id);
     let last_words = send_last_words(unsent, &encoder, &stream);
     if let Ok(Ok(())) = timeout(REQUEST_TIMEOUT, last_words).await {
-        close_gently(&stream).await;
+        close_gently(&*stream).await;
     }
 }
 
@@ -230,7 +242,7 @@ async fn serve_web_socket(
 async fn send_last_words(
     mut unsent: Option<OutgoingQueue>,
     encoder: &RefCell<Encoder>,
-    stream: &TcpStream,
+    stream: &PageStream,
 ) -> io::Result<()> {
     let mut pool = BufferPool::default();
     while let Some(queue) = &mut unsent {
@@ -252,7 +264,7 @@ async fn send_last_words(
 }
 
 /// Writes what the encoder holds, as far as the socket takes it.
-fn flush(encoder: &RefCell<Encoder>, stream: &TcpStream) -> io::Result<()> {
+fn flush(encoder: &RefCell<Encoder>, stream: &PageStream) -> io::Result<()> {
     match encoder.borrow_mut().flush(&mut |slices: &[io::IoSlice<'_>]| stream.try_write_vectored(slices)) {
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
         result => result,

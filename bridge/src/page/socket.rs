@@ -1,13 +1,13 @@
 //! A WebSocket connection: the router's side of it, and the reader of what the browser sends.
 
 use super::encoder::Encoder;
+use super::stream::PageStream;
 use crate::router::ClientSocket;
+use crate::server::ClosingStream;
 use msg::Monotonic;
-use socket2::SockRef;
 use std::cell::RefCell;
 use std::io::{self, IoSlice, Read, Write};
 use std::rc::Rc;
-use tokio::net::TcpStream;
 use tokio::sync::Notify;
 use tungstenite::protocol::{Role, WebSocket, WebSocketConfig};
 use tungstenite::{Error, Message};
@@ -18,7 +18,7 @@ pub const MESSAGE_BYTES_MAX: usize = 256 << 10;
 /// A client's socket for the router: it takes ros_tcp frames, and sends messages of the Foxglove protocol.
 pub struct PageSocket {
     /// The connection to the browser.
-    pub stream: Rc<TcpStream>,
+    pub stream: Rc<PageStream>,
     /// Wakes the client's task.
     pub wake: Rc<Notify>,
     /// The monotonic time.
@@ -43,7 +43,7 @@ impl ClientSocket for PageSocket {
 
     fn set_send_buffer(&self, bytes: usize) {
         // It fails only on a connection that is closed, which the next write notices.
-        let _ = SockRef::from(&*self.stream).set_send_buffer_size(bytes);
+        let _ = self.stream.socket().set_send_buffer_size(bytes);
     }
 
     fn wake(&self) {
