@@ -5,25 +5,24 @@ use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_reques
 use super::protocol::{ENCODING, ServerCommand};
 use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
-use super::stream::PageStream;
 use super::tls::serve_encrypted;
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
+use crate::connection::{Stream, accept_connections, close_gently};
 use crate::frame::Frame;
 use crate::router::{BufferPool, ClientId, FlushOutcome, OutgoingQueue};
-use crate::server::{ClosingStream, close_gently, set_socket_options};
 use msg::Monotonic;
 use std::cell::RefCell;
 use std::future::Future;
 use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::rc::Rc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::io::Interest;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::sync::Notify;
-use tokio::task::{JoinSet, yield_now};
-use tokio::time::{Instant, sleep, sleep_until, timeout};
+use tokio::task::yield_now;
+use tokio::time::{Instant, sleep_until, timeout};
 use tokio_rustls::TlsAcceptor;
 use tungstenite::Message;
 
@@ -33,8 +32,6 @@ const REQUESTS_MAX: usize = 32;
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// A file must be taken in this time. The whole page is smaller than a map.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Pause after accept(2) failed, as it does when file descriptors run out.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(500);
 /// Bytes read at a time.
@@ -50,7 +47,7 @@ const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
 /// What all connections share.
 pub(super) struct Shared {
-    pub(super) bridge: Rc<Bridge>,
+    bridge: Rc<Bridge>,
     files: &'static [PageFile],
     origins: Vec<String>,
     clock: fn() -> Monotonic,
@@ -81,29 +78,18 @@ pub async fn serve_page(
     clock: fn() -> Monotonic,
     stop: impl Future<Output = ()>,
 ) {
-    let connections_max = bridge.clients_max() + REQUESTS_MAX;
     let (origins, session_id) = (config.origins.clone(), session_id());
-    let shared = Rc::new(Shared { bridge, files, origins, clock, session_id });
-    let mut tasks = JoinSet::new();
-    let mut stop = std::pin::pin!(stop);
-    loop {
-        tokio::select! {
-            biased;
-            () = &mut stop => break,
-            Some(_) = tasks.join_next() => {}
-            accepted = listener.accept() => match accepted {
-                Ok((stream, peer)) if tasks.len() < connections_max => {
-                    match encryption.clone() {
-                        Some(acceptor) => tasks.spawn_local(serve_encrypted(shared.clone(), stream, peer, acceptor)),
-                        None => tasks.spawn_local(serve_connection(shared.clone(), stream, peer)),
-                    };
-                }
-                Ok(_) => {}
-                Err(_) => sleep(ACCEPT_PAUSE).await,
-            },
+    let shared = Rc::new(Shared { bridge: bridge.clone(), files, origins, clock, session_id });
+    let serve = |stream, peer| {
+        let (shared, encryption) = (shared.clone(), encryption.clone());
+        async move {
+            match encryption {
+                Some(acceptor) => serve_encrypted(shared, stream, peer, acceptor).await,
+                None => serve_connection(shared, stream, peer).await,
+            }
         }
-    }
-    tasks.shutdown().await;
+    };
+    accept_connections(&bridge, listener, REQUESTS_MAX, stop, serve).await;
 }
 
 /// Returns a text that is another one after each start.
@@ -112,24 +98,16 @@ fn session_id() -> String {
     format!("{}-{}", std::process::id(), since.as_nanos())
 }
 
-/// Serves one connection in clear.
-async fn serve_connection(shared: Rc<Shared>, stream: TcpStream, peer: SocketAddr) {
-    let Ok(local) = stream.local_addr() else { return };
-    if set_socket_options(&stream, shared.bridge.unsent_bytes_max()).is_err() {
-        return;
-    }
-    answer(&shared, PageStream::Plain(stream), peer, local.ip()).await;
-}
-
-/// Answers the connection's one request. `local` is the address that the browser has reached.
-pub(super) async fn answer(shared: &Shared, stream: PageStream, peer: SocketAddr, local: IpAddr) {
+/// Answers the connection's one request.
+pub(super) async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, peer: SocketAddr) {
+    let Ok(local) = stream.tcp().local_addr() else { return };
     let mut received = Vec::new();
     let read = timeout(REQUEST_TIMEOUT, read_request(&stream, &mut received, local, &shared.origins)).await;
     let Ok(Ok(request)) = read else { return };
     let (head, body) = match request {
         Ok((Request::WebSocket { response }, length)) => {
             let first_bytes = received.split_off(length);
-            return serve_web_socket(shared, stream, peer, response, &first_bytes).await;
+            return serve_web_socket(&shared, stream, peer, response, &first_bytes).await;
         }
         Ok((Request::File { path, with_body }, _)) => file_response(shared.files, &path, with_body),
         Err(error) => (error.response(), [].as_slice()),
@@ -141,18 +119,18 @@ pub(super) async fn answer(shared: &Shared, stream: PageStream, peer: SocketAddr
 type RequestResult = Result<(Request, usize), super::http::RequestError>;
 
 async fn read_request(
-    stream: &PageStream,
+    stream: &impl Stream,
     received: &mut Vec<u8>,
-    local: IpAddr,
+    local: SocketAddr,
     origins: &[String],
 ) -> io::Result<RequestResult> {
     loop {
-        match parse_request(received, local, origins) {
+        match parse_request(received, local.ip(), origins) {
             Ok(Some(request)) => return Ok(Ok(request)),
             Ok(None) => {}
             Err(error) => return Ok(Err(error)),
         }
-        stream.readable().await?;
+        stream.ready(Interest::READABLE).await?;
         let mut buffer = [0; 4096];
         let space = buffer.len().min(HEAD_BYTES_MAX - received.len());
         match stream.try_read(&mut buffer[..space]) {
@@ -165,12 +143,12 @@ async fn read_request(
 }
 
 /// Sends a response and closes the connection.
-async fn respond(stream: &PageStream, head: &[u8], body: &[u8]) {
+async fn respond(stream: &impl Stream, head: &[u8], body: &[u8]) {
     let write = async {
         for mut bytes in [head, body] {
             while !bytes.is_empty() {
-                stream.writable().await?;
-                match stream.try_write(bytes) {
+                stream.ready(Interest::WRITABLE).await?;
+                match stream.try_write_vectored(&[io::IoSlice::new(bytes)]) {
                     Ok(written) => bytes = &bytes[written..],
                     Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                     Err(error) => return Err(error),
@@ -185,16 +163,16 @@ async fn respond(stream: &PageStream, head: &[u8], body: &[u8]) {
 }
 
 /// One browser: its connection, and its state.
-struct Connection<'a> {
+struct Connection<'a, S> {
     shared: &'a Shared,
     id: ClientId,
-    stream: &'a PageStream,
+    stream: &'a S,
     encoder: &'a RefCell<Encoder>,
     session: Session,
     reader: MessageReader,
 }
 
-impl Drop for Connection<'_> {
+impl<S> Drop for Connection<'_, S> {
     /// Disconnects the client however its task ends.
     fn drop(&mut self) {
         self.shared.bridge.disconnect(self.id);
@@ -203,7 +181,7 @@ impl Drop for Connection<'_> {
 
 async fn serve_web_socket(
     shared: &Shared,
-    stream: PageStream,
+    stream: impl Stream,
     peer: SocketAddr,
     response: Vec<u8>,
     first_bytes: &[u8],
@@ -223,16 +201,16 @@ async fn serve_web_socket(
         Ok(id) => id,
         Err(error) => {
             let refusal = text_response("503 Service Unavailable", &error.to_string());
-            return respond(&stream, &refusal, &[]).await;
+            return respond(&*stream, &refusal, &[]).await;
         }
     };
     let (session, reader) = (Session::default(), MessageReader::new());
-    let mut connection = Connection { shared, id, stream: &stream, encoder: &encoder, session, reader };
+    let mut connection = Connection { shared, id, stream: &*stream, encoder: &encoder, session, reader };
     // However it ends, the client is told what is left to say.
     let _ = connection.run(&wake, first_bytes).await;
     drop(connection);
     let unsent = shared.bridge.take_unsent(id);
-    let last_words = send_last_words(unsent, &encoder, &stream);
+    let last_words = send_last_words(unsent, &encoder, &*stream);
     if let Ok(Ok(())) = timeout(REQUEST_TIMEOUT, last_words).await {
         close_gently(&*stream).await;
     }
@@ -242,7 +220,7 @@ async fn serve_web_socket(
 async fn send_last_words(
     mut unsent: Option<OutgoingQueue>,
     encoder: &RefCell<Encoder>,
-    stream: &PageStream,
+    stream: &impl Stream,
 ) -> io::Result<()> {
     let mut pool = BufferPool::default();
     while let Some(queue) = &mut unsent {
@@ -251,27 +229,27 @@ async fn send_last_words(
         };
         match queue.flush(write, &mut pool)? {
             FlushOutcome::Complete => unsent = None,
-            FlushOutcome::Blocked => stream.writable().await?,
+            FlushOutcome::Blocked => drop(stream.ready(Interest::WRITABLE).await?),
             FlushOutcome::TurnEnded => yield_now().await,
         }
     }
     encoder.borrow_mut().send_frames(&CLOSE_FRAME)?;
     while encoder.borrow().has_waiting() {
-        stream.writable().await?;
+        stream.ready(Interest::WRITABLE).await?;
         flush(encoder, stream)?;
     }
     Ok(())
 }
 
 /// Writes what the encoder holds, as far as the socket takes it.
-fn flush(encoder: &RefCell<Encoder>, stream: &PageStream) -> io::Result<()> {
+fn flush(encoder: &RefCell<Encoder>, stream: &impl Stream) -> io::Result<()> {
     match encoder.borrow_mut().flush(&mut |slices: &[io::IoSlice<'_>]| stream.try_write_vectored(slices)) {
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
         result => result,
     }
 }
 
-impl Connection<'_> {
+impl<S: Stream> Connection<'_, S> {
     /// Reads and writes until the connection ends.
     async fn run(&mut self, wake: &Notify, first_bytes: &[u8]) -> io::Result<()> {
         let (bridge, stream) = (&self.shared.bridge, self.stream);

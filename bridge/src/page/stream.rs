@@ -1,61 +1,38 @@
-//! The two ends that a page's connection can have: a TCP socket, or the clear side of an encrypted connection.
+//! The clear side of an encrypted connection, as the page's server reads and writes it.
 
-use crate::server::ClosingStream;
+use crate::connection::Stream;
 use socket2::SockRef;
 use std::io::{self, IoSlice};
+use std::net::Shutdown;
 use tokio::io::{Interest, Ready};
 use tokio::net::{TcpStream, UnixStream};
 
-/// A connection to a browser, as the server reads and writes it.
-pub enum PageStream {
-    /// A socket that nothing encrypts.
-    Plain(TcpStream),
-    /// One end of a pair; TLS reads and writes the other end.
-    Decrypted(UnixStream),
+/// One end of a pair of sockets; TLS reads and writes the other end.
+pub struct ClearStream {
+    /// The end of the pair.
+    pub pair: UnixStream,
+    /// The TCP connection below TLS: a handle of its own, for addresses and options alone.
+    pub tcp: TcpStream,
 }
 
-/// Calls a method of whichever stream it is.
-macro_rules! each {
-    ($stream:expr, $inner:ident => $call:expr) => {
-        match $stream {
-            PageStream::Plain($inner) => $call,
-            PageStream::Decrypted($inner) => $call,
-        }
-    };
-}
-
-impl PageStream {
-    /// Waits until the stream is ready for one of the operations.
-    pub async fn ready(&self, interest: Interest) -> io::Result<Ready> {
-        each!(self, stream => stream.ready(interest).await)
+impl Stream for ClearStream {
+    fn tcp(&self) -> &TcpStream {
+        &self.tcp
     }
 
-    /// Waits until something can be written.
-    pub async fn writable(&self) -> io::Result<()> {
-        each!(self, stream => stream.writable().await)
-    }
-
-    /// Writes as much as the stream takes.
-    pub fn try_write(&self, bytes: &[u8]) -> io::Result<usize> {
-        each!(self, stream => stream.try_write(bytes))
-    }
-
-    /// Writes as much of several slices as the stream takes.
-    pub fn try_write_vectored(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
-        each!(self, stream => stream.try_write_vectored(slices))
-    }
-}
-
-impl ClosingStream for PageStream {
-    fn socket(&self) -> SockRef<'_> {
-        each!(self, stream => SockRef::from(stream))
-    }
-
-    async fn readable(&self) -> io::Result<()> {
-        each!(self, stream => stream.readable().await)
+    async fn ready(&self, interest: Interest) -> io::Result<Ready> {
+        self.pair.ready(interest).await
     }
 
     fn try_read(&self, buffer: &mut [u8]) -> io::Result<usize> {
-        each!(self, stream => stream.try_read(buffer))
+        self.pair.try_read(buffer)
+    }
+
+    fn try_write_vectored(&self, slices: &[IoSlice<'_>]) -> io::Result<usize> {
+        self.pair.try_write_vectored(slices)
+    }
+
+    fn shutdown_write(&self) -> io::Result<()> {
+        SockRef::from(&self.pair).shutdown(Shutdown::Write)
     }
 }

@@ -3,12 +3,12 @@
 //! The server reads and writes one end of a pair of sockets, and a task carries bytes between the other end and TLS. The
 //! pair is small: what waits for a slow browser waits in the router, where newer maps replace older ones.
 
-use super::server::{REQUEST_TIMEOUT, Shared, answer};
-use super::stream::PageStream;
-use crate::server::set_socket_options;
+use super::server::{REQUEST_TIMEOUT, Shared, serve_connection};
+use super::stream::ClearStream;
 use socket2::SockRef;
 use std::io;
 use std::net::SocketAddr;
+use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -62,23 +62,23 @@ pub fn tls_acceptor(certificate_pem: &[u8], key_pem: &[u8]) -> Result<TlsAccepto
 
 /// Serves one encrypted connection.
 pub async fn serve_encrypted(shared: Rc<Shared>, stream: TcpStream, peer: SocketAddr, acceptor: TlsAcceptor) {
-    let Ok(local) = stream.local_addr() else { return };
-    if set_socket_options(&stream, shared.bridge.unsent_bytes_max()).is_err() {
-        return;
-    }
+    let (Ok(tcp), Ok((clear, mut other))) = (second_handle(&stream), pair()) else { return };
     let Ok(Ok(mut encrypted)) = timeout(REQUEST_TIMEOUT, acceptor.accept(stream)).await else { return };
-    let Ok((clear, mut other)) = pair() else { return };
-    let carry =
-        async { copy_bidirectional_with_sizes(&mut encrypted, &mut other, RECORD_BYTES, RECORD_BYTES).await };
-    let answer = async {
-        answer(&shared, PageStream::Decrypted(clear), peer, local.ip()).await;
+    let carry = copy_bidirectional_with_sizes(&mut encrypted, &mut other, RECORD_BYTES, RECORD_BYTES);
+    let serve = async {
+        serve_connection(shared, ClearStream { pair: clear, tcp }, peer).await;
         sleep(CLOSE_TIMEOUT).await;
     };
     // It ends when both sides have closed; a browser that does not is not waited for.
     tokio::select! {
         _ = carry => {}
-        () = answer => {}
+        () = serve => {}
     }
+}
+
+/// Returns another handle of the same connection.
+fn second_handle(stream: &TcpStream) -> io::Result<TcpStream> {
+    TcpStream::from_std(std::net::TcpStream::from(stream.as_fd().try_clone_to_owned()?))
 }
 
 /// Creates a pair of sockets that hold little.

@@ -64,13 +64,14 @@ fn a_web_socket_over_https_is_a_client_like_any_other() {
         let mut request = format!("wss://{}/", served.encrypted).into_client_request().unwrap();
         request.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static("foxglove.sdk.v1"));
         request.headers_mut().insert("Origin", HeaderValue::from_str(origin).unwrap());
-        tungstenite::client::client(request, connect(served.encrypted))
+        match tungstenite::client::client(request, connect(served.encrypted)) {
+            Ok((socket, _)) => Ok(socket),
+            Err(HandshakeError::Failure(Error::Http(response))) => Err(response.status().as_u16()),
+            Err(error) => panic!("{error}"),
+        }
     };
-    match open("https://evil.example") {
-        Err(HandshakeError::Failure(Error::Http(response))) => assert_eq!(response.status(), 403),
-        _ => panic!("a foreign page opened a WebSocket"),
-    }
-    let (mut socket, _) = open(&format!("https://{}", served.encrypted)).unwrap();
+    assert_eq!(open("https://evil.example").err(), Some(403), "a foreign page");
+    let mut socket = open(&format!("https://{}", served.encrypted)).unwrap();
     let clients = served.with(|bridge| bridge.clients(process_clock()).len());
     assert_eq!(clients, 1);
     // The first messages name the server and the topics.
