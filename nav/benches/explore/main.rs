@@ -178,7 +178,11 @@ fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Options, String>
             "--limit" => options.limit_s = number(&value)? as usize,
             "--jobs" => options.jobs = number(&value)? as usize,
             "--out" => options.out = Some(PathBuf::from(&value)),
-            _ => return Err(format!("unknown option {argument}; see the header of benches/explore/main.rs")),
+            _ => {
+                return Err(format!(
+                    "unknown option {argument}; see the header of nav/benches/explore/main.rs"
+                ));
+            }
         }
     }
     Ok(options)
