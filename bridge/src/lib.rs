@@ -37,7 +37,10 @@ pub use config::{
 };
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
-pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
+pub use fleet_topics::{
+    Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, OutgoingTopic,
+    TopicSink,
+};
 pub use page::{PageFile, serve_page};
 pub use ros_messages as ros;
 pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};

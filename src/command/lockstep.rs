@@ -5,6 +5,7 @@ use super::{Error, output};
 use crate::lockstep::Lockstep;
 use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::invariants::{Checker, quiet_from};
+use crate::process::record::{self, Recording, files::DirectOutput};
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
@@ -29,6 +30,9 @@ pub struct LockstepArgs {
     /// Folder for the maps, and the robots' sessions
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
+    /// Record all messages into this file, as MCAP with ROS 2 messages; see `mr-slam replay`
+    #[arg(long, value_name = "FILE", conflicts_with = "faults")]
+    pub record: Option<PathBuf>,
     /// Draw faults from this seed, and check what must hold whatever goes wrong
     #[arg(long, value_name = "SEED")]
     pub faults: Option<u64>,
@@ -51,6 +55,11 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, faults)?;
     let mut checker = Checker::new(&config)?;
     let mut hash = Sha256::new();
+    let output = |path: &PathBuf| {
+        let files = record::new_files(path, &config.recording)?;
+        fleet.record(Box::new(DirectOutput::new(files)))
+    };
+    let mut recording = args.record.as_ref().map(output).transpose()?;
     let begun = Instant::now();
     for second in 0..args.seconds {
         for _ in 0..100 {
@@ -60,6 +69,9 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
                 checker.receive(channel, message);
             });
             checker.check_bounds(&fleet);
+            if let Some(recording) = &mut recording {
+                recording.step();
+            }
         }
         if second % 10 == 9 {
             output::note(&format!("{} of {} s", second + 1, args.seconds));
@@ -81,10 +93,20 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
             session_file::write(&sessions::file(&folder, robot), &session)?;
         }
     }
+    let maps_hash = record::map_hash(fleet.maps());
+    let recorded = recording.map(Recording::finish);
+    if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {
+        return Err(why.into());
+    }
     let view = FleetView::new(fleet.stats());
-    let report = serde_json::json!({ "sha256": hash, "times_real_time": faster, "fleet": view });
+    let report = serde_json::json!({
+        "sha256": hash, "maps_sha256": maps_hash, "times_real_time": faster, "fleet": view, "recording": recorded,
+    });
     let text = || {
-        format!("{}{faster:.0} times real time; SHA-256 of all messages {hash}\n", view.table(&Style::PLAIN))
+        format!(
+            "{}{faster:.0} times real time; SHA-256 of all messages {hash}, of the maps {maps_hash}\n",
+            view.table(&Style::PLAIN)
+        )
     };
     output::print_either(args.json, &report, text)?;
     let violations = if args.faults.is_some() { checker.finish(&fleet) } else { Vec::new() };

@@ -9,6 +9,7 @@ pub mod lockstep;
 pub mod merge;
 pub mod output;
 pub mod permissions;
+pub mod record;
 pub mod replay;
 pub mod run_args;
 pub mod slam;
@@ -56,6 +57,8 @@ enum Command {
     Clients(clients::ClientsArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
+    /// Record a running fleet as MCAP with ROS 2 messages
+    Record(record::RecordArgs),
     /// Drive a running fleet over TCP, as a headset does
     Operator(operator::OperatorArgs),
     /// Simulate a fleet in one process on virtual time: the same seed gives the same bytes
@@ -86,6 +89,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Release(args) => permissions::release(&args)?,
         Command::Clients(args) => clients::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
+        Command::Record(args) => record::run(&args, &Stop::on_signals()?)?,
         Command::Operator(args) => {
             let stop = args.launcher_pid.map_or_else(Stop::on_signals, Stop::for_child)?;
             let report = operator::run(&args, stop.flag())?;

@@ -62,6 +62,12 @@ pub struct UpArgs {
     /// Folder for the maps and the report [default: runs/TIME]
     #[arg(long, value_name = "DIR", overrides_with = "run_dir")]
     pub run_dir: Option<PathBuf>,
+    /// Record the fleet's messages into recording/ below the run's folder, as MCAP with ROS 2 messages
+    #[arg(long)]
+    pub record: bool,
+    /// Size at which a recording's next file begins, megabytes [default: 2000]
+    #[arg(long, value_name = "MB")]
+    pub split_mb: Option<u64>,
     /// Go on in the background, also after logging out; the output goes to launcher.log in the run's folder
     #[arg(long)]
     pub detach: bool,
@@ -73,9 +79,9 @@ pub struct UpArgs {
 /// Text that is no duration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected a number of seconds above 0")]
-struct SecondsError;
+pub(super) struct SecondsError;
 
-fn seconds(text: &str) -> Result<f64, SecondsError> {
+pub(super) fn seconds(text: &str) -> Result<f64, SecondsError> {
     text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or(SecondsError)
 }
 
@@ -129,6 +135,9 @@ impl UpArgs {
             if let Some(choice) = self.page {
                 choice.apply(config);
             }
+            let recording = &mut config.recording;
+            recording.enabled |= self.record;
+            recording.split_mb = self.split_mb.unwrap_or(recording.split_mb);
             if self.trust_lan {
                 config.bridge.drive = bridge::Permission::Anyone;
             }
@@ -318,6 +327,6 @@ fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Op
 }
 
 /// Returns a folder name that sorts by time, UTC.
-fn folder_name_now() -> String {
+pub(super) fn folder_name_now() -> String {
     chrono::Utc::now().format("%Y-%m-%dT%H-%M-%S").to_string()
 }
