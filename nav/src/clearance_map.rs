@@ -1,6 +1,8 @@
 //! Clearance map, a window of the occupancy grid around a robot with the obstacles of its scans, and the distance from
 //! each cell to the nearest obstacle.
 
+mod marking;
+
 use crate::observation::MapView;
 use msg::Pose2;
 use msg::grid::Occupancy;
@@ -121,6 +123,11 @@ impl ClearanceMap {
         }
     }
 
+    /// Column and row of a cell.
+    pub(crate) fn column_row(&self, cell: usize) -> (i64, i64) {
+        (cell as i64 % self.width, cell as i64 / self.width)
+    }
+
     /// Marks the cell that contains a point as occupied.
     pub fn mark_occupied(&mut self, point_m: [f64; 2]) {
         if let Some(cell) = self.cell_at(point_m) {
@@ -208,10 +215,6 @@ impl ClearanceMap {
 
     fn index(&self, x: i64, y: i64) -> usize {
         (y * self.width + x) as usize
-    }
-
-    fn column_row(&self, cell: usize) -> (i64, i64) {
-        (cell as i64 % self.width, cell as i64 / self.width)
     }
 }
 

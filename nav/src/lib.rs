@@ -58,6 +58,7 @@ pub mod follower;
 pub mod frontier;
 pub mod geometry;
 pub mod memory;
+pub mod navigation;
 pub mod observation;
 pub mod path;
 pub mod planner;
@@ -77,6 +78,10 @@ pub use explorer::{ExplorationStats, Explorer, OtherRobots};
 pub use follower::PathFollower;
 pub use frontier::{Frontier, FrontierSearch};
 pub use memory::RobotMemory;
+pub use navigation::{
+    FleetNavigator, GoalFrame, GoalPose, NavigatedRobot, NavigationFailure, NavigationGoal, NavigationInput,
+    NavigationState, NavigatorConfig,
+};
 pub use observation::{FleetObservation, MapView, RobotObservation, ScanView};
 pub use path::{Path, Waypoint};
 pub use planner::{PlanError, Planner, PlanningInput};
