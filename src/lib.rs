@@ -21,6 +21,7 @@ pub mod allowed;
 pub mod control;
 pub mod merge_memory;
 pub mod observer;
+pub mod report;
 pub mod terminal;
 pub mod view;
 // Files that outlive a process.

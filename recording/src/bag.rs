@@ -170,7 +170,7 @@ pub fn read_bag<R: Read>(
 
 impl Found {
     fn add(&mut self, message: &RecordedMessage, scan: &mut Scan) -> Option<()> {
-        let mut from = || Reader::new(&message.payload).ok();
+        let from = || Reader::new(&message.payload).ok();
         match &*message.message_type {
             LaserScan::TYPE => {
                 let frame = read::laser_scan(&mut from()?, scan).ok()?.to_owned();

@@ -4,6 +4,7 @@ pub mod clients;
 pub mod demo;
 pub mod doctor;
 pub mod edges;
+pub mod experiment;
 pub mod fleet_args;
 pub mod lockstep;
 pub mod merge;
@@ -63,7 +64,9 @@ enum Command {
     Operator(operator::OperatorArgs),
     /// Simulate a fleet in one process on virtual time: the same seed gives the same bytes
     Lockstep(lockstep::LockstepArgs),
-    /// Map recorded CARMEN logs, as fast as the machine can
+    /// Run the paper's evaluation: sessions with a scripted operator, and a report with means and deviations
+    Experiment(experiment::ExperimentArgs),
+    /// Map recorded logs and recordings, as fast as the machine can
     Replay(replay::ReplayArgs),
     /// Merge map files of robots that started anywhere
     Merge(merge::MergeArgs),
@@ -96,6 +99,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
             output::print_either(args.json, &report, || report.to_string() + "\n")?;
         }
         Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
+        Command::Experiment(args) => experiment::run(&args, &Stop::on_signals()?)?,
         Command::Replay(args) => replay::run(&args)?,
         Command::Merge(args) => merge::run(&args)?,
         Command::Worker(args) => worker::run(&args)?,

@@ -1,4 +1,4 @@
-//! Tool `mr-slam replay`, which maps recorded logs with the fleet's SLAM, as fast as the machine can.
+//! Tool `mr-slam replay`, which maps recorded logs and recordings with the fleet's SLAM, as fast as the machine can.
 //!
 //! Two threads as in the live process: this one runs the front end, the other one the back end. Unlike the live
 //! process, the front end waits when the back end is far behind: a log has time.
@@ -23,7 +23,7 @@ use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use records::{BagArgs, Log, is_recording};
 use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PoseEstimate, Revision, SlamConfig};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use trajectory::write_trajectory;
@@ -33,7 +33,7 @@ const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
 /// Time between two lines of progress.
 const PROGRESS: Duration = Duration::from_secs(1);
 
-/// Map recorded CARMEN logs, as fast as the machine can
+/// Map recorded logs and recordings, as fast as the machine can
 // More than 12 fields: one field for each option of the command line, which clap derives from the struct.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ReplayArgs {

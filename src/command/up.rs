@@ -4,17 +4,20 @@ mod console;
 mod detach;
 mod events;
 mod page;
+mod pictures;
 mod report;
 mod scan_rates;
 mod screen;
 
-pub use report::Report;
+pub use pictures::{Pictures, write_html};
+pub use report::{Paper, Report, Spread};
 
 use super::fleet_args::FleetArgs;
 use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
+use crate::report::Series;
 use crate::resources::{self, ResourceMonitor, Shortage};
 use crate::run::{Run, RunError};
 use crate::sessions;
@@ -24,7 +27,8 @@ use crate::view::FleetView;
 use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 use events::Events;
-use scan_rates::ScanRates;
+pub use pictures::add_plots;
+pub use scan_rates::ScanRates;
 use screen::Screen;
 use std::net::{IpAddr, TcpListener};
 use std::path::PathBuf;
@@ -36,7 +40,8 @@ const TEND_PERIOD: Duration = Duration::from_millis(50);
 const LAST_MAPS: Duration = Duration::from_millis(200);
 
 /// Launch a fleet: a simulator and SLAM for each robot, merging, telemetry and the bridge
-#[derive(Clone, Debug, clap::Args)]
+// More than 12 fields: one field for each option of the command line, which clap derives from the struct.
+#[derive(Clone, Debug, Default, clap::Args)]
 pub struct UpArgs {
     /// Options that describe the fleet.
     #[command(flatten)]
@@ -259,7 +264,7 @@ fn watch(
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
     let mut console = OperatorConsole::new(run);
     let mut resources = ResourceMonitor::new(&run.dir);
-    let (mut events, mut rates) = (Events::default(), ScanRates::default());
+    let (mut events, mut rates, mut series) = (Events::default(), ScanRates::default(), Series::default());
     hooks.on_start(run)?;
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
@@ -282,6 +287,7 @@ fn watch(
         if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refresh()) {
             rates.add(&fleet);
             rates.fill(&mut fleet);
+            series.add(&fleet, |robot| observer.command(robot));
             screen.show(&fleet, console.help(), begun.elapsed(), seconds);
         }
         screen.show_age();
@@ -301,7 +307,13 @@ fn watch(
         rates.add(fleet);
         rates.fill(fleet);
     }
+    if let Some(transforms) = observer.map_transforms() {
+        series.set_map_transforms(transforms);
+    }
+    let mut pictures = Pictures::default();
+    observer.show_maps(|name, map| pictures.add(name, map, &series));
     let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
+    let report = Report { series, pictures, ..report };
     Ok(Report { not_written, ..report })
 }
 

@@ -18,7 +18,7 @@ const RECORD: Program = Worker(Role::Record);
 
 /// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
 pub const MAP_MESSAGES_MAX: usize = 4;
-/// Readers of an ordinary channel: the table names at most six; the bridge's second thread, `status` and tools are the rest.
+/// Readers of an ordinary channel: the table names at most seven; the bridge's second thread, `status` and tools are the rest.
 const READERS_MAX: usize = 12;
 /// Readers of submaps, whose messages are large: merge and one tool.
 const SUBMAP_READERS_MAX: usize = 2;
@@ -52,7 +52,7 @@ static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
     content: "wished velocity, 20 Hz while somebody drives",
     writers: &[Of(BRIDGE)],
-    readers: &[Of(SIM), OutsideWorld(BRIDGE), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(SIM), OutsideWorld(BRIDGE), Of(RECORD), Of(RecordTool), Of(Launcher)],
     ..STREAM
 });
 static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
@@ -172,7 +172,7 @@ static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
     name: "map_transforms",
     content: "where each robot's map lies in the fleet's, before each merged map",
     writers: &[Of(MERGE)],
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(RecordTool), Of(Launcher)],
     wakes: false,
     ..STATE
 });

@@ -140,7 +140,7 @@ pub fn run(
 impl<'a> Robot<'a> {
     fn new(
         id: RobotId,
-        log: &'a [u8],
+        log: &'a Log,
         path: &Path,
         args: &ReplayArgs,
         config: &SlamConfig,

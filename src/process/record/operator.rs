@@ -36,9 +36,9 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<BridgeState>) {
     let mut newest: Option<serde_json::Value> = None;
     while !stop.requested() {
         if let Ok(state) = control::ask(run, Request::State, PATIENCE) {
-            let told = told(&state);
-            if newest.as_ref() != Some(&told) {
-                newest = Some(told);
+            let json = operator_json(&state);
+            if newest.as_ref() != Some(&json) {
+                newest = Some(json);
                 if to_recorder.send(state).is_err() {
                     return;
                 }
@@ -49,7 +49,7 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<BridgeState>) {
 }
 
 /// Returns what is recorded of the bridge's state: not the counters, which change all the time.
-pub fn told(state: &BridgeState) -> serde_json::Value {
+pub fn operator_json(state: &BridgeState) -> serde_json::Value {
     let driving = state.clients.iter().flat_map(|client| {
         client.drives.iter().map(|robot| serde_json::json!({ "robot": robot, "address": client.address }))
     });

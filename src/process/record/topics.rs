@@ -1,7 +1,7 @@
 //! Encodes the fleet's messages by the bridge's tables and writes them to the files of a recording.
 
 use super::files::Output;
-use super::operator::told;
+use super::operator::operator_json;
 use super::{Summary, TopicSummary};
 use crate::clock::Epoch;
 use crate::control::BridgeState;
@@ -62,6 +62,13 @@ pub struct Recorder {
     file: FileTopics,
 }
 
+/// Numbers of messages.
+#[derive(Default)]
+struct Counted {
+    messages: u64,
+    dropped: u64,
+}
+
 /// The topics, and the file that is being written.
 struct FileTopics {
     topics: Vec<Topic>,
@@ -78,8 +85,7 @@ struct FileTopics {
     /// Time of the message that is being encoded.
     at: Stamp,
     payload: Vec<u8>,
-    dropped: u64,
-    messages: u64,
+    counted: Counted,
     ended: Option<String>,
 }
 
@@ -152,7 +158,7 @@ impl Recorder {
         self.file.at = self.epoch.stamp(now);
         self.file.send(FleetTopic::SelectedRobot, None, |to| Int32(state.selected as i32).write(to));
         self.file.send(FleetTopic::EmergencyStop, None, |to| Bool(state.stopped).write(to));
-        let json = told(state).to_string();
+        let json = operator_json(state).to_string();
         self.file.record(OwnTopic::OperatorState, 0, |to| to.string(&json));
     }
 
@@ -163,12 +169,12 @@ impl Recorder {
 
     /// Returns the number of messages that were dropped because the disk was slow.
     pub fn dropped(&self) -> u64 {
-        self.file.dropped
+        self.file.counted.dropped
     }
 
     /// Returns the number of recorded messages.
     pub fn messages(&self) -> u64 {
-        self.file.messages
+        self.file.counted.messages
     }
 
     /// Returns whether the recording has ended.
@@ -225,8 +231,7 @@ impl FileTopics {
             file_bytes: 0,
             at: Stamp(0),
             payload: Vec::new(),
-            dropped: 0,
-            messages: 0,
+            counted: Counted::default(),
             ended: None,
         }
     }
@@ -263,12 +268,12 @@ impl FileTopics {
             topic.newest = Some(self.payload.clone());
         }
         if self.output.waiting_bytes() > WAITING_BYTES_MAX {
-            self.dropped += 1;
+            self.counted.dropped += 1;
             return;
         }
         match writer.write(index, self.at, &self.payload) {
             Ok(()) => {
-                self.messages += 1;
+                self.counted.messages += 1;
                 topic.total.messages += 1;
                 topic.total.bytes += self.payload.len() as u64;
                 // A chunk that is full is on its way at once.
@@ -325,7 +330,7 @@ impl FileTopics {
         let failure = self.output.failure();
         let ended = self.ended.or(failure);
         let topics = self.topics.into_iter().map(|topic| topic.total).collect();
-        Summary { files: self.output.finish(), topics, dropped: self.dropped, lost: 0, ended }
+        Summary { files: self.output.finish(), topics, dropped: self.counted.dropped, lost: 0, ended }
     }
 }
 
