@@ -68,6 +68,11 @@ impl ClearanceMap {
         self.cell_size_m
     }
 
+    /// Direction of the window's columns in the frame of the map, radians.
+    pub fn yaw_rad(&self) -> f64 {
+        self.map_from_window.yaw_rad
+    }
+
     /// Number of columns of the window.
     pub fn width(&self) -> i64 {
         self.width

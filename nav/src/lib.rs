@@ -13,6 +13,8 @@
 //!                                                        CollisionLimit ◀─ PathFollower ◀┘
 //! ```
 //!
+//! [`FleetCoordinator`] gives each robot of a fleet a goal of exploration instead: see [`coordination`].
+//!
 //! [`Planner`], [`PathFollower`] and [`CollisionLimit`] also serve goals that a person sets:
 //!
 //! ```
@@ -52,6 +54,7 @@ pub mod clearance_map;
 pub mod collision;
 pub mod command;
 pub mod config;
+pub mod coordination;
 pub mod exploration;
 pub mod explorer;
 pub mod follower;
@@ -73,6 +76,7 @@ pub use clearance_map::ClearanceMap;
 pub use collision::CollisionLimit;
 pub use command::{DriveCommand, Twist};
 pub use config::{ExplorationConfig, FollowerConfig, NavConfig, NavConfigError, RobotBody};
+pub use coordination::{CoordinationConfig, FleetCoordinator};
 pub use exploration::{ExplorationGoal, ExplorationPlanner, GoalKind, GoalRequest};
 pub use explorer::{ExplorationStats, Explorer, OtherRobots};
 pub use follower::PathFollower;
