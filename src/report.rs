@@ -7,7 +7,7 @@ mod series;
 
 pub use html::{Page, Row};
 pub use map_picture::{Trail, map_picture};
-pub use plots::{Line, line_plot, quantile_plot};
+pub use plots::{Group, Line, line_plot, quantile_plot};
 pub use series::{RobotSeries, Series};
 
 /// Returns the colour of a robot, by its index: that of its way in map pictures.

@@ -259,7 +259,8 @@ impl Found {
         }
     }
 
-    /// Returns the odometry: of the named topic, else of the scans' namespace, else of the only topic, else a transform's.
+    /// Returns the odometry: of the named topic, else of the scans' namespace (of several `odom`), else
+    /// of the only topic, else a transform's.
     fn poses(&mut self, scan_topic: &str, options: &BagOptions) -> Result<Poses, BagError> {
         let topics: Vec<String> = self.odometry.keys().cloned().collect();
         let namespace = scan_topic.rsplit_once('/').map_or("", |(namespace, _)| namespace);
@@ -267,10 +268,12 @@ impl Found {
             .iter()
             .filter(|topic| topic.rsplit_once('/').is_some_and(|(own, _)| own == namespace))
             .collect();
+        let named_odom = in_namespace.iter().copied().find(|topic| topic.ends_with("/odom"));
         let chosen = match (&options.odometry_topic, in_namespace.as_slice(), topics.as_slice()) {
             (Some(wished), ..) => topics.iter().find(|topic| *topic == wished),
             (None, _, _) if options.odom_frame.is_some() => None,
             (None, [topic], _) => Some(*topic),
+            (None, [_, ..], _) if named_odom.is_some() => named_odom,
             (None, _, [topic]) => Some(topic),
             _ => None,
         };

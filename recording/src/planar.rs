@@ -13,7 +13,8 @@ pub fn pose(position: [f64; 3], rotation: [f64; 4]) -> Option<Pose2> {
     let length = rotation.iter().map(|part| part * part).sum::<f64>().sqrt();
     let is_near = position.iter().all(|part| part.abs() <= DISTANCE_MAX_M);
     // NaN fails each comparison.
-    if !is_near || !((length - 1.0).abs() <= UNIT_TOLERANCE) {
+    let is_unit = (length - 1.0).abs() <= UNIT_TOLERANCE;
+    if !(is_near && is_unit) {
         return None;
     }
     let [qx, qy, qz, qw] = rotation.map(|part| part / length);

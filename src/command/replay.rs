@@ -176,10 +176,12 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         return Err(ReplayError::FieldOfView(fov));
     }
     let are_recordings = args.logs.iter().all(|path| is_recording(path));
-    if are_recordings && args.merge.is_none() && !args.bag.are_given() {
-        if let Some(config) = recorded_fleet::configuration(&args.logs[0])? {
-            return recorded_fleet::run(args, &config);
-        }
+    if are_recordings
+        && args.merge.is_none()
+        && !args.bag.are_given()
+        && let Some(config) = recorded_fleet::configuration(&args.logs[0])?
+    {
+        return recorded_fleet::run(args, &config);
     }
     let (mut config, merging) = match &args.config {
         Some(file) => FleetConfig::from_file(file).map(|config| (config.slam, config.merge))?,

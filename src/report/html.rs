@@ -9,7 +9,7 @@ h1{font-size:26px;margin:0 0 4px}h2{font-size:19px;margin:32px 0 10px;border-bot
 th,td{text-align:left;padding:4px 18px 4px 0;border-bottom:1px solid #eee;vertical-align:top}\
 th{font-weight:600;border-bottom:2px solid #bbb}td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}\
 .plots{display:flex;flex-wrap:wrap;gap:16px;align-items:flex-start}figure{margin:0}figcaption{font-weight:600;margin:0 0 4px}\
-.map{border:1px solid #ddd;max-width:100%;height:auto}.small .map{width:360px}.nodata{color:#777;font-style:italic}\
+.map{border:1px solid #ddd;max-width:100%;height:auto}.nodata{color:#777;font-style:italic}\
 .note{color:#555;max-width:80ch}";
 
 /// A row of a table: cells as text; those after the first are aligned to the right if they are numbers.
@@ -58,9 +58,9 @@ impl Page {
         self.0 += "</table>\n";
     }
 
-    /// Adds plots and maps, which are HTML already, side by side. `small`: maps are drawn at half their size.
-    pub fn pictures(&mut self, pictures: &[(String, String)], small: bool) {
-        self.0 += if small { "<div class=\"plots small\">" } else { "<div class=\"plots\">" };
+    /// Adds plots and maps, which are HTML already, side by side.
+    pub fn pictures(&mut self, pictures: &[(String, String)]) {
+        self.0 += "<div class=\"plots\">";
         for (caption, picture) in pictures {
             let caption = if caption.is_empty() {
                 String::new()

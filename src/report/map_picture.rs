@@ -6,8 +6,6 @@ use msg::GridView;
 use msg::grid::trinary_table;
 use std::fmt::Write as _;
 
-/// Longer side of the picture, pixels.
-const SIDE_PX: f64 = 720.0;
 /// Cells around the known area that are shown.
 const BORDER_CELLS: usize = 8;
 /// Lengths of the scale's bar, metres: the longest that is at most a quarter of the width is drawn.
@@ -36,8 +34,8 @@ struct Window {
     top: usize,
 }
 
-/// Returns the picture as SVG; a paragraph if nothing is known of the map.
-pub fn map_picture(title: &str, map: GridView<'_>, trails: &[Trail]) -> String {
+/// Returns the picture as SVG with a longer side of `side_px` pixels; a paragraph if nothing is known of the map.
+pub fn map_picture(title: &str, map: GridView<'_>, trails: &[Trail], side_px: f64) -> String {
     let Some(window) = known_window(map) else {
         return format!("<p class=\"nodata\">{title}: no data</p>");
     };
@@ -45,7 +43,7 @@ pub fn map_picture(title: &str, map: GridView<'_>, trails: &[Trail]) -> String {
         return format!("<p class=\"nodata\">{title}: cannot be drawn</p>");
     };
     let (columns, rows) = (window.right - window.left, window.top - window.bottom);
-    let px = SIDE_PX / columns.max(rows) as f64;
+    let px = side_px / columns.max(rows) as f64;
     let (width, height) = (columns as f64 * px, rows as f64 * px);
     let resolution = map.header.resolution_m;
     let to_px = |[x, y]: [f64; 2]| {
@@ -173,14 +171,14 @@ mod tests {
         let header = GridHeader { width: 60, height: 50, resolution_m: 0.05, ..GridHeader::default() };
         let mut cells = vec![-1_i8; 60 * 50];
         let view = GridView::new(&header, &cells).unwrap();
-        assert!(map_picture("merged map", view, &[]).contains("no data"));
+        assert!(map_picture("merged map", view, &[], 100.0).contains("no data"));
         (cells[20 * 60 + 30], cells[25 * 60 + 40]) = (0, 100);
         let view = GridView::new(&header, &cells).unwrap();
         let window = known_window(view).unwrap();
         assert_eq!([window.left, window.right, window.bottom, window.top], [22, 49, 12, 34]);
         let trail =
             Trail { name: "robot1".into(), colour: [0, 0, 0], poses: vec![[1.5, 1.0, 0.0], [1.6, 1.0, 0.0]] };
-        let svg = map_picture("merged map", view, &[trail]);
+        let svg = map_picture("merged map", view, &[trail], 100.0);
         assert!(
             svg.contains("data:image/png;base64,") && svg.contains("robot1") && svg.contains(" m</text>")
         );

@@ -4,7 +4,7 @@ use plotters::prelude::*;
 use std::ops::Range;
 
 /// Size of a plot, pixels.
-const SIZE: (u32, u32) = (760, 300);
+const SIZE: (u32, u32) = (700, 270);
 /// Share of the values' range that is left free above and below them.
 const MARGIN: f64 = 0.06;
 
@@ -31,6 +31,9 @@ impl Line {
         parts.filter(|part| !part.is_empty()).map(segment).collect()
     }
 }
+
+/// Values of one distribution: name, colour, a value for each quantile.
+pub type Group = (String, [u8; 3], Vec<Option<f64>>);
 
 /// A paragraph in place of a plot without data.
 fn no_data(what: &str) -> String {
@@ -62,6 +65,16 @@ fn ranges(values: impl Iterator<Item = (f64, f64)>) -> Option<(Range<f64>, Range
     Some((x0..x1.max(x0 + 1.0), least - below..y1.max(least + 1e-6) + MARGIN * span))
 }
 
+/// Returns the digits behind the point of labels on an axis of this length.
+fn digits(span: f64) -> usize {
+    match span {
+        _ if span > 10.0 => 0,
+        _ if span > 1.0 => 1,
+        _ if span > 0.1 => 2,
+        _ => 3,
+    }
+}
+
 type DrawResult = Result<(), Box<dyn std::error::Error>>;
 
 fn draw_lines(
@@ -70,6 +83,7 @@ fn draw_lines(
     lines: &[Line],
     (x, y): (Range<f64>, Range<f64>),
 ) -> DrawResult {
+    let digits = digits(y.end - y.start);
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
     let mut chart = ChartBuilder::on(&root)
@@ -85,6 +99,7 @@ fn draw_lines(
         .light_line_style(WHITE)
         .bold_line_style(RGBColor(225, 225, 225))
         .x_label_formatter(&|value| format!("{value:.0}"))
+        .y_label_formatter(&move |value| format!("{value:.digits$}"))
         .label_style(("sans-serif", 13))
         .axis_desc_style(("sans-serif", 14))
         .draw()?;
@@ -112,12 +127,7 @@ fn draw_lines(
 }
 
 /// Plots quantiles of several distributions side by side, as bars: `names` of the quantiles, values of each distribution.
-pub fn quantile_plot(
-    title: &str,
-    y: &str,
-    names: &[&str],
-    groups: &[(String, [u8; 3], Vec<Option<f64>>)],
-) -> String {
+pub fn quantile_plot(title: &str, y: &str, names: &[&str], groups: &[Group]) -> String {
     let largest = groups.iter().flat_map(|(.., values)| values.iter().flatten()).copied().fold(0.0, f64::max);
     if largest <= 0.0 {
         return no_data(title);
@@ -133,9 +143,10 @@ fn draw_bars(
     svg: &mut String,
     (title, y_name): (&str, &str),
     names: &[&str],
-    groups: &[(String, [u8; 3], Vec<Option<f64>>)],
+    groups: &[Group],
     top: f64,
 ) -> DrawResult {
+    let digits = digits(top);
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
     let mut chart = ChartBuilder::on(&root)
@@ -144,7 +155,14 @@ fn draw_bars(
         .x_label_area_size(30)
         .y_label_area_size(58)
         .build_cartesian_2d(0.0..names.len() as f64, 0.0..top)?;
-    chart.configure_mesh().disable_x_mesh().disable_x_axis().y_desc(y_name).light_line_style(WHITE).draw()?;
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .disable_x_axis()
+        .y_desc(y_name)
+        .y_label_formatter(&move |value| format!("{value:.digits$}"))
+        .light_line_style(WHITE)
+        .draw()?;
     // A fifth of each place is free.
     let width = 0.8 / groups.len() as f64;
     for (group, (name, [red, green, blue], values)) in groups.iter().enumerate() {

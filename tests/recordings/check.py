@@ -100,10 +100,11 @@ def decode_with_rosbags(path):
     raw, _ = raw_messages(path)
     with open(path, "rb") as file:
         summary = make_reader(file).get_summary()
-    kinds = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
+    kinds = {channel.topic: (summary.schemas[channel.schema_id].name, channel.metadata["offered_qos_profiles"])
+             for channel in summary.channels.values()}
     statistics = summary.statistics
-    topics = [{"topic_metadata": {"name": topic, "type": kind, "serialization_format": "cdr", "offered_qos_profiles":
-               ""}, "message_count": len(raw.get(topic, []))} for topic, kind in kinds.items()]
+    topics = [{"topic_metadata": {"name": topic, "type": kind, "serialization_format": "cdr",
+               "offered_qos_profiles": qos}, "message_count": len(raw.get(topic, []))} for topic, (kind, qos) in kinds.items()]
     start, end = statistics.message_start_time, statistics.message_end_time
     info = {"rosbag2_bagfile_information": {
         "version": 5, "storage_identifier": "mcap", "relative_file_paths": [path.name],
@@ -151,15 +152,21 @@ def main():
     check("configuration, room, seed, version and machine are in it",
           {"configuration", "room", "seed", "version", "machine"} <= set(metadata.get("mr_slam", {})))
     counts = decode_with_rosbags(path)
-    check("rosbags decodes every message", dict(counts) == {t: n for t, (n, _) in read.items()})
+    differing = {t: (n, counts[t]) for t, (n, _) in read.items() if counts[t] != n}
+    check("rosbags decodes every message", not differing, str(differing or ""))
     for topic in ["/tf", "/tf_static", "/robot1/map", "/merged_map", "/robot1/cmd_vel", "/robot1/pose", "/fleet_stats",
                   "/operator_state", "/selected_robot", "/emergency_stop", "/robot2/ground_truth", "/merge_edges"]:
         check(f"{topic} is recorded", topic in read)
     for topic in COMPARED:
-        received, recorded = client.payloads[topic], set(raw[topic])
-        missing = sum(payload not in recorded for payload in received)
+        # Covariances of odometry grow with the way since the reader's first message: they are left out.
+        known = -8 * (36 + 6 + 36) if "odom" in topic else None
+        received, recorded = client.payloads[topic], {payload[:known] for payload in raw[topic]}
+        is_in = [payload[:known] in recorded for payload in received]
+        # Neither end need be there for the other's first and last messages.
+        both = is_in[is_in.index(True):len(is_in) - is_in[::-1].index(True)] if True in is_in else []
         check(f"what a TCP client got of {topic} is in the recording, byte for byte",
-              len(received) > SECONDS and missing <= told["lost"], f"{len(received)} messages, {missing} missing")
+              len(both) > 5 * SECONDS and both.count(False) <= told["lost"],
+              f"{len(both)} of {len(received)} messages, {both.count(False)} missing")
 
     # A recorder that is killed: what is on disk can be read but for the last second, and the fleet goes on.
     killed = FOLDER / "killed"

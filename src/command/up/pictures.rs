@@ -6,6 +6,10 @@ use crate::report::{Line, Page, Row, Series, Trail, colour, line_plot, map_pictu
 use crate::view::{FleetView, RobotView};
 use msg::{GridView, Pose2};
 
+/// Longer sides of the pictures of the merged map and of a robot's map, pixels.
+const MERGED_MAP_PX: f64 = 720.0;
+const ROBOT_MAP_PX: f64 = 440.0;
+
 /// Maps of a run as pictures.
 #[derive(Clone, Debug, Default)]
 pub struct Pictures {
@@ -23,7 +27,10 @@ impl Pictures {
             Some(index) => {
                 let trail = trail(series, index, Pose2::new(0.0, 0.0, 0.0));
                 let title = format!("map of {}", series.robots[index].robot);
-                self.robots.push((series.robots[index].robot.clone(), map_picture(&title, map, &[trail])));
+                self.robots.push((
+                    series.robots[index].robot.clone(),
+                    map_picture(&title, map, &[trail], ROBOT_MAP_PX),
+                ));
             }
             None => {
                 let merged = series.robots.iter().enumerate();
@@ -32,7 +39,7 @@ impl Pictures {
                     Some(trail(series, index, Pose2::new(x, y, yaw)))
                 });
                 let trails: Vec<Trail> = trails.collect();
-                self.merged = Some(map_picture("merged map", map, &trails));
+                self.merged = Some(map_picture("merged map", map, &trails, MERGED_MAP_PX));
             }
         }
     }
@@ -46,8 +53,8 @@ impl Pictures {
             return;
         }
         let merged = self.merged.iter().map(|picture| ("merged".to_owned(), picture.clone()));
-        page.pictures(&merged.collect::<Vec<_>>(), false);
-        page.pictures(&self.robots, true);
+        page.pictures(&merged.collect::<Vec<_>>());
+        page.pictures(&self.robots);
         page.paragraph(
             "White is free, black is occupied, grey is unknown. Lines are the ways of the robots by SLAM, circles are where \
              they are at the end.",
@@ -71,7 +78,14 @@ pub fn write_html(report: &Report) -> String {
     let mut page = Page::new(&title, &subtitle);
     if let Some(paper) = &report.paper {
         page.heading("Figures of the paper");
-        let rows: Vec<Row> = paper.rows().into_iter().map(|row| with_dashes(row.into())).collect();
+        let mut rows: Vec<Row> = paper.rows().into_iter().map(|row| with_dashes(row.into())).collect();
+        rows.extend(paper.teleoperation.map(|driven| {
+            let text = format!(
+                "{} turns, {:.1} m driven, {:.1} commands/s",
+                driven.turns, driven.driven_m, driven.commands_hz
+            );
+            with_dashes(vec!["teleoperation".into(), text, String::new()])
+        }));
         page.table(&["", "this run", "the paper"], &rows);
         page.paragraph(
             "The paper is Aryan et al., MR-SLAM, University of Bern. Its robots were driven over Wi-Fi; a comparison with a \
@@ -134,7 +148,7 @@ pub fn add_plots(page: &mut Page, series: &Series, fleet: Option<&FleetView>) {
     plots.push(line_plot("Teleoperation: forward velocity", "m/s", &of_robots(|robot| &robot.linear_m_s)));
     plots.push(line_plot("Teleoperation: turning rate", "rad/s", &of_robots(|robot| &robot.angular_rad_s)));
     let plots: Vec<_> = plots.into_iter().map(|plot| (String::new(), plot)).collect();
-    page.pictures(&plots, false);
+    page.pictures(&plots);
 }
 
 fn add_robots(page: &mut Page, fleet: &FleetView, report: &Report) {
