@@ -3,7 +3,7 @@
 mod summary;
 
 use super::demo::OperatorProcess;
-use super::fleet_args::FleetArgs;
+use super::fleet_args::{FleetArgs, Starts};
 use super::up::{self, Pictures, Report, ScanRates, UpArgs};
 use super::{Error, output};
 use crate::config::FleetConfig;
@@ -23,9 +23,21 @@ const TICKS_PER_S: u32 = (1_000_000_000 / Simulator::TICK.as_nanos()) as u32;
 /// Run the paper's evaluation: sessions with a scripted operator, and a report with means and deviations
 #[derive(Clone, Debug, clap::Args)]
 pub struct ExperimentArgs {
-    /// Options that describe the fleet; `--seed` is that of the first session, and each session has the next.
-    #[command(flatten)]
-    pub fleet: FleetArgs,
+    /// Fleet file; other options override it
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Number of robots, 1 to 64 [default: 3]
+    #[arg(long, value_name = "N")]
+    pub robots: Option<usize>,
+    /// Seed of the first session; each session has the next [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Room, as of `up` [default: laboratory]
+    #[arg(long, value_name = "FILE")]
+    pub room: Option<String>,
+    /// Whether merging knows where the robots start [default: known]
+    #[arg(long, value_name = "HOW", value_enum)]
+    pub starts: Option<Starts>,
     /// Number of sessions
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub sessions: u32,
@@ -43,9 +55,22 @@ pub struct ExperimentArgs {
     pub json: bool,
 }
 
+impl ExperimentArgs {
+    fn fleet(&self) -> FleetArgs {
+        FleetArgs {
+            config: self.config.clone(),
+            robots: self.robots,
+            seed: self.seed,
+            room: self.room.clone(),
+            starts: self.starts,
+            ..FleetArgs::default()
+        }
+    }
+}
+
 /// Runs all sessions, and writes report.html, experiment.json and sessions.csv.
 pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
-    let config = args.fleet.config()?;
+    let config = args.fleet().config()?;
     if config.world.is_outside() {
         return Err("an experiment simulates its own world; expected world = \"simulator\"".into());
     }
@@ -85,7 +110,7 @@ pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
 fn run_live(args: &ExperimentArgs, seed: u64, folder: PathBuf, stop: &Stop) -> Result<Report, Error> {
     let seconds = Some(f64::from(args.seconds));
     let session = UpArgs {
-        fleet: FleetArgs { seed: Some(seed), ..args.fleet.clone() },
+        fleet: FleetArgs { seed: Some(seed), ..args.fleet() },
         port: Some(0),
         seconds,
         run_dir: Some(folder),

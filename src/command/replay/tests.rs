@@ -2,6 +2,7 @@
 
 use super::*;
 use std::io::Write as _;
+use std::path::Path;
 
 /// A robot that drives 2 m through a box of 8 m x 6 m, one scan each 0.25 m.
 fn log() -> String {
