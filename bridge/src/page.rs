@@ -15,6 +15,10 @@ mod protocol;
 mod server;
 mod session;
 mod socket;
+mod stream;
+mod tls;
 
 pub use http::PageFile;
 pub use server::serve_page;
+pub use tls::{TlsError, tls_acceptor};
+pub use tokio_rustls::TlsAcceptor;

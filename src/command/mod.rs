@@ -6,6 +6,7 @@ pub mod doctor;
 pub mod edges;
 pub mod experiment;
 pub mod fleet_args;
+pub mod headset;
 pub mod lockstep;
 pub mod merge;
 pub mod output;
@@ -56,6 +57,8 @@ enum Command {
     Release(permissions::StopArgs),
     /// List the clients of a running fleet, or close connections
     Clients(clients::ClientsArgs),
+    /// Let a headset on a USB cable reach the operator's page
+    Headset(headset::HeadsetArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
     /// Record a running fleet as MCAP with ROS 2 messages
@@ -91,6 +94,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Stop(args) => permissions::stop(&args)?,
         Command::Release(args) => permissions::release(&args)?,
         Command::Clients(args) => clients::run(&args)?,
+        Command::Headset(args) => headset::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
         Command::Record(args) => record::run(&args, &Stop::on_signals()?)?,
         Command::Operator(args) => {
