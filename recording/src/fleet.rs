@@ -54,7 +54,7 @@ impl RecordedScan {
 pub enum SensorMessage {
     /// One turn of the LiDAR.
     Scan(RecordedScan),
-    /// Wheel odometry.
+    /// Wheel odometry of the robot.
     Odometry(Odometry),
 }
 

@@ -49,7 +49,7 @@ pub type TopicIndex = usize;
 pub struct TopicCount {
     /// Name of the topic.
     pub topic: String,
-    /// Messages.
+    /// Number of messages.
     pub messages: u64,
     /// Bytes of the messages, each with its encapsulation header.
     pub bytes: u64,

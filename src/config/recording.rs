@@ -53,7 +53,7 @@ impl Default for RecordingConfig {
 }
 
 impl RecordingConfig {
-    /// Checks ranges.
+    /// Checks ranges of all keys.
     pub fn validate(&self) -> Result<(), RecordingConfigError> {
         if !(SPLIT_MIN_MB..=SPLIT_MAX_MB).contains(&self.split_mb) {
             return Err(RecordingConfigError::Split(self.split_mb));

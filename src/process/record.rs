@@ -74,7 +74,7 @@ pub struct Summary {
 pub struct TopicSummary {
     /// Name of the topic.
     pub topic: String,
-    /// Messages.
+    /// Number of messages.
     pub messages: u64,
     /// Bytes of the messages, each with its encapsulation header.
     pub bytes: u64,

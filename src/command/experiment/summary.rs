@@ -42,7 +42,7 @@ pub struct Results {
     pub machine: String,
     /// Version of the program.
     pub version: &'static str,
-    /// Figures.
+    /// Rows of the table.
     pub quantities: Vec<Quantity>,
 }
 

@@ -50,7 +50,7 @@ impl<P: Ports> MapInput<P> {
     }
 }
 
-/// All channels.
+/// All channels of a fleet.
 pub struct Inputs<P: Ports> {
     robots: Vec<RobotInputs<P>>,
     clock: P::Reader<Clock>,

@@ -54,7 +54,7 @@ struct Topic {
     total: TopicSummary,
 }
 
-/// Records messages.
+/// Records messages of the fleet.
 pub struct Recorder {
     publisher: Option<FleetPublisher>,
     names: FrameNames,
