@@ -311,14 +311,20 @@ fn watch(
         rates.add(fleet);
         rates.fill(fleet);
     }
+    let pictures = draw_maps(&observer, &mut series);
+    let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
+    let report = Report { series, pictures, ..report };
+    Ok(Report { not_written, ..report })
+}
+
+/// Draws all maps with the ways of the robots.
+fn draw_maps(observer: &Observer, series: &mut Series) -> Pictures {
     if let Some(transforms) = observer.map_transforms() {
         series.set_map_transforms(transforms);
     }
     let mut pictures = Pictures::default();
-    observer.show_maps(|name, map| pictures.add(name, map, &series));
-    let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
-    let report = Report { series, pictures, ..report };
-    Ok(Report { not_written, ..report })
+    observer.show_maps(|name, map| pictures.add(name, map, series));
+    pictures
 }
 
 /// Compares the machine's resources with what the fleet needs. What is short but not too short is shown.
