@@ -76,7 +76,7 @@ pub use clearance_map::ClearanceMap;
 pub use collision::CollisionLimit;
 pub use command::{DriveCommand, Twist};
 pub use config::{ExplorationConfig, FollowerConfig, NavConfig, NavConfigError, RobotBody};
-pub use coordination::{CoordinationConfig, FleetCoordinator};
+pub use coordination::{CoordinationConfig, FleetCoordinator, FleetExploration};
 pub use exploration::{ExplorationGoal, ExplorationPlanner, GoalKind, GoalRequest};
 pub use explorer::{ExplorationStats, Explorer, OtherRobots};
 pub use follower::PathFollower;

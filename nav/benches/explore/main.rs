@@ -2,11 +2,11 @@
 //!
 //! The robots, their LiDARs of 90 degrees and their contacts are the simulator's. Poses are exact, and the map is drawn from
 //! the simulated scans with these poses: errors of SLAM and merging are left out, so that many runs are cheap. All methods that
-//! choose goals share one driver (`driver.rs`). The reachable floor is what a robot's body with its margin can cover.
+//! choose goals share one driver (`driver.rs`); `navigated` is the coordinator with `nav::FleetNavigator` instead. The reachable floor is what a robot's body with its margin can cover.
 //!
 //! ```text
 //! cargo bench -p nav --bench explore -- [--worlds office,flat] [--robots 1,3] [--seeds 1..3] [--starts near|far|both]
-//!     [--methods coordinated,burgard,greedy,tour] [--limit SECONDS] [--out FOLDER] [--jobs N]
+//!     [--methods coordinated,burgard,greedy,tour,navigated] [--limit SECONDS] [--out FOLDER] [--jobs N]
 //! ```
 //! Seeds 1 to 3 were tuned on; 11 and above were held back. `--out` gets `explore.json`, curves of coverage, and a picture of each
 //! run that did not see 99 %.

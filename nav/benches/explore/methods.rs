@@ -14,6 +14,8 @@ use nav::{ClearanceMap, CoordinationConfig, FleetCoordinator, RobotBody, RouteSe
 pub enum Kind {
     /// `nav::FleetCoordinator`.
     Coordinated,
+    /// The same, driven by `nav::FleetNavigator` instead of the bench's driver.
+    Navigated,
     /// Each robot by itself with the cost function and the parameters of explore_lite.
     Greedy,
     /// Burgard, Moors, Stachniss and Schneider (2005).
@@ -23,11 +25,12 @@ pub enum Kind {
 }
 
 impl Kind {
-    pub const ALL: [Self; 4] = [Self::Coordinated, Self::Burgard, Self::Greedy, Self::Tour];
+    pub const ALL: [Self; 5] = [Self::Coordinated, Self::Burgard, Self::Greedy, Self::Tour, Self::Navigated];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Coordinated => "coordinated",
+            Self::Navigated => "navigated",
             Self::Greedy => "greedy",
             Self::Burgard => "burgard",
             Self::Tour => "tour",

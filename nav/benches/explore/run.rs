@@ -4,9 +4,10 @@ use crate::burgard::Burgard;
 use crate::driver::{Driver, Other, Scene, Task};
 use crate::methods::{Coordinated, Greedy, Kind, Method};
 use crate::world::{Robot, Starts, World};
-use nav::coordination::GoalProgress;
+use nav::coordination::{CoordinationPhase, GoalProgress};
 use nav::{
-    CoordinationConfig, DriveCommand, ExplorationTour, FleetObservation, RobotObservation, TourConfig, Twist,
+    CoordinationConfig, DriveCommand, ExplorationTour, FleetExploration, FleetNavigator, FleetObservation,
+    NavigatedRobot, NavigationInput, NavigatorConfig, RobotObservation, TourConfig, Twist,
 };
 use sim::{Room, RoomKind};
 use std::time::{Duration, Instant};
@@ -84,6 +85,7 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
     let mut world = World::new(&room, case.robots, case.starts, case.seed)?;
     let mut pilot: Box<dyn Pilot> = match case.method {
         Kind::Tour => Box::new(TourPilot::new(case)?),
+        Kind::Navigated => Box::new(NavigatorPilot::new()),
         _ => Box::new(MethodPilot::new(case)),
     };
     let mut outcome = Outcome::new(case);
@@ -146,7 +148,9 @@ struct MethodPilot {
 impl MethodPilot {
     fn new(case: Case) -> Self {
         let method: Box<dyn Method> = match case.method {
-            Kind::Coordinated | Kind::Tour => Box::new(Coordinated::new(CoordinationConfig::default())),
+            Kind::Coordinated | Kind::Tour | Kind::Navigated => {
+                Box::new(Coordinated::new(CoordinationConfig::default()))
+            }
             Kind::Greedy => Box::new(Greedy::new(case.robots)),
             Kind::Burgard => Box::new(Burgard::new(case.robots)),
         };
@@ -245,5 +249,60 @@ impl Pilot for TourPilot {
     fn describe(&self, outcome: &mut Outcome) {
         outcome.drive_ms = self.driving.as_secs_f64() * 1e3;
         outcome.plans = self.tour.stats().map(|stats| stats.exploration.plans).sum();
+    }
+}
+
+/// The coordinator and the fleet's navigator, as the process `nav` has them.
+struct NavigatorPilot {
+    exploration: FleetExploration,
+    navigator: FleetNavigator,
+    choosing: Duration,
+    longest: Duration,
+    driving: Duration,
+}
+
+impl NavigatorPilot {
+    fn new() -> Self {
+        Self {
+            exploration: FleetExploration::new(CoordinationConfig::default()),
+            navigator: FleetNavigator::new(NavigatorConfig::default()),
+            choosing: Duration::ZERO,
+            longest: Duration::ZERO,
+            driving: Duration::ZERO,
+        }
+    }
+}
+
+impl Pilot for NavigatorPilot {
+    fn step(&mut self, world: &World, twists: &mut [Twist]) {
+        let navigated = |robot| NavigatedRobot {
+            observation: observe(world, robot),
+            odom_from_base: Some(robot.pose()),
+            map_from_robot_map: None,
+        };
+        let robots: Vec<NavigatedRobot> = world.robots.iter().map(navigated).collect();
+        let input = NavigationInput { stamp: world.now, robots: &robots, exclusion_zones: &[] };
+        let begun = Instant::now();
+        self.exploration.step(&mut self.navigator, &input, &|_| false);
+        let chosen = Instant::now();
+        self.choosing += chosen - begun;
+        self.longest = self.longest.max(chosen - begun);
+        self.navigator.step(&input);
+        self.driving += chosen.elapsed();
+        twists.fill(Twist::STOP);
+        for robot in self.navigator.robots() {
+            twists[robot.robot.index()] = robot.twist.unwrap_or(Twist::STOP);
+        }
+    }
+
+    fn is_done(&self) -> bool {
+        self.exploration.coordinator().phase() != CoordinationPhase::Exploring
+    }
+
+    fn describe(&self, outcome: &mut Outcome) {
+        outcome.plans = self.exploration.coordinator().plans();
+        outcome.choose_ms = self.choosing.as_secs_f64() * 1e3;
+        outcome.drive_ms = self.driving.as_secs_f64() * 1e3;
+        outcome.longest_choice_ms = self.longest.as_secs_f64() * 1e3;
     }
 }

@@ -12,6 +12,7 @@
 
 mod coarse;
 mod config;
+mod fleet_exploration;
 mod leftovers;
 mod plan;
 mod seen;
@@ -20,6 +21,7 @@ mod types;
 mod views;
 
 pub use config::CoordinationConfig;
+pub use fleet_exploration::FleetExploration;
 pub use leftovers::{Leftover, LeftoverReason};
 pub use types::{
     CoordinatedRobot, CoordinationInput, CoordinationPhase, GoalProgress, GoalPurpose, RobotAvailability,
