@@ -19,6 +19,7 @@ pub mod supervisor;
 // What people read and control.
 pub mod allowed;
 pub mod control;
+pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
 pub mod terminal;
