@@ -28,7 +28,17 @@ struct Prefix {
     reserved: u32,
     /// Start of the run, which tells it from others in the same folder.
     run: u64,
+    slam_received: Monotonic,
     map: MapHeader,
+}
+
+/// A robot's map as merging holds it.
+#[derive(Clone, Debug)]
+pub struct HeldMap {
+    /// The newest map that its SLAM sent.
+    pub map: TileMap,
+    /// Time of the newest answer of its SLAM to a scan.
+    pub slam_received: Monotonic,
 }
 
 /// Reason why a file cannot be used.
@@ -43,26 +53,26 @@ enum Unusable {
     /// Another run left it in this folder.
     #[error("is of another run")]
     Run,
-    /// Its header or a tile's place makes no sense.
-    #[error("has a map that makes no sense")]
+    /// Its header or a tile's place is invalid.
+    #[error("has an invalid map")]
     Map,
 }
 
 /// The newest maps that are not written yet, from the thread that draws to the one that writes.
 #[derive(Default)]
-pub struct MapSlot(Mutex<Vec<(RobotId, TileMap)>>);
+pub struct MapSlot(Mutex<Vec<(RobotId, HeldMap)>>);
 
 impl MapSlot {
     /// Stores a robot's newest map in place of an older one.
-    pub fn put(&self, robot: RobotId, map: &TileMap) {
+    pub fn put(&self, robot: RobotId, map: HeldMap) {
         let mut maps = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         match maps.iter_mut().find(|(other, _)| *other == robot) {
-            Some((_, older)) => *older = map.clone(),
-            None => maps.push((robot, map.clone())),
+            Some((_, older)) => *older = map,
+            None => maps.push((robot, map)),
         }
     }
 
-    fn take(&self) -> Vec<(RobotId, TileMap)> {
+    fn take(&self) -> RestoredMaps {
         std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -122,14 +132,15 @@ impl<S: Storage> MapFiles<S> {
         }
     }
 
-    fn encode(&self, map: &TileMap) -> Vec<u8> {
-        let prefix = Prefix { version: VERSION, reserved: 0, run: self.run, map: map.header };
+    fn encode(&self, HeldMap { map, slam_received }: &HeldMap) -> Vec<u8> {
+        let (run, slam_received) = (self.run, *slam_received);
+        let prefix = Prefix { version: VERSION, reserved: 0, run, slam_received, map: map.header };
         let mut bytes = bytemuck::bytes_of(&prefix).to_vec();
         map.tiles().for_each(|tile| bytes.extend_from_slice(bytemuck::bytes_of(&**tile)));
         bytes
     }
 
-    fn read(&self, path: &Path) -> Result<TileMap, Unusable> {
+    fn read(&self, path: &Path) -> Result<HeldMap, Unusable> {
         let bytes = gzip::unpack(self.storage.read(path, BYTES_MAX)?, BYTES_MAX)?;
         let (prefix, tiles) = bytes.split_at_checked(size_of::<Prefix>()).ok_or(Unusable::Format)?;
         let prefix: Prefix = bytemuck::pod_read_unaligned(prefix);
@@ -149,12 +160,13 @@ impl<S: Storage> MapFiles<S> {
             }
             map.set(x, y, Some(tile.into()));
         }
-        if map.header.is_valid() { Ok(map) } else { Err(Unusable::Map) }
+        let held = HeldMap { map, slam_received: prefix.slam_received };
+        if held.map.header.is_valid() { Ok(held) } else { Err(Unusable::Map) }
     }
 }
 
-/// The maps that an earlier process of this run held.
-pub type RestoredMaps = Vec<(RobotId, TileMap)>;
+/// Robots' maps, such as an earlier process of this run held.
+pub type RestoredMaps = Vec<(RobotId, HeldMap)>;
 
 /// Returns the path of a robot's file.
 pub fn path(folder: &Path, robot: RobotId) -> PathBuf {
@@ -177,14 +189,14 @@ mod tests {
     }
 
     /// A map with two tiles far apart.
-    fn map() -> TileMap {
+    fn map() -> HeldMap {
         let header = Header { stamp: Stamp(5), seq: 7, incarnation: 2, ..Header::default() };
         let mut map = TileMap::new(MapHeader { header, resolution_m: 0.05, ..MapHeader::default() });
         for (x, y, cell) in [(-3, 2, 60), (4, -1, -60)] {
             assert!(map.grow_to(Rect::single(x, y), MAP_TILES_MAX));
             map.get_mut(x, y).unwrap().cells[9] = cell;
         }
-        map
+        HeldMap { map, slam_received: Monotonic(11) }
     }
 
     #[test]
@@ -193,15 +205,15 @@ mod tests {
         let slot = MapSlot::default();
         let mut files = files(folder.path(), 7);
         assert!(files.restore([robot()].into_iter()).is_empty());
-        slot.put(robot(), &TileMap::default());
-        slot.put(robot(), &map());
+        slot.put(robot(), HeldMap { map: TileMap::default(), ..map() });
+        slot.put(robot(), map());
         files.save(&slot, Monotonic(1));
         let restored = files.restore([robot()].into_iter());
         let (of, read) = &restored[0];
-        assert_eq!((*of, read.header), (robot(), map().header));
-        assert!(read.tiles().eq(map().tiles()));
+        assert_eq!((*of, read.map.header, read.slam_received), (robot(), map().map.header, Monotonic(11)));
+        assert!(read.map.tiles().eq(map().map.tiles()));
         // Nothing is written between the periods, and nothing that did not change.
-        slot.put(robot(), &TileMap::default());
+        slot.put(robot(), HeldMap { map: TileMap::default(), ..map() });
         files.save(&slot, Monotonic(2));
         assert_eq!(files.restore([robot()].into_iter()).len(), 1);
         files.save(&slot, Monotonic(1) + PERIOD);
@@ -228,7 +240,7 @@ mod tests {
         assert!(refused(&whole[..whole.len() - 1]).contains("no map"));
         assert!(refused(&with(0, 9)).contains("no map"));
         assert!(refused(&with(8, 9)).contains("another run"));
-        assert!(refused(&with(size_of::<Prefix>() + 3, 0x7f)).contains("makes no sense"));
+        assert!(refused(&with(size_of::<Prefix>() + 3, 0x7f)).contains("invalid map"));
         let packed = gzip::pack(&whole).unwrap();
         refused(&packed[..packed.len() / 2]);
     }

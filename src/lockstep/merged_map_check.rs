@@ -15,7 +15,10 @@ const CHECKED: Duration = Duration::from_secs(3);
 /// Compares the maps after a start of merging with those before.
 #[derive(Default)]
 pub struct MergedMapCheck {
-    /// Known cells of each robot's map, then of the merged map, when merging died.
+    /// Known cells of each robot's map when merging last worked: what happens to a map while merging is stopped or dead
+    /// must not be taken for a loss.
+    merged_robots: Vec<usize>,
+    /// Known cells of each robot's map when merging last worked, then of the merged map when it died.
     before: Option<Vec<usize>>,
     /// Until when the maps are compared, once merging runs again.
     until: Option<Monotonic>,
@@ -27,11 +30,16 @@ impl MergedMapCheck {
         let now = fleet.time();
         let merges = |member: &Member| member.row.role == Role::Merge && member.is_running();
         if !fleet.members.iter().any(merges) {
-            // Robots' maps that a full disk kept from being written cannot be gone on with.
-            let known = known_cells(fleet);
+            // What a full disk kept from being written cannot be continued.
+            let mut known = known_cells(fleet);
+            known[..self.merged_robots.len()].copy_from_slice(&self.merged_robots);
             self.before = self.before.take().or_else(|| are_written(fleet, &known).then_some(known));
             self.until = None;
             return None;
+        }
+        if fleet.members.iter().any(|member| merges(member) && member.frozen_until <= now) {
+            self.merged_robots = known_cells(fleet);
+            self.merged_robots.pop();
         }
         let before = self.before.as_ref()?;
         if now > *self.until.get_or_insert(now + CHECKED) {
@@ -41,14 +49,14 @@ impl MergedMapCheck {
         let known = known_cells(fleet);
         let is_smaller = |(now, before): (&usize, &usize)| (*now as f64) < KNOWN_SHARE_MIN * *before as f64;
         let ((merged, robots), (merged_before, robots_before)) = (known.split_last()?, before.split_last()?);
-        // A robot whose own map was begun anew makes the merged map smaller.
-        let is_comparable = !robots.iter().zip(robots_before).any(is_smaller);
-        let violation = (is_comparable && is_smaller((merged, merged_before))).then(|| {
+        // A robot whose own map was begun anew makes the merged map smaller, also for a while after its own has grown.
+        let is_begun_anew = robots.iter().zip(robots_before).any(is_smaller);
+        let violation = (!is_begun_anew && is_smaller((merged, merged_before))).then(|| {
             format!(
                 "the merged map has {merged} known cells after a start of merging at {now:?}, {merged_before} before"
             )
         });
-        if violation.is_some() {
+        if is_begun_anew || violation.is_some() {
             self.before = None;
         }
         violation

@@ -8,7 +8,7 @@ use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::fleet;
-use crate::merge_maps::{MapFiles, MapSlot, RestoredMaps};
+use crate::merge_maps::{HeldMap, MapFiles, MapSlot, RestoredMaps};
 use crate::merge_memory::MergeMemory;
 use crate::ports::{
     ChannelError, Clock as _, Gaps, MAP_PAUSE, Ports, ReadMapPort, ReadPort, WriteMapPort, WritePort,
@@ -18,7 +18,9 @@ use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use ::merge::{FleetPoseGraph, Merger};
-use msg::{Correction, MapTransforms, Monotonic, Pose2, RobotId, Role, TileMap, TrackingState};
+use msg::{
+    Correction, MAP_OLD_AFTER_S, MapTransforms, Monotonic, Pose2, ROBOTS_MAX, RobotId, Role, TrackingState,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -73,20 +75,53 @@ impl RestartHold {
     }
 }
 
+/// Period at which the ages of the robots' maps are published, if nothing else changes.
+const AGES_PERIOD: Duration = Duration::from_millis(500);
+
 /// Channels of the robots' SLAM, and what the other thread hands over.
 struct Inputs<P: Ports> {
     maps: Vec<(RobotId, P::MapReader)>,
     corrections: Vec<(RobotId, P::Reader<Correction>)>,
+    /// Time of the newest correction of each robot, by [`RobotId::index`]; zero: none yet.
+    slam_received: [Monotonic; ROBOTS_MAX],
     estimates: Arc<FleetEstimateSlot>,
+    /// The robots' newest maps, to be kept in files.
+    held_maps: Arc<MapSlot>,
+}
+
+/// When the ages of the robots' maps are published, and which maps are old.
+struct AgesPublisher {
+    due: Monotonic,
+    sent: Option<[Monotonic; ROBOTS_MAX]>,
+    /// Robots whose part of the map is old, by [`RobotId::index`].
+    old: [bool; ROBOTS_MAX],
+}
+
+impl AgesPublisher {
+    /// Returns whether a period has passed.
+    fn is_due(&mut self, now: Monotonic) -> bool {
+        let is_due = now >= self.due;
+        if is_due {
+            self.due = now + AGES_PERIOD;
+        }
+        is_due
+    }
+
+    /// Returns whether a robot's part of the map has become old since the last call.
+    fn becomes_old(&mut self, robot: RobotId, received: Monotonic, now: Monotonic) -> bool {
+        let is_old = received != Monotonic::default() && now.since(received) as f64 * 1e-9 > MAP_OLD_AFTER_S;
+        let was_old = std::mem::replace(&mut self.old[robot.index()], is_old);
+        is_old && !was_old
+    }
 }
 
 /// Draws the merged map, and never waits for anything else.
 pub struct MergeProcess<P: Ports> {
     merger: Merger,
     inputs: Inputs<P>,
-    held_maps: Arc<MapSlot>,
     restart: Option<RestartHold>,
     has_changed: bool,
+    ages: AgesPublisher,
     merged: P::MapWriter,
     transforms: P::Writer<MapTransforms>,
     heartbeat: Heartbeat<P>,
@@ -102,7 +137,7 @@ impl<P: Ports> MergeProcess<P> {
         ports: &P,
         run: &Run,
         state: &GraphState<S>,
-        restored: &[(RobotId, TileMap)],
+        restored: &[(RobotId, HeldMap)],
     ) -> Result<Self, ChannelError> {
         let robots = run.robots();
         let starts: Vec<Option<Pose2>> =
@@ -114,16 +149,22 @@ impl<P: Ports> MergeProcess<P> {
         let clock = ports.clock();
         let until = clock.now() + RESTART_HOLD_MAX;
         let missing: Vec<RobotId> = restored.iter().map(|(robot, _)| *robot).collect();
+        let mut slam_received = [Monotonic::default(); ROBOTS_MAX];
+        for (robot, held) in restored {
+            slam_received[robot.index()] = held.slam_received;
+        }
         let mut process = Self {
             merger: Merger::new(&run.config.merge, &starts),
             inputs: Inputs {
                 maps: maps.collect::<Result<_, ChannelError>>()?,
                 corrections: corrections.collect::<Result<_, ChannelError>>()?,
+                slam_received,
                 estimates: state.estimates.clone(),
+                held_maps: state.maps.clone(),
             },
-            held_maps: state.maps.clone(),
             restart: (!missing.is_empty()).then_some(RestartHold { missing, until }),
             has_changed: false,
+            ages: AgesPublisher { due: Monotonic::default(), sent: None, old: [false; ROBOTS_MAX] },
             merged: ports.map_writer(&channel::merged_map())?,
             transforms: ports.writer(&channel::map_transforms())?,
             heartbeat: Heartbeat::new(ports, run, Role::Merge, None)?,
@@ -132,10 +173,10 @@ impl<P: Ports> MergeProcess<P> {
             robot_radius_m: run.config.slam.map.robot_radius_m,
             refused: 0,
         };
-        for (robot, map) in restored {
-            process.refused += u64::from(process.merger.update_tiles(*robot, map).is_err());
+        for (robot, held) in restored {
+            process.refused += u64::from(process.merger.update_tiles(*robot, &held.map).is_err());
         }
-        process.transforms.send(&process.merger.map_transforms());
+        process.send_transforms();
         Ok(process)
     }
 
@@ -147,7 +188,8 @@ impl<P: Ports> MergeProcess<P> {
                 let merger = &mut self.merger;
                 let taken = self.heartbeat.measure(|| merger.update_tiles(*robot, reader.map())).is_ok();
                 if taken {
-                    self.held_maps.put(*robot, reader.map());
+                    let slam_received = self.inputs.slam_received[robot.index()];
+                    self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), slam_received });
                 }
                 self.restart.iter_mut().for_each(|restart| restart.record_map(*robot));
                 self.refused += u64::from(!taken);
@@ -155,7 +197,11 @@ impl<P: Ports> MergeProcess<P> {
             }
         }
         for (robot, reader) in &mut self.inputs.corrections {
+            let received = reader.gaps().received;
             changed |= set_footprint::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
+            if reader.gaps().received != received {
+                self.inputs.slam_received[robot.index()] = self.clock.now();
+            }
         }
         if let Some(estimate) = self.inputs.estimates.take() {
             let merger = &mut self.merger;
@@ -165,11 +211,34 @@ impl<P: Ports> MergeProcess<P> {
         changed
     }
 
+    /// Sends where the robots' maps lie, and how old they are.
+    fn send_transforms(&mut self) {
+        let slam_received = self.inputs.slam_received;
+        self.transforms.send(&MapTransforms { slam_received, ..self.merger.map_transforms() });
+        self.ages.sent = Some(slam_received);
+    }
+
+    /// Sends the robots' ages if they are due, and keeps the time from which a robot's part of the map is old.
+    fn publish_ages(&mut self, now: Monotonic) {
+        if !self.ages.is_due(now) {
+            return;
+        }
+        if self.ages.sent != Some(self.inputs.slam_received) {
+            self.send_transforms();
+        }
+        for (robot, reader) in &self.inputs.maps {
+            let slam_received = self.inputs.slam_received[robot.index()];
+            if self.ages.becomes_old(*robot, slam_received, now) && reader.map().tiles().next().is_some() {
+                self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), slam_received });
+            }
+        }
+    }
+
     /// Sends the merged map if it has changed; returns whether readers have all of it.
     fn publish(&mut self) -> bool {
         if std::mem::take(&mut self.has_changed) {
             // The transforms notify nobody. The merged map does, and its readers then find the transforms.
-            self.transforms.send(&self.merger.map_transforms());
+            self.send_transforms();
             let merger = &mut self.merger;
             self.heartbeat.measure(|| merger.compose());
         }
@@ -197,11 +266,12 @@ impl<P: Ports> ProcessLoop for MergeProcess<P> {
             None if self.publish() => self.heartbeat.due(),
             None => now + MAP_PAUSE,
         };
+        self.publish_ages(now);
         self.transforms.refresh();
         let counters =
             HealthCounters { gaps: self.gaps(), refused: self.refused, ..HealthCounters::default() };
         self.heartbeat.publish_if_due(|| counters);
-        due.min(self.heartbeat.due())
+        due.min(self.ages.due).min(self.heartbeat.due())
     }
 }
 

@@ -24,6 +24,7 @@ use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::lockstep::faults::{BRIDGE, Fault, FaultPlan};
 use mr_slam::lockstep::invariants::{WRONG_POSE, check, quiet_from};
+use mr_slam::view::FleetView;
 use msg::{GridView, Monotonic};
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -220,14 +221,44 @@ fn the_merged_map_loses_no_cell_when_merging_is_killed() {
     assert_merged_map_keeps_its_cells(faults.with(second(9.5), Fault::Kill(MERGE)));
 }
 
+/// Kills the second robot's SLAM from second 6 on, as soon as it is started again: it is silent for six seconds.
+fn with_silent_slam(mut faults: FaultPlan) -> FaultPlan {
+    for kill in 0..200 {
+        faults = faults.with(second(6.0 + 0.02 * f64::from(kill)), Fault::Kill(SLAM_2));
+    }
+    faults
+}
+
 #[test]
 fn the_map_of_a_dead_slam_process_outlives_merging() {
-    let mut faults = FaultPlan::none().with(second(6.5), Fault::Kill(MERGE));
-    for kill in 0..10 {
-        // It never lives long enough to send its map again.
-        faults = faults.with(second(6.0 + 0.35 * f64::from(kill)), Fault::Kill(SLAM_2));
+    assert_merged_map_keeps_its_cells(with_silent_slam(
+        FaultPlan::none().with(second(6.5), Fault::Kill(MERGE)),
+    ));
+}
+
+#[test]
+fn the_part_of_a_silent_slam_process_is_marked_as_old() {
+    for kill_merging in [false, true] {
+        let mut faults = with_silent_slam(FaultPlan::none());
+        if kill_merging {
+            faults = faults.with(second(8.0), Fault::Kill(MERGE));
+        }
+        let mut fleet = Lockstep::with_faults(&pair(), true, faults).unwrap();
+        let mut oldest_s = [0.0_f64; 2];
+        while fleet.now().seconds() < 20.0 {
+            fleet.tick(&mut |_, _| {});
+            let view = FleetView::new(fleet.stats());
+            for (oldest_s, robot) in oldest_s.iter_mut().zip(&view.robots) {
+                *oldest_s = oldest_s.max(robot.old_map_age_s().unwrap_or(0.0));
+                let is_said = view.alarms().iter().any(|alarm| alarm.contains("merged map is"));
+                assert!(robot.old_map_age_s().is_none() || is_said, "{:?}", view.alarms());
+            }
+        }
+        assert!(oldest_s[0] == 0.0 && (4.0..10.0).contains(&oldest_s[1]), "{kill_merging}: {oldest_s:?}");
+        let ages_s = fleet.stats().robots[..2].iter().map(|robot| robot.map_age_s);
+        let ages_s: Vec<f64> = ages_s.collect();
+        assert!(ages_s.iter().all(|age_s| (0.0..1.0).contains(age_s)), "at the end: {ages_s:?}");
     }
-    assert_merged_map_keeps_its_cells(faults);
 }
 
 #[test]
