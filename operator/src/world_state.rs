@@ -154,6 +154,11 @@ impl WorldState {
         Ok(())
     }
 
+    /// Returns the topics of the robots.
+    pub fn robot_topics(&self) -> &RobotTopics {
+        &self.robots
+    }
+
     /// Forgets which robot is selected: another operator may select one while the link is down.
     pub fn on_disconnected(&mut self) {
         self.selected_robot = None;

@@ -175,10 +175,7 @@ impl Core {
                 self.router.forward(publication.topic, payload);
                 self.apply_stick(id, stick, now)
             }
-            Input::Transforms => {
-                let from = self.reader(payload)?;
-                self.receive_transforms(id, publication.topic, from, now)
-            }
+            Input::Transforms => self.receive_transforms(id, publication.topic, self.reader(payload)?, now),
             Input::StaticTransforms => Ok(self.fleet.receive_static_transforms(&mut self.router, payload)?),
             Input::Scan(_) | Input::Odometry(_) | Input::RobotTransforms(_) | Input::Clock => {
                 let message = world_message(input, self.reader(payload)?);
