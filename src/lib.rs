@@ -23,6 +23,7 @@ pub mod control;
 pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
+pub mod report;
 pub mod terminal;
 pub mod view;
 // Files that outlive a process.
