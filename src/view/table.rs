@@ -12,8 +12,7 @@ const LIVE_CLIENTS_MAX: usize = 3;
 
 const ROBOT_COLUMNS: [Column; 8] = [
     Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
-    Column { heading: ["state", ""], width: 10, is_left: true, drop_order: 0 },
-    Column { heading: ["scans", "Hz"], width: 8, is_left: false, drop_order: 1 },
+    Column { heading: ["state", ""], X    Column { heading: ["scans", "Hz"], width: 8, is_left: false, drop_order: 1 },
     Column { heading: ["lost", "scans"], width: 6, is_left: false, drop_order: 3 },
     Column { heading: ["coverage", "%"], width: 9, is_left: false, drop_order: 2 },
     Column { heading: ["TF jitter", "p50 / p99 ms"], width: 16, is_left: false, drop_order: 5 },
@@ -79,6 +78,9 @@ impl FleetView {
         for robot in &self.robots {
             if robot.is_lost() {
                 alarms.push(format!("{} is lost: it looks for its place in the map", robot.robot));
+            }
+            if robot.is_unreliable() {
+                alarms.push(format!("{}'s map may be wrong: scans or odometry contradict it", robot.robot));
             }
             if robot.has_stale_scans() {
                 alarms.push(format!("{}: no scan for a second or more", robot.robot));
@@ -153,7 +155,7 @@ impl FleetView {
 fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
     vec![
         robot.robot.as_str().into(),
-        Cell::alarm_if(robot.is_lost(), robot.state),
+        Cell::alarm_if(robot.is_lost() || robot.is_unreliable(), robot.state),
         Cell::alarm_if(robot.has_stale_scans(), format!("{:.2}", robot.scan_hz_last_second)),
         robot.scans_lost.to_string().into(),
         format!("{:.1}", 100.0 * robot.map.coverage).into(),
@@ -211,6 +213,7 @@ mod tests {
             (robot.state, robot.scans, robot.scan_hz) = (TrackingState::Tracking as u32, 100, 10.0);
         }
         stats.robots[1].state = TrackingState::Lost as u32;
+        stats.robots[2].state = TrackingState::Unreliable as u32;
         stats.robots[2].scan_hz = 0.0;
         let client = |port: usize| ClientStatus {
             number: port as u64,
@@ -252,6 +255,7 @@ mod tests {
         let plain = fleet.live_table(&Style::PLAIN);
         assert!(plain.starts_with("! EMERGENCY STOP"), "{plain}");
         assert!(plain.contains("! robot2 is lost") && plain.contains("! robot3: no scan"), "{plain}");
+        assert!(plain.contains("! robot3's map may be wrong"), "{plain}");
         assert!(!plain.contains('\x1b'), "no colours in a file: {plain:?}");
         let coloured = fleet.live_table(&Style { width: 80, is_coloured: true });
         assert!(coloured.contains("\x1b[1;31mlost"), "{coloured:?}");
