@@ -5,7 +5,7 @@ use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
 use crate::sessions::{self, SessionsError};
 use msg::{Pose2, RobotId, Stamp};
-use sim::{Room, Simulator};
+use sim::{Room, RoomKind, Simulator};
 use std::io::Read;
 use std::path::Path;
 use std::time::Duration;
@@ -43,9 +43,16 @@ pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
     if path == LABORATORY {
         return Ok(Room::laboratory());
     }
+    if let Some((kind, seed)) = Room::parse_generated(path) {
+        return Ok(Room::generate(kind, seed));
+    }
     let wrong = |why: String| FleetError::Room { path: path.into(), why };
     let mut file = std::fs::File::open(path).map_err(|why| {
-        wrong(format!("{why}; expected `{LABORATORY}` or a .json, .json.gz, .glb, .gltf or .obj file"))
+        let kinds = RoomKind::ALL.map(|kind| format!("`{}`", kind.name())).join(", ");
+        wrong(format!(
+            "{why}; expected `{LABORATORY}`, a generated room ({kinds}, each with an optional :SEED), or a .json, \
+             .json.gz, .glb, .gltf or .obj file"
+        ))
     })?;
     let mut bytes = Vec::new();
     file.by_ref().take(ROOM_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(|why| wrong(why.to_string()))?;

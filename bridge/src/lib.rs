@@ -13,6 +13,7 @@ mod bridge;
 pub mod command;
 mod command_queues;
 mod config;
+mod connection;
 mod core;
 pub mod dds;
 mod drive;

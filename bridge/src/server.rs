@@ -2,42 +2,28 @@
 
 use crate::bridge::Bridge;
 use crate::command::{Notice, handshake, name};
+use crate::connection::{CLOSE_TIMEOUT, accept_connections, close_gently, set_quick_ack};
 use crate::core::ConnectError;
 use crate::frame::{IDLE_BYTES, Parser, Side};
 use crate::router::{BufferPool, ClientId, ClientSocket, FlushOutcome, OutgoingQueue};
 use msg::Monotonic;
 use rustix::net::{SendAncillaryBuffer, SendFlags, sendmsg};
-use socket2::{SockRef, TcpKeepalive};
+use socket2::SockRef;
 use std::cell::Cell;
 use std::future::Future;
 use std::io::{self, IoSlice};
-use std::net::{Shutdown, SocketAddr};
+use std::net::SocketAddr;
 use std::rc::Rc;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 use tokio::io::Interest;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
-use tokio::task::{JoinSet, spawn_local, yield_now};
+use tokio::task::{spawn_local, yield_now};
 use tokio::time::{sleep, timeout};
 
 /// Frames of one client that are handled before other clients get their turn.
 const FRAMES_PER_TURN: usize = 64;
-/// A client that is silent for so long is probed by TCP keepalive.
-///
-/// A client that vanished without closing (battery, Wi-Fi) is disconnected after [`UNACKNOWLEDGED_MAX`] on Linux,
-/// where that limit replaces the count of probes; elsewhere after the probes.
-const KEEPALIVE_IDLE: Duration = Duration::from_secs(5);
-const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(2);
-const KEEPALIVE_RETRIES: u32 = 3;
-/// A peer that acknowledges nothing for so long is gone. A headset that sleeps for a moment is not.
-const UNACKNOWLEDGED_MAX: Duration = Duration::from_secs(60);
-/// How long a connection that is being closed may take to read the reason.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
-/// Bytes read and dropped meanwhile: unread bytes would turn the close into a reset, which loses the reason.
-const DRAINED_BYTES_MAX: usize = 1 << 20;
-/// Buffer for bytes that are read and dropped.
-const DRAIN_BUFFER_BYTES: usize = 4096;
 /// Connections that are being closed or refused, beside the clients; more are dropped without a reason.
 const CLOSING_MAX: usize = 64;
 /// Bytes handed to the kernel in one write while its send buffer is small, and the number of frames in them.
@@ -45,8 +31,6 @@ const PORTION_BYTES: usize = 2048;
 const SLICES_MAX: usize = 64;
 /// A larger send buffer belongs to a fast connection, on which a few segments more or less do not matter, bytes.
 const BOUNDED_BUFFER_MAX: usize = 64 << 10;
-/// Pause after accept(2) failed, as it does when file descriptors run out.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 /// Returns the time since the first call in this process: a clock for [`serve`] where nothing else needs the time.
 pub fn process_clock() -> Monotonic {
@@ -76,24 +60,8 @@ pub async fn serve_clients(
     clock: fn() -> Monotonic,
     stop: impl Future<Output = ()>,
 ) {
-    let clients_max = bridge.clients_max();
-    let mut tasks = JoinSet::new();
-    let mut stop = std::pin::pin!(stop);
-    loop {
-        tokio::select! {
-            biased;
-            () = &mut stop => break,
-            Some(_) = tasks.join_next() => {}
-            accepted = listener.accept() => match accepted {
-                Ok((stream, peer)) if tasks.len() < clients_max + CLOSING_MAX => {
-                    tasks.spawn_local(run_client(bridge.clone(), stream, peer, clock));
-                }
-                Ok(_) => {}
-                Err(_) => sleep(ACCEPT_PAUSE).await,
-            },
-        }
-    }
-    tasks.shutdown().await;
+    let serve = |stream, peer| run_client(bridge.clone(), stream, peer, clock);
+    accept_connections(&bridge, listener, CLOSING_MAX, stop, serve).await;
 }
 
 /// Calls the bridge when something is due. It is a task of its own, so that robots stop in time whatever clients do.
@@ -185,9 +153,6 @@ impl Drop for Connection<'_> {
 }
 
 async fn run_client(bridge: Rc<Bridge>, stream: TcpStream, peer: SocketAddr, clock: fn() -> Monotonic) {
-    if set_socket_options(&stream, bridge.unsent_bytes_max()).is_err() {
-        return;
-    }
     let stream = Rc::new(stream);
     let wake = Rc::new(Notify::new());
     let socket = Box::new(TcpSocket::new(stream.clone(), wake.clone(), clock));
@@ -296,32 +261,6 @@ fn read(stream: &TcpStream, space: &mut [u8]) -> io::Result<usize> {
     Ok(count)
 }
 
-#[cfg(target_os = "linux")]
-fn set_quick_ack(stream: &TcpStream) {
-    // It fails only on a connection that is closed, which the read notices.
-    let _ = stream.set_quickack(true);
-}
-
-#[cfg(not(target_os = "linux"))]
-fn set_quick_ack(_: &TcpStream) {}
-
-/// Sets keepalive, time-outs and the limit of unsent bytes; no delay for short frames.
-pub(crate) fn set_socket_options(stream: &TcpStream, unsent_bytes_max: u32) -> io::Result<()> {
-    stream.set_nodelay(true)?;
-    set_quick_ack(stream);
-    let socket = SockRef::from(stream);
-    let keepalive = TcpKeepalive::new().with_time(KEEPALIVE_IDLE).with_interval(KEEPALIVE_INTERVAL);
-    socket.set_tcp_keepalive(&keepalive.with_retries(KEEPALIVE_RETRIES))?;
-    #[cfg(target_os = "linux")]
-    {
-        socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED_MAX))?;
-        socket.set_tcp_notsent_lowat(unsent_bytes_max)?;
-    }
-    #[cfg(not(target_os = "linux"))]
-    let _ = (unsent_bytes_max, UNACKNOWLEDGED_MAX);
-    Ok(())
-}
-
 /// Returns the frames for a client that cannot connect: the handshake, which must come first, and the reason.
 fn refusal(dialect: ros_messages::cdr::Dialect, error: &ConnectError) -> OutgoingQueue {
     let mut frames = Vec::new();
@@ -342,52 +281,9 @@ async fn drain_and_close(stream: &TcpStream, mut unsent: OutgoingQueue) {
                 FlushOutcome::TurnEnded => yield_now().await,
             }
         }
-        close_and_read(stream).await
+        close_gently(stream).await;
+        Ok::<(), io::Error>(())
     };
     // The connection is closed in any case.
     let _ = timeout(CLOSE_TIMEOUT, drain).await;
-}
-
-/// Closes the bridge's side of a connection, and reads until the peer closes, at most [`CLOSE_TIMEOUT`].
-pub(crate) async fn close_gently(stream: &TcpStream) {
-    let _ = timeout(CLOSE_TIMEOUT, close_and_read(stream)).await;
-}
-
-async fn close_and_read(stream: &TcpStream) -> io::Result<()> {
-    SockRef::from(stream).shutdown(Shutdown::Write)?;
-    let (mut buffer, mut total) = ([0; DRAIN_BUFFER_BYTES], 0);
-    while total < DRAINED_BYTES_MAX {
-        stream.readable().await?;
-        match stream.try_read(&mut buffer) {
-            Ok(0) => break,
-            Ok(count) => total += count,
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[tokio::test(flavor = "current_thread")]
-    async fn a_clients_socket_has_keepalive_and_no_delay() {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let _client = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
-        let (stream, _) = listener.accept().await.unwrap();
-        set_socket_options(&stream, 1 << 17).unwrap();
-        let socket = SockRef::from(&stream);
-        assert!(stream.nodelay().unwrap());
-        assert!(socket.keepalive().unwrap());
-        assert_eq!(socket.tcp_keepalive_time().unwrap(), KEEPALIVE_IDLE);
-        assert_eq!(socket.tcp_keepalive_interval().unwrap(), KEEPALIVE_INTERVAL);
-        assert_eq!(socket.tcp_keepalive_retries().unwrap(), KEEPALIVE_RETRIES);
-        #[cfg(target_os = "linux")]
-        {
-            assert_eq!(socket.tcp_user_timeout().unwrap(), Some(UNACKNOWLEDGED_MAX));
-            assert_eq!(socket.tcp_notsent_lowat().unwrap(), 1 << 17);
-        }
-    }
 }

@@ -1,6 +1,8 @@
 //! Clearance map, a window of the occupancy grid around a robot with the obstacles of its scans, and the distance from
 //! each cell to the nearest obstacle.
 
+mod marking;
+
 use crate::observation::MapView;
 use msg::Pose2;
 use msg::grid::Occupancy;
@@ -66,6 +68,11 @@ impl ClearanceMap {
         self.cell_size_m
     }
 
+    /// Direction of the window's columns in the frame of the map, radians.
+    pub fn yaw_rad(&self) -> f64 {
+        self.map_from_window.yaw_rad
+    }
+
     /// Number of columns of the window.
     pub fn width(&self) -> i64 {
         self.width
@@ -119,6 +126,11 @@ impl ClearanceMap {
                 }
             }
         }
+    }
+
+    /// Column and row of a cell.
+    pub(crate) fn column_row(&self, cell: usize) -> (i64, i64) {
+        (cell as i64 % self.width, cell as i64 / self.width)
     }
 
     /// Marks the cell that contains a point as occupied.
@@ -208,10 +220,6 @@ impl ClearanceMap {
 
     fn index(&self, x: i64, y: i64) -> usize {
         (y * self.width + x) as usize
-    }
-
-    fn column_row(&self, cell: usize) -> (i64, i64) {
-        (cell as i64 % self.width, cell as i64 / self.width)
     }
 }
 

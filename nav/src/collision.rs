@@ -31,6 +31,21 @@ impl CollisionLimit {
         if x > 0.0 && y.abs() < touch_m { x - (touch_m * touch_m - y * y).sqrt() } else { f64::INFINITY }
     }
 
+    /// Lowers the forward speed so that the robot comes no nearer to a robot of the same size that stands close by, at
+    /// a position in `base_footprint`.
+    pub fn limit_speed_to_robot(&self, twist: Twist, other_in_base_m: [f64; 2]) -> Twist {
+        let ahead = self.limit_speed(twist, self.free_distance_to_robot_m(other_in_base_m));
+        let [x, y] = other_in_base_m;
+        let distance_m = x.hypot(y);
+        if x <= 0.0 || distance_m == 0.0 {
+            return ahead;
+        }
+        // The part of the speed that closes the gap between the two.
+        let gap = Twist { linear_m_s: ahead.linear_m_s * x / distance_m, ..ahead };
+        let closing = self.limit_speed(gap, distance_m - 2.0 * self.body.radius_m);
+        Twist { linear_m_s: closing.linear_m_s * distance_m / x, ..ahead }
+    }
+
     /// Lowers the forward speed so that the robot stops short of an obstacle at this free distance.
     pub fn limit_speed(&self, twist: Twist, free_distance_m: f64) -> Twist {
         let FollowerConfig { stop_distance_m, speed_per_distance_1_s, .. } = self.config;

@@ -13,6 +13,8 @@
 //!                                                        CollisionLimit ◀─ PathFollower ◀┘
 //! ```
 //!
+//! [`FleetCoordinator`] gives each robot of a fleet a goal of exploration instead: see [`coordination`].
+//!
 //! [`Planner`], [`PathFollower`] and [`CollisionLimit`] also serve goals that a person sets:
 //!
 //! ```
@@ -52,12 +54,14 @@ pub mod clearance_map;
 pub mod collision;
 pub mod command;
 pub mod config;
+pub mod coordination;
 pub mod exploration;
 pub mod explorer;
 pub mod follower;
 pub mod frontier;
 pub mod geometry;
 pub mod memory;
+pub mod navigation;
 pub mod observation;
 pub mod path;
 pub mod planner;
@@ -72,11 +76,16 @@ pub use clearance_map::ClearanceMap;
 pub use collision::CollisionLimit;
 pub use command::{DriveCommand, Twist};
 pub use config::{ExplorationConfig, FollowerConfig, NavConfig, NavConfigError, RobotBody};
+pub use coordination::{CoordinationConfig, FleetCoordinator};
 pub use exploration::{ExplorationGoal, ExplorationPlanner, GoalKind, GoalRequest};
 pub use explorer::{ExplorationStats, Explorer, OtherRobots};
 pub use follower::PathFollower;
 pub use frontier::{Frontier, FrontierSearch};
 pub use memory::RobotMemory;
+pub use navigation::{
+    FleetNavigator, GoalFrame, GoalPose, NavigatedRobot, NavigationFailure, NavigationGoal, NavigationInput,
+    NavigationState, NavigatorConfig,
+};
 pub use observation::{FleetObservation, MapView, RobotObservation, ScanView};
 pub use path::{Path, Waypoint};
 pub use planner::{PlanError, Planner, PlanningInput};

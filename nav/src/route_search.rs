@@ -15,7 +15,7 @@ const OPEN_COST: u32 = 4;
 /// Cost added to a tenth of a cell where the robot just fits: four times as dear, so that it keeps to open space.
 const NARROW_COST: u32 = 12;
 /// Cost of a straight step in open space: what one cell of the cost in metres stands for.
-const STRAIGHT_COST: u32 = STRAIGHT_LENGTH * OPEN_COST;
+pub(crate) const STRAIGHT_COST: u32 = STRAIGHT_LENGTH * OPEN_COST;
 /// Highest cost of a step: diagonal, with no clearance to spare. Bounds the number of buckets.
 const STEP_COST_MAX: u32 = DIAGONAL_LENGTH * (OPEN_COST + NARROW_COST);
 /// Clearance from which a step costs no more, metres: about two body widths of a Burger.
@@ -47,6 +47,31 @@ impl RouteSearch {
     ///
     /// Returns false if no passable cell lies within 0.4 m of the start.
     pub fn search_from(&mut self, map: &ClearanceMap, start_m: [f64; 2], clearance_min_m: f64) -> bool {
+        self.search(map, start_m, clearance_min_m, None)
+    }
+
+    /// Searches as [`RouteSearch::search_from`], and ends soon after it has reached a cell.
+    ///
+    /// Cells that cost up to `beyond_m` more than `until` are reached too. If `until` cannot be reached, all cells
+    /// that can be are.
+    pub(crate) fn search_until(
+        &mut self,
+        map: &ClearanceMap,
+        start_m: [f64; 2],
+        clearance_min_m: f64,
+        (until, beyond_m): (usize, f64),
+    ) -> bool {
+        let beyond = beyond_m / map.cell_size_m() * f64::from(STRAIGHT_COST);
+        self.search(map, start_m, clearance_min_m, Some((until, beyond as u32)))
+    }
+
+    fn search(
+        &mut self,
+        map: &ClearanceMap,
+        start_m: [f64; 2],
+        clearance_min_m: f64,
+        until: Option<(usize, u32)>,
+    ) -> bool {
         self.clearance_min_m = clearance_min_m;
         self.cost.clear();
         self.cost.resize(map.cell_count(), UNREACHED);
@@ -58,8 +83,13 @@ impl RouteSearch {
         let Some(start) = self.nearest_passable(map, start_m) else { return false };
         self.cost[start] = 0;
         self.buckets[0].push(start);
-        self.drain_buckets(map);
+        self.drain_buckets(map, until);
         true
+    }
+
+    /// Cost of the route to a cell, in fortieths of a straight step in open space. `None` if it was not reached.
+    pub(crate) fn cost(&self, cell: usize) -> Option<u32> {
+        self.cost.get(cell).copied().filter(|cost| *cost != UNREACHED)
     }
 
     /// All cells reached, cheapest first.
@@ -114,10 +144,10 @@ impl RouteSearch {
         None
     }
 
-    fn drain_buckets(&mut self, map: &ClearanceMap) {
+    fn drain_buckets(&mut self, map: &ClearanceMap, until: Option<(usize, u32)>) {
         let buckets = self.buckets.len() as u32;
-        let (mut cost, mut empty_in_a_row) = (0_u32, 0);
-        while empty_in_a_row < buckets {
+        let (mut cost, mut empty_in_a_row, mut cost_max) = (0_u32, 0, UNREACHED);
+        while empty_in_a_row < buckets && cost <= cost_max {
             let Some(cell) = self.buckets[(cost % buckets) as usize].pop() else {
                 cost += 1;
                 empty_in_a_row += 1;
@@ -127,6 +157,9 @@ impl RouteSearch {
             // An entry is stale if a cheaper route to its cell was found later.
             if self.cost[cell] == cost {
                 self.reached.push(cell);
+                if let Some((_, beyond)) = until.filter(|(until, _)| *until == cell) {
+                    cost_max = cost.saturating_add(beyond);
+                }
                 self.expand(map, cell, cost);
             }
         }

@@ -3,6 +3,10 @@
 //!
 //! No physics, SLAM or transport: a test with it is a test of exploration alone, and 300 s pass within a second.
 
+mod room;
+
+pub use room::Room;
+
 use crate::command::Twist;
 use crate::observation::BURGER_BASE_FROM_SCAN;
 use msg::grid::{LOG_ODDS_MIN, Occupancy, UNKNOWN, occupancy};
@@ -11,6 +15,8 @@ use msg::{Grid, GridHeader, Pose2, RobotId};
 
 /// Radius of a robot, metres.
 const ROBOT_RADIUS_M: f64 = 0.105;
+/// Radius of a person as the LiDAR sees one, metres.
+const PERSON_RADIUS_M: f64 = 0.2;
 /// Longest range of the LiDAR, metres.
 pub const RANGE_MAX_M: f64 = 3.5;
 /// Shortest range of the LiDAR, metres.
@@ -28,14 +34,14 @@ const MARGIN_M: f64 = MARGIN_CELLS as f64 * CELL_M;
 const HIT: i8 = 17;
 const MISS: i8 = -8;
 
-type Segment = [[f64; 2]; 2];
-
-/// A furnished room of 6 m by 8 m with robots in it.
+/// A room with robots and people in it.
 #[derive(Clone, Debug)]
 pub struct TestWorld {
     room: Room,
     robots: Vec<TestRobot>,
+    people_m: Vec<[f64; 2]>,
     map: Grid,
+    known_map: Grid,
     bumps: u32,
 }
 
@@ -48,7 +54,7 @@ struct TestRobot {
 }
 
 impl TestWorld {
-    /// A world with up to three robots side by side; the seed selects one of four places.
+    /// A furnished room of 6 m by 8 m with up to three robots side by side; the seed selects one of four places.
     pub fn new(robots: usize, seed: u64) -> Self {
         let starts = [
             Pose2::new(0.6, 0.6, 0.5),
@@ -57,12 +63,20 @@ impl TestWorld {
             Pose2::new(1.0, 6.0, 3.0),
         ];
         let first = starts[(seed % 4) as usize];
-        let robot = |y_m: &f64| {
-            let start = first * Pose2::new(0.0, *y_m, 0.0);
-            TestRobot { pose: start, start, twist: Twist::STOP, ranges_m: Vec::new() }
+        let start = |y_m: &f64| first * Pose2::new(0.0, *y_m, 0.0);
+        let starts: Vec<Pose2> = [0.0, 0.45, -0.45][..robots].iter().map(start).collect();
+        Self::with_room(Room::furnished(), &starts)
+    }
+
+    /// A room with robots at these poses.
+    pub fn with_room(room: Room, starts: &[Pose2]) -> Self {
+        let robot = |start: &Pose2| TestRobot {
+            pose: *start,
+            start: *start,
+            twist: Twist::STOP,
+            ranges_m: Vec::new(),
         };
-        let robots = [0.0, 0.45, -0.45][..robots].iter().map(robot).collect();
-        let room = Room::furnished();
+        let robots: Vec<TestRobot> = starts.iter().map(robot).collect();
         let (width, height) = room.size_cells();
         let (width, height) = (width + 2 * MARGIN_CELLS, height + 2 * MARGIN_CELLS);
         let header = GridHeader {
@@ -73,7 +87,18 @@ impl TestWorld {
             ..Default::default()
         };
         let map = Grid { header, cells: vec![UNKNOWN; width * height] };
-        Self { room, robots, map, bumps: 0 }
+        let known_map = Grid { header, cells: known_cells(&room, (width, height), starts) };
+        Self { room, robots, people_m: Vec::new(), map, known_map, bumps: 0 }
+    }
+
+    /// Sets where people stand: obstacles that scans show and the known map does not.
+    pub fn set_people(&mut self, people_m: Vec<[f64; 2]>) {
+        self.people_m = people_m;
+    }
+
+    /// Map of the room as it is known from an earlier visit: without robots and people.
+    pub fn known_map(&self) -> &Grid {
+        &self.known_map
     }
 
     /// Sets the velocity that a robot drives from now on.
@@ -124,7 +149,10 @@ impl TestWorld {
             let half_turn = Pose2::new(0.0, 0.0, angular_rad_s * STEP_S / 2.0);
             let next = robot.pose * half_turn * Pose2::new(linear_m_s * STEP_S, 0.0, 0.0) * half_turn;
             let touches = |other: &TestRobot| other.pose.distance_m(next) < 2.0 * ROBOT_RADIUS_M;
+            let touches_person =
+                |at: &[f64; 2]| (at[0] - next.x_m).hypot(at[1] - next.y_m) < ROBOT_RADIUS_M + PERSON_RADIUS_M;
             let is_blocked = self.room.clearance_m([next.x_m, next.y_m]) < ROBOT_RADIUS_M
+                || self.people_m.iter().any(touches_person)
                 || self.robots.iter().enumerate().any(|(k, other)| k != i && touches(other));
             let turned = Pose2::new(robot.pose.x_m, robot.pose.y_m, next.yaw_rad);
             self.bumps += u32::from(is_blocked && linear_m_s != 0.0);
@@ -142,9 +170,12 @@ impl TestWorld {
                 let angle_rad = sensor.yaw_rad + beam_angle_rad(beam);
                 let direction = [angle_rad.cos(), angle_rad.sin()];
                 let others = self.robots.iter().enumerate().filter(|(k, _)| *k != i);
-                let to_others =
-                    others.filter_map(|(_, o)| ray_disc_m(from, direction, [o.pose.x_m, o.pose.y_m]));
-                let range_m = to_others.fold(self.room.range_m(from, direction), f64::min);
+                let to_others = others.filter_map(|(_, o)| {
+                    ray_disc_m(from, direction, [o.pose.x_m, o.pose.y_m], ROBOT_RADIUS_M)
+                });
+                let to_people =
+                    self.people_m.iter().filter_map(|at| ray_disc_m(from, direction, *at, PERSON_RADIUS_M));
+                let range_m = to_others.chain(to_people).fold(self.room.range_m(from, direction), f64::min);
                 self.draw_beam(from, direction, range_m);
                 ranges_m.push(if range_m < RANGE_MAX_M { range_m as f32 } else { f32::INFINITY });
             }
@@ -196,95 +227,36 @@ pub fn beam_angle_rad(beam: usize) -> f64 {
     ((beam as f64 + 0.5) / BEAMS as f64 - 0.5) * core::f64::consts::FRAC_PI_2
 }
 
+/// Cells of a map that shows the room's walls and the floor that the first robot can get to.
+fn known_cells(room: &Room, (width, height): (usize, usize), starts: &[Pose2]) -> Vec<i8> {
+    let floor = starts.first().map_or(Vec::new(), |start| room.floor_cells([start.x_m, start.y_m]));
+    let (room_width, room_height) = room.size_cells();
+    let cell = |i: usize| {
+        let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let point = [x * CELL_M - MARGIN_M, y * CELL_M - MARGIN_M];
+        // A wall between two cells is drawn in both.
+        if room.clearance_m(point) < CELL_M * 0.6 {
+            return i8::MAX;
+        }
+        let column = (i % width).checked_sub(MARGIN_CELLS).filter(|x| *x < room_width);
+        let row = (i / width).checked_sub(MARGIN_CELLS).filter(|y| *y < room_height);
+        match column.zip(row) {
+            Some((x, y)) if floor.get(y * room_width + x) == Some(&true) => LOG_ODDS_MIN,
+            _ => UNKNOWN,
+        }
+    };
+    (0..width * height).map(cell).collect()
+}
+
 fn add_evidence(cell: &mut i8, evidence: i8) {
     let before = if *cell == UNKNOWN { 0 } else { *cell };
     *cell = before.saturating_add(evidence).max(LOG_ODDS_MIN);
 }
 
-#[derive(Clone, Debug)]
-struct Room {
-    segments: Vec<Segment>,
-    size_m: [f64; 2],
-}
-
-impl Room {
-    /// Tables by their legs, shelves, a sofa, a partition with a door, and a column at an angle to the grid.
-    fn furnished() -> Self {
-        let mut room = Self { segments: Vec::new(), size_m: [6.0, 8.0] };
-        room.block([3.0, 4.0], [6.0, 8.0], 0.0);
-        room.block([0.9, 7.7], [1.6, 0.4], 0.0);
-        room.block([5.7, 5.8], [0.5, 1.8], 0.0);
-        room.block([2.2, 1.0], [0.9, 0.5], 0.0);
-        room.block([4.6, 0.5], [0.8, 0.8], 0.3);
-        room.block([4.2, 2.9], [0.6, 0.6], 0.7);
-        // The partition, with a door of 0.9 m.
-        room.block([0.9, 4.5], [1.8, 0.1], 0.0);
-        room.block([4.1, 4.5], [2.8, 0.1], 0.0);
-        // A table's legs.
-        for [x, y] in [[1.2, 2.4], [2.2, 2.4], [1.2, 3.2], [2.2, 3.2]] {
-            room.block([x, y], [0.06, 0.06], 0.0);
-        }
-        for [x, y] in [[3.0, 6.0], [4.2, 6.0], [3.0, 6.8], [4.2, 6.8]] {
-            room.block([x, y], [0.06, 0.06], 0.0);
-        }
-        room
-    }
-
-    fn block(&mut self, [x, y]: [f64; 2], [width, depth]: [f64; 2], yaw_rad: f64) {
-        let pose = Pose2::new(x, y, yaw_rad);
-        let corners = [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]];
-        let corners = corners.map(|[u, v]| pose.apply([u * width, v * depth]));
-        self.segments.extend((0..4).map(|i| [corners[i], corners[(i + 1) % 4]]));
-    }
-
-    fn clearance_m(&self, point: [f64; 2]) -> f64 {
-        self.segments.iter().map(|segment| point_to_segment_m(point, segment)).fold(f64::INFINITY, f64::min)
-    }
-
-    fn range_m(&self, from: [f64; 2], direction: [f64; 2]) -> f64 {
-        self.segments.iter().filter_map(|s| ray_segment_m(from, direction, s)).fold(f64::INFINITY, f64::min)
-    }
-
-    fn floor_cells(&self, start: [f64; 2]) -> Vec<bool> {
-        let (width, height) = self.size_cells();
-        let mut floor = vec![false; width * height];
-        let cell = |p: [f64; 2]| ((p[0] / CELL_M) as usize, (p[1] / CELL_M) as usize);
-        let mut stack = vec![cell(start)];
-        while let Some((x, y)) = stack.pop() {
-            let centre = [(x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M];
-            if floor[y * width + x] || self.clearance_m(centre) < CELL_M * 0.71 {
-                continue;
-            }
-            floor[y * width + x] = true;
-            stack.extend([(x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)]);
-        }
-        floor
-    }
-
-    fn size_cells(&self) -> (usize, usize) {
-        ((self.size_m[0] / CELL_M) as usize, (self.size_m[1] / CELL_M) as usize)
-    }
-}
-
-fn point_to_segment_m(p: [f64; 2], [a, b]: &Segment) -> f64 {
-    let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-    let t = ((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / (dx * dx + dy * dy);
-    let t = t.clamp(0.0, 1.0);
-    (a[0] + t * dx - p[0]).hypot(a[1] + t * dy - p[1])
-}
-
-fn ray_segment_m(o: [f64; 2], d: [f64; 2], [a, b]: &Segment) -> Option<f64> {
-    let (ex, ey) = (b[0] - a[0], b[1] - a[1]);
-    let cross = d[0] * ey - d[1] * ex;
-    let (ax, ay) = (a[0] - o[0], a[1] - o[1]);
-    let (t, u) = ((ax * ey - ay * ex) / cross, (ax * d[1] - ay * d[0]) / cross);
-    (cross.abs() > 1e-12 && t > 0.0 && (0.0..=1.0).contains(&u)).then_some(t)
-}
-
-fn ray_disc_m(o: [f64; 2], d: [f64; 2], centre: [f64; 2]) -> Option<f64> {
+fn ray_disc_m(o: [f64; 2], d: [f64; 2], centre: [f64; 2], radius_m: f64) -> Option<f64> {
     let (cx, cy) = (centre[0] - o[0], centre[1] - o[1]);
     let along = cx * d[0] + cy * d[1];
     let off2 = cx * cx + cy * cy - along * along;
-    let half = (ROBOT_RADIUS_M * ROBOT_RADIUS_M - off2).sqrt();
+    let half = (radius_m * radius_m - off2).sqrt();
     (half.is_finite() && along - half > 0.0).then_some(along - half)
 }

@@ -1,6 +1,6 @@
 //! Draws a room's floor plan, and the paths and last scans of a fleet that drives in it by a simple rule.
 //!
-//! `cargo run -p sim --example look -- OUT.png [ROOM_FILE|-] [ROBOTS] [LIDAR] [SECONDS]`
+//! `cargo run -p sim --example look -- OUT.png [ROOM_FILE|KIND:SEED|-] [ROBOTS] [LIDAR] [SECONDS]`
 
 use bytemuck::Zeroable;
 use msg::grid::{Occupancy, occupancy};
@@ -17,9 +17,13 @@ const COLOURS: [[u8; 3]; 4] = [[120, 170, 255], [120, 210, 120], [240, 180, 90],
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
-    let out = arguments.next().ok_or("usage: look OUT.png [ROOM_FILE|-] [ROBOTS] [LIDAR] [SECONDS]")?;
+    let out =
+        arguments.next().ok_or("usage: look OUT.png [ROOM_FILE|KIND:SEED|-] [ROBOTS] [LIDAR] [SECONDS]")?;
     let room = match arguments.next().filter(|path| path != "-") {
-        Some(path) => Room::from_bytes(&path, &std::fs::read(&path)?)?,
+        Some(path) => match Room::parse_generated(&path) {
+            Some((kind, seed)) => Room::generate(kind, seed),
+            None => Room::from_bytes(&path, &std::fs::read(&path)?)?,
+        },
         None => Room::laboratory(),
     };
     let robots = arguments.next().map_or(Ok(3), |n| n.parse())?;

@@ -19,8 +19,9 @@ pub struct FleetArgs {
     /// Seed of all random numbers [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Room: `laboratory`, or a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
-    #[arg(long, value_name = "FILE")]
+    /// Room: `laboratory`; `office`, `warehouse`, `school`, `museum`, `flat` or `hall`, generated from a seed as in `office:7`; or
+    /// a scanned room (.json, .json.gz), .glb, .gltf, .obj [default: laboratory]
+    #[arg(long, value_name = "NAME|FILE")]
     pub room: Option<String>,
     /// Source of robots, scans and time [default: simulator]
     #[arg(long, value_name = "WORLD", value_enum)]

@@ -7,9 +7,9 @@ use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
+use crate::connection::{Stream, accept_connections, close_gently};
 use crate::frame::Frame;
 use crate::router::{BufferPool, ClientId, FlushOutcome, OutgoingQueue};
-use crate::server::{close_gently, set_socket_options};
 use msg::Monotonic;
 use std::cell::RefCell;
 use std::future::Future;
@@ -18,10 +18,10 @@ use std::net::SocketAddr;
 use std::rc::Rc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::io::Interest;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpListener;
 use tokio::sync::Notify;
-use tokio::task::{JoinSet, yield_now};
-use tokio::time::{Instant, sleep, sleep_until, timeout};
+use tokio::task::yield_now;
+use tokio::time::{Instant, sleep_until, timeout};
 use tungstenite::Message;
 
 /// Connections that are no clients yet or never will be, beside the clients; more are dropped.
@@ -30,8 +30,6 @@ const REQUESTS_MAX: usize = 32;
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// A file must be taken in this time. The whole page is smaller than a map.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Pause after accept(2) failed, as it does when file descriptors run out.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(500);
 /// Bytes read at a time.
@@ -77,26 +75,10 @@ pub async fn serve_page(
     clock: fn() -> Monotonic,
     stop: impl Future<Output = ()>,
 ) {
-    let connections_max = bridge.clients_max() + REQUESTS_MAX;
     let (origins, session_id) = (config.origins.clone(), session_id());
-    let shared = Rc::new(Shared { bridge, files, origins, clock, session_id });
-    let mut tasks = JoinSet::new();
-    let mut stop = std::pin::pin!(stop);
-    loop {
-        tokio::select! {
-            biased;
-            () = &mut stop => break,
-            Some(_) = tasks.join_next() => {}
-            accepted = listener.accept() => match accepted {
-                Ok((stream, peer)) if tasks.len() < connections_max => {
-                    tasks.spawn_local(serve_connection(shared.clone(), stream, peer));
-                }
-                Ok(_) => {}
-                Err(_) => sleep(ACCEPT_PAUSE).await,
-            },
-        }
-    }
-    tasks.shutdown().await;
+    let shared = Rc::new(Shared { bridge: bridge.clone(), files, origins, clock, session_id });
+    let serve = |stream, peer| serve_connection(shared.clone(), stream, peer);
+    accept_connections(&bridge, listener, REQUESTS_MAX, stop, serve).await;
 }
 
 /// Returns a text that is another one after each start.
@@ -106,11 +88,8 @@ fn session_id() -> String {
 }
 
 /// Answers the connection's one request.
-async fn serve_connection(shared: Rc<Shared>, stream: TcpStream, peer: SocketAddr) {
-    let Ok(local) = stream.local_addr() else { return };
-    if set_socket_options(&stream, shared.bridge.unsent_bytes_max()).is_err() {
-        return;
-    }
+async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, peer: SocketAddr) {
+    let Ok(local) = stream.tcp().local_addr() else { return };
     let mut received = Vec::new();
     let read = timeout(REQUEST_TIMEOUT, read_request(&stream, &mut received, local, &shared.origins)).await;
     let Ok(Ok(request)) = read else { return };
@@ -129,7 +108,7 @@ async fn serve_connection(shared: Rc<Shared>, stream: TcpStream, peer: SocketAdd
 type RequestResult = Result<(Request, usize), super::http::RequestError>;
 
 async fn read_request(
-    stream: &TcpStream,
+    stream: &impl Stream,
     received: &mut Vec<u8>,
     local: SocketAddr,
     origins: &[String],
@@ -140,7 +119,7 @@ async fn read_request(
             Ok(None) => {}
             Err(error) => return Ok(Err(error)),
         }
-        stream.readable().await?;
+        stream.ready(Interest::READABLE).await?;
         let mut buffer = [0; 4096];
         let space = buffer.len().min(HEAD_BYTES_MAX - received.len());
         match stream.try_read(&mut buffer[..space]) {
@@ -153,12 +132,12 @@ async fn read_request(
 }
 
 /// Sends a response and closes the connection.
-async fn respond(stream: &TcpStream, head: &[u8], body: &[u8]) {
+async fn respond(stream: &impl Stream, head: &[u8], body: &[u8]) {
     let write = async {
         for mut bytes in [head, body] {
             while !bytes.is_empty() {
-                stream.writable().await?;
-                match stream.try_write(bytes) {
+                stream.ready(Interest::WRITABLE).await?;
+                match stream.try_write_vectored(&[io::IoSlice::new(bytes)]) {
                     Ok(written) => bytes = &bytes[written..],
                     Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                     Err(error) => return Err(error),
@@ -173,16 +152,16 @@ async fn respond(stream: &TcpStream, head: &[u8], body: &[u8]) {
 }
 
 /// One browser: its connection, and its state.
-struct Connection<'a> {
+struct Connection<'a, S> {
     shared: &'a Shared,
     id: ClientId,
-    stream: &'a TcpStream,
+    stream: &'a S,
     encoder: &'a RefCell<Encoder>,
     session: Session,
     reader: MessageReader,
 }
 
-impl Drop for Connection<'_> {
+impl<S> Drop for Connection<'_, S> {
     /// Disconnects the client however its task ends.
     fn drop(&mut self) {
         self.shared.bridge.disconnect(self.id);
@@ -191,7 +170,7 @@ impl Drop for Connection<'_> {
 
 async fn serve_web_socket(
     shared: &Shared,
-    stream: TcpStream,
+    stream: impl Stream,
     peer: SocketAddr,
     response: Vec<u8>,
     first_bytes: &[u8],
@@ -211,18 +190,18 @@ async fn serve_web_socket(
         Ok(id) => id,
         Err(error) => {
             let refusal = text_response("503 Service Unavailable", &error.to_string());
-            return respond(&stream, &refusal, &[]).await;
+            return respond(&*stream, &refusal, &[]).await;
         }
     };
     let (session, reader) = (Session::default(), MessageReader::new());
-    let mut connection = Connection { shared, id, stream: &stream, encoder: &encoder, session, reader };
+    let mut connection = Connection { shared, id, stream: &*stream, encoder: &encoder, session, reader };
     // However it ends, the client is told what is left to say.
     let _ = connection.run(&wake, first_bytes).await;
     drop(connection);
     let unsent = shared.bridge.take_unsent(id);
-    let last_words = send_last_words(unsent, &encoder, &stream);
+    let last_words = send_last_words(unsent, &encoder, &*stream);
     if let Ok(Ok(())) = timeout(REQUEST_TIMEOUT, last_words).await {
-        close_gently(&stream).await;
+        close_gently(&*stream).await;
     }
 }
 
@@ -230,7 +209,7 @@ async fn serve_web_socket(
 async fn send_last_words(
     mut unsent: Option<OutgoingQueue>,
     encoder: &RefCell<Encoder>,
-    stream: &TcpStream,
+    stream: &impl Stream,
 ) -> io::Result<()> {
     let mut pool = BufferPool::default();
     while let Some(queue) = &mut unsent {
@@ -239,27 +218,27 @@ async fn send_last_words(
         };
         match queue.flush(write, &mut pool)? {
             FlushOutcome::Complete => unsent = None,
-            FlushOutcome::Blocked => stream.writable().await?,
+            FlushOutcome::Blocked => drop(stream.ready(Interest::WRITABLE).await?),
             FlushOutcome::TurnEnded => yield_now().await,
         }
     }
     encoder.borrow_mut().send_frames(&CLOSE_FRAME)?;
     while encoder.borrow().has_waiting() {
-        stream.writable().await?;
+        stream.ready(Interest::WRITABLE).await?;
         flush(encoder, stream)?;
     }
     Ok(())
 }
 
 /// Writes what the encoder holds, as far as the socket takes it.
-fn flush(encoder: &RefCell<Encoder>, stream: &TcpStream) -> io::Result<()> {
+fn flush(encoder: &RefCell<Encoder>, stream: &impl Stream) -> io::Result<()> {
     match encoder.borrow_mut().flush(&mut |slices: &[io::IoSlice<'_>]| stream.try_write_vectored(slices)) {
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
         result => result,
     }
 }
 
-impl Connection<'_> {
+impl<S: Stream> Connection<'_, S> {
     /// Reads and writes until the connection ends.
     async fn run(&mut self, wake: &Notify, first_bytes: &[u8]) -> io::Result<()> {
         let (bridge, stream) = (&self.shared.bridge, self.stream);

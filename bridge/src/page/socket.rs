@@ -1,13 +1,13 @@
 //! A WebSocket connection: the router's side of it, and the reader of what the browser sends.
 
 use super::encoder::Encoder;
+use crate::connection::Stream;
 use crate::router::ClientSocket;
 use msg::Monotonic;
 use socket2::SockRef;
 use std::cell::RefCell;
 use std::io::{self, IoSlice, Read, Write};
 use std::rc::Rc;
-use tokio::net::TcpStream;
 use tokio::sync::Notify;
 use tungstenite::protocol::{Role, WebSocket, WebSocketConfig};
 use tungstenite::{Error, Message};
@@ -16,9 +16,9 @@ use tungstenite::{Error, Message};
 pub const MESSAGE_BYTES_MAX: usize = 256 << 10;
 
 /// A client's socket for the router: it takes ros_tcp frames, and sends messages of the Foxglove protocol.
-pub struct PageSocket {
+pub(super) struct PageSocket<S> {
     /// The connection to the browser.
-    pub stream: Rc<TcpStream>,
+    pub stream: Rc<S>,
     /// Wakes the client's task.
     pub wake: Rc<Notify>,
     /// The monotonic time.
@@ -27,7 +27,7 @@ pub struct PageSocket {
     pub encoder: Rc<RefCell<Encoder>>,
 }
 
-impl ClientSocket for PageSocket {
+impl<S: Stream> ClientSocket for PageSocket<S> {
     fn now(&self) -> Monotonic {
         (self.clock)()
     }
@@ -43,7 +43,7 @@ impl ClientSocket for PageSocket {
 
     fn set_send_buffer(&self, bytes: usize) {
         // It fails only on a connection that is closed, which the next write notices.
-        let _ = SockRef::from(&*self.stream).set_send_buffer_size(bytes);
+        let _ = SockRef::from(self.stream.tcp()).set_send_buffer_size(bytes);
     }
 
     fn wake(&self) {

@@ -1,5 +1,7 @@
 //! Rooms as triangle meshes in frame `world`, z up, with the floor at z = 0.
 
+mod builder;
+mod generated;
 mod gltf;
 mod gltf_error;
 mod ground;
@@ -12,6 +14,7 @@ mod read;
 mod scene;
 
 use crate::config::ConfigError;
+pub use generated::RoomKind;
 pub use gltf_error::{AccessorError, GltfError, MeshError};
 use ground::{FLOOR_RELIEF_M, Ground};
 use mesh::Mesh;

@@ -1,0 +1,49 @@
+//! Parameters of coordinated exploration.
+
+use core::f64::consts::FRAC_PI_2;
+
+/// Parameters of the coordinator. The defaults suit TurtleBot3 Burgers with the paper's LiDAR of 90 degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoordinationConfig {
+    /// Angle that the sensor sees, radians, above 0.
+    pub view_angle_rad: f64,
+    /// Range to which unknown space is expected to be seen, metres, above 0: a little less than the sensor's.
+    pub view_range_m: f64,
+    /// Depth of unknown space at which it is open with a chance of 1/e, metres, above 0. About half a small room.
+    pub unknown_depth_m: f64,
+    /// Share of a viewpoint's area that the look around has to cover, 0 to 1. The rest costs more turning than it is
+    /// worth.
+    pub sweep_share: f64,
+    /// Smallest area for which a robot goes to a viewpoint while larger ones are left, square metres.
+    pub gain_min_m2: f64,
+    /// Smallest area for which it goes there at all, square metres: about 20 cells.
+    pub gain_last_m2: f64,
+    /// Most viewpoints of a plan. Bounds its time.
+    pub viewpoints_max: usize,
+    /// Area that each viewpoint counts in addition to its own, square metres: small pockets are seen while near.
+    pub pocket_m2: f64,
+    /// Worth of ending early, square metres: weight of the last arrival against the sum of all.
+    pub makespan_weight_m2: f64,
+    /// Time that a change of goal has to save, seconds. Less lets robots waver.
+    pub switch_cost_s: f64,
+    /// Time between two plans, seconds, above 0.
+    pub replan_period_s: f64,
+}
+
+impl Default for CoordinationConfig {
+    fn default() -> Self {
+        Self {
+            view_angle_rad: FRAC_PI_2,
+            view_range_m: 3.3,
+            unknown_depth_m: 1.5,
+            sweep_share: 0.85,
+            gain_min_m2: 0.25,
+            gain_last_m2: 0.04,
+            viewpoints_max: 32,
+            pocket_m2: 1.5,
+            makespan_weight_m2: 10.0,
+            switch_cost_s: 5.0,
+            replan_period_s: 1.0,
+        }
+    }
+}

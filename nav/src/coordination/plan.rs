@@ -1,0 +1,365 @@
+//! One plan of the coordinator: viewpoints, tours, and the goals that follow.
+
+use super::FleetCoordinator;
+use super::coarse::{CoarseMap, UNREACHED};
+use super::tours::TourProblem;
+use super::types::{
+    CoordinatedRobot, CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal,
+    TimeEstimate,
+};
+use super::views::{Viewpoint, ViewpointSearch};
+use crate::geometry::distance_m;
+use core::f64::consts::{FRAC_PI_2, PI};
+use msg::grid::Occupancy;
+use msg::pose::wrap_angle;
+use msg::{Pose2, ROBOTS_MAX};
+
+/// Radius of the free disc assumed where a robot stands, metres: its body, whatever the map says.
+const OWN_DISC_M: f64 = 0.2;
+/// Radius of the disc marked where a robot stands that does not get goals, metres.
+const STANDING_DISC_M: f64 = 0.16;
+/// Mean speed along a route, and mean turning speed, as shares of the follower's limits: curves, stops, ramps.
+const SPEED_SHARE: f64 = 0.9;
+/// Time to begin to move and to stop, seconds.
+const STOP_S: f64 = 0.7;
+/// Distance within which a viewpoint is the current goal of a robot, metres: the lattice moves with the map.
+const SAME_GOAL_M: f64 = 0.5;
+/// Distance within which a robot is at its goal, metres.
+const AT_GOAL_M: f64 = 0.25;
+/// Distances from the viewpoint of another robot within which a robot without one waits, metres.
+const FOLLOW_M: [f64; 2] = [1.0, 2.5];
+/// Smallest area for which a second robot follows, square metres: about what a door may lead to.
+const FOLLOW_GAIN_MIN_M2: f64 = 1.5;
+/// Factor of the most by the least time expected, for a fleet that has just begun.
+const ESTIMATE_FACTOR: f64 = 3.0;
+
+/// Buffers of a plan, kept for the next one.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PlanBuffers {
+    pub(super) views: ViewpointSearch,
+    pub(super) coarse: CoarseMap,
+    /// Route costs of each robot that gets goals, by square; in the order of [`PlanBuffers::robots`].
+    pub(super) robot_costs: Vec<Vec<u32>>,
+    /// Indices of robots in the input.
+    robots: Vec<usize>,
+    viewpoints: Vec<Viewpoint>,
+    costs: Vec<u32>,
+}
+
+impl PlanBuffers {
+    /// Whether a robot reaches the square of a cell.
+    pub(super) fn is_reached(&self, cell: usize) -> bool {
+        let square = self.coarse.square_of(cell);
+        self.robot_costs.iter().any(|costs| costs[square] != UNREACHED)
+    }
+}
+
+impl FleetCoordinator {
+    /// Copies the map, and marks robots.
+    pub(super) fn update_map(&mut self, input: &CoordinationInput) {
+        let places = input.robots.iter().filter_map(|robot| robot.map_from_base.filter(|p| p.is_finite()));
+        let (mut sum, mut count) = ([0.0, 0.0], 0.0);
+        for place in places {
+            sum = [sum[0] + place.x_m, sum[1] + place.y_m];
+            count += 1.0;
+        }
+        let centre_m = if count > 0.0 { sum.map(|v| v / count) } else { [0.0, 0.0] };
+        self.map.copy_window(&input.map, centre_m);
+        for robot in input.robots {
+            let Some(pose) = robot.map_from_base.filter(|pose| pose.is_finite()) else { continue };
+            let (radius_m, occupancy) = match robot.availability {
+                RobotAvailability::Free => (OWN_DISC_M, Occupancy::Free),
+                _ => (STANDING_DISC_M, Occupancy::Occupied),
+            };
+            self.map.mark_disc([pose.x_m, pose.y_m], radius_m, occupancy);
+        }
+        self.map.compute_clearance();
+    }
+
+    /// Plans all goals anew.
+    pub(super) fn plan(&mut self, input: &CoordinationInput) {
+        self.update_map(input);
+        self.search_robot_routes(input);
+        if self.phase == CoordinationPhase::Exploring {
+            self.find_viewpoints(input);
+            if !self.buffers.viewpoints.is_empty() {
+                return self.assign(input);
+            }
+            // A robot that cannot be placed now may see more later.
+            let is_waiting = |robot: &CoordinatedRobot| robot.availability == RobotAvailability::Free;
+            if self.buffers.robots.is_empty() && input.robots.iter().any(is_waiting) {
+                return;
+            }
+            self.phase = CoordinationPhase::Returning;
+            self.estimate = Some(TimeEstimate { least_s: 0.0, most_s: 0.0 });
+            self.goals = [const { None }; ROBOTS_MAX];
+        }
+        self.send_home(input);
+    }
+
+    /// Computes what each free robot reaches.
+    fn search_robot_routes(&mut self, input: &CoordinationInput) {
+        let clearance_min_m = self.clearance_min_m();
+        let Self { map, buffers, .. } = self;
+        let is_excluded = |cell: usize| {
+            let centre_m = map.cell_centre_m(cell);
+            input.excluded.iter().any(|polygon| contains(polygon, centre_m))
+        };
+        buffers.coarse.update(map, clearance_min_m, is_excluded);
+        buffers.robots.clear();
+        for (index, robot) in input.robots.iter().enumerate() {
+            let pose = robot.map_from_base.filter(|pose| pose.is_finite());
+            let is_free = robot.availability == RobotAvailability::Free;
+            let Some(pose) = pose.filter(|_| is_free) else { continue };
+            let Some(cell) = map.cell_at([pose.x_m, pose.y_m]) else { continue };
+            let Some(start) = buffers.coarse.nearest_passable(buffers.coarse.square_of(cell)) else {
+                continue;
+            };
+            let slot = buffers.robots.len();
+            if buffers.robot_costs.len() == slot {
+                buffers.robot_costs.push(Vec::new());
+            }
+            buffers.coarse.search_from(start, &mut buffers.robot_costs[slot]);
+            buffers.robots.push(index);
+        }
+        buffers.robot_costs.truncate(buffers.robots.len());
+    }
+
+    /// Finds viewpoints: with much to see, or if there are none, with little.
+    fn find_viewpoints(&mut self, input: &CoordinationInput) {
+        let clearance_min_m = self.clearance_min_m();
+        let Self { map, buffers, config, unseen, goals, .. } = self;
+        let mut views = core::mem::take(&mut buffers.views);
+        let mut found = core::mem::take(&mut buffers.viewpoints);
+        let is_candidate = |cell: usize| {
+            map.occupancy(cell) == Occupancy::Free
+                && map.clearance_m(cell) >= clearance_min_m
+                && buffers.is_reached(cell)
+        };
+        let is_ignored = |cell: usize| unseen.is_given_up(map.cell_centre_m(cell));
+        // Where robots stand and where they go now are candidates too.
+        let places = buffers.robots.iter().flat_map(|index| {
+            let robot = &input.robots[*index];
+            let here = robot.map_from_base.map(|pose| [pose.x_m, pose.y_m]);
+            let goal =
+                goals[robot.robot.index()].as_ref().filter(|goal| goal.purpose == GoalPurpose::Explore);
+            [here, goal.map(|goal| goal.position_m)]
+        });
+        let extra: Vec<usize> = places
+            .flatten()
+            .filter_map(|at| map.cell_at(at))
+            .filter(|cell| buffers.is_reached(*cell))
+            .collect();
+        for gain_min_m2 in [config.gain_min_m2, config.gain_last_m2] {
+            views.find(map, config, &is_candidate, &is_ignored, &extra, gain_min_m2, &mut found);
+            if !found.is_empty() {
+                break;
+            }
+        }
+        (buffers.views, buffers.viewpoints) = (views, found);
+    }
+
+    /// Assigns viewpoints to robots as tours, and sets the robots' goals to the first of each.
+    fn assign(&mut self, input: &CoordinationInput) {
+        let problem = self.tour_problem(input);
+        let tours = problem.solve();
+        let mut assigned = vec![0_u32; self.buffers.viewpoints.len()];
+        let mut latest_s: f64 = 0.0;
+        let mut idle = Vec::new();
+        for (slot, tour) in tours.iter().enumerate() {
+            let robot = input.robots[self.buffers.robots[slot]];
+            let Some(first) = tour.first() else {
+                idle.push(slot);
+                continue;
+            };
+            assigned[*first] += 1;
+            latest_s = latest_s.max(problem.duration_s(slot, tour));
+            let viewpoint = self.buffers.viewpoints[*first];
+            let expected_s = problem.from_robot_s[slot][*first] + problem.service_s[*first];
+            let pose = robot.map_from_base.unwrap_or_default();
+            self.goals[robot.robot.index()] = Some(self.goal_at(&viewpoint, pose, expected_s));
+        }
+        let factor = 1.0 + (ESTIMATE_FACTOR - 1.0) / (1.0 + latest_s / 600.0);
+        self.estimate = Some(TimeEstimate { least_s: latest_s, most_s: latest_s * factor });
+        for slot in idle {
+            self.follow(input, slot, &mut assigned);
+        }
+    }
+
+    fn tour_problem(&mut self, input: &CoordinationInput) -> TourProblem {
+        let config = self.config;
+        let (speed_m_s, turn_rad_s) = self.speeds();
+        let Self { map, buffers, goals, .. } = self;
+        let count = buffers.viewpoints.len();
+        let mut problem =
+            TourProblem { makespan_weight: config.makespan_weight_m2, ..TourProblem::default() };
+        let squares: Vec<Option<usize>> = buffers
+            .viewpoints
+            .iter()
+            .map(|viewpoint| buffers.coarse.nearest_passable(buffers.coarse.square_of(viewpoint.cell)))
+            .collect();
+        for (slot, index) in buffers.robots.iter().enumerate() {
+            let robot = &input.robots[*index];
+            let pose = robot.map_from_base.unwrap_or_default();
+            let goal_m = goals[robot.robot.index()].as_ref().map(|goal| goal.position_m);
+            let time_s = |i: usize| {
+                let square = squares[i]?;
+                let length_m = buffers.coarse.length_m(buffers.robot_costs[slot][square])?;
+                let viewpoint = &buffers.viewpoints[i];
+                let at_m = map.cell_centre_m(viewpoint.cell);
+                let switch_s = match goal_m {
+                    Some(goal_m) if distance_m(goal_m, at_m) > SAME_GOAL_M => config.switch_cost_s,
+                    _ => 0.0,
+                };
+                let turn_rad = first_turn_rad(pose, at_m, viewpoint);
+                let is_here = distance_m([pose.x_m, pose.y_m], at_m) < AT_GOAL_M;
+                let length_m = if is_here { 0.0 } else { length_m };
+                Some(length_m / speed_m_s + turn_rad / turn_rad_s + switch_s)
+            };
+            problem.from_robot_s.push((0..count).map(|i| time_s(i).unwrap_or(f64::INFINITY)).collect());
+        }
+        let mut costs = core::mem::take(&mut buffers.costs);
+        for from in &squares {
+            let mut row = vec![f64::INFINITY; count];
+            if let Some(from) = from {
+                buffers.coarse.search_from(*from, &mut costs);
+                for (time_s, to) in row.iter_mut().zip(&squares) {
+                    let length_m = to.and_then(|to| buffers.coarse.length_m(costs[to]));
+                    // Half a turn of a right angle before and after, in the mean.
+                    *time_s =
+                        length_m.map_or(f64::INFINITY, |m| m / speed_m_s + FRAC_PI_2 / turn_rad_s + STOP_S);
+                }
+            }
+            problem.between_s.push(row);
+        }
+        buffers.costs = costs;
+        problem.service_s = buffers.viewpoints.iter().map(|v| v.sweep_rad / turn_rad_s).collect();
+        problem.weight = buffers.viewpoints.iter().map(|v| v.gain_m2 + config.pocket_m2).collect();
+        problem
+    }
+
+    /// Mean speeds expected, m/s and rad/s.
+    fn speeds(&self) -> (f64, f64) {
+        (self.follower.cruise_m_s * SPEED_SHARE, self.follower.turn_rad_s * SPEED_SHARE)
+    }
+
+    fn goal_at(&self, viewpoint: &Viewpoint, pose: Pose2, expected_s: f64) -> RobotGoal {
+        let position_m = self.map.cell_centre_m(viewpoint.cell);
+        let is_here = distance_m([pose.x_m, pose.y_m], position_m) < AT_GOAL_M;
+        let arrival_rad = if is_here {
+            pose.yaw_rad
+        } else {
+            crate::geometry::bearing_rad([pose.x_m, pose.y_m], position_m)
+        };
+        let grid_rad = self.map.yaw_rad();
+        let (first, last) =
+            (grid_rad + viewpoint.look_rad, grid_rad + viewpoint.look_rad + viewpoint.sweep_rad);
+        let is_nearer = wrap_angle(first - arrival_rad).abs() <= wrap_angle(last - arrival_rad).abs();
+        let (first, last) = if is_nearer { (first, last) } else { (last, first) };
+        let steps = ((last - first).abs() / FRAC_PI_2).ceil().max(1.0) as usize;
+        let heading = |i: usize| wrap_angle(first + (last - first) * i as f64 / steps as f64);
+        let headings_rad = if (last - first).abs() < 1e-3 {
+            vec![wrap_angle(first)]
+        } else {
+            (0..=steps).map(heading).collect()
+        };
+        RobotGoal {
+            purpose: GoalPurpose::Explore,
+            position_m,
+            headings_rad,
+            expected_s,
+            gain_m2: viewpoint.gain_m2,
+        }
+    }
+
+    /// Lets a robot without a viewpoint wait near the one that promises most for each robot there.
+    fn follow(&mut self, input: &CoordinationInput, slot: usize, assigned: &mut [u32]) {
+        let robot = input.robots[self.buffers.robots[slot]];
+        let index = robot.robot.index();
+        let pose = robot.map_from_base.unwrap_or_default();
+        let buffers = &self.buffers;
+        let worth = |i: usize| buffers.viewpoints[i].gain_m2 / f64::from(assigned[i] + 1);
+        let best = (0..assigned.len())
+            .filter(|i| buffers.viewpoints[*i].gain_m2 >= FOLLOW_GAIN_MIN_M2)
+            .filter(|i| {
+                let square = buffers.coarse.square_of(buffers.viewpoints[*i].cell);
+                buffers.coarse.length_m(buffers.robot_costs[slot][square]).is_some()
+            })
+            .max_by(|a, b| worth(*a).total_cmp(&worth(*b)).then(b.cmp(a)));
+        let Some(best) = best else {
+            self.goals[index] = None;
+            return;
+        };
+        assigned[best] += 1;
+        let beside_m = self.map.cell_centre_m(buffers.viewpoints[best].cell);
+        let is_near = |at_m: [f64; 2]| (FOLLOW_M[0]..FOLLOW_M[1]).contains(&distance_m(at_m, beside_m));
+        if is_near([pose.x_m, pose.y_m]) {
+            self.goals[index] = None;
+            return;
+        }
+        let kept = self.goals[index].as_ref().filter(|goal| goal.purpose == GoalPurpose::Follow);
+        if kept.is_some_and(|goal| is_near(goal.position_m)) {
+            return;
+        }
+        let cost = |cell: &usize| buffers.robot_costs[slot][buffers.coarse.square_of(*cell)];
+        let clearance_min_m = self.clearance_min_m();
+        let place = (0..self.map.cell_count())
+            .step_by(7)
+            .filter(|cell| {
+                self.map.clearance_m(*cell) >= clearance_min_m && is_near(self.map.cell_centre_m(*cell))
+            })
+            .filter(|cell| self.map.occupancy(*cell) == Occupancy::Free && cost(cell) != UNREACHED)
+            .min_by_key(|cell| (cost(cell), *cell));
+        self.goals[index] = place.map(|cell| RobotGoal {
+            purpose: GoalPurpose::Follow,
+            position_m: self.map.cell_centre_m(cell),
+            headings_rad: Vec::new(),
+            expected_s: buffers.coarse.length_m(cost(&cell)).unwrap_or(0.0) / self.speeds().0,
+            gain_m2: 0.0,
+        });
+    }
+
+    /// Sends robots that are not home yet to where they began.
+    fn send_home(&mut self, input: &CoordinationInput) {
+        let mut is_anyone_away = false;
+        for robot in input.robots.iter().filter(|robot| robot.availability == RobotAvailability::Free) {
+            let index = robot.robot.index();
+            let Some(home) = self.homes[index] else { continue };
+            is_anyone_away = true;
+            self.goals[index].get_or_insert(RobotGoal {
+                purpose: GoalPurpose::Home,
+                position_m: [home.x_m, home.y_m],
+                headings_rad: vec![home.yaw_rad],
+                expected_s: 0.0,
+                gain_m2: 0.0,
+            });
+        }
+        if !is_anyone_away {
+            self.phase = CoordinationPhase::Done;
+            self.goals = [const { None }; ROBOTS_MAX];
+        }
+    }
+}
+
+/// Angle that a robot turns before and after it drives straight to a viewpoint, radians.
+fn first_turn_rad(pose: Pose2, at_m: [f64; 2], viewpoint: &Viewpoint) -> f64 {
+    let here_m = [pose.x_m, pose.y_m];
+    let end_rad = viewpoint.look_rad + viewpoint.sweep_rad;
+    let to_look = |from_rad: f64| {
+        wrap_angle(viewpoint.look_rad - from_rad).abs().min(wrap_angle(end_rad - from_rad).abs())
+    };
+    if distance_m(here_m, at_m) < AT_GOAL_M {
+        return to_look(pose.yaw_rad);
+    }
+    let way_rad = crate::geometry::bearing_rad(here_m, at_m);
+    (wrap_angle(way_rad - pose.yaw_rad).abs() + to_look(way_rad)).min(2.0 * PI)
+}
+
+/// Whether a polygon contains a point (even-odd rule).
+fn contains(polygon: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
+    let edges = polygon.iter().zip(polygon.iter().cycle().skip(1));
+    let crosses = |(a, b): (&[f64; 2], &[f64; 2])| {
+        (a[1] > y) != (b[1] > y) && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+    };
+    edges.filter(|edge| crosses(*edge)).count() % 2 == 1
+}

@@ -1,0 +1,69 @@
+//! Unknown cells that robots have looked at in vain: some surfaces never return a beam.
+
+use std::collections::HashMap;
+
+/// Side of a square in which attempts are counted, metres: two cells of the map, so that corrections of it matter little.
+const SQUARE_M: f64 = 0.1;
+/// Attempts after which a square is left alone.
+const ATTEMPTS_MAX: u8 = 2;
+/// Most squares that are remembered: 1000 square metres. More are not added.
+const SQUARES_MAX: usize = 100_000;
+
+/// Squares of unknown space with the number of attempts to see them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct UnseenCells {
+    attempts: HashMap<[i32; 2], Attempts>,
+    attempt: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Attempts {
+    count: u8,
+    last: u32,
+}
+
+impl UnseenCells {
+    /// Counts the attempt under way for the square of a point; once, however often it is called.
+    pub(super) fn add_attempt(&mut self, point_m: [f64; 2]) {
+        let key = Self::key(point_m);
+        if self.attempts.len() >= SQUARES_MAX && !self.attempts.contains_key(&key) {
+            return;
+        }
+        let square = self.attempts.entry(key).or_insert(Attempts { count: 0, last: u32::MAX });
+        if square.last != self.attempt {
+            *square = Attempts { count: square.count.saturating_add(1), last: self.attempt };
+        }
+    }
+
+    /// Ends the attempt under way.
+    pub(super) fn end_attempt(&mut self) {
+        self.attempt = self.attempt.wrapping_add(1);
+    }
+
+    /// Whether a point is in a square that is left alone.
+    pub(super) fn is_given_up(&self, point_m: [f64; 2]) -> bool {
+        self.attempts.get(&Self::key(point_m)).is_some_and(|square| square.count >= ATTEMPTS_MAX)
+    }
+
+    fn key(point_m: [f64; 2]) -> [i32; 2] {
+        point_m.map(|v| (v / SQUARE_M).floor() as i32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_square_is_given_up_after_two_attempts() {
+        let mut unseen = UnseenCells::default();
+        for attempt in 0..2 {
+            assert!(!unseen.is_given_up([1.02, 3.0]), "{attempt}");
+            unseen.add_attempt([1.02, 3.01]);
+            unseen.add_attempt([1.07, 3.08]);
+            unseen.end_attempt();
+        }
+        assert!(unseen.is_given_up([1.05, 3.05]));
+        assert!(!unseen.is_given_up([1.15, 3.05]));
+    }
+}

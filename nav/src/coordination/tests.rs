@@ -1,0 +1,107 @@
+//! Tests of the coordinator on small maps.
+
+use super::*;
+use crate::observation::MapView;
+
+/// Two rooms of 4 m by 4 m beside a known one, both unknown: free cells of the middle, walls with two doors.
+fn cells() -> Vec<i8> {
+    let (width, height) = (240, 80);
+    let mut cells = vec![-1_i8; width * height];
+    for (x, y) in (80..160).flat_map(|x| (0..height).map(move |y| (x, y))) {
+        let is_door = (30..50).contains(&y);
+        let is_wall = y == 0 || y == height - 1 || ((x == 80 || x == 159) && !is_door);
+        cells[y * width + x] = if is_wall { 100 } else { 0 };
+    }
+    cells
+}
+
+fn robot(number: usize, x_m: f64, y_m: f64) -> CoordinatedRobot {
+    CoordinatedRobot {
+        robot: RobotId::new(number).unwrap(),
+        map_from_base: Some(Pose2::new(x_m, y_m, 0.0)),
+        availability: RobotAvailability::Free,
+        progress: GoalProgress::Idle,
+    }
+}
+
+fn input<'a>(cells: &'a [i8], robots: &'a [CoordinatedRobot], at_s: f64) -> CoordinationInput<'a> {
+    let map = MapView::from_percent(Pose2::IDENTITY, 0.05, (240, 80), cells).unwrap();
+    CoordinationInput { stamp: Stamp::from_seconds(at_s), map, robots, excluded: &[] }
+}
+
+#[test]
+fn two_robots_go_to_different_doors() {
+    let cells = cells();
+    let robots = [robot(1, 5.8, 2.0), robot(2, 6.4, 2.0)];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    assert_eq!(coordinator.update(&input(&cells, &robots, 0.0)), CoordinationPhase::Exploring);
+    let goals: Vec<[f64; 2]> = robots.iter().map(|r| coordinator.goal(r.robot).unwrap().position_m).collect();
+    assert!(goals[0][0] < 5.8 && goals[1][0] > 6.2, "{goals:?}");
+    assert!(coordinator.estimate().unwrap().least_s > 5.0);
+}
+
+#[test]
+fn only_free_robots_get_goals_and_the_others_tasks_pass_on() {
+    let cells = cells();
+    let mut robots = [robot(1, 5.8, 2.0), robot(2, 6.4, 2.0)];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    coordinator.update(&input(&cells, &robots, 0.0));
+    assert!(coordinator.goal(robots[1].robot).is_some());
+    for taken in [RobotAvailability::Manual, RobotAvailability::Lost, RobotAvailability::Dead] {
+        robots[1].availability = taken;
+        coordinator.update(&input(&cells, &robots, 2.0));
+        assert!(coordinator.goal(robots[1].robot).is_none(), "{taken:?}");
+        assert!(coordinator.goal(robots[0].robot).is_some(), "{taken:?}");
+    }
+}
+
+#[test]
+fn what_is_never_seen_is_given_up_and_robots_go_home() {
+    let cells = cells();
+    let mut robots = [robot(1, 5.8, 2.0)];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    let mut seconds = 0.0;
+    // The map never changes, although the robot arrives everywhere.
+    while coordinator.update(&input(&cells, &robots, seconds)) == CoordinationPhase::Exploring {
+        let at = coordinator.goal(robots[0].robot).unwrap().position_m;
+        robots[0].map_from_base = Some(Pose2::new(at[0], at[1], 0.0));
+        robots[0].progress = GoalProgress::Reached;
+        seconds += 10.0;
+        assert!(seconds < 2000.0, "exploration does not end");
+    }
+    let leftovers = coordinator.leftovers();
+    assert!(leftovers.iter().any(|left| left.reason == LeftoverReason::NotVisible), "{leftovers:?}");
+    robots[0].progress = GoalProgress::Idle;
+    coordinator.update(&input(&cells, &robots, seconds + 2.0));
+    let goal = coordinator.goal(robots[0].robot).unwrap();
+    assert_eq!((goal.purpose, goal.position_m), (GoalPurpose::Home, [5.8, 2.0]));
+    robots[0].progress = GoalProgress::Reached;
+    assert_eq!(coordinator.update(&input(&cells, &robots, seconds + 3.0)), CoordinationPhase::Done);
+}
+
+#[test]
+fn excluded_areas_are_not_entered_and_are_named_at_the_end() {
+    let cells = cells();
+    let robots = [robot(1, 6.0, 2.0)];
+    let left = vec![[3.0, 0.0], [5.2, 0.0], [5.2, 4.0], [3.0, 4.0]];
+    let excluded = [left];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    coordinator.update(&CoordinationInput { excluded: &excluded, ..input(&cells, &robots, 0.0) });
+    let goal = coordinator.goal(robots[0].robot).unwrap();
+    assert!(goal.position_m[0] > 5.2, "{goal:?}");
+    assert!(coordinator.leftovers().iter().any(|left| left.reason == LeftoverReason::Unreachable));
+}
+
+#[test]
+fn the_same_inputs_give_the_same_goals() {
+    let cells = cells();
+    let robots = [robot(1, 5.0, 1.0), robot(2, 6.4, 3.0), robot(3, 7.0, 2.0)];
+    let run = || {
+        let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+        for i in 0..5 {
+            coordinator.update(&input(&cells, &robots, f64::from(i)));
+        }
+        robots.map(|robot| coordinator.goal(robot.robot).cloned())
+    };
+    assert_eq!(run(), run());
+}

@@ -1,0 +1,108 @@
+//! What a coordinator is told, and what it answers.
+
+use crate::observation::MapView;
+use msg::{Pose2, RobotId, Stamp};
+
+/// Whether the coordinator may give a robot goals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RobotAvailability {
+    /// It drives to the coordinator's goals.
+    Free,
+    /// A person drives it.
+    Manual,
+    /// Its pose in the map is not known.
+    Lost,
+    /// It does not answer any more; where it stands is an obstacle.
+    Dead,
+}
+
+/// What a robot does with its goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GoalProgress {
+    /// It has no goal.
+    Idle,
+    /// It drives or looks around.
+    Active,
+    /// It has arrived and looked at all headings.
+    Reached,
+    /// It gave up.
+    Failed,
+}
+
+impl GoalProgress {
+    pub(super) fn has_ended(self) -> bool {
+        matches!(self, Self::Reached | Self::Failed)
+    }
+}
+
+/// One robot of the fleet.
+#[derive(Clone, Copy, Debug)]
+pub struct CoordinatedRobot {
+    /// The robot described.
+    pub robot: RobotId,
+    /// Pose in the map; `None` while unknown.
+    pub map_from_base: Option<Pose2>,
+    /// Whether it may get goals.
+    pub availability: RobotAvailability,
+    /// What it does with its goal.
+    pub progress: GoalProgress,
+}
+
+/// The fleet at one moment.
+#[derive(Clone, Copy, Debug)]
+pub struct CoordinationInput<'a> {
+    /// Time of the poses.
+    pub stamp: Stamp,
+    /// Map of all robots: the merged map.
+    pub map: MapView<'a>,
+    /// Robots whose poses are in this map. A fleet of several maps has a coordinator for each.
+    pub robots: &'a [CoordinatedRobot],
+    /// Polygons that no robot may enter, corners in the map, metres.
+    pub excluded: &'a [Vec<[f64; 2]>],
+}
+
+/// Purpose of a goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GoalPurpose {
+    /// See unknown space.
+    Explore,
+    /// Stay near a robot that sees much, to help as soon as ways part.
+    Follow,
+    /// Return to where the robot began.
+    Home,
+}
+
+/// Goal of one robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotGoal {
+    /// Purpose of the goal.
+    pub purpose: GoalPurpose,
+    /// Place to drive to, in the map, metres. Identifies the goal.
+    pub position_m: [f64; 2],
+    /// Headings to look at there, one after the other, radians. Steps are less than half a turn.
+    pub headings_rad: Vec<f64>,
+    /// Expected time of driving and looking, seconds.
+    pub expected_s: f64,
+    /// Area expected to be seen, square metres.
+    pub gain_m2: f64,
+}
+
+/// What the fleet does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CoordinationPhase {
+    /// Robots go to viewpoints.
+    Exploring,
+    /// Nothing reachable is unknown; robots return to where they began.
+    Returning,
+    /// All robots that could return have returned.
+    Done,
+}
+
+/// Expected time until nothing reachable is unknown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeEstimate {
+    /// Time to visit all viewpoints known now, seconds: more will be found.
+    pub least_s: f64,
+    /// Time if unknown space leads to as much again at each viewpoint, seconds.
+    pub most_s: f64,
+}

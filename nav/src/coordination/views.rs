@@ -1,0 +1,249 @@
+//! Viewpoints: places from which much unknown space is expected to be seen, and the headings to look at there.
+//!
+//! The expected new area is that of unknown cells on rays of the sensor, as in next-best-view exploration
+//! (González-Baños and Latombe 2002). Viewpoints are chosen one after the other, each for the area that those before it
+//! do not show (greedy set cover).
+
+use super::config::CoordinationConfig;
+use crate::clearance_map::ClearanceMap;
+use core::f64::consts::TAU;
+use msg::grid::Occupancy;
+
+/// Rays of a viewpoint: one per 6 degrees.
+pub(super) const RAYS: usize = 60;
+/// Distance between candidate viewpoints, cells: 0.4 m.
+const LATTICE_CELLS: i64 = 8;
+/// The two cells beside a diagonal step into unknown space: at a corner of walls one of them is occupied.
+const OPEN_SIDES: [(i64, i64); 2] = [(1, 0), (0, 1)];
+
+/// A place from which unknown space is seen.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Viewpoint {
+    /// Cell of the clearance map.
+    pub(super) cell: usize,
+    /// Area expected to be seen, square metres, which no viewpoint before it shows.
+    pub(super) gain_m2: f64,
+    /// First heading of the centre of the sensor, radians, and the angle to turn on from there, radians from 0.
+    pub(super) look_rad: f64,
+    pub(super) sweep_rad: f64,
+}
+
+/// Finds viewpoints, in buffers that it keeps.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ViewpointSearch {
+    /// Number of the search in which a cell was shown by a chosen viewpoint.
+    shown: Vec<u32>,
+    search: u32,
+    candidates: Vec<(f64, usize)>,
+    rays: Vec<Ray>,
+}
+
+/// Steps of one ray: cell offsets.
+#[derive(Clone, Debug)]
+struct Ray(Vec<(i64, i64)>);
+
+/// What is seen along a ray: expected new area, per ray.
+type Gains = [f64; RAYS];
+
+impl ViewpointSearch {
+    /// Chooses viewpoints among passable cells, best first, until the next would show less than `gain_min_m2`.
+    ///
+    /// `extra` are candidates beside those of the lattice: where robots stand and where they go now.
+    /// `is_ignored` says which unknown cells cannot be seen, by earlier attempts.
+    #[expect(clippy::too_many_arguments, reason = "one call, each argument of another kind")]
+    pub(super) fn find(
+        &mut self,
+        map: &ClearanceMap,
+        config: &CoordinationConfig,
+        is_candidate: &dyn Fn(usize) -> bool,
+        is_ignored: &dyn Fn(usize) -> bool,
+        extra: &[usize],
+        gain_min_m2: f64,
+        found: &mut Vec<Viewpoint>,
+    ) {
+        found.clear();
+        self.begin(map, config);
+        self.candidates.clear();
+        let on_lattice = lattice(map).filter(|cell| is_candidate(*cell));
+        for cell in on_lattice.chain(extra.iter().copied()) {
+            let gains = self.gains(map, config, cell, is_ignored);
+            let gain_m2: f64 = gains.iter().sum();
+            if gain_m2 >= gain_min_m2 {
+                self.candidates.push((gain_m2, cell));
+            }
+        }
+        // Lazy greedy: a gain only falls, so that the best is found if its gain is up to date.
+        while found.len() < config.viewpoints_max {
+            let best = (0..self.candidates.len())
+                .max_by(|a, b| self.candidates[*a].0.total_cmp(&self.candidates[*b].0).then(b.cmp(a)));
+            let Some(best) = best.filter(|best| self.candidates[*best].0 >= gain_min_m2) else { break };
+            let (stale_m2, cell) = self.candidates[best];
+            let gains = self.gains(map, config, cell, is_ignored);
+            let gain_m2: f64 = gains.iter().sum();
+            if gain_m2 < stale_m2 - 1e-9 {
+                self.candidates[best].0 = gain_m2;
+                continue;
+            }
+            self.candidates.swap_remove(best);
+            self.mark_shown(map, config, cell);
+            let (look_rad, sweep_rad) = sweep(&gains, config);
+            found.push(Viewpoint { cell, gain_m2, look_rad, sweep_rad });
+        }
+    }
+
+    /// Expected new area at a cell of the map of the last search, all around, square metres.
+    pub(super) fn view_from(
+        &mut self,
+        map: &ClearanceMap,
+        config: &CoordinationConfig,
+        cell: usize,
+        is_ignored: &dyn Fn(usize) -> bool,
+    ) -> Viewpoint {
+        self.begin(map, config);
+        let gains = self.gains(map, config, cell, is_ignored);
+        let (look_rad, sweep_rad) = sweep(&gains, config);
+        Viewpoint { cell, gain_m2: gains.iter().sum(), look_rad, sweep_rad }
+    }
+
+    /// Calls `visit` with the unknown cells expected to be seen from a cell.
+    pub(super) fn for_each_unknown(
+        &self,
+        map: &ClearanceMap,
+        config: &CoordinationConfig,
+        cell: usize,
+        mut visit: impl FnMut(usize),
+    ) {
+        for ray in &self.rays {
+            trace(map, config, cell, ray, |cell, _| visit(cell));
+        }
+    }
+
+    fn begin(&mut self, map: &ClearanceMap, config: &CoordinationConfig) {
+        if self.shown.len() != map.cell_count() || self.search == u32::MAX {
+            self.shown.clear();
+            self.shown.resize(map.cell_count(), 0);
+            self.search = 0;
+        }
+        self.search += 1;
+        let reach = (config.view_range_m / map.cell_size_m()) as usize;
+        if self.rays.first().is_none_or(|ray| ray.0.len() != reach) {
+            self.rays = (0..RAYS).map(|ray| ray_steps(ray, reach)).collect();
+        }
+    }
+
+    fn gains(
+        &self,
+        map: &ClearanceMap,
+        config: &CoordinationConfig,
+        cell: usize,
+        is_ignored: &dyn Fn(usize) -> bool,
+    ) -> Gains {
+        let mut gains = [0.0; RAYS];
+        for (ray, gain) in self.rays.iter().zip(&mut gains) {
+            trace(map, config, cell, ray, |seen, area_m2| {
+                if self.shown[seen] != self.search && !is_ignored(seen) {
+                    *gain += area_m2;
+                }
+            });
+        }
+        gains
+    }
+
+    fn mark_shown(&mut self, map: &ClearanceMap, config: &CoordinationConfig, cell: usize) {
+        let Self { rays, shown, search, .. } = self;
+        let width = map.width();
+        for ray in rays.iter() {
+            trace(map, config, cell, ray, |seen, _| {
+                // Rays are wider than a cell farther out: their neighbours are shown too.
+                let cells = shown.len() as i64;
+                for neighbour in [0, 1, -1, width, -width].map(|step| seen as i64 + step) {
+                    if (0..cells).contains(&neighbour) {
+                        shown[neighbour as usize] = *search;
+                    }
+                }
+            });
+        }
+    }
+}
+
+fn ray_steps(ray: usize, reach: usize) -> Ray {
+    let (sin, cos) = (TAU * ray as f64 / RAYS as f64).sin_cos();
+    let step = |i: usize| ((i as f64 * cos).round() as i64, (i as f64 * sin).round() as i64);
+    Ray((1..=reach).map(step).collect())
+}
+
+/// Candidates: every eighth cell of every eighth row.
+fn lattice(map: &ClearanceMap) -> impl Iterator<Item = usize> + use<> {
+    let (width, rows) = (map.width(), map.cell_count() as i64 / map.width().max(1));
+    let axis = |count: i64| (LATTICE_CELLS / 2..count).step_by(LATTICE_CELLS as usize);
+    axis(rows).flat_map(move |y| axis(width).map(move |x| (y * width + x) as usize))
+}
+
+/// Calls `visit` with each unknown cell along a ray and the area expected to be seen there, square metres.
+///
+/// The chance that unknown space is open falls with its depth.
+fn trace(
+    map: &ClearanceMap,
+    config: &CoordinationConfig,
+    from: usize,
+    ray: &Ray,
+    mut visit: impl FnMut(usize, f64),
+) {
+    let width = map.width();
+    let height = map.cell_count() as i64 / width;
+    let (x0, y0) = (from as i64 % width, from as i64 / width);
+    let cell_m = map.cell_size_m();
+    let ray_rad = TAU / RAYS as f64;
+    let fade = (-cell_m / config.unknown_depth_m).exp();
+    let mut chance = 1.0;
+    let (mut was_free, mut last) = (true, (0, 0));
+    for (i, step) in ray.0.iter().enumerate() {
+        let (x, y) = (x0 + step.0, y0 + step.1);
+        if x < 1 || y < 1 || x >= width - 1 || y >= height - 1 {
+            return;
+        }
+        let cell = (y * width + x) as usize;
+        match map.occupancy(cell) {
+            Occupancy::Occupied => return,
+            Occupancy::Free => was_free = true,
+            Occupancy::Unknown => {
+                // Between two cells of a wall a diagonal step would leak.
+                let is_diagonal = step.0 != last.0 && step.1 != last.1;
+                let leaks = was_free
+                    && is_diagonal
+                    && OPEN_SIDES.iter().any(|(dx, dy)| {
+                        let (u, v) = (x - (step.0 - last.0) * dx, y - (step.1 - last.1) * dy);
+                        map.occupancy((v * width + u) as usize) == Occupancy::Occupied
+                    });
+                if leaks {
+                    return;
+                }
+                visit(cell, chance * (i + 1) as f64 * cell_m * ray_rad * cell_m);
+                chance *= fade;
+                was_free = false;
+            }
+        }
+        last = *step;
+    }
+}
+
+/// Heading and turn of the sensor that show most of the gain in the least turn: the shortest arc that holds the
+/// configured share of it.
+fn sweep(gains: &Gains, config: &CoordinationConfig) -> (f64, f64) {
+    let ray_rad = TAU / RAYS as f64;
+    let view = ((config.view_angle_rad / ray_rad).round() as usize).clamp(1, RAYS);
+    let total: f64 = gains.iter().sum();
+    let sum_of = |first: usize, count: usize| -> f64 { (0..count).map(|i| gains[(first + i) % RAYS]).sum() };
+    let mut count = view;
+    loop {
+        let best = (0..RAYS)
+            .map(|first| (sum_of(first, count), first))
+            .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
+        let (gain, first) = best.unwrap_or((0.0, 0));
+        if gain >= config.sweep_share * total || count + 5 > RAYS {
+            let look = first as f64 + (view as f64 - 1.0) / 2.0;
+            return (look * ray_rad, (count - view) as f64 * ray_rad);
+        }
+        count += 5;
+    }
+}

@@ -1,0 +1,100 @@
+//! Goals of navigation, with the frame that their poses are in.
+
+use msg::Pose2;
+use thiserror::Error;
+
+/// Most poses of one goal: a path of waypoints is sent as one.
+pub const GOAL_POSES_MAX: usize = 64;
+/// Largest coordinate of a goal or a zone, metres: beyond it a message is broken.
+const COORDINATE_MAX_M: f64 = 1e5;
+
+/// Frame that the poses of a goal are in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GoalFrame {
+    /// The merged map, which all merged robots share.
+    MergedMap,
+    /// The robot's own map, before and after it is merged.
+    RobotMap,
+}
+
+/// Pose to reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GoalPose {
+    /// Position in the frame of the goal, metres.
+    pub position_m: [f64; 2],
+    /// Heading to turn to on arrival, radians; any heading will do if `None`.
+    pub yaw_rad: Option<f64>,
+}
+
+/// One or more poses that a robot drives to, one after another.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NavigationGoal {
+    frame: GoalFrame,
+    poses: Vec<GoalPose>,
+}
+
+/// A goal is not usable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum GoalError {
+    /// There is no pose in it.
+    #[error("the goal has no pose")]
+    Empty,
+    /// There are more poses than [`GOAL_POSES_MAX`].
+    #[error("the goal has {0} poses, expected at most {GOAL_POSES_MAX}")]
+    TooManyPoses(usize),
+    /// A coordinate is not a usable number.
+    #[error("pose {0} of the goal is not a finite pose within 100 km of the origin")]
+    NotFinite(usize),
+}
+
+impl NavigationGoal {
+    /// A goal with these poses.
+    pub fn new(frame: GoalFrame, poses: Vec<GoalPose>) -> Result<Self, GoalError> {
+        if poses.is_empty() {
+            return Err(GoalError::Empty);
+        }
+        if poses.len() > GOAL_POSES_MAX {
+            return Err(GoalError::TooManyPoses(poses.len()));
+        }
+        let is_valid = |pose: &GoalPose| {
+            pose.position_m.iter().all(|v| v.abs() <= COORDINATE_MAX_M)
+                && pose.yaw_rad.is_none_or(f64::is_finite)
+        };
+        match poses.iter().position(|pose| !is_valid(pose)) {
+            Some(index) => Err(GoalError::NotFinite(index)),
+            None => Ok(Self { frame, poses }),
+        }
+    }
+
+    /// A goal of one position, with any heading.
+    pub fn position(frame: GoalFrame, position_m: [f64; 2]) -> Result<Self, GoalError> {
+        Self::new(frame, vec![GoalPose { position_m, yaw_rad: None }])
+    }
+
+    /// Frame of the poses.
+    pub fn frame(&self) -> GoalFrame {
+        self.frame
+    }
+
+    /// The poses, at least one, in their order.
+    pub fn poses(&self) -> &[GoalPose] {
+        &self.poses
+    }
+}
+
+impl GoalPose {
+    /// The same pose in another frame.
+    pub(super) fn transformed(&self, to_from_goal: Pose2) -> Self {
+        Self {
+            position_m: to_from_goal.apply(self.position_m),
+            yaw_rad: self.yaw_rad.map(|yaw_rad| yaw_rad + to_from_goal.yaw_rad),
+        }
+    }
+}
+
+/// Polygon that robots must not enter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExclusionZone {
+    /// Corners in order, in the merged map, metres; at least three.
+    pub corners_m: Vec<[f64; 2]>,
+}

@@ -1,0 +1,66 @@
+//! What the navigator is told about the fleet in each step.
+
+use super::goal::ExclusionZone;
+use crate::observation::{RobotObservation, ScanView};
+use msg::{Pose2, RobotId, Stamp};
+
+/// Oldest scan that a robot is driven by, seconds: five periods of a Burger's LiDAR.
+const SCAN_AGE_MAX_S: f64 = 0.5;
+
+/// One robot at one moment.
+#[derive(Clone, Copy, Debug)]
+pub struct NavigatedRobot<'a> {
+    /// Its map, pose and newest scan.
+    pub observation: RobotObservation<'a>,
+    /// Its pose by the wheels, which never jumps.
+    pub odom_from_base: Option<Pose2>,
+    /// Where its own map lies in the merged map; `None` while it is not merged.
+    pub map_from_robot_map: Option<Pose2>,
+}
+
+/// The fleet at one moment.
+#[derive(Clone, Copy, Debug)]
+pub struct NavigationInput<'a> {
+    /// Time of the observation; it never goes back.
+    pub stamp: Stamp,
+    /// All robots, with and without goals.
+    pub robots: &'a [NavigatedRobot<'a>],
+    /// Where robots must not go.
+    pub exclusion_zones: &'a [ExclusionZone],
+}
+
+/// Poses of a robot that is localized.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RobotPoses {
+    pub(super) map_from_base: Pose2,
+    pub(super) odom_from_base: Pose2,
+}
+
+impl RobotPoses {
+    pub(super) fn odom_from_map(&self) -> Pose2 {
+        self.odom_from_base * self.map_from_base.inverse()
+    }
+
+    pub(super) fn position_m(&self) -> [f64; 2] {
+        [self.map_from_base.x_m, self.map_from_base.y_m]
+    }
+}
+
+impl<'a> NavigatedRobot<'a> {
+    /// A robot of which nothing is known.
+    pub fn unknown(robot: RobotId) -> Self {
+        let observation = RobotObservation::unknown(robot);
+        Self { observation, odom_from_base: None, map_from_robot_map: None }
+    }
+
+    pub(super) fn poses(&self) -> Option<RobotPoses> {
+        let map_from_base = self.observation.map_from_base.filter(|pose| pose.is_finite())?;
+        let odom_from_base = self.odom_from_base.filter(|pose| pose.is_finite())?;
+        Some(RobotPoses { map_from_base, odom_from_base })
+    }
+
+    /// The newest scan, if it is fresh enough to drive by.
+    pub(super) fn fresh_scan(&self, now: Stamp) -> Option<ScanView<'a>> {
+        self.observation.scan.filter(|scan| now - scan.received <= SCAN_AGE_MAX_S)
+    }
+}

@@ -1,0 +1,98 @@
+//! Progress of a robot towards its goal, and what it does when there is none.
+
+use super::config::NavigatorConfig;
+use core::time::Duration;
+use msg::{Pose2, Stamp};
+
+/// Decrease of the remaining cost that counts as progress, metres: two cells of the map.
+const PROGRESS_M: f64 = 0.1;
+/// Increase of the remaining cost from which the robot is on another way, metres.
+const DETOUR_M: f64 = 0.5;
+/// A goal may take this multiple of its expected time, and this many seconds more: a robot that is sent to and fro
+/// by a door that opens and closes ends too.
+const OVERDUE_FACTOR: f64 = 5.0;
+const OVERDUE_EXTRA_S: f64 = 120.0;
+/// Robots that wait for others may do so this many times as long as they stand for obstacles.
+const WAITING_FACTOR: f64 = 3.0;
+/// Speed, distance and longest time of backing up.
+pub(super) const BACK_UP_M_S: f64 = 0.08;
+const BACK_UP_M: f64 = 0.15;
+const BACK_UP_MAX_S: f64 = 3.0;
+/// Distances behind the robot that have to be clear for it to back up, metres.
+pub(super) const BACK_UP_CHECKS_M: [f64; 3] = [0.05, 0.1, BACK_UP_M];
+/// Longest time of turning to look around, seconds: about 100 degrees.
+const TURN_S: f64 = 2.0;
+
+/// A way to get free.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Recovery {
+    BackUp { odom_from_start: Pose2, until: Stamp },
+    Turn { side: f64, until: Stamp },
+}
+
+impl Recovery {
+    pub(super) fn back_up(now: Stamp, odom_from_base: Pose2) -> Self {
+        Self::BackUp { odom_from_start: odom_from_base, until: now + Duration::from_secs_f64(BACK_UP_MAX_S) }
+    }
+
+    pub(super) fn turn(now: Stamp, side: f64) -> Self {
+        Self::Turn { side, until: now + Duration::from_secs_f64(TURN_S) }
+    }
+
+    pub(super) fn is_done(&self, now: Stamp, odom_from_base: Pose2) -> bool {
+        match self {
+            Self::BackUp { odom_from_start, until } => {
+                now >= *until || odom_from_start.distance_m(odom_from_base) >= BACK_UP_M
+            }
+            Self::Turn { until, .. } => now >= *until,
+        }
+    }
+}
+
+/// Progress towards one pose of a goal.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Progress {
+    best_m: f64,
+    since: Stamp,
+    deadline: Stamp,
+    recoveries: u32,
+}
+
+impl Progress {
+    pub(super) fn new(now: Stamp) -> Self {
+        let deadline = now + Duration::from_secs_f64(OVERDUE_EXTRA_S);
+        Self { best_m: f64::INFINITY, since: now, deadline, recoveries: 0 }
+    }
+
+    /// Records the remaining cost of the route, metres.
+    pub(super) fn record(&mut self, now: Stamp, config: &NavigatorConfig, remaining_m: f64) {
+        if self.best_m == f64::INFINITY {
+            let expected_s =
+                (remaining_m / config.follower.cruise_m_s).min(OVERDUE_EXTRA_S * OVERDUE_EXTRA_S);
+            self.deadline = now + Duration::from_secs_f64(OVERDUE_FACTOR * expected_s + OVERDUE_EXTRA_S);
+        }
+        if remaining_m < self.best_m - PROGRESS_M {
+            (self.best_m, self.since, self.recoveries) = (remaining_m, now, 0);
+        } else if remaining_m > self.best_m + DETOUR_M {
+            self.best_m = remaining_m;
+        }
+    }
+
+    /// Starts the times again, after a pause or a turn at the goal.
+    pub(super) fn restart(&mut self, now: Stamp) {
+        *self = Self::new(now);
+    }
+
+    /// Whether it is time for the next attempt to get free; counts it.
+    pub(super) fn take_recovery(&mut self, now: Stamp, config: &NavigatorConfig) -> bool {
+        let is_due = now - self.since > config.recover_after_s * f64::from(self.recoveries + 1);
+        self.recoveries += u32::from(is_due);
+        is_due
+    }
+
+    /// Whether to give up.
+    pub(super) fn is_hopeless(&self, now: Stamp, config: &NavigatorConfig, is_waiting: bool) -> bool {
+        let factor = if is_waiting { WAITING_FACTOR } else { 1.0 };
+        now - self.since > factor * config.give_up_after_s || now > self.deadline
+    }
+}

@@ -1,0 +1,374 @@
+//! Navigation of one robot: its goal, its routes, its path, and the velocity that follows it.
+
+mod safety;
+
+use super::config::NavigatorConfig;
+use super::goal::{ExclusionZone, GoalFrame, GoalPose, NavigationGoal};
+use super::goal_map::{GoalMap, GoalMapInput};
+use super::input::{NavigatedRobot, RobotPoses};
+use super::obstacles::RecentObstacles;
+use super::progress::{Progress, Recovery};
+use super::state::{NavigationFailure, NavigationState};
+use crate::collision::CollisionLimit;
+use crate::command::Twist;
+use crate::follower::PathFollower;
+use crate::path::Path;
+use msg::{Pose2, RobotId, Stamp, pose::wrap_angle};
+
+/// Heading error at which the heading of a goal is reached, radians: six degrees.
+const HEADING_TOLERANCE_RAD: f64 = 0.1;
+/// Distance of the point that is faced to turn to a heading, metres: so far away that its direction is the heading.
+const FACED_POINT_M: f64 = 100.0;
+/// Movement of `odom` in the map from which the path is planned anew at once, metres and radians.
+const MAP_MOVED_M: f64 = 0.05;
+const MAP_MOVED_RAD: f64 = 0.03;
+
+/// Another robot as seen by one that drives.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OtherRobot {
+    pub(super) robot: RobotId,
+    pub(super) in_base_m: [f64; 2],
+    pub(super) is_active: bool,
+}
+
+/// Path that is being followed.
+#[derive(Clone, Debug, Default)]
+struct FollowedPath {
+    in_odom: Path,
+    odom_from_map: Pose2,
+    /// Whether it ends where the robot waits for another one, before the goal.
+    waits_for: Option<RobotId>,
+}
+
+#[derive(Clone, Debug)]
+struct ActiveGoal {
+    goal: NavigationGoal,
+    /// Index of the pose that is driven to.
+    next: usize,
+    progress: Progress,
+    is_at_position: bool,
+}
+
+/// Navigation of one robot.
+#[derive(Clone, Debug)]
+pub(super) struct RobotNavigator {
+    pub(super) robot: RobotId,
+    config: NavigatorConfig,
+    collision: CollisionLimit,
+    follower: PathFollower,
+    obstacles: RecentObstacles,
+    goal: Option<ActiveGoal>,
+    state: NavigationState,
+    goal_map: GoalMap,
+    /// Result of the last search; `None` before the first.
+    searched: Option<(Stamp, Result<(), NavigationFailure>)>,
+    followed: Option<FollowedPath>,
+    plan: Path,
+    plans: u32,
+    remaining_m: Option<f64>,
+    recovery: Option<Recovery>,
+    is_stop_due: bool,
+}
+
+impl RobotNavigator {
+    pub(super) fn new(robot: RobotId, config: NavigatorConfig) -> Self {
+        Self {
+            robot,
+            config,
+            collision: CollisionLimit::new(config.body, config.follower),
+            follower: PathFollower::new(config.follower),
+            obstacles: RecentObstacles::default(),
+            goal: None,
+            state: NavigationState::Idle,
+            goal_map: GoalMap::default(),
+            searched: None,
+            followed: None,
+            plan: Path::default(),
+            plans: 0,
+            remaining_m: None,
+            recovery: None,
+            is_stop_due: false,
+        }
+    }
+
+    pub(super) fn state(&self) -> NavigationState {
+        self.state
+    }
+
+    pub(super) fn plan(&self) -> (&Path, u32) {
+        (&self.plan, self.plans)
+    }
+
+    pub(super) fn remaining_m(&self) -> Option<f64> {
+        self.remaining_m
+    }
+
+    pub(super) fn next_pose(&self) -> Option<usize> {
+        self.goal.as_ref().map(|active| active.next)
+    }
+
+    pub(super) fn goal_map_mut(&mut self) -> &mut GoalMap {
+        &mut self.goal_map
+    }
+
+    pub(super) fn set_goal(&mut self, now: Stamp, goal: NavigationGoal) {
+        self.drop_path();
+        let progress = Progress::new(now);
+        self.goal = Some(ActiveGoal { goal, next: 0, progress, is_at_position: false });
+        self.state = NavigationState::Planning;
+    }
+
+    /// Ends the goal in this state.
+    pub(super) fn end(&mut self, state: NavigationState) {
+        if self.goal.take().is_some() {
+            self.drop_path();
+            self.goal_map.clear();
+            self.state = state;
+        }
+    }
+
+    pub(super) fn pause(&mut self) {
+        if self.state.is_active() {
+            self.drop_path();
+            self.state = NavigationState::Paused;
+        }
+    }
+
+    pub(super) fn resume(&mut self, now: Stamp) {
+        if let Some(active) = self.goal.as_mut().filter(|_| self.state == NavigationState::Paused) {
+            active.progress.restart(now);
+            self.state = NavigationState::Planning;
+        }
+    }
+
+    fn drop_path(&mut self) {
+        self.is_stop_due |= self.state.is_active();
+        (self.searched, self.followed, self.recovery, self.remaining_m) = (None, None, None, None);
+        if !self.plan.waypoints.is_empty() {
+            self.plan.waypoints.clear();
+            self.plans = self.plans.wrapping_add(1);
+        }
+    }
+
+    /// Time of the last search; the next one is due after a period, or at once when the map has moved.
+    pub(super) fn is_search_due(&self, now: Stamp, poses: RobotPoses) -> bool {
+        let has_moved = self.followed.as_ref().is_some_and(|path| {
+            let moved = path.odom_from_map.between(poses.odom_from_map());
+            moved.x_m.hypot(moved.y_m) > MAP_MOVED_M || moved.yaw_rad.abs() > MAP_MOVED_RAD
+        });
+        let is_old = |(at, _): &(Stamp, _)| now - *at >= self.config.replan_period_s;
+        self.searched.as_ref().is_none_or(is_old) || has_moved
+    }
+
+    pub(super) fn searched_at(&self) -> Option<Stamp> {
+        self.searched.map(|(at, _)| at)
+    }
+
+    /// Whether routes to the goal are known.
+    pub(super) fn has_routes(&self) -> bool {
+        matches!(self.searched, Some((_, Ok(()))))
+    }
+
+    /// Records what the newest scan shows.
+    pub(super) fn observe(&mut self, now: Stamp, robot: &NavigatedRobot, others: &[OtherRobot]) {
+        let Some((odom_from_base, scan)) = robot.odom_from_base.zip(robot.fresh_scan(now)) else { return };
+        let robots_m: Vec<[f64; 2]> =
+            others.iter().map(|other| odom_from_base.apply(other.in_base_m)).collect();
+        self.obstacles.record(now, odom_from_base, &scan, &robots_m);
+    }
+
+    /// The pose that is driven to, in the frame of the robot's map.
+    fn goal_pose(&self, robot: &NavigatedRobot) -> Result<GoalPose, NavigationFailure> {
+        let active = self.goal.as_ref().ok_or(NavigationFailure::NoPose)?;
+        let pose = active.goal.poses()[active.next];
+        match (active.goal.frame(), robot.observation.in_merged_map) {
+            (GoalFrame::MergedMap, true) | (GoalFrame::RobotMap, false) => Ok(pose),
+            (GoalFrame::MergedMap, false) => Err(NavigationFailure::NotMerged),
+            (GoalFrame::RobotMap, true) => {
+                let map_from_robot_map = robot.map_from_robot_map.ok_or(NavigationFailure::NoPose)?;
+                Ok(pose.transformed(map_from_robot_map))
+            }
+        }
+    }
+
+    /// Searches the routes to the goal on the newest map.
+    pub(super) fn search(
+        &mut self,
+        now: Stamp,
+        robot: &NavigatedRobot,
+        zones: &[ExclusionZone],
+        standing: &[(RobotId, [f64; 2])],
+    ) {
+        let result = self.search_routes(now, robot, zones, standing);
+        self.searched = Some((now, result));
+        if let Err(failure) = result {
+            self.followed = None;
+            self.state = NavigationState::Blocked(failure);
+            return;
+        }
+        let at_m = robot.poses().map(|poses| poses.position_m());
+        self.remaining_m = at_m.and_then(|at_m| self.goal_map.cost_m(at_m));
+        if let Some((active, remaining_m)) = self.goal.as_mut().zip(self.remaining_m) {
+            active.progress.record(now, &self.config, remaining_m);
+        }
+    }
+
+    fn search_routes(
+        &mut self,
+        now: Stamp,
+        robot: &NavigatedRobot,
+        zones: &[ExclusionZone],
+        standing: &[(RobotId, [f64; 2])],
+    ) -> Result<(), NavigationFailure> {
+        let goal_m = self.goal_pose(robot)?.position_m;
+        let (map, poses) = robot.observation.map.zip(robot.poses()).ok_or(NavigationFailure::NoPose)?;
+        let standing_robots_m: Vec<[f64; 2]> = standing.iter().map(|(_, at_m)| *at_m).collect();
+        let input = GoalMapInput {
+            stamp: now,
+            map,
+            poses,
+            goal_m,
+            obstacles: &self.obstacles,
+            zones,
+            standing_robots_m: &standing_robots_m,
+        };
+        let result = self.goal_map.search(&self.config, &input);
+        let blocking = standing
+            .iter()
+            .find(|(_, at_m)| crate::geometry::distance_m(*at_m, goal_m) < self.config.separation_m);
+        match (result, blocking) {
+            (Err(NavigationFailure::GoalOccupied), Some((robot, _))) => Err(NavigationFailure::Robot(*robot)),
+            (result, _) => result,
+        }
+    }
+
+    /// Follows a path in the frame of the robot's map from now on.
+    ///
+    /// `followed` of its waypoints are driven, up to where the robot waits for another one, or all.
+    pub(super) fn set_path(
+        &mut self,
+        poses: RobotPoses,
+        path: Path,
+        followed: usize,
+        waits_for: Option<RobotId>,
+    ) {
+        let odom_from_map = poses.odom_from_map();
+        let mut in_odom = Path { waypoints: path.waypoints[..followed.min(path.waypoints.len())].to_vec() };
+        for waypoint in &mut in_odom.waypoints {
+            waypoint.position_m = odom_from_map.apply(waypoint.position_m);
+        }
+        self.followed = Some(FollowedPath { in_odom, odom_from_map, waits_for });
+        self.follower.on_replanned();
+        (self.plan, self.plans) = (path, self.plans.wrapping_add(1));
+    }
+
+    /// Velocity of one control step; `None` if the robot is not to be driven.
+    pub(super) fn control(
+        &mut self,
+        now: Stamp,
+        robot: &NavigatedRobot,
+        others: &[OtherRobot],
+    ) -> Option<Twist> {
+        if !self.state.is_active() {
+            return std::mem::take(&mut self.is_stop_due).then_some(Twist::STOP);
+        }
+        let Some(scan) = robot.fresh_scan(now) else {
+            self.set_blocked(now, NavigationFailure::NoScan);
+            return Some(Twist::STOP);
+        };
+        let Some(poses) = robot.poses().filter(|_| robot.observation.map.is_some()) else {
+            self.set_blocked(now, NavigationFailure::NoPose);
+            return Some(Twist::STOP);
+        };
+        let wanted = self.wanted_velocity(now, robot, poses, others);
+        if !self.state.is_active() {
+            self.is_stop_due = false;
+            return Some(Twist::STOP);
+        }
+        let limited = self.limit(wanted, &scan, others);
+        self.give_up_if_hopeless(now);
+        Some(if self.state.is_active() { limited } else { Twist::STOP })
+    }
+
+    fn wanted_velocity(
+        &mut self,
+        now: Stamp,
+        robot: &NavigatedRobot,
+        poses: RobotPoses,
+        others: &[OtherRobot],
+    ) -> Twist {
+        if let Some(twist) = self.recover(now, poses, others) {
+            return twist;
+        }
+        let Some(path) = &self.followed else {
+            if let Some((_, Err(failure))) = self.searched {
+                self.state = NavigationState::Blocked(failure);
+            }
+            return Twist::STOP;
+        };
+        let cruise_m_s = self.config.follower.cruise_m_s;
+        let is_at_position = self.goal.as_ref().is_some_and(|active| active.is_at_position);
+        let followed = if is_at_position {
+            None
+        } else {
+            self.follower.follow(&path.in_odom, poses.odom_from_base, cruise_m_s)
+        };
+        match (followed, path.waits_for) {
+            (Some(twist), _) => {
+                self.state = NavigationState::Driving;
+                twist
+            }
+            (None, Some(other)) => {
+                self.state = NavigationState::WaitingForRobot(other);
+                Twist::STOP
+            }
+            (None, None) => self.arrive(now, robot, poses),
+        }
+    }
+
+    /// Turns to the heading of the last pose, and goes on with the next pose or ends.
+    fn arrive(&mut self, now: Stamp, robot: &NavigatedRobot, poses: RobotPoses) -> Twist {
+        let pose = self.goal_pose(robot);
+        let Some(active) = self.goal.as_mut() else { return Twist::STOP };
+        if active.next + 1 < active.goal.poses().len() {
+            active.next += 1;
+            active.progress.restart(now);
+            (self.searched, self.followed) = (None, None);
+            return Twist::STOP;
+        }
+        if !std::mem::replace(&mut active.is_at_position, true) {
+            active.progress.restart(now);
+        }
+        if let Some(yaw_rad) = pose.ok().and_then(|pose| pose.yaw_rad) {
+            let at = poses.map_from_base;
+            let (sin, cos) = wrap_angle(yaw_rad).sin_cos();
+            let faced_m = [at.x_m + FACED_POINT_M * cos, at.y_m + FACED_POINT_M * sin];
+            let (twist, error_rad) = self.follower.turn_to_face(at, faced_m);
+            if error_rad.abs() > HEADING_TOLERANCE_RAD {
+                self.state = NavigationState::Driving;
+                return twist;
+            }
+        }
+        self.end(NavigationState::Reached);
+        Twist::STOP
+    }
+
+    fn set_blocked(&mut self, now: Stamp, failure: NavigationFailure) {
+        self.state = NavigationState::Blocked(failure);
+        self.give_up_if_hopeless(now);
+    }
+
+    fn give_up_if_hopeless(&mut self, now: Stamp) {
+        let is_waiting = matches!(self.state, NavigationState::WaitingForRobot(_));
+        let Some(active) = &self.goal else { return };
+        if !active.progress.is_hopeless(now, &self.config, is_waiting) {
+            return;
+        }
+        let failure = match (self.state, self.searched) {
+            (NavigationState::WaitingForRobot(other), _) => NavigationFailure::Robot(other),
+            (NavigationState::Blocked(failure), _) | (_, Some((_, Err(failure)))) => failure,
+            _ => NavigationFailure::Obstacle,
+        };
+        self.end(NavigationState::Failed(failure));
+    }
+}

@@ -1,0 +1,76 @@
+//! Ways of a robot to get free, and limits of its speed by what is near it.
+
+use super::super::input::RobotPoses;
+use super::super::progress::{BACK_UP_CHECKS_M, BACK_UP_M_S, Recovery};
+use super::super::state::{NavigationFailure, NavigationState};
+use super::{OtherRobot, RobotNavigator};
+use crate::command::Twist;
+use crate::observation::ScanView;
+use msg::Stamp;
+
+/// Speed below which a robot that wants to drive stands, m/s.
+const STANDING_M_S: f64 = 0.005;
+
+impl RobotNavigator {
+    /// Velocity of getting free, while the robot does that or has to begin with it.
+    pub(super) fn recover(&mut self, now: Stamp, poses: RobotPoses, others: &[OtherRobot]) -> Option<Twist> {
+        if self.recovery.is_some_and(|recovery| recovery.is_done(now, poses.odom_from_base)) {
+            (self.recovery, self.searched) = (None, None);
+        }
+        let is_waiting = matches!(self.state, NavigationState::WaitingForRobot(_));
+        // Neither backing up nor turning helps a robot whose goal is out of reach.
+        let can_help = matches!(self.searched, Some((_, Ok(()) | Err(NavigationFailure::StartBlocked))));
+        if self.recovery.is_none() && !is_waiting && can_help {
+            let config = self.config;
+            if self.goal.as_mut().is_some_and(|active| active.progress.take_recovery(now, &config)) {
+                self.recovery = Some(self.new_recovery(now, poses, others));
+                self.obstacles.clear();
+            }
+        }
+        let twist = match self.recovery? {
+            Recovery::BackUp { .. } => Twist { linear_m_s: -BACK_UP_M_S, angular_rad_s: 0.0 },
+            Recovery::Turn { side, .. } => {
+                Twist { linear_m_s: 0.0, angular_rad_s: side * self.config.follower.turn_rad_s }
+            }
+        };
+        self.state = NavigationState::Recovering;
+        Some(twist)
+    }
+
+    fn new_recovery(&self, now: Stamp, poses: RobotPoses, others: &[OtherRobot]) -> Recovery {
+        let is_clear = |back_m: &f64| {
+            let is_clear_of = |other: &OtherRobot| {
+                (other.in_base_m[0] + back_m).hypot(other.in_base_m[1]) > self.config.separation_m
+            };
+            self.goal_map.is_clear(&self.config, poses.map_from_base.apply([-back_m, 0.0]))
+                && others.iter().all(is_clear_of)
+        };
+        if BACK_UP_CHECKS_M.iter().all(is_clear) {
+            return Recovery::back_up(now, poses.odom_from_base);
+        }
+        let side = if self.robot.number().is_multiple_of(2) { 1.0 } else { -1.0 };
+        Recovery::turn(now, side)
+    }
+
+    /// Slows the robot for what the scan shows ahead and for robots near it, and says what it stands for.
+    pub(super) fn limit(&mut self, wanted: Twist, scan: &ScanView, others: &[OtherRobot]) -> Twist {
+        let by_scan = self.collision.limit_speed(wanted, self.collision.free_distance_m(scan));
+        let mut limited = by_scan;
+        let mut limited_by = None;
+        for other in others {
+            let by_other = self.collision.limit_speed_to_robot(limited, other.in_base_m);
+            if by_other.linear_m_s < limited.linear_m_s {
+                (limited, limited_by) = (by_other, Some(other));
+            }
+        }
+        let wants_to_drive = wanted.linear_m_s > STANDING_M_S;
+        if wants_to_drive && limited.linear_m_s < STANDING_M_S && self.state == NavigationState::Driving {
+            self.state = match limited_by {
+                Some(other) if other.is_active => NavigationState::WaitingForRobot(other.robot),
+                Some(other) => NavigationState::Blocked(NavigationFailure::Robot(other.robot)),
+                None => NavigationState::Blocked(NavigationFailure::Obstacle),
+            };
+        }
+        limited
+    }
+}
