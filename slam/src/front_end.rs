@@ -269,7 +269,9 @@ impl FrontEnd {
     /// Adds up the time in which the robot's motion is a guess: without odometry, while the scans leave a direction open.
     fn count_unmeasured_time(&mut self, stamp: Stamp, state: TrackingState, odom_from_base: Option<Pose2>) {
         let leaves_open = matches!(state, TrackingState::Degenerate | TrackingState::Lost);
-        let (true, None, Some(last)) = (leaves_open, odom_from_base, self.motion.last.as_ref()) else { return };
+        let (true, None, Some(last)) = (leaves_open, odom_from_base, self.motion.last.as_ref()) else {
+            return;
+        };
         self.nodes.unmeasured_s += (stamp - last.stamp) as f32;
     }
 

@@ -95,8 +95,7 @@ fn points_of_walls(points: &[[f32; 2]]) -> usize {
             });
             next += 1;
         }
-        let is_long =
-            || object.iter().any(|&a| object.iter().any(|&b| distance(a, b) >= WALL_EXTENT_M));
+        let is_long = || object.iter().any(|&a| object.iter().any(|&b| distance(a, b) >= WALL_EXTENT_M));
         if object.len() >= WALL_POINTS_MIN && is_long() {
             of_walls += object.len();
         }
@@ -169,7 +168,10 @@ impl MapDoubts {
         let reasons = [
             (self.contradicted_share > CONTRADICTED_SHARE_MAX, "scans see through walls of the map"),
             (self.odometry_stretch > STRETCH_SIGMAS_MAX, "the path is longer or shorter than odometry says"),
-            (self.unmeasured_motion_s > UNMEASURED_MAX_S, "neither odometry nor scans measured the motion for seconds"),
+            (
+                self.unmeasured_motion_s > UNMEASURED_MAX_S,
+                "neither odometry nor scans measured the motion for seconds",
+            ),
             (self.distant_relocations > 0, "the robot was found farther away than it can have gone"),
         ];
         reasons.into_iter().filter(|(is_strong, _)| *is_strong).map(|(_, reason)| reason)
@@ -196,13 +198,16 @@ mod tests {
         let empty = scan_of(&room, Pose2::IDENTITY);
         let person = [room.clone(), rectangle(1.2, 0.2, 1.6, 0.6)].concat();
         let divided = [room, rectangle(1.5, -2.5, 1.6, 2.5)].concat();
-        let compared = |walls: &[Wall]| WallAgreement::both_ways(&empty, &scan_of(walls, Pose2::IDENTITY), Pose2::IDENTITY);
+        let compared = |walls: &[Wall]| {
+            WallAgreement::both_ways(&empty, &scan_of(walls, Pose2::IDENTITY), Pose2::IDENTITY)
+        };
         assert_eq!(compared(&person).contradict, 0, "{:?}", compared(&person));
         let wall = compared(&divided);
         assert!(wall.contradict > 20 && wall.agree > 100, "{wall:?}");
         let nodes = vec![Some(WallAgreement { agree: 300, contradict: 0 }); 30];
         assert_eq!(contradicted_share(&nodes), 0.0);
-        let torn = [nodes, vec![None; 3], vec![Some(WallAgreement { agree: 30, contradict: 70 }); 12]].concat();
+        let torn =
+            [nodes, vec![None; 3], vec![Some(WallAgreement { agree: 30, contradict: 70 }); 12]].concat();
         assert!((contradicted_share(&torn) - 0.7).abs() < 1e-6);
     }
 

@@ -12,7 +12,8 @@ const LIVE_CLIENTS_MAX: usize = 3;
 
 const ROBOT_COLUMNS: [Column; 8] = [
     Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
-    Column { heading: ["state", ""], X    Column { heading: ["scans", "Hz"], width: 8, is_left: false, drop_order: 1 },
+    Column { heading: ["state", ""], width: 10, is_left: true, drop_order: 0 },
+    Column { heading: ["scans", "Hz"], width: 8, is_left: false, drop_order: 1 },
     Column { heading: ["lost", "scans"], width: 6, is_left: false, drop_order: 3 },
     Column { heading: ["coverage", "%"], width: 9, is_left: false, drop_order: 2 },
     Column { heading: ["TF jitter", "p50 / p99 ms"], width: 16, is_left: false, drop_order: 5 },

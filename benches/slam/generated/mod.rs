@@ -201,7 +201,13 @@ impl Summary {
         format!(
             "{name:<28} {:>5} {:>5} {:>6} {:>6} {:>7.3} {:>6.1} {:>7.1} {right:>6} {wrong:>6} {right_back:>5} {wrong_back:>5} \
              {pose:>8} {links:>6} {closures:>8}",
-            self.runs, self.wrong, self.silent, self.false_alarms, self.mean_m, self.tied_percent, self.walls_percent
+            self.runs,
+            self.wrong,
+            self.silent,
+            self.false_alarms,
+            self.mean_m,
+            self.tied_percent,
+            self.walls_percent
         )
     }
 }

@@ -172,7 +172,8 @@ impl BackEnd {
         let poses = self.graph.poses();
         let across = first_node.previous_from_this.unwrap_or_default();
         let expected = poses[last as usize] * across * poses[first as usize].between(poses[id as usize]);
-        let carried_m = self.config.odometry.speed_max_m_s * (first_node.header.stamp - last_node.header.stamp);
+        let carried_m =
+            self.config.odometry.speed_max_m_s * (first_node.header.stamp - last_node.header.stamp);
         expected.distance_m(map_from_node) > REACH_M + carried_m
     }
 

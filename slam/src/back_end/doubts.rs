@@ -98,7 +98,8 @@ impl BackEnd {
                 let [u, v] = looks_at(other);
                 let apart_m = (u - x).hypot(v - y);
                 let away_m = here.distance_m(poses[other.id as usize]);
-                (apart_m < self.config.links.distance_max_m).then_some((apart_m + VIEWPOINT * away_m, other.id))
+                (apart_m < self.config.links.distance_max_m)
+                    .then_some((apart_m + VIEWPOINT * away_m, other.id))
             })
             .collect();
         near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
