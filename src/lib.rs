@@ -18,6 +18,7 @@ pub mod run;
 pub mod supervisor;
 // What people read and control.
 pub mod allowed;
+pub mod certificate;
 pub mod control;
 pub mod merge_memory;
 pub mod observer;

@@ -5,6 +5,7 @@ pub mod demo;
 pub mod doctor;
 pub mod edges;
 pub mod fleet_args;
+pub mod headset;
 pub mod lockstep;
 pub mod merge;
 pub mod output;
@@ -54,6 +55,8 @@ enum Command {
     Release(permissions::StopArgs),
     /// List the clients of a running fleet, or close connections
     Clients(clients::ClientsArgs),
+    /// Let a headset on a USB cable reach the operator's page
+    Headset(headset::HeadsetArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
     /// Drive a running fleet over TCP, as a headset does
@@ -85,6 +88,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Stop(args) => permissions::stop(&args)?,
         Command::Release(args) => permissions::release(&args)?,
         Command::Clients(args) => clients::run(&args)?,
+        Command::Headset(args) => headset::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
         Command::Operator(args) => {
             let stop = args.launcher_pid.map_or_else(Stop::on_signals, Stop::for_child)?;

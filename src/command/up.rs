@@ -11,6 +11,7 @@ mod screen;
 pub use report::Report;
 
 use super::fleet_args::FleetArgs;
+use crate::certificate::CertificateError;
 use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
@@ -91,6 +92,9 @@ pub enum UpError {
     /// The run's folder or shared memory cannot be used.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// The configured certificate of the operator's page cannot be used.
+    #[error("bridge.page.https: {0}")]
+    Certificate(#[from] CertificateError),
     /// The TCP port cannot be listened on.
     #[error("cannot listen on {address}:{port}: {why}; choose another with --port, or 0 for any")]
     Port {
@@ -200,7 +204,7 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
     let mut config = args.config()?;
     fleet::check(&config)?;
-    page::choose_port(&mut config);
+    page::choose_ports(&mut config)?;
     let (address, port) = (config.fleet.address.clone(), config.fleet.port);
     let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
         address: address.clone(),

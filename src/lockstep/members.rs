@@ -6,6 +6,7 @@ use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
 use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
+use crate::process::control::file_thread::ImmediateFiles;
 use crate::process::graph::GraphWorker;
 use crate::process::merge::{self, MapDrawing};
 use crate::process::sim::SimulatorProcess;
@@ -159,7 +160,7 @@ impl Member {
     }
 
     /// Returns the bridge, if this is its process and runs.
-    pub fn bridge(&self) -> Option<&BridgeProcess<MemoryPorts, MemoryStorage>> {
+    pub fn bridge(&self) -> Option<&BridgeProcess<MemoryPorts, ImmediateFiles<MemoryStorage>>> {
         match &self.body {
             Some(Body::Bridge(server)) => Some(&server.process),
             _ => None,
@@ -222,7 +223,9 @@ impl Body {
             }
             Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
             Role::Bridge => {
-                let process = BridgeProcess::open(&ports[0], run, world.storage.clone())?;
+                let process = BridgeProcess::open(&ports[0], run, world.storage.clone(), |files| {
+                    Ok(ImmediateFiles(files))
+                })?;
                 let frame_bytes_max = run.config.bridge.frame_bytes_max;
                 Self::Bridge(Box::new(BridgeServer::new(process, world.port.clone(), frame_bytes_max)))
             }

@@ -5,6 +5,7 @@ use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_reques
 use super::protocol::{ENCODING, ServerCommand};
 use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
+use super::tls::serve_encrypted;
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
 use crate::connection::{Stream, accept_connections, close_gently};
@@ -22,12 +23,13 @@ use tokio::net::TcpListener;
 use tokio::sync::Notify;
 use tokio::task::yield_now;
 use tokio::time::{Instant, sleep_until, timeout};
+use tokio_rustls::TlsAcceptor;
 use tungstenite::Message;
 
 /// Connections that are no clients yet or never will be, beside the clients; more are dropped.
 const REQUESTS_MAX: usize = 32;
 /// A request must be complete after this time.
-const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// A file must be taken in this time. The whole page is smaller than a map.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
@@ -44,7 +46,7 @@ const SERVER_NAME: &str = "MR-SLAM";
 const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
 /// What all connections share.
-struct Shared {
+pub(super) struct Shared {
     bridge: Rc<Bridge>,
     files: &'static [PageFile],
     origins: Vec<String>,
@@ -64,12 +66,13 @@ impl Shared {
     }
 }
 
-/// Serves the page and its WebSockets until `stop` is ready.
+/// Serves the page and its WebSockets until `stop` is ready: encrypted with a TLS acceptor, otherwise in clear.
 ///
 /// Runs inside a [`tokio::task::LocalSet`] beside [`crate::serve_clients`]. The caller calls [`Bridge::tick`].
 pub async fn serve_page(
     bridge: Rc<Bridge>,
     listener: TcpListener,
+    encryption: Option<TlsAcceptor>,
     config: &PageConfig,
     files: &'static [PageFile],
     clock: fn() -> Monotonic,
@@ -77,7 +80,15 @@ pub async fn serve_page(
 ) {
     let (origins, session_id) = (config.origins.clone(), session_id());
     let shared = Rc::new(Shared { bridge: bridge.clone(), files, origins, clock, session_id });
-    let serve = |stream, peer| serve_connection(shared.clone(), stream, peer);
+    let serve = |stream, peer| {
+        let (shared, encryption) = (shared.clone(), encryption.clone());
+        async move {
+            match encryption {
+                Some(acceptor) => serve_encrypted(shared, stream, peer, acceptor).await,
+                None => serve_connection(shared, stream, peer).await,
+            }
+        }
+    };
     accept_connections(&bridge, listener, REQUESTS_MAX, stop, serve).await;
 }
 
@@ -88,7 +99,7 @@ fn session_id() -> String {
 }
 
 /// Answers the connection's one request.
-async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, peer: SocketAddr) {
+pub(super) async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, peer: SocketAddr) {
     let Ok(local) = stream.tcp().local_addr() else { return };
     let mut received = Vec::new();
     let read = timeout(REQUEST_TIMEOUT, read_request(&stream, &mut received, local, &shared.origins)).await;
