@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn a_torn_path_stretches_odometry_and_noise_over_all_of_it_does_not() {
         let step = |error_m: [f64; 2]| Some(OdometryStep { error_m, length_m: 0.3, sigma_m: 0.05 });
-        let alternating = |k: usize| step([if k % 2 == 0 { 0.05 } else { -0.05 }, 0.03]);
+        let alternating = |k: usize| step([if k.is_multiple_of(2) { 0.05 } else { -0.05 }, 0.03]);
         let mut steps: Vec<_> = (0..100).map(alternating).collect();
         assert!(odometry_stretch(&steps) < 2.0, "{}", odometry_stretch(&steps));
         steps[50] = step([0.0, 2.0]);

@@ -60,7 +60,7 @@ impl BackEnd {
             self.doubts.cursor = (self.doubts.cursor + 1) % (newest + 1);
             self.doubts.walls[self.doubts.cursor] = self.compare_with_older(self.doubts.cursor as u32);
         }
-        if newest % SUMMARY_NODES == 0 {
+        if newest.is_multiple_of(SUMMARY_NODES) {
             self.sum_up_doubts();
         }
     }
