@@ -84,6 +84,19 @@ struct NormalEquations {
 }
 
 impl NormalEquations {
+    fn zero() -> Self {
+        Self {
+            hessian: Matrix3::zeros(),
+            of_lines: Matrix3::zeros(),
+            of_both_normals: Matrix3::zeros(),
+            gradient: Vector3::zeros(),
+            squared: 0.0,
+            weight: 0.0,
+            matched: 0,
+            compared: 0,
+        }
+    }
+
     /// Adds the distance `away` (in the reference's frame) along `axis` (the same in the common frame). Returns its
     /// Jacobian and its weight.
     fn add(
@@ -179,16 +192,7 @@ fn normal_equations<'a>(
     gate_m: f32,
     cauchy_m: f64,
 ) -> NormalEquations {
-    let mut sums = NormalEquations {
-        hessian: Matrix3::zeros(),
-        of_lines: Matrix3::zeros(),
-        of_both_normals: Matrix3::zeros(),
-        gradient: Vector3::zeros(),
-        squared: 0.0,
-        weight: 0.0,
-        matched: 0,
-        compared: 0,
-    };
+    let mut sums = NormalEquations::zero();
     let share = 1.0 / references.clone().count().max(1) as f64;
     let points = cloud.points();
     let (sin, cos) = pose.yaw_rad.sin_cos();

@@ -249,11 +249,6 @@ impl BackEnd {
         self.graph.failed_solutions() + localizer.failed_solutions
     }
 
-    /// Nodes removed so far; the others then have new numbers.
-    pub fn retired(&self) -> u64 {
-        self.lifelong.retired
-    }
-
     /// The pose graph.
     pub fn graph(&self) -> &Graph {
         &self.graph
