@@ -22,6 +22,7 @@ pub mod certificate;
 pub mod control;
 pub mod merge_memory;
 pub mod observer;
+pub mod report;
 pub mod terminal;
 pub mod view;
 // Files that outlive a process.

@@ -38,7 +38,10 @@ pub use config::{
 };
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
-pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
+pub use fleet_topics::{
+    Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, OutgoingTopic,
+    TopicSink,
+};
 pub use page::{PageFile, TlsAcceptor, TlsError, serve_page, tls_acceptor};
 pub use ros_messages as ros;
 pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};

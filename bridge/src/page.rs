@@ -12,7 +12,6 @@ mod encoder;
 mod http;
 mod origin;
 mod protocol;
-mod schema;
 mod server;
 mod session;
 mod socket;

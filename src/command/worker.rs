@@ -24,6 +24,8 @@ enum Role {
     Telemetry(ProcessArgs),
     /// Serve headsets and ROS 2
     Bridge(ProcessArgs),
+    /// Record the fleet's messages
+    Record(ProcessArgs),
 }
 
 /// Runs the process until it is asked to stop.
@@ -34,5 +36,6 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
         Role::Merge(args) => Process::Merge(args),
         Role::Telemetry(args) => Process::Telemetry(args),
         Role::Bridge(args) => Process::Bridge(args),
+        Role::Record(args) => Process::Record(args),
     })
 }

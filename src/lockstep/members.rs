@@ -2,6 +2,7 @@
 
 use super::memory_storage::MemoryStorage;
 use super::queues::{MemoryPorts, Network};
+use super::replay::RecordedRobot;
 use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
 use crate::ports::Clock;
@@ -19,6 +20,7 @@ use crate::restarts::{RestartPolicy, State};
 use crate::run::Run;
 use crate::supervisor::START_MAX;
 use crate::watchdog::{Finding, ThreadSample, ThreadState, Watchdog};
+use ::recording::fleet::FleetRecording;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -37,6 +39,8 @@ pub struct World {
     pub storage: MemoryStorage,
     /// The bridge's TCP port.
     pub port: Rc<Port>,
+    /// What the robots send, if they are not simulated.
+    pub recording: Option<Rc<FleetRecording>>,
 }
 
 /// One process of the fleet, running or ended.
@@ -69,6 +73,7 @@ pub struct Thread {
 /// The components of a running process.
 enum Body {
     Sim(Box<SimulatorProcess<MemoryPorts>>),
+    Recorded(RecordedRobot<MemoryPorts>),
     Slam(Box<SlamBody>),
     Merge(Box<(MapDrawing<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<TelemetryProcess<MemoryPorts>>),
@@ -189,6 +194,7 @@ impl Member {
         self.threads[thread].ports.take_notifications();
         self.threads[thread].due = match (body, thread) {
             (Body::Sim(simulation), _) => simulation.step(),
+            (Body::Recorded(robot), _) => robot.step(),
             (Body::Slam(slam), _) => slam.step(thread),
             (Body::Merge(merge), 0) => merge.0.step(),
             (Body::Merge(merge), _) => merge.1.step(),
@@ -209,7 +215,12 @@ impl Body {
         let run = &world.run;
         let robot = || robot.ok_or("a robot's process without a robot");
         Ok(match role {
-            Role::Sim => Self::Sim(Box::new(SimulatorProcess::open(&ports[0], run, robot()?, at)?)),
+            Role::Sim => match &world.recording {
+                Some(recording) => {
+                    Self::Recorded(RecordedRobot::open(&ports[0], run, robot()?, recording.clone())?)
+                }
+                None => Self::Sim(Box::new(SimulatorProcess::open(&ports[0], run, robot()?, at)?)),
+            },
             Role::Slam => {
                 let storage = world.storage.clone();
                 let process = SlamProcess::open([&ports[0], &ports[1]], run, robot()?, at, storage)?;
@@ -222,6 +233,7 @@ impl Body {
                 Self::Merge(Box::new((drawing, GraphWorker::open(&ports[1], run, graph, memory, slot)?)))
             }
             Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
+            Role::Record => return Err("lockstep records with `--record FILE`".into()),
             Role::Bridge => {
                 let process = BridgeProcess::open(&ports[0], run, world.storage.clone(), |files| {
                     Ok(ImmediateFiles(files))

@@ -10,6 +10,7 @@ pub mod heartbeat;
 mod map_publisher;
 pub mod merge;
 mod outside;
+pub mod record;
 mod ros2;
 pub mod sim;
 pub mod slam;
@@ -111,6 +112,8 @@ pub enum Process {
     Telemetry(ProcessArgs),
     /// The bridge: ros_tcp clients and ROS 2.
     Bridge(ProcessArgs),
+    /// The recorder of the fleet's messages.
+    Record(ProcessArgs),
 }
 
 /// Runs one process of the fleet until it is asked to stop.
@@ -129,6 +132,7 @@ pub fn run(process: &Process) -> Result<(), Error> {
             join(args, Role::Telemetry).and_then(|(run, stop)| telemetry::run(&run, &stop))
         }
         Process::Bridge(args) => join(args, Role::Bridge).and_then(|(run, stop)| bridge::run(&run, &stop)),
+        Process::Record(args) => join(args, Role::Record).and_then(|(run, stop)| record::run(&run, &stop)),
     }
 }
 

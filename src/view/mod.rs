@@ -229,6 +229,13 @@ impl RobotView {
         self.scans > 0 && self.scan_hz_last_second == 0.0
     }
 
+    /// Removes the figures of time, where time is virtual and they say nothing.
+    pub fn forget_latencies(&mut self) {
+        let nothing = DistributionView { count: 0, p50: None, p95: None, p99: None, max: None };
+        (self.tf_jitter_ms, self.scan_to_pose_ms) = (nothing.clone(), nothing.clone());
+        self.scan_to_map_ms = nothing;
+    }
+
     /// Known share of the robot's map, 0 to 1; `None`: it has no map.
     pub fn coverage(&self) -> Option<f64> {
         (self.map.slam_stats[3] > 0.0).then_some(self.map.coverage)

@@ -23,6 +23,7 @@ mod malformed;
 mod maps;
 mod page;
 mod peers;
+mod recording;
 mod relation_metric;
 mod restart;
 mod services;

@@ -11,6 +11,7 @@
 //! Seeds 1 to 3 were tuned on; 11 and above were held back. `--out` gets `explore.json`, curves of coverage, and a picture of each
 //! run that did not see 99 %.
 
+mod burgard;
 mod driver;
 mod methods;
 mod picture;
@@ -36,6 +37,22 @@ struct Options {
     out: Option<PathBuf>,
     draw_all: bool,
     jobs: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            worlds: RoomKind::ALL.to_vec(),
+            robots: vec![3],
+            seeds: 1..=3,
+            starts: vec![Starts::Near],
+            methods: vec![Kind::Coordinated, Kind::Burgard, Kind::Greedy],
+            limit_s: 4000,
+            out: None,
+            draw_all: false,
+            jobs: 1,
+        }
+    }
 }
 
 fn main() {
@@ -126,17 +143,7 @@ fn run_case(case: Case, options: &Options) -> Option<Outcome> {
 }
 
 fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Options, String> {
-    let mut options = Options {
-        worlds: RoomKind::ALL.to_vec(),
-        robots: vec![3],
-        seeds: 1..=3,
-        starts: vec![Starts::Near],
-        methods: vec![Kind::Coordinated, Kind::Burgard, Kind::Greedy],
-        limit_s: 4000,
-        out: None,
-        draw_all: false,
-        jobs: 1,
-    };
+    let mut options = Options::default();
     while let Some(argument) = arguments.next() {
         if argument == "--bench" {
             continue;

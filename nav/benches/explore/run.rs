@@ -1,7 +1,8 @@
 //! One run: a method explores a room with a fleet, and what it took.
 
+use crate::burgard::Burgard;
 use crate::driver::{Driver, Other, Scene, Task};
-use crate::methods::{Burgard, Coordinated, Greedy, Kind, Method};
+use crate::methods::{Coordinated, Greedy, Kind, Method};
 use crate::world::{Robot, Starts, World};
 use nav::coordination::GoalProgress;
 use nav::{
@@ -54,6 +55,29 @@ pub struct Outcome {
     pub stopped_by: &'static str,
 }
 
+impl Outcome {
+    fn new(case: Case) -> Self {
+        Self {
+            case,
+            times_s: [None; 3],
+            end_s: 0.0,
+            coverage: 0.0,
+            travelled_m: 0.0,
+            overlap: 0.0,
+            contacts: 0,
+            separation_m: 0.0,
+            plans: 0,
+            path_plans: 0,
+            choose_ms: 0.0,
+            drive_ms: 0.0,
+            longest_choice_ms: 0.0,
+            curve: Vec::new(),
+            leftovers: Vec::new(),
+            stopped_by: "limit",
+        }
+    }
+}
+
 /// Runs a case. Returns the world at its end too, for pictures.
 pub fn run(case: Case) -> Result<(Outcome, World), String> {
     let room = Room::generate(case.room, case.seed);
@@ -62,24 +86,7 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
         Kind::Tour => Box::new(TourPilot::new(case)?),
         _ => Box::new(MethodPilot::new(case)),
     };
-    let mut outcome = Outcome {
-        case,
-        times_s: [None; 3],
-        end_s: 0.0,
-        coverage: 0.0,
-        travelled_m: 0.0,
-        overlap: 0.0,
-        contacts: 0,
-        separation_m: 0.0,
-        plans: 0,
-        path_plans: 0,
-        choose_ms: 0.0,
-        drive_ms: 0.0,
-        longest_choice_ms: 0.0,
-        curve: Vec::new(),
-        leftovers: Vec::new(),
-        stopped_by: "limit",
-    };
+    let mut outcome = Outcome::new(case);
     let mut twists = vec![Twist::STOP; case.robots];
     for step in 0..case.limit_s * STEPS_PER_SECOND {
         world.step(&twists);
