@@ -223,6 +223,11 @@ impl RobotView {
         self.state == TrackingState::Lost.name()
     }
 
+    /// Returns whether there is evidence that the robot's map is wrong.
+    pub fn is_unreliable(&self) -> bool {
+        self.state == TrackingState::Unreliable.name()
+    }
+
     /// Returns whether scans came once and do not come any more.
     pub fn has_stale_scans(&self) -> bool {
         self.scans > 0 && self.scan_hz_last_second == 0.0

@@ -84,6 +84,9 @@ impl FleetView {
             if robot.is_lost() {
                 alarms.push(format!("{} is lost: it looks for its place in the map", robot.robot));
             }
+            if robot.is_unreliable() {
+                alarms.push(format!("{}'s map may be wrong: scans or odometry contradict it", robot.robot));
+            }
             if robot.has_stale_scans() {
                 alarms.push(format!("{}: no scan for a second or more", robot.robot));
             }
@@ -158,7 +161,7 @@ impl FleetView {
 fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
     vec![
         robot.robot.as_str().into(),
-        Cell::alarm_if(robot.is_lost(), robot.state),
+        Cell::alarm_if(robot.is_lost() || robot.is_unreliable(), robot.state),
         Cell::alarm_if(robot.has_stale_scans(), format!("{:.2}", robot.scan_hz_last_second)),
         robot.scans_lost.to_string().into(),
         format!("{:.1}", 100.0 * robot.map.coverage).into(),
@@ -222,6 +225,7 @@ mod tests {
             (robot.state, robot.scans, robot.scan_hz) = (TrackingState::Tracking as u32, 100, 10.0);
         }
         stats.robots[1].state = TrackingState::Lost as u32;
+        stats.robots[2].state = TrackingState::Unreliable as u32;
         stats.robots[2].scan_hz = 0.0;
         (stats.robots[0].merged, stats.robots[0].map_age_s) = (1, 12.3);
         let client = |port: usize| ClientStatus {
@@ -266,6 +270,7 @@ mod tests {
         assert!(plain.contains("! robot2 is lost") && plain.contains("! robot3: no scan"), "{plain}");
         let old = "robot1's part of the merged map is 12 s old";
         assert!(plain.contains(&format!("! {old}")) && fleet.table(&Style::PLAIN).contains(old), "{plain}");
+        assert!(plain.contains("! robot3's map may be wrong"), "{plain}");
         assert!(!plain.contains('\x1b'), "no colours in a file: {plain:?}");
         let coloured = fleet.live_table(&Style { width: 80, is_coloured: true });
         assert!(coloured.contains("\x1b[1;31mlost"), "{coloured:?}");
