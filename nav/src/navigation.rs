@@ -28,7 +28,7 @@ use robot::{OtherRobot, RobotNavigator};
 /// What the navigator has decided for one robot.
 #[derive(Clone, Copy, Debug)]
 pub struct RobotNavigation<'a> {
-    /// The robot.
+    /// The robot that is driven.
     pub robot: RobotId,
     /// Velocity to drive until the next step; `None` if the navigator does not drive the robot.
     pub twist: Option<Twist>,
