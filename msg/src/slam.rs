@@ -120,7 +120,14 @@ pub struct MapTransforms {
     pub header: Header,
     /// Transforms by [`crate::RobotId::index`]. Those beyond the fleet are unknown.
     pub robots: [MapTransform; ROBOTS_MAX],
+    /// Time at which merging last received an answer of each robot's SLAM to a scan; zero: never. Until then the robot's
+    /// part of the merged map is up to date.
+    pub slam_received: [Monotonic; ROBOTS_MAX],
 }
+
+/// Age from which a robot's part of the merged map counts as old, seconds. It reaches a reader up to 0.5 s late, and a
+/// SLAM process that was killed is back within about 1 s.
+pub const MAP_OLD_AFTER_S: f64 = 2.5;
 
 impl Default for MapTransforms {
     fn default() -> Self {
