@@ -14,6 +14,7 @@ mod loop_closer;
 mod modes;
 mod node_numbers;
 mod odometry_noise;
+mod retracted;
 mod robot_location;
 mod state;
 mod undo;
@@ -343,6 +344,7 @@ impl BackEnd {
             let newest = self.graph.edges().len() - 1;
             self.graph.edge_mut(newest).response = closure.response;
         }
+        self.restore_retracted(&closures);
         self.solve(true);
         self.stages.stage_started(Stage::Link);
         for id in self.nodes_around(&closures) {
