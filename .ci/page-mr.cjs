@@ -41,8 +41,8 @@ function towards(from, to) {
 
 /** One operator with a headset. */
 class Headset {
-  static async open({ lacks = [], on = browser } = {}) {
-    const context = await on.newContext({ viewport: SIZE, colorScheme: "dark" });
+  static async open({ lacks = [], breaksAtStart = false } = {}) {
+    const context = await browser.newContext({ viewport: SIZE, colorScheme: "dark" });
     const headset = new Headset();
     const page = (headset.page = await context.newPage());
     headset.errors = [];
@@ -50,6 +50,22 @@ class Headset {
     page.on("console", (message) => message.type() === "error" && headset.errors.push(message.text()));
     await page.addInitScript((missing) => { globalThis.questLacks = missing; }, lacks);
     await page.addInitScript({ path: emulator });
+    if (breaksAtStart) await page.addInitScript(() => {
+      const [Socket, sockets] = [globalThis.WebSocket, new Set()];
+      globalThis.broken = 0;
+      globalThis.WebSocket = class extends Socket {
+        constructor(...args) {
+          super(...args);
+          sockets.add(this);
+        }
+      };
+      const request = XRSystem.prototype.requestSession;
+      XRSystem.prototype.requestSession = async function start(...args) {
+        const session = await request.apply(this, args);
+        for (const socket of sockets) if (socket.readyState === 1) { socket.close(); globalThis.broken += 1; }
+        return session;
+      };
+    });
     await page.goto(url);
     await page.evaluate((scanned) => globalThis.quest.enter(scanned), room);
     await page.waitForFunction(() => document.querySelectorAll(".robot .badge.good").length === 2, null, WAIT);
@@ -158,15 +174,20 @@ test("both robots are where the simulator has them", async () => {
   headset = await Headset.open();
   await headset.enter();
   await headset.look(inXr(0.2, -1.1, 1.5), inXr(0.1, 0.6, 0));
+  await headset.page.evaluate(() => { globalThis.mixedReality.panels = () => []; });
   await headset.frames(3);
   for (const [i, start] of STARTS.entries()) {
     const wanted = headset.project(plate(start));
     const found = await headset.find(COLOURS[i]);
     assert.ok(found.count > 30, `robot ${i + 1} has ${found.count} pixels`);
     const away = Math.hypot(found.x - wanted.x, found.y - wanted.y);
-    assert.ok(away < 6, `robot ${i + 1} is at ${JSON.stringify(found)} instead of ${JSON.stringify(wanted)}`);
+    // The middle of what is seen in its colour: a wheel's hub lies beside the plates, and the LiDAR hides a part of them.
+    assert.ok(away < 10, `robot ${i + 1} is at ${JSON.stringify(found)} instead of ${JSON.stringify(wanted)}`);
   }
-  await headset.page.evaluate(() => globalThis.quest.show());
+  await headset.page.evaluate(() => {
+    delete globalThis.mixedReality.panels;
+    globalThis.quest.show();
+  });
   await headset.frames(2);
   await headset.page.screenshot({ path: `${out}/page-mr.png` });
   await headset.page.evaluate(() => { globalThis.quest.device.sem.meshesVisible = false; });
@@ -209,6 +230,35 @@ test("a button stops all robots, and the controllers are felt", async () => {
   await headset.page.waitForFunction(() => globalThis.mixedReality.buttonPlace("Release stop") !== null, null, WAIT);
   await headset.press("Release stop");
   await headset.page.waitForSelector("#release[hidden]", { state: "attached", ...WAIT });
+});
+
+test("sockets that break when the session starts, as they do on headsets, are opened again and the session goes on", async () => {
+  const other = await Headset.open({ breaksAtStart: true });
+  await other.look(inXr(0, -1, 1.6), inXr(0, 2, 1.6));
+  await other.page.click("#reality");
+  await other.page.waitForFunction(() => globalThis.broken > 0, null, WAIT);
+  await other.page.waitForFunction(() => document.querySelector("#link").textContent === "connected", null, WAIT);
+  await other.page.waitForFunction(() => {
+    const robots = [...globalThis.mixedReality.operator.fleet.robots.values()];
+    const { now } = globalThis.mixedReality.operator;
+    return globalThis.mixedReality.xr !== null && robots.every((robot) => robot.scanAge(now()) < 1);
+  }, null, WAIT);
+  await other.frames(2);
+  await other.close();
+});
+
+test("/selfcheck shows what the device gives in a session", async () => {
+  const context = await browser.newContext({ viewport: SIZE });
+  const page = await context.newPage();
+  await page.addInitScript({ path: emulator });
+  await page.goto(`${url}/selfcheck`);
+  await page.evaluate((scanned) => globalThis.quest.enter(scanned), room);
+  await page.click("#session:not([disabled])");
+  const fact = async (name, text) => page.waitForFunction(([of, wanted]) => document.querySelector(`[data-fact="${of}"]`)?.textContent.includes(wanted), [name, text], WAIT);
+  await fact("Mixed reality", "yes");
+  await fact("Hides by", "depth");
+  await fact("Frames per second", "");
+  await context.close();
 });
 
 test("no error was reported", () => assert.deepEqual(headset.errors, []));

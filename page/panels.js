@@ -57,6 +57,7 @@ export const ROBOT_ROWS = [
   ["To pose", false, ({ figures }) => format(figures.scan_to_pose_ms?.[0], 1, " ms")],
   ["To map", false, ({ figures }) => format(figures.scan_to_map_ms?.[0], 0, " ms")],
   ["Closures", false, ({ figures }) => format(figures.closures)],
+  ["Map age", false, ({ figures }) => format(figures.map_age_s, 1, " s")],
   ["Merged", false, ({ figures }) => (figures.is_merged === undefined || figures.is_merged === null ? "–" : figures.is_merged ? "yes" : "no")],
 ];
 

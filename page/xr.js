@@ -164,10 +164,11 @@ export class MixedReality {
       const items = fleet.attention(now, isConnected);
       fleetPanel.show(fleet, now, { text, isGood: isConnected && !this.alignment && !fleet.isStopped }, items, this.commands(), this.operator.select);
     }
-    for (const robot of fleet.robots.values()) this.updateRobotPanel(robot, eye, gaze, now, isDue);
+    const ahead = fleetPanel.hit(eye, gaze) ? null : gaze;
+    for (const robot of fleet.robots.values()) this.updateRobotPanel(robot, eye, ahead, now, isDue);
   }
 
-  /** @param {Robot} robot @param {Vector} eye @param {Vector} gaze @param {number} now @param {boolean} isDue */
+  /** @param {Robot} robot @param {Vector} eye @param {Vector | null} gaze @param {number} now @param {boolean} isDue */
   updateRobotPanel(robot, eye, gaze, now, isDue) {
     if (!robot.pose || !this.xr || !this.xrFromMap) return;
     let panel = this.robotPanels.get(robot.number);

@@ -1,6 +1,6 @@
 // The panels of mixed reality: drawn on a canvas, shown as a texture, with buttons that a ray presses.
 
-import { facing, multiply, planeHit, scaling, translation } from "./matrix.js";
+import { distance, facing, multiply, planeHit, scaling, translation } from "./matrix.js";
 import { FLEET_ROWS, ROBOT_ROWS } from "./panels.js";
 import { STALE_S } from "./state.js";
 import { shapePath } from "./view.js";
@@ -31,6 +31,8 @@ export class Panel {
     /** @type {Button[]} */
     this.buttons = [];
     this.shown = "";
+    /** How much larger it is than its pixels say, so that it is legible from far away. */
+    this.zoom = 1;
     this.resize(width, height);
   }
 
@@ -41,8 +43,8 @@ export class Panel {
     this.shown = "";
   }
 
-  get width() { return this.canvas.width / PIXELS_PER_M; }
-  get height() { return this.canvas.height / PIXELS_PER_M; }
+  get width() { return (this.canvas.width / PIXELS_PER_M) * this.zoom; }
+  get height() { return (this.canvas.height / PIXELS_PER_M) * this.zoom; }
 
   /** Paints the panel if what it shows has changed. @param {string} content all that it shows @param {(context: CanvasRenderingContext2D) => void} paint */
   update(content, paint) {
@@ -74,12 +76,14 @@ export class Panel {
   hit(origin, direction) {
     const hit = this.matrix && planeHit(this.matrix, origin, direction);
     if (!hit || Math.abs(hit.x) > this.width / 2 || Math.abs(hit.y) > this.height / 2) return null;
-    return { x: (hit.x + this.width / 2) * PIXELS_PER_M, y: (this.height / 2 - hit.y) * PIXELS_PER_M, distance: hit.distance };
+    const scale = PIXELS_PER_M / this.zoom;
+    return { x: (hit.x + this.width / 2) * scale, y: (this.height / 2 - hit.y) * scale, distance: hit.distance };
   }
 
   /** Returns the middle of a button in the panel's frame, metres. @param {Button} button @returns {Vector} */
   placeOf({ x, y, width, height }) {
-    return [(x + width / 2) / PIXELS_PER_M - this.width / 2, this.height / 2 - (y + height / 2) / PIXELS_PER_M, 0];
+    const metres = this.zoom / PIXELS_PER_M;
+    return [(x + width / 2) * metres - this.width / 2, this.height / 2 - (y + height / 2) * metres, 0];
   }
 
   /** Returns the button at a pixel. @param {{x: number, y: number}} at */
@@ -136,6 +140,9 @@ const LARGE = { width: 560, height: 470 };
 /** A panel expands when the viewer is so near, metres, or looks at it for so long, seconds. */
 const NEAR_M = 0.8;
 const GAZE_S = 0.4;
+/** Beyond this distance a panel grows, metres, up to so many times its size. */
+const LEGIBLE_M = 1.6;
+const ZOOM_MAX = 2.5;
 /** Height of a panel's lower edge above the floor at a life-size robot, metres. */
 const ABOVE_M = 0.3;
 
@@ -151,12 +158,13 @@ export class RobotPanel extends Panel {
 
   /**
    * Puts the panel above the robot, and expands it. @param {Vector} robotAt in the room @param {Vector} eye
-   * @param {Vector} gaze direction of the view @param {number} now @param {number} scale of the map
+   * @param {Vector | null} gaze direction of the view, or null if it looks at something before the panel @param {number} now @param {number} scale of the map
    */
   place(robotAt, eye, gaze, now, scale) {
+    this.zoom = Math.min(ZOOM_MAX, Math.max(1, distance(robotAt, eye) / LEGIBLE_M));
     const at = /** @type {Vector} */ ([robotAt[0], robotAt[1] + ABOVE_M * Math.max(0.25, scale) + this.height / 2, robotAt[2]]);
     this.matrix = facing(at, eye);
-    if (this.hit(eye, gaze)) this.gazedSince ??= now;
+    if (gaze && this.hit(eye, gaze)) this.gazedSince ??= now;
     else this.gazedSince = null;
     const isNear = Math.hypot(at[0] - eye[0], at[2] - eye[2]) < NEAR_M;
     const isLarge = isNear || (this.gazedSince !== null && now - this.gazedSince >= GAZE_S);

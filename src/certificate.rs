@@ -29,7 +29,7 @@ pub enum CertificateError {
     File {
         /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// What the system answered.
         why: io::Error,
     },
     /// The files are no certificate with its key.

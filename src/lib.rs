@@ -20,6 +20,7 @@ pub mod supervisor;
 pub mod allowed;
 pub mod certificate;
 pub mod control;
+pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
 pub mod report;

@@ -13,6 +13,7 @@ mod injection;
 pub mod invariants;
 mod members;
 mod memory_storage;
+mod merged_map_check;
 mod observer;
 mod operator;
 mod people;

@@ -36,6 +36,8 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("models.js", SCRIPT),
     file!("panels.js", SCRIPT),
     file!("renderer.js", SCRIPT),
+    file!("/selfcheck", "selfcheck.html", HTML),
+    file!("selfcheck.js", SCRIPT),
     file!("shaders.js", SCRIPT),
     file!("state.js", SCRIPT),
     file!("transport.js", SCRIPT),
@@ -56,9 +58,10 @@ mod tests {
     fn references(file: &PageFile) -> Vec<String> {
         let text = std::str::from_utf8(file.bytes).unwrap();
         let quoted = text.split('"').skip(1).step_by(2);
-        let of_imports = quoted.filter_map(|quoted| quoted.strip_prefix("./"));
-        let is_linked = |name: &&str| ["main.js", "style.css", "icon.svg"].contains(name);
-        let linked = text.split('"').filter(is_linked).filter(|_| file.path == "/");
+        let of_imports =
+            quoted.filter_map(|quoted| quoted.strip_prefix("./")).filter(|name| !name.is_empty());
+        let is_linked = |name: &&str| ["main.js", "selfcheck.js", "style.css", "icon.svg"].contains(name);
+        let linked = text.split('"').filter(is_linked).filter(|_| file.content_type == HTML);
         of_imports.chain(linked).map(|name| format!("/{name}")).collect()
     }
 

@@ -208,21 +208,35 @@ fn json_body<T: Default + serde::de::DeserializeOwned>(json: &[u8]) -> T {
     serde_json::from_slice(json).unwrap_or_default()
 }
 
-fn check_handshake(first: &str, json: &[u8]) -> Result<(), String> {
+/// Reason why a server is not one that this client understands.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+enum HandshakeError {
+    /// The first frame is another one.
+    #[error(
+        "its first frame is '{first}', expected '{}': no ros_tcp endpoint; check host and port",
+        name::HANDSHAKE
+    )]
+    FirstFrame { first: String },
+    /// The endpoint has another version.
+    #[error("the endpoint is of version '{version}', expected {ENDPOINT_VERSION}*")]
+    Version { version: String },
+    /// The endpoint speaks ROS 1, or does not say what it speaks.
+    #[error("the endpoint speaks {protocol:?}, expected ROS2")]
+    Protocol { protocol: Option<String> },
+}
+
+fn check_handshake(first: &str, json: &[u8]) -> Result<(), HandshakeError> {
     if first != name::HANDSHAKE {
-        return Err(format!(
-            "its first frame is '{first}', expected '{}': no ros_tcp endpoint; check host and port",
-            name::HANDSHAKE
-        ));
+        return Err(HandshakeError::FirstFrame { first: first.to_owned() });
     }
     let handshake: Handshake = json_body(json);
     if !handshake.version.starts_with(ENDPOINT_VERSION) {
-        return Err(format!("the endpoint is of version '{}', expected v0.7", handshake.version));
+        return Err(HandshakeError::Version { version: handshake.version });
     }
     let metadata: serde_json::Value = serde_json::from_str(&handshake.metadata).unwrap_or_default();
     match metadata["protocol"].as_str() {
         Some("ROS2") => Ok(()),
-        other => Err(format!("the endpoint speaks {other:?}, expected ROS2")),
+        other => Err(HandshakeError::Protocol { protocol: other.map(str::to_owned) }),
     }
 }
 

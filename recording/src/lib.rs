@@ -1,6 +1,6 @@
 //! Recordings of a fleet: ROS 2 messages in MCAP files, as rosbag2 writes them, and their reading.
 //!
-//! [`RecordingWriter`] makes the bytes of a file; whoever calls it writes them. [`RecordingReader`] reads such files and
+//! [`RecordingWriter`] makes the bytes of a file; the caller writes them. [`RecordingReader`] reads such files and
 //! those of rosbag2, up to the place where a broken one ends. [`bag`] finds the scans and the odometry of a robot in them.
 
 pub mod bag;

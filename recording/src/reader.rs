@@ -39,7 +39,7 @@ pub struct RecordedMessage {
     pub encoding: Rc<str>,
     /// When it was recorded, nanoseconds.
     pub at: Stamp,
-    /// Encoded message.
+    /// The message as it was encoded.
     pub payload: Vec<u8>,
 }
 

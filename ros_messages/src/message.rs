@@ -95,9 +95,9 @@ impl Message for TwistStamped {
 /// geometry_msgs/Pose2D: a pose in the plane, with its angle as it is and not as a quaternion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose2D {
-    /// Position, metres.
+    /// Position in the frame, metres.
     pub x: f64,
-    /// Position, metres.
+    /// Position in the frame, metres.
     pub y: f64,
     /// Angle, radians, counter-clockwise.
     pub theta: f64,

@@ -7,12 +7,14 @@
 //! take back, `lifelong` what a lasting map removes.
 
 mod components;
+mod doubts;
 mod lifelong;
 mod links;
 mod loop_closer;
 mod modes;
 mod node_numbers;
 mod odometry_noise;
+mod retracted;
 mod robot_location;
 mod state;
 mod undo;
@@ -30,6 +32,7 @@ use crate::mapper::OccupancyMapper;
 use crate::node::{Node, Revision};
 use crate::relocalize::RelocalizationCounts;
 use crate::stages::{Stage, StageObserver};
+use doubts::DoubtMonitor;
 use lifelong::Lifelong;
 use loop_closer::LoopCloser;
 use msg::{GridView, Header, Monotonic, Pose2, TileMap};
@@ -63,6 +66,7 @@ pub struct BackEnd {
     lifelong: Lifelong,
     numbers: NodeNumbers,
     odometry_noise: OdometryNoise,
+    doubts: DoubtMonitor,
     mapper: OccupancyMapper,
     /// The newest node that odometry alone connects with the nodes before: whether that is right is not yet verified.
     unverified_edge: Option<u32>,
@@ -113,6 +117,7 @@ impl BackEnd {
             lifelong: Lifelong::default(),
             numbers: NodeNumbers::default(),
             odometry_noise: OdometryNoise::new(),
+            doubts: DoubtMonitor::default(),
             mapper: OccupancyMapper::new(config.map.clone()),
             unverified_edge: None,
             unsolved: 0,
@@ -132,6 +137,7 @@ impl BackEnd {
         let node = node.kept();
         self.numbers.newest_front = node.id;
         self.process_node(node);
+        self.update_doubts();
         self.stages.stage_started(Stage::Idle);
         self.revision()
     }
@@ -182,6 +188,7 @@ impl BackEnd {
             left -= 1;
         }
         self.solve(false);
+        self.renew_doubts();
         self.stages.stage_started(Stage::Idle);
     }
 
@@ -243,11 +250,6 @@ impl BackEnd {
         self.graph.failed_solutions() + localizer.failed_solutions
     }
 
-    /// Nodes removed so far; the others then have new numbers.
-    pub fn retired(&self) -> u64 {
-        self.lifelong.retired
-    }
-
     /// The pose graph.
     pub fn graph(&self) -> &Graph {
         &self.graph
@@ -290,6 +292,7 @@ impl BackEnd {
     fn append_node(&mut self, mut node: Node) {
         self.numbers.front_ids.push(node.id);
         self.lifelong.contradicted.push(0);
+        self.doubts.unmeasured_s += node.unmeasured_s;
         node.id = self.nodes.len() as u32;
         if let Some(anchor) = self.location.next_pose.take() {
             return self.add_anchored_node(node, anchor);
@@ -341,6 +344,7 @@ impl BackEnd {
             let newest = self.graph.edges().len() - 1;
             self.graph.edge_mut(newest).response = closure.response;
         }
+        self.restore_retracted(&closures);
         self.solve(true);
         self.stages.stage_started(Stage::Link);
         for id in self.nodes_around(&closures) {

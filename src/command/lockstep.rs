@@ -68,9 +68,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
                 checker.receive(channel, message);
             });
             checker.check_bounds(&fleet);
-            if let Some(recording) = &mut recording {
-                recording.step();
-            }
+            recording.iter_mut().for_each(|recording| _ = recording.step());
         }
         if second % 10 == 9 {
             output::note(&format!("{} of {} s", second + 1, args.seconds));
@@ -79,11 +77,9 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
             break;
         }
     }
-    let hash = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+    let hash: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let faster = fleet.now().seconds() / begun.elapsed().as_secs_f64().max(1e-9);
-    if let Some(dir) = &args.run_dir {
-        write_results(dir, &mut fleet)?;
-    }
+    args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &mut fleet))?;
     let maps_hash = record::map_hash(fleet.maps());
     let recorded = recording.map(Recording::finish);
     if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {

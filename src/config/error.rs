@@ -94,7 +94,7 @@ pub enum ValueError {
     /// A value of the sessions.
     #[error(transparent)]
     Sessions(#[from] SessionsConfigError),
-    /// Section `[recording]`.
+    /// A value of section `[recording]`.
     #[error(transparent)]
     Recording(#[from] RecordingConfigError),
     /// A value of merging.

@@ -9,7 +9,7 @@ use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
 use crate::process::control::file_thread::ImmediateFiles;
 use crate::process::graph::GraphWorker;
-use crate::process::merge::{self, MapDrawing};
+use crate::process::merge::{self, MergeProcess};
 use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::Job;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
@@ -23,7 +23,6 @@ use crate::watchdog::{Finding, ThreadSample, ThreadState, Watchdog};
 use ::recording::fleet::FleetRecording;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::rc::Rc;
-use std::sync::Arc;
 use std::time::Duration;
 
 /// Time from a death until the new process runs: the launcher's poll, the program's start and the opening of its channels.
@@ -75,7 +74,7 @@ enum Body {
     Sim(Box<SimulatorProcess<MemoryPorts>>),
     Recorded(RecordedRobot<MemoryPorts>),
     Slam(Box<SlamBody>),
-    Merge(Box<(MapDrawing<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
+    Merge(Box<(MergeProcess<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<TelemetryProcess<MemoryPorts>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
 }
@@ -227,10 +226,9 @@ impl Body {
                 Self::Slam(Box::new(SlamBody { process, input: None, job: None, outcome: None }))
             }
             Role::Merge => {
-                let (graph, memory) = merge::begin(run, world.storage.clone())?;
-                let slot = Arc::default();
-                let drawing = MapDrawing::open(&ports[0], run, &graph, Arc::clone(&slot))?;
-                Self::Merge(Box::new((drawing, GraphWorker::open(&ports[1], run, graph, memory, slot)?)))
+                let (state, restored) = merge::begin(run, world.storage.clone())?;
+                let process = MergeProcess::open(&ports[0], run, &state, &restored)?;
+                Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
             Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
             Role::Record => return Err("lockstep records with `--record FILE`".into()),

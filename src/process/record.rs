@@ -1,6 +1,6 @@
 //! The process that records the fleet's messages, and the same loop for `mr-slam record` and for lockstep.
 //!
-//! It reads channels and encodes their messages with the bridge's tables ([`topics`]). The bytes go to files of a bounded
+//! It reads channels and encodes their messages with the bridge's tables (`topics`). The bytes go to files of a bounded
 //! size ([`files`]). It never holds anything up: when the disk is slow, messages are dropped and counted.
 
 pub mod description;

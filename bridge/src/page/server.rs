@@ -45,6 +45,12 @@ const SERVER_NAME: &str = "MR-SLAM";
 /// A WebSocket frame that closes the connection, with code 1000: normal (RFC 6455, 5.5.1 and 7.4.1).
 const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
+/// Topic of texts that say what a device can do, as `/selfcheck` finds out; they go to the operator's log alone.
+const SELFCHECK_TOPIC: &str = "/mr_slam/selfcheck";
+/// Texts of one connection that are logged, and characters of one: a log is no place to fill a disk from.
+const SELFCHECKS_MAX: u32 = 4;
+const SELFCHECK_CHARS_MAX: usize = 2000;
+
 /// What all connections share.
 pub(super) struct Shared {
     bridge: Rc<Bridge>,
@@ -170,6 +176,9 @@ struct Connection<'a, S> {
     encoder: &'a RefCell<Encoder>,
     session: Session,
     reader: MessageReader,
+    peer: SocketAddr,
+    /// Texts for the operator's log that it has sent.
+    selfchecks: u32,
 }
 
 impl<S> Drop for Connection<'_, S> {
@@ -205,7 +214,8 @@ async fn serve_web_socket(
         }
     };
     let (session, reader) = (Session::default(), MessageReader::new());
-    let mut connection = Connection { shared, id, stream: &*stream, encoder: &encoder, session, reader };
+    let mut connection =
+        Connection { shared, id, stream: &*stream, encoder: &encoder, session, reader, peer, selfchecks: 0 };
     // However it ends, the client is told what is left to say.
     let _ = connection.run(&wake, first_bytes).await;
     drop(connection);
@@ -247,6 +257,14 @@ fn flush(encoder: &RefCell<Encoder>, stream: &impl Stream) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
         result => result,
     }
+}
+
+/// Returns the text of a std_msgs/String in CDR, shortened and without control characters; empty if it is none.
+fn selfcheck_text(payload: &[u8]) -> String {
+    // A header of four bytes, then the length, which counts the NUL at the end.
+    let text = payload.get(8..).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text[..text.len().min(4 * SELFCHECK_CHARS_MAX)]);
+    text.chars().filter(|character| !character.is_control()).take(SELFCHECK_CHARS_MAX).collect()
 }
 
 impl<S: Stream> Connection<'_, S> {
@@ -341,8 +359,17 @@ impl<S: Stream> Connection<'_, S> {
             }
             Message::Binary(bytes) => {
                 let found = self.session.receive_binary(&bytes, &mut self.encoder.borrow_mut())?;
-                if let Some((topic, payload)) = found {
-                    bridge.receive(self.id, Frame { name: topic.as_bytes(), payload }, now);
+                match found {
+                    Some((SELFCHECK_TOPIC, _)) if self.selfchecks >= SELFCHECKS_MAX => {}
+                    Some((SELFCHECK_TOPIC, payload)) => {
+                        self.selfchecks += 1;
+                        let text = selfcheck_text(payload);
+                        bridge.report_event(format!("self-check of {}: {text}", self.peer.ip()));
+                    }
+                    Some((topic, payload)) => {
+                        bridge.receive(self.id, Frame { name: topic.as_bytes(), payload }, now);
+                    }
+                    None => {}
                 }
             }
             // Answers to pings: the client lives.

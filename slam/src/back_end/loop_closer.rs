@@ -90,6 +90,13 @@ impl LoopCloser {
         self.retracted += 1;
     }
 
+    /// Whether a person undid this edge.
+    pub fn was_rejected(&self, edge: &Edge) -> bool {
+        self.rejected_closures
+            .iter()
+            .any(|rejected| (rejected.a, rejected.b, rejected.a_from_b) == (edge.a, edge.b, edge.a_from_b))
+    }
+
     /// Whether a candidate is a closure that was undone.
     pub fn is_rejected(&self, candidate: &ClosureCandidate) -> bool {
         self.rejected_closures.iter().any(|rejected| {

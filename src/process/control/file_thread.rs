@@ -21,7 +21,7 @@ pub enum FileJob {
     Update(BridgeSnapshot),
     /// Keep whether an address may drive.
     Remember {
-        /// The address.
+        /// Address of the client.
         address: IpAddr,
         /// Whether it may drive.
         may_drive: bool,

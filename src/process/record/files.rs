@@ -128,15 +128,15 @@ impl Output for DirectOutput {
     }
 }
 
-/// Order to the thread.
-enum Order {
+/// Command to the thread that writes.
+enum FileCommand {
     Begin,
     Append(Vec<u8>),
 }
 
 /// Writes the files in a thread, so that a slow disk holds nothing up. The recorder bounds what waits for it.
 pub struct FileThread {
-    orders: Sender<Order>,
+    commands: Sender<FileCommand>,
     waiting_bytes: Arc<AtomicUsize>,
     failure: Arc<Mutex<Option<String>>>,
     thread: JoinHandle<Vec<PathBuf>>,
@@ -145,15 +145,15 @@ pub struct FileThread {
 impl FileThread {
     /// Starts the thread.
     pub fn start(files: RecordingFiles) -> Self {
-        let (orders, received) = channel();
+        let (commands, received) = channel();
         let (waiting_bytes, failure) = (Arc::new(AtomicUsize::new(0)), Arc::new(Mutex::new(None)));
         let (waiting, failed) = (waiting_bytes.clone(), failure.clone());
         let thread = std::thread::spawn(move || {
             let mut output = DirectOutput::new(files);
-            for order in received {
-                match order {
-                    Order::Begin => output.begin_file(),
-                    Order::Append(bytes) => {
+            for command in received {
+                match command {
+                    FileCommand::Begin => output.begin_file(),
+                    FileCommand::Append(bytes) => {
                         let length = bytes.len();
                         output.append(bytes);
                         waiting.fetch_sub(length, Ordering::Relaxed);
@@ -165,19 +165,19 @@ impl FileThread {
             }
             output.files.all
         });
-        Self { orders, waiting_bytes, failure, thread }
+        Self { commands, waiting_bytes, failure, thread }
     }
 }
 
 impl Output for FileThread {
     fn begin_file(&mut self) {
         // The thread lives as long as this end.
-        let _ = self.orders.send(Order::Begin);
+        let _ = self.commands.send(FileCommand::Begin);
     }
 
     fn append(&mut self, bytes: Vec<u8>) {
         self.waiting_bytes.fetch_add(bytes.len(), Ordering::Relaxed);
-        let _ = self.orders.send(Order::Append(bytes));
+        let _ = self.commands.send(FileCommand::Append(bytes));
     }
 
     fn waiting_bytes(&self) -> usize {
@@ -189,7 +189,7 @@ impl Output for FileThread {
     }
 
     fn finish(self: Box<Self>) -> Vec<PathBuf> {
-        drop(self.orders);
+        drop(self.commands);
         self.thread.join().unwrap_or_default()
     }
 }
