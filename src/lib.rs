@@ -23,9 +23,7 @@ pub mod control;
 pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
-pub mod report;
 pub mod terminal;
-pub mod view;
 // Files that outlive a process.
 pub mod session_file;
 pub mod sessions;

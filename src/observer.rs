@@ -5,12 +5,12 @@ use crate::clock::now;
 use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
-use crate::view::EdgeView;
 use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2,
     RobotId, Role, VelocityCommand,
 };
+use reports::EdgeView;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 

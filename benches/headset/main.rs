@@ -20,7 +20,7 @@ use link::Link;
 use mr_slam::config::{FleetConfig, World};
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
-use mr_slam::view::{FleetView, RobotView};
+use reports::{FleetView, RobotView};
 use serde_json::json;
 use std::error::Error;
 use std::io::Write;

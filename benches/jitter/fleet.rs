@@ -10,7 +10,7 @@ use bridge::ros;
 use mr_slam::clock::now;
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
-use mr_slam::view::FleetView;
+use reports::FleetView;
 use serde::Serialize;
 use std::error::Error;
 use std::io::{Read, Write};
@@ -137,7 +137,7 @@ impl Fleet {
         let (Some(before), Some(after)) = (&self.before, &self.after) else { return Vec::new() };
         let seconds = (after.time_s - before.time_s).max(1e-9);
         let pairs = before.processes.iter().zip(&after.processes);
-        let cpu = |(then, now): (&mr_slam::view::ProcessView, &mr_slam::view::ProcessView)| Cpu {
+        let cpu = |(then, now): (&reports::ProcessView, &reports::ProcessView)| Cpu {
             process: now.process.clone(),
             percent: 100.0 * (now.cpu_s - then.cpu_s) / seconds,
             late_p50_ms: now.late_p50_us * 1e-3,

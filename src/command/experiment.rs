@@ -8,10 +8,10 @@ use super::up::{self, Pictures, Report, ScanRates, UpArgs};
 use super::{Error, output};
 use crate::config::FleetConfig;
 use crate::lockstep::Lockstep;
-use crate::report::Series;
 use crate::stop::Stop;
-use crate::view::FleetView;
 use msg::{MapTransforms, RobotId, VelocityCommand};
+use reports::FleetView;
+use reports::Series;
 use sim::Simulator;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -153,13 +153,13 @@ fn run_in_lockstep(config: &FleetConfig, seconds: u32, folder: &Path, stop: &Sto
         for _ in 0..TICKS_PER_S {
             fleet.tick(&mut |channel, message| seen.receive(channel, message));
         }
-        let mut figures = FleetView::new(fleet.stats()).without_given_transforms(config);
+        let mut figures = FleetView::new(fleet.stats()).without_given_transforms(config.fleet.starts_known);
         rates.add(&figures);
         rates.fill(&mut figures);
         let now_s = fleet.now().seconds();
         series.add(&figures, |robot| seen.command(robot, now_s));
         // Virtual time has no jitter: a figure of it would say nothing.
-        figures.robots.iter_mut().for_each(crate::view::RobotView::forget_latencies);
+        figures.robots.iter_mut().for_each(reports::RobotView::forget_latencies);
         view = Some(figures);
         if second % 60 == 59 {
             output::note(&format!("{} of {seconds} s", second + 1));

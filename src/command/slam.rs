@@ -10,11 +10,11 @@ use crate::ports::ChannelError;
 use crate::process::pose;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, Participant, Reader, Writer, wait};
-use crate::view::SlamView;
 use msg::{
     ClosureInfo, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
 };
+use reports::SlamView;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 

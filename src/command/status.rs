@@ -7,7 +7,7 @@ use crate::observer::Observer;
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
 use crate::terminal;
-use crate::view::FleetView;
+use reports::FleetView;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -63,7 +63,7 @@ fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
     let begun = Instant::now();
     while !observer.poll() && !observer.wait(PATIENCE) && begun.elapsed() <= PATIENCE {}
     let stats = observer.stats().ok_or(StatusError::NoFigures { run: run.dir.clone() })?;
-    let view = FleetView::new(stats).without_given_transforms(&run.config);
+    let view = FleetView::new(stats).without_given_transforms(run.config.fleet.starts_known);
     observer.changed_edges();
     // Figures without the bridge's state are still worth having: it may just be restarting.
     let bridge = control::ask(run, Request::State, PATIENCE).ok();

@@ -15,20 +15,20 @@ pub use report::{Paper, Report, Spread};
 use super::fleet_args::FleetArgs;
 use crate::certificate::CertificateError;
 use crate::config::{ConfigError, FleetConfig, ValueError};
-use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
-use crate::report::Series;
 use crate::resources::{self, ResourceMonitor, Shortage};
 use crate::run::{Run, RunError};
 use crate::sessions;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
-use crate::view::FleetView;
 use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 use events::Events;
 pub use pictures::add_plots;
+use reports::BridgeState;
+use reports::FleetView;
+use reports::Series;
 pub use scan_rates::ScanRates;
 use screen::Screen;
 use std::net::{IpAddr, TcpListener};
@@ -344,7 +344,7 @@ fn check_resources(run: &Run, screen: &mut Screen) -> Result<(), UpError> {
 }
 
 fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
-    let view = FleetView::new(observer.stats()?).without_given_transforms(&run.config);
+    let view = FleetView::new(observer.stats()?).without_given_transforms(run.config.fleet.starts_known);
     Some(FleetView { bridge, merge_edges: observer.merge_edges(), ..view })
 }
 

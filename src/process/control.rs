@@ -5,13 +5,14 @@ mod permission_files;
 pub mod saved_state;
 
 use crate::clock::now;
-use crate::control::{self, BridgeState, LINE_MAX, Reply, Request};
+use crate::control::{self, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::bridge::Bridge;
 use file_thread::{ControlFiles, FileJob, FileReport, FileWorker};
 use msg::Monotonic;
 use permission_files::PermissionFiles;
+use reports::BridgeState;
 use saved_state::{BridgeSnapshot, SavedFiles};
 use std::cell::RefCell;
 use std::io;

@@ -64,7 +64,7 @@ fn say(words: &[&str], dir: &str) -> String {
     String::from_utf8_lossy(&said.stdout).into_owned()
 }
 
-fn distance(view: &mr_slam::view::FleetView) -> f64 {
+fn distance(view: &reports::FleetView) -> f64 {
     view.robots.first().map_or(0.0, |robot| robot.pose[0].hypot(robot.pose[1]))
 }
 

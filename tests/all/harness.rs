@@ -2,7 +2,7 @@
 
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
-use mr_slam::view::{FleetView, ProcessView};
+use reports::{FleetView, ProcessView};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

@@ -17,6 +17,8 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("bridge", &["msg", "ros_messages"]),
     ("runtime", &["msg", "formats"]),
     ("recording", &["msg", "ros_messages"]),
+    // A report shows the bridge's clients.
+    ("reports", &["msg", "formats", "bridge"]),
     // The operator is a client: it plans with `nav`, and writes and reads ros_tcp with `bridge`.
     ("operator", &["msg", "nav", "bridge"]),
 ];

@@ -2,8 +2,8 @@
 
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
-use mr_slam::view::FleetView;
 use msg::{Correction, Odometry, Scan, Stamp, Transforms};
+use reports::FleetView;
 use std::collections::BTreeMap;
 
 /// Every message a fleet says in so many seconds, by channel.

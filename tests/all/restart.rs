@@ -1,7 +1,7 @@
 //! A killed process is restarted, and the other processes are not affected.
 
 use crate::harness::{Fleet, WATCHDOG, process, send};
-use mr_slam::view::FleetView;
+use reports::FleetView;
 use rustix::process::Signal;
 
 /// Kills one process of a running fleet of three, waits for its return, and checks the others.

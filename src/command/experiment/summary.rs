@@ -3,8 +3,8 @@
 use super::ExperimentArgs;
 use crate::command::up::{Paper, Report, add_plots};
 use crate::process::record::description::machine;
-use crate::report::{Page, Row};
-use crate::view::FleetView;
+use reports::FleetView;
+use reports::{Page, Row};
 use serde::Serialize;
 use std::io::Write as _;
 use std::path::Path;

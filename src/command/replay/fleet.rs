@@ -6,11 +6,11 @@
 use super::records::{Log, Records};
 use super::{Feeder, ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
-use crate::view::{EdgeView, edge_table};
 use formats::carmen::LaserLine;
 use formats::map_file::write_map;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
+use reports::{EdgeView, edge_table};
 use serde::Serialize;
 use slam::{BackEnd, FrontEnd, Slam, SlamConfig, Submaps};
 use std::path::{Path, PathBuf};

@@ -1,10 +1,11 @@
 //! Console of the person at the laptop: single keys that allow, deny, stop and release.
 
-use crate::control::{self, BridgeState, Request};
+use crate::control::{self, Request};
 use crate::keys::Keys;
 use crate::process::control::saved_state::{latch_stop, stop_file};
 use crate::run::Run;
 use crate::storage::DiskStorage;
+use reports::BridgeState;
 use std::time::Duration;
 
 /// How long the launcher waits for the bridge, once a second and at a key. It has children to look after meanwhile.

@@ -2,9 +2,9 @@
 
 use super::report::Report;
 use crate::process::record::description::machine;
-use crate::report::{Line, Page, Row, Series, Trail, colour, line_plot, map_picture, quantile_plot};
-use crate::view::{FleetView, RobotView};
 use msg::{GridView, Pose2};
+use reports::{FleetView, RobotView};
+use reports::{Line, Page, Row, Series, Trail, colour, line_plot, map_picture, quantile_plot};
 
 /// Longer sides of the pictures of the merged map and of a robot's map, pixels.
 const MERGED_MAP_PX: f64 = 720.0;
@@ -115,9 +115,9 @@ fn with_dashes(row: Row) -> Row {
 /// Adds the plots over time and of jitter.
 pub fn add_plots(page: &mut Page, series: &Series, fleet: Option<&FleetView>) {
     let time = &series.time_s;
-    let of_robots = |values: fn(&crate::report::RobotSeries) -> &Vec<f64>| -> Vec<Line> {
+    let of_robots = |values: fn(&reports::RobotSeries) -> &Vec<f64>| -> Vec<Line> {
         let robots = series.robots.iter().enumerate();
-        let line = |(index, robot): (usize, &crate::report::RobotSeries)| {
+        let line = |(index, robot): (usize, &reports::RobotSeries)| {
             Line::new(&robot.robot, colour(index), time, values(robot).iter().copied().map(Some))
         };
         robots.map(line).collect()

@@ -3,9 +3,9 @@
 use super::events::{Event, Events};
 use super::pictures::{Pictures, write_html};
 use crate::config::FleetConfig;
-use crate::report::Series;
 use crate::run::{Run, RunError};
-use crate::view::{DistributionView, FleetView, RobotView, Style};
+use reports::Series;
+use reports::{DistributionView, FleetView, RobotView, Style};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::io::Write as _;

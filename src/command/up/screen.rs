@@ -5,7 +5,7 @@ use super::report::Report;
 use crate::command::output::{note, note_text};
 use crate::run::Run;
 use crate::terminal;
-use crate::view::{Emphasis, FleetView, Style};
+use reports::{Emphasis, FleetView, Style};
 use std::io::stderr;
 use std::time::{Duration, Instant};
 

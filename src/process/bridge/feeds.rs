@@ -4,11 +4,11 @@ use crate::channel::{self, Channel};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort};
 use crate::process::ProcessLoop;
 use crate::run::Run;
-use crate::view::edges_json;
 use ::bridge::{FleetMessage, Transport};
 use msg::{
     DenseMap, GridView, MapTransforms, Message, Monotonic, Odometry, PatchHeader, RobotId, Transforms,
 };
+use reports::edges_json;
 use std::rc::Rc;
 use std::time::Duration;
 

@@ -4,12 +4,12 @@ use super::topics::Recorder;
 use crate::channel::{self, Channel};
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
-use crate::view::{FleetView, edges_json};
 use ::bridge::FleetMessage;
 use msg::{
     Clock, Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message, Monotonic,
     Odometry, PatchHeader, RobotId, Scan, Transforms, VelocityCommand,
 };
+use reports::{FleetView, edges_json};
 use std::time::Duration;
 
 /// Channels of one robot.

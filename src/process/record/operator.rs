@@ -1,8 +1,9 @@
 //! Watches what the bridge knows of its operators: who drives, the selected robot, the emergency stop.
 
-use crate::control::{self, BridgeState, Request};
+use crate::control::{self, Request};
 use crate::run::Run;
 use crate::stop::Stop;
+use reports::BridgeState;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 

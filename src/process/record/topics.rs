@@ -4,13 +4,13 @@ use super::files::Output;
 use super::operator::operator_json;
 use super::{Summary, TopicSummary};
 use crate::clock::Epoch;
-use crate::control::BridgeState;
 use crate::run::Run;
 use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, TopicSink,
 };
 use ::recording::{Durability, RecordingWriter, TopicIndex, WriteError};
 use msg::{GroundTruth, Link, Monotonic, Odometry, RobotId, Stamp, VelocityCommand};
+use reports::BridgeState;
 use ros_messages::cdr::Writer;
 use ros_messages::{
     Bool, FrameNames, Int32, Message, Odometry as RosOdometry, Pose2D, RobotNames, Text, Twist, write,

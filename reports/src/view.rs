@@ -9,8 +9,7 @@ pub use edges::{EdgeView, edge_table, edges_json};
 pub use layout::{Emphasis, Style};
 pub use slam::{ClosureView, SlamView};
 
-use crate::config::FleetConfig;
-use crate::control::BridgeState;
+use crate::BridgeState;
 
 use msg::{
     Distribution, FleetStats, MAP_OLD_AFTER_S, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState,
@@ -174,9 +173,9 @@ pub struct ProcessView {
 const SILENT_AFTER_S: f64 = 2.5;
 
 impl FleetView {
-    /// Removes the errors of the robots' map transforms where these were given and not found: they say nothing.
-    pub fn without_given_transforms(mut self, config: &FleetConfig) -> Self {
-        if config.fleet.starts_known {
+    /// Removes the errors of the robots' map transforms where these were given, because the starts are known: they say nothing.
+    pub fn without_given_transforms(mut self, starts_known: bool) -> Self {
+        if starts_known {
             for robot in &mut self.robots {
                 (robot.map_transform_error_m, robot.map_transform_error_deg) = (None, None);
             }

@@ -2,7 +2,7 @@
 
 use super::layout::{Cell, Column, Emphasis, Style, table};
 use super::{DistributionView, FleetView};
-use crate::control::BridgeState;
+use crate::BridgeState;
 use bridge::ClientStatus;
 
 /// Indent of wrapped lines below a name.

@@ -1,0 +1,25 @@
+//! What a fleet did, for people and programs: tables and JSON of its figures, and one HTML file with maps and plots.
+//!
+//! Figures and maps come in, texts go out: no clock, file, socket or thread.
+
+mod bridge_state;
+mod html;
+mod map_picture;
+mod plots;
+mod series;
+mod view;
+
+pub use bridge_state::BridgeState;
+pub use html::{Page, Row};
+pub use map_picture::{Trail, map_picture};
+pub use plots::{Group, Line, line_plot, quantile_plot};
+pub use series::{RobotSeries, Series};
+pub use view::{
+    ClosureView, DistributionView, EdgeView, Emphasis, FleetView, MapView, ProcessView, RobotView, SlamView,
+    Style, edge_table, edges_json,
+};
+
+/// Returns the colour of a robot, by its index: that of its way in map pictures.
+pub fn colour(index: usize) -> formats::map_file::Rgb {
+    formats::map_file::Picture::robot_colour(index)
+}
