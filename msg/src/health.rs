@@ -17,11 +17,13 @@ pub enum Role {
     Telemetry = 4,
     /// Connects the fleet to ros_tcp clients and to ROS 2.
     Bridge = 5,
+    /// Drives robots to goals.
+    Nav = 6,
 }
 
 impl Role {
     /// All roles in the order of their codes.
-    pub const ALL: [Self; 5] = [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge];
+    pub const ALL: [Self; 6] = [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge, Self::Nav];
 
     /// Decodes a role; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
@@ -36,6 +38,7 @@ impl Role {
             Self::Merge => "merge",
             Self::Telemetry => "telemetry",
             Self::Bridge => "bridge",
+            Self::Nav => "nav",
         }
     }
 }

@@ -126,6 +126,11 @@ impl FleetNavigator {
         self.of(robot).for_each(|navigator| navigator.resume(now));
     }
 
+    /// The goal that a robot drives to or that is paused.
+    pub fn goal(&self, robot: RobotId) -> Option<&NavigationGoal> {
+        self.robots.iter().find(|navigator| navigator.robot == robot)?.goal()
+    }
+
     fn of(&mut self, robot: RobotId) -> impl Iterator<Item = &mut RobotNavigator> {
         self.robots.iter_mut().filter(move |navigator| navigator.robot == robot)
     }

@@ -27,6 +27,8 @@ pub enum Program {
     SlamTool,
     /// `mr-slam edges`: a person's commands about merge edges.
     EdgesTool,
+    /// `mr-slam goto`.
+    GotoTool,
 }
 
 impl Program {
@@ -36,6 +38,7 @@ impl Program {
             Self::Launcher => "launcher",
             Self::SlamTool => "`mr-slam slam`",
             Self::EdgesTool => "`mr-slam edges`",
+            Self::GotoTool => "`mr-slam goto`",
         }
     }
 
@@ -44,7 +47,7 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        matches!(self, Self::SlamTool | Self::EdgesTool)
+        matches!(self, Self::SlamTool | Self::EdgesTool | Self::GotoTool)
     }
 }
 

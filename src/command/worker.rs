@@ -24,6 +24,8 @@ enum Role {
     Telemetry(ProcessArgs),
     /// Serve headsets and ROS 2
     Bridge(ProcessArgs),
+    /// Drive robots to goals
+    Nav(ProcessArgs),
 }
 
 /// Runs the process until it is asked to stop.
@@ -33,6 +35,7 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
         Role::Slam(args) => Process::Slam(args),
         Role::Merge(args) => Process::Merge(args),
         Role::Telemetry(args) => Process::Telemetry(args),
+        Role::Nav(args) => Process::Nav(args),
         Role::Bridge(args) => Process::Bridge(args),
     })
 }

@@ -8,6 +8,7 @@ use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
 use crate::process::graph::GraphWorker;
 use crate::process::merge::{self, MapDrawing};
+use crate::process::nav::NavigationProcess;
 use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::Job;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
@@ -72,6 +73,7 @@ enum Body {
     Merge(Box<(MapDrawing<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<TelemetryProcess<MemoryPorts>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
+    Nav(Box<NavigationProcess<MemoryPorts, MemoryStorage>>),
 }
 
 /// A SLAM process, and what it took from its queues to process next.
@@ -193,6 +195,7 @@ impl Member {
             (Body::Merge(merge), _) => merge.1.step(),
             (Body::Telemetry(figures), _) => figures.step(),
             (Body::Bridge(server), _) => server.step(),
+            (Body::Nav(navigation), _) => navigation.step(),
         };
     }
 }
@@ -221,6 +224,7 @@ impl Body {
                 Self::Merge(Box::new((drawing, GraphWorker::open(&ports[1], run, graph, memory, slot)?)))
             }
             Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
+            Role::Nav => Self::Nav(Box::new(NavigationProcess::open(&ports[0], run, world.storage.clone())?)),
             Role::Bridge => {
                 let process = BridgeProcess::open(&ports[0], run, world.storage.clone())?;
                 let frame_bytes_max = run.config.bridge.frame_bytes_max;

@@ -9,6 +9,7 @@ pub mod graph;
 pub mod heartbeat;
 mod map_publisher;
 pub mod merge;
+pub mod nav;
 mod outside;
 mod ros2;
 pub mod sim;
@@ -111,6 +112,8 @@ pub enum Process {
     Telemetry(ProcessArgs),
     /// The bridge: ros_tcp clients and ROS 2.
     Bridge(ProcessArgs),
+    /// Navigation of the robots to goals.
+    Nav(ProcessArgs),
 }
 
 /// Runs one process of the fleet until it is asked to stop.
@@ -128,6 +131,7 @@ pub fn run(process: &Process) -> Result<(), Error> {
         Process::Telemetry(args) => {
             join(args, Role::Telemetry).and_then(|(run, stop)| telemetry::run(&run, &stop))
         }
+        Process::Nav(args) => join(args, Role::Nav).and_then(|(run, stop)| nav::run(&run, &stop)),
         Process::Bridge(args) => join(args, Role::Bridge).and_then(|(run, stop)| bridge::run(&run, &stop)),
     }
 }

@@ -2,7 +2,7 @@
 
 use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, Role};
 
-/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge.
+/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, nav.
 pub(crate) struct ProcessTable {
     robot_count: usize,
     slots: [Option<Report>; PROCESSES_MAX],
@@ -38,6 +38,7 @@ impl ProcessTable {
             Role::Merge => Some(2 * self.robot_count),
             Role::Telemetry => Some(2 * self.robot_count + 1),
             Role::Bridge => Some(2 * self.robot_count + 2),
+            Role::Nav => Some(2 * self.robot_count + 3),
         }
     }
 

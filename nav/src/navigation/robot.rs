@@ -103,6 +103,10 @@ impl RobotNavigator {
         self.remaining_m
     }
 
+    pub(super) fn goal(&self) -> Option<&NavigationGoal> {
+        self.goal.as_ref().map(|active| &active.goal)
+    }
+
     pub(super) fn next_pose(&self) -> Option<usize> {
         self.goal.as_ref().map(|active| active.next)
     }
