@@ -98,6 +98,11 @@ impl ClearanceMap {
         is_inside.then(|| self.index(x as i64, y as i64))
     }
 
+    /// A point of the map's frame in cells of the window, from its lower left corner.
+    pub(crate) fn in_cells(&self, point_m: [f64; 2]) -> [f64; 2] {
+        self.window_from_map.apply(point_m).map(|v| v / self.cell_size_m)
+    }
+
     /// Centre of a cell in the frame of the map, metres.
     pub fn cell_centre_m(&self, cell: usize) -> [f64; 2] {
         let (x, y) = self.column_row(cell);

@@ -4,6 +4,9 @@ use crate::command::Twist;
 use crate::config::{FollowerConfig, RobotBody};
 use crate::observation::ScanView;
 
+/// Least gap between two robots that pass each other, metres: the error of their poses.
+const PASSING_GAP_MIN_M: f64 = 0.03;
+
 /// Limits the forward speed of one robot.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CollisionLimit {
@@ -42,7 +45,9 @@ impl CollisionLimit {
         }
         // The part of the speed that closes the gap between the two.
         let gap = Twist { linear_m_s: ahead.linear_m_s * x / distance_m, ..ahead };
-        let closing = self.limit_speed(gap, distance_m - 2.0 * self.body.radius_m);
+        // Robots that pass each other may be nearer than one that stands ahead.
+        let spare_m = self.config.stop_distance_m - PASSING_GAP_MIN_M;
+        let closing = self.limit_speed(gap, distance_m - 2.0 * self.body.radius_m + spare_m);
         Twist { linear_m_s: closing.linear_m_s * distance_m / x, ..ahead }
     }
 

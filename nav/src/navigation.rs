@@ -4,6 +4,9 @@
 //! correction of the map changes the next plan but never makes a robot jump. The newest scan limits the speed.
 
 mod config;
+mod cooperative;
+#[cfg(test)]
+mod fleet_tests;
 mod goal;
 mod goal_map;
 mod input;
@@ -21,14 +24,21 @@ pub use state::{NavigationFailure, NavigationState};
 
 use crate::command::Twist;
 use crate::path::Path;
+use cooperative::{CooperativeSearch, Reservation, TimedRoute};
+use core::cmp::Reverse;
 use input::RobotPoses;
 use msg::{ROBOTS_MAX, RobotId, Stamp};
 use robot::{OtherRobot, RobotNavigator};
 
+/// Time between two plans of all ways, seconds: robots that turn or brake are soon behind their plans.
+const COORDINATION_PERIOD_S: f64 = 0.5;
+/// Time after which a robot that cannot get out of the others' way gets priority, seconds: a turn and a step aside.
+const PROMOTION_PERIOD_S: f64 = 5.0;
+
 /// What the navigator has decided for one robot.
 #[derive(Clone, Copy, Debug)]
 pub struct RobotNavigation<'a> {
-    /// The robot.
+    /// The robot that the decision is about.
     pub robot: RobotId,
     /// Velocity to drive until the next step; `None` if the navigator does not drive the robot.
     pub twist: Option<Twist>,
@@ -90,12 +100,22 @@ pub struct FleetNavigator {
     /// Robots that have or had a goal, in the order of their first one.
     robots: Vec<RobotNavigator>,
     twists: [Option<Twist>; ROBOTS_MAX],
+    search: CooperativeSearch,
+    coordinated_at: Option<Stamp>,
+    trapped_since: Option<Stamp>,
 }
 
 impl FleetNavigator {
     /// A navigator of robots without goals.
     pub fn new(config: NavigatorConfig) -> Self {
-        Self { config, robots: Vec::new(), twists: [None; ROBOTS_MAX] }
+        Self {
+            config,
+            robots: Vec::new(),
+            twists: [None; ROBOTS_MAX],
+            search: CooperativeSearch::default(),
+            coordinated_at: None,
+            trapped_since: None,
+        }
     }
 
     /// Gives a robot a goal in place of its present one.
@@ -166,6 +186,13 @@ impl FleetNavigator {
             }
         }
         self.search_one(input);
+        let lacks_path = |navigator: &RobotNavigator| {
+            navigator.state().is_active() && navigator.has_routes() && !navigator.has_path()
+        };
+        let is_due = self.coordinated_at.is_none_or(|at| now - at >= COORDINATION_PERIOD_S);
+        if self.is_active() && (is_due || self.robots.iter().any(lacks_path)) {
+            self.coordinate(input);
+        }
         for (navigator, others) in self.robots.iter_mut().zip(&others) {
             let unknown;
             let robot = match find(input, navigator.robot) {
@@ -185,15 +212,63 @@ impl FleetNavigator {
         let due = self.robots.iter().enumerate().filter_map(|(i, navigator)| {
             let poses = find(input, navigator.robot)?.poses()?;
             let is_due = navigator.state().is_active() && navigator.is_search_due(now, poses);
-            is_due.then_some((navigator.searched_at(), i, poses))
+            is_due.then_some((navigator.searched_at(), i))
         });
-        let Some((_, i, poses)) = due.min_by_key(|(at, i, _)| (*at, *i)) else { return };
+        let Some((_, i)) = due.min_by_key(|(at, i)| (*at, *i)) else { return };
         let Some(robot) = find(input, self.robots[i].robot) else { return };
         let standing: Vec<(RobotId, [f64; 2])> = self.standing_robots(robot, input);
-        let navigator = &mut self.robots[i];
-        navigator.search(now, robot, input.exclusion_zones, &standing);
-        if navigator.has_routes() {
-            set_whole_path(navigator, poses);
+        self.robots[i].search(now, robot, input.exclusion_zones, &standing);
+    }
+
+    /// Plans the ways of all robots that have routes, one after another in the order of their priority.
+    fn coordinate(&mut self, input: &NavigationInput) {
+        self.coordinated_at = Some(input.stamp);
+        let mut order: Vec<usize> = (0..self.robots.len()).collect();
+        order.sort_by_key(|i| (Reverse(self.robots[*i].promoted), self.robots[*i].robot));
+        let mut reservations = Vec::new();
+        // Robots that cannot drive stand in everybody's way; so they come first.
+        for navigator in self.robots.iter().filter(|navigator| navigator.state().is_active()) {
+            let stands = !navigator.has_routes() || navigator.is_recovering();
+            let at_m = find(input, navigator.robot).and_then(NavigatedRobot::position_m);
+            if let Some(at_m) = at_m.filter(|_| stands) {
+                reservations.push(Reservation { robot: navigator.robot, positions_m: vec![at_m] });
+            }
+        }
+        let mut trapped = None;
+        for i in order {
+            let navigator = &mut self.robots[i];
+            let Some(robot) = find(input, navigator.robot) else { continue };
+            let drives =
+                navigator.state().is_active() && navigator.has_routes() && !navigator.is_recovering();
+            let Some(poses) = robot.poses().filter(|_| drives) else { continue };
+            let in_merged_map = robot.observation.in_merged_map;
+            let reserved: &[Reservation] = if in_merged_map { &reservations } else { &[] };
+            let search = &mut self.search;
+            let route =
+                search.search(navigator.goal_map(), poses.map_from_base, self.config.separation_m, reserved);
+            let Some(route) = route else { continue };
+            if !route.is_clear {
+                trapped.get_or_insert(i);
+            }
+            if in_merged_map {
+                reservations.push(reservation(navigator, &route));
+            }
+            follow_route(navigator, poses, &route);
+        }
+        self.promote(input.stamp, trapped);
+    }
+
+    /// Puts a robot that cannot get out of the others' way for some time before them: they have to get out of its way.
+    fn promote(&mut self, now: Stamp, trapped: Option<usize>) {
+        let Some(i) = trapped else {
+            self.trapped_since = None;
+            return;
+        };
+        let since = *self.trapped_since.get_or_insert(now);
+        if now - since >= PROMOTION_PERIOD_S {
+            let highest = self.robots.iter().map(|navigator| navigator.promoted).max().unwrap_or(0);
+            self.robots[i].promoted = highest.saturating_add(1);
+            self.trapped_since = None;
         }
     }
 
@@ -204,10 +279,10 @@ impl FleetNavigator {
             self.robots.iter().any(|navigator| navigator.robot == other && navigator.state().is_active())
         };
         let others = input.robots.iter().filter(|other| shares_map(robot, other));
-        let others = others.map(|other| (other.observation.robot, other.poses()));
+        let others = others.map(|other| (other.observation.robot, other.position_m()));
         others
             .filter(|(other, _)| *other != id && !is_active(*other))
-            .filter_map(|(other, poses)| Some((other, poses?.position_m())))
+            .filter_map(|(other, at_m)| Some((other, at_m?)))
             .collect()
     }
 
@@ -222,7 +297,7 @@ impl FleetNavigator {
         let base_from_map = poses.map_from_base.inverse();
         let other = |other: &NavigatedRobot| {
             let other_robot = other.observation.robot;
-            let at_m = other.poses()?.position_m();
+            let at_m = other.position_m()?;
             let navigator = self.robots.iter().find(|navigator| navigator.robot == other_robot);
             let is_active = navigator.is_some_and(|navigator| navigator.state().is_active());
             Some(OtherRobot { robot: other_robot, in_base_m: base_from_map.apply(at_m), is_active })
@@ -241,12 +316,25 @@ fn find<'a, 'b>(input: &'a NavigationInput<'b>, robot: RobotId) -> Option<&'a Na
     input.robots.iter().find(|observed| observed.observation.robot == robot)
 }
 
-/// Follows the cheapest route to the goal.
-fn set_whole_path(navigator: &mut RobotNavigator, poses: RobotPoses) {
+/// The way of a robot through the window of time.
+fn reservation(navigator: &RobotNavigator, route: &TimedRoute) -> Reservation {
+    let map = navigator.goal_map().map();
+    let positions_m = route.cells.iter().map(|cell| map.cell_centre_m(*cell)).collect();
+    Reservation { robot: navigator.robot, positions_m }
+}
+
+/// Follows a route up to where the robot waits for another one, or to the goal.
+fn follow_route(navigator: &mut RobotNavigator, poses: RobotPoses, route: &TimedRoute) {
+    let (stretch, waits) = route.first_stretch(navigator.goal_map());
+    let mut cells = route.cells.clone();
+    cells.dedup();
     let mut path = Path::default();
-    let goal_map = navigator.goal_map_mut();
-    let Some(start) = goal_map.start_cell(poses.position_m()) else { return };
-    goal_map.append_route(start, &mut path);
-    let length = path.waypoints.len();
-    navigator.set_path(poses, path, length, None);
+    path.waypoints.extend(cells.iter().map(|cell| navigator.goal_map().waypoint(*cell)));
+    let mut stretch_cells = route.cells[..stretch].to_vec();
+    stretch_cells.dedup();
+    let last = cells[cells.len() - 1];
+    path.waypoints.pop();
+    navigator.goal_map_mut().append_route(last, &mut path);
+    let followed = if waits { stretch_cells.len() } else { path.waypoints.len() };
+    navigator.set_path(poses, path, followed, route.given_way_to.filter(|_| waits));
 }

@@ -92,6 +92,17 @@ impl RouteSearch {
         self.cost.get(cell).copied().filter(|cost| *cost != UNREACHED)
     }
 
+    /// The cell before a reached one on its route; `None` at the start.
+    pub(crate) fn parent(&self, map: &ClearanceMap, cell: usize) -> Option<usize> {
+        let (dx, dy) = NEIGHBOURS.get(usize::from(*self.parent_direction.get(cell)?))?;
+        Some((cell as i64 - dy * map.width() - dx) as usize)
+    }
+
+    /// Cost of a step into a cell, in the unit of [`RouteSearch::cost`].
+    pub(crate) fn step_cost(&self, map: &ClearanceMap, direction: usize, next: usize) -> u32 {
+        step_cost(direction, map.clearance_m(next), self.clearance_min_m)
+    }
+
     /// All cells reached, cheapest first.
     pub fn reached_cells(&self) -> &[usize] {
         &self.reached

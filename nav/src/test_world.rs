@@ -234,7 +234,7 @@ fn known_cells(room: &Room, (width, height): (usize, usize), starts: &[Pose2]) -
     let cell = |i: usize| {
         let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let point = [x * CELL_M - MARGIN_M, y * CELL_M - MARGIN_M];
-        // A wall between two cells is drawn in both.
+        // A wall between two cells is part of both.
         if room.clearance_m(point) < CELL_M * 0.6 {
             return i8::MAX;
         }

@@ -27,7 +27,7 @@ pub enum Program {
     SlamTool,
     /// `mr-slam edges`: a person's commands about merge edges.
     EdgesTool,
-    /// `mr-slam goto`.
+    /// `mr-slam goto`, which sends robots to places.
     GotoTool,
 }
 

@@ -91,11 +91,11 @@ pub enum GotoError {
     /// The robot did not arrive.
     #[error("{robot} {state}{}{reason}", if reason.is_empty() { "" } else { ": " })]
     NotReached {
-        /// The robot.
+        /// The robot that was sent.
         robot: RobotId,
         /// Its last state: failed, cancelled or paused.
         state: &'static str,
-        /// Why.
+        /// Why it did not arrive.
         reason: String,
     },
     /// Another goal came before the robot arrived.

@@ -159,13 +159,14 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
         self.heartbeat.measure(|| inputs.observe(epoch.stamp(now), now, |input| navigator.step(input)));
     }
 
-    /// Publishes what was decided.
-    fn publish(&mut self, now: Monotonic) {
+    /// Publishes what was decided; velocities only after a control step, so that none is sent twice.
+    fn publish(&mut self, now: Monotonic, is_stepped: bool) {
         let stamp = self.epoch.stamp(now);
         for desk in &mut self.robots {
             let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot);
             let decision = Decision {
                 navigation,
+                is_stepped,
                 goal: desk.goal,
                 refusal: desk.refusal,
                 in_merged_map: self.inputs.is_merged(desk.robot),
@@ -202,10 +203,11 @@ impl<P: Ports, S: Storage> ProcessLoop for NavigationProcess<P, S> {
         }
         let is_due = is_active && now >= self.due;
         if is_due || has_commands {
-            if is_active || was_active {
+            let is_stepped = is_active || was_active;
+            if is_stepped {
                 self.navigate(now);
             }
-            self.publish(now);
+            self.publish(now, is_stepped);
             self.save();
             self.due = Monotonic(self.due.0.max(now.0.saturating_sub(PERIOD.as_nanos() as u64))) + PERIOD;
         }

@@ -189,10 +189,6 @@ impl Core {
                 let message = self.decode(payload)?;
                 Ok(self.request_initial_pose(robot, &message)?)
             }
-            Input::Goal(_)
-            | Input::Waypoints(_)
-            | Input::CancelNavigation(_)
-            | Input::ResumeNavigation(_) => self.apply_navigation_input(input, payload, now),
             Input::SelectRobot => {
                 let robot = self.robot_numbered(self.decode::<Int32>(payload)?)?;
                 self.gate.drive_mut().select(robot);
@@ -213,6 +209,7 @@ impl Core {
                 Ok(())
             }
             Input::MergeEdge => self.queue_edge_command(&self.decode::<Text>(payload)?.0),
+            _ => self.apply_navigation_input(input, payload, now),
         }
     }
 

@@ -187,7 +187,9 @@ impl Core {
         let velocity = Velocity { linear_m_s: command.linear_m_s, angular_rad_s: command.angular_rad_s };
         let decision = self.gate.request_navigation(robot, velocity, now);
         self.send_velocities();
-        if matches!(decision, GateDecision::Stopped | GateDecision::DrivenBy(_)) {
+        // The navigator's last zero after a pause is refused too, and needs no other pause.
+        let is_refused = matches!(decision, GateDecision::Stopped | GateDecision::DrivenBy(_));
+        if is_refused && velocity != Velocity::ZERO {
             self.gate.drive_mut().set_navigated(robot, true);
             self.commands.record_time(now);
             self.pause_navigation([robot]);

@@ -215,13 +215,7 @@ impl FleetPublisher {
                 let json = navigation_json(report);
                 sink.send(FleetTopic::NavigationState, Some(robot), |to| to.string(&json));
             }
-            FleetMessage::Plan(robot, plan) if self.has(robot) => {
-                let is_merged = plan.in_merged_map == 1;
-                let frame = if is_merged { names::MAP } else { self.names.map(robot) };
-                let (stamp, points_m) = (plan.header.stamp, plan.points_m());
-                let encode = |to: &mut Writer<'_>| write_path(to, frame, stamp, points_m);
-                sink.send(FleetTopic::Plan, Some(robot), encode);
-            }
+            FleetMessage::Plan(robot, plan) if self.has(robot) => self.publish_plan(robot, plan, sink),
             FleetMessage::Scan(..)
             | FleetMessage::Transforms(..)
             | FleetMessage::Odometry(..)
@@ -243,6 +237,12 @@ impl FleetPublisher {
             }
             FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
         }
+    }
+
+    fn publish_plan(&self, robot: RobotId, plan: &NavigationPlan, sink: &mut impl TopicSink) {
+        let frame = if plan.in_merged_map == 1 { names::MAP } else { self.names.map(robot) };
+        let encode = |to: &mut Writer<'_>| write_path(to, frame, plan.header.stamp, plan.points_m());
+        sink.send(FleetTopic::Plan, Some(robot), encode);
     }
 
     /// Publishes the merged map, and what changed in it since the last one.

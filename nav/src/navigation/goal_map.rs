@@ -47,6 +47,18 @@ impl GoalMap {
         *self = Self::default();
     }
 
+    pub(super) fn map(&self) -> &ClearanceMap {
+        &self.map
+    }
+
+    pub(super) fn routes(&self) -> &RouteSearch {
+        &self.routes
+    }
+
+    pub(super) fn waypoint(&self, cell: usize) -> Waypoint {
+        Waypoint { position_m: self.map.cell_centre_m(cell), clearance_m: self.map.clearance_m(cell) }
+    }
+
     /// Searches all routes to the goal, up to some way beyond the robot.
     pub(super) fn search(
         &mut self,
@@ -115,11 +127,7 @@ impl GoalMap {
     /// Appends the waypoints from a cell with a route to the goal, both included.
     pub(super) fn append_route(&mut self, from: usize, path: &mut Path) {
         self.routes.route_to(&self.map, from, &mut self.cells);
-        let waypoint = |cell: &usize| Waypoint {
-            position_m: self.map.cell_centre_m(*cell),
-            clearance_m: self.map.clearance_m(*cell),
-        };
-        path.waypoints.extend(self.cells.iter().rev().map(waypoint));
+        path.waypoints.extend(self.cells.iter().rev().map(|cell| self.waypoint(*cell)));
     }
 
     /// Whether no obstacle stands within the body's radius of a point.

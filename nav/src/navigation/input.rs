@@ -59,6 +59,12 @@ impl<'a> NavigatedRobot<'a> {
         Some(RobotPoses { map_from_base, odom_from_base })
     }
 
+    /// Where it stands, or stood when its pose was known last, in the frame of its map.
+    pub(super) fn position_m(&self) -> Option<[f64; 2]> {
+        let pose = self.observation.map_from_base.filter(|pose| pose.is_finite())?;
+        Some([pose.x_m, pose.y_m])
+    }
+
     /// The newest scan, if it is fresh enough to drive by.
     pub(super) fn fresh_scan(&self, now: Stamp) -> Option<ScanView<'a>> {
         self.observation.scan.filter(|scan| now - scan.received <= SCAN_AGE_MAX_S)

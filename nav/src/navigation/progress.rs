@@ -64,18 +64,20 @@ impl Progress {
         Self { best_m: f64::INFINITY, since: now, deadline, recoveries: 0 }
     }
 
-    /// Records the remaining cost of the route, metres.
-    pub(super) fn record(&mut self, now: Stamp, config: &NavigatorConfig, remaining_m: f64) {
+    /// Records the remaining cost of the route, metres; returns whether it is progress.
+    pub(super) fn record(&mut self, now: Stamp, config: &NavigatorConfig, remaining_m: f64) -> bool {
         if self.best_m == f64::INFINITY {
             let expected_s =
                 (remaining_m / config.follower.cruise_m_s).min(OVERDUE_EXTRA_S * OVERDUE_EXTRA_S);
             self.deadline = now + Duration::from_secs_f64(OVERDUE_FACTOR * expected_s + OVERDUE_EXTRA_S);
         }
-        if remaining_m < self.best_m - PROGRESS_M {
+        let is_progress = remaining_m < self.best_m - PROGRESS_M;
+        if is_progress {
             (self.best_m, self.since, self.recoveries) = (remaining_m, now, 0);
         } else if remaining_m > self.best_m + DETOUR_M {
             self.best_m = remaining_m;
         }
+        is_progress
     }
 
     /// Starts the times again, after a pause or a turn at the goal.
@@ -83,9 +85,9 @@ impl Progress {
         *self = Self::new(now);
     }
 
-    /// Whether it is time for the next attempt to get free; counts it.
-    pub(super) fn take_recovery(&mut self, now: Stamp, config: &NavigatorConfig) -> bool {
-        let is_due = now - self.since > config.recover_after_s * f64::from(self.recoveries + 1);
+    /// Whether it is time for the next attempt to get free, later by `patience`; counts it.
+    pub(super) fn take_recovery(&mut self, now: Stamp, config: &NavigatorConfig, patience: f64) -> bool {
+        let is_due = now - self.since > patience * config.recover_after_s * f64::from(self.recoveries + 1);
         self.recoveries += u32::from(is_due);
         is_due
     }

@@ -1,5 +1,6 @@
 //! Navigation of one robot: its goal, its routes, its path, and the velocity that follows it.
 
+mod arrival;
 mod safety;
 
 use super::config::NavigatorConfig;
@@ -13,12 +14,10 @@ use crate::collision::CollisionLimit;
 use crate::command::Twist;
 use crate::follower::PathFollower;
 use crate::path::Path;
-use msg::{Pose2, RobotId, Stamp, pose::wrap_angle};
+use msg::{Pose2, RobotId, Stamp};
 
-/// Heading error at which the heading of a goal is reached, radians: six degrees.
-const HEADING_TOLERANCE_RAD: f64 = 0.1;
-/// Distance of the point that is faced to turn to a heading, metres: so far away that its direction is the heading.
-const FACED_POINT_M: f64 = 100.0;
+/// Waypoints after a wait to which a waiting robot turns: 0.2 m on maps of 0.05 m.
+const FACED_WAYPOINTS: usize = 3;
 /// Movement of `odom` in the map from which the path is planned anew at once, metres and radians.
 const MAP_MOVED_M: f64 = 0.05;
 const MAP_MOVED_RAD: f64 = 0.03;
@@ -38,6 +37,8 @@ struct FollowedPath {
     odom_from_map: Pose2,
     /// Whether it ends where the robot waits for another one, before the goal.
     waits_for: Option<RobotId>,
+    /// Where it goes on after a wait, in `odom`: the robot turns there meanwhile.
+    goes_on_at_m: Option<[f64; 2]>,
 }
 
 #[derive(Clone, Debug)]
@@ -50,6 +51,7 @@ struct ActiveGoal {
 }
 
 /// Navigation of one robot.
+// More than 12 fields: each is a part of its own, and all belong to one goal.
 #[derive(Clone, Debug)]
 pub(super) struct RobotNavigator {
     pub(super) robot: RobotId,
@@ -68,6 +70,10 @@ pub(super) struct RobotNavigator {
     remaining_m: Option<f64>,
     recovery: Option<Recovery>,
     is_stop_due: bool,
+    /// The robot that it waited for last, since it made progress or something else stopped it.
+    waited_for: Option<RobotId>,
+    /// How often it was put before all others because it could not get out of their way.
+    pub(super) promoted: u32,
 }
 
 impl RobotNavigator {
@@ -88,6 +94,8 @@ impl RobotNavigator {
             remaining_m: None,
             recovery: None,
             is_stop_due: false,
+            waited_for: None,
+            promoted: 0,
         }
     }
 
@@ -115,8 +123,13 @@ impl RobotNavigator {
         &mut self.goal_map
     }
 
+    pub(super) fn goal_map(&self) -> &GoalMap {
+        &self.goal_map
+    }
+
     pub(super) fn set_goal(&mut self, now: Stamp, goal: NavigationGoal) {
         self.drop_path();
+        self.promoted = 0;
         let progress = Progress::new(now);
         self.goal = Some(ActiveGoal { goal, next: 0, progress, is_at_position: false });
         self.state = NavigationState::Planning;
@@ -173,6 +186,14 @@ impl RobotNavigator {
         matches!(self.searched, Some((_, Ok(()))))
     }
 
+    pub(super) fn has_path(&self) -> bool {
+        self.followed.is_some()
+    }
+
+    pub(super) fn is_recovering(&self) -> bool {
+        self.recovery.is_some()
+    }
+
     /// Records what the newest scan shows.
     pub(super) fn observe(&mut self, now: Stamp, robot: &NavigatedRobot, others: &[OtherRobot]) {
         let Some((odom_from_base, scan)) = robot.odom_from_base.zip(robot.fresh_scan(now)) else { return };
@@ -212,8 +233,10 @@ impl RobotNavigator {
         }
         let at_m = robot.poses().map(|poses| poses.position_m());
         self.remaining_m = at_m.and_then(|at_m| self.goal_map.cost_m(at_m));
-        if let Some((active, remaining_m)) = self.goal.as_mut().zip(self.remaining_m) {
-            active.progress.record(now, &self.config, remaining_m);
+        if let Some((active, remaining_m)) = self.goal.as_mut().zip(self.remaining_m)
+            && active.progress.record(now, &self.config, remaining_m)
+        {
+            self.waited_for = None;
         }
     }
 
@@ -261,7 +284,9 @@ impl RobotNavigator {
         for waypoint in &mut in_odom.waypoints {
             waypoint.position_m = odom_from_map.apply(waypoint.position_m);
         }
-        self.followed = Some(FollowedPath { in_odom, odom_from_map, waits_for });
+        let goes_on = path.waypoints.get(followed + FACED_WAYPOINTS).or(path.waypoints.last());
+        let goes_on_at_m = goes_on.map(|waypoint| odom_from_map.apply(waypoint.position_m));
+        self.followed = Some(FollowedPath { in_odom, odom_from_map, waits_for, goes_on_at_m });
         self.follower.on_replanned();
         (self.plan, self.plans) = (path, self.plans.wrapping_add(1));
     }
@@ -324,37 +349,11 @@ impl RobotNavigator {
             }
             (None, Some(other)) => {
                 self.state = NavigationState::WaitingForRobot(other);
-                Twist::STOP
+                self.waited_for = Some(other);
+                self.face_the_way_on(poses)
             }
             (None, None) => self.arrive(now, robot, poses),
         }
-    }
-
-    /// Turns to the heading of the last pose, and goes on with the next pose or ends.
-    fn arrive(&mut self, now: Stamp, robot: &NavigatedRobot, poses: RobotPoses) -> Twist {
-        let pose = self.goal_pose(robot);
-        let Some(active) = self.goal.as_mut() else { return Twist::STOP };
-        if active.next + 1 < active.goal.poses().len() {
-            active.next += 1;
-            active.progress.restart(now);
-            (self.searched, self.followed) = (None, None);
-            return Twist::STOP;
-        }
-        if !std::mem::replace(&mut active.is_at_position, true) {
-            active.progress.restart(now);
-        }
-        if let Some(yaw_rad) = pose.ok().and_then(|pose| pose.yaw_rad) {
-            let at = poses.map_from_base;
-            let (sin, cos) = wrap_angle(yaw_rad).sin_cos();
-            let faced_m = [at.x_m + FACED_POINT_M * cos, at.y_m + FACED_POINT_M * sin];
-            let (twist, error_rad) = self.follower.turn_to_face(at, faced_m);
-            if error_rad.abs() > HEADING_TOLERANCE_RAD {
-                self.state = NavigationState::Driving;
-                return twist;
-            }
-        }
-        self.end(NavigationState::Reached);
-        Twist::STOP
     }
 
     fn set_blocked(&mut self, now: Stamp, failure: NavigationFailure) {
@@ -363,13 +362,14 @@ impl RobotNavigator {
     }
 
     fn give_up_if_hopeless(&mut self, now: Stamp) {
-        let is_waiting = matches!(self.state, NavigationState::WaitingForRobot(_));
         let Some(active) = &self.goal else { return };
-        if !active.progress.is_hopeless(now, &self.config, is_waiting) {
+        if !active.progress.is_hopeless(now, &self.config, self.waited_for.is_some()) {
             return;
         }
         let failure = match (self.state, self.searched) {
-            (NavigationState::WaitingForRobot(other), _) => NavigationFailure::Robot(other),
+            _ if self.waited_for.is_some() => {
+                self.waited_for.map_or(NavigationFailure::Obstacle, NavigationFailure::Robot)
+            }
             (NavigationState::Blocked(failure), _) | (_, Some((_, Err(failure)))) => failure,
             _ => NavigationFailure::Obstacle,
         };

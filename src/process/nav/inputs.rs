@@ -136,7 +136,9 @@ impl<P: Ports> Inputs<P> {
                 Some(map_from_robot_map) => state.map_from_odom.map(|pose| map_from_robot_map * pose),
                 None => state.map_from_odom,
             };
-            (map_from_robot_map, odom_from_base, map_from_odom.zip(odom_from_base).map(|(a, b)| a * b))
+            // A robot that is not heard of any more stands where it was.
+            let newest = state.odom_from_base.map(|(pose, _)| pose);
+            (map_from_robot_map, odom_from_base, map_from_odom.zip(newest).map(|(a, b)| a * b))
         };
         let robots: Vec<NavigatedRobot> = self
             .robots

@@ -21,6 +21,8 @@ type Reported = (NavigationState, u64, Option<usize>);
 pub(super) struct Decision<'a> {
     /// The navigator's decision; `None` before the first goal.
     pub(super) navigation: Option<RobotNavigation<'a>>,
+    /// Whether the velocity is new.
+    pub(super) is_stepped: bool,
     /// Number of the goal's command.
     pub(super) goal: u64,
     /// Why the newest goal was refused.
@@ -73,7 +75,7 @@ impl<P: Ports> RobotOutputs<P> {
             self.state.send(&report(stamp, decision));
         }
         let Some(navigation) = decision.navigation else { return };
-        if let Some(twist) = navigation.twist {
+        if let Some(twist) = navigation.twist.filter(|_| decision.is_stepped) {
             self.velocity.send_with(|command| {
                 command.header.stamp = stamp;
                 (command.linear_m_s, command.angular_rad_s) = (twist.linear_m_s, twist.angular_rad_s);

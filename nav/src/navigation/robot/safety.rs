@@ -11,18 +11,26 @@ use msg::Stamp;
 /// Speed below which a robot that wants to drive stands, m/s.
 const STANDING_M_S: f64 = 0.005;
 
+/// Robots differ in how long they stand before they try to get free: in so many steps of this share.
+const PATIENCES: usize = 4;
+const PATIENCE_STEP: f64 = 0.25;
+
 impl RobotNavigator {
     /// Velocity of getting free, while the robot does that or has to begin with it.
     pub(super) fn recover(&mut self, now: Stamp, poses: RobotPoses, others: &[OtherRobot]) -> Option<Twist> {
         if self.recovery.is_some_and(|recovery| recovery.is_done(now, poses.odom_from_base)) {
             (self.recovery, self.searched) = (None, None);
         }
-        let is_waiting = matches!(self.state, NavigationState::WaitingForRobot(_));
+        // A wait that is planned ends by the plan; robots that stand before each other have to move apart.
+        let is_waiting = self.followed.as_ref().is_some_and(|path| path.waits_for.is_some());
         // Neither backing up nor turning helps a robot whose goal is out of reach.
         let can_help = matches!(self.searched, Some((_, Ok(()) | Err(NavigationFailure::StartBlocked))));
         if self.recovery.is_none() && !is_waiting && can_help {
             let config = self.config;
-            if self.goal.as_mut().is_some_and(|active| active.progress.take_recovery(now, &config)) {
+            // Of two robots that stand before each other, one moves first.
+            let patience = 1.0 + PATIENCE_STEP * (self.robot.number() % PATIENCES) as f64;
+            if self.goal.as_mut().is_some_and(|active| active.progress.take_recovery(now, &config, patience))
+            {
                 self.recovery = Some(self.new_recovery(now, poses, others));
                 self.obstacles.clear();
             }
@@ -65,6 +73,7 @@ impl RobotNavigator {
         }
         let wants_to_drive = wanted.linear_m_s > STANDING_M_S;
         if wants_to_drive && limited.linear_m_s < STANDING_M_S && self.state == NavigationState::Driving {
+            self.waited_for = limited_by.filter(|other| other.is_active).map(|other| other.robot);
             self.state = match limited_by {
                 Some(other) if other.is_active => NavigationState::WaitingForRobot(other.robot),
                 Some(other) => NavigationState::Blocked(NavigationFailure::Robot(other.robot)),

@@ -1,0 +1,49 @@
+//! Turns of a robot on the spot: at the goal, and while it waits for another robot.
+
+use super::super::input::{NavigatedRobot, RobotPoses};
+use super::super::state::NavigationState;
+use super::RobotNavigator;
+use crate::command::Twist;
+use msg::{Stamp, pose::wrap_angle};
+
+/// Heading error at which the heading of a goal is reached, radians: six degrees.
+const HEADING_TOLERANCE_RAD: f64 = 0.1;
+/// Distance of the point that is faced to turn to a heading, metres: so far away that its direction is the heading.
+const FACED_POINT_M: f64 = 100.0;
+
+impl RobotNavigator {
+    /// Turns to where the path goes on after a wait, so that the robot starts without delay.
+    pub(super) fn face_the_way_on(&self, poses: RobotPoses) -> Twist {
+        let ahead_m = self.followed.as_ref().and_then(|path| path.goes_on_at_m);
+        let Some(ahead_m) = ahead_m else { return Twist::STOP };
+        let (twist, error_rad) = self.follower.turn_to_face(poses.odom_from_base, ahead_m);
+        if error_rad.abs() > self.config.follower.turn_until_rad { twist } else { Twist::STOP }
+    }
+
+    /// Turns to the heading of the last pose, and goes on with the next pose or ends.
+    pub(super) fn arrive(&mut self, now: Stamp, robot: &NavigatedRobot, poses: RobotPoses) -> Twist {
+        let pose = self.goal_pose(robot);
+        let Some(active) = self.goal.as_mut() else { return Twist::STOP };
+        if active.next + 1 < active.goal.poses().len() {
+            active.next += 1;
+            active.progress.restart(now);
+            (self.searched, self.followed) = (None, None);
+            return Twist::STOP;
+        }
+        if !std::mem::replace(&mut active.is_at_position, true) {
+            active.progress.restart(now);
+        }
+        if let Some(yaw_rad) = pose.ok().and_then(|pose| pose.yaw_rad) {
+            let at = poses.map_from_base;
+            let (sin, cos) = wrap_angle(yaw_rad).sin_cos();
+            let faced_m = [at.x_m + FACED_POINT_M * cos, at.y_m + FACED_POINT_M * sin];
+            let (twist, error_rad) = self.follower.turn_to_face(at, faced_m);
+            if error_rad.abs() > HEADING_TOLERANCE_RAD {
+                self.state = NavigationState::Driving;
+                return twist;
+            }
+        }
+        self.end(NavigationState::Reached);
+        Twist::STOP
+    }
+}
