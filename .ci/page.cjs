@@ -17,9 +17,20 @@ before(async () => {
 after(() => browser.close());
 
 /** Opens the page and waits for the robots; errors of the page fail the test at its end. */
-async function open(options = {}) {
-  const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, colorScheme: "dark", ...options });
+async function open({ sockets = false, ...options } = {}, on = browser) {
+  const context = await on.newContext({ viewport: { width: 1280, height: 800 }, colorScheme: "dark", ...options });
   const page = await context.newPage();
+  // Keeps the page's sockets, so that a test can break them.
+  if (sockets) await page.addInitScript(() => {
+    globalThis.sockets = new Set();
+    const Socket = globalThis.WebSocket;
+    globalThis.WebSocket = class extends Socket {
+      constructor(...args) {
+        super(...args);
+        globalThis.sockets.add(this);
+      }
+    };
+  });
   const errors = [];
   page.on("pageerror", (error) => errors.push(error.message));
   page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
@@ -95,6 +106,70 @@ test("a page of another origin opens no WebSocket", async () => {
     socket.onerror = () => resolve(false);
   }), url);
   assert.equal(opened, false);
+});
+
+/** Records the speed of the first robot in a browser of its own: time on this machine's clock, ms, and m/s. */
+async function watchSpeed() {
+  const { page } = await open();
+  await page.evaluate(async () => {
+    const { Connection } = await import("./transport.js");
+    const { CdrReader } = await import("./cdr.js");
+    globalThis.speeds = [];
+    const message = (topic, view) => {
+      const from = new CdrReader(view);
+      from.header();
+      from.string();
+      // Pose and its covariance, before the velocity.
+      for (let i = 0; i < 7 + 36; i += 1) from.f64();
+      globalThis.speeds.push([performance.timeOrigin + performance.now(), Math.abs(from.f64())]);
+    };
+    new Connection(location.origin.replace("http", "ws"), { message }).subscribe("/robot1/odom");
+  });
+  return page;
+}
+
+/** Lets an operator drive the first robot, ends that with `end`, and returns how long the robot went on, ms. */
+async function timeToStop(observer, page, end) {
+  await page.keyboard.press("Digit1");
+  await page.keyboard.down("KeyS");
+  await observer.waitForFunction(() => globalThis.speeds.at(-1)?.[1] > 0.08, null, WAIT);
+  const ended = Date.now();
+  await end();
+  await observer.waitForFunction((after) => globalThis.speeds.some(([at, v]) => at > after && v < 0.01), ended, WAIT);
+  const moving = await observer.evaluate((after) => globalThis.speeds.filter(([at, v]) => at > after && v >= 0.01).map(([at]) => at), ended);
+  return Math.max(0, ...moving.map((at) => at - ended));
+}
+
+/**
+ * The bridge sends zeros 300 ms after the last velocity, which `cargo bench --bench safety` measures; then the robot brakes, and a
+ * busy machine's browser notices it late.
+ */
+const STOP_MS = 300 + 400;
+
+test("a robot stands when its operator's browser is killed", async () => {
+  const observer = await watchSpeed();
+  const server = await chromium.launchServer({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox"] });
+  const { page } = await open({}, await chromium.connect(server.wsEndpoint()));
+  const took = await timeToStop(observer, page, () => server.kill());
+  assert.ok(took < STOP_MS, `${took} ms`);
+});
+
+test("a robot stands when the operator's socket breaks, and the page is connected again within a second", async () => {
+  const observer = await watchSpeed();
+  const { page } = await open({ sockets: true });
+  const took = await timeToStop(observer, page, () => page.evaluate(() => {
+    globalThis.brokenAt = performance.now();
+    globalThis.sockets.forEach((socket) => socket.close());
+    const link = document.querySelector("#link");
+    new MutationObserver(() => {
+      if (link.textContent === "connected") globalThis.backAfter ??= performance.now() - globalThis.brokenAt;
+    }).observe(link, { childList: true, characterData: true, subtree: true });
+    dispatchEvent(new Event("blur"));
+  }));
+  assert.ok(took < STOP_MS, `${took} ms`);
+  await page.waitForFunction(() => globalThis.backAfter !== undefined, null, WAIT);
+  const back = await page.evaluate(() => globalThis.backAfter);
+  assert.ok(back < 1000, `connected after ${back} ms`);
 });
 
 test("the page connects again when the bridge is killed", async () => {

@@ -39,6 +39,20 @@ export function gamepadDeflection(gamepad) {
   return { forward: withDeadzone(-y), left: withDeadzone(-x) };
 }
 
+/** Buttons and axes of a headset's controller (xr-standard mapping): the grip, and the thumbstick. */
+const GRIP = 1;
+const THUMBSTICK = [2, 3];
+
+/**
+ * Returns the deflection of a headset's thumbstick while the grip is held, else null.
+ * @param {{axes: readonly number[], buttons: readonly {pressed: boolean}[]}} gamepad
+ */
+export function thumbstickDeflection({ axes, buttons }) {
+  if (!buttons[GRIP]?.pressed) return null;
+  const [x, y] = THUMBSTICK.map((axis) => axes[axis] ?? 0);
+  return stickDeflection(x, y);
+}
+
 /** Returns the deflection of a stick on the screen whose knob is so far from its middle, in radii. */
 export function stickDeflection(/** @type {number} */ x, /** @type {number} */ y) {
   return { forward: withDeadzone(clamp(-y)), left: withDeadzone(clamp(-x)) };

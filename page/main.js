@@ -6,6 +6,8 @@ import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } 
 import { Fleet } from "./state.js";
 import { Connection } from "./transport.js";
 import { View } from "./view.js";
+import { MixedReality } from "./xr.js";
+import { isMixedRealityOffered } from "./xr_session.js";
 
 /** Period of velocities, ms: 20 Hz. The bridge stops a robot 300 ms after the last one. */
 const COMMAND_MS = 50;
@@ -111,9 +113,11 @@ function showStop() {
 }
 
 element("stop").addEventListener("click", stop);
-element("release").addEventListener("click", () => {
+function release() {
   live.publish("/emergency_stop_release", "std_msgs/msg/Empty", writeEmpty(), true);
-});
+}
+
+element("release").addEventListener("click", release);
 
 // --- Driving ---
 
@@ -136,7 +140,7 @@ function releaseStick() {
 setInterval(() => {
   const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) ?? null : null;
   const isStopped = fleet.isStopped === true;
-  const deflection = isStopped ? null : stick ?? keyDeflection(held) ?? gamepadDeflection(gamepad);
+  const deflection = isStopped ? null : reality.drive() ?? stick ?? keyDeflection(held) ?? gamepadDeflection(gamepad);
   let shown = { linear: 0, angular: 0 };
   for (const { robot: number, forward, left } of driver.tick(deflection, selected)) {
     const robot = fleet.robots.get(number);
@@ -219,6 +223,20 @@ window.addEventListener("keydown", (event) => {
 window.addEventListener("keyup", (event) => held.delete(event.code));
 window.addEventListener("blur", releaseAll);
 document.addEventListener("visibilitychange", () => { if (document.hidden) releaseAll(); });
+
+// --- Mixed reality ---
+
+const reality = new MixedReality({
+  fleet, select, selectNext, stop, release, takeOver, log: logMessage, now,
+  selected: () => selected,
+  isConnected: () => live.isOpen,
+  floorSelected: () => {},
+}, (isOn) => { element("reality").setAttribute("aria-pressed", String(isOn)); });
+
+// Tests and the browser's console look in here.
+Object.assign(globalThis, { mixedReality: reality });
+element("reality").addEventListener("click", () => { reality.start(); });
+isMixedRealityOffered().then((isOffered) => { element("reality").hidden = !isOffered; });
 
 // --- View ---
 

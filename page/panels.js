@@ -44,7 +44,7 @@ function create(name, className = "", text = "") {
 }
 
 /** Rows of a robot's panel: heading, whether it is wide, and the text. @type {[string, boolean, (robot: Robot, now: number) => string][]} */
-const ROBOT_ROWS = [
+export const ROBOT_ROWS = [
   ["Driver", true, ({ figures }) => (figures.is_mine ? "you" : figures.driver ?? "nobody")],
   ["Scans", false, ({ figures }) => format(figures.scan_hz, 1, " Hz")],
   ["Lost", false, ({ figures }) => format(figures.scans_lost)],
@@ -57,6 +57,7 @@ const ROBOT_ROWS = [
   ["To pose", false, ({ figures }) => format(figures.scan_to_pose_ms?.[0], 1, " ms")],
   ["To map", false, ({ figures }) => format(figures.scan_to_map_ms?.[0], 0, " ms")],
   ["Closures", false, ({ figures }) => format(figures.closures)],
+  ["Map age", false, ({ figures }) => format(figures.map_age_s, 1, " s")],
   ["Merged", false, ({ figures }) => (figures.is_merged === undefined || figures.is_merged === null ? "–" : figures.is_merged ? "yes" : "no")],
 ];
 
@@ -128,7 +129,7 @@ function drawIcon(canvas, robot) {
 }
 
 /** Rows of the fleet's panel. @type {[string, (fleet: Fleet, now: number) => string][]} */
-const FLEET_ROWS = [
+export const FLEET_ROWS = [
   ["Mapped", ({ figures }) => `${format(figures.merged_known_m2, 1, " m²")}${typeof figures.room_coverage === "number" ? `, ${percent(figures.room_coverage)} of the room` : ""}`],
   ["Map", ({ map }) => (map ? `${map.width} × ${map.height} cells of ${(map.resolution * 100).toFixed(0)} cm` : "–")],
   ["Age of the map", (fleet, now) => format(fleet.mapAt === null ? null : now - fleet.mapAt, 1, " s")],

@@ -181,11 +181,13 @@ export class Fleet {
         items.push({ rank, robot: robot.number, text });
       };
       const age = robot.scanAge(now);
-      const { slam, is_merged: isMerged } = robot.figures;
+      const { slam, is_merged: isMerged, is_map_old: isMapOld, map_age_s: mapAge } = robot.figures;
       if (slam === "lost" || slam === "relocalizing") add(2, `SLAM is ${slam}`);
       if (age === null) add(3, "no scan yet");
       else if (age > STALE_S) add(3, `no scan for ${age.toFixed(0)} s`);
+      if (slam === "unreliable") add(2, "its map may be wrong");
       if (slam === "degenerate") add(4, "SLAM is degenerate");
+      if (isMapOld === true) add(3, `its part of the map is ${mapAge.toFixed(0)} s old`);
       if (isMerged === false) add(5, "its map is not merged");
     }
     return items.sort((a, b) => a.rank - b.rank || (a.robot ?? 0) - (b.robot ?? 0));

@@ -10,8 +10,8 @@ const ROBOT_RADIUS_M = 0.105;
 /** A robot is drawn at least so large, pixels. */
 const ROBOT_RADIUS_MIN_PX = 9;
 /** Percent from which a cell is occupied, and up to which it is free (map_server). */
-const OCCUPIED = 65;
-const FREE = 25;
+export const OCCUPIED = 65;
+export const FREE = 25;
 
 /** On a narrower map the controls lie above and below it, pixels. */
 const NARROW_PX = 560;

@@ -16,9 +16,14 @@ const BYTES_MAX: u64 = 64 << 10;
 
 /// Returns the path of the file.
 pub fn file(run: &Run) -> PathBuf {
+    state_folder().unwrap_or_else(|| run.dir.clone()).join("allowed")
+}
+
+/// Returns the folder of what is kept from run to run, or `None` if the user has no home.
+pub fn state_folder() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let state = absolute("XDG_STATE_HOME").or_else(|| Some(absolute("HOME")?.join(".local/state")));
-    state.map_or_else(|| run.dir.join("allowed"), |state| state.join("mr-slam/allowed"))
+    state.map(|state| state.join("mr-slam"))
 }
 
 /// Reads the addresses, oldest first, and the lines that are no addresses. A missing file has none.

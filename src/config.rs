@@ -4,9 +4,11 @@
 //! `config/default.toml` lists every key with its default; it is generated from the types and their doc comments.
 
 mod error;
+mod recording;
 mod sessions;
 
 pub use error::{ConfigError, ValueError};
+pub use recording::{RecordingConfig, RecordingConfigError};
 pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
 
 use crate::processes::{self, ProcessRow};
@@ -34,6 +36,8 @@ pub struct FleetConfig {
     pub merge: merge::MergeConfig,
     /// Bridge to headsets (ros_tcp) and to ROS 2 (DDS).
     pub bridge: bridge::BridgeConfig,
+    /// Recording of the fleet's messages.
+    pub recording: RecordingConfig,
     /// Real-time priority, locked memory and cores of the processes.
     pub realtime: RealtimeConfig,
 }
@@ -49,6 +53,7 @@ impl Default for FleetConfig {
             sessions: SessionsConfig::default(),
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
+            recording: RecordingConfig::default(),
             realtime: RealtimeConfig::default(),
         }
     }
@@ -233,12 +238,13 @@ impl FleetConfig {
         self.sessions.validate()?;
         self.merge.validate()?;
         self.bridge.validate()?;
+        self.recording.validate()?;
         Ok(self.realtime.validate()?)
     }
 
     /// Returns every process of the fleet with its row of the table, in the order in which they are started.
     pub fn processes(&self) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
-        processes::of_fleet(self.fleet.robots, self.world.is_outside())
+        processes::of_fleet(self.fleet.robots, self.world.is_outside(), self.recording.enabled)
     }
 
     /// Returns the room's name, or the source of the world, for people.

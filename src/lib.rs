@@ -18,9 +18,12 @@ pub mod run;
 pub mod supervisor;
 // What people read and control.
 pub mod allowed;
+pub mod certificate;
 pub mod control;
+pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
+pub mod report;
 pub mod terminal;
 pub mod view;
 // Files that outlive a process.

@@ -13,10 +13,12 @@ mod injection;
 pub mod invariants;
 mod members;
 mod memory_storage;
+mod merged_map_check;
 mod observer;
 mod operator;
 mod people;
 pub mod queues;
+mod replay;
 mod tcp;
 
 pub use client::Client;
@@ -27,8 +29,11 @@ use crate::config::FleetConfig;
 use crate::fleet;
 use crate::ports::{Clock, Ports, ReadMapPort};
 use crate::process::Error;
+use crate::process::record::Recording;
+use crate::process::record::files::Output;
 use crate::processes::ProcessRow;
 use crate::run::Run;
+use ::recording::fleet::FleetRecording;
 use faults::FaultPlan;
 use members::{Member, World};
 use memory_storage::MemoryStorage;
@@ -39,6 +44,7 @@ use queues::{MemoryPorts, Network, Openings, QueueWriter};
 use sim::Simulator;
 use slam::Session;
 use std::net::SocketAddr;
+use std::rc::Rc;
 use tcp::Port;
 
 /// Steps at one moment after which the fleet counts as stuck; a robot's busiest moment takes some dozens.
@@ -98,10 +104,12 @@ impl Lockstep {
         fleet::check(config)?;
         let network = Network::new(faults);
         let storage = MemoryStorage::new(&network);
-        let run = Run::in_memory(config.clone())?;
+        let mut run = Run::in_memory(config.clone())?;
+        // The recorder is no process here: see `Lockstep::record`.
+        run.config.recording.enabled = false;
         let port = Port::new(&network);
         let runs = |row: &ProcessRow| has_navigation || row.role != Role::Nav;
-        let mut rows: Vec<_> = config.processes().filter(|(row, _)| runs(row)).collect();
+        let mut rows: Vec<_> = run.config.processes().filter(|(row, _)| runs(row)).collect();
         // Processes in the order of the data flow: robots, SLAM, merging, figures, bridge.
         rows.sort_by_key(|(row, robot)| (row.role, *robot));
         let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::SlamTool));
@@ -116,8 +124,27 @@ impl Lockstep {
             selected: None,
             violations: Vec::new(),
             saved: vec![0; config.fleet.robots],
-            world: World { run, network, storage, port },
+            world: World { run, network, storage, port, recording: None },
         })
+    }
+
+    /// Builds a fleet whose robots send what they sent when they were recorded, instead of simulated ones.
+    ///
+    /// # Errors
+    /// As [`Lockstep::new`].
+    pub fn replay(config: &FleetConfig, recording: FleetRecording) -> Result<Self, Error> {
+        let mut fleet = Self::new(config, false)?;
+        fleet.world.recording = Some(Rc::new(recording));
+        Ok(fleet)
+    }
+
+    /// Begins to record all messages. Call [`Recording::step`] after each tick.
+    ///
+    /// # Errors
+    /// A channel cannot be opened.
+    pub fn record(&self, output: Box<dyn Output>) -> Result<Recording<MemoryPorts>, Error> {
+        let ports = MemoryPorts::attach_observer(&self.world.network, Opener::of_fleet(Program::RecordTool));
+        Recording::open(&ports, &self.world.run, output, None)
     }
 
     /// Runs the fleet for one tick of the simulators. `message_observer` receives every message.

@@ -8,7 +8,8 @@ use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use crate::view::EdgeView;
 use formats::map_file;
 use msg::{
-    Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MergeEdges, Monotonic, Pose2, RobotId, Role,
+    Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2,
+    RobotId, Role, VelocityCommand,
 };
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -21,6 +22,8 @@ pub struct Observer {
     bell: Listener,
     newest: Option<Box<FleetStats>>,
     merged_map: MapWatch,
+    map_transforms: Reader<MapTransforms>,
+    newest_transforms: Option<Box<MapTransforms>>,
     maps: Vec<MapWatch>,
     robots: Vec<RobotWatch>,
     // The readers' presence in the run; dropped after them.
@@ -37,6 +40,8 @@ struct MapWatch {
 struct RobotWatch {
     truths: Reader<GroundTruth>,
     corrections: Reader<Correction>,
+    commands: Reader<VelocityCommand>,
+    command: Option<VelocityCommand>,
     world_from_base: Option<Pose2>,
     map_from_odom: Option<Pose2>,
     map_from_base: Option<Pose2>,
@@ -46,10 +51,21 @@ impl RobotWatch {
     fn open(node: &Participant, robot: RobotId) -> Result<Self, ChannelError> {
         let (truths, corrections) =
             (node.reader(&channel::truth(robot))?, node.reader(&channel::correction(robot))?);
-        Ok(Self { truths, corrections, world_from_base: None, map_from_odom: None, map_from_base: None })
+        Ok(Self {
+            truths,
+            corrections,
+            commands: node.reader(&channel::command(robot))?,
+            command: None,
+            world_from_base: None,
+            map_from_odom: None,
+            map_from_base: None,
+        })
     }
 
     fn poll(&mut self) {
+        if let Some(command) = self.commands.newest() {
+            self.command = Some(*command);
+        }
         if let Some(truth) = self.truths.newest() {
             self.world_from_base = Some(truth.world_from_base);
         }
@@ -73,6 +89,8 @@ impl Observer {
             edges: node.reader(&channel::merge_edges())?,
             newest_edges: Box::default(),
             newest: None,
+            map_transforms: node.reader(&channel::map_transforms())?,
+            newest_transforms: None,
             merged_map: watch("merged_map".into(), node.map_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
             robots: run.robots().map(|robot| RobotWatch::open(&node, robot)).collect::<Result<_, _>>()?,
@@ -86,6 +104,9 @@ impl Observer {
             watch.reader.poll();
         }
         self.robots.iter_mut().for_each(RobotWatch::poll);
+        if let Some(transforms) = self.map_transforms.newest() {
+            self.newest_transforms = Some(Box::new(*transforms));
+        }
         let stats = self.stats.newest();
         let new = stats.is_some();
         if let Some(stats) = stats {
@@ -104,6 +125,25 @@ impl Observer {
     /// Newest figures; `None` until the first ones came.
     pub fn stats(&self) -> Option<&FleetStats> {
         self.newest.as_deref()
+    }
+
+    /// Newest velocity that a robot was told, by its index, and its age in seconds.
+    pub fn command(&self, robot: usize) -> Option<(VelocityCommand, f64)> {
+        let command = self.robots.get(robot)?.command?;
+        Some((command, now().since(command.header.sent) as f64 * 1e-9))
+    }
+
+    /// Newest transforms of the robots' maps into the merged map.
+    pub fn map_transforms(&self) -> Option<&MapTransforms> {
+        self.newest_transforms.as_deref()
+    }
+
+    /// Calls `show` with the name and the cells of every map that came, robots' maps first.
+    pub fn show_maps(&self, mut show: impl FnMut(&str, msg::GridView<'_>)) {
+        let seen = self.maps.iter().chain([&self.merged_map]);
+        for watch in seen.filter(|watch| watch.reader.map().tiles().next().is_some()) {
+            show(&watch.name, DenseMap::default().update(watch.reader.map()));
+        }
     }
 
     /// Newest edges between robots' maps.

@@ -234,6 +234,11 @@ impl Run {
         Ok(Self { dir, pid, domain, epoch, begun, port, config, _locks: None })
     }
 
+    /// Returns whether the run's launcher is alive.
+    pub fn is_alive(&self) -> bool {
+        runtime_folder::is_alive(self.domain.root())
+    }
+
     /// Attaches one of the run's processes to shared memory.
     pub fn attach(&self, role: Role, robot: Option<RobotId>) -> Result<Participant, ChannelError> {
         self.attach_thread(role, robot, "")

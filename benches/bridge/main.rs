@@ -1,7 +1,8 @@
 //! The bridge as a headset feels it: the whole fleet of three runs on this machine's cores, and everything is done
 //! to its bridge from outside, over TCP. One table, with what the machine itself takes beside it.
 //!
-//! `cargo bench --bench bridge [-- --seconds 30 --json FILE]`
+//! `cargo bench --bench bridge [-- --seconds 30 --json FILE --check]`. With `--check` a row that misses its limit makes the
+//! exit status 1.
 //!
 //! Two rows need the bridge's inside and run it on a thread of this process, beside the fleet: a map of 16 MB, for
 //! which the laboratory is too small, and the count of allocations.
@@ -42,6 +43,12 @@ const WEAK_BYTES_PER_S: f64 = 60e3;
 struct Table(Vec<Value>);
 
 impl Table {
+    /// Returns the rows that missed their limit. A figure that could not be measured is not a number and misses it too.
+    fn missed(&self) -> Vec<String> {
+        let rows = self.0.iter().filter(|row| row["holds"] != true);
+        rows.map(|row| row["what"].as_str().unwrap_or_default().trim().to_owned()).collect()
+    }
+
     /// `measured` and what is to be reached, in the same unit; `machine` is what the bare machine takes, if known.
     fn row(&mut self, what: &str, measured: f64, reach: Reach, unit: &str, machine: Option<f64>) {
         let (holds, bound) = match reach {
@@ -93,6 +100,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(path) = value("--json") {
         let report = json!({ "robots": ROBOTS, "seconds": seconds, "load": load.trim(), "rows": table.0 });
         std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
+    }
+    let missed = table.missed();
+    if !missed.is_empty() && words.iter().any(|word| word == "--check") {
+        return Err(format!("{} rows missed their limit: {}", missed.len(), missed.join("; ")).into());
     }
     Ok(())
 }

@@ -10,7 +10,7 @@ use mr_slam::config::recorded_log_slam;
 use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
-use slam::{BackEnd, EdgeKind, FrontEnd, Node, Revision, ScanResult, Slam, Stage, StageObserver};
+use slam::{BackEnd, EdgeKind, FrontEnd, MapDoubts, Node, Revision, ScanResult, Slam, Stage, StageObserver};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};
@@ -71,6 +71,8 @@ pub struct Outcome {
     pub retracted: u64,
     /// Nodes that are not tied to the map.
     pub disconnected: usize,
+    /// Evidence that the map is wrong.
+    pub doubts: MapDoubts,
     /// Closures in force that are not true, if the truth is known.
     pub wrong_closures: usize,
     /// The same of links between scans.
@@ -240,6 +242,7 @@ impl Outcome {
         (self.scans, self.lost) = (counts.accepted, counts.lost);
         (self.nodes, self.links, self.closures) = (done.nodes, done.links, done.closures);
         (self.retracted, self.disconnected) = (done.retracted, done.disconnected);
+        self.doubts = back.doubts();
     }
 
     fn score(&mut self, task: &Task, front: &FrontEnd, back: &BackEnd) -> Result<(), String> {

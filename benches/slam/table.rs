@@ -52,6 +52,9 @@ fn accuracy(done: &[(&Row, Outcome)]) {
             o.all.mean_deg,
             o.all.count,
         );
+        for reason in o.doubts.reasons() {
+            println!("  called unreliable: {reason} ({:?})", o.doubts);
+        }
     }
 }
 

@@ -2,12 +2,14 @@
 
 mod dds;
 mod discovery;
+mod https;
 mod limits;
 mod page;
 mod velocity;
 
 pub use dds::{DdsConfig, VelocityMessage};
 pub use discovery::{Discovery, DiscoveryError, DiscoveryVariables, OrEnvironment};
+pub use https::HttpsConfig;
 pub use limits::{ALLOCATOR_SETTINGS, ClientLimits};
 pub use page::PageConfig;
 pub use velocity::{LimitsOfRobot, VelocityConfig};

@@ -10,6 +10,7 @@ mod registration;
 mod relay;
 mod service_exchange;
 mod service_frames;
+mod world;
 
 use crate::access::AccessControl;
 use crate::command::{handshake, name};

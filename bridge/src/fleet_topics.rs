@@ -3,6 +3,7 @@
 mod map_updates;
 mod odom_frames;
 mod publisher;
+mod static_transforms;
 mod table;
 
 pub use publisher::{FleetMessage, FleetPublisher, LinkTransforms, TopicSink};
@@ -12,7 +13,7 @@ use crate::input::Input;
 use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
 use msg::{Monotonic, RobotId, Stamp};
 use ros_messages::OdometrySigmas;
-use ros_messages::cdr::Writer;
+use ros_messages::cdr::{DecodeError, Writer};
 use ros_messages::{
     Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PathMessage, PoseStamped,
     PoseWithCovarianceStamped, RobotNames, Text, Twist,
@@ -107,6 +108,18 @@ impl FleetTopics {
     /// Publishes a message of the fleet.
     pub fn publish(&mut self, router: &mut TopicRouter, message: FleetMessage<'_>) {
         self.publisher.publish(message, &mut RouterSink { router, ids: &self.ids });
+    }
+
+    /// Adds transforms of an external world that never change to those of the fleet, and publishes all of them.
+    ///
+    /// # Errors
+    /// The payload is no tf2_msgs/TFMessage.
+    pub fn receive_static_transforms(
+        &mut self,
+        router: &mut TopicRouter,
+        payload: &[u8],
+    ) -> Result<(), DecodeError> {
+        self.publisher.receive_static_transforms(payload, &mut RouterSink { router, ids: &self.ids })
     }
 
     /// Publishes which robot `/cmd_vel` drives.

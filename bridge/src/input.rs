@@ -37,6 +37,8 @@ pub enum Input {
     Transforms,
     /// Transforms of one robot on its own topic, in an external world: its frames may be plain.
     RobotTransforms(RobotId),
+    /// Transforms of an external world that never change.
+    StaticTransforms,
     /// A robot's scan, in an external world.
     Scan(RobotId),
     /// A robot's wheel odometry, in an external world.

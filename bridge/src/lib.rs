@@ -33,13 +33,16 @@ pub mod world;
 
 pub use bridge::{Bridge, ClientStatus};
 pub use config::{
-    ALLOCATOR_SETTINGS, BridgeConfig, ClientLimits, ConfigError, LimitsOfRobot, PageConfig, Permission,
-    VelocityConfig,
+    ALLOCATOR_SETTINGS, BridgeConfig, ClientLimits, ConfigError, HttpsConfig, LimitsOfRobot, PageConfig,
+    Permission, VelocityConfig,
 };
 pub use core::{ClientSelector, ConnectError, SelectorError};
 pub use drive::velocity_gate;
-pub use fleet_topics::{Delivery, FleetMessage, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
-pub use page::{PageFile, serve_page};
+pub use fleet_topics::{
+    Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, OutgoingTopic,
+    TopicSink,
+};
+pub use page::{PageFile, TlsAcceptor, TlsError, serve_page, tls_acceptor};
 pub use ros_messages as ros;
 pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};
 pub use router::{ClientId, ConnectionEnded, Counters};

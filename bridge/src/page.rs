@@ -12,10 +12,13 @@ mod encoder;
 mod http;
 mod origin;
 mod protocol;
-mod schema;
 mod server;
 mod session;
 mod socket;
+mod stream;
+mod tls;
 
 pub use http::PageFile;
 pub use server::serve_page;
+pub use tls::{TlsError, tls_acceptor};
+pub use tokio_rustls::TlsAcceptor;

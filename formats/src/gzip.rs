@@ -1,7 +1,9 @@
-//! Gzip streams unpacked up to a limit, so that a small file cannot fill the memory.
+//! Gzip streams: packed, and unpacked up to a limit, so that a small file cannot fill the memory.
 
+use flate2::Compression;
 use flate2::read::MultiGzDecoder;
-use std::io::{self, Read};
+use flate2::write::GzEncoder;
+use std::io::{self, Read, Write};
 
 /// First bytes of a gzip stream (RFC 1952).
 const MAGIC: [u8; 2] = [0x1f, 0x8b];
@@ -24,6 +26,16 @@ pub fn unpack(bytes: Vec<u8>, max_bytes: u64) -> io::Result<Vec<u8>> {
     Ok(unpacked)
 }
 
+/// Packs `bytes` into a gzip stream, quickly rather than small.
+///
+/// # Errors
+/// None occurs in practice: the stream is written to memory.
+pub fn pack(bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
+    encoder.write_all(bytes)?;
+    encoder.finish()
+}
+
 fn too_long(max_bytes: u64) -> io::Error {
     io::Error::new(
         io::ErrorKind::FileTooLarge,
@@ -34,13 +46,9 @@ fn too_long(max_bytes: u64) -> io::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flate2::{Compression, write::GzEncoder};
-    use std::io::Write;
 
     fn packed(bytes: &[u8]) -> Vec<u8> {
-        let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
-        encoder.write_all(bytes).unwrap();
-        encoder.finish().unwrap()
+        pack(bytes).unwrap()
     }
 
     #[test]

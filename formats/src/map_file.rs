@@ -7,7 +7,7 @@
 mod image;
 mod picture;
 
-pub use picture::{Picture, Rgb};
+pub use picture::{Picture, Rgb, encode_grey_png};
 
 use crate::atomic;
 use image::{Pixels, decode_image, read_image};

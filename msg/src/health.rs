@@ -17,13 +17,16 @@ pub enum Role {
     Telemetry = 4,
     /// Connects the fleet to ros_tcp clients and to ROS 2.
     Bridge = 5,
+    /// Records the fleet's messages.
+    Record = 6,
     /// Drives robots to goals.
-    Nav = 6,
+    Nav = 7,
 }
 
 impl Role {
     /// All roles in the order of their codes.
-    pub const ALL: [Self; 6] = [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge, Self::Nav];
+    pub const ALL: [Self; 7] =
+        [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge, Self::Record, Self::Nav];
 
     /// Decodes a role; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
@@ -38,6 +41,7 @@ impl Role {
             Self::Merge => "merge",
             Self::Telemetry => "telemetry",
             Self::Bridge => "bridge",
+            Self::Record => "record",
             Self::Nav => "nav",
         }
     }

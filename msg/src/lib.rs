@@ -60,7 +60,7 @@ pub use service::{
     CLOSURES_MAX, ClosureInfo, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose,
     TEXT_MAX, Text,
 };
-pub use slam::{Correction, MapTransform, MapTransforms, TrackingState};
+pub use slam::{Correction, MAP_OLD_AFTER_S, MapTransform, MapTransforms, TrackingState};
 pub use stats::{Distribution, FleetStats, PROCESSES_MAX, ProcessStats, RobotStats};
 pub use submap::{
     SUBMAP_CELLS_MAX, SUBMAP_EDGES_MAX, SUBMAP_SIDE_MAX, SUBMAPS_MAX, Submap, SubmapEdge, SubmapPoses,

@@ -15,12 +15,16 @@ pub enum TrackingState {
     Degenerate = 2,
     /// The scan does not match: the pose comes from odometry and the map does not change.
     Lost = 3,
+    /// The scan matches the map, but there is evidence that the map is wrong: this pose may be metres off.
+    Unreliable = 4,
 }
 
 impl TrackingState {
     /// Decodes a state; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
-        [Self::Starting, Self::Tracking, Self::Degenerate, Self::Lost].into_iter().find(|s| *s as u32 == code)
+        [Self::Starting, Self::Tracking, Self::Degenerate, Self::Lost, Self::Unreliable]
+            .into_iter()
+            .find(|s| *s as u32 == code)
     }
 
     /// Returns the state's name in tables and in JSON.
@@ -30,6 +34,7 @@ impl TrackingState {
             Self::Tracking => "tracking",
             Self::Degenerate => "degenerate",
             Self::Lost => "lost",
+            Self::Unreliable => "unreliable",
         }
     }
 }
@@ -115,7 +120,14 @@ pub struct MapTransforms {
     pub header: Header,
     /// Transforms by [`crate::RobotId::index`]. Those beyond the fleet are unknown.
     pub robots: [MapTransform; ROBOTS_MAX],
+    /// Time at which merging last received an answer of each robot's SLAM to a scan; zero: never. Until then the robot's
+    /// part of the merged map is up to date.
+    pub slam_received: [Monotonic; ROBOTS_MAX],
 }
+
+/// Age from which a robot's part of the merged map counts as old, seconds. It reaches a reader up to 0.5 s late, and a
+/// SLAM process that was killed is back within about 1 s.
+pub const MAP_OLD_AFTER_S: f64 = 2.5;
 
 impl Default for MapTransforms {
     fn default() -> Self {

@@ -73,6 +73,9 @@ pub struct RobotStats {
     pub merged: u32,
     /// Padding, always zero.
     pub reserved: u32,
+    /// Age of the robot's part of the merged map: time since merging last received an answer of its SLAM to a scan,
+    /// seconds. NaN before the first.
+    pub map_age_s: f64,
 }
 
 /// Health of a process as telemetry received it.

@@ -6,7 +6,7 @@ use crate::link_statistics::LinkReport;
 use crate::report::{ExplorationReport, MapReport, OperatorReport, RobotReport};
 use crate::world_state::{RobotState, decode_maps};
 use crate::{OperatorArgs, OperatorError, SharedReceived, lock, stamp_at};
-use bridge::ros;
+use bridge::{RobotNames, ros};
 use msg::RobotId;
 use nav::{DriveCommand, ExplorationTour, FleetObservation, RobotObservation, TourConfig, Twist};
 use std::collections::BTreeSet;
@@ -41,6 +41,7 @@ struct Selection {
 pub(crate) struct ControlLoop<'a> {
     args: &'a OperatorArgs,
     handle: ClientHandle,
+    names: &'a RobotNames,
     received: &'a SharedReceived,
     epoch: Instant,
     joystick: SimulatedJoystick,
@@ -56,12 +57,14 @@ impl<'a> ControlLoop<'a> {
     pub(crate) fn new(
         args: &'a OperatorArgs,
         handle: ClientHandle,
+        names: &'a RobotNames,
         received: &'a SharedReceived,
         epoch: Instant,
     ) -> Self {
         Self {
             args,
             handle,
+            names,
             received,
             epoch,
             joystick: SimulatedJoystick::default(),
@@ -80,7 +83,7 @@ impl<'a> ControlLoop<'a> {
         let mut tick = self.epoch;
         let mut topics_requested = self.epoch;
         if let Some(count) = self.args.robots {
-            self.add_robots(RobotId::first(usize::from(count)).collect());
+            self.add_robots(RobotId::first(usize::from(count).min(self.names.count())).collect());
         }
         while !stop.load(Ordering::Relaxed) && end.is_none_or(|end| tick < end) {
             if tick.duration_since(topics_requested) >= TOPICS_PERIOD {
@@ -140,9 +143,10 @@ impl<'a> ControlLoop<'a> {
             if !self.robots.insert(robot) {
                 continue;
             }
-            self.handle.subscribe(&format!("/{robot}/scan"), "sensor_msgs/LaserScan");
-            self.handle.subscribe(&format!("/{robot}/map"), "nav_msgs/OccupancyGrid");
-            self.handle.subscribe(&format!("/{robot}/slam_stats"), "std_msgs/Float32MultiArray");
+            let topic = |rest| self.names.topic(robot, rest);
+            self.handle.subscribe(&topic("scan"), "sensor_msgs/LaserScan");
+            self.handle.subscribe(&topic("map"), "nav_msgs/OccupancyGrid");
+            self.handle.subscribe(&topic("slam_stats"), "std_msgs/Float32MultiArray");
             if self.args.all_at_once {
                 self.handle.advertise::<ros::Twist>(&velocity_topic(robot));
             }

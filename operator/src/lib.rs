@@ -12,15 +12,18 @@ mod control_loop;
 pub mod joystick;
 pub mod link_statistics;
 mod report;
+pub mod robot_topics;
 pub mod world_state;
 
 pub use report::{ExplorationReport, MapReport, OperatorReport, RobotReport};
 
 use bridge::command::TopicList;
+use bridge::{RobotNameError, RobotNames};
 use client::{Client, ClientHandle, Event};
 use control_loop::ControlLoop;
-use link_statistics::{LinkStatistics, robot_topic};
+use link_statistics::LinkStatistics;
 use msg::{ROBOTS_MAX, RobotId, Stamp};
+use robot_topics::RobotTopics;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -55,6 +58,9 @@ pub struct OperatorArgs {
     /// Number of robots to drive [default: all in the topic list]
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=ROBOTS_MAX as i64))]
     pub robots: Option<u8>,
+    /// Names of the robots in ROS, separated by commas, as the fleet has them [default: robot1,robot2,...]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub names: Option<Vec<String>>,
     /// End after this time, seconds [default: when stopped]
     #[arg(long)]
     pub seconds: Option<f64>,
@@ -86,6 +92,9 @@ pub enum OperatorError {
         /// Value of the argument, seconds.
         value: f64,
     },
+    /// The robots cannot have these names.
+    #[error("--names: {0}")]
+    Names(#[from] RobotNameError),
     /// There was no connection during the whole run.
     #[error(
         "no connection to the bridge: {why}. Start a fleet first (mr-slam up --port {port}), or name its port (--port)"
@@ -98,7 +107,8 @@ pub enum OperatorError {
     },
     /// The bridge listed no robot during the whole run.
     #[error(
-        "{address} lists {topics} topics but no /robotN/scan: are the fleet's simulators running (mr-slam status)?"
+        "{address} lists {topics} topics but no /robotN/scan: are the fleet's simulators running (mr-slam status)? Robots \
+         with other names are found by --names"
     )]
     NoRobots {
         /// Address of the bridge.
@@ -109,8 +119,8 @@ pub enum OperatorError {
 }
 
 /// What the receiving thread shares with the control loop.
-#[derive(Default)]
 pub(crate) struct Received {
+    robots: RobotTopics,
     world: WorldState,
     listed_robots: BTreeSet<RobotId>,
     listed_topics: usize,
@@ -137,11 +147,16 @@ pub fn run(args: &OperatorArgs, stop: &AtomicBool) -> Result<OperatorReport, Ope
     let client = Client::new(address.clone());
     let handle = client.handle();
     register_topics(&handle);
-    let received = SharedReceived::default();
+    let robots = match &args.names {
+        Some(names) => RobotTopics::new(RobotNames::new(names.clone())?),
+        None => RobotTopics::default(),
+    };
+    let received = SharedReceived::new(Received::new(robots.clone()));
     let (epoch, done) = (Instant::now(), AtomicBool::new(false));
-    let mut control_loop = ControlLoop::new(args, handle, &received, epoch);
+    let mut control_loop = ControlLoop::new(args, handle, robots.names(), &received, epoch);
     let statistics = std::thread::scope(|scope| {
-        let receiver = scope.spawn(|| receive(client, &received, epoch, &done));
+        let receiver =
+            scope.spawn(|| receive(client, &received, LinkStatistics::new(robots.clone()), epoch, &done));
         control_loop.run(stop);
         done.store(true, Ordering::Relaxed);
         receiver.join().unwrap_or_default()
@@ -170,10 +185,10 @@ fn register_topics(handle: &ClientHandle) {
 fn receive(
     mut client: Client,
     received: &SharedReceived,
+    mut statistics: LinkStatistics,
     epoch: Instant,
     done: &AtomicBool,
 ) -> LinkStatistics {
-    let mut statistics = LinkStatistics::new();
     while !done.load(Ordering::Relaxed) {
         client.poll(Instant::now() + RECEIVE_WAIT_MAX, &mut |event| match event {
             Event::Message { topic, payload, received: at } => {
@@ -195,10 +210,21 @@ fn receive(
 }
 
 impl Received {
+    fn new(robots: RobotTopics) -> Self {
+        Self {
+            world: WorldState::new(robots.clone()),
+            robots,
+            listed_robots: BTreeSet::new(),
+            listed_topics: 0,
+            last_error: None,
+            server_texts: VecDeque::new(),
+        }
+    }
+
     fn store_topics(&mut self, list: &TopicList) {
         self.listed_topics = list.topics.len();
-        let scans =
-            list.topics.iter().filter_map(|topic| robot_topic(topic).filter(|(_, rest)| *rest == "scan"));
+        let robot_topics = list.topics.iter().filter_map(|topic| self.robots.split(topic));
+        let scans = robot_topics.filter(|(_, rest)| *rest == "scan");
         self.listed_robots.extend(scans.map(|(robot, _)| robot));
     }
 

@@ -1,5 +1,6 @@
 //! Statistics of the link, with the rate, regularity and losses of each topic.
 
+use crate::robot_topics::RobotTopics;
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, LaserScan, TfMessage};
 use msg::{RobotId, Stamp};
@@ -209,8 +210,8 @@ pub enum MessageContent {
 
 impl MessageContent {
     /// Decodes scans and transforms; messages of other topics are left encoded.
-    pub fn decode(topic: &str, payload: &[u8]) -> Result<Self, DecodeError> {
-        Ok(match robot_topic(topic) {
+    pub fn decode(robots: &RobotTopics, topic: &str, payload: &[u8]) -> Result<Self, DecodeError> {
+        Ok(match robots.split(topic) {
             Some((robot, "scan")) => Self::Scan(robot, ros::decode(payload)?),
             _ if topic == "/tf" => Self::Transforms(ros::decode(payload)?),
             _ => Self::Encoded,
@@ -236,6 +237,7 @@ struct TopicCount {
 /// Counts and times arrivals, within bounds; it allocates for new topics and streams only.
 #[derive(Clone, Debug)]
 pub struct LinkStatistics {
+    robots: RobotTopics,
     epoch: Instant,
     connection: u64,
     topics: BTreeMap<String, TopicCount>,
@@ -246,14 +248,15 @@ pub struct LinkStatistics {
 
 impl Default for LinkStatistics {
     fn default() -> Self {
-        Self::new()
+        Self::new(RobotTopics::default())
     }
 }
 
 impl LinkStatistics {
-    /// Statistics of no arrivals.
-    pub fn new() -> Self {
+    /// Statistics of no arrivals from these robots.
+    pub fn new(robots: RobotTopics) -> Self {
         Self {
+            robots,
             epoch: Instant::now(),
             connection: 0,
             topics: BTreeMap::new(),
@@ -288,7 +291,7 @@ impl LinkStatistics {
         payload: &[u8],
         received_ns: i64,
     ) -> Result<MessageContent, DecodeError> {
-        let content = MessageContent::decode(topic, payload)?;
+        let content = MessageContent::decode(&self.robots, topic, payload)?;
         match &content {
             MessageContent::Transforms(message) => {
                 for transform in &message.transforms {
@@ -363,12 +366,6 @@ impl LinkStatistics {
             slam_tf: report(streams_of(StreamKind::SlamTransform)),
         }
     }
-}
-
-/// Splits a robot's topic: `/robot2/scan` is `scan` of robot 2.
-pub fn robot_topic(topic: &str) -> Option<(RobotId, &str)> {
-    let (number, rest) = topic.strip_prefix("/robot")?.split_once('/')?;
-    Some((RobotId::new(number.parse().ok()?)?, rest))
 }
 
 /// Whether SLAM or merging places a frame: `map_2` and `odom_2`, or `robot2/map` and `robot2/odom`.

@@ -13,6 +13,7 @@ fn args(port: u16) -> OperatorArgs {
         host: "127.0.0.1".into(),
         port,
         robots: None,
+        names: None,
         seconds: Some(60.0),
         turn_seconds: Some(0.5),
         all_at_once: false,
@@ -26,7 +27,7 @@ fn args(port: u16) -> OperatorArgs {
 fn the_robots_of_a_bridge_are_driven_one_after_the_other() {
     let stop = Arc::new(AtomicBool::new(false));
     let all_turned = |world: &TestWorld| (0..2).all(|i| world.turned_rad(i).abs() > 0.3);
-    let fleet = spawn_fleet(2, stop.clone(), all_turned);
+    let fleet = spawn_fleet(2.into(), stop.clone(), all_turned);
     let report = run(&args(fleet.port), &stop).unwrap();
     fleet.thread.join().unwrap();
     assert!(report.seconds < 60.0, "not both robots moved: {report:?}");
@@ -49,12 +50,27 @@ fn the_robots_of_a_bridge_are_driven_one_after_the_other() {
 fn all_robots_are_driven_at_once() {
     let stop = Arc::new(AtomicBool::new(false));
     let all_turned = |world: &TestWorld| (0..3).all(|i| world.turned_rad(i).abs() > 0.3);
-    let fleet = spawn_fleet(3, stop.clone(), all_turned);
+    let fleet = spawn_fleet(3.into(), stop.clone(), all_turned);
     let report = run(&OperatorArgs { all_at_once: true, ..args(fleet.port) }, &stop).unwrap();
     fleet.thread.join().unwrap();
     assert!(report.seconds < 60.0, "not all robots moved: {report:?}");
     assert_eq!(report.robots.len(), 3);
     assert!(report.notices.is_empty(), "{:?}", report.notices);
+}
+
+#[test]
+fn robots_with_any_names_are_driven() {
+    let all_turned = |world: &TestWorld| (0..world.robot_count()).all(|i| world.turned_rad(i).abs() > 0.3);
+    for names in [vec!["alice", "lab/bob"], vec![""]] {
+        let names: Vec<String> = names.into_iter().map(str::to_owned).collect();
+        let stop = Arc::new(AtomicBool::new(false));
+        let fleet = spawn_fleet(RobotNames::new(names.clone()).unwrap(), stop.clone(), all_turned);
+        let report = run(&OperatorArgs { names: Some(names.clone()), ..args(fleet.port) }, &stop).unwrap();
+        fleet.thread.join().unwrap();
+        assert!(report.seconds < 60.0, "not all robots moved: {report:?}");
+        assert_eq!((report.robots.len(), report.link.scans.len()), (names.len(), names.len()));
+        assert!(report.notices.is_empty(), "{:?}", report.notices);
+    }
 }
 
 #[test]

@@ -2,7 +2,8 @@
 //!
 //! State, not a queue: newer content replaces older, however rarely it is read.
 
-use crate::link_statistics::{MessageContent, robot_topic};
+use crate::link_statistics::MessageContent;
+use crate::robot_topics::RobotTopics;
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, Bool, FrameNames, Int32, LaserScan, NameStyle, OccupancyGrid, TfMessage};
 use msg::{Link, Pose2, ROBOTS_MAX, RobotId, Stamp};
@@ -93,6 +94,7 @@ impl RobotState {
 /// All that the bridge has sent. Stamps are times of arrival on the operator's clock.
 #[derive(Clone, Debug)]
 pub struct WorldState {
+    robots: RobotTopics,
     /// Names of frames in the styles that the bridge may use.
     frame_names: [FrameNames; 2],
     transforms: BTreeMap<String, FrameTransform>,
@@ -105,9 +107,17 @@ pub struct WorldState {
 
 impl Default for WorldState {
     fn default() -> Self {
+        Self::new(RobotTopics::default())
+    }
+}
+
+impl WorldState {
+    /// Creates the state of a fleet of which nothing was received yet.
+    pub fn new(robots: RobotTopics) -> Self {
         Self {
             frame_names: [NameStyle::Flat, NameStyle::Slash]
-                .map(|style| FrameNames::new(style, &ROBOTS_MAX.into())),
+                .map(|style| FrameNames::new(style, robots.names())),
+            robots,
             transforms: BTreeMap::new(),
             scans: [const { None }; ROBOTS_MAX],
             merged_map: MapSlot::default(),
@@ -116,9 +126,7 @@ impl Default for WorldState {
             is_emergency_stopped: false,
         }
     }
-}
 
-impl WorldState {
     /// Stores the content of a message that the statistics have recorded.
     pub fn store(
         &mut self,
@@ -138,12 +146,17 @@ impl WorldState {
                 self.is_emergency_stopped = ros::decode::<Bool>(payload)?.0;
             }
             (MessageContent::Encoded, topic) => {
-                if let Some((robot, "map")) = robot_topic(topic) {
+                if let Some((robot, "map")) = self.robots.split(topic) {
                     self.robot_maps[robot.index()].store(payload);
                 }
             }
         }
         Ok(())
+    }
+
+    /// Returns the topics of the robots.
+    pub fn robot_topics(&self) -> &RobotTopics {
+        &self.robots
     }
 
     /// Forgets which robot is selected: another operator may select one while the link is down.

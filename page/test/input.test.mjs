@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Driver, gamepadDeflection, keyDeflection, stickDeflection, withDeadzone } from "../input.js";
+import { Driver, gamepadDeflection, keyDeflection, stickDeflection, thumbstickDeflection, withDeadzone } from "../input.js";
 
 test("keys drive while they are held, and opposite keys cancel", () => {
   assert.equal(keyDeflection(new Set()), null);
@@ -18,6 +18,17 @@ test("a gamepad drives only while its dead man's switch is held", () => {
   assert.equal(gamepadDeflection(pad([])), null);
   assert.equal(gamepadDeflection(pad([0])), null);
   assert.deepEqual(gamepadDeflection(pad([5])), { forward: 1, left: 0 });
+});
+
+test("a headset's thumbstick drives only while the grip is held, behind the deadzone, up to one", () => {
+  const pad = (pressed, x, y) => ({ axes: [1, 1, x, y], buttons: Array.from({ length: 6 }, (_, i) => ({ pressed: pressed.includes(i) })) });
+  assert.equal(thumbstickDeflection(pad([], 0, -1)), null);
+  assert.equal(thumbstickDeflection(pad([0, 2, 3, 4, 5], 0, -1)), null, "other buttons are no dead man's switch");
+  assert.deepEqual(thumbstickDeflection(pad([1], 0, -1)), { forward: 1, left: 0 });
+  assert.deepEqual(thumbstickDeflection(pad([1], -1, 0.05)), { forward: 0, left: 1 });
+  assert.deepEqual(thumbstickDeflection(pad([1], 3, -9)), { forward: 1, left: -1 });
+  assert.deepEqual(thumbstickDeflection(pad([1], NaN, NaN)), { forward: 0, left: 0 });
+  assert.deepEqual(thumbstickDeflection({ axes: [], buttons: [] }), null);
 });
 
 test("a deflection begins at zero behind the deadzone and ends at one", () => {

@@ -76,6 +76,13 @@ test("what is lost comes before what is late, and a link that is down before eve
   ]);
 });
 
+test("a map whose SLAM process is silent is said to be old", () => {
+  const fleet = new Fleet();
+  fleet.setFigures({ robots: [{ ...FIGURES.robots[0], map_age_s: 12.3, is_map_old: true }, { ...FIGURES.robots[1], map_age_s: 0.4, is_map_old: false }] }, 0);
+  fleet.robots.get(1).scanAt = fleet.robots.get(2).scanAt = 0;
+  assert.deepEqual(fleet.attention(0, true).map((item) => `${item.robot} ${item.text}`), ["1 its part of the map is 12 s old"]);
+});
+
 test("the emergency stop is known only when the bridge has said so", () => {
   const fleet = new Fleet();
   assert.equal(fleet.isStopped, null);

@@ -12,13 +12,14 @@ pub mod names;
 pub mod navigation;
 mod odometry_covariance;
 pub mod read;
+pub mod schema;
 pub mod sensor;
 pub mod write;
 
 pub use cdr::{DecodeError, Dialect};
 pub use joystick::{HandInputs, Joy};
 pub use message::{
-    Bool, Clock, Empty, Float32MultiArray, Int32, Message, Text, TfMessage, TransformStamped, Twist,
+    Bool, Clock, Empty, Float32MultiArray, Int32, Message, Pose2D, Text, TfMessage, TransformStamped, Twist,
     TwistStamped, decode, decode_as, encode, encode_as,
 };
 pub use names::{FrameNames, NameStyle, RobotNameError, RobotNames};

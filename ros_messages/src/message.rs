@@ -92,6 +92,27 @@ impl Message for TwistStamped {
     }
 }
 
+/// geometry_msgs/Pose2D: a pose in the plane, with its angle as it is and not as a quaternion.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pose2D {
+    /// Position in the frame, metres.
+    pub x: f64,
+    /// Position in the frame, metres.
+    pub y: f64,
+    /// Angle, radians, counter-clockwise.
+    pub theta: f64,
+}
+
+impl Message for Pose2D {
+    const TYPE: &'static str = "geometry_msgs/Pose2D";
+    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        Ok(Self { x: from.finite("x")?, y: from.finite("y")?, theta: from.finite("theta")? })
+    }
+    fn write(&self, to: &mut Writer<'_>) {
+        to.f64s(&[self.x, self.y, self.theta]);
+    }
+}
+
 /// std_msgs/Int32: one signed integer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Int32(pub i32);

@@ -29,6 +29,8 @@ pub enum Program {
     EdgesTool,
     /// `mr-slam goto`, which sends robots to places.
     GotoTool,
+    /// `mr-slam record`: a recording of a fleet that runs.
+    RecordTool,
 }
 
 impl Program {
@@ -39,6 +41,7 @@ impl Program {
             Self::SlamTool => "`mr-slam slam`",
             Self::EdgesTool => "`mr-slam edges`",
             Self::GotoTool => "`mr-slam goto`",
+            Self::RecordTool => "`mr-slam record`",
         }
     }
 
@@ -47,7 +50,7 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        matches!(self, Self::SlamTool | Self::EdgesTool | Self::GotoTool)
+        matches!(self, Self::SlamTool | Self::EdgesTool | Self::GotoTool | Self::RecordTool)
     }
 }
 

@@ -34,6 +34,8 @@ pub struct ProcessRow {
     pub per_robot: bool,
     /// Whether it runs only where the robots are simulated here.
     pub simulated_world_only: bool,
+    /// Whether it runs only where the fleet is recorded.
+    pub recording_only: bool,
     /// Pose that it is given when it is started again.
     pub resume: Resume,
     /// Longest time without a pass of its main loop; then the supervisor judges whether it hangs.
@@ -61,6 +63,7 @@ const OF_FLEET: ProcessRow = ProcessRow {
     role: Role::Bridge,
     per_robot: false,
     simulated_world_only: false,
+    recording_only: false,
     resume: Resume::Folder,
     silence_max: SILENCE_MAX,
     second_thread: None,
@@ -91,16 +94,19 @@ pub static PROCESSES: [ProcessRow; 6] = [
         resume: Resume::WorldFromBase,
         ..OF_FLEET
     },
+    ProcessRow { role: Role::Record, recording_only: true, ..OF_FLEET },
 ];
 
 /// Every process of a fleet, in the order in which they are started: those of the fleet, then robot by robot.
 ///
-/// `outside`: the robots are not simulated here.
+/// `outside`: the robots are not simulated here. `recorded`: the fleet has a recorder.
 pub fn of_fleet(
     robots: usize,
     outside: bool,
+    recorded: bool,
 ) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
-    let runs = move |row: &&ProcessRow| !(row.simulated_world_only && outside);
+    let runs =
+        move |row: &&ProcessRow| !(row.simulated_world_only && outside) && (recorded || !row.recording_only);
     let of_robot = move |robot| {
         let rows = PROCESSES.iter().filter(|row| row.per_robot).filter(runs);
         rows.map(move |row| (row, Some(robot)))

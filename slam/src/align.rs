@@ -52,6 +52,10 @@ pub struct Alignment {
     /// Information of points on lines alone. Hits far apart on a wall seen at a flat angle have no normal and count as
     /// point landmarks; a pose's certainty should not rest on them.
     pub information_of_lines: Matrix3<f64>,
+    /// The same without what the noise of normals pretends. A normal that is off by 0.1 rad claims to hold a corridor's
+    /// length, and a hundred of them claim centimetres; the product of the normals of two scans does not, as their noise
+    /// is independent.
+    pub information_without_noise: Matrix3<f64>,
     /// Share of the points that matched a surface of at least one reference, 0 to 1.
     pub overlap: f32,
     /// Robust root mean square distance of matched points from their surfaces, metres.
@@ -70,6 +74,8 @@ impl Alignment {
 struct NormalEquations {
     hessian: Matrix3<f64>,
     of_lines: Matrix3<f64>,
+    /// Lines with the normals of both scans; not symmetric.
+    of_both_normals: Matrix3<f64>,
     gradient: Vector3<f64>,
     squared: f64,
     weight: f64,
@@ -78,7 +84,21 @@ struct NormalEquations {
 }
 
 impl NormalEquations {
-    /// Adds the distance `away` (in the reference's frame) along `axis` (the same in the common frame).
+    fn zero() -> Self {
+        Self {
+            hessian: Matrix3::zeros(),
+            of_lines: Matrix3::zeros(),
+            of_both_normals: Matrix3::zeros(),
+            gradient: Vector3::zeros(),
+            squared: 0.0,
+            weight: 0.0,
+            matched: 0,
+            compared: 0,
+        }
+    }
+
+    /// Adds the distance `away` (in the reference's frame) along `axis` (the same in the common frame). Returns its
+    /// Jacobian and its weight.
     fn add(
         &mut self,
         lever: &[f64; 2],
@@ -87,18 +107,29 @@ impl NormalEquations {
         away: [f64; 2],
         share: f64,
         cauchy_m: f64,
-    ) -> Matrix3<f64> {
+    ) -> (Vector3<f64>, f64) {
         let r = f64::from(local[0]) * away[0] + f64::from(local[1]) * away[1];
         let w = 1.0 / (1.0 + (r / cauchy_m).powi(2));
         let [nx, ny] = axis.map(f64::from);
-        let j = Vector3::new(nx, ny, nx * lever[0] + ny * lever[1]);
-        let information = j * j.transpose() * (w * share);
-        self.hessian += information;
+        let j = jacobian([nx, ny], lever);
+        self.hessian += j * j.transpose() * (w * share);
         self.gradient += j * (w * share * r);
         self.squared += w * r * r;
         self.weight += w;
-        information
+        (j, w * share)
     }
+}
+
+/// How the distance along an axis changes with the moved cloud's pose (x, y, yaw).
+fn jacobian([nx, ny]: [f64; 2], lever: &[f64; 2]) -> Vector3<f64> {
+    Vector3::new(nx, ny, nx * lever[0] + ny * lever[1])
+}
+
+/// The nearest symmetric matrix without negative eigenvalues.
+fn without_negative(information: Matrix3<f64>) -> Matrix3<f64> {
+    let mut parts = ((information + information.transpose()) * 0.5).symmetric_eigen();
+    parts.eigenvalues.apply(|value| *value = value.max(0.0));
+    parts.recompose()
 }
 
 /// Aligns `cloud`, starting at `guess`, with the references' surfaces.
@@ -141,6 +172,7 @@ pub fn align<'a>(
         frame_from_cloud: Pose2 { yaw_rad: msg::pose::wrap_angle(pose.yaw_rad), ..pose },
         information: sums.hessian * scatter,
         information_of_lines: sums.of_lines * scatter,
+        information_without_noise: without_negative(sums.of_both_normals) * scatter,
         overlap: sums.matched as f32 / sums.compared.max(1) as f32,
         rms_m: mean_square.sqrt() as f32,
     }
@@ -160,18 +192,11 @@ fn normal_equations<'a>(
     gate_m: f32,
     cauchy_m: f64,
 ) -> NormalEquations {
-    let mut sums = NormalEquations {
-        hessian: Matrix3::zeros(),
-        of_lines: Matrix3::zeros(),
-        gradient: Vector3::zeros(),
-        squared: 0.0,
-        weight: 0.0,
-        matched: 0,
-        compared: 0,
-    };
+    let mut sums = NormalEquations::zero();
     let share = 1.0 / references.clone().count().max(1) as f64;
     let points = cloud.points();
     let (sin, cos) = pose.yaw_rad.sin_cos();
+    let frame_from_cloud = PointTransform::new(pose);
     let mut found = [0_u8; COUNTED_POINTS_MAX];
     for reference in references {
         // The reference's index and normals are in its own frame.
@@ -190,8 +215,12 @@ fn normal_equations<'a>(
             let away = [at[0] - surface.at[0], at[1] - surface.at[1]].map(f64::from);
             if surface.is_flat() {
                 let axis = frame_from_reference.direction(surface.normal);
-                let of_line = sums.add(&lever, axis, surface.normal, away, share, cauchy_m);
-                sums.of_lines += of_line;
+                let (j, w) = sums.add(&lever, axis, surface.normal, away, share, cauchy_m);
+                sums.of_lines += j * j.transpose() * w;
+                if p.is_flat() {
+                    let own = jacobian(frame_from_cloud.direction(p.normal).map(f64::from), &lever);
+                    sums.of_both_normals += j * (own * w).transpose();
+                }
             } else {
                 for axis in [[1.0, 0.0], [0.0, 1.0]] {
                     sums.add(

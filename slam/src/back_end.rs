@@ -7,6 +7,7 @@
 //! take back, `lifelong` what a lasting map removes.
 
 mod components;
+mod doubts;
 mod lifelong;
 mod links;
 mod loop_closer;
@@ -30,6 +31,7 @@ use crate::mapper::OccupancyMapper;
 use crate::node::{Node, Revision};
 use crate::relocalize::RelocalizationCounts;
 use crate::stages::{Stage, StageObserver};
+use doubts::DoubtMonitor;
 use lifelong::Lifelong;
 use loop_closer::LoopCloser;
 use msg::{GridView, Header, Monotonic, Pose2, TileMap};
@@ -63,6 +65,7 @@ pub struct BackEnd {
     lifelong: Lifelong,
     numbers: NodeNumbers,
     odometry_noise: OdometryNoise,
+    doubts: DoubtMonitor,
     mapper: OccupancyMapper,
     /// The newest node that odometry alone connects with the nodes before: whether that is right is not yet verified.
     unverified_edge: Option<u32>,
@@ -113,6 +116,7 @@ impl BackEnd {
             lifelong: Lifelong::default(),
             numbers: NodeNumbers::default(),
             odometry_noise: OdometryNoise::new(),
+            doubts: DoubtMonitor::default(),
             mapper: OccupancyMapper::new(config.map.clone()),
             unverified_edge: None,
             unsolved: 0,
@@ -132,6 +136,7 @@ impl BackEnd {
         let node = node.kept();
         self.numbers.newest_front = node.id;
         self.process_node(node);
+        self.update_doubts();
         self.stages.stage_started(Stage::Idle);
         self.revision()
     }
@@ -182,6 +187,7 @@ impl BackEnd {
             left -= 1;
         }
         self.solve(false);
+        self.renew_doubts();
         self.stages.stage_started(Stage::Idle);
     }
 
@@ -243,11 +249,6 @@ impl BackEnd {
         self.graph.failed_solutions() + localizer.failed_solutions
     }
 
-    /// Nodes removed so far; the others then have new numbers.
-    pub fn retired(&self) -> u64 {
-        self.lifelong.retired
-    }
-
     /// The pose graph.
     pub fn graph(&self) -> &Graph {
         &self.graph
@@ -290,6 +291,7 @@ impl BackEnd {
     fn append_node(&mut self, mut node: Node) {
         self.numbers.front_ids.push(node.id);
         self.lifelong.contradicted.push(0);
+        self.doubts.unmeasured_s += node.unmeasured_s;
         node.id = self.nodes.len() as u32;
         if let Some(anchor) = self.location.next_pose.take() {
             return self.add_anchored_node(node, anchor);

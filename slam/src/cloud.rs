@@ -180,6 +180,11 @@ impl Cloud {
         found
     }
 
+    /// Whether this scan has a surface at `at` that faces as `normal` does.
+    pub fn has_surface(&self, at: [f32; 2], normal: [f32; 2]) -> bool {
+        self.nearest(at, normal, SURFACE_TOLERANCE_M).is_some()
+    }
+
     /// Whether this scan saw something clearly (by `margin_m`) behind `at`: nothing can stand there.
     pub fn sees_through(&self, at: [f32; 2], margin_m: f32) -> bool {
         let (x, y) = (at[0] - self.sensor[0], at[1] - self.sensor[1]);
@@ -196,7 +201,7 @@ impl Cloud {
         let mut agreement = Agreement::default();
         for p in &other.points {
             let at = transform.point(p.at);
-            if self.nearest(at, transform.direction(p.normal), SURFACE_TOLERANCE_M).is_some() {
+            if self.has_surface(at, transform.direction(p.normal)) {
                 agreement.agree += 1;
             } else if self.sees_through(at, see_through_m) {
                 agreement.contradict += 1;

@@ -170,6 +170,7 @@ impl FrontEnd {
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
         // Odometry that slipped counts from the matched pose.
         self.rebase_odometry(&pose, odom_from_base);
+        self.count_unmeasured_time(stamp, pose.state, odom_from_base);
         // Record where the robot's body was.
         self.stages.stage_started(Stage::Node);
         self.extend_swept_path(&pose);
@@ -265,6 +266,15 @@ impl FrontEnd {
         }
     }
 
+    /// Adds up the time in which the robot's motion is a guess: without odometry, while the scans leave a direction open.
+    fn count_unmeasured_time(&mut self, stamp: Stamp, state: TrackingState, odom_from_base: Option<Pose2>) {
+        let leaves_open = matches!(state, TrackingState::Degenerate | TrackingState::Lost);
+        let (true, None, Some(last)) = (leaves_open, odom_from_base, self.motion.last.as_ref()) else {
+            return;
+        };
+        self.nodes.unmeasured_s += (stamp - last.stamp) as f32;
+    }
+
     fn extend_swept_path(&mut self, pose: &TrackedPose) {
         if pose.state != TrackingState::Lost && self.config.map.robot_radius_m > 0.0 {
             let position = [pose.local_from_base.x_m as f32, pose.local_from_base.y_m as f32];
@@ -303,6 +313,7 @@ impl FrontEnd {
             fits,
             odometry_break: self.frame.last_break == Some(id),
             disconnected: None,
+            unmeasured_s: 0.0,
             cloud,
             rays: self.scan_buffers.rays(scan, beam_poses, &self.config),
             swept_path: SweptPath::default(),
@@ -336,6 +347,17 @@ impl FrontEnd {
         self.motion.record(stamp, pose.local_from_base, pose.covariance, odom_from_base);
     }
 
+    /// The state given out: that of the scan, unless the robot is not located or its map may be wrong.
+    fn state_in_map(&self, pose: &TrackedPose) -> TrackingState {
+        match (self.frame.is_located, pose.state) {
+            (false, _) => TrackingState::Lost,
+            (true, TrackingState::Tracking | TrackingState::Degenerate) if self.frame.is_unreliable => {
+                TrackingState::Unreliable
+            }
+            (true, state) => state,
+        }
+    }
+
     /// The answer to a scan. `odom_from_base` is `None` if odometry is missing at its stamp: the transform of `odom` stays
     /// as it was.
     fn correction(&mut self, scan: &Scan, pose: &TrackedPose, odom_from_base: Option<Pose2>) -> Correction {
@@ -359,7 +381,7 @@ impl FrontEnd {
             map_from_odom: map_from_odom.unwrap_or_default(),
             map_from_base,
             covariance: [c[(0, 0)], c[(0, 1)], c[(0, 2)], c[(1, 1)], c[(1, 2)], c[(2, 2)]],
-            state: if is_located { pose.state } else { TrackingState::Lost } as u32,
+            state: self.state_in_map(pose) as u32,
             nodes: self.nodes.next_node,
             closures: self.frame.closures,
             map_from_odom_unknown: map_from_odom.is_none().into(),

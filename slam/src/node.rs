@@ -29,6 +29,10 @@ pub struct Node {
     /// Set by the back end.
     #[serde(skip)]
     pub disconnected: Option<u32>,
+    /// Time since the node before in which neither odometry nor scans measured the motion, seconds.
+    /// A session does not keep it.
+    #[serde(skip)]
+    pub unmeasured_s: f32,
     /// Surface points, for matching.
     #[serde(with = "crate::encoding::shared")]
     pub cloud: Arc<Cloud>,
@@ -138,6 +142,11 @@ pub struct Revision {
     pub closures: u32,
     /// Whether the robot is located in its map; if not, `map_from_local` is not valid.
     pub located: bool,
+    /// Whether there is evidence that the map is wrong: see `MapDoubts`.
+    ///
+    /// A session does not keep it: the back end finds it anew.
+    #[serde(skip)]
+    pub unreliable: bool,
 }
 
 /// A scan's beams as end points in `base_footprint`, metres.

@@ -53,6 +53,10 @@ impl OperatorProcess {
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["operator", "tour", "--json", "--port", &run.port.to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
+        let names = &run.config.fleet.names;
+        if !names.is_empty() {
+            command.args(["--names", &names.join(",")]);
+        }
         command.args(["--seed", &run.config.fleet.seed.to_string()]);
         command.args(["--launcher-pid", &std::process::id().to_string()]);
         if let Some(seconds) = self.seconds {
@@ -109,11 +113,6 @@ fn read_report(mut child: Child) -> Option<serde_json::Value> {
 
 impl FleetHooks for OperatorProcess {
     fn on_start(&mut self, run: &Run) -> io::Result<()> {
-        if !run.config.fleet.names.is_empty() {
-            let why =
-                "the demo's operator knows robot1, robot2 and so on only; leave out fleet.names, or use `up`";
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, why));
-        }
         (self.run, self.begun) = (Some(run.clone()), Instant::now());
         self.start()
     }

@@ -4,7 +4,7 @@ use crate::config::{ConfigError, FleetConfig, Mode, World};
 use std::path::PathBuf;
 
 /// Fleet to start: its file, and options that override the file.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Clone, Debug, Default, clap::Args)]
 pub struct FleetArgs {
     /// Fleet file; other options override it
     #[arg(long, value_name = "FILE")]

@@ -2,16 +2,19 @@
 
 use super::fleet_args::FleetArgs;
 use super::{Error, output};
+use crate::config::FleetConfig;
 use crate::lockstep::Lockstep;
 use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::invariants::{Checker, quiet_from};
+use crate::lockstep::queues::MemoryPorts;
+use crate::process::record::{self, Recording, files::DirectOutput};
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
 use crate::view::{FleetView, Style};
 use formats::map_file;
 use sha2::{Digest, Sha256};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Run a fleet in one process on virtual time
@@ -29,6 +32,9 @@ pub struct LockstepArgs {
     /// Folder for the maps, and the robots' sessions
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
+    /// Record all messages into this file, as MCAP with ROS 2 messages; see `mr-slam replay`
+    #[arg(long, value_name = "FILE", conflicts_with = "faults")]
+    pub record: Option<PathBuf>,
     /// Draw faults from this seed, and check what must hold whatever goes wrong
     #[arg(long, value_name = "SEED")]
     pub faults: Option<u64>,
@@ -51,6 +57,8 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     let mut fleet = Lockstep::with_faults(&config, !args.in_turn, faults)?;
     let mut checker = Checker::new(&config)?;
     let mut hash = Sha256::new();
+    let begin = |path: &PathBuf| begin_recording(path, &config, &fleet);
+    let mut recording = args.record.as_ref().map(begin).transpose()?;
     let begun = Instant::now();
     for second in 0..args.seconds {
         for _ in 0..100 {
@@ -60,6 +68,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
                 checker.receive(channel, message);
             });
             checker.check_bounds(&fleet);
+            recording.iter_mut().for_each(|recording| _ = recording.step());
         }
         if second % 10 == 9 {
             output::note(&format!("{} of {} s", second + 1, args.seconds));
@@ -68,23 +77,23 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
             break;
         }
     }
-    let hash = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+    let hash: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let faster = fleet.now().seconds() / begun.elapsed().as_secs_f64().max(1e-9);
-    if let Some(dir) = &args.run_dir {
-        std::fs::create_dir_all(dir)?;
-        for (name, map) in fleet.maps() {
-            map_file::write_map(&dir.join(name), map)?;
-        }
-        let folder = dir.join(sessions::FOLDER);
-        sessions::create_folder(&folder, fleet.known_starts())?;
-        for (robot, session) in fleet.sessions() {
-            session_file::write(&sessions::file(&folder, robot), &session)?;
-        }
+    args.run_dir.as_ref().map_or(Ok(()), |dir| write_results(dir, &mut fleet))?;
+    let maps_hash = record::map_hash(fleet.maps());
+    let recorded = recording.map(Recording::finish);
+    if let Some(why) = recorded.as_ref().and_then(|recorded| recorded.ended.clone()) {
+        return Err(why.into());
     }
     let view = FleetView::new(fleet.stats());
-    let report = serde_json::json!({ "sha256": hash, "times_real_time": faster, "fleet": view });
+    let report = serde_json::json!({
+        "sha256": hash, "maps_sha256": maps_hash, "times_real_time": faster, "fleet": view, "recording": recorded,
+    });
     let text = || {
-        format!("{}{faster:.0} times real time; SHA-256 of all messages {hash}\n", view.table(&Style::PLAIN))
+        format!(
+            "{}{faster:.0} times real time; SHA-256 of all messages {hash}, of the maps {maps_hash}\n",
+            view.table(&Style::PLAIN)
+        )
     };
     output::print_either(args.json, &report, text)?;
     let violations = if args.faults.is_some() { checker.finish(&fleet) } else { Vec::new() };
@@ -93,4 +102,28 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
     } else {
         Err(format!("did not hold: {}", violations.join("; ")).into())
     }
+}
+
+/// Writes the maps and the robots' sessions into a folder.
+fn write_results(dir: &Path, fleet: &mut Lockstep) -> Result<(), Error> {
+    std::fs::create_dir_all(dir)?;
+    for (name, map) in fleet.maps() {
+        map_file::write_map(&dir.join(name), map)?;
+    }
+    let folder = dir.join(sessions::FOLDER);
+    sessions::create_folder(&folder, fleet.known_starts())?;
+    for (robot, session) in fleet.sessions() {
+        session_file::write(&sessions::file(&folder, robot), &session)?;
+    }
+    Ok(())
+}
+
+/// Begins to record all messages of a fleet into a new file.
+fn begin_recording(
+    path: &Path,
+    config: &FleetConfig,
+    fleet: &Lockstep,
+) -> Result<Recording<MemoryPorts>, Error> {
+    let files = record::new_files(path, &config.recording)?;
+    fleet.record(Box::new(DirectOutput::new(files)))
 }

@@ -4,12 +4,15 @@ pub mod clients;
 pub mod demo;
 pub mod doctor;
 pub mod edges;
+pub mod experiment;
 pub mod fleet_args;
 pub mod goto;
+pub mod headset;
 pub mod lockstep;
 pub mod merge;
 pub mod output;
 pub mod permissions;
+pub mod record;
 pub mod replay;
 pub mod run_args;
 pub mod slam;
@@ -57,13 +60,19 @@ enum Command {
     Release(permissions::StopArgs),
     /// List the clients of a running fleet, or close connections
     Clients(clients::ClientsArgs),
+    /// Let a headset on a USB cable reach the operator's page
+    Headset(headset::HeadsetArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
+    /// Record a running fleet as MCAP with ROS 2 messages
+    Record(record::RecordArgs),
     /// Drive a running fleet over TCP, as a headset does
     Operator(operator::OperatorArgs),
     /// Simulate a fleet in one process on virtual time: the same seed gives the same bytes
     Lockstep(lockstep::LockstepArgs),
-    /// Map recorded CARMEN logs, as fast as the machine can
+    /// Run the paper's evaluation: sessions with a scripted operator, and a report with means and deviations
+    Experiment(experiment::ExperimentArgs),
+    /// Map recorded logs and recordings, as fast as the machine can
     Replay(replay::ReplayArgs),
     /// Merge map files of robots that started anywhere
     Merge(merge::MergeArgs),
@@ -89,13 +98,16 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Stop(args) => permissions::stop(&args)?,
         Command::Release(args) => permissions::release(&args)?,
         Command::Clients(args) => clients::run(&args)?,
+        Command::Headset(args) => headset::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
+        Command::Record(args) => record::run(&args, &Stop::on_signals()?)?,
         Command::Operator(args) => {
             let stop = args.launcher_pid.map_or_else(Stop::on_signals, Stop::for_child)?;
             let report = operator::run(&args, stop.flag())?;
             output::print_either(args.json, &report, || report.to_string() + "\n")?;
         }
         Command::Lockstep(args) => lockstep::run(&args, &Stop::on_signals()?)?,
+        Command::Experiment(args) => experiment::run(&args, &Stop::on_signals()?)?,
         Command::Replay(args) => replay::run(&args)?,
         Command::Merge(args) => merge::run(&args)?,
         Command::Worker(args) => worker::run(&args)?,

@@ -1,9 +1,11 @@
-//! Tool `mr-slam replay`, which maps recorded logs with the fleet's SLAM, as fast as the machine can.
+//! Tool `mr-slam replay`, which maps recorded logs and recordings with the fleet's SLAM, as fast as the machine can.
 //!
 //! Two threads as in the live process: this one runs the front end, the other one the back end. Unlike the live
 //! process, the front end waits when the back end is far behind: a log has time.
 
 mod fleet;
+mod recorded_fleet;
+mod records;
 mod summary;
 mod trajectory;
 
@@ -15,33 +17,33 @@ use crate::config::Mode;
 use crate::config::{ConfigError, FleetConfig, recorded_log_slam};
 use crate::session_file::{self, SessionFileError};
 use crate::sessions::TOLD_SIGMA;
-use formats::carmen::{LaserLine, Reader, Record};
-use formats::gzip;
+use formats::carmen::LaserLine;
 use formats::map_file::{MapFileError, write_map};
 use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
+use records::{BagArgs, Log, is_recording};
 use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PoseEstimate, Revision, SlamConfig};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use trajectory::write_trajectory;
 
-/// Largest log when unpacked, bytes.
-const LOG_MAX: u64 = 1 << 30;
-/// Number of malformed lines that are shown; the others are counted.
-const ERRORS_SHOWN: usize = 5;
 /// Nodes that may wait for the back end before the log waits: then no node is held back.
 const WAITING_MAX: usize = slam::NODES_IN_FLIGHT_MAX - 2;
 /// Time between two lines of progress.
 const PROGRESS: Duration = Duration::from_secs(1);
 
-/// Map recorded CARMEN logs, as fast as the machine can
+/// Map recorded logs and recordings, as fast as the machine can
 // More than 12 fields: one field for each option of the command line, which clap derives from the struct.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ReplayArgs {
-    /// CARMEN logs, plain or gzip; several logs are a fleet, see --merge
+    /// CARMEN logs, plain or gzip, or recordings (.mcap); several logs are a fleet, see --merge. The files of one recording
+    /// of a fleet are replayed together
     #[arg(value_name = "LOG", required = true)]
     pub logs: Vec<PathBuf>,
+    /// Topics and frames of recordings from elsewhere.
+    #[command(flatten)]
+    pub bag: BagArgs,
     /// Fleet file whose [slam] and [merge] are used [default: built-in values for recorded logs]
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -123,6 +125,17 @@ pub enum ReplayError {
         /// Number of malformed lines.
         malformed: u64,
     },
+    /// A recording has not what is needed.
+    #[error("{path}: {why}")]
+    Bag {
+        /// Path of the file.
+        path: PathBuf,
+        /// What is missing.
+        why: recording::bag::BagError,
+    },
+    /// A fleet's recording cannot be replayed.
+    #[error("cannot replay the fleet: {0}")]
+    Replay(String),
     /// A session cannot be read or written.
     #[error(transparent)]
     Session(#[from] SessionFileError),
@@ -162,6 +175,14 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     if let Some(fov) = args.fov_deg.filter(|fov| !(1.0..=360.0).contains(fov)) {
         return Err(ReplayError::FieldOfView(fov));
     }
+    let are_recordings = args.logs.iter().all(|path| is_recording(path));
+    if are_recordings
+        && args.merge.is_none()
+        && !args.bag.are_given()
+        && let Some(config) = recorded_fleet::configuration(&args.logs[0])?
+    {
+        return recorded_fleet::run(args, &config);
+    }
     let (mut config, merging) = match &args.config {
         Some(file) => FleetConfig::from_file(file).map(|config| (config.slam, config.merge))?,
         None => (recorded_log_slam(), MergeConfig::default()),
@@ -176,7 +197,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         (logs, _) => return Err(ReplayError::Logs(logs.len())),
     };
     let start = Instant::now();
-    let log = read_log(log)?;
+    let log = Log::read(log, args)?;
     let mut replayed = feed(&log, config, args)?;
     let wall_s = start.elapsed().as_secs_f64();
     replayed.summary.wall_s = Some(wall_s);
@@ -207,13 +228,6 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
     Ok(output::print_either(args.json, &summary, || summary.text())?)
 }
 
-/// Reads a log, unpacked if it is gzip.
-fn read_log(path: &Path) -> Result<Vec<u8>, ReplayError> {
-    let fail = |source| ReplayError::Read { path: path.to_owned(), source };
-    let bytes = formats::limited::read(path, LOG_MAX).map_err(fail)?;
-    gzip::unpack(bytes, LOG_MAX).map_err(fail)
-}
-
 /// Result of a replay.
 struct Replayed {
     front: FrontEnd,
@@ -224,10 +238,10 @@ struct Replayed {
     duration_s: f64,
 }
 
-fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed, ReplayError> {
-    let mut records = Records { reader: Reader::new(log), malformed: 0 };
+fn feed(log: &Log, mut config: SlamConfig, args: &ReplayArgs) -> Result<Replayed, ReplayError> {
+    let mut records = log.records();
     let Some(first) = (0..=args.skip).map_while(|_| records.next_laser()).nth(args.skip) else {
-        let (skipped, malformed) = (records.reader.skipped(), records.malformed);
+        let (skipped, malformed) = (records.skipped(), records.malformed);
         return Err(ReplayError::NoScan { path: args.logs[0].clone(), skipped, malformed });
     };
     let on_robot = first.base_from_scan;
@@ -265,7 +279,7 @@ fn feed(log: &[u8], mut config: SlamConfig, args: &ReplayArgs) -> Result<Replaye
         summary.scan_ms = Percentiles::of(core::mem::take(&mut feeder.times));
         summary.back_end_ms = Percentiles::of(back_end.join().unwrap_or_default());
     });
-    (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.reader.skipped());
+    (summary.malformed_lines, summary.skipped_lines) = (records.malformed, records.skipped());
     summary.count(&front, &back);
     let Pose2 { x_m, y_m, yaw_rad } = back.latest_revision().map_from_local * front.local_from_base();
     summary.ends_at = [x_m, y_m, yaw_rad];
@@ -308,30 +322,6 @@ fn run_back_end(
     back.finish();
     times.push(start.elapsed());
     times
-}
-
-/// Laser scans of a log.
-struct Records<'a> {
-    reader: Reader<'a>,
-    malformed: u64,
-}
-
-impl Records<'_> {
-    /// Returns the next scan. Scan lines carry the odometry at which they were taken, so ODOM lines add nothing.
-    fn next_laser(&mut self) -> Option<LaserLine> {
-        loop {
-            match self.reader.next()? {
-                Ok(Record::Laser(line)) => return Some(line),
-                Ok(Record::Odometry(_)) => {}
-                Err(error) => {
-                    self.malformed += 1;
-                    if self.malformed as usize <= ERRORS_SHOWN {
-                        output::note(&format!("{error}; line skipped"));
-                    }
-                }
-            }
-        }
-    }
 }
 
 /// Converts log lines to messages and feeds them to the front end.

@@ -4,17 +4,21 @@ mod console;
 mod detach;
 mod events;
 mod page;
+mod pictures;
 mod report;
 mod scan_rates;
 mod screen;
 
-pub use report::Report;
+pub use pictures::{Pictures, write_html};
+pub use report::{Paper, Report, Spread};
 
 use super::fleet_args::FleetArgs;
+use crate::certificate::CertificateError;
 use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::control::BridgeState;
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
+use crate::report::Series;
 use crate::resources::{self, ResourceMonitor, Shortage};
 use crate::run::{Run, RunError};
 use crate::sessions;
@@ -24,7 +28,8 @@ use crate::view::FleetView;
 use bridge::dds::{Discovery, DiscoveryVariables};
 use console::OperatorConsole;
 use events::Events;
-use scan_rates::ScanRates;
+pub use pictures::add_plots;
+pub use scan_rates::ScanRates;
 use screen::Screen;
 use std::net::{IpAddr, TcpListener};
 use std::path::PathBuf;
@@ -36,7 +41,8 @@ const TEND_PERIOD: Duration = Duration::from_millis(50);
 const LAST_MAPS: Duration = Duration::from_millis(200);
 
 /// Launch a fleet: a simulator and SLAM for each robot, merging, telemetry and the bridge
-#[derive(Clone, Debug, clap::Args)]
+// More than 12 fields: one field for each option of the command line, which clap derives from the struct.
+#[derive(Clone, Debug, Default, clap::Args)]
 pub struct UpArgs {
     /// Options that describe the fleet.
     #[command(flatten)]
@@ -62,6 +68,12 @@ pub struct UpArgs {
     /// Folder for the maps and the report [default: runs/TIME]
     #[arg(long, value_name = "DIR", overrides_with = "run_dir")]
     pub run_dir: Option<PathBuf>,
+    /// Record the fleet's messages into recording/ below the run's folder, as MCAP with ROS 2 messages
+    #[arg(long)]
+    pub record: bool,
+    /// Size at which a recording's next file begins, megabytes [default: 2000]
+    #[arg(long, value_name = "MB")]
+    pub split_mb: Option<u64>,
     /// Go on in the background, also after logging out; the output goes to launcher.log in the run's folder
     #[arg(long)]
     pub detach: bool,
@@ -73,9 +85,9 @@ pub struct UpArgs {
 /// Text that is no duration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected a number of seconds above 0")]
-struct SecondsError;
+pub(super) struct SecondsError;
 
-fn seconds(text: &str) -> Result<f64, SecondsError> {
+pub(super) fn seconds(text: &str) -> Result<f64, SecondsError> {
     text.parse().ok().filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or(SecondsError)
 }
 
@@ -91,6 +103,9 @@ pub enum UpError {
     /// The run's folder or shared memory cannot be used.
     #[error(transparent)]
     Run(#[from] RunError),
+    /// The configured certificate of the operator's page cannot be used.
+    #[error("bridge.page.https: {0}")]
+    Certificate(#[from] CertificateError),
     /// The TCP port cannot be listened on.
     #[error("cannot listen on {address}:{port}: {why}; choose another with --port, or 0 for any")]
     Port {
@@ -129,6 +144,9 @@ impl UpArgs {
             if let Some(choice) = self.page {
                 choice.apply(config);
             }
+            let recording = &mut config.recording;
+            recording.enabled |= self.record;
+            recording.split_mb = self.split_mb.unwrap_or(recording.split_mb);
             if self.trust_lan {
                 config.bridge.drive = bridge::Permission::Anyone;
             }
@@ -200,7 +218,7 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
     let mut config = args.config()?;
     fleet::check(&config)?;
-    page::choose_port(&mut config);
+    page::choose_ports(&mut config)?;
     let (address, port) = (config.fleet.address.clone(), config.fleet.port);
     let listener = TcpListener::bind((address.as_str(), port)).map_err(|why| UpError::Port {
         address: address.clone(),
@@ -250,7 +268,7 @@ fn watch(
     let mut observer = Observer::attach(run, "launcher").map_err(RunError::from)?;
     let mut console = OperatorConsole::new(run);
     let mut resources = ResourceMonitor::new(&run.dir);
-    let (mut events, mut rates) = (Events::default(), ScanRates::default());
+    let (mut events, mut rates, mut series) = (Events::default(), ScanRates::default(), Series::default());
     hooks.on_start(run)?;
     let begun = Instant::now();
     let over = || seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s);
@@ -273,6 +291,7 @@ fn watch(
         if has_new_stats && let Some(mut fleet) = fleet_view(run, &observer, console.refresh()) {
             rates.add(&fleet);
             rates.fill(&mut fleet);
+            series.add(&fleet, |robot| observer.command(robot));
             screen.show(&fleet, console.help(), begun.elapsed(), seconds);
         }
         screen.show_age();
@@ -292,8 +311,20 @@ fn watch(
         rates.add(fleet);
         rates.fill(fleet);
     }
+    let pictures = draw_maps(&observer, &mut series);
     let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
+    let report = Report { series, pictures, ..report };
     Ok(Report { not_written, ..report })
+}
+
+/// Draws all maps with the ways of the robots.
+fn draw_maps(observer: &Observer, series: &mut Series) -> Pictures {
+    if let Some(transforms) = observer.map_transforms() {
+        series.set_map_transforms(transforms);
+    }
+    let mut pictures = Pictures::default();
+    observer.show_maps(|name, map| pictures.add(name, map, series));
+    pictures
 }
 
 /// Compares the machine's resources with what the fleet needs. What is short but not too short is shown.
@@ -318,6 +349,6 @@ fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Op
 }
 
 /// Returns a folder name that sorts by time, UTC.
-fn folder_name_now() -> String {
+pub(super) fn folder_name_now() -> String {
     chrono::Utc::now().format("%Y-%m-%dT%H-%M-%S").to_string()
 }

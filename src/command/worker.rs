@@ -26,6 +26,8 @@ enum Role {
     Bridge(ProcessArgs),
     /// Drive robots to goals
     Nav(ProcessArgs),
+    /// Record the fleet's messages
+    Record(ProcessArgs),
 }
 
 /// Runs the process until it is asked to stop.
@@ -37,5 +39,6 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
         Role::Telemetry(args) => Process::Telemetry(args),
         Role::Nav(args) => Process::Nav(args),
         Role::Bridge(args) => Process::Bridge(args),
+        Role::Record(args) => Process::Record(args),
     })
 }

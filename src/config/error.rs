@@ -1,6 +1,6 @@
 //! Reasons why a configuration is refused, and the line of the file that sets a key.
 
-use super::SessionsConfigError;
+use super::{RecordingConfigError, SessionsConfigError};
 use crate::realtime::RealtimeConfigError;
 use bridge::RobotNameError;
 use msg::ROBOTS_MAX;
@@ -94,6 +94,9 @@ pub enum ValueError {
     /// A value of the sessions.
     #[error(transparent)]
     Sessions(#[from] SessionsConfigError),
+    /// A value of section `[recording]`.
+    #[error(transparent)]
+    Recording(#[from] RecordingConfigError),
     /// A value of merging.
     #[error(transparent)]
     Merge(#[from] merge::InvalidMergeConfig),
@@ -129,6 +132,7 @@ impl ValueError {
             Self::Sim(why) => format!("sim.{}", why.field),
             Self::Slam(why) => format!("slam.{}", why.field),
             Self::Sessions(why) => format!("sessions.{}", why.key()),
+            Self::Recording(why) => format!("recording.{}", why.key()),
             Self::Merge(why) => format!("merge.{}", why.key),
             Self::Bridge(why) => format!("bridge.{}", why.key),
             Self::Discovery(_) => "bridge.dds".into(),

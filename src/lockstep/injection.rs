@@ -5,7 +5,11 @@ use super::faults::{BRIDGE, Fault};
 use super::members::Member;
 use crate::control::Request;
 use crate::ports::WritePort;
+use crate::process::control::answer;
 use msg::{Monotonic, RobotId, SlamRequest, SlamRequestKind};
+use std::future::Future;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 /// Period at which the launcher looks whether a process hangs.
@@ -140,7 +144,9 @@ impl Lockstep {
         let now = self.time();
         let bridge = self.members.iter().filter(|member| member.frozen_until <= now);
         let Some(process) = bridge.filter_map(|member| member.bridge()).next() else { return false };
-        process.upkeep.control.borrow_mut().apply(request, now).is_ok()
+        // The files are in memory: the answer is there at once.
+        let answer = pin!(answer(&process.upkeep.control, request, || now));
+        matches!(answer.poll(&mut Context::from_waker(Waker::noop())), Poll::Ready(Ok(_)))
     }
 
     /// Records, before a SLAM process is killed, how much of its map the restarted one must know again.

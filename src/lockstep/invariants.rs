@@ -5,6 +5,7 @@ use super::Lockstep;
 use super::drive_checks::{DriveChecks, GATE_PERIOD};
 use super::faults::FaultPlan;
 use super::members::Member;
+use super::merged_map_check::MergedMapCheck;
 use crate::config::FleetConfig;
 use crate::fleet;
 use crate::ports::ReadMapPort;
@@ -27,8 +28,8 @@ const POSE_ERROR_MAX: [f64; 2] = [0.5, 0.35];
 const WRONG_SCANS: u32 = 10;
 /// Message about a robot in a wrong frame.
 pub const WRONG_POSE: &str = "is sure of a wrong pose";
-/// Share of the saved cells that must be known again; poses move a little as the graph is solved.
-const KNOWN_SHARE_MIN: f64 = 0.9;
+/// Share of the cells known before that must be known again; poses move a little as the graph is solved.
+pub(super) const KNOWN_SHARE_MIN: f64 = 0.9;
 /// Largest number of commands and requests that may wait in a back end.
 const BACKLOG_MAX: usize = 24;
 /// Violations after which no more is looked for: one is enough.
@@ -42,6 +43,7 @@ const SILENT_MAX_S: f64 = 1.5;
 pub struct Checker {
     robots: Vec<RobotChecker>,
     dead_man_s: f64,
+    merged: MergedMapCheck,
     violations: Vec<String>,
 }
 
@@ -73,7 +75,8 @@ impl Checker {
             corrected: None,
         });
         let dead_man_s = config.sim.limits.command_timeout_s;
-        Ok(Self { robots: robots.collect(), dead_man_s, violations: Vec::new() })
+        let merged = MergedMapCheck::default();
+        Ok(Self { robots: robots.collect(), dead_man_s, merged, violations: Vec::new() })
     }
 
     /// Receives a message of the fleet.
@@ -104,6 +107,7 @@ impl Checker {
             let (now, is_disturbed) = (fleet.time(), fleet.is_bridge_disturbed());
             let late = self.robots.iter_mut().filter_map(|robot| robot.drive.check_zero(now, is_disturbed));
             self.violations.extend(late);
+            self.violations.extend(self.merged.check(fleet));
         }
     }
 
@@ -224,7 +228,7 @@ fn known_cells(map: GridView<'_>) -> usize {
     count(map.cells)
 }
 
-fn count(cells: &[i8]) -> usize {
+pub(super) fn count(cells: &[i8]) -> usize {
     cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count()
 }
 

@@ -2,12 +2,14 @@
 
 use super::memory_storage::MemoryStorage;
 use super::queues::{MemoryPorts, Network};
+use super::replay::RecordedRobot;
 use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
 use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
+use crate::process::control::file_thread::ImmediateFiles;
 use crate::process::graph::GraphWorker;
-use crate::process::merge::{self, MapDrawing};
+use crate::process::merge::{self, MergeProcess};
 use crate::process::nav::NavigationProcess;
 use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::Job;
@@ -19,9 +21,9 @@ use crate::restarts::{RestartPolicy, State};
 use crate::run::Run;
 use crate::supervisor::START_MAX;
 use crate::watchdog::{Finding, ThreadSample, ThreadState, Watchdog};
+use ::recording::fleet::FleetRecording;
 use msg::{Monotonic, Pose2, RobotId, Role};
 use std::rc::Rc;
-use std::sync::Arc;
 use std::time::Duration;
 
 /// Time from a death until the new process runs: the launcher's poll, the program's start and the opening of its channels.
@@ -37,6 +39,8 @@ pub struct World {
     pub storage: MemoryStorage,
     /// The bridge's TCP port.
     pub port: Rc<Port>,
+    /// What the robots send, if they are not simulated.
+    pub recording: Option<Rc<FleetRecording>>,
 }
 
 /// One process of the fleet, running or ended.
@@ -69,8 +73,9 @@ pub struct Thread {
 /// The components of a running process.
 enum Body {
     Sim(Box<SimulatorProcess<MemoryPorts>>),
+    Recorded(RecordedRobot<MemoryPorts>),
     Slam(Box<SlamBody>),
-    Merge(Box<(MapDrawing<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
+    Merge(Box<(MergeProcess<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<TelemetryProcess<MemoryPorts>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
     Nav(Box<NavigationProcess<MemoryPorts, MemoryStorage>>),
@@ -161,7 +166,7 @@ impl Member {
     }
 
     /// Returns the bridge, if this is its process and runs.
-    pub fn bridge(&self) -> Option<&BridgeProcess<MemoryPorts, MemoryStorage>> {
+    pub fn bridge(&self) -> Option<&BridgeProcess<MemoryPorts, ImmediateFiles<MemoryStorage>>> {
         match &self.body {
             Some(Body::Bridge(server)) => Some(&server.process),
             _ => None,
@@ -190,6 +195,7 @@ impl Member {
         self.threads[thread].ports.take_notifications();
         self.threads[thread].due = match (body, thread) {
             (Body::Sim(simulation), _) => simulation.step(),
+            (Body::Recorded(robot), _) => robot.step(),
             (Body::Slam(slam), _) => slam.step(thread),
             (Body::Merge(merge), 0) => merge.0.step(),
             (Body::Merge(merge), _) => merge.1.step(),
@@ -211,22 +217,29 @@ impl Body {
         let run = &world.run;
         let robot = || robot.ok_or("a robot's process without a robot");
         Ok(match role {
-            Role::Sim => Self::Sim(Box::new(SimulatorProcess::open(&ports[0], run, robot()?, at)?)),
+            Role::Sim => match &world.recording {
+                Some(recording) => {
+                    Self::Recorded(RecordedRobot::open(&ports[0], run, robot()?, recording.clone())?)
+                }
+                None => Self::Sim(Box::new(SimulatorProcess::open(&ports[0], run, robot()?, at)?)),
+            },
             Role::Slam => {
                 let storage = world.storage.clone();
                 let process = SlamProcess::open([&ports[0], &ports[1]], run, robot()?, at, storage)?;
                 Self::Slam(Box::new(SlamBody { process, input: None, job: None, outcome: None }))
             }
             Role::Merge => {
-                let (graph, memory) = merge::begin(run, world.storage.clone())?;
-                let slot = Arc::default();
-                let drawing = MapDrawing::open(&ports[0], run, &graph, Arc::clone(&slot))?;
-                Self::Merge(Box::new((drawing, GraphWorker::open(&ports[1], run, graph, memory, slot)?)))
+                let (state, restored) = merge::begin(run, world.storage.clone())?;
+                let process = MergeProcess::open(&ports[0], run, &state, &restored)?;
+                Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
             Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
             Role::Nav => Self::Nav(Box::new(NavigationProcess::open(&ports[0], run, world.storage.clone())?)),
+            Role::Record => return Err("lockstep records with `--record FILE`".into()),
             Role::Bridge => {
-                let process = BridgeProcess::open(&ports[0], run, world.storage.clone())?;
+                let process = BridgeProcess::open(&ports[0], run, world.storage.clone(), |files| {
+                    Ok(ImmediateFiles(files))
+                })?;
                 let frame_bytes_max = run.config.bridge.frame_bytes_max;
                 Self::Bridge(Box::new(BridgeServer::new(process, world.port.clone(), frame_bytes_max)))
             }

@@ -104,7 +104,7 @@ impl Operator {
         let (world, network) = (&mut self.world, &self.network);
         self.client.receive(|topic, payload| {
             network.record("operator", topic, payload);
-            if let Ok(content) = MessageContent::decode(topic, payload) {
+            if let Ok(content) = MessageContent::decode(world.robot_topics(), topic, payload) {
                 let _ = world.store(stamp, topic, payload, content);
             }
         });

@@ -243,6 +243,11 @@ impl MemoryPorts {
         Self { network: network.clone(), opener, incarnation, woken: Rc::default() }
     }
 
+    /// Creates the ports of a reader that is no process of the fleet: the processes' numbers stay what they are.
+    pub fn attach_observer(network: &Rc<Network>, opener: Opener) -> Self {
+        Self { network: network.clone(), opener, incarnation: 0, woken: Rc::default() }
+    }
+
     /// Takes the notifications that have come; returns true if there was one.
     pub fn take_notifications(&self) -> bool {
         let mut any = false;

@@ -7,6 +7,7 @@ use super::queues::{MemoryPorts, Network};
 use crate::ports::Clock;
 use crate::process::ProcessLoop;
 use crate::process::bridge::BridgeProcess;
+use crate::process::control::file_thread::ImmediateFiles;
 use crate::storage::Storage;
 use bridge::ClientId;
 use bridge::frame::Parser;
@@ -96,7 +97,7 @@ impl Session {
 /// The bridge's process with its clients on connections in memory.
 pub struct BridgeServer<S: Storage> {
     /// The process that runs live, without its sockets.
-    pub process: BridgeProcess<MemoryPorts, S>,
+    pub process: BridgeProcess<MemoryPorts, ImmediateFiles<S>>,
     port: Rc<Port>,
     sessions: Vec<Session>,
     frame_bytes_max: usize,
@@ -104,7 +105,11 @@ pub struct BridgeServer<S: Storage> {
 
 impl<S: Storage> BridgeServer<S> {
     /// Serves the port with a process whose frames have at most `frame_bytes_max` bytes.
-    pub fn new(process: BridgeProcess<MemoryPorts, S>, port: Rc<Port>, frame_bytes_max: usize) -> Self {
+    pub fn new(
+        process: BridgeProcess<MemoryPorts, ImmediateFiles<S>>,
+        port: Rc<Port>,
+        frame_bytes_max: usize,
+    ) -> Self {
         Self { process, port, sessions: Vec::new(), frame_bytes_max }
     }
 

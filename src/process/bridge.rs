@@ -10,7 +10,8 @@ mod page;
 
 pub use live::run;
 
-use super::control::Control;
+use super::control::file_thread::{ControlFiles, FileWorker};
+use super::control::{Control, restore_files};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, ProcessLoop, outside};
 use crate::channel;
@@ -35,24 +36,31 @@ const REQUESTER_KIND: u64 = 1;
 const PID_BITS: u32 = 32;
 
 /// The bridge with its channels and its saved state.
-pub struct BridgeProcess<P: Ports, S: Storage> {
+pub struct BridgeProcess<P: Ports, W: FileWorker> {
     /// The routing core, to which clients connect.
     pub bridge: Rc<Bridge>,
     /// Feeds of the topics.
     pub feeds: Vec<Feed<P::Listener>>,
     /// What is due with time.
-    pub upkeep: Upkeep<P, S>,
+    pub upkeep: Upkeep<P, W>,
 }
 
-impl<P: Ports + 'static, S: Storage> BridgeProcess<P, S> {
+impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
     /// Opens the channels, stops every robot, and applies the saved state: permissions, drivers, emergency stop.
-    pub fn open(ports: &P, run: &Run, storage: S) -> Result<Self, Error> {
+    /// `start_files` returns who reads and writes the files from then on.
+    pub fn open<S: Storage>(
+        ports: &P,
+        run: &Run,
+        storage: S,
+        start_files: impl FnOnce(ControlFiles<S>) -> std::io::Result<W>,
+    ) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Bridge, None)?;
         let (bridge, requester) = open_bridge(ports, run)?;
         // Every robot gets a zero before anything else: what moved it before is not known.
         let now = ports.clock().now();
         bridge.tick(now);
-        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, storage, now)));
+        let files = start_files(restore_files(&bridge, run, storage, now))?;
+        let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, files)));
         let goals = open_goals(ports, run, &bridge)?;
         let mut feeds = open_feeds(ports, run, &bridge)?;
         for robot in run.robots() {
@@ -67,7 +75,7 @@ impl<P: Ports + 'static, S: Storage> BridgeProcess<P, S> {
     }
 }
 
-impl<P: Ports, S: Storage> ProcessLoop for BridgeProcess<P, S> {
+impl<P: Ports, W: FileWorker> ProcessLoop for BridgeProcess<P, W> {
     fn step(&mut self) -> Monotonic {
         let due = self.feeds.iter_mut().map(ProcessLoop::step).min();
         self.upkeep.step().min(due.unwrap_or(Monotonic(u64::MAX)))
@@ -75,16 +83,16 @@ impl<P: Ports, S: Storage> ProcessLoop for BridgeProcess<P, S> {
 }
 
 /// Does what is due with time: late service calls, the dead man, saving of state, the health report.
-pub struct Upkeep<P: Ports, S: Storage> {
+pub struct Upkeep<P: Ports, W> {
     bridge: Rc<Bridge>,
     /// Requests of the person at the laptop.
-    pub control: Rc<RefCell<Control<S>>>,
+    pub control: Rc<RefCell<Control<W>>>,
     goals: GoalWriters<P>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
 }
 
-impl<P: Ports, S: Storage> ProcessLoop for Upkeep<P, S> {
+impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.bridge.tick(now);

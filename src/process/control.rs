@@ -1,62 +1,93 @@
 //! The bridge's control socket, for the operator at the laptop: see [`crate::control`].
 
+pub mod file_thread;
+mod permission_files;
 pub mod saved_state;
 
-use crate::allowed;
 use crate::clock::now;
 use crate::control::{self, BridgeState, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::bridge::Bridge;
+use file_thread::{ControlFiles, FileJob, FileReport, FileWorker};
 use msg::Monotonic;
-use saved_state::{SavedFiles, denied_file};
+use permission_files::PermissionFiles;
+use saved_state::{BridgeSnapshot, SavedFiles};
+use std::cell::RefCell;
 use std::io;
-use std::net::IpAddr;
-use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::{UnixListener, UnixStream};
+use tokio::sync::oneshot::{self, error::TryRecvError};
 use tokio::time::timeout;
 
 /// How long one exchange may take; the next one waits meanwhile.
 const EXCHANGE_MAX: Duration = Duration::from_secs(1);
 /// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+/// What a request is answered that cannot be kept in files.
+const DISK_BUSY: &str = "the disk of the run's folder does not answer; try again";
 
 /// Applies the operator's requests, and keeps in files what must outlive one bridge process.
-pub struct Control<S> {
+pub struct Control<W> {
     bridge: Rc<Bridge>,
-    storage: S,
-    /// The file of the allow list; `None` if addresses are not remembered.
-    allowed: Option<PathBuf>,
-    /// The file of the addresses that may not drive.
-    denied: PathBuf,
-    files: SavedFiles<S>,
+    files: W,
+    run_begun: Monotonic,
+    /// The update of the files that is under way.
+    update: Option<oneshot::Receiver<FileReport>>,
+    /// Number of stops found in the files that the bridge has set.
+    stops_applied: u64,
 }
 
-impl<S: Storage> Control<S> {
-    /// Applies to the bridge what the files say.
-    pub fn new(bridge: Rc<Bridge>, run: &Run, storage: S, now: Monotonic) -> Self {
-        let allowed = run.config.bridge.remember.then(|| allowed::file(run));
-        if let Some(path) = &allowed {
-            read_addresses(&storage, path).into_iter().for_each(|address| bridge.allow(address));
-        }
-        let files = SavedFiles::restore(&bridge, run, storage.clone(), now);
-        let denied = denied_file(run);
-        read_addresses(&storage, &denied).into_iter().for_each(|address| bridge.deny(address));
-        Self { bridge, storage, allowed, denied, files }
+/// Applies to the bridge what the files of its run say, and returns them.
+pub fn restore_files<S: Storage>(bridge: &Bridge, run: &Run, storage: S, now: Monotonic) -> ControlFiles<S> {
+    let permissions = PermissionFiles::new(run, storage.clone());
+    permissions.allow(bridge);
+    let saved = SavedFiles::restore(bridge, run, storage, now);
+    permissions.deny(bridge);
+    ControlFiles { saved, permissions }
+}
+
+impl<W: FileWorker> Control<W> {
+    /// Creates the control of a bridge whose files are restored.
+    pub fn new(bridge: Rc<Bridge>, run: &Run, files: W) -> Self {
+        Self { bridge, files, run_begun: run.begun, update: None, stops_applied: 0 }
     }
 
-    /// Saves in files what has changed, and sets the emergency stop if `mr-slam stop` has written it. Call it often.
+    /// Has saved what has changed, and sets the emergency stop if `mr-slam stop` has written it. Never waits for the disk.
+    /// Call it often.
     pub fn update_files(&mut self, now: Monotonic) {
-        self.files.update(&self.bridge, now);
+        self.finish_update();
+        if self.update.is_none() {
+            self.update = Some(self.submit_update(now));
+            self.finish_update();
+        }
     }
 
-    /// Applies a request and returns the state after it.
-    pub fn apply(&mut self, request: Request, now: Monotonic) -> Reply {
-        // What was written on the disk before this request comes first.
-        self.update_files(now);
+    /// Takes the report of the update that is under way, if it has come.
+    fn finish_update(&mut self) {
+        match self.update.as_mut().map(oneshot::Receiver::try_recv) {
+            Some(Ok(report)) => self.apply_report(&report),
+            Some(Err(TryRecvError::Empty)) | None => return,
+            Some(Err(TryRecvError::Closed)) => {}
+        }
+        self.update = None;
+    }
+
+    fn submit_update(&mut self, now: Monotonic) -> oneshot::Receiver<FileReport> {
+        let snapshot = BridgeSnapshot::take(&self.bridge, self.run_begun, self.stops_applied, now);
+        self.files.submit(FileJob::Update(snapshot))
+    }
+
+    fn apply_report(&mut self, report: &FileReport) {
+        if report.stops_found > self.stops_applied {
+            self.stops_applied = report.stops_found;
+            self.bridge.stop_robots();
+        }
+    }
+
+    fn apply(&self, request: Request) -> Result<(), String> {
         match request {
             Request::State => {}
             Request::Allow(address) => self.bridge.allow(address),
@@ -68,21 +99,7 @@ impl<S: Storage> Control<S> {
             }
             Request::Drop(_) => {}
         }
-        self.update_files(now);
-        if let Request::Allow(address) | Request::Deny(address) = request {
-            self.remember(address, matches!(request, Request::Allow(_)))
-                .map_err(|why| format!("done, but not for later: {why}"))?;
-        }
-        Ok(self.bridge_state(now))
-    }
-
-    /// Writes a permission into the files of those who may drive and of those who may not.
-    fn remember(&self, address: IpAddr, may_drive: bool) -> io::Result<()> {
-        let allowed = self.allowed.iter().map(|path| (path, may_drive));
-        allowed.chain([(&self.denied, !may_drive)]).try_for_each(|(path, is_listed)| {
-            allowed::remember(&self.storage, path, address, is_listed)
-                .map_err(|why| io::Error::other(format!("{}: {why}", path.display())))
-        })
+        Ok(())
     }
 
     fn bridge_state(&self, now: Monotonic) -> BridgeState {
@@ -96,20 +113,42 @@ impl<S: Storage> Control<S> {
     }
 }
 
-/// Reads a list of addresses, and reports what cannot be read.
-fn read_addresses(storage: &impl Storage, path: &Path) -> Vec<IpAddr> {
-    match allowed::read(storage, path) {
-        Ok((addresses, unsound)) => {
-            unsound.iter().for_each(|line| {
-                tracing::warn!("{}: `{line}` is not an address and is ignored", path.display())
-            });
-            addresses
-        }
-        Err(why) => {
-            tracing::warn!("{}: {why}; no address is taken from it", path.display());
-            Vec::new()
-        }
+/// Applies a request and returns the state after it. A stop is set before anything else; other changes wait for the disk.
+pub async fn answer<W: FileWorker>(
+    control: &RefCell<Control<W>>,
+    request: Request,
+    clock: impl Fn() -> Monotonic,
+) -> Reply {
+    if matches!(request, Request::State | Request::Stop) {
+        control.borrow().apply(request)?;
+    } else {
+        // What was written on the disk before this request comes first.
+        save(control, clock()).await?;
+        control.borrow().apply(request)?;
     }
+    match request {
+        Request::State => {}
+        // It is in force; that it does not outlive the bridge is said where it is written.
+        Request::Stop => drop(save(control, clock()).await),
+        _ => save(control, clock()).await?,
+    }
+    if let Request::Allow(address) | Request::Deny(address) = request {
+        let may_drive = matches!(request, Request::Allow(_));
+        let report = control.borrow_mut().files.submit(FileJob::Remember { address, may_drive });
+        let result = report
+            .await
+            .map_or_else(|_| Err(DISK_BUSY.into()), |report| report.result.map_err(|why| why.to_string()));
+        result.map_err(|why| format!("done, but not for later: {why}"))?;
+    }
+    Ok(control.borrow().bridge_state(clock()))
+}
+
+/// Brings the files and the bridge together, and waits for it.
+async fn save<W: FileWorker>(control: &RefCell<Control<W>>, now: Monotonic) -> Result<(), String> {
+    let report = control.borrow_mut().submit_update(now);
+    let report = report.await.map_err(|_| DISK_BUSY)?;
+    control.borrow_mut().apply_report(&report);
+    Ok(())
 }
 
 /// Opens the control socket. An earlier bridge process may have left its socket file behind.
@@ -120,7 +159,7 @@ pub fn listen(run: &Run) -> io::Result<UnixListener> {
 }
 
 /// Answers requests one after the other.
-pub async fn serve(listener: UnixListener, control: Rc<std::cell::RefCell<Control<impl Storage>>>) {
+pub async fn serve(listener: UnixListener, control: Rc<RefCell<Control<impl FileWorker>>>) {
     loop {
         match listener.accept().await {
             // A peer that sends no valid request in time is disconnected.
@@ -130,17 +169,17 @@ pub async fn serve(listener: UnixListener, control: Rc<std::cell::RefCell<Contro
     }
 }
 
-async fn exchange(
-    mut stream: UnixStream,
-    control: &std::cell::RefCell<Control<impl Storage>>,
-) -> io::Result<()> {
+async fn exchange(mut stream: UnixStream, control: &RefCell<Control<impl FileWorker>>) -> io::Result<()> {
     let (read, mut write) = stream.split();
     let mut line = String::new();
     BufReader::new(read.take(LINE_MAX)).read_line(&mut line).await?;
     let reply: Reply = match serde_json::from_str(&line) {
-        Ok(request) => control.borrow_mut().apply(request, now()),
+        Ok(request) => answer(control, request, now).await,
         Err(why) => Err(format!("not a request: {why}")),
     };
     let answer = serde_json::to_string(&reply)? + "\n";
     write.write_all(answer.as_bytes()).await
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,6 +5,7 @@
 use super::{Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::Epoch;
+use crate::merge_maps::{MapFiles, MapSlot};
 use crate::merge_memory::MergeMemory;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::progress::WatchedThread;
@@ -44,18 +45,26 @@ impl FleetEstimateSlot {
     }
 }
 
+/// What the thread of the fleet's pose graph begins with.
+pub struct GraphState<S> {
+    /// The fleet's pose graph.
+    pub graph: FleetPoseGraph,
+    /// The file with the state of the graph.
+    pub memory: MergeMemory<S>,
+    /// The files with the robots' maps.
+    pub files: MapFiles<S>,
+    /// The newest estimates, for the thread that draws.
+    pub estimates: Arc<FleetEstimateSlot>,
+    /// The newest maps, from the thread that draws.
+    pub maps: Arc<MapSlot>,
+}
+
 /// Runs the thread until `done`.
-pub fn run(
-    run: &Run,
-    graph: FleetPoseGraph,
-    memory: MergeMemory<DiskStorage>,
-    slot: Arc<FleetEstimateSlot>,
-    done: &AtomicBool,
-) -> Result<(), ChannelError> {
+pub fn run(run: &Run, state: GraphState<DiskStorage>, done: &AtomicBool) -> Result<(), ChannelError> {
     // On Linux this affects the calling thread only. The result does not depend on whether it is granted.
     let _ = rustix::process::nice(NICE);
     let node = run.attach_thread(Role::Merge, None, "graph")?;
-    let mut graph = GraphWorker::open(&node, run, graph, memory, slot)?;
+    let mut graph = GraphWorker::open(&node, run, state)?;
     let progress = run.progress(Role::Merge, None, WatchedThread::Second);
     serve(&mut graph, progress, &|| done.load(Ordering::Relaxed));
     Ok(())
@@ -65,6 +74,8 @@ pub fn run(
 pub struct GraphWorker<P: Ports, S> {
     graph: FleetPoseGraph,
     memory: MergeMemory<S>,
+    files: MapFiles<S>,
+    maps: Arc<MapSlot>,
     sources: Vec<Source<P>>,
     commands: P::Reader<EdgeCommand>,
     output: Output<P>,
@@ -73,14 +84,9 @@ pub struct GraphWorker<P: Ports, S> {
 }
 
 impl<P: Ports, S: Storage> GraphWorker<P, S> {
-    /// Opens the channels; estimates go to `slot`.
-    pub fn open(
-        ports: &P,
-        run: &Run,
-        graph: FleetPoseGraph,
-        memory: MergeMemory<S>,
-        slot: Arc<FleetEstimateSlot>,
-    ) -> Result<Self, ChannelError> {
+    /// Opens the channels of a graph.
+    pub fn open(ports: &P, run: &Run, state: GraphState<S>) -> Result<Self, ChannelError> {
+        let GraphState { graph, memory, files, estimates: slot, maps } = state;
         let mut listeners = vec![ports.listener(&channel::edge_command())?];
         for robot in run.robots() {
             listeners.push(ports.listener(&channel::submap_poses(robot))?);
@@ -90,6 +96,8 @@ impl<P: Ports, S: Storage> GraphWorker<P, S> {
         Ok(Self {
             graph,
             memory,
+            files,
+            maps,
             sources: sources.collect::<Result<_, _>>()?,
             commands: ports.reader(&channel::edge_command())?,
             output: Output {
@@ -126,6 +134,7 @@ impl<P: Ports, S: Storage> ProcessLoop for GraphWorker<P, S> {
         }
         // Saved before it is published, so that a pin that a client has seen outlives this process.
         self.memory.save(&self.graph, now);
+        self.files.save(&self.maps, now);
         self.output.publish(&self.graph, self.sources.len(), now);
         if worked { now } else { Monotonic(now.0 + POLL_NS) }
     }

@@ -3,11 +3,12 @@
 //! One thread draws the map. The fleet's pose graph, which estimates the transforms and redraws deformed maps, is on a
 //! second thread ([`graph`]).
 
-use super::graph::{self, FleetEstimate, FleetEstimateSlot};
+use super::graph::{self, FleetEstimate, FleetEstimateSlot, GraphState};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::fleet;
+use crate::merge_maps::{HeldMap, MapFiles, MapSlot, RestoredMaps};
 use crate::merge_memory::MergeMemory;
 use crate::ports::{
     ChannelError, Clock as _, Gaps, MAP_PAUSE, Ports, ReadMapPort, ReadPort, WriteMapPort, WritePort,
@@ -17,41 +18,110 @@ use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use ::merge::{FleetPoseGraph, Merger};
-use msg::{Correction, MapTransforms, Monotonic, Pose2, RobotId, Role, TrackingState};
+use msg::{
+    Correction, MAP_OLD_AFTER_S, MapTransforms, Monotonic, Pose2, ROBOTS_MAX, RobotId, Role, TrackingState,
+};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
-    let (slot, done) = (Arc::<FleetEstimateSlot>::default(), AtomicBool::new(false));
-    let (pose_graph, memory) = begin(run, DiskStorage)?;
+    let done = AtomicBool::new(false);
+    let (state, restored) = begin(run, DiskStorage)?;
     let node = run.attach(Role::Merge, None)?;
-    let mut drawing = MapDrawing::open(&node, run, &pose_graph, slot.clone())?;
+    let mut process = MergeProcess::open(&node, run, &state, &restored)?;
     std::thread::scope(|scope| {
-        let graph_thread = scope.spawn(|| graph::run(run, pose_graph, memory, slot, &done));
+        let graph_thread = scope.spawn(|| graph::run(run, state, &done));
         let progress = run.progress(Role::Merge, None, WatchedThread::Main);
-        serve(&mut drawing, progress, &|| stop.requested() || graph_thread.is_finished());
+        serve(&mut process, progress, &|| stop.requested() || graph_thread.is_finished());
         done.store(true, Ordering::Relaxed);
         graph_thread.join().map_err(|_| "the thread of the fleet's pose graph panicked")??;
         Ok(())
     })
 }
 
-/// Creates the fleet's pose graph from the state of an earlier process of this run: the transforms hold from the first
-/// map on.
-pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(FleetPoseGraph, MergeMemory<S>), Error> {
+/// Restores the state of an earlier process of this run, and the robots' maps that it held: the transforms hold from the
+/// first map on.
+pub fn begin<S: Storage>(run: &Run, storage: S) -> Result<(GraphState<S>, RestoredMaps), Error> {
     let starts = fleet::known_starts(&run.config)?;
     let mut graph = FleetPoseGraph::new(&run.config.merge, &starts);
-    let memory = MergeMemory::restore(run, storage, &mut graph);
-    Ok((graph, memory))
+    let memory = MergeMemory::restore(run, storage.clone(), &mut graph);
+    let files = MapFiles::new(run, storage);
+    let restored = files.restore(run.robots());
+    Ok((GraphState { graph, memory, files, estimates: Arc::default(), maps: Arc::default() }, restored))
+}
+
+/// Longest time for which a restarted process sends no map. SLAM sends its whole map within 0.2 s of the request; one that
+/// died at the same time is back within about 1 s.
+const RESTART_HOLD_MAX: Duration = Duration::from_secs(2);
+
+/// Holds back the merged map of a restarted process until each robot whose map was restored has sent it anew: readers keep
+/// the map that they have, which is newer than the restored one.
+struct RestartHold {
+    /// Robots whose maps have not come yet.
+    missing: Vec<RobotId>,
+    until: Monotonic,
+}
+
+impl RestartHold {
+    /// Records a whole map of a robot.
+    fn record_map(&mut self, robot: RobotId) {
+        self.missing.retain(|missing| *missing != robot);
+    }
+
+    fn is_over(&self, now: Monotonic) -> bool {
+        self.missing.is_empty() || now >= self.until
+    }
+}
+
+/// Period at which the ages of the robots' maps are published, if nothing else changes.
+const AGES_PERIOD: Duration = Duration::from_millis(500);
+
+/// Channels of the robots' SLAM, and what the other thread hands over.
+struct Inputs<P: Ports> {
+    maps: Vec<(RobotId, P::MapReader)>,
+    corrections: Vec<(RobotId, P::Reader<Correction>)>,
+    /// Time of the newest correction of each robot, by [`RobotId::index`]; zero: none yet.
+    slam_received: [Monotonic; ROBOTS_MAX],
+    estimates: Arc<FleetEstimateSlot>,
+    /// The robots' newest maps, to be kept in files.
+    held_maps: Arc<MapSlot>,
+}
+
+/// When the ages of the robots' maps are published, and which maps are old.
+struct AgesPublisher {
+    due: Monotonic,
+    sent: Option<[Monotonic; ROBOTS_MAX]>,
+    /// Robots whose part of the map is old, by [`RobotId::index`].
+    old: [bool; ROBOTS_MAX],
+}
+
+impl AgesPublisher {
+    /// Returns whether a period has passed.
+    fn is_due(&mut self, now: Monotonic) -> bool {
+        let is_due = now >= self.due;
+        if is_due {
+            self.due = now + AGES_PERIOD;
+        }
+        is_due
+    }
+
+    /// Returns whether a robot's part of the map has become old since the last call.
+    fn becomes_old(&mut self, robot: RobotId, received: Monotonic, now: Monotonic) -> bool {
+        let is_old = received != Monotonic::default() && now.since(received) as f64 * 1e-9 > MAP_OLD_AFTER_S;
+        let was_old = std::mem::replace(&mut self.old[robot.index()], is_old);
+        is_old && !was_old
+    }
 }
 
 /// Draws the merged map, and never waits for anything else.
-pub struct MapDrawing<P: Ports> {
+pub struct MergeProcess<P: Ports> {
     merger: Merger,
-    maps: Vec<(RobotId, P::MapReader)>,
-    corrections: Vec<(RobotId, P::Reader<Correction>)>,
-    slot: Arc<FleetEstimateSlot>,
+    inputs: Inputs<P>,
+    restart: Option<RestartHold>,
+    has_changed: bool,
+    ages: AgesPublisher,
     merged: P::MapWriter,
     transforms: P::Writer<MapTransforms>,
     heartbeat: Heartbeat<P>,
@@ -61,53 +131,79 @@ pub struct MapDrawing<P: Ports> {
     refused: u64,
 }
 
-impl<P: Ports> MapDrawing<P> {
-    /// Opens the channels; the robots' maps have the transforms of `graph`.
-    pub fn open(
+impl<P: Ports> MergeProcess<P> {
+    /// Opens the channels; the robots' maps have the transforms of `state`, and are `restored` until SLAM sends them.
+    pub fn open<S>(
         ports: &P,
         run: &Run,
-        graph: &FleetPoseGraph,
-        slot: Arc<FleetEstimateSlot>,
+        state: &GraphState<S>,
+        restored: &[(RobotId, HeldMap)],
     ) -> Result<Self, ChannelError> {
         let robots = run.robots();
         let starts: Vec<Option<Pose2>> =
-            robots.clone().map(|robot| graph.map_from_robot_map(robot)).collect();
+            robots.clone().map(|robot| state.graph.map_from_robot_map(robot)).collect();
         let maps = robots.clone().map(|robot| Ok((robot, ports.map_reader(&channel::map(robot))?)));
         let corrections = robots.clone().map(|robot| Ok((robot, ports.reader(&channel::correction(robot))?)));
         let listeners = robots.clone().map(|robot| ports.listener(&channel::map(robot)));
         let listeners = listeners.chain([ports.listener(&channel::merge_edges())]);
-        let mut drawing = Self {
+        let clock = ports.clock();
+        let until = clock.now() + RESTART_HOLD_MAX;
+        let missing: Vec<RobotId> = restored.iter().map(|(robot, _)| *robot).collect();
+        let mut slam_received = [Monotonic::default(); ROBOTS_MAX];
+        for (robot, held) in restored {
+            slam_received[robot.index()] = held.slam_received;
+        }
+        let mut process = Self {
             merger: Merger::new(&run.config.merge, &starts),
-            maps: maps.collect::<Result<_, ChannelError>>()?,
-            corrections: corrections.collect::<Result<_, ChannelError>>()?,
-            slot,
+            inputs: Inputs {
+                maps: maps.collect::<Result<_, ChannelError>>()?,
+                corrections: corrections.collect::<Result<_, ChannelError>>()?,
+                slam_received,
+                estimates: state.estimates.clone(),
+                held_maps: state.maps.clone(),
+            },
+            restart: (!missing.is_empty()).then_some(RestartHold { missing, until }),
+            has_changed: false,
+            ages: AgesPublisher { due: Monotonic::default(), sent: None, old: [false; ROBOTS_MAX] },
             merged: ports.map_writer(&channel::merged_map())?,
             transforms: ports.writer(&channel::map_transforms())?,
             heartbeat: Heartbeat::new(ports, run, Role::Merge, None)?,
-            clock: ports.clock(),
+            clock,
             listeners: listeners.collect::<Result<_, _>>()?,
             robot_radius_m: run.config.slam.map.robot_radius_m,
             refused: 0,
         };
-        drawing.transforms.send(&drawing.merger.map_transforms());
-        Ok(drawing)
+        for (robot, held) in restored {
+            process.refused += u64::from(process.merger.update_tiles(*robot, &held.map).is_err());
+        }
+        process.send_transforms();
+        Ok(process)
     }
 
     /// Receives all waiting messages; returns true if the merged map changes.
     fn receive(&mut self) -> bool {
         let mut changed = false;
-        for (robot, reader) in &mut self.maps {
+        for (robot, reader) in &mut self.inputs.maps {
             if reader.poll() {
                 let merger = &mut self.merger;
                 let taken = self.heartbeat.measure(|| merger.update_tiles(*robot, reader.map())).is_ok();
+                if taken {
+                    let slam_received = self.inputs.slam_received[robot.index()];
+                    self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), slam_received });
+                }
+                self.restart.iter_mut().for_each(|restart| restart.record_map(*robot));
                 self.refused += u64::from(!taken);
                 changed |= taken;
             }
         }
-        for (robot, reader) in &mut self.corrections {
+        for (robot, reader) in &mut self.inputs.corrections {
+            let received = reader.gaps().received;
             changed |= set_footprint::<P>(&mut self.merger, *robot, reader, self.robot_radius_m);
+            if reader.gaps().received != received {
+                self.inputs.slam_received[robot.index()] = self.clock.now();
+            }
         }
-        if let Some(estimate) = self.slot.take() {
+        if let Some(estimate) = self.inputs.estimates.take() {
             let merger = &mut self.merger;
             self.refused += self.heartbeat.measure(|| apply_estimate(merger, &estimate));
             changed = true;
@@ -115,8 +211,42 @@ impl<P: Ports> MapDrawing<P> {
         changed
     }
 
+    /// Sends where the robots' maps lie, and how old they are.
+    fn send_transforms(&mut self) {
+        let slam_received = self.inputs.slam_received;
+        self.transforms.send(&MapTransforms { slam_received, ..self.merger.map_transforms() });
+        self.ages.sent = Some(slam_received);
+    }
+
+    /// Sends the robots' ages if they are due, and keeps the time from which a robot's part of the map is old.
+    fn publish_ages(&mut self, now: Monotonic) {
+        if !self.ages.is_due(now) {
+            return;
+        }
+        if self.ages.sent != Some(self.inputs.slam_received) {
+            self.send_transforms();
+        }
+        for (robot, reader) in &self.inputs.maps {
+            let slam_received = self.inputs.slam_received[robot.index()];
+            if self.ages.becomes_old(*robot, slam_received, now) && reader.map().tiles().next().is_some() {
+                self.inputs.held_maps.put(*robot, HeldMap { map: reader.map().clone(), slam_received });
+            }
+        }
+    }
+
+    /// Sends the merged map if it has changed; returns whether readers have all of it.
+    fn publish(&mut self) -> bool {
+        if std::mem::take(&mut self.has_changed) {
+            // The transforms notify nobody. The merged map does, and its readers then find the transforms.
+            self.send_transforms();
+            let merger = &mut self.merger;
+            self.heartbeat.measure(|| merger.compose());
+        }
+        self.merged.send(self.merger.merged_tiles())
+    }
+
     fn gaps(&self) -> Gaps {
-        self.maps.iter().fold(Gaps::default(), |mut sum, (_, reader)| {
+        self.inputs.maps.iter().fold(Gaps::default(), |mut sum, (_, reader)| {
             sum.received += reader.gaps().received;
             sum.lost += reader.gaps().lost;
             sum
@@ -124,25 +254,28 @@ impl<P: Ports> MapDrawing<P> {
     }
 }
 
-impl<P: Ports> ProcessLoop for MapDrawing<P> {
+impl<P: Ports> ProcessLoop for MergeProcess<P> {
     fn step(&mut self) -> Monotonic {
-        if self.receive() {
-            // The transforms notify nobody. The merged map does, and its readers then find the transforms.
-            self.transforms.send(&self.merger.map_transforms());
-            let merger = &mut self.merger;
-            self.heartbeat.measure(|| merger.compose());
+        self.has_changed |= self.receive();
+        let now = self.clock.now();
+        if self.restart.as_ref().is_some_and(|restart| restart.is_over(now)) {
+            (self.restart, self.has_changed) = (None, true);
         }
-        let complete = self.merged.send(self.merger.merged_tiles());
+        let due = match self.restart.as_ref().map(|restart| restart.until) {
+            Some(until) => until,
+            None if self.publish() => self.heartbeat.due(),
+            None => now + MAP_PAUSE,
+        };
+        self.publish_ages(now);
         self.transforms.refresh();
         let counters =
             HealthCounters { gaps: self.gaps(), refused: self.refused, ..HealthCounters::default() };
         self.heartbeat.publish_if_due(|| counters);
-        let soon = Monotonic(self.clock.now().0 + MAP_PAUSE.as_nanos() as u64);
-        if complete { self.heartbeat.due() } else { soon.min(self.heartbeat.due()) }
+        due.min(self.ages.due).min(self.heartbeat.due())
     }
 }
 
-impl<P: Ports> Listens<P::Listener> for MapDrawing<P> {
+impl<P: Ports> Listens<P::Listener> for MergeProcess<P> {
     fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
         self.listeners.iter().chain([self.merged.requests()])
     }

@@ -11,6 +11,7 @@ mod map_publisher;
 pub mod merge;
 pub mod nav;
 mod outside;
+pub mod record;
 mod ros2;
 pub mod sim;
 pub mod slam;
@@ -114,6 +115,8 @@ pub enum Process {
     Bridge(ProcessArgs),
     /// Navigation of the robots to goals.
     Nav(ProcessArgs),
+    /// The recorder of the fleet's messages.
+    Record(ProcessArgs),
 }
 
 /// Runs one process of the fleet until it is asked to stop.
@@ -133,6 +136,7 @@ pub fn run(process: &Process) -> Result<(), Error> {
         }
         Process::Nav(args) => join(args, Role::Nav).and_then(|(run, stop)| nav::run(&run, &stop)),
         Process::Bridge(args) => join(args, Role::Bridge).and_then(|(run, stop)| bridge::run(&run, &stop)),
+        Process::Record(args) => join(args, Role::Record).and_then(|(run, stop)| record::run(&run, &stop)),
     }
 }
 

@@ -12,7 +12,9 @@ pub use slam::{ClosureView, SlamView};
 use crate::config::FleetConfig;
 use crate::control::BridgeState;
 
-use msg::{Distribution, FleetStats, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState};
+use msg::{
+    Distribution, FleetStats, MAP_OLD_AFTER_S, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState,
+};
 use serde::Serialize;
 
 /// Figures of a fleet, with names and units; JSON of `status`, `report.json` and `lockstep`.
@@ -87,6 +89,8 @@ pub struct RobotView {
     pub closures: u32,
     /// Whether the robot's map is part of the merged map.
     pub merged: bool,
+    /// Age of its part of the merged map, seconds: time since merging last heard of its SLAM; `None`: never.
+    pub map_age_s: Option<f64>,
     /// Where merging puts its map, against the truth as seen from the first merged robot: metres.
     pub map_transform_error_m: Option<f64>,
     /// The same, degrees.
@@ -219,9 +223,26 @@ impl RobotView {
         self.state == TrackingState::Lost.name()
     }
 
+    /// Returns whether there is evidence that the robot's map is wrong.
+    pub fn is_unreliable(&self) -> bool {
+        self.state == TrackingState::Unreliable.name()
+    }
+
     /// Returns whether scans came once and do not come any more.
     pub fn has_stale_scans(&self) -> bool {
         self.scans > 0 && self.scan_hz_last_second == 0.0
+    }
+
+    /// Returns the age of its part of the merged map, seconds, if that part is old.
+    pub fn old_map_age_s(&self) -> Option<f64> {
+        self.map_age_s.filter(|age_s| self.merged && *age_s > MAP_OLD_AFTER_S)
+    }
+
+    /// Removes the figures of time, where time is virtual and they say nothing.
+    pub fn forget_latencies(&mut self) {
+        let nothing = DistributionView { count: 0, p50: None, p95: None, p99: None, max: None };
+        (self.tf_jitter_ms, self.scan_to_pose_ms) = (nothing.clone(), nothing.clone());
+        self.scan_to_map_ms = nothing;
     }
 
     /// Known share of the robot's map, 0 to 1; `None`: it has no map.
@@ -247,6 +268,7 @@ impl RobotView {
             nodes: stats.nodes,
             closures: stats.closures,
             merged: stats.merged == 1,
+            map_age_s: finite(stats.map_age_s),
             map_transform_error_m: finite(stats.map_transform_error_m),
             map_transform_error_deg: finite(stats.map_transform_error_rad.to_degrees()),
         }

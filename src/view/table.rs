@@ -38,6 +38,10 @@ impl FleetView {
     /// Formats all figures of robots, merging and clients for a terminal.
     pub fn table(&self, style: &Style) -> String {
         let mut text = self.figures(style);
+        for line in self.robots.iter().filter_map(old_map) {
+            let line = format!("         {line}");
+            text += &paint_lines(&style.wrap(&line, INDENT), style, Emphasis::Alarm);
+        }
         for line in self
             .bridge
             .iter()
@@ -80,9 +84,13 @@ impl FleetView {
             if robot.is_lost() {
                 alarms.push(format!("{} is lost: it looks for its place in the map", robot.robot));
             }
+            if robot.is_unreliable() {
+                alarms.push(format!("{}'s map may be wrong: scans or odometry contradict it", robot.robot));
+            }
             if robot.has_stale_scans() {
                 alarms.push(format!("{}: no scan for a second or more", robot.robot));
             }
+            alarms.extend(old_map(robot));
         }
         for process in self.processes.iter().filter(|process| process.state != "up") {
             alarms.push(format!("{} does not answer", process.process));
@@ -153,7 +161,7 @@ impl FleetView {
 fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
     vec![
         robot.robot.as_str().into(),
-        Cell::alarm_if(robot.is_lost(), robot.state),
+        Cell::alarm_if(robot.is_lost() || robot.is_unreliable(), robot.state),
         Cell::alarm_if(robot.has_stale_scans(), format!("{:.2}", robot.scan_hz_last_second)),
         robot.scans_lost.to_string().into(),
         format!("{:.1}", 100.0 * robot.map.coverage).into(),
@@ -161,6 +169,12 @@ fn robot_row(robot: &super::RobotView) -> Vec<Cell> {
         robot.scan_to_pose_ms.p50_and_p99().into(),
         robot.pose_error_m.map_or_else(|| "-".into(), |error| format!("{error:.3}")).into(),
     ]
+}
+
+/// Says that a robot's part of the merged map is old, if it is.
+fn old_map(robot: &super::RobotView) -> Option<String> {
+    let age_s = robot.old_map_age_s()?;
+    Some(format!("{}'s part of the merged map is {age_s:.0} s old: nothing comes from its SLAM", robot.robot))
 }
 
 fn client_lines(bridge: &BridgeState, style: &Style) -> String {
@@ -211,7 +225,9 @@ mod tests {
             (robot.state, robot.scans, robot.scan_hz) = (TrackingState::Tracking as u32, 100, 10.0);
         }
         stats.robots[1].state = TrackingState::Lost as u32;
+        stats.robots[2].state = TrackingState::Unreliable as u32;
         stats.robots[2].scan_hz = 0.0;
+        (stats.robots[0].merged, stats.robots[0].map_age_s) = (1, 12.3);
         let client = |port: usize| ClientStatus {
             number: port as u64,
             connected_s: 60.0,
@@ -252,6 +268,9 @@ mod tests {
         let plain = fleet.live_table(&Style::PLAIN);
         assert!(plain.starts_with("! EMERGENCY STOP"), "{plain}");
         assert!(plain.contains("! robot2 is lost") && plain.contains("! robot3: no scan"), "{plain}");
+        let old = "robot1's part of the merged map is 12 s old";
+        assert!(plain.contains(&format!("! {old}")) && fleet.table(&Style::PLAIN).contains(old), "{plain}");
+        assert!(plain.contains("! robot3's map may be wrong"), "{plain}");
         assert!(!plain.contains('\x1b'), "no colours in a file: {plain:?}");
         let coloured = fleet.live_table(&Style { width: 80, is_coloured: true });
         assert!(coloured.contains("\x1b[1;31mlost"), "{coloured:?}");

@@ -157,6 +157,7 @@ impl Telemetry {
                 map_transform_error_m: error_m,
                 map_transform_error_rad: error_rad,
                 merged: u32::from(transform.is_some()),
+                map_age_s: age_s(self.map_transforms.slam_received[index], now),
                 ..robot.stats(stamp)
             };
         }
@@ -190,6 +191,11 @@ impl Telemetry {
             (transform.known == 1).then(|| world_from_robot_map * transform.map_from_robot_map.inverse())
         })
     }
+}
+
+/// Returns the time since a moment, seconds; NaN if it is zero: never.
+fn age_s(at: Monotonic, now: Monotonic) -> f64 {
+    if at == Monotonic::default() { f64::NAN } else { now.since(at) as f64 * 1e-9 }
 }
 
 /// Returns the distance (metres) and rotation (radians) between the estimated and the true transform of a robot's map;

@@ -2,7 +2,7 @@
 
 use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, Role};
 
-/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, nav.
+/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, record, nav.
 pub(crate) struct ProcessTable {
     robot_count: usize,
     slots: [Option<Report>; PROCESSES_MAX],
@@ -38,7 +38,9 @@ impl ProcessTable {
             Role::Merge => Some(2 * self.robot_count),
             Role::Telemetry => Some(2 * self.robot_count + 1),
             Role::Bridge => Some(2 * self.robot_count + 2),
-            Role::Nav => Some(2 * self.robot_count + 3),
+            // Beyond the table in a fleet of the largest size.
+            Role::Record => Some(2 * self.robot_count + 3),
+            Role::Nav => Some(2 * self.robot_count + 4),
         }
     }
 

@@ -24,7 +24,9 @@ use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::lockstep::faults::{BRIDGE, Fault, FaultPlan};
 use mr_slam::lockstep::invariants::{WRONG_POSE, check, quiet_from};
-use msg::Monotonic;
+use mr_slam::view::FleetView;
+use msg::{GridView, Monotonic};
+use std::collections::HashSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -176,6 +178,87 @@ fn robots_stand_when_a_stopped_simulator_goes_on() {
 fn merging_killed_goes_on_with_the_same_map() {
     let faults = FaultPlan::none().with(second(5.0), Fault::Kill(MERGE));
     assert_survives(faults.with(second(6.0), Fault::Kill(SLAM_2)), 14);
+}
+
+/// Share of the known cells that the robots' own redrawing may make unknown within seconds.
+const REDRAWN_SHARE_MAX: f64 = 0.01;
+
+/// Returns the known cells of a map as columns and rows of a lattice that stays where it is.
+fn known_cells(map: GridView<'_>) -> HashSet<(i64, i64)> {
+    let header = map.header;
+    let corner = [header.origin.x_m, header.origin.y_m].map(|m| (m / header.resolution_m).round() as i64);
+    let width = (header.width as usize).max(1);
+    let known = map.cells.iter().enumerate().filter(|(_, cell)| **cell != msg::grid::UNKNOWN);
+    known.map(|(index, _)| (corner[0] + (index % width) as i64, corner[1] + (index / width) as i64)).collect()
+}
+
+/// Runs a fleet of two and looks at the published merged map from second 5 on: it never loses what it showed.
+fn assert_merged_map_keeps_its_cells(faults: FaultPlan) {
+    let mut fleet = Lockstep::with_faults(&pair(), true, faults).unwrap();
+    let (mut before, mut fewest) = (HashSet::new(), f64::INFINITY);
+    while fleet.now().seconds() < 12.0 {
+        fleet.tick(&mut |_, _| {});
+        if fleet.now().seconds() < 5.0 {
+            continue;
+        }
+        let known = fleet.maps().find(|(name, _)| *name == "merged_map").map(|(_, map)| known_cells(map));
+        let known = known.expect("a fleet has a merged map");
+        if before.is_empty() {
+            before = known;
+        } else if known != before {
+            let kept = before.intersection(&known).count() as f64 / before.len() as f64;
+            fewest = fewest.min(kept);
+            assert!(kept >= 1.0 - REDRAWN_SHARE_MAX, "at {:?}: {kept:.3} of the cells", fleet.now());
+            before.extend(known);
+        }
+    }
+    assert!(before.len() > 2000 && fewest.is_finite(), "the map was drawn: {} cells, {fewest}", before.len());
+}
+
+#[test]
+fn the_merged_map_loses_no_cell_when_merging_is_killed() {
+    let faults = FaultPlan::none().with(second(6.0), Fault::Kill(MERGE));
+    assert_merged_map_keeps_its_cells(faults.with(second(9.5), Fault::Kill(MERGE)));
+}
+
+/// Kills the second robot's SLAM from second 6 on, as soon as it is started again: it is silent for six seconds.
+fn with_silent_slam(mut faults: FaultPlan) -> FaultPlan {
+    for kill in 0..200 {
+        faults = faults.with(second(6.0 + 0.02 * f64::from(kill)), Fault::Kill(SLAM_2));
+    }
+    faults
+}
+
+#[test]
+fn the_map_of_a_dead_slam_process_outlives_merging() {
+    assert_merged_map_keeps_its_cells(with_silent_slam(
+        FaultPlan::none().with(second(6.5), Fault::Kill(MERGE)),
+    ));
+}
+
+#[test]
+fn the_part_of_a_silent_slam_process_is_marked_as_old() {
+    for kill_merging in [false, true] {
+        let mut faults = with_silent_slam(FaultPlan::none());
+        if kill_merging {
+            faults = faults.with(second(8.0), Fault::Kill(MERGE));
+        }
+        let mut fleet = Lockstep::with_faults(&pair(), true, faults).unwrap();
+        let mut oldest_s = [0.0_f64; 2];
+        while fleet.now().seconds() < 20.0 {
+            fleet.tick(&mut |_, _| {});
+            let view = FleetView::new(fleet.stats());
+            for (oldest_s, robot) in oldest_s.iter_mut().zip(&view.robots) {
+                *oldest_s = oldest_s.max(robot.old_map_age_s().unwrap_or(0.0));
+                let is_said = view.alarms().iter().any(|alarm| alarm.contains("merged map is"));
+                assert!(robot.old_map_age_s().is_none() || is_said, "{:?}", view.alarms());
+            }
+        }
+        assert!(oldest_s[0] == 0.0 && (4.0..10.0).contains(&oldest_s[1]), "{kill_merging}: {oldest_s:?}");
+        let ages_s = fleet.stats().robots[..2].iter().map(|robot| robot.map_age_s);
+        let ages_s: Vec<f64> = ages_s.collect();
+        assert!(ages_s.iter().all(|age_s| (0.0..1.0).contains(age_s)), "at the end: {ages_s:?}");
+    }
 }
 
 #[test]

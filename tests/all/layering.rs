@@ -16,12 +16,14 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("ros_messages", &["msg"]),
     ("bridge", &["msg", "ros_messages"]),
     ("runtime", &["msg", "formats"]),
+    ("recording", &["msg", "ros_messages"]),
     // The operator is a client: it plans with `nav`, and writes and reads ros_tcp with `bridge`.
     ("operator", &["msg", "nav", "bridge"]),
 ];
 
 /// Crates of pure computation: the same input gives the same output.
-const PURE: &[&str] = &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "ros_messages"];
+const PURE: &[&str] =
+    &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "ros_messages", "recording"];
 
 /// What a pure crate must not use, because it depends on the machine or talks to the outside.
 const IMPURE: &[&str] = &[

@@ -24,6 +24,7 @@ mod maps;
 mod navigation;
 mod page;
 mod peers;
+mod recording;
 mod relation_metric;
 mod restart;
 mod services;

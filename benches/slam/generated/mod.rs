@@ -87,11 +87,12 @@ pub fn print(outcomes: &[Outcome]) {
         return;
     }
     println!(
-        "{:<28} {:>5} {:>5} {:>6} {:>7} {:>6} {:>7} {:>6} {:>6} {:>5} {:>5} {:>8} {:>6} {:>8}",
+        "{:<28} {:>5} {:>5} {:>6} {:>6} {:>7} {:>6} {:>7} {:>6} {:>6} {:>5} {:>5} {:>8} {:>6} {:>8}",
         "generated logs",
         "runs",
         "wrong",
         "silent",
+        "alarms",
         "mean m",
         "tied %",
         "walls %",
@@ -134,7 +135,8 @@ pub fn print(outcomes: &[Outcome]) {
 fn print_worst(outcomes: &[Outcome]) {
     println!(
         "wrong: runs with a pose more than {METRE_SCALE_M} m off; silent: those in which SLAM calls it part of its map, is not lost \
-         at the end, and its covariance has it farther off than three standard deviations. walls: share of the walls hit that the map has. Then closures in force and closures taken back, \
+         at the end, does not call its map unreliable, and its covariance has it farther off than three standard deviations. alarms: runs \
+         without such a pose whose map is called unreliable. walls: share of the walls hit that the map has. Then closures in force and closures taken back, \
          right and wrong ones. NEES over its degrees of freedom (1 is right) of the pose given out, links and closures: medians."
     );
     for outcome in worst(outcomes) {
@@ -162,6 +164,7 @@ struct Summary {
     runs: usize,
     wrong: usize,
     silent: usize,
+    false_alarms: usize,
     mean_m: f64,
     tied_percent: f64,
     walls_percent: f64,
@@ -181,6 +184,7 @@ impl Summary {
             runs: group.len(),
             wrong: group.iter().filter(|o| o.is_wrong()).count(),
             silent: group.iter().filter(|o| o.is_silent()).count(),
+            false_alarms: group.iter().filter(|o| o.is_false_alarm()).count(),
             mean_m: mean(|o| o.mean_error_m),
             tied_percent: 100.0 * mean(|o| o.tied_share),
             walls_percent: 100.0 * mean(|o| o.walls_share),
@@ -195,9 +199,15 @@ impl Summary {
         let [pose, links, closures] =
             self.nees.map(|nees| nees.map_or("-".into(), |nees| format!("{nees:.2}")));
         format!(
-            "{name:<28} {:>5} {:>5} {:>6} {:>7.3} {:>6.1} {:>7.1} {right:>6} {wrong:>6} {right_back:>5} {wrong_back:>5} \
+            "{name:<28} {:>5} {:>5} {:>6} {:>6} {:>7.3} {:>6.1} {:>7.1} {right:>6} {wrong:>6} {right_back:>5} {wrong_back:>5} \
              {pose:>8} {links:>6} {closures:>8}",
-            self.runs, self.wrong, self.silent, self.mean_m, self.tied_percent, self.walls_percent
+            self.runs,
+            self.wrong,
+            self.silent,
+            self.false_alarms,
+            self.mean_m,
+            self.tied_percent,
+            self.walls_percent
         )
     }
 }

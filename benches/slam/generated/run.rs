@@ -9,7 +9,7 @@ use mr_slam::config::recorded_log_slam;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
-use slam::{BackEnd, EdgeKind, FrontEnd, Slam};
+use slam::{BackEnd, EdgeKind, FrontEnd, MapDoubts, Slam};
 use std::path::Path;
 
 /// An error that people call a wrong map, metres.
@@ -85,6 +85,10 @@ pub struct Outcome {
     pub tied_share: f64,
     /// Whether SLAM was lost at the end.
     pub lost_at_end: bool,
+    /// Evidence that the map is wrong, as SLAM has it at the end.
+    pub doubts: MapDoubts,
+    /// Whether SLAM calls its map unreliable.
+    pub is_unreliable: bool,
     /// Number of closures in force: right, wrong.
     pub closures: [usize; 2],
     /// Number of closures taken back: right, wrong.
@@ -106,9 +110,14 @@ impl Outcome {
     }
 
     /// Whether a pose is wrong by a metre although SLAM calls it part of its map, its covariance in the map says otherwise,
-    /// and the robot is not lost at the end.
+    /// the robot is not lost at the end, and the map is not called unreliable.
     pub fn is_silent(&self) -> bool {
-        self.max_error_unsaid_m > METRE_SCALE_M && !self.lost_at_end
+        self.max_error_unsaid_m > METRE_SCALE_M && !self.lost_at_end && !self.is_unreliable
+    }
+
+    /// Whether a map without an error of a metre is called unreliable.
+    pub fn is_false_alarm(&self) -> bool {
+        !self.is_wrong() && self.is_unreliable
     }
 }
 
@@ -200,6 +209,7 @@ impl Outcome {
             }
         }
         back.finish();
+        (self.doubts, self.is_unreliable) = (back.doubts(), back.doubts().is_unreliable());
         self.nees = median(nees);
     }
 

@@ -44,6 +44,11 @@ pub struct ClientStatus {
 }
 
 impl Bridge {
+    /// Records an event for the operator's log.
+    pub(crate) fn report_event(&self, event: String) {
+        self.core.borrow_mut().report(event);
+    }
+
     /// Takes what has happened for the operator's log.
     pub fn take_events(&self) -> Vec<String> {
         self.core.borrow_mut().take_events()

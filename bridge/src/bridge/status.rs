@@ -5,7 +5,7 @@ use crate::core::Core;
 use crate::drive::Driver;
 use crate::drive::velocity_gate::RobotLimits;
 use crate::router::ClientId;
-use msg::{Distribution, FleetStats, Monotonic, RobotId, RobotStats, TrackingState};
+use msg::{Distribution, FleetStats, MAP_OLD_AFTER_S, Monotonic, RobotId, RobotStats, TrackingState};
 use serde::Serialize;
 
 /// The state of the fleet. What is not known is null in JSON.
@@ -63,6 +63,10 @@ pub(crate) struct RobotStatus {
     closures: Option<u32>,
     /// Whether its map is part of the merged map.
     is_merged: Option<bool>,
+    /// Age of its part of the merged map, seconds.
+    map_age_s: Option<f64>,
+    /// Whether that part is old: nothing comes from its SLAM.
+    is_map_old: Option<bool>,
 }
 
 impl Bridge {
@@ -106,6 +110,8 @@ fn robot_status(core: &Core, robot: RobotId, viewer: ClientId, now: Monotonic) -
         nodes: stats.map(|stats| stats.nodes),
         closures: stats.map(|stats| stats.closures),
         is_merged: stats.map(|stats| stats.merged == 1),
+        map_age_s: stats.map(|stats| stats.map_age_s).filter(|age_s| age_s.is_finite()),
+        is_map_old: stats.map(|stats| stats.merged == 1 && stats.map_age_s > MAP_OLD_AFTER_S),
     }
 }
 

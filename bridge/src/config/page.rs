@@ -1,6 +1,6 @@
 //! The settings of the operator's page.
 
-use super::ConfigError;
+use super::{ConfigError, HttpsConfig};
 use serde::{Deserialize, Serialize};
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -20,17 +20,26 @@ pub struct PageConfig {
     /// Web pages of other origins that may connect, such as `https://app.foxglove.dev`; at most 64. The page of this
     /// port may always, and so may programs that are no browsers.
     pub origins: Vec<String>,
+    /// The same page and protocol, encrypted.
+    pub https: HttpsConfig,
 }
 
 impl Default for PageConfig {
     fn default() -> Self {
-        Self { enabled: true, address: IpAddr::V4(Ipv4Addr::LOCALHOST), port: 8080, origins: Vec::new() }
+        Self {
+            enabled: true,
+            address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+            port: 8080,
+            origins: Vec::new(),
+            https: HttpsConfig::default(),
+        }
     }
 }
 
 impl PageConfig {
     /// Refuses values that cannot work; the error names the key.
     pub(crate) fn validate(&self) -> Result<(), ConfigError> {
+        self.https.validate()?;
         if self.origins.len() > ORIGINS_MAX {
             return Err(ConfigError::new(
                 "page.origins",

@@ -283,7 +283,7 @@ impl Core {
     }
 
     /// Records an event for the operator's log.
-    pub(super) fn report(&mut self, event: String) {
+    pub(crate) fn report(&mut self, event: String) {
         if self.departures.events.len() < EVENTS_MAX {
             self.departures.events.push(event);
         }

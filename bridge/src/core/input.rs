@@ -3,19 +3,18 @@
 use super::Core;
 use super::initial_pose::InitialPoseError;
 use super::navigation::GoalError;
+use super::world::world_message;
 use crate::access::{Action, PermissionError};
 use crate::command::name;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
 use crate::input::Input;
 use crate::relay::ReceivedMessage;
-use crate::router::{ClientId, Publication, RefusalKind, Source, TopicId};
+use crate::router::{ClientId, Publication, RefusalKind, Source};
 use crate::teleop::Stick;
-use crate::world::{DDS_SOURCE, Incoming, WorldError};
+use crate::world::WorldError;
 use msg::{EdgeCommand, Monotonic, RobotId};
 use ros_messages::cdr::{DecodeError, Reader, with_dummy_byte};
-use ros_messages::names::RobotNames;
-use ros_messages::read::{self, Transform};
-use ros_messages::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as, write};
+use ros_messages::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as};
 use thiserror::Error;
 
 /// Characters of a client's text that are quoted in an error.
@@ -106,6 +105,9 @@ impl Core {
         let (input, payload) = (message.input(), message.payload());
         let is_accepted = match Reader::new(payload).map(|from| world_message(input, from)) {
             Err(_) => false,
+            Ok(_) if input == Input::StaticTransforms => {
+                self.fleet.receive_static_transforms(&mut self.router, payload).is_ok()
+            }
             Ok(Some(message)) => self.receive_dds_world(message, now),
             Ok(None) => {
                 let Some(topic) = self.router.topics.find(message.topic()) else { return };
@@ -114,10 +116,6 @@ impl Core {
             }
         };
         self.router.counted.refused += u64::from(!is_accepted);
-    }
-
-    fn receive_dds_world(&mut self, message: Incoming<'_>, now: Monotonic) -> bool {
-        self.world.as_mut().is_none_or(|world| world.receive(DDS_SOURCE, message, now).is_ok())
     }
 
     /// Handles a client's message on a topic.
@@ -180,7 +178,8 @@ impl Core {
                 self.router.forward(publication.topic, payload);
                 self.apply_stick(id, stick, now)
             }
-            Input::Transforms => self.receive_transforms(id, publication.topic, payload, now),
+            Input::Transforms => self.receive_transforms(id, publication.topic, self.reader(payload)?, now),
+            Input::StaticTransforms => Ok(self.fleet.receive_static_transforms(&mut self.router, payload)?),
             Input::Scan(_) | Input::Odometry(_) | Input::RobotTransforms(_) | Input::Clock => {
                 let message = world_message(input, self.reader(payload)?);
                 message.map_or(Ok(()), |message| self.receive_world(id, message, now))
@@ -315,79 +314,4 @@ impl Core {
         }
         Ok(())
     }
-
-    /// Passes a client's sensor data to the external world.
-    fn receive_world(
-        &mut self,
-        id: ClientId,
-        message: Incoming<'_>,
-        now: Monotonic,
-    ) -> Result<(), InputError> {
-        let Some(world) = &mut self.world else { return Ok(()) };
-        let result = world.receive(id.serial, message, now);
-        if let Some(step_s) = world.take_clock_step(id.serial) {
-            self.report_clock_step(id, step_s);
-        }
-        Ok(result?)
-    }
-
-    /// Forwards a client's own transforms; those between the fleet's frames belong to SLAM and the robots.
-    ///
-    /// Refused transforms are left out, and the others are taken; the error is the first one's.
-    fn receive_transforms(
-        &mut self,
-        id: ClientId,
-        topic: TopicId,
-        payload: &[u8],
-        now: Monotonic,
-    ) -> Result<(), InputError> {
-        let from = Reader::with(self.config.payloads, payload)?;
-        let robots = self.fleet.robot_names().clone();
-        let (mut foreign, mut result) = (0, Ok(()));
-        read::transforms(&mut from.clone(), |transform| {
-            if is_foreign(&transform, &robots) {
-                foreign += 1;
-            } else if result.is_ok() && self.world.is_none() {
-                let (parent, child) = (transform.frame_id.to_owned(), transform.child_frame_id.to_owned());
-                result = Err(InputError::FleetFrames { parent, child });
-            }
-        })?;
-        if self.world.is_some() {
-            result = self.receive_world(id, Incoming::Transforms(from.clone()), now);
-        }
-        if foreign > 0 {
-            let world = self.world.as_ref();
-            self.router.publish(topic, |to| {
-                to.count(foreign);
-                let reread = read::transforms(&mut from.clone(), |transform| {
-                    if is_foreign(&transform, &robots) {
-                        let stamp =
-                            world.map_or(transform.stamp, |w| w.translate(id.serial, transform.stamp));
-                        let (frame, child) = (transform.frame_id, transform.child_frame_id);
-                        write::transform(to, stamp, frame, child, transform.translation, transform.rotation);
-                    }
-                });
-                debug_assert!(reread.is_ok(), "the same bytes were read before");
-            });
-        }
-        result
-    }
-}
-
-/// Returns the message to the external world that an input is, if it is one.
-fn world_message(input: Input, from: Reader<'_>) -> Option<Incoming<'_>> {
-    Some(match input {
-        Input::Scan(robot) => Incoming::Scan(robot, from),
-        Input::Transforms => Incoming::Transforms(from),
-        Input::Odometry(robot) => Incoming::Odometry(robot, from),
-        Input::RobotTransforms(robot) => Incoming::RobotTransforms(robot, from),
-        Input::Clock => Incoming::Clock(from),
-        _ => return None,
-    })
-}
-
-/// Returns whether a transform is not between the fleet's frames.
-fn is_foreign(transform: &Transform<'_>, robots: &RobotNames) -> bool {
-    let (parent, child) = (transform.frame_id, transform.child_frame_id);
-    robots.parse_frame(child).is_none() && !robots.is_correction(parent, child)
 }

@@ -228,7 +228,7 @@ impl EndpointState {
         }
     }
 
-    /// Tells the bridge that a robot begins to listen, or that whoever sent the last velocity is gone.
+    /// Tells the bridge that a robot begins to listen, or that the sender of the last velocity is gone.
     fn report_drivers(&mut self, event: &DomainParticipantStatusEvent) {
         use DomainParticipantStatusEvent::{ParticipantLost, WriterLost};
         if let Some(robot) = self.writers.new_listener(event) {

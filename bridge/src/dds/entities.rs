@@ -157,7 +157,8 @@ impl EntityFactory {
     /// Creates the reader of an input topic.
     pub fn input_reader(&self, input: &InputTopic) -> Result<Rc<RawReader>, EndpointError> {
         let history = History::KeepLast { depth: INPUT_DEPTH };
-        let qos = QosPolicyBuilder::new().durability(Durability::Volatile).history(history);
+        let durability = if input.is_latched() { Durability::TransientLocal } else { Durability::Volatile };
+        let qos = QosPolicyBuilder::new().durability(durability).history(history);
         // Best-effort readers accept best-effort and reliable writers; a single event must be reliable.
         let qos = if input.is_stream() { qos.best_effort() } else { qos.reliable(Duration::ZERO) }.build();
         let namespace = if input.is_global() { "" } else { &self.namespace };

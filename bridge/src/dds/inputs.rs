@@ -41,7 +41,12 @@ impl InputTopic {
 
     /// Returns whether the topic has the same name in every namespace.
     pub fn is_global(&self) -> bool {
-        matches!(self.input, Input::Transforms | Input::Clock)
+        matches!(self.input, Input::Transforms | Input::StaticTransforms | Input::Clock)
+    }
+
+    /// Returns whether messages sent before the endpoint started are wanted too (transient local).
+    pub fn is_latched(&self) -> bool {
+        self.input == Input::StaticTransforms
     }
 }
 
@@ -118,6 +123,7 @@ fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: b
 fn world_topics(robots: &RobotNames) -> Vec<InputTopic> {
     let mut all = vec![
         InputTopic::new::<TfMessage>("/tf".into(), Input::Transforms),
+        InputTopic::new::<TfMessage>("/tf_static".into(), Input::StaticTransforms),
         InputTopic::new::<Clock>("/clock".into(), Input::Clock),
     ];
     for robot in robots.robots() {

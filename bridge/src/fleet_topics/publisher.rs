@@ -1,9 +1,11 @@
 //! Selects the topics of a message of the fleet, and encodes the message for each.
 
 mod repeated;
+mod static_links;
 
 use super::map_updates::MapUpdates;
 use super::odom_frames::OdomFrames;
+use super::static_transforms::StaticTransformSet;
 use super::table::FleetTopic;
 use crate::input::Input;
 use crate::repeater::{CorrectionRepeater, Repetition};
@@ -106,8 +108,10 @@ pub struct FleetPublisher {
     /// The transforms map -> odom if they are repeated; otherwise they are sent with each of SLAM's answers.
     repeated: Option<RepeatedTransforms>,
     link_transforms: LinkTransforms,
-    /// Each robot's transforms, once seen; empty if they are [`LinkTransforms::ByRobots`].
-    static_transforms: Vec<Option<Transforms>>,
+    /// The transforms that never change; empty if they are [`LinkTransforms::ByRobots`].
+    static_transforms: StaticTransformSet,
+    /// Whether each robot's fixed links are in the set.
+    has_fixed_links: Vec<bool>,
     map_transforms: Option<MapTransforms>,
     map_transforms_due: Option<Monotonic>,
     now: Stamp,
@@ -127,7 +131,8 @@ impl FleetPublisher {
             },
             repeated: None,
             link_transforms,
-            static_transforms: vec![None; robots.count()],
+            static_transforms: StaticTransformSet::default(),
+            has_fixed_links: vec![false; robots.count()],
             map_transforms: None,
             map_transforms_due: None,
             now: Stamp(0),
@@ -278,20 +283,6 @@ impl FleetPublisher {
             }
             LinkTransforms::ByRobots => {}
         }
-    }
-
-    /// Publishes the fixed transforms of all robots seen so far, when a robot is seen first: the newest message is the
-    /// only one kept.
-    fn publish_fixed_links(&mut self, robot: RobotId, transforms: &Transforms, sink: &mut impl TopicSink) {
-        if self.static_transforms[robot.index()].is_some() {
-            return;
-        }
-        self.static_transforms[robot.index()] = Some(*transforms);
-        let all = self.robots.robots().zip(&self.static_transforms);
-        let seen: Vec<_> = all.filter_map(|(robot, seen)| Some((robot, seen.as_ref()?))).collect();
-        sink.send(FleetTopic::StaticTransforms, None, |to| {
-            write::some_transforms(to, &self.names, &seen, Link::is_fixed);
-        });
     }
 
     fn publish_correction(&mut self, robot: RobotId, correction: &Correction, sink: &mut impl TopicSink) {

@@ -293,6 +293,14 @@ mod tests {
     }
 
     #[test]
+    fn every_published_type_has_a_schema() {
+        for row in &OUTGOING_TOPICS {
+            let schema = ros_messages::schema::schema(row.message_type);
+            assert!(schema.is_some(), "{} has no schema", row.message_type);
+        }
+    }
+
+    #[test]
     fn a_topic_per_robot_is_named_after_each_robot() {
         assert_eq!(FleetTopic::Scan.row().names(&2.into()), ["/robot1/scan", "/robot2/scan"]);
         assert_eq!(FleetTopic::Clock.row().names(&2.into()), ["/clock"]);

@@ -3,9 +3,9 @@
 //! The router writes frames into it as into a socket. A payload is passed on as it is: of a large one nothing is copied.
 
 use super::protocol::{MESSAGE_DATA, MESSAGE_HEADER_BYTES, ServerCommand, StatusLevel};
-use super::schema::stamp_offset;
 use crate::command::{Notice, name};
 use crate::frame::NAME_MAX;
+use ros_messages::schema::stamp_offset;
 use std::collections::BTreeMap;
 use std::io::{self, IoSlice};
 

@@ -5,6 +5,7 @@ use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_reques
 use super::protocol::{ENCODING, ServerCommand};
 use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
+use super::tls::serve_encrypted;
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
 use crate::connection::{Stream, accept_connections, close_gently};
@@ -22,12 +23,13 @@ use tokio::net::TcpListener;
 use tokio::sync::Notify;
 use tokio::task::yield_now;
 use tokio::time::{Instant, sleep_until, timeout};
+use tokio_rustls::TlsAcceptor;
 use tungstenite::Message;
 
 /// Connections that are no clients yet or never will be, beside the clients; more are dropped.
 const REQUESTS_MAX: usize = 32;
 /// A request must be complete after this time.
-const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// A file must be taken in this time. The whole page is smaller than a map.
 const FILE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
@@ -43,8 +45,14 @@ const SERVER_NAME: &str = "MR-SLAM";
 /// A WebSocket frame that closes the connection, with code 1000: normal (RFC 6455, 5.5.1 and 7.4.1).
 const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
+/// Topic of texts that say what a device can do, as `/selfcheck` finds out; they go to the operator's log alone.
+const SELFCHECK_TOPIC: &str = "/mr_slam/selfcheck";
+/// Texts of one connection that are logged, and characters of one: a log is no place to fill a disk from.
+const SELFCHECKS_MAX: u32 = 4;
+const SELFCHECK_CHARS_MAX: usize = 2000;
+
 /// What all connections share.
-struct Shared {
+pub(super) struct Shared {
     bridge: Rc<Bridge>,
     files: &'static [PageFile],
     origins: Vec<String>,
@@ -64,12 +72,13 @@ impl Shared {
     }
 }
 
-/// Serves the page and its WebSockets until `stop` is ready.
+/// Serves the page and its WebSockets until `stop` is ready: encrypted with a TLS acceptor, otherwise in clear.
 ///
 /// Runs inside a [`tokio::task::LocalSet`] beside [`crate::serve_clients`]. The caller calls [`Bridge::tick`].
 pub async fn serve_page(
     bridge: Rc<Bridge>,
     listener: TcpListener,
+    encryption: Option<TlsAcceptor>,
     config: &PageConfig,
     files: &'static [PageFile],
     clock: fn() -> Monotonic,
@@ -77,7 +86,15 @@ pub async fn serve_page(
 ) {
     let (origins, session_id) = (config.origins.clone(), session_id());
     let shared = Rc::new(Shared { bridge: bridge.clone(), files, origins, clock, session_id });
-    let serve = |stream, peer| serve_connection(shared.clone(), stream, peer);
+    let serve = |stream, peer| {
+        let (shared, encryption) = (shared.clone(), encryption.clone());
+        async move {
+            match encryption {
+                Some(acceptor) => serve_encrypted(shared, stream, peer, acceptor).await,
+                None => serve_connection(shared, stream, peer).await,
+            }
+        }
+    };
     accept_connections(&bridge, listener, REQUESTS_MAX, stop, serve).await;
 }
 
@@ -88,7 +105,7 @@ fn session_id() -> String {
 }
 
 /// Answers the connection's one request.
-async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, peer: SocketAddr) {
+pub(super) async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, peer: SocketAddr) {
     let Ok(local) = stream.tcp().local_addr() else { return };
     let mut received = Vec::new();
     let read = timeout(REQUEST_TIMEOUT, read_request(&stream, &mut received, local, &shared.origins)).await;
@@ -159,6 +176,9 @@ struct Connection<'a, S> {
     encoder: &'a RefCell<Encoder>,
     session: Session,
     reader: MessageReader,
+    peer: SocketAddr,
+    /// Texts for the operator's log that it has sent.
+    selfchecks: u32,
 }
 
 impl<S> Drop for Connection<'_, S> {
@@ -194,7 +214,8 @@ async fn serve_web_socket(
         }
     };
     let (session, reader) = (Session::default(), MessageReader::new());
-    let mut connection = Connection { shared, id, stream: &*stream, encoder: &encoder, session, reader };
+    let mut connection =
+        Connection { shared, id, stream: &*stream, encoder: &encoder, session, reader, peer, selfchecks: 0 };
     // However it ends, the client is told what is left to say.
     let _ = connection.run(&wake, first_bytes).await;
     drop(connection);
@@ -236,6 +257,14 @@ fn flush(encoder: &RefCell<Encoder>, stream: &impl Stream) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
         result => result,
     }
+}
+
+/// Returns the text of a std_msgs/String in CDR, shortened and without control characters; empty if it is none.
+fn selfcheck_text(payload: &[u8]) -> String {
+    // A header of four bytes, then the length, which counts the NUL at the end.
+    let text = payload.get(8..).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text[..text.len().min(4 * SELFCHECK_CHARS_MAX)]);
+    text.chars().filter(|character| !character.is_control()).take(SELFCHECK_CHARS_MAX).collect()
 }
 
 impl<S: Stream> Connection<'_, S> {
@@ -330,8 +359,17 @@ impl<S: Stream> Connection<'_, S> {
             }
             Message::Binary(bytes) => {
                 let found = self.session.receive_binary(&bytes, &mut self.encoder.borrow_mut())?;
-                if let Some((topic, payload)) = found {
-                    bridge.receive(self.id, Frame { name: topic.as_bytes(), payload }, now);
+                match found {
+                    Some((SELFCHECK_TOPIC, _)) if self.selfchecks >= SELFCHECKS_MAX => {}
+                    Some((SELFCHECK_TOPIC, payload)) => {
+                        self.selfchecks += 1;
+                        let text = selfcheck_text(payload);
+                        bridge.report_event(format!("self-check of {}: {text}", self.peer.ip()));
+                    }
+                    Some((topic, payload)) => {
+                        bridge.receive(self.id, Frame { name: topic.as_bytes(), payload }, now);
+                    }
+                    None => {}
                 }
             }
             // Answers to pings: the client lives.

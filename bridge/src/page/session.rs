@@ -5,9 +5,9 @@ use super::protocol::{
     BinaryError, Channel, ClientChannel, ClientCommand, ClientMessage, ENCODING, FLEET_PARAMETER, Parameter,
     SCHEMA_ENCODING, ServerCommand, StatusLevel, Subscription, message_type, schema_name,
 };
-use super::schema::schema;
 use crate::bridge::FleetStatus;
 use crate::command::{Registration, name};
+use ros_messages::schema::schema;
 use std::collections::BTreeMap;
 use std::io;
 use thiserror::Error;

@@ -23,7 +23,7 @@ const DRIFT_MAX: f64 = 200e-6;
 const STEP_S: f64 = 1.0;
 /// As many whole seconds far above the bound mean that the clock was set back: networks stall for shorter.
 const STEP_SECONDS: u32 = 3;
-/// A message this far below the bound is believed only if others agree, seconds: no network delivers so early.
+/// A message this far below the bound is accepted only if others agree, seconds: no network delivers so early.
 const OUTLIER_S: f64 = 0.05;
 /// The offset in use follows the estimate at most at this rate, seconds per second, so that stamps stay in order ...
 const SLEW_RATE: f64 = 0.01;
@@ -140,7 +140,7 @@ impl DelayHistory {
 }
 
 /// The clock of one source: of a client, or of a machine on the network.
-// More than 12 fields: the estimate, and what is remembered until it is believed changed.
+// More than 12 fields: the estimate, and what is remembered until it is accepted as changed.
 #[derive(Debug)]
 pub struct SourceClock {
     setting: ClockOffset,

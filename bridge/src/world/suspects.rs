@@ -12,8 +12,8 @@ const AGREEMENT_SPAN_S: f64 = 2.0;
 /// A message's stamp agrees with no other message of its source.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[error(
-    "the message is stamped {:.3} s {} than the source's other messages and is dropped: a clock is believed to have \
-     changed when {STEP_MESSAGES} messages agree",
+    "the message is stamped {:.3} s {} than the source's other messages and is dropped: a clock's change is \
+     accepted when {STEP_MESSAGES} messages agree",
     .ahead_s.abs(), if *.ahead_s > 0.0 { "later" } else { "earlier" }
 )]
 pub struct OutlierError {

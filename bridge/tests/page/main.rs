@@ -3,10 +3,12 @@
 mod browser;
 mod driving;
 mod http;
+mod https;
 mod topics;
 
 use bridge::{Bridge, BridgeConfig, PageFile, process_clock, serve, serve_page};
 use msg::{RobotId, VelocityCommand};
+use std::future::pending;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
@@ -26,6 +28,8 @@ type Job = Box<dyn FnOnce(&Bridge) + Send>;
 pub(crate) struct Served {
     /// Address of the page.
     pub(crate) page: SocketAddr,
+    /// Address of the page over HTTPS.
+    pub(crate) encrypted: SocketAddr,
     /// Velocities that robots have got: robot, m/s, rad/s.
     pub(crate) velocities: Arc<Mutex<Vec<(usize, f64, f64)>>>,
     jobs: Option<mpsc::UnboundedSender<Job>>,
@@ -49,18 +53,26 @@ impl Served {
                 let bridge = Rc::new(Bridge::new(config, 2, on_command).unwrap());
                 let tcp = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
                 let page = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
-                send_address.send(page.local_addr().unwrap()).unwrap();
+                let encrypted = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+                send_address.send((page.local_addr().unwrap(), encrypted.local_addr().unwrap())).unwrap();
+                let (of_bridge, of_config) = (bridge.clone(), page_config.clone());
+                let encrypted = tokio::task::spawn_local(async move {
+                    let acceptor = Some(https::acceptor());
+                    serve_page(of_bridge, encrypted, acceptor, &of_config, FILES, process_clock, pending())
+                        .await;
+                });
                 let (stop, stopped) = oneshot::channel::<()>();
                 let stopped = async move { drop(stopped.await) };
                 let server = tokio::task::spawn_local(serve(bridge.clone(), tcp, process_clock, stopped));
                 let jobs = run_jobs(bridge.clone(), received);
-                serve_page(bridge, page, &page_config, FILES, process_clock, jobs).await;
+                serve_page(bridge, page, None, &page_config, FILES, process_clock, jobs).await;
+                encrypted.abort();
                 drop(stop);
                 server.await.unwrap();
             });
         });
-        let page = address.recv().unwrap();
-        Self { page, velocities, jobs: Some(jobs), thread: Some(thread) }
+        let (page, encrypted) = address.recv().unwrap();
+        Self { page, encrypted, velocities, jobs: Some(jobs), thread: Some(thread) }
     }
 
     /// Does something on the bridge's thread, and waits until it is done.

@@ -4,7 +4,7 @@ use crate::Served;
 use crate::browser::{Browser, WAIT_MAX};
 use bridge::command::{Registration, name};
 use bridge::frame::{Frame, Parser};
-use bridge::ros::Twist;
+use bridge::ros::{Text, Twist};
 use bridge::{Bridge, BridgeConfig, FleetMessage};
 use bytemuck::Zeroable;
 use msg::{GridHeader, GridView, Header, Monotonic, RobotId, Stamp};
@@ -135,4 +135,27 @@ fn a_dropped_browser_is_told_why() {
             Err(error) => break assert!(matches!(error, tungstenite::Error::ConnectionClosed), "{error}"),
         }
     }
+}
+
+#[test]
+fn a_self_check_goes_to_the_log_shortened_and_not_for_ever() {
+    let served = Served::start(BridgeConfig::default());
+    let mut browser = Browser::connect(served.page);
+    let channel = browser.advertise::<Text>("/mr_slam/selfcheck");
+    let begun = std::time::Instant::now();
+    for i in 0..20 {
+        browser.publish(channel, &Text(format!("check {i}: yes\n{}", "x".repeat(10_000))));
+    }
+    let mut events = Vec::new();
+    while events.len() < 4 {
+        assert!(begun.elapsed() < crate::browser::WAIT_MAX, "{events:?}");
+        events.extend(served.with(|bridge| bridge.take_events()));
+    }
+    // A command that is answered shows that the bridge has read all that came before it.
+    browser.send(&serde_json::json!({"op": "subscribe", "subscriptions": [{"id": 9, "channelId": 9999}]}));
+    browser.wait_for_status("9999");
+    events.extend(served.with(|bridge| bridge.take_events()));
+    assert_eq!(events.len(), 4, "{events:?}");
+    assert!(events[0].starts_with("self-check of 127.0.0.1: check 0: yesx"), "{events:?}");
+    assert!(events.iter().all(|event| event.len() < 2100 && !event.contains('\n')));
 }

@@ -81,8 +81,9 @@ fn map_transforms(x_m: f64) -> MapTransforms {
     transforms
 }
 
-/// Exactly the topics and frames of Unity's example: it publishes `scan`, `/tf` and `clock` and subscribes to `cmd_vel`
-/// and `/map`, without a robot's name anywhere.
+/// Exactly the topics, frames and values of Unity's example: it publishes `/scan`, `/tf` and `clock` and subscribes to
+/// `cmd_vel` and `/map`, without a robot's name anywhere. Where its laser sees nothing, a range is the largest float. Its
+/// transforms say that `odom` lies at the origin of `map`, between the robot's own.
 #[test]
 fn unitys_navigation_example_is_mapped_under_its_own_names() {
     let (bridge, log) = external(&[""]);
@@ -96,13 +97,21 @@ fn unitys_navigation_example_is_mapped_under_its_own_names() {
     unity.send("clock", &ros::Clock { clock: STAMP }, NOW);
     let transforms = vec![
         edge("odom", "base_footprint", 1.5),
+        edge("map", "odom", 0.0),
         edge("base_footprint", "base_link", 0.0),
         edge("base_link", "base_scan", 0.0),
+        edge("base_link", "wheel_left_link", 0.0),
     ];
     unity.send("/tf", &TfMessage { transforms }, NOW);
-    unity.send("/scan", &scan("base_scan"), NOW);
-    let expected = ["clock", "robot1 odometry 1.5", "robot1 links 3", "robot1 scan"];
+    let mut sweep = LaserScan { range_max: 1000.0, scan_time: 0.1, ..scan("base_scan") };
+    sweep.ranges[3] = f32::MAX;
+    sweep.intensities = vec![0.0; sweep.ranges.len()];
+    unity.send("/scan", &sweep, NOW);
+    let expected = ["clock", "robot1 odometry 1.5", "robot1 links 4", "robot1 scan"];
     assert_eq!(*log.borrow(), expected);
+    let refusals: Vec<_> = unity.take_frames().into_iter().filter(|(name, _)| name == "__error").collect();
+    let [(_, text)] = refusals.as_slice() else { panic!("{refusals:?}") };
+    assert!(String::from_utf8_lossy(text).contains("map -> odom"), "the rest is taken, and this is said");
 
     bridge.publish(FleetMessage::Correction(RobotId::new(1).unwrap(), &correction(0.5)));
     assert!(

@@ -97,6 +97,16 @@ impl<'a> Picture<'a> {
     }
 }
 
+/// Encodes grey values, 0 to 255, as a PNG; rows from the top.
+///
+/// # Errors
+/// The number of values is not `width` times `height`.
+pub fn encode_grey_png(width: u32, height: u32, greys: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    encode(&mut bytes, width, height, png::ColorType::Grayscale, greys)?;
+    Ok(bytes)
+}
+
 /// Encodes a PNG of 8 bits a sample, rows from the top.
 pub(super) fn encode(
     file: impl Write,

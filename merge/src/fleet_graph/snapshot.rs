@@ -49,7 +49,7 @@ pub enum SnapshotRejected {
         expected: usize,
     },
     /// A number or an index is not valid.
-    #[error("has {0} that makes no sense")]
+    #[error("has {0} that is invalid")]
     Value(&'static str),
 }
 

@@ -44,6 +44,8 @@ pub(super) struct PlanBuffers {
     robots: Vec<usize>,
     viewpoints: Vec<Viewpoint>,
     costs: Vec<u32>,
+    /// Cells that were looked at in vain.
+    given_up: Vec<bool>,
 }
 
 impl PlanBuffers {
@@ -102,8 +104,11 @@ impl FleetCoordinator {
         let clearance_min_m = self.clearance_min_m();
         let Self { map, buffers, .. } = self;
         let is_excluded = |cell: usize| {
-            let centre_m = map.cell_centre_m(cell);
-            input.excluded.iter().any(|polygon| contains(polygon, centre_m))
+            // The centre takes longer than all else here.
+            !input.excluded.is_empty() && {
+                let centre_m = map.cell_centre_m(cell);
+                input.excluded.iter().any(|polygon| contains(polygon, centre_m))
+            }
         };
         buffers.coarse.update(map, clearance_min_m, is_excluded);
         buffers.robots.clear();
@@ -131,12 +136,14 @@ impl FleetCoordinator {
         let Self { map, buffers, config, unseen, goals, .. } = self;
         let mut views = core::mem::take(&mut buffers.views);
         let mut found = core::mem::take(&mut buffers.viewpoints);
+        let mut given_up = core::mem::take(&mut buffers.given_up);
         let is_candidate = |cell: usize| {
             map.occupancy(cell) == Occupancy::Free
                 && map.clearance_m(cell) >= clearance_min_m
                 && buffers.is_reached(cell)
         };
-        let is_ignored = |cell: usize| unseen.is_given_up(map.cell_centre_m(cell));
+        unseen.mark_given_up(map, &mut given_up);
+        let is_ignored = |cell: usize| given_up[cell];
         // Where robots stand and where they go now are candidates too.
         let places = buffers.robots.iter().flat_map(|index| {
             let robot = &input.robots[*index];
@@ -156,7 +163,7 @@ impl FleetCoordinator {
                 break;
             }
         }
-        (buffers.views, buffers.viewpoints) = (views, found);
+        (buffers.views, buffers.viewpoints, buffers.given_up) = (views, found, given_up);
     }
 
     /// Assigns viewpoints to robots as tours, and sets the robots' goals to the first of each.

@@ -1,5 +1,6 @@
 //! Unknown cells that robots have looked at in vain: some surfaces never return a beam.
 
+use crate::clearance_map::ClearanceMap;
 use std::collections::HashMap;
 
 /// Side of a square in which attempts are counted, metres: two cells of the map, so that corrections of it matter little.
@@ -43,6 +44,26 @@ impl UnseenCells {
     /// Whether a point is in a square that is left alone.
     pub(super) fn is_given_up(&self, point_m: [f64; 2]) -> bool {
         self.attempts.get(&Self::key(point_m)).is_some_and(|square| square.count >= ATTEMPTS_MAX)
+    }
+
+    /// Sets the cells of a map whose squares are left alone.
+    pub(super) fn mark_given_up(&self, map: &ClearanceMap, cells: &mut Vec<bool>) {
+        cells.clear();
+        cells.resize(map.cell_count(), false);
+        let given_up = self.attempts.iter().filter(|(_, square)| square.count >= ATTEMPTS_MAX);
+        // The cells whose centres lie in a square, with one of margin: their own test decides.
+        let steps = (SQUARE_M / map.cell_size_m()).ceil() as i64 + 1;
+        for (key, _) in given_up {
+            let middle_m = key.map(|v| (f64::from(v) + 0.5) * SQUARE_M);
+            let Some(middle) = map.cell_at(middle_m) else { continue };
+            for (dx, dy) in (-steps..=steps).flat_map(|dy| (-steps..=steps).map(move |dx| (dx, dy))) {
+                let cell = middle as i64 + dy * map.width() + dx;
+                let cell = usize::try_from(cell).ok().filter(|cell| *cell < cells.len());
+                if let Some(cell) = cell.filter(|cell| Self::key(map.cell_centre_m(*cell)) == *key) {
+                    cells[cell] = true;
+                }
+            }
+        }
     }
 
     fn key(point_m: [f64; 2]) -> [i32; 2] {

@@ -36,6 +36,8 @@ pub(super) struct ViewpointSearch {
     search: u32,
     candidates: Vec<(f64, usize)>,
     rays: Vec<Ray>,
+    /// Number of unknown cells beside free ones above and left of each cell, this one included (summed-area table).
+    frontiers: Vec<u32>,
 }
 
 /// Steps of one ray: cell offsets.
@@ -64,8 +66,10 @@ impl ViewpointSearch {
         found.clear();
         self.begin(map, config);
         self.candidates.clear();
-        let on_lattice = lattice(map).filter(|cell| is_candidate(*cell));
-        for cell in on_lattice.chain(extra.iter().copied()) {
+        self.count_frontiers(map);
+        let on_lattice: Vec<usize> =
+            lattice(map).filter(|cell| is_candidate(*cell) && self.is_near_frontier(map, *cell)).collect();
+        for cell in on_lattice.into_iter().chain(extra.iter().copied()) {
             let gains = self.gains(map, config, cell, is_ignored);
             let gain_m2: f64 = gains.iter().sum();
             if gain_m2 >= gain_min_m2 {
@@ -129,6 +133,38 @@ impl ViewpointSearch {
         if self.rays.first().is_none_or(|ray| ray.0.len() != reach) {
             self.rays = (0..RAYS).map(|ray| ray_steps(ray, reach)).collect();
         }
+    }
+
+    fn count_frontiers(&mut self, map: &ClearanceMap) {
+        let width = map.width() as usize;
+        self.frontiers.clear();
+        self.frontiers.resize(map.cell_count(), 0);
+        for cell in width..map.cell_count().saturating_sub(width) {
+            let is_frontier = map.occupancy(cell) == Occupancy::Unknown
+                && [cell - 1, cell + 1, cell - width, cell + width]
+                    .iter()
+                    .any(|side| map.occupancy(*side) == Occupancy::Free);
+            // The table of a row's first cell begins anew: the cell before it is on the other edge.
+            let before = if cell % width == 0 { 0 } else { self.frontiers[cell - 1] };
+            let above_before = if cell % width == 0 { 0 } else { self.frontiers[cell - width - 1] };
+            self.frontiers[cell] =
+                u32::from(is_frontier) + before + self.frontiers[cell - width] - above_before;
+        }
+    }
+
+    /// Whether a frontier lies in the square that rays from a cell reach.
+    fn is_near_frontier(&self, map: &ClearanceMap, cell: usize) -> bool {
+        let width = map.width();
+        // The last row of the map has no table.
+        let rows = map.cell_count() as i64 / width - 1;
+        let reach = self.rays.first().map_or(0, |ray| ray.0.len()) as i64;
+        let (x, y) = (cell as i64 % width, cell as i64 / width);
+        let at = |x: i64, y: i64| {
+            let (x, y) = (x.min(width - 1), y.min(rows - 1));
+            if x < 0 || y < 0 { 0 } else { self.frontiers[(y * width + x) as usize] }
+        };
+        let (left, right, low, high) = (x - reach - 1, x + reach, y - reach - 1, y + reach);
+        at(right, high) + at(left, low) > at(left, high) + at(right, low)
     }
 
     fn gains(

@@ -17,7 +17,7 @@ fn tf(child: &str, stamp_s: f64) -> Vec<u8> {
 
 #[test]
 fn jitter_and_lost_messages_are_counted() {
-    let mut statistics = LinkStatistics::new();
+    let mut statistics = LinkStatistics::default();
     let epoch = statistics.epoch;
     statistics.on_connected();
     for i in 0..1000 {
@@ -40,7 +40,7 @@ fn jitter_and_lost_messages_are_counted() {
 
 #[test]
 fn messages_between_two_connections_are_not_lost() {
-    let mut statistics = LinkStatistics::new();
+    let mut statistics = LinkStatistics::default();
     let epoch = statistics.epoch;
     for connection in 0..2 {
         statistics.on_connected();
@@ -58,7 +58,7 @@ fn messages_between_two_connections_are_not_lost() {
 
 #[test]
 fn memory_is_bounded_for_any_messages() {
-    let mut statistics = LinkStatistics::new();
+    let mut statistics = LinkStatistics::default();
     let now = Instant::now();
     for i in 0..(2 * STREAMS_MAX) {
         statistics.record("/tf", &tf(&format!("frame{i}"), 0.0), now).unwrap();
@@ -73,14 +73,4 @@ fn memory_is_bounded_for_any_messages() {
     assert!(report.other_messages > 0);
     assert_eq!((report.tf.streams, report.undecodable), (STREAMS_MAX, 1));
     assert_eq!(report.tf.jitter_ms.count, ARRIVALS_MAX + STREAMS_MAX - 1);
-}
-
-#[test]
-fn robot_topics_name_a_robot() {
-    let robot = |n| RobotId::new(n).unwrap();
-    assert_eq!(robot_topic("/robot2/scan"), Some((robot(2), "scan")));
-    assert_eq!(robot_topic("/robot64/map"), Some((robot(64), "map")));
-    assert_eq!(robot_topic("/robot65/map"), None);
-    assert_eq!(robot_topic("/robot/map"), None);
-    assert_eq!(robot_topic("/merged_map"), None);
 }

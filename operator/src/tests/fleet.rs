@@ -1,6 +1,6 @@
 //! A bridge on a thread of its own, with a test world in place of simulators, SLAM and merging.
 
-use bridge::{Bridge, BridgeConfig, FleetMessage, process_clock, serve};
+use bridge::{Bridge, BridgeConfig, FleetMessage, RobotNames, process_clock, serve};
 use msg::{Link, LinkTransform, Pose2, RobotId, Scan, Stamp, Transforms};
 use nav::Twist;
 use nav::test_world::{RANGE_MAX_M, RANGE_MIN_M, TestWorld, beam_angle_rad};
@@ -28,7 +28,7 @@ pub(super) struct Fleet {
 
 /// Starts a bridge and its world; sets `stop` once the world is as `is_done` says.
 pub(super) fn spawn_fleet(
-    robots: usize,
+    names: RobotNames,
     stop: Arc<AtomicBool>,
     is_done: impl Fn(&TestWorld) -> bool + Send + 'static,
 ) -> Fleet {
@@ -36,9 +36,9 @@ pub(super) fn spawn_fleet(
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         LocalSet::new().block_on(&runtime, async move {
-            let world = Rc::new(RefCell::new(TestWorld::new(robots, 3)));
+            let world = Rc::new(RefCell::new(TestWorld::new(names.count(), 3)));
             let driven = world.clone();
-            let bridge = Bridge::new(BridgeConfig::default(), robots, move |robot, command| {
+            let bridge = Bridge::new(BridgeConfig::default(), names, move |robot, command| {
                 let (linear_m_s, angular_rad_s) = (command.linear_m_s, command.angular_rad_s);
                 driven.borrow_mut().set_velocity(robot, Twist { linear_m_s, angular_rad_s });
             });

@@ -55,6 +55,7 @@ fn process_table() -> String {
     for row in &PROCESSES {
         let each = if row.per_robot { "robot" } else { "fleet" };
         let each = if row.simulated_world_only { "simulated robot" } else { each };
+        let each = if row.recording_only { "recorded fleet" } else { each };
         let _ = writeln!(
             text,
             "| {} | {each} | `mr-slam worker {}` | {} |",

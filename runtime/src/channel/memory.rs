@@ -21,7 +21,7 @@ pub struct SharedMemoryNeed {
 
 /// Computes what the channels of a fleet need. `outside`: the robots are not simulated here.
 pub fn shared_memory_need(robots: usize, outside: bool) -> SharedMemoryNeed {
-    let processes = processes::of_fleet(robots, outside).count();
+    let processes = processes::of_fleet(robots, outside, true).count();
     let mut need = SharedMemoryNeed { least: 0, most: 0 };
     for row in CHANNELS {
         let channels = match row.scope {

@@ -1,7 +1,7 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
 use super::End::{Of, OfFirst, OfOthers, OutsideWorld};
-use super::Program::{EdgesTool, GotoTool, Launcher, SlamTool, Worker};
+use super::Program::{EdgesTool, GotoTool, Launcher, RecordTool, SlamTool, Worker};
 use super::{Channel, ChannelRow, End, Program, Scope, TypedRow};
 use msg::{
     Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, NavigationCommand,
@@ -15,11 +15,12 @@ const MERGE: Program = Worker(Role::Merge);
 const TELEMETRY: Program = Worker(Role::Telemetry);
 const BRIDGE: Program = Worker(Role::Bridge);
 const NAV: Program = Worker(Role::Nav);
+const RECORD: Program = Worker(Role::Record);
 
 /// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
 pub const MAP_MESSAGES_MAX: usize = 4;
-/// Readers of an ordinary channel: the table names at most four; the rest is for `status` and tools.
-const READERS_MAX: usize = 8;
+/// Readers of an ordinary channel: the table names at most seven; the bridge's second thread, `status` and tools are the rest.
+const READERS_MAX: usize = 12;
 /// Readers of submaps, whose messages are large: merge and one tool.
 const SUBMAP_READERS_MAX: usize = 2;
 /// Writers of requests: the bridge's two endpoints and commands of people.
@@ -46,20 +47,20 @@ const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
 const SIM_OR_OUTSIDE: &[End] = &[Of(SIM), OutsideWorld(BRIDGE)];
-const EVERYBODY: &[End] = &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV)];
+const EVERYBODY: &[End] = &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
 
 static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
     content: "wished velocity, 20 Hz while somebody drives",
     writers: &[Of(BRIDGE)],
-    readers: &[Of(SIM), OutsideWorld(BRIDGE)],
+    readers: &[Of(SIM), OutsideWorld(BRIDGE), Of(RECORD), Of(RecordTool), Of(Launcher)],
     ..STREAM
 });
 static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     name: "scan",
     content: "one turn of the LiDAR, 10 Hz",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(SLAM), Of(BRIDGE), Of(NAV)],
+    readers: &[Of(SLAM), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool)],
     // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
     depth: 16,
     ..STREAM
@@ -68,7 +69,7 @@ static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
     name: "odometry",
     content: "wheel odometry, 20 Hz, before the scan of the same stamp",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(SLAM), Of(BRIDGE)],
+    readers: &[Of(SLAM), Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     depth: 64,
     // The scan of the same stamp wakes the reader.
     wakes: false,
@@ -78,14 +79,14 @@ static TRANSFORMS: TypedRow<Transforms> = TypedRow::new(ChannelRow {
     name: "transforms",
     content: "the robot's own frames, 20 Hz",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });
 static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
     name: "truth",
     content: "the simulated pose, 100 Hz",
     writers: &[Of(SIM)],
-    readers: &[OfOthers(SIM), Of(TELEMETRY), Of(Launcher)],
+    readers: &[OfOthers(SIM), Of(TELEMETRY), Of(Launcher), Of(RECORD), Of(RecordTool)],
     depth: 4,
     readers_max: READERS_MAX + ROBOTS_MAX,
     // Readers poll once in each tick of their own.
@@ -97,14 +98,14 @@ static CLOCK: TypedRow<Clock> = TypedRow::new(ChannelRow {
     content: "the run's time, 100 Hz",
     scope: Scope::Fleet,
     writers: &[OfFirst(SIM), OutsideWorld(BRIDGE)],
-    readers: &[Of(BRIDGE)],
+    readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });
 static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
     name: "correction",
     content: "the pose in the robot's map, one for each scan",
     writers: &[Of(SLAM)],
-    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher)],
+    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });
 // Readers cannot count lost messages of several writers: a client notices a lost request by the missing answer.
@@ -129,7 +130,7 @@ static ROBOT_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     name: "map",
     content: "changed tiles of the robot's map, at most 10 Hz",
     writers: &[Of(SLAM)],
-    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher)],
+    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
     ..MAP
 });
 static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
@@ -165,14 +166,14 @@ static MERGED_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     content: "changed tiles of the fleet's map",
     scope: Scope::Fleet,
     writers: &[Of(MERGE)],
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
     ..MAP
 });
 static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
     name: "map_transforms",
     content: "where each robot's map lies in the fleet's, before each merged map",
     writers: &[Of(MERGE)],
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool), Of(Launcher)],
     wakes: false,
     ..STATE
 });
@@ -180,7 +181,7 @@ static MERGE_EDGES: TypedRow<MergeEdges> = TypedRow::new(ChannelRow {
     name: "merge_edges",
     content: "relative pose and evidence of each pair of robots, on change",
     writers: &[Of(MERGE)],
-    readers: &[Of(BRIDGE), Of(Launcher), Of(EdgesTool)],
+    readers: &[Of(BRIDGE), Of(Launcher), Of(EdgesTool), Of(RECORD), Of(RecordTool)],
     ..STATE
 });
 static EDGE_COMMAND: TypedRow<EdgeCommand> = TypedRow::new(ChannelRow {
@@ -197,7 +198,7 @@ static STATS: TypedRow<FleetStats> = TypedRow::new(ChannelRow {
     name: "stats",
     content: "the fleet's figures, 1 Hz",
     writers: &[Of(TELEMETRY)],
-    readers: &[Of(BRIDGE), Of(Launcher)],
+    readers: &[Of(BRIDGE), Of(Launcher), Of(RECORD), Of(RecordTool)],
     ..STATE
 });
 static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {

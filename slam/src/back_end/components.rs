@@ -29,6 +29,9 @@ const BREAK_POINTS_MIN: usize = 60;
 /// A path shorter than this has not drifted by what counts as a contradiction, metres.
 const STRAIGHT_M: f64 = 20.0;
 
+/// A robot is carried this far while it is lifted and put down, metres; beyond, by its speed.
+const REACH_M: f64 = 3.0;
+
 impl BackEnd {
     /// Verifies or breaks the odometry edge before a node that did not fit. When that node, or one after
     /// it, sees what older nodes saw, a link confirms the edge; if they contradict each other, it is
@@ -150,6 +153,9 @@ impl BackEnd {
         self.location.component_relocalizer = None;
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
+        if self.is_beyond_reach(first, id, map_from_node) {
+            self.doubts.distant_relocations += 1;
+        }
         self.add_closures(&[ClosureCandidate {
             node: id,
             candidate,
@@ -157,6 +163,18 @@ impl BackEnd {
             information: information_from_sigmas(FOUND_M, FOUND_RAD),
             response: self.config.relocalize.response_min,
         }]);
+    }
+
+    /// Whether the robot, last in the map before node `first`, cannot have gone to where node `id` was found.
+    fn is_beyond_reach(&self, first: u32, id: u32, map_from_node: Pose2) -> bool {
+        let Some(last) = first.checked_sub(1) else { return false };
+        let [last_node, first_node] = [last, first].map(|id| &self.nodes[id as usize]);
+        let poses = self.graph.poses();
+        let across = first_node.previous_from_this.unwrap_or_default();
+        let expected = poses[last as usize] * across * poses[first as usize].between(poses[id as usize]);
+        let carried_m =
+            self.config.odometry.speed_max_m_s * (first_node.header.stamp - last_node.header.stamp);
+        expected.distance_m(map_from_node) > REACH_M + carried_m
     }
 
     /// The node of the map nearest to a place.

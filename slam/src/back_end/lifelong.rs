@@ -36,6 +36,11 @@ pub(super) struct Lifelong {
 }
 
 impl BackEnd {
+    /// Nodes removed so far; the others then have new numbers.
+    pub fn retired(&self) -> u64 {
+        self.lifelong.retired
+    }
+
     /// Removes what later nodes contradict or repeat; called after each node in lifelong mode.
     pub(super) fn forget_views(&mut self) {
         let Some(newest) = self.nodes.len().checked_sub(1).filter(|_| self.newest_in_map()) else { return };
@@ -143,6 +148,7 @@ impl BackEnd {
         self.numbers.front_ids.retain(|_| (keep(id), id += 1).0);
         let mut id = 0;
         self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
+        self.doubts.forget_nodes();
         self.loop_closer.renumber(&number);
         self.lifelong.retired += gone.len() as u64;
         self.count_closures();

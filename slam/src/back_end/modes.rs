@@ -220,6 +220,7 @@ impl BackEnd {
             uncertainty: self.frame_uncertainty(),
             closures: self.loop_closer.in_force,
             located: map_from_local.is_some() && self.is_located(),
+            unreliable: self.doubts().is_unreliable(),
         }
     }
 

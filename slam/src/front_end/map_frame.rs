@@ -18,6 +18,8 @@ pub(super) struct MapFrame {
     pub is_located: bool,
     /// The newest node whose odometry edge is broken: revisions caused by older nodes do not locate the robot.
     pub last_break: Option<u32>,
+    /// Whether there is evidence that the map is wrong, as last reported.
+    pub is_unreliable: bool,
     /// Number of active closures, as last reported.
     pub closures: u32,
     /// Revisions that take effect with a later node, oldest first.
@@ -31,6 +33,7 @@ impl MapFrame {
             uncertainty: FrameUncertainty::default(),
             is_located: true,
             last_break: None,
+            is_unreliable: false,
             closures: 0,
             revisions: VecDeque::with_capacity(REVISIONS_MAX),
         }
@@ -73,6 +76,7 @@ impl MapFrame {
             self.map_from_local = revision.map_from_local;
             self.uncertainty = revision.uncertainty;
             self.is_located = revision.located && self.last_break.is_none_or(|at| revision.cause >= at);
+            self.is_unreliable = revision.unreliable;
             self.closures = revision.closures;
         }
     }

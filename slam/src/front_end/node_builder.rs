@@ -19,6 +19,8 @@ pub(super) struct NodeBuilder {
     pub last_scan_lost: bool,
     /// Whether a node was requested: the next scan that fits becomes one.
     pub requested: bool,
+    /// Time since the newest node in which neither odometry nor scans measured the motion, seconds.
+    pub unmeasured_s: f32,
     /// Positions since the newest node, in the front end's frame.
     pub swept_path: SweptPath,
 }
@@ -32,6 +34,7 @@ impl NodeBuilder {
             lost_in_row: 0,
             last_scan_lost: false,
             requested: false,
+            unmeasured_s: 0.0,
             swept_path: SweptPath::default(),
         }
     }
@@ -68,8 +71,9 @@ impl NodeBuilder {
         self.next_node += 1;
         self.published = Some((node.id, node.local_from_base));
         self.published_from_newest = Some(Pose2::IDENTITY);
+        let unmeasured_s = core::mem::take(&mut self.unmeasured_s);
         let path = core::mem::take(&mut self.swept_path);
         let swept_path = if keep_path { path.seen_from(node.local_from_base) } else { SweptPath::default() };
-        Node { swept_path, ..node }
+        Node { swept_path, unmeasured_s, ..node }
     }
 }

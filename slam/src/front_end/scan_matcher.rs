@@ -174,8 +174,9 @@ impl ScanMatcher {
             return None;
         }
         let floor = Matrix3::from_diagonal(&Vector3::from(COVARIANCE_FLOOR));
-        let covariance = (fit.information_of_lines + information).try_inverse()? + floor;
-        let degenerate = largest_sigma_m(&fit.information_of_lines)? > config.tracking.degenerate_sigma_m;
+        let covariance = (fit.information_without_noise + information).try_inverse()? + floor;
+        let degenerate =
+            largest_sigma_m(&fit.information_without_noise)? > config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
         Some(TrackedPose { local_from_base: fit.frame_from_cloud, covariance, state, slipped })
     }

@@ -79,6 +79,7 @@ impl FrontEnd {
             lost_in_row: state.lost_in_row,
             last_scan_lost: state.last_scan_lost,
             requested: false,
+            unmeasured_s: 0.0,
             swept_path: state.swept_path,
         };
         front.frame.restore_revisions(state.waiting);

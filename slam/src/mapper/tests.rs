@@ -27,6 +27,7 @@ fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
         local_from_base: Pose2::IDENTITY,
         previous_from_this: None,
         fits,
+        unmeasured_s: 0.0,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),
         // Some came from afar, or nobody knows from where.

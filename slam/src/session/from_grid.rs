@@ -52,6 +52,7 @@ impl Session {
                 local_from_base: map_from_base,
                 previous_from_this: None,
                 fits: true,
+                unmeasured_s: 0.0,
                 cloud: Arc::new(cloud),
                 rays: Arc::new(Rays::new(&scan, &sweep, &config)),
                 // No robot was there.

@@ -3,10 +3,11 @@
 //! Scans are used in the order of their stamps. Each robot has its own SLAM, and the fleet's pose graph gets each
 //! submap when it would get it live. One thread: the same logs give the same maps.
 
-use super::{Feeder, Records, ReplayArgs, ReplayError, Summary, read_log, trajectory::write_trajectory};
+use super::records::{Log, Records};
+use super::{Feeder, ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
 use crate::view::{EdgeView, edge_table};
-use formats::carmen::{LaserLine, Reader};
+use formats::carmen::LaserLine;
 use formats::map_file::write_map;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
@@ -108,7 +109,7 @@ pub fn run(
     merging: &MergeConfig,
 ) -> Result<(), ReplayError> {
     let began = Instant::now();
-    let logs = args.logs.iter().map(|path| read_log(path)).collect::<Result<Vec<_>, _>>()?;
+    let logs = args.logs.iter().map(|path| Log::read(path, args)).collect::<Result<Vec<_>, _>>()?;
     let known = match starts {
         Starts::Known(file) => read_starts(file, logs.len())?,
         Starts::Unknown => vec![None; logs.len()],
@@ -139,14 +140,14 @@ pub fn run(
 impl<'a> Robot<'a> {
     fn new(
         id: RobotId,
-        log: &'a [u8],
+        log: &'a Log,
         path: &Path,
         args: &ReplayArgs,
         config: &SlamConfig,
     ) -> Result<Self, ReplayError> {
-        let mut records = Records { reader: Reader::new(log), malformed: 0 };
+        let mut records = log.records();
         let Some(first) = records.next_laser() else {
-            let (skipped, malformed) = (records.reader.skipped(), records.malformed);
+            let (skipped, malformed) = (records.skipped(), records.malformed);
             return Err(ReplayError::NoScan { path: path.to_owned(), skipped, malformed });
         };
         let mut config = config.clone();
@@ -255,7 +256,7 @@ impl Merged {
         let robots = robots.into_iter().map(|mut robot| {
             robot.summary.count(&robot.front, &robot.back);
             (robot.summary.malformed_lines, robot.summary.skipped_lines) =
-                (robot.records.malformed, robot.records.reader.skipped());
+                (robot.records.malformed, robot.records.skipped());
             let place = self.fleet.map_from_robot_map(robot.id);
             RobotSummary {
                 merged: place.is_some(),

@@ -1,7 +1,7 @@
 //! Summary of a replay, for people and for programs.
 
 use serde::Serialize;
-use slam::{BackEnd, ClosureSearchCounts, FrontEnd, RelocalizationCounts};
+use slam::{BackEnd, ClosureSearchCounts, FrontEnd, MapDoubts, RelocalizationCounts};
 use std::time::Duration;
 
 /// Figures of a replay of one log.
@@ -36,6 +36,12 @@ pub struct Summary {
     pub disconnected_nodes: usize,
     /// Number of components of such nodes.
     pub disconnected_components: usize,
+    /// Whether there is evidence that the map is wrong: parts of it may be metres off.
+    pub unreliable: bool,
+    /// The evidence, each as a measured value.
+    pub doubts: MapDoubts,
+    /// The evidence that is strong enough, in words.
+    pub doubts_in_words: Vec<&'static str>,
     /// Number of scan-to-scan edges.
     pub links: usize,
     /// Number of loop closures in the pose graph.
@@ -88,6 +94,9 @@ impl Summary {
                 s.disconnected_nodes, s.disconnected_components
             );
         }
+        for reason in &s.doubts_in_words {
+            text += &format!("  doubt     {reason}: the map may be wrong by metres\n");
+        }
         if let (Some(width), Some(height), Some(ms)) = (s.map_width, s.map_height, s.map_ms) {
             text += &format!("  map       {width} x {height} cells, rendered in {ms:.1} ms\n");
         }
@@ -112,6 +121,9 @@ impl Summary {
         (self.retracted, self.solutions) = (done.retracted, done.solutions);
         self.disconnected_nodes = done.disconnected;
         self.disconnected_components = back.disconnected_components();
+        self.doubts = back.doubts();
+        self.unreliable = self.doubts.is_unreliable();
+        self.doubts_in_words = self.doubts.reasons().collect();
         self.failed_solutions = done.failed_solutions;
         self.closure_searches = done.searches;
         self.relocalization = done.relocalization;

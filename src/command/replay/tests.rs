@@ -2,6 +2,7 @@
 
 use super::*;
 use std::io::Write as _;
+use std::path::Path;
 
 /// A robot that drives 2 m through a box of 8 m x 6 m, one scan each 0.25 m.
 fn log() -> String {
@@ -24,6 +25,7 @@ fn log() -> String {
 fn args(log: &Path) -> ReplayArgs {
     ReplayArgs {
         logs: vec![log.to_owned()],
+        bag: BagArgs::default(),
         config: None,
         merge: None,
         trajectory: None,
@@ -67,14 +69,16 @@ fn every_scan_gets_a_pose_at_its_own_stamp() {
 
 #[test]
 fn malformed_lines_are_counted() {
-    let replayed = feed(log().as_bytes(), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
+    let replayed =
+        feed(&Log::Carmen(log().into_bytes()), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
     let summary = replayed.summary;
     assert_eq!((summary.scans, summary.malformed_lines, summary.skipped_lines), (9, 9, 2));
 }
 
 #[test]
 fn a_log_without_scans_says_what_was_expected() {
-    let error = feed(b"ODOM 1 2\nhello\n", SlamConfig::default(), &args(Path::new("x.log")));
+    let error =
+        feed(&Log::Carmen(b"ODOM 1 2\nhello\n".to_vec()), SlamConfig::default(), &args(Path::new("x.log")));
     let message = error.err().unwrap().to_string();
     assert!(message.contains("x.log") && message.contains("FLASER"), "{message}");
     assert!(message.contains("1 other lines, 1 malformed"), "{message}");
@@ -86,7 +90,8 @@ fn figures_that_were_not_measured_are_null() {
     for name in ["wall_s", "times_real_time", "scan_ms", "back_end_ms", "map_width", "map_height", "map_ms"] {
         assert!(json[name].is_null(), "{name} of a robot in `--merge`: {json:#}");
     }
-    let replayed = feed(log().as_bytes(), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
+    let replayed =
+        feed(&Log::Carmen(log().into_bytes()), SlamConfig::default(), &args(Path::new("box.log"))).unwrap();
     assert!(replayed.summary.scan_ms.is_some_and(|times| times.p50 > 0.0));
 }
 
@@ -120,7 +125,8 @@ fn localization_writes_the_poses_of_its_own_scans_in_the_map() {
         let driven_m = (stamp - FIRST_STAMP_S) * SPEED_M_S;
         assert!((x - driven_m).abs() < 0.1, "{x} m at {stamp}, where the robot had driven {driven_m} m");
     }
-    let replayed = feed(&std::fs::read(&path).unwrap(), SlamConfig::default(), &localizing).unwrap();
+    let replayed =
+        feed(&Log::Carmen(std::fs::read(&path).unwrap()), SlamConfig::default(), &localizing).unwrap();
     assert_eq!(replayed.summary.not_located + poses.len() as u64, STEPS as u64);
 }
 

@@ -48,8 +48,11 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
                     log_path.display(),
                     run.pid
                 );
-                let page = page::url(&run.config).map(|url| format!("operator's page: {url}\n"));
-                return Ok(output::print(&(text + &page.unwrap_or_default()))?);
+                let page = page::describe(&run.config, None)
+                    .iter()
+                    .map(|line| format!("{line}\n"))
+                    .collect::<String>();
+                return Ok(output::print(&(text + &page))?);
             }
             _ if child.try_wait()?.is_some() || begun.elapsed() >= START_WAIT_MAX => {
                 let _ = child.kill();

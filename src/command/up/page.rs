@@ -1,8 +1,14 @@
 //! The operator's page as the launcher sees it: a free port for it, and its URL.
 
+use crate::certificate::{self, CertificateError};
+use crate::command::output::note;
 use crate::config::FleetConfig;
+use bridge::BridgeConfig;
 use bridge::ros::Dialect;
-use std::net::{SocketAddr, TcpListener};
+use qrcode::render::unicode::Dense1x2;
+use qrcode::{EcLevel, QrCode};
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::str::FromStr;
 
 /// What `--page` says.
@@ -20,7 +26,12 @@ impl PageChoice {
         let page = &mut config.bridge.page;
         match self {
             Self::Off => page.enabled = false,
-            Self::Port(port) => (page.enabled, page.port) = (true, port),
+            Self::Port(port) => {
+                (page.enabled, page.port) = (true, port);
+                if port == 0 {
+                    page.https.port = 0;
+                }
+            }
         }
     }
 }
@@ -41,21 +52,43 @@ impl FromStr for PageChoice {
     }
 }
 
-/// Replaces the page's port by one that is free: the configured one, or else any. Without one the page is left out.
+/// Replaces the page's ports by ones that are free: the configured, or else any. Returns why a part of it is left out.
 ///
-/// The bridge opens the port, each time that it is started. Browsers read ROS 2's encoding alone.
-pub fn choose_port(config: &mut FleetConfig) {
+/// The bridge opens the ports, each time that it is started. Browsers read ROS 2's encoding alone.
+pub fn choose_ports(config: &mut FleetConfig) -> Result<(), CertificateError> {
     let is_readable = config.bridge.payloads == Dialect::Ros2;
     let page = &mut config.bridge.page;
     page.enabled &= is_readable;
     if !page.enabled {
-        return;
+        return Ok(());
     }
-    let bind = |port: u16| TcpListener::bind((page.address, port)).and_then(|listener| listener.local_addr());
-    match bind(page.port).or_else(|_| bind(0)) {
-        Ok(address) => page.port = address.port(),
+    match free_port(page.address, page.port) {
+        Ok(port) => page.port = port,
         Err(_) => page.enabled = false,
     }
+    let https = &mut page.https;
+    if !https.enabled {
+        return Ok(());
+    }
+    match free_port(https.address, https.port) {
+        Ok(port) => https.port = port,
+        Err(_) => https.enabled = false,
+    }
+    match certificate::load(https) {
+        // Without its own files it is left out: the page in clear needs none.
+        Err(why) if !https.has_own_certificate() => {
+            https.enabled = false;
+            note(&format!("no operator's page over HTTPS: {why}"));
+            Ok(())
+        }
+        result => result.map(drop),
+    }
+}
+
+/// Returns the port if it is free, or else any that is.
+fn free_port(address: IpAddr, port: u16) -> io::Result<u16> {
+    let bind = |port: u16| TcpListener::bind((address, port)).and_then(|listener| listener.local_addr());
+    bind(port).or_else(|_| bind(0)).map(|address| address.port())
 }
 
 /// Returns the page's URL, or `None` if there is no page.
@@ -67,6 +100,47 @@ pub fn url(config: &FleetConfig) -> Option<String> {
     })
 }
 
+/// Returns the page's URL for a headset in the same network, or `None` if it is not served over HTTPS.
+pub fn https_url(config: &FleetConfig) -> Option<String> {
+    let BridgeConfig { page, .. } = &config.bridge;
+    let address = match page.https.address {
+        address if address.is_unspecified() => network_address()?,
+        address => address,
+    };
+    let is_served = page.enabled && page.https.enabled;
+    is_served.then(|| format!("https://{}", SocketAddr::from((address, page.https.port))))
+}
+
+/// Returns the address that this machine has in the network it would send to others from. Nothing is sent.
+fn network_address() -> Option<IpAddr> {
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
+    socket.connect((ELSEWHERE, 9)).ok()?;
+    Some(socket.local_addr().ok()?.ip()).filter(|address| !address.is_loopback())
+}
+
+/// An address that nobody has (RFC 5737).
+const ELSEWHERE: Ipv4Addr = Ipv4Addr::new(192, 0, 2, 1);
+
+/// Returns the lines that say where the page is; with a QR code if a terminal of this size can show it.
+pub fn describe(config: &FleetConfig, size: Option<(u16, u16)>) -> Vec<String> {
+    let mut lines: Vec<_> = url(config).map(|url| format!("operator's page: {url}")).into_iter().collect();
+    let Some(url) = https_url(config) else { return lines };
+    lines.push(format!("on a headset:    {url} (accept its certificate once)"));
+    lines.extend(size.and_then(|size| qr_code(&url, size)));
+    lines
+}
+
+/// Draws a text as a QR code, two modules to a character; `None` if the terminal is too small for it.
+fn qr_code(text: &str, (columns, rows): (u16, u16)) -> Option<String> {
+    let code = QrCode::with_error_correction_level(text, EcLevel::L).ok()?;
+    let drawn = code.render::<Dense1x2>().dark_color(Dense1x2::Light).light_color(Dense1x2::Dark).build();
+    let (width, height) = (drawn.lines().next()?.chars().count(), drawn.lines().count());
+    (width <= columns.into() && height + LINES_BESIDE <= rows.into()).then_some(drawn)
+}
+
+/// Lines of a terminal that a QR code leaves to the live table.
+const LINES_BESIDE: usize = 12;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -77,7 +151,8 @@ mod tests {
         let port = taken.local_addr().unwrap().port();
         let mut config = FleetConfig::default();
         (config.bridge.page.enabled, config.bridge.page.port) = (true, port);
-        choose_port(&mut config);
+        config.bridge.page.https.enabled = false;
+        choose_ports(&mut config).unwrap();
         let chosen = config.bridge.page.port;
         assert!(chosen != port && chosen != 0);
         assert_eq!(url(&config), Some(format!("http://localhost:{chosen}")));
@@ -85,5 +160,22 @@ mod tests {
         assert_eq!(url(&config), None);
         assert_eq!("8090".parse(), Ok(PageChoice::Port(8090)));
         assert_eq!("on".parse::<PageChoice>(), Err(PageChoiceError));
+    }
+
+    #[test]
+    fn a_qr_code_is_drawn_where_it_fits() {
+        let mut config = FleetConfig::default();
+        let page = &mut config.bridge.page;
+        (page.https.address, page.https.port) = ([192, 168, 1, 20].into(), 8443);
+        let lines = describe(&config, Some((80, 40)));
+        assert!(lines[1].contains("https://192.168.1.20:8443"), "{lines:?}");
+        let code = &lines[2];
+        assert!(code.contains('▀') && code.lines().count() <= 20, "{code}");
+        for (columns, rows) in [(20, 40), (80, 20)] {
+            assert_eq!(describe(&config, Some((columns, rows))).len(), 2, "{columns} x {rows}");
+        }
+        assert_eq!(describe(&config, None).len(), 2, "no terminal");
+        config.bridge.page.https.enabled = false;
+        assert_eq!(describe(&config, Some((80, 40))).len(), 1);
     }
 }

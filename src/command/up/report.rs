@@ -1,6 +1,9 @@
 //! Report of a run, `report.json` for programs and a summary for people.
 
 use super::events::{Event, Events};
+use super::pictures::{Pictures, write_html};
+use crate::config::FleetConfig;
+use crate::report::Series;
 use crate::run::{Run, RunError};
 use crate::view::{DistributionView, FleetView, RobotView, Style};
 use serde::Serialize;
@@ -24,6 +27,11 @@ pub struct Report {
     pub fleet: Option<FleetView>,
     /// Measurements of the scripted operator at its end of TCP; `None` without one.
     pub operator: Option<serde_json::Value>,
+    /// Figures over time.
+    pub series: Series,
+    /// Maps as pictures, for the report in HTML.
+    #[serde(skip)]
+    pub pictures: Pictures,
     /// Paths of the maps without extension (.pgm, .yaml, .png).
     pub maps: Vec<PathBuf>,
     /// What could not be written, with the reasons; empty if everything was.
@@ -137,8 +145,8 @@ impl Paper {
         }
     }
 
-    /// Formats the figures beside those that the paper gives.
-    fn table(&self) -> String {
+    /// Returns the figures beside those that the paper gives: name, this run, the paper.
+    pub fn rows(&self) -> Vec<[String; 3]> {
         let no_data = || "no data".to_owned();
         let percent = |value: Option<f64>| value.map_or_else(no_data, |v| format!("{:.1} %", 100.0 * v));
         let rate = self.scan_hz.map_or_else(no_data, |hz| format!("{hz:.2} Hz, {} lost", self.scans_lost));
@@ -152,8 +160,13 @@ impl Paper {
             ("TF jitter, telemetry", Spread::milliseconds(self.tf_jitter_ms), "6.3 ms"),
             ("TF jitter, TCP client", Spread::milliseconds(self.tf_jitter_client_ms), ""),
         ];
+        rows.map(|(name, here, there)| [name.to_owned(), here, there.to_owned()]).into()
+    }
+
+    /// Formats the figures beside those that the paper gives, for a terminal.
+    fn table(&self) -> String {
         let mut text = format!("\n{:<22} {:<26} the paper\n", "", "this run");
-        for (name, here, there) in rows {
+        for [name, here, there] in self.rows() {
             text += format!("{name:<22} {here:<26} {there}").trim_end();
             text.push('\n');
         }
@@ -179,26 +192,41 @@ impl Report {
         events: Events,
     ) -> Self {
         let (events, events_dropped) = events.into_parts();
+        Self { maps, events, events_dropped, ..Self::of_figures(&run.config, elapsed, fleet, operator) }
+    }
+
+    /// Collects figures without maps and events.
+    pub fn of_figures(
+        config: &FleetConfig,
+        elapsed: Duration,
+        fleet: Option<FleetView>,
+        operator: Option<serde_json::Value>,
+    ) -> Self {
         Self {
             seconds: elapsed.as_secs_f64(),
-            room: run.config.world_name().into(),
-            seed: run.config.fleet.seed,
+            room: config.world_name().into(),
+            seed: config.fleet.seed,
             paper: fleet.as_ref().map(|fleet| Paper::new(elapsed, fleet, operator.as_ref())),
             fleet,
             operator,
-            maps,
+            series: Series::default(),
+            pictures: Pictures::default(),
+            maps: Vec::new(),
             not_written: Vec::new(),
-            events,
-            events_dropped,
+            events: Vec::new(),
+            events_dropped: 0,
         }
     }
 
-    /// Writes `report.json` into the run's folder.
+    /// Writes `report.json` and `report.html` into the run's folder.
     pub fn write(&self, dir: &Path) -> Result<(), RunError> {
-        let path = dir.join("report.json");
         let json = serde_json::to_string_pretty(self).unwrap_or_default();
-        formats::atomic::write(&path, |file| file.write_all(json.as_bytes()))
-            .map_err(|why| RunError::File { path, why: why.to_string() })
+        for (name, text) in [("report.json", json), ("report.html", write_html(self))] {
+            let path = dir.join(name);
+            formats::atomic::write(&path, |file| file.write_all(text.as_bytes()))
+                .map_err(|why| RunError::File { path, why: why.to_string() })?;
+        }
+        Ok(())
     }
 
     /// Formats the report for a terminal.
@@ -213,6 +241,9 @@ impl Report {
         }
         for map in &self.maps {
             let _ = writeln!(text, "{}.png", map.display());
+        }
+        if let Some(folder) = self.maps.first().and_then(|map| map.parent()) {
+            let _ = writeln!(text, "{}", folder.join("report.html").display());
         }
         text
     }

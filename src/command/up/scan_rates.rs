@@ -15,7 +15,7 @@ struct RobotScans {
 
 /// Scans of all robots since the first statistics. A restart of SLAM or of telemetry begins its count at 0 again.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ScanRates(Vec<Option<RobotScans>>);
+pub struct ScanRates(Vec<Option<RobotScans>>);
 
 impl ScanRates {
     /// Adds new statistics.

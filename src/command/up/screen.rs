@@ -38,9 +38,7 @@ impl Screen {
             config.world_name(),
             dir.display()
         ));
-        if let Some(url) = page::url(config) {
-            note(&format!("operator's page: {url}"));
-        }
+        page::describe(config, terminal::size(&stderr())).iter().for_each(|line| note(line));
         let log_period = if in_background { BACKGROUND_LOG_PERIOD } else { LOG_PERIOD };
         Self { log_period, drawn: None, newest: None, age_shown_s: 0, logged: None }
     }

@@ -4,12 +4,13 @@ use super::feeds::Feed;
 use super::{BridgeProcess, Upkeep, page};
 use crate::clock::now;
 use crate::ports::Ports;
+use crate::process::control::file_thread::{FileThread, FileWorker};
 use crate::process::{Error, ProcessLoop, control, ros2};
 use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;
 use crate::shared_memory::Listener;
 use crate::stop::Stop;
-use crate::storage::{DiskStorage, Storage};
+use crate::storage::DiskStorage;
 use ::bridge::serve_clients;
 use msg::{Monotonic, Role};
 use std::os::fd::AsFd;
@@ -26,7 +27,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let participant = run.attach(Role::Bridge, None)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, async {
-        let BridgeProcess { bridge, feeds, upkeep } = BridgeProcess::open(&participant, run, DiskStorage)?;
+        let BridgeProcess { bridge, feeds, upkeep } =
+            BridgeProcess::open(&participant, run, DiskStorage, FileThread::start)?;
         let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
         if run.config.bridge.dds.enabled {
             tasks.push(ros2::open(run, stop, &bridge)?);
@@ -64,7 +66,7 @@ pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
 }
 
 /// Calls the upkeep whenever it is due. It is a task of its own, so that robots stop in time whatever clients do.
-async fn run_upkeep<P: Ports, S: Storage>(mut upkeep: Upkeep<P, S>) {
+async fn run_upkeep<P: Ports, W: FileWorker>(mut upkeep: Upkeep<P, W>) {
     loop {
         let due = upkeep.step();
         tokio::time::sleep_until(instant(due)).await;

@@ -1,7 +1,7 @@
 //! Files in the run's folder that a restarted bridge continues with: selection, drivers, permissions, emergency stop.
 //!
-//! They are written without waiting for the disk, because robots would not be stopped meanwhile. They outlive the process;
-//! a power cut ends the run too.
+//! They outlive the process; a power cut ends the run too, so nothing waits until the disk has them. A busy disk delays even
+//! that: live, they are read and written on a thread of their own, see [`super::file_thread`].
 
 use crate::run::Run;
 use crate::storage::Storage;
@@ -26,6 +26,31 @@ const STOPPED_BY_BRIDGE: &[u8] = b"The emergency stop is set.\n";
 const BYTES_MAX: u64 = 64 << 10;
 /// After a restart a robot is kept for its driver for the lease and this time: Unity's connector returns within it.
 const RECONNECTED_WITHIN: Duration = Duration::from_secs(3);
+
+/// What the files are to say: the bridge's state at one moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BridgeSnapshot {
+    /// Whether the emergency stop is set.
+    pub is_stopped: bool,
+    /// Number of stops found in the file that the bridge has set; see [`SavedFiles::update`].
+    pub stops_applied: u64,
+    state: SavedState,
+}
+
+impl BridgeSnapshot {
+    /// Takes the state of a bridge of the run that began at `run_begun`.
+    pub fn take(bridge: &Bridge, run_begun: Monotonic, stops_applied: u64, now: Monotonic) -> Self {
+        let driver =
+            |(robot, address): (RobotId, Option<IpAddr>)| SavedDriver { robot: robot.number(), address };
+        let state = SavedState {
+            run: run_begun.0,
+            selected: bridge.selected_robot().number(),
+            drivers: bridge.drivers(now).into_iter().map(driver).collect(),
+            allowed: bridge.allowed_addresses(),
+        };
+        Self { is_stopped: bridge.is_stopped(), stops_applied, state }
+    }
+}
 
 /// Content of [`STATE_FILE`], as JSON.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -67,6 +92,8 @@ pub struct SavedFiles<S> {
     stop_file: PathBuf,
     /// Content of the stop file when it was read or written last.
     latch: Option<Vec<u8>>,
+    /// Number of stops that were found in the file, set by `mr-slam stop`.
+    stops_found: u64,
     /// Whether the person has been told that a file cannot be written.
     has_warned: bool,
 }
@@ -80,6 +107,7 @@ impl<S: Storage> SavedFiles<S> {
             saved: SavedState { run: run.begun.0, ..SavedState::default() },
             stop_file: stop_file(&run.dir),
             latch: None,
+            stops_found: 0,
             has_warned: false,
         };
         match files.read_state() {
@@ -112,6 +140,11 @@ impl<S: Storage> SavedFiles<S> {
         files
     }
 
+    /// Returns the number of stops found in the file since the start.
+    pub fn stops_found(&self) -> u64 {
+        self.stops_found
+    }
+
     fn read_state(&self) -> io::Result<Option<SavedState>> {
         let bytes = self.read_if_present(&self.state_file)?;
         bytes.map(|bytes| Ok(serde_json::from_slice(&bytes)?)).transpose()
@@ -129,10 +162,10 @@ impl<S: Storage> SavedFiles<S> {
         }
     }
 
-    /// Sets the bridge's emergency stop if `mr-slam stop` has written the file, and writes the files anew if the bridge has
-    /// changed. Call it often.
-    pub fn update(&mut self, bridge: &Bridge, now: Monotonic) {
-        let result = self.update_stop(bridge).and_then(|()| self.update_state(bridge, now));
+    /// Writes the files anew if the bridge has changed. Returns how many stops were found in the file since the start: a
+    /// bridge that has set fewer is to set its emergency stop. Call it often.
+    pub fn update(&mut self, snapshot: &BridgeSnapshot) -> u64 {
+        let result = self.update_stop(snapshot).and_then(|()| self.update_state(&snapshot.state));
         match result {
             Ok(()) => self.has_warned = false,
             // It is tried again, and said once.
@@ -142,16 +175,19 @@ impl<S: Storage> SavedFiles<S> {
                 }
             }
         }
+        self.stops_found
     }
 
-    fn update_stop(&mut self, bridge: &Bridge) -> Result<(), (PathBuf, io::Error)> {
+    fn update_stop(&mut self, snapshot: &BridgeSnapshot) -> Result<(), (PathBuf, io::Error)> {
         let failed = |why| (self.stop_file.clone(), why);
         let latch = self.read_latch().map_err(failed)?;
         if latch.is_some() && latch != self.latch {
-            bridge.stop_robots();
+            self.stops_found += 1;
         }
         self.latch = latch;
-        match (bridge.is_stopped(), self.latch.is_some()) {
+        // A stop that the bridge has not heard of yet is not to be released.
+        let is_stopped = snapshot.is_stopped || snapshot.stops_applied < self.stops_found;
+        match (is_stopped, self.latch.is_some()) {
             (true, false) => {
                 self.storage.replace(&self.stop_file, STOPPED_BY_BRIDGE).map_err(failed)?;
                 self.latch = Some(STOPPED_BY_BRIDGE.to_vec());
@@ -165,19 +201,11 @@ impl<S: Storage> SavedFiles<S> {
         Ok(())
     }
 
-    fn update_state(&mut self, bridge: &Bridge, now: Monotonic) -> Result<(), (PathBuf, io::Error)> {
-        let driver =
-            |(robot, address): (RobotId, Option<IpAddr>)| SavedDriver { robot: robot.number(), address };
-        let state = SavedState {
-            run: self.saved.run,
-            selected: bridge.selected_robot().number(),
-            drivers: bridge.drivers(now).into_iter().map(driver).collect(),
-            allowed: bridge.allowed_addresses(),
-        };
-        if state != self.saved {
-            let json = serde_json::to_vec_pretty(&state).unwrap_or_default();
+    fn update_state(&mut self, state: &SavedState) -> Result<(), (PathBuf, io::Error)> {
+        if *state != self.saved {
+            let json = serde_json::to_vec_pretty(state).unwrap_or_default();
             self.storage.replace(&self.state_file, &json).map_err(|why| (self.state_file.clone(), why))?;
-            self.saved = state;
+            self.saved.clone_from(state);
         }
         Ok(())
     }
@@ -210,6 +238,8 @@ mod tests {
     struct Process {
         bridge: Bridge,
         files: SavedFiles<DiskStorage>,
+        begun: Monotonic,
+        stops_applied: u64,
         moved: Rc<RefCell<Vec<usize>>>,
     }
 
@@ -224,7 +254,21 @@ mod tests {
             };
             let bridge = Bridge::new(run.config.bridge.clone(), 2, on_command).unwrap();
             let files = SavedFiles::restore(&bridge, run, DiskStorage, now);
-            Self { bridge, files, moved }
+            Self { bridge, files, begun: run.begun, stops_applied: 0, moved }
+        }
+
+        /// Brings files and bridge together, as the control does.
+        fn update(&mut self, now: Monotonic) {
+            let snapshot = BridgeSnapshot::take(&self.bridge, self.begun, self.stops_applied, now);
+            let stops_found = self.files.update(&snapshot);
+            self.set_stop(stops_found);
+        }
+
+        fn set_stop(&mut self, stops_found: u64) {
+            if stops_found > self.stops_applied {
+                self.stops_applied = stops_found;
+                self.bridge.stop_robots();
+            }
         }
 
         fn send<M: Message>(&self, address: [u8; 4], topic: &str, message: &M, now: Monotonic) -> ClientId {
@@ -267,7 +311,7 @@ mod tests {
         let mut before = Process::start(&run, at_ms(0));
         before.send(HOLDER, "/selected_robot", &Int32(2), at_ms(10));
         before.send(HOLDER, "/cmd_vel", &twist, at_ms(20));
-        before.files.update(&before.bridge, at_ms(30));
+        before.update(at_ms(30));
         assert_eq!(before.take_moved(), [2]);
 
         let after = Process::start(&run, at_ms(1_000));
@@ -292,31 +336,42 @@ mod tests {
         let run = run_in(folder.path());
         let path = stop_file(&run.dir);
         let mut process = Process::start(&run, at_ms(0));
-        process.files.update(&process.bridge, at_ms(0));
+        process.update(at_ms(0));
         assert!(!process.bridge.is_stopped() && !path.exists());
 
         latch_stop(&DiskStorage, &path, at_ms(1)).unwrap();
-        process.files.update(&process.bridge, at_ms(100));
+        process.update(at_ms(100));
         assert!(process.bridge.is_stopped(), "the bridge reads what `mr-slam stop` writes");
         let mut next = Process::start(&run, at_ms(200));
         assert!(next.bridge.is_stopped(), "it holds across a restart");
 
         next.bridge.release_stop();
-        next.files.update(&next.bridge, at_ms(300));
+        next.update(at_ms(300));
         assert!(!next.bridge.is_stopped() && !path.exists());
         next.bridge.stop_robots();
-        next.files.update(&next.bridge, at_ms(400));
+        next.update(at_ms(400));
         assert!(path.exists());
 
         // A release that waited in a frozen bridge does not undo a stop that was set after it.
         latch_stop(&DiskStorage, &path, at_ms(500)).unwrap();
         next.bridge.release_stop();
-        next.files.update(&next.bridge, at_ms(600));
+        next.update(at_ms(600));
         assert!(next.bridge.is_stopped() && path.exists());
+
+        // A stop that was written while a snapshot was on its way is not released by it.
+        let released = BridgeSnapshot {
+            is_stopped: false,
+            ..BridgeSnapshot::take(&next.bridge, run.begun, 1, at_ms(610))
+        };
+        latch_stop(&DiskStorage, &path, at_ms(620)).unwrap();
+        let found = next.files.update(&released);
+        assert!(path.exists() && found > next.stops_applied);
+        next.set_stop(found);
+        assert!(next.bridge.is_stopped());
 
         // Somebody removes the file: the stop holds, and is written again.
         std::fs::remove_file(&path).unwrap();
-        next.files.update(&next.bridge, at_ms(700));
+        next.update(at_ms(700));
         assert!(next.bridge.is_stopped() && path.exists());
     }
 }

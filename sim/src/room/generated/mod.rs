@@ -28,7 +28,7 @@ pub enum RoomKind {
 }
 
 impl RoomKind {
-    /// All kinds.
+    /// All kinds, in the order of tables.
     pub const ALL: [Self; 6] =
         [Self::Office, Self::Warehouse, Self::School, Self::Museum, Self::Flat, Self::Hall];
 

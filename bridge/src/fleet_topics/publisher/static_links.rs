@@ -1,0 +1,95 @@
+//! The transforms that never change: the fleet's fixed links, and those of other publishers.
+
+use super::{FleetPublisher, TopicSink};
+use crate::fleet_topics::table::FleetTopic;
+use msg::{Link, RobotId, Transforms};
+use ros_messages::cdr::{DecodeError, Reader};
+use ros_messages::names::FleetFrame;
+use ros_messages::read;
+use ros_messages::{Message as _, TransformStamped};
+
+impl FleetPublisher {
+    /// Publishes the fixed transforms of all robots seen so far, when a robot is seen first: the newest message is the
+    /// only one kept.
+    pub(super) fn publish_fixed_links(
+        &mut self,
+        robot: RobotId,
+        transforms: &Transforms,
+        sink: &mut impl TopicSink,
+    ) {
+        if std::mem::replace(&mut self.has_fixed_links[robot.index()], true) {
+            return;
+        }
+        for link in transforms.links() {
+            let (parent, child) = (Link::from_code(link.parent), Link::from_code(link.child));
+            let (Some(parent), Some(child)) = (parent, child.filter(|child| child.is_fixed())) else {
+                continue;
+            };
+            self.static_transforms.insert(TransformStamped {
+                stamp: transforms.header.stamp,
+                frame_id: self.names.link(robot, parent).into(),
+                child_frame_id: self.names.link(robot, child).into(),
+                translation: link.translation_m,
+                rotation: link.rotation_xyzw,
+            });
+        }
+        self.send_static_transforms(sink);
+    }
+
+    /// Adds another publisher's transforms to those that never change, and publishes all of them if any is new.
+    ///
+    /// # Errors
+    /// The payload is no tf2_msgs/TFMessage.
+    pub fn receive_static_transforms(
+        &mut self,
+        payload: &[u8],
+        sink: &mut impl TopicSink,
+    ) -> Result<(), DecodeError> {
+        let transforms = self.read_transforms(payload)?;
+        let mut has_changed = false;
+        for transform in transforms {
+            has_changed |= self.static_transforms.insert(transform);
+        }
+        if has_changed {
+            self.send_static_transforms(sink);
+        }
+        Ok(())
+    }
+
+    fn send_static_transforms(&self, sink: &mut impl TopicSink) {
+        let transforms = self.static_transforms.transforms();
+        sink.send(FleetTopic::StaticTransforms, None, |to| {
+            to.count(transforms.len());
+            transforms.iter().for_each(|transform| transform.write(to));
+        });
+    }
+
+    /// Reads transforms, with the fleet's frames under the names that the fleet publishes. What SLAM and
+    /// merging own is left out (REP-105).
+    fn read_transforms(&self, payload: &[u8]) -> Result<Vec<TransformStamped>, DecodeError> {
+        let mut transforms = Vec::new();
+        read::transforms(&mut Reader::new(payload)?, |transform| {
+            let (parent, child) = (transform.frame_id, transform.child_frame_id);
+            if !self.robots.is_correction(parent, child) {
+                transforms.push(TransformStamped {
+                    stamp: transform.stamp,
+                    frame_id: self.published_name(parent),
+                    child_frame_id: self.published_name(child),
+                    translation: transform.translation,
+                    rotation: transform.rotation,
+                });
+            }
+        })?;
+        Ok(transforms)
+    }
+
+    /// Returns the name under which the fleet publishes a frame; another's name without its leading slash.
+    fn published_name(&self, name: &str) -> String {
+        let known = self.robots.parse_frame(name).filter(|(robot, _)| self.has(*robot));
+        match known {
+            Some((robot, FleetFrame::Link(link))) => self.names.link(robot, link).into(),
+            Some((robot, FleetFrame::Map)) => self.names.map(robot).into(),
+            None => name.strip_prefix('/').unwrap_or(name).into(),
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! One run: a method explores a room with a fleet, and what it took.
+
+use crate::burgard::Burgard;
+use crate::driver::{Driver, Other, Scene, Task};
+use crate::methods::{Coordinated, Greedy, Kind, Method};
+use crate::world::{Robot, Starts, World};
+use nav::coordination::GoalProgress;
+use nav::{
+    CoordinationConfig, DriveCommand, ExplorationTour, FleetObservation, RobotObservation, TourConfig, Twist,
+};
+use sim::{Room, RoomKind};
+use std::time::{Duration, Instant};
+
+/// Coverages whose times are measured.
+pub const SHARES: [f64; 3] = [0.90, 0.95, 0.99];
+/// Coverage at which a run ends although its method goes on.
+const ENOUGH: f64 = 0.9995;
+/// Control steps per second.
+const STEPS_PER_SECOND: usize = 20;
+/// Time between two points of the curve of coverage, seconds.
+pub const CURVE_PERIOD_S: usize = 5;
+
+/// What is run.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    pub room: RoomKind,
+    pub seed: u64,
+    pub robots: usize,
+    pub starts: Starts,
+    pub method: Kind,
+    pub limit_s: usize,
+}
+
+/// What a run took.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    pub case: Case,
+    /// Times of [`SHARES`], seconds.
+    pub times_s: [Option<f64>; 3],
+    pub end_s: f64,
+    pub coverage: f64,
+    pub travelled_m: f64,
+    pub overlap: f64,
+    pub contacts: u64,
+    pub separation_m: f64,
+    pub plans: u32,
+    pub path_plans: u32,
+    /// Time of computation per robot and simulated second, of choosing and of driving, milliseconds.
+    pub choose_ms: f64,
+    pub drive_ms: f64,
+    pub longest_choice_ms: f64,
+    /// Coverage every five seconds.
+    pub curve: Vec<f32>,
+    pub leftovers: Vec<String>,
+    pub stopped_by: &'static str,
+}
+
+impl Outcome {
+    fn new(case: Case) -> Self {
+        Self {
+            case,
+            times_s: [None; 3],
+            end_s: 0.0,
+            coverage: 0.0,
+            travelled_m: 0.0,
+            overlap: 0.0,
+            contacts: 0,
+            separation_m: 0.0,
+            plans: 0,
+            path_plans: 0,
+            choose_ms: 0.0,
+            drive_ms: 0.0,
+            longest_choice_ms: 0.0,
+            curve: Vec::new(),
+            leftovers: Vec::new(),
+            stopped_by: "limit",
+        }
+    }
+}
+
+/// Runs a case. Returns the world at its end too, for pictures.
+pub fn run(case: Case) -> Result<(Outcome, World), String> {
+    let room = Room::generate(case.room, case.seed);
+    let mut world = World::new(&room, case.robots, case.starts, case.seed)?;
+    let mut pilot: Box<dyn Pilot> = match case.method {
+        Kind::Tour => Box::new(TourPilot::new(case)?),
+        _ => Box::new(MethodPilot::new(case)),
+    };
+    let mut outcome = Outcome::new(case);
+    let mut twists = vec![Twist::STOP; case.robots];
+    for step in 0..case.limit_s * STEPS_PER_SECOND {
+        world.step(&twists);
+        if step % STEPS_PER_SECOND == 0 {
+            let coverage = world.coverage();
+            let seconds = step / STEPS_PER_SECOND;
+            if seconds.is_multiple_of(CURVE_PERIOD_S) {
+                outcome.curve.push(coverage as f32);
+            }
+            for (share, time) in SHARES.iter().zip(&mut outcome.times_s) {
+                if coverage >= *share && time.is_none() {
+                    *time = Some(seconds as f64);
+                    outcome.overlap = world.overlap();
+                }
+            }
+            outcome.coverage = coverage;
+            outcome.end_s = seconds as f64;
+            if coverage >= ENOUGH {
+                outcome.stopped_by = "all seen";
+                break;
+            }
+        }
+        pilot.step(&world, &mut twists);
+        if pilot.is_done() {
+            outcome.stopped_by = "method";
+            break;
+        }
+    }
+    outcome.coverage = world.coverage();
+    outcome.travelled_m = world.robots.iter().map(|robot| robot.travelled_m).sum();
+    outcome.contacts = world.contacts();
+    outcome.separation_m = world.separation_m;
+    pilot.describe(&mut outcome);
+    let robot_seconds = outcome.end_s.max(1.0) * case.robots as f64;
+    outcome.choose_ms /= robot_seconds;
+    outcome.drive_ms /= robot_seconds;
+    Ok((outcome, world))
+}
+
+/// Drives a whole fleet.
+trait Pilot {
+    fn step(&mut self, world: &World, twists: &mut [Twist]);
+    fn is_done(&self) -> bool;
+    fn describe(&self, outcome: &mut Outcome);
+}
+
+/// A method that chooses goals, and a driver for each robot.
+struct MethodPilot {
+    method: Box<dyn Method>,
+    drivers: Vec<Driver>,
+    tasks: Vec<Option<Task>>,
+    choosing: Duration,
+    longest: Duration,
+    driving: Duration,
+}
+
+impl MethodPilot {
+    fn new(case: Case) -> Self {
+        let method: Box<dyn Method> = match case.method {
+            Kind::Coordinated | Kind::Tour => Box::new(Coordinated::new(CoordinationConfig::default())),
+            Kind::Greedy => Box::new(Greedy::new(case.robots)),
+            Kind::Burgard => Box::new(Burgard::new(case.robots)),
+        };
+        Self {
+            method,
+            drivers: (0..case.robots).map(|_| Driver::new()).collect(),
+            tasks: vec![None; case.robots],
+            choosing: Duration::ZERO,
+            longest: Duration::ZERO,
+            driving: Duration::ZERO,
+        }
+    }
+}
+
+impl Pilot for MethodPilot {
+    fn step(&mut self, world: &World, twists: &mut [Twist]) {
+        let begun = Instant::now();
+        let progress: Vec<GoalProgress> = self.drivers.iter().map(|driver| driver.progress).collect();
+        self.method.choose(world, &progress, &mut self.tasks);
+        let chosen = Instant::now();
+        self.choosing += chosen - begun;
+        self.longest = self.longest.max(chosen - begun);
+        for (index, (driver, robot)) in self.drivers.iter_mut().zip(&world.robots).enumerate() {
+            driver.set_task(self.tasks[index].clone());
+            let other = |(i, other): (usize, &Robot)| Other {
+                position_m: [other.pose().x_m, other.pose().y_m],
+                goes_first: i < index,
+            };
+            let others: Vec<Other> =
+                world.robots.iter().enumerate().filter(|(i, _)| *i != index).map(other).collect();
+            twists[index] = driver.step(&Scene {
+                now: world.now,
+                map: world.map_view(),
+                pose: robot.pose(),
+                scan: robot.scan_view(),
+                others: &others,
+            });
+        }
+        self.driving += chosen.elapsed();
+    }
+
+    fn is_done(&self) -> bool {
+        self.method.is_done()
+    }
+
+    fn describe(&self, outcome: &mut Outcome) {
+        outcome.plans = self.method.plans();
+        outcome.path_plans = self.drivers.iter().map(|driver| driver.plans).sum();
+        outcome.leftovers = self.method.leftovers();
+        outcome.choose_ms = self.choosing.as_secs_f64() * 1e3;
+        outcome.drive_ms = self.driving.as_secs_f64() * 1e3;
+        outcome.longest_choice_ms = self.longest.as_secs_f64() * 1e3;
+    }
+}
+
+/// The scripted tour, which plans and drives by itself.
+struct TourPilot {
+    tour: ExplorationTour,
+    commands: Vec<DriveCommand>,
+    driving: Duration,
+}
+
+impl TourPilot {
+    fn new(case: Case) -> Result<Self, String> {
+        let config = TourConfig { seed: case.seed, ..TourConfig::default() };
+        let tour = ExplorationTour::new(config, msg::RobotId::first(case.robots)).ok_or("no robots")?;
+        Ok(Self { tour, commands: Vec::new(), driving: Duration::ZERO })
+    }
+}
+
+fn observe<'a>(world: &'a World, robot: &'a Robot) -> RobotObservation<'a> {
+    RobotObservation {
+        robot: robot.id,
+        map: Some(world.map_view()),
+        in_merged_map: true,
+        map_from_base: Some(robot.pose()),
+        scan: robot.scan_view(),
+    }
+}
+
+impl Pilot for TourPilot {
+    fn step(&mut self, world: &World, twists: &mut [Twist]) {
+        let robots: Vec<RobotObservation> = world.robots.iter().map(|robot| observe(world, robot)).collect();
+        let begun = Instant::now();
+        self.tour.step_all(&FleetObservation { stamp: world.now, robots: &robots }, &mut self.commands);
+        self.driving += begun.elapsed();
+        for command in &self.commands {
+            twists[command.robot.index()] = command.twist;
+        }
+    }
+
+    fn is_done(&self) -> bool {
+        false
+    }
+
+    fn describe(&self, outcome: &mut Outcome) {
+        outcome.drive_ms = self.driving.as_secs_f64() * 1e3;
+        outcome.plans = self.tour.stats().map(|stats| stats.exploration.plans).sum();
+    }
+}

@@ -1,0 +1,365 @@
+// Mixed reality: the fleet on the real floor, its panels in the room, and the operator's hands.
+
+import { alignMap, floorHit, pointFromXr, pointToXr, poseFromXr, xrFromFrame } from "./coordinates.js";
+import { compose, invert, transform } from "./geometry.js";
+import { facing, multiply, rotationAboutY, transformDirection, transformPoint, translation } from "./matrix.js";
+import { BURGER_HEIGHT_M } from "./models.js";
+import { KeptAnchor } from "./xr_anchors.js";
+import { Controls, pulse, rayOf } from "./xr_input.js";
+import { FleetPanel, RobotPanel } from "./xr_panels.js";
+import { Scene, channels } from "./xr_scene.js";
+import { XrSession, requestSession } from "./xr_session.js";
+
+/** @typedef {import("./state.js").Fleet} Fleet */
+/** @typedef {import("./state.js").Robot} Robot */
+/** @typedef {import("./geometry.js").Pose} Pose */
+/** @typedef {import("./xr_scene.js").Placement} Placement */
+/** @typedef {import("./xr_scene.js").Pointer} Pointer */
+/** @typedef {import("./xr_input.js").Ray} Ray */
+/** @typedef {[number, number, number]} Vector */
+
+/**
+ * What the page lets mixed reality do. @typedef {object} Operator
+ * @property {Fleet} fleet @property {() => number | null} selected @property {(number: number | null) => void} select
+ * @property {(step: number) => void} selectNext @property {() => void} stop @property {() => void} release
+ * @property {() => void} takeOver @property {() => boolean} isConnected @property {(text: string, isError?: boolean) => void} log
+ * @property {() => number} now seconds
+ * @property {(point: {x: number, y: number}) => void} floorSelected a point of `map` was pointed at: for goals
+ */
+
+/** Period at which panels are painted, seconds. */
+const PANEL_S = 0.25;
+/** Size of the table-top map, and its height above the floor, metres. */
+const TABLE_M = 0.9;
+const TABLE_HEIGHT_M = 0.75;
+/** Where panels and the table stand at first, seen from the viewer: metres ahead, to the left, below the eyes. */
+const PANEL_AT = { ahead: 1.25, left: 0.55, below: 0.1 };
+const TABLE_AHEAD_M = 0.8;
+/** A ray selects a robot if it passes so near, metres, and this share of its distance more. */
+const PICK_M = 0.16;
+const PICK_SHARE = 0.015;
+/** Length of a ray that meets nothing, metres. */
+const RAY_M = 3;
+/** Ranks of attention up to which a new item is an alarm. */
+const ALARM_RANK = 3;
+/** Strength and length of the controllers' pulses, ms. */
+const STOP_PULSE = /** @type {const} */ ([1, 400]);
+const ALARM_PULSE = /** @type {const} */ ([0.5, 150]);
+
+/** Mixed reality of one page. */
+export class MixedReality {
+  /** @param {Operator} operator @param {(isOn: boolean) => void} changed */
+  constructor(operator, changed) {
+    this.operator = operator;
+    this.changed = changed;
+    /** @type {XrSession | null} */
+    this.xr = null;
+    this.mapAnchor = new KeptAnchor("map");
+    this.panelAnchor = new KeptAnchor("panel");
+    this.controls = new Controls({
+      next: () => operator.selectNext(1), previous: () => operator.selectNext(-1),
+      stop: operator.stop, changeView: () => this.changeView(),
+    });
+    /** Where the map is. @type {Placement} */
+    this.placement = { pose: { x: 0, y: 0, yaw: 0 }, scale: 1, height: 0 };
+    /** The table-top view, or null for life-size. @type {Placement | null} */
+    this.table = null;
+    /** The steps of an alignment that is under way. @type {{inMap: Pose, name: string, place: Vector | null} | null} */
+    this.alignment = null;
+    this.notice = "";
+    /** @type {Map<number, RobotPanel>} */
+    this.robotPanels = new Map();
+    /** @type {Pointer[]} */
+    this.pointers = [];
+    this.panelsDue = 0;
+    this.wasStopped = false;
+    /** @type {Set<string>} */
+    this.alarms = new Set();
+  }
+
+  /** Begins a session. */
+  async start() {
+    try {
+      const session = await requestSession();
+      await Promise.all([this.mapAnchor.restore(session), this.panelAnchor.restore(session)]);
+      const xr = await XrSession.begin(session, {
+        update: (frame, viewer) => this.update(frame, viewer), draw: () => this.draw(),
+        ended: () => this.ended(), failed: (error) => this.operator.log(`mixed reality: ${error.message}`, true),
+      });
+      this.scene = new Scene(xr.renderer);
+      this.fleetPanel = new FleetPanel(xr.renderer);
+      this.robotPanels.clear();
+      session.addEventListener("select", (/** @type {any} */ event) => {
+        const ray = rayOf(event.frame, event.inputSource, xr.space);
+        if (ray) this.select(ray, event.frame);
+      });
+      this.xr = xr;
+      this.changed(true);
+    } catch (error) {
+      this.operator.log(`mixed reality cannot start: ${/** @type {Error} */ (error).message}`, true);
+    }
+  }
+
+  ended() {
+    this.xr = null;
+    this.table = null;
+    this.alignment = null;
+    this.changed(false);
+  }
+
+  /** Returns what the thumbstick says, or null outside of a session. */
+  drive() { return this.xr ? this.controls.drive(this.operator.now()) : null; }
+
+  /** Where the map is drawn now. */
+  get shown() { return this.table ?? this.placement; }
+
+  // --- Frames ---
+
+  /** @param {any} frame @param {any} viewer */
+  update(frame, viewer) {
+    const { xr, operator: { fleet }, scene } = this;
+    if (!xr || !scene) return;
+    const now = this.operator.now();
+    const { matrix } = viewer.transform;
+    const eye = /** @type {Vector} */ ([matrix[12], matrix[13], matrix[14]]);
+    const gaze = transformDirection(matrix, [0, 0, -1]);
+    this.controls.update(xr.session, frame, xr.space, now);
+    const anchor = this.mapAnchor.matrix(frame, xr.space);
+    if (anchor) this.placement.pose = compose(poseFromXr(anchor), invert(this.mapAnchor.data ?? { x: 0, y: 0, yaw: 0 }));
+    this.viewerPose = poseFromXr(matrix);
+    this.xrFromMap = xrFromFrame(this.shown.pose, this.shown.scale, this.shown.height);
+    scene.update(fleet, now);
+    this.updatePanels(frame, eye, gaze, now);
+    this.pointers = this.controls.rays.map((ray) => this.pointerOf(ray));
+    this.pulseOnChanges(now);
+  }
+
+  draw() {
+    const { xr, scene, operator, xrFromMap } = this;
+    if (!xr || !scene || !xrFromMap) return;
+    scene.draw(operator.fleet, operator.selected(), operator.now(), xrFromMap);
+    xr.renderer.setOnTop(true);
+    const place = xr.renderer.eye?.place ?? [0, 0, 0];
+    const distance = (/** @type {import("./xr_panels.js").Panel} */ { matrix }) => (matrix ? Math.hypot(matrix[12] - place[0], matrix[13] - place[1], matrix[14] - place[2]) : 0);
+    this.panels().sort((a, b) => distance(b) - distance(a)).forEach((panel) => panel.draw());
+    const robot = operator.fleet.robots.get(operator.selected() ?? -1);
+    for (const pointer of this.pointers) scene.drawPointer(pointer, robot ? channels(robot.colour) : [1, 1, 1]);
+    xr.renderer.setOnTop(false);
+  }
+
+  panels() { return [...this.robotPanels.values(), ...(this.fleetPanel ? [this.fleetPanel] : [])]; }
+
+  /** @param {any} frame @param {Vector} eye @param {Vector} gaze @param {number} now */
+  updatePanels(frame, eye, gaze, now) {
+    const { xr, fleetPanel, operator: { fleet } } = this;
+    if (!xr || !fleetPanel) return;
+    const kept = this.panelAnchor.matrix(frame, xr.space);
+    if (kept) fleetPanel.matrix = kept;
+    else this.putPanel(frame, eye);
+    const isDue = now >= this.panelsDue;
+    if (isDue) {
+      this.panelsDue = now + PANEL_S;
+      const isConnected = this.operator.isConnected();
+      const text = this.noticeText(isConnected);
+      const items = fleet.attention(now, isConnected);
+      fleetPanel.show(fleet, now, { text, isGood: isConnected && !this.alignment && !fleet.isStopped }, items, this.commands(), this.operator.select);
+    }
+    const ahead = fleetPanel.hit(eye, gaze) ? null : gaze;
+    for (const robot of fleet.robots.values()) this.updateRobotPanel(robot, eye, ahead, now, isDue);
+  }
+
+  /** @param {Robot} robot @param {Vector} eye @param {Vector | null} gaze @param {number} now @param {boolean} isDue */
+  updateRobotPanel(robot, eye, gaze, now, isDue) {
+    if (!robot.pose || !this.xr || !this.xrFromMap) return;
+    let panel = this.robotPanels.get(robot.number);
+    if (!panel) {
+      panel = new RobotPanel(this.xr.renderer);
+      this.robotPanels.set(robot.number, panel);
+    }
+    panel.place(transformPoint(this.xrFromMap, [robot.pose.x, robot.pose.y, 0]), eye, gaze, now, this.shown.scale);
+    const select = () => this.operator.select(robot.number);
+    if (isDue || panel.shown === "") panel.show(robot, robot.number === this.operator.selected(), now, select);
+  }
+
+  /** Puts the fleet's panel before the viewer, and keeps it there. @param {any} frame @param {Vector} eye */
+  putPanel(frame, eye) {
+    const place = transform(/** @type {Pose} */ (this.viewerPose), { x: PANEL_AT.ahead, y: PANEL_AT.left });
+    const [x, , z] = pointToXr([place.x, place.y, 0]);
+    const matrix = facing([x, eye[1] - PANEL_AT.below, z], eye);
+    if (this.xr) this.panelAnchor.put(frame, this.xr.space, matrix, null);
+    if (this.fleetPanel) this.fleetPanel.matrix = matrix;
+  }
+
+  noticeText(/** @type {boolean} */ isConnected) {
+    if (!isConnected) return "no connection: robots are at rest";
+    if (this.alignment) return this.alignment.place ? `point straight ahead of ${this.alignment.name}` : `point where ${this.alignment.name} stands`;
+    if (this.operator.fleet.isStopped) return "emergency stop is set";
+    return this.notice || "connected";
+  }
+
+  /** The buttons of the fleet's panel. @returns {import("./xr_panels.js").Command[]} */
+  commands() {
+    const { operator, operator: { fleet } } = this;
+    const robot = fleet.robots.get(operator.selected() ?? -1);
+    const isOthers = robot?.figures.driver && !robot.figures.is_mine;
+    return [
+      fleet.isStopped
+        ? { text: "Release stop", press: operator.release, isOn: true }
+        : { text: "Stop all", press: operator.stop, isDanger: true },
+      { text: this.alignment ? "Cancel" : "Align map", press: () => this.beginAlignment(), isOn: this.alignment !== null },
+      { text: this.table ? "Life-size" : "Table-top", press: () => this.changeView() },
+      ...(isOthers ? [{ text: "Take over", press: operator.takeOver }] : []),
+      { text: "Leave", press: () => this.xr?.end() },
+    ];
+  }
+
+  /** Lets the controllers vibrate when the stop is set, and when something needs attention. */
+  pulseOnChanges(/** @type {number} */ now) {
+    const { xr, operator } = this;
+    if (!xr) return;
+    const isStopped = operator.fleet.isStopped === true;
+    if (isStopped && !this.wasStopped) pulse(xr.session, ...STOP_PULSE);
+    this.wasStopped = isStopped;
+    const items = operator.fleet.attention(now, operator.isConnected()).filter(({ rank }) => rank <= ALARM_RANK);
+    const alarms = new Set(items.map(({ rank, robot }) => `${rank} ${robot}`));
+    if ([...alarms].some((alarm) => !this.alarms.has(alarm))) pulse(xr.session, ...ALARM_PULSE);
+    this.alarms = alarms;
+  }
+
+  // --- Pointing ---
+
+  /** Returns the robot that a ray passes, the nearest to it. @param {Ray} ray @returns {{robot: Robot, at: Vector} | null} */
+  robotAt({ origin, direction }) {
+    if (!this.xrFromMap) return null;
+    let best = null;
+    let least = Infinity;
+    for (const robot of this.operator.fleet.robots.values()) {
+      if (!robot.pose) continue;
+      const at = transformPoint(this.xrFromMap, [robot.pose.x, robot.pose.y, BURGER_HEIGHT_M / 2]);
+      const to = at.map((value, i) => value - origin[i]);
+      const along = to[0] * direction[0] + to[1] * direction[1] + to[2] * direction[2];
+      const beside = Math.sqrt(Math.max(0, to[0] ** 2 + to[1] ** 2 + to[2] ** 2 - along ** 2));
+      if (along <= 0 || beside > PICK_M * Math.max(0.3, this.shown.scale) + PICK_SHARE * along || beside >= least) continue;
+      [best, least] = [{ robot, at }, beside];
+    }
+    return best;
+  }
+
+  /** Returns the panel that a ray meets first, and where. @param {Ray} ray */
+  panelAt({ origin, direction }) {
+    const hits = this.panels().flatMap((panel) => {
+      const hit = panel.hit(origin, direction);
+      return hit ? [{ panel, hit }] : [];
+    });
+    return hits.sort((a, b) => a.hit.distance - b.hit.distance)[0] ?? null;
+  }
+
+  /** Returns where a ray meets the plane of the map, in WebXR. @param {Ray} ray @returns {Vector | null} */
+  planeAt({ origin, direction }) {
+    const { height } = this.alignment ? this.placement : this.shown;
+    const hit = floorHit([origin[0], origin[1] - height, origin[2]], direction);
+    return hit && [hit[0], height, hit[2]];
+  }
+
+  /** Returns what a ray points at, to be drawn. @param {Ray} ray @returns {Pointer} */
+  pointerOf(ray) {
+    const { origin, direction } = ray;
+    const along = (/** @type {number} */ length) => /** @type {Vector} */ (origin.map((value, i) => value + length * direction[i]));
+    const panel = this.panelAt(ray);
+    if (panel) return { ...ray, end: along(panel.hit.distance), isOnFloor: false };
+    const robot = this.alignment ? null : this.robotAt(ray);
+    if (robot) return { ...ray, end: robot.at, isOnFloor: false };
+    const floor = this.planeAt(ray);
+    return { ...ray, end: floor ?? along(RAY_M), isOnFloor: floor !== null };
+  }
+
+  /** A trigger was pulled, or fingers pinched. @param {Ray} ray @param {any} frame */
+  select(ray, frame) {
+    const panel = this.panelAt(ray);
+    if (panel) {
+      panel.panel.buttonAt(panel.hit)?.press();
+      this.panelsDue = 0;
+      return;
+    }
+    if (this.alignment) {
+      const place = this.planeAt(ray);
+      if (place) this.alignTo(place, frame);
+      return;
+    }
+    const robot = this.robotAt(ray);
+    if (robot) {
+      this.operator.select(robot.robot.number);
+      this.panelsDue = 0;
+      return;
+    }
+    const point = this.planeAt(ray);
+    if (point) this.operator.floorSelected(this.mapPoint(point));
+  }
+
+  /** Returns a point of the map's plane in `map`. @param {Vector} point in WebXR */
+  mapPoint(point) {
+    const { pose, scale } = this.shown;
+    const [x, y] = pointFromXr(point);
+    const inMap = transform(invert(pose), { x, y });
+    // The table's frame has its scale about its own origin.
+    return { x: inMap.x / scale, y: inMap.y / scale };
+  }
+
+  /** Returns where a button of the fleet's panel is in WebXR, or null: for tests. @param {string} text @returns {Vector | null} */
+  buttonPlace(text) {
+    const panel = this.fleetPanel;
+    const button = panel?.buttons.find((known) => known.text === text);
+    return panel?.matrix && button ? transformPoint(panel.matrix, panel.placeOf(button)) : null;
+  }
+
+  // --- Where the map is ---
+
+  /** Begins to align the map to the room with the selected robot, or gives it up. */
+  beginAlignment() {
+    const { fleet, selected } = this.operator;
+    const robot = fleet.robots.get(selected() ?? fleet.robots.keys().next().value ?? -1);
+    this.table = null;
+    if (this.alignment || !robot?.pose) {
+      this.notice = this.alignment || robot ? "" : "there is no robot to align with";
+      this.alignment = null;
+      return;
+    }
+    this.alignment = { inMap: { ...robot.pose }, name: robot.name, place: null };
+  }
+
+  /** Takes the next point of the alignment. @param {Vector} point on the floor @param {any} frame */
+  alignTo(point, frame) {
+    const { alignment, xr } = this;
+    if (!alignment || !xr) return;
+    if (!alignment.place) {
+      alignment.place = point;
+      return;
+    }
+    const map = alignMap(alignment.inMap, alignment.place, point);
+    if (!map) return;
+    // The anchor stands where the robot was pointed at: there it is exact.
+    const { x, y, yaw } = compose(map, alignment.inMap);
+    const [ax, , az] = pointToXr([x, y, 0]);
+    this.placement = { pose: map, scale: 1, height: 0 };
+    this.mapAnchor.put(frame, xr.space, multiply(translation(ax, 0, az), rotationAboutY(yaw)), alignment.inMap);
+    this.alignment = null;
+    this.notice = "aligned";
+  }
+
+  /** Changes between the map on the floor and the map on a table before the viewer. */
+  changeView() {
+    if (this.table) {
+      this.table = null;
+      return;
+    }
+    const box = this.operator.fleet.box();
+    if (!box || !this.viewerPose) return;
+    const size = Math.max(1, box.maxX - box.minX, box.maxY - box.minY);
+    const scale = Math.min(1, TABLE_M / size);
+    const yaw = this.viewerPose.yaw - Math.PI / 2;
+    const middle = transform(this.viewerPose, { x: TABLE_AHEAD_M, y: 0 });
+    const centre = transform({ x: 0, y: 0, yaw }, { x: ((box.minX + box.maxX) / 2) * scale, y: ((box.minY + box.maxY) / 2) * scale });
+    this.table = { pose: { x: middle.x - centre.x, y: middle.y - centre.y, yaw }, scale, height: TABLE_HEIGHT_M };
+  }
+}
+

@@ -1,0 +1,83 @@
+// Controllers and hands in mixed reality: what drives, what is pressed, where it points.
+
+import { thumbstickDeflection } from "./input.js";
+import { transformDirection } from "./matrix.js";
+
+/** @typedef {import("./input.js").Deflection} Deflection */
+/** @typedef {[number, number, number]} Vector */
+/** @typedef {{origin: Vector, direction: Vector}} Ray */
+
+/** Buttons of a controller (xr-standard mapping, Touch Plus). */
+const STICK = 3;
+const LOWER = 4;
+const UPPER = 5;
+/** The deflection of a frame counts for so long, seconds: frames stop when the headset is taken off. */
+const FRESH_S = 0.2;
+
+/** What buttons do. @typedef {{next: () => void, previous: () => void, stop: () => void, changeView: () => void}} Actions */
+
+/** Reads the input sources of a session. */
+export class Controls {
+  /** @param {Actions} actions */
+  constructor(actions) {
+    this.actions = actions;
+    /** Buttons that were down in the last frame. @type {Set<string>} */
+    this.down = new Set();
+    /** @type {Deflection | null} */
+    this.deflection = null;
+    this.deflectionAt = -Infinity;
+    /** @type {Ray[]} */
+    this.rays = [];
+  }
+
+  /** Takes the state of a frame. @param {any} session @param {any} frame @param {any} space @param {number} now seconds */
+  update(session, frame, space, now) {
+    this.rays = [];
+    this.deflection = null;
+    this.deflectionAt = now;
+    if (session.visibilityState !== "visible") return;
+    const down = new Set();
+    for (const source of session.inputSources) {
+      const ray = source.targetRayMode === "tracked-pointer" ? rayOf(frame, source, space) : null;
+      if (ray) this.rays.push(ray);
+      const { gamepad, handedness } = source;
+      if (!gamepad || source.hand) continue;
+      if (handedness === "right") this.deflection = thumbstickDeflection(gamepad);
+      gamepad.buttons.forEach((/** @type {any} */ button, /** @type {number} */ i) => {
+        if (button.pressed) down.add(`${handedness} ${i}`);
+      });
+    }
+    for (const button of down) if (!this.down.has(button)) this.press(button);
+    this.down = down;
+  }
+
+  press(/** @type {string} */ button) {
+    const { next, previous, stop, changeView } = this.actions;
+    /** @type {Record<string, () => void>} */
+    const meanings = {
+      [`right ${LOWER}`]: next, [`left ${LOWER}`]: previous,
+      [`right ${UPPER}`]: stop, [`left ${UPPER}`]: stop, [`left ${STICK}`]: changeView,
+    };
+    meanings[button]?.();
+  }
+
+  /** Returns what the thumbstick says now, or null if its dead man's switch is open or frames have stopped. */
+  drive(/** @type {number} */ now) { return now - this.deflectionAt > FRESH_S ? null : this.deflection; }
+}
+
+/** Returns the ray of an input source, or null if it is not tracked. @param {any} frame @param {any} source @param {any} space @returns {Ray | null} */
+export function rayOf(frame, source, space) {
+  const pose = frame.getPose(source.targetRaySpace, space);
+  if (!pose) return null;
+  const { matrix } = pose.transform;
+  return { origin: [matrix[12], matrix[13], matrix[14]], direction: transformDirection(matrix, [0, 0, -1]) };
+}
+
+/** Lets all controllers of a session vibrate. @param {any} session @param {number} strength 0 to 1 @param {number} ms */
+export function pulse(session, strength, ms) {
+  for (const { gamepad } of session.inputSources) {
+    const actuator = gamepad?.hapticActuators?.[0];
+    // It is refused while the controller sleeps.
+    actuator?.pulse?.(strength, ms)?.catch?.(() => {});
+  }
+}

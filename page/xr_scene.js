@@ -1,0 +1,206 @@
+// What mixed reality shows of the fleet: the map on the floor, trails, scans, robots, and the selected one's ring.
+
+import { transform } from "./geometry.js";
+import { facing, multiply, rotationAboutY, scaling, translation } from "./matrix.js";
+import { SCAN_HEIGHT_M, VERTEX_NUMBERS, burger, cursorRing, ray, ribbon, selectionRing } from "./models.js";
+import { OCCUPIED, FREE } from "./view.js";
+import { XR_FROM_ROS } from "./coordinates.js";
+
+/** @typedef {import("./matrix.js").Matrix} Matrix */
+/** @typedef {import("./renderer.js").Renderer} Renderer */
+/** @typedef {import("./renderer.js").Drawable} Drawable */
+/** @typedef {import("./state.js").Fleet} Fleet */
+/** @typedef {import("./state.js").Robot} Robot */
+/** @typedef {import("./geometry.js").Pose} Pose */
+/** @typedef {[number, number, number]} Vector */
+
+/**
+ * Where the map is in the room. @typedef {object} Placement
+ * @property {Pose} pose of `map` on the floor @property {number} scale 1 is life-size @property {number} height above the floor, metres
+ */
+
+/** What points at something. @typedef {{origin: Vector, direction: Vector, end: Vector, isOnFloor: boolean}} Pointer */
+
+/** Heights above the floor at which flat things are drawn, metres, so that they do not flicker. */
+const MAP_HEIGHT_M = 0.004;
+const TRAIL_HEIGHT_M = 0.008;
+const RING_HEIGHT_M = 0.012;
+/** Width of a trail, metres. */
+const TRAIL_WIDTH_M = 0.022;
+/** Size of a scan's point, metres. */
+const POINT_M = 0.022;
+/** Shortest time between two uploads of a trail, seconds. */
+const TRAIL_PERIOD_S = 0.3;
+/** Colours of free and occupied cells, multiplied by their opacity: red, green, blue, opacity, 0 to 255. */
+const FREE_PIXEL = pixel(90, 170, 235, 0.2);
+const OCCUPIED_PIXEL = pixel(255, 255, 255, 0.85);
+/** The grey of what is stale. */
+const STALE = [0.52, 0.57, 0.63];
+/** Opacity of the part of the selected robot that real things hide. */
+const HIDDEN_OPACITY = 0.28;
+
+/** Returns a pixel in memory, little-endian. @param {number} red @param {number} green @param {number} blue @param {number} opacity */
+function pixel(red, green, blue, opacity) {
+  const [r, g, b, a] = [red * opacity, green * opacity, blue * opacity, 255 * opacity].map(Math.round);
+  return ((a << 24) | (b << 16) | (g << 8) | r) >>> 0;
+}
+
+/** Returns red, green and blue of `#rrggbb`, 0 to 1. @returns {Vector} */
+export function channels(/** @type {string} */ colour) {
+  const value = Number.parseInt(colour.slice(1), 16);
+  return [((value >> 16) & 255) / 255, ((value >> 8) & 255) / 255, (value & 255) / 255];
+}
+
+/** Returns the matrix of a robot in `map`. @param {Pose} pose */
+function robotMatrix({ x, y, yaw }, z = 0) {
+  const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+  return new Float32Array([c, s, 0, 0, -s, c, 0, 0, 0, 0, 1, 0, x, y, z, 1]);
+}
+
+/** The drawables of one robot. */
+class RobotDrawables {
+  /** @param {Renderer} renderer */
+  constructor(renderer) {
+    this.scan = renderer.createPlaces(new Float32Array(0));
+    this.trail = renderer.createMesh({ vertices: new Float32Array(0), count: 0 });
+    /** @type {unknown} */
+    this.shownScan = null;
+    /** @type {unknown} */
+    this.shownTrail = null;
+    this.trailAt = -Infinity;
+  }
+}
+
+/** Draws the fleet with a renderer. */
+export class Scene {
+  /** @param {Renderer} renderer */
+  constructor(renderer) {
+    this.renderer = renderer;
+    this.burger = renderer.createMesh(burger());
+    this.ring = renderer.createMesh(selectionRing());
+    this.cursor = renderer.createMesh(cursorRing());
+    this.ray = renderer.createMesh(ray());
+    this.map = renderer.createTexture(renderer.gl.TEXTURE_2D, renderer.gl.LINEAR_MIPMAP_LINEAR);
+    this.shownMap = 0;
+    /** @type {Map<number, RobotDrawables>} */
+    this.robots = new Map();
+  }
+
+  /** Takes what has changed since the last frame. @param {Fleet} fleet @param {number} now */
+  update(fleet, now) {
+    if (fleet.mapVersion !== this.shownMap) this.updateMap(fleet);
+    for (const robot of fleet.robots.values()) {
+      let drawables = this.robots.get(robot.number);
+      if (!drawables) {
+        drawables = new RobotDrawables(this.renderer);
+        this.robots.set(robot.number, drawables);
+      }
+      if (robot.scan !== drawables.shownScan) {
+        drawables.shownScan = robot.scan;
+        this.renderer.update(drawables.scan, scanPoints(robot), 3);
+      }
+      const last = robot.trail.at(-1);
+      if (last !== drawables.shownTrail && now - drawables.trailAt >= TRAIL_PERIOD_S) {
+        drawables.shownTrail = last;
+        drawables.trailAt = now;
+        this.renderer.update(drawables.trail, ribbon(robot.trail, TRAIL_WIDTH_M).vertices, VERTEX_NUMBERS);
+      }
+    }
+  }
+
+  /** @param {Fleet} fleet */
+  updateMap({ map, mapVersion }) {
+    this.shownMap = mapVersion;
+    const { gl } = this.renderer;
+    if (!map || map.width === 0 || Math.max(map.width, map.height) > gl.getParameter(gl.MAX_TEXTURE_SIZE)) return;
+    const pixels = new Uint32Array(map.cells.length);
+    for (let i = 0; i < pixels.length; i += 1) {
+      const cell = map.cells[i];
+      if (cell <= FREE) pixels[i] = FREE_PIXEL;
+      else if (cell >= OCCUPIED && cell <= 100) pixels[i] = OCCUPIED_PIXEL;
+    }
+    gl.bindTexture(gl.TEXTURE_2D, this.map);
+    gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, map.width, map.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(pixels.buffer));
+    gl.generateMipmap(gl.TEXTURE_2D);
+  }
+
+  /** Draws one view. @param {Fleet} fleet @param {number | null} selected @param {number} now @param {Matrix} xrFromMap */
+  draw(fleet, selected, now, xrFromMap) {
+    const { renderer } = this;
+    renderer.setCovers(false);
+    this.drawMap(fleet, xrFromMap);
+    for (const robot of fleet.robots.values()) {
+      const drawables = this.robots.get(robot.number);
+      if (!drawables || drawables.trail.count === 0) continue;
+      const [r, g, b] = channels(robot.colour);
+      renderer.drawMesh(drawables.trail, multiply(xrFromMap, translation(0, 0, TRAIL_HEIGHT_M)), [r, g, b, 0.6], { light: 0 });
+    }
+    const chosen = selected === null ? null : fleet.robots.get(selected);
+    if (chosen?.pose) this.drawSelection(chosen, now, xrFromMap);
+    renderer.setCovers(true);
+    for (const robot of fleet.robots.values()) this.drawRobot(robot, now, xrFromMap);
+  }
+
+  /** @param {Fleet} fleet @param {Matrix} xrFromMap */
+  drawMap({ map }, xrFromMap) {
+    if (!map || map.width === 0 || this.shownMap === 0) return;
+    const size = scaling(map.width * map.resolution, map.height * map.resolution, 1);
+    this.renderer.drawImage(this.map, multiply(xrFromMap, multiply(robotMatrix(map.origin, MAP_HEIGHT_M), size)));
+  }
+
+  /** Draws the ring, and the robot's shape through what hides it. @param {Robot} robot @param {number} now @param {Matrix} xrFromMap */
+  drawSelection(robot, now, xrFromMap) {
+    const { renderer } = this;
+    const pose = /** @type {Pose} */ (robot.pose);
+    const [r, g, b] = colourOf(robot, now);
+    renderer.setOnTop(true);
+    const matrix = multiply(xrFromMap, robotMatrix({ ...pose, yaw: now * 0.5 }, RING_HEIGHT_M));
+    renderer.drawMesh(this.ring, matrix, [1, 1, 1, 0.95], { light: 0, ignoresDepth: true });
+    const hidden = multiply(xrFromMap, robotMatrix(pose));
+    renderer.drawMesh(this.burger, hidden, [r, g, b, HIDDEN_OPACITY * 0.5], { light: 0, ignoresDepth: true });
+    renderer.setOnTop(false);
+  }
+
+  /** @param {Robot} robot @param {number} now @param {Matrix} xrFromMap */
+  drawRobot(robot, now, xrFromMap) {
+    const drawables = this.robots.get(robot.number);
+    if (!drawables) return;
+    const [r, g, b] = colourOf(robot, now);
+    if (robot.scan) this.renderer.drawPoints(drawables.scan, xrFromMap, [r, g, b, 0.95], POINT_M);
+    if (!robot.pose) return;
+    this.renderer.drawMesh(this.burger, multiply(xrFromMap, robotMatrix(robot.pose)), [r, g, b, 1]);
+  }
+
+  /** Draws the ray of a controller or a hand, and where it ends. @param {Pointer} pointer @param {Vector} colour */
+  drawPointer({ origin, end, isOnFloor }, [r, g, b]) {
+    const { renderer } = this;
+    const along = [end[0] - origin[0], end[1] - origin[1], end[2] - origin[2]];
+    const length = Math.hypot(along[0], along[1], along[2]) || 1;
+    // The bar lies along x: its frame turns about y, then about z.
+    const [c, s] = [Math.hypot(along[0], along[2]) / length, along[1] / length];
+    const tilt = new Float32Array([c, s, 0, 0, -s, c, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]);
+    const turned = multiply(translation(...origin), rotationAboutY(Math.atan2(-along[2], along[0])));
+    renderer.drawMesh(this.ray, multiply(multiply(turned, tilt), scaling(length, 1, 1)), [r, g, b, 0.8], { light: 0, ignoresDepth: true });
+    const flat = multiply(multiply(translation(...end), XR_FROM_ROS), scaling(0.05));
+    const upright = multiply(facing(end, origin), scaling(0.02));
+    renderer.drawMesh(this.cursor, isOnFloor ? flat : upright, [r, g, b, 0.95], { light: 0, ignoresDepth: true });
+  }
+}
+
+/** Returns a robot's colour, grey if its pose is stale. @param {Robot} robot @param {number} now @returns {Vector} */
+function colourOf(robot, now) { return /** @type {Vector} */ (robot.isStale(now) ? STALE : channels(robot.colour)); }
+
+/** Returns the points of a robot's newest scan in `map`. @param {Robot} robot */
+export function scanPoints({ scan, scanPose }) {
+  if (!scan || !scanPose) return new Float32Array(0);
+  /** @type {number[]} */
+  const points = [];
+  scan.ranges.forEach((range, i) => {
+    if (!(range >= scan.rangeMin && range <= scan.rangeMax)) return;
+    const angle = scan.angleMin + i * scan.angleStep;
+    const { x, y } = transform(scanPose, { x: range * Math.cos(angle), y: range * Math.sin(angle) });
+    points.push(x, y, SCAN_HEIGHT_M);
+  });
+  return new Float32Array(points);
+}

@@ -1,0 +1,176 @@
+//! The sensor data of a fleet in its own recording, for replay: what each robot measured, and when it was sent.
+
+use crate::{RecordedMessage, planar};
+use msg::{Header, Odometry, Pose2, RobotId, Scan, Stamp};
+use ros_messages::cdr::Reader;
+use ros_messages::{Message as _, Odometry as RosOdometry, Pose2D, RobotNames, decode, read};
+use std::collections::HashMap;
+
+/// Most bytes of ranges that are kept, bytes: ten hours of 16 robots with 360 beams.
+const RANGES_BYTES_MAX: usize = 8 << 30;
+/// Most messages of all robots.
+const MESSAGES_MAX: usize = 50_000_000;
+
+/// A scan without the unused part of its ranges.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedScan {
+    stamp: Stamp,
+    angle_min_rad: f32,
+    angle_increment_rad: f32,
+    time_increment_s: f32,
+    scan_time_s: f32,
+    range_min_m: f32,
+    range_max_m: f32,
+    ranges_m: Box<[f32]>,
+}
+
+impl RecordedScan {
+    fn new(scan: &Scan) -> Self {
+        Self {
+            stamp: scan.header.stamp,
+            angle_min_rad: scan.angle_min_rad,
+            angle_increment_rad: scan.angle_increment_rad,
+            time_increment_s: scan.time_increment_s,
+            scan_time_s: scan.scan_time_s,
+            range_min_m: scan.range_min_m,
+            range_max_m: scan.range_max_m,
+            ranges_m: scan.ranges_m().into(),
+        }
+    }
+
+    /// Writes the scan into a message that is all zero.
+    pub fn write_to(&self, scan: &mut Scan) {
+        scan.header.stamp = self.stamp;
+        (scan.angle_min_rad, scan.angle_increment_rad) = (self.angle_min_rad, self.angle_increment_rad);
+        (scan.time_increment_s, scan.scan_time_s) = (self.time_increment_s, self.scan_time_s);
+        (scan.range_min_m, scan.range_max_m) = (self.range_min_m, self.range_max_m);
+        scan.ranges_m[..self.ranges_m.len()].copy_from_slice(&self.ranges_m);
+        scan.len = self.ranges_m.len() as u32;
+    }
+}
+
+/// A message that a robot's simulator, or the robot, sent.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SensorMessage {
+    /// One turn of the LiDAR.
+    Scan(RecordedScan),
+    /// Wheel odometry of the robot.
+    Odometry(Odometry),
+}
+
+/// What one robot sent, in order of time.
+#[derive(Clone, Debug, Default)]
+pub struct RobotRecording {
+    /// Messages, each with the time of the run at which it was sent.
+    pub messages: Vec<(Stamp, SensorMessage)>,
+}
+
+/// What a message of a recording means for replay.
+#[derive(Clone, Copy)]
+enum Meaning {
+    Scan(RobotId),
+    Odometry(RobotId),
+    PlanarOdometry(RobotId),
+    Clock,
+}
+
+/// The sensor data of all robots.
+pub struct FleetRecording {
+    meanings: HashMap<String, Meaning>,
+    /// Each robot's messages, by its index.
+    pub robots: Vec<RobotRecording>,
+    /// Times at which the clock was sent.
+    pub clock: Vec<Stamp>,
+    /// Time of the last message.
+    pub ends: Stamp,
+    /// Messages that could not be decoded.
+    pub malformed: u64,
+    /// Messages that were left out, because there are too many.
+    pub left_out: u64,
+    ranges_bytes: usize,
+    scan: Box<Scan>,
+}
+
+impl FleetRecording {
+    /// Begins without messages. `planar_odometry` is the last part of the name of a robot's odometry as an angle.
+    pub fn new(names: &RobotNames, planar_odometry: &str, scan: Box<Scan>) -> Self {
+        let mut meanings = HashMap::from([("/clock".to_owned(), Meaning::Clock)]);
+        for robot in names.robots() {
+            meanings.insert(names.topic(robot, "scan"), Meaning::Scan(robot));
+            meanings.insert(names.topic(robot, "odom"), Meaning::Odometry(robot));
+            meanings.insert(names.topic(robot, planar_odometry), Meaning::PlanarOdometry(robot));
+        }
+        let robots = vec![RobotRecording::default(); names.count()];
+        let (clock, ends) = (Vec::new(), Stamp(0));
+        Self { meanings, robots, clock, ends, malformed: 0, left_out: 0, ranges_bytes: 0, scan }
+    }
+
+    /// Adds a message of the recording. Those of other topics are ignored, malformed ones are counted.
+    pub fn add(&mut self, message: &RecordedMessage) {
+        self.ends = self.ends.max(message.at);
+        let Some(meaning) = self.meanings.get(&*message.topic).copied() else { return };
+        let messages = self.robots.iter().map(|robot| robot.messages.len()).sum::<usize>() + self.clock.len();
+        if messages >= MESSAGES_MAX || self.ranges_bytes >= RANGES_BYTES_MAX {
+            self.left_out += 1;
+        } else if self.decode(meaning, message).is_none() {
+            self.malformed += 1;
+        }
+    }
+
+    fn decode(&mut self, meaning: Meaning, message: &RecordedMessage) -> Option<()> {
+        let (at, payload) = (message.at, &message.payload);
+        match meaning {
+            Meaning::Clock => self.clock.push(at),
+            Meaning::Scan(robot) => {
+                read::laser_scan(&mut Reader::new(payload).ok()?, &mut self.scan).ok()?;
+                let scan = RecordedScan::new(&self.scan);
+                self.ranges_bytes += size_of_val(&*scan.ranges_m);
+                self.push(robot, at, SensorMessage::Scan(scan));
+            }
+            Meaning::Odometry(robot) => {
+                let RosOdometry { stamp, position, orientation, twist, .. } = decode(payload).ok()?;
+                let odometry = Odometry {
+                    header: Header { stamp, ..Header::default() },
+                    odom_from_base: planar::pose(position, orientation)?,
+                    linear_m_s: twist.linear[0],
+                    angular_rad_s: twist.angular[2],
+                };
+                self.push(robot, at, SensorMessage::Odometry(odometry));
+            }
+            Meaning::PlanarOdometry(robot) => {
+                let Pose2D { x, y, theta } = Pose2D::read(&mut Reader::new(payload).ok()?).ok()?;
+                let messages = &mut self.robots.get_mut(robot.index())?.messages;
+                // It follows the odometry that it is the exact pose of; only messages of the same moment lie between.
+                let same = messages.iter_mut().rev().take_while(|(sent, _)| *sent == at);
+                let odometry = same.filter_map(|(_, message)| match message {
+                    SensorMessage::Odometry(odometry) => Some(odometry),
+                    SensorMessage::Scan(_) => None,
+                });
+                for odometry in odometry.take(1) {
+                    odometry.odom_from_base = Pose2::new(x, y, theta);
+                }
+            }
+        }
+        Some(())
+    }
+
+    fn push(&mut self, robot: RobotId, at: Stamp, message: SensorMessage) {
+        if let Some(robot) = self.robots.get_mut(robot.index()) {
+            robot.messages.push((at, message));
+        }
+    }
+
+    /// Sorts each robot's messages by time, odometry before the scan of the same moment.
+    pub fn sort(&mut self) {
+        for robot in &mut self.robots {
+            robot.messages.sort_by_key(|(at, message)| (*at, matches!(message, SensorMessage::Scan(_))));
+        }
+        self.clock.sort();
+    }
+
+    /// Returns whether a robot has scans.
+    pub fn has_scans(&self) -> bool {
+        let is_scan = |(_, message): &(Stamp, SensorMessage)| matches!(message, SensorMessage::Scan(_));
+        self.robots.iter().any(|robot| robot.messages.iter().any(is_scan))
+    }
+}

@@ -1,0 +1,178 @@
+//! Makes the bytes of a recording: an MCAP file with ROS 2 messages in CDR.
+
+use crate::{COUNTS, METADATA};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
+use mcap::{Compression, McapError, WriteOptions};
+use msg::Stamp;
+use ros_messages::schema::schema;
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::io;
+use std::rc::Rc;
+
+/// Size of a chunk before compression, bytes. A chunk also ends at each [`RecordingWriter::flush`].
+const CHUNK_BYTES: u64 = 1 << 20;
+/// Durability of a latched topic in rosbag2's metadata of a channel: reliable, transient local, the last message.
+const LATCHED_QOS: &str = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline:\n    sec: 9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false";
+
+/// Reason why a message is not in a recording.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// No definition of the type is known.
+    #[error("topic {topic}: no definition of the message type {message_type} is known")]
+    UnknownType {
+        /// Name of the topic.
+        topic: String,
+        /// Type as `package/Type`.
+        message_type: String,
+    },
+    /// The container cannot hold it.
+    #[error("cannot write MCAP: {0}")]
+    Container(#[from] McapError),
+}
+
+/// Whether a topic's newest message matters to late subscribers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Durability {
+    /// Present subscribers only.
+    Volatile,
+    /// The newest message is for late subscribers too (latched, transient local).
+    Latched,
+}
+
+/// Index of a topic in a writer, by the order in which topics were added.
+pub type TopicIndex = usize;
+
+/// Number of a topic's messages in a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TopicCount {
+    /// Name of the topic.
+    pub topic: String,
+    /// Number of messages.
+    pub messages: u64,
+    /// Bytes of the messages, each with its encapsulation header.
+    pub bytes: u64,
+}
+
+/// Bytes that the container has written and nobody has taken.
+#[derive(Clone, Default)]
+struct Buffer(Rc<RefCell<Vec<u8>>>);
+
+impl io::Write for Buffer {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.borrow_mut().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// One topic of a file.
+struct Topic {
+    channel: u16,
+    count: TopicCount,
+}
+
+/// Writer of one file.
+pub struct RecordingWriter {
+    container: mcap::Writer<NoSeek<Buffer>>,
+    buffer: Buffer,
+    topics: Vec<Topic>,
+}
+
+impl RecordingWriter {
+    /// Begins a file. `description` goes into the metadata record [`METADATA`].
+    ///
+    /// # Errors
+    /// The container refuses the description.
+    pub fn new(description: &BTreeMap<String, String>) -> Result<Self, WriteError> {
+        let buffer = Buffer::default();
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library(concat!("mr-slam ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Zstd))
+            // The fastest level, in this thread: the fleet needs the other cores.
+            .compression_level(1)
+            .compression_threads(0)
+            .chunk_size(Some(CHUNK_BYTES))
+            .disable_seeking(true);
+        let mut container = mcap::Writer::with_options(NoSeek::new(buffer.clone()), options)?;
+        container.write_metadata(&Metadata { name: METADATA.into(), metadata: description.clone() })?;
+        Ok(Self { container, buffer, topics: Vec::new() })
+    }
+
+    /// Adds a topic of a type `package/Type`.
+    ///
+    /// # Errors
+    /// The type has no known definition.
+    pub fn add_topic(
+        &mut self,
+        topic: &str,
+        message_type: &str,
+        durability: Durability,
+    ) -> Result<TopicIndex, WriteError> {
+        let unknown =
+            || WriteError::UnknownType { topic: topic.to_owned(), message_type: message_type.to_owned() };
+        let definition = schema(message_type).ok_or_else(unknown)?;
+        let (package, class) = message_type.split_once('/').ok_or_else(unknown)?;
+        let id =
+            self.container.add_schema(&format!("{package}/msg/{class}"), "ros2msg", definition.as_bytes())?;
+        let qos = if durability == Durability::Latched { LATCHED_QOS } else { "" };
+        let metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), qos.to_owned())]);
+        let channel = self.container.add_channel(id, topic, "cdr", &metadata)?;
+        let count = TopicCount { topic: topic.to_owned(), ..TopicCount::default() };
+        self.topics.push(Topic { channel, count });
+        Ok(self.topics.len() - 1)
+    }
+
+    /// Writes a message that was sent at this time of the run. Times before 0 become 0, which MCAP begins with.
+    ///
+    /// # Errors
+    /// The container refuses it. A topic that was not added is ignored.
+    pub fn write(&mut self, topic: TopicIndex, at: Stamp, payload: &[u8]) -> Result<(), WriteError> {
+        let Some(Topic { channel, count }) = self.topics.get_mut(topic) else { return Ok(()) };
+        let at = at.0.max(0) as u64;
+        let header = MessageHeader {
+            channel_id: *channel,
+            sequence: count.messages as u32,
+            log_time: at,
+            publish_time: at,
+        };
+        self.container.write_to_known_channel(&header, payload)?;
+        count.messages += 1;
+        count.bytes += payload.len() as u64;
+        Ok(())
+    }
+
+    /// Ends the chunk, so that all messages so far can be read when the bytes are on disk.
+    ///
+    /// # Errors
+    /// The chunk cannot be compressed.
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        Ok(self.container.flush()?)
+    }
+
+    /// Returns the bytes that are to be appended to the file.
+    pub fn take_bytes(&mut self) -> Vec<u8> {
+        std::mem::take(&mut *self.buffer.0.borrow_mut())
+    }
+
+    /// Returns the number of messages of each topic.
+    pub fn counts(&self) -> impl Iterator<Item = &TopicCount> {
+        self.topics.iter().map(|topic| &topic.count)
+    }
+
+    /// Ends the file with its index and counts, and returns its last bytes.
+    ///
+    /// # Errors
+    /// The last chunk cannot be compressed.
+    pub fn finish(mut self) -> Result<Vec<u8>, WriteError> {
+        let counts = self.counts().map(|count| (count.topic.clone(), count.messages.to_string())).collect();
+        self.container.write_metadata(&Metadata { name: COUNTS.into(), metadata: counts })?;
+        self.container.finish()?;
+        Ok(self.take_bytes())
+    }
+}

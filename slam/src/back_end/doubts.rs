@@ -1,0 +1,139 @@
+//! Keeps the evidence that the map is wrong up to date, a few nodes at a time: the work beside a node does not grow with
+//! the map.
+
+use super::BackEnd;
+use crate::map_doubts::{MapDoubts, OdometryStep, WallAgreement, contradicted_share, odometry_stretch};
+use crate::node::Node;
+use crate::stages::Stage;
+
+/// Older nodes that a node is compared with.
+const WITNESSES: usize = 4;
+/// Two witnesses are at least this far apart in order.
+const WITNESS_SPREAD: u32 = 3;
+/// Nodes nearer to each other in order than this are of one pass and say the same.
+const SAME_PASS_NODES: u32 = 12;
+/// Scans from afar see other sides of things: a metre between viewpoints counts so much as a metre between what is looked at.
+const VIEWPOINT: f64 = 0.5;
+/// Nodes compared anew with each new one, as solutions move them.
+const RENEWED_NODES: usize = 1;
+/// Nodes after which what is known of the nodes is summed up.
+const SUMMARY_NODES: usize = 8;
+
+/// What is known of the doubts about the map.
+#[derive(Default)]
+pub(super) struct DoubtMonitor {
+    /// How the nodes agree with older ones of other passes, by id; `None` where there are none.
+    walls: Vec<Option<WallAgreement>>,
+    /// The next node to be compared anew.
+    cursor: usize,
+    /// Components that were found farther away than the robot can have gone.
+    pub distant_relocations: u32,
+    /// Seconds in which nothing measured the motion.
+    pub unmeasured_s: f32,
+    current: MapDoubts,
+}
+
+impl DoubtMonitor {
+    /// Forgets what is known by node, after nodes got other numbers.
+    pub fn forget_nodes(&mut self) {
+        self.walls.clear();
+        self.cursor = 0;
+    }
+}
+
+impl BackEnd {
+    /// Evidence that the map is wrong.
+    pub fn doubts(&self) -> MapDoubts {
+        self.doubts.current
+    }
+
+    /// Compares the newest node, and some older ones anew, with the other passes over the same places.
+    pub(super) fn update_doubts(&mut self) {
+        let Some(newest) = self.nodes.len().checked_sub(1) else { return };
+        self.stages.stage_started(Stage::Link);
+        let is_new = self.doubts.walls.len() <= newest;
+        self.doubts.walls.resize(newest + 1, None);
+        if is_new {
+            self.doubts.walls[newest] = self.compare_with_older(newest as u32);
+        }
+        for _ in 0..RENEWED_NODES {
+            self.doubts.cursor = (self.doubts.cursor + 1) % (newest + 1);
+            self.doubts.walls[self.doubts.cursor] = self.compare_with_older(self.doubts.cursor as u32);
+        }
+        if newest.is_multiple_of(SUMMARY_NODES) {
+            self.sum_up_doubts();
+        }
+    }
+
+    /// Compares all nodes anew.
+    pub(super) fn renew_doubts(&mut self) {
+        self.doubts.walls = (0..self.nodes.len() as u32).map(|id| self.compare_with_older(id)).collect();
+        self.sum_up_doubts();
+    }
+
+    fn sum_up_doubts(&mut self) {
+        self.doubts.current = MapDoubts {
+            contradicted_share: contradicted_share(&self.doubts.walls),
+            odometry_stretch: odometry_stretch(&self.odometry_steps()),
+            unmeasured_motion_s: self.doubts.unmeasured_s,
+            distant_relocations: self.doubts.distant_relocations,
+        };
+    }
+
+    /// Compares a node with older ones of other passes that look at the same place.
+    fn compare_with_older(&self, id: u32) -> Option<WallAgreement> {
+        let node = &self.nodes[id as usize];
+        if !node.in_map() {
+            return None;
+        }
+        let poses = self.graph.poses();
+        let here = poses[id as usize];
+        let looks_at = |node: &Node| poses[node.id as usize].apply(node.cloud.middle());
+        let [x, y] = looks_at(node);
+        let others = &self.nodes[..id.saturating_sub(SAME_PASS_NODES) as usize];
+        let mut near: Vec<(f64, u32)> = others
+            .iter()
+            .filter(|other| other.in_map())
+            .filter_map(|other| {
+                let [u, v] = looks_at(other);
+                let apart_m = (u - x).hypot(v - y);
+                let away_m = here.distance_m(poses[other.id as usize]);
+                (apart_m < self.config.links.distance_max_m)
+                    .then_some((apart_m + VIEWPOINT * away_m, other.id))
+            })
+            .collect();
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut witnesses: Vec<u32> = Vec::with_capacity(WITNESSES);
+        for (_, other) in near {
+            if witnesses.iter().all(|witness| witness.abs_diff(other) >= WITNESS_SPREAD) {
+                witnesses.push(other);
+            }
+            if witnesses.len() == WITNESSES {
+                break;
+            }
+        }
+        let mut sum = None;
+        for other in witnesses {
+            let other_from_node = poses[other as usize].between(here);
+            let other = &self.nodes[other as usize].cloud;
+            *sum.get_or_insert_default() += WallAgreement::both_ways(other, &node.cloud, other_from_node);
+        }
+        sum
+    }
+
+    /// Every motion between consecutive nodes of the map, by odometry and as the graph has it.
+    fn odometry_steps(&self) -> Vec<Option<OdometryStep>> {
+        let poses = self.graph.poses();
+        let step = |pair: &[Node]| {
+            let [before, node] = pair else { return None };
+            let is_in_map = before.disconnected.is_none() && node.disconnected.is_none();
+            let by_odometry = node.previous_from_this.filter(|_| is_in_map && !node.odometry_break)?;
+            let [a, b] = [before.id, node.id].map(|id| poses[id as usize]);
+            let there = a * by_odometry;
+            let length_m = by_odometry.x_m.hypot(by_odometry.y_m);
+            let [sigma_m, _] = self.configured_odometry_sigmas(by_odometry);
+            Some(OdometryStep { error_m: [there.x_m - b.x_m, there.y_m - b.y_m], length_m, sigma_m })
+        };
+        self.nodes.windows(2).map(step).collect()
+    }
+}

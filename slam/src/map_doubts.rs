@@ -1,0 +1,240 @@
+//! Evidence that a map is wrong: walls that another pass saw through, odometry that the map stretches, motions that
+//! nothing measured, and places that the robot cannot have reached.
+//!
+//! A closure that is wrong by metres fits its own scans, or it would not have been accepted. It shows elsewhere: the scans
+//! beside it are drawn over those of another place, or the path to it has become longer or shorter than the wheels say.
+
+use crate::cloud::{Cloud, SEE_THROUGH_M};
+use crate::point_transform::PointTransform;
+use msg::Pose2;
+use serde::{Deserialize, Serialize};
+
+/// Contradicted points within this distance of each other belong to one object, metres.
+const OBJECT_GAP_M: f32 = 0.25;
+/// An object of contradicted points at least this long is a wall, metres; a person or a chair is shorter.
+const WALL_EXTENT_M: f32 = 0.8;
+/// A wall has at least this many contradicted points: at `lidar.spacing_m` of 5 cm, half of its extent.
+const WALL_POINTS_MIN: usize = 8;
+/// Nodes over which contradictions are summed up: 3 m of path.
+const WINDOW_NODES: usize = 10;
+/// Fewer contradicted points of walls in a window than this say nothing: 5 m of wall. In acapulco a window has 87.
+const WINDOW_POINTS_MIN: u32 = 100;
+/// A share of contradicted points from here on is evidence. Right maps of generated logs have at most 0.12.
+const CONTRADICTED_SHARE_MAX: f32 = 0.3;
+/// Steps over which the map is compared with odometry: 2.4 m of path, short enough that a slip of the wheels shows
+/// less than a path torn by a wrong closure.
+const STRETCH_STEPS: usize = 8;
+/// Standard deviation of odometry that does not depend on the number of steps, metres: the scans' own noise.
+const STRETCH_SIGMA_M: f64 = 0.05;
+/// Standard deviation of the length of all steps together, as a wrong wheel radius has it, metres per metre.
+const STRETCH_SIGMA_M_PER_M: f64 = 0.03;
+/// A stretch from here on is evidence, standard deviations. Right maps of generated logs, slipping wheels included, have at
+/// most 4.1.
+const STRETCH_SIGMAS_MAX: f64 = 4.5;
+/// A motion that nothing measured is evidence if it lasts longer than this, seconds.
+const UNMEASURED_MAX_S: f32 = 4.0;
+
+/// How well a scan and others from another pass agree about walls.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WallAgreement {
+    /// Points that lie on a surface of the other scan.
+    pub agree: u32,
+    /// Points of walls that the other scan saw through.
+    pub contradict: u32,
+}
+
+impl core::ops::AddAssign for WallAgreement {
+    fn add_assign(&mut self, other: Self) {
+        self.agree += other.agree;
+        self.contradict += other.contradict;
+    }
+}
+
+impl WallAgreement {
+    /// Compares two scans, `b` placed at `a_from_b`, each with the other.
+    pub fn both_ways(a: &Cloud, b: &Cloud, a_from_b: Pose2) -> Self {
+        let mut agreement = compare_walls(a, b, a_from_b);
+        agreement += compare_walls(b, a, a_from_b.inverse());
+        agreement
+    }
+}
+
+/// Compares the points of `b`, placed at `a_from_b`, with what `a` saw.
+fn compare_walls(a: &Cloud, b: &Cloud, a_from_b: Pose2) -> WallAgreement {
+    let transform = PointTransform::new(a_from_b);
+    let mut agreement = WallAgreement::default();
+    let mut seen_through = Vec::new();
+    for point in b.points() {
+        let at = transform.point(point.at);
+        if a.has_surface(at, transform.direction(point.normal)) {
+            agreement.agree += 1;
+        } else if a.sees_through(at, SEE_THROUGH_M) {
+            seen_through.push(at);
+        }
+    }
+    agreement.contradict = points_of_walls(&seen_through) as u32;
+    agreement
+}
+
+/// Number of points that belong to objects as long as a wall: single-linkage clusters.
+fn points_of_walls(points: &[[f32; 2]]) -> usize {
+    let distance = |a: usize, b: usize| (points[a][0] - points[b][0]).hypot(points[a][1] - points[b][1]);
+    let mut left: Vec<usize> = (0..points.len()).collect();
+    let mut of_walls = 0;
+    while let Some(first) = left.pop() {
+        let mut object = vec![first];
+        let mut next = 0;
+        while next < object.len() {
+            let here = object[next];
+            left.retain(|&other| {
+                let is_near = distance(here, other) < OBJECT_GAP_M;
+                if is_near {
+                    object.push(other);
+                }
+                !is_near
+            });
+            next += 1;
+        }
+        let is_long = || object.iter().any(|&a| object.iter().any(|&b| distance(a, b) >= WALL_EXTENT_M));
+        if object.len() >= WALL_POINTS_MIN && is_long() {
+            of_walls += object.len();
+        }
+    }
+    of_walls
+}
+
+/// Largest share of contradicted points over consecutive nodes, 0 to 1; `None` is a node that was compared with nothing.
+pub fn contradicted_share(nodes: &[Option<WallAgreement>]) -> f32 {
+    let compared: Vec<WallAgreement> = nodes.iter().flatten().copied().collect();
+    let share = |window: &[WallAgreement]| {
+        let mut sum = WallAgreement::default();
+        window.iter().for_each(|agreement| sum += *agreement);
+        let is_enough = sum.contradict >= WINDOW_POINTS_MIN;
+        if is_enough { sum.contradict as f32 / (sum.agree + sum.contradict) as f32 } else { 0.0 }
+    };
+    let window = WINDOW_NODES.min(compared.len()).max(1);
+    compared.windows(window).map(share).fold(0.0, f32::max)
+}
+
+/// A motion between two nodes, by odometry and as the map has it.
+#[derive(Clone, Copy, Debug)]
+pub struct OdometryStep {
+    /// Odometry's motion minus that in the map, in the map's axes, metres.
+    pub error_m: [f64; 2],
+    /// Length of the motion by odometry, metres.
+    pub length_m: f64,
+    /// Standard deviation of odometry over it, metres.
+    pub sigma_m: f64,
+}
+
+/// Largest difference between map and odometry over consecutive steps, in standard deviations of odometry; `None` is a step
+/// that odometry did not measure.
+pub fn odometry_stretch(steps: &[Option<OdometryStep>]) -> f64 {
+    let stretch = |window: &[Option<OdometryStep>]| {
+        let (mut error, mut length_m, mut variance) = ([0.0; 2], 0.0, STRETCH_SIGMA_M * STRETCH_SIGMA_M);
+        for step in window {
+            let step = (*step)?;
+            error = [error[0] + step.error_m[0], error[1] + step.error_m[1]];
+            length_m += step.length_m;
+            variance += step.sigma_m * step.sigma_m;
+        }
+        variance += (STRETCH_SIGMA_M_PER_M * length_m).powi(2);
+        Some(error[0].hypot(error[1]) / variance.sqrt())
+    };
+    steps.windows(STRETCH_STEPS).filter_map(stretch).fold(0.0, f64::max)
+}
+
+/// Evidence that a map is wrong.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MapDoubts {
+    /// Largest share of compared points, over some metres of path, that belong to walls which another pass saw through, 0 to 1.
+    pub contradicted_share: f32,
+    /// Largest difference of the map from odometry over some metres of path, standard deviations of odometry.
+    pub odometry_stretch: f64,
+    /// Time in which neither odometry nor scans measured the robot's motion, seconds.
+    pub unmeasured_motion_s: f32,
+    /// Components that were found farther away than the robot can have gone.
+    pub distant_relocations: u32,
+}
+
+impl MapDoubts {
+    /// Whether the evidence is strong enough to call the map unreliable.
+    pub fn is_unreliable(&self) -> bool {
+        self.reasons().next().is_some()
+    }
+
+    /// The evidence in words: what is strong enough.
+    pub fn reasons(&self) -> impl Iterator<Item = &'static str> + use<> {
+        let reasons = [
+            (self.contradicted_share > CONTRADICTED_SHARE_MAX, "scans see through walls of the map"),
+            (self.odometry_stretch > STRETCH_SIGMAS_MAX, "the path is longer or shorter than odometry says"),
+            (
+                self.unmeasured_motion_s > UNMEASURED_MAX_S,
+                "neither odometry nor scans measured the motion for seconds",
+            ),
+            (self.distant_relocations > 0, "the robot was found farther away than it can have gone"),
+        ];
+        reasons.into_iter().filter(|(is_strong, _)| *is_strong).map(|(_, reason)| reason)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::common::{FULL, Noise, Wall, cast, rectangle};
+    use crate::config::SlamConfig;
+    use crate::testing::standing_node;
+    use msg::Stamp;
+
+    /// A scan in the middle of a room.
+    fn scan_of(walls: &[Wall], at: Pose2) -> std::sync::Arc<Cloud> {
+        let scan = cast(walls, &FULL, at, Stamp(0), &mut Noise::new(5));
+        standing_node(0, &scan, at, &SlamConfig::default().lidar).cloud
+    }
+
+    #[test]
+    fn a_wall_that_another_scan_saw_through_contradicts_but_a_person_does_not() {
+        let room = rectangle(-3.0, -2.5, 3.0, 2.5);
+        let empty = scan_of(&room, Pose2::IDENTITY);
+        let person = [room.clone(), rectangle(1.2, 0.2, 1.6, 0.6)].concat();
+        let divided = [room, rectangle(1.5, -2.5, 1.6, 2.5)].concat();
+        let compared = |walls: &[Wall]| {
+            WallAgreement::both_ways(&empty, &scan_of(walls, Pose2::IDENTITY), Pose2::IDENTITY)
+        };
+        assert_eq!(compared(&person).contradict, 0, "{:?}", compared(&person));
+        let wall = compared(&divided);
+        assert!(wall.contradict > 20 && wall.agree > 100, "{wall:?}");
+        let nodes = vec![Some(WallAgreement { agree: 300, contradict: 0 }); 30];
+        assert_eq!(contradicted_share(&nodes), 0.0);
+        let torn =
+            [nodes, vec![None; 3], vec![Some(WallAgreement { agree: 30, contradict: 70 }); 12]].concat();
+        assert!((contradicted_share(&torn) - 0.7).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_torn_path_stretches_odometry_and_noise_over_all_of_it_does_not() {
+        let step = |error_m: [f64; 2]| Some(OdometryStep { error_m, length_m: 0.3, sigma_m: 0.05 });
+        let alternating = |k: usize| step([if k.is_multiple_of(2) { 0.05 } else { -0.05 }, 0.03]);
+        let mut steps: Vec<_> = (0..100).map(alternating).collect();
+        assert!(odometry_stretch(&steps) < 2.0, "{}", odometry_stretch(&steps));
+        steps[50] = step([0.0, 2.0]);
+        assert!(odometry_stretch(&steps) > 2.0 * STRETCH_SIGMAS_MAX, "{}", odometry_stretch(&steps));
+        // Where odometry measured nothing it says nothing.
+        steps[50] = None;
+        assert!(odometry_stretch(&steps) < 2.0);
+    }
+
+    #[test]
+    fn every_kind_of_evidence_makes_a_map_unreliable_and_has_its_words() {
+        assert!(!MapDoubts::default().is_unreliable());
+        let doubts = [
+            MapDoubts { contradicted_share: 0.5, ..MapDoubts::default() },
+            MapDoubts { odometry_stretch: 8.0, ..MapDoubts::default() },
+            MapDoubts { unmeasured_motion_s: 20.0, ..MapDoubts::default() },
+            MapDoubts { distant_relocations: 1, ..MapDoubts::default() },
+        ];
+        let words: Vec<_> = doubts.iter().flat_map(MapDoubts::reasons).collect();
+        assert_eq!(words.len(), 4);
+        assert!((0..4).all(|a| (0..a).all(|b| words[a] != words[b])), "{words:?}");
+    }
+}

@@ -1,0 +1,79 @@
+//! Tool `mr-slam record`, which records a running fleet.
+
+use super::run_args::RunArgs;
+use super::{Error, output};
+use crate::channel::{Opener, Program};
+use crate::process::record::{self, Summary, new_files};
+use crate::shared_memory::Participant;
+use crate::stop::Stop;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Record a running fleet as MCAP with ROS 2 messages
+#[derive(Clone, Debug, clap::Args)]
+pub struct RecordArgs {
+    /// Choice of the running fleet.
+    #[command(flatten)]
+    pub run: RunArgs,
+    /// File of the recording [default: TIME.mcap in recording/ below the run's folder]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Seconds until the recording ends [default: until Ctrl-C]
+    #[arg(long, value_name = "S", value_parser = super::up::seconds)]
+    pub seconds: Option<f64>,
+    /// Size at which the next file begins, megabytes [default: the fleet's recording.split_mb]
+    #[arg(long, value_name = "MB")]
+    pub split_mb: Option<u64>,
+    /// Print the numbers of messages as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Records the fleet and prints what was recorded.
+pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
+    let mut run = args.run.open()?;
+    run.config.recording.split_mb = args.split_mb.unwrap_or(run.config.recording.split_mb);
+    run.config.recording.validate()?;
+    let path = args.out.clone().unwrap_or_else(|| {
+        let name = format!("{}.mcap", super::up::folder_name_now());
+        run.dir.join(record::FOLDER).join(name)
+    });
+    if let Some(folder) = path.parent().filter(|folder| *folder != Path::new("")) {
+        std::fs::create_dir_all(folder)?;
+    }
+    let files = new_files(&path, &run.config.recording)?;
+    let name = format!("record {}", std::process::id());
+    let node = Participant::open(&run.domain, Opener::of_fleet(Program::RecordTool), &name)?;
+    output::note(&format!("recording {} to {}", run.dir.display(), path.display()));
+    let begun = Instant::now();
+    let is_over = || {
+        let elapsed = begun.elapsed().as_secs_f64();
+        stop.requested() || args.seconds.is_some_and(|seconds| elapsed >= seconds) || !run.is_alive()
+    };
+    let summary = record::record(&node, &run, files, stop, &is_over)?;
+    output::print_either(args.json, &summary, || summary.text())?;
+    match summary.ended {
+        Some(why) => Err(why.into()),
+        None => Ok(()),
+    }
+}
+
+impl Summary {
+    /// Formats files and numbers of messages for a terminal.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        for topic in self.topics.iter().filter(|topic| topic.messages > 0) {
+            text += &format!(
+                "{:32} {:8} messages {:10.1} kB\n",
+                topic.topic,
+                topic.messages,
+                topic.bytes as f64 / 1e3
+            );
+        }
+        text += &format!("{} messages dropped, {} lost\n", self.dropped, self.lost);
+        for file in &self.files {
+            text += &format!("{}\n", file.display());
+        }
+        text
+    }
+}

@@ -1,0 +1,98 @@
+//! Replay of a fleet's own recording: the robots send what they sent, and SLAM, merging and figures run in lockstep.
+
+use super::{ReplayArgs, ReplayError};
+use crate::command::output;
+use crate::config::FleetConfig;
+use crate::lockstep::Lockstep;
+use crate::process::record::description::CONFIGURATION;
+use crate::process::record::{PLANAR_ODOMETRY, map_hash};
+use crate::view::{FleetView, Style};
+use formats::map_file::write_map;
+use msg::Scan;
+use recording::fleet::FleetRecording;
+use recording::{METADATA, RecordingReader};
+use sim::Simulator;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Returns the configuration of the fleet whose recording this is; `None` if it is one from elsewhere.
+///
+/// Robots that were not simulated are replayed like a recording from elsewhere: their stamps are another machine's.
+pub fn configuration(path: &Path) -> Result<Option<FleetConfig>, ReplayError> {
+    let mut reader = open(path)?;
+    reader.next_message().map_err(|why| bag_error(path, why))?;
+    let Some(text) = reader.metadata(METADATA).and_then(|metadata| metadata.get(CONFIGURATION)) else {
+        return Ok(None);
+    };
+    let mut config = FleetConfig::from_text(path, text)?;
+    config.recording.enabled = false;
+    Ok(Some(config).filter(|config| !config.world.is_outside()))
+}
+
+fn open(path: &Path) -> Result<RecordingReader<BufReader<File>>, ReplayError> {
+    let file = File::open(path).map_err(|source| ReplayError::Read { path: path.to_owned(), source })?;
+    Ok(RecordingReader::new(BufReader::new(file)))
+}
+
+fn bag_error(path: &Path, why: recording::ReadError) -> ReplayError {
+    ReplayError::Bag { path: path.to_owned(), why: why.into() }
+}
+
+/// Replays the files of one recording, writes the requested maps and prints figures and the hash of the maps.
+pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
+    let begun = Instant::now();
+    let recording = read(&args.logs, config)?;
+    let (ends, malformed) = (recording.ends, recording.malformed + recording.left_out);
+    let failed = |why: Box<dyn std::error::Error>| ReplayError::Replay(why.to_string());
+    let mut fleet = Lockstep::replay(config, recording).map_err(failed)?;
+    let ticks = (ends.0.max(0) as u128).div_ceil(Simulator::TICK.as_nanos());
+    for _ in 0..ticks {
+        fleet.tick(&mut |_, _| {});
+    }
+    let hash = map_hash(fleet.maps());
+    if let Some(path) = &args.map {
+        // The merged map under this name, and each robot's beside it.
+        let stem = path.with_extension("");
+        for (name, map) in fleet.maps() {
+            let is_merged = name == "merged_map";
+            let own =
+                stem.with_file_name(format!("{}_{name}", stem.file_name().unwrap_or_default().display()));
+            write_map(if is_merged { &stem } else { &own }, map)?;
+        }
+    }
+    let view = FleetView::new(fleet.stats());
+    let times_real_time = ends.seconds() / begun.elapsed().as_secs_f64().max(1e-9);
+    let summary = serde_json::json!({
+        "maps_sha256": hash, "seconds": ends.seconds(), "malformed_messages": malformed,
+        "times_real_time": times_real_time, "fleet": view,
+    });
+    let text = || {
+        format!(
+            "{}{:.1} s, {times_real_time:.0} times real time, {malformed} malformed messages; SHA-256 of the maps {hash}\n",
+            view.table(&Style::PLAIN),
+            ends.seconds()
+        )
+    };
+    Ok(output::print_either(args.json, &summary, text)?)
+}
+
+fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<FleetRecording, ReplayError> {
+    let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+    let mut recording = FleetRecording::new(&config.robot_names(), PLANAR_ODOMETRY, scan);
+    for path in paths {
+        let mut reader = open(path)?;
+        while let Some(message) = reader.next_message().map_err(|why| bag_error(path, why))? {
+            recording.add(&message);
+        }
+        if let Some(why) = reader.broken() {
+            output::note(&format!("{}: {why}; used up to there", path.display()));
+        }
+    }
+    recording.sort();
+    if !recording.has_scans() {
+        return Err(ReplayError::Replay("the recording has no scans of the fleet's robots".into()));
+    }
+    Ok(recording)
+}

@@ -1,0 +1,66 @@
+//! The settings of recordings.
+
+use serde::{Deserialize, Serialize};
+
+/// Smallest file, MB: ten chunks.
+const SPLIT_MIN_MB: u64 = 10;
+/// Largest file, MB.
+const SPLIT_MAX_MB: u64 = 1_000_000;
+/// Shortest time between two grids of one map, seconds: SLAM publishes its map at 10 Hz.
+const MAP_PERIOD_MIN_S: f64 = 0.1;
+/// Longest time between two grids of one map, seconds.
+const MAP_PERIOD_MAX_S: f64 = 3600.0;
+
+/// Reason why the section `[recording]` is refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RecordingConfigError {
+    /// The size is out of range.
+    #[error("recording.split_mb is {0}; expected {SPLIT_MIN_MB} to {SPLIT_MAX_MB} megabytes")]
+    Split(u64),
+    /// The period is out of range.
+    #[error("recording.map_period_s is {0}; expected {MAP_PERIOD_MIN_S} to {MAP_PERIOD_MAX_S} seconds")]
+    MapPeriod(f64),
+}
+
+impl RecordingConfigError {
+    /// Returns the key below `recording`.
+    pub fn key(&self) -> &'static str {
+        match self {
+            Self::Split(_) => "split_mb",
+            Self::MapPeriod(_) => "map_period_s",
+        }
+    }
+}
+
+/// Section `[recording]` of the configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordingConfig {
+    /// Whether `up` and `demo` record the fleet's messages into `recording/` below the run's folder; also `--record`.
+    pub enabled: bool,
+    /// Size at which the next file begins, megabytes, 10 to 1000000.
+    pub split_mb: u64,
+    /// Shortest time between two grids of one map in a recording, seconds, 0.1 to 3600.
+    pub map_period_s: f64,
+    /// Disk that a recording leaves free for the fleet's maps and report, megabytes: then it ends.
+    pub disk_free_mb: u64,
+}
+
+impl Default for RecordingConfig {
+    fn default() -> Self {
+        Self { enabled: false, split_mb: 2000, map_period_s: 1.0, disk_free_mb: 500 }
+    }
+}
+
+impl RecordingConfig {
+    /// Checks ranges of all keys.
+    pub fn validate(&self) -> Result<(), RecordingConfigError> {
+        if !(SPLIT_MIN_MB..=SPLIT_MAX_MB).contains(&self.split_mb) {
+            return Err(RecordingConfigError::Split(self.split_mb));
+        }
+        if !(MAP_PERIOD_MIN_S..=MAP_PERIOD_MAX_S).contains(&self.map_period_s) {
+            return Err(RecordingConfigError::MapPeriod(self.map_period_s));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,64 @@
+//! Files of the addresses that may drive, in this run and later ones, and of those that may not.
+
+use super::saved_state::denied_file;
+use crate::allowed;
+use crate::run::Run;
+use crate::storage::Storage;
+use ::bridge::Bridge;
+use std::io;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+/// The two files.
+pub struct PermissionFiles<S> {
+    storage: S,
+    /// The file of the allow list; `None` if addresses are not remembered.
+    allowed: Option<PathBuf>,
+    /// The file of the addresses that may not drive.
+    denied: PathBuf,
+}
+
+impl<S: Storage> PermissionFiles<S> {
+    /// Names the files of a run.
+    pub fn new(run: &Run, storage: S) -> Self {
+        let allowed = run.config.bridge.remember.then(|| allowed::file(run));
+        Self { storage, allowed, denied: denied_file(run) }
+    }
+
+    /// Allows the addresses of the allow list to drive.
+    pub fn allow(&self, bridge: &Bridge) {
+        if let Some(path) = &self.allowed {
+            self.read(path).into_iter().for_each(|address| bridge.allow(address));
+        }
+    }
+
+    /// Forbids the denied addresses to drive.
+    pub fn deny(&self, bridge: &Bridge) {
+        self.read(&self.denied).into_iter().for_each(|address| bridge.deny(address));
+    }
+
+    /// Writes a permission into the files of those who may drive and of those who may not.
+    pub fn remember(&self, address: IpAddr, may_drive: bool) -> io::Result<()> {
+        let allowed = self.allowed.iter().map(|path| (path, may_drive));
+        allowed.chain([(&self.denied, !may_drive)]).try_for_each(|(path, is_listed)| {
+            allowed::remember(&self.storage, path, address, is_listed)
+                .map_err(|why| io::Error::other(format!("{}: {why}", path.display())))
+        })
+    }
+
+    /// Reads a list of addresses, and reports what cannot be read.
+    fn read(&self, path: &Path) -> Vec<IpAddr> {
+        match allowed::read(&self.storage, path) {
+            Ok((addresses, unsound)) => {
+                unsound.iter().for_each(|line| {
+                    tracing::warn!("{}: `{line}` is not an address and is ignored", path.display())
+                });
+                addresses
+            }
+            Err(why) => {
+                tracing::warn!("{}: {why}; no address is taken from it", path.display());
+                Vec::new()
+            }
+        }
+    }
+}

@@ -1,0 +1,138 @@
+use super::file_thread::FileThread;
+use super::*;
+use crate::config::FleetConfig;
+use crate::storage::DiskStorage;
+use ::bridge::BridgeConfig;
+use formats::map_file::MapFileError;
+use msg::{Grid, GridView};
+use saved_state::{latch_stop, stop_file};
+use std::path::Path;
+use std::sync::{Arc, Condvar, Mutex};
+
+/// What has not happened by then never happens.
+const WAIT_MAX: Duration = Duration::from_secs(20);
+
+/// A disk that answers only while it is open.
+#[derive(Clone)]
+struct StalledDisk(Arc<(Mutex<bool>, Condvar)>);
+
+impl StalledDisk {
+    fn new() -> Self {
+        Self(Arc::new((Mutex::new(true), Condvar::new())))
+    }
+
+    fn set_open(&self, is_open: bool) {
+        *self.0.0.lock().unwrap() = is_open;
+        self.0.1.notify_all();
+    }
+
+    fn wait(&self) {
+        let (open, changed) = &*self.0;
+        drop(changed.wait_timeout_while(open.lock().unwrap(), WAIT_MAX, |open| !*open).unwrap());
+    }
+}
+
+impl Storage for StalledDisk {
+    fn read(&self, path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
+        self.wait();
+        DiskStorage.read(path, bytes_max)
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.replace(path, bytes)
+    }
+
+    fn replace(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        self.wait();
+        DiskStorage.replace(path, bytes)
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        self.wait();
+        DiskStorage.remove(path)
+    }
+
+    fn append(&self, _: &Path, _: u64, _: &[u8]) -> io::Result<()> {
+        unreachable!("the bridge appends to no file")
+    }
+
+    fn write_map(&self, _: &Path, _: GridView<'_>) -> Result<(), MapFileError> {
+        unreachable!("the bridge writes no map")
+    }
+
+    fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {
+        DiskStorage.read_map(path)
+    }
+}
+
+fn run_in(folder: &Path) -> Run {
+    let bridge = BridgeConfig { remember: false, ..Default::default() };
+    let mut run = Run::in_memory(FleetConfig { bridge, ..FleetConfig::default() }).unwrap();
+    run.dir = folder.into();
+    run
+}
+
+fn control_on(run: &Run, disk: &StalledDisk) -> RefCell<Control<FileThread>> {
+    let bridge = Rc::new(Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap());
+    let files = restore_files(&bridge, run, disk.clone(), Monotonic(0));
+    RefCell::new(Control::new(bridge, run, FileThread::start(files).unwrap()))
+}
+
+/// Runs an exchange to its end, which a thread of files may delay.
+fn block_on<T>(future: impl Future<Output = T>) -> T {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+    runtime.block_on(async { timeout(WAIT_MAX, future).await.expect("no answer") })
+}
+
+#[test]
+fn a_disk_that_does_not_answer_delays_neither_the_loop_nor_a_stop() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let disk = StalledDisk::new();
+    let control = control_on(&run, &disk);
+    disk.set_open(false);
+    // The loop goes on, and at most one update waits for the disk, however often it is due.
+    for step in 1..1000 {
+        control.borrow_mut().update_files(Monotonic(step));
+    }
+    let stop =
+        block_on(async { timeout(Duration::from_millis(1), answer(&control, Request::Stop, now)).await });
+    assert!(stop.is_err(), "the disk has not answered");
+    assert!(control.borrow().bridge.is_stopped(), "the stop does not wait for it");
+
+    disk.set_open(true);
+    assert!(block_on(answer(&control, Request::Stop, now)).unwrap().stopped);
+    assert!(stop_file(&run.dir).exists());
+    assert!(!block_on(answer(&control, Request::Release, now)).unwrap().stopped);
+    assert!(!stop_file(&run.dir).exists());
+}
+
+#[test]
+fn a_stop_that_comes_by_the_disk_is_set_and_survives_an_earlier_release() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let disk = StalledDisk::new();
+    let control = control_on(&run, &disk);
+    latch_stop(&DiskStorage, &stop_file(&run.dir), Monotonic(1)).unwrap();
+    // Any request but those for the state and for a stop waits until the files are read.
+    assert!(block_on(answer(&control, Request::Allow([10, 0, 0, 7].into()), now)).unwrap().stopped);
+    assert!(!block_on(answer(&control, Request::Release, now)).unwrap().stopped);
+    latch_stop(&DiskStorage, &stop_file(&run.dir), Monotonic(2)).unwrap();
+    assert!(block_on(answer(&control, Request::Deny([10, 0, 0, 7].into()), now)).unwrap().stopped);
+    assert!(stop_file(&run.dir).exists());
+}
+
+#[test]
+fn requests_beyond_what_may_wait_for_the_disk_are_refused_in_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let disk = StalledDisk::new();
+    let control = control_on(&run, &disk);
+    disk.set_open(false);
+    let refused = (0..100).find_map(|_| {
+        let answer = answer(&control, Request::Release, now);
+        block_on(async { timeout(Duration::from_millis(1), answer).await }).ok()
+    });
+    disk.set_open(true);
+    assert_eq!(refused.expect("waiting requests are bounded").unwrap_err(), DISK_BUSY);
+}

@@ -1,0 +1,215 @@
+//! The process that records the fleet's messages, and the same loop for `mr-slam record` and for lockstep.
+//!
+//! It reads channels and encodes their messages with the bridge's tables (`topics`). The bytes go to files of a bounded
+//! size ([`files`]). It never holds anything up: when the disk is slow, messages are dropped and counted.
+
+pub mod description;
+pub mod files;
+mod inputs;
+mod operator;
+mod topics;
+
+use super::heartbeat::{HealthCounters, Heartbeat};
+use super::{Error, Listens, ProcessLoop, serve};
+use crate::config::RecordingConfig;
+use crate::ports::{Clock as _, Ports};
+use crate::progress::WatchedThread;
+use crate::run::Run;
+use crate::shared_memory::{Listener, wait};
+use crate::stop::Stop;
+use ::recording::TopicCount;
+use files::{FileThread, Output, RecordingFiles};
+use inputs::Inputs;
+use msg::{Monotonic, Role};
+use operator::OperatorWatch;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use std::path::PathBuf;
+use std::time::Duration;
+pub use topics::PLANAR_ODOMETRY;
+use topics::Recorder;
+
+/// Period at which channels are read. The shortest queue, the clock's, holds 0.32 s.
+const POLL_PERIOD: Duration = Duration::from_millis(20);
+/// Longest time until a message is in a chunk on its way to the disk.
+const FLUSH_PERIOD: Duration = Duration::from_millis(900);
+/// Folder of recordings below the run's folder.
+pub const FOLDER: &str = "recording";
+/// Name of the files of a run's recording, without extension.
+const STEM: &str = "recording";
+
+/// Returns the SHA-256 of maps: names, sizes, origins and cells, as hexadecimal digits.
+pub fn map_hash<'a>(maps: impl Iterator<Item = (&'a str, msg::GridView<'a>)>) -> String {
+    let mut hash = Sha256::new();
+    for (name, map) in maps {
+        hash.update(name);
+        hash.update(map.header.width.to_le_bytes());
+        hash.update(map.header.height.to_le_bytes());
+        let origin = map.header.origin;
+        for part in [origin.x_m, origin.y_m, origin.yaw_rad, map.header.resolution_m] {
+            hash.update(part.to_le_bytes());
+        }
+        hash.update(bytemuck::cast_slice::<i8, u8>(map.cells));
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// What a recording has, and what it lacks.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Summary {
+    /// Files, in the order of their messages.
+    pub files: Vec<PathBuf>,
+    /// Number of messages of each topic, over all files.
+    pub topics: Vec<TopicSummary>,
+    /// Messages that were dropped because the disk was slow.
+    pub dropped: u64,
+    /// Messages that were sent and not received in time.
+    pub lost: u64,
+    /// Reason why the recording ended before the fleet.
+    pub ended: Option<String>,
+}
+
+/// Number of a topic's messages.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct TopicSummary {
+    /// Name of the topic.
+    pub topic: String,
+    /// Number of messages.
+    pub messages: u64,
+    /// Bytes of the messages, each with its encapsulation header.
+    pub bytes: u64,
+}
+
+impl From<&TopicCount> for TopicSummary {
+    fn from(count: &TopicCount) -> Self {
+        Self { topic: count.topic.clone(), messages: count.messages, bytes: count.bytes }
+    }
+}
+
+/// Runs the process of a recorded fleet until it is asked to stop.
+pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
+    let node = run.attach(Role::Record, None)?;
+    let folder = run.dir.join(FOLDER);
+    std::fs::create_dir_all(&folder)?;
+    let files = RecordingFiles::new(&folder.join(STEM).with_extension("mcap"), &run.config.recording);
+    let watch = OperatorWatch::start(run.clone(), stop.clone());
+    let recording = Recording::open(&node, run, Box::new(FileThread::start(files)), Some(watch))?;
+    let heartbeat = Heartbeat::new(&node, run, Role::Record, None)?;
+    let mut process = RecorderProcess { recording, heartbeat };
+    serve(&mut process, run.progress(Role::Record, None, WatchedThread::Main), &|| stop.requested());
+    let summary = process.recording.finish();
+    files::write_summary(&folder.join(STEM).with_extension("json"), &summary)?;
+    Ok(())
+}
+
+/// Records a running fleet until `over` returns true or the disk is full.
+///
+/// # Errors
+/// A channel cannot be opened.
+pub fn record<P: Ports<Listener = Listener>>(
+    node: &P,
+    run: &Run,
+    files: RecordingFiles,
+    stop: &Stop,
+    over: &dyn Fn() -> bool,
+) -> Result<Summary, Error> {
+    let watch = OperatorWatch::start(run.clone(), stop.clone());
+    let mut recording = Recording::open(node, run, Box::new(FileThread::start(files)), Some(watch))?;
+    while !over() && !recording.has_ended() {
+        let due = recording.step();
+        wait([], due);
+    }
+    Ok(recording.finish())
+}
+
+/// The process: a recording and its health report.
+struct RecorderProcess<P: Ports> {
+    recording: Recording<P>,
+    heartbeat: Heartbeat<P>,
+}
+
+impl<P: Ports> ProcessLoop for RecorderProcess<P> {
+    fn step(&mut self) -> Monotonic {
+        let Self { recording, heartbeat } = self;
+        let due = heartbeat.measure(|| recording.step());
+        heartbeat.publish_if_due(|| {
+            let mut counters = HealthCounters { dropped: recording.recorder.dropped(), ..Default::default() };
+            (counters.gaps.received, counters.gaps.lost) =
+                (recording.recorder.messages(), recording.inputs.lost());
+            counters
+        });
+        due.min(heartbeat.due())
+    }
+}
+
+impl<P: Ports> Listens<P::Listener> for RecorderProcess<P> {
+    /// It listens to nothing: waking it for each message would cost the fleet more than its polling.
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        std::iter::empty()
+    }
+}
+
+/// Reads the fleet's channels and records their messages.
+pub struct Recording<P: Ports> {
+    recorder: Recorder,
+    inputs: Inputs<P>,
+    operator: Option<OperatorWatch>,
+    clock: P::Clock,
+    flush_due: Monotonic,
+}
+
+impl<P: Ports> Recording<P> {
+    /// Opens all channels. `operator` watches the bridge's state, where there is one.
+    ///
+    /// # Errors
+    /// A channel cannot be opened.
+    pub fn open(
+        ports: &P,
+        run: &Run,
+        output: Box<dyn Output>,
+        operator: Option<OperatorWatch>,
+    ) -> Result<Self, Error> {
+        let clock = ports.clock();
+        let flush_due = clock.now() + FLUSH_PERIOD;
+        let recorder = Recorder::new(run, description::of_run(run), output)?;
+        Ok(Self { recorder, inputs: Inputs::open(ports, run)?, operator, clock, flush_due })
+    }
+
+    /// Records what has come, and returns when it is to be called again.
+    pub fn step(&mut self) -> Monotonic {
+        let now = self.clock.now();
+        self.inputs.receive(&mut self.recorder, now);
+        if let Some(state) = self.operator.as_mut().and_then(OperatorWatch::changed) {
+            self.recorder.record_operator(&state, now);
+        }
+        if now >= self.flush_due {
+            self.recorder.flush();
+            self.flush_due = now + FLUSH_PERIOD;
+        }
+        now + POLL_PERIOD
+    }
+
+    /// Returns whether the recording has ended, because the disk is full.
+    pub fn has_ended(&self) -> bool {
+        self.recorder.has_ended()
+    }
+
+    /// Ends the recording and returns what it has.
+    pub fn finish(self) -> Summary {
+        let lost = self.inputs.lost();
+        Summary { lost, ..self.recorder.finish() }
+    }
+}
+
+/// Returns the files of a recording at this path, which must not exist yet.
+///
+/// # Errors
+/// The file exists.
+pub fn new_files(path: &std::path::Path, config: &RecordingConfig) -> Result<RecordingFiles, Error> {
+    if path.exists() {
+        return Err(
+            format!("{}: exists already; choose another name for the recording", path.display()).into()
+        );
+    }
+    Ok(RecordingFiles::new(path, config))
+}

@@ -1,0 +1,204 @@
+//! Files of a recording: bytes are appended by a thread of its own, until the disk is nearly full.
+
+use super::Summary;
+use crate::config::RecordingConfig;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+
+/// Most files of a recording.
+const FILES_MAX: usize = 10_000;
+
+/// Where the bytes of a recording go.
+pub trait Output {
+    /// Ends the file before and begins the next one.
+    fn begin_file(&mut self);
+    /// Appends bytes to the file.
+    fn append(&mut self, bytes: Vec<u8>);
+    /// Returns the number of bytes that wait for the disk.
+    fn waiting_bytes(&self) -> usize;
+    /// Returns why no more can be written.
+    fn failure(&self) -> Option<String>;
+    /// Waits until all is written and returns the files.
+    fn finish(self: Box<Self>) -> Vec<PathBuf>;
+}
+
+/// Reason why a recording cannot go on.
+#[derive(Debug, thiserror::Error)]
+enum FileError {
+    #[error("cannot write {path}: {source}")]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{path}: {free_mb} MB of disk are left, and {keep_mb} MB are kept for maps and report")]
+    DiskFull { path: PathBuf, free_mb: u64, keep_mb: u64 },
+}
+
+/// Files of a recording, by their first name: `NAME.mcap`, `NAME_1.mcap` and so on. None is overwritten.
+pub struct RecordingFiles {
+    first: PathBuf,
+    disk_free_bytes: u64,
+    file: Option<(PathBuf, File)>,
+    all: Vec<PathBuf>,
+}
+
+impl RecordingFiles {
+    /// Names the files after the first; none is opened yet.
+    pub fn new(first: &Path, config: &RecordingConfig) -> Self {
+        Self { first: first.into(), disk_free_bytes: config.disk_free_mb << 20, file: None, all: Vec::new() }
+    }
+
+    fn begin(&mut self) -> Result<(), FileError> {
+        self.file = None;
+        let stem = self.first.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let extension = self.first.extension().unwrap_or("mcap".as_ref()).to_owned();
+        let name = |index: usize| match index {
+            0 => self.first.clone(),
+            _ => self.first.with_file_name(format!("{stem}_{index}")).with_extension(&extension),
+        };
+        for path in (0..FILES_MAX).map(name) {
+            match OpenOptions::new().write(true).create_new(true).open(&path) {
+                Ok(file) => {
+                    self.all.push(path.clone());
+                    self.file = Some((path, file));
+                    return Ok(());
+                }
+                Err(why) if why.kind() == io::ErrorKind::AlreadyExists => {}
+                Err(source) => return Err(FileError::Io { path, source }),
+            }
+        }
+        let source = io::Error::other(format!("{FILES_MAX} files exist"));
+        Err(FileError::Io { path: self.first.clone(), source })
+    }
+
+    fn append(&mut self, bytes: &[u8]) -> Result<(), FileError> {
+        let Some((path, file)) = &mut self.file else { return Ok(()) };
+        // A system that does not say how much is free writes until it fails.
+        if let Ok(disk) = rustix::fs::fstatvfs(&*file) {
+            let free = disk.f_bavail.saturating_mul(disk.f_frsize);
+            if free < self.disk_free_bytes.saturating_add(bytes.len() as u64) {
+                let (free_mb, keep_mb) = (free >> 20, self.disk_free_bytes >> 20);
+                return Err(FileError::DiskFull { path: path.clone(), free_mb, keep_mb });
+            }
+        }
+        file.write_all(bytes).map_err(|source| FileError::Io { path: path.clone(), source })
+    }
+}
+
+/// Writes the files in the calling thread, for lockstep.
+pub struct DirectOutput {
+    files: RecordingFiles,
+    failure: Option<FileError>,
+}
+
+impl DirectOutput {
+    /// Begins nothing yet.
+    pub fn new(files: RecordingFiles) -> Self {
+        Self { files, failure: None }
+    }
+
+    fn attempt(&mut self, write: impl FnOnce(&mut RecordingFiles) -> Result<(), FileError>) {
+        if self.failure.is_none() {
+            self.failure = write(&mut self.files).err();
+        }
+    }
+}
+
+impl Output for DirectOutput {
+    fn begin_file(&mut self) {
+        self.attempt(RecordingFiles::begin);
+    }
+
+    fn append(&mut self, bytes: Vec<u8>) {
+        self.attempt(|files| files.append(&bytes));
+    }
+
+    fn waiting_bytes(&self) -> usize {
+        0
+    }
+
+    fn failure(&self) -> Option<String> {
+        self.failure.as_ref().map(ToString::to_string)
+    }
+
+    fn finish(self: Box<Self>) -> Vec<PathBuf> {
+        self.files.all
+    }
+}
+
+/// Command to the thread that writes.
+enum FileCommand {
+    Begin,
+    Append(Vec<u8>),
+}
+
+/// Writes the files in a thread, so that a slow disk holds nothing up. The recorder bounds what waits for it.
+pub struct FileThread {
+    commands: Sender<FileCommand>,
+    waiting_bytes: Arc<AtomicUsize>,
+    failure: Arc<Mutex<Option<String>>>,
+    thread: JoinHandle<Vec<PathBuf>>,
+}
+
+impl FileThread {
+    /// Starts the thread.
+    pub fn start(files: RecordingFiles) -> Self {
+        let (commands, received) = channel();
+        let (waiting_bytes, failure) = (Arc::new(AtomicUsize::new(0)), Arc::new(Mutex::new(None)));
+        let (waiting, failed) = (waiting_bytes.clone(), failure.clone());
+        let thread = std::thread::spawn(move || {
+            let mut output = DirectOutput::new(files);
+            for command in received {
+                match command {
+                    FileCommand::Begin => output.begin_file(),
+                    FileCommand::Append(bytes) => {
+                        let length = bytes.len();
+                        output.append(bytes);
+                        waiting.fetch_sub(length, Ordering::Relaxed);
+                    }
+                }
+                if let Some(why) = output.failure() {
+                    *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(why);
+                }
+            }
+            output.files.all
+        });
+        Self { commands, waiting_bytes, failure, thread }
+    }
+}
+
+impl Output for FileThread {
+    fn begin_file(&mut self) {
+        // The thread lives as long as this end.
+        let _ = self.commands.send(FileCommand::Begin);
+    }
+
+    fn append(&mut self, bytes: Vec<u8>) {
+        self.waiting_bytes.fetch_add(bytes.len(), Ordering::Relaxed);
+        let _ = self.commands.send(FileCommand::Append(bytes));
+    }
+
+    fn waiting_bytes(&self) -> usize {
+        self.waiting_bytes.load(Ordering::Relaxed)
+    }
+
+    fn failure(&self) -> Option<String> {
+        self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
+    }
+
+    fn finish(self: Box<Self>) -> Vec<PathBuf> {
+        drop(self.commands);
+        self.thread.join().unwrap_or_default()
+    }
+}
+
+/// Writes a recording's summary as JSON.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_summary(path: &Path, summary: &Summary) -> io::Result<()> {
+    let json = serde_json::to_vec_pretty(summary)?;
+    formats::atomic::write(path, |file| file.write_all(&json))
+}

@@ -1,0 +1,149 @@
+//! The channels that a recorder reads.
+
+use super::topics::Recorder;
+use crate::channel::{self, Channel};
+use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
+use crate::run::Run;
+use crate::view::{FleetView, edges_json};
+use ::bridge::FleetMessage;
+use msg::{
+    Clock, Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message, Monotonic,
+    Odometry, PatchHeader, RobotId, Scan, Transforms, VelocityCommand,
+};
+use std::time::Duration;
+
+/// Channels of one robot.
+struct RobotInputs<P: Ports> {
+    robot: RobotId,
+    commands: P::Reader<VelocityCommand>,
+    odometry: P::Reader<Odometry>,
+    transforms: P::Reader<Transforms>,
+    scans: P::Reader<Scan>,
+    corrections: P::Reader<Correction>,
+    truths: P::Reader<GroundTruth>,
+    map: MapInput<P>,
+}
+
+/// A map, of which a grid is recorded at most once in a period.
+struct MapInput<P: Ports> {
+    reader: P::MapReader,
+    grid: DenseMap,
+    period: Duration,
+    has_changed: bool,
+    due: Monotonic,
+}
+
+impl<P: Ports> MapInput<P> {
+    fn open(ports: &P, channel: &Channel<PatchHeader>, run: &Run) -> Result<Self, ChannelError> {
+        let period = Duration::from_secs_f64(run.config.recording.map_period_s);
+        let reader = ports.map_reader(channel)?;
+        Ok(Self { reader, grid: DenseMap::default(), period, has_changed: false, due: Monotonic(0) })
+    }
+
+    /// Passes the newest version on, if it is new and due.
+    fn receive(&mut self, now: Monotonic, record: impl FnOnce(msg::GridView<'_>)) {
+        self.has_changed |= self.reader.poll();
+        if self.has_changed && now >= self.due {
+            record(self.grid.update(self.reader.map()));
+            (self.has_changed, self.due) = (false, now + self.period);
+        }
+    }
+}
+
+/// All channels of a fleet.
+pub struct Inputs<P: Ports> {
+    robots: Vec<RobotInputs<P>>,
+    clock: P::Reader<Clock>,
+    stats: P::Reader<FleetStats>,
+    edges: P::Reader<MergeEdges>,
+    map_transforms: P::Reader<MapTransforms>,
+    merged_map: MapInput<P>,
+}
+
+impl<P: Ports> Inputs<P> {
+    /// Opens the channels.
+    pub fn open(ports: &P, run: &Run) -> Result<Self, ChannelError> {
+        let of_robot = |robot| {
+            Ok(RobotInputs {
+                robot,
+                commands: ports.reader(&channel::command(robot))?,
+                odometry: ports.reader(&channel::odometry(robot))?,
+                transforms: ports.reader(&channel::transforms(robot))?,
+                scans: ports.reader(&channel::scan(robot))?,
+                corrections: ports.reader(&channel::correction(robot))?,
+                truths: ports.reader(&channel::truth(robot))?,
+                map: MapInput::open(ports, &channel::map(robot), run)?,
+            })
+        };
+        Ok(Self {
+            robots: run.robots().map(of_robot).collect::<Result<_, ChannelError>>()?,
+            clock: ports.reader(&channel::clock())?,
+            stats: ports.reader(&channel::stats())?,
+            edges: ports.reader(&channel::merge_edges())?,
+            map_transforms: ports.reader(&channel::map_transforms())?,
+            merged_map: MapInput::open(ports, &channel::merged_map(), run)?,
+        })
+    }
+
+    /// Records all that has come.
+    pub fn receive(&mut self, to: &mut Recorder, now: Monotonic) {
+        each(&mut self.clock, |clock| to.publish(FleetMessage::Clock(clock), sent(clock)));
+        for input in &mut self.robots {
+            input.receive(to, now);
+        }
+        each(&mut self.map_transforms, |all| to.publish(FleetMessage::MapTransforms(all), sent(all)));
+        self.merged_map.receive(now, |map| to.publish(FleetMessage::MergedMap(map), now));
+        each(&mut self.edges, |edges| {
+            to.publish(FleetMessage::MergeEdges(&edges_json(edges)), sent(edges));
+        });
+        each(&mut self.stats, |stats| {
+            to.publish(FleetMessage::Stats(stats), sent(stats));
+            let view = serde_json::to_string(&FleetView::new(stats)).unwrap_or_default();
+            to.record_stats(&view, sent(stats));
+        });
+    }
+
+    /// Returns the number of messages that were sent and not received, where a queue is meant to lose none.
+    pub fn lost(&self) -> u64 {
+        let of_robot = |input: &RobotInputs<P>| {
+            input.commands.gaps().lost
+                + input.odometry.gaps().lost
+                + input.transforms.gaps().lost
+                + input.scans.gaps().lost
+                + input.corrections.gaps().lost
+        };
+        self.robots.iter().map(of_robot).sum::<u64>() + self.clock.gaps().lost
+    }
+}
+
+impl<P: Ports> RobotInputs<P> {
+    fn receive(&mut self, to: &mut Recorder, now: Monotonic) {
+        let robot = self.robot;
+        each(&mut self.commands, |command| to.record_command(robot, command));
+        each(&mut self.odometry, |odometry| {
+            to.publish(FleetMessage::Odometry(robot, odometry), sent(odometry));
+            to.record_planar_odometry(robot, odometry);
+        });
+        each(&mut self.transforms, |all| to.publish(FleetMessage::Transforms(robot, all), sent(all)));
+        each(&mut self.scans, |scan| to.publish(FleetMessage::Scan(robot, scan), sent(scan)));
+        each(&mut self.corrections, |correction| {
+            to.publish(FleetMessage::Correction(robot, correction), sent(correction));
+        });
+        // 100 Hz of it, of which the newest of each poll is enough.
+        if let Some(truth) = self.truths.newest() {
+            to.record_truth(robot, &truth);
+        }
+        self.map.receive(now, |map| to.publish(FleetMessage::Map(robot, map), now));
+    }
+}
+
+/// Passes each message that has come on.
+fn each<M: Message>(reader: &mut impl ReadPort<M>, mut pass: impl FnMut(&M)) {
+    while let Some(message) = reader.receive() {
+        pass(&message);
+    }
+}
+
+fn sent(message: &impl Message) -> Monotonic {
+    message.header().sent
+}
