@@ -31,12 +31,13 @@ use crate::ports::{Clock, Ports, ReadMapPort};
 use crate::process::Error;
 use crate::process::record::Recording;
 use crate::process::record::files::Output;
+use crate::processes::ProcessRow;
 use crate::run::Run;
 use ::recording::fleet::FleetRecording;
 use faults::FaultPlan;
 use members::{Member, World};
 use memory_storage::MemoryStorage;
-use msg::{FleetStats, GridView, Monotonic, Pose2, RobotId, SlamRequest, Stamp};
+use msg::{FleetStats, GridView, Monotonic, Pose2, RobotId, Role, SlamRequest, Stamp};
 use observer::Observer;
 use people::People;
 use queues::{MemoryPorts, Network, Openings, QueueWriter};
@@ -81,6 +82,25 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn with_faults(config: &FleetConfig, together: bool, faults: FaultPlan) -> Result<Self, Error> {
+        Self::open(config, together, faults, false)
+    }
+
+    /// Builds a fleet with its navigation process, which nobody drives by hand: a client sends goals.
+    ///
+    /// # Errors
+    /// As [`Lockstep::new`].
+    pub fn with_navigation(config: &FleetConfig, faults: FaultPlan) -> Result<Self, Error> {
+        let mut fleet = Self::open(config, true, faults, true)?;
+        fleet.people.operator.idle_until = Monotonic(u64::MAX);
+        Ok(fleet)
+    }
+
+    fn open(
+        config: &FleetConfig,
+        together: bool,
+        faults: FaultPlan,
+        has_navigation: bool,
+    ) -> Result<Self, Error> {
         fleet::check(config)?;
         let network = Network::new(faults);
         let storage = MemoryStorage::new(&network);
@@ -88,7 +108,8 @@ impl Lockstep {
         // The recorder is no process here: see `Lockstep::record`.
         run.config.recording.enabled = false;
         let port = Port::new(&network);
-        let mut rows: Vec<_> = run.config.processes().collect();
+        let runs = |row: &ProcessRow| has_navigation || row.role != Role::Nav;
+        let mut rows: Vec<_> = run.config.processes().filter(|(row, _)| runs(row)).collect();
         // Processes in the order of the data flow: robots, SLAM, merging, figures, bridge.
         rows.sort_by_key(|(row, robot)| (row.role, *robot));
         let asker = MemoryPorts::attach(&network, Opener::of_fleet(Program::SlamTool));

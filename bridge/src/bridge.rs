@@ -1,6 +1,7 @@
 //! The public interface of the bridge: the fleet's messages in, commands for robots out.
 
 mod clients;
+mod navigation;
 mod status;
 
 pub use clients::ClientStatus;
@@ -16,7 +17,9 @@ use crate::relay::{RosCommand, RosEvent};
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
 use crate::transport::Transport;
 use crate::world::{ExternalWorld, WorldInput};
-use msg::{EdgeCommand, Monotonic, RobotId, SlamRequest, SlamResponse, Stamp, VelocityCommand};
+use msg::{
+    EdgeCommand, Monotonic, NavigationCommand, RobotId, SlamRequest, SlamResponse, Stamp, VelocityCommand,
+};
 use ros_messages::RobotNames;
 use ros_messages::cdr::Dialect;
 use std::cell::RefCell;
@@ -32,6 +35,8 @@ type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 /// Where requests to SLAM go.
 type SlamRequestSink = Box<dyn FnMut(RobotId, SlamRequest)>;
+/// Where commands to the navigator go.
+type NavigationSink = Box<dyn FnMut(RobotId, NavigationCommand)>;
 /// Where commands for the ROS 2 endpoint go.
 type RosCommandSink = Box<dyn FnMut(RosCommand)>;
 
@@ -81,6 +86,7 @@ pub struct Bridge {
     on_command: RefCell<CommandSink>,
     on_edge_command: RefCell<EdgeCommandSink>,
     on_slam_request: RefCell<SlamRequestSink>,
+    on_navigation: RefCell<NavigationSink>,
     on_ros_command: RefCell<RosCommandSink>,
 }
 
@@ -125,6 +131,7 @@ impl Bridge {
             on_command: RefCell::new(on_command),
             on_edge_command: RefCell::new(Box::new(|_| {})),
             on_slam_request: RefCell::new(Box::new(|_, _| {})),
+            on_navigation: RefCell::new(Box::new(|_, _| {})),
             on_ros_command: RefCell::new(Box::new(|_| {})),
         })
     }
@@ -174,6 +181,11 @@ impl Bridge {
         }
         if let Ok(mut sink) = self.on_command.try_borrow_mut() {
             while let Some((robot, command)) = { self.core.borrow_mut().commands.next_velocity() } {
+                sink(robot, command);
+            }
+        }
+        if let Ok(mut sink) = self.on_navigation.try_borrow_mut() {
+            while let Some((robot, command)) = { self.core.borrow_mut().commands.next_navigation() } {
                 sink(robot, command);
             }
         }

@@ -1,6 +1,6 @@
 //! Bounded queues of clients' commands to the rest of the fleet.
 
-use msg::{EdgeCommand, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand};
+use msg::{EdgeCommand, Monotonic, NavigationCommand, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand};
 use std::collections::VecDeque;
 
 /// Velocities that may wait: those of one client frame are taken before the next frame is handled.
@@ -10,12 +10,18 @@ const EDGE_COMMANDS_MAX: usize = 16;
 /// SLAM requests that may wait; people send them one at a time.
 const SLAM_REQUESTS_MAX: usize = 16;
 
-/// Commands for robots, merging and SLAM that wait until the caller of the bridge takes them.
+/// Commands to the navigator that may wait: a stop pauses all robots at once.
+const NAVIGATION_MAX: usize = 2 * ROBOTS_MAX;
+
+/// Commands for robots, merging, SLAM and navigation that wait until the caller of the bridge takes them.
 #[derive(Debug)]
 pub struct CommandQueues {
     velocities: VecDeque<(RobotId, VelocityCommand)>,
     edge_commands: VecDeque<EdgeCommand>,
     slam_requests: VecDeque<(RobotId, SlamRequest)>,
+    navigation: VecDeque<(RobotId, NavigationCommand)>,
+    /// Number of the newest command to the navigator: the newest time, nanoseconds, or above it.
+    navigation_number: u64,
     velocities_taken: u64,
 }
 
@@ -25,6 +31,8 @@ impl Default for CommandQueues {
             velocities: VecDeque::with_capacity(VELOCITIES_MAX),
             edge_commands: VecDeque::with_capacity(EDGE_COMMANDS_MAX),
             slam_requests: VecDeque::with_capacity(SLAM_REQUESTS_MAX),
+            navigation: VecDeque::new(),
+            navigation_number: 0,
             velocities_taken: 0,
         }
     }
@@ -63,6 +71,30 @@ impl CommandQueues {
     /// Takes the oldest command for merging.
     pub fn next_edge_command(&mut self) -> Option<EdgeCommand> {
         self.edge_commands.pop_front()
+    }
+
+    /// Records the time: commands to the navigator are numbered by it, so that those of other programs compare.
+    pub fn record_time(&mut self, now: Monotonic) {
+        self.navigation_number = self.navigation_number.max(now.0);
+    }
+
+    /// Returns the number of a new command to the navigator, larger than all before.
+    pub fn next_navigation_number(&mut self) -> u64 {
+        self.navigation_number += 1;
+        self.navigation_number
+    }
+
+    /// Queues a command to the navigator; the oldest is dropped if the queue is full.
+    pub fn push_navigation(&mut self, robot: RobotId, command: NavigationCommand) {
+        if self.navigation.len() == NAVIGATION_MAX {
+            self.navigation.pop_front();
+        }
+        self.navigation.push_back((robot, command));
+    }
+
+    /// Takes the oldest command to the navigator.
+    pub fn next_navigation(&mut self) -> Option<(RobotId, NavigationCommand)> {
+        self.navigation.pop_front()
     }
 
     /// Queues a request to a robot's SLAM; the oldest is dropped if the queue is full.

@@ -5,6 +5,7 @@
 mod admission;
 mod initial_pose;
 mod input;
+mod navigation;
 mod registration;
 mod relay;
 mod service_exchange;
@@ -148,12 +149,16 @@ impl Core {
                 None => self.stats = Some(Box::new(*stats)),
             }
         }
+        if let FleetMessage::NavigationState(robot, report) = message {
+            self.record_navigation(robot, report);
+        }
         self.fleet.publish(&mut self.router, message);
     }
 
     /// Does what is due at this time: stops robots whose last velocity is too old, fails late service calls, repeats
     /// transforms for late subscribers, drops clients that are gone.
     pub fn tick(&mut self, now: Monotonic) {
+        self.commands.record_time(now);
         self.gate.tick(now);
         self.send_velocities();
         self.enforce_limits(now);
@@ -205,6 +210,23 @@ impl Core {
         Driver { client: Some(id), address }
     }
 
+    /// Returns a driver's name for people.
+    fn driver_name(&self, driver: Driver) -> String {
+        match (driver.client, driver.address) {
+            (Some(id), _) => self.client_name(id),
+            (None, Some(address)) => format!("{address}, which drove it before the bridge was restarted"),
+            (None, None) => "ROS 2".into(),
+        }
+    }
+
+    /// Returns a client's name for people.
+    fn client_name(&self, id: ClientId) -> String {
+        if id == ClientId::DDS {
+            return "ROS 2".into();
+        }
+        self.router.client(id).map_or("another client".into(), |client| client.peer.to_string())
+    }
+
     /// Ends a client's leases and stops the robots that it drove last.
     pub fn stop_robots_of(&mut self, id: ClientId) {
         self.gate.release_client(id);
@@ -228,6 +250,8 @@ impl Core {
     /// Sets the emergency stop: every robot stops, and stays stopped until it is released.
     pub fn set_emergency_stop(&mut self) {
         self.gate.set_stopped(true);
+        let robots: Vec<RobotId> = self.fleet.robots().collect();
+        self.pause_navigation(robots);
         self.send_velocities();
         self.publish_stop();
     }

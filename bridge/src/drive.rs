@@ -45,6 +45,8 @@ struct RobotDrive {
     lease: Option<(Driver, Monotonic)>,
     /// The client whose velocity was the last to pass.
     last_driver: Option<ClientId>,
+    /// Whether the navigator drives the robot to a goal.
+    is_navigated: bool,
 }
 
 /// Arbitrates between the clients that want to drive robots.
@@ -124,11 +126,34 @@ impl DriveArbiter {
             _ => {}
         }
         let state = &mut self.robots[robot.index()];
+        // A client that sends zeros at 20 Hz does not stop a robot that the navigator drives.
+        if !is_moving && state.is_navigated && state.lease.is_none_or(|(_, until)| now >= until) {
+            return DriveDecision::Ignore;
+        }
         if is_moving {
             state.lease = Some((driver, now + self.lease));
         }
         state.last_driver = driver.client;
         DriveDecision::Pass
+    }
+
+    /// Decides on a velocity of the navigator, which takes no lease and gives way to everybody who has one.
+    pub fn decide_navigation(&self, robot: RobotId, now: Monotonic) -> DriveDecision {
+        match self.leaseholder(robot, now) {
+            _ if self.is_stopped => DriveDecision::Stopped,
+            Some(holder) => DriveDecision::DrivenBy(holder),
+            None => DriveDecision::Pass,
+        }
+    }
+
+    /// Returns whether the navigator drives a robot to a goal.
+    pub fn is_navigated(&self, robot: RobotId) -> bool {
+        self.robots[robot.index()].is_navigated
+    }
+
+    /// Records whether the navigator drives a robot to a goal.
+    pub fn set_navigated(&mut self, robot: RobotId, is_navigated: bool) {
+        self.robots[robot.index()].is_navigated = is_navigated;
     }
 
     /// Gives the lease of a robot to a driver; returns the other one that held it.

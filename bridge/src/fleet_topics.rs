@@ -15,8 +15,8 @@ use msg::{Monotonic, RobotId, Stamp};
 use ros_messages::OdometrySigmas;
 use ros_messages::cdr::{DecodeError, Writer};
 use ros_messages::{
-    Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PoseWithCovarianceStamped, RobotNames, Text,
-    Twist,
+    Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PathMessage, PoseStamped,
+    PoseWithCovarianceStamped, RobotNames, Text, Twist,
 };
 
 /// The fleet's topics in the router, and what is published on them.
@@ -49,6 +49,15 @@ fn add_input_topics(table: &mut TopicTable, robots: &RobotNames) -> (TopicId, Ve
         velocity.push([numbered, own]);
         let name = robots.topic(robot, "initialpose");
         add(name, PoseWithCovarianceStamped::TYPE, Input::InitialPose(Some(robot)));
+    }
+    add("/goal_pose".into(), PoseStamped::TYPE, Input::Goal(None));
+    for robot in robots.robots() {
+        if !robots.is_plain() {
+            add(robots.topic(robot, "goal_pose"), PoseStamped::TYPE, Input::Goal(Some(robot)));
+        }
+        add(robots.topic(robot, "waypoints"), PathMessage::TYPE, Input::Waypoints(robot));
+        add(robots.topic(robot, "cancel_navigation"), Empty::TYPE, Input::CancelNavigation(robot));
+        add(robots.topic(robot, "resume_navigation"), Empty::TYPE, Input::ResumeNavigation(robot));
     }
     add("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
     add("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);

@@ -15,6 +15,14 @@ pub enum Input {
     HandInputs,
     /// A robot's pose as a person gives it. `None`: the message's frame or the selection names the robot.
     InitialPose(Option<RobotId>),
+    /// A pose to drive to. `None`: the selected robot is meant.
+    Goal(Option<RobotId>),
+    /// Poses for a robot to drive to, one after another.
+    Waypoints(RobotId),
+    /// Gives a robot's goal up.
+    CancelNavigation(RobotId),
+    /// Drives a robot on to the goal that was paused.
+    ResumeNavigation(RobotId),
     /// The number of the robot to select.
     SelectRobot,
     /// The number of the robot to take over from its driver; 0 for all robots.

@@ -19,12 +19,14 @@ pub enum Role {
     Bridge = 5,
     /// Records the fleet's messages.
     Record = 6,
+    /// Drives robots to goals.
+    Nav = 7,
 }
 
 impl Role {
     /// All roles in the order of their codes.
-    pub const ALL: [Self; 6] =
-        [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge, Self::Record];
+    pub const ALL: [Self; 7] =
+        [Self::Sim, Self::Slam, Self::Merge, Self::Telemetry, Self::Bridge, Self::Record, Self::Nav];
 
     /// Decodes a role; `None` for an unknown code.
     pub fn from_code(code: u32) -> Option<Self> {
@@ -40,6 +42,7 @@ impl Role {
             Self::Telemetry => "telemetry",
             Self::Bridge => "bridge",
             Self::Record => "record",
+            Self::Nav => "nav",
         }
     }
 }

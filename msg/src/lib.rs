@@ -29,6 +29,7 @@ mod edges;
 mod health;
 mod id;
 mod motion;
+mod navigation;
 pub mod pose;
 mod scan;
 mod service;
@@ -48,6 +49,10 @@ pub use grid::{Grid, GridHeader, GridView};
 pub use health::{ProcessHealth, Role};
 pub use id::{ROBOTS_MAX, RobotId};
 pub use motion::{Clock, GroundTruth, LINKS_MAX, Link, LinkTransform, Odometry, Transforms, VelocityCommand};
+pub use navigation::{
+    GOAL_POSES_MAX, NavigationAction, NavigationCommand, NavigationFrame, NavigationPlan, NavigationPose,
+    NavigationReport, NavigationStatus, PLAN_POINTS_MAX,
+};
 pub use pose::Pose2;
 pub use rect::Rect;
 pub use scan::{BEAMS_MAX, Scan};
@@ -120,5 +125,8 @@ messages!(
     EdgeCommand,
     SubmapRequest,
     SlamRequest,
-    SlamResponse
+    SlamResponse,
+    NavigationCommand,
+    NavigationReport,
+    NavigationPlan
 );

@@ -9,6 +9,7 @@ pub mod interfaces;
 pub mod joystick;
 pub mod message;
 pub mod names;
+pub mod navigation;
 mod odometry_covariance;
 pub mod read;
 pub mod schema;
@@ -22,6 +23,7 @@ pub use message::{
     TwistStamped, decode, decode_as, encode, encode_as,
 };
 pub use names::{FrameNames, NameStyle, RobotNameError, RobotNames};
+pub use navigation::{PathMessage, PoseStamped};
 pub use odometry_covariance::{OdometryCovariance, OdometrySigmas};
 pub use sensor::{LaserScan, OccupancyGrid, OccupancyGridUpdate, Odometry, PoseWithCovarianceStamped};
 

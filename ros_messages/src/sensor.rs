@@ -5,7 +5,8 @@ use crate::cdr::{DecodeError, Reader, Writer};
 use crate::{read, write};
 use msg::Stamp;
 
-fn read_pose(from: &mut Reader<'_>) -> Result<([f64; 3], [f64; 4]), DecodeError> {
+/// Reads a geometry_msgs/Pose: position and orientation.
+pub(crate) fn read_pose(from: &mut Reader<'_>) -> Result<([f64; 3], [f64; 4]), DecodeError> {
     Ok((from.f64s("position")?, from.f64s("orientation")?))
 }
 

@@ -27,6 +27,8 @@ pub enum Program {
     SlamTool,
     /// `mr-slam edges`: a person's commands about merge edges.
     EdgesTool,
+    /// `mr-slam goto`, which sends robots to places.
+    GotoTool,
     /// `mr-slam record`: a recording of a fleet that runs.
     RecordTool,
 }
@@ -38,6 +40,7 @@ impl Program {
             Self::Launcher => "launcher",
             Self::SlamTool => "`mr-slam slam`",
             Self::EdgesTool => "`mr-slam edges`",
+            Self::GotoTool => "`mr-slam goto`",
             Self::RecordTool => "`mr-slam record`",
         }
     }
@@ -47,7 +50,7 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        matches!(self, Self::SlamTool | Self::EdgesTool | Self::RecordTool)
+        matches!(self, Self::SlamTool | Self::EdgesTool | Self::GotoTool | Self::RecordTool)
     }
 }
 

@@ -70,7 +70,7 @@ const OF_FLEET: ProcessRow = ProcessRow {
 };
 
 /// All processes of a fleet, in the order in which they are started.
-pub static PROCESSES: [ProcessRow; 6] = [
+pub static PROCESSES: [ProcessRow; 7] = [
     ProcessRow {
         role: Role::Bridge,
         silence_max: BRIDGE_SILENCE_MAX,
@@ -79,6 +79,7 @@ pub static PROCESSES: [ProcessRow; 6] = [
     },
     ProcessRow { role: Role::Telemetry, ..OF_FLEET },
     ProcessRow { role: Role::Merge, second_thread: Some("pose graph"), ..OF_FLEET },
+    ProcessRow { role: Role::Nav, ..OF_FLEET },
     ProcessRow {
         role: Role::Slam,
         per_robot: true,

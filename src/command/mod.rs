@@ -6,6 +6,7 @@ pub mod doctor;
 pub mod edges;
 pub mod experiment;
 pub mod fleet_args;
+pub mod goto;
 pub mod headset;
 pub mod lockstep;
 pub mod merge;
@@ -47,6 +48,8 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     /// Show how the maps of a running fleet are joined, pin an edge or undo it
     Edges(edges::EdgesArgs),
+    /// Send a robot of a running fleet to a place, and wait until it is there
+    Goto(goto::GotoArgs),
     /// Let an address drive a running fleet, now and in later runs; without one, list who may drive and who waits
     Allow(permissions::AllowArgs),
     /// Forbid an address to drive
@@ -89,6 +92,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Status(args) => status::run(&args)?,
         Command::Doctor(args) => doctor::run(&args)?,
         Command::Edges(args) => edges::run(&args)?,
+        Command::Goto(args) => goto::run(&args, &Stop::on_signals()?)?,
         Command::Allow(args) => permissions::allow(&args)?,
         Command::Deny(args) => permissions::deny(&args)?,
         Command::Stop(args) => permissions::stop(&args)?,

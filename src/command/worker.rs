@@ -24,6 +24,8 @@ enum Role {
     Telemetry(ProcessArgs),
     /// Serve headsets and ROS 2
     Bridge(ProcessArgs),
+    /// Drive robots to goals
+    Nav(ProcessArgs),
     /// Record the fleet's messages
     Record(ProcessArgs),
 }
@@ -35,6 +37,7 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
         Role::Slam(args) => Process::Slam(args),
         Role::Merge(args) => Process::Merge(args),
         Role::Telemetry(args) => Process::Telemetry(args),
+        Role::Nav(args) => Process::Nav(args),
         Role::Bridge(args) => Process::Bridge(args),
         Role::Record(args) => Process::Record(args),
     })

@@ -10,6 +10,7 @@ use crate::process::bridge::BridgeProcess;
 use crate::process::control::file_thread::ImmediateFiles;
 use crate::process::graph::GraphWorker;
 use crate::process::merge::{self, MergeProcess};
+use crate::process::nav::NavigationProcess;
 use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::Job;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
@@ -77,6 +78,7 @@ enum Body {
     Merge(Box<(MergeProcess<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<TelemetryProcess<MemoryPorts>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
+    Nav(Box<NavigationProcess<MemoryPorts, MemoryStorage>>),
 }
 
 /// A SLAM process, and what it took from its queues to process next.
@@ -199,6 +201,7 @@ impl Member {
             (Body::Merge(merge), _) => merge.1.step(),
             (Body::Telemetry(figures), _) => figures.step(),
             (Body::Bridge(server), _) => server.step(),
+            (Body::Nav(navigation), _) => navigation.step(),
         };
     }
 }
@@ -231,6 +234,7 @@ impl Body {
                 Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
             Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
+            Role::Nav => Self::Nav(Box::new(NavigationProcess::open(&ports[0], run, world.storage.clone())?)),
             Role::Record => return Err("lockstep records with `--record FILE`".into()),
             Role::Bridge => {
                 let process = BridgeProcess::open(&ports[0], run, world.storage.clone(), |files| {

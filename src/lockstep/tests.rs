@@ -1,6 +1,7 @@
 //! Tests of the channels that the processes of a fleet in lockstep open.
 
 use super::Lockstep;
+use super::faults::FaultPlan;
 use super::queues::Openings;
 use crate::channel::{CHANNELS, Direction, End, Opener, Program, Scope, process_health};
 use crate::config::FleetConfig;
@@ -44,7 +45,7 @@ fn declared(config: &FleetConfig) -> Openings {
 fn every_process_opens_the_channels_that_the_table_declares_and_no_others() {
     let mut config = FleetConfig::default();
     config.fleet.robots = 3;
-    let mut fleet = Lockstep::new(&config, true).unwrap();
+    let mut fleet = Lockstep::with_navigation(&config, FaultPlan::none()).unwrap();
     fleet.tick(&mut |_, _| {});
     let is_process = |opener: &Opener| matches!(opener.program, Program::Worker(_));
     let opened: Openings = fleet.openings().into_iter().filter(|(_, _, opener)| is_process(opener)).collect();

@@ -20,14 +20,16 @@ use crate::ports::{ChannelError, Clock as _, Ports, WritePort};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::bridge::Bridge;
-use feeds::{Feed, forward, open_feeds};
-use msg::{Monotonic, RobotId, Role, SlamRequest, SlamResponse, VelocityCommand};
+use feeds::{Feed, FeedResult, forward, open_feeds};
+use msg::{Monotonic, NavigationCommand, RobotId, Role, SlamRequest, SlamResponse, VelocityCommand};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
 
 /// Longest time until the bridge's state is saved after it has changed.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(100);
+/// Oldest velocity of the navigator that is passed on: four of its periods.
+const NAVIGATION_AGE_MAX: Duration = Duration::from_millis(200);
 /// Kind of requester that marks this process's requests to SLAM.
 const REQUESTER_KIND: u64 = 1;
 /// Bits of a requester's number that hold its process id; its kind is above them.
@@ -59,14 +61,16 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         bridge.tick(now);
         let files = start_files(restore_files(&bridge, run, storage, now))?;
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, files)));
+        let goals = open_goals(ports, run, &bridge)?;
         let mut feeds = open_feeds(ports, run, &bridge)?;
         for robot in run.robots() {
             let receive = move |bridge: &Bridge, response: &SlamResponse| {
                 bridge.receive_slam_response(robot, response, response.client == requester);
             };
             feeds.push(forward(ports, &bridge, &channel::slam_response(robot), receive)?);
+            feeds.push(navigation_velocities(ports, &bridge, robot)?);
         }
-        let upkeep = Upkeep { bridge: bridge.clone(), control, heartbeat, clock: ports.clock() };
+        let upkeep = Upkeep { bridge: bridge.clone(), control, goals, heartbeat, clock: ports.clock() };
         Ok(Self { bridge, feeds, upkeep })
     }
 }
@@ -83,6 +87,7 @@ pub struct Upkeep<P: Ports, W> {
     bridge: Rc<Bridge>,
     /// Requests of the person at the laptop.
     pub control: Rc<RefCell<Control<W>>>,
+    goals: GoalWriters<P>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
 }
@@ -93,6 +98,9 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
         self.bridge.tick(now);
         self.bridge.take_events().iter().for_each(|event| tracing::warn!("{event}"));
         self.control.borrow_mut().update_files(now);
+        if now >= self.heartbeat.due() {
+            self.goals.borrow().iter().for_each(WritePort::refresh);
+        }
         self.heartbeat.publish_if_due(|| {
             let counters = self.bridge.counters();
             let mut account = HealthCounters { clients: counters.clients, ..HealthCounters::default() };
@@ -102,6 +110,37 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
         });
         self.bridge.next_tick(now).min(now + UPKEEP_PERIOD)
     }
+}
+
+/// Writers of the robots' goals, shared by the bridge and its upkeep.
+type GoalWriters<P> = Rc<RefCell<Vec<<P as Ports>::Writer<NavigationCommand>>>>;
+
+/// Opens the robots' channels of goals, on which the bridge sends what clients want of the navigator.
+fn open_goals<P: Ports + 'static>(
+    ports: &P,
+    run: &Run,
+    bridge: &Bridge,
+) -> Result<GoalWriters<P>, ChannelError> {
+    let writers = run.robots().map(|robot| ports.writer(&channel::goal(robot)));
+    let writers = Rc::new(RefCell::new(writers.collect::<Result<Vec<_>, _>>()?));
+    let goals: GoalWriters<P> = writers.clone();
+    bridge.on_navigation(move |robot, command| {
+        if let Some(writer) = goals.borrow_mut().get_mut(robot.index()) {
+            writer.send(&command);
+        }
+    });
+    Ok(writers)
+}
+
+/// Passes the navigator's velocities for a robot to the gate, but for those that have waited too long.
+fn navigation_velocities<P: Ports>(ports: &P, bridge: &Rc<Bridge>, robot: RobotId) -> FeedResult<P> {
+    let clock = ports.clock();
+    forward(ports, bridge, &channel::navigation_velocity(robot), move |bridge: &Bridge, command| {
+        let now = clock.now();
+        if now.since(command.header.sent) <= NAVIGATION_AGE_MAX.as_nanos() as u64 {
+            bridge.receive_navigation_velocity(robot, command, now);
+        }
+    })
 }
 
 /// Creates the bridge, which writes the channels of velocities, of commands for merging and of requests to SLAM.

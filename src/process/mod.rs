@@ -9,6 +9,7 @@ pub mod graph;
 pub mod heartbeat;
 mod map_publisher;
 pub mod merge;
+pub mod nav;
 mod outside;
 pub mod record;
 mod ros2;
@@ -112,6 +113,8 @@ pub enum Process {
     Telemetry(ProcessArgs),
     /// The bridge: ros_tcp clients and ROS 2.
     Bridge(ProcessArgs),
+    /// Navigation of the robots to goals.
+    Nav(ProcessArgs),
     /// The recorder of the fleet's messages.
     Record(ProcessArgs),
 }
@@ -131,6 +134,7 @@ pub fn run(process: &Process) -> Result<(), Error> {
         Process::Telemetry(args) => {
             join(args, Role::Telemetry).and_then(|(run, stop)| telemetry::run(&run, &stop))
         }
+        Process::Nav(args) => join(args, Role::Nav).and_then(|(run, stop)| nav::run(&run, &stop)),
         Process::Bridge(args) => join(args, Role::Bridge).and_then(|(run, stop)| bridge::run(&run, &stop)),
         Process::Record(args) => join(args, Role::Record).and_then(|(run, stop)| record::run(&run, &stop)),
     }

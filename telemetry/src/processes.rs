@@ -2,7 +2,7 @@
 
 use msg::{Monotonic, PROCESSES_MAX, ProcessHealth, ProcessStats, ROBOTS_MAX, Role};
 
-/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, record.
+/// The newest report of each process: sim and slam of each robot, then merge, telemetry, bridge, record, nav.
 pub(crate) struct ProcessTable {
     robot_count: usize,
     slots: [Option<Report>; PROCESSES_MAX],
@@ -40,6 +40,7 @@ impl ProcessTable {
             Role::Bridge => Some(2 * self.robot_count + 2),
             // Beyond the table in a fleet of the largest size.
             Role::Record => Some(2 * self.robot_count + 3),
+            Role::Nav => Some(2 * self.robot_count + 4),
         }
     }
 

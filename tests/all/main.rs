@@ -21,6 +21,7 @@ mod layering;
 mod lockstep;
 mod malformed;
 mod maps;
+mod navigation;
 mod page;
 mod peers;
 mod recording;

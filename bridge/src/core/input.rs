@@ -2,10 +2,10 @@
 
 use super::Core;
 use super::initial_pose::InitialPoseError;
+use super::navigation::GoalError;
 use super::world::world_message;
 use crate::access::{Action, PermissionError};
 use crate::command::name;
-use crate::drive::Driver;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
 use crate::input::Input;
 use crate::relay::ReceivedMessage;
@@ -74,6 +74,9 @@ pub enum InputError {
     /// The initial pose is not one.
     #[error(transparent)]
     InitialPose(#[from] InitialPoseError),
+    /// The goal is not one.
+    #[error(transparent)]
+    Goal(#[from] GoalError),
     /// The external world refuses the message.
     #[error(transparent)]
     World(#[from] WorldError),
@@ -205,10 +208,11 @@ impl Core {
                 Ok(())
             }
             Input::MergeEdge => self.queue_edge_command(&self.decode::<Text>(payload)?.0),
+            _ => self.apply_navigation_input(input, payload, now),
         }
     }
 
-    fn decode<M: Message>(&self, payload: &[u8]) -> Result<M, DecodeError> {
+    pub(super) fn decode<M: Message>(&self, payload: &[u8]) -> Result<M, DecodeError> {
         decode_as(self.config.payloads, payload)
     }
 
@@ -264,7 +268,11 @@ impl Core {
         let decision = self.gate.request(self.driver(id), robot, velocity, now);
         self.send_velocities();
         match decision {
-            GateDecision::Passed(_) | GateDecision::Ignored => Ok(()),
+            GateDecision::Passed(passed) => {
+                self.pause_if_moving(robot, passed, now);
+                Ok(())
+            }
+            GateDecision::Ignored => Ok(()),
             GateDecision::NotFinite => Err(InputError::NotFinite),
             GateDecision::Stopped => Err(InputError::EmergencyStop),
             GateDecision::DrivenBy(holder) => {
@@ -289,21 +297,6 @@ impl Core {
             self.request_velocity(id, robot, Velocity { linear_m_s, angular_rad_s }, now)?;
         }
         stick.map(|_| ()).ok_or(InputError::StickAxis)
-    }
-
-    fn driver_name(&self, driver: Driver) -> String {
-        match (driver.client, driver.address) {
-            (Some(id), _) => self.client_name(id),
-            (None, Some(address)) => format!("{address}, which drove it before the bridge was restarted"),
-            (None, None) => "ROS 2".into(),
-        }
-    }
-
-    fn client_name(&self, id: ClientId) -> String {
-        if id == ClientId::DDS {
-            return "ROS 2".into();
-        }
-        self.router.client(id).map_or("another client".into(), |client| client.peer.to_string())
     }
 
     /// Takes one robot over from its driver, or all robots if the number is 0.

@@ -4,8 +4,8 @@ use crate::config::VelocityMessage;
 use crate::input::Input;
 use crate::relay::ReceivedMessage;
 use ros_messages::{
-    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PoseWithCovarianceStamped, RobotNames, Text,
-    TfMessage, Twist, TwistStamped,
+    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PoseStamped,
+    PoseWithCovarianceStamped, RobotNames, Text, TfMessage, Twist, TwistStamped,
 };
 
 /// A topic that the endpoint subscribes to.
@@ -79,7 +79,17 @@ fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: b
         InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::ReleaseStop),
         InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
         InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
+        InputTopic::new::<PoseStamped>("/goal_pose".into(), Input::Goal(None)),
     ];
+    for robot in robots.robots() {
+        let name = |rest: &str| robots.topic(robot, rest);
+        if !robots.is_plain() {
+            all.push(InputTopic::new::<PoseStamped>(name("goal_pose"), Input::Goal(Some(robot))));
+        }
+        all.push(InputTopic::new::<PathMessage>(name("waypoints"), Input::Waypoints(robot)));
+        all.push(InputTopic::new::<Empty>(name("cancel_navigation"), Input::CancelNavigation(robot)));
+        all.push(InputTopic::new::<Empty>(name("resume_navigation"), Input::ResumeNavigation(robot)));
+    }
     let mut add_velocity = |name: &str, input: Input| {
         for is_stamped in velocity.is_stamped() {
             all.push(match is_stamped {

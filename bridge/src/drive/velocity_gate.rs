@@ -152,12 +152,34 @@ impl VelocityGate {
         velocity: Velocity,
         now: Monotonic,
     ) -> GateDecision {
+        let Some(velocity) = self.clamp(robot, velocity) else { return GateDecision::NotFinite };
+        let decision = self.drive.decide(driver, robot, velocity.is_moving(), now);
+        self.apply(robot, velocity, decision, now)
+    }
+
+    /// Decides on one velocity of the navigator, and sends it to the robot if it passes.
+    pub fn request_navigation(&mut self, robot: RobotId, velocity: Velocity, now: Monotonic) -> GateDecision {
+        let Some(velocity) = self.clamp(robot, velocity) else { return GateDecision::NotFinite };
+        let decision = self.drive.decide_navigation(robot, now);
+        self.apply(robot, velocity, decision, now)
+    }
+
+    /// Returns a velocity within the robot's limits; `None` if a component is infinite or not a number.
+    fn clamp(&self, robot: RobotId, velocity: Velocity) -> Option<Velocity> {
+        let limits = self.robots.get(robot.index()).map(|state| state.limits);
+        velocity.is_finite().then(|| limits.map_or(Velocity::ZERO, |limits| limits.clamp(velocity)))
+    }
+
+    /// Sends a velocity within limits to the robot if the decision is to pass it.
+    fn apply(
+        &mut self,
+        robot: RobotId,
+        velocity: Velocity,
+        decision: DriveDecision,
+        now: Monotonic,
+    ) -> GateDecision {
         let Some(state) = self.robots.get_mut(robot.index()) else { return GateDecision::Ignored };
-        if !velocity.is_finite() {
-            return GateDecision::NotFinite;
-        }
-        let velocity = state.limits.clamp(velocity);
-        match self.drive.decide(driver, robot, velocity.is_moving(), now) {
+        match decision {
             DriveDecision::Pass => {}
             DriveDecision::Ignore => return GateDecision::Ignored,
             DriveDecision::Stopped => return GateDecision::Stopped,

@@ -10,10 +10,11 @@ use super::table::FleetTopic;
 use crate::input::Input;
 use crate::repeater::{CorrectionRepeater, Repetition};
 use msg::{
-    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, Odometry, RobotId, Scan, Stamp,
-    Transforms,
+    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, NavigationPlan,
+    NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Writer;
+use ros_messages::navigation::write_path;
 use ros_messages::{FrameNames, NameStyle, RobotNames, names, write};
 use ros_messages::{OdometryCovariance, OdometrySigmas};
 use std::time::Duration;
@@ -45,6 +46,10 @@ pub enum FleetMessage<'a> {
     Stats(&'a FleetStats),
     /// The edges between the robots' maps as JSON: `/merge_edges`.
     MergeEdges(&'a str),
+    /// What navigation does with a robot: `/robotN/navigation_state`.
+    NavigationState(RobotId, &'a NavigationReport),
+    /// The planned path of a robot: `/robotN/plan`.
+    Plan(RobotId, &'a NavigationPlan),
 }
 
 /// Where a transport accepts encoded messages.
@@ -211,11 +216,18 @@ impl FleetPublisher {
                 let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, frame, values, map);
                 sink.send(FleetTopic::Map, Some(robot), encode);
             }
+            FleetMessage::NavigationState(robot, report) if self.has(robot) => {
+                let json = navigation_json(report);
+                sink.send(FleetTopic::NavigationState, Some(robot), |to| to.string(&json));
+            }
+            FleetMessage::Plan(robot, plan) if self.has(robot) => self.publish_plan(robot, plan, sink),
             FleetMessage::Scan(..)
             | FleetMessage::Transforms(..)
             | FleetMessage::Odometry(..)
             | FleetMessage::Correction(..)
-            | FleetMessage::Map(..) => {}
+            | FleetMessage::Map(..)
+            | FleetMessage::NavigationState(..)
+            | FleetMessage::Plan(..) => {}
             FleetMessage::MapTransforms(transforms) => self.set_map_transforms(transforms, sink),
             FleetMessage::Clock(clock) => {
                 self.now = clock.header.stamp;
@@ -230,6 +242,12 @@ impl FleetPublisher {
             }
             FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
         }
+    }
+
+    fn publish_plan(&self, robot: RobotId, plan: &NavigationPlan, sink: &mut impl TopicSink) {
+        let frame = if plan.in_merged_map == 1 { names::MAP } else { self.names.map(robot) };
+        let encode = |to: &mut Writer<'_>| write_path(to, frame, plan.header.stamp, plan.points_m());
+        sink.send(FleetTopic::Plan, Some(robot), encode);
     }
 
     /// Publishes the merged map, and what changed in it since the last one.
@@ -327,4 +345,18 @@ impl FleetPublisher {
         }
         self.map_transforms_due = Some(now + MAP_TRANSFORMS_PERIOD);
     }
+}
+
+/// Returns the state of a robot's navigation as JSON.
+fn navigation_json(report: &NavigationReport) -> String {
+    let other = RobotId::new(report.other_robot as usize).map(|robot| robot.to_string());
+    serde_json::json!({
+        "state": report.status().name(),
+        "reason": report.reason(),
+        "goal": report.number,
+        "pose": report.next_pose,
+        "remaining_m": report.remaining_m.is_finite().then_some(report.remaining_m),
+        "waits_for": other,
+    })
+    .to_string()
 }

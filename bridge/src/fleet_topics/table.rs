@@ -3,7 +3,7 @@
 use crate::router::DEPTH_DEFAULT;
 use ros_messages::{
     Bool, Clock, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, Odometry,
-    PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
+    PathMessage, PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
 };
 
 /// Identifies a row of [`OUTGOING_TOPICS`], in the order of the table.
@@ -37,6 +37,10 @@ pub enum FleetTopic {
     MergedMapProbability,
     /// The edges between the robots' maps, as JSON.
     MergeEdges,
+    /// What navigation does with a robot and why, as JSON.
+    NavigationState,
+    /// The planned path of a robot.
+    Plan,
     /// The robot that `/cmd_vel` drives.
     SelectedRobot,
     /// Whether the emergency stop is set.
@@ -123,7 +127,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 16] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 18] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -197,6 +201,16 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 16] = [
         tcp: LATCHED,
         dds: LATCHED,
         ..row(FleetTopic::MergeEdges, "/merge_edges", Text::TYPE, "merge_edges")
+    },
+    OutgoingTopic {
+        tcp: LATCHED,
+        dds: LATCHED,
+        ..row(FleetTopic::NavigationState, "/robotN/navigation_state", Text::TYPE, "robotN/navigation_state")
+    },
+    OutgoingTopic {
+        tcp: LATCHED,
+        dds: LATCHED,
+        ..row(FleetTopic::Plan, "/robotN/plan", PathMessage::TYPE, "robotN/plan")
     },
     OutgoingTopic {
         tcp: LATCHED,

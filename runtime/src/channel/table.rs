@@ -1,12 +1,12 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
 use super::End::{Of, OfFirst, OfOthers, OutsideWorld};
-use super::Program::{EdgesTool, Launcher, RecordTool, SlamTool, Worker};
+use super::Program::{EdgesTool, GotoTool, Launcher, RecordTool, SlamTool, Worker};
 use super::{Channel, ChannelRow, End, Program, Scope, TypedRow};
 use msg::{
-    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
-    PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
-    SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
+    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, NavigationCommand,
+    NavigationPlan, NavigationReport, Odometry, PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan,
+    SlamRequest, SlamResponse, Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
 const SIM: Program = Worker(Role::Sim);
@@ -14,6 +14,7 @@ const SLAM: Program = Worker(Role::Slam);
 const MERGE: Program = Worker(Role::Merge);
 const TELEMETRY: Program = Worker(Role::Telemetry);
 const BRIDGE: Program = Worker(Role::Bridge);
+const NAV: Program = Worker(Role::Nav);
 const RECORD: Program = Worker(Role::Record);
 
 /// Largest batch of messages of a map: with the pause between two batches, 26 MB a second.
@@ -46,7 +47,7 @@ const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
 const SIM_OR_OUTSIDE: &[End] = &[Of(SIM), OutsideWorld(BRIDGE)];
-const EVERYBODY: &[End] = &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD)];
+const EVERYBODY: &[End] = &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
 
 static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
@@ -59,7 +60,7 @@ static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     name: "scan",
     content: "one turn of the LiDAR, 10 Hz",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(SLAM), Of(BRIDGE), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(SLAM), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool)],
     // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
     depth: 16,
     ..STREAM
@@ -78,7 +79,7 @@ static TRANSFORMS: TypedRow<Transforms> = TypedRow::new(ChannelRow {
     name: "transforms",
     content: "the robot's own frames, 20 Hz",
     writers: SIM_OR_OUTSIDE,
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });
 static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
@@ -104,7 +105,7 @@ static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
     name: "correction",
     content: "the pose in the robot's map, one for each scan",
     writers: &[Of(SLAM)],
-    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(Launcher), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });
 // Readers cannot count lost messages of several writers: a client notices a lost request by the missing answer.
@@ -129,7 +130,7 @@ static ROBOT_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     name: "map",
     content: "changed tiles of the robot's map, at most 10 Hz",
     writers: &[Of(SLAM)],
-    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(Launcher), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
     ..MAP
 });
 static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
@@ -165,14 +166,14 @@ static MERGED_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     content: "changed tiles of the fleet's map",
     scope: Scope::Fleet,
     writers: &[Of(MERGE)],
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(Launcher), Of(RECORD), Of(RecordTool)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
     ..MAP
 });
 static MAP_TRANSFORMS: TypedRow<MapTransforms> = TypedRow::new(ChannelRow {
     name: "map_transforms",
     content: "where each robot's map lies in the fleet's, before each merged map",
     writers: &[Of(MERGE)],
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(RecordTool), Of(Launcher)],
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool), Of(Launcher)],
     wakes: false,
     ..STATE
 });
@@ -211,8 +212,44 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
     ..STREAM
 });
 
+// Several writers: the bridge for its clients, and commands of people. The newest command waits for a restarted reader.
+static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
+    name: "goal",
+    content: "a goal of the robot, or a cancellation, pause or resumption, on demand",
+    writers: &[Of(BRIDGE), Of(GotoTool)],
+    readers: &[Of(NAV)],
+    depth: 16,
+    history: 1,
+    writers_max: REQUEST_WRITERS_MAX,
+    ..STREAM
+});
+static NAVIGATION_VELOCITY: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
+    name: "navigation_velocity",
+    content: "velocity towards the robot's goal, 20 Hz while it has one",
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE)],
+    ..STREAM
+});
+static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
+    name: "navigation_state",
+    content: "what navigation does with the robot and why, on change and 1 Hz while it has a goal",
+    scope: Scope::Robot,
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE), Of(GotoTool)],
+    depth: 16,
+    ..STATE
+});
+static PLAN: TypedRow<NavigationPlan> = TypedRow::new(ChannelRow {
+    name: "plan",
+    content: "the robot's planned path, on change, at most 1 Hz",
+    scope: Scope::Robot,
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE)],
+    ..STATE
+});
+
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 19] = [
+pub static CHANNELS: [&ChannelRow; 23] = [
     &COMMAND.row,
     &SCAN.row,
     &ODOMETRY.row,
@@ -230,6 +267,10 @@ pub static CHANNELS: [&ChannelRow; 19] = [
     &MAP_TRANSFORMS.row,
     &MERGE_EDGES.row,
     &EDGE_COMMAND.row,
+    &GOAL.row,
+    &NAVIGATION_VELOCITY.row,
+    &NAVIGATION_STATE.row,
+    &PLAN.row,
     &STATS.row,
     &HEALTH.row,
 ];
@@ -317,6 +358,26 @@ pub fn merge_edges() -> Channel<MergeEdges> {
 /// `edge_command`: a person's command about a merge edge, such as pin or undo.
 pub fn edge_command() -> Channel<EdgeCommand> {
     EDGE_COMMAND.of_fleet()
+}
+
+/// `robotK/goal`: goals and other commands of people and programs to the navigator.
+pub fn goal(robot: RobotId) -> Channel<NavigationCommand> {
+    GOAL.of_robot(robot)
+}
+
+/// `robotK/navigation_velocity`: the navigator's velocities, which pass the bridge's gate as all others.
+pub fn navigation_velocity(robot: RobotId) -> Channel<VelocityCommand> {
+    NAVIGATION_VELOCITY.of_robot(robot)
+}
+
+/// `robotK/navigation_state`: what the navigator does with the robot, and why it stands.
+pub fn navigation_state(robot: RobotId) -> Channel<NavigationReport> {
+    NAVIGATION_STATE.of_robot(robot)
+}
+
+/// `robotK/plan`: the robot's planned path.
+pub fn plan(robot: RobotId) -> Channel<NavigationPlan> {
+    PLAN.of_robot(robot)
 }
 
 /// `stats`: the fleet's figures from telemetry.

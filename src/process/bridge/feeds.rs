@@ -64,6 +64,12 @@ pub fn open_feeds<P: Ports, T: Transport + 'static>(
         feeds.push(forward(ports, transport, &channel::correction(robot), move |to, correction| {
             to.publish(FleetMessage::Correction(robot, correction));
         })?);
+        feeds.push(forward(ports, transport, &channel::navigation_state(robot), move |to, report| {
+            to.publish(FleetMessage::NavigationState(robot, report));
+        })?);
+        feeds.push(forward(ports, transport, &channel::plan(robot), move |to, plan| {
+            to.publish(FleetMessage::Plan(robot, plan));
+        })?);
         feeds.push(publish_map(ports, transport, &channel::map(robot), move |to, map| {
             to.publish(FleetMessage::Map(robot, map));
         })?);

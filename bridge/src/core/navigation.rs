@@ -1,0 +1,217 @@
+//! Goals of people and programs for the navigator, and the navigator's velocities on their way to the gate.
+
+use super::Core;
+use super::input::InputError;
+use crate::drive::velocity_gate::{GateDecision, Velocity};
+use crate::input::Input;
+use crate::world::{TransformError, floor_pose};
+use msg::{
+    GOAL_POSES_MAX, Link, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose,
+    NavigationReport, NavigationStatus, RobotId, VelocityCommand,
+};
+use ros_messages::names::{FleetFrame, MAP};
+use ros_messages::read::Transform;
+use ros_messages::{Empty, PathMessage, PoseStamped};
+use thiserror::Error;
+
+/// Why a goal is refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum GoalError {
+    /// A pose is not one on the floor.
+    #[error(transparent)]
+    Pose(#[from] TransformError),
+    /// The frame is not one of the fleet's.
+    #[error(
+        "a goal in '{frame}': expected '{MAP}', or a frame of a robot such as map_1, odom_1 or base_link_1"
+    )]
+    Frame {
+        /// The message's frame.
+        frame: String,
+    },
+    /// A path without poses.
+    #[error("a path without poses; to cancel, publish on the robot's cancel_navigation")]
+    Empty,
+    /// A path with too many poses.
+    #[error("{count} poses; expected at most {GOAL_POSES_MAX}")]
+    TooManyPoses {
+        /// Number of poses in the message.
+        count: usize,
+    },
+    /// Poses in more than one frame.
+    #[error("poses in '{first}' and in '{other}'; expected one frame")]
+    MixedFrames {
+        /// The first frame.
+        first: String,
+        /// A different one.
+        other: String,
+    },
+}
+
+impl Core {
+    /// Applies a message to the navigator.
+    pub(super) fn apply_navigation_input(
+        &mut self,
+        input: Input,
+        payload: &[u8],
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        let (robot, action) = match input {
+            Input::Goal(robot) => {
+                let pose = self.decode(payload)?;
+                return self.accept_goal(robot, &pose, now);
+            }
+            Input::Waypoints(robot) => {
+                let path = self.decode(payload)?;
+                return self.accept_waypoints(robot, &path, now);
+            }
+            Input::CancelNavigation(robot) => (robot, NavigationAction::Cancel),
+            Input::ResumeNavigation(robot) => (robot, NavigationAction::Resume),
+            _ => return Ok(()),
+        };
+        self.decode::<Empty>(payload)?;
+        self.command_navigation_at(robot, action, now)
+    }
+
+    /// Pauses a robot's navigation if a person's velocity moves it.
+    pub(super) fn pause_if_moving(&mut self, robot: RobotId, velocity: Velocity, now: Monotonic) {
+        if velocity != Velocity::ZERO {
+            self.commands.record_time(now);
+            self.pause_navigation([robot]);
+        }
+    }
+
+    /// Sends a robot to a pose; without a robot, the selected one.
+    fn accept_goal(
+        &mut self,
+        robot: Option<RobotId>,
+        pose: &PoseStamped,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        self.accept_poses(robot, &pose.frame_id, core::slice::from_ref(pose), now)
+    }
+
+    /// Sends a robot along waypoints.
+    fn accept_waypoints(
+        &mut self,
+        robot: RobotId,
+        path: &PathMessage,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        let count = path.poses.len();
+        let Some(first) = path.poses.first() else { return Err(GoalError::Empty.into()) };
+        if count > GOAL_POSES_MAX {
+            return Err(GoalError::TooManyPoses { count }.into());
+        }
+        // A pose without a frame is in the path's.
+        let frame_of = |pose: &PoseStamped| match pose.frame_id.as_str() {
+            "" => path.frame_id.clone(),
+            frame => frame.to_owned(),
+        };
+        let first = frame_of(first);
+        if let Some(other) = path.poses.iter().map(frame_of).find(|frame| *frame != first) {
+            return Err(GoalError::MixedFrames { first, other }.into());
+        }
+        self.accept_poses(Some(robot), &first, &path.poses, now)
+    }
+
+    fn accept_poses(
+        &mut self,
+        robot: Option<RobotId>,
+        frame: &str,
+        poses: &[PoseStamped],
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        if self.gate.drive().is_stopped() {
+            return Err(InputError::EmergencyStop);
+        }
+        self.commands.record_time(now);
+        let robot = robot.unwrap_or(self.gate.drive().selected());
+        let poses =
+            poses.iter().map(navigation_pose).collect::<Result<Vec<_>, _>>().map_err(GoalError::from)?;
+        let frame = self.navigation_frame(frame)?;
+        let number = self.commands.next_navigation_number();
+        self.commands.push_navigation(robot, NavigationCommand::goal(number, frame, &poses));
+        Ok(())
+    }
+
+    fn navigation_frame(&self, frame: &str) -> Result<(NavigationFrame, Option<RobotId>), GoalError> {
+        if frame.strip_prefix('/').unwrap_or(frame) == MAP {
+            return Ok((NavigationFrame::MergedMap, None));
+        }
+        let robot_count = self.fleet.robot_count();
+        let of = self.fleet.robot_names().parse_frame(frame).filter(|(of, _)| of.number() <= robot_count);
+        let frame_of = |(robot, part)| match part {
+            FleetFrame::Map => Some((NavigationFrame::RobotMap, Some(robot))),
+            FleetFrame::Link(Link::Odom) => Some((NavigationFrame::Odom, Some(robot))),
+            FleetFrame::Link(Link::BaseFootprint | Link::BaseLink) => {
+                Some((NavigationFrame::Base, Some(robot)))
+            }
+            FleetFrame::Link(_) => None,
+        };
+        of.and_then(frame_of).ok_or_else(|| GoalError::Frame { frame: frame.to_owned() })
+    }
+
+    /// Tells the navigator to cancel a robot's goal, to pause or to go on.
+    fn command_navigation(&mut self, robot: RobotId, action: NavigationAction) {
+        let number = self.commands.next_navigation_number();
+        self.commands.push_navigation(robot, NavigationCommand::new(number, action));
+    }
+
+    /// Handles a person's wish to cancel a robot's goal, or to drive on to it.
+    fn command_navigation_at(
+        &mut self,
+        robot: RobotId,
+        action: NavigationAction,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        if action == NavigationAction::Resume && self.gate.drive().is_stopped() {
+            return Err(InputError::EmergencyStop);
+        }
+        self.commands.record_time(now);
+        self.command_navigation(robot, action);
+        Ok(())
+    }
+
+    /// Pauses the navigation of robots that the navigator drives, because a person drives or stops them.
+    pub(super) fn pause_navigation(&mut self, robots: impl IntoIterator<Item = RobotId>) {
+        for robot in robots {
+            if self.gate.drive().is_navigated(robot) {
+                self.gate.drive_mut().set_navigated(robot, false);
+                self.command_navigation(robot, NavigationAction::Pause);
+            }
+        }
+    }
+
+    /// Handles a velocity of the navigator: it passes the gate as all others, and gives way to every person.
+    pub fn receive_navigation_velocity(&mut self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
+        let velocity = Velocity { linear_m_s: command.linear_m_s, angular_rad_s: command.angular_rad_s };
+        let decision = self.gate.request_navigation(robot, velocity, now);
+        self.send_velocities();
+        // The navigator's last zero after a pause is refused too, and needs no other pause.
+        let is_refused = matches!(decision, GateDecision::Stopped | GateDecision::DrivenBy(_));
+        if is_refused && velocity != Velocity::ZERO {
+            self.gate.drive_mut().set_navigated(robot, true);
+            self.commands.record_time(now);
+            self.pause_navigation([robot]);
+        }
+    }
+
+    /// Records whether the navigator drives a robot.
+    pub fn record_navigation(&mut self, robot: RobotId, report: &NavigationReport) {
+        let status = report.status();
+        let is_active =
+            !status.is_final() && !matches!(status, NavigationStatus::Idle | NavigationStatus::Paused);
+        self.gate.drive_mut().set_navigated(robot, is_active);
+    }
+}
+
+fn navigation_pose(pose: &PoseStamped) -> Result<NavigationPose, TransformError> {
+    let at = floor_pose(&Transform {
+        stamp: pose.stamp,
+        frame_id: pose.frame_id.as_str(),
+        child_frame_id: "",
+        translation: pose.position,
+        rotation: pose.orientation,
+    })?;
+    Ok(NavigationPose { x_m: at.x_m, y_m: at.y_m, yaw_rad: at.yaw_rad })
+}

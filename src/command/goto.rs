@@ -1,0 +1,226 @@
+//! Tool `mr-slam goto`, which sends a robot of a running fleet to a place and waits until it is there.
+
+use super::edges::robot;
+use super::output;
+use super::run_args::RunArgs;
+use crate::channel::{self, Opener, Program};
+use crate::ports::ChannelError;
+use crate::run::{Run, RunError};
+use crate::shared_memory::{Participant, wait};
+use crate::stop::Stop;
+use msg::{
+    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
+    NavigationStatus, RobotId,
+};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Longest time without an answer of the navigator to a goal: its start after a death takes less.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Period at which the state is looked at, nanoseconds.
+const POLL_NS: u64 = 50_000_000;
+
+/// Send a robot of a running fleet to a place, and wait until it is there
+#[derive(Clone, Debug, clap::Args)]
+pub struct GotoArgs {
+    /// Robot to send: robot2, or 2
+    #[arg(value_name = "ROBOT", value_parser = robot)]
+    pub robot: RobotId,
+    /// Place in the frame `map`: metres, metres and, if the heading matters, radians
+    #[arg(value_name = "X,Y[,YAW]", value_parser = pose, allow_hyphen_values = true, required_unless_present = "cancel")]
+    pub pose: Option<NavigationPose>,
+    /// The place is in the robot's own map (frame `map_N`)
+    #[arg(long)]
+    pub own_map: bool,
+    /// Cancel the robot's goal instead
+    #[arg(long, conflicts_with_all = ["pose", "own_map", "no_wait"])]
+    pub cancel: bool,
+    /// Return as soon as the robot has taken the goal
+    #[arg(long)]
+    pub no_wait: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Choice of the running fleet.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+/// Text that is no goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected X,Y or X,Y,YAW in metres and radians")]
+pub struct PoseError;
+
+/// Parses a goal from `X,Y` or `X,Y,YAW`.
+fn pose(text: &str) -> Result<NavigationPose, PoseError> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|number| number.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+    match numbers.as_deref() {
+        Some([x_m, y_m]) => Ok(NavigationPose { x_m: *x_m, y_m: *y_m, yaw_rad: f64::NAN }),
+        Some([x_m, y_m, yaw_rad]) => Ok(NavigationPose { x_m: *x_m, y_m: *y_m, yaw_rad: *yaw_rad }),
+        _ => Err(PoseError),
+    }
+}
+
+/// Reason why the robot is not where it was sent.
+#[derive(Debug, thiserror::Error)]
+pub enum GotoError {
+    /// No run, or several and none was named.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// Shared memory of the run.
+    #[error(transparent)]
+    Channel(#[from] ChannelError),
+    /// A robot that the fleet does not have.
+    #[error("run {}: this fleet has robots 1 to {robots}, not {found}", run.display())]
+    Robot {
+        /// Folder of the run.
+        run: PathBuf,
+        /// Number that was given.
+        found: usize,
+        /// Number of robots.
+        robots: usize,
+    },
+    /// The navigator did not answer.
+    #[error("run {}: navigation does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
+    Silent {
+        /// Folder of the run.
+        run: PathBuf,
+    },
+    /// The robot did not arrive.
+    #[error("{robot} {state}{}{reason}", if reason.is_empty() { "" } else { ": " })]
+    NotReached {
+        /// The robot that was sent.
+        robot: RobotId,
+        /// Its last state: failed, cancelled or paused.
+        state: &'static str,
+        /// Why it did not arrive.
+        reason: String,
+    },
+    /// Another goal came before the robot arrived.
+    #[error("{0} has got another goal meanwhile")]
+    Replaced(RobotId),
+    /// The result cannot be written to standard output.
+    #[error("cannot print the result: {0}")]
+    Print(#[from] std::io::Error),
+}
+
+/// Result as JSON.
+#[derive(Serialize)]
+struct Answer {
+    robot: String,
+    state: &'static str,
+    reason: String,
+    seconds: f64,
+}
+
+/// Sends the goal and waits.
+pub fn run(args: &GotoArgs, stop: &Stop) -> Result<(), GotoError> {
+    let run = args.run.open_to_change()?;
+    let (robots, found) = (run.config.fleet.robots, args.robot.number());
+    if found > robots {
+        return Err(GotoError::Robot { run: run.dir.clone(), found, robots });
+    }
+    let begun = Instant::now();
+    let report = send(&run, args, stop)?;
+    let state = report.status();
+    let answer = Answer {
+        robot: args.robot.to_string(),
+        state: state.name(),
+        reason: report.reason().to_owned(),
+        seconds: begun.elapsed().as_secs_f64(),
+    };
+    output::print_either(args.json, &answer, || {
+        format!("{}: {} after {:.1} s\n", answer.robot, answer.state, answer.seconds)
+    })?;
+    let is_wanted = args.cancel || args.no_wait || state == NavigationStatus::Reached;
+    let reason = answer.reason;
+    if is_wanted {
+        Ok(())
+    } else {
+        Err(GotoError::NotReached { robot: args.robot, state: state.name(), reason })
+    }
+}
+
+/// Sends the command; returns the last state of the goal, or its first if nobody waits for the last.
+fn send(run: &Run, args: &GotoArgs, stop: &Stop) -> Result<NavigationReport, GotoError> {
+    let node = Participant::open(&run.domain, Opener::of_fleet(Program::GotoTool), "goto")?;
+    let mut states = node.reader(&channel::navigation_state(args.robot))?;
+    let mut commands = node.writer(&channel::goal(args.robot))?;
+    let number = crate::clock::now().0;
+    commands.send(&match args.pose {
+        None => NavigationCommand::new(number, NavigationAction::Cancel),
+        Some(pose) => {
+            let frame = if args.own_map { NavigationFrame::RobotMap } else { NavigationFrame::MergedMap };
+            NavigationCommand::goal(number, (frame, args.own_map.then_some(args.robot)), &[pose])
+        }
+    });
+    let (begun, mut shown, mut has_answer) = (Instant::now(), String::new(), false);
+    loop {
+        // A navigator that starts again needs the command once more.
+        commands.refresh();
+        while let Some(report) = states.receive() {
+            let report = *report;
+            has_answer |= report.number >= number;
+            let is_over = report.status().is_final();
+            if args.cancel && (is_over || report.status() == NavigationStatus::Idle) {
+                return Ok(report);
+            }
+            if report.number > number {
+                return Err(GotoError::Replaced(args.robot));
+            }
+            if report.number < number || args.cancel {
+                continue;
+            }
+            if is_over || report.status() == NavigationStatus::Paused || args.no_wait {
+                return Ok(report);
+            }
+            show(args, &report, &mut shown);
+        }
+        if !has_answer && begun.elapsed() > PATIENCE {
+            return Err(GotoError::Silent { run: run.dir.clone() });
+        }
+        if stop.requested() {
+            let number = crate::clock::now().0;
+            commands.send(&NavigationCommand::new(number, NavigationAction::Cancel));
+            wait([], Monotonic(number + POLL_NS));
+            let (state, reason) = ("was stopped", "interrupted here, its goal is cancelled".into());
+            return Err(GotoError::NotReached { robot: args.robot, state, reason });
+        }
+        wait([], Monotonic(crate::clock::now().0 + POLL_NS));
+    }
+}
+
+/// Prints a state to standard error when it has changed.
+fn show(args: &GotoArgs, report: &NavigationReport, shown: &mut String) {
+    let mut line = format!("{}: {}", args.robot, report.status().name());
+    if let Some(other) = RobotId::new(report.other_robot as usize) {
+        line += &format!(" for {other}");
+    }
+    if !report.reason().is_empty() {
+        line += &format!(" ({})", report.reason());
+    }
+    if report.remaining_m.is_finite() {
+        line += &format!(", {:.0} m to go", report.remaining_m.ceil());
+    }
+    if line != *shown {
+        output::note(&line);
+        *shown = line;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_goal_has_two_or_three_finite_numbers() {
+        let goal = pose("1.5, -2").unwrap();
+        assert!(goal.x_m == 1.5 && goal.y_m == -2.0 && goal.yaw_rad.is_nan());
+        assert_eq!(pose("0,0,1.57").unwrap().yaw_rad, 1.57);
+        for text in ["", "1", "1,2,3,4", "1,x", "inf,0"] {
+            assert_eq!(pose(text), Err(PoseError), "{text}");
+        }
+    }
+}

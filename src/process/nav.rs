@@ -1,0 +1,261 @@
+//! The navigation process: drives robots to the goals of people and programs.
+//!
+//! Its velocities go to the bridge, which passes them on like any client's and stops a robot 0.3 s after the last one.
+//! While no robot has a goal it reads no sensor, draws no plan and waits for the next command.
+
+mod inputs;
+mod memory;
+mod outputs;
+
+use super::heartbeat::{HealthCounters, Heartbeat};
+use super::{Error, Listens, ProcessLoop, serve};
+use crate::channel;
+use crate::clock::Epoch;
+use crate::ports::{Clock as _, Ports, ReadPort};
+use crate::progress::WatchedThread;
+use crate::run::Run;
+use crate::stop::Stop;
+use crate::storage::{DiskStorage, Storage};
+use ::nav::{FleetNavigator, GoalFrame, GoalPose, NavigationGoal, NavigationState, NavigatorConfig};
+use inputs::Inputs;
+use memory::{SavedGoal, SavedGoals};
+use msg::{
+    Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, Pose2, RobotId, Role,
+};
+use outputs::{Decision, RobotOutputs};
+use std::time::Duration;
+
+/// Period of the control loop: 20 Hz, as operators send velocities.
+const PERIOD: Duration = Duration::from_millis(50);
+
+/// Runs the process until it is asked to stop.
+pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
+    let node = run.attach(Role::Nav, None)?;
+    let mut process = NavigationProcess::open(&node, run, DiskStorage)?;
+    serve(&mut process, run.progress(Role::Nav, None, WatchedThread::Main), &|| stop.requested());
+    Ok(())
+}
+
+/// The navigator with its channels.
+pub struct NavigationProcess<P: Ports, S: Storage> {
+    navigator: FleetNavigator,
+    inputs: Inputs<P>,
+    robots: Vec<RobotDesk<P>>,
+    saved: SavedGoals<S>,
+    heartbeat: Heartbeat<P>,
+    clock: P::Clock,
+    epoch: Epoch,
+    /// Moment of the next control step, while a robot has a goal.
+    due: Monotonic,
+    refused: u64,
+    listeners: Vec<P::Listener>,
+}
+
+/// Commands of one robot, and where its state goes.
+struct RobotDesk<P: Ports> {
+    robot: RobotId,
+    commands: P::Reader<NavigationCommand>,
+    outputs: RobotOutputs<P>,
+    /// Number of the newest command; older ones are not applied.
+    newest: u64,
+    /// Number of the goal's command.
+    goal: u64,
+    /// Why the newest goal was refused.
+    refusal: Option<&'static str>,
+}
+
+impl<P: Ports, S: Storage> NavigationProcess<P, S> {
+    /// Opens the channels, and goes on with the goals of an earlier process of this run.
+    pub fn open(ports: &P, run: &Run, storage: S) -> Result<Self, Error> {
+        let clock = ports.clock();
+        let desk = |robot| {
+            Ok(RobotDesk {
+                robot,
+                commands: ports.reader(&channel::goal(robot))?,
+                outputs: RobotOutputs::open(ports, robot)?,
+                newest: 0,
+                goal: 0,
+                refusal: None,
+            })
+        };
+        let listeners = run.robots().map(|robot| ports.listener(&channel::goal(robot)));
+        let mut process = Self {
+            navigator: FleetNavigator::new(NavigatorConfig::default()),
+            inputs: Inputs::open(ports, run)?,
+            robots: run.robots().map(desk).collect::<Result<_, crate::ports::ChannelError>>()?,
+            saved: SavedGoals::new(run, storage),
+            heartbeat: Heartbeat::new(ports, run, Role::Nav, None)?,
+            due: clock.now(),
+            clock,
+            epoch: run.epoch,
+            refused: 0,
+            listeners: listeners.collect::<Result<_, _>>()?,
+        };
+        process.restore();
+        Ok(process)
+    }
+
+    /// Sets the goals that an earlier process of this run had not ended.
+    fn restore(&mut self) {
+        let now = self.epoch.stamp(self.clock.now());
+        for saved in self.saved.read() {
+            let Some(desk) = self.robots.iter_mut().find(|desk| desk.robot.number() == saved.robot) else {
+                continue;
+            };
+            let Ok(goal) = NavigationGoal::new(saved.frame(), saved.poses()) else { continue };
+            (desk.newest, desk.goal) = (saved.newest, saved.goal);
+            self.navigator.set_goal(now, desk.robot, goal);
+            if saved.is_paused {
+                self.navigator.pause(desk.robot);
+            }
+        }
+    }
+
+    /// Applies the commands that wait; returns whether there were any.
+    fn receive_commands(&mut self, now: Monotonic) -> bool {
+        let mut has_changed = false;
+        for index in 0..self.robots.len() {
+            while let Some(command) = self.robots[index].commands.receive() {
+                if command.number > self.robots[index].newest {
+                    let command = *command;
+                    self.apply(index, &command, now);
+                    has_changed = true;
+                }
+            }
+        }
+        has_changed
+    }
+
+    fn apply(&mut self, index: usize, command: &NavigationCommand, now: Monotonic) {
+        let stamp = self.epoch.stamp(now);
+        let robot = self.robots[index].robot;
+        self.robots[index].newest = command.number;
+        match command.action() {
+            Some(NavigationAction::Goal) => {
+                // What has arrived while nobody had a goal is old.
+                self.inputs.receive(now);
+                let goal = self.inputs.goal(robot, command);
+                let desk = &mut self.robots[index];
+                (desk.goal, desk.refusal) = (command.number, goal.as_ref().err().copied());
+                match goal {
+                    Ok(goal) => self.navigator.set_goal(stamp, robot, goal),
+                    Err(_) => {
+                        self.refused += 1;
+                        self.navigator.cancel(robot);
+                    }
+                }
+            }
+            Some(NavigationAction::Cancel) => self.navigator.cancel(robot),
+            Some(NavigationAction::Pause) => self.navigator.pause(robot),
+            Some(NavigationAction::Resume) => self.navigator.resume(stamp, robot),
+            None => self.refused += 1,
+        }
+    }
+
+    /// One control step of all robots that have goals.
+    fn navigate(&mut self, now: Monotonic) {
+        self.inputs.receive(now);
+        let (navigator, inputs, epoch) = (&mut self.navigator, &mut self.inputs, self.epoch);
+        self.heartbeat.measure(|| inputs.observe(epoch.stamp(now), now, |input| navigator.step(input)));
+    }
+
+    /// Publishes what was decided; velocities only after a control step, so that none is sent twice.
+    fn publish(&mut self, now: Monotonic, is_stepped: bool) {
+        let stamp = self.epoch.stamp(now);
+        for desk in &mut self.robots {
+            let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot);
+            let decision = Decision {
+                navigation,
+                is_stepped,
+                goal: desk.goal,
+                refusal: desk.refusal,
+                in_merged_map: self.inputs.is_merged(desk.robot),
+            };
+            desk.outputs.publish(stamp, now, &decision);
+        }
+    }
+
+    /// Saves the goals that are being driven to, or wait.
+    fn save(&mut self) {
+        let goals = self.robots.iter().filter_map(|desk| {
+            let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot)?;
+            let goal = self.navigator.goal(desk.robot)?;
+            Some(SavedGoal::new(
+                (desk.robot, desk.newest, desk.goal),
+                goal,
+                navigation.next_pose.unwrap_or(0),
+                navigation.state == NavigationState::Paused,
+            ))
+        });
+        let goals: Vec<SavedGoal> = goals.collect();
+        self.saved.write(goals);
+    }
+}
+
+impl<P: Ports, S: Storage> ProcessLoop for NavigationProcess<P, S> {
+    fn step(&mut self) -> Monotonic {
+        let now = self.clock.now();
+        let was_active = self.navigator.is_active();
+        let has_commands = self.receive_commands(now);
+        let is_active = self.navigator.is_active();
+        if is_active && !was_active {
+            self.due = now;
+        }
+        let is_due = is_active && now >= self.due;
+        if is_due || has_commands {
+            let is_stepped = is_active || was_active;
+            if is_stepped {
+                self.navigate(now);
+            }
+            self.publish(now, is_stepped);
+            self.save();
+            self.due = Monotonic(self.due.0.max(now.0.saturating_sub(PERIOD.as_nanos() as u64))) + PERIOD;
+        }
+        let counters = HealthCounters { refused: self.refused, ..HealthCounters::default() };
+        if now >= self.heartbeat.due() {
+            self.robots.iter().for_each(|desk| desk.outputs.refresh());
+        }
+        self.heartbeat.publish_if_due(|| counters);
+        if self.navigator.is_active() { self.due.min(self.heartbeat.due()) } else { self.heartbeat.due() }
+    }
+}
+
+impl<P: Ports, S: Storage> Listens<P::Listener> for NavigationProcess<P, S> {
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        self.listeners.iter()
+    }
+}
+
+/// Poses of a command in the frame of the navigator.
+fn goal_poses(poses: &[NavigationPose], frame_from_poses: Pose2) -> Vec<GoalPose> {
+    let pose = |pose: &NavigationPose| GoalPose {
+        position_m: frame_from_poses.apply([pose.x_m, pose.y_m]),
+        yaw_rad: (!pose.yaw_rad.is_nan()).then_some(pose.yaw_rad + frame_from_poses.yaw_rad),
+    };
+    poses.iter().map(pose).collect()
+}
+
+impl<P: Ports> Inputs<P> {
+    /// Returns the goal of a command, in the merged map or in the robot's own; or why it is refused.
+    fn goal(&self, robot: RobotId, command: &NavigationCommand) -> Result<NavigationGoal, &'static str> {
+        const NO_POSE: &str = "where the goal's frame lies is not known yet: no pose of its robot";
+        let of = command.frame_robot().unwrap_or(robot);
+        let of_from_poses = match command.frame().ok_or("the goal's frame is not known")? {
+            NavigationFrame::MergedMap => None,
+            NavigationFrame::RobotMap => Some(Pose2::IDENTITY),
+            NavigationFrame::Odom => Some(self.robot_map_from_odom(of).ok_or(NO_POSE)?),
+            NavigationFrame::Base => Some(self.robot_map_from_base(of).ok_or(NO_POSE)?),
+        };
+        let (frame, frame_from_poses) = match of_from_poses {
+            None => (GoalFrame::MergedMap, Pose2::IDENTITY),
+            Some(of_from_poses) if of == robot => (GoalFrame::RobotMap, of_from_poses),
+            Some(of_from_poses) => {
+                let unknown = "the goal is in another robot's frame, whose map is not merged yet";
+                let map_from_of = self.map_from_robot_map(of).ok_or(unknown)?;
+                (GoalFrame::MergedMap, map_from_of * of_from_poses)
+            }
+        };
+        NavigationGoal::new(frame, goal_poses(command.poses(), frame_from_poses))
+            .map_err(|_| "the goal has no pose, or one that is not finite")
+    }
+}

@@ -1,0 +1,190 @@
+//! Inputs of navigation: maps, poses and scans of the fleet, read only while a robot has a goal.
+
+use crate::channel;
+use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
+use crate::run::Run;
+use ::nav::{MapView, NavigatedRobot, NavigationInput, RobotObservation, ScanView};
+use msg::{
+    Correction, DenseMap, Link, LinkTransform, MapTransforms, Monotonic, Pose2, RobotId, Scan, Stamp,
+    TrackingState, Transforms,
+};
+
+/// Oldest pose that a robot is driven by, nanoseconds: ten periods of its odometry.
+const POSE_AGE_MAX_NS: u64 = 500_000_000;
+
+/// Channels that navigation reads.
+pub(super) struct Inputs<P: Ports> {
+    robots: Vec<RobotInputs<P>>,
+    merged_map: MapInput<P>,
+    map_transforms: P::Reader<MapTransforms>,
+    newest_transforms: Option<MapTransforms>,
+}
+
+struct RobotInputs<P: Ports> {
+    robot: RobotId,
+    scans: P::Reader<Scan>,
+    transforms: P::Reader<Transforms>,
+    corrections: P::Reader<Correction>,
+    map: MapInput<P>,
+    state: RobotState,
+}
+
+/// What is known of a robot.
+#[derive(Default)]
+struct RobotState {
+    /// Newest scan, and when it arrived.
+    scan: Option<(Box<Scan>, Monotonic)>,
+    odom_from_base: Option<(Pose2, Monotonic)>,
+    base_from_scan: Pose2,
+    /// `None` while the robot is lost.
+    map_from_odom: Option<Pose2>,
+}
+
+struct MapInput<P: Ports> {
+    reader: P::MapReader,
+    grid: DenseMap,
+}
+
+impl<P: Ports> MapInput<P> {
+    fn new(reader: P::MapReader) -> Self {
+        Self { reader, grid: DenseMap::default() }
+    }
+
+    fn receive(&mut self) {
+        if self.reader.poll() {
+            self.grid.update(self.reader.map());
+        }
+    }
+
+    fn view(&self) -> Option<MapView<'_>> {
+        MapView::from_log_odds(self.grid.view())
+    }
+}
+
+impl<P: Ports> Inputs<P> {
+    pub(super) fn open(ports: &P, run: &Run) -> Result<Self, ChannelError> {
+        let inputs = |robot| {
+            Ok(RobotInputs {
+                robot,
+                scans: ports.reader(&channel::scan(robot))?,
+                transforms: ports.reader(&channel::transforms(robot))?,
+                corrections: ports.reader(&channel::correction(robot))?,
+                map: MapInput::new(ports.map_reader(&channel::map(robot))?),
+                state: RobotState::default(),
+            })
+        };
+        Ok(Self {
+            robots: run.robots().map(inputs).collect::<Result<_, ChannelError>>()?,
+            merged_map: MapInput::new(ports.map_reader(&channel::merged_map())?),
+            map_transforms: ports.reader(&channel::map_transforms())?,
+            newest_transforms: None,
+        })
+    }
+
+    /// Receives what has arrived.
+    pub(super) fn receive(&mut self, now: Monotonic) {
+        if let Some(transforms) = self.map_transforms.newest() {
+            self.newest_transforms = Some(*transforms);
+        }
+        let transforms = self.newest_transforms;
+        for RobotInputs { robot, scans, transforms: links, corrections, map, state } in &mut self.robots {
+            if let Some(scan) = scans.newest() {
+                state.scan = Some((Box::new(*scan), now));
+            }
+            if let Some(links) = links.newest() {
+                state.set_links(&links, now);
+            }
+            if let Some(correction) = corrections.newest() {
+                let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
+                state.map_from_odom = correction.map_from_odom().filter(|_| is_located);
+            }
+            if map_from_robot_map(transforms.as_ref(), *robot).is_none() {
+                map.receive();
+            }
+        }
+        self.merged_map.receive();
+    }
+
+    /// Where a robot's map lies in the merged map; `None` while it is not merged.
+    pub(super) fn map_from_robot_map(&self, robot: RobotId) -> Option<Pose2> {
+        map_from_robot_map(self.newest_transforms.as_ref(), robot)
+    }
+
+    pub(super) fn is_merged(&self, robot: RobotId) -> bool {
+        self.map_from_robot_map(robot).is_some()
+    }
+
+    pub(super) fn robot_map_from_odom(&self, robot: RobotId) -> Option<Pose2> {
+        self.robots.get(robot.index())?.state.map_from_odom
+    }
+
+    pub(super) fn robot_map_from_base(&self, robot: RobotId) -> Option<Pose2> {
+        let (odom_from_base, _) = self.robots.get(robot.index())?.state.odom_from_base?;
+        Some(self.robot_map_from_odom(robot)? * odom_from_base)
+    }
+
+    /// Calls `step` with what is known of the fleet.
+    pub(super) fn observe(&mut self, stamp: Stamp, now: Monotonic, step: impl FnOnce(&NavigationInput)) {
+        let merged_map = self.merged_map.view();
+        let transforms = self.newest_transforms.as_ref();
+        let robot = |inputs: &'_ RobotInputs<P>| {
+            let state = &inputs.state;
+            let map_from_robot_map = map_from_robot_map(transforms, inputs.robot);
+            let is_fresh = |(_, at): &(Pose2, Monotonic)| now.since(*at) <= POSE_AGE_MAX_NS;
+            let odom_from_base = state.odom_from_base.filter(is_fresh).map(|(pose, _)| pose);
+            let map_from_odom = match map_from_robot_map {
+                Some(map_from_robot_map) => state.map_from_odom.map(|pose| map_from_robot_map * pose),
+                None => state.map_from_odom,
+            };
+            // A robot that is not heard of any more stands where it was.
+            let newest = state.odom_from_base.map(|(pose, _)| pose);
+            (map_from_robot_map, odom_from_base, map_from_odom.zip(newest).map(|(a, b)| a * b))
+        };
+        let robots: Vec<NavigatedRobot> = self
+            .robots
+            .iter()
+            .map(|inputs| {
+                let (map_from_robot_map, odom_from_base, map_from_base) = robot(inputs);
+                let scan = inputs.state.scan.as_ref().map(|(scan, at)| ScanView {
+                    // The age of the newest scan, on the clock of the observation.
+                    received: Stamp(stamp.0 - now.since(*at) as i64),
+                    base_from_scan: inputs.state.base_from_scan,
+                    ..ScanView::from_burger_scan(scan)
+                });
+                let in_merged_map = map_from_robot_map.is_some();
+                let map = if in_merged_map { merged_map } else { inputs.map.view() };
+                let observation =
+                    RobotObservation { robot: inputs.robot, map, in_merged_map, map_from_base, scan };
+                NavigatedRobot { observation, odom_from_base, map_from_robot_map }
+            })
+            .collect();
+        step(&NavigationInput { stamp, robots: &robots, exclusion_zones: &[] });
+    }
+}
+
+impl RobotState {
+    fn set_links(&mut self, links: &Transforms, now: Monotonic) {
+        let child = |link: Link| links.links().iter().find(|known| known.child == link as u32);
+        if let Some(base) = child(Link::BaseFootprint).filter(|base| base.parent == Link::Odom as u32) {
+            self.odom_from_base = Some((planar_pose(base), now));
+        }
+        let base_from_link = child(Link::BaseLink).map_or(Pose2::IDENTITY, planar_pose);
+        if let Some(scan) = child(Link::BaseScan) {
+            let is_of_link = scan.parent == Link::BaseLink as u32;
+            let parent = if is_of_link { base_from_link } else { Pose2::IDENTITY };
+            self.base_from_scan = parent * planar_pose(scan);
+        }
+    }
+}
+
+/// Returns the pose on the floor of a link in its parent.
+fn planar_pose(link: &LinkTransform) -> Pose2 {
+    let [x, y, z, w] = link.rotation_xyzw;
+    let yaw_rad = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    Pose2::new(link.translation_m[0], link.translation_m[1], yaw_rad)
+}
+
+fn map_from_robot_map(transforms: Option<&MapTransforms>, robot: RobotId) -> Option<Pose2> {
+    let transform = transforms?.robots.get(robot.index())?;
+    (transform.known == 1).then_some(transform.map_from_robot_map)
+}

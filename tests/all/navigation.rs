@@ -1,0 +1,210 @@
+//! Goals of clients in lockstep: robots drive there, and give way to people.
+
+use bridge::ros::{self, Message};
+use mr_slam::config::FleetConfig;
+use mr_slam::lockstep::Lockstep;
+use mr_slam::lockstep::client::Client;
+use mr_slam::lockstep::faults::{Fault, FaultPlan};
+use msg::{GroundTruth, Monotonic, Pose2, VelocityCommand};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// A fleet with a client that sends goals.
+struct Scene {
+    fleet: Lockstep,
+    client: Client,
+    messages: BTreeMap<String, Vec<u8>>,
+    /// Newest state of the first robot.
+    state: serde_json::Value,
+}
+
+const GOAL: &str = "/robot1/goal_pose";
+const STATE: &str = "/robot1/navigation_state";
+
+impl Scene {
+    fn new(robots: usize, faults: FaultPlan) -> Self {
+        let mut config = FleetConfig::default();
+        (config.fleet.robots, config.fleet.seed) = (robots, 1);
+        let fleet = Lockstep::with_navigation(&config, faults).unwrap();
+        let mut client = fleet.client(([127, 0, 0, 1], 7).into());
+        client.subscribe(STATE, ros::Text::TYPE);
+        client.advertise::<ros::PoseStamped>(GOAL);
+        client.advertise::<ros::Empty>("/robot1/cancel_navigation");
+        client.advertise::<ros::Empty>("/robot1/resume_navigation");
+        client.advertise::<ros::Twist>("/robot1/cmd_vel");
+        client.advertise::<ros::Bool>("/emergency_stop");
+        let mut scene = Self { fleet, client, messages: BTreeMap::new(), state: serde_json::Value::Null };
+        scene.run(2.0, |_| false);
+        scene.client.connect();
+        scene.run(0.5, |_| false);
+        scene
+    }
+
+    /// Runs until a condition on the state holds; returns whether it did.
+    fn run(&mut self, seconds: f64, is_done: impl Fn(&serde_json::Value) -> bool) -> bool {
+        for _ in 0..(seconds * 100.0) as usize {
+            let messages = &mut self.messages;
+            self.fleet.tick(&mut |channel, bytes| {
+                messages.entry(channel.to_owned()).or_default().extend_from_slice(bytes);
+            });
+            let state = &mut self.state;
+            self.client.receive(|topic, payload| {
+                if topic == STATE {
+                    let text: ros::Text = ros::decode(payload).unwrap();
+                    *state = serde_json::from_str(&text.0).unwrap();
+                }
+            });
+            if is_done(&self.state) {
+                return true;
+            }
+        }
+        false
+    }
+
+    fn send_goal(&mut self, frame: &str, [x, y]: [f64; 2]) {
+        let pose = ros::PoseStamped {
+            frame_id: frame.into(),
+            position: [x, y, 0.0],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            ..Default::default()
+        };
+        self.client.publish(GOAL, &pose);
+    }
+
+    fn is(&self, state: &str) -> bool {
+        self.state["state"] == state
+    }
+
+    /// True pose of the first robot, and how often it has touched anything.
+    fn truth(&self) -> (Pose2, u64) {
+        let truths = self.messages["robot1/truth"].chunks_exact(size_of::<GroundTruth>());
+        let truth: GroundTruth = bytemuck::pod_read_unaligned(truths.last().unwrap());
+        (truth.world_from_base, truth.contacts)
+    }
+
+    /// Newest velocity that the robot got.
+    fn velocity(&self) -> (f64, f64) {
+        let commands = self.messages["robot1/command"].chunks_exact(size_of::<VelocityCommand>());
+        let command: VelocityCommand = bytemuck::pod_read_unaligned(commands.last().unwrap());
+        (command.linear_m_s, command.angular_rad_s)
+    }
+}
+
+fn is_over(state: &serde_json::Value) -> bool {
+    ["reached", "failed", "cancelled"].iter().any(|over| state["state"] == *over)
+}
+
+/// Drives the first robot 1 m ahead; returns all messages.
+fn drive_ahead() -> BTreeMap<String, Vec<u8>> {
+    let mut scene = Scene::new(2, FaultPlan::none());
+    let (start, _) = scene.truth();
+    scene.send_goal("base_link_1", [1.0, 0.0]);
+    assert!(scene.run(40.0, is_over), "still {}", scene.state);
+    assert!(scene.is("reached"), "{}", scene.state);
+    let (end, contacts) = scene.truth();
+    let goal = start * Pose2::new(1.0, 0.0, 0.0);
+    assert!(
+        goal.distance_m(end) < 0.2 && contacts == 0,
+        "at {end:?} instead of {goal:?}, {contacts} contacts"
+    );
+    scene.messages
+}
+
+#[test]
+fn a_goal_in_the_laboratory_is_reached_by_the_same_bytes_twice() {
+    let (once, again) = (drive_ahead(), drive_ahead());
+    assert!(once.contains_key("robot1/plan") && once.contains_key("nav/health"), "{:?}", once.keys());
+    assert_eq!(once.keys().collect::<Vec<_>>(), again.keys().collect::<Vec<_>>());
+    for (channel, bytes) in &once {
+        assert!(bytes == &again[channel], "two runs differ on {channel}");
+    }
+    assert!(!once.contains_key("robot2/navigation_velocity"), "a robot without a goal is not driven");
+}
+
+#[test]
+fn a_person_who_drives_pauses_the_goal_until_it_is_resumed() {
+    let mut scene = Scene::new(1, FaultPlan::none());
+    let (start, _) = scene.truth();
+    scene.send_goal("base_link_1", [1.0, 0.0]);
+    assert!(scene.run(5.0, |state| state["state"] == "driving"), "{}", scene.state);
+    scene.run(1.0, |_| false);
+    let turn = ros::Twist { angular: [0.0, 0.0, 0.5], ..Default::default() };
+    scene.client.publish("/robot1/cmd_vel", &turn);
+    assert!(scene.run(0.2, |state| state["state"] == "paused"), "{}", scene.state);
+    assert_eq!(scene.velocity(), (0.0, 0.5), "the person's velocity is the last");
+    scene.run(10.0, |_| false);
+    assert!(scene.is("paused") && scene.velocity() == (0.0, 0.0), "the lease is over, and nobody drives");
+    scene.client.publish("/robot1/resume_navigation", &ros::Empty);
+    assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
+    assert!((start * Pose2::new(1.0, 0.0, 0.0)).distance_m(scene.truth().0) < 0.2);
+}
+
+#[test]
+fn the_emergency_stop_pauses_goals_and_refuses_new_ones() {
+    let mut scene = Scene::new(1, FaultPlan::none());
+    scene.send_goal("base_link_1", [1.0, 0.0]);
+    assert!(scene.run(5.0, |state| state["state"] == "driving"), "{}", scene.state);
+    scene.client.publish("/emergency_stop", &ros::Bool(true));
+    assert!(scene.run(0.2, |state| state["state"] == "paused"), "{}", scene.state);
+    assert_eq!(scene.velocity(), (0.0, 0.0));
+    let goal = scene.state["goal"].clone();
+    scene.send_goal("map", [0.0, 0.0]);
+    scene.client.publish("/robot1/resume_navigation", &ros::Empty);
+    scene.run(2.0, |_| false);
+    assert!(scene.is("paused") && scene.state["goal"] == goal, "{}", scene.state);
+}
+
+#[test]
+fn goals_end_with_the_reason_or_when_they_are_cancelled() {
+    let mut scene = Scene::new(1, FaultPlan::none());
+    scene.send_goal("map", [80.0, 0.0]);
+    assert!(scene.run(40.0, is_over) && scene.is("failed"), "{}", scene.state);
+    assert!(scene.state["reason"].as_str().unwrap().contains("outside the map"), "{}", scene.state);
+    scene.send_goal("base_link_1", [1.0, 0.0]);
+    assert!(scene.run(5.0, |state| state["state"] == "driving"), "{}", scene.state);
+    scene.client.publish("/robot1/cancel_navigation", &ros::Empty);
+    assert!(scene.run(0.2, is_over) && scene.is("cancelled"), "{}", scene.state);
+    assert_eq!(scene.velocity(), (0.0, 0.0));
+}
+
+/// Kills the navigation process, or stops it for 2 s, while the robot drives.
+fn disturbed(fault: impl Fn(usize) -> Fault) -> Scene {
+    // The processes of a fleet of one, in their order: sim, slam, merge, telemetry, bridge, nav.
+    let faults = FaultPlan::none().with(Monotonic(8_000_000_000), fault(5));
+    let mut scene = Scene::new(1, faults);
+    scene.run(2.0, |_| false);
+    scene.send_goal("base_link_1", [1.5, 0.0]);
+    assert!(scene.run(2.0, |state| state["state"] == "driving"), "{}", scene.state);
+    scene
+}
+
+#[test]
+fn a_killed_navigation_process_leaves_a_standing_robot_and_goes_on_with_its_goal() {
+    let mut scene = disturbed(Fault::Kill);
+    let (start, _) = scene.truth();
+    assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
+    assert!(start.distance_m(scene.truth().0) > 0.8, "it went on after {start:?}");
+}
+
+#[test]
+fn a_goal_that_is_cancelled_while_the_navigation_process_is_dead_does_not_come_back() {
+    let mut scene = disturbed(Fault::Kill);
+    while scene.fleet.now().seconds() < 8.05 {
+        scene.run(0.01, |_| false);
+    }
+    scene.client.publish("/robot1/cancel_navigation", &ros::Empty);
+    scene.run(1.0, |_| false);
+    let (at, _) = scene.truth();
+    scene.run(10.0, |_| false);
+    assert!(at.distance_m(scene.truth().0) < 0.02, "{} at {:?}", scene.state, scene.truth());
+}
+
+#[test]
+fn a_robot_stands_in_time_when_the_navigation_process_hangs() {
+    let mut scene = disturbed(|process| Fault::Freeze(process, Duration::from_secs(1)));
+    while scene.fleet.now().seconds() < 8.4 {
+        scene.run(0.01, |_| false);
+    }
+    assert_eq!(scene.velocity(), (0.0, 0.0), "a zero comes 0.3 s after the last command");
+    assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
+}
