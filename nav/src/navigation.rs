@@ -5,8 +5,6 @@
 
 mod config;
 mod cooperative;
-#[cfg(test)]
-mod fleet_tests;
 mod goal;
 mod goal_map;
 mod input;

@@ -96,6 +96,11 @@ const DEFINITIONS: &[Definition] = &[
          geometry_msgs/TwistWithCovariance twist",
         &[HEADER, "geometry_msgs/PoseWithCovariance", "geometry_msgs/TwistWithCovariance"],
     ),
+    definition(
+        "nav_msgs/Path",
+        "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses",
+        &[HEADER, "geometry_msgs/PoseStamped"],
+    ),
     definition("rosgraph_msgs/Clock", "builtin_interfaces/Time clock", &[TIME]),
     definition("sensor_msgs/Joy", "std_msgs/Header header\nfloat32[] axes\nint32[] buttons", &[HEADER]),
     definition(

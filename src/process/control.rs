@@ -18,6 +18,7 @@ use std::cell::RefCell;
 use std::io;
 use std::rc::Rc;
 use std::time::Duration;
+use thiserror::Error;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::oneshot::{self, error::TryRecvError};
@@ -27,8 +28,17 @@ use tokio::time::timeout;
 const EXCHANGE_MAX: Duration = Duration::from_secs(1);
 /// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
-/// What a request is answered that cannot be kept in files.
-const DISK_BUSY: &str = "the disk of the run's folder does not answer; try again";
+
+/// A request was not done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum RequestError {
+    /// Too many requests wait for the files.
+    #[error("the disk of the run's folder does not answer; try again")]
+    DiskBusy,
+    /// No connection is the one that was named.
+    #[error("no such client is connected, see `mr-slam clients`")]
+    NoSuchClient,
+}
 
 /// Applies the operator's requests, and keeps in files what must outlive one bridge process.
 pub struct Control<W> {
@@ -88,7 +98,7 @@ impl<W: FileWorker> Control<W> {
         }
     }
 
-    fn apply(&self, request: Request) -> Result<(), String> {
+    fn apply(&self, request: Request) -> Result<(), RequestError> {
         match request {
             Request::State => {}
             Request::Allow(address) => self.bridge.allow(address),
@@ -96,7 +106,7 @@ impl<W: FileWorker> Control<W> {
             Request::Stop => self.bridge.stop_robots(),
             Request::Release => self.bridge.release_stop(),
             Request::Drop(which) if self.bridge.drop_clients(which) == 0 => {
-                return Err("no such client is connected, see `mr-slam clients`".into());
+                return Err(RequestError::NoSuchClient);
             }
             Request::Drop(_) => {}
         }
@@ -120,34 +130,44 @@ pub async fn answer<W: FileWorker>(
     request: Request,
     clock: impl Fn() -> Monotonic,
 ) -> Reply {
-    if matches!(request, Request::State | Request::Stop) {
-        control.borrow().apply(request)?;
-    } else {
-        // What was written on the disk before this request comes first.
-        save(control, clock()).await?;
-        control.borrow().apply(request)?;
-    }
-    match request {
-        Request::State => {}
-        // It is in force; that it does not outlive the bridge is said where it is written.
-        Request::Stop => drop(save(control, clock()).await),
-        _ => save(control, clock()).await?,
-    }
+    change(control, request, &clock).await.map_err(|why| why.to_string())?;
     if let Request::Allow(address) | Request::Deny(address) = request {
         let may_drive = matches!(request, Request::Allow(_));
         let report = control.borrow_mut().files.submit(FileJob::Remember { address, may_drive });
         let result = report
             .await
-            .map_or_else(|_| Err(DISK_BUSY.into()), |report| report.result.map_err(|why| why.to_string()));
+            .map_or_else(|_| Err(io::Error::other(RequestError::DiskBusy)), |report| report.result);
         result.map_err(|why| format!("done, but not for later: {why}"))?;
     }
     Ok(control.borrow().bridge_state(clock()))
 }
 
+async fn change<W: FileWorker>(
+    control: &RefCell<Control<W>>,
+    request: Request,
+    clock: impl Fn() -> Monotonic,
+) -> Result<(), RequestError> {
+    match request {
+        Request::State => Ok(()),
+        Request::Stop => {
+            control.borrow().apply(request)?;
+            // It is in force; that it does not outlive the bridge is said where it is written.
+            let _ = save(control, clock()).await;
+            Ok(())
+        }
+        _ => {
+            // What was written on the disk before this request comes first.
+            save(control, clock()).await?;
+            control.borrow().apply(request)?;
+            save(control, clock()).await
+        }
+    }
+}
+
 /// Brings the files and the bridge together, and waits for it.
-async fn save<W: FileWorker>(control: &RefCell<Control<W>>, now: Monotonic) -> Result<(), String> {
+async fn save<W: FileWorker>(control: &RefCell<Control<W>>, now: Monotonic) -> Result<(), RequestError> {
     let report = control.borrow_mut().submit_update(now);
-    let report = report.await.map_err(|_| DISK_BUSY)?;
+    let report = report.await.map_err(|_| RequestError::DiskBusy)?;
     control.borrow_mut().apply_report(&report);
     Ok(())
 }

@@ -123,8 +123,9 @@ fn bare_string_errors_do_not_grow() {
     for (_, folder) in crates() {
         for source in product_files(&folder) {
             let product = source.text.split("\n#[cfg(test)]\nmod tests {").next().unwrap_or("");
-            let lines =
-                product.lines().filter(|line| line.contains("-> Result<") && line.contains(", String>"));
+            let lines = product.lines().filter(|line| {
+                line.split_once("-> Result<").is_some_and(|(_, result)| result.contains(", String>"))
+            });
             found.extend(lines.map(|line| format!("{}: {}", source.path, line.trim())));
         }
     }

@@ -1,5 +1,7 @@
 //! Robots that drive to goals in the test world.
 
+mod fleet;
+
 use super::*;
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
 use crate::test_world::{RANGE_MAX_M, RANGE_MIN_M, STEP_S, TestWorld, beam_angle_rad};

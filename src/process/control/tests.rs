@@ -134,5 +134,8 @@ fn requests_beyond_what_may_wait_for_the_disk_are_refused_in_words() {
         block_on(async { timeout(Duration::from_millis(1), answer).await }).ok()
     });
     disk.set_open(true);
-    assert_eq!(refused.expect("waiting requests are bounded").unwrap_err(), DISK_BUSY);
+    assert_eq!(
+        refused.expect("waiting requests are bounded").unwrap_err(),
+        RequestError::DiskBusy.to_string()
+    );
 }

@@ -1,7 +1,7 @@
 //! Robots that meet: doors, corridors, dead robots and people. The test world counts every contact.
 
-use super::tests::Drive;
-use super::{NavigationFailure, NavigationState};
+use super::super::{NavigationFailure, NavigationState};
+use super::Drive;
 use crate::random::RandomNumbers;
 use crate::test_world::{Room, TestWorld};
 use msg::Pose2;
