@@ -224,7 +224,7 @@ impl NavigationReport {
         core::str::from_utf8(&self.reason[..len]).unwrap_or_default()
     }
 
-    /// Sets the reason, cut to [`REASON_BYTES_MAX`] at the end of a character.
+    /// Sets the reason, cut to 128 bytes at the end of a character.
     pub fn set_reason(&mut self, reason: &str) {
         let ends = (0..=REASON_BYTES_MAX.min(reason.len())).rev();
         let len = ends.into_iter().find(|end| reason.is_char_boundary(*end)).unwrap_or(0);
