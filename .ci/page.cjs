@@ -88,6 +88,40 @@ test("a robot is selected by keyboard alone", async () => {
   await waitForText(page, "#target", "robot1");
 });
 
+test("a goal that is drawn on the map is driven to, and a person's hand takes the robot from it", async () => {
+  const { page, errors } = await open();
+  await page.keyboard.press("Digit1");
+  const draw = async (metres) => {
+    await page.click("#goal");
+    const [from, to] = await page.evaluate((ahead) => {
+      const { x, y, yaw } = mixedReality.operator.fleet.robots.get(1).pose;
+      const box = document.querySelector("#view").getBoundingClientRect();
+      return [ahead, ahead + 0.3].map((m) => {
+        const at = mapView.camera.toScreen({ x: x + m * Math.cos(yaw), y: y + m * Math.sin(yaw) });
+        return { x: at.x + box.left, y: at.y + box.top };
+      });
+    }, metres);
+    await page.mouse.move(from.x, from.y);
+    await page.mouse.down();
+    await page.mouse.move(to.x, to.y);
+    await page.mouse.up();
+  };
+  const goal = (pattern) => page.waitForFunction(
+    (wanted) => new RegExp(`Goal(${wanted})`).test(document.querySelector(".robot").textContent), pattern, WAIT);
+  await draw(0.4);
+  await goal("driving");
+  await page.screenshot({ path: `${out}/page-goal.png` });
+  await goal("reached");
+  await draw(0.4);
+  await goal("driving");
+  await page.keyboard.down("KeyD");
+  await goal("paused");
+  await page.keyboard.up("KeyD");
+  await page.click("#cancel-goal");
+  await goal("cancelled|none");
+  assert.deepEqual(errors, []);
+});
+
 test("the emergency stop is set by a key, is confirmed, and is released separately", async () => {
   const { page } = await open();
   await page.keyboard.press("Escape");

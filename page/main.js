@@ -1,9 +1,10 @@
 // The operator's page: connections, controls and panels around one fleet.
 
+import { GoalTool, hasGoal, headingOf } from "./goals.js";
 import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection } from "./input.js";
 import { writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
 import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
-import { Fleet } from "./state.js";
+import { Fleet, MAP } from "./state.js";
 import { Connection } from "./transport.js";
 import { View } from "./view.js";
 import { MixedReality } from "./xr.js";
@@ -68,7 +69,7 @@ function receive(topic, data) {
 /** @param {import("./state.js").Robot} robot */
 function addRobot(robot) {
   panels.add(robot);
-  for (const topic of ["odom", "scan", "pose"]) live.subscribe(robot.prefix + topic);
+  for (const topic of ["odom", "scan", "pose", "plan", "navigation_state"]) live.subscribe(robot.prefix + topic);
   // One robot needs no choice; of several the operator chooses.
   if (fleet.robots.size === 1) select(robot.number);
 }
@@ -181,12 +182,36 @@ function takeOver() {
 
 element("take-over").addEventListener("click", takeOver);
 
+// --- Goals ---
+
+const goals = new GoalTool({
+  frame: MAP,
+  publish: (topic, type, payload, isUrgent) => live.publish(topic, type, payload, isUrgent),
+  robot: () => (selected === null ? null : fleet.robots.get(selected) ?? null),
+  log: logMessage,
+  show: (isOn) => {
+    element("goal").setAttribute("aria-pressed", String(isOn));
+    element("view").classList.toggle("aiming", isOn);
+  },
+});
+element("goal").addEventListener("click", () => goals.toggle());
+element("cancel-goal").addEventListener("click", () => goals.command("cancel"));
+element("resume-goal").addEventListener("click", () => goals.command("resume"));
+
+/** Offers what can be done with the selected robot's goal. */
+function showGoal() {
+  const robot = selected === null ? null : fleet.robots.get(selected);
+  element("cancel-goal").hidden = !robot || !hasGoal(robot);
+  element("resume-goal").hidden = robot?.navigation?.state !== "paused" || fleet.isStopped === true;
+}
+
 // --- Keys ---
 
 /** @type {Record<string, () => void>} */
 const KEYS = {
   Escape: stop,
   KeyT: takeOver,
+  KeyG: () => goals.toggle(),
   KeyF: () => setFits(true),
   KeyC: toggleFollow,
   Equal: () => zoom(1.25),
@@ -230,11 +255,14 @@ const reality = new MixedReality({
   fleet, select, selectNext, stop, release, takeOver, log: logMessage, now,
   selected: () => selected,
   isConnected: () => live.isOpen,
-  floorSelected: () => {},
+  floorSelected: (point) => {
+    const robot = selected === null ? null : fleet.robots.get(selected);
+    if (robot) goals.send(robot, { ...point, yaw: headingOf(point, point, 0, robot.pose) });
+  },
 }, (isOn) => { element("reality").setAttribute("aria-pressed", String(isOn)); });
 
 // Tests and the browser's console look in here.
-Object.assign(globalThis, { mixedReality: reality });
+Object.assign(globalThis, { mixedReality: reality, mapView: view });
 element("reality").addEventListener("click", () => { reality.start(); });
 isMixedRealityOffered().then((isOffered) => { element("reality").hidden = !isOffered; });
 
@@ -279,13 +307,19 @@ const CLICK_PX = 6;
 canvas.addEventListener("pointerdown", (event) => {
   canvas.setPointerCapture(event.pointerId);
   pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: 0 });
+  goals.press(view.camera.toWorld({ x: event.offsetX, y: event.offsetY }));
 });
 canvas.addEventListener("pointermove", (event) => {
   const pointer = pointers.get(event.pointerId);
   if (!pointer) return;
   const [dx, dy] = [event.offsetX - pointer.x, event.offsetY - pointer.y];
   const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
-  if (other) {
+  if (other) goals.cancelDrawing();
+  if (goals.drawn) {
+    const start = view.camera.toScreen(goals.drawn.from);
+    const pixels = Math.hypot(event.offsetX - start.x, event.offsetY - start.y);
+    goals.move(view.camera.toWorld({ x: event.offsetX, y: event.offsetY }), pixels);
+  } else if (other) {
     const before = Math.hypot(pointer.x - other.x, pointer.y - other.y);
     const after = Math.hypot(event.offsetX - other.x, event.offsetY - other.y);
     if (before > 0) zoom(after / before, other);
@@ -300,11 +334,18 @@ canvas.addEventListener("pointermove", (event) => {
 canvas.addEventListener("pointerup", (event) => {
   const pointer = pointers.get(event.pointerId);
   pointers.delete(event.pointerId);
+  if (goals.drawn) {
+    goals.release();
+    return;
+  }
   if (!pointer || pointer.moved > CLICK_PX) return;
   const number = view.robotAt(fleet, pointer);
   if (number !== null) select(number);
 });
-canvas.addEventListener("pointercancel", (event) => pointers.delete(event.pointerId));
+canvas.addEventListener("pointercancel", (event) => {
+  pointers.delete(event.pointerId);
+  goals.cancelDrawing();
+});
 canvas.addEventListener("wheel", (event) => {
   event.preventDefault();
   zoom(Math.exp(-event.deltaY * 0.0015), { x: event.offsetX, y: event.offsetY });
@@ -332,6 +373,7 @@ function showTakeOver() {
 
 function frame() {
   const time = now();
+  view.drawnGoal = goals.pose();
   view.draw(fleet, selected, time);
   if (time >= panelsDue) {
     panelsDue = time + PANEL_MS / 1000;
@@ -340,6 +382,7 @@ function frame() {
     attention.update(fleet.attention(time, live.isOpen), fleet);
     showHint();
     showTakeOver();
+    showGoal();
   }
   requestAnimationFrame(frame);
 }

@@ -68,6 +68,24 @@ export function readPose(/** @type {DataView} */ view) {
   return { stamp, frame, pose: { x, y, yaw }, deviation: { x: deviation(0), y: deviation(7), yaw: deviation(35) } };
 }
 
+/** Reads nav_msgs/Path: its frame and the poses in it. */
+export function readPath(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const { stamp, frame } = from.header();
+  const count = from.length(1);
+  /** @type {Pose[]} */
+  const poses = [];
+  for (let i = 0; i < count; i += 1) {
+    from.header();
+    const { x, y } = from.vector();
+    poses.push({ x, y, yaw: yawOf(from.quaternion()) });
+  }
+  return { stamp, frame, poses };
+}
+
+/** Reads std_msgs/String. */
+export function readString(/** @type {DataView} */ view) { return new CdrReader(view).string(); }
+
 /** Reads std_msgs/Bool. */
 export function readBool(/** @type {DataView} */ view) { return new CdrReader(view).bool(); }
 
@@ -75,6 +93,14 @@ export function readBool(/** @type {DataView} */ view) { return new CdrReader(vi
 export function writeTwist(/** @type {number} */ linear, /** @type {number} */ angular) {
   const to = new CdrWriter();
   [linear, 0, 0, 0, 0, angular].forEach((value) => to.f64(value));
+  return to.done();
+}
+
+/** Writes geometry_msgs/PoseStamped of a place on the floor, without a time. */
+export function writePoseStamped(/** @type {string} */ frame, /** @type {Pose} */ pose) {
+  const to = new CdrWriter().i32(0).i32(0).string(frame);
+  const { x, y, yaw } = pose;
+  [x, y, 0, 0, 0, Math.sin(yaw / 2), Math.cos(yaw / 2)].forEach((value) => to.f64(value));
   return to.done();
 }
 

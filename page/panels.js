@@ -1,5 +1,6 @@
 // The panels beside the map: robots, fleet, attention, messages.
 
+import { describeNavigation } from "./goals.js";
 import { STALE_S } from "./state.js";
 import { shapePath } from "./view.js";
 
@@ -46,6 +47,7 @@ function create(name, className = "", text = "") {
 /** Rows of a robot's panel: heading, whether it is wide, and the text. @type {[string, boolean, (robot: Robot, now: number) => string][]} */
 export const ROBOT_ROWS = [
   ["Driver", true, ({ figures }) => (figures.is_mine ? "you" : figures.driver ?? "nobody")],
+  ["Goal", true, (robot) => describeNavigation(robot)],
   ["Scans", false, ({ figures }) => format(figures.scan_hz, 1, " Hz")],
   ["Lost", false, ({ figures }) => format(figures.scans_lost)],
   ["Age", false, (robot, now) => format(robot.scanAge(now), 1, " s")],

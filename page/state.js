@@ -1,6 +1,7 @@
 // What the page knows of the fleet: robots, their frames, scans and figures, the merged map. No drawing, no clock.
 
-import { FrameTree } from "./geometry.js";
+import { FrameTree, compose } from "./geometry.js";
+import { receiveNavigation } from "./goals.js";
 import { readBool, readGrid, readOdometryFrames, readPose, readScan, readTransforms } from "./messages.js";
 
 /** @typedef {import("./geometry.js").Pose} Pose */
@@ -47,6 +48,12 @@ export class Robot {
     this.deviation = null;
     /** @type {Point[]} */
     this.trail = [];
+    /** The planned path. @type {ReturnType<typeof import("./messages.js").readPath> | null} */
+    this.plan = null;
+    /** @type {import("./goals.js").Navigation | null} */
+    this.navigation = null;
+    /** The goal that was sent from this page, and the number of the goal before it. @type {{pose: Pose, after: number, isAccepted: boolean} | null} */
+    this.sentGoal = null;
   }
 
   /** Returns the age of the newest scan, seconds, or null if there is none. */
@@ -151,7 +158,15 @@ export class Fleet {
       if (robot.baseFrame === "") robot.baseFrame = readOdometryFrames(view).child;
     } else if (topic === "pose") {
       robot.deviation = readPose(view).deviation;
+    } else {
+      receiveNavigation(robot, topic, view);
     }
+  }
+
+  /** Returns what takes poses of a frame to the map, or null if the frame's place is not known. */
+  placeIn(/** @type {string} */ frame) {
+    const place = this.frames.find(MAP, frame);
+    return place ? (/** @type {Pose} */ pose) => compose(place, pose) : null;
   }
 
   /** Returns a rectangle around the map and the robots, or null if nothing is known. */
@@ -185,6 +200,9 @@ export class Fleet {
       if (slam === "lost" || slam === "relocalizing") add(2, `SLAM is ${slam}`);
       if (age === null) add(3, "no scan yet");
       else if (age > STALE_S) add(3, `no scan for ${age.toFixed(0)} s`);
+      const { state, reason } = robot.navigation ?? {};
+      if (state === "failed") add(3, `its goal was given up: ${reason}`);
+      if (state === "blocked") add(4, `its way is blocked: ${reason}`);
       if (slam === "unreliable") add(2, "its map may be wrong");
       if (slam === "degenerate") add(4, "SLAM is degenerate");
       if (isMapOld === true) add(3, `its part of the map is ${mapAge.toFixed(0)} s old`);

@@ -1,6 +1,7 @@
 // The view from above: the merged map, and the robots with their scans and trails, on a canvas.
 
 import { Camera, transform } from "./geometry.js";
+import { drawGoal, drawMark } from "./goals.js";
 
 /** @typedef {import("./state.js").Fleet} Fleet */
 /** @typedef {import("./state.js").Robot} Robot */
@@ -31,6 +32,8 @@ export class View {
     this.fits = true;
     this.mapImage = document.createElement("canvas");
     this.drawnMap = "";
+    /** The goal that the operator is drawing. @type {import("./geometry.js").Pose | null} */
+    this.drawnGoal = null;
   }
 
   /** Takes the canvas's size on the screen. */
@@ -77,6 +80,8 @@ export class View {
     const robots = [...fleet.robots.values()].sort((a, b) => Number(a.number === selected) - Number(b.number === selected));
     robots.forEach((robot) => this.drawTrail(robot));
     robots.forEach((robot) => this.drawScan(robot, now, colours));
+    robots.forEach((robot) => drawGoal(context, camera, robot, fleet));
+    if (this.drawnGoal) drawMark(context, camera, this.drawnGoal, colours.text, true);
     robots.forEach((robot) => this.drawRobot(robot, robot.number === selected, now, colours));
   }
 

@@ -1,6 +1,7 @@
 // What mixed reality shows of the fleet: the map on the floor, trails, scans, robots, and the selected one's ring.
 
 import { transform } from "./geometry.js";
+import { hasGoal, planInMap } from "./goals.js";
 import { facing, multiply, rotationAboutY, scaling, translation } from "./matrix.js";
 import { SCAN_HEIGHT_M, VERTEX_NUMBERS, burger, cursorRing, ray, ribbon, selectionRing } from "./models.js";
 import { OCCUPIED, FREE } from "./view.js";
@@ -27,6 +28,8 @@ const TRAIL_HEIGHT_M = 0.008;
 const RING_HEIGHT_M = 0.012;
 /** Width of a trail, metres. */
 const TRAIL_WIDTH_M = 0.022;
+/** Width of a plan, metres. */
+const PLAN_WIDTH_M = 0.05;
 /** Size of a scan's point, metres. */
 const POINT_M = 0.022;
 /** Shortest time between two uploads of a trail, seconds. */
@@ -68,6 +71,9 @@ class RobotDrawables {
     /** @type {unknown} */
     this.shownTrail = null;
     this.trailAt = -Infinity;
+    this.plan = renderer.createMesh({ vertices: new Float32Array(0), count: 0 });
+    /** @type {unknown} */
+    this.shownPlan = null;
   }
 }
 
@@ -105,6 +111,11 @@ export class Scene {
         drawables.trailAt = now;
         this.renderer.update(drawables.trail, ribbon(robot.trail, TRAIL_WIDTH_M).vertices, VERTEX_NUMBERS);
       }
+      const plan = hasGoal(robot) ? robot.plan : null;
+      if (plan !== drawables.shownPlan) {
+        drawables.shownPlan = plan;
+        this.renderer.update(drawables.plan, ribbon(planInMap(robot, fleet) ?? [], PLAN_WIDTH_M).vertices, VERTEX_NUMBERS);
+      }
     }
   }
 
@@ -132,9 +143,11 @@ export class Scene {
     this.drawMap(fleet, xrFromMap);
     for (const robot of fleet.robots.values()) {
       const drawables = this.robots.get(robot.number);
-      if (!drawables || drawables.trail.count === 0) continue;
+      if (!drawables) continue;
       const [r, g, b] = channels(robot.colour);
-      renderer.drawMesh(drawables.trail, multiply(xrFromMap, translation(0, 0, TRAIL_HEIGHT_M)), [r, g, b, 0.6], { light: 0 });
+      const floor = multiply(xrFromMap, translation(0, 0, TRAIL_HEIGHT_M));
+      if (drawables.trail.count > 0) renderer.drawMesh(drawables.trail, floor, [r, g, b, 0.6], { light: 0 });
+      if (drawables.plan.count > 0) renderer.drawMesh(drawables.plan, floor, [r, g, b, 1], { light: 0 });
     }
     const chosen = selected === null ? null : fleet.robots.get(selected);
     if (chosen?.pose) this.drawSelection(chosen, now, xrFromMap);

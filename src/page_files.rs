@@ -30,6 +30,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("cdr.js", SCRIPT),
     file!("coordinates.js", SCRIPT),
     file!("geometry.js", SCRIPT),
+    file!("goals.js", SCRIPT),
     file!("input.js", SCRIPT),
     file!("matrix.js", SCRIPT),
     file!("messages.js", SCRIPT),
