@@ -50,7 +50,6 @@ fn add_input_topics(table: &mut TopicTable, robots: &RobotNames) -> (TopicId, Ve
         let name = robots.topic(robot, "initialpose");
         add(name, PoseWithCovarianceStamped::TYPE, Input::InitialPose(Some(robot)));
     }
-    add("/goal_pose".into(), PoseStamped::TYPE, Input::Goal(None));
     for robot in robots.robots() {
         if !robots.is_plain() {
             add(robots.topic(robot, "goal_pose"), PoseStamped::TYPE, Input::Goal(Some(robot)));

@@ -144,10 +144,10 @@ impl Core {
         if let Source::Input(input) = topic.source {
             return self.apply_input(id, input, publication, payload, now);
         }
-        let payload = with_dummy_byte(self.config.payloads, payload);
-        self.router.forward(publication.topic, payload);
-        self.relay_message(id, publication.topic, payload);
-        Ok(())
+        let message = with_dummy_byte(self.config.payloads, payload);
+        self.router.forward(publication.topic, message);
+        self.relay_message(id, publication.topic, message);
+        self.accept_shared_goal(id, publication.topic, payload, now)
     }
 
     /// Applies a message that the fleet interprets.
@@ -221,7 +221,7 @@ impl Core {
     }
 
     /// Fails if the client's address may not do this. On DDS nobody is known; its inputs exist only if all may drive.
-    fn check(&mut self, action: Action, id: ClientId) -> Result<(), PermissionError> {
+    pub(super) fn check(&mut self, action: Action, id: ClientId) -> Result<(), PermissionError> {
         match self.router.client(id) {
             Some(client) => self.access.check(action, client.peer.ip()),
             None => Ok(()),

@@ -2,8 +2,10 @@
 
 use super::Core;
 use super::input::InputError;
+use crate::access::Action;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
 use crate::input::Input;
+use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
     GOAL_POSES_MAX, Link, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose,
@@ -11,8 +13,11 @@ use msg::{
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
-use ros_messages::{Empty, PathMessage, PoseStamped};
+use ros_messages::{Empty, Message, PathMessage, PoseStamped};
 use thiserror::Error;
+
+/// The topic on which a goal for the selected robot comes, here and in Nav2.
+const SHARED_GOAL: &str = "/goal_pose";
 
 /// Why a goal is refused.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -70,6 +75,26 @@ impl Core {
         };
         self.decode::<Empty>(payload)?;
         self.command_navigation_at(robot, action, now)
+    }
+
+    /// Sends the selected robot to a pose on `/goal_pose`. Other clients and ROS get the message too: it is Nav2's topic as well.
+    pub(super) fn accept_shared_goal(
+        &mut self,
+        client: ClientId,
+        topic: TopicId,
+        payload: &[u8],
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        let is_goal = |topic: &Topic| topic.name == SHARED_GOAL && topic.message_type == PoseStamped::TYPE;
+        if !self.router.topics.get(topic).is_some_and(is_goal) {
+            return Ok(());
+        }
+        match self.check(Action::Drive, client) {
+            // A client that may not publish in ROS has been told so.
+            Err(_) if self.relay.is_open() => return Ok(()),
+            checked => checked?,
+        }
+        self.apply_navigation_input(Input::Goal(None), payload, now)
     }
 
     /// Pauses a robot's navigation if a person's velocity moves it.
