@@ -172,7 +172,7 @@ mod tests {
         let mut cells = vec![-1_i8; 60 * 50];
         let view = GridView::new(&header, &cells).unwrap();
         assert!(map_picture("merged map", view, &[], 100.0).contains("no data"));
-        (cells[20 * 60 + 30], cells[25 * 60 + 40]) = (0, 100);
+        (cells[20 * 60 + 30], cells[25 * 60 + 40]) = (-100, 100);
         let view = GridView::new(&header, &cells).unwrap();
         let window = known_window(view).unwrap();
         assert_eq!([window.left, window.right, window.bottom, window.top], [22, 49, 12, 34]);

@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(series.time_s[0], 0.0);
         assert!(*series.time_s.last().unwrap() > 9_900.0);
         let steps: Vec<f64> = series.time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        assert!(steps.iter().all(|step| *step == steps[0]), "evenly");
+        assert!(steps.iter().all(|step| (step - steps[0]).abs() < 1e-6), "evenly");
         assert_eq!(series.robots[1].scan_hz.len(), series.time_s.len());
         assert!(series.merged_m2.iter().all(Option::is_none), "no map is no data, and not 0 m2");
     }

@@ -14,7 +14,7 @@ fn a_fleet_maps_and_leaves_no_process_or_shared_memory() {
         view.robots.len() == 2
             && view.robots.iter().all(|robot| robot.scans >= 20 && robot.map.slam_stats[0] > 0.0)
             && view.merged_map.slam_stats[0] > 0.0
-            && view.processes.len() == 7
+            && view.processes.len() == 8
     });
     for robot in &view.robots {
         assert_eq!(robot.scans_lost, 0, "{robot:?}");

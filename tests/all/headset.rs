@@ -78,7 +78,7 @@ fn the_world_of_a_headset_is_mapped_on_the_runs_clock() {
         assert_eq!((robot.state, robot.scans_lost), ("tracking", 0), "{robot:?}");
         assert_eq!(robot.pose_error_m, None, "nobody knows the truth");
     }
-    assert_eq!(view.processes.len(), 2 + 3, "no simulators: {:?}", view.processes);
+    assert_eq!(view.processes.len(), 2 + 4, "no simulators: {:?}", view.processes);
 
     let dir = fleet.folder.path().to_str().unwrap().to_string();
     let status = output(&["status", "--json", "--run-dir", &dir]);

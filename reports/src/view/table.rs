@@ -8,7 +8,7 @@ use bridge::ClientStatus;
 /// Indent of wrapped lines below a name.
 const INDENT: usize = 9;
 /// Clients that the live table lists; `mr-slam status` lists all.
-const LIVE_CLIENTS_MAX: usize = 3;
+const LIVE_CLIENTS_MAX: usize = 2;
 
 const ROBOT_COLUMNS: [Column; 8] = [
     Column { heading: ["robot", ""], width: 8, is_left: true, drop_order: 0 },
@@ -280,7 +280,7 @@ mod tests {
     #[test]
     fn many_clients_do_not_make_the_live_table_long() {
         let text = fleet().live_table(&Style { width: 79, is_coloured: false });
-        assert!(text.contains("and 61 more clients") && text.contains("5 more ask to drive"), "{text}");
+        assert!(text.contains("and 62 more clients") && text.contains("6 more ask to drive"), "{text}");
         assert!(text.lines().count() < 24, "{} lines: {text}", text.lines().count());
         assert_eq!(fleet().table(&Style::PLAIN).matches("192.168.100.200").count(), 64);
     }
