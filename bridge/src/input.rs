@@ -2,6 +2,9 @@
 
 use msg::RobotId;
 
+/// The topic on which a goal for the selected robot comes, here and in Nav2.
+pub const SHARED_GOAL: &str = "/goal_pose";
+
 /// The meaning of a message from a client or from DDS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {

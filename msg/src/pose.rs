@@ -87,6 +87,11 @@ impl Mul for Pose2 {
     }
 }
 
+/// Returns the heading of a unit quaternion x, y, z, w, radians; of one that is not about z, that of its projection on the floor.
+pub fn yaw_of_quaternion([x, y, z, w]: [f64; 4]) -> f64 {
+    (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+}
+
 /// Wraps an angle into (-pi, pi]. NaN and infinities give NaN.
 pub fn wrap_angle(angle_rad: f64) -> f64 {
     let wrapped = (angle_rad + PI).rem_euclid(TAU) - PI;

@@ -112,6 +112,13 @@ pub struct MapTransform {
     pub reserved: u32,
 }
 
+impl MapTransform {
+    /// Returns frame `map` from the robot's map, if it is known.
+    pub fn known_pose(&self) -> Option<Pose2> {
+        (self.known == 1).then_some(self.map_from_robot_map)
+    }
+}
+
 /// Transforms from every robot's map to the merged map.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

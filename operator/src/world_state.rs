@@ -6,6 +6,7 @@ use crate::link_statistics::MessageContent;
 use crate::robot_topics::RobotTopics;
 use bridge::cdr::DecodeError;
 use bridge::ros::{self, Bool, FrameNames, Int32, LaserScan, NameStyle, OccupancyGrid, TfMessage};
+use msg::pose::yaw_of_quaternion;
 use msg::{Link, Pose2, ROBOTS_MAX, RobotId, Stamp};
 use nav::observation::BURGER_BASE_FROM_SCAN;
 use nav::{MapView, RobotObservation, ScanView};
@@ -73,7 +74,7 @@ impl RobotState {
     pub fn observation(&self) -> RobotObservation<'_> {
         let map = self.map.as_deref().and_then(|map| {
             let [x_m, y_m, _] = map.position;
-            let map_from_grid = Pose2::new(x_m, y_m, yaw_rad(map.orientation));
+            let map_from_grid = Pose2::new(x_m, y_m, yaw_of_quaternion(map.orientation));
             let size = (map.width, map.height);
             MapView::from_percent(map_from_grid, f64::from(map.resolution), size, &map.data)
         });
@@ -220,7 +221,7 @@ impl WorldState {
     fn store_transforms(&mut self, now: Stamp, message: TfMessage) {
         for transform in message.transforms {
             let [x_m, y_m, _] = transform.translation;
-            let pose = Pose2::new(x_m, y_m, yaw_rad(transform.rotation));
+            let pose = Pose2::new(x_m, y_m, yaw_of_quaternion(transform.rotation));
             let is_known = self.transforms.contains_key(&transform.child_frame_id);
             if pose.is_finite() && (is_known || self.transforms.len() < FRAMES_MAX) {
                 let newest =
@@ -263,11 +264,6 @@ impl WorldState {
         }
         None
     }
-}
-
-/// Heading of a rotation, radians; of one that is not about z, the heading of its projection on the floor.
-fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
-    (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
 }
 
 #[cfg(test)]

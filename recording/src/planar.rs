@@ -1,6 +1,7 @@
 //! Poses in the plane from ROS's poses in space, which are checked: nothing in a file is trusted.
 
 use msg::Pose2;
+use msg::pose::yaw_of_quaternion;
 
 /// Largest difference of a quaternion's length from 1; it is normalised.
 const UNIT_TOLERANCE: f64 = 0.01;
@@ -17,7 +18,5 @@ pub fn pose(position: [f64; 3], rotation: [f64; 4]) -> Option<Pose2> {
     if !(is_near && is_unit) {
         return None;
     }
-    let [qx, qy, qz, qw] = rotation.map(|part| part / length);
-    let yaw = (2.0 * (qw * qz + qx * qy)).atan2(1.0 - 2.0 * (qy * qy + qz * qz));
-    Some(Pose2::new(x, y, yaw))
+    Some(Pose2::new(x, y, yaw_of_quaternion(rotation.map(|part| part / length))))
 }

@@ -88,8 +88,7 @@ impl Series {
     /// Sets where the robots' maps lie in the merged map.
     pub fn set_map_transforms(&mut self, transforms: &MapTransforms) {
         for (series, transform) in self.robots.iter_mut().zip(&transforms.robots) {
-            let pose = transform.map_from_robot_map;
-            series.map_from_robot_map = (transform.known == 1).then_some([pose.x_m, pose.y_m, pose.yaw_rad]);
+            series.map_from_robot_map = transform.known_pose().map(|pose| [pose.x_m, pose.y_m, pose.yaw_rad]);
         }
     }
 

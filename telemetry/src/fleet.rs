@@ -180,15 +180,14 @@ impl Telemetry {
 
     /// Frame `map` from frame `robotK/map`, if it is known.
     fn map_transform(&self, index: usize) -> Option<Pose2> {
-        let transform = &self.map_transforms.robots[index];
-        Some(transform.map_from_robot_map).filter(|pose| transform.known == 1 && pose.is_finite())
+        self.map_transforms.robots[index].known_pose().filter(|pose| pose.is_finite())
     }
 
     /// Frame `world` from frame `map`, by the first robot whose map's place is known in both.
     fn world_from_map(&self) -> Option<Pose2> {
         self.robots.iter().zip(&self.map_transforms.robots).find_map(|(robot, transform)| {
             let world_from_robot_map = robot.world_from_robot_map?;
-            (transform.known == 1).then(|| world_from_robot_map * transform.map_from_robot_map.inverse())
+            Some(world_from_robot_map * transform.known_pose()?.inverse())
         })
     }
 }

@@ -82,10 +82,8 @@ impl Core {
     }
 
     fn map_from_robot_map(&self, robot: RobotId, frame: &str) -> Result<Pose2, InitialPoseError> {
-        let transform = self.fleet.map_transforms().map(|all| all.robots[robot.index()]);
-        let known = transform.filter(|transform| transform.known == 1);
-        let unknown = || InitialPoseError::UnknownMapTransform { robot, frame: frame.to_owned() };
-        Ok(known.ok_or_else(unknown)?.map_from_robot_map)
+        let known = self.fleet.map_transforms().and_then(|all| all.robots[robot.index()].known_pose());
+        known.ok_or_else(|| InitialPoseError::UnknownMapTransform { robot, frame: frame.to_owned() })
     }
 
     /// Returns the robot whose map a frame is, which must be the robot that the topic names, if it names one.

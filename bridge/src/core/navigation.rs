@@ -4,7 +4,7 @@ use super::Core;
 use super::input::InputError;
 use crate::access::Action;
 use crate::drive::velocity_gate::{GateDecision, Velocity};
-use crate::input::Input;
+use crate::input::{Input, SHARED_GOAL};
 use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
@@ -15,9 +15,6 @@ use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
 use ros_messages::{Empty, Message, PathMessage, PoseStamped};
 use thiserror::Error;
-
-/// The topic on which a goal for the selected robot comes, here and in Nav2.
-const SHARED_GOAL: &str = "/goal_pose";
 
 /// Why a goal is refused.
 #[derive(Clone, Debug, PartialEq, Error)]

@@ -1,7 +1,7 @@
 //! The topics that the endpoint subscribes to.
 
 use crate::config::VelocityMessage;
-use crate::input::Input;
+use crate::input::{Input, SHARED_GOAL};
 use crate::relay::ReceivedMessage;
 use ros_messages::{
     Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PoseStamped,
@@ -79,7 +79,7 @@ fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: b
         InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::ReleaseStop),
         InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
         InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
-        InputTopic::new::<PoseStamped>("/goal_pose".into(), Input::Goal(None)),
+        InputTopic::new::<PoseStamped>(SHARED_GOAL.into(), Input::Goal(None)),
     ];
     for robot in robots.robots() {
         let name = |rest: &str| robots.topic(robot, rest);

@@ -310,8 +310,7 @@ impl FleetPublisher {
         if !self.robots.is_plain() {
             return Some(*correction);
         }
-        let transform = self.map_transforms.as_ref()?.robots[0];
-        (transform.known == 1).then(|| correction.transformed(transform.map_from_robot_map))
+        Some(correction.transformed(self.map_transforms.as_ref()?.robots[0].known_pose()?))
     }
 
     fn set_map_transforms(&mut self, transforms: &MapTransforms, sink: &mut impl TopicSink) {

@@ -1,5 +1,6 @@
 //! Checks of the numbers in sensor data from outside: what is accepted is finite and within physical bounds.
 
+use msg::pose::yaw_of_quaternion;
 use msg::{BEAMS_MAX, Header, Link, LinkTransform, Pose2, Scan};
 use ros_messages::read::Transform;
 use std::f64::consts::TAU;
@@ -173,11 +174,10 @@ pub(crate) fn floor_pose(transform: &Transform<'_>) -> Result<Pose2, TransformEr
 
 /// Returns the pose on the floor. Fails if the robot leans.
 pub fn planar_pose(link: &LinkTransform) -> Result<Pose2, TransformError> {
-    let [x, y, z, w] = link.rotation_xyzw;
+    let [x, y, ..] = link.rotation_xyzw;
     let up = 1.0 - 2.0 * (x * x + y * y);
     if up < TILT_MAX_RAD.cos() {
         return Err(TransformError::Tilt { tilt_deg: up.clamp(-1.0, 1.0).acos().to_degrees() });
     }
-    let yaw_rad = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
-    Ok(Pose2::new(link.translation_m[0], link.translation_m[1], yaw_rad))
+    Ok(Pose2::new(link.translation_m[0], link.translation_m[1], yaw_of_quaternion(link.rotation_xyzw)))
 }

@@ -1,5 +1,5 @@
-//! Keeps the evidence that the map is wrong up to date, a few nodes at a time: the work beside a node does not grow with
-//! the map.
+//! Keeps the evidence that the map is wrong up to date, a few nodes at a time. Scans are compared with a bounded number of
+//! others; the search for these looks at the pose of each node of the map.
 
 use super::BackEnd;
 use crate::map_doubts::{MapDoubts, OdometryStep, WallAgreement, contradicted_share, odometry_stretch};

@@ -4,6 +4,7 @@ use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
 use ::nav::{MapView, NavigatedRobot, NavigationInput, RobotObservation, ScanView};
+use msg::pose::yaw_of_quaternion;
 use msg::{
     Correction, DenseMap, Link, LinkTransform, MapTransforms, Monotonic, Pose2, RobotId, Scan, Stamp,
     TrackingState, Transforms,
@@ -179,12 +180,9 @@ impl RobotState {
 
 /// Returns the pose on the floor of a link in its parent.
 fn planar_pose(link: &LinkTransform) -> Pose2 {
-    let [x, y, z, w] = link.rotation_xyzw;
-    let yaw_rad = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
-    Pose2::new(link.translation_m[0], link.translation_m[1], yaw_rad)
+    Pose2::new(link.translation_m[0], link.translation_m[1], yaw_of_quaternion(link.rotation_xyzw))
 }
 
 fn map_from_robot_map(transforms: Option<&MapTransforms>, robot: RobotId) -> Option<Pose2> {
-    let transform = transforms?.robots.get(robot.index())?;
-    (transform.known == 1).then_some(transform.map_from_robot_map)
+    transforms?.robots.get(robot.index())?.known_pose()
 }

@@ -52,8 +52,8 @@ impl FleetPublisher {
         odom_of: impl Fn(RobotId) -> Option<(&'a str, bool)>,
     ) {
         let map_of = |robot: RobotId| {
-            let transform = self.map_transforms.as_ref()?.robots[robot.index()];
-            (transform.known == 1 && !self.robots.is_plain()).then_some(transform.map_from_robot_map)
+            let pose = self.map_transforms.as_ref()?.robots[robot.index()].known_pose();
+            pose.filter(|_| !self.robots.is_plain())
         };
         let each = |write: &mut dyn FnMut(Stamp, &str, &str, Pose2)| {
             for (robot, correction) in corrections.clone() {
