@@ -122,10 +122,10 @@ fn draw_lines(
 }
 
 /// A chart of numbers over numbers, drawn as SVG.
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type PlotContext<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Draws the names of what is plotted.
-fn draw_legend<'a, 'b: 'a>(chart: &mut Chart<'a, 'b>, position: SeriesLabelPosition) -> DrawResult {
+fn draw_legend<'a, 'b: 'a>(chart: &mut PlotContext<'a, 'b>, position: SeriesLabelPosition) -> DrawResult {
     let mut labels = chart.configure_series_labels();
     labels.position(position).background_style(WHITE.mix(0.85)).border_style(RGBColor(200, 200, 200));
     labels.label_font(("sans-serif", 13)).draw()?;
