@@ -1,8 +1,8 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
-use super::End::{Of, OfFirst, OfOthers, OutsideWorld};
+use super::Endpoint::{Of, OfFirst, OfOthers, OutsideWorld};
 use super::Program::{EdgesTool, GotoTool, Launcher, RecordTool, SlamTool, Worker};
-use super::{Channel, ChannelRow, End, Program, Scope, TypedRow};
+use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
     Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, NavigationCommand,
     NavigationPlan, NavigationReport, Odometry, PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan,
@@ -46,8 +46,9 @@ const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1
 /// A map's channel: readers may fall four batches of messages behind.
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
-const SIM_OR_OUTSIDE: &[End] = &[Of(SIM), OutsideWorld(BRIDGE)];
-const EVERYBODY: &[End] = &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
+const SIM_OR_OUTSIDE: &[Endpoint] = &[Of(SIM), OutsideWorld(BRIDGE)];
+const EVERYBODY: &[Endpoint] =
+    &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
 
 static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
@@ -217,7 +218,7 @@ static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
     name: "goal",
     content: "a goal of the robot, or a cancellation, pause or resumption, on demand",
     writers: &[Of(BRIDGE), Of(GotoTool)],
-    readers: &[Of(NAV)],
+    readers: &[Of(NAV), Of(RECORD), Of(RecordTool)],
     depth: 16,
     history: 1,
     writers_max: REQUEST_WRITERS_MAX,
@@ -235,7 +236,7 @@ static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
     content: "what navigation does with the robot and why, on change and 1 Hz while it has a goal",
     scope: Scope::Robot,
     writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE), Of(GotoTool)],
+    readers: &[Of(BRIDGE), Of(GotoTool), Of(RECORD), Of(RecordTool)],
     depth: 16,
     ..STATE
 });
@@ -244,7 +245,7 @@ static PLAN: TypedRow<NavigationPlan> = TypedRow::new(ChannelRow {
     content: "the robot's planned path, on change, at most 1 Hz",
     scope: Scope::Robot,
     writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE)],
+    readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     ..STATE
 });
 
