@@ -51,9 +51,7 @@ fn a_browser_that_asks_for_the_time_of_the_run_gets_it_with_its_own_words() {
     let served = Served::start(BridgeConfig::default());
     let mut browser = Browser::connect(served.page);
     let header = Header { stamp: Stamp(12_500_000_000), ..Header::default() };
-    served.with(move |bridge| {
-        bridge.publish(FleetMessage::Clock(&msg::Clock { header, ..msg::Clock::default() }))
-    });
+    served.with(move |bridge| bridge.publish(FleetMessage::Clock(&msg::Clock { header })));
     let ask = |names: &[&str], id: &str| json!({"op": "getParameters", "parameterNames": names, "id": id});
     browser.send(&ask(&["/mr_slam/time", "/mine"], "t1"));
     let mut answer = || loop {
