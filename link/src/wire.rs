@@ -46,7 +46,7 @@ pub enum Message {
     /// Pose in the robot's map. Of its header only the stamp is sent.
     Correction(Correction),
     /// Frames of the robot. Of its header only the stamp is sent.
-    Transforms(Transforms),
+    Transforms(Box<Transforms>),
     /// Piece of a part of the map.
     Chunk(Chunk),
     /// Sign of life of the base.
@@ -219,7 +219,7 @@ impl Message {
                 Self::Velocity(VelocityCommand { linear_m_s, angular_rad_s, ..Default::default() })
             }
             Kind::Correction => Self::Correction(read_correction(from)?.ok_or(wrong)?),
-            Kind::Transforms => Self::Transforms(read_transforms(from)?.ok_or(wrong)?),
+            Kind::Transforms => Self::Transforms(Box::new(read_transforms(from)?.ok_or(wrong)?)),
             Kind::Chunk => Self::Chunk(read_chunk(from)?.ok_or(wrong)?),
             Kind::Held => {
                 let (page, pages, list) = (from.u16()?, from.u16()?, from.u32()?);

@@ -44,7 +44,7 @@ fn messages() -> Vec<Message> {
             closures: 2,
             ..Default::default()
         }),
-        Message::Transforms(Transforms { header, len: LINKS_MAX as u32, reserved: 0, links }),
+        Message::Transforms(Box::new(Transforms { header, len: LINKS_MAX as u32, reserved: 0, links })),
         Message::Chunk(chunk(CHUNK_BYTES_MAX)),
         Message::Held(HeldPage { page: 1, pages: 2, list: 6, parts: vec![receipt; RECEIPTS_MAX] }),
         Message::Acknowledgement(vec![receipt; RECEIPTS_MAX]),
