@@ -84,7 +84,7 @@ fn node(id: usize, range_m: f32) -> Node {
         previous_from_this: None,
         fits: true,
         odometry_break: false,
-        disconnected: None,
+        disconnected_component: None,
         unmeasured_s: 0.0,
         cloud: Arc::new(Cloud::merged(core::iter::empty(), 1)),
         rays: Arc::new(rays),

@@ -5,29 +5,50 @@ use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
 use crate::sessions::{self, SessionsError};
 use msg::{Pose2, RobotId, Stamp};
-use sim::{Room, RoomKind, Simulator};
-use std::io::Read;
+use sim::{Room, RoomError, RoomKind, Simulator, StartError};
+use std::io;
 use std::path::Path;
 use std::time::Duration;
 
 /// Reason why a world cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
-    /// The room's file cannot be used.
-    #[error("room {path}: {why}")]
+    /// The room's file cannot be read.
+    #[error(
+        "room {path}: {source}; expected `{LABORATORY}`, a generated room ({}, each with an optional :SEED), or a \
+         .json, .json.gz, .glb, .gltf or .obj file of at most {} MB",
+        generated_rooms(),
+        ROOM_BYTES_MAX >> 20
+    )]
+    RoomFile {
+        /// Path of the room's file.
+        path: String,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The content of the room's file is refused.
+    #[error("room {path}: {source}")]
     Room {
         /// Path of the room's file.
         path: String,
-        /// What is wrong with it.
-        why: String,
+        /// What is wrong with its content.
+        source: RoomError,
+    },
+    /// The room has no place for all robots.
+    #[error("room {path}: {source}")]
+    Starts {
+        /// Path or name of the room.
+        path: String,
+        /// What is missing.
+        source: StartError,
     },
     /// A robot cannot start where it should.
-    #[error("{robot} cannot start: {why}")]
+    #[error("{robot} cannot start: {source}")]
     Start {
         /// Robot whose start pose is refused.
         robot: RobotId,
         /// What is in the way.
-        why: String,
+        source: StartError,
     },
     /// The sessions that the fleet begins with cannot be used.
     #[error(transparent)]
@@ -46,21 +67,15 @@ pub fn room(config: &FleetConfig) -> Result<Room, FleetError> {
     if let Some((kind, seed)) = Room::parse_generated(path) {
         return Ok(Room::generate(kind, seed));
     }
-    let wrong = |why: String| FleetError::Room { path: path.into(), why };
-    let mut file = std::fs::File::open(path).map_err(|why| {
-        let kinds = RoomKind::ALL.map(|kind| format!("`{}`", kind.name())).join(", ");
-        wrong(format!(
-            "{why}; expected `{LABORATORY}`, a generated room ({kinds}, each with an optional :SEED), or a .json, \
-             .json.gz, .glb, .gltf or .obj file"
-        ))
-    })?;
-    let mut bytes = Vec::new();
-    file.by_ref().take(ROOM_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(|why| wrong(why.to_string()))?;
-    if bytes.len() as u64 > ROOM_BYTES_MAX {
-        return Err(wrong(format!("is larger than {} MB", ROOM_BYTES_MAX >> 20)));
-    }
+    let bytes = formats::limited::read(Path::new(path), ROOM_BYTES_MAX)
+        .map_err(|source| FleetError::RoomFile { path: path.into(), source })?;
     let name = Path::new(path).file_name().map_or_else(|| path.into(), |name| name.to_string_lossy());
-    Room::from_bytes(&name, &bytes).map_err(|why| wrong(why.to_string()))
+    Room::from_bytes(&name, &bytes).map_err(|source| FleetError::Room { path: path.into(), source })
+}
+
+/// Lists the kinds of generated rooms, as a configuration names them.
+fn generated_rooms() -> String {
+    RoomKind::ALL.map(|kind| format!("`{}`", kind.name())).join(", ")
 }
 
 /// Returns each robot's start pose: `world` from its `robotK/map`, whose origin is there.
@@ -69,7 +84,7 @@ pub fn starts(config: &FleetConfig, room: &Room) -> Result<Vec<Pose2>, FleetErro
         Some(starts) => Ok(starts),
         None => room
             .starts(config.fleet.robots)
-            .map_err(|why| FleetError::Room { path: config.fleet.room.clone(), why: why.to_string() }),
+            .map_err(|source| FleetError::Starts { path: config.fleet.room.clone(), source }),
     }
 }
 
@@ -115,7 +130,7 @@ pub fn simulator(
     world_from_start: Pose2,
 ) -> Result<Simulator, FleetError> {
     Simulator::new(room, &config.sim, robot, world_from_start, config.fleet.seed)
-        .map_err(|why| FleetError::Start { robot, why: why.to_string() })
+        .map_err(|source| FleetError::Start { robot, source })
 }
 
 /// Checks that the whole fleet can be built, before anything is started.

@@ -34,12 +34,30 @@ const POINTER: &str = "run-dir";
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The folder or one of its files cannot be read or written.
-    #[error("{path}: {why}")]
+    #[error("{}: {source}", path.display())]
     File {
         /// Path of the file.
         path: PathBuf,
-        /// Error of the operating system, or of the content.
-        why: String,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// `run.json` is not the JSON that was expected.
+    #[error("{}: {source}", path.display())]
+    Json {
+        /// Path of the file.
+        path: PathBuf,
+        /// Where it differs.
+        source: serde_json::Error,
+    },
+    /// The fleet has no robot of this number.
+    #[error("{}: this fleet has robots 1 to {robots}, not {number}", path.display())]
+    NoRobot {
+        /// Path of the fleet's configuration.
+        path: PathBuf,
+        /// Number of robots.
+        robots: usize,
+        /// Number that was asked for.
+        number: usize,
     },
     /// The configuration in the folder is refused.
     #[error(transparent)]
@@ -72,8 +90,9 @@ pub enum RunError {
 }
 
 impl RunError {
-    fn file(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
-        move |why| Self::File { path: path.into(), why: why.to_string() }
+    /// Returns the conversion of an error of the operating system at a file.
+    pub fn file(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
+        move |source| Self::File { path: path.into(), source }
     }
 }
 
@@ -100,7 +119,7 @@ impl RunFile {
         // What another user put there is not a fleet of this user's.
         runtime_folder::check_file(&path, Forbidden::Writing)?;
         let json = formats::limited::read_text(&path, FILE_BYTES_MAX).map_err(RunError::file(&path))?;
-        serde_json::from_str(&json).map_err(|why| RunError::File { path, why: why.to_string() })
+        serde_json::from_str(&json).map_err(|source| RunError::Json { path, source })
     }
 
     fn is_alive(&self) -> bool {

@@ -10,7 +10,7 @@ use crate::storage::Storage;
 use msg::{Pose2, RobotId, SlamMode};
 use slam::{Identity, Session};
 use std::collections::BTreeMap;
-use std::io::Read;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Name of the folder in a run's folder.
@@ -19,6 +19,8 @@ pub const FOLDER: &str = "sessions";
 const STARTS: &str = "starts.json";
 /// Largest such file that is read, bytes.
 const STARTS_BYTES_MAX: u64 = 64 << 10;
+/// Largest coordinate of a map's pose, metres or radians.
+const START_MAX: f64 = 1e6;
 /// Standard deviation of a pose that a person gives: metres, radians.
 pub const TOLD_SIGMA: [f64; 2] = [0.3, 0.2];
 
@@ -34,13 +36,31 @@ pub enum SessionsError {
         /// Path of the folder.
         folder: PathBuf,
     },
-    /// The file with the poses of the maps is refused.
-    #[error("{}: {why}", file.display())]
-    Starts {
+    /// The file with the poses of the maps cannot be read or written.
+    #[error("{}: {source}", file.display())]
+    StartsFile {
         /// Path of the file.
         file: PathBuf,
-        /// Text that was found, and what was expected.
-        why: String,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The file with the poses of the maps is not the JSON that was expected.
+    #[error("{}: {source}", file.display())]
+    StartsJson {
+        /// Path of the file.
+        file: PathBuf,
+        /// Where it differs.
+        source: serde_json::Error,
+    },
+    /// A robot's map has an impossible pose.
+    #[error("{}: {robot} at {pose:?}; expected [x m, y m, yaw rad], each finite and within 1e6", file.display())]
+    StartPose {
+        /// Path of the file.
+        file: PathBuf,
+        /// Name of the robot.
+        robot: String,
+        /// Pose as read: x in m, y in m, yaw in rad.
+        pose: [f64; 3],
     },
 }
 
@@ -118,17 +138,16 @@ type Starts = BTreeMap<String, [f64; 3]>;
 
 /// Reads the poses of the maps. A missing file has none.
 fn read_starts(path: &Path) -> Result<Starts, SessionsError> {
-    let wrong = |why: String| SessionsError::Starts { file: path.into(), why };
-    let mut text = String::new();
-    match std::fs::File::open(path) {
-        Err(why) if why.kind() == std::io::ErrorKind::NotFound => return Ok(Starts::new()),
-        opened => opened
-            .and_then(|file| file.take(STARTS_BYTES_MAX).read_to_string(&mut text))
-            .map_err(|why| wrong(why.to_string()))?,
+    let text = match formats::limited::read_text(path, STARTS_BYTES_MAX) {
+        Err(why) if why.kind() == io::ErrorKind::NotFound => return Ok(Starts::new()),
+        read => read.map_err(|source| SessionsError::StartsFile { file: path.into(), source })?,
     };
-    let starts: Starts = serde_json::from_str(&text).map_err(|why| wrong(why.to_string()))?;
-    match starts.iter().find(|(_, pose)| pose.iter().any(|v| !v.is_finite() || v.abs() > 1e6)) {
-        Some((robot, pose)) => Err(wrong(format!("{robot} at {pose:?}; expected [x m, y m, yaw rad]"))),
+    let starts: Starts = serde_json::from_str(&text)
+        .map_err(|source| SessionsError::StartsJson { file: path.into(), source })?;
+    match starts.iter().find(|(_, pose)| pose.iter().any(|v| !v.is_finite() || v.abs() > START_MAX)) {
+        Some((robot, pose)) => {
+            Err(SessionsError::StartPose { file: path.into(), robot: robot.clone(), pose: *pose })
+        }
         None => Ok(starts),
     }
 }
@@ -144,7 +163,7 @@ pub fn create_folder(folder: &Path, known: &[Option<Pose2>]) -> Result<(), Sessi
         .collect();
     std::fs::create_dir_all(folder)
         .and_then(|()| std::fs::write(&path, serde_json::to_string_pretty(&starts)? + "\n"))
-        .map_err(|why| SessionsError::Starts { file: path.clone(), why: why.to_string() })
+        .map_err(|source| SessionsError::StartsFile { file: path.clone(), source })
 }
 
 #[cfg(test)]

@@ -92,7 +92,7 @@ impl fmt::Display for Opener {
 
 /// Which processes of a program are at one end of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum End {
+pub enum Endpoint {
     /// Its only process, or the process of the channel's robot.
     Of(Program),
     /// The process of robot 1.
@@ -103,7 +103,7 @@ pub enum End {
     OutsideWorld(Program),
 }
 
-impl End {
+impl Endpoint {
     fn program(self) -> Program {
         match self {
             Self::Of(program) | Self::OfFirst(program) => program,
@@ -126,7 +126,7 @@ impl End {
     }
 }
 
-impl fmt::Display for End {
+impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let program = self.program();
         match self {
@@ -164,9 +164,9 @@ pub struct ChannelRow {
     /// Content and rate, for people.
     pub content: &'static str,
     /// The processes that write it.
-    pub writers: &'static [End],
+    pub writers: &'static [Endpoint],
     /// The processes that read it.
-    pub readers: &'static [End],
+    pub readers: &'static [Endpoint],
     /// Messages that a reader may fall behind before it loses the oldest.
     pub depth: usize,
     /// Messages kept for a reader that comes late: 1 for a state, 0 for a stream.

@@ -240,7 +240,7 @@ impl BackEnd {
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             retired: self.lifelong.retired,
-            disconnected: self.nodes.iter().filter(|node| node.disconnected.is_some()).count(),
+            disconnected: self.nodes.iter().filter(|node| node.disconnected_component.is_some()).count(),
         }
     }
 
@@ -313,10 +313,10 @@ impl BackEnd {
             self.location.component_relocalizer = None;
             (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
         } else {
-            let known = node.previous_from_this.is_some();
-            (EdgeKind::Odometry, self.odometry_information(measured, known))
+            (EdgeKind::Odometry, self.odometry_information(measured, node.previous_from_this.is_some()))
         };
-        node.disconnected = if node.odometry_break { Some(b) } else { previous.disconnected };
+        node.disconnected_component =
+            if node.odometry_break { Some(b) } else { previous.disconnected_component };
         self.nodes.push(node);
         self.graph.add_edge([a, b], measured, information, kind, [0.0; 2]);
     }

@@ -168,14 +168,16 @@ impl ClosureDetector {
         relative: &[Option<RelativeUncertainty>],
         node: u32,
     ) -> Vec<u32> {
-        let (graph, component) = (view.graph, view.nodes[node as usize].disconnected);
+        let (graph, component) = (view.graph, view.nodes[node as usize].disconnected_component);
         let (c, l) = (&self.config.closures, &self.config.links);
         let here = graph.poses()[node as usize];
         let known = |r: &RelativeUncertainty| {
             r.position < l.sigma_max_m.powi(2) && r.heading < l.sigma_max_rad.powi(2)
         };
         let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
-            .filter(|id| id.abs_diff(node) > AGO_NODES && view.nodes[*id as usize].disconnected == component)
+            .filter(|id| {
+                id.abs_diff(node) > AGO_NODES && view.nodes[*id as usize].disconnected_component == component
+            })
             .filter_map(|id| {
                 if relative[id as usize].as_ref().is_some_and(known) {
                     return None;

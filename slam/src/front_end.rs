@@ -312,7 +312,7 @@ impl FrontEnd {
             previous_from_this: self.nodes.published_from_newest.zip(moved).map(|(a, b)| a * b),
             fits,
             odometry_break: self.frame.last_break == Some(id),
-            disconnected: None,
+            disconnected_component: None,
             unmeasured_s: 0.0,
             cloud,
             rays: self.scan_buffers.rays(scan, beam_poses, &self.config),

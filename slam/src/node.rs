@@ -28,7 +28,7 @@ pub struct Node {
     /// First node of the node's component while that is disconnected from the map; `None` in the map.
     /// Set by the back end.
     #[serde(skip)]
-    pub disconnected: Option<u32>,
+    pub disconnected_component: Option<u32>,
     /// Time since the node before in which neither odometry nor scans measured the motion, seconds.
     pub unmeasured_s: f32,
     /// Surface points, for matching.
@@ -163,7 +163,7 @@ pub struct Rays {
 impl Node {
     /// Whether the node is part of the map: drawn, matched against, given out.
     pub fn in_map(&self) -> bool {
-        self.fits && self.disconnected.is_none()
+        self.fits && self.disconnected_component.is_none()
     }
 
     /// A copy with memory of its own, for code that keeps nodes; it releases the front end's buffers.

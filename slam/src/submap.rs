@@ -272,7 +272,7 @@ impl Submaps {
 
 /// Whether a submap is part of the map. All its nodes are in one component, so the first one tells.
 fn in_map(group: &Group, back: &BackEnd) -> bool {
-    back.nodes().get(group.first as usize).is_some_and(|node| node.disconnected.is_none())
+    back.nodes().get(group.first as usize).is_some_and(|node| node.disconnected_component.is_none())
 }
 
 /// Poses in the frame of the first one.

@@ -19,7 +19,7 @@ pub fn standing_node(id: u32, scan: &Scan, local_from_base: Pose2, lidar: &Lidar
         previous_from_this: None,
         fits: true,
         odometry_break: false,
-        disconnected: None,
+        disconnected_component: None,
         unmeasured_s: 0.0,
         cloud: Arc::new(cloud),
         rays: Arc::new(Rays::default()),

@@ -3,7 +3,7 @@
 use super::Lockstep;
 use super::faults::FaultPlan;
 use super::queues::Openings;
-use crate::channel::{CHANNELS, Direction, End, Opener, Program, Scope, process_health};
+use crate::channel::{CHANNELS, Direction, Endpoint, Opener, Program, Scope, process_health};
 use crate::config::FleetConfig;
 use msg::{RobotId, Role};
 
@@ -14,7 +14,7 @@ fn declared(config: &FleetConfig) -> Openings {
     let mut declared = Openings::new();
     for row in CHANNELS {
         for (ends, direction) in [(row.writers, Direction::Write), (row.readers, Direction::Read)] {
-            let ends = || ends.iter().filter(|end| !matches!(end, End::OutsideWorld(_)));
+            let ends = || ends.iter().filter(|end| !matches!(end, Endpoint::OutsideWorld(_)));
             let channels: Vec<(String, Option<RobotId>)> = match row.scope {
                 Scope::Fleet => vec![(row.name.into(), None)],
                 Scope::Robot => RobotId::first(config.fleet.robots)

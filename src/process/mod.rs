@@ -154,8 +154,9 @@ fn join(args: &ProcessArgs, role: Role) -> Result<(Run, Stop), Error> {
 }
 
 fn member(run: &Run, number: usize) -> Result<RobotId, RunError> {
-    run.robots().find(|robot| robot.number() == number).ok_or(RunError::File {
+    run.robots().find(|robot| robot.number() == number).ok_or_else(|| RunError::NoRobot {
         path: run.dir.join("fleet.toml"),
-        why: format!("this fleet has robots 1 to {}, not {number}", run.config.fleet.robots),
+        robots: run.config.fleet.robots,
+        number,
     })
 }

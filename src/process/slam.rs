@@ -53,7 +53,7 @@ pub enum BackEndInput {
 #[expect(clippy::large_enum_variant, reason = "a node goes by value: the scan path does not allocate")]
 pub enum FrontEvent {
     /// A scan that enters the graph, and where its robot is if the node does not follow from the one before.
-    Node(Node, Option<Restart>),
+    Node(Node, Option<TrajectoryStart>),
     /// State of the front end after the nodes reported before; answers [`FrontCommand::ReportState`].
     State(Box<FrontEndState>),
     /// A front end that was replaced and may be dropped.
@@ -62,9 +62,9 @@ pub enum FrontEvent {
     Ended(Box<FrontEndState>),
 }
 
-/// Where a front end's nodes begin anew.
+/// Pose in the map at which a new trajectory of the front end starts.
 #[derive(Clone, Copy, Debug)]
-pub enum Restart {
+pub enum TrajectoryStart {
     /// The front end continues where `odom` lay: the map from the front end's own frame.
     At(Pose2),
     /// The robot has moved in an unknown way.

@@ -35,7 +35,8 @@ fn every_channel_has_a_name_of_its_own_a_writer_and_a_reader() {
         assert!(row.depth > 0 && row.history <= row.depth, "{row:?}");
         assert!(row.readers_max >= row.readers.len(), "{row:?}");
         let may_share = row.scope == Scope::Process || row.writers_max > 1;
-        let at_once = row.writers.iter().filter(|end| !matches!(end, channel::End::OutsideWorld(_))).count();
+        let at_once =
+            row.writers.iter().filter(|end| !matches!(end, channel::Endpoint::OutsideWorld(_))).count();
         assert!(may_share || at_once == 1, "{row:?}");
     }
 }

@@ -222,7 +222,7 @@ impl Outcome {
             let Some(id) = back.node_from_front_end(number) else { return (false, 0.0) };
             let covariance = back.graph().covariance(id);
             let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
-            (back.nodes()[id as usize].disconnected.is_none(), sigma_m)
+            (back.nodes()[id as usize].disconnected_component.is_none(), sigma_m)
         };
         let samples = front.samples().iter().map(|sample| belief(sample.node));
         let poses: Vec<ScoredPose> = slam::trajectory(front, back)

@@ -1,6 +1,6 @@
 //! The tables of channels and processes as Markdown, for ARCHITECTURE.md.
 
-use super::{CHANNELS, ChannelRow, End, Program, Scope};
+use super::{CHANNELS, ChannelRow, Endpoint, Program, Scope};
 use crate::processes::PROCESSES;
 use msg::Role;
 use std::collections::BTreeMap;
@@ -13,8 +13,8 @@ pub const BEGIN: &str =
 pub const END: &str = "<!-- generated: end -->";
 
 /// Lists the ends of a channel, for people.
-pub(super) fn list(ends: &[End]) -> String {
-    ends.iter().map(End::to_string).collect::<Vec<_>>().join(", ")
+pub(super) fn list(ends: &[Endpoint]) -> String {
+    ends.iter().map(Endpoint::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// Returns the chapter: a picture, the table of processes and the table of channels.
@@ -42,8 +42,8 @@ fn picture() -> String {
 
 /// Returns the arrows of a channel between programs of the fleet itself.
 fn arrows_of(row: &ChannelRow) -> impl Iterator<Item = (Program, Program)> {
-    let drawn = |end: &&End| !matches!(end, End::OutsideWorld(_));
-    let ends = |ends: &'static [End]| ends.iter().filter(drawn).map(|end| end.program());
+    let drawn = |end: &&Endpoint| !matches!(end, Endpoint::OutsideWorld(_));
+    let ends = |ends: &'static [Endpoint]| ends.iter().filter(drawn).map(|end| end.program());
     let readers: Vec<_> = ends(row.readers).filter(|program| !program.is_tool()).collect();
     let writers: Vec<_> = ends(row.writers).filter(|program| !program.is_tool()).collect();
     writers.into_iter().flat_map(move |from| readers.clone().into_iter().map(move |to| (from, to)))

@@ -1,6 +1,6 @@
 //! Shared memory that a fleet's channels need, computed from the table of channels.
 
-use super::{CHANNELS, ChannelRow, End, Scope};
+use super::{CHANNELS, ChannelRow, Endpoint, Scope};
 use crate::processes;
 use msg::tiles::PATCH_TILES_MAX;
 use msg::{MapTile, Message, PatchHeader};
@@ -40,8 +40,8 @@ pub fn shared_memory_need(robots: usize, outside: bool) -> SharedMemoryNeed {
 }
 
 /// Number of processes at the ends of one channel.
-fn ends(ends: &[End], robots: usize) -> usize {
-    let of = |end: &End| if matches!(end, End::OfOthers(_)) { robots.saturating_sub(1) } else { 1 };
+fn ends(ends: &[Endpoint], robots: usize) -> usize {
+    let of = |end: &Endpoint| if matches!(end, Endpoint::OfOthers(_)) { robots.saturating_sub(1) } else { 1 };
     ends.iter().map(of).sum()
 }
 

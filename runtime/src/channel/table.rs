@@ -1,8 +1,8 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
-use super::End::{Of, OfFirst, OfOthers, OutsideWorld};
+use super::Endpoint::{Of, OfFirst, OfOthers, OutsideWorld};
 use super::Program::{EdgesTool, GotoTool, Launcher, RecordTool, SlamTool, Worker};
-use super::{Channel, ChannelRow, End, Program, Scope, TypedRow};
+use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
     Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, NavigationCommand,
     NavigationPlan, NavigationReport, Odometry, PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan,
@@ -46,8 +46,9 @@ const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1
 /// A map's channel: readers may fall four batches of messages behind.
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
-const SIM_OR_OUTSIDE: &[End] = &[Of(SIM), OutsideWorld(BRIDGE)];
-const EVERYBODY: &[End] = &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
+const SIM_OR_OUTSIDE: &[Endpoint] = &[Of(SIM), OutsideWorld(BRIDGE)];
+const EVERYBODY: &[Endpoint] =
+    &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
 
 static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",

@@ -66,7 +66,8 @@ impl BackEnd {
         let mut near: Vec<(f64, u32)> = (0..unverified_edge)
             .filter(|old| *old >= not_drifted || sure(&before[*old as usize]))
             .filter(|old| {
-                self.nodes[*old as usize].fits && self.nodes[*old as usize].disconnected == node.disconnected
+                self.nodes[*old as usize].fits
+                    && self.nodes[*old as usize].disconnected_component == node.disconnected_component
             })
             .map(|old| (looks_at(old), old))
             .map(|([u, v], old)| ((u - x).hypot(v - y), old))
@@ -97,12 +98,12 @@ impl BackEnd {
     /// Number of components that nothing connects with the map.
     pub fn disconnected_components(&self) -> usize {
         // A component is named by its first node.
-        self.nodes.iter().filter(|node| node.disconnected == Some(node.id)).count()
+        self.nodes.iter().filter(|node| node.disconnected_component == Some(node.id)).count()
     }
 
     /// Whether the newest node is part of the map.
     pub(super) fn newest_in_map(&self) -> bool {
-        self.nodes.last().is_none_or(|node| node.disconnected.is_none())
+        self.nodes.last().is_none_or(|node| node.disconnected_component.is_none())
     }
 
     /// Updates which node is in which component, from the active edges.
@@ -131,13 +132,13 @@ impl BackEnd {
         }
         let largest = (0..sizes.len()).max_by_key(|&id| (sizes[id], core::cmp::Reverse(id)));
         for (node, component) in self.nodes.iter_mut().zip(parent) {
-            node.disconnected = Some(component).filter(|first| Some(*first as usize) != largest);
+            node.disconnected_component = Some(component).filter(|first| Some(*first as usize) != largest);
         }
     }
 
     /// Searches the whole map for the newest node's component.
     pub(super) fn relocalize_component(&mut self, id: u32) {
-        let Some(first) = self.nodes[id as usize].disconnected else { return };
+        let Some(first) = self.nodes[id as usize].disconnected_component else { return };
         if id - first < NODES_MIN {
             return;
         }
@@ -188,7 +189,8 @@ impl BackEnd {
     /// Moves one of two components to where a closure has it, before the closure connects them: a solver
     /// finds small movements, not half a turn.
     pub(super) fn align_components(&mut self, closure: &ClosureCandidate) {
-        let [old, new] = [closure.candidate, closure.node].map(|id| self.nodes[id as usize].disconnected);
+        let [old, new] =
+            [closure.candidate, closure.node].map(|id| self.nodes[id as usize].disconnected_component);
         if old == new {
             return;
         }
@@ -198,7 +200,7 @@ impl BackEnd {
             Some(_) => (new, a * closure.candidate_from_node * b.inverse()),
             None => (old, b * closure.candidate_from_node.inverse() * a.inverse()),
         };
-        for node in self.nodes.iter().filter(|node| node.disconnected == moves) {
+        for node in self.nodes.iter().filter(|node| node.disconnected_component == moves) {
             self.graph.move_node(node.id, shift);
         }
     }

@@ -128,7 +128,7 @@ impl BackEnd {
         let poses = self.graph.poses();
         let step = |pair: &[Node]| {
             let [before, node] = pair else { return None };
-            let is_in_map = before.disconnected.is_none() && node.disconnected.is_none();
+            let is_in_map = before.disconnected_component.is_none() && node.disconnected_component.is_none();
             let by_odometry = node.previous_from_this.filter(|_| is_in_map && !node.odometry_break)?;
             let [a, b] = [before.id, node.id].map(|id| poses[id as usize]);
             let there = a * by_odometry;

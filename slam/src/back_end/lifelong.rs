@@ -69,7 +69,7 @@ impl BackEnd {
     fn same_view(&self, a: usize, b: usize, scale: f64) -> bool {
         let l = &self.config.lifelong;
         let (p, q) = (self.graph.poses()[a], self.graph.poses()[b]);
-        let together = self.nodes[a].disconnected == self.nodes[b].disconnected;
+        let together = self.nodes[a].disconnected_component == self.nodes[b].disconnected_component;
         together
             && p.distance_m(q) < scale * l.view_m
             && wrap_angle(p.yaw_rad - q.yaw_rad).abs() < scale * l.view_rad

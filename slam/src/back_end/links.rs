@@ -76,7 +76,7 @@ impl BackEnd {
         let (older, newer) = (&self.nodes[a as usize], &self.nodes[b as usize]);
         let enough = older.cloud.points().len().min(newer.cloud.points().len());
         if !newer.fits
-            || older.disconnected != newer.disconnected
+            || older.disconnected_component != newer.disconnected_component
             || enough < self.config.tracking.points_min
             || self.linked(a, b)
         {

@@ -93,7 +93,7 @@ impl BackEnd {
         let newest = match &self.location.localizer {
             Some(localizer) => localizer.newest().map(|(_, map_from_local)| map_from_local),
             None => {
-                let newest = self.nodes.last().filter(|n| n.disconnected.is_none());
+                let newest = self.nodes.last().filter(|n| n.disconnected_component.is_none());
                 newest.map(|n| self.graph.poses()[n.id as usize] * n.local_from_base.inverse())
             }
         };
@@ -264,7 +264,7 @@ impl BackEnd {
         let poses = self.graph.poses();
         self.numbers.samples(samples).map(|sample| {
             let node = sample.node as usize;
-            (sample.stamp, poses[node] * sample.node_from_base, self.nodes[node].disconnected)
+            (sample.stamp, poses[node] * sample.node_from_base, self.nodes[node].disconnected_component)
         })
     }
 

@@ -32,7 +32,9 @@ impl<'a> GraphView<'a> {
             let (mut id, mut path_m) = (i64::from(middle), 0.0);
             while (id - i64::from(middle)).unsigned_abs() < u64::from(half_nodes) {
                 let Some(next) = poses.get((id + step) as usize) else { break };
-                if self.nodes[(id + step) as usize].disconnected != self.nodes[middle as usize].disconnected {
+                if self.nodes[(id + step) as usize].disconnected_component
+                    != self.nodes[middle as usize].disconnected_component
+                {
                     break;
                 }
                 path_m += poses[id as usize].distance_m(*next);

@@ -21,7 +21,7 @@ fn node(id: u32, range_m: f32, beams: usize, fits: bool) -> Node {
     header.stamp.0 = i64::from(id);
     Node {
         odometry_break: false,
-        disconnected: None,
+        disconnected_component: None,
         id,
         header,
         local_from_base: Pose2::IDENTITY,

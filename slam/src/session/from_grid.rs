@@ -46,7 +46,7 @@ impl Session {
             let map_from_base = Pose2::new(at[0], at[1], 0.0);
             back.nodes.push(Node {
                 odometry_break: false,
-                disconnected: None,
+                disconnected_component: None,
                 id: id as u32,
                 header: Header::default(),
                 local_from_base: map_from_base,

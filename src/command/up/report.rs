@@ -224,7 +224,7 @@ impl Report {
         for (name, text) in [("report.json", json), ("report.html", write_html(self))] {
             let path = dir.join(name);
             formats::atomic::write(&path, |file| file.write_all(text.as_bytes()))
-                .map_err(|why| RunError::File { path, why: why.to_string() })?;
+                .map_err(RunError::file(&path))?;
         }
         Ok(())
     }

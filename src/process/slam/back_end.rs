@@ -5,7 +5,7 @@ use super::commands::CommandSender;
 use super::files::{Job, JobOutcome, Loaded, Work};
 use super::services::{PendingRequest, Services};
 use super::session_log::{LogEnd, SessionLog};
-use super::{BackEndInput, FrontCommand, FrontEvent, Restart};
+use super::{BackEndInput, FrontCommand, FrontEvent, TrajectoryStart};
 use crate::ports::{ChannelError, Clock, Ports};
 use crate::process::map_publisher::MapPublisher;
 use crate::process::submap_publisher::SubmapPublisher;
@@ -159,7 +159,7 @@ impl WorkerState {
             return;
         }
         match event {
-            FrontEvent::Node(node, restart) => self.add_node(node, restart),
+            FrontEvent::Node(node, start) => self.add_node(node, start),
             FrontEvent::State(state) => {
                 for pending in std::mem::take(&mut self.pending) {
                     services.resume(self, pending, &state);
@@ -169,16 +169,18 @@ impl WorkerState {
         }
     }
 
-    fn add_node(&mut self, node: Node, restart: Option<Restart>) {
+    fn add_node(&mut self, node: Node, start: Option<TrajectoryStart>) {
         let [sigma_m, sigma_rad] = CARRIED_SIGMA;
-        let estimate = match restart {
-            Some(Restart::At(map_from_local)) => Some(PoseEstimate { map_from_local, sigma_m, sigma_rad }),
-            Some(Restart::Unknown) | None => None,
+        let estimate = match start {
+            Some(TrajectoryStart::At(map_from_local)) => {
+                Some(PoseEstimate { map_from_local, sigma_m, sigma_rad })
+            }
+            Some(TrajectoryStart::Unknown) | None => None,
         };
         let is_first = self.back.nodes().is_empty();
-        let is_repeatable = self.back.grows_map() && (is_first || restart.is_none());
+        let is_repeatable = self.back.grows_map() && (is_first || start.is_none());
         self.log.add(&node, estimate, is_repeatable, self.now);
-        if restart.is_some() {
+        if start.is_some() {
             self.back.start_relocalization(estimate);
         }
         let was_found = self.back.map_from_base().is_some();

@@ -1,6 +1,6 @@
 //! The scan path: answers each scan with a pose and passes nodes to the back end. It waits for scans only.
 
-use super::{BackEndInput, FrontCommand, FrontEvent, Restart};
+use super::{BackEndInput, FrontCommand, FrontEvent, TrajectoryStart};
 use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::process::heartbeat::{HealthCounters, Heartbeat};
@@ -104,7 +104,7 @@ struct FrontEndRunner {
     /// Transform of `odom` in the map with which the first scan begins.
     odom_pose: Option<Pose2>,
     /// Where the front end began anew, reported with the next node.
-    restart: Option<Restart>,
+    trajectory_start: Option<TrajectoryStart>,
     /// Number of scans that have waited for odometry.
     waited: u32,
     last: Option<Correction>,
@@ -127,7 +127,7 @@ impl FrontEndRunner {
             number: 0,
             paused: false,
             odom_pose,
-            restart: None,
+            trajectory_start: None,
             last: None,
             waited: 0,
             odometry: None,
@@ -183,7 +183,7 @@ impl FrontEndRunner {
         }
         self.front.add_odometry(odometry);
         if self.front.take_unknown_motion() {
-            self.restart = Some(Restart::Unknown);
+            self.trajectory_start = Some(TrajectoryStart::Unknown);
         }
     }
 
@@ -206,7 +206,7 @@ impl FrontEndRunner {
             // Without odometry, where `odom` lies does not tell where the robot is.
             self.odom_pose = None;
             self.front.set_map_from_local(None);
-            self.restart = Some(Restart::Unknown);
+            self.trajectory_start = Some(TrajectoryStart::Unknown);
         }
         let mut step = self.front.process(scan);
         if step.rejected.is_none()
@@ -217,12 +217,12 @@ impl FrontEndRunner {
             self.front.set_map_from_local(Some(map_from_local));
             step.correction.map_from_base = map_from_local * step.correction.map_from_base;
             step.correction.map_from_odom = map_from_odom;
-            self.restart = Some(Restart::At(map_from_local));
+            self.trajectory_start = Some(TrajectoryStart::At(map_from_local));
         }
         if let Some(node) = step.node
-            && self.report(FrontEvent::Node(node, self.restart))
+            && self.report(FrontEvent::Node(node, self.trajectory_start))
         {
-            self.restart = None;
+            self.trajectory_start = None;
         }
         self.last = Some(step.correction);
         (self.last, step.rejected.is_none())
@@ -230,13 +230,13 @@ impl FrontEndRunner {
 
     /// Begins with a new front end: at the robot's last pose if the frame of the map stays `in_place`.
     fn continue_in_place(&mut self, in_place: bool) {
-        (self.odom_pose, self.restart, self.waited) = (None, None, 0);
+        (self.odom_pose, self.trajectory_start, self.waited) = (None, None, 0);
         match self.last.filter(|_| in_place) {
             Some(last) if last.map_from_odom().is_some() => self.odom_pose = last.map_from_odom(),
             Some(last) => {
                 // Without odometry: the new front end's frame lies where the robot stands.
                 self.front.set_map_from_local(Some(last.map_from_base));
-                self.restart = Some(Restart::At(last.map_from_base));
+                self.trajectory_start = Some(TrajectoryStart::At(last.map_from_base));
             }
             None => {}
         }
