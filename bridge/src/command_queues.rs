@@ -78,6 +78,11 @@ impl CommandQueues {
         self.navigation_number = self.navigation_number.max(now.0);
     }
 
+    /// Returns the newest time that was recorded.
+    pub fn newest_time(&self) -> Monotonic {
+        Monotonic(self.navigation_number)
+    }
+
     /// Returns the number of a new command to the navigator, larger than all before.
     pub fn next_navigation_number(&mut self) -> u64 {
         self.navigation_number += 1;

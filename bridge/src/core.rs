@@ -2,6 +2,7 @@
 //!
 //! It reads no clock and no socket. Time comes in as `now`, a monotonic time of the caller's.
 
+mod actions;
 mod admission;
 mod initial_pose;
 mod input;
@@ -13,6 +14,7 @@ mod service_frames;
 mod world;
 
 use crate::access::AccessControl;
+use crate::actions::ActionServers;
 use crate::command::{handshake, name};
 use crate::command_queues::CommandQueues;
 use crate::config::BridgeConfig;
@@ -37,6 +39,14 @@ pub use admission::{ClientSelector, ConnectError, SelectorError};
 /// The robot that is selected at start.
 const FIRST_ROBOT: RobotId = RobotId::new(1).unwrap();
 
+/// What the fleet offers to ROS 2 nodes, and in part to clients.
+pub struct FleetServices {
+    /// SLAM's services by their ROS names.
+    pub slam: SlamServices,
+    /// Nav2's actions of the robots, for ROS 2 nodes alone.
+    pub actions: ActionServers,
+}
+
 /// The parts of the bridge.
 pub struct Core {
     /// The bridge's settings.
@@ -51,8 +61,8 @@ pub struct Core {
     pub access: AccessControl,
     /// Services of clients, and all calls that wait.
     pub services: ServiceCalls,
-    /// SLAM's services by their ROS names.
-    pub slam: SlamServices,
+    /// Services and actions of the fleet.
+    pub offered: FleetServices,
     /// The exchange of clients' topics with ROS.
     pub relay: RelayTable,
     /// Commands for robots, merging and SLAM that wait to be taken.
@@ -78,7 +88,7 @@ impl Core {
             gate: VelocityGate::new(&config.velocity, robots.count(), drive),
             access: AccessControl::new(&config),
             services: ServiceCalls::new(config.client_topics_max),
-            slam: SlamServices::new(robots),
+            offered: FleetServices { slam: SlamServices::new(robots), actions: ActionServers::new(robots) },
             relay: RelayTable::new(
                 config.dds.relayed_topics_max,
                 config.dds.relayed_services_max,
@@ -149,8 +159,13 @@ impl Core {
                 None => self.stats = Some(Box::new(*stats)),
             }
         }
-        if let FleetMessage::NavigationState(robot, report) = message {
-            self.record_navigation(robot, report);
+        match message {
+            FleetMessage::NavigationState(robot, report) => {
+                self.record_navigation(robot, report);
+                self.apply_goal_report(robot, report);
+            }
+            FleetMessage::Correction(robot, correction) => self.record_goal_pose(robot, correction),
+            _ => {}
         }
         self.fleet.publish(&mut self.router, message);
     }
@@ -166,6 +181,7 @@ impl Core {
             self.fail_call(&call, "no answer came in time");
         }
         self.tell_unpublished(now);
+        self.tick_actions(now);
         self.fleet.tick(&mut self.router, now);
         self.router.retry_held();
     }

@@ -15,7 +15,7 @@ use msg::{Monotonic, RobotId, Stamp};
 use ros_messages::OdometrySigmas;
 use ros_messages::cdr::{DecodeError, Writer};
 use ros_messages::{
-    Bool, Empty, HandInputs, Int32, Joy, Message, NameStyle, PathMessage, PoseStamped,
+    Bool, Empty, FrameNames, HandInputs, Int32, Joy, Message, NameStyle, PathMessage, PoseStamped,
     PoseWithCovarianceStamped, RobotNames, Text, Twist,
 };
 
@@ -184,6 +184,11 @@ impl FleetTopics {
     /// Returns the robots' names.
     pub fn robot_names(&self) -> &RobotNames {
         self.publisher.robots()
+    }
+
+    /// Returns the names of the robots' frames.
+    pub fn frame_names(&self) -> &FrameNames {
+        self.publisher.names()
     }
 
     /// Returns the newest time of the run that was published.

@@ -9,6 +9,7 @@
 //! and the crate [`ros_messages`] are the wire format, for clients too.
 
 mod access;
+mod actions;
 mod bridge;
 pub mod command;
 mod command_queues;

@@ -145,6 +145,18 @@ impl<'a> Writer<'a> {
         self.out.push(u8::from(value));
     }
 
+    /// Writes a signed integer, aligned to 2 bytes.
+    pub fn i16(&mut self, value: i16) {
+        self.align(2);
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
+    /// Writes an unsigned integer, aligned to 2 bytes.
+    pub fn u16(&mut self, value: u16) {
+        self.align(2);
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
     /// Writes a signed integer, aligned to 4 bytes.
     pub fn i32(&mut self, value: i32) {
         self.align(4);

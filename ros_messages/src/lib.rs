@@ -4,6 +4,7 @@
 //! inputs. [`mod@write`] and [`read`] convert between CDR and the fleet's messages without allocating, for the frequent
 //! ones. [`names`] has the names of frames.
 
+pub mod actions;
 pub mod cdr;
 pub mod interfaces;
 pub mod joystick;

@@ -7,7 +7,7 @@ use crate::write;
 use msg::Stamp;
 
 /// Fewest bytes of a pose with its header on the wire: stamp, empty frame, seven numbers.
-const POSE_STAMPED_BYTES_MIN: usize = 8 + 4 + 7 * 8;
+pub(crate) const POSE_STAMPED_BYTES_MIN: usize = 8 + 4 + 7 * 8;
 
 /// geometry_msgs/PoseStamped: a pose in a frame.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -88,6 +88,7 @@ def main(out):
         rows += peer("services.py", domain, run_dir, BINARY)
         rows += peer("tcp_rclpy.py", domain, port)
         rows += peer("services_cyclone.py", domain, port)
+        rows += peer("actions.py", domain, port)
     port = free_port()
     with fleet(out, domain, port, "--robots", "2", "--world", "ros"):
         rows += peer("world_rclpy.py", domain, port)

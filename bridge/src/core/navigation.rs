@@ -60,11 +60,11 @@ impl Core {
         let (robot, action) = match input {
             Input::Goal(robot) => {
                 let pose = self.decode(payload)?;
-                return self.accept_goal(robot, &pose, now);
+                return self.accept_goal(robot, &pose, now).map(drop);
             }
             Input::Waypoints(robot) => {
                 let path = self.decode(payload)?;
-                return self.accept_waypoints(robot, &path, now);
+                return self.accept_waypoints(robot, &path, now).map(drop);
             }
             Input::CancelNavigation(robot) => (robot, NavigationAction::Cancel),
             Input::ResumeNavigation(robot) => (robot, NavigationAction::Resume),
@@ -102,23 +102,23 @@ impl Core {
         }
     }
 
-    /// Sends a robot to a pose; without a robot, the selected one.
-    fn accept_goal(
+    /// Sends a robot to a pose; without a robot, the selected one. Returns the number of the command.
+    pub(super) fn accept_goal(
         &mut self,
         robot: Option<RobotId>,
         pose: &PoseStamped,
         now: Monotonic,
-    ) -> Result<(), InputError> {
+    ) -> Result<u64, InputError> {
         self.accept_poses(robot, &pose.frame_id, core::slice::from_ref(pose), now)
     }
 
-    /// Sends a robot along waypoints.
-    fn accept_waypoints(
+    /// Sends a robot along waypoints. Returns the number of the command.
+    pub(super) fn accept_waypoints(
         &mut self,
         robot: RobotId,
         path: &PathMessage,
         now: Monotonic,
-    ) -> Result<(), InputError> {
+    ) -> Result<u64, InputError> {
         let count = path.poses.len();
         let Some(first) = path.poses.first() else { return Err(GoalError::Empty.into()) };
         if count > GOAL_POSES_MAX {
@@ -142,7 +142,7 @@ impl Core {
         frame: &str,
         poses: &[PoseStamped],
         now: Monotonic,
-    ) -> Result<(), InputError> {
+    ) -> Result<u64, InputError> {
         if self.gate.drive().is_stopped() {
             return Err(InputError::EmergencyStop);
         }
@@ -153,7 +153,8 @@ impl Core {
         let frame = self.navigation_frame(frame)?;
         let number = self.commands.next_navigation_number();
         self.commands.push_navigation(robot, NavigationCommand::goal(number, frame, &poses));
-        Ok(())
+        self.offered.actions.replace(robot, number, now);
+        Ok(number)
     }
 
     fn navigation_frame(&self, frame: &str) -> Result<(NavigationFrame, Option<RobotId>), GoalError> {
@@ -174,7 +175,7 @@ impl Core {
     }
 
     /// Tells the navigator to cancel a robot's goal, to pause or to go on.
-    fn command_navigation(&mut self, robot: RobotId, action: NavigationAction) {
+    pub(super) fn command_navigation(&mut self, robot: RobotId, action: NavigationAction) {
         let number = self.commands.next_navigation_number();
         self.commands.push_navigation(robot, NavigationCommand::new(number, action));
     }

@@ -166,7 +166,7 @@ impl Core {
             self.tell_unoffered(id, &name);
             return Ok(());
         }
-        if let Some((_, NamedService { service_type: existing, .. })) = self.slam.find(&name)
+        if let Some((_, NamedService { service_type: existing, .. })) = self.offered.slam.find(&name)
             && existing != service_type
         {
             let existing = existing.to_owned();

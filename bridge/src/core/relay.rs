@@ -58,6 +58,7 @@ impl Core {
     fn set_ros_graph(&mut self, graph: RosGraph) {
         self.fail_lost_calls(&graph);
         self.relay.set_graph(graph);
+        self.update_actions();
         for id in self.relay.topics().collect::<Vec<_>>() {
             self.apply_graph(id, None);
         }
@@ -116,7 +117,9 @@ impl Core {
         let Some(topic) = self.router.topics.get(id).filter(|topic| topic.source == Source::Clients) else {
             return;
         };
-        if is_fleet_velocity(topic, self.fleet.robot_names()) || !self.may_use_ros(client, &topic.name) {
+        let is_of_fleet =
+            is_fleet_velocity(topic, self.fleet.robot_names()) || self.offered.actions.owns(&topic.name);
+        if is_of_fleet || !self.may_use_ros(client, &topic.name) {
             return;
         }
         match self.relay.advertise(id, topic) {
@@ -133,6 +136,8 @@ impl Core {
         let Some(topic) = self.router.topics.get(id) else { return };
         let refusal = if is_fleet_velocity(topic, self.fleet.robot_names()) {
             Some(format!("'{}' is not published in ROS: publish velocities on /cmd_vel_N", topic.name))
+        } else if self.offered.actions.owns(&topic.name) {
+            Some(format!("'{}' is not published in ROS: it is a topic of the robot's own action", topic.name))
         } else if self.may_use_ros(client, &topic.name) {
             None
         } else {

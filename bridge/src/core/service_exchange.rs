@@ -14,10 +14,11 @@ impl Core {
         self.relay.open();
         // Who may not drive may not reset maps either.
         if self.config.may_ros_drive() {
-            for (name, service_type) in self.slam.names() {
+            for (name, service_type) in self.offered.slam.names() {
                 self.relay.offer_fleet_service(name, service_type);
             }
         }
+        self.update_actions();
         self.update_services();
     }
 
@@ -33,7 +34,8 @@ impl Core {
             return;
         }
         let is_called = |name: &str, callers: &[ClientId]| {
-            self.slam.find(name).is_none() && callers.iter().any(|caller| self.may_use_ros(*caller, name))
+            let is_of_fleet = self.offered.slam.find(name).is_some() || self.offered.actions.owns(name);
+            !is_of_fleet && callers.iter().any(|caller| self.may_use_ros(*caller, name))
         };
         let called = self.services.called().filter(|(name, _, callers)| is_called(name, callers));
         let called: BTreeMap<_, _> = called.map(|(name, of, _)| (name.to_owned(), of.to_owned())).collect();
@@ -46,7 +48,7 @@ impl Core {
     /// Fails if the fleet or a ROS 2 node offers a service: clients cannot take it over.
     pub(super) fn check_service_is_free(&self, name: &str) -> Result<(), ServiceError> {
         let name = name.to_owned();
-        if self.slam.find(&name).is_some() {
+        if self.offered.slam.find(&name).is_some() || self.offered.actions.owns(&name) {
             return Err(ServiceError::OfFleet { name });
         }
         if self.services.provider(&name).is_none() && self.relay.graph().services.contains_key(&name) {

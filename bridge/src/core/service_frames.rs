@@ -75,7 +75,7 @@ impl Core {
             return Err(ServiceError::NotRegistered { name: spelled.to_owned() }.into());
         }
         let caller = Caller::Client { id, number, spelled: spelled.to_owned() };
-        if let Some((robot, service)) = self.slam.find(&name) {
+        if let Some((robot, service)) = self.offered.slam.find(&name) {
             self.check_call(id)?;
             return self.call_slam(caller, robot, service.service, &name, payload, now);
         }
@@ -160,7 +160,7 @@ impl Core {
     ) -> Result<(), CallError> {
         let dialect = self.dialect_of(&caller);
         let mut from = Reader::with(dialect, payload).map_err(slam_services::RequestError::from)?;
-        let requests = service.read(&mut from, self.slam.is_paused(robot))?;
+        let requests = service.read(&mut from, self.offered.slam.is_paused(robot))?;
         let next = requests.next.map(Box::new);
         let provider = Provider::Slam { robot, service, next };
         let call = self.services.begin_call(caller, provider, name, SLAM_TIMEOUT, now)?;
@@ -171,7 +171,7 @@ impl Core {
 
     /// Handles the answer of a robot's SLAM. `is_ours`: the answer is to a request of this bridge.
     pub fn receive_slam_response(&mut self, robot: RobotId, answer: &SlamResponse, is_ours: bool) {
-        self.slam.record(robot, answer);
+        self.offered.slam.record(robot, answer);
         if !is_ours {
             return;
         }
@@ -215,8 +215,11 @@ impl Core {
         now: Monotonic,
     ) {
         self.router.counted.received += 1;
+        if let Some((server, part)) = self.offered.actions.find(service) {
+            return self.receive_action_request(server, part, id, payload, now);
+        }
         let caller = Caller::Ros(id);
-        if let Some((robot, named)) = self.slam.find(service) {
+        if let Some((robot, named)) = self.offered.slam.find(service) {
             if let Err(error) = self.call_slam(caller, robot, named.service, service, payload, now) {
                 self.fail_ros_call(service, id, &error.to_string());
             }
@@ -283,7 +286,7 @@ impl Core {
     /// one would read as success: then there is none, and the caller has the error alone.
     fn send_failure(&mut self, caller: ClientId, number: i64, spelled: &str, reason: &str) {
         let name = interfaces::resolve_name(spelled).unwrap_or_default();
-        if let Some((_, named)) = self.slam.find(&name) {
+        if let Some((_, named)) = self.offered.slam.find(&name) {
             if let Some(payload) = failure(named.service, self.config.payloads, reason) {
                 self.send_response(caller, number, spelled, &payload);
             }
@@ -316,7 +319,7 @@ impl Core {
     /// Answers a ROS 2 node's call that fails, if the service's response can say so.
     fn fail_ros_call(&mut self, service: &str, request: RosRequestId, reason: &str) {
         self.router.counted.refused += 1;
-        let named = self.slam.find(service);
+        let named = self.offered.slam.find(service);
         if let Some(payload) = named.and_then(|(_, named)| failure(named.service, Dialect::Ros2, reason)) {
             self.relay.respond(service, request, &payload);
         }

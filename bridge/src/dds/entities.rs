@@ -12,7 +12,7 @@ use ros2_client::dds::rustdds::{
     DomainParticipant, DomainParticipantBuilder, Duration, Publisher, QosPolicies, QosPolicyBuilder,
     Subscriber, Topic, TopicKind,
 };
-use ros2_client::{MessageTypeName, Name, NodeName};
+use ros2_client::{Name, NodeName};
 use std::net::Ipv4Addr;
 use std::rc::Rc;
 use thiserror::Error;
@@ -93,6 +93,15 @@ pub fn node_name(config: &DdsConfig) -> Result<NodeName, EndpointError> {
     })
 }
 
+/// Returns a type's name on DDS: `nav_msgs::msg::dds_::Path_` for `nav_msgs/Path` of the kind `msg`.
+///
+/// A type of an action has the kind in its name: `nav2_msgs/action/NavigateToPose_FeedbackMessage`.
+pub fn dds_type(ros_type: &str, kind: &str, part: &str) -> String {
+    let (package, class) = ros_type.split_once('/').unwrap_or(("", ros_type));
+    let (kind, class) = class.split_once('/').unwrap_or((kind, class));
+    format!("{package}::{kind}::dds_::{class}{part}_")
+}
+
 /// Creates topics, readers and writers of one participant.
 pub struct EntityFactory {
     participant: DomainParticipant,
@@ -133,8 +142,7 @@ impl EntityFactory {
             reason: format!("{reason:?}"),
         })?;
         let dds_name = ros_name.to_dds_name("rt", &self.node, "");
-        let (package, class) = message_type.split_once('/').unwrap_or(("", message_type));
-        self.dds_topic(&dds_name, MessageTypeName::new(package, class).dds_msg_type(), qos)
+        self.dds_topic(&dds_name, dds_type(message_type, "msg", ""), qos)
     }
 
     /// Creates a topic by its name and type on DDS.
@@ -209,5 +217,19 @@ impl EntityFactory {
     fn dds_name(&self, name: &ServiceTopicName) -> String {
         let ServiceTopicName { prefix, service, suffix } = name;
         format!("{prefix}{}{service}{suffix}", self.namespace)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::dds_type;
+
+    #[test]
+    fn types_of_actions_have_their_own_kind() {
+        assert_eq!(dds_type("nav_msgs/Path", "msg", ""), "nav_msgs::msg::dds_::Path_");
+        assert_eq!(dds_type("std_srvs/Empty", "srv", "_Request"), "std_srvs::srv::dds_::Empty_Request_");
+        let send_goal = "nav2_msgs/action/NavigateToPose_SendGoal";
+        let expected = "nav2_msgs::action::dds_::NavigateToPose_SendGoal_Request_";
+        assert_eq!(dds_type(send_goal, "srv", "_Request"), expected);
     }
 }

@@ -1,6 +1,6 @@
 //! Readers and writers of one service on DDS: a server's or a client's, with the requests and replies that wait.
 
-use super::entities::{RawReader, RawWriter};
+use super::entities::{RawReader, RawWriter, dds_type};
 use super::raw::Raw;
 use super::service_identity::{self as identity, RequestNumber};
 use crate::relay::{IDENTIFIED_BYTES_MAX, RosRequestId};
@@ -209,17 +209,12 @@ impl ServiceTopic {
     /// Returns the topic of requests.
     pub fn requests(service: &str, service_type: &str) -> Self {
         let name = ServiceTopicName { prefix: "rq", service: service.to_owned(), suffix: "Request" };
-        Self { name, dds_type: dds_type(service_type, "Request") }
+        Self { name, dds_type: dds_type(service_type, "srv", "_Request") }
     }
 
     /// Returns the topic of replies.
     pub fn replies(service: &str, service_type: &str) -> Self {
         let name = ServiceTopicName { prefix: "rr", service: service.to_owned(), suffix: "Reply" };
-        Self { name, dds_type: dds_type(service_type, "Response") }
+        Self { name, dds_type: dds_type(service_type, "srv", "_Response") }
     }
-}
-
-fn dds_type(service_type: &str, part: &str) -> String {
-    let (package, class) = service_type.split_once('/').unwrap_or(("", service_type));
-    format!("{package}::srv::dds_::{class}_{part}_")
 }

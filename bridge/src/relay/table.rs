@@ -137,6 +137,28 @@ impl RelayTable {
         self.commands.push_back(RosCommand::OpenServer { service: name.into(), service_type });
     }
 
+    /// Offers a service of the fleet to ROS no longer.
+    pub fn withdraw_fleet_service(&mut self, name: &str) {
+        self.commands.push_back(RosCommand::CloseServer { service: name.into() });
+    }
+
+    /// Ends the announcement of a topic that the core alone publishes.
+    pub fn unadvertise_fleet_topic(&mut self, name: &str) {
+        self.commands.push_back(RosCommand::Unadvertise { topic: name.into() });
+    }
+
+    /// Announces a topic to ROS that the core alone publishes.
+    pub fn advertise_fleet_topic(&mut self, name: &str, message_type: String, latch: bool) {
+        self.commands.push_back(RosCommand::Advertise { topic: name.into(), message_type, latch });
+    }
+
+    /// Publishes a message on a topic that the core alone publishes, in ROS 2's encoding.
+    pub fn publish_fleet_topic(&mut self, name: &str, payload: Vec<u8>) {
+        if self.is_open {
+            self.commands.push_back(RosCommand::Publish { topic: name.into(), payload: payload.into() });
+        }
+    }
+
     /// Calls a service of a ROS node.
     pub fn call_service(&mut self, name: &str, number: i64, payload: &[u8]) {
         let payload = Bytes::copy_from_slice(payload);

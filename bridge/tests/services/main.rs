@@ -8,6 +8,7 @@ use msg::{Monotonic, RobotId, SlamOutcome, SlamRequest, SlamResponse};
 use std::cell::RefCell;
 use std::rc::Rc;
 
+mod actions;
 mod ros;
 mod slam;
 
