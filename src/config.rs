@@ -178,7 +178,7 @@ impl Fleet {
     }
 }
 
-/// Largest size of a fleet file, bytes: the default with its explanations has 60 kB.
+/// Largest size of a fleet file, bytes: the default with its explanations has 30 kB.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 
 /// Name of the built-in room.

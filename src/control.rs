@@ -1,6 +1,6 @@
 //! Local protocol between the person at the laptop and the bridge: who may drive, and the emergency stop.
 //!
-//! One line of JSON each way on a Unix socket in the run's own folder below /tmp. Only the owner may write to it, and
+//! One line of JSON each way on a Unix socket in the run's own runtime folder. Only the owner may write to it, and
 //! it answers however many clients use the TCP port. `mr-slam allow`, `deny`, `stop`, `release`, `status` and the keys
 //! of the live table use it.
 

@@ -19,7 +19,7 @@ pub struct Observer {
     stats: Reader<FleetStats>,
     edges: Reader<MergeEdges>,
     newest_edges: Box<MergeEdges>,
-    bell: Listener,
+    stats_listener: Listener,
     newest: Option<Box<FleetStats>>,
     merged_map: MapWatch,
     map_transforms: Reader<MapTransforms>,
@@ -85,7 +85,7 @@ impl Observer {
             |robot: RobotId| Ok(watch(format!("{robot}_map"), node.map_reader(&channel::map(robot))?));
         Ok(Self {
             stats: node.reader(&channel::stats())?,
-            bell: node.listener(&channel::stats())?,
+            stats_listener: node.listener(&channel::stats())?,
             edges: node.reader(&channel::merge_edges())?,
             newest_edges: Box::default(),
             newest: None,
@@ -118,7 +118,7 @@ impl Observer {
     /// Waits for new figures, at most `patience`, and receives all waiting messages; returns whether there are any.
     pub fn wait(&mut self, patience: Duration) -> bool {
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
-        wait([&self.bell], until);
+        wait([&self.stats_listener], until);
         self.poll()
     }
 

@@ -1,4 +1,4 @@
-//! The channels in shared memory: the only module (with `maps.rs` below) that uses iceoryx2 or
+//! The channels in shared memory: the only module (with those below it) that uses iceoryx2 or
 //! unsafe code.
 //!
 //! A message is written in place into memory that every reader maps; nothing is copied on the

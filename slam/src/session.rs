@@ -97,7 +97,7 @@ pub enum SessionError {
         most: usize,
     },
     /// A value that is not finite, out of its range, or refers to nothing.
-    #[error("has a {what} that makes no sense")]
+    #[error("has an invalid {what}")]
     Value {
         /// Name of the value.
         what: &'static str,

@@ -1,4 +1,4 @@
-//! Input that makes no sense, or little: named, counted, and nothing else is lost.
+//! Invalid and nearly empty input: named, counted, and nothing else is lost.
 
 mod common;
 

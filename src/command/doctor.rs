@@ -90,7 +90,7 @@ pub struct Findings {
 
 /// Runs all checks; takes about a second.
 pub fn examine(port: u16, config: &FleetConfig) -> Findings {
-    let [shared_memory, open_files] = resources(config);
+    let [shared_memory, open_files, disk] = resources(config);
     let checks = vec![
         processors(),
         wake_up(),
@@ -98,6 +98,7 @@ pub fn examine(port: u16, config: &FleetConfig) -> Findings {
         locked_memory(),
         shared_memory,
         open_files,
+        disk,
         port_free(port),
         loopback(),
         multicast(),
@@ -190,7 +191,7 @@ fn locked_memory() -> Check {
 }
 
 /// Checks what `up` checks before it starts a fleet: the same resources, for the fleet's size.
-fn resources(config: &FleetConfig) -> [Check; 2] {
+fn resources(config: &FleetConfig) -> [Check; 3] {
     let free = resources::free_bytes(Path::new(SHARED_MEMORY)).unwrap_or(0);
     let need = shared_memory_need(config.fleet.robots, config.world.is_outside());
     let found = format!(
@@ -206,7 +207,16 @@ fn resources(config: &FleetConfig) -> [Check; 2] {
     };
     let files = resources::check_descriptors(config);
     let limit = format!("{} for each process", limit(Resource::Nofile));
-    [judge("shared memory", found, resources::check_shared_memory(config)), judge("open files", limit, files)]
+    let here = Path::new(".");
+    let room = match resources::free_bytes(here) {
+        Some(free) => format!("{} free in this folder, where `runs/` is made", megabytes(free)),
+        None => "it cannot be asked how much is free in this folder".into(),
+    };
+    [
+        judge("shared memory", found, resources::check_shared_memory(config)),
+        judge("open files", limit, files),
+        judge("disk", room, resources::check_disk(here, config)),
+    ]
 }
 
 fn port_free(port: u16) -> Check {

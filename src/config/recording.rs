@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 const SPLIT_MIN_MB: u64 = 10;
 /// Largest file, MB.
 const SPLIT_MAX_MB: u64 = 1_000_000;
+/// Largest disk that a recording leaves free, MB.
+const DISK_FREE_MAX_MB: u64 = 1_000_000;
 /// Shortest time between two grids of one map, seconds: SLAM publishes its map at 10 Hz.
 const MAP_PERIOD_MIN_S: f64 = 0.1;
 /// Longest time between two grids of one map, seconds.
@@ -20,6 +22,9 @@ pub enum RecordingConfigError {
     /// The period is out of range.
     #[error("recording.map_period_s is {0}; expected {MAP_PERIOD_MIN_S} to {MAP_PERIOD_MAX_S} seconds")]
     MapPeriod(f64),
+    /// The disk that is left free is out of range.
+    #[error("recording.disk_free_mb is {0}; expected at most {DISK_FREE_MAX_MB} megabytes")]
+    DiskFree(u64),
 }
 
 impl RecordingConfigError {
@@ -28,6 +33,7 @@ impl RecordingConfigError {
         match self {
             Self::Split(_) => "split_mb",
             Self::MapPeriod(_) => "map_period_s",
+            Self::DiskFree(_) => "disk_free_mb",
         }
     }
 }
@@ -42,7 +48,7 @@ pub struct RecordingConfig {
     pub split_mb: u64,
     /// Shortest time between two grids of one map in a recording, seconds, 0.1 to 3600.
     pub map_period_s: f64,
-    /// Disk that a recording leaves free for the fleet's maps and report, megabytes: then it ends.
+    /// Disk that a recording leaves free for the fleet's maps and report, megabytes, 0 to 1000000: then it ends.
     pub disk_free_mb: u64,
 }
 
@@ -60,6 +66,9 @@ impl RecordingConfig {
         }
         if !(MAP_PERIOD_MIN_S..=MAP_PERIOD_MAX_S).contains(&self.map_period_s) {
             return Err(RecordingConfigError::MapPeriod(self.map_period_s));
+        }
+        if self.disk_free_mb > DISK_FREE_MAX_MB {
+            return Err(RecordingConfigError::DiskFree(self.disk_free_mb));
         }
         Ok(())
     }

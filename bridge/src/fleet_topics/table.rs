@@ -131,7 +131,7 @@ const fn row(
 /// All topics that the fleet publishes.
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
-/// [`crate::FleetMessage`] where its channel is read.
+/// [`crate::FleetMessage`] where its channel is read. The recorder has a table of its own.
 pub const OUTGOING_TOPICS: [OutgoingTopic; 19] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),

@@ -12,6 +12,8 @@ use std::thread::JoinHandle;
 
 /// Most files of a recording.
 const FILES_MAX: usize = 10_000;
+/// Bytes of a megabyte, as the configuration counts them.
+pub(super) const BYTES_PER_MB: u64 = 1_000_000;
 
 /// Where the bytes of a recording go.
 pub trait Output {
@@ -47,7 +49,12 @@ pub struct RecordingFiles {
 impl RecordingFiles {
     /// Names the files after the first; none is opened yet.
     pub fn new(first: &Path, config: &RecordingConfig) -> Self {
-        Self { first: first.into(), disk_free_bytes: config.disk_free_mb << 20, file: None, all: Vec::new() }
+        Self {
+            first: first.into(),
+            disk_free_bytes: config.disk_free_mb * BYTES_PER_MB,
+            file: None,
+            all: Vec::new(),
+        }
     }
 
     fn begin(&mut self) -> Result<(), FileError> {
@@ -79,7 +86,7 @@ impl RecordingFiles {
         if let Ok(disk) = rustix::fs::fstatvfs(&*file) {
             let free = disk.f_bavail.saturating_mul(disk.f_frsize);
             if free < self.disk_free_bytes.saturating_add(bytes.len() as u64) {
-                let (free_mb, keep_mb) = (free >> 20, self.disk_free_bytes >> 20);
+                let (free_mb, keep_mb) = (free / BYTES_PER_MB, self.disk_free_bytes / BYTES_PER_MB);
                 return Err(FileError::DiskFull { path: path.clone(), free_mb, keep_mb });
             }
         }

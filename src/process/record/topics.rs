@@ -1,6 +1,6 @@
 //! Encodes the fleet's messages by the bridge's tables and writes them to the files of a recording.
 
-use super::files::Output;
+use super::files::{BYTES_PER_MB, Output};
 use super::operator::operator_json;
 use super::{Summary, TopicSummary};
 use crate::clock::Epoch;
@@ -110,7 +110,7 @@ impl Recorder {
         let mut publisher = FleetPublisher::new(config.frame_names, &robots, LinkTransforms::Split);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
         let mut file =
-            FileTopics::new(&robots, description, output, run.config.recording.split_mb * 1_000_000);
+            FileTopics::new(&robots, description, output, run.config.recording.split_mb * BYTES_PER_MB);
         file.begin()?;
         let names = FrameNames::new(config.frame_names, &robots);
         Ok(Self { publisher: Some(publisher), names, epoch: run.epoch, file })
