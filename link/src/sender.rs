@@ -177,7 +177,7 @@ impl PartSender {
         true
     }
 
-    /// Takes acknowledgements.
+    /// Takes acknowledgements of the base: parts, or first pieces of them, that have arrived.
     pub fn acknowledge(&mut self, receipts: &[Receipt], now: Monotonic) {
         for receipt in receipts {
             let Some(sent) = self.in_flight.get_mut(&receipt.key) else { continue };
