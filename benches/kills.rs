@@ -5,21 +5,22 @@
 //!
 //! `cargo bench --bench kills [-- --kills 100 --robots 8 --seed 1 --check --json FILE]`
 
-use mr_slam::channel::{self, Opener};
-use mr_slam::observer::Observer;
-use mr_slam::ports::ReadMapPort;
-use mr_slam::run::Run;
-use mr_slam::shared_memory::Participant;
-use msg::{DenseMap, RobotId};
+#[allow(dead_code, reason = "shared with the chaos bench, which uses all of it")]
+#[path = "shared/fleet.rs"]
+mod fleet;
+mod launcher;
+#[path = "shared/map_cells.rs"]
+mod map_cells;
+
+use fleet::{Fleet, send};
+use map_cells::{Cells, count_lost};
+use msg::RobotId;
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
-use reports::FleetView;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use serde::Serialize;
-use std::collections::BTreeSet;
 use std::error::Error;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 /// Age of the newest cells that a kill may take.
@@ -28,14 +29,6 @@ const LOST_MAX: Duration = Duration::from_millis(500);
 const PAUSE_MAX: Duration = Duration::from_secs(2);
 /// Time for which a process is left alone after its death: a life of 10 s lets the supervisor forget earlier deaths.
 const LIFE: Duration = Duration::from_secs(12);
-/// Longest wait for a fleet, for a killed process, and for its map.
-const PATIENCE: Duration = Duration::from_secs(20);
-/// Time between two looks at a map.
-const LOOK_PERIOD: Duration = Duration::from_millis(50);
-
-/// Cells in whole cells from the origin of a map's frame.
-type Cells = BTreeSet<(i64, i64)>;
-
 /// Outcome of one kill.
 #[derive(Serialize)]
 struct Kill {
@@ -50,112 +43,13 @@ struct Kill {
     back_after_s: f64,
 }
 
-/// A fleet with an operator, which ends with the bench.
-struct Fleet {
-    launcher: Child,
-    dir: PathBuf,
-    run: Run,
-    observer: Observer,
-}
-
-impl Fleet {
-    fn start(robots: usize) -> Result<Self, Box<dyn Error>> {
-        let dir = std::env::temp_dir().join(format!("mr-slam-kills-{}", std::process::id()));
-        let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
-            .args(["demo", "--port", "0", "--robots", &robots.to_string(), "--run-dir"])
-            .arg(&dir)
-            .env("XDG_STATE_HOME", dir.join("state"))
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()?;
-        let begun = Instant::now();
-        loop {
-            if let Ok(run) = Run::open(&dir)
-                && let Ok(observer) = Observer::attach(&run, "kills")
-            {
-                return Ok(Self { launcher, dir, run, observer });
-            }
-            if begun.elapsed() > PATIENCE {
-                launcher.kill()?;
-                launcher.wait()?;
-                return Err("the fleet did not start".into());
-            }
-            std::thread::sleep(LOOK_PERIOD);
-        }
-    }
-
-    /// Returns the id of a robot's SLAM process by the newest figures.
-    fn pid(&mut self, robot: RobotId) -> Option<u32> {
-        self.observer.wait(Duration::from_secs(2));
-        let view = FleetView::new(self.observer.stats()?);
-        let name = format!("slam of {robot}");
-        view.processes.iter().find(|process| process.process == name).map(|process| process.pid)
-    }
-
-    /// Waits until a robot's SLAM process is another than `before`.
-    fn new_pid(&mut self, robot: RobotId, before: Option<u32>) -> Result<u32, Box<dyn Error>> {
-        let begun = Instant::now();
-        while begun.elapsed() < PATIENCE {
-            if let Some(pid) = self.pid(robot).filter(|pid| Some(*pid) != before) {
-                return Ok(pid);
-            }
-        }
-        Err(format!("no SLAM process of {robot} within {PATIENCE:?}").into())
-    }
-
-    /// Reads a robot's map from the process that runs now, until `is_enough`.
-    fn cells(&self, robot: RobotId, is_enough: impl Fn(&Cells) -> bool) -> Result<Cells, Box<dyn Error>> {
-        let opener = Opener::of_fleet(channel::Program::Launcher);
-        let participant = Participant::open(&self.run.domain, opener, "kills-map")?;
-        let mut reader = participant.map_reader(&channel::map(robot))?;
-        let begun = Instant::now();
-        loop {
-            reader.poll();
-            let mut map = DenseMap::default();
-            let cells = match reader.map().tiles().next() {
-                Some(_) => known_cells(&map.update(reader.map())),
-                None => Cells::new(),
-            };
-            if is_enough(&cells) || begun.elapsed() > PATIENCE {
-                return Ok(cells);
-            }
-            std::thread::sleep(LOOK_PERIOD);
-        }
-    }
-}
-
-impl Drop for Fleet {
-    fn drop(&mut self) {
-        if let Some(pid) = Pid::from_raw(self.launcher.id() as i32) {
-            let _ = kill_process(pid, Signal::TERM);
-        }
-        let _ = self.launcher.wait();
-        let _ = std::fs::remove_dir_all(&self.dir);
-    }
-}
-
-fn known_cells(map: &msg::GridView<'_>) -> Cells {
-    let cell = |metres: f64| (metres / map.header.resolution_m).round() as i64;
-    let (x0, y0) = (cell(map.header.origin.x_m), cell(map.header.origin.y_m));
-    let width = map.header.width as usize;
-    let known = map.cells.iter().enumerate().filter(|(_, cell)| **cell != 0);
-    known.map(|(k, _)| (x0 + (k % width) as i64, y0 + (k / width) as i64)).collect()
-}
-
-/// Cells of `before` that have no known cell in or around their place in `after`.
-fn count_lost(before: &Cells, after: &Cells) -> usize {
-    let is_near = |(x, y): &(i64, i64)| (-1..=1).any(|i| (-1..=1).any(|j| after.contains(&(x + i, y + j))));
-    before.iter().filter(|cell| !is_near(cell)).count()
-}
-
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let number = |name: &str, default: u64| value(name).map_or(Ok(default), |text| text.parse::<u64>());
     let (kills, robots) = (number("--kills", 100)?, number("--robots", 8)?.max(1) as usize);
     let mut random = SplitMix64::seed_from_u64(number("--seed", 1)?);
-    let mut fleet = Fleet::start(robots)?;
+    let fleet = Fleet::start("demo", robots, &[])?;
     let begun = Instant::now();
     println!("{:>6} {:>8} {:>8} {:>8} {:>8} {:>8}", "kill", "robot", "at s", "known", "lost", "back s");
     let mut killed_at: Vec<Option<Instant>> = vec![None; robots];
@@ -168,10 +62,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             std::thread::sleep(LIFE.saturating_sub(at.elapsed()));
         }
         std::thread::sleep(PAUSE_MAX.mul_f64(f64::from(random.next_u32()) / f64::from(u32::MAX)));
-        let pid = fleet.new_pid(robot, None)?;
-        let before = fleet.cells(robot, |cells| !cells.is_empty())?;
+        let pid = fleet.wait_for_other(&format!("slam of {robot}"), None)?;
+        let before = fleet.cells(Some(robot), |cells| !cells.is_empty())?;
         std::thread::sleep(LOST_MAX);
-        let row = kill(&mut fleet, robot, pid, &before, begun)?;
+        let row = kill(&fleet, robot, pid, &before, begun)?;
         killed_at[index] = Some(Instant::now());
         let Kill { at_s, known, lost, back_after_s, .. } = &row;
         println!("{number:>6} {:>8} {at_s:>8.1} {known:>8} {lost:>8} {back_after_s:>8.1}", row.robot);
@@ -193,7 +87,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Kills a process and waits for the map of the next one.
 fn kill(
-    fleet: &mut Fleet,
+    fleet: &Fleet,
     robot: RobotId,
     pid: u32,
     before: &Cells,
@@ -201,9 +95,9 @@ fn kill(
 ) -> Result<Kill, Box<dyn Error>> {
     let at_s = begun.elapsed().as_secs_f64();
     let killed = Instant::now();
-    kill_process(Pid::from_raw(pid as i32).ok_or("no process")?, Signal::KILL)?;
-    fleet.new_pid(robot, Some(pid))?;
-    let after = fleet.cells(robot, |after| count_lost(before, after) == 0)?;
+    send(pid, Signal::KILL);
+    fleet.wait_for_other(&format!("slam of {robot}"), Some(pid))?;
+    let after = fleet.cells(Some(robot), |after| count_lost(before, after) == 0)?;
     Ok(Kill {
         robot: robot.to_string(),
         at_s,

@@ -13,6 +13,7 @@ mod client;
 #[allow(dead_code, reason = "shared with the jitter bench, which uses all of it")]
 #[path = "jitter/fleet.rs"]
 mod fleet;
+mod launcher;
 #[allow(dead_code, reason = "shared with the jitter bench, which uses all of it")]
 #[path = "jitter/measure.rs"]
 mod measure;

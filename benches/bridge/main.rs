@@ -9,6 +9,8 @@
 
 mod client;
 mod commands;
+#[path = "../launcher.rs"]
+mod launcher;
 // The mix, its bare hops and the jitter's definition are the jitter bench's.
 #[path = "../jitter/bare.rs"]
 mod bare;

@@ -10,6 +10,8 @@ mod endpoints;
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/fleet.rs"]
 mod fleet;
+#[path = "../launcher.rs"]
+mod launcher;
 mod load;
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/measure.rs"]

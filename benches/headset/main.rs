@@ -10,13 +10,14 @@
 mod fleet;
 #[path = "../../tests/all/headset_app.rs"]
 mod headset_app;
-mod link;
+#[path = "../launcher.rs"]
+mod launcher;
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/measure.rs"]
 mod measure;
 
 use headset_app::Headset;
-use link::Link;
+use mr_slam::command::experiment::link::{self, LINKS, Link};
 use mr_slam::config::{FleetConfig, World};
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
@@ -35,43 +36,6 @@ const WARM_UP: Duration = Duration::from_secs(4);
 const FIGURES_MAX: Duration = Duration::from_secs(20);
 /// Scan rate of the paper's robots, Hz.
 const PAPER_HZ: f64 = 8.83;
-
-/// A link that passes everything at once; the others change what they say.
-const LOOPBACK: Link = Link {
-    name: "loopback",
-    delay_ms: 0.0,
-    jitter_ms: 0.0,
-    mbit_s: 1e4,
-    loss: 0.0,
-    stall_ms: 0.0,
-    outage_s: [1.0, 0.0],
-};
-/// A 5 GHz network with nobody else on it.
-const QUIET_WIFI: Link = Link {
-    name: "quiet Wi-Fi",
-    delay_ms: 2.0,
-    jitter_ms: 1.5,
-    mbit_s: 100.0,
-    loss: 0.001,
-    stall_ms: 12.0,
-    ..LOOPBACK
-};
-/// A network that others use as well.
-const BUSY_WIFI: Link = Link {
-    name: "busy Wi-Fi",
-    delay_ms: 4.0,
-    jitter_ms: 8.0,
-    mbit_s: 10.0,
-    loss: 0.02,
-    stall_ms: 40.0,
-    ..LOOPBACK
-};
-const LINKS: [Link; 4] = [
-    LOOPBACK,
-    QUIET_WIFI,
-    BUSY_WIFI,
-    Link { name: "Wi-Fi with outages", outage_s: [15.0, 1.0], ..BUSY_WIFI },
-];
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();

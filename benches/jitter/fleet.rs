@@ -1,8 +1,6 @@
 //! The fleet under measurement, and a ros_tcp client that reads from it as a headset does.
 
-#[path = "../launcher.rs"]
-mod launcher;
-
+use crate::launcher;
 use crate::measure::{Figures, Streams};
 use bridge::command::{Registration, name};
 use bridge::frame::{Frame, Parser, Side};
@@ -53,11 +51,17 @@ impl Fleet {
 
     /// Starts a fleet with further arguments on the command line.
     pub fn start_with(robots: usize, words: &[&str]) -> Result<Self, Box<dyn Error>> {
+        Self::start_command("up", robots, words)
+    }
+
+    /// Starts a fleet with another command, such as `demo`.
+    pub fn start_command(command: &str, robots: usize, words: &[&str]) -> Result<Self, Box<dyn Error>> {
         let dir = std::env::temp_dir().join(format!("mr-slam-bench-{}", std::process::id()));
         let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
-            .args(["up", "--port", "0", "--robots", &robots.to_string(), "--run-dir"])
+            .args([command, "--port", "0", "--robots", &robots.to_string(), "--run-dir"])
             .arg(&dir)
             .args(words)
+            .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()?;
         launcher::wait_until_ready(&mut launcher)?;
@@ -130,6 +134,12 @@ impl Fleet {
                 self.after = Some(view);
             }
         }
+    }
+
+    /// Returns the figures at the begin and at the end of the measurement.
+    #[allow(dead_code, reason = "the fleet bench looks at more than jitter")]
+    pub fn views(&self) -> Option<(&FleetView, &FleetView)> {
+        Some((self.before.as_ref()?, self.after.as_ref()?))
     }
 
     /// Returns the processor time and punctuality of each process during the measurement.

@@ -10,6 +10,8 @@
 
 mod bare;
 mod fleet;
+#[path = "../launcher.rs"]
+mod launcher;
 mod measure;
 
 use measure::{Figures, Spread};

@@ -1,26 +1,36 @@
 //! Bench of map merging: speed with known starts; alignment of pairs of maps with exact truth, as they are and varied;
 //! recorded logs of several robots with unknown starts.
 //!
-//! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR] [--only speed,pairs,varied,logs,halves] [--json FILE]
+//! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR|generated] [--seeds FROM..TO] [--maps DIR] [--only speed,pairs,varied,logs,halves] [--json FILE]
 //! [--results FILE.jsonl] [--check]`
 //!
 //! `--pairs DIR` holds one folder a pair: `a.yaml`, `b.yaml` and `truth.json` (`T_A_B` = [x, y, theta], p_a = R p_b + t, or null
 //! where the two are of different buildings); an archive `merge-pairs.tar.xz` has to be unpacked first. `--logs DIR` holds
 //! `intel_2`, `intel_3`, `aces_2`, and logs of one robot, which are cut into halves. `--results FILE` gets one JSON line a
 //! pair. `--check` fails if a limit is missed or if pairs or logs are missing. The last line
-//! names what is missing.
+//! names what is missing. `--logs generated` prints the pairs drawn from seeds alone (`generated/`).
 
+mod generated;
 mod logs;
+#[path = "../slam/noise.rs"]
+mod noise;
 mod pairs;
 #[allow(dead_code, reason = "shared with the slam bench, which uses more of it")]
 #[path = "../slam/relations.rs"]
 mod relations;
+#[allow(dead_code, reason = "shared with the slam bench, which uses more of it")]
+#[path = "../slam/seeds.rs"]
+mod seeds;
 mod speed;
 mod table;
 mod varied;
 
+use seeds::{Seeds, parse_seeds};
 use std::path::{Path, PathBuf};
 use table::Table;
+
+/// Number of generated pairs unless `--seeds` is given.
+const SEEDS_DEFAULT: u64 = 400;
 
 struct Args {
     pairs: PathBuf,
@@ -28,13 +38,17 @@ struct Args {
     only: Option<Vec<String>>,
     json: Option<PathBuf>,
     results: Option<PathBuf>,
+    seeds: Seeds,
+    maps: Option<PathBuf>,
     check: bool,
 }
 
 fn args() -> Result<Args, String> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
     let (pairs, logs) = (data.join("merge-pairs"), data.join("lidar"));
-    let mut args = Args { pairs, logs, only: None, json: None, results: None, check: false };
+    let seeds = Seeds { range: 0..SEEDS_DEFAULT, step: 1 };
+    let mut args =
+        Args { pairs, logs, only: None, json: None, results: None, seeds, maps: None, check: false };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
         let mut value = || given.next().ok_or(format!("{name} needs a value"));
@@ -44,12 +58,14 @@ fn args() -> Result<Args, String> {
             "--only" => args.only = Some(value()?.split(',').map(str::to_owned).collect()),
             "--json" => args.json = Some(value()?.into()),
             "--results" => args.results = Some(value()?.into()),
+            "--seeds" => args.seeds = parse_seeds(&value()?)?,
+            "--maps" => args.maps = Some(value()?.into()),
             "--check" => args.check = true,
             // cargo bench passes this to every bench.
             "--bench" => {}
             other => {
                 return Err(format!(
-                    "{other}: expected --pairs, --logs, --only, --json, --results or --check"
+                    "{other}: expected --pairs, --logs, --seeds, --maps, --only, --json, --results or --check"
                 ));
             }
         }
@@ -61,6 +77,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args = args()?;
     let wanted = |part: &str| args.only.as_ref().is_none_or(|only| only.iter().any(|name| name == part));
     let mut table = Table::default();
+    if args.logs.as_os_str() == "generated" {
+        return run_generated(table, &args);
+    }
     if wanted("speed") {
         speed::rows(&mut table);
     }
@@ -88,6 +107,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             return Err(absent.into());
         }
         println!("{absent}");
+    }
+    if args.check && !table.met() { Err("a limit is missed".into()) } else { Ok(()) }
+}
+
+/// Prints the pairs drawn from seeds; the JSON file gets the table and every pair.
+fn run_generated(mut table: Table, args: &Args) -> Result<(), Box<dyn std::error::Error>> {
+    if let Some(folder) = &args.maps {
+        std::fs::create_dir_all(folder)?;
+    }
+    let pairs = generated::rows(&mut table, &args.seeds, args.maps.as_deref())?;
+    if let Some(path) = &args.json {
+        let mut json = table.json();
+        json["pairs"] = pairs.into();
+        std::fs::write(path, serde_json::to_string(&json)?)?;
     }
     if args.check && !table.met() { Err("a limit is missed".into()) } else { Ok(()) }
 }

@@ -19,12 +19,15 @@
 
 mod drive;
 mod generated;
+mod noise;
 mod relations;
 mod relocalize;
+mod seeds;
 mod table;
 mod varied;
 
 use drive::{Outcome, Task};
+use seeds::Seeds;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use varied::{VARIATIONS, Varied};
@@ -75,7 +78,7 @@ struct Args {
     json: Option<PathBuf>,
     logs: Option<Vec<String>>,
     maps: Option<PathBuf>,
-    seeds: generated::Seeds,
+    seeds: Seeds,
     check: bool,
 }
 
@@ -86,7 +89,7 @@ fn args() -> Result<Args, String> {
         json: None,
         logs: None,
         maps: None,
-        seeds: generated::Seeds { range: 0..SEEDS_DEFAULT, step: 1 },
+        seeds: Seeds { range: 0..SEEDS_DEFAULT, step: 1 },
         check: false,
     };
     let mut given = std::env::args().skip(1);
@@ -97,7 +100,7 @@ fn args() -> Result<Args, String> {
             "--json" => args.json = Some(value()?.into()),
             "--logs" => args.logs = Some(value()?.split(',').map(str::to_owned).collect()),
             "--maps" => args.maps = Some(value()?.into()),
-            "--seeds" => args.seeds = generated::parse_seeds(&value()?)?,
+            "--seeds" => args.seeds = seeds::parse_seeds(&value()?)?,
             "--check" => args.check = true,
             // cargo bench says this to every bench.
             "--bench" => {}

@@ -1,10 +1,9 @@
 //! The logs as other robots would have made them: a narrower or sparser LiDAR, one that sees less
 //! far or less exactly, worse wheels, a start elsewhere. Scored with the same relations.
 
-use core::f64::consts::TAU;
+use crate::noise::Noise;
 use formats::carmen::LaserLine;
 use msg::{Pose2, pose::wrap_angle};
-use nav::RandomNumbers;
 use serde::{Deserialize, Serialize};
 
 /// Where the noise begins: the same for every run.
@@ -114,35 +113,5 @@ impl Maker {
         let aside = rad_per_m * way * self.noise.normal() + rad_per_rad * turn * self.noise.normal();
         let yaw_rad = wrap_angle(moved.yaw_rad + varied.drift_rad_per_m * way + aside);
         Pose2::new(stretch * moved.x_m, stretch * moved.y_m, yaw_rad)
-    }
-}
-
-/// Noise of a seed.
-pub struct Noise(RandomNumbers);
-
-impl Noise {
-    /// Starts the noise of a seed.
-    pub fn new(seed: u64) -> Self {
-        Self(RandomNumbers::new(seed))
-    }
-
-    /// Uniform between two values.
-    pub fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.uniform()
-    }
-
-    /// An index below a count.
-    pub fn below(&mut self, count: usize) -> usize {
-        self.0.index_below(count)
-    }
-
-    /// Uniform in (0, 1].
-    pub fn uniform(&mut self) -> f64 {
-        ((self.0.next_u64() >> 11) + 1) as f64 / (1_u64 << 53) as f64
-    }
-
-    /// Of standard deviation 1 (Box and Muller 1958).
-    pub fn normal(&mut self) -> f64 {
-        (-2.0 * self.uniform().ln()).sqrt() * (TAU * self.uniform()).cos()
     }
 }

@@ -77,6 +77,14 @@ impl MapFileError {
 ///
 /// Each file appears whole or not at all. The YAML is written last, so that it never names a missing image.
 pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
+    write_doubted_map(stem, grid, &[])
+}
+
+/// Writes a map as [`write_map`] does, with the reasons why it is unreliable.
+///
+/// They are the list `unreliable` of the YAML, which map_server ignores, and the text `Unreliable` of the PNG. A map without
+/// reasons has neither.
+pub fn write_doubted_map(stem: &Path, grid: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError> {
     let [pgm, yaml, png] = ["pgm", "yaml", "png"].map(|extension| with_extension(stem, extension));
     let name = pgm.file_name().and_then(|name| name.to_str());
     let Some(name) = name.filter(|name| !name.contains(['"', '\\', '\n', '\r'])) else {
@@ -99,8 +107,8 @@ pub fn write_map(stem: &Path, grid: GridView<'_>) -> Result<(), MapFileError> {
         write!(file, "P5\n{width} {height}\n255\n")?;
         file.write_all(&greys)
     })?;
-    write_whole(&png, |file| picture::encode(file, width, height, png::ColorType::Grayscale, &greys))?;
-    write_whole(&yaml, |file| file.write_all(describe(name, grid.header).as_bytes()))
+    write_whole(&png, |file| picture::encode_doubted(file, width, height, &greys, reasons))?;
+    write_whole(&yaml, |file| file.write_all(describe(name, grid.header, reasons).as_bytes()))
 }
 
 /// Reads a map by its YAML file. The image is a PGM (P5 or P2) or a PNG, named relative to the YAML's folder or
@@ -242,11 +250,14 @@ fn cell_of_probability(p: f64) -> i8 {
     steps.clamp(-f64::from(LOADED_LOG_ODDS), f64::from(LOADED_LOG_ODDS)).round() as i8
 }
 
-fn describe(image: &str, header: &GridHeader) -> String {
+fn describe(image: &str, header: &GridHeader, reasons: &[&str]) -> String {
     let Pose2 { x_m, y_m, yaw_rad } = header.origin;
+    let quoted: Vec<String> = reasons.iter().map(|reason| format!("{reason:?}")).collect();
+    let unreliable =
+        if quoted.is_empty() { String::new() } else { format!("unreliable: [{}]\n", quoted.join(", ")) };
     format!(
         "image: \"{image}\"\nmode: trinary\nresolution: {:?}\norigin: [{x_m:?}, {y_m:?}, {yaw_rad:?}]\n\
-         negate: 0\noccupied_thresh: {OCCUPIED_THRESH}\nfree_thresh: {FREE_THRESH}\n",
+         negate: 0\noccupied_thresh: {OCCUPIED_THRESH}\nfree_thresh: {FREE_THRESH}\n{unreliable}",
         header.resolution_m
     )
 }

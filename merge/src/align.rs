@@ -11,6 +11,7 @@
 mod distance_field;
 mod fft2;
 mod null;
+mod objects;
 mod points;
 mod refine;
 mod spectrum;
@@ -27,6 +28,7 @@ use crate::config::{AlignConfig, WallConfig};
 use crate::limits::{RESOLUTION_M, is_plausible};
 use msg::grid_agreement::{GridAgreement, compare_grids};
 use msg::{GridView, Pose2, pose::wrap_angle};
+use objects::{ObjectMatch, match_objects};
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
 use serde::{Deserialize, Serialize};
 use translation::{COARSE_CELL_M, CoarseCandidate, TranslationSearch};
@@ -76,6 +78,10 @@ pub struct Alignment {
     pub overlap_share: f64,
     /// Share of walls that lie on the other map's floor, 0 to 1.
     pub conflict: f64,
+    /// The same where long walls that match do not count: rooms of one size share those, 0 to 1.
+    pub object_conflict: f64,
+    /// Length of short walls that match, of both maps together, metres.
+    pub objects_m: f64,
     /// Mean distance of matched walls, metres.
     pub residual_m: f64,
     /// Score (matched walls less contradicted ones) over that of the best other place, or over that of 2.5 m of wall if no other
@@ -142,7 +148,42 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let margin = best.score() / others.map(WallMatch::score).fold(rival_score_min(fields), f64::max);
     let a_from_b =
         field_a.points.frame_from_centred * best.a_from_b * field_b.points.frame_from_centred.inverse();
-    Some(judge([a, b], a_from_b, &best, margin, config))
+    Some(judge([a, b], a_from_b, &best, &match_objects(fields, best.a_from_b), margin, config))
+}
+
+/// Refines a transform that is roughly known, and computes the evidence for it.
+///
+/// `accepted` leaves out the margin, which is 0: no other place is looked at. `None` if a map is malformed or has no walls.
+pub fn align_near(
+    a: GridView<'_>,
+    b: GridView<'_>,
+    a_from_b: Pose2,
+    config: &AlignConfig,
+) -> Option<Alignment> {
+    if !is_usable(a) || !is_usable(b) {
+        return None;
+    }
+    let points = [a, b].map(|map| MapPoints::from_grid(map, COARSE_CELL_M));
+    if points.iter().any(|map| map.walls_m.is_empty()) {
+        return None;
+    }
+    let [from_a, from_b] = points.each_ref().map(|points| points.frame_from_centred);
+    let [points_a, points_b] = points;
+    let fields =
+        [DistanceField::new(points_a, a, &config.walls), DistanceField::new(points_b, b, &config.walls)];
+    let fields = [&fields[0], &fields[1]];
+    let strides = strides(fields, FINE_POINTS);
+    let refined = refine(fields, from_a.inverse() * a_from_b * from_b, strides, COARSE_KERNELS_M);
+    let matched = match_walls(fields, refined, strides);
+    let config = AlignConfig { margin_min: 0.0, ..config.clone() };
+    Some(judge(
+        [a, b],
+        from_a * refined * from_b.inverse(),
+        &matched,
+        &match_objects(fields, matched.a_from_b),
+        0.0,
+        &config,
+    ))
 }
 
 /// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
@@ -162,7 +203,7 @@ pub(crate) fn evaluate(
     let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
     let matched = match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS));
     let config = AlignConfig { margin_min: 0.0, ..config.clone() };
-    Some(judge([a, b], a_from_b, &matched, 0.0, &config))
+    Some(judge([a, b], a_from_b, &matched, &match_objects(fields, matched.a_from_b), 0.0, &config))
 }
 
 /// Returns the number of wall points of a length of walls.
@@ -248,6 +289,7 @@ fn judge(
     [a, b]: [GridView<'_>; 2],
     a_from_b: Pose2,
     walls: &WallMatch,
+    objects: &ObjectMatch,
     margin: f64,
     config: &AlignConfig,
 ) -> Alignment {
@@ -273,6 +315,8 @@ fn judge(
         overlap_m2,
         overlap_share,
         conflict: walls.conflict(),
+        object_conflict: objects.conflict(),
+        objects_m: objects.matched_m,
         residual_m: walls.residual_m,
         margin,
         observability: walls.observability,

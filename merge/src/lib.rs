@@ -24,7 +24,7 @@ mod resample;
 mod robot_map;
 mod swept_path;
 
-pub use align::{Alignment, align};
+pub use align::{Alignment, align, align_near};
 pub use config::{AlignConfig, CheckConfig, ClosureConfig, InvalidMergeConfig, MergeConfig, WallConfig};
 pub use fleet_graph::{FleetPoseGraph, FleetSnapshot, Outcome, SnapshotRejected, SubmapRejected, Task};
 pub use merger::{MapRejected, Merger};

@@ -3,8 +3,9 @@
 use crate::{Header, Pose2, ProcessHealth, ROBOTS_MAX};
 use bytemuck::{Pod, Zeroable};
 
-/// Largest number of processes of a fleet: two per robot, merge, telemetry and bridge.
-pub const PROCESSES_MAX: usize = 2 * ROBOTS_MAX + 3;
+/// Largest number of processes of a fleet: two for each robot, and those of the fleet: merge, telemetry, bridge, recorder
+/// and navigation today.
+pub const PROCESSES_MAX: usize = 2 * ROBOTS_MAX + 8;
 
 /// Percentiles of a measured quantity. With `count` 0, nothing was measured and all fields are zero.
 #[repr(C)]

@@ -29,6 +29,21 @@ impl Page {
         ))
     }
 
+    /// Begins a part of a page, which [`Page::add_part`] adds to one.
+    pub fn part() -> Self {
+        Self(String::new())
+    }
+
+    /// Adds a part, which [`Page::into_part`] returned.
+    pub fn add_part(&mut self, part: &str) {
+        self.0 += part;
+    }
+
+    /// Returns what was added since [`Page::part`].
+    pub fn into_part(self) -> String {
+        self.0
+    }
+
     /// Adds a heading.
     pub fn heading(&mut self, text: &str) {
         // Writing to a string cannot fail.

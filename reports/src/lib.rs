@@ -12,7 +12,7 @@ mod view;
 pub use bridge_state::BridgeState;
 pub use html::{Page, Row};
 pub use map_picture::{Trail, map_picture};
-pub use plots::{Group, Line, line_plot, quantile_plot};
+pub use plots::{Group, Line, line_plot, plot_over, quantile_plot};
 pub use series::{RobotSeries, Series};
 pub use view::{
     ClosureView, DistributionView, EdgeView, Emphasis, FleetView, MapView, ProcessView, RobotView, SlamView,

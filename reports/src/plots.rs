@@ -43,10 +43,15 @@ fn no_data(what: &str) -> String {
 
 /// Plots lines over time as SVG; `y` is the quantity with its unit. Says so if there is no data.
 pub fn line_plot(title: &str, y: &str, lines: &[Line]) -> String {
+    plot_over(title, ("time, s", y), lines)
+}
+
+/// Plots lines as SVG; `axes` are the quantities with their units. Says so if there is no data.
+pub fn plot_over(title: &str, axes: (&str, &str), lines: &[Line]) -> String {
     let values = || lines.iter().flat_map(|line| &line.points).filter_map(|(x, y)| Some((*x, (*y)?)));
     let Some(ranges) = ranges(values()) else { return no_data(title) };
     let mut svg = String::new();
-    match draw_lines(&mut svg, (title, "time, s", y), lines, ranges) {
+    match draw_lines(&mut svg, (title, axes.0, axes.1), lines, ranges) {
         Ok(()) => svg,
         Err(why) => format!("<p class=\"nodata\">{title}: cannot be drawn: {why}</p>"),
     }

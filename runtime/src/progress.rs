@@ -41,7 +41,7 @@ pub struct Entry {
     pub thread: u32,
 }
 
-/// All counters of a fleet, as the launcher reads them.
+/// All counters of a fleet, as the launcher reads them, or whoever looks at a running fleet.
 pub struct ProgressBoard {
     file: File,
     bytes: Vec<u8>,
@@ -57,6 +57,12 @@ impl ProgressBoard {
         file.write_all_at(&bytes, 0)?;
         flock(&file, FlockOperation::NonBlockingLockExclusive)?;
         Ok(Self { file, bytes })
+    }
+
+    /// Opens the file of a running fleet of `processes` processes, to look at it.
+    pub fn open(domain: &Domain, processes: usize) -> io::Result<Self> {
+        let file = File::open(domain.progress_file())?;
+        Ok(Self { file, bytes: vec![0; processes * WatchedThread::COUNT * ENTRY_BYTES] })
     }
 
     /// Reads all counters.

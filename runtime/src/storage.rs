@@ -20,8 +20,8 @@ pub trait Storage: Clone + 'static {
     /// Writes bytes at a place in a file, and cuts off what follows. The file must reach to that place; at 0 it is made,
     /// with its folder. The bytes outlive the process, but not a power cut.
     fn append(&self, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()>;
-    /// Writes a map as PGM with YAML, and as PNG.
-    fn write_map(&self, stem: &Path, map: GridView<'_>) -> Result<(), MapFileError>;
+    /// Writes a map as PGM with YAML, and as PNG, with the reasons why it is unreliable.
+    fn write_map(&self, stem: &Path, map: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError>;
     /// Reads a map from its YAML file.
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError>;
 }
@@ -71,10 +71,10 @@ impl Storage for DiskStorage {
         file.write_all(bytes)
     }
 
-    fn write_map(&self, stem: &Path, map: GridView<'_>) -> Result<(), MapFileError> {
+    fn write_map(&self, stem: &Path, map: GridView<'_>, reasons: &[&str]) -> Result<(), MapFileError> {
         // If this fails, writing the file reports the reason.
         let _ = create_folder_of(stem);
-        map_file::write_map(stem, map)
+        map_file::write_doubted_map(stem, map, reasons)
     }
 
     fn read_map(&self, path: &Path) -> Result<Grid, MapFileError> {

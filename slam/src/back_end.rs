@@ -19,6 +19,7 @@ mod robot_location;
 mod state;
 mod undo;
 
+pub use doubts::DoubtMonitor;
 pub use loop_closer::RejectedClosure;
 pub use modes::InitialPose;
 pub use state::BackEndState;
@@ -32,7 +33,6 @@ use crate::mapper::OccupancyMapper;
 use crate::node::{Node, Revision};
 use crate::relocalize::RelocalizationCounts;
 use crate::stages::{Stage, StageObserver};
-use doubts::DoubtMonitor;
 use lifelong::Lifelong;
 use loop_closer::LoopCloser;
 use msg::{GridView, Header, Monotonic, Pose2, TileMap};

@@ -35,7 +35,7 @@ const STRETCH_SIGMAS_MAX: f64 = 4.5;
 const UNMEASURED_MAX_S: f32 = 4.0;
 
 /// How well a scan and others from another pass agree about walls.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WallAgreement {
     /// Points that lie on a surface of the other scan.
     pub agree: u32,

@@ -30,8 +30,6 @@ pub struct Node {
     #[serde(skip)]
     pub disconnected_component: Option<u32>,
     /// Time since the node before in which neither odometry nor scans measured the motion, seconds.
-    /// A session does not keep it.
-    #[serde(skip)]
     pub unmeasured_s: f32,
     /// Surface points, for matching.
     #[serde(with = "crate::encoding::shared")]

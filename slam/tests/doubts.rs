@@ -3,8 +3,9 @@
 mod common;
 
 use common::{FULL, Noise, Robot, Wall, cast, rectangle};
-use msg::{Pose2, TrackingState};
-use slam::{Slam, SlamConfig};
+use msg::{Pose2, SlamMode, TrackingState};
+use slam::session::{Identity, Session};
+use slam::{InitialPose, Slam, SlamConfig};
 
 /// A corridor of 28 m whose ends are out of sight for most of the way, and a room at either end.
 fn corridor() -> Vec<Wall> {
@@ -46,6 +47,14 @@ fn a_corridor_without_odometry_is_no_map_to_rely_on() {
         matches!(state, TrackingState::Unreliable | TrackingState::Degenerate | TrackingState::Lost),
         "{state:?}"
     );
+    // A session keeps them: who loads it is told.
+    let back = slam.back();
+    let identity = Identity::new(1, 0, back.config());
+    let bytes = back.session(identity, None, &[]).encode();
+    let session = Session::decode(&bytes, &identity).unwrap();
+    let (_, loaded) =
+        slam::begin(back.config().clone(), Some(session), SlamMode::Mapping, InitialPose::Unknown);
+    assert_eq!(loaded.doubts(), doubts);
     let (slam, _) = drive(true);
     assert!(!slam.back().doubts().is_unreliable(), "{:?}", slam.back().doubts());
 }

@@ -1,5 +1,7 @@
 //! Tool `mr-slam experiment`, which repeats the evaluation of the paper: sessions, a table with means, a report.
 
+pub mod link;
+mod session;
 mod summary;
 
 use super::demo::OperatorProcess;
@@ -9,9 +11,11 @@ use super::{Error, output};
 use crate::config::FleetConfig;
 use crate::lockstep::Lockstep;
 use crate::stop::Stop;
+use link::LinkChoice;
 use msg::{MapTransforms, RobotId, VelocityCommand};
 use reports::FleetView;
 use reports::Series;
+use session::{Session, Settings};
 use sim::Simulator;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -19,6 +23,9 @@ use std::time::Duration;
 
 /// Ticks of the simulators in a second.
 const TICKS_PER_S: u32 = (1_000_000_000 / Simulator::TICK.as_nanos()) as u32;
+
+/// How often a session is begun before the next one's turn.
+const ATTEMPTS: u32 = 2;
 
 /// Run the paper's evaluation: sessions with a scripted operator, and a report with means and deviations
 #[derive(Clone, Debug, clap::Args)]
@@ -44,10 +51,13 @@ pub struct ExperimentArgs {
     /// Duration of a session, seconds
     #[arg(long, value_name = "S", default_value_t = 540, value_parser = clap::value_parser!(u32).range(1..=86_400))]
     pub seconds: u32,
+    /// Link between the operator and the fleet, through a proxy that delays, stalls and interrupts
+    #[arg(long, value_name = "LINK", value_enum, default_value_t, conflicts_with = "fast")]
+    pub link: LinkChoice,
     /// Virtual time: as fast as the machine can, without figures of time such as jitter
     #[arg(long)]
     pub fast: bool,
-    /// Folder of the results, which must be new [default: runs/TIME-experiment]
+    /// Folder of the results; sessions that it has already are not run again [default: runs/TIME-experiment]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print the figures as JSON
@@ -68,7 +78,10 @@ impl ExperimentArgs {
     }
 }
 
-/// Runs all sessions, and writes report.html, experiment.json and sessions.csv.
+/// Runs the sessions that the folder has not yet, and writes report.html, experiment.json and sessions.csv after each.
+///
+/// # Errors
+/// A session failed twice, the folder has sessions with other settings, or the results cannot be written.
 pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
     let config = args.fleet().config()?;
     if config.world.is_outside() {
@@ -78,32 +91,74 @@ pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
         .out
         .clone()
         .unwrap_or_else(|| PathBuf::from("runs").join(format!("{}-experiment", up::folder_name_now())));
-    if out.join("report.html").exists() {
-        return Err(
-            format!("{}: has a report already; choose another folder with --out", out.display()).into()
-        );
+    if out.join("run.json").exists() {
+        return Err(format!("{}: has a run; choose another folder with --out", out.display()).into());
     }
     std::fs::create_dir_all(&out)?;
-    let mut reports = Vec::new();
-    for session in 0..args.sessions {
-        if stop.requested() {
-            break;
-        }
+    let (mut sessions, mut failed) = (Vec::new(), Vec::new());
+    let first = config.fleet.seed;
+    for number in 1..=args.sessions {
         let mut config = config.clone();
-        config.fleet.seed = config.fleet.seed.wrapping_add(session.into());
-        let folder = out.join(format!("session_{}", session + 1));
-        output::note(&format!("session {} of {}: seed {}", session + 1, args.sessions, config.fleet.seed));
-        let report = if args.fast {
-            run_in_lockstep(&config, args.seconds, &folder, stop)?
-        } else {
-            run_live(args, config.fleet.seed, folder, stop)?
-        };
-        reports.push(report);
+        config.fleet.seed = first.wrapping_add(u64::from(number - 1));
+        let Some(session) = run_session(args, number, &config, &out, stop, &mut failed)? else { continue };
+        sessions.push(session);
+        summary::Results::new(args, &sessions).write(&out, &sessions)?;
     }
-    let results = summary::Results::new(args, &reports);
-    results.write(&out, &reports)?;
+    let results = summary::Results::new(args, &sessions);
+    results.write(&out, &sessions)?;
     output::note(&format!("{}", out.join("report.html").display()));
-    Ok(output::print_either(args.json, &results, || results.text())?)
+    output::print_either(args.json, &results, || results.text())?;
+    let missing = args.sessions as usize - sessions.len();
+    if missing == 0 {
+        return Ok(());
+    }
+    failed.insert(0, format!("{missing} of {} sessions are missing", args.sessions));
+    Err(format!("{}; the same command with --out {} runs them", failed.join("; "), out.display()).into())
+}
+
+/// Returns a session: the folder's, or one that is run now. `None`: it failed [`ATTEMPTS`] times, or was interrupted.
+fn run_session(
+    args: &ExperimentArgs,
+    number: u32,
+    config: &FleetConfig,
+    out: &Path,
+    stop: &Stop,
+    failed: &mut Vec<String>,
+) -> Result<Option<Session>, Error> {
+    let folder = out.join(format!("session_{number}"));
+    let of = args.sessions;
+    for attempt in 1..=ATTEMPTS {
+        if let Some(session) = Session::read(&folder, number, &Settings::new(args, config))? {
+            output::note(&format!("session {number} of {of}: is there already"));
+            return Ok(Some(session));
+        }
+        if stop.requested() {
+            return Ok(None);
+        }
+        session::set_aside(&folder)?;
+        let seed = config.fleet.seed;
+        let left_min = f64::from((of - number + 1) * args.seconds) / 60.0;
+        let left =
+            if args.fast { String::new() } else { format!(", {left_min:.0} min to the end of the last") };
+        output::note(&format!("session {number} of {of}: seed {seed}{left}"));
+        let report = if args.fast {
+            run_in_lockstep(config, args.seconds, &folder, stop)
+        } else {
+            run_live(args, seed, folder.clone(), stop)
+        };
+        match report {
+            Ok(_) if stop.requested() => return Ok(None),
+            Ok(report) if report.fleet.is_some() => {
+                let session = Session::new(number, Settings::new(args, config), &report);
+                session.write(&folder)?;
+                return Ok(Some(session));
+            }
+            Ok(_) => failed.push(format!("session {number}, attempt {attempt}: telemetry sent no figures")),
+            Err(why) => failed.push(format!("session {number}, attempt {attempt}: {why}")),
+        }
+        output::note(failed.last().map_or("", String::as_str));
+    }
+    Ok(None)
 }
 
 /// Runs a session in real time, as `mr-slam demo` does.
@@ -116,7 +171,8 @@ fn run_live(args: &ExperimentArgs, seed: u64, folder: PathBuf, stop: &Stop) -> R
         run_dir: Some(folder),
         ..UpArgs::default()
     };
-    Ok(up::run(&session, &mut OperatorProcess::new(seconds), stop)?)
+    let mut operator = OperatorProcess::new(seconds).behind(args.link.link());
+    Ok(up::run(&session, &mut operator, stop)?)
 }
 
 /// What is seen of the messages of a fleet in lockstep.

@@ -66,7 +66,7 @@ impl Storage for MemoryStorage {
         Ok(())
     }
 
-    fn write_map(&self, _: &Path, _: GridView<'_>) -> Result<(), MapFileError> {
+    fn write_map(&self, _: &Path, _: GridView<'_>, _: &[&str]) -> Result<(), MapFileError> {
         // Nobody reads pictures in lockstep.
         Ok(())
     }

@@ -38,7 +38,6 @@ impl ProcessTable {
             Role::Merge => Some(2 * self.robot_count),
             Role::Telemetry => Some(2 * self.robot_count + 1),
             Role::Bridge => Some(2 * self.robot_count + 2),
-            // Beyond the table in a fleet of the largest size.
             Role::Record => Some(2 * self.robot_count + 3),
             Role::Nav => Some(2 * self.robot_count + 4),
         }
@@ -61,15 +60,30 @@ mod tests {
     use super::*;
     use msg::Header;
 
-    #[test]
-    fn counts_restarts_of_each_process() {
-        let mut processes = ProcessTable::new(2);
-        let health_of = |role: Role, robot, run| ProcessHealth {
+    fn health_of(role: Role, robot: u32, run: u64) -> ProcessHealth {
+        ProcessHealth {
             header: Header { incarnation: run, ..Default::default() },
             role: role as u32,
             robot,
             ..Default::default()
-        };
+        }
+    }
+
+    #[test]
+    fn the_largest_fleet_has_a_row_for_every_process() {
+        let mut processes = ProcessTable::new(ROBOTS_MAX);
+        for role in Role::ALL {
+            processes.receive(&health_of(role, ROBOTS_MAX as u32, 1), Monotonic(0));
+        }
+        let roles = processes.health(Monotonic(0)).map(|process| process.health.role);
+        for role in Role::ALL {
+            assert!(roles.contains(&(role as u32)), "{role:?} has no row in a fleet of {ROBOTS_MAX}");
+        }
+    }
+
+    #[test]
+    fn counts_restarts_of_each_process() {
+        let mut processes = ProcessTable::new(2);
         for run in [7, 7, 8, 9, 9] {
             processes.receive(&health_of(Role::Slam, 2, run), Monotonic(1_000_000_000));
         }

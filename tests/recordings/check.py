@@ -2,6 +2,7 @@
 a recorder that was killed. usage: check.py MR_SLAM OUT"""
 import collections, json, os, pathlib, shutil, signal, socket, struct, subprocess, sys, threading, time
 
+import attached
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
@@ -183,6 +184,7 @@ def main():
     check("what the killed recorder wrote can be read", times > SECONDS / 2 - 2.5, f"{times:.1f} s; {broken}")
     second, broken = raw_messages(killed / "recording/recording_1.mcap")
     check("its replacement records on in another file", broken is None and len(second["/clock"]) > 100)
+    attached.check_all(PROGRAM, FOLDER, check, raw_messages, wait_for)
     lines = sum(topic["messages"] for topic in told["topics"])
     print(f"{'failed: ' + ', '.join(failures) if failures else f'all checked, {lines} messages'}")
     return 1 if failures else 0

@@ -1,6 +1,6 @@
 //! Buildings drawn from a seed: walls as segments, and a route that touches none of them.
 
-use crate::varied::Noise;
+use crate::noise::Noise;
 
 /// Half the width of a door, metres.
 const DOOR_HALF_M: f64 = 0.6;
@@ -71,17 +71,22 @@ pub struct Wall {
 }
 
 /// A building and a route through it.
+#[derive(Clone)]
 pub struct Building {
     /// The walls.
     pub walls: Vec<Wall>,
     /// Corners of the route, metres; it is driven from the first to the last.
     pub route: Vec<Point>,
+    /// Rooms that furniture stands in: lower left and upper right corners, metres.
+    pub rooms: Vec<[Point; 2]>,
+    /// Number of walls before the first of the furniture in rooms.
+    pub fixed_walls: usize,
 }
 
 impl Building {
     /// Draws a building of this kind.
     pub fn draw(kind: Kind, noise: &mut Noise) -> Self {
-        let mut building = Self { walls: Vec::new(), route: Vec::new() };
+        let mut building = Self { walls: Vec::new(), route: Vec::new(), rooms: Vec::new(), fixed_walls: 0 };
         match kind {
             Kind::Office => building.add_office(noise),
             Kind::EqualBays => building.add_equal_bays(noise),
@@ -92,6 +97,9 @@ impl Building {
             Kind::Warehouse => building.add_warehouse(noise),
             Kind::Campus => building.add_campus(noise),
         }
+        if building.rooms.is_empty() {
+            building.fixed_walls = building.walls.len();
+        }
         building
     }
 
@@ -99,7 +107,8 @@ impl Building {
         self.walls.push(Wall { from, to, is_glass: false });
     }
 
-    fn add_box(&mut self, low: Point, high: Point) {
+    /// Adds the four walls of a rectangle.
+    pub fn add_box(&mut self, low: Point, high: Point) {
         let corners = [low, [high[0], low[1]], high, [low[0], high[1]]];
         (0..4).for_each(|index| self.add_wall(corners[index], corners[(index + 1) % 4]));
     }
@@ -119,8 +128,16 @@ impl Building {
         self.add_wall(at(begin_m), to);
     }
 
+    /// Tries to put so many pieces of furniture into each room.
+    pub fn furnish(&mut self, pieces: usize, noise: &mut Noise) {
+        self.fixed_walls = self.walls.len();
+        for [low, high] in self.rooms.clone() {
+            self.add_furniture(low, high, pieces, noise);
+        }
+    }
+
     /// Adds boxes at random places within a rectangle, but not near the route.
-    fn add_furniture(&mut self, low: Point, high: Point, count: usize, noise: &mut Noise) {
+    pub fn add_furniture(&mut self, low: Point, high: Point, count: usize, noise: &mut Noise) {
         for _ in 0..count {
             let size = [noise.between(0.3, 1.2), noise.between(0.3, 1.2)];
             let place =
@@ -140,7 +157,6 @@ impl Building {
         let (length_m, half_m) = (noise.between(18.0, 45.0), noise.between(0.9, 1.3));
         let mut route = vec![[1.0, 0.0]];
         let mut visits: Vec<(f64, f64, f64)> = Vec::new();
-        let mut rooms = Vec::new();
         for side in [-1.0, 1.0] {
             let depth_m = noise.between(3.5, 6.0);
             let (mut x_m, mut doors) = (0.0, Vec::new());
@@ -152,7 +168,7 @@ impl Building {
                 self.add_wall([x_m, near], [x_m, far]);
                 self.add_wall([x_m, far], [x_m + width_m, far]);
                 self.add_wall([x_m + width_m, near], [x_m + width_m, far]);
-                rooms.push(([x_m, near.min(far)], [x_m + width_m, near.max(far)]));
+                self.rooms.push([[x_m, near.min(far)], [x_m + width_m, near.max(far)]]);
                 if noise.uniform() < 0.5 {
                     visits.push((door_m, side, depth_m * noise.between(0.4, 0.7)));
                 }
@@ -168,9 +184,7 @@ impl Building {
         }
         route.extend([[length_m - 1.0, 0.0], [1.0, 0.0]]);
         self.route = route;
-        for (low, high) in rooms {
-            self.add_furniture(low, high, 3, noise);
-        }
+        self.furnish(3, noise);
     }
 
     fn add_equal_bays(&mut self, noise: &mut Noise) {
@@ -265,10 +279,10 @@ impl Building {
         self.route.extend((0..last).rev().map(|column| centre(column, 0)));
         for column in 0..rooms[0] {
             for row in 0..rooms[1] {
-                let (low, high) = ([xs[column], ys[row]], [xs[column + 1], ys[row + 1]]);
-                self.add_furniture(low, high, furniture, noise);
+                self.rooms.push([[xs[column], ys[row]], [xs[column + 1], ys[row + 1]]]);
             }
         }
+        self.furnish(furniture, noise);
     }
 
     fn add_warehouse(&mut self, noise: &mut Noise) {

@@ -1,7 +1,7 @@
 //! A robot drawn from a seed: its LiDAR, its odometry, how often it scans, and what happens to it on the way.
 
 use super::building::{Building, Point, Wall, distance};
-use crate::varied::Noise;
+use crate::noise::Noise;
 use core::f64::consts::TAU;
 use msg::{Pose2, pose::wrap_angle};
 

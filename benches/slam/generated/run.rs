@@ -4,7 +4,7 @@ use super::building::{Building, Kind};
 use super::picture;
 use super::robot::{Event, OdometryKind, Robot, SENSORS, Sensor, Step, angles_rad, drive};
 use super::walls::share_in_map;
-use crate::varied::Noise;
+use crate::noise::Noise;
 use mr_slam::config::recorded_log_slam;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};

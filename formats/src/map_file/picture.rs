@@ -119,6 +119,28 @@ pub(super) fn encode(
     encoder.set_color(colours);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::Fast);
+    write_samples(encoder, samples)
+}
+
+/// Encodes a grey PNG with the reasons why its map is unreliable, if there are any, as text `Unreliable`.
+pub(super) fn encode_doubted(
+    file: impl Write,
+    width: u32,
+    height: u32,
+    greys: &[u8],
+    reasons: &[&str],
+) -> std::io::Result<()> {
+    let mut encoder = png::Encoder::new(file, width, height);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    if !reasons.is_empty() {
+        encoder.add_text_chunk("Unreliable".to_owned(), reasons.join("; "))?;
+    }
+    write_samples(encoder, greys)
+}
+
+fn write_samples<W: Write>(encoder: png::Encoder<'_, W>, samples: &[u8]) -> std::io::Result<()> {
     let mut writer = encoder.write_header()?;
     writer.write_image_data(samples)?;
     writer.finish()?;

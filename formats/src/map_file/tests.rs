@@ -114,6 +114,25 @@ fn a_dot_in_the_stem_is_kept_and_nothing_else_is_left() {
 }
 
 #[test]
+fn an_unreliable_map_says_why_and_is_read_as_any_other() {
+    let folder = folder();
+    let header = GridHeader { resolution_m: 0.05, width: 1, height: 1, ..Default::default() };
+    let grid = Grid { header, cells: vec![100] };
+    let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    write_map(&folder.path().join("good"), grid.view()).unwrap();
+    assert!(!String::from_utf8(read("good.yaml")).unwrap().contains("unreliable"));
+    let reasons = ["scans see through \"walls\"", "robot2: lost"];
+    write_doubted_map(&folder.path().join("bad"), grid.view(), &reasons).unwrap();
+    let yaml = String::from_utf8(read("bad.yaml")).unwrap();
+    assert!(yaml.contains("unreliable: [\"scans see through \\\"walls\\\"\", \"robot2: lost\"]\n"), "{yaml}");
+    let text = b"Unreliable\0scans see through \"walls\"; robot2: lost";
+    assert!(read("bad.png").windows(text.len()).any(|bytes| bytes == text));
+    assert_eq!(read("bad.pgm"), read("good.pgm"));
+    let map = |name: &str| read_map(&folder.path().join(name)).unwrap();
+    assert_eq!(map("bad.yaml").cells, map("good.yaml").cells);
+}
+
+#[test]
 fn a_robot_is_drawn_where_it_is() {
     let header = GridHeader {
         origin: Pose2::new(-1.0, -1.0, 0.0),

@@ -218,7 +218,7 @@ static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
     name: "goal",
     content: "a goal of the robot, or a cancellation, pause or resumption, on demand",
     writers: &[Of(BRIDGE), Of(GotoTool)],
-    readers: &[Of(NAV)],
+    readers: &[Of(NAV), Of(RECORD), Of(RecordTool)],
     depth: 16,
     history: 1,
     writers_max: REQUEST_WRITERS_MAX,
@@ -236,7 +236,7 @@ static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
     content: "what navigation does with the robot and why, on change and 1 Hz while it has a goal",
     scope: Scope::Robot,
     writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE), Of(GotoTool)],
+    readers: &[Of(BRIDGE), Of(GotoTool), Of(RECORD), Of(RecordTool)],
     depth: 16,
     ..STATE
 });
@@ -245,7 +245,7 @@ static PLAN: TypedRow<NavigationPlan> = TypedRow::new(ChannelRow {
     content: "the robot's planned path, on change, at most 1 Hz",
     scope: Scope::Robot,
     writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE)],
+    readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     ..STATE
 });
 

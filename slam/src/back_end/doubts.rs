@@ -5,6 +5,7 @@ use super::BackEnd;
 use crate::map_doubts::{MapDoubts, OdometryStep, WallAgreement, contradicted_share, odometry_stretch};
 use crate::node::Node;
 use crate::stages::Stage;
+use serde::{Deserialize, Serialize};
 
 /// Older nodes that a node is compared with.
 const WITNESSES: usize = 4;
@@ -19,18 +20,19 @@ const RENEWED_NODES: usize = 1;
 /// Nodes after which what is known of the nodes is summed up.
 const SUMMARY_NODES: usize = 8;
 
-/// What is known of the doubts about the map.
-#[derive(Default)]
-pub(super) struct DoubtMonitor {
+/// What is known of the doubts about the map; part of a session.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DoubtMonitor {
     /// How the nodes agree with older ones of other passes, by id; `None` where there are none.
-    walls: Vec<Option<WallAgreement>>,
-    /// The next node to be compared anew.
-    cursor: usize,
+    pub walls: Vec<Option<WallAgreement>>,
+    /// The newest node that was compared anew.
+    pub cursor: usize,
     /// Components that were found farther away than the robot can have gone.
     pub distant_relocations: u32,
     /// Seconds in which nothing measured the motion.
     pub unmeasured_s: f32,
-    current: MapDoubts,
+    /// The evidence when it was summed up last.
+    pub current: MapDoubts,
 }
 
 impl DoubtMonitor {

@@ -54,6 +54,7 @@ impl BackEnd {
             (state.travelled_m, state.unsolved, state.rejected_closures);
         (back.solutions, back.loop_closer.retracted, back.lifelong.retired) =
             (state.solutions, state.retracted, state.retired);
+        back.doubts = state.doubts;
         back.count_closures();
         back.set_mode(mode);
         match start {

@@ -1,6 +1,6 @@
 //! State of the back end, kept in a session.
 
-use super::{BackEnd, RejectedClosure};
+use super::{BackEnd, DoubtMonitor, RejectedClosure};
 use crate::closure::ClosureDetectorState;
 use crate::graph::Edge;
 use crate::node::Node;
@@ -41,6 +41,8 @@ pub struct BackEndState {
     pub detector: ClosureDetectorState,
     /// Closures that were undone.
     pub rejected_closures: Vec<RejectedClosure>,
+    /// What is known of the doubts about the map.
+    pub doubts: DoubtMonitor,
 }
 
 impl BackEnd {
@@ -62,6 +64,7 @@ impl BackEnd {
             unverified_edge: self.unverified_edge,
             detector: self.loop_closer.detector.state(),
             rejected_closures: self.loop_closer.rejected_closures.clone(),
+            doubts: self.doubts.clone(),
         }
     }
 }

@@ -4,10 +4,11 @@
 
 use super::log::{LogPosition, LogRecord};
 use super::{Identity, Session, SessionError};
-use crate::back_end::BackEndState;
+use crate::back_end::{BackEndState, DoubtMonitor};
 use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
 use crate::graph::Edge;
+use crate::map_doubts::{MapDoubts, WallAgreement};
 use crate::node::{Node, Rays, SweptPath};
 use crate::relocalize::PoseEstimate;
 use msg::{BEAMS_MAX, Pose2};
@@ -43,6 +44,12 @@ const VARIANCE_MAX: f64 = 1e9;
 const SIGMA_MAX: f64 = 1e3;
 /// Longest path of a robot, metres.
 const TRAVELLED_M_MAX: f64 = 1e12;
+/// Most points of scans that are compared with those of one: no scan has as many, however many others there are.
+const COMPARED_POINTS_MAX: u32 = 10_000_000;
+/// Longest time in which nothing measured the motion, seconds: 30 years.
+const UNMEASURED_S_MAX: f32 = 1e9;
+/// Largest difference of a map from odometry, standard deviations: any coordinate over any of them.
+const STRETCH_SIGMAS_MAX: f64 = 1e12;
 /// Longest interval between two scans, seconds.
 const INTERVAL_S_MAX: f64 = 1e9;
 /// Largest counter: half of what it can hold, so that it can go on counting.
@@ -145,6 +152,7 @@ fn check_node(node: &Node) -> Result {
     check_points(misses, BEAM_M_MAX, "beam of a node")?;
     check_points(&[cloud_sensor, middle, *sensor], BEAM_M_MAX, "sensor of a node")?;
     check_swept_path(&node.swept_path, BEAM_M_MAX)?;
+    check((0.0..=UNMEASURED_S_MAX).contains(&node.unmeasured_s), "time without a measured motion")?;
     check_pose(node.local_from_base, "node's pose")?;
     check_poses(node.previous_from_this, "node's odometry")
 }
@@ -198,11 +206,29 @@ fn check_back_end(back: &BackEndState) -> Result {
         check(there, "rejected closure of a node that is not there")?;
         check_pose(rejected.a_from_b, "rejected closure")?;
     }
+    check_doubts(&back.doubts, nodes)?;
     check(back.unsolved as u64 <= COUNT_MAX, "number of unsolved nodes")?;
     let c = &detector.counts;
     let counts = [c.searches, c.no_response, c.ambiguous, c.contradicted, c.unconfirmed, c.accepted];
     let counts = counts.into_iter().chain([back.solutions, back.retracted, back.retired]);
     check_counters(counts)
+}
+
+fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
+    check_count(doubts.walls.len(), nodes, "nodes compared with others")?;
+    let points = |agreement: &WallAgreement| {
+        [agreement.agree, agreement.contradict].iter().all(|points| *points <= COMPARED_POINTS_MAX)
+    };
+    check(doubts.walls.iter().flatten().all(points), "number of compared points")?;
+    check(doubts.cursor <= nodes, "node compared anew")?;
+    check(doubts.distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
+    check((0.0..=UNMEASURED_S_MAX).contains(&doubts.unmeasured_s), "time without a measured motion")?;
+    let MapDoubts { contradicted_share, odometry_stretch, unmeasured_motion_s, distant_relocations } =
+        doubts.current;
+    check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
+    check((0.0..=STRETCH_SIGMAS_MAX).contains(&odometry_stretch), "difference from odometry")?;
+    check((0.0..=UNMEASURED_S_MAX).contains(&unmeasured_motion_s), "time without a measured motion")?;
+    check(distant_relocations <= NUMBER_MAX, "number of distant relocations")
 }
 
 fn check_counters(counts: impl IntoIterator<Item = u64>) -> Result {

@@ -1,11 +1,14 @@
 //! Figures of all sessions beside the paper's: mean, standard deviation, and each session's.
 
 use super::ExperimentArgs;
-use crate::command::up::{Paper, Report, add_plots};
+use super::link::LinkChoice;
+use super::session::Session;
+use crate::command::up::{Paper, Report};
 use crate::process::record::description::machine;
 use reports::FleetView;
 use reports::{Page, Row};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
 
@@ -36,6 +39,10 @@ pub struct Results {
     pub seconds: u32,
     /// Whether time was virtual.
     pub virtual_time: bool,
+    /// Number of each session, from 1; failed ones are missing.
+    pub numbers: Vec<u32>,
+    /// Link between the operator and the fleet.
+    pub link: &'static str,
     /// Seed of each session.
     pub seeds: Vec<u64>,
     /// Processor, cores, kernel and memory.
@@ -82,6 +89,12 @@ const FIGURES: &[(&str, usize, Option<f64>, Figure)] = &[
     ("distance driven, m", 1, None, |paper, _| paper.teleoperation.map(|driven| driven.driven_m)),
 ];
 
+/// Returns the figures of a session by their names; `None`: no data.
+pub fn figures(report: &Report) -> BTreeMap<String, Option<f64>> {
+    let value = |figure: Figure| figure(report.paper.as_ref()?, report.fleet.as_ref()?);
+    FIGURES.iter().map(|(name, _, _, figure)| ((*name).to_owned(), value(*figure))).collect()
+}
+
 fn percent(share: f64) -> f64 {
     100.0 * share
 }
@@ -111,16 +124,18 @@ impl Quantity {
 
 impl Results {
     /// Collects the figures of sessions.
-    pub fn new(args: &ExperimentArgs, reports: &[Report]) -> Self {
-        let quantity = |(name, digits, paper, figure): &(&str, usize, Option<f64>, Figure)| {
-            let of_session = |report: &Report| figure(report.paper.as_ref()?, report.fleet.as_ref()?);
-            Quantity::new(name, *digits, *paper, reports.iter().map(of_session).collect())
+    pub fn new(args: &ExperimentArgs, sessions: &[Session]) -> Self {
+        let quantity = |(name, digits, paper, _): &(&str, usize, Option<f64>, Figure)| {
+            let of_session = |session: &Session| session.figures.get(*name).copied().flatten();
+            Quantity::new(name, *digits, *paper, sessions.iter().map(of_session).collect())
         };
         Self {
-            sessions: reports.len(),
+            sessions: sessions.len(),
             seconds: args.seconds,
             virtual_time: args.fast,
-            seeds: reports.iter().map(|report| report.seed).collect(),
+            link: args.link.name(),
+            numbers: sessions.iter().map(|session| session.number).collect(),
+            seeds: sessions.iter().map(|session| session.settings.seed).collect(),
             machine: machine(),
             version: env!("CARGO_PKG_VERSION"),
             quantities: FIGURES.iter().map(quantity).collect(),
@@ -141,10 +156,10 @@ impl Results {
     ///
     /// # Errors
     /// A file cannot be written.
-    pub fn write(&self, folder: &Path, reports: &[Report]) -> std::io::Result<()> {
+    pub fn write(&self, folder: &Path, sessions: &[Session]) -> std::io::Result<()> {
         let json = serde_json::to_string_pretty(self)?;
         let files =
-            [("experiment.json", json), ("sessions.csv", self.csv()), ("report.html", self.html(reports))];
+            [("experiment.json", json), ("sessions.csv", self.csv()), ("report.html", self.html(sessions))];
         for (name, text) in files {
             formats::atomic::write(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
         }
@@ -156,24 +171,27 @@ impl Results {
         let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
         let names: Vec<String> = self.quantities.iter().map(|quantity| quoted(&quantity.name)).collect();
         let mut text = format!("session,seed,{}\n", names.join(","));
-        for (session, seed) in self.seeds.iter().enumerate() {
+        for (session, (number, seed)) in self.numbers.iter().zip(&self.seeds).enumerate() {
             let values = self.quantities.iter().map(|quantity| match quantity.sessions.get(session) {
                 Some(Some(value)) => value.to_string(),
                 _ => String::new(),
             });
-            text += &format!("{},{seed},{}\n", session + 1, values.collect::<Vec<_>>().join(","));
+            text += &format!("{number},{seed},{}\n", values.collect::<Vec<_>>().join(","));
         }
         text
     }
 
-    fn html(&self, reports: &[Report]) -> String {
+    fn html(&self, sessions: &[Session]) -> String {
         let time = if self.virtual_time { "virtual time" } else { "real time" };
         let title = format!("Evaluation: {} sessions of {} s", self.sessions, self.seconds);
-        let mut page = Page::new(&title, &format!("{time}, version {}, {}", self.version, self.machine));
+        let mut page = Page::new(
+            &title,
+            &format!("{time}, operator over {}, version {}, {}", self.link, self.version, self.machine),
+        );
         page.heading("Table IV of the paper, and the same figures here");
         let mut heads: Vec<String> =
             ["", "the paper", "here, mean ± standard deviation"].map(str::to_owned).into();
-        heads.extend((1..=self.sessions).map(|session| format!("session {session}")));
+        heads.extend(self.numbers.iter().map(|number| format!("session {number}")));
         let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
         let row = |quantity: &Quantity| -> Row {
             let mut row = vec![quantity.name.clone(), quantity.format(quantity.paper, "–"), quantity.ours()];
@@ -186,16 +204,21 @@ impl Results {
              robots over Wi-Fi with a headset; here a program drives simulated robots over TCP on one machine. By chance: the \
              same maps under wrong transforms that keep at least half of their overlap.",
         );
+        if self.link != LinkChoice::Loopback.name() {
+            page.paragraph(
+                "A proxy delays, stalls and interrupts what passes between operator and fleet, as a Wi-Fi network may. The paper \
+                 does not say how its own network behaved. Figures in shared memory are before the proxy.",
+            );
+        }
         if self.virtual_time {
             page.paragraph(
                 "Time was virtual. Messages take no time then, so that jitter and latencies have no data, and the scan rate says \
                  only that no scan was lost.",
             );
         }
-        for (index, report) in reports.iter().enumerate() {
-            page.heading(&format!("Session {}, seed {}", index + 1, report.seed));
-            report.pictures.add_to(&mut page);
-            add_plots(&mut page, &report.series, report.fleet.as_ref());
+        for session in sessions {
+            page.heading(&format!("Session {}, seed {}", session.number, session.settings.seed));
+            page.add_part(&session.pictures);
         }
         page.finish()
     }

@@ -7,7 +7,7 @@ use super::records::{Log, Records};
 use super::{Feeder, ReplayArgs, ReplayError, Summary, trajectory::write_trajectory};
 use crate::command::output;
 use formats::carmen::LaserLine;
-use formats::map_file::write_map;
+use formats::map_file::write_doubted_map;
 use merge::{FleetPoseGraph, MergeConfig, Merger};
 use msg::{Grid, MergeEdges, Pose2, RobotId, SubmapPoses};
 use reports::{EdgeView, edge_table};
@@ -128,7 +128,9 @@ pub fn run(
     let mut robots = merged.replay(robots);
     let map = merged.map(merging, &mut robots);
     if let Some(path) = &args.map {
-        write_map(&path.with_extension(""), map.view())?;
+        let reasons = merged.doubts(&robots);
+        let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
+        write_doubted_map(&path.with_extension(""), map.view(), &reasons)?;
     }
     if let Some(folder) = &args.trajectory {
         write_trajectories(folder, &robots, &merged.fleet)?;
@@ -248,6 +250,14 @@ impl Merged {
             };
         }
         merger.merged().to_owned()
+    }
+
+    /// Reasons why the merged map is unreliable: those of the robots whose maps are in it.
+    fn doubts(&self, robots: &[Robot<'_>]) -> Vec<String> {
+        let merged = robots.iter().filter(|robot| self.fleet.map_from_robot_map(robot.id).is_some());
+        let reasons = merged
+            .flat_map(|robot| robot.back.doubts().reasons().map(|reason| format!("{}: {reason}", robot.id)));
+        reasons.collect()
     }
 
     fn summary(&self, robots: Vec<Robot<'_>>, map: &Grid, began: Instant) -> FleetSummary {

@@ -56,7 +56,7 @@ impl Storage for StalledDisk {
         unreachable!("the bridge appends to no file")
     }
 
-    fn write_map(&self, _: &Path, _: GridView<'_>) -> Result<(), MapFileError> {
+    fn write_map(&self, _: &Path, _: GridView<'_>, _: &[&str]) -> Result<(), MapFileError> {
         unreachable!("the bridge writes no map")
     }
 

@@ -7,7 +7,8 @@ use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
     Clock, Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message, Monotonic,
-    Odometry, PatchHeader, RobotId, Scan, Transforms, VelocityCommand,
+    NavigationCommand, NavigationPlan, NavigationReport, Odometry, PatchHeader, RobotId, Scan, Transforms,
+    VelocityCommand,
 };
 use reports::{FleetView, edges_json};
 use std::time::Duration;
@@ -21,6 +22,9 @@ struct RobotInputs<P: Ports> {
     scans: P::Reader<Scan>,
     corrections: P::Reader<Correction>,
     truths: P::Reader<GroundTruth>,
+    goals: P::Reader<NavigationCommand>,
+    navigation: P::Reader<NavigationReport>,
+    plans: P::Reader<NavigationPlan>,
     map: MapInput<P>,
 }
 
@@ -72,6 +76,9 @@ impl<P: Ports> Inputs<P> {
                 scans: ports.reader(&channel::scan(robot))?,
                 corrections: ports.reader(&channel::correction(robot))?,
                 truths: ports.reader(&channel::truth(robot))?,
+                goals: ports.reader(&channel::goal(robot))?,
+                navigation: ports.reader(&channel::navigation_state(robot))?,
+                plans: ports.reader(&channel::plan(robot))?,
                 map: MapInput::open(ports, &channel::map(robot), run)?,
             })
         };
@@ -129,6 +136,11 @@ impl<P: Ports> RobotInputs<P> {
         each(&mut self.corrections, |correction| {
             to.publish(FleetMessage::Correction(robot, correction), sent(correction));
         });
+        each(&mut self.goals, |command| to.record_navigation_command(robot, command));
+        each(&mut self.navigation, |report| {
+            to.publish(FleetMessage::NavigationState(robot, report), sent(report));
+        });
+        each(&mut self.plans, |plan| to.publish(FleetMessage::Plan(robot, plan), sent(plan)));
         // 100 Hz of it, of which the newest of each poll is enough.
         if let Some(truth) = self.truths.newest() {
             to.record_truth(robot, &truth);

@@ -9,7 +9,10 @@ use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, TopicSink,
 };
 use ::recording::{Durability, RecordingWriter, TopicIndex, WriteError};
-use msg::{GroundTruth, Link, Monotonic, Odometry, RobotId, Stamp, VelocityCommand};
+use msg::{
+    GroundTruth, Link, Monotonic, NavigationCommand, NavigationFrame, Odometry, RobotId, Stamp,
+    VelocityCommand,
+};
 use reports::BridgeState;
 use ros_messages::cdr::Writer;
 use ros_messages::{
@@ -26,6 +29,8 @@ const REPEATING: [FleetTopic; 3] =
 pub const PLANAR_ODOMETRY: &str = "odom_2d";
 /// Name of a robot's topic with its true pose in the frame `world`.
 pub const GROUND_TRUTH: &str = "ground_truth";
+/// Name of a robot's topic with the goals that it was given.
+const NAVIGATION_COMMAND: &str = "navigation_command";
 /// Frame of the true poses.
 const WORLD: &str = "world";
 
@@ -42,6 +47,8 @@ enum OwnTopic {
     FleetStats,
     /// Who drives, waits and may drive, as JSON.
     OperatorState,
+    /// Goals of a robot, and their cancellations, pauses and resumptions, as JSON.
+    NavigationCommand,
 }
 
 /// One topic of a recording.
@@ -75,7 +82,7 @@ struct FileTopics {
     /// Indices by row of [`OUTGOING_TOPICS`], then by robot; empty if the topic is not recorded.
     by_fleet_topic: [Vec<TopicIndex>; OUTGOING_TOPICS.len()],
     /// Indices by [`OwnTopic`], then by robot.
-    own: [Vec<TopicIndex>; 5],
+    own: [Vec<TopicIndex>; 6],
     description: BTreeMap<String, String>,
     /// The file; `None` once the recording has ended.
     writer: Option<RecordingWriter>,
@@ -122,6 +129,13 @@ impl Recorder {
         self.file.at = self.epoch.stamp(command.header.sent);
         let velocity = [command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s];
         self.file.record(OwnTopic::Command, robot.index(), |to| to.f64s(&velocity));
+    }
+
+    /// Records a goal of a robot, or what is to become of its goal.
+    pub fn record_navigation_command(&mut self, robot: RobotId, command: &NavigationCommand) {
+        self.file.at = self.epoch.stamp(command.header.sent);
+        let json = navigation_command_json(command).to_string();
+        self.file.record(OwnTopic::NavigationCommand, robot.index(), |to| to.string(&json));
     }
 
     /// Records a robot's odometry as the fleet has it.
@@ -188,6 +202,27 @@ impl Recorder {
     }
 }
 
+/// Returns a command to navigation as JSON: action, frame, poses x m, y m, yaw rad (`null`: any heading).
+fn navigation_command_json(command: &NavigationCommand) -> serde_json::Value {
+    let poses = command.poses().iter().map(|pose| {
+        let yaw_rad = Some(pose.yaw_rad).filter(|yaw| yaw.is_finite());
+        serde_json::json!([pose.x_m, pose.y_m, yaw_rad])
+    });
+    let frame = command.frame().map(|frame| match frame {
+        NavigationFrame::MergedMap => "map",
+        NavigationFrame::RobotMap => "robot_map",
+        NavigationFrame::Odom => "odom",
+        NavigationFrame::Base => "base_footprint",
+    });
+    serde_json::json!({
+        "number": command.number,
+        "action": command.action().map(|action| format!("{action:?}").to_lowercase()),
+        "frame": frame,
+        "frame_robot": command.frame_robot().map(|robot| robot.to_string()),
+        "poses": poses.collect::<Vec<_>>(),
+    })
+}
+
 impl FileTopics {
     fn new(
         robots: &RobotNames,
@@ -213,12 +248,14 @@ impl FileTopics {
             let names = robots.robots().map(|robot| robots.topic(robot, rest));
             names.map(|name| add(name, message_type, Durability::Volatile)).collect()
         };
+        let navigation_commands = of_robots(NAVIGATION_COMMAND, Text::TYPE);
         let own = [
             of_robots("cmd_vel", Twist::TYPE),
             of_robots(PLANAR_ODOMETRY, Pose2D::TYPE),
             of_robots(GROUND_TRUTH, RosOdometry::TYPE),
             vec![add("/fleet_stats".into(), Text::TYPE, Durability::Volatile)],
             vec![add("/operator_state".into(), Text::TYPE, Durability::Latched)],
+            navigation_commands,
         ];
         Self {
             topics,

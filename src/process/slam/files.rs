@@ -40,7 +40,12 @@ pub enum Work {
         bytes: Vec<u8>,
     },
     /// Write a map's pictures.
-    Draw(Grid),
+    Draw {
+        /// The map.
+        grid: Grid,
+        /// Why it is unreliable; empty if it is not.
+        reasons: Vec<&'static str>,
+    },
     /// Read a session or a map for this robot.
     Load(Identity, SlamMode),
 }
@@ -117,9 +122,11 @@ impl<C: Clock, S: Storage> FileWorker<C, S> {
                 let written = self.storage.append(&path, at, &bytes);
                 written.map(|()| None).map_err(|source| FileJobError::Write { path: path.clone(), source })
             }
-            Work::Draw(grid) => {
-                self.storage.write_map(&path, grid.view()).map(|()| None).map_err(FileJobError::from)
-            }
+            Work::Draw { grid, reasons } => self
+                .storage
+                .write_map(&path, grid.view(), &reasons)
+                .map(|()| None)
+                .map_err(FileJobError::from),
             Work::Load(identity, mode) => {
                 let request = request.as_deref().copied().unwrap_or_default();
                 self.load(&path, &identity, mode, &request).map(|loaded| Some(Box::new(loaded)))

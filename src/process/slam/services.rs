@@ -147,7 +147,8 @@ impl<P: Ports> Services<P> {
             _ => stem,
         };
         let grid = state.back.map().to_owned();
-        give(state, request, stem, Work::Draw(grid))
+        let reasons = state.back.doubts().reasons().collect();
+        give(state, request, stem, Work::Draw { grid, reasons })
     }
 
     fn load_session(&mut self, request: &SlamRequest, state: &mut WorkerState) -> RequestResult {

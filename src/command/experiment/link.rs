@@ -2,8 +2,9 @@
 //!
 //! TCP hides loss: what a lost segment costs is a stall until it is sent again. So loss is drawn here as stalls.
 
-use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
+use clap::ValueEnum;
+use rand_pcg::Pcg32;
+use rand_pcg::rand_core::{Rng, SeedableRng};
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -25,7 +26,7 @@ pub struct Link {
     pub delay_ms: f64,
     /// Mean of the exponentially distributed delay that comes on top, milliseconds.
     pub jitter_ms: f64,
-    /// Throughput, Mbit/s.
+    /// Throughput of one direction, Mbit/s.
     pub mbit_s: f64,
     /// Share of segments that are lost.
     pub loss: f64,
@@ -35,17 +36,89 @@ pub struct Link {
     pub outage_s: [f64; 2],
 }
 
-/// Starts a proxy to a port; returns its own port. It serves one connection.
+/// A link that passes everything at once; the others change what they say.
+const LOOPBACK: Link = Link {
+    name: "loopback",
+    delay_ms: 0.0,
+    jitter_ms: 0.0,
+    mbit_s: 1e4,
+    loss: 0.0,
+    stall_ms: 0.0,
+    outage_s: [1.0, 0.0],
+};
+/// A 5 GHz network with nobody else on it.
+const QUIET_WIFI: Link = Link {
+    name: "quiet Wi-Fi",
+    delay_ms: 2.0,
+    jitter_ms: 1.5,
+    mbit_s: 100.0,
+    loss: 0.001,
+    stall_ms: 12.0,
+    ..LOOPBACK
+};
+/// A network that others use as well.
+const BUSY_WIFI: Link = Link {
+    name: "busy Wi-Fi",
+    delay_ms: 4.0,
+    jitter_ms: 8.0,
+    mbit_s: 10.0,
+    loss: 0.02,
+    stall_ms: 40.0,
+    ..LOOPBACK
+};
+/// All links, in the order of [`LinkChoice`].
+pub const LINKS: [Link; 4] = [
+    LOOPBACK,
+    QUIET_WIFI,
+    BUSY_WIFI,
+    Link { name: "Wi-Fi with outages", outage_s: [15.0, 1.0], ..BUSY_WIFI },
+];
+
+/// One of [`LINKS`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum LinkChoice {
+    /// No proxy: the operator is on this machine
+    #[default]
+    Loopback,
+    /// A 5 GHz network with nobody else on it
+    QuietWifi,
+    /// A network that others use as well
+    BusyWifi,
+    /// The same, with an outage of 1 s every 15 s
+    Outages,
+}
+
+impl LinkChoice {
+    /// Returns how the link behaves; `None`: everything passes at once, and no proxy is needed.
+    pub fn link(self) -> Option<Link> {
+        (self != Self::Loopback).then(|| LINKS[self as usize])
+    }
+
+    /// Returns the name for people.
+    pub fn name(self) -> &'static str {
+        LINKS[self as usize].name
+    }
+}
+
+/// Starts a proxy to a port; returns its own port. It serves one connection after another, until the program ends.
+///
+/// # Errors
+/// No port can be listened on.
 pub fn start(link: Link, port: u16, seed: u64) -> std::io::Result<u16> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let own = listener.local_addr()?.port();
-    std::thread::spawn(move || -> std::io::Result<()> {
-        let (client, _) = listener.accept()?;
-        let server = TcpStream::connect(("127.0.0.1", port))?;
-        let back = (server.try_clone()?, client.try_clone()?);
-        std::thread::spawn(move || pass(link, back.0, back.1, seed ^ 1));
-        pass(link, client, server, seed);
-        Ok(())
+    std::thread::spawn(move || {
+        for client in listener.incoming() {
+            // Where the bridge is restarting, the client's connection ends, as it would without the proxy.
+            let (Ok(client), Ok(server)) = (client, TcpStream::connect(("127.0.0.1", port))) else {
+                continue;
+            };
+            let (Ok(from_server), Ok(to_client)) = (server.try_clone(), client.try_clone()) else { continue };
+            let back = std::thread::spawn(move || pass(link, from_server, to_client, seed ^ 1));
+            pass(link, client, server, seed);
+            // A thread that panicked has said so.
+            let _ = back.join();
+        }
     });
     Ok(own)
 }
@@ -53,7 +126,7 @@ pub fn start(link: Link, port: u16, seed: u64) -> std::io::Result<u16> {
 /// Passes bytes one way until either end closes.
 fn pass(link: Link, mut from: TcpStream, mut to: TcpStream, seed: u64) {
     let _ = (to.set_nodelay(true), from.set_read_timeout(Some(LOOK)));
-    let mut random = SplitMix64::seed_from_u64(seed);
+    let mut random = Pcg32::seed_from_u64(seed);
     let mut uniform = move || -> f64 { (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64 };
     let mut under_way: VecDeque<(Instant, Vec<u8>)> = VecDeque::new();
     let (begun, mut last) = (Instant::now(), Instant::now());

@@ -1,0 +1,180 @@
+//! Both cores are busy: jitter of the transforms at a TCP client, with and without page, recorder and ROS 2 peer.
+
+use crate::fleet::{LOOK_PERIOD, PATIENCE};
+use crate::measure::Spread;
+use crate::measured_fleet::Fleet;
+use crate::peer::{self, Peer};
+use crate::{Args, Row, Rows};
+use serde_json::json;
+use std::error::Error;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, Command};
+use std::time::{Duration, Instant};
+
+/// Time until the clients are connected and the fleet has its first maps.
+const WARM_UP: Duration = Duration::from_secs(4);
+/// How much larger jitter may become with page, recorder and ROS 2 peer.
+const WORSE_MAX: f64 = 1.2;
+/// Growth that does not count, milliseconds: a fleet's own jitter differs by this from run to run.
+const FLOOR_MS: f64 = 0.05;
+/// Real-time settings beside the defaults.
+const REALTIME: &str = "[realtime]\npriority = 50\nlock_memory = true\n";
+
+/// Computes without end. The parent kills it.
+pub fn spin() -> ! {
+    let mut value = 1_u64;
+    loop {
+        value = std::hint::black_box(value.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1));
+    }
+}
+
+/// Processes that compute without end, one for each core, until they are dropped.
+struct Hogs(Vec<Child>);
+
+impl Hogs {
+    fn start() -> Result<Self, Box<dyn Error>> {
+        let cores = std::thread::available_parallelism()?.get();
+        let mut hogs = Self(Vec::new());
+        for _ in 0..cores {
+            hogs.0.push(Command::new(std::env::current_exe()?).arg("hog").spawn()?);
+        }
+        Ok(hogs)
+    }
+}
+
+impl Drop for Hogs {
+    fn drop(&mut self) {
+        for hog in &mut self.0 {
+            // It computes without end: it lives.
+            let _ = (hog.kill(), hog.wait());
+        }
+    }
+}
+
+/// Measures with default and with real-time settings.
+pub fn run(args: &Args) -> Rows {
+    let mut rows = Vec::new();
+    for (settings, text) in [("default", ""), ("realtime", REALTIME)] {
+        for hogs in [false, true] {
+            let alone = measure(args, text, hogs, false)?;
+            let attached = measure(args, text, hogs, true)?;
+            let load = if hogs { "hogs on all cores" } else { "no other load" };
+            rows.push(row(&format!("{settings}, {load}"), &alone));
+            let with = row(&format!("{settings}, {load}, page + recorder + ROS 2"), &attached);
+            let within =
+                |of: fn(&Spread) -> f64| of(&attached) <= (WORSE_MAX * of(&alone)).max(of(&alone) + FLOOR_MS);
+            // Without load nothing is required: the peers themselves are the load.
+            let holds = within(|spread| spread.p50_ms) && within(|spread| spread.p95_ms);
+            rows.push(match hogs {
+                true => Row { limit: "<= 1.2 times".into(), holds: Some(holds), ..with },
+                false => with,
+            });
+        }
+    }
+    Ok(rows)
+}
+
+fn row(what: &str, spread: &Spread) -> Row {
+    let Spread { p50_ms, p95_ms, p99_ms, lost, .. } = spread;
+    let measured = format!("{p50_ms:.3} / {p95_ms:.3} / {p99_ms:.3} ms, {lost} lost");
+    Row::note("hogs", what, measured).with(json!({ "tf": spread }))
+}
+
+fn measure(args: &Args, settings: &str, hogs: bool, attached: bool) -> Result<Spread, Box<dyn Error>> {
+    let mut file = tempfile::NamedTempFile::with_suffix(".toml")?;
+    write!(file, "{settings}")?;
+    let config = file.path().to_str().ok_or("the temporary folder's name is not UTF-8")?;
+    let domain = peer::domain().to_string();
+    let mut words = vec!["--config", config, "--page", "0"];
+    if attached {
+        words.extend(["--record", "--ros-domain", &domain]);
+    }
+    let mut fleet = Fleet::start_with(args.robots, &words)?;
+    let mut listening = None;
+    if attached {
+        page(fleet.run().config.bridge.page.port)?;
+        listening = Some(Peer::start(peer::domain(), WARM_UP + args.length)?);
+    }
+    let _hogs = if hogs { Some(Hogs::start()?) } else { None };
+    let tf = fleet.measure(WARM_UP, args.length)?.tf;
+    if let Some(peer) = listening
+        && peer.heard()? == 0
+    {
+        return Err("the ROS 2 peer heard nothing".into());
+    }
+    Ok(tf)
+}
+
+/// Connects to the operator's page as a browser does, subscribes to every topic, and reads until the fleet ends.
+fn page(port: u16) -> Result<(), Box<dyn Error>> {
+    let begun = Instant::now();
+    let mut stream = loop {
+        // The bridge may be starting.
+        match TcpStream::connect(("127.0.0.1", port)) {
+            Ok(stream) => break stream,
+            Err(why) if begun.elapsed() > PATIENCE => return Err(why.into()),
+            Err(_) => std::thread::sleep(LOOK_PERIOD),
+        }
+    };
+    write!(
+        stream,
+        "GET /ws HTTP/1.1\r\nHost: localhost:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\
+         Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+    )?;
+    let mut reader = BufReader::new(stream.try_clone()?);
+    let mut line = String::new();
+    while line != "\r\n" {
+        line.clear();
+        if reader.read_line(&mut line)? == 0 {
+            return Err("the bridge refused the page".into());
+        }
+    }
+    loop {
+        let text = frame(&mut reader)?;
+        let Ok(message) = serde_json::from_slice::<serde_json::Value>(&text) else { continue };
+        let Some(channels) = message["channels"].as_array() else { continue };
+        let subscriptions: Vec<_> = channels
+            .iter()
+            .enumerate()
+            .map(|(index, channel)| json!({ "id": index, "channelId": channel["id"] }))
+            .collect();
+        let text = json!({ "op": "subscribe", "subscriptions": subscriptions }).to_string();
+        stream.write_all(&masked(text.as_bytes()))?;
+        break;
+    }
+    std::thread::spawn(move || std::io::copy(&mut reader, &mut std::io::sink()));
+    Ok(())
+}
+
+/// Reads a frame's payload: RFC 6455, 5.2.
+fn frame(reader: &mut impl Read) -> std::io::Result<Vec<u8>> {
+    let mut head = [0; 2];
+    reader.read_exact(&mut head)?;
+    let length = match head[1] {
+        126 => {
+            let mut long = [0; 2];
+            reader.read_exact(&mut long)?;
+            u64::from(u16::from_be_bytes(long))
+        }
+        127 => {
+            let mut long = [0; 8];
+            reader.read_exact(&mut long)?;
+            u64::from_be_bytes(long)
+        }
+        short => u64::from(short),
+    };
+    let mut payload = vec![0; length as usize];
+    reader.read_exact(&mut payload)?;
+    Ok(payload)
+}
+
+/// Returns a text frame as a client sends it, with a mask of zeros.
+fn masked(payload: &[u8]) -> Vec<u8> {
+    let mut out = vec![0x81, 0x80 | 126];
+    out.extend((payload.len() as u16).to_be_bytes());
+    out.extend([0; 4]);
+    out.extend(payload);
+    out
+}
