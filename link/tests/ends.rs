@@ -271,3 +271,17 @@ fn a_second_base_is_not_obeyed_while_the_first_leads() {
     machines.run(5_000);
     assert!(machines.maps_are_equal());
 }
+
+#[test]
+fn without_its_map_a_robot_costs_less_than_2_kb_a_second() {
+    let mut machines = Machines::new();
+    machines.run(1_000);
+    machines.up_bytes = 0;
+    machines.run(60_000);
+    // The burger's frames are six; the transforms of these tests have none.
+    let frames = 6 * 30 * 5 * 60;
+    let bytes_per_s = (machines.up_bytes + frames) / 60;
+    assert!((1_500..2_000).contains(&bytes_per_s), "{bytes_per_s} bytes a second");
+    let counted: u64 = machines.robot.sent().rows().map(|(_, bytes, _)| bytes).sum();
+    assert_eq!(counted, machines.base.received().bytes(), "both ends count the same");
+}
