@@ -4,6 +4,7 @@ const assert = require("node:assert/strict");
 const { readFileSync } = require("node:fs");
 const { after, before, test } = require("node:test");
 const { chromium } = require("playwright-core");
+const { serveFiles, BROWSER_ARGS } = require("./page-browser.cjs");
 
 const { PAGE_URL: url, PAGE_OUT: out, PAGE_ROOM: roomFile, PAGE_EMULATOR: emulator } = process.env;
 /** What has not come by then never comes, ms: the emulator draws few frames a second on a busy machine. */
@@ -15,7 +16,7 @@ const COLOURS = [[230, 159, 0], [58, 154, 217]];
 const SIZE = { width: 600, height: 400 };
 /** Field of view from top to bottom, as the emulator has it. */
 const FOV_Y = 1.2;
-const ARGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"];
+const ARGS = [...BROWSER_ARGS, "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"];
 const room = JSON.parse(readFileSync(roomFile, "utf8"));
 const floor = room.spatialEntities.find((entity) => entity.semanticLabel_META === "FLOOR").locatable_META.position.y;
 // The headset's floor is at 0; the scan has it elsewhere.
@@ -43,6 +44,7 @@ function towards(from, to) {
 class Headset {
   static async open({ lacks = [], breaksAtStart = false } = {}) {
     const context = await browser.newContext({ viewport: SIZE, colorScheme: "dark" });
+    await serveFiles(context, url);
     const headset = new Headset();
     const page = (headset.page = await context.newPage());
     headset.errors = [];
@@ -216,6 +218,32 @@ test("the thumbstick drives the robot that a trigger selected, and only it, whil
   assert.ok(moved[0] < 0.02, `the other robot moved ${moved[0]} m`);
 });
 
+test("from life-size to the table to the view from the selected robot, which is below the viewer then", async () => {
+  await headset.page.keyboard.press("Digit1");
+  await headset.look(inXr(0.2, -1.1, 1.5), inXr(0.1, 0.6, 0.6));
+  await headset.frames(2);
+  const view = (wanted) => headset.page.waitForFunction((name) => globalThis.mixedReality.nextView() === name, wanted, WAIT);
+  await headset.press("Table-top");
+  await view("Robot view");
+  await headset.page.evaluate(() => globalThis.mixedReality.changeView());
+  await view("Life-size");
+  await headset.frames(3);
+  await headset.page.screenshot({ path: `${out}/page-mr-robot.png` });
+  const [below, robots] = await headset.page.evaluate(() => {
+    const { xrFromMap, fromRobot, operator } = globalThis.mixedReality;
+    const { x, y } = operator.fleet.robots.get(fromRobot.view.robot).pose;
+    return [[0, 1, 2].map((row) => xrFromMap[row] * x + xrFromMap[4 + row] * y + xrFromMap[12 + row]), fromRobot.view.robot];
+  });
+  assert.equal(robots, 1);
+  const { from } = headset.eye;
+  assert.ok(Math.hypot(below[0] - from[0], below[1], below[2] - from[2]) < 0.05, `the robot is at ${below}, the viewer at ${from}`);
+  // When another robot is selected, the view is from that one.
+  await headset.page.keyboard.press("Digit2");
+  await headset.page.waitForFunction(() => globalThis.mixedReality.fromRobot.view.robot === 2, null, WAIT);
+  await headset.page.evaluate(() => globalThis.mixedReality.changeView());
+  await view("Table-top");
+});
+
 test("a button stops all robots, and the controllers are felt", async () => {
   await headset.page.evaluate(() => {
     globalThis.felt = 0;
@@ -249,6 +277,7 @@ test("sockets that break when the session starts, as they do on headsets, are op
 
 test("/selfcheck shows what the device gives in a session", async () => {
   const context = await browser.newContext({ viewport: SIZE });
+  await serveFiles(context, url);
   const page = await context.newPage();
   await page.addInitScript({ path: emulator });
   await page.goto(`${url}/selfcheck`);

@@ -5,44 +5,15 @@ const { execFileSync } = require("node:child_process");
 const { readFileSync, readdirSync } = require("node:fs");
 const { after, before, test } = require("node:test");
 const { chromium } = require("playwright-core");
+const { CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
 
-const { PAGE_URL: url, PAGE_RUN: run, PAGE_OUT: out } = process.env;
-/** What has not come by then never comes, ms. */
-const WAIT = { timeout: 30_000 };
+const { PAGE_RUN: run, PAGE_OUT: out } = process.env;
 let browser;
-
-before(async () => {
-  browser = await chromium.launch({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox"] });
-});
+before(async () => { browser = await launch(); });
 after(() => browser.close());
 
-/** Opens the page and waits for the robots; errors of the page fail the test at its end. */
-async function open({ sockets = false, ...options } = {}, on = browser) {
-  const context = await on.newContext({ viewport: { width: 1280, height: 800 }, colorScheme: "dark", ...options });
-  const page = await context.newPage();
-  // Keeps the page's sockets, so that a test can break them.
-  if (sockets) await page.addInitScript(() => {
-    globalThis.sockets = new Set();
-    const Socket = globalThis.WebSocket;
-    globalThis.WebSocket = class extends Socket {
-      constructor(...args) {
-        super(...args);
-        globalThis.sockets.add(this);
-      }
-    };
-  });
-  const errors = [];
-  page.on("pageerror", (error) => errors.push(error.message));
-  page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
-  await page.goto(url);
-  await page.waitForFunction(() => document.querySelectorAll(".robot .badge.good").length === 2, null, WAIT);
-  return { page, errors };
-}
-
-const driverOf = (page, robot) => page.locator(".robot").nth(robot - 1).locator("dd").first();
-async function waitForText(page, selector, text) {
-  await page.waitForFunction(([of, wanted]) => document.querySelector(of).textContent.includes(wanted), [selector, text], WAIT);
-}
+const open = (options, on = browser) => openOn(on, options);
+const watchSpeed = () => watchSpeedOn(browser);
 
 test("the page shows every robot and the map, and reports no error", async () => {
   const { page, errors } = await open();
@@ -142,35 +113,15 @@ test("a page of another origin opens no WebSocket", async () => {
   assert.equal(opened, false);
 });
 
-/** Records the speed of the first robot in a browser of its own: time on this machine's clock, ms, and m/s. */
-async function watchSpeed() {
-  const { page } = await open();
-  await page.evaluate(async () => {
-    const { Connection } = await import("./transport.js");
-    const { CdrReader } = await import("./cdr.js");
-    globalThis.speeds = [];
-    const message = (topic, view) => {
-      const from = new CdrReader(view);
-      from.header();
-      from.string();
-      // Pose and its covariance, before the velocity.
-      for (let i = 0; i < 7 + 36; i += 1) from.f64();
-      globalThis.speeds.push([performance.timeOrigin + performance.now(), Math.abs(from.f64())]);
-    };
-    new Connection(location.origin.replace("http", "ws"), { message }).subscribe("/robot1/odom");
-  });
-  return page;
-}
-
 /** Lets an operator drive the first robot, ends that with `end`, and returns how long the robot went on, ms. */
 async function timeToStop(observer, page, end) {
   await page.keyboard.press("Digit1");
   await page.keyboard.down("KeyS");
-  await observer.waitForFunction(() => globalThis.speeds.at(-1)?.[1] > 0.08, null, WAIT);
+  await observer.waitForFunction(() => Math.abs(globalThis.speeds.at(-1)?.[1]) > 0.08, null, WAIT);
   const ended = Date.now();
   await end();
-  await observer.waitForFunction((after) => globalThis.speeds.some(([at, v]) => at > after && v < 0.01), ended, WAIT);
-  const moving = await observer.evaluate((after) => globalThis.speeds.filter(([at, v]) => at > after && v >= 0.01).map(([at]) => at), ended);
+  await observer.waitForFunction((after) => globalThis.speeds.some(([at, v]) => at > after && Math.abs(v) < 0.01), ended, WAIT);
+  const moving = await observer.evaluate((after) => globalThis.speeds.filter(([at, v]) => at > after && Math.abs(v) >= 0.01).map(([at]) => at), ended);
   return Math.max(0, ...moving.map((at) => at - ended));
 }
 
@@ -182,7 +133,7 @@ const STOP_MS = 300 + 400;
 
 test("a robot stands when its operator's browser is killed", async () => {
   const observer = await watchSpeed();
-  const server = await chromium.launchServer({ executablePath: "/usr/bin/chromium", args: ["--no-sandbox"] });
+  const server = await chromium.launchServer({ executablePath: CHROMIUM, args: ["--no-sandbox"] });
   const { page } = await open({}, await chromium.connect(server.wsEndpoint()));
   const took = await timeToStop(observer, page, () => server.kill());
   assert.ok(took < STOP_MS, `${took} ms`);

@@ -2,8 +2,12 @@
 
 import { GoalTool, hasGoal, headingOf } from "./goals.js";
 import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection } from "./input.js";
+import { EdgePanel, writeEdgeCommand } from "./edges.js";
+import { describeExploration, isExploring } from "./exploration.js";
+import { MeasureTool } from "./measure.js";
 import { writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
 import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
+import { attachPointers } from "./pointers.js";
 import { Fleet, MAP } from "./state.js";
 import { Connection } from "./transport.js";
 import { View } from "./view.js";
@@ -14,6 +18,10 @@ import { isMixedRealityOffered } from "./xr_session.js";
 const COMMAND_MS = 50;
 /** Period at which panels are brought up to date, ms. */
 const PANEL_MS = 200;
+/** Period at which the bridge is asked for the run's time, ms. */
+const TICK_MS = 1000;
+/** A connection on which nothing comes for so long is shown as one that does not answer, ms. */
+const SILENT_MS = 1500;
 /** The parameter with the state of the fleet. */
 const FLEET_PARAMETER = "/mr_slam/fleet";
 /** The level of a status that says that something was refused. */
@@ -38,10 +46,10 @@ const url = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}
 const live = new Connection(url, {
   message: receive,
   state: (isOpen) => {
-    const link = element("link");
-    setText(link, isOpen ? "connected" : "no connection");
-    link.className = `badge ${isOpen ? "good" : "bad"}`;
+    if (isOpen) fleet.clock.reset();
+    showLink();
   },
+  time: (askedAt, answeredAt, runTime) => fleet.clock.add(askedAt / 1000, answeredAt / 1000, runTime),
   status: (level, text) => logMessage(text, level === ERROR),
   parameter: (name, value) => {
     if (name !== FLEET_PARAMETER) return;
@@ -49,11 +57,37 @@ const live = new Connection(url, {
   },
 });
 live.subscribeParameters();
-["/emergency_stop", "/tf_static", "/tf"].forEach((topic) => live.subscribe(topic));
+["/emergency_stop", "/tf_static", "/tf", "/merge_edges", "/explore/state"].forEach((topic) => live.subscribe(topic));
 
 /** Maps have a connection of their own: they delay neither commands nor transforms. */
-const maps = new Connection(url, { message: receive });
-maps.subscribe("/merged_map");
+const maps = new Connection(url, {
+  message: (topic, data) => {
+    receive(topic, data);
+    followMap();
+  },
+  state: (isOpen) => {
+    if (isOpen) fleet.merged.begin();
+    followMap();
+  },
+});
+maps.subscribe("/merged_map_tiles");
+
+/** Asks for the whole map while it is needed; then its tiles are enough. */
+function followMap() {
+  if (fleet.merged.needsWhole) maps.subscribe("/merged_map");
+  else maps.unsubscribe("/merged_map");
+}
+
+setInterval(() => [live, maps].forEach((connection) => connection.tick()), TICK_MS);
+
+function showLink() {
+  const link = element("link");
+  const isSilent = live.silence() > SILENT_MS;
+  setText(link, !live.isOpen ? "no connection" : isSilent ? "no answer" : "connected");
+  link.className = `badge ${live.isOpen && !isSilent ? "good" : "bad"}`;
+  const roundTrip = fleet.clock.roundTrip();
+  link.title = roundTrip === null ? "" : `the bridge answered after ${(roundTrip * 1000).toFixed(0)} ms`;
+}
 
 /** @param {string} topic @param {DataView} data */
 function receive(topic, data) {
@@ -190,11 +224,20 @@ const goals = new GoalTool({
   robot: () => (selected === null ? null : fleet.robots.get(selected) ?? null),
   log: logMessage,
   show: (isOn) => {
+    if (isOn) measure.toggle(false);
     element("goal").setAttribute("aria-pressed", String(isOn));
     element("view").classList.toggle("aiming", isOn);
   },
 });
 element("goal").addEventListener("click", () => goals.toggle());
+
+const measure = new MeasureTool((isOn) => {
+  if (isOn && goals.isOn) goals.toggle();
+  element("measure").setAttribute("aria-pressed", String(isOn));
+  element("view").classList.toggle("measuring", isOn);
+});
+view.measure = measure;
+element("measure").addEventListener("click", () => measure.toggle());
 element("cancel-goal").addEventListener("click", () => goals.command("cancel"));
 element("resume-goal").addEventListener("click", () => goals.command("resume"));
 
@@ -205,6 +248,23 @@ function showGoal() {
   element("resume-goal").hidden = robot?.navigation?.state !== "paused" || fleet.isStopped === true;
 }
 
+// --- Exploration and merge edges ---
+
+element("explore").addEventListener("click", () => {
+  live.publish("/explore/resume", "std_msgs/msg/Bool", writeBool(!isExploring(fleet.exploration)), true);
+});
+
+function showExploration() {
+  element("exploration").hidden = fleet.exploration === null;
+  if (!fleet.exploration) return;
+  setText(element("exploration-state"), describeExploration(fleet.exploration));
+  setText(element("explore"), isExploring(fleet.exploration) ? "Stop exploring" : "Explore");
+}
+
+const edgePanel = new EdgePanel(element("edge-list"), element("edges"), (command, edge) => {
+  live.publish("/merge_edge_command", "std_msgs/msg/String", writeEdgeCommand(command, edge), true);
+});
+
 // --- Keys ---
 
 /** @type {Record<string, () => void>} */
@@ -212,6 +272,7 @@ const KEYS = {
   Escape: stop,
   KeyT: takeOver,
   KeyG: () => goals.toggle(),
+  KeyM: () => measure.toggle(),
   KeyF: () => setFits(true),
   KeyC: toggleFollow,
   Equal: () => zoom(1.25),
@@ -298,58 +359,7 @@ element("follow").addEventListener("click", toggleFollow);
 element("zoom-in").addEventListener("click", () => zoom(1.25));
 element("zoom-out").addEventListener("click", () => zoom(0.8));
 
-const { canvas } = view;
-/** Pointers on the map: where they are, pixels. @type {Map<number, {x: number, y: number, moved: number}>} */
-const pointers = new Map();
-/** Movement up to which a press is a click, pixels. */
-const CLICK_PX = 6;
-
-canvas.addEventListener("pointerdown", (event) => {
-  canvas.setPointerCapture(event.pointerId);
-  pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: 0 });
-  goals.press(view.camera.toWorld({ x: event.offsetX, y: event.offsetY }));
-});
-canvas.addEventListener("pointermove", (event) => {
-  const pointer = pointers.get(event.pointerId);
-  if (!pointer) return;
-  const [dx, dy] = [event.offsetX - pointer.x, event.offsetY - pointer.y];
-  const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
-  if (other) goals.cancelDrawing();
-  if (goals.drawn) {
-    const start = view.camera.toScreen(goals.drawn.from);
-    const pixels = Math.hypot(event.offsetX - start.x, event.offsetY - start.y);
-    goals.move(view.camera.toWorld({ x: event.offsetX, y: event.offsetY }), pixels);
-  } else if (other) {
-    const before = Math.hypot(pointer.x - other.x, pointer.y - other.y);
-    const after = Math.hypot(event.offsetX - other.x, event.offsetY - other.y);
-    if (before > 0) zoom(after / before, other);
-  } else if (pointer.moved + Math.hypot(dx, dy) > CLICK_PX) {
-    view.fits = false;
-    view.followed = null;
-    view.camera.pan(dx, dy);
-    showTools();
-  }
-  pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY, moved: pointer.moved + Math.hypot(dx, dy) });
-});
-canvas.addEventListener("pointerup", (event) => {
-  const pointer = pointers.get(event.pointerId);
-  pointers.delete(event.pointerId);
-  if (goals.drawn) {
-    goals.release();
-    return;
-  }
-  if (!pointer || pointer.moved > CLICK_PX) return;
-  const number = view.robotAt(fleet, pointer);
-  if (number !== null) select(number);
-});
-canvas.addEventListener("pointercancel", (event) => {
-  pointers.delete(event.pointerId);
-  goals.cancelDrawing();
-});
-canvas.addEventListener("wheel", (event) => {
-  event.preventDefault();
-  zoom(Math.exp(-event.deltaY * 0.0015), { x: event.offsetX, y: event.offsetY });
-}, { passive: false });
+attachPointers({ view, fleet, goals, measure, select, zoom, show: showTools });
 
 // --- Drawing ---
 
@@ -358,6 +368,7 @@ function showHint() {
   const robot = selected === null ? null : fleet.robots.get(selected);
   let text = "";
   if (!live.isOpen) text = "No connection to the bridge: robots are at rest. Trying again …";
+  else if (live.silence() > SILENT_MS) text = "The bridge does not answer: robots are at rest. What is shown is old.";
   else if (fleet.isStopped) text = "Emergency stop is set. Release it at the top to drive on.";
   else if (selected === null && fleet.robots.size > 1 && driver.driven === null && (stick || held.size > 0)) text = "Select a robot first.";
   else if (robot?.figures.driver && !robot.figures.is_mine && (stick || [...held].some(isDriveKey))) text = `${robot.figures.driver} drives this robot. Press T to take it over.`;
@@ -380,6 +391,9 @@ function frame() {
     panels.update(fleet, selected, time);
     fleetPanel.update(fleet, time);
     attention.update(fleet.attention(time, live.isOpen), fleet);
+    edgePanel.update(fleet.edges);
+    showExploration();
+    showLink();
     showHint();
     showTakeOver();
     showGoal();

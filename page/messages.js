@@ -33,19 +33,47 @@ export function readScan(/** @type {DataView} */ view) {
   return { stamp, frame, angleMin, angleStep, rangeMin, rangeMax, ranges: from.f32s() };
 }
 
-/** Reads nav_msgs/OccupancyGrid. Cells are 0 to 100 percent, and 255 where nothing is known. */
-export function readGrid(/** @type {DataView} */ view) {
-  const from = new CdrReader(view);
-  const { stamp, frame } = from.header();
+/** Reads nav_msgs/MapMetaData. */
+function readMapInfo(/** @type {CdrReader} */ from) {
   from.time();
   const resolution = from.f32();
   const width = from.u32();
   const height = from.u32();
   const { x, y } = from.vector();
-  const yaw = yawOf(from.quaternion());
+  return { resolution, width, height, origin: { x, y, yaw: yawOf(from.quaternion()) } };
+}
+
+/** Reads the cells of a rectangle: 0 to 100 percent, and 255 where nothing is known. */
+function readCells(/** @type {CdrReader} */ from, /** @type {number} */ count) {
   const cells = from.bytes(from.length(1));
-  if (cells.length !== width * height) throw new RangeError("a map's size is not that of its cells");
-  return { stamp, frame, resolution, width, height, origin: { x, y, yaw }, cells };
+  if (cells.length !== count) throw new RangeError("a map's size is not that of its cells");
+  return cells;
+}
+
+/** Reads nav_msgs/OccupancyGrid. */
+export function readGrid(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const { stamp, frame } = from.header();
+  const info = readMapInfo(from);
+  return { stamp, frame, ...info, cells: readCells(from, info.width * info.height) };
+}
+
+/** Bytes of a tile without its cells. */
+const TILE_BYTES_MIN = 20;
+
+/** Reads mr_slam_msgs/MapTiles: the tiles of a map that changed, the map's size, and the numbers of this update and the one before. */
+export function readMapTiles(/** @type {DataView} */ view) {
+  const from = new CdrReader(view);
+  const { stamp, frame } = from.header();
+  const [number, base] = [from.u32(), from.u32()];
+  const info = readMapInfo(from);
+  const count = from.length(TILE_BYTES_MIN);
+  const tiles = [];
+  for (let i = 0; i < count; i += 1) {
+    const [x, y, width, height] = [from.u32(), from.u32(), from.u32(), from.u32()];
+    tiles.push({ x, y, width, height, cells: readCells(from, width * height) });
+  }
+  return { stamp, frame, number, base, ...info, tiles };
 }
 
 /** Reads the head of nav_msgs/Odometry: of which frame it is. */

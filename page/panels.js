@@ -50,7 +50,7 @@ export const ROBOT_ROWS = [
   ["Goal", true, (robot) => describeNavigation(robot)],
   ["Scans", false, ({ figures }) => format(figures.scan_hz, 1, " Hz")],
   ["Lost", false, ({ figures }) => format(figures.scans_lost)],
-  ["Age", false, (robot, now) => format(robot.scanAge(now), 1, " s")],
+  ["Age", false, (robot, now) => format(robot.scanAge(now), 2, " s")],
   ["Known", false, ({ figures }) => format(figures.known_m2, 1, " m²")],
   ["Cover", false, ({ figures }) => percent(figures.coverage)],
   ["Map", false, ({ figures }) => figures.map_cells?.join(" × ") ?? "–"],
@@ -134,7 +134,7 @@ function drawIcon(canvas, robot) {
 export const FLEET_ROWS = [
   ["Mapped", ({ figures }) => `${format(figures.merged_known_m2, 1, " m²")}${typeof figures.room_coverage === "number" ? `, ${percent(figures.room_coverage)} of the room` : ""}`],
   ["Map", ({ map }) => (map ? `${map.width} × ${map.height} cells of ${(map.resolution * 100).toFixed(0)} cm` : "–")],
-  ["Age of the map", (fleet, now) => format(fleet.mapAt === null ? null : now - fleet.mapAt, 1, " s")],
+  ["Age of the map", (fleet, now) => format(fleet.merged.at === null ? null : now - fleet.merged.at, 1, " s")],
   ["Maps agree", ({ figures }) => `${percent(figures.consistency, 1)}${typeof figures.null_consistency === "number" ? `, by chance ${percent(figures.null_consistency, 1)}` : ""}`],
   ["Overlapping pairs", ({ figures }) => format(figures.overlapping_pairs)],
 ];

@@ -1,8 +1,12 @@
 // What the page knows of the fleet: robots, their frames, scans and figures, the merged map. No drawing, no clock.
 
+import { RunClock } from "./clock.js";
 import { FrameTree, compose } from "./geometry.js";
+import { readEdges, robotsOf } from "./edges.js";
+import { readExploration } from "./exploration.js";
 import { receiveNavigation } from "./goals.js";
-import { readBool, readGrid, readOdometryFrames, readPose, readScan, readTransforms } from "./messages.js";
+import { MergedMap } from "./merged_map.js";
+import { readBool, readGrid, readMapTiles, readOdometryFrames, readPose, readScan, readTransforms } from "./messages.js";
 
 /** @typedef {import("./geometry.js").Pose} Pose */
 /** @typedef {import("./geometry.js").Point} Point */
@@ -37,11 +41,11 @@ export class Robot {
     this.scan = null;
     /** Where the scanner was in the map when the scan came. @type {Pose | null} */
     this.scanPose = null;
-    /** When the scan came, seconds of the page. @type {number | null} */
+    /** When the scan was taken, seconds of the page. @type {number | null} */
     this.scanAt = null;
     /** Pose in the map. @type {Pose | null} */
     this.pose = null;
-    /** When the pose was known last, seconds of the page. @type {number | null} */
+    /** When the robot was there, seconds of the page. @type {number | null} */
     this.poseAt = null;
     this.baseFrame = "";
     /** @type {{x: number, y: number, yaw: number} | null} */
@@ -68,11 +72,12 @@ export class Fleet {
     /** @type {Map<number, Robot>} */
     this.robots = new Map();
     this.frames = new FrameTree();
-    /** @type {ReturnType<typeof readGrid> | null} */
-    this.map = null;
-    this.mapVersion = 0;
-    /** @type {number | null} */
-    this.mapAt = null;
+    this.clock = new RunClock();
+    this.merged = new MergedMap();
+    /** How the robots' maps lie to each other. @type {import("./edges.js").Edge[]} */
+    this.edges = [];
+    /** What exploration does, or null if nobody has said. @type {import("./exploration.js").Exploration | null} */
+    this.exploration = null;
     /** @type {boolean | null} */
     this.isStopped = null;
     /** @type {any} */
@@ -80,6 +85,9 @@ export class Fleet {
     /** Known area of the merged map over time. @type {{at: number, m2: number}[]} */
     this.area = [];
   }
+
+  /** The merged map, or null if there is none yet. */
+  get map() { return this.merged.grid; }
 
   /** Takes the state of the fleet as the bridge tells it; returns the robots that are new. */
   setFigures(/** @type {any} */ figures, /** @type {number} */ now) {
@@ -110,9 +118,21 @@ export class Fleet {
       return undefined;
     }
     if (topic === "/merged_map") {
-      this.map = readGrid(view);
-      this.mapVersion += 1;
-      this.mapAt = now;
+      const grid = readGrid(view);
+      this.merged.setWhole(grid, this.clock.toPage(grid.stamp, now));
+      return undefined;
+    }
+    if (topic === "/merged_map_tiles") {
+      const update = readMapTiles(view);
+      this.merged.applyTiles(update, this.clock.toPage(update.stamp, now));
+      return undefined;
+    }
+    if (topic === "/merge_edges") {
+      this.edges = readEdges(view);
+      return undefined;
+    }
+    if (topic === "/explore/state") {
+      this.exploration = readExploration(view);
       return undefined;
     }
     for (const robot of this.robots.values()) {
@@ -125,22 +145,24 @@ export class Fleet {
   }
 
   receiveTransforms(/** @type {DataView} */ view, /** @type {number} */ now) {
-    const changed = new Set();
+    /** Newest stamps of the frames. @type {Map<string, number>} */
+    const changed = new Map();
     for (const { parent, child, pose, stamp } of readTransforms(view)) {
       this.frames.set(parent, child, pose, stamp);
-      changed.add(child);
+      changed.set(child, stamp);
     }
     for (const robot of this.robots.values()) {
       // A robot is where its odometry says: only that shows that the pose is new.
-      if (changed.has(robot.baseFrame)) this.updatePose(robot, now);
+      const stamp = changed.get(robot.baseFrame);
+      if (stamp !== undefined) this.updatePose(robot, this.clock.toPage(stamp, now));
     }
   }
 
-  updatePose(/** @type {Robot} */ robot, /** @type {number} */ now) {
+  updatePose(/** @type {Robot} */ robot, /** @type {number} */ at) {
     const pose = this.frames.find(MAP, robot.baseFrame);
     if (!pose) return;
     robot.pose = pose;
-    robot.poseAt = now;
+    robot.poseAt = at;
     const last = robot.trail.at(-1);
     if (!last || Math.hypot(pose.x - last.x, pose.y - last.y) >= TRAIL_STEP_M) {
       robot.trail.push({ x: pose.x, y: pose.y });
@@ -153,7 +175,7 @@ export class Fleet {
     if (topic === "scan") {
       robot.scan = readScan(view);
       robot.scanPose = this.frames.find(MAP, robot.scan.frame);
-      robot.scanAt = now;
+      robot.scanAt = this.clock.toPage(robot.scan.stamp, now);
     } else if (topic === "odom") {
       if (robot.baseFrame === "") robot.baseFrame = readOdometryFrames(view).child;
     } else if (topic === "pose") {
@@ -208,6 +230,11 @@ export class Fleet {
       if (isMapOld === true) add(3, `its part of the map is ${mapAge.toFixed(0)} s old`);
       if (isMerged === false) add(5, "its map is not merged");
     }
+    for (const edge of this.edges.filter(({ state }) => state === "dropped")) {
+      const [robot, other] = robotsOf(edge);
+      items.push({ rank: 4, robot, text: `its map is no longer joined with that of ${other}: they contradict each other` });
+    }
+    if (this.exploration?.state === "failed") items.push({ rank: 3, robot: null, text: `exploration failed: ${this.exploration.reason}` });
     return items.sort((a, b) => a.rank - b.rank || (a.robot ?? 0) - (b.robot ?? 0));
   }
 }

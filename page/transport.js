@@ -8,6 +8,10 @@ const MESSAGE = 1;
 const MESSAGE_HEADER_BYTES = 13;
 /** Pause before the next attempt to connect, ms. */
 const RECONNECT_MS = 500;
+/** The parameter with the run's time, seconds. */
+const TIME_PARAMETER = "/mr_slam/time";
+/** A connection on which nothing comes for so long is closed and opened again, ms: the bridge answers once a second. */
+const SILENCE_MAX_MS = 5000;
 /** Commands are not sent while so many bytes wait: they would arrive too late. */
 const WAITING_MAX = 4096;
 
@@ -18,6 +22,7 @@ const WAITING_MAX = 4096;
  * @property {(isOpen: boolean) => void} [state] the connection is there, or is not
  * @property {(level: number, text: string) => void} [status] a text for the operator
  * @property {(name: string, value: any) => void} [parameter] a parameter has changed
+ * @property {(askedAt: number, answeredAt: number, runTime: number) => void} [time] the run's time, s, between two times of the page, ms
  */
 
 /** A connection that is opened again whenever it breaks. Subscriptions and publications are kept. */
@@ -38,29 +43,57 @@ export class Connection {
     this.wantsParameters = false;
     this.nextId = 1;
     this.isOpen = false;
+    /** When something came last, ms of the page. */
+    this.heardAt = 0;
+    /** The question for the run's time that is not answered yet. @type {{id: string, at: number} | null} */
+    this.asked = null;
     this.connect();
   }
 
   connect() {
     const socket = new this.Socket(this.url, PROTOCOLS);
     socket.binaryType = "arraybuffer";
+    /** @type {WebSocket | null} */
     this.socket = socket;
-    socket.onopen = () => this.opened();
+    socket.onopen = () => { if (socket === this.socket) this.opened(); };
     socket.onmessage = (event) => {
       if (socket !== this.socket) return;
+      this.heardAt = performance.now();
       if (typeof event.data === "string") this.receiveText(event.data);
       else this.receiveBinary(event.data);
     };
     socket.onclose = () => {
-      if (socket !== this.socket) return;
-      this.isOpen = false;
-      this.handlers.state?.(false);
-      setTimeout(() => this.connect(), RECONNECT_MS);
+      if (socket === this.socket) this.closed();
     };
   }
 
+  closed() {
+    this.isOpen = false;
+    this.socket = null;
+    this.handlers.state?.(false);
+    setTimeout(() => this.connect(), RECONNECT_MS);
+  }
+
+  /** Asks for the run's time, and gives up a connection on which nothing comes any more. Call it once a second. */
+  tick(now = performance.now()) {
+    if (!this.isOpen) return;
+    if (now - this.heardAt > SILENCE_MAX_MS) {
+      // A link that is gone without a word: closing waits for the other side, so the socket is not waited for.
+      this.socket?.close();
+      this.closed();
+    } else if (!this.asked) {
+      this.asked = { id: `time ${this.nextId++}`, at: now };
+      this.sendJson({ op: "getParameters", parameterNames: [TIME_PARAMETER], id: this.asked.id });
+    }
+  }
+
+  /** Returns for how long nothing has come, ms. */
+  silence(now = performance.now()) { return this.isOpen ? now - this.heardAt : 0; }
+
   opened() {
     this.isOpen = true;
+    this.heardAt = performance.now();
+    this.asked = null;
     this.channels.clear();
     for (const subscription of this.subscriptions.values()) subscription.isSent = false;
     for (const topic of this.publications.keys()) this.sendAdvertise(topic);
@@ -85,6 +118,10 @@ export class Connection {
       }
     } else if (message.op === "status") {
       this.handlers.status?.(message.level, message.message);
+    } else if (message.op === "parameterValues" && this.asked && this.asked.id === message.id) {
+      const value = message.parameters[0]?.value;
+      if (typeof value === "number") this.handlers.time?.(this.asked.at, performance.now(), value);
+      this.asked = null;
     } else if (message.op === "parameterValues") {
       for (const { name, value } of message.parameters) this.handlers.parameter?.(name, value);
     }
@@ -106,6 +143,15 @@ export class Connection {
     this.topics.set(this.nextId, topic);
     this.subscriptions.set(topic, { id: this.nextId++, isSent: false });
     this.sendSubscriptions();
+  }
+
+  /** Ends a subscription, if there is one. */
+  unsubscribe(/** @type {string} */ topic) {
+    const subscription = this.subscriptions.get(topic);
+    if (!subscription) return;
+    this.subscriptions.delete(topic);
+    this.topics.delete(subscription.id);
+    if (subscription.isSent) this.sendJson({ op: "unsubscribe", subscriptionIds: [subscription.id] });
   }
 
   sendSubscriptions() {

@@ -31,9 +31,12 @@ export class View {
     /** Whether the whole map is shown, also when it grows. */
     this.fits = true;
     this.mapImage = document.createElement("canvas");
-    this.drawnMap = "";
+    /** Colours and version of the map that is painted, and since when there is one, ms of the page. */
+    this.painted = { colours: "", version: 0, at: 0 };
     /** The goal that the operator is drawing. @type {import("./geometry.js").Pose | null} */
     this.drawnGoal = null;
+    /** The distance that the operator measures. @type {import("./measure.js").MeasureTool | null} */
+    this.measure = null;
   }
 
   /** Takes the canvas's size on the screen. */
@@ -80,19 +83,36 @@ export class View {
     const robots = [...fleet.robots.values()].sort((a, b) => Number(a.number === selected) - Number(b.number === selected));
     robots.forEach((robot) => this.drawTrail(robot));
     robots.forEach((robot) => this.drawScan(robot, now, colours));
+    this.drawPlacesLeft(fleet, colours);
     robots.forEach((robot) => drawGoal(context, camera, robot, fleet));
     if (this.drawnGoal) drawMark(context, camera, this.drawnGoal, colours.text, true);
     robots.forEach((robot) => this.drawRobot(robot, robot.number === selected, now, colours));
+    this.measure?.draw(context, camera, colours);
+  }
+
+  /** Marks the places that exploration has not reached yet. @param {Fleet} fleet @param {ReturnType<View["colours"]>} colours */
+  drawPlacesLeft(fleet, colours) {
+    const { context, camera } = this;
+    context.strokeStyle = colours.text;
+    context.lineWidth = 2;
+    for (const place of fleet.exploration?.left ?? []) {
+      const { x, y } = camera.toScreen(place);
+      context.beginPath();
+      context.rect(x - 5, y - 5, 10, 10);
+      context.stroke();
+    }
   }
 
   /** @param {Fleet} fleet @param {ReturnType<View["colours"]>} colours */
   drawMap(fleet, colours) {
     const { map } = fleet;
     if (!map || map.width === 0 || map.height === 0) return;
-    const drawn = `${fleet.mapVersion} ${colours.free} ${colours.occupied}`;
-    if (drawn !== this.drawnMap) {
-      this.drawnMap = drawn;
-      this.paintCells(map, colours);
+    const { merged } = fleet;
+    const theme = `${colours.free} ${colours.occupied}`;
+    if (merged.version !== this.painted.version || theme !== this.painted.colours) {
+      const areas = theme === this.painted.colours ? merged.changedSince(this.painted.version) : null;
+      this.paintCells(map, areas, colours);
+      this.painted = { colours: theme, version: merged.version, at: this.painted.at || performance.now() };
     }
     const { context, camera } = this;
     const origin = camera.toScreen(map.origin);
@@ -106,23 +126,23 @@ export class View {
     context.restore();
   }
 
-  /** @param {NonNullable<Fleet["map"]>} map @param {ReturnType<View["colours"]>} colours */
-  paintCells(map, colours) {
-    this.mapImage.width = map.width;
-    this.mapImage.height = map.height;
-    const context = /** @type {CanvasRenderingContext2D} */ (this.mapImage.getContext("2d"));
-    const image = context.createImageData(map.width, map.height);
-    const pixels = new Uint32Array(image.data.buffer);
-    const free = pixelOf(colours.free);
-    const occupied = pixelOf(colours.occupied);
-    const { cells } = map;
-    for (let i = 0; i < cells.length; i += 1) {
-      const cell = cells[i];
-      if (cell > 100) continue;
-      if (cell >= OCCUPIED) pixels[i] = occupied;
-      else if (cell <= FREE) pixels[i] = free;
+  /**
+   * Paints cells of the map: those of some areas, or all.
+   * @param {NonNullable<Fleet["map"]>} map @param {import("./merged_map.js").Area[] | null} areas
+   * @param {ReturnType<View["colours"]>} colours
+   */
+  paintCells(map, areas, colours) {
+    if (!areas) {
+      this.mapImage.width = map.width;
+      this.mapImage.height = map.height;
     }
-    context.putImageData(image, 0, 0);
+    const context = /** @type {CanvasRenderingContext2D} */ (this.mapImage.getContext("2d"));
+    const [free, occupied] = [pixelOf(colours.free), pixelOf(colours.occupied)];
+    for (const { x, y, width, height } of areas ?? [{ x: 0, y: 0, width: map.width, height: map.height }]) {
+      const image = context.createImageData(width, height);
+      colourCells(map, { x, y, width, height }, new Uint32Array(image.data.buffer), free, occupied);
+      context.putImageData(image, x, y);
+    }
   }
 
   /** Draws the bar that shows how long a metre is. */
@@ -250,6 +270,23 @@ export function shapePath(/** @type {CanvasRenderingContext2D} */ context, corne
     context.lineTo(size * Math.cos(angle), size * Math.sin(angle));
   }
   context.closePath();
+}
+
+/**
+ * Fills the pixels of an area of a map; they are 0 where nothing is known.
+ * @param {NonNullable<Fleet["map"]>} map @param {import("./merged_map.js").Area} area @param {Uint32Array} pixels
+ * @param {number} free @param {number} occupied pixels of a free and of an occupied cell
+ */
+export function colourCells(map, area, pixels, free, occupied) {
+  for (let row = 0; row < area.height; row += 1) {
+    const from = (area.y + row) * map.width + area.x;
+    for (let column = 0; column < area.width; column += 1) {
+      const cell = map.cells[from + column];
+      if (cell > 100) continue;
+      if (cell >= OCCUPIED) pixels[row * area.width + column] = occupied;
+      else if (cell <= FREE) pixels[row * area.width + column] = free;
+    }
+  }
 }
 
 /** Returns a colour, `#rrggbb`, as a pixel of an image in memory (little-endian RGBA). */

@@ -9,6 +9,7 @@ import { Controls, pulse, rayOf } from "./xr_input.js";
 import { FleetPanel, RobotPanel } from "./xr_panels.js";
 import { Scene, channels } from "./xr_scene.js";
 import { XrSession, requestSession } from "./xr_session.js";
+import { RobotView, tablePlacement } from "./xr_views.js";
 
 /** @typedef {import("./state.js").Fleet} Fleet */
 /** @typedef {import("./state.js").Robot} Robot */
@@ -29,12 +30,8 @@ import { XrSession, requestSession } from "./xr_session.js";
 
 /** Period at which panels are painted, seconds. */
 const PANEL_S = 0.25;
-/** Size of the table-top map, and its height above the floor, metres. */
-const TABLE_M = 0.9;
-const TABLE_HEIGHT_M = 0.75;
-/** Where panels and the table stand at first, seen from the viewer: metres ahead, to the left, below the eyes. */
+/** Where panels stand at first, seen from the viewer: metres ahead, to the left, below the eyes. */
 const PANEL_AT = { ahead: 1.25, left: 0.55, below: 0.1 };
-const TABLE_AHEAD_M = 0.8;
 /** A ray selects a robot if it passes so near, metres, and this share of its distance more. */
 const PICK_M = 0.16;
 const PICK_SHARE = 0.015;
@@ -62,8 +59,10 @@ export class MixedReality {
     });
     /** Where the map is. @type {Placement} */
     this.placement = { pose: { x: 0, y: 0, yaw: 0 }, scale: 1, height: 0 };
-    /** The table-top view, or null for life-size. @type {Placement | null} */
+    /** The table-top view, if it is shown. @type {Placement | null} */
     this.table = null;
+    /** The view from a robot, if it is shown, and where the map is then. @type {{view: RobotView, placement: Placement} | null} */
+    this.fromRobot = null;
     /** The steps of an alignment that is under way. @type {{inMap: Pose, name: string, place: Vector | null} | null} */
     this.alignment = null;
     this.notice = "";
@@ -102,7 +101,7 @@ export class MixedReality {
 
   ended() {
     this.xr = null;
-    this.table = null;
+    this.showLifeSize();
     this.alignment = null;
     this.changed(false);
   }
@@ -111,7 +110,7 @@ export class MixedReality {
   drive() { return this.xr ? this.controls.drive(this.operator.now()) : null; }
 
   /** Where the map is drawn now. */
-  get shown() { return this.table ?? this.placement; }
+  get shown() { return this.fromRobot?.placement ?? this.table ?? this.placement; }
 
   // --- Frames ---
 
@@ -127,6 +126,8 @@ export class MixedReality {
     const anchor = this.mapAnchor.matrix(frame, xr.space);
     if (anchor) this.placement.pose = compose(poseFromXr(anchor), invert(this.mapAnchor.data ?? { x: 0, y: 0, yaw: 0 }));
     this.viewerPose = poseFromXr(matrix);
+    this.eyeHeight = eye[1];
+    this.updateRobotView();
     this.xrFromMap = xrFromFrame(this.shown.pose, this.shown.scale, this.shown.height);
     scene.update(fleet, now);
     this.updatePanels(frame, eye, gaze, now);
@@ -137,7 +138,7 @@ export class MixedReality {
   draw() {
     const { xr, scene, operator, xrFromMap } = this;
     if (!xr || !scene || !xrFromMap) return;
-    scene.draw(operator.fleet, operator.selected(), operator.now(), xrFromMap);
+    scene.draw(operator.fleet, operator.selected(), operator.now(), xrFromMap, this.fromRobot?.view.robot ?? null);
     xr.renderer.setOnTop(true);
     const place = xr.renderer.eye?.place ?? [0, 0, 0];
     const distance = (/** @type {import("./xr_panels.js").Panel} */ { matrix }) => (matrix ? Math.hypot(matrix[12] - place[0], matrix[13] - place[1], matrix[14] - place[2]) : 0);
@@ -147,7 +148,11 @@ export class MixedReality {
     xr.renderer.setOnTop(false);
   }
 
-  panels() { return [...this.robotPanels.values(), ...(this.fleetPanel ? [this.fleetPanel] : [])]; }
+  panels() {
+    // The panel of the robot that is looked from would be around the viewer's head.
+    const ofRobots = [...this.robotPanels].filter(([number]) => number !== this.fromRobot?.view.robot).map(([, panel]) => panel);
+    return [...ofRobots, ...(this.fleetPanel ? [this.fleetPanel] : [])];
+  }
 
   /** @param {any} frame @param {Vector} eye @param {Vector} gaze @param {number} now */
   updatePanels(frame, eye, gaze, now) {
@@ -207,7 +212,7 @@ export class MixedReality {
         ? { text: "Release stop", press: operator.release, isOn: true }
         : { text: "Stop all", press: operator.stop, isDanger: true },
       { text: this.alignment ? "Cancel" : "Align map", press: () => this.beginAlignment(), isOn: this.alignment !== null },
-      { text: this.table ? "Life-size" : "Table-top", press: () => this.changeView() },
+      { text: this.nextView(), press: () => this.changeView() },
       ...(isOthers ? [{ text: "Take over", press: operator.takeOver }] : []),
       { text: "Leave", press: () => this.xr?.end() },
     ];
@@ -318,7 +323,7 @@ export class MixedReality {
   beginAlignment() {
     const { fleet, selected } = this.operator;
     const robot = fleet.robots.get(selected() ?? fleet.robots.keys().next().value ?? -1);
-    this.table = null;
+    this.showLifeSize();
     if (this.alignment || !robot?.pose) {
       this.notice = this.alignment || robot ? "" : "there is no robot to align with";
       this.alignment = null;
@@ -346,20 +351,44 @@ export class MixedReality {
     this.notice = "aligned";
   }
 
-  /** Changes between the map on the floor and the map on a table before the viewer. */
+  showLifeSize() {
+    this.table = null;
+    this.fromRobot = null;
+    if (this.xr) this.xr.isHiding = true;
+  }
+
+  /** Returns the name of the view that comes next: life-size, on a table, from a robot. */
+  nextView() {
+    if (this.fromRobot) return "Life-size";
+    return this.table ? "Robot view" : "Table-top";
+  }
+
+  /** Changes to the next view. Without a selected robot there is no view from one. */
   changeView() {
-    if (this.table) {
-      this.table = null;
-      return;
-    }
-    const box = this.operator.fleet.box();
-    if (!box || !this.viewerPose) return;
-    const size = Math.max(1, box.maxX - box.minX, box.maxY - box.minY);
-    const scale = Math.min(1, TABLE_M / size);
-    const yaw = this.viewerPose.yaw - Math.PI / 2;
-    const middle = transform(this.viewerPose, { x: TABLE_AHEAD_M, y: 0 });
-    const centre = transform({ x: 0, y: 0, yaw }, { x: ((box.minX + box.maxX) / 2) * scale, y: ((box.minY + box.maxY) / 2) * scale });
-    this.table = { pose: { x: middle.x - centre.x, y: middle.y - centre.y, yaw }, scale, height: TABLE_HEIGHT_M };
+    const [box, next, viewer] = [this.operator.fleet.box(), this.nextView(), this.viewerPose];
+    const pose = this.operator.fleet.robots.get(this.operator.selected() ?? -1)?.pose;
+    this.showLifeSize();
+    if (next === "Table-top" && box && viewer) this.table = tablePlacement(box, viewer);
+    else if (next === "Robot view" && pose) this.viewFromRobot();
+    else if (next === "Robot view") this.notice = "select a robot for the view from it";
+  }
+
+  /** Begins the view from the selected robot. */
+  viewFromRobot() {
+    const number = this.operator.selected();
+    const pose = this.operator.fleet.robots.get(number ?? -1)?.pose;
+    if (number === null || !pose || !this.viewerPose) return;
+    const view = new RobotView(number, pose, this.viewerPose, this.eyeHeight ?? 0);
+    this.fromRobot = { view, placement: view.placement(pose) };
+    // The real room is not that of the enlarged map: it hides nothing.
+    if (this.xr) this.xr.isHiding = false;
+  }
+
+  /** Moves the map as the robot drives, and changes to another robot with the selection. */
+  updateRobotView() {
+    if (!this.fromRobot) return;
+    const pose = this.operator.fleet.robots.get(this.fromRobot.view.robot)?.pose;
+    if (this.operator.selected() !== this.fromRobot.view.robot) this.viewFromRobot();
+    else if (pose) this.fromRobot.placement = this.fromRobot.view.placement(pose);
   }
 }
-

@@ -4,7 +4,7 @@ import { transform } from "./geometry.js";
 import { hasGoal, planInMap } from "./goals.js";
 import { facing, multiply, rotationAboutY, scaling, translation } from "./matrix.js";
 import { SCAN_HEIGHT_M, VERTEX_NUMBERS, burger, cursorRing, ray, ribbon, selectionRing } from "./models.js";
-import { OCCUPIED, FREE } from "./view.js";
+import { colourCells } from "./view.js";
 import { XR_FROM_ROS } from "./coordinates.js";
 
 /** @typedef {import("./matrix.js").Matrix} Matrix */
@@ -94,7 +94,7 @@ export class Scene {
 
   /** Takes what has changed since the last frame. @param {Fleet} fleet @param {number} now */
   update(fleet, now) {
-    if (fleet.mapVersion !== this.shownMap) this.updateMap(fleet);
+    if (fleet.merged.version !== this.shownMap) this.updateMap(fleet);
     for (const robot of fleet.robots.values()) {
       let drawables = this.robots.get(robot.number);
       if (!drawables) {
@@ -120,24 +120,30 @@ export class Scene {
   }
 
   /** @param {Fleet} fleet */
-  updateMap({ map, mapVersion }) {
-    this.shownMap = mapVersion;
+  updateMap({ merged }) {
+    const areas = this.shownMap === 0 ? null : merged.changedSince(this.shownMap);
+    this.shownMap = merged.version;
     const { gl } = this.renderer;
+    const map = merged.grid;
     if (!map || map.width === 0 || Math.max(map.width, map.height) > gl.getParameter(gl.MAX_TEXTURE_SIZE)) return;
-    const pixels = new Uint32Array(map.cells.length);
-    for (let i = 0; i < pixels.length; i += 1) {
-      const cell = map.cells[i];
-      if (cell <= FREE) pixels[i] = FREE_PIXEL;
-      else if (cell >= OCCUPIED && cell <= 100) pixels[i] = OCCUPIED_PIXEL;
-    }
     gl.bindTexture(gl.TEXTURE_2D, this.map);
     gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, map.width, map.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(pixels.buffer));
+    for (const area of areas ?? [{ x: 0, y: 0, width: map.width, height: map.height }]) {
+      const { x, y, width, height } = area;
+      const pixels = new Uint32Array(width * height);
+      colourCells(map, area, pixels, FREE_PIXEL, OCCUPIED_PIXEL);
+      const bytes = new Uint8Array(pixels.buffer);
+      if (areas) gl.texSubImage2D(gl.TEXTURE_2D, 0, x, y, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+      else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    }
     gl.generateMipmap(gl.TEXTURE_2D);
   }
 
-  /** Draws one view. @param {Fleet} fleet @param {number | null} selected @param {number} now @param {Matrix} xrFromMap */
-  draw(fleet, selected, now, xrFromMap) {
+  /**
+   * Draws one view. @param {Fleet} fleet @param {number | null} selected @param {number} now @param {Matrix} xrFromMap
+   * @param {number | null} [unseen] the robot from which the map is seen
+   */
+  draw(fleet, selected, now, xrFromMap, unseen = null) {
     const { renderer } = this;
     renderer.setCovers(false);
     this.drawMap(fleet, xrFromMap);
@@ -150,9 +156,9 @@ export class Scene {
       if (drawables.plan.count > 0) renderer.drawMesh(drawables.plan, floor, [r, g, b, 1], { light: 0 });
     }
     const chosen = selected === null ? null : fleet.robots.get(selected);
-    if (chosen?.pose) this.drawSelection(chosen, now, xrFromMap);
+    if (chosen?.pose && chosen.number !== unseen) this.drawSelection(chosen, now, xrFromMap);
     renderer.setCovers(true);
-    for (const robot of fleet.robots.values()) this.drawRobot(robot, now, xrFromMap);
+    for (const robot of fleet.robots.values()) this.drawRobot(robot, now, xrFromMap, robot.number !== unseen);
   }
 
   /** @param {Fleet} fleet @param {Matrix} xrFromMap */
@@ -175,13 +181,15 @@ export class Scene {
     renderer.setOnTop(false);
   }
 
-  /** @param {Robot} robot @param {number} now @param {Matrix} xrFromMap */
-  drawRobot(robot, now, xrFromMap) {
+  /** @param {Robot} robot @param {number} now @param {Matrix} xrFromMap @param {boolean} isSeen whether more than its scan is */
+  drawRobot(robot, now, xrFromMap, isSeen) {
     const drawables = this.robots.get(robot.number);
     if (!drawables) return;
     const [r, g, b] = colourOf(robot, now);
-    if (robot.scan) this.renderer.drawPoints(drawables.scan, xrFromMap, [r, g, b, 0.95], POINT_M);
-    if (!robot.pose) return;
+    // In an enlarged map, points grow too.
+    const scale = Math.hypot(xrFromMap[0], xrFromMap[1], xrFromMap[2]);
+    if (robot.scan) this.renderer.drawPoints(drawables.scan, xrFromMap, [r, g, b, 0.95], POINT_M * Math.max(1, scale / 2));
+    if (!robot.pose || !isSeen) return;
     this.renderer.drawMesh(this.burger, multiply(xrFromMap, robotMatrix(robot.pose)), [r, g, b, 1]);
   }
 

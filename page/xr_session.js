@@ -83,6 +83,8 @@ export class XrSession {
     this.room = new RoomMesh(renderer);
     /** What hides things in this frame. @type {"depth" | "mesh" | "nothing"} */
     this.occlusion = "nothing";
+    /** Whether the real room may hide things. */
+    this.isHiding = true;
     const hasDepth = session.enabledFeatures?.includes("depth-sensing") ?? true;
     const Binding = /** @type {any} */ (globalThis).XRWebGLBinding;
     this.binding = hasDepth && Binding ? new Binding(session, renderer.gl) : null;
@@ -94,7 +96,8 @@ export class XrSession {
   /** Begins the frames of a session. @param {any} session @param {Handlers} handlers */
   static async begin(session, handlers) {
     const canvas = document.createElement("canvas");
-    const gl = canvas.getContext("webgl2", /** @type {any} */ ({ xrCompatible: true, alpha: true, antialias: true }));
+    const options = { xrCompatible: true, alpha: true, antialias: true };
+    const gl = /** @type {WebGL2RenderingContext | null} */ (canvas.getContext("webgl2", options));
     if (!gl) throw new Error("this browser has no WebGL 2");
     const XRWebGLLayer = /** @type {any} */ (globalThis).XRWebGLLayer;
     session.updateRenderState({ baseLayer: new XRWebGLLayer(session, gl), depthNear: 0.1, depthFar: 100 });
@@ -128,7 +131,8 @@ export class XrSession {
     const seeing = eyes.filter((/** @type {Eye | null} */ eye) => eye !== null);
     const hasDepth = seeing.some((/** @type {Eye} */ eye) => eye.depth !== null);
     if (!hasDepth) this.room.update(frame);
-    this.occlusion = hasDepth ? "depth" : this.room.parts.size > 0 ? "mesh" : "nothing";
+    this.occlusion = !this.isHiding ? "nothing" : hasDepth ? "depth" : this.room.parts.size > 0 ? "mesh" : "nothing";
+    if (!this.isHiding) seeing.forEach((/** @type {Eye} */ eye) => { eye.depth = null; });
     for (const eye of seeing) {
       this.renderer.beginView(eye);
       if (this.occlusion === "mesh") this.room.draw(frame, this.space);

@@ -28,14 +28,20 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("icon.svg", IMAGE),
     file!("main.js", SCRIPT),
     file!("cdr.js", SCRIPT),
+    file!("clock.js", SCRIPT),
     file!("coordinates.js", SCRIPT),
+    file!("edges.js", SCRIPT),
+    file!("exploration.js", SCRIPT),
     file!("geometry.js", SCRIPT),
     file!("goals.js", SCRIPT),
     file!("input.js", SCRIPT),
     file!("matrix.js", SCRIPT),
+    file!("measure.js", SCRIPT),
+    file!("merged_map.js", SCRIPT),
     file!("messages.js", SCRIPT),
     file!("models.js", SCRIPT),
     file!("panels.js", SCRIPT),
+    file!("pointers.js", SCRIPT),
     file!("renderer.js", SCRIPT),
     file!("/selfcheck", "selfcheck.html", HTML),
     file!("selfcheck.js", SCRIPT),
@@ -49,6 +55,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("xr_panels.js", SCRIPT),
     file!("xr_scene.js", SCRIPT),
     file!("xr_session.js", SCRIPT),
+    file!("xr_views.js", SCRIPT),
 ];
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! The fleet's topics towards ros_tcp clients.
 
+mod map_tiles;
 mod map_updates;
 mod odom_frames;
 mod publisher;

@@ -76,3 +76,44 @@ test("a new connection gets the subscriptions and publications of the one before
   assert.deepEqual(states, [true, false, true]);
   assert.equal(again.sent.some((data) => data instanceof Uint8Array), false, "no command is sent late");
 });
+
+test("the run's time is asked for one question at a time, and a silent connection is opened again", async () => {
+  const times = [];
+  const told = [];
+  const { connection, socket } = open({ time: (...time) => times.push(time), parameter: (...parameter) => told.push(parameter) });
+  const begun = performance.now();
+  connection.tick(begun);
+  connection.tick(begun + 1000);
+  const [{ parameterNames, id }, ...more] = socket.commands("getParameters");
+  assert.deepEqual([parameterNames, more], [["/mr_slam/time"], []], "the first is not answered yet");
+  socket.receive({ op: "parameterValues", id: "another", parameters: [{ name: "/mr_slam/time", value: 1 }] });
+  socket.receive({ op: "parameterValues", id, parameters: [{ name: "/mr_slam/time", value: 42.5 }] });
+  assert.equal(times.length, 1);
+  assert.equal(times[0][2], 42.5);
+  // What the bridge tells by itself has no id; it is no answer, though none is waited for.
+  socket.receive({ op: "parameterValues", parameters: [{ name: "/mr_slam/fleet", value: 7 }] });
+  assert.deepEqual(told, [["/mr_slam/time", 1], ["/mr_slam/fleet", 7]]);
+  connection.tick(begun + 2000);
+  assert.equal(socket.commands("getParameters").length, 2);
+  let isClosed = false;
+  socket.close = () => { isClosed = true; };
+  connection.tick(begun + 60_000);
+  assert.deepEqual([isClosed, connection.isOpen], [true, false]);
+  await new Promise((resolve) => { setTimeout(resolve, 600); });
+  assert.equal(FakeSocket.all.length, 2);
+  socket.onclose();
+  FakeSocket.all[1].onopen();
+  assert.equal(connection.isOpen, true, "what the old socket still says does not matter");
+});
+
+test("a subscription that is ended can be made again", () => {
+  const { connection, socket } = open();
+  socket.receive(ADVERTISE);
+  connection.subscribe("/robot1/scan");
+  const [{ subscriptions: [{ id }] }] = socket.commands("subscribe");
+  connection.unsubscribe("/robot1/scan");
+  connection.unsubscribe("/robot1/scan");
+  assert.deepEqual(socket.commands("unsubscribe").map((message) => message.subscriptionIds), [[id]]);
+  connection.subscribe("/robot1/scan");
+  assert.notEqual(socket.commands("subscribe")[1].subscriptions[0].id, id);
+});

@@ -5,7 +5,7 @@
 
 use thiserror::Error;
 
-/// Messages of ROS 2's own packages.
+/// Messages of ROS 2's own packages, and of ours.
 const MESSAGES: &[(&str, &str)] = &[
     ("action_msgs", "GoalInfo GoalStatus GoalStatusArray"),
     ("actionlib_msgs", "GoalID GoalStatus GoalStatusArray"),
@@ -21,6 +21,7 @@ const MESSAGES: &[(&str, &str)] = &[
     ),
     ("lifecycle_msgs", "State Transition TransitionDescription TransitionEvent"),
     ("map_msgs", "OccupancyGridUpdate PointCloud2Update ProjectedMap ProjectedMapInfo"),
+    ("mr_slam_msgs", "MapTile MapTiles"),
     ("nav_msgs", "Goals GridCells MapMetaData OccupancyGrid Odometry Path"),
     (
         "rcl_interfaces",

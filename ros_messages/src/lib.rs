@@ -8,6 +8,7 @@ pub mod actions;
 pub mod cdr;
 pub mod interfaces;
 pub mod joystick;
+pub mod map_tiles;
 pub mod message;
 pub mod names;
 pub mod navigation;
@@ -19,6 +20,7 @@ pub mod write;
 
 pub use cdr::{DecodeError, Dialect};
 pub use joystick::{HandInputs, Joy};
+pub use map_tiles::{MapTile, MapTiles};
 pub use message::{
     Bool, Clock, Empty, Float32MultiArray, Int32, Message, Pose2D, Text, TfMessage, TransformStamped, Twist,
     TwistStamped, decode, decode_as, encode, encode_as,

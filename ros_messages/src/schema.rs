@@ -79,6 +79,13 @@ const DEFINITIONS: &[Definition] = &[
         "std_msgs/Header header\nint32 x\nint32 y\nuint32 width\nuint32 height\nint8[] data",
         &[HEADER],
     ),
+    definition("mr_slam_msgs/MapTile", "uint32 x\nuint32 y\nuint32 width\nuint32 height\nint8[] data", &[]),
+    definition(
+        "mr_slam_msgs/MapTiles",
+        "std_msgs/Header header\nuint32 number\nuint32 base\nnav_msgs/MapMetaData info\n\
+         mr_slam_msgs/MapTile[] tiles",
+        &[HEADER, "nav_msgs/MapMetaData", "mr_slam_msgs/MapTile"],
+    ),
     definition(
         "nav_msgs/MapMetaData",
         "builtin_interfaces/Time map_load_time\nfloat32 resolution\nuint32 width\nuint32 height\n\

@@ -209,6 +209,11 @@ pub fn occupancy_grid_update(
     header(to, grid.header.header.stamp, frame_id);
     to.i32(area.x0 as i32);
     to.i32(area.y0 as i32);
+    grid_area(to, values, grid, area);
+}
+
+/// Writes width, height and cells of a rectangle of a grid.
+pub(crate) fn grid_area(to: &mut Writer<'_>, values: &[i8; 256], grid: GridView<'_>, area: Rect) {
     to.u32(area.width() as u32);
     to.u32(area.height() as u32);
     let rows = grid.cells.chunks_exact((grid.header.width as usize).max(1)).skip(area.y0 as usize);

@@ -14,6 +14,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("nav", &["msg"]),
     ("formats", &["msg"]),
     ("ros_messages", &["msg"]),
+    ("link", &["msg"]),
     ("bridge", &["msg", "ros_messages"]),
     ("runtime", &["msg", "formats"]),
     ("recording", &["msg", "ros_messages"]),
@@ -25,7 +26,7 @@ const ARROWS: &[(&str, &[&str])] = &[
 
 /// Crates of pure computation: the same input gives the same output.
 const PURE: &[&str] =
-    &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "ros_messages", "recording"];
+    &["msg", "posegraph", "sim", "slam", "merge", "telemetry", "nav", "ros_messages", "recording", "link"];
 
 /// What a pure crate must not use, because it depends on the machine or talks to the outside.
 const IMPURE: &[&str] = &[

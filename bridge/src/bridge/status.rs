@@ -70,6 +70,11 @@ pub(crate) struct RobotStatus {
 }
 
 impl Bridge {
+    /// Returns the newest time of the run, seconds.
+    pub(crate) fn run_time_s(&self) -> f64 {
+        self.core.borrow().fleet.now().0 as f64 * 1e-9
+    }
+
     /// Returns the state of the fleet for a client.
     pub(crate) fn fleet_status(&self, viewer: ClientId, now: Monotonic) -> FleetStatus {
         let core = self.core.borrow();

@@ -3,6 +3,7 @@
 mod repeated;
 mod static_links;
 
+use super::map_tiles::MapTiles;
 use super::map_updates::MapUpdates;
 use super::odom_frames::OdomFrames;
 use super::static_transforms::StaticTransformSet;
@@ -14,6 +15,7 @@ use msg::{
     NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Writer;
+use ros_messages::map_tiles::write_map_tiles;
 use ros_messages::navigation::write_path;
 use ros_messages::{FrameNames, NameStyle, RobotNames, names, write};
 use ros_messages::{OdometryCovariance, OdometrySigmas};
@@ -40,7 +42,7 @@ pub enum FleetMessage<'a> {
     Clock(&'a Clock),
     /// A robot's whole map: `/robotN/map`.
     Map(RobotId, GridView<'a>),
-    /// The map of all robots: `/merged_map`, `/map`, `/map_updates` and `/merged_map_probability`.
+    /// The map of all robots: `/merged_map`, `/map`, `/map_updates`, `/merged_map_tiles` and `/merged_map_probability`.
     MergedMap(GridView<'a>),
     /// The fleet's statistics: `/robotN/slam_stats` of every robot.
     Stats(&'a FleetStats),
@@ -83,6 +85,13 @@ struct GridValues {
     percent: [i8; 256],
 }
 
+/// What finds the changes of the merged map: one area for `/map_updates`, tiles for `/merged_map_tiles`.
+#[derive(Default)]
+struct MapChanges {
+    area: MapUpdates,
+    tiles: MapTiles,
+}
+
 /// The covariances of all robots' odometry.
 struct OdometryCovariances {
     sigmas: OdometrySigmas,
@@ -103,7 +112,7 @@ pub struct FleetPublisher {
     robots: RobotNames,
     names: FrameNames,
     values: GridValues,
-    map_updates: MapUpdates,
+    map_changes: MapChanges,
     odometry: OdometryCovariances,
     /// The transforms map -> odom if they are repeated; otherwise they are sent with each of SLAM's answers.
     repeated: Option<RepeatedTransforms>,
@@ -124,7 +133,7 @@ impl FleetPublisher {
             robots: robots.clone(),
             names: FrameNames::new(style, robots),
             values: GridValues { trinary: msg::grid::trinary_table(), percent: msg::grid::percent_table() },
-            map_updates: MapUpdates::default(),
+            map_changes: MapChanges::default(),
             odometry: OdometryCovariances {
                 sigmas: OdometrySigmas::default(),
                 robots: vec![OdometryCovariance::default(); robots.count()],
@@ -259,11 +268,17 @@ impl FleetPublisher {
         let encode = |to: &mut Writer<'_>| write::occupancy_grid(to, names::MAP, percent, map);
         sink.send(FleetTopic::MergedMapProbability, None, encode);
         if !sink.is_subscribed(FleetTopic::MapUpdates) {
-            self.map_updates.clear();
-        } else if let Some(area) = self.map_updates.changed_area(map) {
+            self.map_changes.area.clear();
+        } else if let Some(area) = self.map_changes.area.changed_area(map) {
             let encode =
                 |to: &mut Writer<'_>| write::occupancy_grid_update(to, names::MAP, trinary, map, area);
             sink.send(FleetTopic::MapUpdates, None, encode);
+        }
+        if !sink.is_subscribed(FleetTopic::MergedMapTiles) {
+            self.map_changes.tiles.clear();
+        } else if let Some(update) = self.map_changes.tiles.changed_tiles(map, trinary) {
+            let encode = |to: &mut Writer<'_>| write_map_tiles(to, names::MAP, trinary, map, update);
+            sink.send(FleetTopic::MergedMapTiles, None, encode);
         }
     }
 

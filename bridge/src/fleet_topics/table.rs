@@ -2,8 +2,8 @@
 
 use crate::router::DEPTH_DEFAULT;
 use ros_messages::{
-    Bool, Clock, Float32MultiArray, Int32, LaserScan, Message, OccupancyGrid, OccupancyGridUpdate, Odometry,
-    PathMessage, PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
+    Bool, Clock, Float32MultiArray, Int32, LaserScan, MapTiles, Message, OccupancyGrid, OccupancyGridUpdate,
+    Odometry, PathMessage, PoseWithCovarianceStamped, RobotNames, Text, TfMessage,
 };
 
 /// Identifies a row of [`OUTGOING_TOPICS`], in the order of the table.
@@ -33,6 +33,8 @@ pub enum FleetTopic {
     MergedMapAlias,
     /// The cells of `/map` that changed since it was published last.
     MapUpdates,
+    /// The tiles of the merged map that changed since it was published last.
+    MergedMapTiles,
     /// The map of all robots with the probability of each cell.
     MergedMapProbability,
     /// The edges between the robots' maps, as JSON.
@@ -98,6 +100,9 @@ const DDS_STATS_DEPTH: usize = 64;
 /// Updates of the map that a DDS writer keeps for a slow reader: 2 s at 5 Hz, for each may be as long as the map.
 const DDS_MAP_UPDATES_DEPTH: usize = 10;
 
+/// Updates of the map's tiles that wait for a slow TCP client: 10 s at 5 Hz. A client that misses one gets the whole map.
+const MAP_TILES_DEPTH: usize = 50;
+
 const fn stream(depth: usize) -> Option<Delivery> {
     Some(Delivery::Stream { depth })
 }
@@ -127,7 +132,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 18] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 19] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -191,6 +196,10 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 18] = [
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_MAP_UPDATES_DEPTH),
         ..row(FleetTopic::MapUpdates, "/map_updates", OccupancyGridUpdate::TYPE, "merged_map")
+    },
+    OutgoingTopic {
+        tcp: stream(MAP_TILES_DEPTH),
+        ..row(FleetTopic::MergedMapTiles, "/merged_map_tiles", MapTiles::TYPE, "merged_map")
     },
     OutgoingTopic {
         tcp: stream(1),

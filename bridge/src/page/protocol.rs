@@ -15,10 +15,14 @@ pub const ENCODING: &str = "cdr";
 pub const SCHEMA_ENCODING: &str = "ros2msg";
 /// The parameter with the state of the fleet: figures of telemetry, and who drives each robot.
 pub const FLEET_PARAMETER: &str = "/mr_slam/fleet";
+/// The parameter with the newest time of the run, seconds: clients that ask for it learn how old messages are.
+pub const TIME_PARAMETER: &str = "/mr_slam/time";
 /// First byte of a message on a subscription, from the server.
 pub const MESSAGE_DATA: u8 = 1;
 /// First byte of a message that a client publishes.
 const CLIENT_MESSAGE: u8 = 1;
+/// Characters of a text about a device that are logged.
+const SELFCHECK_CHARS_MAX: usize = 2000;
 /// Bytes before the payload of [`MESSAGE_DATA`]: kind, subscription, time.
 pub const MESSAGE_HEADER_BYTES: usize = 1 + 4 + 8;
 
@@ -48,7 +52,15 @@ pub enum ClientCommand {
         /// The client's numbers of the topics.
         channel_ids: Vec<u32>,
     },
-    /// Asks for parameters' values whenever they change. The bridge has one, [`FLEET_PARAMETER`], and sends it always.
+    /// Asks for parameters' values now.
+    #[serde(rename_all = "camelCase")]
+    GetParameters {
+        /// Names of the parameters; all of them if there are none.
+        parameter_names: Vec<String>,
+        /// The client's name of the request, which the answer repeats.
+        id: Option<String>,
+    },
+    /// Asks for parameters' values whenever they change: the bridge sends [`FLEET_PARAMETER`] always.
     SubscribeParameterUpdates,
     /// Ends what [`Self::SubscribeParameterUpdates`] began.
     UnsubscribeParameterUpdates,
@@ -110,8 +122,11 @@ pub enum ServerCommand<'a> {
     },
     /// Values of parameters.
     ParameterValues {
-        /// The one parameter that there is.
-        parameters: [Parameter<'a>; 1],
+        /// The parameters with their values.
+        parameters: &'a [Parameter<'a>],
+        /// The client's name of the request that this answers.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        id: Option<&'a str>,
     },
     /// Text for a person.
     Status {
@@ -123,12 +138,22 @@ pub enum ServerCommand<'a> {
 }
 
 /// A parameter with its value.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct Parameter<'a> {
-    /// Name of the parameter: [`FLEET_PARAMETER`].
+    /// Name of the parameter.
     pub name: &'a str,
-    /// State of the fleet.
-    pub value: &'a FleetStatus,
+    /// Its value.
+    pub value: ParameterValue<'a>,
+}
+
+/// A parameter's value.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[serde(untagged)]
+pub enum ParameterValue<'a> {
+    /// Of [`FLEET_PARAMETER`].
+    Fleet(&'a FleetStatus),
+    /// Of [`TIME_PARAMETER`], seconds.
+    Time(f64),
 }
 
 /// Severity of a status, as the protocol numbers it.
@@ -210,6 +235,14 @@ pub fn schema_name(message_type: &str) -> String {
 /// Returns a ROS type as the bridge writes it: `geometry_msgs/Twist`.
 pub fn message_type(schema_name: &str) -> String {
     schema_name.replacen("/msg/", "/", 1)
+}
+
+/// Returns the text of a std_msgs/String in CDR, shortened and without control characters; empty if it is none.
+pub fn selfcheck_text(payload: &[u8]) -> String {
+    // A header of four bytes, then the length, which counts the NUL at the end.
+    let text = payload.get(8..).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text[..text.len().min(4 * SELFCHECK_CHARS_MAX)]);
+    text.chars().filter(|character| !character.is_control()).take(SELFCHECK_CHARS_MAX).collect()
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::encoder::Encoder;
 use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_request, text_response};
-use super::protocol::{ENCODING, ServerCommand};
+use super::protocol::{ENCODING, ServerCommand, selfcheck_text};
 use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
 use super::tls::serve_encrypted;
@@ -39,7 +39,7 @@ const READ_BYTES: usize = 16 << 10;
 /// Messages of one client that are handled before other clients get their turn.
 const MESSAGES_PER_TURN: usize = 64;
 /// What the server can do beside subscriptions, in the protocol's words.
-const CAPABILITIES: [&str; 2] = ["clientPublish", "parametersSubscribe"];
+const CAPABILITIES: [&str; 3] = ["clientPublish", "parameters", "parametersSubscribe"];
 /// Name of the server for people.
 const SERVER_NAME: &str = "MR-SLAM";
 /// A WebSocket frame that closes the connection, with code 1000: normal (RFC 6455, 5.5.1 and 7.4.1).
@@ -47,9 +47,8 @@ const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
 /// Topic of texts that say what a device can do, as `/selfcheck` finds out; they go to the operator's log alone.
 const SELFCHECK_TOPIC: &str = "/mr_slam/selfcheck";
-/// Texts of one connection that are logged, and characters of one: a log is no place to fill a disk from.
+/// Texts of one connection that are logged: a log is no place to fill a disk from.
 const SELFCHECKS_MAX: u32 = 4;
-const SELFCHECK_CHARS_MAX: usize = 2000;
 
 /// What all connections share.
 pub(super) struct Shared {
@@ -179,6 +178,8 @@ struct Connection<'a, S> {
     peer: SocketAddr,
     /// Texts for the operator's log that it has sent.
     selfchecks: u32,
+    /// Whether the browser has closed the connection; the answer is a reply of the reader.
+    has_closed: bool,
 }
 
 impl<S> Drop for Connection<'_, S> {
@@ -214,23 +215,34 @@ async fn serve_web_socket(
         }
     };
     let (session, reader) = (Session::default(), MessageReader::new());
-    let mut connection =
-        Connection { shared, id, stream: &*stream, encoder: &encoder, session, reader, peer, selfchecks: 0 };
+    let mut connection = Connection {
+        shared,
+        id,
+        stream: &*stream,
+        encoder: &encoder,
+        session,
+        reader,
+        peer,
+        selfchecks: 0,
+        has_closed: false,
+    };
     // However it ends, the client is told what is left to say.
     let _ = connection.run(&wake, first_bytes).await;
+    let has_closed = connection.has_closed;
     drop(connection);
     let unsent = shared.bridge.take_unsent(id);
-    let last_words = send_last_words(unsent, &encoder, &*stream);
+    let last_words = send_last_words(unsent.filter(|_| !has_closed), &encoder, &*stream, has_closed);
     if let Ok(Ok(())) = timeout(REQUEST_TIMEOUT, last_words).await {
         close_gently(&*stream).await;
     }
 }
 
-/// Sends what is left for a client, then a WebSocket's close.
+/// Sends what is left for a client, then a WebSocket's close, unless the client's own close is answered already.
 async fn send_last_words(
     mut unsent: Option<OutgoingQueue>,
     encoder: &RefCell<Encoder>,
     stream: &impl Stream,
+    has_closed: bool,
 ) -> io::Result<()> {
     let mut pool = BufferPool::default();
     while let Some(queue) = &mut unsent {
@@ -243,7 +255,9 @@ async fn send_last_words(
             FlushOutcome::TurnEnded => yield_now().await,
         }
     }
-    encoder.borrow_mut().send_frames(&CLOSE_FRAME)?;
+    if !has_closed {
+        encoder.borrow_mut().send_frames(&CLOSE_FRAME)?;
+    }
     while encoder.borrow().has_waiting() {
         stream.ready(Interest::WRITABLE).await?;
         flush(encoder, stream)?;
@@ -259,14 +273,6 @@ fn flush(encoder: &RefCell<Encoder>, stream: &impl Stream) -> io::Result<()> {
     }
 }
 
-/// Returns the text of a std_msgs/String in CDR, shortened and without control characters; empty if it is none.
-fn selfcheck_text(payload: &[u8]) -> String {
-    // A header of four bytes, then the length, which counts the NUL at the end.
-    let text = payload.get(8..).unwrap_or_default();
-    let text = String::from_utf8_lossy(&text[..text.len().min(4 * SELFCHECK_CHARS_MAX)]);
-    text.chars().filter(|character| !character.is_control()).take(SELFCHECK_CHARS_MAX).collect()
-}
-
 impl<S: Stream> Connection<'_, S> {
     /// Reads and writes until the connection ends.
     async fn run(&mut self, wake: &Notify, first_bytes: &[u8]) -> io::Result<()> {
@@ -274,7 +280,9 @@ impl<S: Stream> Connection<'_, S> {
         self.upkeep()?;
         self.receive(first_bytes).await?;
         let mut upkeep_due = Instant::now() + UPKEEP_PERIOD;
-        while let Ok(is_blocked) = bridge.is_blocked(self.id) {
+        while let Ok(is_blocked) = bridge.is_blocked(self.id)
+            && !self.has_closed
+        {
             let must_write = is_blocked || self.encoder.borrow().has_waiting();
             let interest =
                 if must_write { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
@@ -356,6 +364,8 @@ impl<S: Stream> Connection<'_, S> {
                     let frame = Frame { name: frame.name.as_bytes(), payload: &frame.payload };
                     bridge.receive(self.id, frame, now);
                 }
+                let status = || bridge.fleet_status(self.id, now);
+                self.session.answer_request(status, bridge.run_time_s(), &mut self.encoder.borrow_mut())?;
             }
             Message::Binary(bytes) => {
                 let found = self.session.receive_binary(&bytes, &mut self.encoder.borrow_mut())?;
@@ -376,7 +386,8 @@ impl<S: Stream> Connection<'_, S> {
             Message::Ping(_) | Message::Pong(_) => {
                 bridge.receive(self.id, Frame { name: b"", payload: b"" }, now);
             }
-            Message::Close(_) | Message::Frame(_) => {}
+            Message::Close(_) => self.has_closed = true,
+            Message::Frame(_) => {}
         }
         Ok(())
     }

@@ -3,7 +3,8 @@
 use super::encoder::Encoder;
 use super::protocol::{
     BinaryError, Channel, ClientChannel, ClientCommand, ClientMessage, ENCODING, FLEET_PARAMETER, Parameter,
-    SCHEMA_ENCODING, ServerCommand, StatusLevel, Subscription, message_type, schema_name,
+    ParameterValue, SCHEMA_ENCODING, ServerCommand, StatusLevel, Subscription, TIME_PARAMETER, message_type,
+    schema_name,
 };
 use crate::bridge::FleetStatus;
 use crate::command::{Registration, name};
@@ -14,6 +15,8 @@ use thiserror::Error;
 
 /// Topics that one browser may publish.
 const PUBLICATIONS_MAX: usize = 256;
+/// Longest name of a request for parameters, bytes: the answer repeats it.
+const REQUEST_NAME_MAX: usize = 64;
 
 /// A topic of the bridge: name and type, `package/Type`.
 pub type TopicName = (String, String);
@@ -28,7 +31,7 @@ pub enum SessionError {
     #[error(transparent)]
     Binary(#[from] BinaryError),
     /// The bridge does not offer this.
-    #[error("the bridge offers subscriptions, publications and updates of parameters only")]
+    #[error("the bridge offers subscriptions, publications and reading of parameters only")]
     NotOffered,
     /// There is no such topic on this connection.
     #[error("there is no channel {0}")]
@@ -52,6 +55,9 @@ pub enum SessionError {
         /// The encoding that the client announced.
         encoding: String,
     },
+    /// The name of a request for parameters is too long.
+    #[error("a request for parameters has a name of {0} bytes; at most {REQUEST_NAME_MAX} are allowed")]
+    RequestName(usize),
     /// The client publishes as many topics as it may.
     #[error("a client publishes at most {PUBLICATIONS_MAX} topics")]
     TooManyPublications,
@@ -64,6 +70,13 @@ pub struct OwnedFrame {
     pub name: &'static str,
     /// The command's JSON.
     pub payload: Vec<u8>,
+}
+
+/// A client's request for the values of parameters.
+#[derive(Debug, PartialEq, Eq)]
+struct ParameterRequest {
+    names: Vec<String>,
+    id: Option<String>,
 }
 
 /// The state of one connection.
@@ -80,6 +93,8 @@ pub struct Session {
     wants_status: bool,
     /// The state that the client knows.
     known_status: Option<FleetStatus>,
+    /// The request for parameters that [`Session::answer_request`] answers.
+    request: Option<ParameterRequest>,
 }
 
 impl Session {
@@ -129,10 +144,27 @@ impl Session {
         if self.known_status.as_ref() == Some(&status) {
             return Ok(());
         }
-        let parameters = [Parameter { name: FLEET_PARAMETER, value: &status }];
-        encoder.send(&ServerCommand::ParameterValues { parameters })?;
+        let parameters = [Parameter { name: FLEET_PARAMETER, value: ParameterValue::Fleet(&status) }];
+        encoder.send(&ServerCommand::ParameterValues { parameters: &parameters, id: None })?;
         self.known_status = Some(status);
         Ok(())
+    }
+
+    /// Answers the client's last message if it asks for parameters. Names of other parameters are left out of the answer.
+    pub fn answer_request(
+        &mut self,
+        status: impl FnOnce() -> FleetStatus,
+        run_time_s: f64,
+        encoder: &mut Encoder,
+    ) -> io::Result<()> {
+        let Some(ParameterRequest { names, id }) = self.request.take() else { return Ok(()) };
+        let is_wanted = |name: &str| names.is_empty() || names.iter().any(|wanted| wanted == name);
+        let status = is_wanted(FLEET_PARAMETER).then(status);
+        let fleet = status.as_ref().map(|status| (FLEET_PARAMETER, ParameterValue::Fleet(status)));
+        let time = is_wanted(TIME_PARAMETER).then_some((TIME_PARAMETER, ParameterValue::Time(run_time_s)));
+        let values = fleet.into_iter().chain(time).map(|(name, value)| Parameter { name, value });
+        let parameters: Vec<Parameter<'_>> = values.collect();
+        encoder.send(&ServerCommand::ParameterValues { parameters: &parameters, id: id.as_deref() })
     }
 
     /// Handles a text message; returns the frames for the bridge. What is refused, the client is told.
@@ -147,6 +179,15 @@ impl Session {
             Ok(ClientCommand::UnsubscribeParameterUpdates) => {
                 self.wants_status = false;
                 Vec::new()
+            }
+            Ok(ClientCommand::GetParameters { parameter_names: names, id }) => {
+                match id.as_ref().map_or(0, String::len) {
+                    0..=REQUEST_NAME_MAX => {
+                        self.request = Some(ParameterRequest { names, id });
+                        Vec::new()
+                    }
+                    bytes => vec![Err(SessionError::RequestName(bytes))],
+                }
             }
             Ok(ClientCommand::Other) => vec![Err(SessionError::NotOffered)],
             Ok(ClientCommand::Subscribe { subscriptions }) => {

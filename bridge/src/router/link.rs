@@ -78,6 +78,7 @@ impl Urgency {
             | "std_msgs/Empty" => Self::Live,
             "nav_msgs/OccupancyGrid"
             | "map_msgs/OccupancyGridUpdate"
+            | "mr_slam_msgs/MapTiles"
             | "sensor_msgs/Image"
             | "sensor_msgs/CompressedImage"
             | "sensor_msgs/PointCloud2" => Self::Bulk,

@@ -22,6 +22,8 @@ pub(crate) struct Browser {
     pub(crate) info: Value,
     /// The newest state of the fleet.
     pub(crate) fleet: Value,
+    /// Answers to requests for parameters.
+    pub(crate) answers: Vec<Value>,
     next_id: u32,
 }
 
@@ -49,9 +51,15 @@ impl Browser {
             Err(HandshakeError::Failure(Error::Http(response))) => return Err(response.status().as_u16()),
             Err(error) => panic!("{error}"),
         };
-        let (channels, statuses) = (BTreeMap::new(), Vec::new());
-        let mut browser =
-            Self { socket, channels, statuses, info: Value::Null, fleet: Value::Null, next_id: 0 };
+        let mut browser = Self {
+            socket,
+            channels: BTreeMap::new(),
+            statuses: Vec::new(),
+            info: Value::Null,
+            fleet: Value::Null,
+            answers: Vec::new(),
+            next_id: 0,
+        };
         while browser.channels.is_empty() {
             assert_eq!(browser.read(), None);
         }
@@ -101,6 +109,7 @@ impl Browser {
                 let level = value["level"].as_u64().unwrap();
                 self.statuses.push((level, value["message"].as_str().unwrap().to_owned()));
             }
+            "parameterValues" if !value["id"].is_null() => self.answers.push(value),
             "parameterValues" => self.fleet = value["parameters"][0]["value"].clone(),
             "unadvertise" => {}
             other => panic!("{other}"),

@@ -8,6 +8,8 @@ use bridge::ros::{Text, Twist};
 use bridge::{Bridge, BridgeConfig, FleetMessage};
 use bytemuck::Zeroable;
 use msg::{GridHeader, GridView, Header, Monotonic, RobotId, Stamp};
+use serde_json::json;
+use std::io::{Read, Write};
 
 const ROBOT: RobotId = RobotId::new(1).unwrap();
 
@@ -34,11 +36,41 @@ fn publish_map(bridge: &Bridge, stamp: i64) {
 fn the_server_says_who_it_is_and_what_it_has() {
     let served = Served::start(BridgeConfig::default());
     let browser = Browser::connect(served.page);
-    assert_eq!(browser.info["capabilities"], serde_json::json!(["clientPublish", "parametersSubscribe"]));
+    assert_eq!(
+        browser.info["capabilities"],
+        serde_json::json!(["clientPublish", "parameters", "parametersSubscribe"])
+    );
     assert_eq!(browser.channels["/robot1/scan"].1, "sensor_msgs/msg/LaserScan");
     assert_eq!(browser.channels["/merged_map"].1, "nav_msgs/msg/OccupancyGrid");
     assert!(browser.channels.contains_key("/tf") && browser.channels.contains_key("/cmd_vel_2"));
     assert!(!browser.channels.contains_key("/robot3/scan"), "the fleet has two robots");
+}
+
+#[test]
+fn a_browser_that_asks_for_the_time_of_the_run_gets_it_with_its_own_words() {
+    let served = Served::start(BridgeConfig::default());
+    let mut browser = Browser::connect(served.page);
+    let header = Header { stamp: Stamp(12_500_000_000), ..Header::default() };
+    served.with(move |bridge| bridge.publish(FleetMessage::Clock(&msg::Clock { header })));
+    let ask = |names: &[&str], id: &str| json!({"op": "getParameters", "parameterNames": names, "id": id});
+    browser.send(&ask(&["/mr_slam/time", "/mine"], "t1"));
+    let mut answer = || loop {
+        browser.read();
+        if let Some(answer) = browser.answers.pop() {
+            return answer;
+        }
+    };
+    let time = answer();
+    assert_eq!(time["parameters"], json!([{"name": "/mr_slam/time", "value": 12.5}]));
+    assert_eq!(time["id"], "t1");
+    let mut browser = Browser::connect(served.page);
+    browser.send(&ask(&[], "all"));
+    while browser.answers.is_empty() {
+        browser.read();
+    }
+    assert_eq!(browser.answers[0]["parameters"].as_array().unwrap().len(), 2);
+    browser.send(&ask(&[], &"x".repeat(65)));
+    browser.wait_for_status("65 bytes");
 }
 
 #[test]
@@ -158,4 +190,36 @@ fn a_self_check_goes_to_the_log_shortened_and_not_for_ever() {
     assert_eq!(events.len(), 4, "{events:?}");
     assert!(events[0].starts_with("self-check of 127.0.0.1: check 0: yesx"), "{events:?}");
     assert!(events.iter().all(|event| event.len() < 2100 && !event.contains('\n')));
+}
+
+/// Returns the kinds (first byte) of the WebSocket frames in what a server sent.
+fn frame_kinds(mut bytes: &[u8]) -> Vec<u8> {
+    let mut kinds = Vec::new();
+    while let [kind, length, rest @ ..] = bytes {
+        kinds.push(*kind);
+        let (header, length) = match length {
+            126 => (2, usize::from(u16::from_be_bytes([rest[0], rest[1]]))),
+            127 => (8, u64::from_be_bytes(rest[..8].try_into().unwrap()) as usize),
+            short => (0, usize::from(*short)),
+        };
+        bytes = &rest[header + length..];
+    }
+    kinds
+}
+
+#[test]
+fn a_browser_that_closes_gets_one_close_as_the_last_frame() {
+    const CLOSE: u8 = 0x88;
+    let served = Served::start(BridgeConfig::default());
+    let mut browser = Browser::connect(served.page);
+    let stop = browser.subscribe("/emergency_stop");
+    browser.data(stop);
+    let stream = browser.socket.get_mut();
+    // A masked close without a reason (RFC 6455, 5.5.1).
+    stream.write_all(&[CLOSE, 0x80, 0, 0, 0, 0]).unwrap();
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).unwrap();
+    let kinds = frame_kinds(&bytes);
+    assert_eq!(kinds.last(), Some(&CLOSE));
+    assert_eq!(kinds.iter().filter(|kind| **kind == CLOSE).count(), 1, "{kinds:x?}");
 }

@@ -1,0 +1,164 @@
+// The operator's page over a poor link: 150 ms each way, 5 % loss, outages of a second, sockets that break. `.ci/page` starts the fleet.
+
+const assert = require("node:assert/strict");
+const { after, before, test } = require("node:test");
+const { WAIT, launch, open, url, waitForText, watchSpeed } = require("./page-browser.cjs");
+const { Proxy } = require("./page-proxy.cjs");
+
+const DELAY_MS = 150;
+let browser;
+/** A page on this machine, which knows when each scan was taken. */
+let observer;
+before(async () => {
+  browser = await launch();
+  observer = await watchSpeed(browser);
+  await observer.evaluate(() => {
+    globalThis.scans = new Map();
+    const { fleet } = mixedReality.operator;
+    const receive = fleet.receive.bind(fleet);
+    fleet.receive = (topic, view, now) => {
+      receive(topic, view, now);
+      if (topic === "/robot1/scan") globalThis.scans.set(fleet.robots.get(1).scan.stamp, performance.timeOrigin + performance.now());
+    };
+  });
+});
+after(() => browser.close());
+
+const median = (values) => [...values].sort((a, b) => a - b)[Math.floor(values.length / 2)];
+
+/** Opens the page behind a link. */
+async function openBehind(link) {
+  const proxy = new Proxy(Number(new URL(url).port), link);
+  const base = `http://localhost:${await proxy.listen()}`;
+  const { page, errors } = await open(browser, { base });
+  return { proxy, page, errors };
+}
+
+/** Reads the shown ages of the first robot's scan for a while, and what they are really: pairs of seconds. */
+async function ages(page, count) {
+  const shown = await page.evaluate(async (wanted) => {
+    const samples = [];
+    const panel = document.querySelector(".robot");
+    const age = [...panel.querySelectorAll("dt")].find((heading) => heading.textContent === "Age").nextElementSibling;
+    while (samples.length < wanted) {
+      await new Promise((resolve) => {
+        const seen = new MutationObserver(() => { seen.disconnect(); resolve(); });
+        seen.observe(age, { childList: true, characterData: true, subtree: true });
+      });
+      const { fleet } = mixedReality.operator;
+      samples.push([Number.parseFloat(age.textContent), performance.timeOrigin + performance.now(), fleet.robots.get(1).scan.stamp]);
+    }
+    return samples;
+  }, count);
+  const taken = new Map(await observer.evaluate(() => [...globalThis.scans]));
+  return shown.filter(([, , stamp]) => taken.has(stamp)).map(([age, at, stamp]) => [age, (at - taken.get(stamp)) / 1000]);
+}
+
+test("on a slow link the shown age is right within 10 %, and says so when nothing comes", async () => {
+  const { proxy, page, errors } = await openBehind({ delayMs: DELAY_MS, loss: 0.05 });
+  // The clocks are compared once a second.
+  await page.waitForFunction(() => mixedReality.operator.fleet.clock.samples.length >= 5, null, WAIT);
+  const pairs = await ages(page, 50);
+  const [shown, real] = [0, 1].map((i) => median(pairs.map((pair) => pair[i])));
+  assert.ok(real > DELAY_MS / 1000, `the scans are ${real} s old`);
+  assert.ok(Math.abs(shown - real) < 0.1 * real, `shown ${shown} s, in truth ${real} s`);
+  proxy.hold(3000);
+  await waitForText(page, "#link", "no answer");
+  await waitForText(page, "#hint", "does not answer");
+  assert.ok(await page.evaluate(() => mixedReality.operator.fleet.robots.get(1).scanAge(mixedReality.operator.now())) > 1);
+  await waitForText(page, "#link", "connected");
+  await page.waitForFunction(() => mixedReality.operator.fleet.robots.get(1).scanAge(mixedReality.operator.now()) < 1, null, WAIT);
+  proxy.close();
+  assert.deepEqual(errors.filter((error) => !error.includes("WebSocket")), []);
+});
+
+/** Time from a velocity that the page sends to its return as the one that the robot is sent, ms. */
+async function commandTimes(page, count) {
+  return page.evaluate(async (wanted) => {
+    const { Connection } = await import("./transport.js");
+    const { writeTwist } = await import("./messages.js");
+    let answered = () => {};
+    const connection = new Connection(location.origin.replace("http", "ws"), { message: (_, view) => answered(view.getFloat64(4 + 40, true)) });
+    connection.subscribe("/robot1/cmd_vel");
+    const times = [];
+    for (let i = 1; i <= wanted; i += 1) {
+      const turning = 0.2 + (i % 50) * 0.001;
+      const at = performance.now();
+      const took = new Promise((resolve) => { answered = (value) => { if (Math.abs(value - turning) < 1e-9) resolve(performance.now() - at); }; });
+      while (!connection.publish("/robot1/cmd_vel", "geometry_msgs/msg/Twist", writeTwist(0, turning))) await new Promise((resolve) => { setTimeout(resolve, 20); });
+      const late = new Promise((resolve) => { setTimeout(() => resolve(null), 5000); });
+      times.push(await Promise.race([took, late]));
+    }
+    return times;
+  }, count);
+}
+
+test("commands do not wait behind maps", async () => {
+  const { proxy, page } = await openBehind({ delayMs: DELAY_MS });
+  // Whole maps, as often as they can be had, on a connection beside the page's two.
+  await page.evaluate(async () => {
+    const { Connection } = await import("./transport.js");
+    globalThis.wholeMaps = 0;
+    const whole = new Connection(location.origin.replace("http", "ws"), { message: () => {
+      globalThis.wholeMaps += 1;
+      whole.unsubscribe("/merged_map");
+      whole.subscribe("/merged_map");
+    } });
+    whole.subscribe("/merged_map");
+  });
+  const times = await commandTimes(page, 20);
+  const maps = await page.evaluate(() => globalThis.wholeMaps);
+  assert.ok(maps > 5, `${maps} maps came meanwhile`);
+  assert.ok(times.every((time) => time !== null), JSON.stringify(times));
+  // There and back, and what a busy machine adds.
+  assert.ok(median(times) < 2 * DELAY_MS + 60, JSON.stringify(times));
+  proxy.close();
+});
+
+test("the robot is at rest while the link is gone, and drives on when it is back", async () => {
+  const { proxy, page } = await openBehind({ delayMs: DELAY_MS });
+  await page.keyboard.press("Digit1");
+  await page.keyboard.down("KeyS");
+  const moves = () => observer.waitForFunction(() => Math.abs(globalThis.speeds.at(-1)?.[1]) > 0.05, null, WAIT);
+  await moves();
+  // Commands on their way arrive no more either: the proxy holds them.
+  const held = Date.now();
+  proxy.hold(1500);
+  await observer.waitForTimeout(1400);
+  const moving = await observer.evaluate((from) => globalThis.speeds.filter(([at, v]) => at > from && at < from + 1400 && Math.abs(v) >= 0.01).map(([at]) => at - from), held);
+  // The bridge sends zeros 300 ms after the last velocity; then the robot brakes.
+  assert.ok(Math.max(0, ...moving) < 700, `it moved for ${Math.max(...moving)} ms`);
+  await moves();
+  await page.keyboard.up("KeyS");
+  await observer.waitForFunction(() => Math.abs(globalThis.speeds.at(-1)?.[1]) < 0.01, null, WAIT);
+  proxy.close();
+});
+
+test("sockets that break again and again are opened within a second each time, and nothing is lost but time", async () => {
+  const { proxy, page } = await openBehind({});
+  await page.keyboard.press("Digit2");
+  for (let round = 0; round < 4; round += 1) {
+    await page.evaluate(() => {
+      globalThis.backAfter = undefined;
+      const [link, brokenAt] = [document.querySelector("#link"), performance.now()];
+      let isGone = false;
+      const seen = new MutationObserver(() => {
+        isGone ||= link.textContent !== "connected";
+        if (!isGone || link.textContent !== "connected") return;
+        seen.disconnect();
+        globalThis.backAfter = performance.now() - brokenAt;
+      });
+      seen.observe(link, { childList: true, characterData: true, subtree: true });
+    });
+    proxy.breakAll();
+    await page.waitForFunction(() => globalThis.backAfter !== undefined, null, WAIT);
+    const took = await page.evaluate(() => globalThis.backAfter);
+    assert.ok(took < 1000, `connected after ${took} ms`);
+    await page.waitForFunction(() => {
+      const { fleet, now } = mixedReality.operator;
+      return !fleet.merged.needsWhole && [...fleet.robots.values()].every((robot) => (robot.scanAge(now()) ?? 9) < 1);
+    }, null, WAIT);
+  }
+  assert.match(await page.textContent("#target"), /robot2/, "the selection stays");
+  proxy.close();
+});

@@ -1,0 +1,96 @@
+//! Which of several peers counts: a robot obeys one base, and a base accepts one machine that bears a robot's name.
+
+use msg::Monotonic;
+use std::time::Duration;
+
+/// Silence after which another peer takes the place of the one that led.
+pub const SILENCE_MAX: Duration = Duration::from_secs(3);
+/// Oldest message of ours that a peer may answer when it gives a velocity: the round trip and the longest pause between
+/// two signs of life. An older answer waited in a queue.
+pub const ANSWER_AGE_MAX: Duration = Duration::from_millis(500);
+
+/// Whether a message counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It is from the peer that leads.
+    Accepted,
+    /// It is from a peer that leads from now on; another session led before, or none.
+    TakenOver {
+        /// Session that led before.
+        before: Option<u64>,
+    },
+    /// It is from another peer than the one that leads.
+    Refused,
+}
+
+/// Keeps the session of the peer that leads.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Leadership {
+    leader: Option<(u64, Monotonic)>,
+    /// Messages of other peers that were refused.
+    pub refused: u64,
+}
+
+impl Leadership {
+    /// Judges a message of the peer `session` that arrived `now`.
+    pub fn judge(&mut self, session: u64, now: Monotonic) -> Verdict {
+        match self.leader {
+            Some((leader, _)) if leader == session => {
+                self.leader = Some((session, now));
+                Verdict::Accepted
+            }
+            Some((_, heard)) if now.since(heard) < SILENCE_MAX.as_nanos() as u64 => {
+                self.refused += 1;
+                Verdict::Refused
+            }
+            before => {
+                self.leader = Some((session, now));
+                Verdict::TakenOver { before: before.map(|(session, _)| session) }
+            }
+        }
+    }
+
+    /// Returns the session that leads, silent or not.
+    pub fn session(&self) -> Option<u64> {
+        self.leader.map(|(session, _)| session)
+    }
+
+    /// Returns whether the peer that leads was heard lately.
+    pub fn is_heard(&self, now: Monotonic) -> bool {
+        self.leader.is_some_and(|(_, heard)| now.since(heard) < SILENCE_MAX.as_nanos() as u64)
+    }
+}
+
+/// Returns whether a message that answers ours of the time `answers` is recent. Only our own clock is read.
+pub fn is_recent(answers: Monotonic, now: Monotonic) -> bool {
+    answers.0 > 0 && answers <= now && now.since(answers) <= ANSWER_AGE_MAX.as_nanos() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u64) -> Monotonic {
+        Monotonic(1 + ms * 1_000_000)
+    }
+
+    #[test]
+    fn a_second_base_is_refused_until_the_first_is_silent() {
+        let mut leadership = Leadership::default();
+        assert_eq!(leadership.judge(7, at(0)), Verdict::TakenOver { before: None });
+        assert_eq!(leadership.judge(8, at(100)), Verdict::Refused);
+        assert_eq!(leadership.judge(7, at(200)), Verdict::Accepted);
+        assert_eq!(leadership.judge(8, at(3_100)), Verdict::Refused);
+        assert_eq!(leadership.judge(8, at(3_200)), Verdict::TakenOver { before: Some(7) });
+        assert_eq!(leadership.judge(7, at(3_300)), Verdict::Refused);
+        assert_eq!((leadership.session(), leadership.refused), (Some(8), 3));
+    }
+
+    #[test]
+    fn what_waited_in_a_queue_is_not_obeyed() {
+        assert!(is_recent(at(1_000), at(1_500)));
+        assert!(!is_recent(at(1_000), at(1_501)), "it waited");
+        assert!(!is_recent(at(1_000), at(900)), "we never said that");
+        assert!(!is_recent(Monotonic(0), at(100)), "it answers nothing");
+    }
+}

@@ -1,0 +1,337 @@
+//! Format of a message between machines: a head of fixed size, then a body by its kind. Little-endian.
+//!
+//! Reading checks every length and count, and returns an error for bytes that are no message.
+
+pub use crate::error::{VERSION, WireError};
+use crate::part::{KEY_BYTES, PartKey};
+use crate::reader::Reader;
+use crate::table::Kind;
+use msg::{
+    Correction, Header, LINKS_MAX, LinkTransform, Monotonic, Pose2, Stamp, Transforms, VelocityCommand,
+};
+
+/// Largest message, bytes: a message of a higher priority never waits for more.
+pub const MESSAGE_MAX: usize = 4096;
+/// Number of bytes before the body.
+pub const HEAD_BYTES: usize = 26;
+/// Number of bytes of a chunk before its content.
+const CHUNK_HEAD: usize = KEY_BYTES + 16;
+/// Largest piece of a part in one message, bytes.
+pub const CHUNK_BYTES_MAX: usize = MESSAGE_MAX - HEAD_BYTES - CHUNK_HEAD;
+/// Number of bytes of one entry in a list of parts.
+const RECEIPT_BYTES: usize = KEY_BYTES + 12;
+/// Largest number of parts in one message.
+pub const RECEIPTS_MAX: usize = (MESSAGE_MAX - HEAD_BYTES - 8) / RECEIPT_BYTES;
+/// Largest number of pages of a list of parts.
+pub const PAGES_MAX: u16 = 64;
+
+/// A message with its sender's session and times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Envelope {
+    /// Session of the sender: a random number that it keeps until its process ends.
+    pub session: u64,
+    /// Time of sending, on the sender's clock.
+    pub sent: Monotonic,
+    /// Time of sending of the newest message that the sender got from this peer, on the peer's clock; 0: none yet.
+    pub answers: Monotonic,
+    /// Content of the message.
+    pub message: Message,
+}
+
+/// Content of a message.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// Sign of life of a robot.
+    RobotState(RobotState),
+    /// Pose in the robot's map. Of its header only the stamp is sent.
+    Correction(Correction),
+    /// Frames of the robot. Of its header only the stamp is sent.
+    Transforms(Box<Transforms>),
+    /// Piece of a part of the map.
+    Chunk(Chunk),
+    /// Sign of life of the base.
+    BaseState(BaseState),
+    /// Velocity for the robot. Of its header nothing is sent: the robot stamps it.
+    Velocity(VelocityCommand),
+    /// Page of the list of parts that the base holds.
+    Held(HeldPage),
+    /// Parts, or first pieces of them, that have arrived.
+    Acknowledgement(Vec<Receipt>),
+}
+
+/// State of a robot's link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RobotState {
+    /// Session of the base whose list of parts the robot has; 0: it has none and cannot send its map.
+    pub list_of: u64,
+    /// Number of parts that wait to be sent.
+    pub waiting: u32,
+    /// Whether the robot's own emergency stop is set.
+    pub is_stopped: bool,
+}
+
+/// State of the base's link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BaseState {
+    /// Whether the base's emergency stop is set.
+    pub is_stopped: bool,
+    /// Whether the base knows: its bridge has answered lately.
+    pub is_known: bool,
+}
+
+/// Piece of a compressed part.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Chunk {
+    /// Key of the part.
+    pub key: PartKey,
+    /// Hash of the part's uncompressed content.
+    pub hash: u64,
+    /// Number of bytes of the whole compressed part; 0: the part does not exist any more.
+    pub total: u32,
+    /// Place of the piece in the compressed part.
+    pub offset: u32,
+    /// The compressed part's bytes from there on.
+    pub bytes: Vec<u8>,
+}
+
+/// How much of a part has arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Receipt {
+    /// Key of the part.
+    pub key: PartKey,
+    /// Hash of its uncompressed content.
+    pub hash: u64,
+    /// Number of bytes of the compressed part that have arrived; [`COMPLETE`]: all.
+    pub received: u32,
+}
+
+/// Value of [`Receipt::received`] of a part that has arrived as a whole.
+pub const COMPLETE: u32 = u32::MAX;
+
+/// One page of the list of parts that the base holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HeldPage {
+    /// Number of the page, from 0.
+    pub page: u16,
+    /// Number of pages of the list, at least 1.
+    pub pages: u16,
+    /// Number of the list, so that pages of two lists are not mixed.
+    pub list: u32,
+    /// Parts of this page.
+    pub parts: Vec<Receipt>,
+}
+
+impl Message {
+    /// Returns the kind of the message.
+    pub fn kind(&self) -> Kind {
+        match self {
+            Self::RobotState(_) => Kind::RobotState,
+            Self::Correction(_) => Kind::Correction,
+            Self::Transforms(_) => Kind::Transforms,
+            Self::Chunk(_) => Kind::Chunk,
+            Self::BaseState(_) => Kind::BaseState,
+            Self::Velocity(_) => Kind::Velocity,
+            Self::Held(_) => Kind::Held,
+            Self::Acknowledgement(_) => Kind::Acknowledgement,
+        }
+    }
+}
+
+impl Envelope {
+    /// Encodes the message: at most [`MESSAGE_MAX`] bytes if its lists and pieces are within their bounds.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut to = Vec::with_capacity(64);
+        to.extend([VERSION, self.message.kind() as u8]);
+        to.extend(self.session.to_le_bytes());
+        to.extend(self.sent.0.to_le_bytes());
+        to.extend(self.answers.0.to_le_bytes());
+        self.message.write(&mut to);
+        to
+    }
+
+    /// Decodes a message.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, WireError> {
+        if bytes.len() > MESSAGE_MAX {
+            return Err(WireError::Length(bytes.len()));
+        }
+        let mut from = Reader { bytes, whole: bytes.len() };
+        let [version, kind] = from.array()?;
+        if version != VERSION {
+            return Err(WireError::Version(version));
+        }
+        let kind = Kind::from_code(kind).ok_or(WireError::Kind(kind))?;
+        let (session, sent, answers) = (from.u64()?, Monotonic(from.u64()?), Monotonic(from.u64()?));
+        let message = Message::read(kind, &mut from)?;
+        if from.bytes.is_empty() {
+            Ok(Self { session, sent, answers, message })
+        } else {
+            Err(WireError::Length(bytes.len()))
+        }
+    }
+}
+
+impl Message {
+    fn write(&self, to: &mut Vec<u8>) {
+        match self {
+            Self::RobotState(state) => {
+                to.extend(state.list_of.to_le_bytes());
+                to.extend(state.waiting.to_le_bytes());
+                to.push(state.is_stopped.into());
+            }
+            Self::BaseState(state) => to.extend([u8::from(state.is_stopped), u8::from(state.is_known)]),
+            Self::Velocity(command) => write_f64s(to, &[command.linear_m_s, command.angular_rad_s]),
+            Self::Correction(correction) => write_correction(to, correction),
+            Self::Transforms(transforms) => write_transforms(to, transforms),
+            Self::Chunk(chunk) => {
+                to.extend(chunk.key.to_bytes());
+                to.extend(chunk.hash.to_le_bytes());
+                to.extend(chunk.total.to_le_bytes());
+                to.extend(chunk.offset.to_le_bytes());
+                to.extend(&chunk.bytes);
+            }
+            Self::Held(held) => {
+                to.extend(held.page.to_le_bytes());
+                to.extend(held.pages.to_le_bytes());
+                to.extend(held.list.to_le_bytes());
+                write_receipts(to, &held.parts);
+            }
+            Self::Acknowledgement(parts) => write_receipts(to, parts),
+        }
+    }
+
+    fn read(kind: Kind, from: &mut Reader<'_>) -> Result<Self, WireError> {
+        let wrong = WireError::Range(kind);
+        Ok(match kind {
+            Kind::RobotState => Self::RobotState(RobotState {
+                list_of: from.u64()?,
+                waiting: from.u32()?,
+                is_stopped: from.flag().ok_or(wrong)?,
+            }),
+            Kind::BaseState => Self::BaseState(BaseState {
+                is_stopped: from.flag().ok_or(wrong)?,
+                is_known: from.flag().ok_or(wrong)?,
+            }),
+            Kind::Velocity => {
+                let (linear_m_s, angular_rad_s) = (from.f64()?, from.f64()?);
+                if !linear_m_s.is_finite() || !angular_rad_s.is_finite() {
+                    return Err(wrong);
+                }
+                Self::Velocity(VelocityCommand { linear_m_s, angular_rad_s, ..Default::default() })
+            }
+            Kind::Correction => Self::Correction(read_correction(from)?.ok_or(wrong)?),
+            Kind::Transforms => Self::Transforms(Box::new(read_transforms(from)?.ok_or(wrong)?)),
+            Kind::Chunk => Self::Chunk(read_chunk(from)?.ok_or(wrong)?),
+            Kind::Held => {
+                let (page, pages, list) = (from.u16()?, from.u16()?, from.u32()?);
+                if page >= pages || pages > PAGES_MAX {
+                    return Err(wrong);
+                }
+                Self::Held(HeldPage { page, pages, list, parts: read_receipts(from)?.ok_or(wrong)? })
+            }
+            Kind::Acknowledgement => Self::Acknowledgement(read_receipts(from)?.ok_or(wrong)?),
+        })
+    }
+}
+
+fn write_f64s(to: &mut Vec<u8>, values: &[f64]) {
+    values.iter().for_each(|value| to.extend(value.to_le_bytes()));
+}
+
+fn write_pose(to: &mut Vec<u8>, pose: Pose2) {
+    write_f64s(to, &[pose.x_m, pose.y_m, pose.yaw_rad]);
+}
+
+fn write_correction(to: &mut Vec<u8>, correction: &Correction) {
+    to.extend(correction.header.stamp.0.to_le_bytes());
+    to.extend(correction.scan_seq.to_le_bytes());
+    write_pose(to, correction.map_from_odom);
+    write_pose(to, correction.map_from_base);
+    correction.covariance.iter().for_each(|value| to.extend((*value as f32).to_le_bytes()));
+    to.extend([correction.state as u8, correction.map_from_odom_unknown as u8]);
+    to.extend(correction.nodes.to_le_bytes());
+    to.extend(correction.closures.to_le_bytes());
+}
+
+fn read_correction(from: &mut Reader<'_>) -> Result<Option<Correction>, WireError> {
+    let mut correction =
+        Correction { header: header(from.i64()?), scan_seq: from.u64()?, ..Default::default() };
+    (correction.map_from_odom, correction.map_from_base) = (from.pose()?, from.pose()?);
+    for value in &mut correction.covariance {
+        *value = f64::from(from.f32()?);
+    }
+    let [state, unknown] = from.array()?;
+    (correction.state, correction.map_from_odom_unknown) = (state.into(), unknown.into());
+    (correction.nodes, correction.closures) = (from.u32()?, from.u32()?);
+    let is_finite = correction.map_from_odom.is_finite() && correction.map_from_base.is_finite();
+    let is_finite = is_finite && correction.covariance.iter().all(|value| value.is_finite());
+    Ok(Some(correction).filter(|_| is_finite))
+}
+
+/// Writes the frames with single precision: below a micrometre within ten metres.
+fn write_transforms(to: &mut Vec<u8>, transforms: &Transforms) {
+    to.extend(transforms.header.stamp.0.to_le_bytes());
+    to.push(transforms.links().len() as u8);
+    for link in transforms.links() {
+        to.extend([link.parent as u8, link.child as u8]);
+        let values = link.translation_m.iter().chain(&link.rotation_xyzw);
+        values.for_each(|value| to.extend((*value as f32).to_le_bytes()));
+    }
+}
+
+fn read_transforms(from: &mut Reader<'_>) -> Result<Option<Transforms>, WireError> {
+    let mut transforms = Transforms { header: header(from.i64()?), ..Default::default() };
+    let [len] = from.array()?;
+    if usize::from(len) > LINKS_MAX {
+        return Ok(None);
+    }
+    transforms.len = len.into();
+    for link in &mut transforms.links[..usize::from(len)] {
+        *link = read_link(from)?;
+        let mut values = link.translation_m.iter().chain(&link.rotation_xyzw);
+        if !values.all(|value| value.is_finite()) {
+            return Ok(None);
+        }
+    }
+    Ok(Some(transforms))
+}
+
+fn read_link(from: &mut Reader<'_>) -> Result<LinkTransform, WireError> {
+    let [parent, child] = from.array()?;
+    let mut link = LinkTransform { parent: parent.into(), child: child.into(), ..Default::default() };
+    for value in link.translation_m.iter_mut().chain(&mut link.rotation_xyzw) {
+        *value = f64::from(from.f32()?);
+    }
+    Ok(link)
+}
+
+fn read_chunk(from: &mut Reader<'_>) -> Result<Option<Chunk>, WireError> {
+    let key = PartKey::from_bytes(from.array()?);
+    let (hash, total, offset) = (from.u64()?, from.u32()?, from.u32()?);
+    let bytes = std::mem::take(&mut from.bytes);
+    let Some(key) = key else { return Ok(None) };
+    let fits = total as usize <= crate::part::PART_BYTES_MAX
+        && (offset as usize).checked_add(bytes.len()).is_some_and(|end| end <= total as usize)
+        && (bytes.is_empty() == (total == 0));
+    Ok(fits.then(|| Chunk { key, hash, total, offset, bytes: bytes.to_vec() }))
+}
+
+fn write_receipts(to: &mut Vec<u8>, parts: &[Receipt]) {
+    for part in parts {
+        to.extend(part.key.to_bytes());
+        to.extend(part.hash.to_le_bytes());
+        to.extend(part.received.to_le_bytes());
+    }
+}
+
+fn read_receipts(from: &mut Reader<'_>) -> Result<Option<Vec<Receipt>>, WireError> {
+    let mut parts = Vec::with_capacity(from.bytes.len() / RECEIPT_BYTES);
+    while !from.bytes.is_empty() {
+        let Some(key) = PartKey::from_bytes(from.array()?) else { return Ok(None) };
+        parts.push(Receipt { key, hash: from.u64()?, received: from.u32()? });
+    }
+    Ok(Some(parts))
+}
+
+fn header(stamp_ns: i64) -> Header {
+    Header { stamp: Stamp(stamp_ns), ..Header::default() }
+}

@@ -1,0 +1,35 @@
+// The time of the run, as the page estimates it: how old a message is does not depend on how long it was on its way.
+
+/** Answers that are kept; the one that came back soonest counts. */
+const SAMPLES_MAX = 10;
+
+/** The run's clock beside the page's. All times are seconds. */
+export class RunClock {
+  constructor() {
+    /** The newest answers: the run's time minus the page's, and how long the answer took. @type {{offset: number, tookS: number}[]} */
+    this.samples = [];
+  }
+
+  /** Forgets all answers: the bridge is another one. */
+  reset() { this.samples = []; }
+
+  /**
+   * Takes an answer of the bridge. The question and the answer are taken for equally long on their way (as NTP does).
+   * @param {number} askedAt when the page asked @param {number} answeredAt when the answer came, both on the page's clock
+   * @param {number} runTime the run's time in the answer
+   */
+  add(askedAt, answeredAt, runTime) {
+    this.samples.push({ offset: runTime - (askedAt + answeredAt) / 2, tookS: answeredAt - askedAt });
+    if (this.samples.length > SAMPLES_MAX) this.samples.shift();
+  }
+
+  /** Returns how long the newest answer took, or null if there is none. */
+  roundTrip() { return this.samples.at(-1)?.tookS ?? null; }
+
+  /** Returns when something with this stamp happened, on the page's clock: now, at the latest. */
+  toPage(/** @type {number} */ stamp, /** @type {number} */ now) {
+    if (this.samples.length === 0) return now;
+    const best = this.samples.reduce((a, b) => (b.tookS < a.tookS ? b : a));
+    return Math.min(now, stamp - best.offset);
+  }
+}

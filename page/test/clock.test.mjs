@@ -1,0 +1,26 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { RunClock } from "../clock.js";
+
+test("before the first answer a message is as old as its arrival", () => {
+  assert.equal(new RunClock().toPage(3, 100), 100);
+});
+
+test("the age of a message is that of its stamp, however long it was on its way", () => {
+  const clock = new RunClock();
+  // The run began 40 s after the page; both ways take 0.15 s.
+  clock.add(50, 50.3, 10.15);
+  assert.ok(Math.abs(clock.toPage(10, 50.4) - 50) < 1e-9);
+  assert.equal(clock.toPage(99, 50.4), 50.4, "nothing is from the future");
+});
+
+test("an answer that was held up on one way does not shift the clock", () => {
+  const clock = new RunClock();
+  clock.add(50, 50.02, 10.01);
+  for (let i = 1; i < 10; i += 1) clock.add(50 + i, 51.2 + i, 11.19 + i);
+  assert.ok(Math.abs(clock.toPage(12, 60) - 52) < 1e-9);
+  assert.ok(Math.abs((clock.roundTrip() ?? 0) - 1.2) < 1e-9);
+  clock.add(70, 70.02, 40.01);
+  clock.reset();
+  assert.equal(clock.roundTrip(), null);
+});

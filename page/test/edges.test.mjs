@@ -1,0 +1,54 @@
+// Merge edges and exploration as texts and commands.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { CdrReader, CdrWriter } from "../cdr.js";
+import { commandsOf, describeEdge, readEdges, writeEdgeCommand } from "../edges.js";
+import { describeExploration, isExploring, readExploration } from "../exploration.js";
+import { MeasureTool } from "../measure.js";
+import { Fleet } from "../state.js";
+
+const text = (value) => new DataView(new CdrWriter().string(value).done().buffer);
+const EDGE = { a: "robot1", b: "robot12", state: "accepted", occupied_f1: 0.834, null_f1_max: 0.3, overlap_m2: 12.34, residual_m: 0.0241, closures: 3, closures_rejected: 0 };
+
+test("an edge shows its evidence beside chance, and what can be done with it", () => {
+  const { state, evidence } = describeEdge(EDGE);
+  assert.deepEqual([state, evidence], ["joined", "walls agree 83 %, by chance 30 % · 12.3 m² shared · 24 mm apart · 3 closures"]);
+  assert.deepEqual(commandsOf(EDGE), ["pin", "undo"]);
+  assert.deepEqual(commandsOf({ ...EDGE, state: "pinned" }), ["unpin", "undo"]);
+  for (const state of ["none", "candidate", "undone", "dropped"]) assert.deepEqual(commandsOf({ ...EDGE, state }), []);
+  const command = writeEdgeCommand("undo", EDGE);
+  assert.equal(new CdrReader(new DataView(command.buffer)).string(), "undo 1 12");
+});
+
+test("edges that are no list are refused, and a dropped one needs attention", () => {
+  assert.throws(() => readEdges(text("{")), RangeError);
+  assert.throws(() => readEdges(text("{}")), RangeError);
+  const fleet = new Fleet();
+  fleet.receive("/merge_edges", text(JSON.stringify({ edges: [EDGE, { ...EDGE, b: "robot2", state: "dropped" }] })), 0);
+  assert.deepEqual(fleet.attention(0, true).map((item) => [item.robot, item.text]), [[1, "its map is no longer joined with that of 2: they contradict each other"]]);
+});
+
+test("exploration says what it does, what is left and how long it takes", () => {
+  const state = (fields) => readExploration(text(JSON.stringify({ state: "exploring", ...fields })));
+  const left = [{ x: 1, y: 2, length_m: 1, reason: "" }, { x: null, y: 2 }];
+  assert.equal(describeExploration(state({ left, least_s: 30, most_s: 260 })), "exploring · 1 place left · done in 30 s to 4.3 min");
+  assert.equal(describeExploration(state({ state: "failed", reason: "no map" })), "failed: no map");
+  assert.deepEqual(["exploring", "returning", "paused", "completed", "stopped", "idle"].map((name) => isExploring(state({ state: name }))), [true, true, false, false, false, false]);
+  assert.equal(isExploring(null), false);
+  assert.throws(() => readExploration(text("[]")), RangeError);
+});
+
+test("a distance is measured from press to release, and switching off removes it", () => {
+  const shown = [];
+  const tool = new MeasureTool((isOn) => shown.push(isOn));
+  assert.equal(tool.press({ x: 0, y: 0 }), false);
+  tool.toggle();
+  assert.equal(tool.press({ x: 1, y: 1 }), true);
+  tool.move({ x: 4, y: 5 });
+  tool.release();
+  tool.move({ x: 9, y: 9 });
+  assert.equal(tool.length(), 5);
+  tool.toggle();
+  assert.deepEqual([tool.length(), shown], [null, [true, false]]);
+});
