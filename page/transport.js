@@ -118,9 +118,9 @@ export class Connection {
       }
     } else if (message.op === "status") {
       this.handlers.status?.(message.level, message.message);
-    } else if (message.op === "parameterValues" && this.asked?.id === message.id) {
+    } else if (message.op === "parameterValues" && this.asked && this.asked.id === message.id) {
       const value = message.parameters[0]?.value;
-      if (typeof value === "number" && this.asked) this.handlers.time?.(this.asked.at, performance.now(), value);
+      if (typeof value === "number") this.handlers.time?.(this.asked.at, performance.now(), value);
       this.asked = null;
     } else if (message.op === "parameterValues") {
       for (const { name, value } of message.parameters) this.handlers.parameter?.(name, value);

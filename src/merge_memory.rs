@@ -195,7 +195,9 @@ mod tests {
         let robots = msg::ROBOTS_MAX;
         let mut fleet = fresh(robots);
         for edge in 1..=(robots * (robots - 1) / 2) as u32 {
-            assert!(fleet.apply_command(edge, EdgeAction::Pin) && fleet.apply_command(edge, EdgeAction::Undo));
+            assert!(
+                fleet.apply_command(edge, EdgeAction::Pin) && fleet.apply_command(edge, EdgeAction::Undo)
+            );
         }
         write(&DiskStorage, &path, 7, &fleet.snapshot()).unwrap();
         let mut again = fresh(robots);

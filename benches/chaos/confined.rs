@@ -23,6 +23,8 @@ const DISK_FREE_MB: u64 = 16;
 const RECORDING_MB: u64 = 4;
 /// Time between two saved sessions, seconds.
 const AUTOSAVE_S: f64 = 2.0;
+/// Characters of a message that the table shows.
+const SHOWN_MAX: usize = 46;
 /// Shared memory with which no fleet starts, megabytes.
 const SHM_TOO_SMALL_MB: u64 = 2;
 /// How long the disk or shared memory is full.
@@ -112,12 +114,16 @@ pub fn disk(args: &Args) -> Rows {
     }
     let saved_s = is_saved().then(|| room.1.elapsed().as_secs_f64());
     let (missed, poses) = (watch.missed(begun, &[]), watch.poses(begun));
-    let kept = before == pids(&fleet);
+    let after = pids(&fleet);
+    let changed = before.iter().filter(|process| !after.contains(process));
+    let changed: Vec<&str> = changed.map(|process| process.name.as_str()).collect();
     drop(watch);
     let ended_well = fleet.end();
     let summary = std::fs::read_to_string(folder.join("recording/recording.json")).unwrap_or_default();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap_or_default();
-    let message = summary["ended"].as_str().unwrap_or("no message").to_owned();
+    let message = summary["ended"].as_str().unwrap_or("no message");
+    // The reason stands behind the path.
+    let message = message.rsplit(": ").next().unwrap_or_default();
     let seconds = |s: Option<f64>| s.map_or("never".to_owned(), |s| format!("{s:.1} s"));
     Ok(vec![
         Row::new(
@@ -127,7 +133,13 @@ pub fn disk(args: &Args) -> Rows {
             "a message",
             summary["ended"].is_string() && ended_s.is_some(),
         ),
-        Row::new("disk", "no process ended meanwhile", kept.to_string(), "true", kept),
+        Row::new(
+            "disk",
+            "processes that ended meanwhile",
+            format!("{} {}", changed.len(), changed.join(", ")),
+            "0",
+            changed.is_empty(),
+        ),
         Row::new("disk", "scans without a pose", format!("{missed} of {poses}"), "0", missed == 0),
         Row::new("disk", "sessions are saved again after", seconds(saved_s), "<= 20 s", saved_s.is_some()),
         Row::new("disk", "the fleet ended well", ended_well.to_string(), "true", ended_well),
@@ -170,14 +182,21 @@ fn newest_change(folder: &Path) -> Option<SystemTime> {
 pub fn shared_memory(args: &Args) -> Rows {
     let folder = Path::new(mr_slam::shared_memory::SHARED_MEMORY);
     mount(folder, SHM_TOO_SMALL_MB)?;
-    let refused = Fleet::start("demo", args.robots, &[]).err().map(|why| why.to_string());
-    let named = refused.as_ref().is_some_and(|why| why.contains("/dev/shm") && why.contains("free"));
+    let dir = std::env::temp_dir().join(format!("mr-slam-refused-{}", std::process::id()));
+    let refused = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
+        .args(["up", "--port", "0", "--seconds", "1", "--robots", &args.robots.to_string(), "--run-dir"])
+        .arg(&dir)
+        .output()?;
+    std::fs::remove_dir_all(&dir)?;
+    let words = String::from_utf8_lossy(&refused.stderr);
+    let words = words.lines().last().unwrap_or_default();
+    let named = words.contains("/dev/shm") && words.contains("remount");
     let mut rows = vec![Row::new(
         "shm",
         "too little at the start: refused, and what helps is named",
-        refused.map_or("started".to_owned(), |why| why.chars().take(46).collect()),
+        words.chars().take(SHOWN_MAX).collect(),
         "refused",
-        named,
+        !refused.status.success() && named,
     )];
     mount(folder, (shared_memory_need(args.robots, false).most >> 20) + 8)?;
     let mut fleet = Fleet::start("demo", args.robots, &[])?;
@@ -190,7 +209,8 @@ pub fn shared_memory(args: &Args) -> Rows {
     let survived = before.iter().filter(|process| during.contains(process)).count();
     std::fs::remove_file(filler)?;
     let room = Instant::now();
-    let (count, mut back_s) = (before.len(), None);
+    // And the operator.
+    let (count, mut back_s) = (fleet.run.config.processes().count() + 1, None);
     while back_s.is_none() && room.elapsed() < PATIENCE {
         let from = now();
         std::thread::sleep(Duration::from_millis(500));
@@ -203,7 +223,7 @@ pub fn shared_memory(args: &Args) -> Rows {
     rows.push(Row::note(
         "shm",
         "processes that lived through full shared memory",
-        format!("{survived} of {count}"),
+        format!("{survived} of {}", before.len()),
     ));
     rows.push(Row::new(
         "shm",

@@ -1,5 +1,6 @@
 //! Both cores are busy: jitter of the transforms at a TCP client, with and without page, recorder and ROS 2 peer.
 
+use crate::fleet::{LOOK_PERIOD, PATIENCE};
 use crate::measure::Spread;
 use crate::measured_fleet::Fleet;
 use crate::peer::{self, Peer};
@@ -9,7 +10,7 @@ use std::error::Error;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Time until the clients are connected and the fleet has its first maps.
 const WARM_UP: Duration = Duration::from_secs(4);
@@ -107,7 +108,15 @@ fn measure(args: &Args, settings: &str, hogs: bool, attached: bool) -> Result<Sp
 
 /// Connects to the operator's page as a browser does, subscribes to every topic, and reads until the fleet ends.
 fn page(port: u16) -> Result<(), Box<dyn Error>> {
-    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+    let begun = Instant::now();
+    let mut stream = loop {
+        // The bridge may be starting.
+        match TcpStream::connect(("127.0.0.1", port)) {
+            Ok(stream) => break stream,
+            Err(why) if begun.elapsed() > PATIENCE => return Err(why.into()),
+            Err(_) => std::thread::sleep(LOOK_PERIOD),
+        }
+    };
     write!(
         stream,
         "GET /ws HTTP/1.1\r\nHost: localhost:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\

@@ -44,6 +44,7 @@ pub fn run(args: &Args) -> Rows {
     let mut fleet = Fleet::start("demo", args.robots, &["--record", "--seed", &args.seed.to_string()])?;
     let watch = Watch::start(&fleet.run)?;
     std::thread::sleep(WARM_UP);
+    replace_all(&fleet)?;
     let before = Footprint::of(&fleet);
     let begun = now();
     let (kinds, hits, pids) = kill_all(&fleet, args)?;
@@ -73,6 +74,16 @@ pub fn run(args: &Args) -> Rows {
         left == 0 && ended_well,
     ));
     Ok(rows)
+}
+
+/// Kills every process once. Those that are started again inherit descriptors of the launcher, which no later kill adds to.
+fn replace_all(fleet: &Fleet) -> Result<(), Box<dyn Error>> {
+    for process in fleet.processes() {
+        send(process.pid, Signal::KILL);
+        fleet.wait_for_other(&process.name, Some(process.pid))?;
+    }
+    std::thread::sleep(LIFE);
+    Ok(())
 }
 
 type Killed = (BTreeMap<String, Kind>, Vec<(RobotId, msg::Monotonic)>, BTreeSet<u32>);

@@ -1,6 +1,7 @@
 //! A process of each kind is stopped for 5 s, as by a debugger or a machine that pages.
 
-use crate::fleet::{Fleet, LOOK_PERIOD, Process, send};
+use crate::fleet::{Fleet, LOOK_PERIOD, PATIENCE, Process, send};
+use crate::footprint::exists;
 use crate::kills::{WARM_UP, own_map};
 use crate::map_cells::count_lost;
 use crate::watch::Watch;
@@ -26,8 +27,12 @@ pub fn run(args: &Args) -> Rows {
     std::thread::sleep(WARM_UP);
     let begun = now();
     let (mut rows, mut hits, mut seen) = (Vec::new(), Vec::new(), BTreeSet::new());
+    let names = fleet.run.config.processes().map(|(row, robot)| row.title(robot));
+    let names: Vec<String> = names.chain(["operator".to_owned()]).collect();
     // The last of a kind: robot1's simulator also sends the clock, which the kills cover.
-    for process in fleet.processes().into_iter().rev() {
+    for name in names.into_iter().rev() {
+        fleet.wait_for_other(&name, None)?;
+        let process = fleet.process(&name).ok_or("a process that worked is gone")?;
         let kind = process.name.split(' ').next().unwrap_or_default().to_owned();
         if !seen.insert(kind) {
             continue;
@@ -56,16 +61,19 @@ fn stop(fleet: &Fleet, process: &Process) -> Result<Row, Box<dyn Error>> {
     };
     let stopped = Instant::now();
     send(process.pid, Signal::STOP);
-    let mut back_s = None;
-    while stopped.elapsed() < STOPPED {
+    let (mut back_s, mut is_stopped) = (None, true);
+    while is_stopped || (back_s.is_none() && !exists(process.pid) && stopped.elapsed() < PATIENCE) {
         let is_other = |now: &Process| now.pid != process.pid;
         if back_s.is_none() && fleet.process(&process.name).as_ref().is_some_and(is_other) {
             back_s = Some(stopped.elapsed().as_secs_f64());
         }
+        if is_stopped && stopped.elapsed() >= STOPPED {
+            // If it was replaced, it does not exist any more.
+            send(process.pid, Signal::CONT);
+            is_stopped = false;
+        }
         std::thread::sleep(LOOK_PERIOD);
     }
-    // If it was replaced, it does not exist any more.
-    send(process.pid, Signal::CONT);
     let lost = match before {
         Some((robot, before)) => {
             let after = fleet.cells(robot, |after| count_lost(&before, after) == 0)?;

@@ -1,4 +1,4 @@
-//! Which of several peers counts: a robot obeys one base, and a base believes one machine that bears a robot's name.
+//! Which of several peers counts: a robot obeys one base, and a base accepts one machine that bears a robot's name.
 
 use msg::Monotonic;
 use std::time::Duration;

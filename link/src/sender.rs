@@ -177,7 +177,7 @@ impl PartSender {
         true
     }
 
-    /// Takes acknowledgements.
+    /// Takes acknowledgements of the base: parts, or first pieces of them, that have arrived.
     pub fn acknowledge(&mut self, receipts: &[Receipt], now: Monotonic) {
         for receipt in receipts {
             let Some(sent) = self.in_flight.get_mut(&receipt.key) else { continue };
@@ -197,7 +197,10 @@ impl PartSender {
                 continue;
             }
             let received = (receipt.received as usize).min(sent.bytes.len());
-            if received > sent.acknowledged {
+            if received < sent.acknowledged {
+                // The base has dropped what it had, such as a part that did not decompress: the rest alone is of no use.
+                (sent.acknowledged, sent.sent, sent.progress) = (received, received, now);
+            } else if received > sent.acknowledged {
                 (sent.acknowledged, sent.progress) = (received, now);
                 sent.sent = sent.sent.max(received);
             }

@@ -49,7 +49,7 @@ impl Priority {
 pub enum Waiting {
     /// It is dropped, because only the newest counts.
     NewestWins,
-    /// It stays; a lost one is sent again by whoever misses its acknowledgement.
+    /// It stays; its sender sends it again if it is not acknowledged.
     Acknowledged,
 }
 

@@ -1,7 +1,7 @@
 //! A robot's map reaches the base over links that lose, delay and cut, and nothing is sent twice without need.
 
 use link::part::hash;
-use link::wire::Chunk;
+use link::wire::{Chunk, HeldPage, Receipt};
 use link::{PartChange, PartContent, PartKey, PartReceiver, PartSender, SenderConfig};
 use msg::{MapTile, Monotonic};
 use rand_xoshiro::SplitMix64;
@@ -217,6 +217,25 @@ fn the_window_bounds_what_is_on_its_way() {
         bytes += chunk.bytes.len();
     }
     assert!(bytes > 0 && bytes <= SenderConfig::default().window_bytes, "{bytes}");
+}
+
+#[test]
+fn a_part_whose_first_pieces_the_base_has_dropped_begins_anew() {
+    let mut pair = Pair::new(0);
+    let mut random = SplitMix64::seed_from_u64(7);
+    // More than one window: the base acknowledges a first piece, then loses it, as when its list named a piece of a part
+    // that it refuses later.
+    let large = tile(0, 0, 4096, &mut random);
+    let content = PartContent::Tile(Arc::new(large));
+    let plain = link::content::encode(&content);
+    let total = link::content::compress(&plain).len() as u32;
+    assert!(total > 2_000, "{total} bytes");
+    let begun = Receipt { key: PartKey::Tile(0, 0), hash: hash(&plain), received: 1_000 };
+    pair.sender.receive_list(HeldPage { page: 0, pages: 1, list: 99, parts: vec![begun] }, BASE);
+    pair.put(&large);
+    pair.run(10_000);
+    assert_eq!(pair.map[&PartKey::Tile(0, 0)].cells, large.cells);
+    assert_eq!(pair.sender.waiting(), 0);
 }
 
 #[test]

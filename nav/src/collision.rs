@@ -22,9 +22,14 @@ impl CollisionLimit {
 
     /// Distance that the body can drive straight ahead by the scan, metres; infinite if nothing stands there.
     pub fn free_distance_m(&self, scan: &ScanView) -> f64 {
+        self.nearest_ahead_m(scan).map_or(f64::INFINITY, |[x, _]| x - self.body.radius_m)
+    }
+
+    /// The scan's point that the body would touch first on its way straight ahead, in `base_footprint`, metres.
+    pub fn nearest_ahead_m(&self, scan: &ScanView) -> Option<[f64; 2]> {
         let half_width_m = self.half_width_m();
         let ahead = scan.hits_in_base_m().filter(|[x, y]| *x > 0.0 && y.abs() < half_width_m);
-        ahead.map(|[x, _]| x - self.body.radius_m).fold(f64::INFINITY, f64::min)
+        ahead.min_by(|a, b| a[0].total_cmp(&b[0]))
     }
 
     /// Distance that the body can drive straight ahead before it touches a robot of the same size at a position in

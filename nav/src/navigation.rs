@@ -241,9 +241,9 @@ impl FleetNavigator {
             let Some(poses) = robot.poses().filter(|_| drives) else { continue };
             let in_merged_map = robot.observation.in_merged_map;
             let reserved: &[Reservation] = if in_merged_map { &reservations } else { &[] };
-            let search = &mut self.search;
-            let route =
-                search.search(navigator.goal_map(), poses.map_from_base, self.config.separation_m, reserved);
+            let (at, intended_m) = (poses.map_from_base, navigator.intended_m(poses));
+            let (search, separation_m) = (&mut self.search, self.config.separation_m);
+            let route = search.search(navigator.goal_map(), at, intended_m, separation_m, reserved);
             let Some(route) = route else { continue };
             if !route.is_clear {
                 trapped.get_or_insert(i);

@@ -79,7 +79,8 @@ test("a new connection gets the subscriptions and publications of the one before
 
 test("the run's time is asked for one question at a time, and a silent connection is opened again", async () => {
   const times = [];
-  const { connection, socket } = open({ time: (...time) => times.push(time) });
+  const told = [];
+  const { connection, socket } = open({ time: (...time) => times.push(time), parameter: (...parameter) => told.push(parameter) });
   const begun = performance.now();
   connection.tick(begun);
   connection.tick(begun + 1000);
@@ -89,6 +90,9 @@ test("the run's time is asked for one question at a time, and a silent connectio
   socket.receive({ op: "parameterValues", id, parameters: [{ name: "/mr_slam/time", value: 42.5 }] });
   assert.equal(times.length, 1);
   assert.equal(times[0][2], 42.5);
+  // What the bridge tells by itself has no id; it is no answer, though none is waited for.
+  socket.receive({ op: "parameterValues", parameters: [{ name: "/mr_slam/fleet", value: 7 }] });
+  assert.deepEqual(told, [["/mr_slam/time", 1], ["/mr_slam/fleet", 7]]);
   connection.tick(begun + 2000);
   assert.equal(socket.commands("getParameters").length, 2);
   let isClosed = false;

@@ -35,6 +35,9 @@ const WAIT_COST: u32 = STRAIGHT_COST;
 /// Cost of waiting for a step on the way of a robot with priority: a robot that steps aside early is not in its way
 /// when it is late itself.
 const WAIT_ON_WAY_COST: u32 = 3 * WAIT_COST;
+/// Cost of beginning to drive away from where the last plan led, beside the way's own: of two sides to step aside to that
+/// are nearly equal, the one that was begun is kept. It is less than that of waiting for a robot to pass.
+const SWITCH_COST: u32 = 8 * STRAIGHT_COST;
 /// Move that is no direction: waiting.
 const WAIT: u8 = 8;
 const START: u8 = 9;
@@ -83,6 +86,8 @@ struct Problem<'a> {
     exempt_steps: usize,
     /// Cells of the window that lie on the reserved ways, row-major.
     on_way: Vec<bool>,
+    /// Cost of the first move beside the way's own, by direction.
+    switch_cost: [u32; 8],
 }
 
 impl Problem<'_> {
@@ -171,11 +176,13 @@ impl Problem<'_> {
 impl CooperativeSearch {
     /// Finds the cheapest way through the window that keeps clear of the reservations.
     ///
+    /// `intended_m`: where the last plan leads next.
     /// If there is none, it may come near the others at first; if there is none even so, the robot stands.
     pub(super) fn search(
         &mut self,
         goal_map: &GoalMap,
         map_from_base: Pose2,
+        intended_m: Option<[f64; 2]>,
         separation_m: f64,
         reservations: &[Reservation],
     ) -> Option<TimedRoute> {
@@ -195,6 +202,7 @@ impl CooperativeSearch {
             turn_steps,
             exempt_steps: 0,
             on_way: Vec::new(),
+            switch_cost: switch_cost(map, start, map_from_base, intended_m),
         };
         let cells = problem.static_route();
         let conflict = |(step, pair): (usize, &[usize])| problem.conflict(pair[0], pair[1], step);
@@ -255,7 +263,8 @@ impl CooperativeSearch {
             if is_turning || !is_free || problem.conflict(cell, next, step).is_some() {
                 continue;
             }
-            let step_cost = routes.step_cost(map, direction, next);
+            let switch_cost = if cell == problem.start { problem.switch_cost[direction] } else { 0 };
+            let step_cost = routes.step_cost(map, direction, next) + switch_cost;
             self.push(problem, (next, step + 1), cost + step_cost, direction as u8, to_go);
         }
     }
@@ -286,6 +295,17 @@ impl CooperativeSearch {
         cells.reverse();
         cells
     }
+}
+
+/// Cost of a first move in each direction that leads away from where the last plan led.
+fn switch_cost(map: &ClearanceMap, start: usize, at: Pose2, intended_m: Option<[f64; 2]>) -> [u32; 8] {
+    core::array::from_fn(|direction| {
+        let Some((intended_m, next)) = intended_m.zip(map.neighbour(start, direction)) else { return 0 };
+        let intended_rad = bearing_rad([at.x_m, at.y_m], intended_m);
+        let bearing_rad = bearing_rad(map.cell_centre_m(start), map.cell_centre_m(next));
+        let is_away = wrap_angle(bearing_rad - intended_rad).cos() < 0.0;
+        if is_away { SWITCH_COST } else { 0 }
+    })
 }
 
 /// Steps that turning on the spot takes before a move in each direction.

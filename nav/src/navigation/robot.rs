@@ -18,6 +18,8 @@ use msg::{Pose2, RobotId, Stamp};
 
 /// Waypoints after a wait to which a waiting robot turns: 0.2 m on maps of 0.05 m.
 const FACED_WAYPOINTS: usize = 3;
+/// Waypoints of a plan among which the nearest is looked for: it is less than a second old.
+const INTENDED_WAYPOINTS: usize = 8;
 /// Movement of `odom` in the map from which the path is planned anew at once, metres and radians.
 const MAP_MOVED_M: f64 = 0.05;
 const MAP_MOVED_RAD: f64 = 0.03;
@@ -105,6 +107,15 @@ impl RobotNavigator {
 
     pub(super) fn plan(&self) -> (&Path, u32) {
         (&self.plan, self.plans)
+    }
+
+    /// Where the plan leads next, in the frame of the map; `None` at its end.
+    pub(super) fn intended_m(&self, poses: RobotPoses) -> Option<[f64; 2]> {
+        let waypoints = &self.plan.waypoints;
+        let off_m = |i: &usize| crate::geometry::distance_m(waypoints[*i].position_m, poses.position_m());
+        let near =
+            (0..waypoints.len().min(INTENDED_WAYPOINTS)).min_by(|a, b| off_m(a).total_cmp(&off_m(b)))?;
+        waypoints.get(near + FACED_WAYPOINTS).map(|waypoint| waypoint.position_m)
     }
 
     pub(super) fn remaining_m(&self) -> Option<f64> {

@@ -5,11 +5,17 @@ use super::super::progress::{BACK_UP_CHECKS_M, BACK_UP_M_S, Recovery};
 use super::super::state::{NavigationFailure, NavigationState};
 use super::{OtherRobot, RobotNavigator};
 use crate::command::Twist;
+use crate::geometry::distance_m;
 use crate::observation::ScanView;
 use msg::Stamp;
 
 /// Speed below which a robot that wants to drive stands, m/s.
 const STANDING_M_S: f64 = 0.005;
+
+/// Share of a way back that must be gained as distance to a robot that is too near already.
+const MOVING_APART_SHARE: f64 = 0.25;
+/// A scan's point this near to the body of a robot is one of it, metres: errors of both robots' poses.
+const ROBOT_POINT_MAX_M: f64 = 0.08;
 
 /// Robots differ in how long they stand before they try to get free: in so many steps of this share.
 const PATIENCES: usize = 4;
@@ -47,8 +53,11 @@ impl RobotNavigator {
 
     fn new_recovery(&self, now: Stamp, poses: RobotPoses, others: &[OtherRobot]) -> Recovery {
         let is_clear = |back_m: &f64| {
+            // Robots that are too near each other already may move apart.
             let is_clear_of = |other: &OtherRobot| {
-                (other.in_base_m[0] + back_m).hypot(other.in_base_m[1]) > self.config.separation_m
+                let [x, y] = other.in_base_m;
+                let (before_m, after_m) = (x.hypot(y), (x + back_m).hypot(y));
+                after_m > self.config.separation_m || after_m > before_m + MOVING_APART_SHARE * back_m
             };
             self.goal_map.is_clear(&self.config, poses.map_from_base.apply([-back_m, 0.0]))
                 && others.iter().all(is_clear_of)
@@ -62,9 +71,14 @@ impl RobotNavigator {
 
     /// Slows the robot for what the scan shows ahead and for robots near it, and says what it stands for.
     pub(super) fn limit(&mut self, wanted: Twist, scan: &ScanView, others: &[OtherRobot]) -> Twist {
-        let by_scan = self.collision.limit_speed(wanted, self.collision.free_distance_m(scan));
-        let mut limited = by_scan;
-        let mut limited_by = None;
+        let nearest_m = self.collision.nearest_ahead_m(scan);
+        let free_m = nearest_m.map_or(f64::INFINITY, |[x, _]| x - self.config.body.radius_m);
+        let mut limited = self.collision.limit_speed(wanted, free_m);
+        // What the scan shows ahead may be a robot.
+        let reach_m = self.config.body.radius_m + ROBOT_POINT_MAX_M;
+        let is_seen =
+            |other: &&OtherRobot| nearest_m.is_some_and(|at_m| distance_m(at_m, other.in_base_m) < reach_m);
+        let mut limited_by = others.iter().find(is_seen).filter(|_| limited.linear_m_s < wanted.linear_m_s);
         for other in others {
             let by_other = self.collision.limit_speed_to_robot(limited, other.in_base_m);
             if by_other.linear_m_s < limited.linear_m_s {

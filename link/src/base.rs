@@ -1,0 +1,208 @@
+//! The link's end at the base, for one robot: what has arrived of its map, poses and state.
+
+use crate::content::{compress, decode, encode};
+use crate::counters::ByteCounters;
+use crate::leadership::{Leadership, Verdict};
+use crate::part::{self, PartContent, PartKey};
+use crate::peer::{Peer, STATE_PERIOD, Timer};
+use crate::receiver::{PartChange, PartReceiver};
+use crate::table::Kind;
+use crate::wire::{BaseState, Chunk, Message, RobotState, WireError};
+use msg::tiles::ROBOT_TILES_MAX;
+use msg::{Correction, Monotonic, Rect, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Shortest time between two lists of held parts.
+const LIST_PERIOD: Duration = Duration::from_millis(500);
+
+/// What a robot has sent. All stamps are by the robot's clock.
+#[derive(Debug)]
+pub enum BaseEvent {
+    /// Pose in the robot's map.
+    Correction(Correction),
+    /// Frames of the robot.
+    Transforms(Box<Transforms>),
+    /// The map has changed: see [`BaseEnd::map`].
+    Map,
+    /// A submap is new or has changed: see [`BaseEnd::submap`].
+    Submap(u32),
+    /// Poses of the submaps.
+    SubmapPoses(Box<SubmapPoses>),
+    /// Another session of the robot counts from now on: its clock is not known.
+    RobotJoined {
+        /// Session of the robot.
+        robot: u64,
+        /// Session that counted before.
+        before: Option<u64>,
+    },
+}
+
+/// End of the link to one robot. Channels, sockets and the clock are with its owner.
+#[derive(Debug)]
+pub struct BaseEnd {
+    peer: Peer,
+    leadership: Leadership,
+    receiver: PartReceiver,
+    tiles: TileMap,
+    has_header: bool,
+    /// Hash and compressed content of each submap.
+    submaps: BTreeMap<u32, (u64, Vec<u8>)>,
+    robot_state: RobotState,
+    state: BaseState,
+    state_timer: Timer,
+    list_timer: Timer,
+    /// Pages of the list of held parts that are to be sent.
+    is_list_due: bool,
+}
+
+impl BaseEnd {
+    /// Creates the end. `session` is a random number that tells this base from every other.
+    pub fn new(session: u64) -> Self {
+        Self {
+            peer: Peer::new(session),
+            leadership: Leadership::default(),
+            receiver: PartReceiver::default(),
+            tiles: TileMap::default(),
+            has_header: false,
+            submaps: BTreeMap::new(),
+            robot_state: RobotState::default(),
+            state: BaseState::default(),
+            state_timer: Timer::new(STATE_PERIOD),
+            list_timer: Timer::new(LIST_PERIOD),
+            is_list_due: false,
+        }
+    }
+
+    /// Returns the robot's map as it has arrived; `None` before its lattice is known.
+    pub fn map(&self) -> Option<&TileMap> {
+        self.has_header.then_some(&self.tiles)
+    }
+
+    /// Returns the ids of the submaps that have arrived.
+    pub fn submap_ids(&self) -> impl Iterator<Item = u32> + '_ {
+        self.submaps.keys().copied()
+    }
+
+    /// Returns a submap that has arrived.
+    pub fn submap(&self, id: u32) -> Option<Box<Submap>> {
+        let (hash, bytes) = self.submaps.get(&id)?;
+        match decode(PartKey::Submap(id), *hash, bytes) {
+            Ok(PartContent::Submap(submap)) => Some(submap),
+            _ => None,
+        }
+    }
+
+    /// Returns the robot's newest state.
+    pub fn robot_state(&self) -> RobotState {
+        self.robot_state
+    }
+
+    /// Returns whether the robot was heard lately.
+    pub fn is_heard(&self, now: Monotonic) -> bool {
+        self.leadership.is_heard(now)
+    }
+
+    /// Returns the bytes that were received, by kind.
+    pub fn received(&self) -> &ByteCounters {
+        &self.peer.received
+    }
+
+    /// Returns the number of messages of other machines that bear the robot's name, and of parts that were refused.
+    pub fn refused(&self) -> u64 {
+        self.leadership.refused + self.receiver.refused()
+    }
+
+    /// Takes a message of the robot.
+    pub fn receive(&mut self, bytes: &[u8], now: Monotonic) -> Result<Vec<BaseEvent>, WireError> {
+        let envelope = self.peer.read(bytes)?;
+        let mut events = Vec::new();
+        match self.leadership.judge(envelope.session, now) {
+            Verdict::Refused => return Ok(events),
+            Verdict::Accepted => {}
+            Verdict::TakenOver { before } => {
+                self.peer.heard = Monotonic(0);
+                events.push(BaseEvent::RobotJoined { robot: envelope.session, before });
+            }
+        }
+        self.peer.heard = self.peer.heard.max(envelope.sent);
+        match envelope.message {
+            Message::RobotState(state) => {
+                self.robot_state = state;
+                self.is_list_due = state.list_of != self.peer.session;
+            }
+            Message::Correction(correction) => events.push(BaseEvent::Correction(correction)),
+            Message::Transforms(transforms) => events.push(BaseEvent::Transforms(transforms)),
+            Message::Chunk(chunk) => events.extend(self.receive_chunk(&chunk)),
+            _ => {}
+        }
+        Ok(events)
+    }
+
+    fn receive_chunk(&mut self, chunk: &Chunk) -> Option<BaseEvent> {
+        match self.receiver.receive(chunk)? {
+            (_, PartChange::Replaced(PartContent::Tile(tile))) => {
+                let (x, y) = (i64::from(tile.x), i64::from(tile.y));
+                let fits = self.tiles.grow_to(Rect::single(x, y), ROBOT_TILES_MAX);
+                self.tiles.set(x, y, Some(tile));
+                fits.then_some(BaseEvent::Map)
+            }
+            (_, PartChange::Replaced(PartContent::MapHeader(header))) => {
+                (self.tiles.header, self.has_header) = (header, true);
+                Some(BaseEvent::Map)
+            }
+            (_, PartChange::Replaced(PartContent::SubmapPoses(poses))) => Some(BaseEvent::SubmapPoses(poses)),
+            (_, PartChange::Replaced(PartContent::Submap(submap))) => {
+                let id = submap.id;
+                let plain = encode(&PartContent::Submap(submap));
+                self.submaps.insert(id, (part::hash(&plain), compress(&plain)));
+                Some(BaseEvent::Submap(id))
+            }
+            (PartKey::Tile(x, y), PartChange::Removed) => {
+                self.tiles.set(x.into(), y.into(), None);
+                Some(BaseEvent::Map)
+            }
+            (PartKey::Submap(id), PartChange::Removed) => {
+                self.submaps.remove(&id);
+                None
+            }
+            (PartKey::MapHeader | PartKey::SubmapPoses, PartChange::Removed) => None,
+        }
+    }
+
+    /// Sets whether the base's emergency stop is set; `None` if its bridge does not answer.
+    pub fn set_stopped(&mut self, is_stopped: Option<bool>) {
+        let state = BaseState { is_stopped: is_stopped == Some(true), is_known: is_stopped.is_some() };
+        if state != self.state {
+            // A stop does not wait for the next period.
+            (self.state, self.state_timer) = (state, Timer::new(STATE_PERIOD));
+        }
+    }
+
+    /// Hands a velocity for the robot to `send`.
+    pub fn send_velocity(
+        &mut self,
+        command: &VelocityCommand,
+        now: Monotonic,
+        send: &mut impl FnMut(Kind, &[u8]),
+    ) {
+        self.peer.send(Message::Velocity(*command), now, send);
+    }
+
+    /// Hands all messages that are due to `send`.
+    pub fn poll(&mut self, now: Monotonic, send: &mut impl FnMut(Kind, &[u8])) {
+        if self.state_timer.is_due(now) {
+            self.peer.send(Message::BaseState(self.state), now, send);
+        }
+        if self.is_list_due && self.list_timer.is_due(now) {
+            self.is_list_due = false;
+            for page in self.receiver.list() {
+                self.peer.send(Message::Held(page), now, send);
+            }
+        }
+        let receipts = self.receiver.take_acknowledgements();
+        if !receipts.is_empty() {
+            self.peer.send(Message::Acknowledgement(receipts), now, send);
+        }
+    }
+}

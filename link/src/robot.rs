@@ -1,0 +1,245 @@
+//! The link's end on a robot's machine: its map, poses and state go to the base, velocities and the stop come back.
+
+use crate::counters::ByteCounters;
+use crate::leadership::{Leadership, Verdict, is_recent};
+use crate::part::{PartContent, PartKey};
+use crate::peer::{Peer, STATE_PERIOD, Timer};
+use crate::sender::{PartSender, SenderConfig};
+use crate::stop::{StopFollower, StopRequest};
+use crate::table::Kind;
+use crate::wire::{Message, RobotState, WireError};
+use msg::{
+    Correction, Header, MapHeader, Monotonic, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand,
+};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// Period at which parts are looked for that the base holds and the robot has no more.
+const CLEAN_UP_PERIOD: Duration = Duration::from_secs(1);
+/// Period at which SLAM is asked for its submaps while some are missing.
+const SUBMAPS_PERIOD: Duration = Duration::from_secs(10);
+
+/// What a message of the base asks of the robot's machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RobotEvent {
+    /// Drive with this velocity, within the robot's own limits. Its header is empty.
+    Velocity(VelocityCommand),
+    /// Change the emergency stop.
+    Stop(StopRequest),
+    /// Another session of a base leads from now on.
+    BaseLeads {
+        /// Session of the base.
+        base: u64,
+        /// Session that led before.
+        before: Option<u64>,
+    },
+}
+
+/// Messages that wait for their time: the newest alone counts.
+#[derive(Debug, Default)]
+struct Newest {
+    correction: Option<Correction>,
+    transforms: Option<Transforms>,
+}
+
+/// Map as SLAM has published it.
+#[derive(Debug, Default)]
+struct OwnMap {
+    tiles: TileMap,
+    /// The whole map was received at least once.
+    has_tiles: bool,
+    /// Number and generation of the submaps, once they are known.
+    submaps: Option<(u32, u32)>,
+    /// Submaps that were received.
+    received: BTreeSet<u32>,
+}
+
+#[derive(Debug)]
+struct Timers {
+    state: Timer,
+    poses: Timer,
+    clean_up: Timer,
+    submaps: Timer,
+}
+
+/// End of the link on a robot's machine. Channels, sockets and the clock are with its owner.
+#[derive(Debug)]
+pub struct RobotEnd {
+    peer: Peer,
+    leadership: Leadership,
+    follower: StopFollower,
+    /// Whether the robot's own emergency stop is set, if it is known.
+    is_stopped: Option<bool>,
+    sender: PartSender,
+    newest: Newest,
+    map: OwnMap,
+    timers: Timers,
+}
+
+impl RobotEnd {
+    /// Creates the end. `session` is a random number that tells this process from every other.
+    pub fn new(session: u64, config: SenderConfig) -> Self {
+        Self {
+            peer: Peer::new(session),
+            leadership: Leadership::default(),
+            follower: StopFollower::default(),
+            is_stopped: None,
+            sender: PartSender::new(config),
+            newest: Newest::default(),
+            map: OwnMap::default(),
+            timers: Timers {
+                state: Timer::new(STATE_PERIOD),
+                poses: Timer::new(STATE_PERIOD),
+                clean_up: Timer::new(CLEAN_UP_PERIOD),
+                submaps: Timer::new(SUBMAPS_PERIOD),
+            },
+        }
+    }
+
+    /// Returns the bytes that were sent, by kind.
+    pub fn sent(&self) -> &ByteCounters {
+        &self.peer.sent
+    }
+
+    /// Returns the number of messages of other bases than the one that leads.
+    pub fn refused(&self) -> u64 {
+        self.leadership.refused
+    }
+
+    /// Returns the number of parts that the base does not hold as they are.
+    pub fn waiting(&self) -> usize {
+        self.sender.waiting()
+    }
+
+    /// Sets whether the robot's own emergency stop is set; `None` if its bridge does not answer.
+    pub fn set_stopped(&mut self, is_stopped: Option<bool>) {
+        self.is_stopped = is_stopped;
+    }
+
+    /// Takes a message of a base. Velocities that waited on the way, and messages of a second base, ask for nothing.
+    pub fn receive(&mut self, bytes: &[u8], now: Monotonic) -> Result<Vec<RobotEvent>, WireError> {
+        let envelope = self.peer.read(bytes)?;
+        let mut events = Vec::new();
+        match self.leadership.judge(envelope.session, now) {
+            Verdict::Refused => return Ok(events),
+            Verdict::Accepted => {}
+            Verdict::TakenOver { before } => {
+                self.sender.forget_list();
+                self.peer.heard = Monotonic(0);
+                events.push(RobotEvent::BaseLeads { base: envelope.session, before });
+            }
+        }
+        self.peer.heard = self.peer.heard.max(envelope.sent);
+        match envelope.message {
+            Message::BaseState(state) => {
+                let request = self.follower.follow(envelope.session, state, self.is_stopped, now);
+                events.extend(request.map(RobotEvent::Stop));
+            }
+            Message::Velocity(command) if is_recent(envelope.answers, now) => {
+                events.push(RobotEvent::Velocity(command));
+            }
+            Message::Held(page) => drop(self.sender.receive_list(page, envelope.session)),
+            Message::Acknowledgement(receipts) => self.sender.acknowledge(&receipts, now),
+            _ => {}
+        }
+        Ok(events)
+    }
+
+    /// Keeps the robot's newest pose until it is sent.
+    pub fn put_correction(&mut self, correction: &Correction) {
+        self.newest.correction = Some(*correction);
+    }
+
+    /// Keeps the robot's newest frames until they are sent.
+    pub fn put_transforms(&mut self, transforms: &Transforms) {
+        self.newest.transforms = Some(*transforms);
+    }
+
+    /// Takes a new version of the robot's map.
+    pub fn put_map(&mut self, map: &TileMap, now: Monotonic) {
+        for (x, y) in map.changed_since(&self.map.tiles) {
+            let key = PartKey::Tile(x as i32, y as i32);
+            match map.get(x, y) {
+                Some(tile) => self.sender.put(key, &PartContent::Tile(tile.clone()), now),
+                None => self.sender.remove(key, now),
+            }
+        }
+        let header = stamp_only(map.header.header);
+        let header = MapHeader { header, scan_sent: Monotonic(0), ..map.header };
+        self.sender.put(PartKey::MapHeader, &PartContent::MapHeader(header), now);
+        (self.map.tiles, self.map.has_tiles) = (map.clone(), true);
+    }
+
+    /// Takes a new or changed submap.
+    pub fn put_submap(&mut self, submap: &Submap, now: Monotonic) {
+        let mut submap = Box::new(*submap);
+        submap.grid.header = stamp_only(submap.grid.header);
+        submap.grid.scan_sent = Monotonic(0);
+        self.map.received.insert(submap.id);
+        self.sender.put(PartKey::Submap(submap.id), &PartContent::Submap(submap), now);
+    }
+
+    /// Takes the submaps' newest poses.
+    pub fn put_submap_poses(&mut self, poses: &SubmapPoses, now: Monotonic) {
+        let known = (poses.poses().len() as u32, poses.generation);
+        if self.map.submaps.is_some_and(|(_, generation)| generation != known.1) {
+            self.map.received.clear();
+        }
+        self.map.submaps = Some(known);
+        let mut poses = Box::new(*poses);
+        poses.header = stamp_only(poses.header);
+        self.sender.put(PartKey::SubmapPoses, &PartContent::SubmapPoses(poses), now);
+    }
+
+    /// Returns whether SLAM is to be asked for all submaps, because some were never received. At most every 10 s.
+    pub fn needs_submaps(&mut self, now: Monotonic) -> bool {
+        let received = &self.map.received;
+        let is_missing = |(count, _): (u32, u32)| (0..count).any(|id| !received.contains(&id));
+        self.map.submaps.is_some_and(is_missing) && self.timers.submaps.is_due(now)
+    }
+
+    /// Hands all messages that are due to `send`.
+    pub fn poll(&mut self, now: Monotonic, send: &mut impl FnMut(Kind, &[u8])) {
+        if self.timers.clean_up.is_due(now) {
+            self.remove_old_parts(now);
+        }
+        if self.timers.state.is_due(now) {
+            let state = RobotState {
+                list_of: self.sender.list_of(),
+                waiting: self.sender.waiting() as u32,
+                is_stopped: self.is_stopped == Some(true),
+            };
+            self.peer.send(Message::RobotState(state), now, send);
+        }
+        if !self.leadership.is_heard(now) {
+            return;
+        }
+        if self.timers.poses.is_due(now) {
+            if let Some(transforms) = self.newest.transforms.take() {
+                self.peer.send(Message::Transforms(Box::new(transforms)), now, send);
+            }
+            if let Some(correction) = self.newest.correction.take() {
+                self.peer.send(Message::Correction(correction), now, send);
+            }
+        }
+        while let Some(chunk) = self.sender.next_chunk(now) {
+            self.peer.send(Message::Chunk(chunk), now, send);
+        }
+    }
+
+    /// Removes from the base what an earlier map of the robot had. What is not known yet is left alone.
+    fn remove_old_parts(&mut self, now: Monotonic) {
+        let map = &self.map;
+        let exists = |key| match key {
+            PartKey::Tile(x, y) => !map.has_tiles || map.tiles.get(x.into(), y.into()).is_some(),
+            PartKey::Submap(id) => map.submaps.is_none_or(|(count, _)| id < count),
+            PartKey::MapHeader | PartKey::SubmapPoses => true,
+        };
+        self.sender.remove_unless(exists, now);
+    }
+}
+
+/// Returns the header's stamp without what its channel gave it.
+fn stamp_only(header: Header) -> Header {
+    Header { stamp: header.stamp, ..Header::default() }
+}

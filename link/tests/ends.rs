@@ -1,0 +1,287 @@
+//! A robot's end and the base's end, joined by a link that is cut, delays, and is taken over.
+
+use link::leadership::SILENCE_MAX;
+use link::{BaseEnd, BaseEvent, RobotEnd, RobotEvent, SenderConfig, StopRequest};
+use msg::tiles::ROBOT_TILES_MAX;
+use msg::{
+    Correction, MapHeader, Monotonic, Pose2, Rect, Stamp, Submap, SubmapPoses, TileMap, Transforms,
+    VelocityCommand,
+};
+
+/// Step of time, milliseconds.
+const STEP_MS: u64 = 20;
+/// How far the robot's clock is ahead of the base's, milliseconds.
+const AHEAD_MS: u64 = 7_000;
+
+/// Two machines.
+struct Machines {
+    robot: RobotEnd,
+    base: BaseEnd,
+    map: TileMap,
+    now_ms: u64,
+    is_cut: bool,
+    up_bytes: usize,
+    /// What the robot's machine does.
+    velocities: Vec<f64>,
+    is_stopped: bool,
+    /// What the base has got.
+    corrections: Vec<Correction>,
+    submaps: Vec<u32>,
+}
+
+impl Machines {
+    fn new() -> Self {
+        Self {
+            robot: RobotEnd::new(1, SenderConfig::default()),
+            base: BaseEnd::new(2),
+            map: TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() }),
+            now_ms: 1_000,
+            is_cut: false,
+            up_bytes: 0,
+            velocities: Vec::new(),
+            is_stopped: false,
+            corrections: Vec::new(),
+            submaps: Vec::new(),
+        }
+    }
+
+    fn base_now(&self) -> Monotonic {
+        Monotonic(self.now_ms * 1_000_000)
+    }
+
+    fn robot_now(&self) -> Monotonic {
+        Monotonic((self.now_ms + AHEAD_MS) * 1_000_000)
+    }
+
+    fn draw(&mut self, tiles: std::ops::Range<i64>, cell: i8) {
+        for x in tiles {
+            assert!(self.map.grow_to(Rect::single(x, 0), ROBOT_TILES_MAX));
+            self.map.get_mut(x, 0).unwrap().cells[7] = cell;
+        }
+        let now = self.robot_now();
+        self.robot.put_map(&self.map, now);
+    }
+
+    fn deliver_to_robot(&mut self, messages: Vec<Vec<u8>>) {
+        for bytes in messages {
+            for event in self.robot.receive(&bytes, self.robot_now()).unwrap() {
+                match event {
+                    RobotEvent::Velocity(command) => self.velocities.push(command.linear_m_s),
+                    RobotEvent::Stop(request) => self.is_stopped = request == StopRequest::Set,
+                    RobotEvent::BaseLeads { .. } => {}
+                }
+            }
+        }
+    }
+
+    fn deliver_to_base(&mut self, messages: Vec<Vec<u8>>) {
+        for bytes in messages {
+            self.up_bytes += bytes.len();
+            for event in self.base.receive(&bytes, self.base_now()).unwrap() {
+                match event {
+                    BaseEvent::Correction(correction) => self.corrections.push(correction),
+                    BaseEvent::Submap(id) => self.submaps.push(id),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    /// Returns what the base sends now.
+    fn base_messages(&mut self) -> Vec<Vec<u8>> {
+        let (now, mut down) = (self.base_now(), Vec::new());
+        self.base.poll(now, &mut |_, bytes: &[u8]| down.push(bytes.to_vec()));
+        down
+    }
+
+    fn run(&mut self, ms: u64) {
+        for _ in 0..ms / STEP_MS {
+            self.now_ms += STEP_MS;
+            let (now, mut up) = (self.robot_now(), Vec::new());
+            let mut correction =
+                Correction { map_from_base: Pose2::new(1.0, 2.0, 0.0), ..Correction::default() };
+            correction.header.stamp = Stamp(now.0 as i64);
+            self.robot.put_correction(&correction);
+            self.robot.put_transforms(&Transforms::default());
+            self.robot.set_stopped(Some(self.is_stopped));
+            self.robot.poll(now, &mut |_, bytes: &[u8]| up.push(bytes.to_vec()));
+            let down = self.base_messages();
+            if !self.is_cut {
+                self.deliver_to_base(up);
+                self.deliver_to_robot(down);
+            }
+        }
+    }
+
+    /// Returns the message with a velocity that the base sends now.
+    fn velocity(&mut self) -> Vec<Vec<u8>> {
+        let (now, mut down) = (self.base_now(), Vec::new());
+        let command = VelocityCommand { linear_m_s: 0.2, ..VelocityCommand::default() };
+        self.base.send_velocity(&command, now, &mut |_, bytes: &[u8]| down.push(bytes.to_vec()));
+        down
+    }
+
+    fn maps_are_equal(&self) -> bool {
+        let Some(base) = self.base.map() else { return false };
+        let all = self.map.extent().union(base.extent());
+        let cells = |map: &TileMap, x, y| map.get(x, y).map(|tile| tile.cells);
+        all.points().all(|(x, y)| cells(&self.map, x, y) == cells(base, x, y))
+    }
+}
+
+#[test]
+fn the_base_gets_the_robots_map_and_its_poses() {
+    let mut machines = Machines::new();
+    machines.draw(0..40, 50);
+    machines.run(8_000);
+    assert!(machines.maps_are_equal());
+    assert_eq!(machines.base.map().unwrap().tiles().count(), 40);
+    let count = machines.corrections.len();
+    assert!((35..=41).contains(&count), "{count} poses in 8 s");
+    assert_eq!(machines.corrections[0].map_from_base, Pose2::new(1.0, 2.0, 0.0));
+}
+
+#[test]
+fn an_outage_costs_only_what_has_changed() {
+    let mut machines = Machines::new();
+    machines.draw(0..200, 50);
+    machines.run(10_000);
+    assert!(machines.maps_are_equal());
+    machines.is_cut = true;
+    machines.draw(3..4, -20);
+    machines.run(60_000);
+    assert!(!machines.maps_are_equal());
+    machines.is_cut = false;
+    machines.up_bytes = 0;
+    machines.run(5_000);
+    assert!(machines.maps_are_equal(), "caught up within 5 s");
+    // Poses, frames and signs of life take 5 s * 5 Hz * 300 bytes of them.
+    assert!(machines.up_bytes < 10_000, "{} bytes in the 5 s after the outage", machines.up_bytes);
+}
+
+#[test]
+fn another_base_gets_the_whole_map_and_the_same_one_nothing_twice() {
+    let mut machines = Machines::new();
+    machines.draw(0..50, 50);
+    machines.run(8_000);
+    machines.base = BaseEnd::new(3);
+    machines.run(SILENCE_MAX.as_millis() as u64 + 2_000);
+    assert!(machines.maps_are_equal());
+    // The robot's process is started again, and learns what the base holds.
+    machines.robot = RobotEnd::new(4, SenderConfig::default());
+    machines.draw(0..50, 50);
+    machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
+    machines.up_bytes = 0;
+    machines.run(5_000);
+    assert!(machines.maps_are_equal() && machines.robot.waiting() == 0);
+    assert!(machines.up_bytes < 10_000, "{} bytes", machines.up_bytes);
+}
+
+#[test]
+fn a_robot_that_begins_anew_leaves_nothing_of_its_old_map() {
+    let mut machines = Machines::new();
+    machines.draw(0..50, 50);
+    machines.run(8_000);
+    machines.robot = RobotEnd::new(4, SenderConfig::default());
+    machines.map = TileMap::new(machines.map.header);
+    machines.draw(100..103, 50);
+    machines.run(SILENCE_MAX.as_millis() as u64 + 10_000);
+    assert!(machines.maps_are_equal());
+    assert_eq!(machines.base.map().unwrap().tiles().count(), 3);
+}
+
+#[test]
+fn submaps_arrive_and_missing_ones_are_asked_for() {
+    let mut machines = Machines::new();
+    let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
+    (submap.id, submap.grid.resolution_m, submap.grid.width, submap.grid.height) = (1, 0.05, 80, 60);
+    submap.cells[17] = 40;
+    let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
+    poses.len = 2;
+    let now = machines.robot_now();
+    machines.robot.put_submap(&submap, now);
+    machines.robot.put_submap_poses(&poses, now);
+    assert!(machines.robot.needs_submaps(now), "submap 0 never came");
+    assert!(!machines.robot.needs_submaps(now), "not again at once");
+    machines.run(6_000);
+    assert_eq!(machines.submaps, [1]);
+    assert!(*machines.base.submap(1).unwrap() == *submap);
+    // SLAM begins anew with one submap.
+    poses.len = 1;
+    let now = machines.robot_now();
+    machines.robot.put_submap_poses(&poses, now);
+    machines.run(6_000);
+    assert_eq!(machines.base.submap_ids().count(), 0);
+}
+
+#[test]
+fn a_velocity_is_obeyed_unless_it_waited() {
+    let mut machines = Machines::new();
+    let early = machines.velocity();
+    machines.deliver_to_robot(early);
+    assert!(machines.velocities.is_empty(), "it answers nothing that the robot said");
+    machines.run(1_000);
+    let fresh = machines.velocity();
+    machines.deliver_to_robot(fresh);
+    assert_eq!(machines.velocities, [0.2]);
+    let waiting = machines.velocity();
+    machines.run(600);
+    machines.deliver_to_robot(waiting);
+    assert_eq!(machines.velocities, [0.2], "what waited in the network moves no robot");
+    // A base that no longer hears the robot drives blindly.
+    machines.is_cut = true;
+    machines.run(600);
+    let blind = machines.velocity();
+    machines.deliver_to_robot(blind);
+    assert_eq!(machines.velocities, [0.2]);
+}
+
+#[test]
+fn the_stop_of_the_base_holds_on_the_robot_when_the_base_is_replaced() {
+    let mut machines = Machines::new();
+    machines.base.set_stopped(Some(false));
+    machines.run(1_000);
+    machines.base.set_stopped(Some(true));
+    machines.run(2 * STEP_MS);
+    assert!(machines.is_stopped, "a stop waits for no period");
+    machines.base = BaseEnd::new(3);
+    machines.base.set_stopped(Some(false));
+    machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
+    assert!(machines.is_stopped, "a base that never stopped the robot does not release it");
+    machines.base.set_stopped(Some(true));
+    machines.run(100);
+    machines.base.set_stopped(Some(false));
+    machines.run(100);
+    assert!(!machines.is_stopped, "stopped and released by the base that leads");
+}
+
+#[test]
+fn a_second_base_is_not_obeyed_while_the_first_leads() {
+    let mut machines = Machines::new();
+    machines.base.set_stopped(Some(false));
+    machines.run(1_000);
+    let first = std::mem::replace(&mut machines.base, BaseEnd::new(9));
+    machines.base.set_stopped(Some(true));
+    let second = machines.base_messages();
+    assert!(!second.is_empty());
+    machines.deliver_to_robot(second);
+    assert!(!machines.is_stopped && machines.robot.refused() > 0);
+    machines.base = first;
+    machines.draw(0..5, 50);
+    machines.run(5_000);
+    assert!(machines.maps_are_equal());
+}
+
+#[test]
+fn without_its_map_a_robot_costs_less_than_2_kb_a_second() {
+    let mut machines = Machines::new();
+    machines.run(1_000);
+    machines.up_bytes = 0;
+    machines.run(60_000);
+    // The burger's frames are six; the transforms of these tests have none.
+    let frames = 6 * 30 * 5 * 60;
+    let bytes_per_s = (machines.up_bytes + frames) / 60;
+    assert!((1_500..2_000).contains(&bytes_per_s), "{bytes_per_s} bytes a second");
+    let counted: u64 = machines.robot.sent().rows().map(|(_, bytes, _)| bytes).sum();
+    assert_eq!(counted, machines.base.received().bytes(), "both ends count the same");
+}
