@@ -130,6 +130,8 @@ pub struct Fleet {
     /// Whether merging knows the robots' starts. If not, `map` is the first robot's map, and the others join it when
     /// comparing maps has shown where they lie.
     pub starts_known: bool,
+    /// Whether the robots explore by themselves from the start, as `mr-slam explore` lets them.
+    pub explore: bool,
     /// TCP port for headsets, 1 to 65535; 0: any free port. 10000 is the default of ROS-TCP-Connector.
     pub port: u16,
     /// IP address to listen on. `0.0.0.0`: all networks; `127.0.0.1`: this machine alone.
@@ -145,6 +147,7 @@ impl Default for Fleet {
             room: LABORATORY.into(),
             starts: Vec::new(),
             starts_known: true,
+            explore: false,
             port: 10_000,
             address: "0.0.0.0".into(),
         }

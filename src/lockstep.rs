@@ -82,7 +82,12 @@ impl Lockstep {
     /// # Errors
     /// As [`Lockstep::new`].
     pub fn with_faults(config: &FleetConfig, together: bool, faults: FaultPlan) -> Result<Self, Error> {
-        Self::open(config, together, faults, false)
+        // Robots that explore have no other operator.
+        let mut fleet = Self::open(config, together, faults, config.fleet.explore)?;
+        if config.fleet.explore {
+            fleet.people.operator.idle_until = Monotonic(u64::MAX);
+        }
+        Ok(fleet)
     }
 
     /// Builds a fleet with its navigation process, which nobody drives by hand: a client sends goals.

@@ -18,7 +18,8 @@ use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
 use crate::transport::Transport;
 use crate::world::{ExternalWorld, WorldInput};
 use msg::{
-    EdgeCommand, Monotonic, NavigationCommand, RobotId, SlamRequest, SlamResponse, Stamp, VelocityCommand,
+    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, RobotId, SlamRequest, SlamResponse, Stamp,
+    VelocityCommand,
 };
 use ros_messages::RobotNames;
 use ros_messages::cdr::Dialect;
@@ -37,6 +38,7 @@ type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 type SlamRequestSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 /// Where commands to the navigator go.
 type NavigationSink = Box<dyn FnMut(RobotId, NavigationCommand)>;
+type ExplorationSink = Box<dyn FnMut(ExplorationCommand)>;
 /// Where commands for the ROS 2 endpoint go.
 type RosCommandSink = Box<dyn FnMut(RosCommand)>;
 
@@ -87,6 +89,7 @@ pub struct Bridge {
     on_edge_command: RefCell<EdgeCommandSink>,
     on_slam_request: RefCell<SlamRequestSink>,
     on_navigation: RefCell<NavigationSink>,
+    on_exploration: RefCell<ExplorationSink>,
     on_ros_command: RefCell<RosCommandSink>,
 }
 
@@ -132,6 +135,7 @@ impl Bridge {
             on_edge_command: RefCell::new(Box::new(|_| {})),
             on_slam_request: RefCell::new(Box::new(|_, _| {})),
             on_navigation: RefCell::new(Box::new(|_, _| {})),
+            on_exploration: RefCell::new(Box::new(|_| {})),
             on_ros_command: RefCell::new(Box::new(|_| {})),
         })
     }
@@ -184,11 +188,7 @@ impl Bridge {
                 sink(robot, command);
             }
         }
-        if let Ok(mut sink) = self.on_navigation.try_borrow_mut() {
-            while let Some((robot, command)) = { self.core.borrow_mut().commands.next_navigation() } {
-                sink(robot, command);
-            }
-        }
+        self.pass_navigation_commands();
         if let Ok(mut sink) = self.on_slam_request.try_borrow_mut() {
             while let Some((robot, request)) = { self.core.borrow_mut().commands.next_slam_request() } {
                 sink(robot, request);

@@ -1,6 +1,9 @@
 //! Bounded queues of clients' commands to the rest of the fleet.
 
-use msg::{EdgeCommand, Monotonic, NavigationCommand, ROBOTS_MAX, RobotId, SlamRequest, VelocityCommand};
+use msg::{
+    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, ROBOTS_MAX, RobotId, SlamRequest,
+    VelocityCommand,
+};
 use std::collections::VecDeque;
 
 /// Velocities that may wait: those of one client frame are taken before the next frame is handled.
@@ -22,6 +25,8 @@ pub struct CommandQueues {
     navigation: VecDeque<(RobotId, NavigationCommand)>,
     /// Number of the newest command to the navigator: the newest time, nanoseconds, or above it.
     navigation_number: u64,
+    /// The newest command about the exploration.
+    exploration: Option<ExplorationCommand>,
     velocities_taken: u64,
 }
 
@@ -33,6 +38,7 @@ impl Default for CommandQueues {
             slam_requests: VecDeque::with_capacity(SLAM_REQUESTS_MAX),
             navigation: VecDeque::new(),
             navigation_number: 0,
+            exploration: None,
             velocities_taken: 0,
         }
     }
@@ -100,6 +106,16 @@ impl CommandQueues {
     /// Takes the oldest command to the navigator.
     pub fn next_navigation(&mut self) -> Option<(RobotId, NavigationCommand)> {
         self.navigation.pop_front()
+    }
+
+    /// Sets the command about the exploration that is taken next; it replaces one that has not been taken.
+    pub fn set_exploration(&mut self, command: ExplorationCommand) {
+        self.exploration = Some(command);
+    }
+
+    /// Takes the newest command about the exploration.
+    pub fn next_exploration(&mut self) -> Option<ExplorationCommand> {
+        self.exploration.take()
     }
 
     /// Queues a request to a robot's SLAM; the oldest is dropped if the queue is full.

@@ -167,6 +167,9 @@ impl Core {
             FleetMessage::Correction(robot, correction) => self.record_goal_pose(robot, correction),
             _ => {}
         }
+        if let FleetMessage::ExplorationState(report) = message {
+            self.record_exploration(report);
+        }
         self.fleet.publish(&mut self.router, message);
     }
 

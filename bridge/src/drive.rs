@@ -47,6 +47,8 @@ struct RobotDrive {
     last_driver: Option<ClientId>,
     /// Whether the navigator drives the robot to a goal.
     is_navigated: bool,
+    /// Whether the robot takes part in the fleet's exploration.
+    is_exploring: bool,
 }
 
 /// Arbitrates between the clients that want to drive robots.
@@ -149,6 +151,16 @@ impl DriveArbiter {
     /// Returns whether the navigator drives a robot to a goal.
     pub fn is_navigated(&self, robot: RobotId) -> bool {
         self.robots[robot.index()].is_navigated
+    }
+
+    /// Returns whether a robot takes part in the exploration.
+    pub fn is_exploring(&self, robot: RobotId) -> bool {
+        self.robots[robot.index()].is_exploring
+    }
+
+    /// Records whether a robot takes part in the exploration. It does so between two goals too.
+    pub fn set_exploring(&mut self, robot: RobotId, is_exploring: bool) {
+        self.robots[robot.index()].is_exploring = is_exploring;
     }
 
     /// Records whether the navigator drives a robot to a goal.

@@ -10,7 +10,7 @@ mod table;
 pub use publisher::{FleetMessage, FleetPublisher, LinkTransforms, TopicSink};
 pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 
-use crate::input::Input;
+use crate::input::{EXPLORE, Input};
 use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
 use msg::{Monotonic, RobotId, Stamp};
 use ros_messages::OdometrySigmas;
@@ -61,6 +61,7 @@ fn add_input_topics(table: &mut TopicTable, robots: &RobotNames) -> (TopicId, Ve
     }
     add("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
     add("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
+    add(EXPLORE.into(), Bool::TYPE, Input::Explore);
     add("/take_control".into(), Int32::TYPE, Input::TakeControl);
     add("/emergency_stop_release".into(), Empty::TYPE, Input::ReleaseStop);
     add("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);

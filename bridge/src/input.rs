@@ -5,6 +5,9 @@ use msg::RobotId;
 /// The topic on which a goal for the selected robot comes, here and in Nav2.
 pub const SHARED_GOAL: &str = "/goal_pose";
 
+/// The topic that starts and stops exploration; explore_lite's name for it.
+pub const EXPLORE: &str = "/explore/resume";
+
 /// The meaning of a message from a client or from DDS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
@@ -26,6 +29,8 @@ pub enum Input {
     CancelNavigation(RobotId),
     /// Drives a robot on to the goal that was paused.
     ResumeNavigation(RobotId),
+    /// `true` explores with all robots, `false` stops the exploration.
+    Explore,
     /// The number of the robot to select.
     SelectRobot,
     /// The number of the robot to take over from its driver; 0 for all robots.

@@ -84,8 +84,10 @@ pub struct Alignment {
     pub objects_m: f64,
     /// Mean distance of matched walls, metres.
     pub residual_m: f64,
-    /// Score (matched walls less contradicted ones) over that of the best other place, or over that of 2.5 m of wall if no other
-    /// place has as many. 0 where only one place was looked at.
+    /// Matched walls less contradicted ones (weighted 2.7), metres.
+    pub score_m: f64,
+    /// That score over that of the best other place, or over that of 2.5 m of wall if no other place has as many. 0 where
+    /// only one place was looked at.
     pub margin: f64,
     /// Observability of the position: 0 if the map can slide along itself, 0.5 if it is held alike in all directions.
     pub observability: f64,
@@ -142,13 +144,38 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let (field_a, field_b) = (DistanceField::new(points_a, a, walls), DistanceField::new(points_b, b, walls));
     let fields = [&field_a, &field_b];
     let places = refine_candidates(fields, &candidates);
-    let finalists = places.iter().take(FINALISTS).map(|coarse| (coarse, refine_finely(fields, coarse)));
-    let (coarse, best) = finalists.max_by(|x, y| x.1.score().total_cmp(&y.1.score()))?;
-    let others = places.iter().filter(|other| !is_same_place(other.a_from_b, coarse.a_from_b));
-    let margin = best.score() / others.map(WallMatch::score).fold(rival_score_min(fields), f64::max);
+    let (best, margin) = choose_place(fields, &places)?;
     let a_from_b =
-        field_a.points.frame_from_centred * best.a_from_b * field_b.points.frame_from_centred.inverse();
-    Some(judge([a, b], a_from_b, &best, &match_objects(fields, best.a_from_b), margin, config))
+        field_a.points.frame_from_centred * best.fine.a_from_b * field_b.points.frame_from_centred.inverse();
+    Some(judge([a, b], a_from_b, &best, margin, config))
+}
+
+/// A place that was refined by many points.
+struct Place {
+    /// The walls of both maps there.
+    fine: WallMatch,
+    /// The objects of both maps there.
+    objects: ObjectMatch,
+}
+
+impl Place {
+    fn new(fields: [&DistanceField; 2], fine: WallMatch) -> Self {
+        Self { objects: match_objects(fields, fine.a_from_b), fine }
+    }
+
+    /// Whether neither walls nor objects contradict it.
+    fn is_possible(&self, config: &AlignConfig) -> bool {
+        self.fine.conflict() <= config.conflict_max && self.objects.conflict() <= config.object_conflict_max
+    }
+}
+
+/// Returns the best place with its margin over all others.
+fn choose_place(fields: [&DistanceField; 2], places: &[WallMatch]) -> Option<(Place, f64)> {
+    let finalists = places.iter().take(FINALISTS).map(|coarse| (coarse, refine_finely(fields, coarse)));
+    let (coarse, fine) = finalists.max_by(|x, y| x.1.score().total_cmp(&y.1.score()))?;
+    let others = places.iter().filter(|other| !is_same_place(other.a_from_b, coarse.a_from_b));
+    let margin = fine.score() / others.map(WallMatch::score).fold(rival_score_min(fields), f64::max);
+    Some((Place::new(fields, fine), margin))
 }
 
 /// Refines a transform that is roughly known, and computes the evidence for it.
@@ -176,14 +203,8 @@ pub fn align_near(
     let refined = refine(fields, from_a.inverse() * a_from_b * from_b, strides, COARSE_KERNELS_M);
     let matched = match_walls(fields, refined, strides);
     let config = AlignConfig { margin_min: 0.0, ..config.clone() };
-    Some(judge(
-        [a, b],
-        from_a * refined * from_b.inverse(),
-        &matched,
-        &match_objects(fields, matched.a_from_b),
-        0.0,
-        &config,
-    ))
+    let place = Place::new(fields, matched);
+    Some(judge([a, b], from_a * refined * from_b.inverse(), &place, 0.0, &config))
 }
 
 /// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
@@ -202,8 +223,9 @@ pub(crate) fn evaluate(
     let fields = [&fields[0], &fields[1]];
     let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
     let matched = match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS));
+    let place = Place::new(fields, matched);
     let config = AlignConfig { margin_min: 0.0, ..config.clone() };
-    Some(judge([a, b], a_from_b, &matched, &match_objects(fields, matched.a_from_b), 0.0, &config))
+    Some(judge([a, b], a_from_b, &place, 0.0, &config))
 }
 
 /// Returns the number of wall points of a length of walls.
@@ -288,11 +310,11 @@ fn compare_cells(a: GridView<'_>, b: GridView<'_>, a_from_b: Pose2, config: &Wal
 fn judge(
     [a, b]: [GridView<'_>; 2],
     a_from_b: Pose2,
-    walls: &WallMatch,
-    objects: &ObjectMatch,
+    place: &Place,
     margin: f64,
     config: &AlignConfig,
 ) -> Alignment {
+    let (walls, objects) = (&place.fine, &place.objects);
     let cells = compare_cells(a, b, a_from_b, &config.walls);
     let GridAgreement { agreement, occupied_f1, overlap_m2, overlap_share, occupied_found, .. } = cells;
     let [walls_a_m, walls_b_m] =
@@ -301,7 +323,8 @@ fn judge(
     let factor = if overlap_share < SMALL_OVERLAP_SHARE { SMALL_OVERLAP_FACTOR } else { 1.0 };
     let accepted = agreement >= config.agreement_min
         && occupied_f1 >= config.occupied_f1_min
-        && walls.conflict() <= config.conflict_max
+        && place.is_possible(config)
+        && objects.matched_m >= config.objects_min_m
         && overlap_m2 >= factor * config.overlap_min_m2
         && walls_a_m + walls_b_m >= config.walls_min_m - WALLS_ROUNDING_M
         && margin >= config.margin_min
@@ -318,6 +341,7 @@ fn judge(
         object_conflict: objects.conflict(),
         objects_m: objects.matched_m,
         residual_m: walls.residual_m,
+        score_m: walls.score() * a.header.resolution_m,
         margin,
         observability: walls.observability,
     }

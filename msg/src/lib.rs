@@ -26,6 +26,7 @@
 //! ```
 
 mod edges;
+mod exploration;
 mod health;
 mod id;
 mod motion;
@@ -45,6 +46,10 @@ mod swept_disk;
 pub mod tiles;
 
 pub use edges::{EdgeAction, EdgeCommand, EdgeState, MERGE_EDGES_MAX, MergeEdge, MergeEdges};
+pub use exploration::{
+    ExplorationAction, ExplorationCommand, ExplorationLeftover, ExplorationReport, ExplorationStatus,
+    ExplorerState, LEFTOVERS_MAX, LeftoverReason,
+};
 pub use grid::{Grid, GridHeader, GridView};
 pub use health::{ProcessHealth, Role};
 pub use id::{ROBOTS_MAX, RobotId};
@@ -128,5 +133,7 @@ messages!(
     SlamResponse,
     NavigationCommand,
     NavigationReport,
-    NavigationPlan
+    NavigationPlan,
+    ExplorationCommand,
+    ExplorationReport
 );

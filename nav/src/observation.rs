@@ -68,12 +68,21 @@ impl<'a> MapView<'a> {
         Some(Self { encoding: CellEncoding::LogOdds, ..map })
     }
 
+    /// Area of the cells that are known to be free or occupied, square metres.
+    pub fn known_m2(&self) -> f64 {
+        let is_known = |cell: &&i8| self.occupancy_of(**cell) != Occupancy::Unknown;
+        self.cells.iter().filter(is_known).count() as f64 * self.resolution_m.powi(2)
+    }
+
     /// Occupancy of the cell in column `x` and row `y`; unknown outside the map.
     pub fn occupancy(&self, x: i64, y: i64) -> Occupancy {
         if !(0..i64::from(self.width)).contains(&x) || !(0..i64::from(self.height)).contains(&y) {
             return Occupancy::Unknown;
         }
-        let cell = self.cells[y as usize * self.width as usize + x as usize];
+        self.occupancy_of(self.cells[y as usize * self.width as usize + x as usize])
+    }
+
+    fn occupancy_of(&self, cell: i8) -> Occupancy {
         match self.encoding {
             CellEncoding::LogOdds => grid::occupancy(cell),
             CellEncoding::Percent => match cell {

@@ -29,6 +29,8 @@ pub enum Program {
     EdgesTool,
     /// `mr-slam goto`, which sends robots to places.
     GotoTool,
+    /// `mr-slam explore`, which starts and stops the exploration of a fleet.
+    ExploreTool,
     /// `mr-slam record`: a recording of a fleet that runs.
     RecordTool,
 }
@@ -41,6 +43,7 @@ impl Program {
             Self::SlamTool => "`mr-slam slam`",
             Self::EdgesTool => "`mr-slam edges`",
             Self::GotoTool => "`mr-slam goto`",
+            Self::ExploreTool => "`mr-slam explore`",
             Self::RecordTool => "`mr-slam record`",
         }
     }
@@ -50,7 +53,8 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        matches!(self, Self::SlamTool | Self::EdgesTool | Self::GotoTool | Self::RecordTool)
+        use Program::{EdgesTool, ExploreTool, GotoTool, RecordTool, SlamTool};
+        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | RecordTool)
     }
 }
 

@@ -29,6 +29,9 @@ pub struct FleetArgs {
     /// Whether merging knows where the robots start, or has to find out [default: known]
     #[arg(long, value_name = "HOW", value_enum)]
     pub starts: Option<Starts>,
+    /// Let the robots explore by themselves
+    #[arg(long)]
+    pub explore: bool,
     /// Folder of sessions to begin with, such as runs/TIME/sessions; each robot is relocalized in its map
     #[arg(long, value_name = "DIR")]
     pub sessions: Option<PathBuf>,
@@ -84,6 +87,7 @@ impl FleetArgs {
         config.world = self.world.unwrap_or(config.world);
         // `--world ros` alone shall work: it enables ROS 2.
         config.bridge.dds.enabled |= self.world == Some(World::Ros);
+        fleet.explore |= self.explore;
         fleet.seed = self.seed.unwrap_or(fleet.seed);
         fleet.starts_known = self.starts.map_or(fleet.starts_known, |starts| starts == Starts::Known);
         fleet.room = self.room.clone().unwrap_or(std::mem::take(&mut fleet.room));

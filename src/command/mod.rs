@@ -5,6 +5,7 @@ pub mod demo;
 pub mod doctor;
 pub mod edges;
 pub mod experiment;
+pub mod explore;
 pub mod fleet_args;
 pub mod goto;
 pub mod headset;
@@ -50,6 +51,8 @@ enum Command {
     Edges(edges::EdgesArgs),
     /// Send a robot of a running fleet to a place, and wait until it is there
     Goto(goto::GotoArgs),
+    /// Let a running fleet explore by itself, and wait until nothing reachable is unknown
+    Explore(explore::ExploreArgs),
     /// Let an address drive a running fleet, now and in later runs; without one, list who may drive and who waits
     Allow(permissions::AllowArgs),
     /// Forbid an address to drive
@@ -86,13 +89,22 @@ pub fn run(cli: Cli) -> Result<(), Error> {
     match cli.command {
         Command::Demo(args) => {
             let mut operator = demo::OperatorProcess::new(args.seconds);
-            up::run_or_detach(&args, &mut operator)?;
+            let mut watch = explore::ExplorationWatch::new(true);
+            // Robots that explore have no other operator; the demonstration ends when they are back.
+            let hooks: &mut dyn up::FleetHooks = if args.fleet.explore { &mut watch } else { &mut operator };
+            up::run_or_detach(&args, hooks)?;
         }
-        Command::Up(args) => up::run_or_detach(&args, &mut up::NoHooks)?,
+        Command::Up(args) => {
+            let mut watch = explore::ExplorationWatch::new(false);
+            let hooks: &mut dyn up::FleetHooks =
+                if args.fleet.explore { &mut watch } else { &mut up::NoHooks };
+            up::run_or_detach(&args, hooks)?;
+        }
         Command::Status(args) => status::run(&args)?,
         Command::Doctor(args) => doctor::run(&args)?,
         Command::Edges(args) => edges::run(&args)?,
         Command::Goto(args) => goto::run(&args, &Stop::on_signals()?)?,
+        Command::Explore(args) => explore::run(&args, &Stop::on_signals()?)?,
         Command::Allow(args) => permissions::allow(&args)?,
         Command::Deny(args) => permissions::deny(&args)?,
         Command::Stop(args) => permissions::stop(&args)?,

@@ -7,10 +7,12 @@ use super::tcp::{BridgeServer, Port};
 use crate::channel::Opener;
 use crate::ports::Clock;
 use crate::process::bridge::BridgeProcess;
-use crate::process::control::file_thread::ImmediateFiles;
+use crate::process::control::files::ImmediateFiles;
+use crate::process::file_thread::ImmediateJobs;
 use crate::process::graph::GraphWorker;
 use crate::process::merge::{self, MergeProcess};
 use crate::process::nav::NavigationProcess;
+use crate::process::nav::memory::NavigationFile;
 use crate::process::sim::SimulatorProcess;
 use crate::process::slam::files::Job;
 use crate::process::slam::{BackEndInput, FrontEvent, SlamProcess};
@@ -78,7 +80,7 @@ enum Body {
     Merge(Box<(MergeProcess<MemoryPorts>, GraphWorker<MemoryPorts, MemoryStorage>)>),
     Telemetry(Box<TelemetryProcess<MemoryPorts>>),
     Bridge(Box<BridgeServer<MemoryStorage>>),
-    Nav(Box<NavigationProcess<MemoryPorts, MemoryStorage>>),
+    Nav(Box<NavigationProcess<MemoryPorts, ImmediateJobs<NavigationFile<MemoryStorage>>>>),
 }
 
 /// A SLAM process, and what it took from its queues to process next.
@@ -234,11 +236,16 @@ impl Body {
                 Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
             Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
-            Role::Nav => Self::Nav(Box::new(NavigationProcess::open(&ports[0], run, world.storage.clone())?)),
+            Role::Nav => {
+                let storage = world.storage.clone();
+                let process =
+                    NavigationProcess::open(&ports[0], run, storage, |file| Ok(ImmediateJobs(file)))?;
+                Self::Nav(Box::new(process))
+            }
             Role::Record => return Err("lockstep records with `--record FILE`".into()),
             Role::Bridge => {
                 let process = BridgeProcess::open(&ports[0], run, world.storage.clone(), |files| {
-                    Ok(ImmediateFiles(files))
+                    Ok(ImmediateJobs(files))
                 })?;
                 let frame_bytes_max = run.config.bridge.frame_bytes_max;
                 Self::Bridge(Box::new(BridgeServer::new(process, world.port.clone(), frame_bytes_max)))

@@ -7,7 +7,7 @@ use super::queues::{MemoryPorts, Network};
 use crate::ports::Clock;
 use crate::process::ProcessLoop;
 use crate::process::bridge::BridgeProcess;
-use crate::process::control::file_thread::ImmediateFiles;
+use crate::process::control::files::ImmediateFiles;
 use crate::storage::Storage;
 use bridge::ClientId;
 use bridge::frame::Parser;

@@ -10,7 +10,7 @@ mod page;
 
 pub use live::run;
 
-use super::control::file_thread::{ControlFiles, FileWorker};
+use super::control::files::{ControlFiles, FileWorker};
 use super::control::{Control, restore_files};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, ProcessLoop, outside};
@@ -21,7 +21,10 @@ use crate::run::Run;
 use crate::storage::Storage;
 use ::bridge::Bridge;
 use feeds::{Feed, FeedResult, forward, open_feeds};
-use msg::{Monotonic, NavigationCommand, RobotId, Role, SlamRequest, SlamResponse, VelocityCommand};
+use msg::{
+    ExplorationCommand, Monotonic, NavigationCommand, RobotId, Role, SlamRequest, SlamResponse,
+    VelocityCommand,
+};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
@@ -62,6 +65,7 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         let files = start_files(restore_files(&bridge, run, storage, now))?;
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, files)));
         let goals = open_goals(ports, run, &bridge)?;
+        let exploration = open_exploration(ports, &bridge)?;
         let mut feeds = open_feeds(ports, run, &bridge)?;
         for robot in run.robots() {
             let receive = move |bridge: &Bridge, response: &SlamResponse| {
@@ -70,7 +74,8 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
             feeds.push(forward(ports, &bridge, &channel::slam_response(robot), receive)?);
             feeds.push(navigation_velocities(ports, &bridge, robot)?);
         }
-        let upkeep = Upkeep { bridge: bridge.clone(), control, goals, heartbeat, clock: ports.clock() };
+        let upkeep =
+            Upkeep { bridge: bridge.clone(), control, goals, exploration, heartbeat, clock: ports.clock() };
         Ok(Self { bridge, feeds, upkeep })
     }
 }
@@ -88,6 +93,7 @@ pub struct Upkeep<P: Ports, W> {
     /// Requests of the person at the laptop.
     pub control: Rc<RefCell<Control<W>>>,
     goals: GoalWriters<P>,
+    exploration: ExplorationWriter<P>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
 }
@@ -100,6 +106,7 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
         self.control.borrow_mut().update_files(now);
         if now >= self.heartbeat.due() {
             self.goals.borrow().iter().for_each(WritePort::refresh);
+            self.exploration.borrow().refresh();
         }
         self.heartbeat.publish_if_due(|| {
             let counters = self.bridge.counters();
@@ -114,6 +121,21 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
 
 /// Writers of the robots' goals, shared by the bridge and its upkeep.
 type GoalWriters<P> = Rc<RefCell<Vec<<P as Ports>::Writer<NavigationCommand>>>>;
+/// Writer of commands about the exploration, shared likewise.
+type ExplorationWriter<P> = Rc<RefCell<<P as Ports>::Writer<ExplorationCommand>>>;
+
+/// Opens the channel on which the bridge starts and stops the exploration for clients.
+fn open_exploration<P: Ports + 'static>(
+    ports: &P,
+    bridge: &Bridge,
+) -> Result<ExplorationWriter<P>, ChannelError> {
+    let writer = Rc::new(RefCell::new(ports.writer(&channel::explore())?));
+    let exploration: ExplorationWriter<P> = writer.clone();
+    bridge.on_exploration(move |command| {
+        exploration.borrow_mut().send(&command);
+    });
+    Ok(writer)
+}
 
 /// Opens the robots' channels of goals, on which the bridge sends what clients want of the navigator.
 fn open_goals<P: Ports + 'static>(

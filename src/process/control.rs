@@ -1,6 +1,6 @@
 //! The bridge's control socket, for the operator at the laptop: see [`crate::control`].
 
-pub mod file_thread;
+pub mod files;
 mod permission_files;
 pub mod saved_state;
 
@@ -9,7 +9,7 @@ use crate::control::{self, LINE_MAX, Reply, Request};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::bridge::Bridge;
-use file_thread::{ControlFiles, FileJob, FileReport, FileWorker};
+use files::{ControlFiles, FileJob, FileReport, FileWorker};
 use msg::Monotonic;
 use permission_files::PermissionFiles;
 use reports::BridgeState;

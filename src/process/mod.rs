@@ -5,6 +5,7 @@
 
 pub mod bridge;
 pub mod control;
+pub mod file_thread;
 pub mod graph;
 pub mod heartbeat;
 mod map_publisher;

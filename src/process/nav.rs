@@ -3,10 +3,12 @@
 //! Its velocities go to the bridge, which passes them on like any client's and stops a robot 0.3 s after the last one.
 //! While no robot has a goal it reads no sensor, draws no plan and waits for the next command.
 
+mod exploration;
 mod inputs;
-mod memory;
+pub mod memory;
 mod outputs;
 
+use super::file_thread::{JobThread, JobWorker};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
@@ -17,8 +19,9 @@ use crate::run::Run;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
 use ::nav::{FleetNavigator, GoalFrame, GoalPose, NavigationGoal, NavigationState, NavigatorConfig};
+use exploration::Exploration;
 use inputs::Inputs;
-use memory::{SavedGoal, SavedGoals};
+use memory::{NavigationFile, SavedGoal, SavedState, StateWriter};
 use msg::{
     Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, Pose2, RobotId, Role,
 };
@@ -31,17 +34,18 @@ const PERIOD: Duration = Duration::from_millis(50);
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Nav, None)?;
-    let mut process = NavigationProcess::open(&node, run, DiskStorage)?;
+    let mut process = NavigationProcess::open(&node, run, DiskStorage, JobThread::start)?;
     serve(&mut process, run.progress(Role::Nav, None, WatchedThread::Main), &|| stop.requested());
     Ok(())
 }
 
 /// The navigator with its channels.
-pub struct NavigationProcess<P: Ports, S: Storage> {
+pub struct NavigationProcess<P: Ports, W> {
     navigator: FleetNavigator,
     inputs: Inputs<P>,
     robots: Vec<RobotDesk<P>>,
-    saved: SavedGoals<S>,
+    exploration: Exploration<P>,
+    saved: StateWriter<W>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
     epoch: Epoch,
@@ -64,9 +68,16 @@ struct RobotDesk<P: Ports> {
     refusal: Option<&'static str>,
 }
 
-impl<P: Ports, S: Storage> NavigationProcess<P, S> {
-    /// Opens the channels, and goes on with the goals of an earlier process of this run.
-    pub fn open(ports: &P, run: &Run, storage: S) -> Result<Self, Error> {
+impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
+    /// Opens the channels, and goes on with what an earlier process of this run had not ended.
+    pub fn open<S: Storage>(
+        ports: &P,
+        run: &Run,
+        storage: S,
+        start_files: impl FnOnce(NavigationFile<S>) -> std::io::Result<W>,
+    ) -> Result<Self, Error> {
+        let file = NavigationFile::new(run, storage);
+        let saved = file.read();
         let clock = ports.clock();
         let desk = |robot| {
             Ok(RobotDesk {
@@ -78,12 +89,14 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
                 refusal: None,
             })
         };
-        let listeners = run.robots().map(|robot| ports.listener(&channel::goal(robot)));
+        let of_robots = run.robots().map(|robot| ports.listener(&channel::goal(robot)));
+        let listeners = of_robots.chain([ports.listener(&channel::explore())]);
         let mut process = Self {
             navigator: FleetNavigator::new(NavigatorConfig::default()),
             inputs: Inputs::open(ports, run)?,
             robots: run.robots().map(desk).collect::<Result<_, crate::ports::ChannelError>>()?,
-            saved: SavedGoals::new(run, storage),
+            exploration: Exploration::open(ports, run)?,
+            saved: StateWriter::new(start_files(file)?, saved.clone().unwrap_or_default()),
             heartbeat: Heartbeat::new(ports, run, Role::Nav, None)?,
             due: clock.now(),
             clock,
@@ -91,19 +104,35 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
             refused: 0,
             listeners: listeners.collect::<Result<_, _>>()?,
         };
-        process.restore();
+        match saved {
+            Some(saved) => process.restore(saved),
+            None if run.config.fleet.explore => process.explore(),
+            None => {}
+        }
         Ok(process)
     }
 
-    /// Sets the goals that an earlier process of this run had not ended.
-    fn restore(&mut self) {
+    /// Begins to explore without a command.
+    fn explore(&mut self) {
+        let now = self.clock.now();
+        self.exploration.start(&mut self.navigator, now.0, self.epoch.stamp(now));
+    }
+
+    /// Goes on with what an earlier process of this run had not ended.
+    fn restore(&mut self, saved: SavedState) {
         let now = self.epoch.stamp(self.clock.now());
-        for saved in self.saved.read() {
+        for (number, newest) in saved.commands {
+            if let Some(desk) = self.robots.iter_mut().find(|desk| desk.robot.number() == number) {
+                desk.newest = newest;
+            }
+        }
+        self.exploration.restore(&saved.exploration);
+        for saved in saved.goals {
             let Some(desk) = self.robots.iter_mut().find(|desk| desk.robot.number() == saved.robot) else {
                 continue;
             };
             let Ok(goal) = NavigationGoal::new(saved.frame(), saved.poses()) else { continue };
-            (desk.newest, desk.goal) = (saved.newest, saved.goal);
+            desk.goal = saved.goal;
             self.navigator.set_goal(now, desk.robot, goal);
             if saved.is_paused {
                 self.navigator.pause(desk.robot);
@@ -123,7 +152,19 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
                 }
             }
         }
+        while let Some(command) = self.exploration.receive() {
+            self.inputs.receive(now);
+            if !self.exploration.apply(&mut self.navigator, &command, self.epoch.stamp(now)) {
+                self.refused += 1;
+            }
+            has_changed = true;
+        }
         has_changed
+    }
+
+    /// Whether there is something to drive for.
+    fn is_active(&self) -> bool {
+        self.navigator.is_active() || self.exploration.is_active()
     }
 
     fn apply(&mut self, index: usize, command: &NavigationCommand, now: Monotonic) {
@@ -135,6 +176,7 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
                 // What has arrived while nobody had a goal is old.
                 self.inputs.receive(now);
                 let goal = self.inputs.goal(robot, command);
+                self.exploration.take(robot, true);
                 let desk = &mut self.robots[index];
                 (desk.goal, desk.refusal) = (command.number, goal.as_ref().err().copied());
                 match goal {
@@ -145,9 +187,18 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
                     }
                 }
             }
-            Some(NavigationAction::Cancel) => self.navigator.cancel(robot),
-            Some(NavigationAction::Pause) => self.navigator.pause(robot),
-            Some(NavigationAction::Resume) => self.navigator.resume(stamp, robot),
+            Some(NavigationAction::Cancel) => {
+                self.exploration.take(robot, true);
+                self.navigator.cancel(robot);
+            }
+            Some(NavigationAction::Pause) => {
+                self.exploration.take(robot, false);
+                self.navigator.pause(robot);
+            }
+            Some(NavigationAction::Resume) => {
+                self.exploration.give_back(&self.navigator, robot);
+                self.navigator.resume(stamp, robot);
+            }
             None => self.refused += 1,
         }
     }
@@ -155,14 +206,26 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
     /// One control step of all robots that have goals.
     fn navigate(&mut self, now: Monotonic) {
         self.inputs.receive(now);
+        let silent = self.inputs.silent_robots(now);
+        let is_silent = |robot: RobotId| silent.contains(&robot);
         let (navigator, inputs, epoch) = (&mut self.navigator, &mut self.inputs, self.epoch);
-        self.heartbeat.measure(|| inputs.observe(epoch.stamp(now), now, |input| navigator.step(input)));
+        let exploration = &mut self.exploration;
+        self.heartbeat.measure(|| {
+            inputs.observe(epoch.stamp(now), now, |input| {
+                exploration.step(navigator, input, &is_silent);
+                navigator.step(input);
+            });
+        });
     }
 
     /// Publishes what was decided; velocities only after a control step, so that none is sent twice.
     fn publish(&mut self, now: Monotonic, is_stepped: bool) {
         let stamp = self.epoch.stamp(now);
+        self.exploration.publish(stamp, now);
         for desk in &mut self.robots {
+            if self.exploration.is_driving(desk.robot) {
+                (desk.goal, desk.refusal) = (self.exploration.number(), None);
+            }
             let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot);
             let decision = Decision {
                 navigation,
@@ -175,29 +238,34 @@ impl<P: Ports, S: Storage> NavigationProcess<P, S> {
         }
     }
 
-    /// Saves the goals that are being driven to, or wait.
+    /// Saves the goals that are being driven to, or wait, and the exploration; its own goals are found again.
     fn save(&mut self) {
         let goals = self.robots.iter().filter_map(|desk| {
             let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot)?;
-            let goal = self.navigator.goal(desk.robot)?;
+            let goal =
+                self.navigator.goal(desk.robot).filter(|_| !self.exploration.is_driving(desk.robot))?;
             Some(SavedGoal::new(
-                (desk.robot, desk.newest, desk.goal),
+                (desk.robot, desk.goal),
                 goal,
                 navigation.next_pose.unwrap_or(0),
                 navigation.state == NavigationState::Paused,
             ))
         });
-        let goals: Vec<SavedGoal> = goals.collect();
-        self.saved.write(goals);
+        let state = SavedState {
+            commands: self.robots.iter().map(|desk| (desk.robot.number(), desk.newest)).collect(),
+            goals: goals.collect(),
+            exploration: self.exploration.saved(),
+        };
+        self.saved.write(state);
     }
 }
 
-impl<P: Ports, S: Storage> ProcessLoop for NavigationProcess<P, S> {
+impl<P: Ports, W: JobWorker<SavedState, ()>> ProcessLoop for NavigationProcess<P, W> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
-        let was_active = self.navigator.is_active();
+        let was_active = self.is_active();
         let has_commands = self.receive_commands(now);
-        let is_active = self.navigator.is_active();
+        let is_active = self.is_active();
         if is_active && !was_active {
             self.due = now;
         }
@@ -214,13 +282,16 @@ impl<P: Ports, S: Storage> ProcessLoop for NavigationProcess<P, S> {
         let counters = HealthCounters { refused: self.refused, ..HealthCounters::default() };
         if now >= self.heartbeat.due() {
             self.robots.iter().for_each(|desk| desk.outputs.refresh());
+            self.exploration.publish(self.epoch.stamp(now), now);
+            self.save();
+            self.exploration.refresh();
         }
         self.heartbeat.publish_if_due(|| counters);
-        if self.navigator.is_active() { self.due.min(self.heartbeat.due()) } else { self.heartbeat.due() }
+        if self.is_active() { self.due.min(self.heartbeat.due()) } else { self.heartbeat.due() }
     }
 }
 
-impl<P: Ports, S: Storage> Listens<P::Listener> for NavigationProcess<P, S> {
+impl<P: Ports, W> Listens<P::Listener> for NavigationProcess<P, W> {
     fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
         self.listeners.iter()
     }

@@ -11,6 +11,7 @@ mod default_config;
 mod edges;
 mod emergency_stop;
 mod experiment;
+mod exploration;
 mod faults;
 mod fleet;
 mod glossary;

@@ -23,6 +23,9 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+/// Two alignments nearer than this are one, metres.
+const SAME_PLACE_M: f64 = 0.5;
+
 /// A pair and what became of it.
 struct Judged {
     seed: u64,
@@ -59,8 +62,16 @@ impl Judged {
         self.accepted() && self.error.is_some_and(is_right)
     }
 
-    /// Whether the thresholds pass at the true place.
+    /// Whether the thresholds pass at the true place, also that of the margin over the place that was found elsewhere.
     fn acceptable(&self) -> bool {
+        let (Some(truth), Some(found)) = (self.at_truth, self.found) else { return false };
+        let is_there = found.a_from_b.distance_m(truth.a_from_b) < SAME_PLACE_M;
+        let margin = if is_there { found.margin } else { truth.score_m / found.score_m };
+        truth.accepted && margin >= AlignConfig::default().margin_min
+    }
+
+    /// Whether the thresholds but the margin pass at the true place.
+    fn fits(&self) -> bool {
         self.at_truth.is_some_and(|found| found.accepted)
     }
 
@@ -122,7 +133,8 @@ fn recall(name: String, pairs: &[&Judged]) -> Row {
     let right = pairs.iter().filter(|pair| pair.right()).count();
     let acceptable = pairs.iter().filter(|pair| pair.acceptable()).count();
     let wrong: Vec<u64> = pairs.iter().filter(|p| p.accepted() && !p.right()).map(|p| p.seed).collect();
-    let note = format!("of {} pairs", pairs.len());
+    let fits = pairs.iter().filter(|pair| pair.fits()).count();
+    let note = format!("of {} pairs, {fits} but for the margin", pairs.len());
     let note = if wrong.is_empty() { note } else { format!("{note}; wrong: seeds {wrong:?}") };
     Row::new(name, right as f64, acceptable as f64).note(note)
 }

@@ -1,7 +1,7 @@
 //! The bridge's side of navigation: commands to the navigator, and its velocities.
 
 use super::Bridge;
-use msg::{Monotonic, NavigationCommand, RobotId, VelocityCommand};
+use msg::{ExplorationCommand, Monotonic, NavigationCommand, RobotId, VelocityCommand};
 
 impl Bridge {
     /// Sets where goals and other commands to the navigator go. It must not call the bridge.
@@ -9,8 +9,27 @@ impl Bridge {
         *self.on_navigation.borrow_mut() = Box::new(sink);
     }
 
+    /// Sets where commands about the fleet's exploration go. It must not call the bridge.
+    pub fn on_exploration(&self, sink: impl FnMut(ExplorationCommand) + 'static) {
+        *self.on_exploration.borrow_mut() = Box::new(sink);
+    }
+
     /// Handles a velocity of the navigator, which drives a robot that nobody else drives.
     pub fn receive_navigation_velocity(&self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
         self.update(|core| core.receive_navigation_velocity(robot, command, now));
+    }
+
+    /// Passes on what clients want of the navigator.
+    pub(super) fn pass_navigation_commands(&self) {
+        if let Ok(mut sink) = self.on_navigation.try_borrow_mut() {
+            while let Some((robot, command)) = { self.core.borrow_mut().commands.next_navigation() } {
+                sink(robot, command);
+            }
+        }
+        if let Ok(mut sink) = self.on_exploration.try_borrow_mut() {
+            while let Some(command) = { self.core.borrow_mut().commands.next_exploration() } {
+                sink(command);
+            }
+        }
     }
 }

@@ -8,12 +8,13 @@ use crate::input::{Input, SHARED_GOAL};
 use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
-    GOAL_POSES_MAX, Link, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose,
-    NavigationReport, NavigationStatus, RobotId, VelocityCommand,
+    ExplorationAction, ExplorationCommand, ExplorationReport, ExplorerState, GOAL_POSES_MAX, Link, Monotonic,
+    NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport, NavigationStatus,
+    RobotId, VelocityCommand,
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
-use ros_messages::{Empty, Message, PathMessage, PoseStamped};
+use ros_messages::{Bool, Empty, Message, PathMessage, PoseStamped};
 use thiserror::Error;
 
 /// Why a goal is refused.
@@ -65,6 +66,10 @@ impl Core {
             Input::Waypoints(robot) => {
                 let path = self.decode(payload)?;
                 return self.accept_waypoints(robot, &path, now).map(drop);
+            }
+            Input::Explore => {
+                let Bool(starts) = self.decode(payload)?;
+                return self.command_exploration(starts, now);
             }
             Input::CancelNavigation(robot) => (robot, NavigationAction::Cancel),
             Input::ResumeNavigation(robot) => (robot, NavigationAction::Resume),
@@ -198,8 +203,10 @@ impl Core {
     /// Pauses the navigation of robots that the navigator drives, because a person drives or stops them.
     pub(super) fn pause_navigation(&mut self, robots: impl IntoIterator<Item = RobotId>) {
         for robot in robots {
-            if self.gate.drive().is_navigated(robot) {
-                self.gate.drive_mut().set_navigated(robot, false);
+            let drive = self.gate.drive_mut();
+            if drive.is_navigated(robot) || drive.is_exploring(robot) {
+                drive.set_navigated(robot, false);
+                drive.set_exploring(robot, false);
                 self.command_navigation(robot, NavigationAction::Pause);
             }
         }
@@ -225,6 +232,27 @@ impl Core {
         let is_active =
             !status.is_final() && !matches!(status, NavigationStatus::Idle | NavigationStatus::Paused);
         self.gate.drive_mut().set_navigated(robot, is_active);
+    }
+
+    /// Records which robots explore: a person takes them out by driving them, between two goals too.
+    pub fn record_exploration(&mut self, report: &ExplorationReport) {
+        let robots: Vec<RobotId> = self.fleet.robots().collect();
+        for robot in robots {
+            let is_exploring = report.robot(robot.index()) == ExplorerState::Exploring;
+            self.gate.drive_mut().set_exploring(robot, is_exploring);
+        }
+    }
+
+    /// Starts the fleet's exploration, or stops it.
+    fn command_exploration(&mut self, starts: bool, now: Monotonic) -> Result<(), InputError> {
+        if starts && self.gate.drive().is_stopped() {
+            return Err(InputError::EmergencyStop);
+        }
+        self.commands.record_time(now);
+        let number = self.commands.next_navigation_number();
+        let action = if starts { ExplorationAction::Start } else { ExplorationAction::Stop };
+        self.commands.set_exploration(ExplorationCommand::new(number, action));
+        Ok(())
     }
 }
 

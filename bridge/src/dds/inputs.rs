@@ -1,7 +1,7 @@
 //! The topics that the endpoint subscribes to.
 
 use crate::config::VelocityMessage;
-use crate::input::{Input, SHARED_GOAL};
+use crate::input::{EXPLORE, Input, SHARED_GOAL};
 use crate::relay::ReceivedMessage;
 use ros_messages::{
     Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PoseStamped,
@@ -77,6 +77,7 @@ fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: b
         InputTopic::new::<Int32>("/take_control".into(), Input::TakeControl),
         InputTopic::new::<Bool>("/emergency_stop".into(), Input::EmergencyStop),
         InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::ReleaseStop),
+        InputTopic::new::<Bool>(EXPLORE.into(), Input::Explore),
         InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
         InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
         InputTopic::new::<PoseStamped>(SHARED_GOAL.into(), Input::Goal(None)),

@@ -1,5 +1,6 @@
 //! Selects the topics of a message of the fleet, and encodes the message for each.
 
+mod json;
 mod repeated;
 mod static_links;
 
@@ -10,9 +11,10 @@ use super::static_transforms::StaticTransformSet;
 use super::table::FleetTopic;
 use crate::input::Input;
 use crate::repeater::{CorrectionRepeater, Repetition};
+use json::{exploration_json, navigation_json};
 use msg::{
-    Clock, Correction, FleetStats, GridView, Link, MapTransforms, Monotonic, NavigationPlan,
-    NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
+    Clock, Correction, ExplorationReport, FleetStats, GridView, Link, MapTransforms, Monotonic,
+    NavigationPlan, NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Writer;
 use ros_messages::map_tiles::write_map_tiles;
@@ -48,6 +50,8 @@ pub enum FleetMessage<'a> {
     Stats(&'a FleetStats),
     /// The edges between the robots' maps as JSON: `/merge_edges`.
     MergeEdges(&'a str),
+    /// How far the exploration is: `/explore/state`.
+    ExplorationState(&'a ExplorationReport),
     /// What navigation does with a robot: `/robotN/navigation_state`.
     NavigationState(RobotId, &'a NavigationReport),
     /// The planned path of a robot: `/robotN/plan`.
@@ -249,6 +253,10 @@ impl FleetPublisher {
                     sink.send(FleetTopic::SlamStats, Some(robot), encode);
                 }
             }
+            FleetMessage::ExplorationState(report) => {
+                let json = exploration_json(report, &self.robots, &self.names);
+                sink.send(FleetTopic::ExplorationState, None, |to| to.string(&json));
+            }
             FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
         }
     }
@@ -359,18 +367,4 @@ impl FleetPublisher {
         }
         self.map_transforms_due = Some(now + MAP_TRANSFORMS_PERIOD);
     }
-}
-
-/// Returns the state of a robot's navigation as JSON.
-fn navigation_json(report: &NavigationReport) -> String {
-    let other = RobotId::new(report.other_robot as usize).map(|robot| robot.to_string());
-    serde_json::json!({
-        "state": report.status().name(),
-        "reason": report.reason(),
-        "goal": report.number,
-        "pose": report.next_pose,
-        "remaining_m": report.remaining_m.is_finite().then_some(report.remaining_m),
-        "waits_for": other,
-    })
-    .to_string()
 }

@@ -43,6 +43,8 @@ pub enum FleetTopic {
     NavigationState,
     /// The planned path of a robot.
     Plan,
+    /// How far the exploration is and what is left, as JSON.
+    ExplorationState,
     /// The robot that `/cmd_vel` drives.
     SelectedRobot,
     /// Whether the emergency stop is set.
@@ -132,7 +134,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 19] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 20] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -220,6 +222,11 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 19] = [
         tcp: LATCHED,
         dds: LATCHED,
         ..row(FleetTopic::Plan, "/robotN/plan", PathMessage::TYPE, "robotN/plan")
+    },
+    OutgoingTopic {
+        tcp: LATCHED,
+        dds: LATCHED,
+        ..row(FleetTopic::ExplorationState, "/explore/state", Text::TYPE, "exploration_state")
     },
     OutgoingTopic {
         tcp: LATCHED,

@@ -41,6 +41,29 @@ fn workshop(x: i64, y: i64) -> Option<bool> {
     inside.then_some(outer || pillars || bench)
 }
 
+/// The walls of the house with other furniture: outlines of a table and a cupboard.
+fn house_with(furniture: [[i64; 4]; 2], x: i64, y: i64) -> Option<bool> {
+    let (x, y) = (x + 160, y + 110);
+    let inside = (0..320).contains(&x) && (0..220).contains(&y);
+    let outer = x == 0 || x == 319 || y == 0 || y == 219;
+    let inner = (x == 110 && !(60..78).contains(&y)) || (y == 120 && x > 110 && !(190..208).contains(&x));
+    let stands = furniture.iter().any(|[x0, y0, x1, y1]| {
+        let on_outline = x == *x0 || x == *x1 || y == *y0 || y == *y1;
+        on_outline && (*x0..=*x1).contains(&x) && (*y0..=*y1).contains(&y)
+    });
+    inside.then_some(outer || inner || stands)
+}
+
+/// One tenant's furniture.
+fn first_tenant(x: i64, y: i64) -> Option<bool> {
+    house_with([[20, 30, 40, 44], [60, 160, 76, 176]], x, y)
+}
+
+/// The next one's.
+fn next_tenant(x: i64, y: i64) -> Option<bool> {
+    house_with([[200, 70, 222, 82], [240, 180, 262, 194]], x, y)
+}
+
 /// An empty hall, 10 m x 6 m: half a turn changes nothing.
 fn hall(x: i64, y: i64) -> Option<bool> {
     (x.abs() <= 100 && y.abs() <= 60).then_some(x.abs() == 100 || y.abs() == 60)
@@ -97,6 +120,20 @@ proptest! {
         prop_assert!(radians < 0.01, "{found:?}");
         prop_assert!(metres < 0.05 + 0.01 * b_from_a.inverse().distance_m(Pose2::IDENTITY), "{found:?}");
     }
+}
+
+#[test]
+fn the_same_rooms_with_other_furniture_are_refused() {
+    let a = map(first_tenant, -160, 160);
+    let turned = Pose2::new(1.0, 2.0, 0.7);
+    let [same, other] = [first_tenant, next_tenant].map(|plan| {
+        let b = redrawn(&map(plan, -160, 160), turned);
+        align(a.view(), b.view(), &AlignConfig::default()).unwrap()
+    });
+    assert!(same.accepted && same.object_conflict < 0.1, "{same:?}");
+    // Of all walls, hardly any contradict: the outline outweighs the furniture.
+    assert!(other.conflict < AlignConfig::default().conflict_max, "{other:?}");
+    assert!(!other.accepted && other.object_conflict > 0.5, "{other:?}");
 }
 
 #[test]

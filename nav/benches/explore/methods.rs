@@ -65,6 +65,7 @@ impl Method for Coordinated {
         let robot = |(robot, progress): (&crate::world::Robot, &GoalProgress)| CoordinatedRobot {
             robot: robot.id,
             map_from_base: Some(robot.pose()),
+            home: None,
             availability: RobotAvailability::Free,
             progress: *progress,
         };

@@ -296,11 +296,11 @@ impl Pilot for NavigatorPilot {
     }
 
     fn is_done(&self) -> bool {
-        self.exploration.coordinator().phase() != CoordinationPhase::Exploring
+        self.exploration.phase() != CoordinationPhase::Exploring
     }
 
     fn describe(&self, outcome: &mut Outcome) {
-        outcome.plans = self.exploration.coordinator().plans();
+        outcome.plans = self.exploration.plans();
         outcome.choose_ms = self.choosing.as_secs_f64() * 1e3;
         outcome.drive_ms = self.driving.as_secs_f64() * 1e3;
         outcome.longest_choice_ms = self.longest.as_secs_f64() * 1e3;

@@ -1,86 +1,279 @@
 //! Exploration by a fleet that a navigator drives: the coordinator's goals become goals of navigation.
+//!
+//! The robots of the merged map share one coordinator. A robot whose map is not merged yet explores its own map.
 
+use super::sent_goal::SentGoal;
 use super::types::{
     CoordinatedRobot, CoordinationInput, CoordinationPhase, GoalProgress, RobotAvailability, RobotGoal,
+    TimeEstimate,
 };
-use super::{CoordinationConfig, FleetCoordinator};
-use crate::geometry::distance_m;
-use crate::navigation::{
-    FleetNavigator, GoalFrame, GoalPose, NavigatedRobot, NavigationGoal, NavigationInput, NavigationState,
-};
-use msg::pose::wrap_angle;
-use msg::{ROBOTS_MAX, RobotId};
+use super::{CoordinationConfig, FleetCoordinator, Leftover};
+use crate::navigation::{FleetNavigator, GoalFrame, NavigatedRobot, NavigationInput, NavigationState};
+use crate::observation::MapView;
+use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
 
-/// Distance within which two goals are at one place, metres: a cell of the map.
-const SAME_PLACE_M: f64 = 0.06;
-/// Distance to its place within which a robot is told of new headings, metres. Farther away they may change again.
-const HEADINGS_FROM_M: f64 = 0.5;
-/// Change of the first heading that a robot is told of, radians: less than the sensor sees to each side.
-const HEADING_CHANGE_RAD: f64 = 0.35;
+/// Time without a robot that can be given goals after which a map is given up, seconds: a restart of SLAM and a
+/// relocalization take less.
+const PATIENCE_S: f64 = 60.0;
+
+/// Why an exploration is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ExplorationEnd {
+    /// Nothing reachable is unknown, and the robots are back.
+    Completed,
+    /// All robots are lost, silent or surrounded by obstacles.
+    NoRobot,
+}
+
+/// A leftover with the map that its position is in.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FoundLeftover {
+    /// Robot in whose own map it is; `None`: in the merged map.
+    pub robot: Option<RobotId>,
+    /// What is left there.
+    pub leftover: Leftover,
+}
+
+/// Robots that share a map, with their coordinator.
+#[derive(Clone, Debug)]
+struct ExploredMap {
+    /// The robot whose own map it is; `None`: the merged map.
+    robot: Option<RobotId>,
+    coordinator: FleetCoordinator,
+    /// When a robot could be given goals last.
+    able_at: Stamp,
+    known_m2: f64,
+    /// Whether persons have all its robots.
+    is_manual: bool,
+}
 
 /// Exploration of a fleet by a [`FleetNavigator`].
 #[derive(Clone, Debug)]
 pub struct FleetExploration {
-    coordinator: FleetCoordinator,
-    /// Goals that the navigator was given.
-    sent: [Option<RobotGoal>; ROBOTS_MAX],
+    config: CoordinationConfig,
+    maps: Vec<ExploredMap>,
+    sent: [Option<SentGoal>; ROBOTS_MAX],
+    /// Where each robot was first, in its own map.
+    homes: [Option<Pose2>; ROBOTS_MAX],
+    /// Robots that persons have taken.
+    taken: [bool; ROBOTS_MAX],
+    availability: [Option<RobotAvailability>; ROBOTS_MAX],
+    phase: CoordinationPhase,
+    end: Option<ExplorationEnd>,
 }
 
 impl FleetExploration {
     /// An exploration that has sent no goal yet.
     pub fn new(config: CoordinationConfig) -> Self {
-        Self { coordinator: FleetCoordinator::new(config), sent: [const { None }; ROBOTS_MAX] }
+        Self {
+            config,
+            maps: Vec::new(),
+            sent: [const { None }; ROBOTS_MAX],
+            homes: [None; ROBOTS_MAX],
+            taken: [false; ROBOTS_MAX],
+            availability: [None; ROBOTS_MAX],
+            phase: CoordinationPhase::Exploring,
+            end: None,
+        }
     }
 
-    /// The coordinator, with what is left and the expected time.
-    pub fn coordinator(&self) -> &FleetCoordinator {
-        &self.coordinator
+    /// What the fleet does.
+    pub fn phase(&self) -> CoordinationPhase {
+        self.phase
+    }
+
+    /// Why the exploration is over; `None` while it goes on.
+    pub fn end(&self) -> Option<ExplorationEnd> {
+        self.end
+    }
+
+    /// Number of plans made.
+    pub fn plans(&self) -> u32 {
+        self.maps.iter().map(|map| map.coordinator.plans()).sum()
+    }
+
+    /// Expected time until nothing reachable is unknown: that of the map that takes longest.
+    pub fn estimate(&self) -> Option<TimeEstimate> {
+        let estimates = self.maps.iter().filter_map(|map| map.coordinator.estimate());
+        estimates
+            .reduce(|a, b| TimeEstimate { least_s: a.least_s.max(b.least_s), most_s: a.most_s.max(b.most_s) })
+    }
+
+    /// Area that the maps show, square metres. Where unmerged maps overlap it counts more than once.
+    pub fn known_m2(&self) -> f64 {
+        self.maps.iter().map(|map| map.known_m2).sum()
+    }
+
+    /// What is unknown beside known free space, and why no robot goes there.
+    pub fn leftovers(&self) -> Vec<FoundLeftover> {
+        let of = |map: &ExploredMap| {
+            let robot = map.robot;
+            map.coordinator.leftovers().into_iter().map(move |leftover| FoundLeftover { robot, leftover })
+        };
+        self.maps.iter().flat_map(of).collect()
+    }
+
+    /// What a robot was at the last step; `None` before the first.
+    pub fn availability(&self, robot: RobotId) -> Option<RobotAvailability> {
+        self.availability[robot.index()]
+    }
+
+    /// Whether the navigator's goal of a robot, if it has one, is the exploration's.
+    pub fn is_driving(&self, robot: RobotId) -> bool {
+        self.sent[robot.index()].is_some()
+    }
+
+    /// Where a robot was first, in its own map.
+    pub fn home(&self, robot: RobotId) -> Option<Pose2> {
+        self.homes[robot.index()]
+    }
+
+    /// Sets where a robot shall return to, in its own map.
+    pub fn set_home(&mut self, robot: RobotId, robot_map_from_home: Pose2) {
+        self.homes[robot.index()] = Some(robot_map_from_home);
+    }
+
+    /// Whether a person has taken a robot.
+    pub fn is_taken(&self, robot: RobotId) -> bool {
+        self.taken[robot.index()]
+    }
+
+    /// Takes a robot out of the exploration, because a person drives it, has stopped it or gives it a goal.
+    ///
+    /// A goal that the exploration gave it stays with the navigator unless `has_new_goal`.
+    pub fn take(&mut self, robot: RobotId, has_new_goal: bool) {
+        self.taken[robot.index()] = true;
+        if has_new_goal {
+            self.sent[robot.index()] = None;
+        }
+    }
+
+    /// Gives a robot back to the exploration.
+    pub fn give_back(&mut self, robot: RobotId) {
+        self.taken[robot.index()] = false;
     }
 
     /// Sets and cancels the navigator's goals. Call it before each step of the navigator.
     ///
-    /// `is_dead` tells the robots that do not answer any more. A robot that the navigator has paused is a person's.
+    /// `is_silent` tells the robots whose data do not arrive any more. A robot that the navigator has paused is a
+    /// person's.
     pub fn step(
         &mut self,
         navigator: &mut FleetNavigator,
         input: &NavigationInput,
-        is_dead: &dyn Fn(RobotId) -> bool,
+        is_silent: &dyn Fn(RobotId) -> bool,
     ) -> CoordinationPhase {
-        let merged =
-            |robot: &&NavigatedRobot| robot.observation.in_merged_map && robot.observation.map.is_some();
-        let Some(map) = input.robots.iter().find(merged).and_then(|robot| robot.observation.map) else {
-            return self.coordinator.phase();
-        };
-        let state = |robot: RobotId| navigator.robots().find(|n| n.robot == robot).map(|n| n.state);
-        let robots: Vec<CoordinatedRobot> = input
+        let robots: Vec<CoordinatedRobot> =
+            input.robots.iter().map(|robot| self.describe(navigator, robot, is_silent)).collect();
+        let merged = |robot: &NavigatedRobot| robot.observation.in_merged_map;
+        self.maps.retain(|map| {
+            let is_of = |robot: &&NavigatedRobot| map.robot == Some(robot.observation.robot);
+            input.robots.iter().find(is_of).is_none_or(|robot| !merged(robot))
+        });
+        let in_merged: Vec<CoordinatedRobot> = input
             .robots
             .iter()
-            .map(|robot| {
-                let id = robot.observation.robot;
-                let pose = robot.observation.map_from_base.filter(|_| robot.observation.in_merged_map);
-                let availability = match state(id) {
-                    _ if is_dead(id) => RobotAvailability::Dead,
-                    Some(NavigationState::Paused) => RobotAvailability::Manual,
-                    _ if pose.is_none() => RobotAvailability::Lost,
-                    _ => RobotAvailability::Free,
-                };
-                let progress = match state(id).filter(|_| self.sent[id.index()].is_some()) {
-                    None | Some(NavigationState::Idle) => GoalProgress::Idle,
-                    Some(NavigationState::Reached) => GoalProgress::Reached,
-                    Some(NavigationState::Failed(_) | NavigationState::Cancelled) => GoalProgress::Failed,
-                    Some(_) => GoalProgress::Active,
-                };
-                CoordinatedRobot { robot: id, map_from_base: pose, availability, progress }
-            })
+            .zip(&robots)
+            .filter(|(observed, _)| merged(observed))
+            .map(|(_, robot)| *robot)
             .collect();
-        let excluded: Vec<Vec<[f64; 2]>> =
-            input.exclusion_zones.iter().map(|zone| zone.corners_m.clone()).collect();
-        let fleet = CoordinationInput { stamp: input.stamp, map, robots: &robots, excluded: &excluded };
-        let phase = self.coordinator.update(&fleet);
-        for robot in &robots {
-            self.send(navigator, input, robot);
+        if let Some(map) = input.robots.iter().filter(|robot| merged(robot)).find_map(|r| r.observation.map) {
+            self.explore(navigator, input, None, map, &in_merged);
         }
-        phase
+        for (observed, robot) in input.robots.iter().zip(&robots).filter(|(observed, _)| !merged(observed)) {
+            if let Some(map) = observed.observation.map {
+                self.explore(navigator, input, Some(robot.robot), map, &[*robot]);
+            }
+        }
+        self.conclude(input.stamp);
+        self.phase
+    }
+
+    /// Describes a robot to the coordinator.
+    fn describe(
+        &mut self,
+        navigator: &FleetNavigator,
+        robot: &NavigatedRobot,
+        is_silent: &dyn Fn(RobotId) -> bool,
+    ) -> CoordinatedRobot {
+        let id = robot.observation.robot;
+        let pose = robot.observation.map_from_base.filter(|pose| pose.is_finite());
+        let map_from_robot_map =
+            if robot.observation.in_merged_map { robot.map_from_robot_map } else { Some(Pose2::IDENTITY) };
+        let home = &mut self.homes[id.index()];
+        *home = home.or_else(|| Some(map_from_robot_map?.inverse() * pose?));
+        let state = navigator.robots().find(|navigation| navigation.robot == id).map(|n| n.state);
+        let availability = match state {
+            _ if is_silent(id) => RobotAvailability::Dead,
+            _ if self.taken[id.index()] => RobotAvailability::Manual,
+            Some(NavigationState::Paused) => RobotAvailability::Manual,
+            _ if pose.is_none() => RobotAvailability::Lost,
+            _ => RobotAvailability::Free,
+        };
+        let progress = match state.filter(|_| self.sent[id.index()].is_some()) {
+            None | Some(NavigationState::Idle) => GoalProgress::Idle,
+            Some(NavigationState::Reached) => GoalProgress::Reached,
+            Some(NavigationState::Failed(_) | NavigationState::Cancelled) => GoalProgress::Failed,
+            Some(_) => GoalProgress::Active,
+        };
+        self.availability[id.index()] = Some(availability);
+        let home = map_from_robot_map.zip(self.homes[id.index()]).map(|(map, home)| map * home);
+        CoordinatedRobot { robot: id, map_from_base: pose, home, availability, progress }
+    }
+
+    /// Explores one map with the robots that share it.
+    fn explore(
+        &mut self,
+        navigator: &mut FleetNavigator,
+        input: &NavigationInput,
+        of: Option<RobotId>,
+        map: MapView,
+        robots: &[CoordinatedRobot],
+    ) {
+        let index = self.maps.iter().position(|map| map.robot == of).unwrap_or_else(|| {
+            let coordinator = FleetCoordinator::new(self.config);
+            let able_at = input.stamp;
+            self.maps.push(ExploredMap { robot: of, coordinator, able_at, known_m2: 0.0, is_manual: false });
+            self.maps.len() - 1
+        });
+        // Zones are in the merged map; where they lie in another one is not known.
+        let zones = if of.is_none() { input.exclusion_zones } else { &[] };
+        let excluded: Vec<Vec<[f64; 2]>> = zones.iter().map(|zone| zone.corners_m.clone()).collect();
+        let explored = &mut self.maps[index];
+        let plans = explored.coordinator.plans();
+        explored.coordinator.update(&CoordinationInput {
+            stamp: input.stamp,
+            map,
+            robots,
+            excluded: &excluded,
+        });
+        if explored.coordinator.plans() != plans {
+            explored.known_m2 = map.known_m2();
+        }
+        explored.is_manual = robots.iter().all(|robot| robot.availability == RobotAvailability::Manual);
+        // Persons may keep robots as long as they like.
+        if explored.coordinator.has_explorers() || explored.is_manual {
+            explored.able_at = input.stamp;
+        }
+        let frame = if of.is_none() { GoalFrame::MergedMap } else { GoalFrame::RobotMap };
+        for robot in robots {
+            let goal = self.maps[index].coordinator.goal(robot.robot).cloned();
+            self.send(navigator, input.stamp, frame, robot, goal);
+        }
+    }
+
+    /// Decides what the fleet as a whole does, and whether the exploration is over.
+    fn conclude(&mut self, now: Stamp) {
+        let is_able = |map: &&ExploredMap| !map.is_manual && now - map.able_at < PATIENCE_S;
+        let phase = self.maps.iter().filter(is_able).map(|map| map.coordinator.phase()).min();
+        match phase {
+            Some(phase) => self.phase = phase,
+            None if self.maps.is_empty() || self.maps.iter().any(|map| map.is_manual) => {}
+            None => self.end = Some(ExplorationEnd::NoRobot),
+        }
+        if phase == Some(CoordinationPhase::Done) {
+            self.end = Some(ExplorationEnd::Completed);
+        }
     }
 
     /// Cancels all goals that were sent: exploration ends here.
@@ -92,51 +285,36 @@ impl FleetExploration {
         }
     }
 
-    /// Sets or cancels the goal of one robot if it has changed.
-    fn send(&mut self, navigator: &mut FleetNavigator, input: &NavigationInput, robot: &CoordinatedRobot) {
+    /// Sends or cancels the goal of one robot if it has changed.
+    fn send(
+        &mut self,
+        navigator: &mut FleetNavigator,
+        now: Stamp,
+        frame: GoalFrame,
+        robot: &CoordinatedRobot,
+        goal: Option<RobotGoal>,
+    ) {
         let sent = &mut self.sent[robot.robot.index()];
         if robot.availability == RobotAvailability::Manual {
-            // Its goal waits in the navigator; the next plan gives it another one.
-            *sent = None;
+            // The goal that it has waits in the navigator.
             return;
         }
-        let goal = self.coordinator.goal(robot.robot);
         let Some(goal) = goal else {
             if sent.take().is_some() {
                 navigator.cancel(robot.robot);
             }
             return;
         };
-        let is_same = sent.as_ref().is_some_and(|sent| is_same_goal(sent, goal, robot));
-        if is_same && !robot.progress.has_ended() {
+        let is_same = |sent: &SentGoal| sent.is_same(frame, &goal, robot);
+        if sent.as_ref().is_some_and(is_same) && !robot.progress.has_ended() {
             return;
         }
-        let pose = |yaw_rad| GoalPose { position_m: goal.position_m, yaw_rad };
-        let poses = match goal.headings_rad.as_slice() {
-            [] => vec![pose(None)],
-            headings => headings.iter().map(|heading| pose(Some(*heading))).collect(),
-        };
-        if let Ok(navigation_goal) = NavigationGoal::new(GoalFrame::MergedMap, poses) {
-            navigator.set_goal(input.stamp, robot.robot, navigation_goal);
-            *sent = Some(goal.clone());
+        let new = SentGoal { frame, goal };
+        if let Ok(navigation_goal) = new.to_navigation() {
+            navigator.set_goal(now, robot.robot, navigation_goal);
+            *sent = Some(new);
         }
     }
-}
-
-/// Whether a robot need not be told of a goal, because the one that it has is as good.
-fn is_same_goal(sent: &RobotGoal, goal: &RobotGoal, robot: &CoordinatedRobot) -> bool {
-    if distance_m(sent.position_m, goal.position_m) > SAME_PLACE_M || sent.purpose != goal.purpose {
-        return false;
-    }
-    let is_far = robot
-        .map_from_base
-        .is_none_or(|pose| distance_m([pose.x_m, pose.y_m], goal.position_m) > HEADINGS_FROM_M);
-    let is_near_last = |a: Option<&f64>, b: Option<&f64>| match (a, b) {
-        (Some(a), Some(b)) => wrap_angle(a - b).abs() < HEADING_CHANGE_RAD,
-        (None, None) => true,
-        _ => false,
-    };
-    is_far || is_near_last(sent.headings_rad.last(), goal.headings_rad.last())
 }
 
 #[cfg(test)]

@@ -3,36 +3,15 @@
 use super::plan::PlanBuffers;
 use super::seen::UnseenCells;
 use crate::clearance_map::ClearanceMap;
+use msg::LeftoverReason;
 use msg::grid::Occupancy;
 
 /// Fewest cells of a leftover: fewer are noise of the map, as for frontiers.
 const CELLS_MIN: usize = 5;
 /// Most leftovers that are returned, largest first.
 const LEFTOVERS_MAX: usize = 64;
-
-/// Reason why a frontier is left.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum LeftoverReason {
-    /// Robots looked there twice in vain.
-    NotVisible,
-    /// It lies where a robot does not fit, and is not seen from elsewhere.
-    TooNarrow,
-    /// Obstacles or excluded areas lie between it and all robots.
-    Unreachable,
-    /// What is expected behind it is not worth a look.
-    TooSmall,
-}
-
-impl core::fmt::Display for LeftoverReason {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::NotVisible => "looked at twice, and nothing was seen",
-            Self::TooNarrow => "too narrow for a robot",
-            Self::Unreachable => "cut off from all robots",
-            Self::TooSmall => "too small to be worth a look",
-        })
-    }
-}
+/// Directions of the four cells beside one, see [`ClearanceMap::neighbour`].
+const SIDES: [usize; 4] = [0, 2, 4, 6];
 
 /// A frontier that is left at the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +20,8 @@ pub struct Leftover {
     pub position_m: [f64; 2],
     /// Its length, metres.
     pub length_m: f64,
+    /// Area of the unknown space behind it, square metres; `None` if known space does not enclose it.
+    pub area_m2: Option<f64>,
     /// Why no robot goes there.
     pub reason: LeftoverReason,
 }
@@ -57,6 +38,7 @@ pub(super) fn find(
         .collect();
     let mut found = Vec::new();
     let mut cells = Vec::new();
+    let mut areas = UnknownAreas::new(map);
     for seed in 0..map.cell_count() {
         if !is_open[seed] {
             continue;
@@ -81,7 +63,9 @@ pub(super) fn find(
             LeftoverReason::TooSmall
         };
         let length_m = cells.len() as f64 * map.cell_size_m();
-        found.push(Leftover { position_m: map.cell_centre_m(middle), length_m, reason });
+        let unknown = cells.iter().find_map(|cell| unknown_beside(map, *cell));
+        let area_m2 = unknown.and_then(|cell| areas.enclosed_m2(map, cell));
+        found.push(Leftover { position_m: map.cell_centre_m(middle), length_m, area_m2, reason });
     }
     found.sort_by(|a, b| b.length_m.total_cmp(&a.length_m));
     found.truncate(LEFTOVERS_MAX);
@@ -105,7 +89,52 @@ fn collect(map: &ClearanceMap, seed: usize, is_open: &mut [bool], cells: &mut Ve
     }
 }
 
+/// Areas of connected unknown cells, each counted once.
+struct UnknownAreas {
+    /// Number of the area that a cell is part of, from 1; 0 if it is not counted yet.
+    area_of: Vec<u32>,
+    /// Enclosed area, square metres, by number minus 1.
+    areas_m2: Vec<Option<f64>>,
+    stack: Vec<usize>,
+}
+
+impl UnknownAreas {
+    fn new(map: &ClearanceMap) -> Self {
+        Self { area_of: vec![0; map.cell_count()], areas_m2: Vec::new(), stack: Vec::new() }
+    }
+
+    /// Area of the unknown cells connected with one, square metres; `None` if they reach the edge of the map.
+    fn enclosed_m2(&mut self, map: &ClearanceMap, cell: usize) -> Option<f64> {
+        if self.area_of[cell] == 0 {
+            let area_m2 = self.count(map, cell);
+            self.areas_m2.push(area_m2);
+        }
+        self.areas_m2[self.area_of[cell] as usize - 1]
+    }
+
+    fn count(&mut self, map: &ClearanceMap, seed: usize) -> Option<f64> {
+        let number = self.areas_m2.len() as u32 + 1;
+        let (mut count, mut is_enclosed) = (0_u32, true);
+        self.area_of[seed] = number;
+        self.stack.push(seed);
+        while let Some(cell) = self.stack.pop() {
+            count += 1;
+            for direction in SIDES {
+                let Some(side) = map.neighbour(cell, direction) else {
+                    is_enclosed = false;
+                    continue;
+                };
+                if map.occupancy(side) == Occupancy::Unknown && self.area_of[side] == 0 {
+                    self.area_of[side] = number;
+                    self.stack.push(side);
+                }
+            }
+        }
+        is_enclosed.then(|| f64::from(count) * map.cell_size_m().powi(2))
+    }
+}
+
 fn unknown_beside(map: &ClearanceMap, cell: usize) -> Option<usize> {
-    let sides = [0, 2, 4, 6].into_iter().filter_map(|direction| map.neighbour(cell, direction));
+    let sides = SIDES.into_iter().filter_map(|direction| map.neighbour(cell, direction));
     sides.into_iter().find(|side| map.occupancy(*side) == Occupancy::Unknown)
 }

@@ -16,13 +16,15 @@ mod fleet_exploration;
 mod leftovers;
 mod plan;
 mod seen;
+mod sent_goal;
 mod tours;
 mod types;
 mod views;
 
 pub use config::CoordinationConfig;
-pub use fleet_exploration::FleetExploration;
-pub use leftovers::{Leftover, LeftoverReason};
+pub use fleet_exploration::{ExplorationEnd, FleetExploration, FoundLeftover};
+pub use leftovers::Leftover;
+pub use msg::LeftoverReason;
 pub use types::{
     CoordinatedRobot, CoordinationInput, CoordinationPhase, GoalProgress, GoalPurpose, RobotAvailability,
     RobotGoal, TimeEstimate,
@@ -30,10 +32,16 @@ pub use types::{
 
 use crate::clearance_map::ClearanceMap;
 use crate::config::{FollowerConfig, RobotBody};
+use crate::geometry::distance_m;
 use core::time::Duration;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
-use plan::PlanBuffers;
+use plan::{AT_GOAL_M, PlanBuffers};
 use seen::UnseenCells;
+
+/// Longest look around that is one attempt, seconds: a whole turn at the follower's speed takes less.
+const LOOK_MAX_S: f64 = 12.0;
+/// Shortest look around that counts as an attempt if the robot leaves, seconds: less is driving past.
+const LOOK_MIN_S: f64 = 2.0;
 
 /// Coordinator of one fleet in one map.
 ///
@@ -50,6 +58,7 @@ use seen::UnseenCells;
 /// let robot = CoordinatedRobot {
 ///     robot: RobotId::new(1).unwrap(),
 ///     map_from_base: Some(Pose2::new(1.0, 2.0, 0.0)),
+///     home: None,
 ///     availability: RobotAvailability::Free,
 ///     progress: GoalProgress::Idle,
 /// };
@@ -69,11 +78,29 @@ pub struct FleetCoordinator {
     buffers: PlanBuffers,
     unseen: UnseenCells,
     goals: [Option<RobotGoal>; ROBOTS_MAX],
-    homes: [Option<Pose2>; ROBOTS_MAX],
+    records: [RobotRecord; ROBOTS_MAX],
     phase: CoordinationPhase,
     planned_at: Option<Stamp>,
     plans: u32,
     estimate: Option<TimeEstimate>,
+}
+
+/// Look around of a robot at its goal.
+#[derive(Clone, Copy, Debug)]
+struct Look {
+    place_m: [f64; 2],
+    since: Stamp,
+}
+
+/// What is remembered of a robot.
+#[derive(Clone, Copy, Debug, Default)]
+struct RobotRecord {
+    /// Where it returns to in the end.
+    home: Option<Pose2>,
+    /// Whether it has returned since it explored last.
+    has_returned: bool,
+    /// Its look around at its goal.
+    look: Option<Look>,
 }
 
 impl FleetCoordinator {
@@ -87,7 +114,7 @@ impl FleetCoordinator {
             buffers: PlanBuffers::default(),
             unseen: UnseenCells::default(),
             goals: [const { None }; ROBOTS_MAX],
-            homes: [None; ROBOTS_MAX],
+            records: [RobotRecord::default(); ROBOTS_MAX],
             phase: CoordinationPhase::Exploring,
             planned_at: None,
             plans: 0,
@@ -129,6 +156,11 @@ impl FleetCoordinator {
         self.phase
     }
 
+    /// Whether some robot could be given goals at the last plan.
+    pub fn has_explorers(&self) -> bool {
+        self.buffers.has_robots()
+    }
+
     /// Parts of the map that are unknown beside known free space, and why no robot goes there.
     ///
     /// Refers to the map of the last plan.
@@ -144,34 +176,58 @@ impl FleetCoordinator {
     /// Remembers where robots began, and what was not seen from where they arrived.
     fn record_progress(&mut self, input: &CoordinationInput) {
         for robot in input.robots {
-            if let Some(pose) = robot.map_from_base.filter(|pose| pose.is_finite()) {
-                self.homes[robot.robot.index()].get_or_insert(pose);
-            }
             let index = robot.robot.index();
+            let pose = robot.map_from_base.filter(|pose| pose.is_finite());
+            let home = &mut self.records[index].home;
+            *home = robot.home.or(*home).or(pose);
             if robot.availability != RobotAvailability::Free {
-                self.goals[index] = None;
+                (self.goals[index], self.records[index].look) = (None, None);
                 continue;
             }
             if !robot.progress.has_ended() {
+                self.record_look(input, index, pose);
                 continue;
             }
+            self.records[index].look = None;
             let Some(goal) = self.goals[index].take() else { continue };
             if goal.purpose == GoalPurpose::Explore {
                 self.record_attempt(input, goal.position_m);
             }
             if goal.purpose == GoalPurpose::Home {
-                self.homes[index] = None;
+                self.records[index].has_returned = true;
             }
+        }
+    }
+
+    /// Counts a look around as an attempt when it takes long or the robot leaves: new plans may turn it again and again.
+    fn record_look(&mut self, input: &CoordinationInput, index: usize, pose: Option<Pose2>) {
+        let goal = self.goals[index].as_ref().filter(|goal| goal.purpose == GoalPurpose::Explore);
+        let is_there = |place_m: [f64; 2]| {
+            pose.is_some_and(|pose| distance_m([pose.x_m, pose.y_m], place_m) < AT_GOAL_M)
+        };
+        let place_m = goal.map(|goal| goal.position_m).filter(|place_m| is_there(*place_m));
+        let Some(look) = self.records[index].look else {
+            self.records[index].look = place_m.map(|place_m| Look { place_m, since: input.stamp });
+            return;
+        };
+        let looked_s = input.stamp - look.since;
+        let has_left = !is_there(look.place_m);
+        if looked_s >= LOOK_MAX_S || (has_left && looked_s >= LOOK_MIN_S) {
+            self.record_attempt(input, look.place_m);
+        }
+        if has_left || looked_s >= LOOK_MAX_S {
+            self.records[index].look = None;
         }
     }
 
     /// Counts an attempt at the unknown cells that should be seen from a place by now.
     fn record_attempt(&mut self, input: &CoordinationInput, place_m: [f64; 2]) {
+        self.unseen.record_yield(input.map.known_m2());
         self.update_map(input);
         let Some(cell) = self.map.cell_at(place_m) else { return };
         let Self { map, buffers, config, unseen, .. } = self;
-        let is_ignored = |_: usize| false;
-        buffers.views.view_from(map, config, cell, &is_ignored);
+        let is_opaque = |_: usize| false;
+        buffers.views.view_from(map, config, cell, &is_opaque);
         buffers.views.for_each_unknown(map, config, cell, |seen| unseen.add_attempt(map.cell_centre_m(seen)));
         unseen.end_attempt();
     }

@@ -1,13 +1,12 @@
 //! One plan of the coordinator: viewpoints, tours, and the goals that follow.
 
-use super::FleetCoordinator;
 use super::coarse::{CoarseMap, UNREACHED};
 use super::tours::TourProblem;
 use super::types::{
-    CoordinatedRobot, CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal,
-    TimeEstimate,
+    CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
 use super::views::{Viewpoint, ViewpointSearch};
+use super::{FleetCoordinator, RobotRecord};
 use crate::geometry::distance_m;
 use core::f64::consts::{FRAC_PI_2, PI};
 use msg::grid::Occupancy;
@@ -25,7 +24,7 @@ const STOP_S: f64 = 0.7;
 /// Distance within which a viewpoint is the current goal of a robot, metres: the lattice moves with the map.
 const SAME_GOAL_M: f64 = 0.5;
 /// Distance within which a robot is at its goal, metres.
-const AT_GOAL_M: f64 = 0.25;
+pub(super) const AT_GOAL_M: f64 = 0.25;
 /// Distances from the viewpoint of another robot within which a robot without one waits, metres.
 const FOLLOW_M: [f64; 2] = [1.0, 2.5];
 /// Smallest area for which a second robot follows, square metres: about what a door may lead to.
@@ -49,6 +48,11 @@ pub(super) struct PlanBuffers {
 }
 
 impl PlanBuffers {
+    /// Whether some robot could be given goals.
+    pub(super) fn has_robots(&self) -> bool {
+        !self.robots.is_empty()
+    }
+
     /// Whether a robot reaches the square of a cell.
     pub(super) fn is_reached(&self, cell: usize) -> bool {
         let square = self.coarse.square_of(cell);
@@ -82,16 +86,19 @@ impl FleetCoordinator {
     pub(super) fn plan(&mut self, input: &CoordinationInput) {
         self.update_map(input);
         self.search_robot_routes(input);
-        if self.phase == CoordinationPhase::Exploring {
-            self.find_viewpoints(input);
-            if !self.buffers.viewpoints.is_empty() {
-                return self.assign(input);
-            }
-            // A robot that cannot be placed now may see more later.
-            let is_waiting = |robot: &CoordinatedRobot| robot.availability == RobotAvailability::Free;
-            if self.buffers.robots.is_empty() && input.robots.iter().any(is_waiting) {
-                return;
-            }
+        self.unseen.record_growth(input.map.known_m2());
+        // Without a robot that can drive, nobody knows what is reachable: persons may give theirs back.
+        if self.buffers.robots.is_empty() {
+            return;
+        }
+        // A map that is merged late, or a robot that is given back, may open what was unreachable.
+        let is_exploring = self.phase == CoordinationPhase::Exploring;
+        self.find_viewpoints(input, is_exploring);
+        if !self.buffers.viewpoints.is_empty() && !self.unseen.is_exhausted() {
+            self.phase = CoordinationPhase::Exploring;
+            return self.assign(input);
+        }
+        if is_exploring {
             self.phase = CoordinationPhase::Returning;
             self.estimate = Some(TimeEstimate { least_s: 0.0, most_s: 0.0 });
             self.goals = [const { None }; ROBOTS_MAX];
@@ -130,8 +137,8 @@ impl FleetCoordinator {
         buffers.robot_costs.truncate(buffers.robots.len());
     }
 
-    /// Finds viewpoints: with much to see, or if there are none, with little.
-    fn find_viewpoints(&mut self, input: &CoordinationInput) {
+    /// Finds viewpoints: with much to see, or if there are none and `with_small` is set, with little.
+    fn find_viewpoints(&mut self, input: &CoordinationInput, with_small: bool) {
         let clearance_min_m = self.clearance_min_m();
         let Self { map, buffers, config, unseen, goals, .. } = self;
         let mut views = core::mem::take(&mut buffers.views);
@@ -143,7 +150,7 @@ impl FleetCoordinator {
                 && buffers.is_reached(cell)
         };
         unseen.mark_given_up(map, &mut given_up);
-        let is_ignored = |cell: usize| given_up[cell];
+        let is_opaque = |cell: usize| given_up[cell];
         // Where robots stand and where they go now are candidates too.
         let places = buffers.robots.iter().flat_map(|index| {
             let robot = &input.robots[*index];
@@ -157,8 +164,9 @@ impl FleetCoordinator {
             .filter_map(|at| map.cell_at(at))
             .filter(|cell| buffers.is_reached(*cell))
             .collect();
-        for gain_min_m2 in [config.gain_min_m2, config.gain_last_m2] {
-            views.find(map, config, &is_candidate, &is_ignored, &extra, gain_min_m2, &mut found);
+        let gains_m2 = [config.gain_min_m2, config.gain_last_m2];
+        for gain_min_m2 in gains_m2.into_iter().take(1 + usize::from(with_small)) {
+            views.find(map, config, &is_candidate, &is_opaque, &extra, gain_min_m2, &mut found);
             if !found.is_empty() {
                 break;
             }
@@ -175,6 +183,7 @@ impl FleetCoordinator {
         let mut idle = Vec::new();
         for (slot, tour) in tours.iter().enumerate() {
             let robot = input.robots[self.buffers.robots[slot]];
+            self.records[robot.robot.index()].has_returned = false;
             let Some(first) = tour.first() else {
                 idle.push(slot);
                 continue;
@@ -331,7 +340,8 @@ impl FleetCoordinator {
         let mut is_anyone_away = false;
         for robot in input.robots.iter().filter(|robot| robot.availability == RobotAvailability::Free) {
             let index = robot.robot.index();
-            let Some(home) = self.homes[index] else { continue };
+            let RobotRecord { home, has_returned, .. } = self.records[index];
+            let Some(home) = home.filter(|_| !has_returned) else { continue };
             is_anyone_away = true;
             self.goals[index].get_or_insert(RobotGoal {
                 purpose: GoalPurpose::Home,
@@ -341,8 +351,8 @@ impl FleetCoordinator {
                 gain_m2: 0.0,
             });
         }
+        self.phase = if is_anyone_away { CoordinationPhase::Returning } else { CoordinationPhase::Done };
         if !is_anyone_away {
-            self.phase = CoordinationPhase::Done;
             self.goals = [const { None }; ROBOTS_MAX];
         }
     }

@@ -19,6 +19,7 @@ fn robot(number: usize, x_m: f64, y_m: f64) -> CoordinatedRobot {
     CoordinatedRobot {
         robot: RobotId::new(number).unwrap(),
         map_from_base: Some(Pose2::new(x_m, y_m, 0.0)),
+        home: None,
         availability: RobotAvailability::Free,
         progress: GoalProgress::Idle,
     }

@@ -42,6 +42,8 @@ pub struct CoordinatedRobot {
     pub robot: RobotId,
     /// Pose in the map; `None` while unknown.
     pub map_from_base: Option<Pose2>,
+    /// Pose to return to in the end, in the map; `None`: where it was first seen there.
+    pub home: Option<Pose2>,
     /// Whether it may get goals.
     pub availability: RobotAvailability,
     /// What it does with its goal.
@@ -88,7 +90,7 @@ pub struct RobotGoal {
 }
 
 /// What the fleet does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CoordinationPhase {
     /// Robots go to viewpoints.
     Exploring,

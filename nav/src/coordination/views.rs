@@ -51,14 +51,14 @@ impl ViewpointSearch {
     /// Chooses viewpoints among passable cells, best first, until the next would show less than `gain_min_m2`.
     ///
     /// `extra` are candidates beside those of the lattice: where robots stand and where they go now.
-    /// `is_ignored` says which unknown cells cannot be seen, by earlier attempts.
+    /// `is_opaque` says which unknown cells no beam enters, by earlier attempts.
     #[expect(clippy::too_many_arguments, reason = "one call, each argument of another kind")]
     pub(super) fn find(
         &mut self,
         map: &ClearanceMap,
         config: &CoordinationConfig,
         is_candidate: &dyn Fn(usize) -> bool,
-        is_ignored: &dyn Fn(usize) -> bool,
+        is_opaque: &dyn Fn(usize) -> bool,
         extra: &[usize],
         gain_min_m2: f64,
         found: &mut Vec<Viewpoint>,
@@ -70,7 +70,7 @@ impl ViewpointSearch {
         let on_lattice: Vec<usize> =
             lattice(map).filter(|cell| is_candidate(*cell) && self.is_near_frontier(map, *cell)).collect();
         for cell in on_lattice.into_iter().chain(extra.iter().copied()) {
-            let gains = self.gains(map, config, cell, is_ignored);
+            let gains = self.gains(map, config, cell, is_opaque);
             let gain_m2: f64 = gains.iter().sum();
             if gain_m2 >= gain_min_m2 {
                 self.candidates.push((gain_m2, cell));
@@ -82,7 +82,7 @@ impl ViewpointSearch {
                 .max_by(|a, b| self.candidates[*a].0.total_cmp(&self.candidates[*b].0).then(b.cmp(a)));
             let Some(best) = best.filter(|best| self.candidates[*best].0 >= gain_min_m2) else { break };
             let (stale_m2, cell) = self.candidates[best];
-            let gains = self.gains(map, config, cell, is_ignored);
+            let gains = self.gains(map, config, cell, is_opaque);
             let gain_m2: f64 = gains.iter().sum();
             if gain_m2 < stale_m2 - 1e-9 {
                 self.candidates[best].0 = gain_m2;
@@ -101,10 +101,10 @@ impl ViewpointSearch {
         map: &ClearanceMap,
         config: &CoordinationConfig,
         cell: usize,
-        is_ignored: &dyn Fn(usize) -> bool,
+        is_opaque: &dyn Fn(usize) -> bool,
     ) -> Viewpoint {
         self.begin(map, config);
-        let gains = self.gains(map, config, cell, is_ignored);
+        let gains = self.gains(map, config, cell, is_opaque);
         let (look_rad, sweep_rad) = sweep(&gains, config);
         Viewpoint { cell, gain_m2: gains.iter().sum(), look_rad, sweep_rad }
     }
@@ -118,7 +118,10 @@ impl ViewpointSearch {
         mut visit: impl FnMut(usize),
     ) {
         for ray in &self.rays {
-            trace(map, config, cell, ray, |cell, _| visit(cell));
+            trace(map, config, cell, ray, |cell, _| {
+                visit(cell);
+                true
+            });
         }
     }
 
@@ -172,14 +175,19 @@ impl ViewpointSearch {
         map: &ClearanceMap,
         config: &CoordinationConfig,
         cell: usize,
-        is_ignored: &dyn Fn(usize) -> bool,
+        is_opaque: &dyn Fn(usize) -> bool,
     ) -> Gains {
         let mut gains = [0.0; RAYS];
         for (ray, gain) in self.rays.iter().zip(&mut gains) {
             trace(map, config, cell, ray, |seen, area_m2| {
-                if self.shown[seen] != self.search && !is_ignored(seen) {
+                // A beam that entered it would have shown it by now; so none gets behind it either.
+                if is_opaque(seen) {
+                    return false;
+                }
+                if self.shown[seen] != self.search {
                     *gain += area_m2;
                 }
+                true
             });
         }
         gains
@@ -197,6 +205,7 @@ impl ViewpointSearch {
                         shown[neighbour as usize] = *search;
                     }
                 }
+                true
             });
         }
     }
@@ -215,7 +224,8 @@ fn lattice(map: &ClearanceMap) -> impl Iterator<Item = usize> + use<> {
     axis(rows).flat_map(move |y| axis(width).map(move |x| (y * width + x) as usize))
 }
 
-/// Calls `visit` with each unknown cell along a ray and the area expected to be seen there, square metres.
+/// Calls `visit` with each unknown cell along a ray and the area expected to be seen there, square metres, until it
+/// returns false.
 ///
 /// The chance that unknown space is open falls with its depth.
 fn trace(
@@ -223,7 +233,7 @@ fn trace(
     config: &CoordinationConfig,
     from: usize,
     ray: &Ray,
-    mut visit: impl FnMut(usize, f64),
+    mut visit: impl FnMut(usize, f64) -> bool,
 ) {
     let width = map.width();
     let height = map.cell_count() as i64 / width;
@@ -254,7 +264,9 @@ fn trace(
                 if leaks {
                     return;
                 }
-                visit(cell, chance * (i + 1) as f64 * cell_m * ray_rad * cell_m);
+                if !visit(cell, chance * (i + 1) as f64 * cell_m * ray_rad * cell_m) {
+                    return;
+                }
                 chance *= fade;
                 was_free = false;
             }

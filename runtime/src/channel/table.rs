@@ -1,12 +1,16 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
+mod navigation;
+
+pub use navigation::{exploration_state, explore, goal, navigation_state, navigation_velocity, plan};
+
 use super::Endpoint::{Of, OfFirst, OfOthers, OutsideWorld};
-use super::Program::{EdgesTool, GotoTool, Launcher, RecordTool, SlamTool, Worker};
+use super::Program::{EdgesTool, Launcher, RecordTool, SlamTool, Worker};
 use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
-    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, NavigationCommand,
-    NavigationPlan, NavigationReport, Odometry, PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan,
-    SlamRequest, SlamResponse, Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
+    Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
+    PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
+    SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
 const SIM: Program = Worker(Role::Sim);
@@ -213,44 +217,8 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
     ..STREAM
 });
 
-// Several writers: the bridge for its clients, and commands of people. The newest command waits for a restarted reader.
-static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
-    name: "goal",
-    content: "a goal of the robot, or a cancellation, pause or resumption, on demand",
-    writers: &[Of(BRIDGE), Of(GotoTool)],
-    readers: &[Of(NAV), Of(RECORD), Of(RecordTool)],
-    depth: 16,
-    history: 1,
-    writers_max: REQUEST_WRITERS_MAX,
-    ..STREAM
-});
-static NAVIGATION_VELOCITY: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
-    name: "navigation_velocity",
-    content: "velocity towards the robot's goal, 20 Hz while it has one",
-    writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE)],
-    ..STREAM
-});
-static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
-    name: "navigation_state",
-    content: "what navigation does with the robot and why, on change and 1 Hz while it has a goal",
-    scope: Scope::Robot,
-    writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE), Of(GotoTool), Of(RECORD), Of(RecordTool)],
-    depth: 16,
-    ..STATE
-});
-static PLAN: TypedRow<NavigationPlan> = TypedRow::new(ChannelRow {
-    name: "plan",
-    content: "the robot's planned path, on change, at most 1 Hz",
-    scope: Scope::Robot,
-    writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
-    ..STATE
-});
-
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 23] = [
+pub static CHANNELS: [&ChannelRow; 25] = [
     &COMMAND.row,
     &SCAN.row,
     &ODOMETRY.row,
@@ -268,10 +236,12 @@ pub static CHANNELS: [&ChannelRow; 23] = [
     &MAP_TRANSFORMS.row,
     &MERGE_EDGES.row,
     &EDGE_COMMAND.row,
-    &GOAL.row,
-    &NAVIGATION_VELOCITY.row,
-    &NAVIGATION_STATE.row,
-    &PLAN.row,
+    &navigation::GOAL.row,
+    &navigation::NAVIGATION_VELOCITY.row,
+    &navigation::NAVIGATION_STATE.row,
+    &navigation::PLAN.row,
+    &navigation::EXPLORE.row,
+    &navigation::EXPLORATION_STATE.row,
     &STATS.row,
     &HEALTH.row,
 ];
@@ -359,26 +329,6 @@ pub fn merge_edges() -> Channel<MergeEdges> {
 /// `edge_command`: a person's command about a merge edge, such as pin or undo.
 pub fn edge_command() -> Channel<EdgeCommand> {
     EDGE_COMMAND.of_fleet()
-}
-
-/// `robotK/goal`: goals and other commands of people and programs to the navigator.
-pub fn goal(robot: RobotId) -> Channel<NavigationCommand> {
-    GOAL.of_robot(robot)
-}
-
-/// `robotK/navigation_velocity`: the navigator's velocities, which pass the bridge's gate as all others.
-pub fn navigation_velocity(robot: RobotId) -> Channel<VelocityCommand> {
-    NAVIGATION_VELOCITY.of_robot(robot)
-}
-
-/// `robotK/navigation_state`: what the navigator does with the robot, and why it stands.
-pub fn navigation_state(robot: RobotId) -> Channel<NavigationReport> {
-    NAVIGATION_STATE.of_robot(robot)
-}
-
-/// `robotK/plan`: the robot's planned path.
-pub fn plan(robot: RobotId) -> Channel<NavigationPlan> {
-    PLAN.of_robot(robot)
 }
 
 /// `stats`: the fleet's figures from telemetry.

@@ -54,6 +54,9 @@ pub fn open_feeds<P: Ports, T: Transport + 'static>(
         forward(ports, transport, &channel::merge_edges(), |to, edges| {
             to.publish(FleetMessage::MergeEdges(&edges_json(edges)));
         })?,
+        forward(ports, transport, &channel::exploration_state(), |to, report| {
+            to.publish(FleetMessage::ExplorationState(report));
+        })?,
         publish_merged_map(ports, transport)?,
     ];
     for robot in run.robots() {

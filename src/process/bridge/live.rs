@@ -4,7 +4,7 @@ use super::feeds::Feed;
 use super::{BridgeProcess, Upkeep, page};
 use crate::clock::now;
 use crate::ports::Ports;
-use crate::process::control::file_thread::{FileThread, FileWorker};
+use crate::process::control::files::{FileThread, FileWorker};
 use crate::process::{Error, ProcessLoop, control, ros2};
 use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;

@@ -1,4 +1,4 @@
-use super::file_thread::FileThread;
+use super::files::FileThread;
 use super::*;
 use crate::config::FleetConfig;
 use crate::storage::DiskStorage;

@@ -13,6 +13,9 @@ use msg::{
 /// Oldest pose that a robot is driven by, nanoseconds: ten periods of its odometry.
 const POSE_AGE_MAX_NS: u64 = 500_000_000;
 
+/// Time without a pose or a scan after which a robot counts as silent, nanoseconds: a restart takes less.
+const SILENCE_MAX_NS: u64 = 3_000_000_000;
+
 /// Channels that navigation reads.
 pub(super) struct Inputs<P: Ports> {
     robots: Vec<RobotInputs<P>>,
@@ -122,6 +125,16 @@ impl<P: Ports> Inputs<P> {
     pub(super) fn robot_map_from_base(&self, robot: RobotId) -> Option<Pose2> {
         let (odom_from_base, _) = self.robots.get(robot.index())?.state.odom_from_base?;
         Some(self.robot_map_from_odom(robot)? * odom_from_base)
+    }
+
+    /// The robots of which no pose or no scan has arrived for some seconds.
+    pub(super) fn silent_robots(&self, now: Monotonic) -> Vec<RobotId> {
+        let is_old = |at: Option<Monotonic>| at.is_none_or(|at| now.since(at) > SILENCE_MAX_NS);
+        let is_silent = |inputs: &&RobotInputs<P>| {
+            let state = &inputs.state;
+            is_old(state.scan.as_ref().map(|(_, at)| *at)) || is_old(state.odom_from_base.map(|(_, at)| at))
+        };
+        self.robots.iter().filter(is_silent).map(|inputs| inputs.robot).collect()
     }
 
     /// Calls `step` with what is known of the fleet.

@@ -1,5 +1,6 @@
 //! Goals in the run's folder, with which a restarted navigation process goes on.
 
+use crate::process::file_thread::{FileJobs, JobWorker};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::nav::{GoalFrame, GoalPose, NavigationGoal};
@@ -7,6 +8,7 @@ use msg::RobotId;
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::PathBuf;
+use tokio::sync::oneshot::{self, error::TryRecvError};
 
 /// Name of the file.
 const FILE: &str = "navigation.json";
@@ -19,16 +21,35 @@ const BYTES_MAX: u64 = 1 << 20;
 struct Saved {
     /// Start of the run, which tells it from others in the same folder.
     run: u64,
-    goals: Vec<SavedGoal>,
+    state: SavedState,
+}
+
+/// What a restarted navigation process goes on with.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SavedState {
+    /// Number of each robot's newest command, by robot: older ones are not applied again.
+    pub(super) commands: Vec<(usize, u64)>,
+    pub(super) goals: Vec<SavedGoal>,
+    pub(super) exploration: SavedExploration,
+}
+
+/// Exploration of the fleet.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SavedExploration {
+    /// Number of the newest command.
+    pub(super) number: u64,
+    pub(super) is_active: bool,
+    /// Each robot, whether a person has it, and where it began, in its own map.
+    pub(super) robots: Vec<(usize, bool, Option<[f64; 3]>)>,
 }
 
 /// Goal of one robot that is not over.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct SavedGoal {
+pub struct SavedGoal {
     pub(super) robot: usize,
-    /// Number of the newest command.
-    pub(super) newest: u64,
     /// Number of the goal's command.
     pub(super) goal: u64,
     pub(super) is_paused: bool,
@@ -39,7 +60,7 @@ pub(super) struct SavedGoal {
 
 impl SavedGoal {
     pub(super) fn new(
-        (robot, newest, number): (RobotId, u64, u64),
+        (robot, number): (RobotId, u64),
         goal: &NavigationGoal,
         next_pose: usize,
         is_paused: bool,
@@ -47,7 +68,6 @@ impl SavedGoal {
         let pose = |pose: &GoalPose| (pose.position_m[0], pose.position_m[1], pose.yaw_rad);
         Self {
             robot: robot.number(),
-            newest,
             goal: number,
             is_paused,
             in_merged_map: goal.frame() == GoalFrame::MergedMap,
@@ -66,54 +86,107 @@ impl SavedGoal {
     }
 }
 
-/// The file, and what it says.
-pub(super) struct SavedGoals<S> {
+/// The file of a run.
+pub struct NavigationFile<S> {
     storage: S,
-    file: PathBuf,
-    saved: Saved,
+    path: PathBuf,
+    run_begun: u64,
     /// Whether the person has been told that the file cannot be written.
     has_warned: bool,
 }
 
-impl<S: Storage> SavedGoals<S> {
+impl<S: Storage> NavigationFile<S> {
     pub(super) fn new(run: &Run, storage: S) -> Self {
-        let saved = Saved { run: run.begun.0, goals: Vec::new() };
-        Self { storage, file: run.dir.join(FILE), saved, has_warned: false }
+        Self { storage, path: run.dir.join(FILE), run_begun: run.begun.0, has_warned: false }
     }
 
-    /// Reads the goals of an earlier process of this run.
-    pub(super) fn read(&mut self) -> Vec<SavedGoal> {
-        let bytes = match self.storage.read(&self.file, BYTES_MAX) {
-            Err(why) if why.kind() == io::ErrorKind::NotFound => return Vec::new(),
+    /// Reads the state of an earlier process of this run; `None` if there was none.
+    pub(super) fn read(&self) -> Option<SavedState> {
+        let bytes = match self.storage.read(&self.path, BYTES_MAX) {
+            Err(why) if why.kind() == io::ErrorKind::NotFound => return None,
             result => result,
         };
-        let read = bytes.and_then(|bytes| Ok(serde_json::from_slice::<Saved>(&bytes)?));
-        match read {
-            Ok(saved) if saved.run == self.saved.run => {
-                self.saved.goals = saved.goals.clone();
-                saved.goals
-            }
-            Ok(_) => Vec::new(),
+        match bytes.and_then(|bytes| Ok(serde_json::from_slice::<Saved>(&bytes)?)) {
+            Ok(saved) => Some(saved.state).filter(|_| saved.run == self.run_begun),
             Err(why) => {
-                tracing::warn!("{}: {why}; no goal is taken from it", self.file.display());
-                Vec::new()
+                tracing::warn!("{}: {why}; no goal is taken from it", self.path.display());
+                None
             }
         }
     }
+}
 
-    /// Writes the goals if they have changed.
-    pub(super) fn write(&mut self, goals: Vec<SavedGoal>) {
-        if goals == self.saved.goals {
-            return;
-        }
-        self.saved.goals = goals;
-        let written = serde_json::to_vec(&self.saved)
+impl<S: Storage> FileJobs for NavigationFile<S> {
+    type Job = SavedState;
+    type Report = ();
+
+    /// Writes the state.
+    fn run(&mut self, state: &SavedState) {
+        let saved = Saved { run: self.run_begun, state: state.clone() };
+        let written = serde_json::to_vec(&saved)
             .map_err(io::Error::from)
-            .and_then(|bytes| self.storage.replace(&self.file, &bytes));
+            .and_then(|bytes| self.storage.replace(&self.path, &bytes));
         if let Err(why) = written
             && !std::mem::replace(&mut self.has_warned, true)
         {
-            tracing::warn!("{}: {why}; a restarted navigation forgets its goals", self.file.display());
+            tracing::warn!("{}: {why}; a restarted navigation forgets its goals", self.path.display());
         }
+    }
+}
+
+/// Writes the state whenever it has changed; never waits for the disk.
+pub(super) struct StateWriter<W> {
+    worker: W,
+    submitted: SavedState,
+    /// The job that is under way; a newer state waits for its end.
+    job: Option<oneshot::Receiver<()>>,
+}
+
+impl<W: JobWorker<SavedState, ()>> StateWriter<W> {
+    pub(super) fn new(worker: W, saved: SavedState) -> Self {
+        Self { worker, submitted: saved, job: None }
+    }
+
+    /// Has the state written if it has changed and the file is free. Call it often.
+    pub(super) fn write(&mut self, state: SavedState) {
+        if let Some(Err(TryRecvError::Empty)) = self.job.as_mut().map(oneshot::Receiver::try_recv) {
+            return;
+        }
+        self.job = None;
+        if state != self.submitted {
+            self.submitted = state.clone();
+            self.job = Some(self.worker.submit(state));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A disk that takes one job and does not answer.
+    #[derive(Default)]
+    struct StalledDisk {
+        jobs: Vec<(SavedState, oneshot::Sender<()>)>,
+    }
+
+    impl JobWorker<SavedState, ()> for StalledDisk {
+        fn submit(&mut self, job: SavedState) -> oneshot::Receiver<()> {
+            let (sender, receiver) = oneshot::channel();
+            self.jobs.push((job, sender));
+            receiver
+        }
+    }
+
+    #[test]
+    fn the_newest_state_is_written_when_a_slow_disk_answers() {
+        let state = |number| SavedState { commands: vec![(1, number)], ..SavedState::default() };
+        let mut writer = StateWriter::new(StalledDisk::default(), SavedState::default());
+        (1..=3).for_each(|number| writer.write(state(number)));
+        assert_eq!(writer.worker.jobs.len(), 1, "one job is under way");
+        let (first, answer) = writer.worker.jobs.remove(0);
+        answer.send(()).unwrap();
+        writer.write(state(3));
+        assert_eq!((first, &writer.worker.jobs[0].0), (state(1), &state(3)));
     }
 }

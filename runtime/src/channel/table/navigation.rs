@@ -1,0 +1,95 @@
+//! The channels of navigation and exploration.
+
+use super::{BRIDGE, NAV, RECORD, REQUEST_WRITERS_MAX, STATE, STREAM};
+use crate::channel::Endpoint::Of;
+use crate::channel::Program::{ExploreTool, GotoTool, Launcher, RecordTool};
+use crate::channel::{Channel, ChannelRow, Scope, TypedRow};
+use msg::{
+    ExplorationCommand, ExplorationReport, NavigationCommand, NavigationPlan, NavigationReport, RobotId,
+    VelocityCommand,
+};
+
+// Several writers: the bridge for its clients, and commands of people. The newest command waits for a restarted reader.
+pub(super) static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
+    name: "goal",
+    content: "a goal of the robot, or a cancellation, pause or resumption, on demand",
+    writers: &[Of(BRIDGE), Of(GotoTool)],
+    readers: &[Of(NAV), Of(RECORD), Of(RecordTool)],
+    depth: 16,
+    history: 1,
+    writers_max: REQUEST_WRITERS_MAX,
+    ..STREAM
+});
+pub(super) static NAVIGATION_VELOCITY: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
+    name: "navigation_velocity",
+    content: "velocity towards the robot's goal, 20 Hz while it has one",
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE)],
+    ..STREAM
+});
+pub(super) static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
+    name: "navigation_state",
+    content: "what navigation does with the robot and why, on change and 1 Hz while it has a goal",
+    scope: Scope::Robot,
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE), Of(GotoTool), Of(RECORD), Of(RecordTool)],
+    depth: 16,
+    ..STATE
+});
+pub(super) static PLAN: TypedRow<NavigationPlan> = TypedRow::new(ChannelRow {
+    name: "plan",
+    content: "the robot's planned path, on change, at most 1 Hz",
+    scope: Scope::Robot,
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
+    ..STATE
+});
+pub(super) static EXPLORE: TypedRow<ExplorationCommand> = TypedRow::new(ChannelRow {
+    name: "explore",
+    content: "start or stop of the fleet's exploration, on demand",
+    scope: Scope::Fleet,
+    writers: &[Of(BRIDGE), Of(ExploreTool)],
+    readers: &[Of(NAV)],
+    depth: 16,
+    history: 1,
+    writers_max: REQUEST_WRITERS_MAX,
+    ..STREAM
+});
+pub(super) static EXPLORATION_STATE: TypedRow<ExplorationReport> = TypedRow::new(ChannelRow {
+    name: "exploration_state",
+    content: "how far the exploration is and what is left, on change and 1 Hz while it goes on",
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE), Of(ExploreTool), Of(Launcher)],
+    depth: 16,
+    ..STATE
+});
+
+/// `robotK/goal`: goals and other commands of people and programs to the navigator.
+pub fn goal(robot: RobotId) -> Channel<NavigationCommand> {
+    GOAL.of_robot(robot)
+}
+
+/// `robotK/navigation_velocity`: the navigator's velocities, which pass the bridge's gate as all others.
+pub fn navigation_velocity(robot: RobotId) -> Channel<VelocityCommand> {
+    NAVIGATION_VELOCITY.of_robot(robot)
+}
+
+/// `robotK/navigation_state`: what the navigator does with the robot, and why it stands.
+pub fn navigation_state(robot: RobotId) -> Channel<NavigationReport> {
+    NAVIGATION_STATE.of_robot(robot)
+}
+
+/// `robotK/plan`: the robot's planned path.
+pub fn plan(robot: RobotId) -> Channel<NavigationPlan> {
+    PLAN.of_robot(robot)
+}
+
+/// `explore`: start and stop of the fleet's exploration.
+pub fn explore() -> Channel<ExplorationCommand> {
+    EXPLORE.of_fleet()
+}
+
+/// `exploration_state`: how far the fleet's exploration is, and what is left.
+pub fn exploration_state() -> Channel<ExplorationReport> {
+    EXPLORATION_STATE.of_fleet()
+}

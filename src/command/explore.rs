@@ -1,0 +1,300 @@
+//! Tool `mr-slam explore`, which lets a running fleet explore by itself and waits until it is done.
+
+use super::output;
+use super::run_args::RunArgs;
+use super::up::FleetHooks;
+use crate::channel::{self, Opener, Program};
+use crate::ports::ChannelError;
+use crate::run::{Run, RunError};
+use crate::shared_memory::{Participant, Reader, wait};
+use crate::stop::Stop;
+use msg::{
+    ExplorationAction, ExplorationCommand, ExplorationReport, ExplorationStatus, ExplorerState, Monotonic,
+    RobotId,
+};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Longest time without an answer of the navigator: its start after a death takes less.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Period at which the state is looked at, nanoseconds.
+const POLL_NS: u64 = 50_000_000;
+/// Shortest time between two lines of progress.
+const PROGRESS_PERIOD: Duration = Duration::from_secs(10);
+
+/// Let a running fleet explore by itself, and wait until nothing reachable is unknown
+#[derive(Clone, Debug, clap::Args)]
+pub struct ExploreArgs {
+    /// What to do
+    #[arg(value_enum, default_value_t = ExploreAction::Start)]
+    pub action: ExploreAction,
+    /// Return as soon as the fleet explores
+    #[arg(long)]
+    pub no_wait: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Choice of the running fleet.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+/// What `mr-slam explore` does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ExploreAction {
+    /// Explore with all robots, those included that a person has taken
+    Start,
+    /// Stop the robots that explore
+    Stop,
+    /// Print how far the exploration is
+    Status,
+}
+
+/// Reason why the fleet has not explored to the end.
+#[derive(Debug, thiserror::Error)]
+pub enum ExploreError {
+    /// No run, or several and none was named.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// Shared memory of the run.
+    #[error(transparent)]
+    Channel(#[from] ChannelError),
+    /// The navigator did not answer.
+    #[error("run {}: navigation does not answer within {PATIENCE:?}; see `mr-slam status`", run.display())]
+    Silent {
+        /// Folder of the run.
+        run: PathBuf,
+    },
+    /// The exploration is not completed.
+    #[error("the exploration is {state}{}{reason}", if reason.is_empty() { "" } else { ": " })]
+    NotCompleted {
+        /// Its last state: paused, stopped or failed.
+        state: &'static str,
+        /// Why it is not completed.
+        reason: String,
+    },
+    /// The result cannot be written to standard output.
+    #[error("cannot print the result: {0}")]
+    Print(#[from] std::io::Error),
+}
+
+/// Result as JSON.
+#[derive(Clone, Debug, Serialize)]
+pub struct Answer {
+    state: &'static str,
+    reason: String,
+    seconds: f64,
+    known_m2: f64,
+    least_s: Option<f64>,
+    most_s: Option<f64>,
+    robots: Vec<&'static str>,
+    left: Vec<AnswerLeftover>,
+    left_count: u32,
+}
+
+/// A leftover as JSON.
+#[derive(Clone, Debug, Serialize)]
+struct AnswerLeftover {
+    /// `map`, or the robot in whose own map the place is.
+    map: String,
+    x_m: f64,
+    y_m: f64,
+    length_m: f64,
+    area_m2: Option<f64>,
+    reason: String,
+}
+
+impl Answer {
+    fn new(report: &ExplorationReport, robots: usize, seconds: f64) -> Self {
+        let finite = |value: f64| value.is_finite().then_some(value);
+        let left = report.leftovers().iter().map(|left| AnswerLeftover {
+            map: RobotId::new(left.map_robot as usize).map_or("map".into(), |robot| robot.to_string()),
+            x_m: left.position_m[0],
+            y_m: left.position_m[1],
+            length_m: left.length_m,
+            area_m2: finite(left.area_m2),
+            reason: left.reason().map_or_else(String::new, |reason| reason.to_string()),
+        });
+        Self {
+            state: report.status().name(),
+            reason: report.reason().to_owned(),
+            seconds,
+            known_m2: report.known_m2,
+            least_s: finite(report.least_s),
+            most_s: finite(report.most_s),
+            robots: (0..robots).map(|index| report.robot(index).name()).collect(),
+            left: left.collect(),
+            left_count: report.leftovers_count,
+        }
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!("{} after {:.0} s, {:.1} m2 known", self.state, self.seconds, self.known_m2);
+        if !self.reason.is_empty() {
+            text += &format!(": {}", self.reason);
+        }
+        text.push('\n');
+        for left in &self.left {
+            let area = left.area_m2.map_or_else(|| "open".into(), |area_m2| format!("{area_m2:.2} m2"));
+            let (map, x_m, y_m, length_m) = (&left.map, left.x_m, left.y_m, left.length_m);
+            text += &format!("left at ({x_m:.2}, {y_m:.2}) in {map}: {area}, {length_m:.2} m wide: ");
+            text += &left.reason;
+            text.push('\n');
+        }
+        let shown = self.left.len() as u32;
+        if self.left_count > shown {
+            text += &format!("and {} smaller places\n", self.left_count - shown);
+        }
+        text
+    }
+}
+
+/// Does what the arguments say.
+pub fn run(args: &ExploreArgs, stop: &Stop) -> Result<(), ExploreError> {
+    let is_change = args.action != ExploreAction::Status;
+    let run = if is_change { args.run.open_to_change()? } else { args.run.open()? };
+    let begun = Instant::now();
+    let report = exchange(&run, args, stop)?;
+    let answer = Answer::new(&report, run.config.fleet.robots, begun.elapsed().as_secs_f64());
+    output::print_either(args.json, &answer, || answer.text())?;
+    let waited = args.action == ExploreAction::Start && !args.no_wait;
+    if !waited || report.status() == ExplorationStatus::Completed {
+        return Ok(());
+    }
+    Err(ExploreError::NotCompleted { state: answer.state, reason: answer.reason })
+}
+
+/// Sends the command; returns the last state, or the first if nobody waits for the last.
+fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationReport, ExploreError> {
+    let node = Participant::open(&run.domain, Opener::of_fleet(Program::ExploreTool), "explore")?;
+    let mut states = node.reader(&channel::exploration_state())?;
+    let mut commands = node.writer(&channel::explore())?;
+    let begun = Instant::now();
+    let number = match args.action {
+        ExploreAction::Status => 0,
+        _ => crate::clock::now().0,
+    };
+    match args.action {
+        ExploreAction::Start => commands.send(&ExplorationCommand::new(number, ExplorationAction::Start)),
+        ExploreAction::Stop => commands.send(&ExplorationCommand::new(number, ExplorationAction::Stop)),
+        ExploreAction::Status => {}
+    }
+    let waits = args.action == ExploreAction::Start && !args.no_wait;
+    let mut progress = Progress::default();
+    let mut has_answer = false;
+    loop {
+        if args.action != ExploreAction::Status {
+            // A navigator that starts again needs the command once more.
+            commands.refresh();
+        }
+        while let Some(report) = states.receive() {
+            let report = *report;
+            if report.number < number {
+                continue;
+            }
+            has_answer = true;
+            let status = report.status();
+            if !waits || status.is_final() || status == ExplorationStatus::Paused {
+                return Ok(report);
+            }
+            if let Some(line) = progress.line(&report, run.config.fleet.robots) {
+                output::note(&line);
+            }
+        }
+        if !has_answer && begun.elapsed() > PATIENCE {
+            return Err(ExploreError::Silent { run: run.dir.clone() });
+        }
+        if stop.requested() {
+            let number = crate::clock::now().0;
+            commands.send(&ExplorationCommand::new(number, ExplorationAction::Stop));
+            wait([], Monotonic(number + POLL_NS));
+            let reason = "interrupted here, all robots stop".into();
+            return Err(ExploreError::NotCompleted { state: ExplorationStatus::Stopped.name(), reason });
+        }
+        wait([], Monotonic(crate::clock::now().0 + POLL_NS));
+    }
+}
+
+/// Lines of progress: on a change of state or of a robot's part, and each 10 s.
+#[derive(Default)]
+struct Progress {
+    shown: Option<(ExplorationStatus, Vec<ExplorerState>, Instant)>,
+}
+
+impl Progress {
+    fn line(&mut self, report: &ExplorationReport, robots: usize) -> Option<String> {
+        let states: Vec<ExplorerState> = (0..robots).map(|index| report.robot(index)).collect();
+        let is_shown = self.shown.as_ref().is_some_and(|(status, shown, at)| {
+            *status == report.status() && *shown == states && at.elapsed() < PROGRESS_PERIOD
+        });
+        if is_shown {
+            return None;
+        }
+        let mut line = format!("{}, {:.1} m2 known", report.status().name(), report.known_m2);
+        if report.least_s.is_finite() && report.most_s.is_finite() {
+            line += &format!(", done in {:.0} to {:.0} s", report.least_s, report.most_s);
+        }
+        if !report.reason().is_empty() {
+            line += &format!(" ({})", report.reason());
+        }
+        for (robot, state) in RobotId::first(robots).zip(&states) {
+            if *state != ExplorerState::Exploring && *state != ExplorerState::None {
+                line += &format!("; {robot} {}", state.name());
+            }
+        }
+        self.shown = Some((report.status(), states, Instant::now()));
+        Some(line)
+    }
+}
+
+/// Watches the exploration of a fleet that was started with `--explore`.
+#[derive(Default)]
+pub struct ExplorationWatch {
+    /// Whether the fleet ends when the exploration is over.
+    ends: bool,
+    states: Option<(Participant, Reader<ExplorationReport>)>,
+    progress: Progress,
+    newest: Option<ExplorationReport>,
+    robots: usize,
+    begun: Option<Instant>,
+}
+
+impl ExplorationWatch {
+    /// Creates a watch. `ends`: the fleet ends when its exploration is over.
+    pub fn new(ends: bool) -> Self {
+        Self { ends, ..Self::default() }
+    }
+}
+
+impl FleetHooks for ExplorationWatch {
+    fn on_start(&mut self, run: &Run) -> std::io::Result<()> {
+        let node = Participant::open(&run.domain, Opener::of_fleet(Program::Launcher), "exploration")
+            .map_err(std::io::Error::other)?;
+        let states = node.reader(&channel::exploration_state()).map_err(std::io::Error::other)?;
+        self.states = Some((node, states));
+        (self.robots, self.begun) = (run.config.fleet.robots, Some(Instant::now()));
+        Ok(())
+    }
+
+    fn poll(&mut self, tell: &mut dyn FnMut(String)) -> bool {
+        let was_over = self.newest.is_some_and(|report| report.status().is_final());
+        while let Some(report) = self.states.as_mut().and_then(|(_, states)| states.receive()) {
+            self.newest = Some(*report);
+        }
+        let Some(report) = &self.newest else { return true };
+        if let Some(line) = self.progress.line(report, self.robots) {
+            tell(format!("exploration: {line}"));
+        }
+        let is_over = report.status().is_final();
+        if is_over && !was_over {
+            tell(format!("exploration: {} places left", report.leftovers_count));
+        }
+        !(self.ends && is_over)
+    }
+
+    fn on_stop(&mut self) -> Option<serde_json::Value> {
+        let seconds = self.begun?.elapsed().as_secs_f64();
+        serde_json::to_value(Answer::new(self.newest.as_ref()?, self.robots, seconds)).ok()
+    }
+}
