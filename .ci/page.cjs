@@ -5,7 +5,7 @@ const { execFileSync } = require("node:child_process");
 const { readFileSync, readdirSync } = require("node:fs");
 const { after, before, test } = require("node:test");
 const { chromium } = require("playwright-core");
-const { CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
+const { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
 
 const { PAGE_RUN: run, PAGE_OUT: out } = process.env;
 let browser;
@@ -43,7 +43,7 @@ test("keys drive the selected robot alone, and nobody else drives it then", asyn
   await page.keyboard.press("Digit2");
   await page.keyboard.down("KeyD");
   await page.waitForFunction(() => document.querySelectorAll(".robot")[1].textContent.includes("Driveryou"), null, WAIT);
-  assert.equal(await driverOf(page, 1).textContent(), "nobody");
+  assert.equal(await driverOf(page, 1), "nobody");
   assert.match(await page.textContent("#velocity"), /-[1-9.]+ rad/);
   await page.keyboard.up("KeyD");
   await page.waitForFunction(() => document.querySelectorAll(".robot")[1].textContent.includes("Drivernobody"), null, WAIT);
@@ -133,7 +133,7 @@ const STOP_MS = 300 + 400;
 
 test("a robot stands when its operator's browser is killed", async () => {
   const observer = await watchSpeed();
-  const server = await chromium.launchServer({ executablePath: CHROMIUM, args: ["--no-sandbox"] });
+  const server = await chromium.launchServer({ executablePath: CHROMIUM, args: BROWSER_ARGS });
   const { page } = await open({}, await chromium.connect(server.wsEndpoint()));
   const took = await timeToStop(observer, page, () => server.kill());
   assert.ok(took < STOP_MS, `${took} ms`);
