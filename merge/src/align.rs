@@ -57,6 +57,7 @@ const SAME_PLACE_M: f64 = 0.5;
 const SAME_PLACE_RAD: f64 = 0.1;
 
 /// The best transform found between two maps, with its evidence.
+// More than 12 fields: each is one figure of the evidence, with a threshold or a column of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Alignment {
