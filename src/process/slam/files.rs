@@ -41,7 +41,7 @@ pub enum Work {
     },
     /// Write a map's pictures.
     Draw {
-        /// The map.
+        /// The map to write.
         grid: Grid,
         /// Why it is unreliable; empty if it is not.
         reasons: Vec<&'static str>,
