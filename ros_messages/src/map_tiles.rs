@@ -56,7 +56,7 @@ pub struct MapTiles {
     pub position: [f64; 3],
     /// Orientation: unit quaternion x, y, z, w.
     pub orientation: [f64; 4],
-    /// Changed rectangles.
+    /// Rectangles of cells that changed.
     pub tiles: Vec<MapTile>,
 }
 

@@ -142,7 +142,7 @@ pub enum ServerCommand<'a> {
 pub struct Parameter<'a> {
     /// Name of the parameter.
     pub name: &'a str,
-    /// Its value.
+    /// Value of the parameter.
     pub value: ParameterValue<'a>,
 }
 
@@ -150,9 +150,9 @@ pub struct Parameter<'a> {
 #[derive(Clone, Copy, Debug, Serialize)]
 #[serde(untagged)]
 pub enum ParameterValue<'a> {
-    /// Of [`FLEET_PARAMETER`].
+    /// Value of [`FLEET_PARAMETER`].
     Fleet(&'a FleetStatus),
-    /// Of [`TIME_PARAMETER`], seconds.
+    /// Value of [`TIME_PARAMETER`], seconds.
     Time(f64),
 }
 
