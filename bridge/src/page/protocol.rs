@@ -263,7 +263,11 @@ mod tests {
             read(r#"{"op":"unsubscribe","subscriptionIds":[3]}"#),
             ClientCommand::Unsubscribe { subscription_ids }
         );
-        assert_eq!(read(r#"{"op":"getParameters","parameterNames":[]}"#), ClientCommand::Other);
+        assert_eq!(
+            read(r#"{"op":"getParameters","parameterNames":["a"],"id":"1"}"#),
+            ClientCommand::GetParameters { parameter_names: vec!["a".into()], id: Some("1".into()) }
+        );
+        assert_eq!(read(r#"{"op":"fetchAsset","uri":"a","requestId":1}"#), ClientCommand::Other);
         let advertise = read(
             r#"{"op":"advertise","channels":[{"id":1,"topic":"/cmd_vel_1","encoding":"cdr",
                 "schemaName":"geometry_msgs/msg/Twist","schema":"","schemaEncoding":"ros2msg"}]}"#,
