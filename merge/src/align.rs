@@ -108,7 +108,7 @@ pub struct Alignment {
 ///     let outer = x < 0.1 || x > 11.9 || y < 0.1 || y > 8.9;
 ///     let walls = ((4.0..4.1).contains(&x) && !(2.0..3.0).contains(&y))
 ///         || ((5.0..5.1).contains(&y) && x > 4.0 && !(7.0..8.0).contains(&x));
-///     let furniture = [(1.0..2.5, 1.0..1.7), (6.0..7.6, 1.0..1.6), (9.0..9.8, 6.4..8.0), (1.5..1.9, 6.0..8.0)];
+///     let furniture = [(1.0..2.2, 1.0..1.7), (6.0..7.3, 1.0..1.6), (9.0..9.8, 6.4..7.6), (1.5..1.9, 6.0..7.2)];
 ///     outer || walls || furniture.iter().any(|(across, along)| across.contains(&x) && along.contains(&y))
 /// };
 /// // What a robot maps that starts at a pose in the plan: 10 m around it.
