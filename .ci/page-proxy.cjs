@@ -12,7 +12,7 @@ class Proxy {
     Object.assign(this, { target, delayMs, loss, pairs: new Set(), heldUntil: 0 });
     // The same losses in every run.
     this.random = 12345;
-    this.server = net.createServer({ noDelay: true }, (client) => this.accept(client));
+    this.server = net.createServer({ noDelay: true, allowHalfOpen: true }, (client) => this.accept(client));
   }
 
   async listen() {
@@ -21,16 +21,18 @@ class Proxy {
   }
 
   accept(client) {
-    const bridge = net.connect({ port: this.target, host: "127.0.0.1", noDelay: true });
+    const bridge = net.connect({ port: this.target, host: "127.0.0.1", noDelay: true, allowHalfOpen: true });
     const pair = [client, bridge];
     this.pairs.add(pair);
     this.pass(client, bridge);
     this.pass(bridge, client);
-    const end = () => {
+    // A connection that breaks is broken on both sides at once; one that ends does so behind what it has sent.
+    const destroy = () => {
       pair.forEach((socket) => socket.destroy());
       this.pairs.delete(pair);
     };
-    pair.forEach((socket) => socket.on("close", end).on("error", end));
+    pair.forEach((socket) => socket.on("error", destroy));
+    pair.forEach((socket) => socket.on("close", () => { if (pair.every((each) => each.destroyed)) this.pairs.delete(pair); }));
   }
 
   isLost() {
@@ -46,14 +48,22 @@ class Proxy {
     const send = () => {
       timer = null;
       const now = performance.now();
-      while (waiting.length > 0 && Math.max(waiting[0].at, this.heldUntil) <= now) to.write(waiting.shift().data);
+      while (waiting.length > 0 && Math.max(waiting[0].at, this.heldUntil) <= now) {
+        const { data } = waiting.shift();
+        if (to.destroyed) continue;
+        if (data) to.write(data);
+        else to.end();
+      }
       if (waiting.length > 0) timer = setTimeout(send, Math.max(waiting[0].at, this.heldUntil) - now);
     };
-    from.on("data", (data) => {
+    /** Passes data on; `null` is the end. */
+    const receive = (data) => {
       free = Math.max(free, performance.now() + this.delayMs + (this.isLost() ? RETRANSMISSION_MS : 0));
       waiting.push({ at: free, data });
       timer ??= setTimeout(send, free - performance.now());
-    });
+    };
+    from.on("data", receive);
+    from.on("end", () => receive(null));
   }
 
   /** Lets nothing pass for so long. */
