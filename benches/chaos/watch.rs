@@ -18,8 +18,9 @@ const LOOK: Duration = Duration::from_millis(5);
 const SCAN_PERIOD_NS: f64 = 1e8;
 /// Time before a gap in which a hit on the robot explains it, nanoseconds: SLAM reads its session and catches up.
 const HIT_EXPLAINS_NS: u64 = 3_000_000_000;
-/// Speeds below which a robot is at rest, m/s and rad/s.
-const AT_REST: f64 = 1e-3;
+/// Speeds below which a robot is at rest, m/s and rad/s: those of lockstep's invariants. The motors' torque falls with the error of the
+/// speed, so that the last millimetres per second take 0.25 s more.
+const REST_SPEED: [f64; 2] = [0.01, 0.05];
 
 /// What was seen of one robot.
 #[derive(Clone, Debug, Default)]
@@ -131,7 +132,8 @@ fn record(run: &Run, to: &Shared) -> Result<(), Box<dyn Error>> {
                     robot.poses.push((now(), correction.header.stamp.0));
                 }
                 while let Some(truth) = truths.receive() {
-                    let moves = truth.linear_m_s.abs() > AT_REST || truth.angular_rad_s.abs() > AT_REST;
+                    let moves =
+                        truth.linear_m_s.abs() > REST_SPEED[0] || truth.angular_rad_s.abs() > REST_SPEED[1];
                     // Only changes count: minutes at 100 Hz would be many.
                     if robot.moving.last().is_none_or(|(_, before)| *before != moves) {
                         robot.moving.push((now(), moves));
