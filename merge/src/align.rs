@@ -132,13 +132,7 @@ pub struct Alignment {
 /// assert!(found.a_from_b.distance_m(starts[0].between(starts[1])) < 0.05);
 /// ```
 pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<Alignment> {
-    if !is_usable(a) || !is_usable(b) {
-        return None;
-    }
-    let points = [a, b].map(|map| MapPoints::from_grid(map, COARSE_CELL_M));
-    if points.iter().any(|map| map.walls_m.is_empty()) {
-        return None;
-    }
+    let points = points_with_walls([a, b])?;
     let candidates = find_candidates(&points[0], &points[1]);
     let [points_a, points_b] = points;
     let walls = &config.walls;
@@ -170,6 +164,15 @@ impl Place {
     }
 }
 
+/// Returns the points of both maps; `None` if one is malformed or has no walls.
+fn points_with_walls(maps: [GridView<'_>; 2]) -> Option<[MapPoints; 2]> {
+    if !maps.into_iter().all(is_usable) {
+        return None;
+    }
+    let points = maps.map(|map| MapPoints::from_grid(map, COARSE_CELL_M));
+    points.iter().all(|map| !map.walls_m.is_empty()).then_some(points)
+}
+
 /// Returns the best place with its margin over all others.
 fn choose_place(fields: [&DistanceField; 2], places: &[WallMatch]) -> Option<(Place, f64)> {
     let finalists = places.iter().take(FINALISTS).map(|coarse| (coarse, refine_finely(fields, coarse)));
@@ -188,13 +191,7 @@ pub fn align_near(
     a_from_b: Pose2,
     config: &AlignConfig,
 ) -> Option<Alignment> {
-    if !is_usable(a) || !is_usable(b) {
-        return None;
-    }
-    let points = [a, b].map(|map| MapPoints::from_grid(map, COARSE_CELL_M));
-    if points.iter().any(|map| map.walls_m.is_empty()) {
-        return None;
-    }
+    let points = points_with_walls([a, b])?;
     let [from_a, from_b] = points.each_ref().map(|points| points.frame_from_centred);
     let [points_a, points_b] = points;
     let fields =

@@ -1,12 +1,11 @@
 //! Messages of coordinated exploration: how it is started and stopped, and how far it is.
 
-use crate::{Header, ROBOTS_MAX};
+use crate::navigation::REASON_BYTES_MAX;
+use crate::{Header, ROBOTS_MAX, bounded_text};
 use bytemuck::{Pod, Zeroable};
 
 /// Most leftovers in an [`ExplorationReport`]: the largest ones.
 pub const LEFTOVERS_MAX: usize = 16;
-/// Longest reason in an [`ExplorationReport`], bytes.
-const REASON_BYTES_MAX: usize = 128;
 
 /// What a command of exploration asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -241,16 +240,12 @@ impl ExplorationReport {
 
     /// Returns the reason; empty if it is not UTF-8.
     pub fn reason(&self) -> &str {
-        let len = (self.reason_len as usize).min(REASON_BYTES_MAX);
-        core::str::from_utf8(&self.reason[..len]).unwrap_or_default()
+        bounded_text::read(&self.reason, self.reason_len)
     }
 
     /// Sets the reason, cut to 128 bytes at the end of a character.
     pub fn set_reason(&mut self, reason: &str) {
-        let ends = (0..=REASON_BYTES_MAX.min(reason.len())).rev();
-        let len = ends.into_iter().find(|end| reason.is_char_boundary(*end)).unwrap_or(0);
-        self.reason[..len].copy_from_slice(&reason.as_bytes()[..len]);
-        self.reason_len = len as u32;
+        self.reason_len = bounded_text::write(reason, &mut self.reason);
     }
 }
 

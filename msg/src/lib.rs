@@ -25,6 +25,7 @@
 //! assert_eq!(msg::grid::occupancy(grid.view().cell(1, 1)), msg::grid::Occupancy::Occupied);
 //! ```
 
+mod bounded_text;
 mod edges;
 mod exploration;
 mod health;

@@ -1,6 +1,6 @@
 //! Messages of navigation: goals, their state, and planned paths.
 
-use crate::{Header, RobotId};
+use crate::{Header, RobotId, bounded_text};
 use bytemuck::{Pod, Zeroable};
 
 /// Most poses of one goal.
@@ -180,7 +180,7 @@ impl NavigationStatus {
     }
 }
 
-/// Longest reason in a [`NavigationReport`], bytes.
+/// Longest reason in a [`NavigationReport`] or an [`crate::ExplorationReport`], bytes.
 pub const REASON_BYTES_MAX: usize = 128;
 
 /// State of a robot's navigation.
@@ -220,16 +220,12 @@ impl NavigationReport {
 
     /// Returns the reason; empty if it is not UTF-8.
     pub fn reason(&self) -> &str {
-        let len = (self.reason_len as usize).min(REASON_BYTES_MAX);
-        core::str::from_utf8(&self.reason[..len]).unwrap_or_default()
+        bounded_text::read(&self.reason, self.reason_len)
     }
 
     /// Sets the reason, cut to 128 bytes at the end of a character.
     pub fn set_reason(&mut self, reason: &str) {
-        let ends = (0..=REASON_BYTES_MAX.min(reason.len())).rev();
-        let len = ends.into_iter().find(|end| reason.is_char_boundary(*end)).unwrap_or(0);
-        self.reason[..len].copy_from_slice(&reason.as_bytes()[..len]);
-        self.reason_len = len as u32;
+        self.reason_len = bounded_text::write(reason, &mut self.reason);
     }
 }
 

@@ -4,7 +4,7 @@
 //! its own into `client` and counts its requests in `id`; the response repeats both. A request without a
 //! response within a few seconds was lost with a process that died. The client then sends it again.
 
-use crate::{Header, Pose2};
+use crate::{Header, Pose2, bounded_text};
 use bytemuck::{Pod, Zeroable};
 
 /// Length of the longest text, bytes of UTF-8.
@@ -34,12 +34,8 @@ impl Text {
 
     /// Stores as much of a text as fits, cut at a character.
     pub fn shortened(text: &str) -> Self {
-        let mut len = text.len().min(TEXT_MAX);
-        while !text.is_char_boundary(len) {
-            len -= 1;
-        }
-        let mut short = Self { len: len as u32, ..Self::default() };
-        short.bytes[..len].copy_from_slice(&text.as_bytes()[..len]);
+        let mut short = Self::default();
+        short.len = bounded_text::write(text, &mut short.bytes);
         short
     }
 
