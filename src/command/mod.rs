@@ -20,6 +20,7 @@ pub mod slam;
 pub mod status;
 pub mod up;
 pub mod worker;
+pub mod zone;
 
 use crate::stop::Stop;
 use clap::{Parser, Subcommand};
@@ -53,6 +54,8 @@ enum Command {
     Goto(goto::GotoArgs),
     /// Let a running fleet explore by itself, and wait until nothing reachable is unknown
     Explore(explore::ExploreArgs),
+    /// Show the areas that navigation keeps robots out of, add one or remove it
+    Zone(zone::ZoneArgs),
     /// Let an address drive a running fleet, now and in later runs; without one, list who may drive and who waits
     Allow(permissions::AllowArgs),
     /// Forbid an address to drive
@@ -105,6 +108,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Edges(args) => edges::run(&args)?,
         Command::Goto(args) => goto::run(&args, &Stop::on_signals()?)?,
         Command::Explore(args) => explore::run(&args, &Stop::on_signals()?)?,
+        Command::Zone(args) => zone::run(&args)?,
         Command::Allow(args) => permissions::allow(&args)?,
         Command::Deny(args) => permissions::deny(&args)?,
         Command::Stop(args) => permissions::stop(&args)?,

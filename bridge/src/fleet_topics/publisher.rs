@@ -11,10 +11,10 @@ use super::static_transforms::StaticTransformSet;
 use super::table::FleetTopic;
 use crate::input::Input;
 use crate::repeater::{CorrectionRepeater, Repetition};
-use json::{exploration_json, navigation_json};
+use json::{exploration_json, navigation_json, zones_json};
 use msg::{
-    Clock, Correction, ExplorationReport, FleetStats, GridView, Link, MapTransforms, Monotonic,
-    NavigationPlan, NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
+    Clock, Correction, ExclusionZones, ExplorationReport, FleetStats, GridView, Link, MapTransforms,
+    Monotonic, NavigationPlan, NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Writer;
 use ros_messages::map_tiles::write_map_tiles;
@@ -52,6 +52,8 @@ pub enum FleetMessage<'a> {
     MergeEdges(&'a str),
     /// How far the exploration is: `/explore/state`.
     ExplorationState(&'a ExplorationReport),
+    /// The areas that navigation keeps robots out of: `/exclusion_zones`.
+    ExclusionZones(&'a ExclusionZones),
     /// What navigation does with a robot: `/robotN/navigation_state`.
     NavigationState(RobotId, &'a NavigationReport),
     /// The planned path of a robot: `/robotN/plan`.
@@ -255,9 +257,12 @@ impl FleetPublisher {
             }
             FleetMessage::ExplorationState(report) => {
                 let json = exploration_json(report, &self.robots, &self.names);
-                sink.send(FleetTopic::ExplorationState, None, |to| to.string(&json));
+                send_text(FleetTopic::ExplorationState, &json, sink);
             }
-            FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
+            FleetMessage::ExclusionZones(zones) => {
+                send_text(FleetTopic::ExclusionZones, &zones_json(zones), sink)
+            }
+            FleetMessage::MergeEdges(json) => send_text(FleetTopic::MergeEdges, json, sink),
         }
     }
 
@@ -367,4 +372,9 @@ impl FleetPublisher {
         }
         self.map_transforms_due = Some(now + MAP_TRANSFORMS_PERIOD);
     }
+}
+
+/// Sends a text of the fleet as a std_msgs/String.
+fn send_text(topic: FleetTopic, text: &str, sink: &mut impl TopicSink) {
+    sink.send(topic, None, |to| to.string(text));
 }
