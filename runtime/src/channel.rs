@@ -33,6 +33,8 @@ pub enum Program {
     ExploreTool,
     /// `mr-slam record`: a recording of a fleet that runs.
     RecordTool,
+    /// The process between a robot's machine and the base; it runs where there are several machines.
+    LinkTool,
 }
 
 impl Program {
@@ -45,6 +47,7 @@ impl Program {
             Self::GotoTool => "`mr-slam goto`",
             Self::ExploreTool => "`mr-slam explore`",
             Self::RecordTool => "`mr-slam record`",
+            Self::LinkTool => "link",
         }
     }
 
@@ -53,8 +56,8 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        use Program::{EdgesTool, ExploreTool, GotoTool, RecordTool, SlamTool};
-        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | RecordTool)
+        use Program::{EdgesTool, ExploreTool, GotoTool, LinkTool, RecordTool, SlamTool};
+        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | LinkTool | RecordTool)
     }
 }
 
@@ -105,6 +108,8 @@ pub enum Endpoint {
     OfOthers(Program),
     /// Its process, if the robots are not simulated here.
     OutsideWorld(Program),
+    /// Its process, if robots and base are on several machines.
+    OtherMachines(Program),
 }
 
 impl Endpoint {
@@ -112,6 +117,7 @@ impl Endpoint {
         match self {
             Self::Of(program) | Self::OfFirst(program) => program,
             Self::OfOthers(program) | Self::OutsideWorld(program) => program,
+            Self::OtherMachines(program) => program,
         }
     }
 
@@ -123,7 +129,7 @@ impl Endpoint {
                 Self::Of(program) if program.is_per_robot() => {
                     channel_robot.is_none() || opener.robot == channel_robot
                 }
-                Self::Of(_) | Self::OutsideWorld(_) => true,
+                Self::Of(_) | Self::OutsideWorld(_) | Self::OtherMachines(_) => true,
                 Self::OfFirst(_) => opener.robot.is_some_and(|robot| robot.number() == 1),
                 Self::OfOthers(_) => opener.robot != channel_robot,
             }
@@ -139,6 +145,7 @@ impl fmt::Display for Endpoint {
             Self::OfFirst(_) => write!(f, "{}(1)", program.name()),
             Self::OfOthers(_) => write!(f, "the other {}s", program.name()),
             Self::OutsideWorld(_) => write!(f, "{} \\*", program.name()),
+            Self::OtherMachines(_) => write!(f, "{} \\*\\*", program.name()),
         }
     }
 }
