@@ -24,6 +24,7 @@ pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
 pub mod terminal;
+pub mod unreliable_maps;
 // Files that outlive a process.
 pub mod session_file;
 pub mod sessions;

@@ -35,6 +35,8 @@ pub enum Program {
     ZoneTool,
     /// `mr-slam record`: a recording of a fleet that runs.
     RecordTool,
+    /// The process between a robot's machine and the base; it runs where there are several machines.
+    LinkTool,
 }
 
 impl Program {
@@ -48,6 +50,7 @@ impl Program {
             Self::ExploreTool => "`mr-slam explore`",
             Self::ZoneTool => "`mr-slam zone`",
             Self::RecordTool => "`mr-slam record`",
+            Self::LinkTool => "link",
         }
     }
 
@@ -56,8 +59,8 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        use Program::{EdgesTool, ExploreTool, GotoTool, RecordTool, SlamTool, ZoneTool};
-        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | ZoneTool | RecordTool)
+        use Program::{EdgesTool, ExploreTool, GotoTool, LinkTool, RecordTool, SlamTool, ZoneTool};
+        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | ZoneTool | LinkTool | RecordTool)
     }
 }
 
@@ -108,6 +111,8 @@ pub enum Endpoint {
     OfOthers(Program),
     /// Its process, if the robots are not simulated here.
     OutsideWorld(Program),
+    /// Its process, if robots and base are on several machines.
+    OtherMachines(Program),
 }
 
 impl Endpoint {
@@ -115,6 +120,7 @@ impl Endpoint {
         match self {
             Self::Of(program) | Self::OfFirst(program) => program,
             Self::OfOthers(program) | Self::OutsideWorld(program) => program,
+            Self::OtherMachines(program) => program,
         }
     }
 
@@ -126,7 +132,7 @@ impl Endpoint {
                 Self::Of(program) if program.is_per_robot() => {
                     channel_robot.is_none() || opener.robot == channel_robot
                 }
-                Self::Of(_) | Self::OutsideWorld(_) => true,
+                Self::Of(_) | Self::OutsideWorld(_) | Self::OtherMachines(_) => true,
                 Self::OfFirst(_) => opener.robot.is_some_and(|robot| robot.number() == 1),
                 Self::OfOthers(_) => opener.robot != channel_robot,
             }
@@ -142,6 +148,7 @@ impl fmt::Display for Endpoint {
             Self::OfFirst(_) => write!(f, "{}(1)", program.name()),
             Self::OfOthers(_) => write!(f, "the other {}s", program.name()),
             Self::OutsideWorld(_) => write!(f, "{} \\*", program.name()),
+            Self::OtherMachines(_) => write!(f, "{} \\*\\*", program.name()),
         }
     }
 }

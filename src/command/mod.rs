@@ -9,6 +9,8 @@ pub mod explore;
 pub mod fleet_args;
 pub mod goto;
 pub mod headset;
+pub mod keys;
+pub mod link;
 pub mod lockstep;
 pub mod merge;
 pub mod output;
@@ -44,6 +46,15 @@ enum Command {
     Demo(up::UpArgs),
     /// Launch a fleet and wait for a headset
     Up(up::UpArgs),
+    /// Run one robot on this machine, simulated or over ROS 2, with its SLAM, and join a base
+    Robot(Box<link::RobotArgs>),
+    /// Run the base: merging, bridge and page for robots on other machines
+    Base(Box<link::BaseArgs>),
+    /// Create the keys with which robots and base of several machines know each other
+    Keys(keys::KeysArgs),
+    /// Carry a run's channels to another machine; started by `robot` and `base`
+    #[command(hide = true)]
+    Link(link::LinkArgs),
     /// Show the figures of a running fleet
     Status(status::StatusArgs),
     /// Check what this machine permits: timers, limits, network
@@ -103,6 +114,10 @@ pub fn run(cli: Cli) -> Result<(), Error> {
                 if args.fleet.explore { &mut watch } else { &mut up::NoHooks };
             up::run_or_detach(&args, hooks)?;
         }
+        Command::Robot(args) => link::run_robot(&args)?,
+        Command::Base(args) => link::run_base(&args)?,
+        Command::Keys(args) => keys::run(&args)?,
+        Command::Link(args) => link::run(&args)?,
         Command::Status(args) => status::run(&args)?,
         Command::Doctor(args) => doctor::run(&args)?,
         Command::Edges(args) => edges::run(&args)?,

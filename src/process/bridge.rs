@@ -195,7 +195,8 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, 
     };
     let config = run.config.bridge_config();
     let bridge = match run.config.world {
-        World::Simulator => Bridge::new(config, run.config.robot_names(), send)?,
+        // The link writes what robots on other machines send.
+        World::Simulator | World::Robots => Bridge::new(config, run.config.robot_names(), send)?,
         World::Headset | World::Ros => {
             let (world, epoch) = (outside::open_world(ports, run)?, run.epoch);
             Bridge::with_external_world(config, world, move |now| epoch.stamp(now), send)?

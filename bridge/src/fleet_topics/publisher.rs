@@ -212,16 +212,7 @@ impl FleetPublisher {
                 self.publish_links(robot, transforms, sink);
             }
             FleetMessage::Odometry(robot, odometry) if self.has(robot) => {
-                let frame = self.names.link(robot, Link::Odom);
-                let child = self.names.link(robot, Link::BaseFootprint);
-                let OdometryCovariances { sigmas, robots } = &mut self.odometry;
-                let covariance = &mut robots[robot.index()];
-                covariance.add(sigmas, odometry);
-                let encode = |to: &mut Writer<'_>| {
-                    let of_velocity = OdometryCovariance::of_velocity(sigmas, odometry);
-                    write::odometry(to, frame, child, odometry, &covariance.of_pose(), &of_velocity);
-                };
-                sink.send(FleetTopic::Odometry, Some(robot), encode);
+                self.publish_odometry(robot, odometry, sink);
             }
             FleetMessage::Correction(robot, correction) if self.has(robot) => {
                 self.publish_correction(robot, correction, sink);
@@ -264,6 +255,20 @@ impl FleetPublisher {
             }
             FleetMessage::MergeEdges(json) => send_text(FleetTopic::MergeEdges, json, sink),
         }
+    }
+
+    /// Publishes a robot's odometry with the errors that have added up.
+    fn publish_odometry(&mut self, robot: RobotId, odometry: &msg::Odometry, sink: &mut impl TopicSink) {
+        let frame = self.names.link(robot, Link::Odom);
+        let child = self.names.link(robot, Link::BaseFootprint);
+        let OdometryCovariances { sigmas, robots } = &mut self.odometry;
+        let covariance = &mut robots[robot.index()];
+        covariance.add(sigmas, odometry);
+        let encode = |to: &mut Writer<'_>| {
+            let of_velocity = OdometryCovariance::of_velocity(sigmas, odometry);
+            write::odometry(to, frame, child, odometry, &covariance.of_pose(), &of_velocity);
+        };
+        sink.send(FleetTopic::Odometry, Some(robot), encode);
     }
 
     fn publish_plan(&self, robot: RobotId, plan: &NavigationPlan, sink: &mut impl TopicSink) {

@@ -1,8 +1,8 @@
 //! The channels of navigation and exploration.
 
 use super::{BRIDGE, NAV, RECORD, REQUEST_WRITERS_MAX, STATE, STREAM};
-use crate::channel::Endpoint::Of;
-use crate::channel::Program::{ExploreTool, GotoTool, Launcher, RecordTool, ZoneTool};
+use crate::channel::Endpoint::{Of, OtherMachines};
+use crate::channel::Program::{ExploreTool, GotoTool, Launcher, LinkTool, RecordTool, ZoneTool};
 use crate::channel::{Channel, ChannelRow, Scope, TypedRow};
 use msg::{
     ExclusionZones, ExplorationCommand, ExplorationReport, NavigationCommand, NavigationPlan,
@@ -22,9 +22,10 @@ pub(super) static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
 });
 pub(super) static NAVIGATION_VELOCITY: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "navigation_velocity",
-    content: "velocity towards the robot's goal, 20 Hz while it has one",
-    writers: &[Of(NAV)],
+    content: "velocity towards the robot's goal, 20 Hz while it has one; on a robot's machine also the base's",
+    writers: &[Of(NAV), OtherMachines(LinkTool)],
     readers: &[Of(BRIDGE)],
+    writers_max: 2,
     ..STREAM
 });
 pub(super) static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
