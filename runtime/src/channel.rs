@@ -31,6 +31,8 @@ pub enum Program {
     GotoTool,
     /// `mr-slam explore`, which starts and stops the exploration of a fleet.
     ExploreTool,
+    /// `mr-slam zone`, which shows and changes the exclusion zones of a fleet.
+    ZoneTool,
     /// `mr-slam record`: a recording of a fleet that runs.
     RecordTool,
     /// The process between a robot's machine and the base; it runs where there are several machines.
@@ -46,6 +48,7 @@ impl Program {
             Self::EdgesTool => "`mr-slam edges`",
             Self::GotoTool => "`mr-slam goto`",
             Self::ExploreTool => "`mr-slam explore`",
+            Self::ZoneTool => "`mr-slam zone`",
             Self::RecordTool => "`mr-slam record`",
             Self::LinkTool => "link",
         }
@@ -56,8 +59,8 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        use Program::{EdgesTool, ExploreTool, GotoTool, LinkTool, RecordTool, SlamTool};
-        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | LinkTool | RecordTool)
+        use Program::{EdgesTool, ExploreTool, GotoTool, LinkTool, RecordTool, SlamTool, ZoneTool};
+        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | ZoneTool | LinkTool | RecordTool)
     }
 }
 

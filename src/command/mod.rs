@@ -17,11 +17,13 @@ pub mod output;
 pub mod permissions;
 pub mod record;
 pub mod replay;
+pub mod room;
 pub mod run_args;
 pub mod slam;
 pub mod status;
 pub mod up;
 pub mod worker;
+pub mod zone;
 
 use crate::stop::Stop;
 use clap::{Parser, Subcommand};
@@ -64,6 +66,8 @@ enum Command {
     Goto(goto::GotoArgs),
     /// Let a running fleet explore by itself, and wait until nothing reachable is unknown
     Explore(explore::ExploreArgs),
+    /// Show the areas that navigation keeps robots out of, add one or remove it
+    Zone(zone::ZoneArgs),
     /// Let an address drive a running fleet, now and in later runs; without one, list who may drive and who waits
     Allow(permissions::AllowArgs),
     /// Forbid an address to drive
@@ -76,6 +80,8 @@ enum Command {
     Clients(clients::ClientsArgs),
     /// Let a headset on a USB cable reach the operator's page
     Headset(headset::HeadsetArgs),
+    /// Accept or refuse the room that a headset offers as the simulators' world; without either, show it
+    Room(room::RoomArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
     /// Record a running fleet as MCAP with ROS 2 messages
@@ -120,12 +126,14 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Edges(args) => edges::run(&args)?,
         Command::Goto(args) => goto::run(&args, &Stop::on_signals()?)?,
         Command::Explore(args) => explore::run(&args, &Stop::on_signals()?)?,
+        Command::Zone(args) => zone::run(&args)?,
         Command::Allow(args) => permissions::allow(&args)?,
         Command::Deny(args) => permissions::deny(&args)?,
         Command::Stop(args) => permissions::stop(&args)?,
         Command::Release(args) => permissions::release(&args)?,
         Command::Clients(args) => clients::run(&args)?,
         Command::Headset(args) => headset::run(&args)?,
+        Command::Room(args) => room::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
         Command::Record(args) => record::run(&args, &Stop::on_signals()?)?,
         Command::Operator(args) => {

@@ -2,7 +2,10 @@
 
 mod navigation;
 
-pub use navigation::{exploration_state, explore, goal, navigation_state, navigation_velocity, plan};
+pub use navigation::{
+    exclusion_zones, exploration_state, explore, goal, navigation_state, navigation_velocity, plan,
+    zone_command,
+};
 
 use super::Endpoint::{Of, OfFirst, OfOthers, OtherMachines, OutsideWorld};
 use super::Program::{EdgesTool, Launcher, LinkTool, RecordTool, SlamTool, Worker};
@@ -247,7 +250,7 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
 });
 
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 25] = [
+pub static CHANNELS: [&ChannelRow; 27] = [
     &COMMAND.row,
     &SCAN.row,
     &ODOMETRY.row,
@@ -271,6 +274,8 @@ pub static CHANNELS: [&ChannelRow; 25] = [
     &navigation::PLAN.row,
     &navigation::EXPLORE.row,
     &navigation::EXPLORATION_STATE.row,
+    &navigation::ZONE_COMMAND.row,
+    &navigation::EXCLUSION_ZONES.row,
     &STATS.row,
     &HEALTH.row,
 ];
