@@ -1,7 +1,7 @@
 //! Reasons why a configuration is refused, and the line of the file that sets a key.
 
 use super::{RecordingConfigError, SessionsConfigError};
-use crate::realtime::RealtimeConfigError;
+use runtime::realtime::RealtimeConfigError;
 use bridge::RobotNameError;
 use msg::ROBOTS_MAX;
 use std::path::{Path, PathBuf};

@@ -11,8 +11,8 @@ pub use error::{ConfigError, ValueError};
 pub use recording::{RecordingConfig, RecordingConfigError};
 pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
 
-use crate::processes::{self, ProcessRow};
-use crate::realtime::RealtimeConfig;
+use runtime::processes::{self, ProcessRow};
+use runtime::realtime::RealtimeConfig;
 use bridge::RobotNames;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Role};
 use serde::{Deserialize, Serialize};
