@@ -2,6 +2,7 @@
 
 mod clients;
 mod navigation;
+mod room;
 mod status;
 
 pub use clients::ClientStatus;

@@ -125,7 +125,7 @@ pub struct Fleet {
     /// Seed of all random numbers.
     pub seed: u64,
     /// Room of the simulators: `laboratory`; `office`, `warehouse`, `school`, `museum`, `flat` or `hall`, generated from a
-    /// seed as in `office:7`; or the path of a scanned room (.json, .json.gz), .glb, .gltf or .obj.
+    /// seed as in `office:7`; or the path of a scanned room (.json, .json.gz; also MRUK's), .glb, .gltf or .obj.
     pub room: String,
     /// Starts of the robots in the room, or in `map` if the world is not simulated: `[x, y, yaw]` in metres and radians,
     /// one for each robot. Empty: places are chosen, or, if the world is not simulated, all but the first are unknown.

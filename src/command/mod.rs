@@ -17,6 +17,7 @@ pub mod output;
 pub mod permissions;
 pub mod record;
 pub mod replay;
+pub mod room;
 pub mod run_args;
 pub mod slam;
 pub mod status;
@@ -79,6 +80,8 @@ enum Command {
     Clients(clients::ClientsArgs),
     /// Let a headset on a USB cable reach the operator's page
     Headset(headset::HeadsetArgs),
+    /// Accept or refuse the room that a headset offers as the simulators' world; without either, show it
+    Room(room::RoomArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
     /// Record a running fleet as MCAP with ROS 2 messages
@@ -130,6 +133,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         Command::Release(args) => permissions::release(&args)?,
         Command::Clients(args) => clients::run(&args)?,
         Command::Headset(args) => headset::run(&args)?,
+        Command::Room(args) => room::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
         Command::Record(args) => record::run(&args, &Stop::on_signals()?)?,
         Command::Operator(args) => {
