@@ -11,9 +11,9 @@ pub use error::{ConfigError, ValueError};
 pub use recording::{RecordingConfig, RecordingConfigError};
 pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
 
-use runtime::processes::{self, ProcessRow};
 use bridge::RobotNames;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Role};
+use runtime::processes::{self, ProcessRow};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
