@@ -4,21 +4,23 @@
 //! [`link_transport::Transport`]; the crate `link` has the messages and all decisions about what is sent when.
 
 mod base;
+mod report;
 mod robot;
 mod stop;
 #[cfg(test)]
 mod tests;
 
 pub use base::BaseLink;
+pub use report::{LinkReport, PeerReport, ReportLink};
 pub use robot::RobotLink;
 pub use stop::{RunStop, StopControl};
 
 use crate::channel::{Opener, Program};
+use crate::clock::now;
 use crate::ports::ChannelError;
-use crate::process::{Listens, ProcessLoop, serve};
-use crate::progress::{ProgressCounter, WatchedThread};
+use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
-use crate::shared_memory::{Listener, Participant};
+use crate::shared_memory::{Listener, Participant, wait};
 use ::link::WireError;
 use std::time::Duration;
 
@@ -40,10 +42,29 @@ impl InvalidMessages {
     }
 }
 
-/// Runs one end of the link until `over` returns true.
-pub fn serve_link(run: &Run, link: &mut (impl ProcessLoop + Listens<Listener>), over: &dyn Fn() -> bool) {
-    // The launcher watches the end of the process, but counts no passes of its loop.
-    serve(link, ProgressCounter::open(&run.domain, None, WatchedThread::Main), over);
+/// Period at which the figures are written.
+const REPORT_PERIOD: Duration = Duration::from_secs(1);
+
+/// Runs one end of the link until `over` returns true, and writes its figures.
+pub fn serve_link(
+    run: &Run,
+    link: &mut (impl ProcessLoop + Listens<Listener> + ReportLink),
+    over: &dyn Fn() -> bool,
+) {
+    let (mut report_due, mut has_warned) = (now() + REPORT_PERIOD, false);
+    while !over() {
+        let due = link.step();
+        if now() >= report_due {
+            report_due = now() + REPORT_PERIOD;
+            if let Err(why) = link.report().write(run)
+                && !has_warned
+            {
+                has_warned = true;
+                tracing::warn!("{}: link.json: {why}", run.dir.display());
+            }
+        }
+        wait(link.listeners(), due);
+    }
 }
 
 /// Attaches the link's process to a run.

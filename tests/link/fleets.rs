@@ -32,7 +32,7 @@ pub fn until<T>(what: &str, limit: Duration, mut condition: impl FnMut() -> Opti
 }
 
 /// Cells of a map by their places on its lattice.
-type Cells = BTreeMap<(i64, i64), i8>;
+pub type Cells = BTreeMap<(i64, i64), i8>;
 
 /// A launcher with its run.
 pub struct Fleet {
@@ -47,16 +47,19 @@ pub struct Fleet {
     said: Arc<Mutex<Vec<String>>>,
 }
 
-fn command(folder: &Path, args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_mr-slam"));
+fn with_args(mut command: Command, folder: &Path, args: &[&str]) -> Command {
     command.args(args).env("XDG_STATE_HOME", folder.join("state"));
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }
 
+fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_mr-slam"))
+}
+
 /// Runs a command that must be refused, and returns what it says.
 pub fn refused(folder: &Path, args: &[&str]) -> String {
-    let output = command(folder, args).output().unwrap();
+    let output = with_args(program(), folder, args).output().unwrap();
     assert!(!output.status.success(), "{args:?} was accepted");
     String::from_utf8(output.stderr).unwrap()
 }
@@ -94,8 +97,13 @@ pub fn caught_up(base: &mut Fleet, robot: &mut Fleet) -> Option<usize> {
 impl Fleet {
     /// Starts a launcher and waits until its fleet runs.
     pub fn start(folder: &Path, name: &str, endpoint: &str, args: &[&str]) -> Self {
+        Self::start_command(program(), folder, name, endpoint, args)
+    }
+
+    /// Starts a launcher with a command that has no arguments yet.
+    pub fn start_command(command: Command, folder: &Path, name: &str, endpoint: &str, args: &[&str]) -> Self {
         let dir = folder.join(name);
-        let mut command = command(folder, args);
+        let mut command = with_args(command, folder, args);
         command.args(["--port", "0", "--page", "off", "--run-dir"]).arg(&dir);
         let mut launcher = command.spawn().unwrap();
         let mut lines = BufReader::new(launcher.stderr.take().unwrap()).lines().map_while(Result::ok);

@@ -7,7 +7,7 @@ use crate::ports::{ChannelError, Clock as _, MAP_PAUSE, Ports, ReadPort, WriteMa
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use ::bridge::world::{ClockOffset, SourceClock};
-use ::link::{BaseEnd, BaseEvent, ByteCounters};
+use ::link::{BaseEnd, BaseEvent};
 use link_transport::Transport;
 use msg::{
     Clock, Correction, Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest, TileMap, Transforms,
@@ -108,18 +108,12 @@ impl<P: Ports, T: Transport, S: StopControl> BaseLink<P, T, S> {
         })
     }
 
-    /// Returns each robot's name, the bytes that were received from it, by kind, and whether it was heard lately.
-    pub fn received(&self) -> impl Iterator<Item = (&str, &ByteCounters, bool)> {
-        let now = self.clock.now();
-        self.robots.iter().map(move |robot| {
-            let is_heard = robot.end.is_heard(now);
-            (robot.name.as_str(), robot.end.received(), is_heard)
-        })
+    pub(super) fn ends(&self) -> impl Iterator<Item = (&str, &BaseEnd)> {
+        self.robots.iter().map(|robot| (robot.name.as_str(), &robot.end))
     }
 
-    /// Returns the transport.
-    pub fn transport(&self) -> &T {
-        &self.transport
+    pub(super) fn now(&self) -> Monotonic {
+        self.clock.now()
     }
 }
 

@@ -6,7 +6,7 @@ use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
-use ::link::{ByteCounters, RobotEnd, RobotEvent, SenderConfig, StopRequest};
+use ::link::{RobotEnd, RobotEvent, SenderConfig, StopRequest};
 use link_transport::Transport;
 use msg::{
     Correction, Header, Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
@@ -73,24 +73,22 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
         })
     }
 
-    /// Returns the bytes that were sent, by kind.
-    pub fn sent(&self) -> &ByteCounters {
-        self.end.sent()
-    }
-
     /// Returns the number of messages of other bases than the one that leads.
+    #[cfg(test)]
     pub fn refused(&self) -> u64 {
         self.end.refused()
     }
 
-    /// Returns the transport.
-    pub fn transport(&self) -> &T {
-        &self.transport
+    pub(super) fn end(&self) -> &RobotEnd {
+        &self.end
     }
 
-    /// Returns the number of parts of the map that the base does not hold as they are.
-    pub fn waiting(&self) -> usize {
-        self.end.waiting()
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(super) fn now(&self) -> Monotonic {
+        self.clock.now()
     }
 
     fn receive(&mut self, now: Monotonic) {
