@@ -18,6 +18,7 @@ const launch = () => chromium.launch({ executablePath: CHROMIUM, args: BROWSER_A
 async function serveFiles(context, base) {
   if (!folder) return;
   await context.route((at) => at.href.startsWith(base), (route) => {
+    if (route.request().method() !== "GET") return route.continue();
     const { pathname } = new URL(route.request().url());
     const file = `${folder}/${pathname === "/" ? "index.html" : pathname === "/selfcheck" ? "selfcheck.html" : pathname}`;
     return route.fulfill({ body: readFileSync(file), contentType: TYPES[file.split(".").pop()] });

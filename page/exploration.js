@@ -6,7 +6,7 @@ import { readString } from "./messages.js";
  * What exploration does, as `/explore/state` says.
  * @typedef {object} Exploration
  * @property {string} state @property {string} reason @property {number | null} knownM2 @property {number | null} leastS
- * @property {number | null} mostS @property {string[]} robots @property {{x: number, y: number}[]} left places not reached yet
+ * @property {number | null} mostS @property {string[]} robots @property {number} leftCount places that are left at the end, with unknown space beside them
  */
 
 /** States in which robots explore, or will again by themselves. */
@@ -20,19 +20,18 @@ export function readExploration(/** @type {DataView} */ view) {
   } catch {
     throw new RangeError("the state of exploration is not JSON");
   }
-  const { state, reason = "", known_m2: knownM2 = null, least_s: leastS = null, most_s: mostS = null, robots = [], left = [] } = json ?? {};
-  if (typeof state !== "string" || !Array.isArray(left) || !Array.isArray(robots)) throw new RangeError("the state of exploration has no state");
-  const isPlace = (/** @type {any} */ place) => Number.isFinite(place?.x) && Number.isFinite(place?.y);
-  return { state, reason, knownM2, leastS, mostS, robots, left: left.filter(isPlace) };
+  const { state, reason = "", known_m2: knownM2 = null, least_s: leastS = null, most_s: mostS = null, robots = [], left_count: leftCount = 0 } = json ?? {};
+  if (typeof state !== "string" || !Number.isInteger(leftCount) || !Array.isArray(robots)) throw new RangeError("the state of exploration has no state");
+  return { state, reason, knownM2, leastS, mostS, robots, leftCount };
 }
 
 /** Returns whether robots explore now. @param {Exploration | null} exploration */
 export function isExploring(exploration) { return RUNNING.includes(exploration?.state ?? ""); }
 
 /** Returns what exploration does, what is left and how long that takes. @param {Exploration} exploration */
-export function describeExploration({ state, reason, leastS, mostS, left }) {
+export function describeExploration({ state, reason, leastS, mostS, leftCount }) {
   const parts = [state + (reason ? `: ${reason}` : "")];
-  if (left.length > 0) parts.push(`${left.length} ${left.length === 1 ? "place" : "places"} left`);
+  if (leftCount > 0) parts.push(`${leftCount} ${leftCount === 1 ? "place" : "places"} left`);
   if (leastS !== null && mostS !== null) parts.push(`done in ${duration(leastS)} to ${duration(mostS)}`);
   return parts.join(" · ");
 }

@@ -5,9 +5,10 @@ import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection }
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
 import { describeExploration, isExploring } from "./exploration.js";
 import { MeasureTool } from "./measure.js";
-import { writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
+import { readGrid, writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
 import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
 import { attachPointers } from "./pointers.js";
+import { RobotMaps } from "./seen.js";
 import { Fleet, MAP } from "./state.js";
 import { Connection } from "./transport.js";
 import { View } from "./view.js";
@@ -49,7 +50,11 @@ const live = new Connection(url, {
     if (isOpen) fleet.clock.reset();
     showLink();
   },
-  time: (askedAt, answeredAt, runTime) => fleet.clock.add(askedAt / 1000, answeredAt / 1000, runTime),
+  time: (askedAt, answeredAt, runTime) => {
+    if (!fleet.setRunTime(askedAt / 1000, answeredAt / 1000, runTime)) return;
+    robotMaps.clear();
+    logMessage("the fleet has started again");
+  },
   status: (level, text) => logMessage(text, level === ERROR),
   parameter: (name, value) => {
     if (name !== FLEET_PARAMETER) return;
@@ -62,7 +67,8 @@ live.subscribeParameters();
 /** Maps have a connection of their own: they delay neither commands nor transforms. */
 const maps = new Connection(url, {
   message: (topic, data) => {
-    receive(topic, data);
+    if (robotMaps.receive(topic, () => readGrid(data), now())) fleet.seen = robotMaps.layer(fleet);
+    else receive(topic, data);
     followMap();
   },
   state: (isOpen) => {
@@ -71,6 +77,7 @@ const maps = new Connection(url, {
   },
 });
 maps.subscribe("/merged_map_tiles");
+const robotMaps = new RobotMaps(maps);
 
 /** Asks for the whole map while it is needed; then its tiles are enough. */
 function followMap() {
@@ -78,7 +85,10 @@ function followMap() {
   else maps.unsubscribe("/merged_map");
 }
 
-setInterval(() => [live, maps].forEach((connection) => connection.tick()), TICK_MS);
+setInterval(() => {
+  [live, maps].forEach((connection) => connection.tick());
+  robotMaps.tick(fleet, now());
+}, TICK_MS);
 
 function showLink() {
   const link = element("link");

@@ -23,7 +23,9 @@ pub mod control;
 pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
+pub mod offered_room;
 pub mod terminal;
+pub mod unreliable_maps;
 // Files that outlive a process.
 pub mod session_file;
 pub mod sessions;

@@ -27,7 +27,7 @@ pub use queues::MessageObserver;
 use crate::channel::{self, Opener, Program};
 use crate::config::FleetConfig;
 use crate::fleet;
-use crate::ports::{Clock, Ports, ReadMapPort};
+use crate::ports::{Clock, Ports};
 use crate::process::Error;
 use crate::process::record::Recording;
 use crate::process::record::files::Output;
@@ -35,6 +35,7 @@ use crate::processes::ProcessRow;
 use crate::run::Run;
 use ::recording::fleet::FleetRecording;
 use faults::FaultPlan;
+use formats::map_file::{MapFileError, write_doubted_map};
 use members::{Member, World};
 use memory_storage::MemoryStorage;
 use msg::{FleetStats, GridView, Monotonic, Pose2, RobotId, Role, SlamRequest, Stamp};
@@ -44,6 +45,7 @@ use queues::{MemoryPorts, Network, Openings, QueueWriter};
 use sim::Simulator;
 use slam::Session;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::rc::Rc;
 use tcp::Port;
 
@@ -172,9 +174,18 @@ impl Lockstep {
 
     /// Returns every map received so far, with its name.
     pub fn maps(&mut self) -> impl Iterator<Item = (&str, GridView<'_>)> {
-        let seen =
-            self.observer.maps.iter_mut().filter(|(_, reader, _)| reader.map().tiles().next().is_some());
-        seen.map(|(name, reader, grid)| (name.as_str(), grid.update(reader.map())))
+        self.observer.maps().map(|(name, map, _)| (name, map))
+    }
+
+    /// Writes a map at the path without extension that `path` gives for its name, with the reasons why it is unreliable.
+    ///
+    /// # Errors
+    /// A map cannot be written.
+    pub fn write_maps(&mut self, path: impl Fn(&str) -> PathBuf) -> Result<(), MapFileError> {
+        self.observer.maps().try_for_each(|(name, map, reasons)| {
+            let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
+            write_doubted_map(&path(name), map, &reasons)
+        })
     }
 
     /// Returns the session of every robot whose SLAM runs.

@@ -5,6 +5,7 @@ use crate::clock::now;
 use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
+use crate::unreliable_maps::UnreliableMaps;
 use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2,
@@ -24,6 +25,7 @@ pub struct Observer {
     merged_map: MapWatch,
     map_transforms: Reader<MapTransforms>,
     newest_transforms: Option<Box<MapTransforms>>,
+    unreliable: UnreliableMaps,
     maps: Vec<MapWatch>,
     robots: Vec<RobotWatch>,
     // The readers' presence in the run; dropped after them.
@@ -62,7 +64,8 @@ impl RobotWatch {
         })
     }
 
-    fn poll(&mut self) {
+    /// Receives all waiting messages; the newest correction says whether the robot's map is `unreliable`.
+    fn poll(&mut self, robot: RobotId, unreliable: &mut UnreliableMaps) {
         if let Some(command) = self.commands.newest() {
             self.command = Some(*command);
         }
@@ -72,6 +75,7 @@ impl RobotWatch {
         if let Some(correction) = self.corrections.newest() {
             self.map_from_odom = correction.map_from_odom().or(self.map_from_odom);
             self.map_from_base = Some(correction.map_from_base);
+            unreliable.record(robot, &correction);
         }
     }
 }
@@ -91,6 +95,7 @@ impl Observer {
             newest: None,
             map_transforms: node.reader(&channel::map_transforms())?,
             newest_transforms: None,
+            unreliable: UnreliableMaps::default(),
             merged_map: watch("merged_map".into(), node.map_reader(&channel::merged_map())?),
             maps: run.robots().map(robot_map).collect::<Result<_, ChannelError>>()?,
             robots: run.robots().map(|robot| RobotWatch::open(&node, robot)).collect::<Result<_, _>>()?,
@@ -103,7 +108,9 @@ impl Observer {
         for watch in self.maps.iter_mut().chain([&mut self.merged_map]) {
             watch.reader.poll();
         }
-        self.robots.iter_mut().for_each(RobotWatch::poll);
+        for (robot, watch) in RobotId::first(self.robots.len()).zip(&mut self.robots) {
+            watch.poll(robot, &mut self.unreliable);
+        }
         if let Some(transforms) = self.map_transforms.newest() {
             self.newest_transforms = Some(Box::new(*transforms));
         }
@@ -178,15 +185,19 @@ impl Observer {
         }
     }
 
-    /// Writes every map that came as PGM with YAML and as PNG. Returns the paths without extension, and the errors of
-    /// those that could not be written.
+    /// Writes every map that came as PGM with YAML and as PNG, with the reasons why it is unreliable. Returns the paths
+    /// without extension, and the errors of those that could not be written.
     pub fn write_maps(&self, dir: &Path) -> (Vec<PathBuf>, Vec<map_file::MapFileError>) {
-        let seen = self.maps.iter().chain([&self.merged_map]);
-        let seen = seen.filter(|watch| watch.reader.map().tiles().next().is_some());
+        let robots = RobotId::first(self.maps.len()).map(|robot| self.unreliable.reasons_of_robot(robot));
+        let merged = self.unreliable.reasons_of_merged_map(self.map_transforms());
+        let seen = self.maps.iter().zip(robots).chain([(&self.merged_map, merged)]);
+        let seen = seen.filter(|(watch, _)| watch.reader.map().tiles().next().is_some());
         let (mut written, mut errors) = (Vec::new(), Vec::new());
-        for watch in seen {
+        for (watch, reasons) in seen {
             let stem = dir.join(&watch.name);
-            match map_file::write_map(&stem, DenseMap::default().update(watch.reader.map())) {
+            let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
+            match map_file::write_doubted_map(&stem, DenseMap::default().update(watch.reader.map()), &reasons)
+            {
                 Ok(()) => written.push(stem),
                 Err(why) => errors.push(why),
             }

@@ -43,7 +43,10 @@ pub use fleet_topics::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, OutgoingTopic,
     TopicSink,
 };
-pub use page::{PageFile, TlsAcceptor, TlsError, serve_page, tls_acceptor};
+pub use page::{
+    PageContent, PageFile, ROOM_BYTES_MAX, RoomOffer, SaveRoom, TlsAcceptor, TlsError, serve_page,
+    tls_acceptor,
+};
 pub use ros_messages as ros;
 pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};
 pub use router::{ClientId, ConnectionEnded, Counters};

@@ -12,6 +12,7 @@ mod encoder;
 mod http;
 mod origin;
 mod protocol;
+mod room;
 mod server;
 mod session;
 mod socket;
@@ -19,6 +20,8 @@ mod stream;
 mod tls;
 
 pub use http::PageFile;
-pub use server::serve_page;
+pub(crate) use room::RoomError;
+pub use room::{ROOM_BYTES_MAX, RoomOffer, SaveRoom};
+pub use server::{PageContent, serve_page};
 pub use tls::{TlsError, tls_acceptor};
 pub use tokio_rustls::TlsAcceptor;

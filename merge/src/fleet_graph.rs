@@ -17,7 +17,7 @@
 //! | `alignment` | candidates and checks of whole maps, and when they are due |
 //! | `submap_match` | candidates of closures, verified |
 //! | `consistency`, `joint` | consistent set, joint solution |
-//! | `frame` | the reference robot, and who is connected to it |
+//! | `frame` | the reference robot, in the largest component, and who is connected to it |
 //! | `task`, `snapshot` | work for other threads, what survives the process |
 
 mod alignment;
@@ -41,7 +41,7 @@ pub use task::{Outcome, Task};
 use crate::config::MergeConfig;
 use crate::limits::is_plausible;
 use alignment::{next_alignment, next_check};
-use frame::{ReferenceRobot, connect_robots, set_reference, successor};
+use frame::{ReferenceRobot, connect_robots, reference_of_largest_component, set_reference, successor};
 use joint::JointProblem;
 use msg::{
     EdgeAction, EdgeState, Grid, MERGE_EDGES_MAX, MergeEdges, Pose2, ROBOTS_MAX, RobotId, Submap, SubmapPoses,
@@ -117,7 +117,8 @@ impl FleetPoseGraph {
     /// Creates the graph of a fleet.
     ///
     /// `starts` is frame `map` from frame `robotK/map` where that is known, by [`RobotId::index`]. If no start is known,
-    /// the first robot that sends submaps becomes the reference: its map fixes the frame `map`.
+    /// the first robot that sends submaps becomes the reference: its map fixes the frame `map`. When more robots are joined to
+    /// each other than to it, the first of them becomes the reference.
     pub fn new(config: &MergeConfig, starts: &[Option<Pose2>]) -> Self {
         let robot = |start: &Option<Pose2>| Robot::new(start.filter(|start| is_plausible(*start)));
         let robots: Vec<Robot> = starts.iter().take(ROBOTS_MAX).map(robot).collect();
@@ -302,6 +303,10 @@ impl FleetPoseGraph {
 
     /// Applies changed edges: connects robots to the frame or removes them, and requests a new solution.
     fn graph_changed(&mut self) {
+        let has_start = self.robots.iter().any(|robot| robot.estimate.start().is_some());
+        if let Some(reference) = self.reference.filter(|_| !has_start) {
+            self.reference = Some(reference_of_largest_component(&mut self.robots, &self.pairs, reference));
+        }
         connect_robots(&mut self.robots, &self.pairs, self.reference);
         self.needs_solve = true;
     }

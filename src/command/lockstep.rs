@@ -11,7 +11,6 @@ use crate::process::record::{self, Recording, files::DirectOutput};
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
-use formats::map_file;
 use reports::{FleetView, Style};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -107,9 +106,7 @@ pub fn run(args: &LockstepArgs, stop: &Stop) -> Result<(), Error> {
 /// Writes the maps and the robots' sessions into a folder.
 fn write_results(dir: &Path, fleet: &mut Lockstep) -> Result<(), Error> {
     std::fs::create_dir_all(dir)?;
-    for (name, map) in fleet.maps() {
-        map_file::write_map(&dir.join(name), map)?;
-    }
+    fleet.write_maps(|name| dir.join(name))?;
     let folder = dir.join(sessions::FOLDER);
     sessions::create_folder(&folder, fleet.known_starts())?;
     for (robot, session) in fleet.sessions() {

@@ -4,7 +4,8 @@ use super::queues::{MemoryPorts, Network, QueueMapReader, QueueReader};
 use crate::channel::{self, Opener, Program};
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
-use msg::{Correction, DenseMap, FleetStats, GroundTruth, Pose2, RobotId, Role};
+use crate::unreliable_maps::UnreliableMaps;
+use msg::{Correction, DenseMap, FleetStats, GridView, GroundTruth, MapTransforms, Pose2, RobotId, Role};
 use std::rc::Rc;
 
 /// The fleet's figures and maps, as the launcher and clients receive them.
@@ -15,6 +16,9 @@ pub struct Observer {
     /// Every map with its name.
     pub maps: Vec<(String, QueueMapReader, DenseMap)>,
     robots: Vec<LastSeen>,
+    transforms: QueueReader<MapTransforms>,
+    newest_transforms: Option<Box<MapTransforms>>,
+    unreliable: UnreliableMaps,
 }
 
 /// Newest pose that was received from a robot.
@@ -49,6 +53,9 @@ impl Observer {
             newest: Box::default(),
             maps,
             robots: run.robots().map(last_seen).collect::<Result<_, ChannelError>>()?,
+            transforms: ports.reader(&channel::map_transforms())?,
+            newest_transforms: None,
+            unreliable: UnreliableMaps::default(),
         })
     }
 
@@ -60,15 +67,29 @@ impl Observer {
         self.maps.iter_mut().for_each(|(_, reader, _)| {
             reader.poll();
         });
-        for robot in &mut self.robots {
+        for (id, robot) in RobotId::first(self.robots.len()).zip(&mut self.robots) {
             if let Some(truth) = robot.truths.newest() {
                 robot.world_from_base = Some(truth.world_from_base);
             }
             if let Some(correction) = robot.corrections.newest() {
                 robot.map_from_odom = correction.map_from_odom().or(robot.map_from_odom);
                 robot.map_from_base = Some(correction.map_from_base);
+                self.unreliable.record(id, &correction);
             }
         }
+        if let Some(transforms) = self.transforms.newest() {
+            self.newest_transforms = Some(Box::new(*transforms));
+        }
+    }
+
+    /// Returns every map received so far, with its name and the reasons why it is unreliable.
+    pub fn maps(&mut self) -> impl Iterator<Item = (&str, GridView<'_>, Vec<String>)> {
+        let (unreliable, transforms) = (self.unreliable, self.newest_transforms.as_deref());
+        let merged = unreliable.reasons_of_merged_map(transforms);
+        let robots = RobotId::first(self.robots.len()).map(move |robot| unreliable.reasons_of_robot(robot));
+        let seen = self.maps.iter_mut().zip(robots.chain([merged]));
+        let seen = seen.filter(|((_, reader, _), _)| reader.map().tiles().next().is_some());
+        seen.map(|((name, reader, grid), reasons)| (name.as_str(), grid.update(reader.map()), reasons))
     }
 
     /// Returns the pose that a restarted process of a robot is given.

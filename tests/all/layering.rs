@@ -15,6 +15,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("formats", &["msg"]),
     ("ros_messages", &["msg"]),
     ("link", &["msg"]),
+    ("link_transport", &["link", "formats", "ros_messages"]),
     ("bridge", &["msg", "ros_messages"]),
     ("runtime", &["msg", "formats"]),
     ("recording", &["msg", "ros_messages"]),

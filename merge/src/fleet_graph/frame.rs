@@ -27,6 +27,38 @@ pub(crate) fn successor(robots: &[Robot]) -> Option<ReferenceRobot> {
     })
 }
 
+/// Returns the reference that shows most robots: the present one, unless other robots are joined to each other in a larger
+/// number. Then it is the first of these, and the frame `map` is the frame of its map.
+pub(crate) fn reference_of_largest_component(
+    robots: &mut [Robot],
+    pairs: &[RobotPair],
+    reference: ReferenceRobot,
+) -> ReferenceRobot {
+    let components = components(robots.len(), pairs);
+    let size = |robot: usize| components.iter().filter(|component| **component == components[robot]).count();
+    // Of equal ones the first, so that the frame depends on the edges alone.
+    let largest = (0..robots.len()).max_by_key(|robot| (size(*robot), core::cmp::Reverse(*robot)));
+    let Some(largest) = largest.filter(|largest| size(*largest) > size(reference.robot)) else {
+        return reference;
+    };
+    robots.iter_mut().for_each(|robot| robot.reset_estimate(None));
+    set_reference(robots, largest, Pose2::IDENTITY)
+}
+
+/// Returns the component of each robot, which is the least index of the robots that active edges join.
+fn components(robots: usize, pairs: &[RobotPair]) -> Vec<usize> {
+    let mut components: Vec<usize> = (0..robots).collect();
+    for (index, _) in pairs.iter().enumerate().filter(|(_, pair)| pair.edge.is_active()) {
+        let [a, b] = robots_of_pair(index).map(|robot| components[robot]);
+        let (joined, first) = (a.max(b), a.min(b));
+        components
+            .iter_mut()
+            .filter(|component| **component == joined)
+            .for_each(|component| *component = first);
+    }
+    components
+}
+
 /// Gives a transform to every robot that active edges connect to the frame, and removes it from all others.
 pub(crate) fn connect_robots(robots: &mut [Robot], pairs: &[RobotPair], reference: Option<ReferenceRobot>) {
     let mut connected: Vec<bool> = robots.iter().map(|robot| robot.estimate.start().is_some()).collect();

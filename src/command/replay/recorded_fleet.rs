@@ -6,7 +6,6 @@ use crate::config::FleetConfig;
 use crate::lockstep::Lockstep;
 use crate::process::record::description::CONFIGURATION;
 use crate::process::record::{PLANAR_ODOMETRY, map_hash};
-use formats::map_file::write_map;
 use msg::Scan;
 use recording::fleet::FleetRecording;
 use recording::{METADATA, RecordingReader};
@@ -55,12 +54,10 @@ pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     if let Some(path) = &args.map {
         // The merged map under this name, and each robot's beside it.
         let stem = path.with_extension("");
-        for (name, map) in fleet.maps() {
-            let is_merged = name == "merged_map";
-            let own =
-                stem.with_file_name(format!("{}_{name}", stem.file_name().unwrap_or_default().display()));
-            write_map(if is_merged { &stem } else { &own }, map)?;
-        }
+        let of_robot = |name: &str| {
+            stem.with_file_name(format!("{}_{name}", stem.file_name().unwrap_or_default().display()))
+        };
+        fleet.write_maps(|name| if name == "merged_map" { stem.clone() } else { of_robot(name) })?;
     }
     let view = FleetView::new(fleet.stats());
     let times_real_time = ends.seconds() / begun.elapsed().as_secs_f64().max(1e-9);
