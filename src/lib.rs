@@ -6,9 +6,11 @@ pub use runtime::{
     stop, storage, watchdog,
 };
 
-// Command line, configuration and processes.
+// The configuration is a crate of its own too.
+pub use ::config;
+
+// Command line and processes.
 pub mod command;
-pub mod config;
 pub mod fleet;
 pub mod lockstep;
 mod page_files;

@@ -18,6 +18,8 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("link_transport", &["link", "formats", "ros_messages"]),
     ("bridge", &["msg", "ros_messages"]),
     ("runtime", &["msg", "formats"]),
+    // Each crate has its part of the file.
+    ("config", &["msg", "sim", "slam", "merge", "formats", "bridge", "runtime"]),
     ("recording", &["msg", "ros_messages"]),
     // A report shows the bridge's clients.
     ("reports", &["msg", "formats", "bridge"]),

@@ -11,10 +11,9 @@ pub use error::{ConfigError, ValueError};
 pub use recording::{RecordingConfig, RecordingConfigError};
 pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
 
-use crate::processes::{self, ProcessRow};
-use crate::realtime::RealtimeConfig;
 use bridge::RobotNames;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Role};
+use runtime::processes::{self, ProcessRow};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -39,7 +38,7 @@ pub struct FleetConfig {
     /// Recording of the fleet's messages.
     pub recording: RecordingConfig,
     /// Real-time priority, locked memory and cores of the processes.
-    pub realtime: RealtimeConfig,
+    pub realtime: runtime::realtime::RealtimeConfig,
 }
 
 impl Default for FleetConfig {
@@ -54,7 +53,7 @@ impl Default for FleetConfig {
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
             recording: RecordingConfig::default(),
-            realtime: RealtimeConfig::default(),
+            realtime: runtime::realtime::RealtimeConfig::default(),
         }
     }
 }
