@@ -22,7 +22,6 @@ use crate::drive::velocity_gate::{Velocity, VelocityGate};
 use crate::drive::{DriveArbiter, Driver};
 use crate::fleet_topics::{FleetMessage, FleetTopic, FleetTopics};
 use crate::frame::{Frame, Side};
-use crate::page::RoomOffer;
 use crate::relay::RelayTable;
 use crate::router::{
     ClientId, ClientSocket, Counters, ExpectedFrame, FrameKind, OutgoingQueue, TopicRouter, TopicTable,
@@ -72,8 +71,6 @@ pub struct Core {
     pub world: Option<WorldInput>,
     /// The newest figures of telemetry, for the operator's page.
     pub stats: Option<Box<FleetStats>>,
-    /// The room that waits for the operator's answer.
-    pub room_offer: Option<RoomOffer>,
     /// The clients that are being dropped.
     departures: Departures,
 }
@@ -101,7 +98,6 @@ impl Core {
             config,
             world,
             stats: None,
-            room_offer: None,
             departures: Departures::default(),
         };
         core.send_velocities();

@@ -20,8 +20,7 @@ mod stream;
 mod tls;
 
 pub use http::PageFile;
-pub(crate) use room::RoomError;
-pub use room::{ROOM_BYTES_MAX, RoomOffer, SaveRoom};
+pub use room::{ROOM_BYTES_MAX, SaveRoom};
 pub use server::{PageContent, serve_page};
 pub use tls::{TlsError, tls_acceptor};
 pub use tokio_rustls::TlsAcceptor;

@@ -5,7 +5,7 @@
 use super::http::text_response;
 use crate::bridge::Bridge;
 use crate::connection::Stream;
-use serde::{Deserialize, Serialize};
+use crate::room_offer::{OfferError, RoomOffer};
 use std::cell::Cell;
 use std::future::Future;
 use std::io;
@@ -29,24 +29,12 @@ const READ_BYTES: usize = 64 << 10;
 /// Saves an offered room, replacing an earlier one. Must not block the thread.
 pub type SaveRoom = Rc<dyn Fn(Vec<u8>) -> Pin<Box<dyn Future<Output = io::Result<()>>>>>;
 
-/// A room that waits for the operator's answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RoomOffer {
-    /// Who offers it.
-    pub address: IpAddr,
-    /// Size of the room's file.
-    pub bytes: usize,
-}
-
-/// Why a room cannot be offered.
+/// Why a room is not taken.
 #[derive(Debug, Error)]
-pub(crate) enum RoomError {
-    /// The fleet's robots are not simulated here.
-    #[error("the robots of this fleet are not simulated: it has no room to replace")]
-    NotSimulated,
-    /// Another address has offered a room that nobody has answered.
-    #[error("the room of {0} waits for an answer already")]
-    Waiting(IpAddr),
+pub(super) enum RoomError {
+    /// It may not be offered now.
+    #[error(transparent)]
+    Offer(#[from] OfferError),
     /// Another room is being received.
     #[error("another room is being received; try again")]
     Busy,
@@ -92,7 +80,7 @@ impl RoomReceiver {
             Ok(()) => text_response("202 Accepted", "the room waits for the operator's answer"),
             Err(error) => {
                 let status = match error {
-                    RoomError::NotSimulated | RoomError::Waiting(_) => "409 Conflict",
+                    RoomError::Offer(_) => "409 Conflict",
                     RoomError::Busy => "503 Service Unavailable",
                     RoomError::Slow => "408 Request Timeout",
                     RoomError::Save(_) => "500 Internal Server Error",
@@ -111,7 +99,7 @@ impl RoomReceiver {
         length: usize,
     ) -> Result<(), RoomError> {
         let address = address.to_canonical();
-        let save = self.save.as_ref().ok_or(RoomError::NotSimulated)?;
+        let save = self.save.as_ref().ok_or(OfferError::NotSimulated)?;
         bridge.check_room_offer(address)?;
         if self.is_busy.replace(true) {
             return Err(RoomError::Busy);

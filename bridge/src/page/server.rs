@@ -6,6 +6,7 @@ use super::protocol::{ENCODING, ServerCommand, selfcheck_text};
 use super::room::{RoomReceiver, SaveRoom};
 use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
+use super::stream::respond;
 use super::tls::serve_encrypted;
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
@@ -31,8 +32,6 @@ use tungstenite::Message;
 const REQUESTS_MAX: usize = 32;
 /// A request must be complete after this time.
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
-/// A file must be taken in this time. The whole page is smaller than a map.
-const FILE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(500);
 /// Bytes read at a time.
@@ -162,26 +161,6 @@ async fn read_request(
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(error) => return Err(error),
         }
-    }
-}
-
-/// Sends a response and closes the connection.
-async fn respond(stream: &impl Stream, head: &[u8], body: &[u8]) {
-    let write = async {
-        for mut bytes in [head, body] {
-            while !bytes.is_empty() {
-                stream.ready(Interest::WRITABLE).await?;
-                match stream.try_write_vectored(&[io::IoSlice::new(bytes)]) {
-                    Ok(written) => bytes = &bytes[written..],
-                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                    Err(error) => return Err(error),
-                }
-            }
-        }
-        Ok::<(), io::Error>(())
-    };
-    if let Ok(Ok(())) = timeout(FILE_TIMEOUT, write).await {
-        close_gently(stream).await;
     }
 }
 
