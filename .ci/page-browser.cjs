@@ -18,6 +18,7 @@ const launch = () => chromium.launch({ executablePath: CHROMIUM, args: BROWSER_A
 async function serveFiles(context, base) {
   if (!folder) return;
   await context.route((at) => at.href.startsWith(base), (route) => {
+    if (route.request().method() !== "GET") return route.continue();
     const { pathname } = new URL(route.request().url());
     const file = `${folder}/${pathname === "/" ? "index.html" : pathname === "/selfcheck" ? "selfcheck.html" : pathname}`;
     return route.fulfill({ body: readFileSync(file), contentType: TYPES[file.split(".").pop()] });
@@ -25,7 +26,7 @@ async function serveFiles(context, base) {
 }
 
 /** Opens the page and waits for the robots; its errors are kept. */
-async function open(browser, { sockets = false, base = url, ...options } = {}) {
+async function open(browser, { sockets = false, base = url, robots = 2, ...options } = {}) {
   const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, colorScheme: "dark", ...options });
   await serveFiles(context, base);
   const page = await context.newPage();
@@ -44,7 +45,7 @@ async function open(browser, { sockets = false, base = url, ...options } = {}) {
   page.on("pageerror", (error) => errors.push(error.message));
   page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
   await page.goto(base);
-  await page.waitForFunction(() => document.querySelectorAll(".robot .badge.good").length === 2, null, WAIT);
+  await page.waitForFunction((count) => document.querySelectorAll(".robot .badge.good").length === count, robots, WAIT);
   return { page, errors };
 }
 

@@ -1,12 +1,13 @@
 // Mixed reality on an emulated Quest 3, in a scanned room that is also the world of a real fleet. `.ci/page` starts both.
 
 const assert = require("node:assert/strict");
+const { execFileSync } = require("node:child_process");
 const { readFileSync } = require("node:fs");
 const { after, before, test } = require("node:test");
 const { chromium } = require("playwright-core");
 const { serveFiles, BROWSER_ARGS } = require("./page-browser.cjs");
 
-const { PAGE_URL: url, PAGE_OUT: out, PAGE_ROOM: roomFile, PAGE_EMULATOR: emulator } = process.env;
+const { PAGE_URL: url, PAGE_OUT: out, PAGE_ROOM: roomFile, PAGE_EMULATOR: emulator, PAGE_PROGRAM: program, PAGE_RUN: run } = process.env;
 /** What has not come by then never comes, ms: the emulator draws few frames a second on a busy machine. */
 const WAIT = { timeout: 40_000 };
 /** Starts of the two robots in the room, as `.ci/page` configures them: x, y, yaw. `map` is the room's frame. */
@@ -218,6 +219,48 @@ test("the thumbstick drives the robot that a trigger selected, and only it, whil
   assert.ok(moved[0] < 0.02, `the other robot moved ${moved[0]} m`);
 });
 
+test("a bare left hand drives while it pinches, and opening it or losing it stops the robot", async () => {
+  const { page } = headset;
+  const hand = (change) => page.evaluate(([pinch, place, isSeen]) => {
+    const { left } = globalThis.quest.device.hands;
+    left.connected = isSeen;
+    left.updatePinchValue(pinch);
+    left.position.set(...place);
+  }, change).then(() => headset.frames(3));
+  const isHeld = () => page.evaluate(() => globalThis.mixedReality.controls.hand.held !== null);
+  const isDriver = (who) => page.waitForFunction((wanted) => document.querySelectorAll(".robot")[1].textContent.includes(`Driver${wanted}`), who, WAIT);
+  await page.keyboard.press("Digit2");
+  await headset.look(inXr(0.2, -1.1, 1.5), inXr(0.1, 0.6, 0.6));
+  await page.evaluate(() => { globalThis.quest.device.primaryInputMode = "hand"; });
+  const { from, yaw } = headset.eye;
+  const place = (ahead) => [from[0] - 0.2 - ahead * Math.sin(yaw), from[1] - 0.4, from[2] - 0.3 - ahead * Math.cos(yaw)];
+  await hand([0, place(0), true]);
+  assert.equal(await isHeld(), false, "an open hand holds nothing");
+  await hand([1, place(0), true]);
+  assert.equal(await isHeld(), true, "a pinch holds");
+  const before = await page.evaluate(() => ({ ...globalThis.mixedReality.operator.fleet.robots.get(2).pose }));
+  // Towards the viewer is backwards: there the robot has just come from.
+  await hand([1, place(-0.09), true]);
+  await isDriver("you");
+  await page.waitForFunction(([x, y]) => {
+    const { pose } = globalThis.mixedReality.operator.fleet.robots.get(2);
+    return Math.hypot(pose.x - x, pose.y - y) > 0.05;
+  }, [before.x, before.y], WAIT);
+  await hand([1, place(-0.09), false]);
+  await isDriver("nobody");
+  // Found again while it is closed, it holds nothing until it has been open.
+  await hand([1, place(0), true]);
+  assert.equal(await isHeld(), false, "a hand that is found closed");
+  await hand([0, place(0), true]);
+  await hand([1, place(0), true]);
+  assert.equal(await isHeld(), true);
+  await hand([0, place(0), true]);
+  assert.equal(await isHeld(), false, "an open hand lets go");
+  assert.equal(await headset.driver(1), "nobody");
+  await page.evaluate(() => { globalThis.quest.device.primaryInputMode = "controller"; });
+  await headset.frames(2);
+});
+
 test("from life-size to the table to the view from the selected robot, which is below the viewer then", async () => {
   await headset.page.keyboard.press("Digit1");
   await headset.look(inXr(0.2, -1.1, 1.5), inXr(0.1, 0.6, 0.6));
@@ -290,4 +333,42 @@ test("/selfcheck shows what the device gives in a session", async () => {
   await context.close();
 });
 
-test("no error was reported", () => assert.deepEqual(headset.errors, []));
+test("the headset's room becomes the robots' when the operator accepts it at the laptop, and lies where the room is", async () => {
+  // Another session, whose map was aligned with nothing.
+  const other = await Headset.open();
+  const { page } = other;
+  await other.look(inXr(0, -1, 1.6), inXr(0, 2, 1.6));
+  await page.click("#reality");
+  await page.waitForSelector('#reality[aria-pressed="true"]', { state: "attached", ...WAIT });
+  await page.waitForFunction(() => globalThis.mixedReality.buttonPlace("Use my room") !== null, null, WAIT);
+  await other.press("Use my room");
+  await page.waitForFunction(() => document.querySelector("#items").textContent.includes("offers its room"), null, WAIT);
+  assert.equal(await page.evaluate(() => globalThis.mixedReality.operator.fleet.runs), 1, "nothing happens before it is accepted");
+  const accept = () => execFileSync(program, ["room", "--run-dir", run, "accept"], { encoding: "utf8" });
+  assert.match(accept(), /starts again in the headset's room of \d/);
+  assert.throws(accept, "it is accepted once");
+  await page.waitForFunction(() => {
+    const { fleet } = globalThis.mixedReality.operator;
+    return fleet.runs === 2 && [...fleet.robots.values()].every((robot) => robot.scan && robot.pose) && fleet.map;
+  }, null, WAIT);
+  await other.frames(3);
+  const { x, y, yaw } = await page.evaluate(() => globalThis.mixedReality.placement.pose);
+  assert.ok(Math.hypot(x, y) < 0.01 && Math.abs(yaw + Math.PI / 2) < 0.01, `the map is at ${x}, ${y}, ${yaw}`);
+  // The robots' scans end at the room's surfaces: between the walls of the scan.
+  const box = await page.evaluate(() => {
+    const { fleet } = globalThis.mixedReality.operator;
+    const { origin, width, height, resolution } = fleet.map;
+    return [origin.x, origin.y, width * resolution, height * resolution];
+  });
+  assert.ok(box[2] > 2 && box[2] < 9 && box[3] > 2 && box[3] < 9, `the map is of another room: ${box}`);
+  await page.waitForFunction(() => !document.querySelector("#items").textContent.includes("offers its room"), null, WAIT);
+  await other.look(inXr(0.2, -1.1, 1.5), inXr(0.1, 0.6, 0));
+  await page.evaluate(() => { globalThis.quest.show(); });
+  await other.frames(2);
+  await page.screenshot({ path: `${out}/page-mr-my-room.png` });
+  assert.deepEqual(other.errors.filter((text) => !text.includes("WebSocket")), []);
+  await other.close();
+});
+
+// While the fleet starts again, the browser reports the sockets that it cannot open.
+test("no error was reported", () => assert.deepEqual(headset.errors.filter((text) => !text.includes("WebSocket")), []));

@@ -18,13 +18,17 @@ const watchSpeed = () => watchSpeedOn(browser);
 test("the page shows every robot and the map, and reports no error", async () => {
   const { page, errors } = await open();
   await page.waitForFunction(() => document.querySelector("#fleet").textContent.includes("cells of"), null, WAIT);
-  // Free floor is drawn: a colour that is neither the background's nor a robot's.
+  // Free floor is drawn, in the colour of the robot that saw it.
   await page.waitForFunction(() => {
     const canvas = document.querySelector("#view");
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-    let free = 0;
-    for (let i = 0; i < data.length; i += 4) free += data[i] === 0x2b && data[i + 1] === 0x37 && data[i + 2] === 0x45;
-    return free > 2000;
+    const [free, opacity] = [[0x2b, 0x37, 0x45], 70 / 255];
+    const seen = [[0xe6, 0x9f, 0x00], [0x3a, 0x9a, 0xd9]].map((colour) => colour.map((value, k) => free[k] + opacity * (value - free[k])));
+    const counts = [0, 0];
+    for (let i = 0; i < data.length; i += 4) {
+      seen.forEach((colour, robot) => { if (colour.every((value, k) => Math.abs(data[i + k] - value) < 3)) counts[robot] += 1; });
+    }
+    return counts.every((count) => count > 2000);
   }, null, WAIT);
   await page.screenshot({ path: `${out}/page-desk.png` });
   assert.deepEqual(errors, []);

@@ -5,9 +5,11 @@ import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection }
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
 import { describeExploration, isExploring } from "./exploration.js";
 import { MeasureTool } from "./measure.js";
-import { writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
+import { ZoneTool } from "./zones.js";
+import { readGrid, writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
 import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
 import { attachPointers } from "./pointers.js";
+import { RobotMaps } from "./seen.js";
 import { Fleet, MAP } from "./state.js";
 import { Connection } from "./transport.js";
 import { View } from "./view.js";
@@ -49,7 +51,11 @@ const live = new Connection(url, {
     if (isOpen) fleet.clock.reset();
     showLink();
   },
-  time: (askedAt, answeredAt, runTime) => fleet.clock.add(askedAt / 1000, answeredAt / 1000, runTime),
+  time: (askedAt, answeredAt, runTime) => {
+    if (!fleet.setRunTime(askedAt / 1000, answeredAt / 1000, runTime)) return;
+    robotMaps.clear();
+    logMessage("the fleet has started again");
+  },
   status: (level, text) => logMessage(text, level === ERROR),
   parameter: (name, value) => {
     if (name !== FLEET_PARAMETER) return;
@@ -57,12 +63,13 @@ const live = new Connection(url, {
   },
 });
 live.subscribeParameters();
-["/emergency_stop", "/tf_static", "/tf", "/merge_edges", "/explore/state"].forEach((topic) => live.subscribe(topic));
+["/emergency_stop", "/tf_static", "/tf", "/merge_edges", "/explore/state", "/exclusion_zones"].forEach((topic) => live.subscribe(topic));
 
 /** Maps have a connection of their own: they delay neither commands nor transforms. */
 const maps = new Connection(url, {
   message: (topic, data) => {
-    receive(topic, data);
+    if (robotMaps.receive(topic, () => readGrid(data), now())) fleet.seen = robotMaps.layer(fleet);
+    else receive(topic, data);
     followMap();
   },
   state: (isOpen) => {
@@ -71,6 +78,7 @@ const maps = new Connection(url, {
   },
 });
 maps.subscribe("/merged_map_tiles");
+const robotMaps = new RobotMaps(maps);
 
 /** Asks for the whole map while it is needed; then its tiles are enough. */
 function followMap() {
@@ -78,7 +86,10 @@ function followMap() {
   else maps.unsubscribe("/merged_map");
 }
 
-setInterval(() => [live, maps].forEach((connection) => connection.tick()), TICK_MS);
+setInterval(() => {
+  [live, maps].forEach((connection) => connection.tick());
+  robotMaps.tick(fleet, now());
+}, TICK_MS);
 
 function showLink() {
   const link = element("link");
@@ -225,6 +236,7 @@ const goals = new GoalTool({
   log: logMessage,
   show: (isOn) => {
     if (isOn) measure.toggle(false);
+    if (isOn) zones.toggle(false);
     element("goal").setAttribute("aria-pressed", String(isOn));
     element("view").classList.toggle("aiming", isOn);
   },
@@ -233,11 +245,24 @@ element("goal").addEventListener("click", () => goals.toggle());
 
 const measure = new MeasureTool((isOn) => {
   if (isOn && goals.isOn) goals.toggle();
+  if (isOn) zones.toggle(false);
   element("measure").setAttribute("aria-pressed", String(isOn));
   element("view").classList.toggle("measuring", isOn);
 });
 view.measure = measure;
 element("measure").addEventListener("click", () => measure.toggle());
+const zones = new ZoneTool({
+  zones: () => fleet.zones,
+  publish: (topic, type, payload, isUrgent) => live.publish(topic, type, payload, isUrgent),
+  show: (isOn) => {
+    if (isOn && goals.isOn) goals.toggle();
+    if (isOn) measure.toggle(false);
+    element("zone").setAttribute("aria-pressed", String(isOn));
+    element("view").classList.toggle("measuring", isOn);
+  },
+});
+view.zones = zones;
+element("zone").addEventListener("click", () => zones.toggle());
 element("cancel-goal").addEventListener("click", () => goals.command("cancel"));
 element("resume-goal").addEventListener("click", () => goals.command("resume"));
 
@@ -273,6 +298,7 @@ const KEYS = {
   KeyT: takeOver,
   KeyG: () => goals.toggle(),
   KeyM: () => measure.toggle(),
+  KeyZ: () => zones.toggle(),
   KeyF: () => setFits(true),
   KeyC: toggleFollow,
   Equal: () => zoom(1.25),
@@ -359,7 +385,7 @@ element("follow").addEventListener("click", toggleFollow);
 element("zoom-in").addEventListener("click", () => zoom(1.25));
 element("zoom-out").addEventListener("click", () => zoom(0.8));
 
-attachPointers({ view, fleet, goals, measure, select, zoom, show: showTools });
+attachPointers({ view, fleet, goals, measure, zones, select, zoom, show: showTools });
 
 // --- Drawing ---
 

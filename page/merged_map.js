@@ -32,6 +32,15 @@ export class MergedMap {
     this.last = null;
   }
 
+  /** Forgets the map: the run is another one. */
+  clear() {
+    this.begin();
+    this.grid = null;
+    this.at = null;
+    this.version += 1;
+    this.changes = [];
+  }
+
   /** @param {Area[] | null} areas @param {number} at */
   record(areas, at) {
     this.version += 1;

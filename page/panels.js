@@ -172,6 +172,7 @@ function plot(canvas, points) {
   const colour = (/** @type {string} */ name) => getComputedStyle(canvas).getPropertyValue(name).trim();
   const [first, last] = [points[0], points[points.length - 1]];
   const most = Math.max(1, ...points.map((point) => point.m2));
+  if (points.length === 0) return;
   const span = Math.max(10, last.at - first.at);
   context.strokeStyle = colour("--line");
   context.strokeRect(0.5, 0.5, width - 1, height - 1);

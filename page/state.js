@@ -4,6 +4,7 @@ import { RunClock } from "./clock.js";
 import { FrameTree, compose } from "./geometry.js";
 import { readEdges, robotsOf } from "./edges.js";
 import { readExploration } from "./exploration.js";
+import { readZones } from "./zones.js";
 import { receiveNavigation } from "./goals.js";
 import { MergedMap } from "./merged_map.js";
 import { readBool, readGrid, readMapTiles, readOdometryFrames, readPose, readScan, readTransforms } from "./messages.js";
@@ -25,6 +26,8 @@ const TRAIL_MAX = 4000;
 const TRAIL_STEP_M = 0.04;
 /** Points of the plot of the mapped area, one a second. */
 const AREA_MAX = 3600;
+/** A run's time that is behind by more than this is another run's, seconds. */
+const BACKWARD_S = 2;
 
 /** One robot. */
 export class Robot {
@@ -74,10 +77,18 @@ export class Fleet {
     this.frames = new FrameTree();
     this.clock = new RunClock();
     this.merged = new MergedMap();
+    /** Which robot saw what of the map. @type {import("./seen.js").Layer | null} */
+    this.seen = null;
+    /** Counts the runs: another one begins when the fleet starts again in another room. */
+    this.runs = 1;
+    /** The run's time when the bridge was asked last, seconds. */
+    this.runTime = 0;
     /** How the robots' maps lie to each other. @type {import("./edges.js").Edge[]} */
     this.edges = [];
     /** What exploration does, or null if nobody has said. @type {import("./exploration.js").Exploration | null} */
     this.exploration = null;
+    /** The areas that navigation keeps robots out of. @type {import("./zones.js").Zone[]} */
+    this.zones = [];
     /** @type {boolean | null} */
     this.isStopped = null;
     /** @type {any} */
@@ -88,6 +99,32 @@ export class Fleet {
 
   /** The merged map, or null if there is none yet. */
   get map() { return this.merged.grid; }
+
+  /**
+   * Takes the run's time from an answer of the bridge. Returns whether another run has begun: its time is behind.
+   * @param {number} askedAt @param {number} answeredAt seconds of the page @param {number} runTime seconds
+   */
+  setRunTime(askedAt, answeredAt, runTime) {
+    // A bridge that has just begun does not know the time yet.
+    const isAnother = runTime > 0 && runTime < this.runTime - BACKWARD_S;
+    if (isAnother) this.restart();
+    if (runTime > 0) this.runTime = runTime;
+    this.clock.add(askedAt, answeredAt, runTime);
+    return isAnother;
+  }
+
+  /** Forgets what belongs to the run that has ended. */
+  restart() {
+    this.runs += 1;
+    this.clock.reset();
+    this.frames = new FrameTree();
+    this.merged.clear();
+    Object.assign(this, { seen: null, edges: [], exploration: null, zones: [], area: [] });
+    for (const robot of this.robots.values()) {
+      const { number, prefix, figures } = robot;
+      Object.assign(robot, new Robot(number, prefix), { figures });
+    }
+  }
 
   /** Takes the state of the fleet as the bridge tells it; returns the robots that are new. */
   setFigures(/** @type {any} */ figures, /** @type {number} */ now) {
@@ -129,6 +166,10 @@ export class Fleet {
     }
     if (topic === "/merge_edges") {
       this.edges = readEdges(view);
+      return undefined;
+    }
+    if (topic === "/exclusion_zones") {
+      this.zones = readZones(view).zones;
       return undefined;
     }
     if (topic === "/explore/state") {
@@ -213,6 +254,8 @@ export class Fleet {
     const items = [];
     if (!isConnected) items.push({ rank: 0, robot: null, text: "no connection to the bridge" });
     if (this.isStopped) items.push({ rank: 1, robot: null, text: "emergency stop is set" });
+    const offer = this.figures.room_offer;
+    if (offer) items.push({ rank: 2, robot: null, text: `${offer.address} offers its room as the world: at the laptop, mr-slam room accept or refuse` });
     for (const robot of this.robots.values()) {
       const add = (/** @type {number} */ rank, /** @type {string} */ text) => {
         items.push({ rank, robot: robot.number, text });

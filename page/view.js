@@ -31,12 +31,17 @@ export class View {
     /** Whether the whole map is shown, also when it grows. */
     this.fits = true;
     this.mapImage = document.createElement("canvas");
+    this.seenImage = document.createElement("canvas");
+    /** The layer of colours that is painted. @type {import("./seen.js").Layer | null} */
+    this.paintedSeen = null;
     /** Colours and version of the map that is painted, and since when there is one, ms of the page. */
     this.painted = { colours: "", version: 0, at: 0 };
     /** The goal that the operator is drawing. @type {import("./geometry.js").Pose | null} */
     this.drawnGoal = null;
     /** The distance that the operator measures. @type {import("./measure.js").MeasureTool | null} */
     this.measure = null;
+    /** The areas to keep robots out of. @type {import("./zones.js").ZoneTool | null} */
+    this.zones = null;
   }
 
   /** Takes the canvas's size on the screen. */
@@ -64,6 +69,7 @@ export class View {
       line: colour("--map-line"),
       text: colour("--text"),
       stale: colour("--stale"),
+      alarm: colour("--danger"),
     };
   }
 
@@ -79,6 +85,7 @@ export class View {
     context.fillStyle = colours.background;
     context.fillRect(0, 0, camera.width, camera.height);
     this.drawMap(fleet, colours);
+    this.zones?.draw(context, camera, colours);
     this.drawMetres(colours);
     const robots = [...fleet.robots.values()].sort((a, b) => Number(a.number === selected) - Number(b.number === selected));
     robots.forEach((robot) => this.drawTrail(robot));
@@ -114,15 +121,34 @@ export class View {
       this.paintCells(map, areas, colours);
       this.painted = { colours: theme, version: merged.version, at: this.painted.at || performance.now() };
     }
+    this.drawRaster(this.mapImage, map);
+    if (fleet.seen) this.drawSeen(fleet.seen);
+  }
+
+  /** Draws the colours of the robots that saw the map. @param {import("./seen.js").Layer} layer */
+  drawSeen(layer) {
+    if (layer !== this.paintedSeen) {
+      const { width, height, pixels } = layer;
+      Object.assign(this.seenImage, { width, height });
+      const image = new ImageData(width, height);
+      new Uint32Array(image.data.buffer).set(pixels);
+      this.seenImage.getContext("2d")?.putImageData(image, 0, 0);
+      this.paintedSeen = layer;
+    }
+    this.drawRaster(this.seenImage, layer);
+  }
+
+  /** @param {HTMLCanvasElement} image @param {{origin: import("./geometry.js").Pose, resolution: number}} raster where its first cell lies, and their size */
+  drawRaster(image, { origin, resolution }) {
     const { context, camera } = this;
-    const origin = camera.toScreen(map.origin);
+    const corner = camera.toScreen(origin);
     context.save();
-    context.translate(origin.x, origin.y);
-    context.rotate(-map.origin.yaw);
-    const scale = map.resolution * camera.scale;
+    context.translate(corner.x, corner.y);
+    context.rotate(-origin.yaw);
+    const scale = resolution * camera.scale;
     context.scale(scale, -scale);
     context.imageSmoothingEnabled = scale < 1;
-    context.drawImage(this.mapImage, 0, 0);
+    context.drawImage(image, 0, 0);
     context.restore();
   }
 

@@ -5,8 +5,9 @@ import { compose, invert, transform } from "./geometry.js";
 import { facing, multiply, rotationAboutY, transformDirection, transformPoint, translation } from "./matrix.js";
 import { BURGER_HEIGHT_M } from "./models.js";
 import { KeptAnchor } from "./xr_anchors.js";
-import { Controls, pulse, rayOf } from "./xr_input.js";
+import { Controls, isDrivingHand, pulse, rayOf } from "./xr_input.js";
 import { FleetPanel, RobotPanel } from "./xr_panels.js";
+import { RoomSender } from "./xr_room.js";
 import { Scene, channels } from "./xr_scene.js";
 import { XrSession, requestSession } from "./xr_session.js";
 import { RobotView, tablePlacement } from "./xr_views.js";
@@ -66,6 +67,7 @@ export class MixedReality {
     /** The steps of an alignment that is under way. @type {{inMap: Pose, name: string, place: Vector | null} | null} */
     this.alignment = null;
     this.notice = "";
+    this.roomSender = new RoomSender((text) => { this.notice = text; });
     /** @type {Map<number, RobotPanel>} */
     this.robotPanels = new Map();
     /** @type {Pointer[]} */
@@ -90,7 +92,7 @@ export class MixedReality {
       this.robotPanels.clear();
       session.addEventListener("select", (/** @type {any} */ event) => {
         const ray = rayOf(event.frame, event.inputSource, xr.space);
-        if (ray) this.select(ray, event.frame);
+        if (ray && !isDrivingHand(event.inputSource)) this.select(ray, event.frame);
       });
       this.xr = xr;
       this.changed(true);
@@ -122,7 +124,8 @@ export class MixedReality {
     const { matrix } = viewer.transform;
     const eye = /** @type {Vector} */ ([matrix[12], matrix[13], matrix[14]]);
     const gaze = transformDirection(matrix, [0, 0, -1]);
-    this.controls.update(xr.session, frame, xr.space, now);
+    this.controls.update(xr.session, frame, xr.space, now, poseFromXr(matrix).yaw);
+    this.roomSender.update(frame, xr.space, fleet.runs, this.mapAnchor);
     const anchor = this.mapAnchor.matrix(frame, xr.space);
     if (anchor) this.placement.pose = compose(poseFromXr(anchor), invert(this.mapAnchor.data ?? { x: 0, y: 0, yaw: 0 }));
     this.viewerPose = poseFromXr(matrix);
@@ -144,7 +147,10 @@ export class MixedReality {
     const distance = (/** @type {import("./xr_panels.js").Panel} */ { matrix }) => (matrix ? Math.hypot(matrix[12] - place[0], matrix[13] - place[1], matrix[14] - place[2]) : 0);
     this.panels().sort((a, b) => distance(b) - distance(a)).forEach((panel) => panel.draw());
     const robot = operator.fleet.robots.get(operator.selected() ?? -1);
-    for (const pointer of this.pointers) scene.drawPointer(pointer, robot ? channels(robot.colour) : [1, 1, 1]);
+    const colour = robot ? channels(robot.colour) : /** @type {Vector} */ ([1, 1, 1]);
+    for (const pointer of this.pointers) scene.drawPointer(pointer, colour);
+    const { held } = this.controls.hand;
+    if (held) scene.drawPointer({ origin: held.from, direction: [0, 0, 0], end: held.at, isOnFloor: false }, colour);
     xr.renderer.setOnTop(false);
   }
 
@@ -214,6 +220,7 @@ export class MixedReality {
       { text: this.alignment ? "Cancel" : "Align map", press: () => this.beginAlignment(), isOn: this.alignment !== null },
       { text: this.nextView(), press: () => this.changeView() },
       ...(isOthers ? [{ text: "Take over", press: operator.takeOver }] : []),
+      { text: "Use my room", press: () => this.roomSender.ask() },
       { text: "Leave", press: () => this.xr?.end() },
     ];
   }

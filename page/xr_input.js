@@ -2,6 +2,7 @@
 
 import { thumbstickDeflection } from "./input.js";
 import { transformDirection } from "./matrix.js";
+import { DRIVING_HAND, HandStick } from "./xr_hands.js";
 
 /** @typedef {import("./input.js").Deflection} Deflection */
 /** @typedef {[number, number, number]} Vector */
@@ -28,17 +29,24 @@ export class Controls {
     this.deflectionAt = -Infinity;
     /** @type {Ray[]} */
     this.rays = [];
+    this.hand = new HandStick();
   }
 
-  /** Takes the state of a frame. @param {any} session @param {any} frame @param {any} space @param {number} now seconds */
-  update(session, frame, space, now) {
+  /**
+   * Takes the state of a frame. @param {any} session @param {any} frame @param {any} space @param {number} now seconds
+   * @param {number} [heading] where the viewer looks, radians about WebXR's y axis
+   */
+  update(session, frame, space, now, heading = 0) {
     this.rays = [];
     this.deflection = null;
     this.deflectionAt = now;
-    if (session.visibilityState !== "visible") return;
+    if (session.visibilityState !== "visible") {
+      this.hand.release();
+      return;
+    }
     const down = new Set();
     for (const source of session.inputSources) {
-      const ray = source.targetRayMode === "tracked-pointer" ? rayOf(frame, source, space) : null;
+      const ray = source.targetRayMode === "tracked-pointer" && !isDrivingHand(source) ? rayOf(frame, source, space) : null;
       if (ray) this.rays.push(ray);
       const { gamepad, handedness } = source;
       if (!gamepad || source.hand) continue;
@@ -47,6 +55,9 @@ export class Controls {
         if (button.pressed) down.add(`${handedness} ${i}`);
       });
     }
+    // A controller in the right hand drives before a bare left hand.
+    const byHand = this.hand.update(session, frame, space, heading);
+    this.deflection ??= byHand;
     for (const button of down) if (!this.down.has(button)) this.press(button);
     this.down = down;
   }
@@ -64,6 +75,9 @@ export class Controls {
   /** Returns what the thumbstick says now, or null if its dead man's switch is open or frames have stopped. */
   drive(/** @type {number} */ now) { return now - this.deflectionAt > FRESH_S ? null : this.deflection; }
 }
+
+/** Returns whether a source is the bare hand that drives: it points at nothing. @param {any} source */
+export function isDrivingHand({ hand, handedness }) { return Boolean(hand) && handedness === DRIVING_HAND; }
 
 /** Returns the ray of an input source, or null if it is not tracked. @param {any} frame @param {any} source @param {any} space @returns {Ray | null} */
 export function rayOf(frame, source, space) {

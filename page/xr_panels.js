@@ -16,6 +16,8 @@ import { shapePath } from "./view.js";
 const PIXELS_PER_M = 1000;
 /** Items of attention on the fleet's panel. */
 const ITEMS_MAX = 3;
+/** Buttons in a row of the fleet's panel; there are two rows. */
+const COMMANDS_IN_ROW = 3;
 const FONT = "system-ui, sans-serif";
 const DARK = { surface: "rgba(16,22,30,0.9)", raised: "#243040", line: "#4a5e76", text: "#f2f6fa", muted: "#a9b8c8", danger: "#d92d3a", warning: "#ffc857", good: "#5fd38d", accent: "#6cb6f5", ink: "#10151c" };
 
@@ -199,7 +201,7 @@ export class RobotPanel extends Panel {
 /** The fleet's panel: figures, the mapped area over time, what needs attention, and the commands. */
 export class FleetPanel extends Panel {
   /** @param {Renderer} renderer */
-  constructor(renderer) { super(renderer, 720, 600); }
+  constructor(renderer) { super(renderer, 720, 660); }
 
   /**
    * @param {Fleet} fleet @param {number} now @param {{text: string, isGood: boolean}} link
@@ -223,8 +225,11 @@ export class FleetPanel extends Panel {
       write(context, "Attention", 28, 356, "600 22px", DARK.muted);
       if (shown.length === 0) write(context, "nothing", 150, 356, "22px", DARK.muted);
       shown.forEach((item, i) => this.paintItem(context, item, fleet, 374 + i * 44, select));
-      const space = (width - 56 + 12) / commands.length;
-      commands.forEach((command, i) => this.paintCommand(context, command, 28 + i * space, height - 84, space - 12));
+      const space = (width - 56 + 12) / COMMANDS_IN_ROW;
+      commands.forEach((command, i) => {
+        const [row, column] = [Math.floor(i / COMMANDS_IN_ROW), i % COMMANDS_IN_ROW];
+        this.paintCommand(context, command, 28 + column * space, height - 148 + row * 68, space - 12);
+      });
     });
   }
 

@@ -24,6 +24,8 @@ import { XR_FROM_ROS } from "./coordinates.js";
 
 /** Heights above the floor at which flat things are drawn, metres, so that they do not flicker. */
 const MAP_HEIGHT_M = 0.004;
+/** Height of the robots' colours above the floor, metres: over the map, under the trails. */
+const SEEN_HEIGHT_M = MAP_HEIGHT_M + 0.001;
 const TRAIL_HEIGHT_M = 0.008;
 const RING_HEIGHT_M = 0.012;
 /** Width of a trail, metres. */
@@ -88,6 +90,9 @@ export class Scene {
     this.ray = renderer.createMesh(ray());
     this.map = renderer.createTexture(renderer.gl.TEXTURE_2D, renderer.gl.LINEAR_MIPMAP_LINEAR);
     this.shownMap = 0;
+    this.seen = renderer.createTexture(renderer.gl.TEXTURE_2D, renderer.gl.LINEAR_MIPMAP_LINEAR);
+    /** The layer of colours that is shown. @type {import("./seen.js").Layer | null} */
+    this.shownSeen = null;
     /** @type {Map<number, RobotDrawables>} */
     this.robots = new Map();
   }
@@ -95,6 +100,7 @@ export class Scene {
   /** Takes what has changed since the last frame. @param {Fleet} fleet @param {number} now */
   update(fleet, now) {
     if (fleet.merged.version !== this.shownMap) this.updateMap(fleet);
+    if (fleet.seen !== this.shownSeen) this.updateSeen(fleet.seen);
     for (const robot of fleet.robots.values()) {
       let drawables = this.robots.get(robot.number);
       if (!drawables) {
@@ -162,10 +168,31 @@ export class Scene {
   }
 
   /** @param {Fleet} fleet @param {Matrix} xrFromMap */
-  drawMap({ map }, xrFromMap) {
+  drawMap({ map, seen }, xrFromMap) {
     if (!map || map.width === 0 || this.shownMap === 0) return;
-    const size = scaling(map.width * map.resolution, map.height * map.resolution, 1);
-    this.renderer.drawImage(this.map, multiply(xrFromMap, multiply(robotMatrix(map.origin, MAP_HEIGHT_M), size)));
+    this.drawRaster(this.map, map, MAP_HEIGHT_M, xrFromMap);
+    if (seen) this.drawRaster(this.seen, seen, SEEN_HEIGHT_M, xrFromMap);
+  }
+
+  /** @param {WebGLTexture} texture @param {{origin: Pose, resolution: number, width: number, height: number}} raster @param {number} height @param {Matrix} xrFromMap */
+  drawRaster(texture, raster, height, xrFromMap) {
+    const size = scaling(raster.width * raster.resolution, raster.height * raster.resolution, 1);
+    this.renderer.drawImage(texture, multiply(xrFromMap, multiply(robotMatrix(raster.origin, height), size)));
+  }
+
+  /** Shows another layer of colours. @param {import("./seen.js").Layer | null} layer */
+  updateSeen(layer) {
+    this.shownSeen = layer;
+    if (!layer) return;
+    const { gl } = this.renderer;
+    const { width, height, pixels } = layer;
+    const bytes = new Uint8Array(pixels.slice().buffer);
+    // Textures have colours times opacity.
+    for (let i = 0; i < bytes.length; i += 4) for (let k = 0; k < 3; k += 1) bytes[i + k] = (bytes[i + k] * bytes[i + 3]) / 255;
+    gl.bindTexture(gl.TEXTURE_2D, this.seen);
+    gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    gl.generateMipmap(gl.TEXTURE_2D);
   }
 
   /** Draws the ring, and the robot's shape through what hides it. @param {Robot} robot @param {number} now @param {Matrix} xrFromMap */

@@ -31,6 +31,8 @@ pub enum Request {
     Stop,
     /// Releases the emergency stop.
     Release,
+    /// Forgets the room that a headset offers: it was accepted or refused.
+    AnswerRoom,
     /// Closes connections of clients.
     Drop(ClientSelector),
 }

@@ -6,9 +6,11 @@ pub use runtime::{
     stop, storage, watchdog,
 };
 
-// Command line, configuration and processes.
+// The configuration is a crate of its own too.
+pub use ::config;
+
+// Command line and processes.
 pub mod command;
-pub mod config;
 pub mod fleet;
 pub mod lockstep;
 mod page_files;
@@ -23,6 +25,7 @@ pub mod control;
 pub mod merge_maps;
 pub mod merge_memory;
 pub mod observer;
+pub mod offered_room;
 pub mod terminal;
 pub mod unreliable_maps;
 // Files that outlive a process.

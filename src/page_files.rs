@@ -43,6 +43,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("panels.js", SCRIPT),
     file!("pointers.js", SCRIPT),
     file!("renderer.js", SCRIPT),
+    file!("seen.js", SCRIPT),
     file!("/selfcheck", "selfcheck.html", HTML),
     file!("selfcheck.js", SCRIPT),
     file!("shaders.js", SCRIPT),
@@ -51,11 +52,14 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("view.js", SCRIPT),
     file!("xr.js", SCRIPT),
     file!("xr_anchors.js", SCRIPT),
+    file!("xr_hands.js", SCRIPT),
     file!("xr_input.js", SCRIPT),
     file!("xr_panels.js", SCRIPT),
+    file!("xr_room.js", SCRIPT),
     file!("xr_scene.js", SCRIPT),
     file!("xr_session.js", SCRIPT),
     file!("xr_views.js", SCRIPT),
+    file!("zones.js", SCRIPT),
 ];
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! | `run.json` | process id, shared memory, clocks and port, for the fleet's processes and `mr-slam status` |
 //! | `.lock` | held by the launcher, so that a second fleet does not use the folder |
 //! | `merge.json`, `merge_robotK.map.gz`, `sessions/`, `bridge.json`, `stopped`, `denied`, `navigation.json` | state that restarted processes continue with |
+//! | `link.json` | figures of the link to other machines, if there are several |
 //! | `recording/` | recording of the run, if there is one |
 //! | maps, `report.json`, `report.html` | results, written at the end |
 //! | `launcher.log` | messages of a fleet started with `--detach` |

@@ -8,7 +8,7 @@ const REASON: &str = "SLAM found evidence that this map is wrong (state unreliab
 /// The robots whose maps SLAM calls unreliable.
 #[derive(Clone, Copy, Debug)]
 pub struct UnreliableMaps {
-    /// By [`RobotId::index`].
+    /// Whether each robot's map is unreliable, by [`RobotId::index`].
     robots: [bool; ROBOTS_MAX],
 }
 

@@ -1,6 +1,7 @@
 //! Access control by address, for watching and for driving.
 
 use crate::config::{BridgeConfig, Permission};
+use crate::room_offer::RoomOffer;
 use std::collections::BTreeSet;
 use std::fmt;
 use std::net::IpAddr;
@@ -67,9 +68,21 @@ pub struct AccessControl {
     /// Addresses that the operator has refused and is not asked about again.
     denied: BTreeSet<IpAddr>,
     waiting: Vec<IpAddr>,
+    /// The room that waits for the operator's answer.
+    room_offer: Option<RoomOffer>,
 }
 
 impl AccessControl {
+    /// Returns the room that waits for the operator's answer.
+    pub fn room_offer(&self) -> Option<RoomOffer> {
+        self.room_offer
+    }
+
+    /// Replaces the room that waits; `None`: it was answered.
+    pub fn set_room_offer(&mut self, offer: Option<RoomOffer>) {
+        self.room_offer = offer;
+    }
+
     /// Creates the permissions that the configuration gives.
     pub fn new(config: &BridgeConfig) -> Self {
         Self {
@@ -79,6 +92,7 @@ impl AccessControl {
             allowed: config.allow.iter().map(IpAddr::to_canonical).collect(),
             denied: BTreeSet::new(),
             waiting: Vec::new(),
+            room_offer: None,
         }
     }
 

@@ -2,6 +2,7 @@
 
 mod clients;
 mod navigation;
+mod room;
 mod status;
 
 pub use clients::ClientStatus;
@@ -19,7 +20,7 @@ use crate::transport::Transport;
 use crate::world::{ExternalWorld, WorldInput};
 use msg::{
     EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, RobotId, SlamRequest, SlamResponse, Stamp,
-    VelocityCommand,
+    VelocityCommand, ZoneCommand,
 };
 use ros_messages::RobotNames;
 use ros_messages::cdr::Dialect;
@@ -39,6 +40,7 @@ type SlamRequestSink = Box<dyn FnMut(RobotId, SlamRequest)>;
 /// Where commands to the navigator go.
 type NavigationSink = Box<dyn FnMut(RobotId, NavigationCommand)>;
 type ExplorationSink = Box<dyn FnMut(ExplorationCommand)>;
+type ZoneSink = Box<dyn FnMut(ZoneCommand)>;
 /// Where commands for the ROS 2 endpoint go.
 type RosCommandSink = Box<dyn FnMut(RosCommand)>;
 
@@ -90,6 +92,7 @@ pub struct Bridge {
     on_slam_request: RefCell<SlamRequestSink>,
     on_navigation: RefCell<NavigationSink>,
     on_exploration: RefCell<ExplorationSink>,
+    on_zone: RefCell<ZoneSink>,
     on_ros_command: RefCell<RosCommandSink>,
 }
 
@@ -136,6 +139,7 @@ impl Bridge {
             on_slam_request: RefCell::new(Box::new(|_, _| {})),
             on_navigation: RefCell::new(Box::new(|_, _| {})),
             on_exploration: RefCell::new(Box::new(|_| {})),
+            on_zone: RefCell::new(Box::new(|_| {})),
             on_ros_command: RefCell::new(Box::new(|_| {})),
         })
     }

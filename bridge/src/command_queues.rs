@@ -2,7 +2,7 @@
 
 use msg::{
     EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, ROBOTS_MAX, RobotId, SlamRequest,
-    VelocityCommand,
+    VelocityCommand, ZONES_MAX, ZoneCommand,
 };
 use std::collections::VecDeque;
 
@@ -15,6 +15,8 @@ const SLAM_REQUESTS_MAX: usize = 16;
 
 /// Commands to the navigator that may wait: a stop pauses all robots at once.
 const NAVIGATION_MAX: usize = 2 * ROBOTS_MAX;
+/// Commands about exclusion zones that may wait: people draw them one at a time, programs all at once.
+const ZONE_COMMANDS_MAX: usize = 2 * ZONES_MAX;
 
 /// Commands for robots, merging, SLAM and navigation that wait until the caller of the bridge takes them.
 #[derive(Debug)]
@@ -27,6 +29,7 @@ pub struct CommandQueues {
     navigation_number: u64,
     /// The newest command about the exploration.
     exploration: Option<ExplorationCommand>,
+    zones: VecDeque<ZoneCommand>,
     velocities_taken: u64,
 }
 
@@ -39,6 +42,7 @@ impl Default for CommandQueues {
             navigation: VecDeque::new(),
             navigation_number: 0,
             exploration: None,
+            zones: VecDeque::new(),
             velocities_taken: 0,
         }
     }
@@ -116,6 +120,20 @@ impl CommandQueues {
     /// Takes the newest command about the exploration.
     pub fn next_exploration(&mut self) -> Option<ExplorationCommand> {
         self.exploration.take()
+    }
+
+    /// Queues a command about the exclusion zones; `false` if the queue is full.
+    pub fn push_zone(&mut self, command: ZoneCommand) -> bool {
+        let has_space = self.zones.len() < ZONE_COMMANDS_MAX;
+        if has_space {
+            self.zones.push_back(command);
+        }
+        has_space
+    }
+
+    /// Takes the oldest command about the exclusion zones.
+    pub fn next_zone(&mut self) -> Option<ZoneCommand> {
+        self.zones.pop_front()
     }
 
     /// Queues a request to a robot's SLAM; the oldest is dropped if the queue is full.

@@ -10,14 +10,14 @@ mod table;
 pub use publisher::{FleetMessage, FleetPublisher, LinkTransforms, TopicSink};
 pub use table::{Delivery, FleetTopic, OUTGOING_TOPICS, OutgoingTopic};
 
-use crate::input::{EXPLORE, Input};
+use crate::input::{ADD_ZONE, EXPLORE, Input, REMOVE_ZONE};
 use crate::router::{DEPTH_DEFAULT, Retention, Source, TopicId, TopicRouter, TopicTable};
 use msg::{Monotonic, RobotId, Stamp};
 use ros_messages::OdometrySigmas;
 use ros_messages::cdr::{DecodeError, Writer};
 use ros_messages::{
-    Bool, Empty, FrameNames, HandInputs, Int32, Joy, Message, NameStyle, PathMessage, PoseStamped,
-    PoseWithCovarianceStamped, RobotNames, Text, Twist,
+    Bool, Empty, FrameNames, HandInputs, Int32, Joy, Message, NameStyle, PathMessage, PolygonStamped,
+    PoseStamped, PoseWithCovarianceStamped, RobotNames, Text, Twist,
 };
 
 /// The fleet's topics in the router, and what is published on them.
@@ -62,6 +62,8 @@ fn add_input_topics(table: &mut TopicTable, robots: &RobotNames) -> (TopicId, Ve
     add("/quest/joystick".into(), Joy::TYPE, Input::Joystick);
     add("/q2r_right_hand_inputs".into(), HandInputs::TYPE, Input::HandInputs);
     add(EXPLORE.into(), Bool::TYPE, Input::Explore);
+    add(ADD_ZONE.into(), PolygonStamped::TYPE, Input::AddZone);
+    add(REMOVE_ZONE.into(), Int32::TYPE, Input::RemoveZone);
     add("/take_control".into(), Int32::TYPE, Input::TakeControl);
     add("/emergency_stop_release".into(), Empty::TYPE, Input::ReleaseStop);
     add("/merge_edge_command".into(), Text::TYPE, Input::MergeEdge);

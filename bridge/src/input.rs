@@ -8,6 +8,12 @@ pub const SHARED_GOAL: &str = "/goal_pose";
 /// The topic that starts and stops exploration; explore_lite's name for it.
 pub const EXPLORE: &str = "/explore/resume";
 
+/// The topic on which an exclusion zone is added.
+pub const ADD_ZONE: &str = "/exclusion_zones/add";
+
+/// The topic on which exclusion zones are removed.
+pub const REMOVE_ZONE: &str = "/exclusion_zones/remove";
+
 /// The meaning of a message from a client or from DDS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
@@ -31,6 +37,10 @@ pub enum Input {
     ResumeNavigation(RobotId),
     /// `true` explores with all robots, `false` stops the exploration.
     Explore,
+    /// An area of the merged map to keep robots out of.
+    AddZone,
+    /// The number of the exclusion zone to remove; 0 for all.
+    RemoveZone,
     /// The number of the robot to select.
     SelectRobot,
     /// The number of the robot to take over from its driver; 0 for all robots.

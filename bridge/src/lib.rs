@@ -24,6 +24,7 @@ mod input;
 mod page;
 pub mod relay;
 mod repeater;
+mod room_offer;
 mod router;
 mod server;
 mod services;
@@ -43,7 +44,10 @@ pub use fleet_topics::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, OutgoingTopic,
     TopicSink,
 };
-pub use page::{PageFile, TlsAcceptor, TlsError, serve_page, tls_acceptor};
+pub use page::{
+    PageContent, PageFile, ROOM_BYTES_MAX, SaveRoom, TlsAcceptor, TlsError, serve_page, tls_acceptor,
+};
+pub use room_offer::RoomOffer;
 pub use ros_messages as ros;
 pub use ros_messages::{OdometrySigmas, RobotNameError, RobotNames, cdr, interfaces};
 pub use router::{ClientId, ConnectionEnded, Counters};

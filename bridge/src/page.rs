@@ -12,6 +12,7 @@ mod encoder;
 mod http;
 mod origin;
 mod protocol;
+mod room;
 mod server;
 mod session;
 mod socket;
@@ -19,6 +20,7 @@ mod stream;
 mod tls;
 
 pub use http::PageFile;
-pub use server::serve_page;
+pub use room::{ROOM_BYTES_MAX, SaveRoom};
+pub use server::{PageContent, serve_page};
 pub use tls::{TlsError, tls_acceptor};
 pub use tokio_rustls::TlsAcceptor;

@@ -1,4 +1,4 @@
-//! Rooms: a byte that selects the ending of the file's name, and the file: scene JSON, glTF, OBJ, each maybe gzipped.
+//! Rooms: a byte that selects the ending of the file's name, and the file: scene JSON (also MRUK's), glTF, OBJ, each maybe gzipped.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

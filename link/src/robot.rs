@@ -106,6 +106,11 @@ impl RobotEnd {
         self.leadership.refused
     }
 
+    /// Returns whether the base that leads was heard lately.
+    pub fn is_heard(&self, now: Monotonic) -> bool {
+        self.leadership.is_heard(now)
+    }
+
     /// Returns the number of parts that the base does not hold as they are.
     pub fn waiting(&self) -> usize {
         self.sender.waiting()

@@ -37,6 +37,7 @@ mod scan;
 mod service;
 mod stats;
 pub mod time;
+mod zones;
 
 pub mod grid;
 pub mod grid_agreement;
@@ -75,6 +76,10 @@ pub use submap::{
 pub use swept_disk::SweptDisk;
 pub use tiles::{DenseMap, MapHeader, MapTile, PatchHeader, TileMap};
 pub use time::{Monotonic, Stamp};
+pub use zones::{
+    ExclusionZone, ExclusionZones, ZONE_CORNERS_MAX, ZONES_MAX, ZoneAction, ZoneCommand, ZoneError,
+    ZoneRefusal,
+};
 
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
@@ -136,5 +141,7 @@ messages!(
     NavigationReport,
     NavigationPlan,
     ExplorationCommand,
-    ExplorationReport
+    ExplorationReport,
+    ZoneCommand,
+    ExclusionZones
 );

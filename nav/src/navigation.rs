@@ -16,7 +16,7 @@ mod state;
 mod tests;
 
 pub use config::{NavigatorConfig, UnknownSpace};
-pub use goal::{ExclusionZone, GOAL_POSES_MAX, GoalError, GoalFrame, GoalPose, NavigationGoal};
+pub use goal::{GOAL_POSES_MAX, GoalError, GoalFrame, GoalPose, NavigationGoal};
 pub use input::{NavigatedRobot, NavigationInput};
 pub use state::{NavigationFailure, NavigationState};
 

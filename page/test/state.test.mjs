@@ -96,3 +96,21 @@ test("a broken message changes nothing", () => {
   assert.throws(() => fleet.receive("/merged_map", new DataView(new ArrayBuffer(20)), 2), RangeError);
   assert.equal(fleet.map, null);
 });
+
+test("a run's time that is behind is another run: what belongs to the old one is forgotten", () => {
+  const fleet = new Fleet();
+  fleet.setFigures({ robots: [{ number: 1, prefix: "/robot1/" }], merged_known_m2: 3 }, 0);
+  const robot = fleet.robots.get(1);
+  robot.trail.push({ x: 1, y: 1 });
+  robot.pose = { x: 1, y: 1, yaw: 0 };
+  fleet.merged.setWhole({ stamp: 0, frame: "map", resolution: 1, width: 1, height: 1, origin: { x: 0, y: 0, yaw: 0 }, cells: new Uint8Array(1) }, 0);
+  const version = fleet.merged.version;
+  assert.equal(fleet.setRunTime(1, 1, 60), false);
+  assert.equal(fleet.setRunTime(2, 2, 0), false, "a bridge that has just begun does not know the time");
+  assert.equal(fleet.setRunTime(3, 3, 59), false, "late answers");
+  assert.ok(robot.pose && fleet.map);
+  assert.equal(fleet.setRunTime(4, 4, 2), true);
+  assert.deepEqual([fleet.runs, robot.pose, robot.trail, fleet.map, fleet.area], [2, null, [], null, []]);
+  assert.ok(fleet.merged.needsWhole && fleet.merged.version > version);
+  assert.equal(fleet.robots.get(1), robot, "its panel stays");
+});

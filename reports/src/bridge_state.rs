@@ -1,6 +1,6 @@
 //! State of the bridge as the person at the laptop reads it: clients, permissions, emergency stop.
 
-use bridge::ClientStatus;
+use bridge::{ClientStatus, RoomOffer};
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
 
@@ -17,6 +17,8 @@ pub struct BridgeState {
     pub allowed: Vec<IpAddr>,
     /// State of every connection of a ros_tcp client.
     pub clients: Vec<ClientStatus>,
+    /// Room that a headset offers as the simulators' world, until the operator answers.
+    pub room_offer: Option<RoomOffer>,
 }
 
 impl BridgeState {
@@ -86,6 +88,9 @@ impl BridgeState {
         for address in &self.waiting {
             text += &format!("{address} asks to drive: mr-slam allow {address}\n");
         }
+        if let Some(RoomOffer { address, .. }) = self.room_offer {
+            text += &format!("{address} offers its room as the world: mr-slam room accept, or refuse\n");
+        }
         text
     }
 }
@@ -124,6 +129,9 @@ mod tests {
         );
         assert!(lines.contains("10.0.0.8 asks to drive: mr-slam allow 10.0.0.8\n"));
         assert!(!lines.contains("EMERGENCY"));
+        let room_offer = Some(RoomOffer { address: [10, 0, 0, 9].into(), bytes: 400_000 });
+        let lines = BridgeState { room_offer, ..BridgeState::default() }.table();
+        assert!(lines.contains("10.0.0.9 offers its room as the world: mr-slam room accept, or refuse\n"));
         assert!(
             BridgeState { stopped: true, ..BridgeState::default() }.table().contains("EMERGENCY STOP is set")
         );

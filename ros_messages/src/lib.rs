@@ -26,7 +26,7 @@ pub use message::{
     TwistStamped, decode, decode_as, encode, encode_as,
 };
 pub use names::{FrameNames, NameStyle, RobotNameError, RobotNames};
-pub use navigation::{PathMessage, PoseStamped};
+pub use navigation::{PathMessage, PolygonStamped, PoseStamped};
 pub use odometry_covariance::{OdometryCovariance, OdometrySigmas};
 pub use sensor::{LaserScan, OccupancyGrid, OccupancyGridUpdate, Odometry, PoseWithCovarianceStamped};
 

@@ -61,6 +61,33 @@ impl Message for PathMessage {
     }
 }
 
+/// geometry_msgs/PolygonStamped: an area in a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PolygonStamped {
+    /// Time of the area.
+    pub stamp: Stamp,
+    /// Frame of the corners.
+    pub frame_id: String,
+    /// Corners in order in `frame_id`: x, y, z in metres.
+    pub corners: Vec<[f32; 3]>,
+}
+
+impl Message for PolygonStamped {
+    const TYPE: &'static str = "geometry_msgs/PolygonStamped";
+    fn read(from: &mut Reader<'_>) -> Result<Self, DecodeError> {
+        let (stamp, frame_id) = read_header(from)?;
+        let count = from.count("points", 3 * size_of::<f32>())?;
+        let corner = |from: &mut Reader<'_>| Ok([from.f32("x")?, from.f32("y")?, from.f32("z")?]);
+        let corners = (0..count).map(|_| corner(from)).collect::<Result<_, DecodeError>>()?;
+        Ok(Self { stamp, frame_id, corners })
+    }
+    fn write(&self, to: &mut Writer<'_>) {
+        write::header(to, self.stamp, &self.frame_id);
+        to.count(self.corners.len());
+        self.corners.iter().flatten().for_each(|value| to.f32(*value));
+    }
+}
+
 /// Writes a nav_msgs/Path of points; each pose looks to the next point.
 pub fn write_path(to: &mut Writer<'_>, frame_id: &str, at: Stamp, points_m: &[[f32; 2]]) {
     write::header(to, at, frame_id);
@@ -80,6 +107,16 @@ pub fn write_path(to: &mut Writer<'_>, frame_id: &str, at: Stamp, points_m: &[[f
 mod tests {
     use super::*;
     use crate::{decode, encode};
+
+    #[test]
+    fn a_polygon_is_read_as_it_was_written() {
+        let corners = vec![[0.0, 1.0, 0.0], [2.5, 1.0, 0.0], [2.5, -3.0, 0.0]];
+        let polygon = PolygonStamped { stamp: Stamp(5), frame_id: "map".into(), corners };
+        let mut bytes = Vec::new();
+        encode(&polygon, &mut bytes);
+        assert_eq!(decode::<PolygonStamped>(&bytes), Ok(polygon));
+        assert!(decode::<PolygonStamped>(&bytes[..bytes.len() - 1]).is_err());
+    }
 
     #[test]
     fn a_written_path_is_read_with_headings_along_it() {

@@ -31,6 +31,13 @@ const DEFINITIONS: &[Definition] = &[
         "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
         &["geometry_msgs/Point", "geometry_msgs/Quaternion"],
     ),
+    definition("geometry_msgs/Point32", "float32 x\nfloat32 y\nfloat32 z", &[]),
+    definition("geometry_msgs/Polygon", "geometry_msgs/Point32[] points", &["geometry_msgs/Point32"]),
+    definition(
+        "geometry_msgs/PolygonStamped",
+        "std_msgs/Header header\ngeometry_msgs/Polygon polygon",
+        &[HEADER, "geometry_msgs/Polygon", "geometry_msgs/Point32"],
+    ),
     definition(
         "geometry_msgs/PoseStamped",
         "std_msgs/Header header\ngeometry_msgs/Pose pose",

@@ -31,8 +31,12 @@ pub enum Program {
     GotoTool,
     /// `mr-slam explore`, which starts and stops the exploration of a fleet.
     ExploreTool,
+    /// `mr-slam zone`, which shows and changes the exclusion zones of a fleet.
+    ZoneTool,
     /// `mr-slam record`: a recording of a fleet that runs.
     RecordTool,
+    /// The process between a robot's machine and the base; it runs where there are several machines.
+    LinkTool,
 }
 
 impl Program {
@@ -44,7 +48,9 @@ impl Program {
             Self::EdgesTool => "`mr-slam edges`",
             Self::GotoTool => "`mr-slam goto`",
             Self::ExploreTool => "`mr-slam explore`",
+            Self::ZoneTool => "`mr-slam zone`",
             Self::RecordTool => "`mr-slam record`",
+            Self::LinkTool => "link",
         }
     }
 
@@ -53,8 +59,8 @@ impl Program {
     }
 
     fn is_tool(self) -> bool {
-        use Program::{EdgesTool, ExploreTool, GotoTool, RecordTool, SlamTool};
-        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | RecordTool)
+        use Program::{EdgesTool, ExploreTool, GotoTool, LinkTool, RecordTool, SlamTool, ZoneTool};
+        matches!(self, SlamTool | EdgesTool | GotoTool | ExploreTool | ZoneTool | LinkTool | RecordTool)
     }
 }
 
@@ -105,6 +111,8 @@ pub enum Endpoint {
     OfOthers(Program),
     /// Its process, if the robots are not simulated here.
     OutsideWorld(Program),
+    /// Its process, if robots and base are on several machines.
+    OtherMachines(Program),
 }
 
 impl Endpoint {
@@ -112,6 +120,7 @@ impl Endpoint {
         match self {
             Self::Of(program) | Self::OfFirst(program) => program,
             Self::OfOthers(program) | Self::OutsideWorld(program) => program,
+            Self::OtherMachines(program) => program,
         }
     }
 
@@ -123,7 +132,7 @@ impl Endpoint {
                 Self::Of(program) if program.is_per_robot() => {
                     channel_robot.is_none() || opener.robot == channel_robot
                 }
-                Self::Of(_) | Self::OutsideWorld(_) => true,
+                Self::Of(_) | Self::OutsideWorld(_) | Self::OtherMachines(_) => true,
                 Self::OfFirst(_) => opener.robot.is_some_and(|robot| robot.number() == 1),
                 Self::OfOthers(_) => opener.robot != channel_robot,
             }
@@ -139,6 +148,7 @@ impl fmt::Display for Endpoint {
             Self::OfFirst(_) => write!(f, "{}(1)", program.name()),
             Self::OfOthers(_) => write!(f, "the other {}s", program.name()),
             Self::OutsideWorld(_) => write!(f, "{} \\*", program.name()),
+            Self::OtherMachines(_) => write!(f, "{} \\*\\*", program.name()),
         }
     }
 }

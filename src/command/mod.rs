@@ -9,17 +9,21 @@ pub mod explore;
 pub mod fleet_args;
 pub mod goto;
 pub mod headset;
+pub mod keys;
+pub mod link;
 pub mod lockstep;
 pub mod merge;
 pub mod output;
 pub mod permissions;
 pub mod record;
 pub mod replay;
+pub mod room;
 pub mod run_args;
 pub mod slam;
 pub mod status;
 pub mod up;
 pub mod worker;
+pub mod zone;
 
 use crate::stop::Stop;
 use clap::{Parser, Subcommand};
@@ -43,6 +47,15 @@ enum Command {
     Demo(up::UpArgs),
     /// Launch a fleet and wait for a headset
     Up(up::UpArgs),
+    /// Run one robot on this machine, simulated or over ROS 2, with its SLAM, and join a base
+    Robot(Box<link::RobotArgs>),
+    /// Run the base: merging, bridge and page for robots on other machines
+    Base(Box<link::BaseArgs>),
+    /// Create the keys with which robots and base of several machines know each other
+    Keys(keys::KeysArgs),
+    /// Carry a run's channels to another machine; started by `robot` and `base`
+    #[command(hide = true)]
+    Link(link::LinkArgs),
     /// Show the figures of a running fleet
     Status(status::StatusArgs),
     /// Check what this machine permits: timers, limits, network
@@ -53,6 +66,8 @@ enum Command {
     Goto(goto::GotoArgs),
     /// Let a running fleet explore by itself, and wait until nothing reachable is unknown
     Explore(explore::ExploreArgs),
+    /// Show the areas that navigation keeps robots out of, add one or remove it
+    Zone(zone::ZoneArgs),
     /// Let an address drive a running fleet, now and in later runs; without one, list who may drive and who waits
     Allow(permissions::AllowArgs),
     /// Forbid an address to drive
@@ -65,6 +80,8 @@ enum Command {
     Clients(clients::ClientsArgs),
     /// Let a headset on a USB cable reach the operator's page
     Headset(headset::HeadsetArgs),
+    /// Accept or refuse the room that a headset offers as the simulators' world; without either, show it
+    Room(room::RoomArgs),
     /// Control a robot's SLAM in a running fleet: pause, save, load, closures, relocalize ...
     Slam(slam::SlamArgs),
     /// Record a running fleet as MCAP with ROS 2 messages
@@ -100,17 +117,23 @@ pub fn run(cli: Cli) -> Result<(), Error> {
                 if args.fleet.explore { &mut watch } else { &mut up::NoHooks };
             up::run_or_detach(&args, hooks)?;
         }
+        Command::Robot(args) => link::run_robot(&args)?,
+        Command::Base(args) => link::run_base(&args)?,
+        Command::Keys(args) => keys::run(&args)?,
+        Command::Link(args) => link::run(&args)?,
         Command::Status(args) => status::run(&args)?,
         Command::Doctor(args) => doctor::run(&args)?,
         Command::Edges(args) => edges::run(&args)?,
         Command::Goto(args) => goto::run(&args, &Stop::on_signals()?)?,
         Command::Explore(args) => explore::run(&args, &Stop::on_signals()?)?,
+        Command::Zone(args) => zone::run(&args)?,
         Command::Allow(args) => permissions::allow(&args)?,
         Command::Deny(args) => permissions::deny(&args)?,
         Command::Stop(args) => permissions::stop(&args)?,
         Command::Release(args) => permissions::release(&args)?,
         Command::Clients(args) => clients::run(&args)?,
         Command::Headset(args) => headset::run(&args)?,
+        Command::Room(args) => room::run(&args)?,
         Command::Slam(args) => slam::run(&args)?,
         Command::Record(args) => record::run(&args, &Stop::on_signals()?)?,
         Command::Operator(args) => {

@@ -17,6 +17,7 @@ use crate::certificate::CertificateError;
 use crate::config::{ConfigError, FleetConfig, ValueError};
 use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
+use crate::offered_room;
 use crate::resources::{self, ResourceMonitor, Shortage};
 use crate::run::{Run, RunError};
 use crate::sessions;
@@ -215,6 +216,9 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
 }
 
 /// Runs a fleet from start to end, writes its maps and report into the run's folder, and returns the report.
+///
+/// When the operator accepts a headset's room, the run ends and another one begins in it: on the same ports, with a folder
+/// of its own. The report is the last run's.
 pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Report, UpError> {
     let mut config = args.config()?;
     fleet::check(&config)?;
@@ -226,11 +230,21 @@ pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Rep
         why,
     })?;
     let port = listener.local_addr()?.port();
-    let run = Run::create(&args.folder(), config, port, args.in_background)?;
-    let result = run_created(&run, listener, args, hooks, stop);
-    // A fleet that did not start leaves nothing either.
-    run.domain.remove();
-    result
+    let folder = args.folder();
+    let mut count = 0;
+    loop {
+        let run = Run::create(&offered_room::folder(&folder, count), config, port, args.in_background)?;
+        offered_room::remove_old(&run)?;
+        let result = run_created(&run, listener.try_clone()?, args, hooks, stop);
+        // A fleet that did not start leaves nothing either.
+        run.domain.remove();
+        let report = result?;
+        match offered_room::accepted(&run).filter(|_| !stop.requested()) {
+            Some(room) => config = offered_room::fleet_in(&run.config, &room),
+            None => return Ok(report),
+        }
+        count += 1;
+    }
 }
 
 /// Runs the fleet of a run that was created.
@@ -277,7 +291,7 @@ fn watch(
             screen.show_event(&event);
             events.push(begun.elapsed(), event);
         };
-        if stop.requested() || over() || !hooks.poll(&mut tell) {
+        if stop.requested() || over() || !hooks.poll(&mut tell) || offered_room::accepted(run).is_some() {
             break;
         }
         supervisor.tend(&mut |role, robot| observer.last_seen(role, robot), &mut tell);

@@ -23,7 +23,7 @@ use ::bridge::Bridge;
 use feeds::{Feed, FeedResult, forward, open_feeds};
 use msg::{
     ExplorationCommand, Monotonic, NavigationCommand, RobotId, Role, SlamRequest, SlamResponse,
-    VelocityCommand,
+    VelocityCommand, ZoneCommand,
 };
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -66,6 +66,7 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, files)));
         let goals = open_goals(ports, run, &bridge)?;
         let exploration = open_exploration(ports, &bridge)?;
+        let zones = open_zones(ports, &bridge)?;
         let mut feeds = open_feeds(ports, run, &bridge)?;
         for robot in run.robots() {
             let receive = move |bridge: &Bridge, response: &SlamResponse| {
@@ -74,8 +75,9 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
             feeds.push(forward(ports, &bridge, &channel::slam_response(robot), receive)?);
             feeds.push(navigation_velocities(ports, &bridge, robot)?);
         }
+        let (clock, bridge_of_upkeep) = (ports.clock(), bridge.clone());
         let upkeep =
-            Upkeep { bridge: bridge.clone(), control, goals, exploration, heartbeat, clock: ports.clock() };
+            Upkeep { bridge: bridge_of_upkeep, control, goals, exploration, zones, heartbeat, clock };
         Ok(Self { bridge, feeds, upkeep })
     }
 }
@@ -94,6 +96,7 @@ pub struct Upkeep<P: Ports, W> {
     pub control: Rc<RefCell<Control<W>>>,
     goals: GoalWriters<P>,
     exploration: ExplorationWriter<P>,
+    zones: ZoneWriter<P>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
 }
@@ -107,6 +110,7 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
         if now >= self.heartbeat.due() {
             self.goals.borrow().iter().for_each(WritePort::refresh);
             self.exploration.borrow().refresh();
+            self.zones.borrow().refresh();
         }
         self.heartbeat.publish_if_due(|| {
             let counters = self.bridge.counters();
@@ -124,6 +128,9 @@ type GoalWriters<P> = Rc<RefCell<Vec<<P as Ports>::Writer<NavigationCommand>>>>;
 /// Writer of commands about the exploration, shared likewise.
 type ExplorationWriter<P> = Rc<RefCell<<P as Ports>::Writer<ExplorationCommand>>>;
 
+/// Writer of commands about the exclusion zones, shared likewise.
+type ZoneWriter<P> = Rc<RefCell<<P as Ports>::Writer<ZoneCommand>>>;
+
 /// Opens the channel on which the bridge starts and stops the exploration for clients.
 fn open_exploration<P: Ports + 'static>(
     ports: &P,
@@ -133,6 +140,16 @@ fn open_exploration<P: Ports + 'static>(
     let exploration: ExplorationWriter<P> = writer.clone();
     bridge.on_exploration(move |command| {
         exploration.borrow_mut().send(&command);
+    });
+    Ok(writer)
+}
+
+/// Opens the channel on which the bridge adds and removes exclusion zones for clients.
+fn open_zones<P: Ports + 'static>(ports: &P, bridge: &Bridge) -> Result<ZoneWriter<P>, ChannelError> {
+    let writer = Rc::new(RefCell::new(ports.writer(&channel::zone_command())?));
+    let zones: ZoneWriter<P> = writer.clone();
+    bridge.on_zone(move |command| {
+        zones.borrow_mut().send(&command);
     });
     Ok(writer)
 }
@@ -178,7 +195,8 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, 
     };
     let config = run.config.bridge_config();
     let bridge = match run.config.world {
-        World::Simulator => Bridge::new(config, run.config.robot_names(), send)?,
+        // The link writes what robots on other machines send.
+        World::Simulator | World::Robots => Bridge::new(config, run.config.robot_names(), send)?,
         World::Headset | World::Ros => {
             let (world, epoch) = (outside::open_world(ports, run)?, run.epoch);
             Bridge::with_external_world(config, world, move |now| epoch.stamp(now), send)?

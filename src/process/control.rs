@@ -103,6 +103,7 @@ impl<W: FileWorker> Control<W> {
             Request::State => {}
             Request::Allow(address) => self.bridge.allow(address),
             Request::Deny(address) => self.bridge.deny(address),
+            Request::AnswerRoom => self.bridge.answer_room(),
             Request::Stop => self.bridge.stop_robots(),
             Request::Release => self.bridge.release_stop(),
             Request::Drop(which) if self.bridge.drop_clients(which) == 0 => {
@@ -120,6 +121,7 @@ impl<W: FileWorker> Control<W> {
             waiting: self.bridge.waiting_addresses(),
             allowed: self.bridge.allowed_addresses(),
             clients: self.bridge.clients(now),
+            room_offer: self.bridge.room_offer(),
         }
     }
 }

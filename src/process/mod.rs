@@ -8,6 +8,7 @@ pub mod control;
 pub mod file_thread;
 pub mod graph;
 pub mod heartbeat;
+pub mod link;
 mod map_publisher;
 pub mod merge;
 pub mod nav;

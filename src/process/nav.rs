@@ -7,6 +7,7 @@ mod exploration;
 mod inputs;
 pub mod memory;
 mod outputs;
+mod zones;
 
 use super::file_thread::{JobThread, JobWorker};
 use super::heartbeat::{HealthCounters, Heartbeat};
@@ -27,6 +28,7 @@ use msg::{
 };
 use outputs::{Decision, RobotOutputs};
 use std::time::Duration;
+use zones::Zones;
 
 /// Period of the control loop: 20 Hz, as operators send velocities.
 const PERIOD: Duration = Duration::from_millis(50);
@@ -45,6 +47,7 @@ pub struct NavigationProcess<P: Ports, W> {
     inputs: Inputs<P>,
     robots: Vec<RobotDesk<P>>,
     exploration: Exploration<P>,
+    zones: Zones<P>,
     saved: StateWriter<W>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
@@ -90,12 +93,14 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
             })
         };
         let of_robots = run.robots().map(|robot| ports.listener(&channel::goal(robot)));
-        let listeners = of_robots.chain([ports.listener(&channel::explore())]);
+        let listeners =
+            of_robots.chain([ports.listener(&channel::explore()), ports.listener(&channel::zone_command())]);
         let mut process = Self {
             navigator: FleetNavigator::new(NavigatorConfig::default()),
             inputs: Inputs::open(ports, run)?,
             robots: run.robots().map(desk).collect::<Result<_, crate::ports::ChannelError>>()?,
             exploration: Exploration::open(ports, run)?,
+            zones: Zones::open(ports)?,
             saved: StateWriter::new(start_files(file)?, saved.clone().unwrap_or_default()),
             heartbeat: Heartbeat::new(ports, run, Role::Nav, None)?,
             due: clock.now(),
@@ -127,6 +132,7 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
             }
         }
         self.exploration.restore(&saved.exploration);
+        self.zones.restore(&saved.zones);
         for saved in saved.goals {
             let Some(desk) = self.robots.iter_mut().find(|desk| desk.robot.number() == saved.robot) else {
                 continue;
@@ -157,6 +163,10 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
             if !self.exploration.apply(&mut self.navigator, &command, self.epoch.stamp(now)) {
                 self.refused += 1;
             }
+            has_changed = true;
+        }
+        if let Some(refused) = self.zones.receive() {
+            self.refused += refused;
             has_changed = true;
         }
         has_changed
@@ -209,9 +219,9 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
         let silent = self.inputs.silent_robots(now);
         let is_silent = |robot: RobotId| silent.contains(&robot);
         let (navigator, inputs, epoch) = (&mut self.navigator, &mut self.inputs, self.epoch);
-        let exploration = &mut self.exploration;
+        let (exploration, zones) = (&mut self.exploration, self.zones.zones());
         self.heartbeat.measure(|| {
-            inputs.observe(epoch.stamp(now), now, |input| {
+            inputs.observe(epoch.stamp(now), now, zones, |input| {
                 exploration.step(navigator, input, &is_silent);
                 navigator.step(input);
             });
@@ -222,6 +232,7 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
     fn publish(&mut self, now: Monotonic, is_stepped: bool) {
         let stamp = self.epoch.stamp(now);
         self.exploration.publish(stamp, now);
+        self.zones.publish(stamp);
         for desk in &mut self.robots {
             if self.exploration.is_driving(desk.robot) {
                 (desk.goal, desk.refusal) = (self.exploration.number(), None);
@@ -255,6 +266,7 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
             commands: self.robots.iter().map(|desk| (desk.robot.number(), desk.newest)).collect(),
             goals: goals.collect(),
             exploration: self.exploration.saved(),
+            zones: self.zones.saved(),
         };
         self.saved.write(state);
     }
@@ -283,8 +295,10 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> ProcessLoop for NavigationProcess<P
         if now >= self.heartbeat.due() {
             self.robots.iter().for_each(|desk| desk.outputs.refresh());
             self.exploration.publish(self.epoch.stamp(now), now);
+            self.zones.publish(self.epoch.stamp(now));
             self.save();
             self.exploration.refresh();
+            self.zones.refresh();
         }
         self.heartbeat.publish_if_due(|| counters);
         if self.is_active() { self.due.min(self.heartbeat.due()) } else { self.heartbeat.due() }

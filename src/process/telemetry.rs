@@ -43,7 +43,7 @@ impl<P: Ports> TelemetryProcess<P> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
         let plan = match run.config.world {
             World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
-            World::Headset | World::Ros => None,
+            World::Headset | World::Ros | World::Robots => None,
         };
         let starts = fleet::true_starts(&run.config)?;
         let telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);

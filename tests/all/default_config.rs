@@ -80,9 +80,9 @@ fn read_file(crate_name: &str, text: &str, fields: &mut Fields) {
 fn all_fields() -> Fields {
     let mut fields = Fields::new();
     for (name, folder) in [
-        ("src", "src"),
-        // The program uses its modules under its own name.
-        ("src", "runtime/src"),
+        // The configuration names the modules of `runtime` and its own.
+        ("config", "config/src"),
+        ("runtime", "runtime/src"),
         ("sim", "sim/src"),
         ("slam", "slam/src"),
         ("merge", "merge/src"),
@@ -95,7 +95,7 @@ fn all_fields() -> Fields {
 
 /// Finds the field of a dotted key such as `slam.tracking.cell_m`.
 fn find<'a>(fields: &'a Fields, key: &str) -> Option<&'a Field> {
-    let (mut of_crate, mut of_struct, mut found) = ("src", "FleetConfig", None);
+    let (mut of_crate, mut of_struct, mut found) = ("config", "FleetConfig", None);
     for name in key.split('.') {
         let field = fields.get(&(of_crate.into(), of_struct.into(), name.into()))?;
         (of_crate, of_struct, found) = (&field.type_crate, &field.type_name, Some(field));

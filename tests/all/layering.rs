@@ -15,8 +15,11 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("formats", &["msg"]),
     ("ros_messages", &["msg"]),
     ("link", &["msg"]),
+    ("link_transport", &["link", "formats", "ros_messages"]),
     ("bridge", &["msg", "ros_messages"]),
     ("runtime", &["msg", "formats"]),
+    // Each crate has its part of the file.
+    ("config", &["msg", "sim", "slam", "merge", "formats", "bridge", "runtime"]),
     ("recording", &["msg", "ros_messages"]),
     // A report shows the bridge's clients.
     ("reports", &["msg", "formats", "bridge"]),

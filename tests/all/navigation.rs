@@ -16,10 +16,13 @@ struct Scene {
     messages: BTreeMap<String, Vec<u8>>,
     /// Newest state of the first robot.
     state: serde_json::Value,
+    /// Newest exclusion zones.
+    zones: serde_json::Value,
 }
 
 const GOAL: &str = "/robot1/goal_pose";
 const STATE: &str = "/robot1/navigation_state";
+const ZONES: &str = "/exclusion_zones";
 
 impl Scene {
     fn new(robots: usize, faults: FaultPlan) -> Self {
@@ -28,12 +31,16 @@ impl Scene {
         let fleet = Lockstep::with_navigation(&config, faults).unwrap();
         let mut client = fleet.client(([127, 0, 0, 1], 7).into());
         client.subscribe(STATE, ros::Text::TYPE);
+        client.subscribe(ZONES, ros::Text::TYPE);
+        client.advertise::<ros::PolygonStamped>("/exclusion_zones/add");
+        client.advertise::<ros::Int32>("/exclusion_zones/remove");
         client.advertise::<ros::PoseStamped>(GOAL);
         client.advertise::<ros::Empty>("/robot1/cancel_navigation");
         client.advertise::<ros::Empty>("/robot1/resume_navigation");
         client.advertise::<ros::Twist>("/robot1/cmd_vel");
         client.advertise::<ros::Bool>("/emergency_stop");
-        let mut scene = Self { fleet, client, messages: BTreeMap::new(), state: serde_json::Value::Null };
+        let null = serde_json::Value::Null;
+        let mut scene = Self { fleet, client, messages: BTreeMap::new(), state: null.clone(), zones: null };
         scene.run(2.0, |_| false);
         scene.client.connect();
         scene.run(0.5, |_| false);
@@ -47,12 +54,11 @@ impl Scene {
             self.fleet.tick(&mut |channel, bytes| {
                 messages.entry(channel.to_owned()).or_default().extend_from_slice(bytes);
             });
-            let state = &mut self.state;
+            let Self { state, zones, .. } = self;
             self.client.receive(|topic, payload| {
-                if topic == STATE {
-                    let text: ros::Text = ros::decode(payload).unwrap();
-                    *state = serde_json::from_str(&text.0).unwrap();
-                }
+                let text: ros::Text = ros::decode(payload).unwrap();
+                let to = if topic == STATE { &mut *state } else { &mut *zones };
+                *to = serde_json::from_str(&text.0).unwrap();
             });
             if is_done(&self.state) {
                 return true;
@@ -206,5 +212,39 @@ fn a_robot_stands_in_time_when_the_navigation_process_hangs() {
         scene.run(0.01, |_| false);
     }
     assert_eq!(scene.velocity(), (0.0, 0.0), "a zero comes 0.3 s after the last command");
+    assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
+}
+
+/// The square of 0.6 m around a point of the map.
+fn square_around(centre: Pose2) -> ros::PolygonStamped {
+    let corner = |(x, y): (f64, f64)| [(centre.x_m + x) as f32, (centre.y_m + y) as f32, 0.0];
+    let corners = [(-0.3, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.3, 0.3)].map(corner).to_vec();
+    ros::PolygonStamped { frame_id: "map".into(), corners, ..Default::default() }
+}
+
+#[test]
+fn an_exclusion_zone_holds_until_it_is_removed_and_outlives_the_navigation_process() {
+    // The processes of a fleet of one, in their order: sim, slam, merge, telemetry, bridge, nav.
+    let faults = FaultPlan::none().with(Monotonic(4_000_000_000), Fault::Kill(5));
+    let mut scene = Scene::new(1, faults);
+    let (start, _) = scene.truth();
+    let goal = start * Pose2::new(1.0, 0.0, 0.0);
+    scene.client.publish("/exclusion_zones/add", &square_around(goal));
+    scene.run(1.0, |_| false);
+    assert_eq!(scene.zones["zones"][0]["number"], 1, "{}", scene.zones);
+    while scene.fleet.now().seconds() < 5.0 {
+        scene.run(0.01, |_| false);
+    }
+    scene.send_goal("base_link_1", [1.0, 0.0]);
+    assert!(scene.run(60.0, is_over) && scene.is("failed"), "{}", scene.state);
+    assert!(scene.state["reason"].as_str().unwrap().contains("zone"), "{}", scene.state);
+    assert!(start.distance_m(scene.truth().0) < 0.7, "it stands before the zone: {:?}", scene.truth());
+    scene.client.publish("/exclusion_zones/remove", &ros::Int32(7));
+    scene.run(1.0, |_| false);
+    assert_eq!(scene.zones["refusal"], "no zone has this number", "{}", scene.zones);
+    scene.client.publish("/exclusion_zones/remove", &ros::Int32(1));
+    scene.run(1.0, |_| false);
+    assert!(scene.zones["zones"].as_array().unwrap().is_empty(), "{}", scene.zones);
+    scene.send_goal("base_link_1", [1.0, 0.0]);
     assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
 }

@@ -1,7 +1,7 @@
 //! The bridge's side of navigation: commands to the navigator, and its velocities.
 
 use super::Bridge;
-use msg::{ExplorationCommand, Monotonic, NavigationCommand, RobotId, VelocityCommand};
+use msg::{ExplorationCommand, Monotonic, NavigationCommand, RobotId, VelocityCommand, ZoneCommand};
 
 impl Bridge {
     /// Sets where goals and other commands to the navigator go. It must not call the bridge.
@@ -12,6 +12,11 @@ impl Bridge {
     /// Sets where commands about the fleet's exploration go. It must not call the bridge.
     pub fn on_exploration(&self, sink: impl FnMut(ExplorationCommand) + 'static) {
         *self.on_exploration.borrow_mut() = Box::new(sink);
+    }
+
+    /// Sets where commands about the exclusion zones go. It must not call the bridge.
+    pub fn on_zone(&self, sink: impl FnMut(ZoneCommand) + 'static) {
+        *self.on_zone.borrow_mut() = Box::new(sink);
     }
 
     /// Handles a velocity of the navigator, which drives a robot that nobody else drives.
@@ -28,6 +33,11 @@ impl Bridge {
         }
         if let Ok(mut sink) = self.on_exploration.try_borrow_mut() {
             while let Some(command) = { self.core.borrow_mut().commands.next_exploration() } {
+                sink(command);
+            }
+        }
+        if let Ok(mut sink) = self.on_zone.try_borrow_mut() {
+            while let Some(command) = { self.core.borrow_mut().commands.next_zone() } {
                 sink(command);
             }
         }

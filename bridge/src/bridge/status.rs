@@ -4,6 +4,7 @@ use super::Bridge;
 use crate::core::Core;
 use crate::drive::Driver;
 use crate::drive::velocity_gate::RobotLimits;
+use crate::room_offer::RoomOffer;
 use crate::router::ClientId;
 use msg::{Distribution, FleetStats, MAP_OLD_AFTER_S, Monotonic, RobotId, RobotStats, TrackingState};
 use serde::Serialize;
@@ -23,6 +24,8 @@ pub(crate) struct FleetStatus {
     null_consistency: Option<f64>,
     /// Pairs of maps that overlap.
     overlapping_pairs: Option<u32>,
+    /// The room that a headset offers as the simulators' world, until the operator answers.
+    room_offer: Option<RoomOffer>,
 }
 
 /// The state of one robot.
@@ -89,6 +92,7 @@ impl Bridge {
             null_consistency: finite(|stats| stats.null_consistency_mean)
                 .filter(|_| stats.is_some_and(|stats| stats.null_count > 0)),
             overlapping_pairs: stats.map(|stats| stats.pair_count),
+            room_offer: core.access.room_offer(),
         }
     }
 }

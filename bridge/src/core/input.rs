@@ -2,7 +2,7 @@
 
 use super::Core;
 use super::initial_pose::InitialPoseError;
-use super::navigation::GoalError;
+use super::navigation::{ExclusionError, GoalError};
 use super::world::world_message;
 use crate::access::{Action, PermissionError};
 use crate::command::name;
@@ -77,6 +77,9 @@ pub enum InputError {
     /// The goal is not one.
     #[error(transparent)]
     Goal(#[from] GoalError),
+    /// The exclusion zone is not one.
+    #[error(transparent)]
+    Exclusion(#[from] ExclusionError),
     /// The external world refuses the message.
     #[error(transparent)]
     World(#[from] WorldError),

@@ -8,13 +8,13 @@ use crate::input::{Input, SHARED_GOAL};
 use crate::router::{ClientId, Topic, TopicId};
 use crate::world::{TransformError, floor_pose};
 use msg::{
-    ExplorationAction, ExplorationCommand, ExplorationReport, ExplorerState, GOAL_POSES_MAX, Link, Monotonic,
-    NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport, NavigationStatus,
-    RobotId, VelocityCommand,
+    ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, ExplorerState, GOAL_POSES_MAX,
+    Link, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
+    NavigationStatus, RobotId, VelocityCommand, ZoneCommand, ZoneError,
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
-use ros_messages::{Bool, Empty, Message, PathMessage, PoseStamped};
+use ros_messages::{Bool, Empty, Int32, Message, PathMessage, PolygonStamped, PoseStamped};
 use thiserror::Error;
 
 /// Why a goal is refused.
@@ -50,6 +50,29 @@ pub enum GoalError {
     },
 }
 
+/// Why a message about exclusion zones is refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum ExclusionError {
+    /// The polygon is not one of the merged map.
+    #[error("a zone in '{frame}'; expected '{MAP}', the merged map")]
+    Frame {
+        /// The message's frame.
+        frame: String,
+    },
+    /// The corners make no zone.
+    #[error(transparent)]
+    Corners(#[from] ZoneError),
+    /// No zone can have the number.
+    #[error("no zone has the number {number}; expected that of a zone, or 0 for all")]
+    Number {
+        /// The number in the message.
+        number: i32,
+    },
+    /// Too many commands about zones wait.
+    #[error("too many commands about zones wait; send this one again")]
+    TooMany,
+}
+
 impl Core {
     /// Applies a message to the navigator.
     pub(super) fn apply_navigation_input(
@@ -70,6 +93,14 @@ impl Core {
             Input::Explore => {
                 let Bool(starts) = self.decode(payload)?;
                 return self.command_exploration(starts, now);
+            }
+            Input::AddZone => {
+                let polygon = self.decode(payload)?;
+                return self.add_zone(&polygon, now);
+            }
+            Input::RemoveZone => {
+                let Int32(number) = self.decode(payload)?;
+                return self.remove_zone(number, now);
             }
             Input::CancelNavigation(robot) => (robot, NavigationAction::Cancel),
             Input::ResumeNavigation(robot) => (robot, NavigationAction::Resume),
@@ -241,6 +272,37 @@ impl Core {
             let is_exploring = report.robot(robot.index()) == ExplorerState::Exploring;
             self.gate.drive_mut().set_exploring(robot, is_exploring);
         }
+    }
+
+    /// Adds an exclusion zone of the merged map.
+    fn add_zone(&mut self, polygon: &PolygonStamped, now: Monotonic) -> Result<(), InputError> {
+        let frame = polygon.frame_id.as_str();
+        if frame.strip_prefix('/').unwrap_or(frame) != MAP {
+            return Err(ExclusionError::Frame { frame: frame.to_owned() }.into());
+        }
+        let corners_m: Vec<[f64; 2]> =
+            polygon.corners.iter().map(|[x, y, _]| [f64::from(*x), f64::from(*y)]).collect();
+        let zone = ExclusionZone::new(&corners_m).map_err(ExclusionError::from)?;
+        self.command_zones(|number| ZoneCommand::add(number, zone), now)
+    }
+
+    /// Removes the exclusion zone with a number; 0 removes all.
+    fn remove_zone(&mut self, zone: i32, now: Monotonic) -> Result<(), InputError> {
+        let zone = u32::try_from(zone).map_err(|_| ExclusionError::Number { number: zone })?;
+        match zone {
+            0 => self.command_zones(ZoneCommand::clear, now),
+            _ => self.command_zones(|number| ZoneCommand::remove(number, zone), now),
+        }
+    }
+
+    fn command_zones(
+        &mut self,
+        command: impl Fn(u64) -> ZoneCommand,
+        now: Monotonic,
+    ) -> Result<(), InputError> {
+        self.commands.record_time(now);
+        let number = self.commands.next_navigation_number();
+        if self.commands.push_zone(command(number)) { Ok(()) } else { Err(ExclusionError::TooMany.into()) }
     }
 
     /// Starts the fleet's exploration, or stops it.

@@ -1,10 +1,10 @@
 //! The topics that the endpoint subscribes to.
 
 use crate::config::VelocityMessage;
-use crate::input::{EXPLORE, Input, SHARED_GOAL};
+use crate::input::{ADD_ZONE, EXPLORE, Input, REMOVE_ZONE, SHARED_GOAL};
 use crate::relay::ReceivedMessage;
 use ros_messages::{
-    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PoseStamped,
+    Bool, Clock, Empty, Int32, LaserScan, Message, Odometry, PathMessage, PolygonStamped, PoseStamped,
     PoseWithCovarianceStamped, RobotNames, Text, TfMessage, Twist, TwistStamped,
 };
 
@@ -78,6 +78,8 @@ fn command_topics(robots: &RobotNames, velocity: VelocityMessage, is_external: b
         InputTopic::new::<Bool>("/emergency_stop".into(), Input::EmergencyStop),
         InputTopic::new::<Empty>("/emergency_stop_release".into(), Input::ReleaseStop),
         InputTopic::new::<Bool>(EXPLORE.into(), Input::Explore),
+        InputTopic::new::<PolygonStamped>(ADD_ZONE.into(), Input::AddZone),
+        InputTopic::new::<Int32>(REMOVE_ZONE.into(), Input::RemoveZone),
         InputTopic::new::<Text>("/merge_edge_command".into(), Input::MergeEdge),
         InputTopic::new::<PoseWithCovarianceStamped>("/initialpose".into(), Input::InitialPose(None)),
         InputTopic::new::<PoseStamped>(SHARED_GOAL.into(), Input::Goal(None)),

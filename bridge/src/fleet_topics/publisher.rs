@@ -11,10 +11,10 @@ use super::static_transforms::StaticTransformSet;
 use super::table::FleetTopic;
 use crate::input::Input;
 use crate::repeater::{CorrectionRepeater, Repetition};
-use json::{exploration_json, navigation_json};
+use json::{exploration_json, navigation_json, zones_json};
 use msg::{
-    Clock, Correction, ExplorationReport, FleetStats, GridView, Link, MapTransforms, Monotonic,
-    NavigationPlan, NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
+    Clock, Correction, ExclusionZones, ExplorationReport, FleetStats, GridView, Link, MapTransforms,
+    Monotonic, NavigationPlan, NavigationReport, Odometry, RobotId, Scan, Stamp, Transforms,
 };
 use ros_messages::cdr::Writer;
 use ros_messages::map_tiles::write_map_tiles;
@@ -52,6 +52,8 @@ pub enum FleetMessage<'a> {
     MergeEdges(&'a str),
     /// How far the exploration is: `/explore/state`.
     ExplorationState(&'a ExplorationReport),
+    /// The areas that navigation keeps robots out of: `/exclusion_zones`.
+    ExclusionZones(&'a ExclusionZones),
     /// What navigation does with a robot: `/robotN/navigation_state`.
     NavigationState(RobotId, &'a NavigationReport),
     /// The planned path of a robot: `/robotN/plan`.
@@ -210,16 +212,7 @@ impl FleetPublisher {
                 self.publish_links(robot, transforms, sink);
             }
             FleetMessage::Odometry(robot, odometry) if self.has(robot) => {
-                let frame = self.names.link(robot, Link::Odom);
-                let child = self.names.link(robot, Link::BaseFootprint);
-                let OdometryCovariances { sigmas, robots } = &mut self.odometry;
-                let covariance = &mut robots[robot.index()];
-                covariance.add(sigmas, odometry);
-                let encode = |to: &mut Writer<'_>| {
-                    let of_velocity = OdometryCovariance::of_velocity(sigmas, odometry);
-                    write::odometry(to, frame, child, odometry, &covariance.of_pose(), &of_velocity);
-                };
-                sink.send(FleetTopic::Odometry, Some(robot), encode);
+                self.publish_odometry(robot, odometry, sink);
             }
             FleetMessage::Correction(robot, correction) if self.has(robot) => {
                 self.publish_correction(robot, correction, sink);
@@ -255,10 +248,27 @@ impl FleetPublisher {
             }
             FleetMessage::ExplorationState(report) => {
                 let json = exploration_json(report, &self.robots, &self.names);
-                sink.send(FleetTopic::ExplorationState, None, |to| to.string(&json));
+                send_text(FleetTopic::ExplorationState, &json, sink);
             }
-            FleetMessage::MergeEdges(json) => sink.send(FleetTopic::MergeEdges, None, |to| to.string(json)),
+            FleetMessage::ExclusionZones(zones) => {
+                send_text(FleetTopic::ExclusionZones, &zones_json(zones), sink)
+            }
+            FleetMessage::MergeEdges(json) => send_text(FleetTopic::MergeEdges, json, sink),
         }
+    }
+
+    /// Publishes a robot's odometry with the errors that have added up.
+    fn publish_odometry(&mut self, robot: RobotId, odometry: &msg::Odometry, sink: &mut impl TopicSink) {
+        let frame = self.names.link(robot, Link::Odom);
+        let child = self.names.link(robot, Link::BaseFootprint);
+        let OdometryCovariances { sigmas, robots } = &mut self.odometry;
+        let covariance = &mut robots[robot.index()];
+        covariance.add(sigmas, odometry);
+        let encode = |to: &mut Writer<'_>| {
+            let of_velocity = OdometryCovariance::of_velocity(sigmas, odometry);
+            write::odometry(to, frame, child, odometry, &covariance.of_pose(), &of_velocity);
+        };
+        sink.send(FleetTopic::Odometry, Some(robot), encode);
     }
 
     fn publish_plan(&self, robot: RobotId, plan: &NavigationPlan, sink: &mut impl TopicSink) {
@@ -367,4 +377,9 @@ impl FleetPublisher {
         }
         self.map_transforms_due = Some(now + MAP_TRANSFORMS_PERIOD);
     }
+}
+
+/// Sends a text of the fleet as a std_msgs/String.
+fn send_text(topic: FleetTopic, text: &str, sink: &mut impl TopicSink) {
+    sink.send(topic, None, |to| to.string(text));
 }

@@ -45,6 +45,8 @@ pub enum FleetTopic {
     Plan,
     /// How far the exploration is and what is left, as JSON.
     ExplorationState,
+    /// The areas that navigation keeps robots out of, as JSON.
+    ExclusionZones,
     /// The robot that `/cmd_vel` drives.
     SelectedRobot,
     /// Whether the emergency stop is set.
@@ -134,7 +136,7 @@ const fn row(
 ///
 /// To add one, add a row here and a [`FleetTopic`], publish it in `FleetPublisher::publish`, and send the
 /// [`crate::FleetMessage`] where its channel is read. The recorder has a table of its own.
-pub const OUTGOING_TOPICS: [OutgoingTopic; 20] = [
+pub const OUTGOING_TOPICS: [OutgoingTopic; 21] = [
     OutgoingTopic {
         tcp: stream(DEPTH_DEFAULT),
         dds: stream(DDS_SCAN_DEPTH),
@@ -227,6 +229,11 @@ pub const OUTGOING_TOPICS: [OutgoingTopic; 20] = [
         tcp: LATCHED,
         dds: LATCHED,
         ..row(FleetTopic::ExplorationState, "/explore/state", Text::TYPE, "exploration_state")
+    },
+    OutgoingTopic {
+        tcp: LATCHED,
+        dds: LATCHED,
+        ..row(FleetTopic::ExclusionZones, "/exclusion_zones", Text::TYPE, "exclusion_zones")
     },
     OutgoingTopic {
         tcp: LATCHED,

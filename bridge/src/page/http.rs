@@ -4,6 +4,7 @@
 
 use super::origin::{OriginError, check_host, check_origin};
 use super::protocol::SUBPROTOCOLS;
+use super::room::{ROOM_BYTES_MAX, ROOM_PATH};
 use httparse::{EMPTY_HEADER, Header, Status};
 use std::net::IpAddr;
 use thiserror::Error;
@@ -39,6 +40,11 @@ pub enum Request {
         /// Whether the content is wanted, or only the headers.
         with_body: bool,
     },
+    /// A room that is offered; its bytes follow.
+    Room {
+        /// Bytes of the body.
+        length: usize,
+    },
     /// A WebSocket: the response that accepts it.
     WebSocket {
         /// The bytes of the response.
@@ -53,8 +59,11 @@ pub enum RequestError {
     #[error("not an HTTP/1.1 request of at most {HEAD_BYTES_MAX} bytes and {HEADERS_MAX} headers")]
     Malformed,
     /// The request is not for GET or HEAD, or has a body.
-    #[error("only GET and HEAD without a body are served")]
+    #[error("only GET and HEAD without a body are served, and POST to {ROOM_PATH}")]
     Method,
+    /// The room's length is not said, or too large.
+    #[error("a room has a Content-Length of 1 to {ROOM_BYTES_MAX} bytes; scan a single room")]
+    RoomLength,
     /// The request comes from a page that may not talk to the bridge.
     #[error(transparent)]
     Origin(#[from] OriginError),
@@ -69,6 +78,7 @@ impl RequestError {
         let status = match self {
             Self::Malformed | Self::WebSocket => "400 Bad Request",
             Self::Method => "405 Method Not Allowed",
+            Self::RoomLength => "413 Content Too Large",
             Self::Origin(_) => "403 Forbidden",
         };
         text_response(status, &self.to_string())
@@ -92,22 +102,43 @@ pub fn parse_request(
     let headers = Headers(request.headers);
     let host = headers.only("host").ok_or(OriginError::NoHost)?;
     check_host(Some(host), local)?;
+    let path = target.split(['?', '#']).next().unwrap_or("");
+    if method == "POST" && path == ROOM_PATH {
+        return Ok(Some((accept_room(&headers, host, origins)?, length)));
+    }
     let has_body =
         headers.has("transfer-encoding") || headers.only("content-length").is_some_and(|n| n != "0");
     if !matches!(method, "GET" | "HEAD") || has_body {
         return Err(RequestError::Method);
     }
     if headers.has_token("upgrade", "websocket") && method == "GET" {
-        // Two origins would be none that can be judged.
-        if headers.has("origin") && headers.only("origin").is_none() {
-            return Err(RequestError::Malformed);
-        }
-        check_origin(headers.only("origin"), host, origins)?;
+        check_one_origin(&headers, host, origins)?;
         let response = accept_web_socket(&headers)?;
         return Ok(Some((Request::WebSocket { response }, length)));
     }
-    let path = target.split(['?', '#']).next().unwrap_or("").to_owned();
+    let path = path.to_owned();
     Ok(Some((Request::File { path, with_body: method == "GET" }, length)))
+}
+
+/// Checks that the request comes from a page that may talk to the bridge.
+fn check_one_origin(headers: &Headers<'_, '_>, host: &str, origins: &[String]) -> Result<(), RequestError> {
+    // Two origins would be none that can be judged.
+    if headers.has("origin") && headers.only("origin").is_none() {
+        return Err(RequestError::Malformed);
+    }
+    Ok(check_origin(headers.only("origin"), host, origins)?)
+}
+
+/// Returns the request of a room.
+fn accept_room(headers: &Headers<'_, '_>, host: &str, origins: &[String]) -> Result<Request, RequestError> {
+    check_one_origin(headers, host, origins)?;
+    // JSON is a type that a foreign page cannot send without asking first (Fetch, CORS-safelisted request-header).
+    if !headers.has_token("content-type", "application/json") || headers.has("transfer-encoding") {
+        return Err(RequestError::Malformed);
+    }
+    let length = headers.only("content-length").and_then(|length| length.parse().ok());
+    let length = length.filter(|length| (1..=ROOM_BYTES_MAX).contains(length));
+    Ok(Request::Room { length: length.ok_or(RequestError::RoomLength)? })
 }
 
 /// Returns the response that accepts a WebSocket (RFC 6455, 4.2.2).

@@ -3,8 +3,10 @@
 use super::encoder::Encoder;
 use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_request, text_response};
 use super::protocol::{ENCODING, ServerCommand, selfcheck_text};
+use super::room::{RoomReceiver, SaveRoom};
 use super::session::Session;
 use super::socket::{MessageReader, PageSocket};
+use super::stream::respond;
 use super::tls::serve_encrypted;
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
@@ -30,8 +32,6 @@ use tungstenite::Message;
 const REQUESTS_MAX: usize = 32;
 /// A request must be complete after this time.
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
-/// A file must be taken in this time. The whole page is smaller than a map.
-const FILE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(500);
 /// Bytes read at a time.
@@ -54,6 +54,7 @@ const SELFCHECKS_MAX: u32 = 4;
 pub(super) struct Shared {
     bridge: Rc<Bridge>,
     files: &'static [PageFile],
+    rooms: RoomReceiver,
     origins: Vec<String>,
     clock: fn() -> Monotonic,
     session_id: String,
@@ -71,6 +72,15 @@ impl Shared {
     }
 }
 
+/// What the server has beside the bridge.
+#[derive(Clone)]
+pub struct PageContent {
+    /// Files of the page.
+    pub files: &'static [PageFile],
+    /// Saves the rooms that browsers offer; without it they are refused.
+    pub save_room: Option<SaveRoom>,
+}
+
 /// Serves the page and its WebSockets until `stop` is ready: encrypted with a TLS acceptor, otherwise in clear.
 ///
 /// Runs inside a [`tokio::task::LocalSet`] beside [`crate::serve_clients`]. The caller calls [`Bridge::tick`].
@@ -79,12 +89,14 @@ pub async fn serve_page(
     listener: TcpListener,
     encryption: Option<TlsAcceptor>,
     config: &PageConfig,
-    files: &'static [PageFile],
+    content: PageContent,
     clock: fn() -> Monotonic,
     stop: impl Future<Output = ()>,
 ) {
     let (origins, session_id) = (config.origins.clone(), session_id());
-    let shared = Rc::new(Shared { bridge: bridge.clone(), files, origins, clock, session_id });
+    let PageContent { files, save_room } = content;
+    let rooms = RoomReceiver::new(save_room);
+    let shared = Rc::new(Shared { bridge: bridge.clone(), files, rooms, origins, clock, session_id });
     let serve = |stream, peer| {
         let (shared, encryption) = (shared.clone(), encryption.clone());
         async move {
@@ -113,6 +125,11 @@ pub(super) async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, p
         Ok((Request::WebSocket { response }, length)) => {
             let first_bytes = received.split_off(length);
             return serve_web_socket(&shared, stream, peer, response, &first_bytes).await;
+        }
+        Ok((Request::Room { length }, head)) => {
+            let first = received.split_off(head);
+            let Shared { bridge, rooms, .. } = &*shared;
+            (rooms.receive(bridge, &stream, peer.ip(), first, length).await, [].as_slice())
         }
         Ok((Request::File { path, with_body }, _)) => file_response(shared.files, &path, with_body),
         Err(error) => (error.response(), [].as_slice()),
@@ -144,26 +161,6 @@ async fn read_request(
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(error) => return Err(error),
         }
-    }
-}
-
-/// Sends a response and closes the connection.
-async fn respond(stream: &impl Stream, head: &[u8], body: &[u8]) {
-    let write = async {
-        for mut bytes in [head, body] {
-            while !bytes.is_empty() {
-                stream.ready(Interest::WRITABLE).await?;
-                match stream.try_write_vectored(&[io::IoSlice::new(bytes)]) {
-                    Ok(written) => bytes = &bytes[written..],
-                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                    Err(error) => return Err(error),
-                }
-            }
-        }
-        Ok::<(), io::Error>(())
-    };
-    if let Ok(Ok(())) = timeout(FILE_TIMEOUT, write).await {
-        close_gently(stream).await;
     }
 }
 

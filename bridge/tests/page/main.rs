@@ -4,12 +4,16 @@ mod browser;
 mod driving;
 mod http;
 mod https;
+mod room;
 mod topics;
 
-use bridge::{Bridge, BridgeConfig, PageFile, process_clock, serve, serve_page};
+use bridge::{Bridge, BridgeConfig, PageContent, PageFile, process_clock, serve, serve_page};
 use msg::{RobotId, VelocityCommand};
-use std::future::pending;
+use std::cell::RefCell;
+use std::future::{pending, ready};
+use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
+use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -20,6 +24,19 @@ use tokio::task::LocalSet;
 /// The page of the tests.
 const FILES: &[PageFile] =
     &[PageFile { path: "/", content_type: "text/html; charset=utf-8", bytes: b"<!doctype html>" }];
+
+thread_local! {
+    /// The newest room that was saved, on the bridge's thread.
+    static SAVED_ROOM: RefCell<Option<Vec<u8>>> = const { RefCell::new(None) };
+}
+
+fn content() -> PageContent {
+    let save = |room: Vec<u8>| -> Pin<Box<dyn Future<Output = io::Result<()>>>> {
+        SAVED_ROOM.set(Some(room));
+        Box::pin(ready(Ok(())))
+    };
+    PageContent { files: FILES, save_room: Some(Rc::new(save)) }
+}
 
 /// Something to do on the bridge's thread.
 type Job = Box<dyn FnOnce(&Bridge) + Send>;
@@ -58,14 +75,22 @@ impl Served {
                 let (of_bridge, of_config) = (bridge.clone(), page_config.clone());
                 let encrypted = tokio::task::spawn_local(async move {
                     let acceptor = Some(https::acceptor());
-                    serve_page(of_bridge, encrypted, acceptor, &of_config, FILES, process_clock, pending())
-                        .await;
+                    serve_page(
+                        of_bridge,
+                        encrypted,
+                        acceptor,
+                        &of_config,
+                        content(),
+                        process_clock,
+                        pending(),
+                    )
+                    .await;
                 });
                 let (stop, stopped) = oneshot::channel::<()>();
                 let stopped = async move { drop(stopped.await) };
                 let server = tokio::task::spawn_local(serve(bridge.clone(), tcp, process_clock, stopped));
                 let jobs = run_jobs(bridge.clone(), received);
-                serve_page(bridge, page, None, &page_config, FILES, process_clock, jobs).await;
+                serve_page(bridge, page, None, &page_config, content(), process_clock, jobs).await;
                 encrypted.abort();
                 drop(stop);
                 server.await.unwrap();

@@ -238,7 +238,7 @@ impl FleetExploration {
         });
         // Zones are in the merged map; where they lie in another one is not known.
         let zones = if of.is_none() { input.exclusion_zones } else { &[] };
-        let excluded: Vec<Vec<[f64; 2]>> = zones.iter().map(|zone| zone.corners_m.clone()).collect();
+        let excluded: Vec<Vec<[f64; 2]>> = zones.iter().map(|zone| zone.corners_m().to_vec()).collect();
         let explored = &mut self.maps[index];
         let plans = explored.coordinator.plans();
         explored.coordinator.update(&CoordinationInput {

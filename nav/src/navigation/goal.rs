@@ -5,7 +5,7 @@ use thiserror::Error;
 
 /// Most poses of one goal: a path of waypoints is sent as one.
 pub const GOAL_POSES_MAX: usize = 64;
-/// Largest coordinate of a goal or a zone, metres: beyond it a message is broken.
+/// Largest coordinate of a goal, metres: beyond it a message is broken.
 const COORDINATE_MAX_M: f64 = 1e5;
 
 /// Frame that the poses of a goal are in.
@@ -90,11 +90,4 @@ impl GoalPose {
             yaw_rad: self.yaw_rad.map(|yaw_rad| yaw_rad + to_from_goal.yaw_rad),
         }
     }
-}
-
-/// Polygon that robots must not enter.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ExclusionZone {
-    /// Corners in order, in the merged map, metres; at least three.
-    pub corners_m: Vec<[f64; 2]>,
 }

@@ -1,7 +1,6 @@
 //! Cheapest routes from everywhere around a robot to its goal, on the map with recent obstacles and zones.
 
 use super::config::{NavigatorConfig, UnknownSpace};
-use super::goal::ExclusionZone;
 use super::input::RobotPoses;
 use super::obstacles::RecentObstacles;
 use super::state::NavigationFailure;
@@ -9,8 +8,8 @@ use crate::clearance_map::ClearanceMap;
 use crate::observation::MapView;
 use crate::path::{Path, Waypoint};
 use crate::route_search::RouteSearch;
-use msg::Stamp;
 use msg::grid::Occupancy;
+use msg::{ExclusionZone, Stamp};
 
 /// Radius of the disc marked where a robot stands, metres: scans draw a robot somewhat larger than its body.
 const ROBOT_MARK_RADIUS_M: f64 = 0.14;
@@ -97,7 +96,7 @@ impl GoalMap {
         // The robot's own place is free, whatever other robots' scans drew there.
         self.map.mark_disc(input.poses.position_m(), ROBOT_MARK_RADIUS_M, Occupancy::Free);
         input.obstacles.mark(input.stamp, input.poses.odom_from_map().inverse(), &mut self.map);
-        input.zones.iter().for_each(|zone| self.map.mark_polygon_occupied(&zone.corners_m));
+        input.zones.iter().for_each(|zone| self.map.mark_polygon_occupied(zone.corners_m()));
         for robot_m in input.standing_robots_m {
             self.map.mark_disc(*robot_m, ROBOT_MARK_RADIUS_M, Occupancy::Occupied);
         }

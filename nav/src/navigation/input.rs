@@ -1,8 +1,7 @@
 //! What the navigator is told about the fleet in each step.
 
-use super::goal::ExclusionZone;
 use crate::observation::{RobotObservation, ScanView};
-use msg::{Pose2, RobotId, Stamp};
+use msg::{ExclusionZone, Pose2, RobotId, Stamp};
 
 /// Oldest scan that a robot is driven by, seconds: five periods of a Burger's LiDAR.
 const SCAN_AGE_MAX_S: f64 = 0.5;
@@ -25,7 +24,7 @@ pub struct NavigationInput<'a> {
     pub stamp: Stamp,
     /// All robots, with and without goals.
     pub robots: &'a [NavigatedRobot<'a>],
-    /// Where robots must not go.
+    /// Where robots of the merged map must not go. Where zones lie in the map of a robot that is not merged is not known.
     pub exclusion_zones: &'a [ExclusionZone],
 }
 

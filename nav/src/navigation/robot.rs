@@ -4,7 +4,7 @@ mod arrival;
 mod safety;
 
 use super::config::NavigatorConfig;
-use super::goal::{ExclusionZone, GoalFrame, GoalPose, NavigationGoal};
+use super::goal::{GoalFrame, GoalPose, NavigationGoal};
 use super::goal_map::{GoalMap, GoalMapInput};
 use super::input::{NavigatedRobot, RobotPoses};
 use super::obstacles::RecentObstacles;
@@ -14,7 +14,7 @@ use crate::collision::CollisionLimit;
 use crate::command::Twist;
 use crate::follower::PathFollower;
 use crate::path::Path;
-use msg::{Pose2, RobotId, Stamp};
+use msg::{ExclusionZone, Pose2, RobotId, Stamp};
 
 /// Waypoints after a wait to which a waiting robot turns: 0.2 m on maps of 0.05 m.
 const FACED_WAYPOINTS: usize = 3;
@@ -267,7 +267,7 @@ impl RobotNavigator {
             poses,
             goal_m,
             obstacles: &self.obstacles,
-            zones,
+            zones: if robot.observation.in_merged_map { zones } else { &[] },
             standing_robots_m: &standing_robots_m,
         };
         let result = self.goal_map.search(&self.config, &input);

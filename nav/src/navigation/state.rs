@@ -55,13 +55,13 @@ pub enum NavigationFailure {
     #[error("the goal lies outside the map, or more than 25 m from the robot")]
     GoalOutsideMap,
     /// An obstacle or an exclusion zone is at the goal.
-    #[error("the goal lies on an obstacle or too close to one")]
+    #[error("the goal lies on an obstacle or in an exclusion zone, or too close to one")]
     GoalOccupied,
     /// No way that is wide enough leads to the goal.
     #[error("no way leads to the goal: unknown space, obstacles or zones lie between")]
     GoalUnreachable,
     /// The robot fits nowhere near its pose.
-    #[error("obstacles surround the robot")]
+    #[error("obstacles or exclusion zones surround the robot")]
     StartBlocked,
     /// Something that the scan shows stands in the way.
     #[error("something stands in the way")]

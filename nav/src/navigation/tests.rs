@@ -5,7 +5,7 @@ mod fleet;
 use super::*;
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
 use crate::test_world::{RANGE_MAX_M, RANGE_MIN_M, STEP_S, TestWorld, beam_angle_rad};
-use msg::Pose2;
+use msg::{ExclusionZone, Pose2};
 
 fn id(number: usize) -> RobotId {
     RobotId::new(number).unwrap()
@@ -162,7 +162,7 @@ fn goals_that_cannot_be_reached_fail_and_say_why() {
 fn a_zone_is_driven_around() {
     let mut drive = Drive::new(TestWorld::new(1, 0));
     let zone = [[0.2, 1.0], [1.1, 1.0], [1.1, 1.6], [0.2, 1.6]];
-    drive.zones = vec![ExclusionZone { corners_m: zone.to_vec() }];
+    drive.zones = vec![ExclusionZone::new(&zone).unwrap()];
     drive.go(1, [0.6, 2.0]);
     let mut entered = false;
     while drive.state(1).is_active() && drive.steps < 1200 {

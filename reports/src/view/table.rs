@@ -67,6 +67,11 @@ impl FleetView {
         if more > 0 {
             text += &style.wrap(&format!("? {more} more ask to drive: mr-slam allow"), 2);
         }
+        if let Some(offer) = self.bridge.as_ref().and_then(|bridge| bridge.room_offer) {
+            let line =
+                format!("? {} offers its room as the world: mr-slam room accept, or refuse", offer.address);
+            text += &paint_lines(&style.wrap(&line, 2), style, Emphasis::Attention);
+        }
         text += &self.figures(style);
         if let Some(bridge) = &self.bridge {
             text += &client_lines(bridge, style);

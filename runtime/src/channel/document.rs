@@ -42,7 +42,7 @@ fn picture() -> String {
 
 /// Returns the arrows of a channel between programs of the fleet itself.
 fn arrows_of(row: &ChannelRow) -> impl Iterator<Item = (Program, Program)> {
-    let drawn = |end: &&Endpoint| !matches!(end, Endpoint::OutsideWorld(_));
+    let drawn = |end: &&Endpoint| !matches!(end, Endpoint::OutsideWorld(_) | Endpoint::OtherMachines(_));
     let ends = |ends: &'static [Endpoint]| ends.iter().filter(drawn).map(|end| end.program());
     let readers: Vec<_> = ends(row.readers).filter(|program| !program.is_tool()).collect();
     let writers: Vec<_> = ends(row.writers).filter(|program| !program.is_tool()).collect();
@@ -91,5 +91,7 @@ fn channel_table() -> String {
         );
     }
     text + "\n\\* Where the robots are not simulated here, the bridge writes what the simulators write, but for the \
-            truth,\nand passes commands on to ROS 2.\n"
+            truth,\nand passes commands on to ROS 2.\n\
+            \n\\*\\* Where robots and base are on several machines: at the base the link writes what it gets from the robots' \
+            links,\nand reads commands for them. On a robot's machine it reads the former, and writes the base's velocities.\n"
 }

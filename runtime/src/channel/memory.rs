@@ -30,7 +30,8 @@ pub fn shared_memory_need(robots: usize, outside: bool) -> SharedMemoryNeed {
             Scope::Process => processes,
         };
         let readers = ends(row.readers, robots);
-        let writers = if row.scope == Scope::Process { 1 } else { row.writers.len() };
+        let writers = row.writers.iter().filter(|end| !is_of_other_machines(end)).count();
+        let writers = if row.scope == Scope::Process { 1 } else { writers };
         let message = message_bytes(row);
         let at = |depth: usize| (writers * (readers * depth + row.history + WRITER_MESSAGES)) * message;
         need.least += (channels * (at(1) + CHANNEL_BYTES)) as u64;
@@ -42,7 +43,13 @@ pub fn shared_memory_need(robots: usize, outside: bool) -> SharedMemoryNeed {
 /// Number of processes at the ends of one channel.
 fn ends(ends: &[Endpoint], robots: usize) -> usize {
     let of = |end: &Endpoint| if matches!(end, Endpoint::OfOthers(_)) { robots.saturating_sub(1) } else { 1 };
-    ends.iter().map(of).sum()
+    ends.iter().filter(|end| !is_of_other_machines(end)).map(of).sum()
+}
+
+/// Returns whether an end exists only where robots and base are on several machines: it takes the place of another, or reads
+/// at their pace.
+fn is_of_other_machines(end: &Endpoint) -> bool {
+    matches!(end, Endpoint::OtherMachines(_))
 }
 
 /// Size of a message; a map's is that of the largest.

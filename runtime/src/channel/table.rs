@@ -2,10 +2,13 @@
 
 mod navigation;
 
-pub use navigation::{exploration_state, explore, goal, navigation_state, navigation_velocity, plan};
+pub use navigation::{
+    exclusion_zones, exploration_state, explore, goal, navigation_state, navigation_velocity, plan,
+    zone_command,
+};
 
-use super::Endpoint::{Of, OfFirst, OfOthers, OutsideWorld};
-use super::Program::{EdgesTool, Launcher, RecordTool, SlamTool, Worker};
+use super::Endpoint::{Of, OfFirst, OfOthers, OtherMachines, OutsideWorld};
+use super::Program::{EdgesTool, Launcher, LinkTool, RecordTool, SlamTool, Worker};
 use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
     Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
@@ -51,6 +54,9 @@ const STATE: ChannelRow = ChannelRow { scope: Scope::Fleet, depth: 2, history: 1
 const MAP: ChannelRow = ChannelRow { history: 1, depth: 4 * MAP_MESSAGES_MAX, ..STREAM };
 
 const SIM_OR_OUTSIDE: &[Endpoint] = &[Of(SIM), OutsideWorld(BRIDGE)];
+/// Writers of what the link writes at the base, where the robots are on other machines.
+const SIM_OR_OUTSIDE_OR_LINK: &[Endpoint] = &[Of(SIM), OutsideWorld(BRIDGE), OtherMachines(LinkTool)];
+const SLAM_OR_LINK: &[Endpoint] = &[Of(SLAM), OtherMachines(LinkTool)];
 const EVERYBODY: &[Endpoint] =
     &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
 
@@ -58,7 +64,14 @@ static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
     content: "wished velocity, 20 Hz while somebody drives",
     writers: &[Of(BRIDGE)],
-    readers: &[Of(SIM), OutsideWorld(BRIDGE), Of(RECORD), Of(RecordTool), Of(Launcher)],
+    readers: &[
+        Of(SIM),
+        OutsideWorld(BRIDGE),
+        Of(RECORD),
+        Of(RecordTool),
+        Of(Launcher),
+        OtherMachines(LinkTool),
+    ],
     ..STREAM
 });
 static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
@@ -83,8 +96,8 @@ static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
 static TRANSFORMS: TypedRow<Transforms> = TypedRow::new(ChannelRow {
     name: "transforms",
     content: "the robot's own frames, 20 Hz",
-    writers: SIM_OR_OUTSIDE,
-    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool)],
+    writers: SIM_OR_OUTSIDE_OR_LINK,
+    readers: &[Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool), OtherMachines(LinkTool)],
     ..STREAM
 });
 static TRUTH: TypedRow<GroundTruth> = TypedRow::new(ChannelRow {
@@ -102,15 +115,24 @@ static CLOCK: TypedRow<Clock> = TypedRow::new(ChannelRow {
     name: "clock",
     content: "the run's time, 100 Hz",
     scope: Scope::Fleet,
-    writers: &[OfFirst(SIM), OutsideWorld(BRIDGE)],
+    writers: &[OfFirst(SIM), OutsideWorld(BRIDGE), OtherMachines(LinkTool)],
     readers: &[Of(BRIDGE), Of(RECORD), Of(RecordTool)],
     ..STREAM
 });
 static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
     name: "correction",
     content: "the pose in the robot's map, one for each scan",
-    writers: &[Of(SLAM)],
-    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
+    writers: SLAM_OR_LINK,
+    readers: &[
+        Of(MERGE),
+        Of(TELEMETRY),
+        Of(BRIDGE),
+        Of(NAV),
+        Of(Launcher),
+        Of(RECORD),
+        Of(RecordTool),
+        OtherMachines(LinkTool),
+    ],
     ..STREAM
 });
 // Readers cannot count lost messages of several writers: a client notices a lost request by the missing answer.
@@ -134,15 +156,24 @@ static SLAM_RESPONSE: TypedRow<SlamResponse> = TypedRow::new(ChannelRow {
 static ROBOT_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     name: "map",
     content: "changed tiles of the robot's map, at most 10 Hz",
-    writers: &[Of(SLAM)],
-    readers: &[Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(NAV), Of(Launcher), Of(RECORD), Of(RecordTool)],
+    writers: SLAM_OR_LINK,
+    readers: &[
+        Of(MERGE),
+        Of(TELEMETRY),
+        Of(BRIDGE),
+        Of(NAV),
+        Of(Launcher),
+        Of(RECORD),
+        Of(RecordTool),
+        OtherMachines(LinkTool),
+    ],
     ..MAP
 });
 static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
     name: "submap",
     content: "a new or changed submap, at most 10 Hz",
-    writers: &[Of(SLAM)],
-    readers: &[Of(MERGE)],
+    writers: SLAM_OR_LINK,
+    readers: &[Of(MERGE), OtherMachines(LinkTool)],
     // A message has 0.26 MB, so that the queue is short; a reader that lost one requests it.
     depth: 8,
     readers_max: SUBMAP_READERS_MAX,
@@ -152,16 +183,17 @@ static SUBMAP_POSES: TypedRow<SubmapPoses> = TypedRow::new(ChannelRow {
     name: "submap_poses",
     content: "poses of all submaps, with each node",
     scope: Scope::Robot,
-    writers: &[Of(SLAM)],
-    readers: &[Of(MERGE)],
+    writers: SLAM_OR_LINK,
+    readers: &[Of(MERGE), OtherMachines(LinkTool)],
     readers_max: SUBMAP_READERS_MAX,
     ..STATE
 });
 static SUBMAP_REQUEST: TypedRow<SubmapRequest> = TypedRow::new(ChannelRow {
     name: "submap_request",
     content: "a request for all submaps, when one is missing",
-    writers: &[Of(MERGE)],
-    readers: &[Of(SLAM)],
+    writers: &[Of(MERGE), OtherMachines(LinkTool)],
+    writers_max: 2,
+    readers: &[Of(SLAM), OtherMachines(LinkTool)],
     depth: 2,
     wakes: false,
     ..STREAM
@@ -218,7 +250,7 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
 });
 
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 25] = [
+pub static CHANNELS: [&ChannelRow; 27] = [
     &COMMAND.row,
     &SCAN.row,
     &ODOMETRY.row,
@@ -242,6 +274,8 @@ pub static CHANNELS: [&ChannelRow; 25] = [
     &navigation::PLAN.row,
     &navigation::EXPLORE.row,
     &navigation::EXPLORATION_STATE.row,
+    &navigation::ZONE_COMMAND.row,
+    &navigation::EXCLUSION_ZONES.row,
     &STATS.row,
     &HEALTH.row,
 ];

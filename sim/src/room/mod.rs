@@ -7,8 +7,10 @@ mod gltf_error;
 mod ground;
 mod laboratory;
 mod mesh;
+mod mruk;
 mod obj;
 mod plan;
+mod polygon;
 mod raster;
 mod read;
 mod scene;
@@ -18,8 +20,10 @@ pub use generated::RoomKind;
 pub use gltf_error::{AccessorError, GltfError, MeshError};
 use ground::{FLOOR_RELIEF_M, Ground};
 use mesh::Mesh;
+pub use mruk::{AnchorError, MrukError};
 pub use obj::ObjError;
 use parry3d::shape::{SharedShape, TriMesh};
+pub use polygon::PolygonError;
 pub use scene::{EntityError, SceneError};
 use std::sync::Arc;
 
@@ -58,6 +62,9 @@ pub enum RoomError {
     /// The content is no usable scene.
     #[error("not a readable scene JSON room: {0}")]
     Scene(#[from] SceneError),
+    /// The content is no usable scene of MRUK.
+    #[error("not a readable MRUK room: {0}")]
+    Mruk(#[from] MrukError),
     /// The content is no usable OBJ.
     #[error("not a readable OBJ room: {0}")]
     Obj(#[from] ObjError),

@@ -1,6 +1,6 @@
 //! Recognition of the format of a room's file, and its decompression.
 
-use super::{BYTES_MAX, JSON_OBJECTS_MAX, Room, RoomError, gltf, obj, scene};
+use super::{BYTES_MAX, JSON_OBJECTS_MAX, Room, RoomError, gltf, mruk, obj, scene};
 use std::borrow::Cow;
 use std::io::Read;
 
@@ -8,6 +8,7 @@ impl Room {
     /// Reads a room from the bytes of a file, which may be gzipped. Supported formats are:
     ///
     /// - scene JSON as WebXR's emulators record it (`.json`, y up);
+    /// - scene JSON of Meta's Mixed Reality Utility Kit, as `MRUK.SaveSceneToJsonString` writes it (`.json`, y up);
     /// - glTF with embedded buffers (`.glb`, `.gltf`, y up);
     /// - Wavefront OBJ (`.obj`, y or z up). A line `# up y` or `# up z` near the beginning tells the axis. Without
     ///   one, the axis with the larger floor is used.
@@ -32,8 +33,12 @@ impl Room {
         let (mesh, stated_floor_m) = if bytes.starts_with(b"glTF") {
             (gltf::read(&bytes)?, None)
         } else if first == Some(&b'{') {
-            // Every glTF document has an `asset`, every scene has `spatialEntities`.
-            if is_gltf_json(&bytes) { (gltf::read(&bytes)?, None) } else { scene::read(&bytes)? }
+            // Every glTF document has an `asset`, every scene of MRUK has `Rooms`, every other scene `spatialEntities`.
+            match json_kind(&bytes) {
+                JsonKind::Gltf => (gltf::read(&bytes)?, None),
+                JsonKind::Mruk => mruk::read(&bytes)?,
+                JsonKind::Scene => scene::read(&bytes)?,
+            }
         } else if has_ending(name, ".obj") {
             (obj::read(&bytes)?, None)
         } else {
@@ -48,12 +53,25 @@ fn has_ending(name: &str, ending: &str) -> bool {
     name.strip_suffix(".gz").unwrap_or(&name).ends_with(ending)
 }
 
-fn is_gltf_json(bytes: &[u8]) -> bool {
+/// Format of a JSON document.
+enum JsonKind {
+    Gltf,
+    Mruk,
+    Scene,
+}
+
+fn json_kind(bytes: &[u8]) -> JsonKind {
     #[derive(serde::Deserialize)]
-    struct Either {
+    struct Fields {
         asset: Option<serde::de::IgnoredAny>,
+        #[serde(rename = "Rooms")]
+        rooms: Option<serde::de::IgnoredAny>,
     }
-    serde_json::from_slice::<Either>(bytes).is_ok_and(|either| either.asset.is_some())
+    match serde_json::from_slice::<Fields>(bytes) {
+        Ok(Fields { asset: Some(_), .. }) => JsonKind::Gltf,
+        Ok(Fields { rooms: Some(_), .. }) => JsonKind::Mruk,
+        _ => JsonKind::Scene,
+    }
 }
 
 /// Refuses documents whose many small objects would take far more memory than their text.

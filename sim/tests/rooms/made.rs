@@ -122,6 +122,69 @@ pub fn glb() -> Vec<u8> {
     [&b"glTF"[..], &2u32.to_le_bytes(), &(12 + chunks.len() as u32).to_le_bytes(), &chunks].concat()
 }
 
+/// Frame of a scene of MRUK.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Handedness {
+    Left,
+    Right,
+}
+
+fn anchor(label: &str, [x, y, z]: [f32; 3], turn: [f32; 3], shape: &str) -> String {
+    let [rx, ry, rz] = turn;
+    format!(
+        r#"{{"UUID": "0", "SemanticClassifications": ["{label}"], {shape},
+        "Transform": {{"Translation": [{x}, {y}, {z}], "Rotation": [{rx}, {ry}, {rz}], "Scale": [1, 1, 1]}}}}"#
+    )
+}
+
+fn scene_of_mruk(system: &str, anchors: &[String]) -> String {
+    let anchors = anchors.join(",\n");
+    format!(
+        r#"{{{system} "Rooms": [{{"UUID": "0", "RoomLayout": {{"FloorUuid": "0", "WallsUuid": []}},
+        "Anchors": [{anchors}]}}]}}"#
+    )
+}
+
+/// The box as planes, and the block as a volume, as MRUK without a scanned mesh has them.
+pub fn mruk(handedness: Handedness) -> String {
+    let side = if handedness == Handedness::Left { -1.0 } else { 1.0 };
+    let bounds = |x: f32, y: f32| format!(r#""PlaneBounds": {{"Min": [-{x}, -{y}], "Max": [{x}, {y}]}}"#);
+    let wall = |place, heading, half| anchor("WALL_FACE", place, [0.0, heading, 0.0], &bounds(half, 1.0));
+    let outline = r#""PlaneBoundary2D": [[-1.5, -2], [1.5, -2], [1.5, 2], [0, 2], [-1.5, 2]]"#;
+    let volume = r#""VolumeBounds": {"Min": [-0.45, -0.45, -1], "Max": [0.45, 0.45, 0]}"#;
+    let anchors = [
+        anchor("FLOOR", [0.0, 0.4, 0.0], [270.0, 90.0, 0.0], outline),
+        anchor("CEILING", [0.0, 2.4, 0.0], [90.0, 0.0, 0.0], &bounds(2.0, 1.5)),
+        wall([2.0, 1.4, 0.0], 270.0, 1.5),
+        wall([-2.0, 1.4, 0.0], 90.0, 1.5),
+        wall([0.0, 1.4, -1.5], 0.0, 2.0),
+        wall([0.0, 1.4, 1.5], 180.0, 2.0),
+        anchor("DOOR_FRAME", [0.0, 1.4, 0.0], [0.0, 0.0, 0.0], &bounds(0.5, 1.0)),
+        anchor("STORAGE", [1.45, 1.4, -0.95 * side], [270.0, 0.0, 0.0], volume),
+    ];
+    let system = if handedness == Handedness::Left {
+        r#""CoordinateSystem": "Unity","#
+    } else {
+        r#""CoordinateSystem": "OpenXR","#
+    };
+    scene_of_mruk(system, &anchors)
+}
+
+/// The box as a scanned mesh, half a metre too low and a quarter turn off; the anchor's pose puts it right.
+pub fn mruk_mesh() -> String {
+    let turned = |[x, y, z]: [f32; 3]| [-z, y + 0.5, x];
+    let positions: Vec<[f32; 3]> = vertices().into_iter().map(y_up).map(turned).collect();
+    let indices: Vec<u32> = triangles().into_iter().flatten().collect();
+    let shape = format!(r#""GlobalMesh": {{"Positions": {positions:?}, "Indices": {indices:?}}}"#);
+    let bounds = r#""PlaneBounds": {"Min": [-2, -1.5], "Max": [2, 1.5]}"#;
+    let anchors = [
+        anchor("GLOBAL_MESH", [0.0, -0.5, 0.0], [0.0, 90.0, 0.0], &shape),
+        anchor("FLOOR", [0.0, 0.4, 0.0], [270.0, 0.0, 0.0], bounds),
+        anchor("WALL_FACE", [0.5, 1.4, 0.0], [0.0, 270.0, 0.0], bounds),
+    ];
+    scene_of_mruk("", &anchors)
+}
+
 pub fn gzip(bytes: &[u8]) -> Vec<u8> {
     use std::io::Write;
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
@@ -136,5 +199,8 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("a.glb", glb()),
         ("a.obj", obj_z_up().into_bytes()),
         ("b.obj", obj_y_up().into_bytes()),
+        ("mruk-unity.json", mruk(Handedness::Left).into_bytes()),
+        ("mruk-openxr.json", mruk(Handedness::Right).into_bytes()),
+        ("mruk-mesh.json", mruk_mesh().into_bytes()),
     ]
 }

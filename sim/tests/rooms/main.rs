@@ -178,6 +178,46 @@ fn invalid_scenes_are_refused_with_the_position() {
 }
 
 #[test]
+fn invalid_mruk_scenes_are_refused_with_the_anchor() {
+    let with = |from: &str, to: &str| {
+        let text = made::mruk(made::Handedness::Left);
+        assert!(text.contains(from), "{from}");
+        refusal("a.json", text.replacen(from, to, 1).as_bytes()).to_string()
+    };
+    let words = with(r#""Unity""#, r#""Unreal""#);
+    assert!(words.contains(r#"CoordinateSystem is "Unreal"; expected Unity or OpenXR"#), "{words}");
+    let words = with("[270, 90, 0]", "[90, 90, 0]");
+    assert!(words.contains("Rooms[0].Anchors[0]: the normal of this FLOOR"), "{words}");
+    let words = with("[0, 270, 0]", "[45, 270, 0]");
+    assert!(words.contains("Anchors[2]: the normal of this WALL_FACE"), "{words}");
+    assert!(with(r#""Scale": [1, 1, 1]"#, r#""Scale": [100, 1, 1]"#).contains("Transform.Scale"));
+    assert!(with("[[-1.5, -2], [1.5, -2],", "[").contains("PlaneBoundary2D: the corners enclose"));
+    assert!(with("[0, 2]", "[-3, -1]").contains("PlaneBoundary2D: the outline crosses itself"));
+    assert!(with(r#""PlaneBounds""#, r#""Bounds""#).contains("has neither PlaneBoundary2D nor PlaneBounds"));
+    assert!(with("[2, 1.4, 0]", "[1e39, 1.4, 0]").contains("number out of range"));
+    assert!(refusal("a.json", br#"{"Rooms": []}"#).to_string().contains("no anchor is a wall"));
+    let mesh = |from: &str, to: &str| {
+        let text = made::mruk_mesh();
+        assert!(text.contains(from), "{from}");
+        refusal("a.json", text.replacen(from, to, 1).as_bytes()).to_string()
+    };
+    let words = mesh(r#""Indices": [0"#, r#""Indices": [99"#);
+    assert!(words.contains("index 99 is used, but there are 16 positions"), "{words}");
+    assert!(mesh(r#""Indices": [0, "#, r#""Indices": ["#).contains("is no multiple of 3"));
+}
+
+#[test]
+fn a_left_handed_scene_is_not_its_mirror_image() {
+    let text = made::mruk(made::Handedness::Left).replace("Unity", "OpenXR");
+    let room = Room::from_bytes("a.json", text.as_bytes()).unwrap();
+    let config = SimConfig { lidar: LidarConfig::LDS_02, ..quiet() };
+    let mut simulator = Simulator::new(&room, &config, robot(1), Pose2::new(0.032, 0.0, 0.0), 1).unwrap();
+    let ranges = scan(&mut simulator);
+    // The block is ahead on the right now, not on the left.
+    assert!((ranges.ranges_m()[315] - 2f32.sqrt()).abs() < 0.01);
+}
+
+#[test]
 fn invalid_gltf_is_refused_with_the_reason() {
     let with = |from: &str, to: &str| {
         let text = made::gltf();
@@ -267,12 +307,15 @@ const WORDS: [&str; 30] = [
     "\\\n",
 ];
 
+/// Files of `made::all`.
+const FORMATS: usize = 8;
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1000))]
 
     /// A file with flipped bits is refused, or gives a room in which the robot's pose stays finite.
     #[test]
-    fn flipped_bits_never_panic(format in 0usize..5, flips in prop::collection::vec((0.0..1.0f64, 0u8..8), 1..6)) {
+    fn flipped_bits_never_panic(format in 0..FORMATS, flips in prop::collection::vec((0.0..1.0f64, 0u8..8), 1..6)) {
         let (name, mut bytes) = made::all().swap_remove(format);
         for (place, bit) in flips {
             let at = (place * bytes.len() as f64) as usize;

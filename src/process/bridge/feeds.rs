@@ -57,6 +57,9 @@ pub fn open_feeds<P: Ports, T: Transport + 'static>(
         forward(ports, transport, &channel::exploration_state(), |to, report| {
             to.publish(FleetMessage::ExplorationState(report));
         })?,
+        forward(ports, transport, &channel::exclusion_zones(), |to, zones| {
+            to.publish(FleetMessage::ExclusionZones(zones));
+        })?,
         publish_merged_map(ports, transport)?,
     ];
     for robot in run.robots() {

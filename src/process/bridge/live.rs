@@ -3,6 +3,7 @@
 use super::feeds::Feed;
 use super::{BridgeProcess, Upkeep, page};
 use crate::clock::now;
+use crate::offered_room;
 use crate::ports::Ports;
 use crate::process::control::files::{FileThread, FileWorker};
 use crate::process::{Error, ProcessLoop, control, ros2};
@@ -34,7 +35,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
             tasks.push(ros2::open(run, stop, &bridge)?);
         }
         if run.config.bridge.page.enabled {
-            tasks.push(spawn_local(page::serve(bridge.clone(), run.config.bridge.page.clone())));
+            let room = offered_room::file(run);
+            tasks.push(spawn_local(page::serve(bridge.clone(), run.config.bridge.page.clone(), room)));
         }
         tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
         tasks.push(spawn_local(run_upkeep(upkeep)));

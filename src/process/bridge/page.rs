@@ -3,8 +3,10 @@
 use crate::certificate;
 use crate::clock::now;
 use crate::page_files::PAGE_FILES;
-use ::bridge::{Bridge, PageConfig, TlsAcceptor, serve_page};
+use ::bridge::{Bridge, PageConfig, PageContent, SaveRoom, TlsAcceptor, serve_page};
+use std::io::{self, Write as _};
 use std::net::IpAddr;
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -13,15 +15,16 @@ use tokio::net::TcpListener;
 const BIND_PAUSE: Duration = Duration::from_secs(1);
 
 /// Serves the page in clear and encrypted until the task is ended.
-pub async fn serve(bridge: Rc<Bridge>, config: PageConfig) {
-    let plain = serve_on(bridge.clone(), &config, config.address, config.port, None);
+pub async fn serve(bridge: Rc<Bridge>, config: PageConfig, room_file: PathBuf) {
+    let content = PageContent { files: PAGE_FILES, save_room: Some(save_room(room_file)) };
+    let plain = serve_on(bridge.clone(), &config, content.clone(), config.port, None);
     let encrypted = async {
         if !config.https.enabled {
             return;
         }
         match certificate::load(&config.https) {
             Ok(acceptor) => {
-                serve_on(bridge, &config, config.https.address, config.https.port, Some(acceptor)).await;
+                serve_on(bridge, &config, content, config.https.port, Some(acceptor)).await;
             }
             Err(why) => tracing::warn!("no operator's page over HTTPS: {why}"),
         }
@@ -33,10 +36,11 @@ pub async fn serve(bridge: Rc<Bridge>, config: PageConfig) {
 async fn serve_on(
     bridge: Rc<Bridge>,
     config: &PageConfig,
-    address: IpAddr,
+    content: PageContent,
     port: u16,
     encryption: Option<TlsAcceptor>,
 ) {
+    let address: IpAddr = if encryption.is_some() { config.https.address } else { config.address };
     let mut is_reported = false;
     let listener = loop {
         match TcpListener::bind((address, port)).await {
@@ -49,5 +53,16 @@ async fn serve_on(
         }
         tokio::time::sleep(BIND_PAUSE).await;
     };
-    serve_page(bridge, listener, encryption, config, PAGE_FILES, now, std::future::pending()).await;
+    serve_page(bridge, listener, encryption, config, content, now, std::future::pending()).await;
+}
+
+/// Returns what saves an offered room into a file, on a thread of its own.
+fn save_room(path: PathBuf) -> SaveRoom {
+    Rc::new(move |bytes| {
+        let path = path.clone();
+        Box::pin(async move {
+            let write = move || formats::atomic::write(&path, |file| file.write_all(&bytes));
+            tokio::task::spawn_blocking(write).await.map_err(io::Error::other)?
+        })
+    })
 }

@@ -6,8 +6,8 @@ use crate::run::Run;
 use ::nav::{MapView, NavigatedRobot, NavigationInput, RobotObservation, ScanView};
 use msg::pose::yaw_of_quaternion;
 use msg::{
-    Correction, DenseMap, Link, LinkTransform, MapTransforms, Monotonic, Pose2, RobotId, Scan, Stamp,
-    TrackingState, Transforms,
+    Correction, DenseMap, ExclusionZone, Link, LinkTransform, MapTransforms, Monotonic, Pose2, RobotId, Scan,
+    Stamp, TrackingState, Transforms,
 };
 
 /// Oldest pose that a robot is driven by, nanoseconds: ten periods of its odometry.
@@ -138,7 +138,13 @@ impl<P: Ports> Inputs<P> {
     }
 
     /// Calls `step` with what is known of the fleet.
-    pub(super) fn observe(&mut self, stamp: Stamp, now: Monotonic, step: impl FnOnce(&NavigationInput)) {
+    pub(super) fn observe(
+        &mut self,
+        stamp: Stamp,
+        now: Monotonic,
+        exclusion_zones: &[ExclusionZone],
+        step: impl FnOnce(&NavigationInput),
+    ) {
         let merged_map = self.merged_map.view();
         let transforms = self.newest_transforms.as_ref();
         let robot = |inputs: &'_ RobotInputs<P>| {
@@ -172,7 +178,7 @@ impl<P: Ports> Inputs<P> {
                 NavigatedRobot { observation, odom_from_base, map_from_robot_map }
             })
             .collect();
-        step(&NavigationInput { stamp, robots: &robots, exclusion_zones: &[] });
+        step(&NavigationInput { stamp, robots: &robots, exclusion_zones });
     }
 }
 

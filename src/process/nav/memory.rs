@@ -32,6 +32,19 @@ pub struct SavedState {
     pub(super) commands: Vec<(usize, u64)>,
     pub(super) goals: Vec<SavedGoal>,
     pub(super) exploration: SavedExploration,
+    pub(super) zones: SavedZones,
+}
+
+/// Exclusion zones of the fleet.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SavedZones {
+    /// Number of the newest command.
+    pub(super) number: u64,
+    /// Number of the zone that was added last.
+    pub(super) last_number: u32,
+    /// Each zone's number and corners in the merged map, metres.
+    pub(super) zones: Vec<(u32, Vec<[f64; 2]>)>,
 }
 
 /// Exploration of the fleet.

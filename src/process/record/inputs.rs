@@ -6,9 +6,9 @@ use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
-    Clock, Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message, Monotonic,
-    NavigationCommand, NavigationPlan, NavigationReport, Odometry, PatchHeader, RobotId, Scan, Transforms,
-    VelocityCommand,
+    Clock, Correction, DenseMap, ExclusionZones, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message,
+    Monotonic, NavigationCommand, NavigationPlan, NavigationReport, Odometry, PatchHeader, RobotId, Scan,
+    Transforms, VelocityCommand,
 };
 use reports::{FleetView, edges_json};
 use std::time::Duration;
@@ -60,6 +60,7 @@ pub struct Inputs<P: Ports> {
     clock: P::Reader<Clock>,
     stats: P::Reader<FleetStats>,
     edges: P::Reader<MergeEdges>,
+    zones: P::Reader<ExclusionZones>,
     map_transforms: P::Reader<MapTransforms>,
     merged_map: MapInput<P>,
 }
@@ -87,6 +88,7 @@ impl<P: Ports> Inputs<P> {
             clock: ports.reader(&channel::clock())?,
             stats: ports.reader(&channel::stats())?,
             edges: ports.reader(&channel::merge_edges())?,
+            zones: ports.reader(&channel::exclusion_zones())?,
             map_transforms: ports.reader(&channel::map_transforms())?,
             merged_map: MapInput::open(ports, &channel::merged_map(), run)?,
         })
@@ -103,6 +105,7 @@ impl<P: Ports> Inputs<P> {
         each(&mut self.edges, |edges| {
             to.publish(FleetMessage::MergeEdges(&edges_json(edges)), sent(edges));
         });
+        each(&mut self.zones, |zones| to.publish(FleetMessage::ExclusionZones(zones), sent(zones)));
         each(&mut self.stats, |stats| {
             to.publish(FleetMessage::Stats(stats), sent(stats));
             let view = serde_json::to_string(&FleetView::new(stats)).unwrap_or_default();

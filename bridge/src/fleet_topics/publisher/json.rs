@@ -1,6 +1,6 @@
 //! States of navigation and exploration as JSON.
 
-use msg::{ExplorationLeftover, ExplorationReport, NavigationReport, RobotId};
+use msg::{ExclusionZones, ExplorationLeftover, ExplorationReport, NavigationReport, RobotId};
 use ros_messages::{FrameNames, RobotNames, names};
 use serde_json::json;
 
@@ -47,4 +47,12 @@ pub(super) fn exploration_json(
         "left_count": report.leftovers_count,
     })
     .to_string()
+}
+
+/// Returns the exclusion zones as JSON.
+pub(super) fn zones_json(zones: &ExclusionZones) -> String {
+    let zone = |zone: &msg::ExclusionZone| json!({ "number": zone.number, "corners_m": zone.corners_m() });
+    let all: Vec<_> = zones.zones().iter().map(zone).collect();
+    json!({ "frame": names::MAP, "zones": all, "refusal": zones.refusal().map(|why| why.to_string()) })
+        .to_string()
 }

@@ -49,6 +49,24 @@ fn foreign_pages_and_foreign_hosts_are_forbidden() {
 }
 
 #[test]
+fn a_room_is_offered_by_the_own_page_alone_and_bounded() {
+    let room = "POST /room HTTP/1.1\r\nHost: localhost:8080\r\nOrigin: http://localhost:8080\r\n\
+        Content-Type: application/json\r\nContent-Length: 70000\r\n\r\n";
+    assert_eq!(parse(room), Ok(Some((Request::Room { length: 70_000 }, room.len()))));
+    let replaced = |from: &str, to: &str| parse(&room.replace(from, to)).unwrap_err();
+    assert!(matches!(
+        replaced("Origin: http://localhost", "Origin: https://evil.example"),
+        RequestError::Origin(_)
+    ));
+    assert_eq!(replaced("application/json", "text/plain"), RequestError::Malformed);
+    for length in ["0", "16777217", "-1", "x", "99999999999999999999999"] {
+        assert_eq!(replaced("70000", length), RequestError::RoomLength);
+    }
+    assert_eq!(replaced("Content-Length: 70000", "Transfer-Encoding: chunked"), RequestError::Malformed);
+    assert_eq!(replaced("/room", "/rooms"), RequestError::Method);
+}
+
+#[test]
 fn other_methods_and_bodies_are_refused() {
     for head in ["POST / HTTP/1.1", "PUT / HTTP/1.1", "OPTIONS / HTTP/1.1"] {
         assert_eq!(parse(&format!("{head}\r\nHost: localhost\r\n\r\n")), Err(RequestError::Method));

@@ -1,12 +1,12 @@
 //! The channels of navigation and exploration.
 
 use super::{BRIDGE, NAV, RECORD, REQUEST_WRITERS_MAX, STATE, STREAM};
-use crate::channel::Endpoint::Of;
-use crate::channel::Program::{ExploreTool, GotoTool, Launcher, RecordTool};
+use crate::channel::Endpoint::{Of, OtherMachines};
+use crate::channel::Program::{ExploreTool, GotoTool, Launcher, LinkTool, RecordTool, ZoneTool};
 use crate::channel::{Channel, ChannelRow, Scope, TypedRow};
 use msg::{
-    ExplorationCommand, ExplorationReport, NavigationCommand, NavigationPlan, NavigationReport, RobotId,
-    VelocityCommand,
+    ExclusionZones, ExplorationCommand, ExplorationReport, NavigationCommand, NavigationPlan,
+    NavigationReport, RobotId, VelocityCommand, ZoneCommand,
 };
 
 // Several writers: the bridge for its clients, and commands of people. The newest command waits for a restarted reader.
@@ -22,9 +22,10 @@ pub(super) static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
 });
 pub(super) static NAVIGATION_VELOCITY: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "navigation_velocity",
-    content: "velocity towards the robot's goal, 20 Hz while it has one",
-    writers: &[Of(NAV)],
+    content: "velocity towards the robot's goal, 20 Hz while it has one; on a robot's machine also the base's",
+    writers: &[Of(NAV), OtherMachines(LinkTool)],
     readers: &[Of(BRIDGE)],
+    writers_max: 2,
     ..STREAM
 });
 pub(super) static NAVIGATION_STATE: TypedRow<NavigationReport> = TypedRow::new(ChannelRow {
@@ -63,6 +64,25 @@ pub(super) static EXPLORATION_STATE: TypedRow<ExplorationReport> = TypedRow::new
     depth: 16,
     ..STATE
 });
+pub(super) static ZONE_COMMAND: TypedRow<ZoneCommand> = TypedRow::new(ChannelRow {
+    name: "zone_command",
+    content: "an exclusion zone to add or to remove, on demand",
+    scope: Scope::Fleet,
+    writers: &[Of(BRIDGE), Of(ZoneTool)],
+    readers: &[Of(NAV)],
+    depth: 16,
+    history: 1,
+    writers_max: REQUEST_WRITERS_MAX,
+    ..STREAM
+});
+pub(super) static EXCLUSION_ZONES: TypedRow<ExclusionZones> = TypedRow::new(ChannelRow {
+    name: "exclusion_zones",
+    content: "all exclusion zones, on change",
+    writers: &[Of(NAV)],
+    readers: &[Of(BRIDGE), Of(ZoneTool), Of(RECORD), Of(RecordTool)],
+    depth: 4,
+    ..STATE
+});
 
 /// `robotK/goal`: goals and other commands of people and programs to the navigator.
 pub fn goal(robot: RobotId) -> Channel<NavigationCommand> {
@@ -92,4 +112,14 @@ pub fn explore() -> Channel<ExplorationCommand> {
 /// `exploration_state`: how far the fleet's exploration is, and what is left.
 pub fn exploration_state() -> Channel<ExplorationReport> {
     EXPLORATION_STATE.of_fleet()
+}
+
+/// `zone_command`: exclusion zones to add or to remove.
+pub fn zone_command() -> Channel<ZoneCommand> {
+    ZONE_COMMAND.of_fleet()
+}
+
+/// `exclusion_zones`: all exclusion zones, as navigation keeps to them.
+pub fn exclusion_zones() -> Channel<ExclusionZones> {
+    EXCLUSION_ZONES.of_fleet()
 }

@@ -1,9 +1,9 @@
 //! Reasons why a configuration is refused, and the line of the file that sets a key.
 
 use super::{RecordingConfigError, SessionsConfigError};
-use crate::realtime::RealtimeConfigError;
 use bridge::RobotNameError;
 use msg::ROBOTS_MAX;
+use runtime::realtime::RealtimeConfigError;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};

@@ -11,10 +11,9 @@ pub use error::{ConfigError, ValueError};
 pub use recording::{RecordingConfig, RecordingConfigError};
 pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
 
-use crate::processes::{self, ProcessRow};
-use crate::realtime::RealtimeConfig;
 use bridge::RobotNames;
-use msg::{Pose2, ROBOTS_MAX, RobotId};
+use msg::{Pose2, ROBOTS_MAX, RobotId, Role};
+use runtime::processes::{self, ProcessRow};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -39,7 +38,7 @@ pub struct FleetConfig {
     /// Recording of the fleet's messages.
     pub recording: RecordingConfig,
     /// Real-time priority, locked memory and cores of the processes.
-    pub realtime: RealtimeConfig,
+    pub realtime: runtime::realtime::RealtimeConfig,
 }
 
 impl Default for FleetConfig {
@@ -54,7 +53,7 @@ impl Default for FleetConfig {
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
             recording: RecordingConfig::default(),
-            realtime: RealtimeConfig::default(),
+            realtime: runtime::realtime::RealtimeConfig::default(),
         }
     }
 }
@@ -70,6 +69,9 @@ pub enum World {
     Headset,
     /// Real robots or another simulator, over DDS
     Ros,
+    /// Robots on other machines, which run their own SLAM; `mr-slam base` sets it
+    #[value(skip)]
+    Robots,
 }
 
 impl World {
@@ -122,7 +124,7 @@ pub struct Fleet {
     /// Seed of all random numbers.
     pub seed: u64,
     /// Room of the simulators: `laboratory`; `office`, `warehouse`, `school`, `museum`, `flat` or `hall`, generated from a
-    /// seed as in `office:7`; or the path of a scanned room (.json, .json.gz), .glb, .gltf or .obj.
+    /// seed as in `office:7`; or the path of a scanned room (.json, .json.gz; also MRUK's), .glb, .gltf or .obj.
     pub room: String,
     /// Starts of the robots in the room, or in `map` if the world is not simulated: `[x, y, yaw]` in metres and radians,
     /// one for each robot. Empty: places are chosen, or, if the world is not simulated, all but the first are unknown.
@@ -247,7 +249,10 @@ impl FleetConfig {
 
     /// Returns every process of the fleet with its row of the table, in the order in which they are started.
     pub fn processes(&self) -> impl Iterator<Item = (&'static ProcessRow, Option<RobotId>)> + use<> {
+        // Robots on other machines have their SLAM there.
+        let has_slam = self.world != World::Robots;
         processes::of_fleet(self.fleet.robots, self.world.is_outside(), self.recording.enabled)
+            .filter(move |(row, _)| has_slam || row.role != Role::Slam)
     }
 
     /// Returns the room's name, or the source of the world, for people.
@@ -256,6 +261,7 @@ impl FleetConfig {
             World::Simulator => &self.fleet.room,
             World::Headset => "the world of a headset",
             World::Ros => "a world over ROS 2",
+            World::Robots => "robots on other machines",
         }
     }
 
@@ -273,6 +279,12 @@ impl FleetConfig {
     /// Returns the robots' names in ROS, of a configuration that was checked.
     pub fn robot_names(&self) -> RobotNames {
         RobotNames::new(self.fleet.names.clone()).unwrap_or_else(|_| self.fleet.robots.into())
+    }
+
+    /// Returns a robot's name for people and on links between machines: `robot1` where it has none of its own.
+    pub fn robot_name(&self, robot: RobotId) -> String {
+        let own = self.fleet.names.get(robot.index()).filter(|name| !name.is_empty());
+        own.cloned().unwrap_or_else(|| robot.to_string())
     }
 
     /// Returns the configured starts in `world`; `None` if they are to be chosen.

@@ -1,0 +1,22 @@
+//! How the messages of the crate `link` travel between machines: endpoints, keys, and sessions of Zenoh.
+//!
+//! Sessions need the feature `zenoh`, which takes long to compile. Endpoints and keys do not.
+
+mod endpoint;
+pub mod keys;
+#[cfg(feature = "zenoh")]
+mod session;
+
+pub use endpoint::{Endpoint, EndpointError};
+#[cfg(feature = "zenoh")]
+pub use session::{SessionConfig, SessionError, ZenohTransport};
+
+use link::Kind;
+
+/// Carries messages between machines. It may lose them, and drops rather than waits.
+pub trait Transport {
+    /// Sends a message of or to the robot of this index.
+    fn send(&mut self, robot: usize, kind: Kind, bytes: &[u8]);
+    /// Returns the oldest message that was received, and its robot's index.
+    fn receive(&mut self) -> Option<(usize, Vec<u8>)>;
+}

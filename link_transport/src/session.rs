@@ -1,0 +1,255 @@
+//! The link over Zenoh: one session between a robot's machine and the base.
+//!
+//! Zenoh connects, connects again, and sends the more urgent first. What does not fit into its queues is dropped: all that
+//! must arrive is sent again by the crate `link`.
+
+use crate::keys::{BASE_SUBJECT, KeyFiles, robot_subject};
+use crate::{Endpoint, Transport};
+use link::Kind;
+use link::table::{Direction, Priority, key, keys};
+use serde_json::{Value, json};
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+use zenoh::Wait;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::{CongestionControl, Priority as ZenohPriority};
+
+/// Messages that wait until the loop reads them: 5 s of eight robots' signs of life and poses.
+const WAITING_MAX: usize = 1024;
+/// Time without any sign of a machine after which Zenoh closes its connection and connects again, milliseconds.
+const LEASE_MS: u32 = 2000;
+/// First and longest pause between two attempts to connect, milliseconds.
+const RETRY_MS: [u32; 2] = [200, 1000];
+/// Largest batch of messages, bytes: an urgent message waits for one of them.
+const BATCH_BYTES: u32 = 8192;
+/// Bytes that wait in the operating system: 0.13 s at 1 Mbit/s. Urgent messages cannot overtake them.
+const SOCKET_BYTES: u32 = 16 << 10;
+
+/// Reason why there is no link.
+#[derive(Debug, thiserror::Error)]
+#[error("the link between machines (Zenoh): {what}: {why}")]
+pub struct SessionError {
+    what: &'static str,
+    why: String,
+}
+
+fn failed<E: std::fmt::Display>(what: &'static str) -> impl FnOnce(E) -> SessionError {
+    move |why| SessionError { what, why: why.to_string() }
+}
+
+/// One machine's part in the link.
+#[derive(Clone, Debug)]
+pub struct SessionConfig {
+    /// Endpoint at which the base listens.
+    pub endpoint: Endpoint,
+    /// Whether this machine is the base.
+    pub is_base: bool,
+    /// Names of the robots: all at the base, its own on a robot's machine.
+    pub robots: Vec<String>,
+    /// Certificates, if the endpoint is encrypted.
+    pub keys: Option<KeyFiles>,
+}
+
+impl SessionConfig {
+    fn to_zenoh(&self) -> Result<zenoh::Config, SessionError> {
+        // A small buffer of the socket: what waits there cannot be overtaken.
+        let endpoint = format!("{}#so_sndbuf={SOCKET_BYTES}", self.endpoint);
+        let (listen, connect) = match self.is_base {
+            true => (json!([endpoint]), json!([])),
+            false => (json!([]), json!([endpoint])),
+        };
+        let mut values = vec![
+            // Peers connect in the background, for as long as it takes.
+            ("mode", json!("peer")),
+            ("listen/endpoints", listen),
+            ("connect/endpoints", connect),
+            ("connect/timeout_ms", json!(-1)),
+            ("connect/exit_on_failure", json!(false)),
+            ("connect/retry", json!({ "period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1] })),
+            ("open/return_conditions/connect_scouted", json!(false)),
+            // Robots and base find each other by configuration alone.
+            ("scouting/multicast/enabled", json!(false)),
+            ("scouting/gossip/enabled", json!(false)),
+            ("transport/link/protocols", json!([if self.endpoint.is_tls { "tls" } else { "tcp" }])),
+            ("transport/link/tx/lease", json!(LEASE_MS)),
+            ("transport/link/tx/batch_size", json!(BATCH_BYTES)),
+        ];
+        if let Some(keys) = &self.keys {
+            values.push(("transport/link/tls", tls(keys)));
+            values.push(("access_control", self.access_control()));
+        }
+        let mut config = zenoh::Config::default();
+        for (key, value) in values {
+            config.insert_json5(key, &value.to_string()).map_err(failed(key))?;
+        }
+        Ok(config)
+    }
+
+    /// Returns the access list: at the base each robot's key has its own key expressions, on a robot the base's key alone
+    /// may speak to it. Nothing else is let through.
+    fn access_control(&self) -> Value {
+        let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
+        for robot in &self.robots {
+            let (up, down) = (keys(robot, Direction::Up), keys(robot, Direction::Down));
+            let (received, sent) = if self.is_base { (up, down) } else { (down, up) };
+            let subject = if self.is_base { robot_subject(robot) } else { BASE_SUBJECT.to_owned() };
+            let ids = ["receive", "subscribe", "send", "be asked for"].map(|what| format!("{what} {robot}"));
+            rules.extend([
+                rule(&ids[0], "ingress", "put", &received),
+                rule(&ids[1], "egress", "declare_subscriber", &received),
+                rule(&ids[2], "egress", "put", &sent),
+                rule(&ids[3], "ingress", "declare_subscriber", &sent),
+            ]);
+            subjects.push(json!({ "id": robot, "cert_common_names": [subject] }));
+            policies.push(json!({ "rules": ids, "subjects": [robot] }));
+        }
+        json!({
+            "enabled": true,
+            "default_permission": "deny",
+            "rules": rules,
+            "subjects": subjects,
+            "policies": policies,
+        })
+    }
+}
+
+fn rule(id: &str, flow: &str, message: &str, key: &str) -> Value {
+    json!({ "id": id, "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": [key] })
+}
+
+/// Returns the settings by which both sides show a certificate of the authority.
+fn tls(keys: &KeyFiles) -> Value {
+    json!({
+        "root_ca_certificate": keys.authority,
+        "listen_private_key": keys.private_key,
+        "listen_certificate": keys.certificate,
+        "connect_private_key": keys.private_key,
+        "connect_certificate": keys.certificate,
+        "enable_mtls": true,
+        // The base is known by its key, whatever its address is: the access list checks the name in the certificate.
+        "verify_name_on_connect": false,
+        "close_link_on_expiration": true,
+    })
+}
+
+/// Messages that were received, oldest first.
+#[derive(Debug, Default)]
+struct Inbox {
+    messages: VecDeque<(usize, Vec<u8>)>,
+    dropped: u64,
+}
+
+impl Inbox {
+    fn push(&mut self, robot: usize, bytes: Vec<u8>) {
+        if self.messages.len() == WAITING_MAX {
+            self.messages.pop_front();
+            self.dropped += 1;
+        }
+        self.messages.push_back((robot, bytes));
+    }
+}
+
+/// Carries messages over a Zenoh session.
+pub struct ZenohTransport {
+    /// Publishers of each robot, by [`Priority`].
+    publishers: Vec<[Publisher<'static>; Priority::ALL.len()]>,
+    inbox: Arc<Mutex<Inbox>>,
+    _subscribers: Vec<Subscriber<()>>,
+    // Dropped last: it closes the connection.
+    _session: zenoh::Session,
+}
+
+impl ZenohTransport {
+    /// Opens a session and declares the key expressions of its robots.
+    pub fn open(config: &SessionConfig) -> Result<Self, SessionError> {
+        let session = zenoh::open(config.to_zenoh()?).wait().map_err(failed("cannot open a session"))?;
+        let (out, back) =
+            if config.is_base { (Direction::Down, Direction::Up) } else { (Direction::Up, Direction::Down) };
+        let inbox: Arc<Mutex<Inbox>> = Arc::default();
+        let (mut publishers, mut subscribers) = (Vec::new(), Vec::new());
+        for (index, robot) in config.robots.iter().enumerate() {
+            let [command, pose, map] = Priority::ALL.map(|priority| declare(&session, robot, out, priority));
+            publishers.push([command?, pose?, map?]);
+            let inbox = inbox.clone();
+            let receive = move |sample: zenoh::sample::Sample| {
+                let bytes = sample.payload().to_bytes();
+                // Larger ones are no messages of this format.
+                if bytes.len() <= link::wire::MESSAGE_MAX {
+                    inbox.lock().unwrap_or_else(PoisonError::into_inner).push(index, bytes.into_owned());
+                }
+            };
+            let subscriber = session.declare_subscriber(keys(robot, back)).callback(receive).wait();
+            subscribers.push(subscriber.map_err(failed("cannot subscribe"))?);
+        }
+        Ok(Self { publishers, inbox, _subscribers: subscribers, _session: session })
+    }
+
+    /// Returns the number of received messages that were dropped because the loop was slow.
+    pub fn dropped(&self) -> u64 {
+        self.inbox.lock().unwrap_or_else(PoisonError::into_inner).dropped
+    }
+}
+
+fn declare(
+    session: &zenoh::Session,
+    robot: &str,
+    direction: Direction,
+    priority: Priority,
+) -> Result<Publisher<'static>, SessionError> {
+    let zenoh_priority = match priority {
+        Priority::Command => ZenohPriority::RealTime,
+        Priority::Pose => ZenohPriority::DataHigh,
+        Priority::Map => ZenohPriority::Background,
+    };
+    session
+        .declare_publisher(key(robot, direction, priority))
+        .congestion_control(CongestionControl::Drop)
+        .priority(zenoh_priority)
+        // A velocity does not wait for others to fill a packet.
+        .express(priority == Priority::Command)
+        .wait()
+        .map_err(failed("cannot publish"))
+}
+
+impl Transport for ZenohTransport {
+    fn send(&mut self, robot: usize, kind: Kind, bytes: &[u8]) {
+        if let Some(publishers) = self.publishers.get(robot) {
+            // What is lost is sent again, or superseded.
+            let _ = publishers[kind.row().priority as usize].put(bytes).wait();
+        }
+    }
+
+    fn receive(&mut self) -> Option<(usize, Vec<u8>)> {
+        self.inbox.lock().unwrap_or_else(PoisonError::into_inner).messages.pop_front()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config(endpoint: &str, is_base: bool, keys: Option<KeyFiles>) -> SessionConfig {
+        let robots = vec!["alice".to_owned(), "lab/bob".to_owned()];
+        SessionConfig { endpoint: endpoint.parse().unwrap(), is_base, robots, keys }
+    }
+
+    #[test]
+    fn zenoh_knows_every_key_of_the_configuration() {
+        config("tcp/127.0.0.1:7447", true, None).to_zenoh().unwrap();
+        let keys = || {
+            let file = |name: &str| std::path::PathBuf::from("/tmp").join(name);
+            KeyFiles { authority: file("a"), certificate: file("c"), private_key: file("k") }
+        };
+        config("tls/127.0.0.1:7447", true, Some(keys())).to_zenoh().unwrap();
+        config("tls/[::1]:7447", false, Some(keys())).to_zenoh().unwrap();
+    }
+
+    #[test]
+    fn the_access_list_lets_nobody_else_through() {
+        let list = config("tls/127.0.0.1:7447", true, None).access_control();
+        assert_eq!(list["default_permission"], "deny");
+        assert_eq!(list["subjects"][0]["cert_common_names"], json!(["robot alice"]));
+        assert_eq!(list["rules"][0]["key_exprs"], json!(["mr-slam/alice/up/*"]));
+        assert_eq!(list["policies"][0]["rules"].as_array().map(Vec::len), Some(4));
+    }
+}

@@ -1,0 +1,73 @@
+//! The process between a robot's machine and the base: it mirrors the channels that leave the machine.
+//!
+//! [`RobotLink`] runs beside a robot's fleet of one, [`BaseLink`] beside the base's processes. Both are loops over ports and a
+//! [`link_transport::Transport`]; the crate `link` has the messages and all decisions about what is sent when.
+
+mod base;
+mod report;
+mod robot;
+mod stop;
+#[cfg(test)]
+mod tests;
+
+pub use base::BaseLink;
+pub use report::{LinkReport, PeerReport, ReportLink};
+pub use robot::RobotLink;
+pub use stop::{RunStop, StopControl};
+
+use crate::channel::{Opener, Program};
+use crate::clock::now;
+use crate::ports::ChannelError;
+use crate::process::{Listens, ProcessLoop};
+use crate::run::Run;
+use crate::shared_memory::{Listener, Participant, wait};
+use ::link::WireError;
+use std::time::Duration;
+
+/// Longest time until a message of the other machine is read: the transport wakes nobody.
+pub const POLL_PERIOD: Duration = Duration::from_millis(20);
+/// Messages read in one step, so that a peer that sends without end does not hold up the others.
+const RECEIVED_MAX: usize = 256;
+
+/// Counts messages that are not of this format, and warns of the first.
+#[derive(Debug, Default)]
+struct InvalidMessages(u64);
+
+impl InvalidMessages {
+    fn count(&mut self, name: &str, why: &WireError) {
+        if self.0 == 0 {
+            tracing::warn!("a message of or for {name} is refused: {why}");
+        }
+        self.0 += 1;
+    }
+}
+
+/// Period at which the figures are written.
+const REPORT_PERIOD: Duration = Duration::from_secs(1);
+
+/// Runs one end of the link until `over` returns true, and writes its figures.
+pub fn serve_link(
+    run: &Run,
+    link: &mut (impl ProcessLoop + Listens<Listener> + ReportLink),
+    over: &dyn Fn() -> bool,
+) {
+    let (mut report_due, mut has_warned) = (now() + REPORT_PERIOD, false);
+    while !over() {
+        let due = link.step();
+        if now() >= report_due {
+            report_due = now() + REPORT_PERIOD;
+            if let Err(why) = link.report().write(run)
+                && !has_warned
+            {
+                has_warned = true;
+                tracing::warn!("{}: link.json: {why}", run.dir.display());
+            }
+        }
+        wait(link.listeners(), due);
+    }
+}
+
+/// Attaches the link's process to a run.
+pub fn attach(run: &Run) -> Result<Participant, ChannelError> {
+    Participant::open(&run.domain, Opener::of_fleet(Program::LinkTool), "link")
+}

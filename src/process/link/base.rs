@@ -1,0 +1,270 @@
+//! The link's end at the base: it writes the channels of robots that are on other machines.
+
+use super::{InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
+use crate::channel;
+use crate::clock::Epoch;
+use crate::ports::{ChannelError, Clock as _, MAP_PAUSE, Ports, ReadPort, WriteMapPort, WritePort};
+use crate::process::{Listens, ProcessLoop};
+use crate::run::Run;
+use ::bridge::world::{ClockOffset, SourceClock};
+use ::link::{BaseEnd, BaseEvent};
+use link_transport::Transport;
+use msg::{
+    Clock, Correction, Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest, TileMap, Transforms,
+    VelocityCommand,
+};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// Period of the base's clock.
+const CLOCK_PERIOD: Duration = Duration::from_millis(20);
+/// Shortest time between two submaps: readers have room for eight.
+const SUBMAP_PAUSE: Duration = Duration::from_millis(100);
+/// Longest time after a robot joins until its map is published although parts are missing. Until then readers keep what an
+/// earlier process of the link published.
+const WHOLE_MAP_WAIT_MAX: Duration = Duration::from_secs(5);
+
+struct Channels<P: Ports> {
+    correction: P::Writer<Correction>,
+    transforms: P::Writer<Transforms>,
+    map: P::MapWriter,
+    submap: P::Writer<Submap>,
+    submap_poses: P::Writer<SubmapPoses>,
+    commands: P::Reader<VelocityCommand>,
+    submap_requests: P::Reader<SubmapRequest>,
+}
+
+impl<P: Ports> Channels<P> {
+    fn open(ports: &P, robot: RobotId) -> Result<Self, ChannelError> {
+        Ok(Self {
+            correction: ports.writer(&channel::correction(robot))?,
+            transforms: ports.writer(&channel::transforms(robot))?,
+            map: ports.map_writer(&channel::map(robot))?,
+            submap: ports.writer(&channel::submap(robot))?,
+            submap_poses: ports.writer(&channel::submap_poses(robot))?,
+            commands: ports.reader(&channel::command(robot))?,
+            submap_requests: ports.reader(&channel::submap_request(robot))?,
+        })
+    }
+}
+
+/// What has arrived of a robot's map and is not on its channels yet.
+#[derive(Default)]
+struct Unpublished {
+    /// The map with stamps of this machine; `None` before the first was published.
+    map: Option<TileMap>,
+    has_map_changed: bool,
+    map_due: Monotonic,
+    /// Submaps to publish.
+    submaps: BTreeSet<u32>,
+    submap_due: Monotonic,
+    poses: Option<Box<SubmapPoses>>,
+    /// Time until which parts of the map that are missing are waited for.
+    wait_until: Monotonic,
+}
+
+/// Mirror of one robot.
+struct RobotMirror<P: Ports> {
+    robot: RobotId,
+    name: String,
+    end: BaseEnd,
+    /// How far the robot's clock is from ours, from when its poses arrive.
+    clock: SourceClock,
+    /// Poses that were published: fewer than the robot's scans.
+    corrections: u64,
+    was_heard: bool,
+    channels: Channels<P>,
+    unpublished: Unpublished,
+    invalid: InvalidMessages,
+}
+
+/// Mirrors the channels of all robots of the configuration.
+pub struct BaseLink<P: Ports, T, S> {
+    transport: T,
+    stop: S,
+    robots: Vec<RobotMirror<P>>,
+    fleet_clock: P::Writer<Clock>,
+    clock_due: Monotonic,
+    clock: P::Clock,
+    epoch: Epoch,
+    listeners: Vec<P::Listener>,
+}
+
+impl<P: Ports, T: Transport, S: StopControl> BaseLink<P, T, S> {
+    /// Opens the channels. `session` is a random number that tells this base from every other.
+    pub fn open(ports: &P, run: &Run, transport: T, stop: S, session: u64) -> Result<Self, ChannelError> {
+        let robots =
+            run.robots().map(|robot| RobotMirror::open(ports, robot, run.config.robot_name(robot), session));
+        let listeners = run.robots().map(|robot| ports.listener(&channel::command(robot)));
+        Ok(Self {
+            transport,
+            stop,
+            robots: robots.collect::<Result<_, _>>()?,
+            fleet_clock: ports.writer(&channel::clock())?,
+            clock_due: Monotonic(0),
+            clock: ports.clock(),
+            epoch: run.epoch,
+            listeners: listeners.collect::<Result<_, _>>()?,
+        })
+    }
+
+    pub(super) fn ends(&self) -> impl Iterator<Item = (&str, &BaseEnd)> {
+        self.robots.iter().map(|robot| (robot.name.as_str(), &robot.end))
+    }
+
+    pub(super) fn now(&self) -> Monotonic {
+        self.clock.now()
+    }
+}
+
+impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for BaseLink<P, T, S> {
+    fn step(&mut self) -> Monotonic {
+        let now = self.clock.now();
+        if now >= self.clock_due {
+            let stamp = self.epoch.stamp(now);
+            self.fleet_clock.send_with(|clock| clock.header.stamp = stamp);
+            self.clock_due = now + CLOCK_PERIOD;
+        }
+        for _ in 0..RECEIVED_MAX {
+            let Some((index, bytes)) = self.transport.receive() else { break };
+            if let Some(robot) = self.robots.get_mut(index) {
+                robot.receive(&bytes, self.epoch, now);
+            }
+        }
+        let is_stopped = self.stop.is_stopped();
+        for robot in &mut self.robots {
+            robot.end.set_stopped(is_stopped);
+            robot.send(&mut self.transport, now);
+            robot.publish(self.epoch, now);
+        }
+        now + POLL_PERIOD
+    }
+}
+
+impl<P: Ports, T, S> Listens<P::Listener> for BaseLink<P, T, S> {
+    fn listeners(&self) -> impl Iterator<Item = &P::Listener> {
+        self.listeners.iter()
+    }
+}
+
+impl<P: Ports> RobotMirror<P> {
+    fn open(ports: &P, robot: RobotId, name: String, session: u64) -> Result<Self, ChannelError> {
+        Ok(Self {
+            robot,
+            name,
+            end: BaseEnd::new(session),
+            clock: SourceClock::new(ClockOffset::Measured),
+            corrections: 0,
+            was_heard: false,
+            channels: Channels::open(ports, robot)?,
+            unpublished: Unpublished::default(),
+            invalid: InvalidMessages::default(),
+        })
+    }
+
+    fn receive(&mut self, bytes: &[u8], epoch: Epoch, now: Monotonic) {
+        let events = match self.end.receive(bytes, now) {
+            Ok(events) => events,
+            Err(why) => return self.invalid.count(&self.name, &why),
+        };
+        for event in events {
+            self.apply(event, epoch, now);
+        }
+    }
+
+    fn apply(&mut self, event: BaseEvent, epoch: Epoch, now: Monotonic) {
+        match event {
+            BaseEvent::RobotJoined { robot, before } => {
+                let how =
+                    if before.is_some() { "has joined again, with another process" } else { "has joined" };
+                tracing::warn!("{} {how}: session {robot:016x}", self.name);
+                self.clock = SourceClock::new(ClockOffset::Measured);
+                self.unpublished.wait_until = now + WHOLE_MAP_WAIT_MAX;
+            }
+            BaseEvent::Correction(mut correction) => {
+                // Only this message estimates the clock: it comes at a steady rate and is small.
+                let stamp = self.clock.convert(correction.header.stamp, epoch.stamp(now));
+                if let Ok(stamp) = stamp {
+                    correction.header.stamp = stamp;
+                    correction.scan_sent = epoch.moment(stamp);
+                    // Numbered anew: scans whose poses stay on the robot's machine are not lost.
+                    correction.scan_seq = self.corrections;
+                    self.corrections += 1;
+                    self.channels.correction.send(&correction);
+                }
+            }
+            BaseEvent::Transforms(mut transforms) if self.clock.estimate().is_some() => {
+                transforms.header.stamp = self.clock.translate(transforms.header.stamp);
+                self.channels.transforms.send(&transforms);
+            }
+            // Before the first pose the offset of the clocks is not known.
+            BaseEvent::Transforms(_) => {}
+            BaseEvent::Map => self.unpublished.has_map_changed = true,
+            BaseEvent::Submap(id) => drop(self.unpublished.submaps.insert(id)),
+            BaseEvent::SubmapPoses(poses) => self.unpublished.poses = Some(poses),
+        }
+    }
+
+    /// Sends what is due to the robot.
+    fn send(&mut self, transport: &mut impl Transport, now: Monotonic) {
+        let is_heard = self.end.is_heard(now);
+        if self.was_heard && !is_heard {
+            tracing::warn!("{} is not heard any more; its map stays as it is", self.name);
+        }
+        self.was_heard = is_heard;
+        let index = self.robot.index();
+        let mut send = |kind, bytes: &[u8]| transport.send(index, kind, bytes);
+        if let Some(command) = self.channels.commands.newest() {
+            self.end.send_velocity(&command, now, &mut send);
+        }
+        self.end.poll(now, &mut send);
+    }
+
+    /// Writes what has arrived of the map, at the pace of its readers. Stamps need the offset of the clocks.
+    fn publish(&mut self, epoch: Epoch, now: Monotonic) {
+        if self.channels.submap_requests.newest().is_some() {
+            self.unpublished.submaps.extend(self.end.submap_ids());
+        }
+        if self.clock.estimate().is_none() {
+            return;
+        }
+        if now >= self.unpublished.map_due {
+            self.unpublished.map_due = now + MAP_PAUSE;
+            self.publish_map(epoch, now);
+        }
+        if now >= self.unpublished.submap_due
+            && let Some(id) = self.unpublished.submaps.pop_first()
+        {
+            self.unpublished.submap_due = now + SUBMAP_PAUSE;
+            // A submap that was removed meanwhile is not there.
+            if let Some(mut submap) = self.end.submap(id) {
+                submap.grid.header.stamp = self.clock.translate(submap.grid.header.stamp);
+                self.channels.submap.send(&submap);
+            }
+        }
+        match self.unpublished.poses.take() {
+            Some(mut poses) => {
+                poses.header.stamp = self.clock.translate(poses.header.stamp);
+                self.channels.submap_poses.send(&poses);
+            }
+            None => self.channels.submap_poses.refresh(),
+        }
+    }
+
+    fn publish_map(&mut self, epoch: Epoch, now: Monotonic) {
+        let is_whole = self.end.robot_state().waiting == 0;
+        if self.unpublished.has_map_changed
+            && (is_whole || now >= self.unpublished.wait_until)
+            && let Some(map) = self.end.map()
+        {
+            let mut map = map.clone();
+            map.header.header.stamp = self.clock.translate(map.header.header.stamp);
+            map.header.scan_sent = epoch.moment(map.header.header.stamp);
+            (self.unpublished.map, self.unpublished.has_map_changed) = (Some(map), false);
+        }
+        // An unchanged map is sent to readers that come late.
+        if let Some(map) = &self.unpublished.map {
+            self.channels.map.send(map);
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! Figures of the link: `link.json` in the run's folder, written once a second.
+
+use super::{BaseLink, RobotLink, StopControl};
+use crate::ports::Ports;
+use crate::run::Run;
+use ::link::ByteCounters;
+use link_transport::Transport;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Largest file that is read, bytes: 64 robots have 30 kB.
+const BYTES_MAX: u64 = 256 << 10;
+
+/// Figures of the link to one peer.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PeerReport {
+    /// Name of the robot.
+    pub robot: String,
+    /// Whether the peer was heard in the last 3 s.
+    pub is_heard: bool,
+    /// Parts of the map that the base does not hold as they are.
+    pub waiting: u64,
+    /// Messages of other peers than the one that counts.
+    pub refused: u64,
+    /// Bytes from the robot to the base by kind of message, as this end counts them.
+    pub bytes: BTreeMap<String, u64>,
+}
+
+/// Figures of a machine's link.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LinkReport {
+    /// One for each robot.
+    pub peers: Vec<PeerReport>,
+}
+
+impl LinkReport {
+    /// Reads the report of a run.
+    pub fn read(run_dir: &Path) -> io::Result<Self> {
+        let text = formats::limited::read_text(&path(run_dir), BYTES_MAX)?;
+        serde_json::from_str(&text).map_err(io::Error::other)
+    }
+
+    /// Writes the report of a run.
+    pub(super) fn write(&self, run: &Run) -> io::Result<()> {
+        let json = serde_json::to_string_pretty(self).unwrap_or_default();
+        formats::atomic::write(&path(&run.dir), |file| file.write_all(json.as_bytes()))
+    }
+}
+
+fn path(run_dir: &Path) -> PathBuf {
+    run_dir.join("link.json")
+}
+
+/// One end of the link, whose figures are written.
+pub trait ReportLink {
+    /// Returns the figures.
+    fn report(&self) -> LinkReport;
+}
+
+fn by_kind(bytes: &ByteCounters) -> BTreeMap<String, u64> {
+    bytes.rows().filter(|(_, bytes, _)| *bytes > 0).map(|(name, bytes, _)| (name.to_owned(), bytes)).collect()
+}
+
+impl<P: Ports, T: Transport, S: StopControl> ReportLink for RobotLink<P, T, S> {
+    fn report(&self) -> LinkReport {
+        let (end, robot) = (self.end(), self.name().to_owned());
+        let (waiting, refused) = (end.waiting() as u64, end.refused());
+        let (is_heard, bytes) = (end.is_heard(self.now()), by_kind(end.sent()));
+        LinkReport { peers: vec![PeerReport { robot, is_heard, waiting, refused, bytes }] }
+    }
+}
+
+impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
+    fn report(&self) -> LinkReport {
+        let peers = self.ends().map(|(name, end)| PeerReport {
+            robot: name.to_owned(),
+            is_heard: end.is_heard(self.now()),
+            waiting: end.robot_state().waiting.into(),
+            refused: end.refused(),
+            bytes: by_kind(end.received()),
+        });
+        LinkReport { peers: peers.collect() }
+    }
+}

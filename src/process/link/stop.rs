@@ -1,0 +1,85 @@
+//! This machine's emergency stop, as the link reads and sets it. `link::StopFollower` decides when a robot's is set.
+
+use crate::control::{self, Request};
+use crate::process::control::saved_state::{latch_stop, stop_file};
+use crate::run::Run;
+use crate::storage::DiskStorage;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+/// Period at which the bridge is asked whether it is stopped.
+const STATE_PERIOD: Duration = Duration::from_millis(100);
+/// Longest wait for the bridge's answer.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+const UNKNOWN: u8 = 0;
+const RUNNING: u8 = 1;
+const STOPPED: u8 = 2;
+
+/// This machine's emergency stop, which its bridge keeps.
+pub trait StopControl {
+    /// Returns whether it is set; `None` if the bridge does not answer.
+    fn is_stopped(&self) -> Option<bool>;
+    /// Sets or releases it. Never waits.
+    fn request(&mut self, stop: bool);
+}
+
+/// The emergency stop of a run, over its bridge's control socket. A thread of its own waits for the bridge.
+#[derive(Debug)]
+pub struct RunStop {
+    state: Arc<AtomicU8>,
+    requests: SyncSender<bool>,
+}
+
+impl RunStop {
+    /// Starts the thread, which ends with this value.
+    pub fn start(run: &Run) -> io::Result<Self> {
+        let state = Arc::new(AtomicU8::new(UNKNOWN));
+        // The newest request counts; two wait while the disk or the bridge is slow.
+        let (requests, received) = sync_channel(2);
+        let (run, shared) = (run.clone(), state.clone());
+        std::thread::Builder::new().name("stop".into()).spawn(move || serve(&run, &received, &shared))?;
+        Ok(Self { state, requests })
+    }
+}
+
+impl StopControl for RunStop {
+    fn is_stopped(&self) -> Option<bool> {
+        match self.state.load(Ordering::Relaxed) {
+            RUNNING => Some(false),
+            STOPPED => Some(true),
+            _ => None,
+        }
+    }
+
+    fn request(&mut self, stop: bool) {
+        // A full queue holds the same request, or the next state of the base repeats it.
+        let _ = self.requests.try_send(stop);
+    }
+}
+
+fn serve(run: &Run, requests: &Receiver<bool>, state: &AtomicU8) {
+    loop {
+        let request = match requests.recv_timeout(STATE_PERIOD) {
+            Ok(true) => {
+                // The disk first: the stop outlives a bridge that does not answer.
+                if let Err(why) = latch_stop(&DiskStorage, &stop_file(&run.dir), crate::clock::now()) {
+                    tracing::warn!("the emergency stop of the base is not on the disk: {why}");
+                }
+                Request::Stop
+            }
+            Ok(false) => Request::Release,
+            Err(RecvTimeoutError::Timeout) => Request::State,
+            Err(RecvTimeoutError::Disconnected) => return,
+        };
+        let found = match control::ask(run, request, PATIENCE) {
+            Ok(bridge) if bridge.stopped => STOPPED,
+            Ok(_) => RUNNING,
+            Err(_) => UNKNOWN,
+        };
+        state.store(found, Ordering::Relaxed);
+    }
+}
