@@ -98,6 +98,8 @@ export class CdrWriter {
 
   bool(/** @type {boolean} */ value) { return this.number(1, (view) => view.setUint8(0, value ? 1 : 0)); }
   i32(/** @type {number} */ value) { return this.number(4, (view) => view.setInt32(0, value, true)); }
+  u32(/** @type {number} */ value) { return this.number(4, (view) => view.setUint32(0, value, true)); }
+  f32(/** @type {number} */ value) { return this.number(4, (view) => view.setFloat32(0, value, true)); }
   f64(/** @type {number} */ value) { return this.number(8, (view) => view.setFloat64(0, value, true)); }
   /** Writes a string with a NUL at its end. */
   string(/** @type {string} */ value) {

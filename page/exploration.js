@@ -6,7 +6,8 @@ import { readString } from "./messages.js";
  * What exploration does, as `/explore/state` says.
  * @typedef {object} Exploration
  * @property {string} state @property {string} reason @property {number | null} knownM2 @property {number | null} leastS
- * @property {number | null} mostS @property {string[]} robots @property {number} leftCount places that are left at the end, with unknown space beside them
+ * @property {number | null} mostS @property {string[]} robots @property {{x: number, y: number}[]} left
+ * places in the merged map with unknown space beside them, metres @property {number} leftCount all such places, in other maps too
  */
 
 /** States in which robots explore, or will again by themselves. */
@@ -20,9 +21,11 @@ export function readExploration(/** @type {DataView} */ view) {
   } catch {
     throw new RangeError("the state of exploration is not JSON");
   }
-  const { state, reason = "", known_m2: knownM2 = null, least_s: leastS = null, most_s: mostS = null, robots = [], left_count: leftCount = 0 } = json ?? {};
-  if (typeof state !== "string" || !Number.isInteger(leftCount) || !Array.isArray(robots)) throw new RangeError("the state of exploration has no state");
-  return { state, reason, knownM2, leastS, mostS, robots, leftCount };
+  const { state, reason = "", known_m2: knownM2 = null, least_s: leastS = null, most_s: mostS = null, robots = [], left = [], left_count: leftCount = 0 } = json ?? {};
+  if (typeof state !== "string" || !Array.isArray(left) || !Number.isInteger(leftCount) || !Array.isArray(robots)) throw new RangeError("the state of exploration has no state");
+  const isPlace = (/** @type {any} */ place) => place?.frame === "map" && Number.isFinite(place.x_m) && Number.isFinite(place.y_m);
+  const places = left.filter(isPlace).map(({ x_m: x, y_m: y }) => ({ x, y }));
+  return { state, reason, knownM2, leastS, mostS, robots, left: places, leftCount };
 }
 
 /** Returns whether robots explore now. @param {Exploration | null} exploration */

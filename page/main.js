@@ -5,6 +5,7 @@ import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection }
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
 import { describeExploration, isExploring } from "./exploration.js";
 import { MeasureTool } from "./measure.js";
+import { ZoneTool } from "./zones.js";
 import { readGrid, writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
 import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } from "./panels.js";
 import { attachPointers } from "./pointers.js";
@@ -62,7 +63,7 @@ const live = new Connection(url, {
   },
 });
 live.subscribeParameters();
-["/emergency_stop", "/tf_static", "/tf", "/merge_edges", "/explore/state"].forEach((topic) => live.subscribe(topic));
+["/emergency_stop", "/tf_static", "/tf", "/merge_edges", "/explore/state", "/exclusion_zones"].forEach((topic) => live.subscribe(topic));
 
 /** Maps have a connection of their own: they delay neither commands nor transforms. */
 const maps = new Connection(url, {
@@ -235,6 +236,7 @@ const goals = new GoalTool({
   log: logMessage,
   show: (isOn) => {
     if (isOn) measure.toggle(false);
+    if (isOn) zones.toggle(false);
     element("goal").setAttribute("aria-pressed", String(isOn));
     element("view").classList.toggle("aiming", isOn);
   },
@@ -243,11 +245,24 @@ element("goal").addEventListener("click", () => goals.toggle());
 
 const measure = new MeasureTool((isOn) => {
   if (isOn && goals.isOn) goals.toggle();
+  if (isOn) zones.toggle(false);
   element("measure").setAttribute("aria-pressed", String(isOn));
   element("view").classList.toggle("measuring", isOn);
 });
 view.measure = measure;
 element("measure").addEventListener("click", () => measure.toggle());
+const zones = new ZoneTool({
+  zones: () => fleet.zones,
+  publish: (topic, type, payload, isUrgent) => live.publish(topic, type, payload, isUrgent),
+  show: (isOn) => {
+    if (isOn && goals.isOn) goals.toggle();
+    if (isOn) measure.toggle(false);
+    element("zone").setAttribute("aria-pressed", String(isOn));
+    element("view").classList.toggle("measuring", isOn);
+  },
+});
+view.zones = zones;
+element("zone").addEventListener("click", () => zones.toggle());
 element("cancel-goal").addEventListener("click", () => goals.command("cancel"));
 element("resume-goal").addEventListener("click", () => goals.command("resume"));
 
@@ -283,6 +298,7 @@ const KEYS = {
   KeyT: takeOver,
   KeyG: () => goals.toggle(),
   KeyM: () => measure.toggle(),
+  KeyZ: () => zones.toggle(),
   KeyF: () => setFits(true),
   KeyC: toggleFollow,
   Equal: () => zoom(1.25),
@@ -369,7 +385,7 @@ element("follow").addEventListener("click", toggleFollow);
 element("zoom-in").addEventListener("click", () => zoom(1.25));
 element("zoom-out").addEventListener("click", () => zoom(0.8));
 
-attachPointers({ view, fleet, goals, measure, select, zoom, show: showTools });
+attachPointers({ view, fleet, goals, measure, zones, select, zoom, show: showTools });
 
 // --- Drawing ---
 

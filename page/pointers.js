@@ -1,4 +1,4 @@
-// Pointers on the map: they move the view, draw goals, measure, and select robots.
+// Pointers on the map: they move the view, draw goals and zones, measure, and select robots.
 
 /** Movement up to which a press is a click, pixels. */
 const CLICK_PX = 6;
@@ -10,11 +10,12 @@ const CLICK_PX = 6;
  * @param {import("./state.js").Fleet} of.fleet
  * @param {import("./goals.js").GoalTool} of.goals
  * @param {import("./measure.js").MeasureTool} of.measure
+ * @param {import("./zones.js").ZoneTool} of.zones
  * @param {(robot: number) => void} of.select
  * @param {(factor: number, pixel: {x: number, y: number}) => void} of.zoom
  * @param {() => void} of.show the view has changed
  */
-export function attachPointers({ view, fleet, goals, measure, select, zoom, show }) {
+export function attachPointers({ view, fleet, goals, measure, zones, select, zoom, show }) {
   const { canvas, camera } = view;
   /** Where the pointers are, pixels. @type {Map<number, {x: number, y: number, moved: number}>} */
   const pointers = new Map();
@@ -24,7 +25,7 @@ export function attachPointers({ view, fleet, goals, measure, select, zoom, show
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, { ...pixelOf(event), moved: 0 });
     const at = camera.toWorld(pixelOf(event));
-    if (!measure.press(at)) goals.press(at);
+    if (!measure.press(at) && !zones.press(at)) goals.press(at);
   });
   canvas.addEventListener("pointermove", (event) => {
     const pointer = pointers.get(event.pointerId);
@@ -35,9 +36,12 @@ export function attachPointers({ view, fleet, goals, measure, select, zoom, show
     if (other) {
       goals.cancelDrawing();
       measure.release();
+      zones.cancel();
     }
     if (measure.isHeld) {
       measure.move(camera.toWorld(pixel));
+    } else if (zones.isHeld) {
+      zones.move(camera.toWorld(pixel));
     } else if (goals.drawn) {
       const start = camera.toScreen(goals.drawn.from);
       goals.move(camera.toWorld(pixel), Math.hypot(pixel.x - start.x, pixel.y - start.y));
@@ -58,6 +62,8 @@ export function attachPointers({ view, fleet, goals, measure, select, zoom, show
     pointers.delete(event.pointerId);
     if (measure.isHeld) {
       measure.release();
+    } else if (zones.isHeld) {
+      zones.release();
     } else if (goals.drawn) {
       goals.release();
     } else if (pointer && pointer.moved <= CLICK_PX) {
@@ -69,6 +75,7 @@ export function attachPointers({ view, fleet, goals, measure, select, zoom, show
     pointers.delete(event.pointerId);
     goals.cancelDrawing();
     measure.release();
+    zones.cancel();
   });
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();

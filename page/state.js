@@ -4,6 +4,7 @@ import { RunClock } from "./clock.js";
 import { FrameTree, compose } from "./geometry.js";
 import { readEdges, robotsOf } from "./edges.js";
 import { readExploration } from "./exploration.js";
+import { readZones } from "./zones.js";
 import { receiveNavigation } from "./goals.js";
 import { MergedMap } from "./merged_map.js";
 import { readBool, readGrid, readMapTiles, readOdometryFrames, readPose, readScan, readTransforms } from "./messages.js";
@@ -86,6 +87,8 @@ export class Fleet {
     this.edges = [];
     /** What exploration does, or null if nobody has said. @type {import("./exploration.js").Exploration | null} */
     this.exploration = null;
+    /** The areas that navigation keeps robots out of. @type {import("./zones.js").Zone[]} */
+    this.zones = [];
     /** @type {boolean | null} */
     this.isStopped = null;
     /** @type {any} */
@@ -116,7 +119,7 @@ export class Fleet {
     this.clock.reset();
     this.frames = new FrameTree();
     this.merged.clear();
-    Object.assign(this, { seen: null, edges: [], exploration: null, area: [] });
+    Object.assign(this, { seen: null, edges: [], exploration: null, zones: [], area: [] });
     for (const robot of this.robots.values()) {
       const { number, prefix, figures } = robot;
       Object.assign(robot, new Robot(number, prefix), { figures });
@@ -163,6 +166,10 @@ export class Fleet {
     }
     if (topic === "/merge_edges") {
       this.edges = readEdges(view);
+      return undefined;
+    }
+    if (topic === "/exclusion_zones") {
+      this.zones = readZones(view).zones;
       return undefined;
     }
     if (topic === "/explore/state") {

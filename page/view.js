@@ -40,6 +40,8 @@ export class View {
     this.drawnGoal = null;
     /** The distance that the operator measures. @type {import("./measure.js").MeasureTool | null} */
     this.measure = null;
+    /** The areas to keep robots out of. @type {import("./zones.js").ZoneTool | null} */
+    this.zones = null;
   }
 
   /** Takes the canvas's size on the screen. */
@@ -67,6 +69,7 @@ export class View {
       line: colour("--map-line"),
       text: colour("--text"),
       stale: colour("--stale"),
+      alarm: colour("--danger"),
     };
   }
 
@@ -82,6 +85,7 @@ export class View {
     context.fillStyle = colours.background;
     context.fillRect(0, 0, camera.width, camera.height);
     this.drawMap(fleet, colours);
+    this.zones?.draw(context, camera, colours);
     this.drawMetres(colours);
     const robots = [...fleet.robots.values()].sort((a, b) => Number(a.number === selected) - Number(b.number === selected));
     robots.forEach((robot) => this.drawTrail(robot));

@@ -59,6 +59,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("xr_scene.js", SCRIPT),
     file!("xr_session.js", SCRIPT),
     file!("xr_views.js", SCRIPT),
+    file!("zones.js", SCRIPT),
 ];
 
 #[cfg(test)]

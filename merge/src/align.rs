@@ -14,6 +14,7 @@ mod null;
 mod objects;
 mod points;
 mod refine;
+mod repeated;
 mod spectrum;
 mod translation;
 mod wall_match;
@@ -28,8 +29,9 @@ use crate::config::{AlignConfig, WallConfig};
 use crate::limits::{RESOLUTION_M, is_plausible};
 use msg::grid_agreement::{GridAgreement, compare_grids};
 use msg::{GridView, Pose2, pose::wrap_angle};
-use objects::{ObjectMatch, match_objects};
+use objects::{ObjectMatch, ObjectPoints, match_objects};
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
+use repeated::repeated_places;
 use serde::{Deserialize, Serialize};
 use translation::{COARSE_CELL_M, CoarseCandidate, TranslationSearch};
 
@@ -45,6 +47,8 @@ const FINE_POINTS: usize = 20_000;
 const FINALISTS: usize = 2;
 /// Least score assumed for the best other place, metres of wall: chance finds as much anywhere.
 const RIVAL_WALLS_MIN_M: f64 = 2.5;
+/// Least length of objects assumed for the best other place, metres.
+const RIVAL_OBJECTS_MIN_M: f64 = 2.0;
 /// Rounding of a length of walls, metres: far below a cell.
 const WALLS_ROUNDING_M: f64 = 1e-6;
 /// Share of the smaller map below which an overlap is small. It may then be a room that is like another.
@@ -90,6 +94,9 @@ pub struct Alignment {
     /// That score over that of the best other place, or over that of 2.5 m of wall if no other place has as many. 0 where
     /// only one place was looked at.
     pub margin: f64,
+    /// Length of short walls that match over that at the best other place that nothing contradicts, or over 2 m if no other place
+    /// has as many. 0 where only one place was looked at, or where the place fails already.
+    pub objects_margin: f64,
     /// Observability of the position: 0 if the map can slide along itself, 0.5 if it is held alike in all directions.
     pub observability: f64,
 }
@@ -139,10 +146,10 @@ pub fn align(a: GridView<'_>, b: GridView<'_>, config: &AlignConfig) -> Option<A
     let (field_a, field_b) = (DistanceField::new(points_a, a, walls), DistanceField::new(points_b, b, walls));
     let fields = [&field_a, &field_b];
     let places = refine_candidates(fields, &candidates);
-    let (best, margin) = choose_place(fields, &places)?;
+    let (best, margins) = PlaceJudge::new(fields).choose_place(&places, config)?;
     let a_from_b =
         field_a.points.frame_from_centred * best.fine.a_from_b * field_b.points.frame_from_centred.inverse();
-    Some(judge([a, b], a_from_b, &best, margin, config))
+    Some(judge([a, b], a_from_b, &best, margins, config))
 }
 
 /// A place that was refined by many points.
@@ -154,14 +161,53 @@ struct Place {
 }
 
 impl Place {
-    fn new(fields: [&DistanceField; 2], fine: WallMatch) -> Self {
-        Self { objects: match_objects(fields, fine.a_from_b), fine }
-    }
-
     /// Whether neither walls nor objects contradict it.
     fn is_possible(&self, config: &AlignConfig) -> bool {
         self.fine.conflict() <= config.conflict_max && self.objects.conflict() <= config.object_conflict_max
     }
+}
+
+/// Two maps with their objects.
+struct PlaceJudge<'a> {
+    fields: [&'a DistanceField; 2],
+    objects: [ObjectPoints; 2],
+}
+
+impl<'a> PlaceJudge<'a> {
+    fn new(fields: [&'a DistanceField; 2]) -> Self {
+        Self { fields, objects: fields.map(ObjectPoints::new) }
+    }
+
+    /// Adds the objects to the walls.
+    fn place(&self, fine: WallMatch) -> Place {
+        Place { fine, objects: match_objects(self.fields, self.objects.each_ref(), fine.a_from_b) }
+    }
+
+    /// Returns the best place with its margins over all others.
+    fn choose_place(&self, places: &[WallMatch], config: &AlignConfig) -> Option<(Place, Margins)> {
+        let finalists = places.iter().take(FINALISTS).map(|coarse| refine_finely(self.fields, coarse));
+        let best = self.place(finalists.max_by(|x, y| x.score().total_cmp(&y.score()))?);
+        let is_other = |other: &&WallMatch| !is_same_place(other.a_from_b, best.fine.a_from_b);
+        let others = places.iter().filter(is_other).map(WallMatch::score);
+        let score = best.fine.score() / others.fold(rival_score_min(self.fields), f64::max);
+        if score < config.margin_min || !best.is_possible(config) {
+            return Some((best, Margins { score, objects: 0.0 }));
+        }
+        let repeated = repeated_places(self.fields, &self.objects[1], best.fine.a_from_b);
+        let rivals = places.iter().chain(&repeated).filter(is_other).map(|other| self.place(*other));
+        let objects_m = rivals.filter(|rival| rival.is_possible(config)).map(|rival| rival.objects.matched_m);
+        let objects = best.objects.matched_m / objects_m.fold(RIVAL_OBJECTS_MIN_M, f64::max);
+        Some((best, Margins { score, objects }))
+    }
+}
+
+/// Ratios of a place to the best other place; 0 where no other was looked at.
+#[derive(Clone, Copy, Default)]
+struct Margins {
+    /// Of the scores.
+    score: f64,
+    /// Of the lengths of short walls that match. Places that something contradicts do not count.
+    objects: f64,
 }
 
 /// Returns the points of both maps; `None` if one is malformed or has no walls.
@@ -171,15 +217,6 @@ fn points_with_walls(maps: [GridView<'_>; 2]) -> Option<[MapPoints; 2]> {
     }
     let points = maps.map(|map| MapPoints::from_grid(map, COARSE_CELL_M));
     points.iter().all(|map| !map.walls_m.is_empty()).then_some(points)
-}
-
-/// Returns the best place with its margin over all others.
-fn choose_place(fields: [&DistanceField; 2], places: &[WallMatch]) -> Option<(Place, f64)> {
-    let finalists = places.iter().take(FINALISTS).map(|coarse| (coarse, refine_finely(fields, coarse)));
-    let (coarse, fine) = finalists.max_by(|x, y| x.1.score().total_cmp(&y.1.score()))?;
-    let others = places.iter().filter(|other| !is_same_place(other.a_from_b, coarse.a_from_b));
-    let margin = fine.score() / others.map(WallMatch::score).fold(rival_score_min(fields), f64::max);
-    Some((Place::new(fields, fine), margin))
 }
 
 /// Refines a transform that is roughly known, and computes the evidence for it.
@@ -200,9 +237,9 @@ pub fn align_near(
     let strides = strides(fields, FINE_POINTS);
     let refined = refine(fields, from_a.inverse() * a_from_b * from_b, strides, COARSE_KERNELS_M);
     let matched = match_walls(fields, refined, strides);
-    let config = AlignConfig { margin_min: 0.0, ..config.clone() };
-    let place = Place::new(fields, matched);
-    Some(judge([a, b], from_a * refined * from_b.inverse(), &place, 0.0, &config))
+    let config = without_margins(config);
+    let place = PlaceJudge::new(fields).place(matched);
+    Some(judge([a, b], from_a * refined * from_b.inverse(), &place, Margins::default(), &config))
 }
 
 /// Computes the evidence for a given transform. `accepted` leaves out the margin, which is 0: no other place is looked
@@ -221,9 +258,14 @@ pub(crate) fn evaluate(
     let fields = [&fields[0], &fields[1]];
     let [from_a, from_b] = fields.map(|field| field.points.frame_from_centred);
     let matched = match_walls(fields, from_a.inverse() * a_from_b * from_b, strides(fields, FINE_POINTS));
-    let place = Place::new(fields, matched);
-    let config = AlignConfig { margin_min: 0.0, ..config.clone() };
-    Some(judge([a, b], a_from_b, &place, 0.0, &config))
+    let place = PlaceJudge::new(fields).place(matched);
+    let config = without_margins(config);
+    Some(judge([a, b], a_from_b, &place, Margins::default(), &config))
+}
+
+/// Returns the thresholds for one place alone.
+fn without_margins(config: &AlignConfig) -> AlignConfig {
+    AlignConfig { margin_min: 0.0, objects_margin_min: 0.0, ..config.clone() }
 }
 
 /// Returns the number of wall points of a length of walls.
@@ -309,7 +351,7 @@ fn judge(
     [a, b]: [GridView<'_>; 2],
     a_from_b: Pose2,
     place: &Place,
-    margin: f64,
+    margins: Margins,
     config: &AlignConfig,
 ) -> Alignment {
     let (walls, objects) = (&place.fine, &place.objects);
@@ -325,7 +367,8 @@ fn judge(
         && objects.matched_m >= config.objects_min_m
         && overlap_m2 >= factor * config.overlap_min_m2
         && walls_a_m + walls_b_m >= config.walls_min_m - WALLS_ROUNDING_M
-        && margin >= config.margin_min
+        && margins.score >= config.margin_min
+        && margins.objects >= config.objects_margin_min
         && walls.observability >= config.observability_min;
     Alignment {
         a_from_b,
@@ -340,7 +383,8 @@ fn judge(
         objects_m: objects.matched_m,
         residual_m: walls.residual_m,
         score_m: walls.score() * a.header.resolution_m,
-        margin,
+        margin: margins.score,
+        objects_margin: margins.objects,
         observability: walls.observability,
     }
 }

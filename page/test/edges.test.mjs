@@ -31,6 +31,8 @@ test("edges that are no list are refused, and a dropped one needs attention", ()
 
 test("exploration says what it does, what is left and how long it takes", () => {
   const state = (fields) => readExploration(text(JSON.stringify({ state: "exploring", ...fields })));
+  const left = [{ frame: "map", x_m: 1, y_m: 2 }, { frame: "map_2", x_m: 1, y_m: 2 }, { frame: "map", x_m: null, y_m: 2 }];
+  assert.deepEqual(state({ left, left_count: 3 }).left, [{ x: 1, y: 2 }]);
   assert.equal(describeExploration(state({ left_count: 1, least_s: 30, most_s: 260 })), "exploring · 1 place left · done in 30 s to 4.3 min");
   assert.equal(describeExploration(state({ state: "failed", reason: "no map" })), "failed: no map");
   assert.deepEqual(["exploring", "returning", "paused", "completed", "stopped", "idle"].map((name) => isExploring(state({ state: name }))), [true, true, false, false, false, false]);

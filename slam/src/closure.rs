@@ -2,10 +2,12 @@
 //!
 //! A candidate is accepted when (1) its response is high, (2) no other place in the window comes near
 //! it, (3) the scans of both passes do not contradict each other (no surface where the other saw
-//! through), and (4) candidates from different places on the path agree with each other (pairwise
-//! consistency, Olson 2009, "Recognizing places using spectrally clustered local matches").
+//! through), (4) the way that the graph knows between the two places admits it (`consistency`), and (5) candidates from
+//! different places on the path agree with each other (Olson 2009, "Recognizing places using spectrally clustered local
+//! matches").
 
 mod candidate;
+mod consistency;
 mod passes;
 #[cfg(test)]
 mod tests;
@@ -142,6 +144,10 @@ impl ClosureDetector {
             self.counts.searches += 1;
             let window = self.window(view.graph, relative[candidate as usize], candidate, node);
             if let Some(found) = self.try_candidate(view, window, candidate, node) {
+                if !consistency::is_consistent(view.graph, &found, &self.config.links) {
+                    self.counts.contradicted += 1;
+                    continue;
+                }
                 let accepted = self.confirm(view.graph, found);
                 return if accepted.is_empty() {
                     ClosureSearch::Unconfirmed

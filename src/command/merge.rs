@@ -152,6 +152,7 @@ fn as_json(name: &str, place: &Place) -> serde_json::Value {
         "overlap_share": found.overlap_share,
         "residual_m": found.residual_m,
         "margin": found.margin,
+        "objects_margin": found.objects_margin,
         "observability": found.observability,
     })
 }

@@ -62,12 +62,14 @@ impl Judged {
         self.accepted() && self.error.is_some_and(is_right)
     }
 
-    /// Whether the thresholds pass at the true place, also that of the margin over the place that was found elsewhere.
+    /// Whether the thresholds pass at the true place, also those of the margins, or of the margin over the place that was found elsewhere.
     fn acceptable(&self) -> bool {
         let (Some(truth), Some(found)) = (self.at_truth, self.found) else { return false };
         let is_there = found.a_from_b.distance_m(truth.a_from_b) < SAME_PLACE_M;
         let margin = if is_there { found.margin } else { truth.score_m / found.score_m };
-        truth.accepted && margin >= AlignConfig::default().margin_min
+        let config = AlignConfig::default();
+        let repeats = is_there && found.objects_margin < config.objects_margin_min;
+        truth.accepted && margin >= config.margin_min && !repeats
     }
 
     /// Whether the thresholds but the margin pass at the true place.

@@ -112,8 +112,9 @@ pub fn print(outcomes: &[Outcome]) {
 
 fn print_worst(outcomes: &[Outcome]) {
     println!(
-        "wrong: runs with a pose more than {METRE_SCALE_M} m off; silent: those in which SLAM calls it part of its map, is not lost \
-         at the end, does not call its map unreliable, and its covariance has it farther off than three standard deviations. alarms: runs \
+        "wrong: runs with a pose of the map more than {METRE_SCALE_M} m off (what SLAM says is not tied to its map does not count: \
+         tied %); silent: those in which it is more than three standard deviations off by its covariance and SLAM does not call \
+         its map unreliable. alarms: runs \
          without such a pose whose map is called unreliable. walls: share of the walls hit that the map has. Then closures in force and closures taken back, \
          right and wrong ones. NEES over its degrees of freedom (1 is right) of the pose given out, links and closures: medians."
     );

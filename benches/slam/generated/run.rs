@@ -104,15 +104,15 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Whether some pose is wrong by a metre.
+    /// Whether a pose that SLAM calls part of its map is wrong by a metre.
     pub fn is_wrong(&self) -> bool {
-        self.max_error_m > METRE_SCALE_M
+        self.max_error_tied_m > METRE_SCALE_M
     }
 
     /// Whether a pose is wrong by a metre although SLAM calls it part of its map, its covariance in the map says otherwise,
-    /// the robot is not lost at the end, and the map is not called unreliable.
+    /// and the map is not called unreliable. A robot that is lost at the end has not said so of the poses before.
     pub fn is_silent(&self) -> bool {
-        self.max_error_unsaid_m > METRE_SCALE_M && !self.lost_at_end && !self.is_unreliable
+        self.max_error_unsaid_m > METRE_SCALE_M && !self.is_unreliable
     }
 
     /// Whether a map without an error of a metre is called unreliable.

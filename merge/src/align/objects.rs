@@ -15,6 +15,44 @@ const STRAIGHT_CELLS: f32 = 1.5;
 /// Wall points of each map that are looked at.
 const POINTS_MAX: usize = 6_000;
 
+/// Wall points of a map that are compared, and whether each is part of a long wall.
+pub(crate) struct ObjectPoints {
+    points: Vec<([f64; 2], bool)>,
+    /// Length of wall that a point stands for, metres.
+    point_m: f64,
+}
+
+impl ObjectPoints {
+    /// Chooses the points of a map.
+    pub fn new(map: &DistanceField) -> Self {
+        let stride = map.points.walls_m.len().div_ceil(POINTS_MAX).max(1);
+        let points = map.points.walls_m.iter().step_by(stride).map(|[x, y]| {
+            let at = [f64::from(*x), f64::from(*y)];
+            (at, map.is_on_long_wall(map.to_cells(at)))
+        });
+        Self { points: points.collect(), point_m: map.points.wall_point_m * stride as f64 }
+    }
+
+    /// Returns the length of wall that a point stands for, metres.
+    pub fn point_m(&self) -> f64 {
+        self.point_m
+    }
+
+    /// Returns the points of short walls that lie on a wall of another map.
+    pub fn matched_points(
+        &self,
+        other: &DistanceField,
+        other_from_map: Pose2,
+    ) -> impl Iterator<Item = [f64; 2]> {
+        let short = self.points.iter().filter(|(_, is_long)| !is_long).map(|(at, _)| *at);
+        short.filter(move |at| {
+            let [u, v] = other.to_cells(other_from_map.apply(*at));
+            let inside = u >= 0.0 && v >= 0.0 && u < other.width as f64 && v < other.height as f64;
+            inside && other.distance[v as usize * other.width + u as usize] <= other.match_cells
+        })
+    }
+}
+
 /// Lengths of walls of both maps under a transform, metres.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ObjectMatch {
@@ -52,22 +90,19 @@ impl DistanceField {
     }
 
     /// Compares b's walls with this map.
-    fn match_objects_of(&self, b: &Self, a_from_b: Pose2) -> ObjectMatch {
-        let stride = b.points.walls_m.len().div_ceil(POINTS_MAX).max(1);
-        let point_m = b.points.wall_point_m * stride as f64;
+    fn match_objects_of(&self, b: &ObjectPoints, a_from_b: Pose2) -> ObjectMatch {
         let mut result = ObjectMatch::default();
-        for [x, y] in b.points.walls_m.iter().step_by(stride) {
-            let at = [f64::from(*x), f64::from(*y)];
-            let [u, v] = self.to_cells(a_from_b.apply(at));
+        for (at, is_long) in &b.points {
+            let [u, v] = self.to_cells(a_from_b.apply(*at));
             if !(u >= 0.0 && v >= 0.0 && u < self.width as f64 && v < self.height as f64) {
                 continue;
             }
             let index = v as usize * self.width + u as usize;
             let distance = self.distance[index];
             if distance > self.conflict_cells && self.floor[index] {
-                result.contradicted_m += point_m;
-            } else if distance <= self.match_cells && !b.is_on_long_wall(b.to_cells(at)) {
-                result.matched_m += point_m;
+                result.contradicted_m += b.point_m;
+            } else if distance <= self.match_cells && !is_long {
+                result.matched_m += b.point_m;
             }
         }
         result
@@ -75,10 +110,14 @@ impl DistanceField {
 }
 
 /// Compares the objects of both maps under a transform between their centred frames.
-pub(crate) fn match_objects([a, b]: [&DistanceField; 2], a_from_b: Pose2) -> ObjectMatch {
-    let (of_b, of_a) = (a.match_objects_of(b, a_from_b), b.match_objects_of(a, a_from_b.inverse()));
+pub(crate) fn match_objects(
+    [a, b]: [&DistanceField; 2],
+    [of_a, of_b]: [&ObjectPoints; 2],
+    a_from_b: Pose2,
+) -> ObjectMatch {
+    let (b_on_a, a_on_b) = (a.match_objects_of(of_b, a_from_b), b.match_objects_of(of_a, a_from_b.inverse()));
     ObjectMatch {
-        matched_m: of_a.matched_m + of_b.matched_m,
-        contradicted_m: of_a.contradicted_m + of_b.contradicted_m,
+        matched_m: a_on_b.matched_m + b_on_a.matched_m,
+        contradicted_m: a_on_b.contradicted_m + b_on_a.contradicted_m,
     }
 }

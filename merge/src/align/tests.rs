@@ -69,6 +69,14 @@ fn hall(x: i64, y: i64) -> Option<bool> {
     (x.abs() <= 100 && y.abs() <= 60).then_some(x.abs() == 100 || y.abs() == 60)
 }
 
+/// A hall of 15 m x 8 m with two rows of equal pillars: half a turn changes nothing.
+fn hall_of_bays(x: i64, y: i64) -> Option<bool> {
+    let inside = x.abs() <= 150 && y.abs() <= 80;
+    let outer = x.abs() >= 149 || y.abs() >= 79;
+    let pillar = ((x + 150) % 50 - 25).abs() <= 4 && (y.abs() - 30).abs() <= 4;
+    inside.then_some(outer || pillar)
+}
+
 /// Two parallel walls of 30 m: nothing tells where along them a robot is.
 fn corridor(x: i64, y: i64) -> Option<bool> {
     (x.abs() <= 300 && y.abs() <= 20).then_some(y.abs() == 20)
@@ -134,6 +142,16 @@ fn the_same_rooms_with_other_furniture_are_refused() {
     // Of all walls, hardly any contradict: the outline outweighs the furniture.
     assert!(other.conflict < AlignConfig::default().conflict_max, "{other:?}");
     assert!(!other.accepted && other.object_conflict > 0.5, "{other:?}");
+}
+
+#[test]
+fn opposite_ends_of_a_hall_of_equal_bays_are_refused() {
+    // Half a turn lays one end on the other, and nothing contradicts it.
+    let (a, b) = (map(hall_of_bays, -160, 5), map(hall_of_bays, -5, 160));
+    let config = AlignConfig::default();
+    let found = align(a.view(), redrawn(&b, Pose2::new(1.0, 2.0, 0.7)).view(), &config).unwrap();
+    assert!(found.conflict < config.conflict_max && found.margin > config.margin_min, "{found:?}");
+    assert!(!found.accepted && found.objects_margin < config.objects_margin_min, "{found:?}");
 }
 
 #[test]

@@ -201,9 +201,11 @@ impl MapEdge {
 
     /// Records a comparison of the two maps where the graph has them.
     pub fn record_check(&mut self, found: Evidence, config: &CheckConfig) -> CheckResult {
-        // This comparison is of one place, so the margin over other places stays as it was.
-        let margin = self.evidence.map_or(0.0, |before| before.alignment.margin);
-        let alignment = Alignment { a_from_b: self.a_from_b, margin, ..found.alignment };
+        // This comparison is of one place, so the margins over other places stay as they were.
+        let [margin, objects_margin] = self
+            .evidence
+            .map_or([0.0; 2], |before| [before.alignment.margin, before.alignment.objects_margin]);
+        let alignment = Alignment { a_from_b: self.a_from_b, margin, objects_margin, ..found.alignment };
         self.evidence = Some(Evidence { alignment, ..found });
         let contradicted =
             alignment.overlap_m2 >= config.overlap_min_m2 && alignment.occupied_f1 < config.f1_min;

@@ -148,6 +148,7 @@ fn is_finite(evidence: &Evidence) -> bool {
         found.conflict,
         found.residual_m,
         found.margin,
+        found.objects_margin,
         found.observability,
         evidence.null_f1_max,
     ];

@@ -79,7 +79,18 @@ impl BackEnd {
             odometry_stretch: odometry_stretch(&self.odometry_steps()),
             unmeasured_motion_s: self.doubts.unmeasured_s,
             distant_relocations: self.doubts.distant_relocations,
+            position_sigma_m: self.largest_position_sigma_m(),
         };
+    }
+
+    /// Standard deviation of the map's position that is known worst, relative to the map's first node, metres.
+    fn largest_position_sigma_m(&self) -> f64 {
+        let in_map = self.nodes.iter().filter(|node| node.disconnected_component.is_none());
+        let variance = |node: &Node| {
+            let covariance = self.graph.covariance(node.id);
+            covariance[(0, 0)] + covariance[(1, 1)]
+        };
+        in_map.map(variance).fold(0.0, f64::max).sqrt()
     }
 
     /// Compares a node with older ones of other passes that look at the same place.

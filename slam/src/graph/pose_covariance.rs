@@ -3,9 +3,12 @@
 //! One way overestimates what all ways together would give if their errors were independent. They are not: links of one
 //! scan share its points, so that the sum over all ways claims too much.
 
-use super::{Edge, Graph, REGULARISATION};
+use super::{Edge, EdgeKind, Graph, REGULARISATION};
 use msg::Pose2;
-use nalgebra::{Matrix3, Rotation2};
+use nalgebra::{Matrix3, Rotation2, Vector3};
+
+/// No standard deviation beyond what the edges claim.
+const NO_DRIFT: [f64; 2] = [0.0; 2];
 
 /// Covariance of a pose over (x, y, yaw), seen from a place `moved` away (metres) that turns with it.
 pub(crate) fn carry_covariance(covariance: Matrix3<f64>, moved: [f64; 2]) -> Matrix3<f64> {
@@ -29,7 +32,10 @@ impl Graph {
     pub fn update_newest_covariance(&mut self) {
         let Some(newest) = self.poses.len().checked_sub(1) else { return };
         let older = |edge: &Edge| if edge.a as usize == newest { edge.b } else { edge.a };
-        let from_older = |edge: &Edge| self.covariance_across(edge, older(edge));
+        let from_older = |edge: &Edge| {
+            let known = self.covariances[older(edge) as usize]?;
+            self.covariance_across(edge, older(edge), known, NO_DRIFT)
+        };
         let best = self
             .edges_of(newest as u32)
             .filter_map(from_older)
@@ -39,38 +45,59 @@ impl Graph {
 
     /// Finds all covariances anew; `first` is the node whose pose in the map is certain.
     pub fn update_covariances(&mut self, first: u32) {
-        self.covariances.fill(None);
+        self.covariances = self.covariances_from(first, None, NO_DRIFT);
+    }
+
+    /// Covariance of a node's pose as seen from another one, in the map's axes, along the best way; `None` if no edges join
+    /// them. `drift` is a standard deviation that is added to each edge but odometry's, metres and radians per metre.
+    pub fn relative_covariance(&self, from: u32, to: u32, drift: [f64; 2]) -> Option<Matrix3<f64>> {
+        self.covariances_from(from, Some(to), drift)[to as usize]
+    }
+
+    /// Covariances of all nodes as seen from `first`, or of those that are known no worse than node `last`.
+    fn covariances_from(&self, first: u32, last: Option<u32>, drift: [f64; 2]) -> Vec<Option<Matrix3<f64>>> {
+        let mut covariances = vec![None; self.poses.len()];
         if first as usize >= self.poses.len() {
-            return;
+            return covariances;
         }
         let mut open = std::collections::BinaryHeap::new();
-        self.covariances[first as usize] = Some(Matrix3::zeros());
+        covariances[first as usize] = Some(Matrix3::zeros());
         open.push((core::cmp::Reverse(0_u64), first));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
-            if self.covariances[node as usize].is_none_or(|known| spread(&known).to_bits() != bits) {
+            let Some(known) = covariances[node as usize] else { continue };
+            if spread(&known).to_bits() != bits {
                 continue;
             }
-            for index in 0..self.around[node as usize].len() {
-                let edge = &self.edges[self.around[node as usize][index] as usize];
-                if !edge.in_force {
-                    continue;
-                }
+            if last == Some(node) {
+                break;
+            }
+            for edge in self.edges_of(node) {
                 let next = if edge.a == node { edge.b } else { edge.a };
-                let Some(there) = self.covariance_across(edge, node) else { continue };
-                if self.covariances[next as usize].is_none_or(|known| spread(&there) < spread(&known)) {
-                    self.covariances[next as usize] = Some(there);
+                let Some(there) = self.covariance_across(edge, node, known, drift) else { continue };
+                if covariances[next as usize].is_none_or(|known| spread(&there) < spread(&known)) {
+                    covariances[next as usize] = Some(there);
                     open.push((core::cmp::Reverse(spread(&there).to_bits()), next));
                 }
             }
         }
+        covariances
     }
 
     /// Covariance of the node at the other end of an edge, from that of `from`.
-    fn covariance_across(&self, edge: &Edge, from: u32) -> Option<Matrix3<f64>> {
-        let known = self.covariances[from as usize]?;
+    fn covariance_across(
+        &self,
+        edge: &Edge,
+        from: u32,
+        known: Matrix3<f64>,
+        drift: [f64; 2],
+    ) -> Option<Matrix3<f64>> {
         let [a, b] = [edge.a, edge.b].map(|id| self.poses[id as usize]);
         let information = self.information_between(edge.a, edge.b) + Matrix3::identity() * REGULARISATION;
-        let measured = turn_covariance(information.try_inverse()?, a.yaw_rad);
+        let drifts = edge.kind != EdgeKind::Odometry;
+        let length_m = if drifts { edge.a_from_b.x_m.hypot(edge.a_from_b.y_m) } else { 0.0 };
+        let [drift_m2, drift_rad2] = drift.map(|per_m| (per_m * length_m).powi(2));
+        let drifted = Matrix3::from_diagonal(&Vector3::new(drift_m2, drift_m2, drift_rad2));
+        let measured = turn_covariance(information.try_inverse()?, a.yaw_rad) + drifted;
         let moved = |from: Pose2, to: Pose2| [to.x_m - from.x_m, to.y_m - from.y_m];
         Some(if from == edge.a {
             carry_covariance(known, moved(a, b)) + measured

@@ -223,12 +223,21 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
     check(doubts.cursor <= nodes, "node compared anew")?;
     check(doubts.distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&doubts.unmeasured_s), "time without a measured motion")?;
-    let MapDoubts { contradicted_share, odometry_stretch, unmeasured_motion_s, distant_relocations } =
-        doubts.current;
+    let MapDoubts {
+        contradicted_share,
+        odometry_stretch,
+        unmeasured_motion_s,
+        distant_relocations,
+        position_sigma_m,
+    } = doubts.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
     check((0.0..=STRETCH_SIGMAS_MAX).contains(&odometry_stretch), "difference from odometry")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&unmeasured_motion_s), "time without a measured motion")?;
-    check(distant_relocations <= NUMBER_MAX, "number of distant relocations")
+    check(distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
+    check(
+        position_sigma_m.is_finite() && position_sigma_m >= 0.0,
+        "standard deviation of the position known worst",
+    )
 }
 
 fn check_counters(counts: impl IntoIterator<Item = u64>) -> Result {

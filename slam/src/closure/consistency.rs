@@ -1,0 +1,74 @@
+//! Whether a closure agrees with the way that the graph knows between its two ends.
+//!
+//! Scans of equal aisles, bays or doors agree, and so do many of them with each other: what tells a new aisle from the old
+//! one is how far the robot has gone. Each closure of a set has to be consistent with odometry and links (pairwise
+//! consistency; Mangelson et al., "Pairwise consistent measurement set maximization", ICRA 2018, section IV).
+
+use super::ClosureCandidate;
+use crate::config::LinkConfig;
+use crate::graph::{Graph, UNOBSERVED, turn_covariance};
+use msg::pose::wrap_angle;
+use nalgebra::Vector3;
+use posegraph::limit_information;
+
+/// Squared error of a closure that the way admits, in variances: the 90 % quantile of a chi-squared distribution of three
+/// degrees of freedom. On the generated seeds 0..30 it refuses 32 of 35 wrong closures and 9 of 173 right ones.
+const CHI_SQUARED_MAX: f64 = 6.25;
+
+/// Whether the graph, before this closure, admits it: its error in standard deviations of both.
+pub(super) fn is_consistent(graph: &Graph, closure: &ClosureCandidate, links: &LinkConfig) -> bool {
+    let [a, b] = [closure.candidate, closure.node].map(|id| graph.poses()[id as usize]);
+    let drift = [links.drift_m_per_m, links.drift_rad_per_m];
+    let Some(way) = graph.relative_covariance(closure.candidate, closure.node, drift) else { return true };
+    let information = limit_information(closure.information, [links.floor_m, links.floor_rad], UNOBSERVED);
+    let Some(measured) = information.try_inverse() else { return true };
+    let found = a * closure.candidate_from_node;
+    let error = Vector3::new(found.x_m - b.x_m, found.y_m - b.y_m, wrap_angle(found.yaw_rad - b.yaw_rad));
+    let covariance = way + turn_covariance(measured, a.yaw_rad);
+    covariance.try_inverse().is_none_or(|inverse| (error.transpose() * inverse * error)[0] < CHI_SQUARED_MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::SlamConfig;
+    use crate::graph::EdgeKind;
+    use msg::Pose2;
+    use posegraph::information_from_sigmas;
+
+    /// A path of 10 m along x and back 3 m beside it, with edges of the given standard deviations each metre.
+    fn there_and_back(sigma_m: f64, sigma_rad: f64) -> Graph {
+        let mut graph = Graph::new(SlamConfig::default().graph);
+        let there = (0..=10).map(|k| Pose2::new(f64::from(k), 0.0, 0.0));
+        let back = (0..=10).map(|k| Pose2::new(f64::from(10 - k), 3.0, core::f64::consts::PI));
+        for (id, pose) in there.chain(back).enumerate() {
+            graph.add_node(pose);
+            if let Some(before) = id.checked_sub(1) {
+                let moved = graph.poses()[before].between(pose);
+                let ends = [before as u32, id as u32];
+                let information = information_from_sigmas(sigma_m, sigma_rad);
+                graph.add_edge(ends, moved, information, EdgeKind::Odometry, [0.0; 2]);
+            }
+        }
+        graph
+    }
+
+    #[test]
+    fn an_equal_aisle_three_metres_beside_is_refused_unless_odometry_may_err_so_far() {
+        let links = SlamConfig::default().links;
+        // Found in the old aisle, where the path began, instead of 3 m beside it.
+        let closure = |y_m: f64| ClosureCandidate {
+            node: 21,
+            candidate: 0,
+            candidate_from_node: Pose2::new(0.0, y_m, core::f64::consts::PI),
+            information: information_from_sigmas(0.01, 0.003),
+            response: 0.9,
+        };
+        let good = there_and_back(0.05, 0.01);
+        assert!(is_consistent(&good, &closure(3.0), &links));
+        assert!(is_consistent(&good, &closure(2.8), &links));
+        assert!(!is_consistent(&good, &closure(0.0), &links));
+        let bad = there_and_back(0.2, 0.1);
+        assert!(is_consistent(&bad, &closure(0.0), &links));
+    }
+}
