@@ -181,7 +181,9 @@ test("both robots are where the simulator has them", async () => {
   await headset.frames(3);
   for (const [i, start] of STARTS.entries()) {
     const wanted = headset.project(plate(start));
-    const found = await headset.find(COLOURS[i]);
+    let found = await headset.find(COLOURS[i]);
+    // A robot of which a busy machine's browser has heard nothing for a second is grey.
+    for (let attempt = 0; attempt < 20 && found.count <= 30; attempt += 1) found = await headset.find(COLOURS[i]);
     assert.ok(found.count > 30, `robot ${i + 1} has ${found.count} pixels`);
     const away = Math.hypot(found.x - wanted.x, found.y - wanted.y);
     // The middle of what is seen in its colour: a wheel's hub lies beside the plates, and the LiDAR hides a part of them.
