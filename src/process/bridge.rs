@@ -14,7 +14,7 @@ use super::control::files::{ControlFiles, FileWorker};
 use super::control::{Control, restore_files};
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, ProcessLoop, outside};
-use crate::channel;
+use crate::channel::{self, Channel};
 use crate::config::World;
 use crate::ports::{ChannelError, Clock as _, Ports, WritePort};
 use crate::run::Run;
@@ -22,7 +22,7 @@ use crate::storage::Storage;
 use ::bridge::Bridge;
 use feeds::{Feed, FeedResult, forward, open_feeds};
 use msg::{
-    ExplorationCommand, Monotonic, NavigationCommand, RobotId, Role, SlamRequest, SlamResponse,
+    ExplorationCommand, Message, Monotonic, NavigationCommand, RobotId, Role, SlamRequest, SlamResponse,
     VelocityCommand, ZoneCommand,
 };
 use std::cell::RefCell;
@@ -65,8 +65,12 @@ impl<P: Ports + 'static, W: FileWorker> BridgeProcess<P, W> {
         let files = start_files(restore_files(&bridge, run, storage, now))?;
         let control = Rc::new(RefCell::new(Control::new(bridge.clone(), run, files)));
         let goals = open_goals(ports, run, &bridge)?;
-        let exploration = open_exploration(ports, &bridge)?;
-        let zones = open_zones(ports, &bridge)?;
+        let exploration = open_shared(ports, &channel::explore())?;
+        let writer: SharedWriter<P, ExplorationCommand> = exploration.clone();
+        bridge.on_exploration(move |command| writer.borrow_mut().send(&command));
+        let zones = open_shared(ports, &channel::zone_command())?;
+        let writer: SharedWriter<P, ZoneCommand> = zones.clone();
+        bridge.on_zone(move |command| writer.borrow_mut().send(&command));
         let mut feeds = open_feeds(ports, run, &bridge)?;
         for robot in run.robots() {
             let receive = move |bridge: &Bridge, response: &SlamResponse| {
@@ -95,8 +99,8 @@ pub struct Upkeep<P: Ports, W> {
     /// Requests of the person at the laptop.
     pub control: Rc<RefCell<Control<W>>>,
     goals: GoalWriters<P>,
-    exploration: ExplorationWriter<P>,
-    zones: ZoneWriter<P>,
+    exploration: SharedWriter<P, ExplorationCommand>,
+    zones: SharedWriter<P, ZoneCommand>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
 }
@@ -125,33 +129,15 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
 
 /// Writers of the robots' goals, shared by the bridge and its upkeep.
 type GoalWriters<P> = Rc<RefCell<Vec<<P as Ports>::Writer<NavigationCommand>>>>;
-/// Writer of commands about the exploration, shared likewise.
-type ExplorationWriter<P> = Rc<RefCell<<P as Ports>::Writer<ExplorationCommand>>>;
+/// Writer of one channel, shared likewise.
+type SharedWriter<P, M> = Rc<RefCell<<P as Ports>::Writer<M>>>;
 
-/// Writer of commands about the exclusion zones, shared likewise.
-type ZoneWriter<P> = Rc<RefCell<<P as Ports>::Writer<ZoneCommand>>>;
-
-/// Opens the channel on which the bridge starts and stops the exploration for clients.
-fn open_exploration<P: Ports + 'static>(
+/// Opens a channel that the bridge and its upkeep write to.
+fn open_shared<P: Ports, M: Message>(
     ports: &P,
-    bridge: &Bridge,
-) -> Result<ExplorationWriter<P>, ChannelError> {
-    let writer = Rc::new(RefCell::new(ports.writer(&channel::explore())?));
-    let exploration: ExplorationWriter<P> = writer.clone();
-    bridge.on_exploration(move |command| {
-        exploration.borrow_mut().send(&command);
-    });
-    Ok(writer)
-}
-
-/// Opens the channel on which the bridge adds and removes exclusion zones for clients.
-fn open_zones<P: Ports + 'static>(ports: &P, bridge: &Bridge) -> Result<ZoneWriter<P>, ChannelError> {
-    let writer = Rc::new(RefCell::new(ports.writer(&channel::zone_command())?));
-    let zones: ZoneWriter<P> = writer.clone();
-    bridge.on_zone(move |command| {
-        zones.borrow_mut().send(&command);
-    });
-    Ok(writer)
+    channel: &Channel<M>,
+) -> Result<SharedWriter<P, M>, ChannelError> {
+    Ok(Rc::new(RefCell::new(ports.writer(channel)?)))
 }
 
 /// Opens the robots' channels of goals, on which the bridge sends what clients want of the navigator.

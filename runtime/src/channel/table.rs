@@ -60,6 +60,18 @@ const SLAM_OR_LINK: &[Endpoint] = &[Of(SLAM), OtherMachines(LinkTool)];
 const EVERYBODY: &[Endpoint] =
     &[Of(SIM), Of(SLAM), Of(MERGE), Of(TELEMETRY), Of(BRIDGE), Of(RECORD), Of(NAV)];
 
+/// Who reads a robot's pose in its map, and the map.
+const POSE_AND_MAP_READERS: &[Endpoint] = &[
+    Of(MERGE),
+    Of(TELEMETRY),
+    Of(BRIDGE),
+    Of(NAV),
+    Of(Launcher),
+    Of(RECORD),
+    Of(RecordTool),
+    OtherMachines(LinkTool),
+];
+
 static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
     name: "command",
     content: "wished velocity, 20 Hz while somebody drives",
@@ -123,16 +135,7 @@ static CORRECTION: TypedRow<Correction> = TypedRow::new(ChannelRow {
     name: "correction",
     content: "the pose in the robot's map, one for each scan",
     writers: SLAM_OR_LINK,
-    readers: &[
-        Of(MERGE),
-        Of(TELEMETRY),
-        Of(BRIDGE),
-        Of(NAV),
-        Of(Launcher),
-        Of(RECORD),
-        Of(RecordTool),
-        OtherMachines(LinkTool),
-    ],
+    readers: POSE_AND_MAP_READERS,
     ..STREAM
 });
 // Readers cannot count lost messages of several writers: a client notices a lost request by the missing answer.
@@ -157,16 +160,7 @@ static ROBOT_MAP: TypedRow<PatchHeader> = TypedRow::new(ChannelRow {
     name: "map",
     content: "changed tiles of the robot's map, at most 10 Hz",
     writers: SLAM_OR_LINK,
-    readers: &[
-        Of(MERGE),
-        Of(TELEMETRY),
-        Of(BRIDGE),
-        Of(NAV),
-        Of(Launcher),
-        Of(RECORD),
-        Of(RecordTool),
-        OtherMachines(LinkTool),
-    ],
+    readers: POSE_AND_MAP_READERS,
     ..MAP
 });
 static SUBMAP: TypedRow<Submap> = TypedRow::new(ChannelRow {
