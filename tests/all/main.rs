@@ -29,6 +29,7 @@ mod peers;
 mod recording;
 mod relation_metric;
 mod restart;
+mod ros_package;
 mod services;
 mod sessions;
 mod sources;
