@@ -2,7 +2,7 @@
 
 use super::harness::mr_slam;
 use bridge::OUTGOING_TOPICS;
-use config::FleetConfig;
+use mr_slam::config::FleetConfig;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
