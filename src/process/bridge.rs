@@ -6,7 +6,7 @@
 
 pub mod feeds;
 pub mod live;
-mod page;
+pub mod page;
 
 pub use live::run;
 
