@@ -29,6 +29,7 @@ mod peers;
 mod recording;
 mod relation_metric;
 mod restart;
+mod served_replay;
 mod services;
 mod sessions;
 mod sources;
