@@ -28,11 +28,13 @@ use crate::channel::{self, Opener, Program};
 use crate::config::FleetConfig;
 use crate::fleet;
 use crate::ports::{Clock, Ports};
-use crate::process::Error;
+use crate::process::bridge::feeds::open_feeds;
 use crate::process::record::Recording;
 use crate::process::record::files::Output;
+use crate::process::{Error, ProcessLoop};
 use crate::processes::ProcessRow;
 use crate::run::Run;
+use ::bridge::Transport;
 use ::recording::fleet::FleetRecording;
 use faults::FaultPlan;
 use formats::map_file::{MapFileError, write_doubted_map};
@@ -131,7 +133,7 @@ impl Lockstep {
             selected: None,
             violations: Vec::new(),
             saved: vec![0; config.fleet.robots],
-            world: World { run, network, storage, port, recording: None },
+            world: World { run, network, storage, port, recording: None, sends_transforms: false },
         })
     }
 
@@ -143,6 +145,30 @@ impl Lockstep {
         let mut fleet = Self::new(config, false)?;
         fleet.world.recording = Some(Rc::new(recording));
         Ok(fleet)
+    }
+
+    /// Builds a fleet like [`Lockstep::replay`] whose messages transports pass on: the robots send transforms, too.
+    ///
+    /// # Errors
+    /// As [`Lockstep::new`].
+    pub fn replay_for_transports(config: &FleetConfig, recording: Rc<FleetRecording>) -> Result<Self, Error> {
+        let mut fleet = Self::new(config, false)?;
+        (fleet.world.recording, fleet.world.sends_transforms) = (Some(recording), true);
+        Ok(fleet)
+    }
+
+    /// Opens feeds that pass the fleet's messages on to a transport. Call each after each tick.
+    ///
+    /// # Errors
+    /// A channel cannot be opened.
+    pub fn feeds<T: Transport + 'static>(
+        &self,
+        transport: &Rc<T>,
+    ) -> Result<Vec<Box<dyn ProcessLoop>>, Error> {
+        let opener = Opener { program: Role::Bridge.into(), robot: None };
+        let ports = MemoryPorts::attach_observer(&self.world.network, opener);
+        let feeds = open_feeds(&ports, &self.world.run, transport)?;
+        Ok(feeds.into_iter().map(|feed| Box::new(feed) as Box<dyn ProcessLoop>).collect())
     }
 
     /// Begins to record all messages. Call [`Recording::step`] after each tick.

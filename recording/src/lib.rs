@@ -6,6 +6,7 @@
 pub mod bag;
 pub mod fleet;
 mod planar;
+pub mod playback;
 mod reader;
 mod writer;
 

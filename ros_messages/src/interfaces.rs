@@ -72,6 +72,10 @@ const SERVICES: &[(&str, &str)] = &[
         "DescribeParameters GetLoggerLevels GetParameterTypes GetParameters ListParameters SetLoggerLevels \
          SetParameters SetParametersAtomically",
     ),
+    (
+        "rosbag2_interfaces",
+        "Burst GetRate IsPaused Pause Play PlayNext Resume Seek SetRate Snapshot SplitBagfile Stop TogglePaused",
+    ),
     ("sensor_msgs", "SetCameraInfo"),
     ("std_srvs", "Empty SetBool Trigger"),
     ("tf2_msgs", "FrameGraph"),
@@ -79,7 +83,16 @@ const SERVICES: &[(&str, &str)] = &[
 ];
 
 /// Services of [`SERVICES`] whose response has no fields.
-const EMPTY_RESPONSES: &[&str] = &["map_msgs/ProjectedMapsInfo", "map_msgs/SaveMap", "std_srvs/Empty"];
+const EMPTY_RESPONSES: &[&str] = &[
+    "map_msgs/ProjectedMapsInfo",
+    "map_msgs/SaveMap",
+    "rosbag2_interfaces/Pause",
+    "rosbag2_interfaces/Resume",
+    "rosbag2_interfaces/SplitBagfile",
+    "rosbag2_interfaces/Stop",
+    "rosbag2_interfaces/TogglePaused",
+    "std_srvs/Empty",
+];
 
 /// Returns whether a service's response is known to have fields, so that no empty payload can be read as one.
 pub fn has_response_fields(service_type: &str) -> bool {

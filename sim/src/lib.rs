@@ -25,4 +25,4 @@ pub use room::{
     AccessorError, AnchorError, EntityError, GltfError, MeshError, MrukError, ObjError, PolygonError, Room,
     RoomError, RoomKind, SceneError, StartError,
 };
-pub use simulator::{Simulator, Tick};
+pub use simulator::{Simulator, Tick, transforms_of};

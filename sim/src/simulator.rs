@@ -296,6 +296,22 @@ impl Simulator {
     }
 }
 
+/// Returns the transforms of a robot whose odometry alone is known, as of a recorded one: those of its wheels are left out.
+pub fn transforms_of(odometry: &Odometry) -> Transforms {
+    let Pose2 { x_m, y_m, yaw_rad } = odometry.odom_from_base;
+    let still = DQuat::IDENTITY;
+    let links = [
+        link(Link::Odom, Link::BaseFootprint, [x_m, y_m, 0.0], DQuat::from_rotation_z(yaw_rad)),
+        link(Link::BaseFootprint, Link::BaseLink, burger::BASE_LINK_M, still),
+        link(Link::BaseLink, Link::BaseScan, burger::SCAN_IN_BASE_LINK_M, still),
+        link(Link::BaseLink, Link::Imu, burger::IMU_IN_BASE_LINK_M, still),
+    ];
+    let mut transforms =
+        Transforms { header: odometry.header, len: links.len() as u32, ..Transforms::default() };
+    transforms.links[..links.len()].copy_from_slice(&links);
+    transforms
+}
+
 fn link(parent: Link, child: Link, translation_m: [f64; 3], rotation: DQuat) -> LinkTransform {
     LinkTransform {
         parent: parent as u32,

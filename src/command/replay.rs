@@ -4,8 +4,11 @@
 //! process, the front end waits when the back end is far behind: a log has time.
 
 mod fleet;
+mod player;
+mod player_services;
 mod recorded_fleet;
 mod records;
+mod serve;
 mod summary;
 mod trajectory;
 
@@ -89,6 +92,9 @@ pub struct ReplayArgs {
     /// Number of scans to use [default: all]
     #[arg(long, value_name = "N")]
     pub scans: Option<usize>,
+    /// Serving of a fleet's recording to clients.
+    #[command(flatten)]
+    pub serving: serve::ServeArgs,
 }
 
 /// Reason why a replay ended without a result.
@@ -133,6 +139,12 @@ pub enum ReplayError {
         /// What is missing.
         why: recording::bag::BagError,
     },
+    /// Only a fleet's own recording is played for clients.
+    #[error(
+        "--serve plays the recording of a simulated fleet, as `mr-slam record` and `--record` write it, without --merge \
+         and names of topics; leave --serve out for other logs"
+    )]
+    NotServed,
     /// A fleet's recording cannot be replayed.
     #[error("cannot replay the fleet: {0}")]
     Replay(String),
@@ -182,6 +194,9 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         && let Some(config) = recorded_fleet::configuration(&args.logs[0])?
     {
         return recorded_fleet::run(args, &config);
+    }
+    if args.serving.serve {
+        return Err(ReplayError::NotServed);
     }
     let (mut config, merging) = match &args.config {
         Some(file) => FleetConfig::from_file(file).map(|config| (config.slam, config.merge))?,

@@ -3,7 +3,7 @@
 mod console;
 mod detach;
 mod events;
-mod page;
+pub(super) mod page;
 mod pictures;
 mod report;
 mod scan_rates;

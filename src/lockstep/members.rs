@@ -43,6 +43,8 @@ pub struct World {
     pub port: Rc<Port>,
     /// What the robots send, if they are not simulated.
     pub recording: Option<Rc<FleetRecording>>,
+    /// Whether recorded robots send their links' transforms, too.
+    pub sends_transforms: bool,
 }
 
 /// One process of the fleet, running or ended.
@@ -221,7 +223,14 @@ impl Body {
         Ok(match role {
             Role::Sim => match &world.recording {
                 Some(recording) => {
-                    Self::Recorded(RecordedRobot::open(&ports[0], run, robot()?, recording.clone())?)
+                    let (recording, robot) = (recording.clone(), robot()?);
+                    Self::Recorded(RecordedRobot::open(
+                        &ports[0],
+                        run,
+                        robot,
+                        recording,
+                        world.sends_transforms,
+                    )?)
                 }
                 None => Self::Sim(Box::new(SimulatorProcess::open(&ports[0], run, robot()?, at)?)),
             },

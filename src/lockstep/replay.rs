@@ -6,7 +6,8 @@ use crate::ports::{ChannelError, Clock as _, Ports, WritePort};
 use crate::process::ProcessLoop;
 use crate::run::Run;
 use ::recording::fleet::{FleetRecording, RobotRecording, SensorMessage};
-use msg::{Clock, Monotonic, Odometry, RobotId, Scan, Stamp};
+use msg::{Clock, Monotonic, Odometry, RobotId, Scan, Stamp, Transforms};
+use sim::transforms_of;
 use std::rc::Rc;
 
 /// The robot that sends the fleet's clock.
@@ -18,6 +19,8 @@ pub struct RecordedRobot<P: Ports> {
     robot: RobotId,
     scans: P::Writer<Scan>,
     odometry: P::Writer<Odometry>,
+    /// Transforms of the robot's links, where somebody looks on; SLAM needs none.
+    transforms: Option<P::Writer<Transforms>>,
     time: Option<P::Writer<Clock>>,
     clock: P::Clock,
     epoch: Epoch,
@@ -33,6 +36,7 @@ impl<P: Ports> RecordedRobot<P> {
         run: &Run,
         robot: RobotId,
         recording: Rc<FleetRecording>,
+        sends_transforms: bool,
     ) -> Result<Self, ChannelError> {
         let keeps_time = robot.number() == TIMEKEEPER;
         Ok(Self {
@@ -40,6 +44,7 @@ impl<P: Ports> RecordedRobot<P> {
             robot,
             scans: ports.writer(&channel::scan(robot))?,
             odometry: ports.writer(&channel::odometry(robot))?,
+            transforms: sends_transforms.then(|| ports.writer(&channel::transforms(robot))).transpose()?,
             time: keeps_time.then(|| ports.writer(&channel::clock())).transpose()?,
             clock: ports.clock(),
             epoch: run.epoch,
@@ -69,7 +74,12 @@ impl<P: Ports> ProcessLoop for RecordedRobot<P> {
         let messages = recording.robots.get(self.robot.index()).map_or(&[][..], |robot| &robot.messages);
         while let Some((_, message)) = messages.get(self.next).filter(|(at, _)| *at <= now) {
             match message {
-                SensorMessage::Odometry(odometry) => self.odometry.send(odometry),
+                SensorMessage::Odometry(odometry) => {
+                    self.odometry.send(odometry);
+                    if let Some(transforms) = &mut self.transforms {
+                        transforms.send(&transforms_of(odometry));
+                    }
+                }
                 SensorMessage::Scan(scan) => self.scans.send_with(|slot| scan.write_to(slot)),
             }
             self.next += 1;

@@ -6,7 +6,7 @@
 
 pub mod feeds;
 pub mod live;
-mod page;
+pub mod page;
 
 pub use live::run;
 
@@ -123,7 +123,7 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
             account.gaps.received = counters.received;
             account
         });
-        self.bridge.next_tick(now).min(now + UPKEEP_PERIOD)
+        self.bridge.next_tick(now).min(now.next_multiple(UPKEEP_PERIOD))
     }
 }
 

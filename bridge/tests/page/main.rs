@@ -5,6 +5,7 @@ mod driving;
 mod http;
 mod https;
 mod room;
+mod services;
 mod topics;
 
 use bridge::{Bridge, BridgeConfig, PageContent, PageFile, process_clock, serve, serve_page};

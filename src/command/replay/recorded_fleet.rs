@@ -1,16 +1,16 @@
 //! Replay of a fleet's own recording: the robots send what they sent, and SLAM, merging and figures run in lockstep.
 
-use super::{ReplayArgs, ReplayError};
+use super::{ReplayArgs, ReplayError, player, serve};
 use crate::command::output;
 use crate::config::FleetConfig;
 use crate::lockstep::Lockstep;
 use crate::process::record::description::CONFIGURATION;
 use crate::process::record::{PLANAR_ODOMETRY, map_hash};
+use crate::stop::Stop;
 use msg::Scan;
 use recording::fleet::FleetRecording;
 use recording::{METADATA, RecordingReader};
 use reports::{FleetView, Style};
-use sim::Simulator;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -44,12 +44,30 @@ pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     let begun = Instant::now();
     let recording = read(&args.logs, config)?;
     let (ends, malformed) = (recording.ends, recording.malformed + recording.left_out);
+    if args.serving.serve {
+        let stop = Stop::on_signals().map_err(|why| ReplayError::Replay(why.to_string()))?;
+        let mut player = serve::run(args, config, recording, &stop)?;
+        let seconds = player.playback().position_s();
+        return finish(args, player.fleet(), seconds, malformed, None);
+    }
+    let ticks = player::ticks(&recording);
     let failed = |why: Box<dyn std::error::Error>| ReplayError::Replay(why.to_string());
     let mut fleet = Lockstep::replay(config, recording).map_err(failed)?;
-    let ticks = (ends.0.max(0) as u128).div_ceil(Simulator::TICK.as_nanos());
     for _ in 0..ticks {
         fleet.tick(&mut |_, _| {});
     }
+    let times_real_time = ends.seconds() / begun.elapsed().as_secs_f64().max(1e-9);
+    finish(args, &mut fleet, ends.seconds(), malformed, Some(times_real_time))
+}
+
+/// Writes the requested maps and prints figures and hash. A replay for people has no `times_real_time`.
+fn finish(
+    args: &ReplayArgs,
+    fleet: &mut Lockstep,
+    seconds: f64,
+    malformed: u64,
+    times_real_time: Option<f64>,
+) -> Result<(), ReplayError> {
     let hash = map_hash(fleet.maps());
     if let Some(path) = &args.map {
         // The merged map under this name, and each robot's beside it.
@@ -60,16 +78,15 @@ pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
         fleet.write_maps(|name| if name == "merged_map" { stem.clone() } else { of_robot(name) })?;
     }
     let view = FleetView::new(fleet.stats());
-    let times_real_time = ends.seconds() / begun.elapsed().as_secs_f64().max(1e-9);
     let summary = serde_json::json!({
-        "maps_sha256": hash, "seconds": ends.seconds(), "malformed_messages": malformed,
+        "maps_sha256": hash, "seconds": seconds, "malformed_messages": malformed,
         "times_real_time": times_real_time, "fleet": view,
     });
     let text = || {
+        let times = times_real_time.map_or(String::new(), |times| format!("{times:.0} times real time, "));
         format!(
-            "{}{:.1} s, {times_real_time:.0} times real time, {malformed} malformed messages; SHA-256 of the maps {hash}\n",
+            "{}{seconds:.1} s, {times}{malformed} malformed messages; SHA-256 of the maps {hash}\n",
             view.table(&Style::PLAIN),
-            ends.seconds()
         )
     };
     Ok(output::print_either(args.json, &summary, text)?)

@@ -41,6 +41,7 @@ fn args(log: &Path) -> ReplayArgs {
         go_on: false,
         skip: 0,
         scans: None,
+        serving: serve::ServeArgs::default(),
     }
 }
 

@@ -36,7 +36,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         }
         if run.config.bridge.page.enabled {
             let room = offered_room::file(run);
-            tasks.push(spawn_local(page::serve(bridge.clone(), run.config.bridge.page.clone(), room)));
+            tasks.push(spawn_local(page::serve(bridge.clone(), run.config.bridge.page.clone(), Some(room))));
         }
         tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
         tasks.push(spawn_local(run_upkeep(upkeep)));
@@ -63,7 +63,7 @@ fn inherited_listener() -> std::io::Result<TcpListener> {
 pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
     while !stop.requested() {
         progress.advance();
-        tokio::time::sleep(STOP_POLL_PERIOD).await;
+        tokio::time::sleep_until(instant(now().next_multiple(STOP_POLL_PERIOD))).await;
     }
 }
 

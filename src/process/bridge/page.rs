@@ -14,9 +14,10 @@ use tokio::net::TcpListener;
 /// Pause after the port could not be opened: another process may hold it for a while.
 const BIND_PAUSE: Duration = Duration::from_secs(1);
 
-/// Serves the page in clear and encrypted until the task is ended.
-pub async fn serve(bridge: Rc<Bridge>, config: PageConfig, room_file: PathBuf) {
-    let content = PageContent { files: PAGE_FILES, save_room: Some(save_room(room_file)) };
+/// Serves the page in clear and encrypted until the task is ended. Rooms that browsers offer are saved in `room_file`;
+/// without one they are refused.
+pub async fn serve(bridge: Rc<Bridge>, config: PageConfig, room_file: Option<PathBuf>) {
+    let content = PageContent { files: PAGE_FILES, save_room: room_file.map(save_room) };
     let plain = serve_on(bridge.clone(), &config, content.clone(), config.port, None);
     let encrypted = async {
         if !config.https.enabled {
