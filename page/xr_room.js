@@ -1,6 +1,7 @@
 // "Use my room": the headset's scan as a file of a room, offered to the laptop as the simulators' world.
 
 import { translation } from "./matrix.js";
+import { triangulate } from "./polygon.js";
 import { KeptAnchor } from "./xr_anchors.js";
 
 /** Triangles up to which a room is offered: the bridge takes 16 MB, and a scanned room has a tenth of that. */
@@ -21,7 +22,7 @@ export function partsOfRoom(frame, space) {
   const surfaces = scans.length > 0
     ? scans.map((mesh) => [mesh, mesh.meshSpace, mesh.vertices, mesh.indices])
     : [...meshes.map((mesh) => [mesh, mesh.meshSpace, mesh.vertices, mesh.indices]),
-      ...[...(frame.detectedPlanes ?? [])].map((plane) => [plane, plane.planeSpace, ...fan(plane.polygon)])];
+      ...[...(frame.detectedPlanes ?? [])].map((plane) => [plane, plane.planeSpace, ...surfaceOf(plane.polygon)])];
   return surfaces.flatMap(([surface, of, vertices, indices]) => {
     const pose = frame.getPose(of, space);
     if (!pose || indices.length === 0) return [];
@@ -32,11 +33,7 @@ export function partsOfRoom(frame, space) {
 }
 
 /** Returns corners and triangles of a polygon in the plane y = 0. @param {{x: number, z: number}[]} polygon @returns {[number[], number[]]} */
-function fan(polygon) {
-  const indices = [];
-  for (let i = 2; i < polygon.length; i += 1) indices.push(0, i - 1, i);
-  return [polygon.flatMap(({ x, z }) => [x, 0, z]), indices];
-}
+function surfaceOf(polygon) { return [[...polygon].flatMap(({ x, z }) => [x, 0, z]), triangulate([...polygon])]; }
 
 /** Returns the file of a room: scene JSON, with y up and the floor at 0. Throws an Error that says why there is none. @param {Part[]} parts */
 export function roomFile(parts) {

@@ -42,6 +42,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("models.js", SCRIPT),
     file!("panels.js", SCRIPT),
     file!("pointers.js", SCRIPT),
+    file!("polygon.js", SCRIPT),
     file!("renderer.js", SCRIPT),
     file!("seen.js", SCRIPT),
     file!("/selfcheck", "selfcheck.html", HTML),

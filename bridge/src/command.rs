@@ -46,6 +46,8 @@ pub mod name {
     pub const REMOVE_ROS_SERVICE: &str = "__remove_ros_service";
     /// From a client: [`super::Registration`]; ends [`UNITY_SERVICE`].
     pub const REMOVE_UNITY_SERVICE: &str = "__remove_unity_service";
+    /// From the server, to clients whose protocol tells failures apart from responses: [`super::CallFailure`].
+    pub const CALL_FAILURE: &str = "__call_failure";
     /// From the server: [`super::Notice`] for the client's log.
     pub const LOG: &str = "__log";
     /// From the server: [`super::Notice`] of something that needs attention.
@@ -83,6 +85,15 @@ pub struct Handshake {
 pub struct Call {
     /// Number of the call, unique among the sender's calls on this connection.
     pub srv_id: i64,
+}
+
+/// A service call that failed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CallFailure {
+    /// The caller's number of the call.
+    pub srv_id: i64,
+    /// A sentence for a person.
+    pub text: String,
 }
 
 /// Text for a person.

@@ -90,4 +90,28 @@ impl Monotonic {
     pub fn since(self, earlier: Self) -> u64 {
         self.0.saturating_sub(earlier.0)
     }
+
+    /// Returns the first multiple of `period` after `self`; `self` if `period` is zero.
+    ///
+    /// Timers that end at such multiples end together: a process wakes once for all of them.
+    pub fn next_multiple(self, period: Duration) -> Self {
+        let period_ns = u64::try_from(period.as_nanos()).unwrap_or(u64::MAX);
+        self.0.checked_rem(period_ns).map_or(self, |past| Self(self.0.saturating_add(period_ns - past)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn timers_of_one_period_end_together() {
+        let period = Duration::from_nanos(100);
+        for at in [0, 1, 99] {
+            assert_eq!(Monotonic(at).next_multiple(period), Monotonic(100));
+        }
+        assert_eq!(Monotonic(100).next_multiple(period), Monotonic(200));
+        assert_eq!(Monotonic(7).next_multiple(Duration::ZERO), Monotonic(7));
+        assert_eq!(Monotonic(u64::MAX).next_multiple(period), Monotonic(u64::MAX));
+    }
 }

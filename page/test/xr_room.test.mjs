@@ -18,6 +18,18 @@ test("the scan alone is the room; without one it is boxes and planes", () => {
   assert.deepEqual(partsOfRoom(frame({}), null), []);
 });
 
+test("a floor with corners that go inwards covers no more than it is", () => {
+  const polygon = [[0, 0], [4, 0], [4, 1], [1, 1], [1, 3], [0, 3]].map(([x, z]) => ({ x, z }));
+  const [{ vertices, indices }] = partsOfRoom(frame({ detectedPlanes: new Set([{ ...plane, semanticLabel: "floor", polygon }]) }), null);
+  const place = (i) => [vertices[3 * indices[i]], vertices[3 * indices[i] + 2]];
+  let area = 0;
+  for (let i = 0; i < indices.length; i += 3) {
+    const [[ax, az], [bx, bz], [cx, cz]] = [place(i), place(i + 1), place(i + 2)];
+    area += Math.abs((bx - ax) * (cz - az) - (bz - az) * (cx - ax)) / 2;
+  }
+  assert.ok(Math.abs(area - 6) < 1e-6, `${area} m²`);
+});
+
 test("the file is scene JSON with the floor at 0", () => {
   const parts = partsOfRoom(frame({ detectedPlanes: new Set([plane]) }), null);
   const { spatialEntities: [floor, wall] } = JSON.parse(roomFile(parts));

@@ -2,6 +2,10 @@
 //!
 //! Field lists of Humble to Jazzy: common_interfaces, rcl_interfaces, geometry2, navigation_msgs.
 
+mod services;
+
+pub use services::{ServiceSchemas, service_schemas};
+
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
@@ -154,8 +158,13 @@ fn find(name: &str) -> Option<&'static Definition> {
 /// Returns the schema of a type, `package/Type`: its definition, then those that it uses; `None` if it is not known.
 pub fn schema(message_type: &str) -> Option<String> {
     let definition = find(message_type)?;
-    let mut text = definition.fields.to_owned();
-    let (mut written, mut open) = (BTreeSet::new(), definition.uses.to_vec());
+    Some(with_used_types(definition.fields, definition.uses))
+}
+
+/// Returns fields, then the definitions of the types that they use.
+fn with_used_types(fields: &str, uses: &[&'static str]) -> String {
+    let mut text = fields.to_owned();
+    let (mut written, mut open) = (BTreeSet::new(), uses.to_vec());
     while let Some(name) = open.pop() {
         if written.insert(name)
             && let Some(used) = find(name)
@@ -166,7 +175,7 @@ pub fn schema(message_type: &str) -> Option<String> {
         }
     }
     text.push('\n');
-    Some(text)
+    text
 }
 
 /// Returns where the first stamp is in a message of this type, bytes after the encapsulation header.

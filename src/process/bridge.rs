@@ -123,7 +123,7 @@ impl<P: Ports, W: FileWorker> ProcessLoop for Upkeep<P, W> {
             account.gaps.received = counters.received;
             account
         });
-        self.bridge.next_tick(now).min(now + UPKEEP_PERIOD)
+        self.bridge.next_tick(now).min(now.next_multiple(UPKEEP_PERIOD))
     }
 }
 

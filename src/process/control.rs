@@ -28,6 +28,8 @@ use tokio::time::timeout;
 const EXCHANGE_MAX: Duration = Duration::from_secs(1);
 /// Pause after accept(2) failed, as it does when file descriptors run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+/// Period at which the stop's file is read. `mr-slam stop` asks the bridge as well; the file counts if that fails.
+const STOP_FILE_POLL_PERIOD: Duration = Duration::from_millis(200);
 
 /// A request was not done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
@@ -47,6 +49,10 @@ pub struct Control<W> {
     run_begun: Monotonic,
     /// The update of the files that is under way.
     update: Option<oneshot::Receiver<FileReport>>,
+    /// What the newest update has saved.
+    submitted: Option<BridgeSnapshot>,
+    /// When the stop's file is read again, even if nothing is to be saved.
+    poll_due: Monotonic,
     /// Number of stops found in the files that the bridge has set.
     stops_applied: u64,
 }
@@ -63,17 +69,39 @@ pub fn restore_files<S: Storage>(bridge: &Bridge, run: &Run, storage: S, now: Mo
 impl<W: FileWorker> Control<W> {
     /// Creates the control of a bridge whose files are restored.
     pub fn new(bridge: Rc<Bridge>, run: &Run, files: W) -> Self {
-        Self { bridge, files, run_begun: run.begun, update: None, stops_applied: 0 }
+        Self {
+            bridge,
+            files,
+            run_begun: run.begun,
+            update: None,
+            submitted: None,
+            poll_due: Monotonic(0),
+            stops_applied: 0,
+        }
     }
 
     /// Has saved what has changed, and sets the emergency stop if `mr-slam stop` has written it. Never waits for the disk.
     /// Call it often.
     pub fn update_files(&mut self, now: Monotonic) {
         self.finish_update();
-        if self.update.is_none() {
-            self.update = Some(self.submit_update(now));
+        if self.update.is_some() {
+            return;
+        }
+        let snapshot = self.snapshot(now);
+        if now >= self.poll_due || self.submitted.as_ref() != Some(&snapshot) {
+            self.poll_due = now.next_multiple(STOP_FILE_POLL_PERIOD);
+            self.update = Some(self.submit_update(snapshot));
             self.finish_update();
         }
+    }
+
+    fn snapshot(&self, now: Monotonic) -> BridgeSnapshot {
+        BridgeSnapshot::take(&self.bridge, self.run_begun, self.stops_applied, now)
+    }
+
+    fn submit_update(&mut self, snapshot: BridgeSnapshot) -> oneshot::Receiver<FileReport> {
+        self.submitted = Some(snapshot.clone());
+        self.files.submit(FileJob::Update(snapshot))
     }
 
     /// Takes the report of the update that is under way, if it has come.
@@ -84,11 +112,6 @@ impl<W: FileWorker> Control<W> {
             Some(Err(TryRecvError::Closed)) => {}
         }
         self.update = None;
-    }
-
-    fn submit_update(&mut self, now: Monotonic) -> oneshot::Receiver<FileReport> {
-        let snapshot = BridgeSnapshot::take(&self.bridge, self.run_begun, self.stops_applied, now);
-        self.files.submit(FileJob::Update(snapshot))
     }
 
     fn apply_report(&mut self, report: &FileReport) {
@@ -168,7 +191,11 @@ async fn change<W: FileWorker>(
 
 /// Brings the files and the bridge together, and waits for it.
 async fn save<W: FileWorker>(control: &RefCell<Control<W>>, now: Monotonic) -> Result<(), RequestError> {
-    let report = control.borrow_mut().submit_update(now);
+    let report = {
+        let mut control = control.borrow_mut();
+        let snapshot = control.snapshot(now);
+        control.submit_update(snapshot)
+    };
     let report = report.await.map_err(|_| RequestError::DiskBusy)?;
     control.borrow_mut().apply_report(&report);
     Ok(())

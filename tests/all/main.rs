@@ -30,6 +30,7 @@ mod peers;
 mod recording;
 mod relation_metric;
 mod restart;
+mod ros_package;
 mod served_replay;
 mod services;
 mod sessions;

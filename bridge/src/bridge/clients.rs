@@ -100,6 +100,13 @@ impl Bridge {
         core.router.topics.sorted().map(|topic| (topic.name.clone(), topic.message_type.clone())).collect()
     }
 
+    /// Returns the services that clients can call, sorted by name: name and type.
+    pub(crate) fn services(&self) -> Vec<(String, String)> {
+        let core = self.core.borrow();
+        let services = core.callable_services();
+        services.into_iter().map(|(name, service_type)| (name.to_owned(), service_type.to_owned())).collect()
+    }
+
     /// Decides whether the rest of a large frame is received; if not, the client is told why and the frame skipped.
     pub(crate) fn admit_large_frame(
         &self,

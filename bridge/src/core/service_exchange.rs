@@ -22,6 +22,28 @@ impl Core {
         self.update_services();
     }
 
+    /// Returns the services that clients can call now, by their names: the fleet's, clients', and ROS 2 nodes'.
+    ///
+    /// A ROS 2 service of several types is left out: it cannot be called.
+    pub fn callable_services(&self) -> BTreeMap<&str, &str> {
+        let mut callable: BTreeMap<&str, &str> = BTreeMap::new();
+        if self.relay.is_open() {
+            for (name, types) in &self.relay.graph().services {
+                if let [service_type] = &types[..] {
+                    callable.insert(name.as_str(), service_type.as_str());
+                }
+            }
+        }
+        // The later ones are those that answer where several have a name.
+        for (name, service_type, _) in self.services.provided() {
+            callable.insert(name, service_type);
+        }
+        for (name, service_type) in self.offered.slam.names() {
+            callable.insert(name, service_type);
+        }
+        callable
+    }
+
     /// Returns whether a client may publish, offer or call a name in ROS.
     pub(super) fn may_use_ros(&self, client: ClientId, name: &str) -> bool {
         let peer = self.router.client(client).map(|client| client.peer.ip());

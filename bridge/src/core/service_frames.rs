@@ -2,7 +2,7 @@
 
 use super::Core;
 use crate::access::{Action, PermissionError};
-use crate::command::{Call, name};
+use crate::command::{Call, CallFailure, name};
 use crate::frame::Side;
 use crate::relay::{IDENTIFIED_BYTES_MAX, RosRequestId};
 use crate::router::{ClientId, FrameKind};
@@ -57,8 +57,8 @@ impl Core {
     ) {
         let payload = with_dummy_byte(self.config.payloads, payload);
         if let Err(error) = self.begin_clients_call(id, number, spelled, payload, now) {
-            self.router.refuse(id, format!("__request {number}: {error}"));
-            self.send_failure(id, number, spelled, &error.to_string());
+            let notice = format!("__request {number}: {error}");
+            self.send_failure(id, number, spelled, notice, &error.to_string());
         }
     }
 
@@ -281,10 +281,17 @@ impl Core {
 
     /// Answers a call that fails, so that the caller stops waiting.
     ///
-    /// SLAM's services have responses that say so. The protocol has none for others: they get a response without fields,
-    /// which the caller's reader refuses. If the service's response has no fields, or its fields are not known, an empty
-    /// one would read as success: then there is none, and the caller has the error alone.
-    fn send_failure(&mut self, caller: ClientId, number: i64, spelled: &str, reason: &str) {
+    /// Clients of the Foxglove protocol are told of the failure itself. ros_tcp has no frame for it: `notice` goes to the
+    /// client's log, and SLAM's services have responses that say so. Others get a response without fields, which the
+    /// caller's reader refuses. If the service's response has no fields, or its fields are not known, an empty one would
+    /// read as success: then there is none, and the caller has the notice alone.
+    fn send_failure(&mut self, caller: ClientId, number: i64, spelled: &str, notice: String, reason: &str) {
+        if self.router.client(caller).is_some_and(|client| client.takes_call_failures()) {
+            self.router.counted.refused += 1;
+            let failure = CallFailure { srv_id: number, text: reason.to_owned() };
+            return self.router.send_command(caller, name::CALL_FAILURE, &failure);
+        }
+        self.router.refuse(caller, notice);
         let name = interfaces::resolve_name(spelled).unwrap_or_default();
         if let Some((_, named)) = self.offered.slam.find(&name) {
             if let Some(payload) = failure(named.service, self.config.payloads, reason) {
@@ -309,8 +316,8 @@ impl Core {
         }
         match &call.caller {
             Caller::Client { id, number, spelled } => {
-                self.router.refuse(*id, format!("service '{spelled}': {reason}"));
-                self.send_failure(*id, *number, spelled, reason);
+                let notice = format!("service '{spelled}': {reason}");
+                self.send_failure(*id, *number, spelled, notice, reason);
             }
             Caller::Ros(request) => self.fail_ros_call(&call.service, *request, reason),
         }

@@ -2,9 +2,14 @@
 //!
 //! The router writes frames into it as into a socket. A payload is passed on as it is: of a large one nothing is copied.
 
-use super::protocol::{MESSAGE_DATA, MESSAGE_HEADER_BYTES, ServerCommand, StatusLevel};
-use crate::command::{Notice, name};
+mod bytes;
+
+use super::protocol::{
+    CallId, ENCODING, MESSAGE_DATA, MESSAGE_HEADER_BYTES, SERVICE_RESPONSE, ServerCommand, StatusLevel,
+};
+use crate::command::{Call, CallFailure, Notice, name};
 use crate::frame::NAME_MAX;
+use bytes::{length_at, pass_on, push_frame_header, stamp_at};
 use ros_messages::schema::stamp_offset;
 use std::collections::BTreeMap;
 use std::io::{self, IoSlice};
@@ -15,8 +20,10 @@ const COPIED_MAX: usize = 4096;
 const ENCODED_MAX: usize = 16 << 10;
 /// Text for one client that waits for the end of a message, bytes: lists of topics, replies to pings.
 const TEXT_MAX: usize = 4 << 20;
-/// The longest notice (`__log`, `__warn`, `__error`) that is passed on, bytes.
-const NOTICE_MAX: usize = 64 << 10;
+/// The longest command (`__log`, `__warn`, `__error`, `__response`, `__call_failure`) that is passed on, bytes.
+const COMMAND_MAX: usize = 64 << 10;
+/// Bytes before the payload of [`SERVICE_RESPONSE`]: kind, service, call, length of the encoding's name, and the name.
+const RESPONSE_HEADER_BYTES: usize = 1 + 4 + 4 + 4 + ENCODING.len();
 /// Bytes of CDR's encapsulation header.
 const ENCAPSULATION_BYTES: usize = 4;
 /// First byte of a WebSocket frame that is a whole message: final, text (RFC 6455, 5.2).
@@ -33,17 +40,51 @@ struct Subscription {
     stamp_offset: Option<usize>,
 }
 
+/// What a message is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Receiver {
+    /// A subscription.
+    Subscription(Subscription),
+    /// A call, whose response it is.
+    Call(CallId),
+}
+
+/// A command of ros_tcp that the client is told of in its own protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Command {
+    /// Text for a person.
+    Notice(StatusLevel),
+    /// The next frame is a service's response.
+    Response,
+    /// A call failed.
+    CallFailure,
+}
+
+impl Command {
+    /// Returns the command of this name, if the client is told of it.
+    fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            name::LOG => Self::Notice(StatusLevel::Info),
+            name::WARN => Self::Notice(StatusLevel::Warning),
+            name::ERROR => Self::Notice(StatusLevel::Error),
+            name::RESPONSE => Self::Response,
+            name::CALL_FAILURE => Self::CallFailure,
+            _ => return None,
+        })
+    }
+}
+
 /// The part of a ros_tcp frame that comes next.
 #[derive(Debug)]
 enum Part {
     /// Lengths and name; they are collected.
     Header,
-    /// The payload of a message for a subscription, of which nothing is encoded yet.
-    Begin { subscription: Subscription, payload_bytes: usize },
+    /// The payload of a message, of which nothing is encoded yet.
+    Begin { receiver: Receiver, payload_bytes: usize },
     /// The rest of a payload that is passed on.
     Payload { rest: usize },
-    /// The rest of a notice, which is collected.
-    Notice { level: StatusLevel, rest: usize, text: Vec<u8> },
+    /// The rest of a command's JSON, which is collected.
+    Command { command: Command, rest: usize, text: Vec<u8> },
     /// The rest of a payload that is left out.
     Skip { rest: usize },
 }
@@ -55,6 +96,8 @@ pub struct Encoder {
     /// Lengths and name of the frame that comes next, as far as they are here.
     header: Vec<u8>,
     subscriptions: BTreeMap<String, Subscription>,
+    /// The call whose response the next frame is.
+    response_to: Option<CallId>,
     /// Encoded bytes that the socket has not taken yet.
     encoded: Vec<u8>,
     /// WebSocket frames that are sent when no message is begun.
@@ -70,6 +113,7 @@ impl Encoder {
             part: Part::Header,
             header: Vec::new(),
             subscriptions: BTreeMap::new(),
+            response_to: None,
             encoded: first,
             texts: Vec::new(),
             newest_ns: 0,
@@ -185,7 +229,7 @@ impl Encoder {
                 *rest -= taken;
                 taken
             }
-            Part::Notice { rest, text, .. } => {
+            Part::Command { rest, text, .. } => {
                 let taken = bytes.len().min(*rest);
                 text.extend_from_slice(&bytes[..taken]);
                 *rest -= taken;
@@ -205,18 +249,40 @@ impl Encoder {
     fn end_frame(&mut self) -> io::Result<()> {
         let is_complete = match &self.part {
             Part::Header | Part::Begin { .. } => false,
-            Part::Payload { rest } | Part::Skip { rest } | Part::Notice { rest, .. } => *rest == 0,
+            Part::Payload { rest } | Part::Skip { rest } | Part::Command { rest, .. } => *rest == 0,
         };
         if !is_complete {
             return Ok(());
         }
-        if let Part::Notice { level, text, .. } = std::mem::replace(&mut self.part, Part::Header)
-            && let Ok(notice) = serde_json::from_slice::<Notice>(&text)
-        {
-            self.send(&ServerCommand::Status { level, message: &notice.text })?;
+        if let Part::Command { command, text, .. } = std::mem::replace(&mut self.part, Part::Header) {
+            self.apply_command(command, &text)?;
         }
         self.take_texts();
         Ok(())
+    }
+
+    /// Tells the client of a command. What is not a command's JSON is left out.
+    fn apply_command(&mut self, command: Command, json: &[u8]) -> io::Result<()> {
+        match command {
+            Command::Notice(level) => match serde_json::from_slice::<Notice>(json) {
+                Ok(notice) => self.send(&ServerCommand::Status { level, message: &notice.text }),
+                Err(_) => Ok(()),
+            },
+            Command::Response => {
+                let call: Option<Call> = serde_json::from_slice(json).ok();
+                self.response_to = call.map(|call| CallId::of_number(call.srv_id));
+                Ok(())
+            }
+            Command::CallFailure => match serde_json::from_slice::<CallFailure>(json) {
+                Ok(failure) => self.send_call_failure(CallId::of_number(failure.srv_id), &failure.text),
+                Err(_) => Ok(()),
+            },
+        }
+    }
+
+    /// Tells the client that a call gets no response.
+    pub fn send_call_failure(&mut self, id: CallId, message: &str) -> io::Result<()> {
+        self.send(&ServerCommand::ServiceCallFailure { service_id: id.service, call_id: id.call, message })
     }
 
     /// Collects the frame's lengths and name.
@@ -240,30 +306,45 @@ impl Encoder {
         taken
     }
 
-    fn part_after_header(&self, name_bytes: usize, payload_bytes: usize) -> Part {
-        let name = std::str::from_utf8(&self.header[4..4 + name_bytes]).unwrap_or("");
+    fn part_after_header(&mut self, name_bytes: usize, payload_bytes: usize) -> Part {
+        let response_to = self.response_to.take();
         if payload_bytes == 0 {
             // Nothing follows; a message without a payload has not even its encapsulation header.
             return Part::Header;
         }
-        let level = match name {
-            name::LOG => Some(StatusLevel::Info),
-            name::WARN => Some(StatusLevel::Warning),
-            name::ERROR => Some(StatusLevel::Error),
-            _ => None,
-        };
-        match (level, self.subscriptions.get(name)) {
-            (Some(level), _) if payload_bytes <= NOTICE_MAX => {
-                Part::Notice { level, rest: payload_bytes, text: Vec::with_capacity(payload_bytes) }
+        let name = std::str::from_utf8(&self.header[4..4 + name_bytes]).unwrap_or("");
+        let subscription = || self.subscriptions.get(name).copied().map(Receiver::Subscription);
+        match (response_to, Command::named(name)) {
+            (Some(call), _) => Part::Begin { receiver: Receiver::Call(call), payload_bytes },
+            (None, Some(command)) if payload_bytes <= COMMAND_MAX => {
+                Part::Command { command, rest: payload_bytes, text: Vec::with_capacity(payload_bytes) }
             }
-            (None, Some(subscription)) => Part::Begin { subscription: *subscription, payload_bytes },
-            _ => Part::Skip { rest: payload_bytes },
+            (None, Some(_)) => Part::Skip { rest: payload_bytes },
+            (None, None) => match subscription() {
+                Some(receiver) => Part::Begin { receiver, payload_bytes },
+                None => Part::Skip { rest: payload_bytes },
+            },
         }
     }
 
     /// Encodes the message's header, and takes the payload too if it is short.
     fn begin(&mut self, bytes: &[u8]) -> usize {
-        let Part::Begin { subscription, payload_bytes } = self.part else { return 0 };
+        let Part::Begin { receiver, payload_bytes } = self.part else { return 0 };
+        match receiver {
+            Receiver::Subscription(subscription) => {
+                self.push_message_header(subscription, payload_bytes, bytes)
+            }
+            Receiver::Call(call) => self.push_response_header(call, payload_bytes),
+        }
+        // A part of a long payload is copied too, so that at least one byte is taken.
+        let taken = payload_bytes.min(bytes.len()).min(COPIED_MAX);
+        self.encoded.extend_from_slice(&bytes[..taken]);
+        self.part = Part::Payload { rest: payload_bytes - taken };
+        taken
+    }
+
+    /// Appends what stands before a message on a topic, of which `bytes` come next.
+    fn push_message_header(&mut self, subscription: Subscription, payload_bytes: usize, bytes: &[u8]) {
         let stamp =
             subscription.stamp_offset.and_then(|offset| stamp_at(bytes, ENCAPSULATION_BYTES + offset));
         self.newest_ns = stamp.map_or(self.newest_ns, |stamp| self.newest_ns.max(stamp));
@@ -271,63 +352,17 @@ impl Encoder {
         self.encoded.push(MESSAGE_DATA);
         self.encoded.extend_from_slice(&subscription.id.to_le_bytes());
         self.encoded.extend_from_slice(&stamp.unwrap_or(self.newest_ns).to_le_bytes());
-        // A part of a long payload is copied too, so that at least one byte is taken.
-        let taken = payload_bytes.min(bytes.len()).min(COPIED_MAX);
-        self.encoded.extend_from_slice(&bytes[..taken]);
-        self.part = Part::Payload { rest: payload_bytes - taken };
-        taken
     }
-}
 
-/// Writes a part of a payload behind what is encoded; returns how much of the part is taken.
-fn pass_on(
-    encoded: &mut Vec<u8>,
-    part: &[u8],
-    write: &mut impl FnMut(&[IoSlice<'_>]) -> io::Result<usize>,
-) -> io::Result<usize> {
-    let waiting = encoded.len();
-    if part.len() <= COPIED_MAX && waiting + part.len() <= ENCODED_MAX {
-        encoded.extend_from_slice(part);
-        return Ok(part.len());
-    }
-    let slices = [IoSlice::new(encoded), IoSlice::new(part)];
-    let written = write(if waiting > 0 { &slices } else { &slices[1..] })?;
-    if written == 0 {
-        return Err(io::ErrorKind::WriteZero.into());
-    }
-    encoded.drain(..written.min(waiting));
-    match written.saturating_sub(waiting) {
-        0 => Err(io::ErrorKind::WouldBlock.into()),
-        taken => Ok(taken),
-    }
-}
-
-/// Appends the header of an unmasked WebSocket frame (RFC 6455, 5.2).
-fn push_frame_header(out: &mut Vec<u8>, first: u8, bytes: usize) {
-    out.push(first);
-    match (u8::try_from(bytes), u16::try_from(bytes)) {
-        (Ok(short), _) if short < 126 => out.push(short),
-        (_, Ok(medium)) => {
-            out.push(126);
-            out.extend_from_slice(&medium.to_be_bytes());
+    /// Appends what stands before a service's response.
+    fn push_response_header(&mut self, call: CallId, payload_bytes: usize) {
+        push_frame_header(&mut self.encoded, BINARY_FRAME, RESPONSE_HEADER_BYTES + payload_bytes);
+        self.encoded.push(SERVICE_RESPONSE);
+        for number in [call.service, call.call, ENCODING.len() as u32] {
+            self.encoded.extend_from_slice(&number.to_le_bytes());
         }
-        _ => {
-            out.push(127);
-            out.extend_from_slice(&(bytes as u64).to_be_bytes());
-        }
+        self.encoded.extend_from_slice(ENCODING.as_bytes());
     }
-}
-
-fn length_at(bytes: &[u8], offset: usize) -> Option<usize> {
-    let bytes = bytes.get(offset..offset + 4)?.try_into().ok()?;
-    Some(u32::from_le_bytes(bytes) as usize)
-}
-
-/// Returns a ROS stamp (seconds, nanoseconds) in nanoseconds; a negative one is none.
-fn stamp_at(bytes: &[u8], offset: usize) -> Option<u64> {
-    let seconds = i32::from_le_bytes(bytes.get(offset..offset + 4)?.try_into().ok()?);
-    let nanoseconds = u32::from_le_bytes(bytes.get(offset + 4..offset + 8)?.try_into().ok()?);
-    Some(u64::try_from(seconds).ok()? * 1_000_000_000 + u64::from(nanoseconds))
 }
 
 #[cfg(test)]

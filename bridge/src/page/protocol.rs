@@ -19,8 +19,12 @@ pub const FLEET_PARAMETER: &str = "/mr_slam/fleet";
 pub const TIME_PARAMETER: &str = "/mr_slam/time";
 /// First byte of a message on a subscription, from the server.
 pub const MESSAGE_DATA: u8 = 1;
+/// First byte of a service's response, from the server.
+pub const SERVICE_RESPONSE: u8 = 3;
 /// First byte of a message that a client publishes.
 const CLIENT_MESSAGE: u8 = 1;
+/// First byte of a client's call of a service.
+const SERVICE_REQUEST: u8 = 2;
 /// Characters of a text about a device that are logged.
 const SELFCHECK_CHARS_MAX: usize = 2000;
 /// Bytes before the payload of [`MESSAGE_DATA`]: kind, subscription, time.
@@ -64,7 +68,7 @@ pub enum ClientCommand {
     SubscribeParameterUpdates,
     /// Ends what [`Self::SubscribeParameterUpdates`] began.
     UnsubscribeParameterUpdates,
-    /// Anything that the bridge does not offer, such as services.
+    /// Anything that the bridge does not offer, such as assets.
     #[serde(other)]
     Other,
 }
@@ -119,6 +123,27 @@ pub enum ServerCommand<'a> {
     Unadvertise {
         /// The server's numbers of the topics.
         channel_ids: Vec<u64>,
+    },
+    /// Services that clients may call.
+    AdvertiseServices {
+        /// Services with the numbers that the server gives them.
+        services: Vec<Service<'a>>,
+    },
+    /// Services that are gone.
+    #[serde(rename_all = "camelCase")]
+    UnadvertiseServices {
+        /// The server's numbers of the services.
+        service_ids: Vec<u32>,
+    },
+    /// A call that gets no response.
+    #[serde(rename_all = "camelCase")]
+    ServiceCallFailure {
+        /// The server's number of the service.
+        service_id: u32,
+        /// The client's number of the call.
+        call_id: u32,
+        /// Why it failed, for a person.
+        message: &'a str,
     },
     /// Values of parameters.
     ParameterValues {
@@ -191,13 +216,77 @@ pub struct Channel<'a> {
     pub schema_encoding: &'a str,
 }
 
-/// A binary message from a client: a message on one of its topics.
+/// A service that clients may call.
+#[derive(Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Service<'a> {
+    /// The server's number of the service on this connection.
+    pub id: u32,
+    /// Service's name in ROS.
+    pub name: &'a str,
+    /// ROS type, as `std_srvs/srv/Trigger`.
+    pub r#type: String,
+    /// Type of the requests.
+    pub request: ServiceSchema<'a>,
+    /// Type of the responses.
+    pub response: ServiceSchema<'a>,
+}
+
+/// The type of a service's requests or responses.
+#[derive(Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct ServiceSchema<'a> {
+    /// Encoding of the messages: [`ENCODING`].
+    pub encoding: &'a str,
+    /// ROS type, as `std_srvs/srv/Trigger_Request`.
+    pub schema_name: String,
+    /// Encoding of the schema: [`SCHEMA_ENCODING`].
+    pub schema_encoding: &'a str,
+    /// The type's definition and those of the types that it uses.
+    pub schema: String,
+}
+
+/// Identifies a call on a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ClientMessage<'a> {
-    /// The client's number of the topic.
-    pub channel: u32,
-    /// The message, CDR with its encapsulation header.
-    pub payload: &'a [u8],
+pub struct CallId {
+    /// The server's number of the service.
+    pub service: u32,
+    /// The client's number of the call.
+    pub call: u32,
+}
+
+impl CallId {
+    /// Returns the number of the call in ros_tcp: both numbers, that of the service above the other's 32 bits.
+    pub fn number(self) -> i64 {
+        (u64::from(self.service) << 32 | u64::from(self.call)).cast_signed()
+    }
+
+    /// Returns the call of a number in ros_tcp.
+    pub fn of_number(number: i64) -> Self {
+        let number = number.cast_unsigned();
+        Self { service: (number >> 32) as u32, call: number as u32 }
+    }
+}
+
+/// A binary message from a client.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClientMessage<'a> {
+    /// A message on one of the client's topics.
+    Publish {
+        /// The client's number of the topic.
+        channel: u32,
+        /// The message, CDR with its encapsulation header.
+        payload: &'a [u8],
+    },
+    /// A call of a service.
+    Call {
+        /// The call.
+        id: CallId,
+        /// Encoding of the request; the bridge takes [`ENCODING`].
+        encoding: &'a [u8],
+        /// The request, CDR with its encapsulation header.
+        payload: &'a [u8],
+    },
 }
 
 /// Why a binary message is refused.
@@ -207,21 +296,39 @@ pub enum BinaryError {
     #[error("a binary message of {0} bytes is too short")]
     Short(usize),
     /// The first byte names nothing that the bridge offers.
-    #[error("a binary message begins with {0}; the bridge takes 1 (a message on a topic)")]
+    #[error(
+        "a binary message begins with {0}; the bridge takes 1 (a message on a topic) and 2 (a service call)"
+    )]
     Kind(u8),
 }
 
 impl<'a> ClientMessage<'a> {
     /// Reads a binary message.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, BinaryError> {
-        match bytes {
-            [CLIENT_MESSAGE, a, b, c, d, payload @ ..] => {
-                Ok(Self { channel: u32::from_le_bytes([*a, *b, *c, *d]), payload })
+        let short = || BinaryError::Short(bytes.len());
+        let (kind, rest) = bytes.split_first().ok_or_else(short)?;
+        match *kind {
+            CLIENT_MESSAGE => {
+                let (channel, payload) = split_number(rest).ok_or_else(short)?;
+                Ok(Self::Publish { channel, payload })
             }
-            [] | [CLIENT_MESSAGE, ..] => Err(BinaryError::Short(bytes.len())),
-            [kind, ..] => Err(BinaryError::Kind(*kind)),
+            SERVICE_REQUEST => Self::parse_call(rest).ok_or_else(short),
+            kind => Err(BinaryError::Kind(kind)),
         }
     }
+
+    fn parse_call(bytes: &'a [u8]) -> Option<Self> {
+        let (service, rest) = split_number(bytes)?;
+        let (call, rest) = split_number(rest)?;
+        let (encoding_bytes, rest) = split_number(rest)?;
+        let (encoding, payload) = rest.split_at_checked(encoding_bytes as usize)?;
+        Some(Self::Call { id: CallId { service, call }, encoding, payload })
+    }
+}
+
+fn split_number(bytes: &[u8]) -> Option<(u32, &[u8])> {
+    let (number, rest) = bytes.split_first_chunk()?;
+    Some((u32::from_le_bytes(*number), rest))
 }
 
 /// Returns a ROS type as ROS 2 tools write it: `geometry_msgs/msg/Twist`.
@@ -229,6 +336,14 @@ pub fn schema_name(message_type: &str) -> String {
     match message_type.split_once('/') {
         Some((package, name)) => format!("{package}/msg/{name}"),
         None => message_type.to_owned(),
+    }
+}
+
+/// Returns a service's ROS type as ROS 2 tools write it, `std_srvs/srv/Trigger`, with this at its end.
+pub fn service_type_name(service_type: &str, end: &str) -> String {
+    match service_type.split_once('/') {
+        Some((package, name)) => format!("{package}/srv/{name}{end}"),
+        None => format!("{service_type}{end}"),
     }
 }
 
@@ -246,52 +361,4 @@ pub fn selfcheck_text(payload: &[u8]) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    #[test]
-    fn commands_are_read_as_the_protocol_writes_them() {
-        let read = |json: &str| serde_json::from_str::<ClientCommand>(json).unwrap();
-        let subscriptions = vec![Subscription { id: 3, channel_id: 7 }];
-        assert_eq!(
-            read(r#"{"op":"subscribe","subscriptions":[{"id":3,"channelId":7}]}"#),
-            ClientCommand::Subscribe { subscriptions }
-        );
-        let subscription_ids = vec![3];
-        assert_eq!(
-            read(r#"{"op":"unsubscribe","subscriptionIds":[3]}"#),
-            ClientCommand::Unsubscribe { subscription_ids }
-        );
-        assert_eq!(
-            read(r#"{"op":"getParameters","parameterNames":["a"],"id":"1"}"#),
-            ClientCommand::GetParameters { parameter_names: vec!["a".into()], id: Some("1".into()) }
-        );
-        assert_eq!(read(r#"{"op":"fetchAsset","uri":"a","requestId":1}"#), ClientCommand::Other);
-        let advertise = read(
-            r#"{"op":"advertise","channels":[{"id":1,"topic":"/cmd_vel_1","encoding":"cdr",
-                "schemaName":"geometry_msgs/msg/Twist","schema":"","schemaEncoding":"ros2msg"}]}"#,
-        );
-        let ClientCommand::Advertise { channels } = advertise else { panic!("{advertise:?}") };
-        assert_eq!(message_type(&channels[0].schema_name), "geometry_msgs/Twist");
-        assert_eq!(schema_name("geometry_msgs/Twist"), "geometry_msgs/msg/Twist");
-    }
-
-    #[test]
-    fn a_status_has_the_protocols_numbers() {
-        let status = ServerCommand::Status { level: StatusLevel::Error, message: "no" };
-        let json = serde_json::to_string(&status).unwrap();
-        assert_eq!(json, r#"{"op":"status","level":2,"message":"no"}"#);
-    }
-
-    proptest! {
-        #[test]
-        fn random_bytes_are_a_message_or_an_error(bytes in proptest::collection::vec(any::<u8>(), 0..32)) {
-            match ClientMessage::parse(&bytes) {
-                Ok(message) => prop_assert_eq!(message.payload.len() + 5, bytes.len()),
-                Err(_) => prop_assert!(bytes.len() < 5 || bytes[0] != 1),
-            }
-            let _ = serde_json::from_slice::<ClientCommand>(&bytes);
-        }
-    }
-}
+mod tests;

@@ -4,7 +4,7 @@ use super::encoder::Encoder;
 use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_request, text_response};
 use super::protocol::{ENCODING, ServerCommand, selfcheck_text};
 use super::room::{RoomReceiver, SaveRoom};
-use super::session::Session;
+use super::session::{ClientData, OwnedFrame, Session};
 use super::socket::{MessageReader, PageSocket};
 use super::stream::respond;
 use super::tls::serve_encrypted;
@@ -40,7 +40,7 @@ const READ_BYTES: usize = 16 << 10;
 /// Messages of one client that are handled before other clients get their turn.
 const MESSAGES_PER_TURN: usize = 64;
 /// What the server can do beside subscriptions, in the protocol's words.
-const CAPABILITIES: [&str; 3] = ["clientPublish", "parameters", "parametersSubscribe"];
+const CAPABILITIES: [&str; 4] = ["clientPublish", "parameters", "parametersSubscribe", "services"];
 /// Name of the server for people.
 const SERVER_NAME: &str = "MR-SLAM";
 /// A WebSocket frame that closes the connection, with code 1000: normal (RFC 6455, 5.5.1 and 7.4.1).
@@ -321,11 +321,12 @@ impl<S: Stream> Connection<'_, S> {
         Ok(())
     }
 
-    /// Pings the client, tells it of topics that have come and gone, and of the fleet's state.
+    /// Pings the client, tells it of topics and services that have come and gone, and of the fleet's state.
     fn upkeep(&mut self) -> io::Result<()> {
         let bridge = &self.shared.bridge;
         let topics = bridge.topics();
         self.session.update_channels(&topics, &mut self.encoder.borrow_mut())?;
+        self.session.update_services(&bridge.services(), &mut self.encoder.borrow_mut())?;
         let status = || bridge.fleet_status(self.id, (self.shared.clock)());
         self.session.update_status(status, &mut self.encoder.borrow_mut())?;
         self.reader.ping().map_err(io::Error::other)?;
@@ -376,14 +377,21 @@ impl<S: Stream> Connection<'_, S> {
             Message::Binary(bytes) => {
                 let found = self.session.receive_binary(&bytes, &mut self.encoder.borrow_mut())?;
                 match found {
-                    Some((SELFCHECK_TOPIC, _)) if self.selfchecks >= SELFCHECKS_MAX => {}
-                    Some((SELFCHECK_TOPIC, payload)) => {
+                    Some(ClientData::Message { topic: SELFCHECK_TOPIC, .. })
+                        if self.selfchecks >= SELFCHECKS_MAX => {}
+                    Some(ClientData::Message { topic: SELFCHECK_TOPIC, payload }) => {
                         self.selfchecks += 1;
                         let text = selfcheck_text(payload);
                         bridge.report_event(format!("self-check of {}: {text}", self.peer.ip()));
                     }
-                    Some((topic, payload)) => {
+                    Some(ClientData::Message { topic, payload }) => {
                         bridge.receive(self.id, Frame { name: topic.as_bytes(), payload }, now);
+                    }
+                    Some(ClientData::Call { commands, service, payload }) => {
+                        for OwnedFrame { name, payload } in &commands {
+                            bridge.receive(self.id, Frame { name: name.as_bytes(), payload }, now);
+                        }
+                        bridge.receive(self.id, Frame { name: service.as_bytes(), payload }, now);
                     }
                     None => {}
                 }

@@ -1,5 +1,7 @@
 //! What one browser has subscribed to and publishes: commands of the Foxglove protocol become ros_tcp frames.
 
+mod services;
+
 use super::encoder::Encoder;
 use super::protocol::{
     BinaryError, Channel, ClientChannel, ClientCommand, ClientMessage, ENCODING, FLEET_PARAMETER, Parameter,
@@ -9,6 +11,7 @@ use super::protocol::{
 use crate::bridge::FleetStatus;
 use crate::command::{Registration, name};
 use ros_messages::schema::schema;
+use services::ServiceTable;
 use std::collections::BTreeMap;
 use std::io;
 use thiserror::Error;
@@ -31,7 +34,7 @@ pub enum SessionError {
     #[error(transparent)]
     Binary(#[from] BinaryError),
     /// The bridge does not offer this.
-    #[error("the bridge offers subscriptions, publications and reading of parameters only")]
+    #[error("the bridge offers subscriptions, publications, services and reading of parameters only")]
     NotOffered,
     /// There is no such topic on this connection.
     #[error("there is no channel {0}")]
@@ -72,6 +75,27 @@ pub struct OwnedFrame {
     pub payload: Vec<u8>,
 }
 
+/// What a binary message is for.
+#[derive(Debug, PartialEq, Eq)]
+pub enum ClientData<'a> {
+    /// A message on a topic of the client.
+    Message {
+        /// The topic's name.
+        topic: &'a str,
+        /// The message.
+        payload: &'a [u8],
+    },
+    /// A call of a service.
+    Call {
+        /// Commands that come before the request.
+        commands: Vec<OwnedFrame>,
+        /// The service's name.
+        service: &'a str,
+        /// The request.
+        payload: &'a [u8],
+    },
+}
+
 /// A client's request for the values of parameters.
 #[derive(Debug, PartialEq, Eq)]
 struct ParameterRequest {
@@ -87,6 +111,7 @@ pub struct Session {
     /// Topics that the client knows of, by their numbers on this connection.
     channels: BTreeMap<u64, TopicName>,
     next_channel: u64,
+    services: ServiceTable,
     /// Topics that the client publishes, by its numbers.
     publications: BTreeMap<u32, TopicName>,
     /// Whether the client wants to know the state of the fleet.
@@ -129,6 +154,15 @@ impl Session {
             });
         }
         if channels.is_empty() { Ok(()) } else { encoder.send(&ServerCommand::Advertise { channels }) }
+    }
+
+    /// Tells the client which services have come and gone since the last call.
+    pub fn update_services(
+        &mut self,
+        services: &[(String, String)],
+        encoder: &mut Encoder,
+    ) -> io::Result<()> {
+        self.services.update(services, encoder)
     }
 
     /// Tells the client of the fleet's state if it wants to know and does not yet.
@@ -212,20 +246,23 @@ impl Session {
         Ok(frames)
     }
 
-    /// Reads a binary message; returns the topic and the payload. What is refused, the client is told.
+    /// Reads a binary message. What is refused, the client is told.
     pub fn receive_binary<'a>(
-        &'a self,
+        &'a mut self,
         bytes: &'a [u8],
         encoder: &mut Encoder,
-    ) -> io::Result<Option<(&'a str, &'a [u8])>> {
-        let found = ClientMessage::parse(bytes).map_err(SessionError::from).and_then(|message| {
-            let topic = self.publications.get(&message.channel);
-            let topic = topic.ok_or(SessionError::NoSuchChannel(message.channel.into()))?;
-            Ok((topic.0.as_str(), message.payload))
-        });
-        match found {
-            Ok(found) => Ok(Some(found)),
-            Err(error) => refuse(&error, encoder).map(|()| None),
+    ) -> io::Result<Option<ClientData<'a>>> {
+        match ClientMessage::parse(bytes) {
+            Err(error) => refuse(&error.into(), encoder).map(|()| None),
+            Ok(ClientMessage::Call { id, encoding, payload }) => match self.services.begin_call(id, encoding)
+            {
+                Ok((service, commands)) => Ok(Some(ClientData::Call { commands, service, payload })),
+                Err(error) => encoder.send_call_failure(id, &error.to_string()).map(|()| None),
+            },
+            Ok(ClientMessage::Publish { channel, payload }) => match self.publications.get(&channel) {
+                Some((topic, _)) => Ok(Some(ClientData::Message { topic, payload })),
+                None => refuse(&SessionError::NoSuchChannel(channel.into()), encoder).map(|()| None),
+            },
         }
     }
 
@@ -276,54 +313,4 @@ fn registration(name: &'static str, topic: &str, message_name: &str) -> OwnedFra
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn topics() -> Vec<TopicName> {
-        let topic = |name: &str, of: &str| (name.to_owned(), of.to_owned());
-        vec![topic("/robot1/scan", "sensor_msgs/LaserScan"), topic("/chat", "own_msgs/Chat")]
-    }
-
-    #[test]
-    fn topics_of_known_types_are_offered_once() {
-        let (mut session, mut encoder) = (Session::default(), Encoder::new(Vec::new()));
-        session.update_channels(&topics(), &mut encoder).unwrap();
-        assert_eq!(session.channels.keys().collect::<Vec<_>>(), [&1], "the schema of /chat is not known");
-        assert!(encoder.has_waiting());
-        let mut encoder = Encoder::new(Vec::new());
-        session.update_channels(&topics(), &mut encoder).unwrap();
-        assert!(!encoder.has_waiting(), "nothing has changed");
-        session.update_channels(&[], &mut encoder).unwrap();
-        assert!(encoder.has_waiting() && session.channels.is_empty());
-    }
-
-    #[test]
-    fn commands_become_registrations() {
-        let (mut session, mut encoder) = (Session::default(), Encoder::new(Vec::new()));
-        session.update_channels(&topics(), &mut encoder).unwrap();
-        let mut send = |text: &str| session.receive_text(text, &mut encoder).unwrap();
-        let subscribe = r#"{"op":"subscribe","subscriptions":[{"id":5,"channelId":1}]}"#;
-        let expected = registration(name::SUBSCRIBE, "/robot1/scan", "sensor_msgs/LaserScan");
-        assert_eq!(send(subscribe), [expected]);
-        assert_eq!(send(subscribe), [], "it is subscribed");
-        let unsubscribe = r#"{"op":"unsubscribe","subscriptionIds":[5,6]}"#;
-        assert_eq!(send(unsubscribe), [registration(name::REMOVE_SUBSCRIBER, "/robot1/scan", "")]);
-        let advertise = r#"{"op":"advertise","channels":[
-            {"id":1,"topic":"/cmd_vel_1","encoding":"cdr","schemaName":"geometry_msgs/msg/Twist"},
-            {"id":2,"topic":"/cmd_vel_2","encoding":"json","schemaName":"geometry_msgs/msg/Twist"}]}"#;
-        assert_eq!(send(advertise), [registration(name::PUBLISH, "/cmd_vel_1", "geometry_msgs/Twist")]);
-        let read = session.receive_binary(&[1, 1, 0, 0, 0, 9], &mut encoder).unwrap();
-        assert_eq!(read, Some(("/cmd_vel_1", &[9_u8][..])));
-        assert_eq!(session.receive_binary(&[1, 2, 0, 0, 0, 9], &mut encoder).unwrap(), None);
-    }
-
-    proptest! {
-        #[test]
-        fn any_text_is_a_command_or_refused(text in "\\PC{0,80}", depth in 0..2000_usize) {
-            let (mut session, mut encoder) = (Session::default(), Encoder::new(Vec::new()));
-            session.receive_text(&text, &mut encoder).unwrap();
-            session.receive_text(&"[".repeat(depth), &mut encoder).unwrap();
-        }
-    }
-}
+mod tests;

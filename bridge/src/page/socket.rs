@@ -49,6 +49,10 @@ impl<S: Stream> ClientSocket for PageSocket<S> {
     fn wake(&self) {
         self.wake.notify_one();
     }
+
+    fn takes_call_failures(&self) -> bool {
+        true
+    }
 }
 
 /// Bytes to and from the WebSocket library, which sees no socket.

@@ -38,6 +38,10 @@ pub trait ClientSocket {
     fn now(&self) -> Monotonic;
     /// Wakes the task that serves this client: frames wait for the socket, or the connection must end.
     fn wake(&self);
+    /// Returns whether a service call that fails is answered with [`crate::command::name::CALL_FAILURE`]: ros_tcp has no such frame.
+    fn takes_call_failures(&self) -> bool {
+        false
+    }
 }
 
 /// The service frame that must come next on a connection.
@@ -191,6 +195,11 @@ impl Client {
         if self.outgoing.push(kind, frame, pool).is_err() {
             self.fail();
         }
+    }
+
+    /// Returns whether the client is told of a failed service call as such.
+    pub fn takes_call_failures(&self) -> bool {
+        self.socket.as_ref().is_some_and(|socket| socket.takes_call_failures())
     }
 
     /// Returns the time of the client's socket, if it has one.

@@ -18,6 +18,12 @@ pub(crate) struct Browser {
     pub(crate) socket: WebSocket<TcpStream>,
     /// Channels by topic: number and schema name.
     pub(crate) channels: BTreeMap<String, (u64, String)>,
+    /// Services by name: number and type.
+    pub(crate) services: BTreeMap<String, (u64, String)>,
+    /// Calls that failed: number of the call, and why.
+    pub(crate) failures: Vec<(u64, String)>,
+    /// Responses of services.
+    pub(crate) responses: Vec<Response>,
     pub(crate) statuses: Vec<(u64, String)>,
     pub(crate) info: Value,
     /// The newest state of the fleet.
@@ -32,6 +38,14 @@ pub(crate) struct Browser {
 pub(crate) struct Data {
     pub(crate) subscription: u32,
     pub(crate) time_ns: u64,
+    pub(crate) payload: Vec<u8>,
+}
+
+/// The response of a service.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Response {
+    pub(crate) service: u32,
+    pub(crate) call: u32,
     pub(crate) payload: Vec<u8>,
 }
 
@@ -54,6 +68,9 @@ impl Browser {
         let mut browser = Self {
             socket,
             channels: BTreeMap::new(),
+            services: BTreeMap::new(),
+            failures: Vec::new(),
+            responses: Vec::new(),
             statuses: Vec::new(),
             info: Value::Null,
             fleet: Value::Null,
@@ -76,6 +93,14 @@ impl Browser {
         match self.socket.read().expect("the bridge keeps the connection") {
             Frame::Text(text) => {
                 self.read_text(&text);
+                None
+            }
+            Frame::Binary(bytes) if bytes[0] == 3 => {
+                let number = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+                assert_eq!((number(9), &bytes[13..16]), (3, &b"cdr"[..]));
+                let response =
+                    Response { service: number(1), call: number(5), payload: bytes[16..].to_vec() };
+                self.responses.push(response);
                 None
             }
             Frame::Binary(bytes) => {
@@ -104,6 +129,21 @@ impl Browser {
                         (channel["id"].as_u64().unwrap(), channel["schemaName"].as_str().unwrap().to_owned());
                     self.channels.insert(channel["topic"].as_str().unwrap().to_owned(), known);
                 }
+            }
+            "advertiseServices" => {
+                for service in value["services"].as_array().unwrap() {
+                    let known =
+                        (service["id"].as_u64().unwrap(), service["type"].as_str().unwrap().to_owned());
+                    self.services.insert(service["name"].as_str().unwrap().to_owned(), known);
+                }
+            }
+            "unadvertiseServices" => {
+                let gone = value["serviceIds"].as_array().unwrap();
+                self.services.retain(|_, (id, _)| !gone.contains(&json!(id)));
+            }
+            "serviceCallFailure" => {
+                let text = value["message"].as_str().unwrap().to_owned();
+                self.failures.push((value["callId"].as_u64().unwrap(), text));
             }
             "status" => {
                 let level = value["level"].as_u64().unwrap();
@@ -134,6 +174,24 @@ impl Browser {
 
     pub(crate) fn send(&mut self, command: &Value) {
         self.socket.send(Frame::text(command.to_string())).unwrap();
+    }
+
+    /// Reads until the browser has what is wanted.
+    pub(crate) fn read_until(&mut self, is_done: impl Fn(&Self) -> bool) {
+        while !is_done(self) {
+            self.read();
+        }
+    }
+
+    /// Calls a service.
+    pub(crate) fn call(&mut self, service: u32, call: u32, encoding: &str, payload: &[u8]) {
+        let mut bytes = vec![2];
+        for number in [service, call, encoding.len() as u32] {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
+        bytes.extend_from_slice(encoding.as_bytes());
+        bytes.extend_from_slice(payload);
+        self.socket.send(Frame::binary(bytes)).unwrap();
     }
 
     /// Subscribes to a topic; returns the subscription's number.

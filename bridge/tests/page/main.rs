@@ -5,6 +5,7 @@ mod driving;
 mod http;
 mod https;
 mod room;
+mod services;
 mod tlx;
 mod topics;
 

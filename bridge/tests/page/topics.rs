@@ -38,7 +38,7 @@ fn the_server_says_who_it_is_and_what_it_has() {
     let browser = Browser::connect(served.page);
     assert_eq!(
         browser.info["capabilities"],
-        serde_json::json!(["clientPublish", "parameters", "parametersSubscribe"])
+        serde_json::json!(["clientPublish", "parameters", "parametersSubscribe", "services"])
     );
     assert_eq!(browser.channels["/robot1/scan"].1, "sensor_msgs/msg/LaserScan");
     assert_eq!(browser.channels["/merged_map"].1, "nav_msgs/msg/OccupancyGrid");

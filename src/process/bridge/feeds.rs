@@ -109,7 +109,7 @@ pub fn when_written<P: Ports, M: Message>(
     let (clock, has_history) = (ports.clock(), channel.row.history > 0);
     let pass = Box::new(move || {
         pass();
-        if has_history { clock.now() + HISTORY_POLL_PERIOD } else { WHEN_WRITTEN }
+        if has_history { clock.now().next_multiple(HISTORY_POLL_PERIOD) } else { WHEN_WRITTEN }
     });
     Ok(Feed { listener: ports.listener(channel)?, pass })
 }
@@ -164,7 +164,7 @@ fn publish_map<P: Ports, T: Transport + 'static>(
             let cells = map.cells.len() as u32;
             (has_changed, due) = (false, clock.now() + (GRID_PERIOD + GRID_CELL_TIME * cells));
         }
-        if has_changed { due } else { now + MAP_POLL_PERIOD }
+        if has_changed { due } else { now.next_multiple(MAP_POLL_PERIOD) }
     });
     Ok(Feed { listener: ports.listener(channel)?, pass })
 }

@@ -65,7 +65,7 @@ fn inherited_listener() -> std::io::Result<TcpListener> {
 pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
     while !stop.requested() {
         progress.advance();
-        tokio::time::sleep(STOP_POLL_PERIOD).await;
+        tokio::time::sleep_until(instant(now().next_multiple(STOP_POLL_PERIOD))).await;
     }
 }
 

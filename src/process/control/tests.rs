@@ -1,6 +1,7 @@
 use super::files::FileThread;
 use super::*;
 use crate::config::FleetConfig;
+use crate::process::file_thread::JobWorker;
 use crate::storage::DiskStorage;
 use ::bridge::BridgeConfig;
 use formats::map_file::MapFileError;
@@ -138,4 +139,33 @@ fn requests_beyond_what_may_wait_for_the_disk_are_refused_in_words() {
         refused.expect("waiting requests are bounded").unwrap_err(),
         RequestError::DiskBusy.to_string()
     );
+}
+
+/// Counts the jobs, and does none.
+#[derive(Default)]
+struct CountedJobs(usize);
+
+impl JobWorker<FileJob, FileReport> for CountedJobs {
+    fn submit(&mut self, _: FileJob) -> oneshot::Receiver<FileReport> {
+        self.0 += 1;
+        oneshot::channel().1
+    }
+}
+
+#[test]
+fn a_bridge_that_does_not_change_reads_the_stop_file_and_one_that_changes_saves_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = run_in(folder.path());
+    let bridge = Rc::new(Bridge::new(run.config.bridge.clone(), 2, |_, _| {}).unwrap());
+    let mut control = Control::new(bridge.clone(), &run, CountedJobs::default());
+    let second = Duration::from_secs(1).as_nanos() as u64;
+    // Called each millisecond: once for what is to be saved at the start, then whenever the file is due.
+    (0..second).step_by(1_000_000).for_each(|at| control.update_files(Monotonic(at)));
+    assert_eq!(control.files.0, 5);
+    control.update_files(Monotonic(second));
+    bridge.stop_robots();
+    control.update_files(Monotonic(second + 1));
+    assert_eq!(control.files.0, 7, "the stop is saved before the file is due");
+    control.update_files(Monotonic(second + 2));
+    assert_eq!(control.files.0, 7);
 }

@@ -74,6 +74,30 @@ fn a_message_has_its_subscription_its_stamp_and_the_same_bytes() {
 }
 
 #[test]
+fn a_response_has_its_call_and_a_failure_is_said_as_one() {
+    let mut stream = Vec::new();
+    let id = CallId { service: 3, call: u32::MAX };
+    Side::Server.write_command(&mut stream, name::RESPONSE, &Call { srv_id: id.number() });
+    // A response is one whatever its service's name is.
+    Side::Server.write(&mut stream, "/robot1/scan", &[0, 1, 0, 0, 1]);
+    let failure = CallFailure { srv_id: id.number(), text: "no".into() };
+    Side::Server.write_command(&mut stream, name::CALL_FAILURE, &failure);
+    Side::Server.write(&mut stream, "/robot1/scan", &payload(100, 3));
+    for (piece, socket) in [(usize::MAX, usize::MAX), (7, 5)] {
+        let read = messages(&encode(&mut encoder(), &stream, piece, socket));
+        let [Message::Binary(response), Message::Text(failure), Message::Binary(scan)] = &read[..] else {
+            panic!("{read:?}")
+        };
+        let expected =
+            [&[3, 3, 0, 0, 0, 255, 255, 255, 255, 3, 0, 0, 0][..], b"cdr", &[0, 1, 0, 0, 1]].concat();
+        assert_eq!(response[..], expected);
+        let text = r#"{"op":"serviceCallFailure","serviceId":3,"callId":4294967295,"message":"no"}"#;
+        assert_eq!(failure.as_str(), text);
+        assert_eq!(scan[0], MESSAGE_DATA);
+    }
+}
+
+#[test]
 fn text_does_not_come_into_the_middle_of_a_message() {
     let mut stream = Vec::new();
     let map = payload(200_000, 1);
