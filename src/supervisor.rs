@@ -8,7 +8,7 @@ use crate::processes::ProcessRow;
 use crate::progress::{self, ProgressBoard, WatchedThread};
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
-use crate::shared_memory::SHARED_MEMORY;
+use crate::shared_memory::{SHARED_MEMORY, close_descriptors_on_exec};
 use crate::watchdog::{Finding, ThreadState, Watchdog};
 use msg::{Monotonic, Pose2, RobotId, Role};
 use rustix::process::{Pid, Signal, kill_process};
@@ -167,6 +167,7 @@ impl Supervisor {
         if row.role == Role::Bridge {
             command.envs(bridge::ALLOCATOR_SETTINGS);
         }
+        close_descriptors_on_exec()?;
         // A process group of its own: Ctrl-C reaches the launcher only, which then ends the children.
         command.stdin(stdin).process_group(0).spawn()
     }

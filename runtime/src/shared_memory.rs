@@ -40,6 +40,24 @@ fn failed<E: std::fmt::Debug>(what: &'static str, name: &str) -> impl FnOnce(E) 
     move |why| ChannelError::SharedMemory { what, name: name.into(), why: format!("{why:?}") }
 }
 
+/// Has all descriptors but the standard streams closed in programs that this process starts: iceoryx2 opens its own so that
+/// they would be inherited.
+///
+/// # Errors
+/// The descriptors cannot be listed.
+pub fn close_descriptors_on_exec() -> std::io::Result<()> {
+    for entry in std::fs::read_dir("/proc/self/fd")? {
+        let name = entry?.file_name();
+        let Some(number) = name.to_str().and_then(|name| name.parse::<RawFd>().ok()) else { continue };
+        if number > std::io::stderr().as_raw_fd() {
+            // SAFETY: a flag is set, nothing is read or closed; a descriptor that was closed meanwhile is an error.
+            let descriptor = unsafe { BorrowedFd::borrow_raw(number) };
+            let _ = rustix::io::fcntl_setfd(descriptor, rustix::io::FdFlags::CLOEXEC);
+        }
+    }
+    Ok(())
+}
+
 /// One thread's attachment to a run's shared memory. Ports stay on the thread that opened them.
 pub struct Participant {
     node: iceoryx2::node::Node<ipc::Service>,

@@ -6,6 +6,7 @@ use crate::clock::now;
 use crate::progress;
 use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
+use crate::shared_memory::close_descriptors_on_exec;
 use crate::watchdog::{Finding, Watchdog};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
@@ -75,6 +76,7 @@ impl OperatorProcess {
             let left = (seconds - self.begun.elapsed().as_secs_f64()).max(1.0);
             command.args(["--seconds", &left.to_string()]);
         }
+        close_descriptors_on_exec()?;
         // A process group of its own: Ctrl-C reaches the launcher alone, which then asks for the report.
         self.child = Some(command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0).spawn()?);
         self.policy.on_started(now());

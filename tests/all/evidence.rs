@@ -1,6 +1,6 @@
 //! What a run leaves for those who were not there: ratings of its people, counts of a recording, and nothing running.
 
-use crate::harness::{Fleet, Folder, mr_slam, output_of, send};
+use crate::harness::{Fleet, Folder, mr_slam, output_of, process, send};
 use recording::RecordingReader;
 use rustix::process::Signal;
 use serde_json::Value;
@@ -105,4 +105,32 @@ fn a_fleet_ends_when_the_program_that_measures_it_is_killed() {
         std::thread::sleep(Duration::from_millis(20));
     }
     assert!(folder.path().join("report.json").exists(), "it has ended in order");
+}
+
+/// Returns the paths of the files that a process has open, and that are the launcher's own in shared memory.
+fn ports_of_launcher(pid: u32, launcher: u32) -> Vec<String> {
+    let entries = std::fs::read_dir(format!("/proc/{pid}/fd")).unwrap().flatten();
+    let paths = entries.filter_map(|entry| std::fs::read_link(entry.path()).ok());
+    let of_launcher = ports(launcher);
+    paths.map(|path| path.display().to_string()).filter(|path| of_launcher.contains(path)).collect()
+}
+
+/// Returns the tags of a process's ports, which no other process opens.
+fn ports(pid: u32) -> Vec<String> {
+    let entries = std::fs::read_dir(format!("/proc/{pid}/fd")).unwrap().flatten();
+    let paths = entries.filter_map(|entry| std::fs::read_link(entry.path()).ok());
+    paths.map(|path| path.display().to_string()).filter(|path| path.ends_with(".port_tag")).collect()
+}
+
+#[test]
+fn a_process_that_is_started_again_inherits_no_descriptors_of_the_launcher() {
+    let mut fleet = Fleet::start("up", &["--robots", "1", "--page", "off"]);
+    let pid_of = |view: &reports::FleetView| process(view, "telemetry").map(|process| process.pid);
+    let before = pid_of(&fleet.until("telemetry", |view| pid_of(view).is_some())).unwrap();
+    let launcher = fleet.run.pid;
+    assert!(!ports(launcher).is_empty(), "the launcher has ports whose descriptors could be inherited");
+    send(before, Signal::KILL);
+    let is_other = |view: &reports::FleetView| pid_of(view).is_some_and(|pid| pid != before);
+    let after = pid_of(&fleet.until("telemetry again", is_other)).unwrap();
+    assert_eq!(ports_of_launcher(after, launcher), Vec::<String>::new());
 }
