@@ -248,3 +248,19 @@ fn an_exclusion_zone_holds_until_it_is_removed_and_outlives_the_navigation_proce
     scene.send_goal("base_link_1", [1.0, 0.0]);
     assert!(scene.run(40.0, is_over) && scene.is("reached"), "{}", scene.state);
 }
+
+#[test]
+fn zones_sent_while_the_navigation_process_is_started_again_all_hold() {
+    let faults = FaultPlan::none().with(Monotonic(2_000_000_000), Fault::Kill(5));
+    let mut scene = Scene::new(1, faults);
+    while scene.fleet.now().seconds() < 2.02 {
+        scene.run(0.01, |_| false);
+    }
+    let (start, _) = scene.truth();
+    for distance_m in [2.0, 4.0, 6.0] {
+        let centre = start * Pose2::new(distance_m, 0.0, 0.0);
+        scene.client.publish("/exclusion_zones/add", &square_around(centre));
+    }
+    scene.run(3.0, |_| false);
+    assert_eq!(scene.zones["zones"].as_array().unwrap().len(), 3, "{}", scene.zones);
+}

@@ -9,14 +9,17 @@ use msg::{
     NavigationReport, RobotId, VelocityCommand, ZoneCommand,
 };
 
-// Several writers: the bridge for its clients, and commands of people. The newest command waits for a restarted reader.
+/// Newest commands of each writer that wait for a reader that is started again; as many as a reader's queue takes.
+const COMMANDS_KEPT: usize = 16;
+
+// Several writers: the bridge for its clients, and commands of people.
 pub(super) static GOAL: TypedRow<NavigationCommand> = TypedRow::new(ChannelRow {
     name: "goal",
     content: "a goal of the robot, or a cancellation, pause or resumption, on demand",
     writers: &[Of(BRIDGE), Of(GotoTool)],
     readers: &[Of(NAV), Of(RECORD), Of(RecordTool)],
-    depth: 16,
-    history: 1,
+    depth: COMMANDS_KEPT,
+    history: COMMANDS_KEPT,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
 });
@@ -51,8 +54,8 @@ pub(super) static EXPLORE: TypedRow<ExplorationCommand> = TypedRow::new(ChannelR
     scope: Scope::Fleet,
     writers: &[Of(BRIDGE), Of(ExploreTool)],
     readers: &[Of(NAV)],
-    depth: 16,
-    history: 1,
+    depth: COMMANDS_KEPT,
+    history: COMMANDS_KEPT,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
 });
@@ -70,8 +73,8 @@ pub(super) static ZONE_COMMAND: TypedRow<ZoneCommand> = TypedRow::new(ChannelRow
     scope: Scope::Fleet,
     writers: &[Of(BRIDGE), Of(ZoneTool)],
     readers: &[Of(NAV)],
-    depth: 16,
-    history: 1,
+    depth: COMMANDS_KEPT,
+    history: COMMANDS_KEPT,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
 });
