@@ -27,7 +27,7 @@ async def until(what, is_so):
 
 async def check(url):
     received, statuses, infos = {}, [], []
-    client = WebSocketBridgeClient(url, subprotocol="foxglove.sdk.v1")
+    client = WebSocketBridgeClient(url.replace("http", "ws", 1), subprotocol="foxglove.sdk.v1")
     client.on_message(lambda channel, timestamp, payload: received.setdefault(channel["topic"], (timestamp, bytes(payload))))
     client.on_status(statuses.append)
     client.on_server_info(infos.append)
