@@ -255,6 +255,28 @@ fn the_stop_of_the_base_holds_on_the_robot_when_the_base_is_replaced() {
     assert!(!machines.is_stopped, "stopped and released by the base that leads");
 }
 
+/// TCP holds back all that follows a lost packet until packets after it show that it is lost.
+#[test]
+fn a_change_of_the_stop_is_repeated_at_once_and_not_for_ever() {
+    let mut machines = Machines::new();
+    machines.base.set_stopped(Some(false));
+    machines.run(1_000);
+    machines.base.set_stopped(Some(true));
+    let lost = machines.base_messages();
+    assert!(!lost.is_empty() && !machines.is_stopped);
+    machines.run(2 * STEP_MS);
+    assert!(machines.is_stopped, "the repetition is there before the next sign of life");
+    // What a second has when nothing changes.
+    machines.run(1_000);
+    let messages: usize = (0..1_000 / STEP_MS)
+        .map(|_| {
+            machines.now_ms += STEP_MS;
+            machines.base_messages().len()
+        })
+        .sum();
+    assert!((4..=6).contains(&messages), "{messages} messages in a second in which nothing changed");
+}
+
 #[test]
 fn a_second_base_is_not_obeyed_while_the_first_leads() {
     let mut machines = Machines::new();

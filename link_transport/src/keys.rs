@@ -1,6 +1,7 @@
-//! Keys of the machines of a fleet: an authority, and a certificate with its private key for the base and for each robot.
+//! Keys of the machines of a fleet: an authority, and a certificate with its private key for the base, for each robot, and for a
+//! router between them.
 //!
-//! All are PEM files below one folder. Folder `base` and folders
+//! All are PEM files below one folder. Folders `base`, `router` and
 //! `robots/NAME` have all that their machine needs; the authority's private key stays where it was created.
 
 use rcgen::{
@@ -15,6 +16,8 @@ use std::path::{Path, PathBuf};
 
 /// Name in the base's certificate.
 pub const BASE_SUBJECT: &str = "base";
+/// Name in a router's certificate.
+pub const ROUTER_SUBJECT: &str = "router";
 /// Name in the authority's certificate.
 const AUTHORITY_SUBJECT: &str = "MR-SLAM authority";
 /// Certificate of the authority: every machine has it.
@@ -36,6 +39,8 @@ pub fn robot_subject(name: &str) -> String {
 pub enum KeyOwner {
     /// The base, wherever it runs.
     Base,
+    /// A router between robots and base.
+    Router,
     /// The robot of this name.
     Robot(String),
 }
@@ -44,6 +49,7 @@ impl KeyOwner {
     fn subject(&self) -> String {
         match self {
             Self::Base => BASE_SUBJECT.into(),
+            Self::Router => ROUTER_SUBJECT.into(),
             Self::Robot(name) => robot_subject(name),
         }
     }
@@ -52,6 +58,7 @@ impl KeyOwner {
     pub fn folder(&self, keys: &Path) -> PathBuf {
         match self {
             Self::Base => keys.join("base"),
+            Self::Router => keys.join("router"),
             // A name such as lab/bob is one folder.
             Self::Robot(name) => keys.join("robots").join(name.replace('/', "__")),
         }
@@ -159,9 +166,11 @@ pub fn create_key(keys: &Path, owner: &KeyOwner) -> Result<PathBuf, KeysError> {
     params.distinguished_name = name(&owner.subject());
     params.use_authority_key_identifier_extension = true;
     params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-    // A robot's key cannot be a base's: it is not one of a server.
+    // A robot's key cannot be a base's or a router's: it is not one of a server.
     params.extended_key_usages = match owner {
-        KeyOwner::Base => vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth],
+        KeyOwner::Base | KeyOwner::Router => {
+            vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth]
+        }
         KeyOwner::Robot(_) => vec![ExtendedKeyUsagePurpose::ClientAuth],
     };
     let key = KeyPair::generate()?;

@@ -9,7 +9,7 @@ mod session;
 
 pub use endpoint::{Endpoint, EndpointError};
 #[cfg(feature = "zenoh")]
-pub use session::{SessionConfig, SessionError, ZenohTransport};
+pub use session::{Router, SessionConfig, SessionError, SessionRole, ZenohTransport};
 
 use link::Kind;
 

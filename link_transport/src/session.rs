@@ -1,9 +1,9 @@
-//! The link over Zenoh: one session between a robot's machine and the base.
+//! The link over Zenoh: one session between a robot's machine and the base, or through a router between them.
 //!
 //! Zenoh connects, connects again, and sends the more urgent first. What does not fit into its queues is dropped: all that
 //! must arrive is sent again by the crate `link`.
 
-use crate::keys::{BASE_SUBJECT, KeyFiles, robot_subject};
+use crate::keys::{BASE_SUBJECT, KeyFiles, ROUTER_SUBJECT, robot_subject};
 use crate::{Endpoint, Transport};
 use link::Kind;
 use link::table::{Direction, Priority, key, keys};
@@ -37,14 +37,38 @@ fn failed<E: std::fmt::Display>(what: &'static str) -> impl FnOnce(E) -> Session
     move |why| SessionError { what, why: why.to_string() }
 }
 
+/// What a machine is in the fleet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SessionRole {
+    /// A robot's machine, which connects to the base or to a router.
+    Robot,
+    /// The base, at which robots join.
+    Base,
+    /// The base, which connects to a router.
+    BaseBehindRouter,
+    /// A router, at which robots and base join.
+    Router,
+}
+
+impl SessionRole {
+    /// Returns Zenoh's mode. What connects is a client: through a router peers would not reach each other.
+    fn mode(self) -> &'static str {
+        match self {
+            Self::Robot | Self::BaseBehindRouter => "client",
+            Self::Base => "peer",
+            Self::Router => "router",
+        }
+    }
+}
+
 /// One machine's part in the link.
 #[derive(Clone, Debug)]
 pub struct SessionConfig {
-    /// Endpoint at which the base listens.
+    /// Endpoint at which the base or the router listens.
     pub endpoint: Endpoint,
-    /// Whether this machine is the base.
-    pub is_base: bool,
-    /// Names of the robots: all at the base, its own on a robot's machine.
+    /// What this machine is.
+    pub role: SessionRole,
+    /// Names of the robots: all at the base and at a router, its own on a robot's machine.
     pub robots: Vec<String>,
     /// Certificates, if the endpoint is encrypted.
     pub keys: Option<KeyFiles>,
@@ -52,15 +76,33 @@ pub struct SessionConfig {
 
 impl SessionConfig {
     fn to_zenoh(&self) -> Result<zenoh::Config, SessionError> {
+        let mut config = zenoh::Config::default();
+        for (key, value) in self.values() {
+            config.insert_json5(key, &value.to_string()).map_err(failed(key))?;
+        }
+        Ok(config)
+    }
+
+    /// Returns the settings as a configuration file of `zenohd`.
+    pub fn to_json(&self) -> String {
+        let mut file = json!({});
+        for (key, value) in self.values() {
+            let names = key.split('/');
+            *names.fold(&mut file, |table, name| &mut table[name]) = value;
+        }
+        format!("{file:#}\n")
+    }
+
+    fn values(&self) -> Vec<(&'static str, Value)> {
         // A small buffer of the socket: what waits there cannot be overtaken.
         let endpoint = format!("{}#so_sndbuf={SOCKET_BYTES}", self.endpoint);
-        let (listen, connect) = match self.is_base {
-            true => (json!([endpoint]), json!([])),
-            false => (json!([]), json!([endpoint])),
+        let (listen, connect) = match self.role {
+            SessionRole::Base | SessionRole::Router => (json!([endpoint]), json!([])),
+            SessionRole::Robot | SessionRole::BaseBehindRouter => (json!([]), json!([endpoint])),
         };
         let mut values = vec![
-            // Peers connect in the background, for as long as it takes.
-            ("mode", json!("peer")),
+            ("mode", json!(self.role.mode())),
+            // Clients try to connect for as long as it takes.
             ("listen/endpoints", listen),
             ("connect/endpoints", connect),
             ("connect/timeout_ms", json!(-1)),
@@ -78,30 +120,42 @@ impl SessionConfig {
             values.push(("transport/link/tls", tls(keys)));
             values.push(("access_control", self.access_control()));
         }
-        let mut config = zenoh::Config::default();
-        for (key, value) in values {
-            config.insert_json5(key, &value.to_string()).map_err(failed(key))?;
-        }
-        Ok(config)
+        values
     }
 
-    /// Returns the access list: at the base each robot's key has its own key expressions, on a robot the base's key alone
-    /// may speak to it. Nothing else is let through.
+    /// Returns the access list: at the base and at a router each robot's key has its own key expressions, on a robot the keys
+    /// of base and router alone may speak to it. Nothing else is let through.
     fn access_control(&self) -> Value {
         let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
         for robot in &self.robots {
-            let (up, down) = (keys(robot, Direction::Up), keys(robot, Direction::Down));
-            let (received, sent) = if self.is_base { (up, down) } else { (down, up) };
-            let subject = if self.is_base { robot_subject(robot) } else { BASE_SUBJECT.to_owned() };
-            let ids = ["receive", "subscribe", "send", "be asked for"].map(|what| format!("{what} {robot}"));
-            rules.extend([
-                rule(&ids[0], "ingress", "put", &received),
-                rule(&ids[1], "egress", "declare_subscriber", &received),
-                rule(&ids[2], "egress", "put", &sent),
-                rule(&ids[3], "ingress", "declare_subscriber", &sent),
-            ]);
-            subjects.push(json!({ "id": robot, "cert_common_names": [subject] }));
-            policies.push(json!({ "rules": ids, "subjects": [robot] }));
+            // Neighbours whose messages of one direction are received, and who get those of the other.
+            let (of_robot, of_base): (Vec<String>, Vec<&str>) = match self.role {
+                SessionRole::Robot => (Vec::new(), vec![BASE_SUBJECT, ROUTER_SUBJECT]),
+                SessionRole::Base => (vec![robot_subject(robot)], Vec::new()),
+                SessionRole::BaseBehindRouter => (vec![ROUTER_SUBJECT.to_owned()], Vec::new()),
+                SessionRole::Router => (vec![robot_subject(robot)], vec![BASE_SUBJECT]),
+            };
+            let neighbours = [
+                (json!(of_robot), Direction::Up, Direction::Down),
+                (json!(of_base), Direction::Down, Direction::Up),
+            ];
+            for (names, received, sent) in neighbours {
+                if names.as_array().is_none_or(Vec::is_empty) {
+                    continue;
+                }
+                let subject = format!("{robot} {}", received.name());
+                let ids =
+                    ["receive", "subscribe", "send", "be asked for"].map(|what| format!("{what} {subject}"));
+                let (received, sent) = (keys(robot, received), keys(robot, sent));
+                rules.extend([
+                    rule(&ids[0], "ingress", "put", &received),
+                    rule(&ids[1], "egress", "declare_subscriber", &received),
+                    rule(&ids[2], "egress", "put", &sent),
+                    rule(&ids[3], "ingress", "declare_subscriber", &sent),
+                ]);
+                subjects.push(json!({ "id": subject, "cert_common_names": names }));
+                policies.push(json!({ "rules": ids, "subjects": [subject] }));
+            }
         }
         json!({
             "enabled": true,
@@ -160,11 +214,13 @@ pub struct ZenohTransport {
 }
 
 impl ZenohTransport {
-    /// Opens a session and declares the key expressions of its robots.
+    /// Opens a session and declares the key expressions of its robots. A machine that connects waits until it has.
     pub fn open(config: &SessionConfig) -> Result<Self, SessionError> {
         let session = zenoh::open(config.to_zenoh()?).wait().map_err(failed("cannot open a session"))?;
-        let (out, back) =
-            if config.is_base { (Direction::Down, Direction::Up) } else { (Direction::Up, Direction::Down) };
+        let (out, back) = match config.role {
+            SessionRole::Robot => (Direction::Up, Direction::Down),
+            _ => (Direction::Down, Direction::Up),
+        };
         let inbox: Arc<Mutex<Inbox>> = Arc::default();
         let (mut publishers, mut subscribers) = (Vec::new(), Vec::new());
         for (index, robot) in config.robots.iter().enumerate() {
@@ -187,6 +243,19 @@ impl ZenohTransport {
     /// Returns the number of received messages that were dropped because the loop was slow.
     pub fn dropped(&self) -> u64 {
         self.inbox.lock().unwrap_or_else(PoisonError::into_inner).dropped
+    }
+}
+
+/// A router between robots and base, until it is dropped.
+pub struct Router {
+    _session: zenoh::Session,
+}
+
+impl Router {
+    /// Listens for robots and base.
+    pub fn open(config: &SessionConfig) -> Result<Self, SessionError> {
+        let session = zenoh::open(config.to_zenoh()?).wait().map_err(failed("cannot open a router"))?;
+        Ok(Self { _session: session })
     }
 }
 
@@ -228,28 +297,66 @@ impl Transport for ZenohTransport {
 mod tests {
     use super::*;
 
-    fn config(endpoint: &str, is_base: bool, keys: Option<KeyFiles>) -> SessionConfig {
+    const ROLES: [SessionRole; 4] =
+        [SessionRole::Robot, SessionRole::Base, SessionRole::BaseBehindRouter, SessionRole::Router];
+
+    fn config(endpoint: &str, role: SessionRole, keys: Option<KeyFiles>) -> SessionConfig {
         let robots = vec!["alice".to_owned(), "lab/bob".to_owned()];
-        SessionConfig { endpoint: endpoint.parse().unwrap(), is_base, robots, keys }
+        SessionConfig { endpoint: endpoint.parse().unwrap(), role, robots, keys }
     }
 
     #[test]
     fn zenoh_knows_every_key_of_the_configuration() {
-        config("tcp/127.0.0.1:7447", true, None).to_zenoh().unwrap();
         let keys = || {
             let file = |name: &str| std::path::PathBuf::from("/tmp").join(name);
             KeyFiles { authority: file("a"), certificate: file("c"), private_key: file("k") }
         };
-        config("tls/127.0.0.1:7447", true, Some(keys())).to_zenoh().unwrap();
-        config("tls/[::1]:7447", false, Some(keys())).to_zenoh().unwrap();
+        for role in ROLES {
+            config("tcp/127.0.0.1:7447", role, None).to_zenoh().unwrap();
+            config("tls/[::1]:7447", role, Some(keys())).to_zenoh().unwrap();
+            // As `zenohd` reads it.
+            let file = config("tls/127.0.0.1:7447", role, Some(keys())).to_json();
+            zenoh::Config::from_json5(&file).unwrap();
+        }
     }
 
     #[test]
     fn the_access_list_lets_nobody_else_through() {
-        let list = config("tls/127.0.0.1:7447", true, None).access_control();
+        let list = config("tls/127.0.0.1:7447", SessionRole::Base, None).access_control();
         assert_eq!(list["default_permission"], "deny");
         assert_eq!(list["subjects"][0]["cert_common_names"], json!(["robot alice"]));
         assert_eq!(list["rules"][0]["key_exprs"], json!(["mr-slam/alice/up/*"]));
         assert_eq!(list["policies"][0]["rules"].as_array().map(Vec::len), Some(4));
+        let list = config("tls/127.0.0.1:7447", SessionRole::Router, None).access_control();
+        assert_eq!(list["subjects"][1]["cert_common_names"], json!(["base"]));
+        assert_eq!(list["rules"][4]["key_exprs"], json!(["mr-slam/alice/down/*"]));
+    }
+
+    /// Messages cross a router both ways, also one that was started again.
+    #[test]
+    fn robot_and_base_reach_each_other_through_a_router() {
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let at_router = |role| config(&format!("tcp/127.0.0.1:{port}"), role, None);
+        let mut router = Router::open(&at_router(SessionRole::Router)).unwrap();
+        let mut base = ZenohTransport::open(&at_router(SessionRole::BaseBehindRouter)).unwrap();
+        let mut robot = ZenohTransport::open(&at_router(SessionRole::Robot)).unwrap();
+        cross(&mut base, &mut robot, Kind::BaseState);
+        cross(&mut robot, &mut base, Kind::Chunk);
+        drop(router);
+        router = Router::open(&at_router(SessionRole::Router)).unwrap();
+        cross(&mut base, &mut robot, Kind::Velocity);
+        cross(&mut robot, &mut base, Kind::RobotState);
+        drop(router);
+    }
+
+    /// Sends a message until it arrives.
+    fn cross(from: &mut ZenohTransport, to: &mut ZenohTransport, kind: Kind) {
+        let begun = std::time::Instant::now();
+        let bytes = [kind as u8];
+        while !std::iter::from_fn(|| to.receive()).any(|(robot, found)| robot == 1 && found == bytes) {
+            assert!(begun.elapsed() < std::time::Duration::from_secs(20), "{kind:?} does not arrive");
+            from.send(1, kind, &bytes);
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
     }
 }

@@ -33,6 +33,8 @@ pub enum Key {
     Authority,
     /// Create the key of the base
     Base,
+    /// Create the key of a router between robots and base
+    Router,
     /// Create the key of a robot
     Robot {
         /// Name of the robot, such as alice
@@ -53,6 +55,7 @@ pub fn run(args: &KeysArgs) -> Result<(), Error> {
             return Ok(());
         }
         Key::Base => KeyOwner::Base,
+        Key::Router => KeyOwner::Router,
         Key::Robot { name } => KeyOwner::Robot(name.clone()),
     };
     let folder = create_key(&keys, &owner)?;
@@ -60,6 +63,7 @@ pub fn run(args: &KeysArgs) -> Result<(), Error> {
         KeyOwner::Base => {
             "the base's key; where another machine is the base, copy this folder there".to_owned()
         }
+        KeyOwner::Router => "the router's key; copy this folder to its machine".to_owned(),
         KeyOwner::Robot(name) => format!("{name}'s key; copy this folder to {name}'s computer"),
     };
     output::print(&format!("{}: {whose}\n", folder.display()))?;

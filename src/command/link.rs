@@ -1,4 +1,5 @@
-//! Tools `mr-slam robot` and `mr-slam base`: a fleet on several machines. Each launches its processes and one `link` process.
+//! Tools `mr-slam robot`, `mr-slam base` and `mr-slam router`: a fleet on several machines. The first two launch their
+//! processes and one `link` process.
 
 use super::Error;
 use super::up::{FleetHooks, UpArgs, run_or_detach};
@@ -8,15 +9,20 @@ use crate::restarts::{DEATHS_MAX, RestartPolicy, State};
 use crate::run::Run;
 use link_transport::Endpoint;
 use link_transport::keys::{KeyFiles, KeyOwner};
+#[cfg(feature = "link")]
+use link_transport::{SessionConfig, SessionRole};
 use std::io;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// Log of the link's process: warnings, and from whom connections come.
-const LOG: &str = "warn,zenoh=error,zenoh_link_tls::unicast=debug";
+/// Log of the link's process: warnings, and from whom connections come, as `connection_log` describes them.
+const LOG: &str = "warn,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug";
 /// Endpoint at which a base listens if nothing else is given.
 const LISTEN_DEFAULT: &str = "tls/0.0.0.0:7447";
+/// Period at which a router, or a link that is not connected yet, looks whether it is to end.
+#[cfg(feature = "link")]
+const SESSION_POLL: std::time::Duration = std::time::Duration::from_millis(20);
 
 /// Reason why a machine cannot take part in a fleet on several machines.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -35,7 +41,13 @@ pub enum LinkArgsError {
         "--world has no meaning here: the base's robots are on other machines; give it to `mr-slam robot`"
     )]
     BaseWorld,
-    /// The base must know its robots.
+    /// Zenoh failed while it opened the session.
+    #[error("the link's session panicked while it was opened; it is started again")]
+    Panic,
+    /// Robots either join at the base or at a router.
+    #[error("--listen and --router exclude each other: the base listens for robots, or a router does")]
+    ListenAndRouter,
+    /// The base and a router must know their robots.
     #[error("which robots may join? Give --names, such as --names alice,bob, or `names` in the fleet file")]
     NoNames,
 }
@@ -46,7 +58,7 @@ pub struct RobotArgs {
     /// Name of the robot, as the base has it in its --names
     #[arg(long)]
     pub name: String,
-    /// Endpoint of the base, such as tls/192.168.1.10:7447
+    /// Endpoint of the base, or of a router before it, such as tls/192.168.1.10:7447
     #[arg(long, value_name = "tls/HOST:PORT")]
     pub base: Endpoint,
     /// Serve the robot in ROS under plain names such as /scan, instead of /NAME/scan
@@ -63,9 +75,12 @@ pub struct RobotArgs {
 /// Run the base: merging, bridge and page for robots on other machines
 #[derive(Clone, Debug, clap::Args)]
 pub struct BaseArgs {
-    /// Endpoint at which robots join
-    #[arg(long, value_name = "tls/HOST:PORT", default_value = LISTEN_DEFAULT)]
-    pub listen: Endpoint,
+    /// Endpoint at which robots join [default: tls/0.0.0.0:7447]
+    #[arg(long, value_name = "tls/HOST:PORT")]
+    pub listen: Option<Endpoint>,
+    /// Endpoint of a router at which the robots join, too; then the base listens nowhere
+    #[arg(long, value_name = "tls/HOST:PORT")]
+    pub router: Option<Endpoint>,
     /// How the link is protected.
     #[command(flatten)]
     pub protection: ProtectionArgs,
@@ -74,10 +89,27 @@ pub struct BaseArgs {
     pub up: UpArgs,
 }
 
+/// Run a Zenoh router at which robots and base join, where they cannot reach each other
+#[derive(Clone, Debug, clap::Args)]
+pub struct RouterArgs {
+    /// Names of the robots that may join, separated by commas
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', required = true)]
+    pub names: Vec<String>,
+    /// Endpoint at which robots and base join
+    #[arg(long, value_name = "tls/HOST:PORT", default_value = LISTEN_DEFAULT)]
+    pub listen: Endpoint,
+    /// How the link is protected.
+    #[command(flatten)]
+    pub protection: ProtectionArgs,
+    /// Print these settings as a configuration file of `zenohd`, which does the same, and end
+    #[arg(long)]
+    pub print_config: bool,
+}
+
 /// How the link is protected.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ProtectionArgs {
-    /// Folder of this machine's key [default: below ~/.local/state/mr-slam/keys: robots/NAME, or base]
+    /// Folder of this machine's key [default: below ~/.local/state/mr-slam/keys: robots/NAME, base, or router]
     #[arg(long, value_name = "DIR")]
     pub keys: Option<PathBuf>,
     /// Accept tcp/ to other machines: whoever reaches the port can drive the robots
@@ -110,9 +142,12 @@ pub struct LinkArgs {
     /// Name of the robot, on a robot's machine.
     #[arg(long)]
     pub name: Option<String>,
-    /// Endpoint of the base.
+    /// Endpoint of the base, or of a router.
     #[arg(long)]
     pub endpoint: Endpoint,
+    /// At the base: the endpoint is a router's.
+    #[arg(long)]
+    pub behind_router: bool,
     /// Folder of this machine's key, if the endpoint is encrypted.
     #[arg(long, value_name = "DIR")]
     pub keys: Option<PathBuf>,
@@ -129,7 +164,9 @@ pub fn run_robot(args: &RobotArgs) -> Result<(), Error> {
     let keys = args.protection.check(&args.base, &KeyOwner::Robot(args.name.clone()))?;
     let ros_name = if args.plain_names { String::new() } else { args.name.clone() };
     (up.fleet.robots, up.fleet.names) = (Some(1), Some(vec![ros_name]));
-    Ok(run_or_detach(&up, &mut LinkProcess::new(args.base.clone(), Some(args.name.clone()), keys))?)
+    let name = Some(args.name.clone());
+    let mut link = LinkProcess { name, keys, ..LinkProcess::new(args.base.clone()) };
+    Ok(run_or_detach(&up, &mut link)?)
 }
 
 /// Launches the base's processes.
@@ -143,9 +180,45 @@ pub fn run_base(args: &BaseArgs) -> Result<(), Error> {
     if names.is_empty() || names.iter().any(String::is_empty) {
         return Err(LinkArgsError::NoNames.into());
     }
-    let keys = args.protection.check(&args.listen, &KeyOwner::Base)?;
+    let endpoint = match (&args.listen, &args.router) {
+        (Some(_), Some(_)) => return Err(LinkArgsError::ListenAndRouter.into()),
+        (Some(endpoint), None) | (None, Some(endpoint)) => endpoint.clone(),
+        (None, None) => LISTEN_DEFAULT.parse()?,
+    };
+    let keys = args.protection.check(&endpoint, &KeyOwner::Base)?;
     up.fleet.world = Some(World::Robots);
-    Ok(run_or_detach(&up, &mut LinkProcess::new(args.listen.clone(), None, keys))?)
+    let behind_router = args.router.is_some();
+    Ok(run_or_detach(&up, &mut LinkProcess { behind_router, keys, ..LinkProcess::new(endpoint) })?)
+}
+
+/// Runs a router until it is ended.
+#[cfg(feature = "link")]
+pub fn run_router(args: &RouterArgs) -> Result<(), Error> {
+    if args.names.iter().any(String::is_empty) {
+        return Err(LinkArgsError::NoNames.into());
+    }
+    let keys = args.protection.check(&args.listen, &KeyOwner::Router)?;
+    let config = SessionConfig {
+        endpoint: args.listen.clone(),
+        role: SessionRole::Router,
+        robots: args.names.clone(),
+        keys: keys.as_deref().map(KeyFiles::find).transpose()?,
+    };
+    if args.print_config {
+        return Ok(super::output::print(&config.to_json())?);
+    }
+    let stop = crate::stop::Stop::on_signals()?;
+    let _router = link_transport::Router::open(&config)?;
+    while !stop.requested() {
+        std::thread::sleep(SESSION_POLL);
+    }
+    Ok(())
+}
+
+/// Says that this binary has no link.
+#[cfg(not(feature = "link"))]
+pub fn run_router(_: &RouterArgs) -> Result<(), Error> {
+    Ok(check_built()?)
 }
 
 fn check_built() -> Result<(), LinkArgsError> {
@@ -156,7 +229,7 @@ fn check_built() -> Result<(), LinkArgsError> {
 #[cfg(feature = "link")]
 pub fn run(args: &LinkArgs) -> Result<(), Error> {
     use crate::process::link::{self, BaseLink, RobotLink, RunStop};
-    use link_transport::{SessionConfig, ZenohTransport};
+    use link_transport::ZenohTransport;
     use std::hash::{BuildHasher, Hasher, RandomState};
 
     let run = Run::open(&args.run_dir)?;
@@ -164,17 +237,30 @@ pub fn run(args: &LinkArgs) -> Result<(), Error> {
     let session = RandomState::new().build_hasher().finish().max(1);
     let config = SessionConfig {
         endpoint: args.endpoint.clone(),
-        is_base: args.name.is_none(),
+        role: match (&args.name, args.behind_router) {
+            (Some(_), _) => SessionRole::Robot,
+            (None, false) => SessionRole::Base,
+            (None, true) => SessionRole::BaseBehindRouter,
+        },
         robots: match &args.name {
             Some(name) => vec![name.clone()],
             None => run.robots().map(|robot| run.config.robot_name(robot)).collect(),
         },
         keys: args.keys.as_deref().map(KeyFiles::find).transpose()?,
     };
-    let (ports, run_stop) = (link::attach(&run)?, RunStop::start(&run)?);
-    let transport = ZenohTransport::open(&config)?;
+    let period = if args.name.is_none() { link::BASE_STATE_PERIOD } else { link::ROBOT_STATE_PERIOD };
+    let (ports, run_stop) = (link::attach(&run)?, RunStop::start(&run, period)?);
     let over = || stop.requested();
-    if config.is_base {
+    // It waits for the other machine, maybe for ever, and cannot be asked to end.
+    let opening = std::thread::spawn(move || ZenohTransport::open(&config));
+    while !opening.is_finished() {
+        if over() {
+            return Ok(());
+        }
+        std::thread::sleep(SESSION_POLL);
+    }
+    let transport = opening.join().map_err(|_| LinkArgsError::Panic)??;
+    if args.name.is_none() {
         link::serve_link(&run, &mut BaseLink::open(&ports, &run, transport, run_stop, session)?, &over);
     } else {
         link::serve_link(&run, &mut RobotLink::open(&ports, &run, transport, run_stop, session)?, &over);
@@ -193,6 +279,8 @@ struct LinkProcess {
     endpoint: Endpoint,
     /// Name of the robot, on a robot's machine.
     name: Option<String>,
+    /// The endpoint is a router's, at the base.
+    behind_router: bool,
     keys: Option<PathBuf>,
     run: Option<Run>,
     child: Option<Child>,
@@ -200,8 +288,10 @@ struct LinkProcess {
 }
 
 impl LinkProcess {
-    fn new(endpoint: Endpoint, name: Option<String>, keys: Option<PathBuf>) -> Self {
-        Self { endpoint, name, keys, run: None, child: None, policy: RestartPolicy::new(now()) }
+    /// Creates a base's process without a key, which is not started yet.
+    fn new(endpoint: Endpoint) -> Self {
+        let policy = RestartPolicy::new(now());
+        Self { endpoint, name: None, behind_router: false, keys: None, run: None, child: None, policy }
     }
 
     fn start(&mut self) -> io::Result<()> {
@@ -211,6 +301,9 @@ impl LinkProcess {
         command.args(["--endpoint", &self.endpoint.to_string()]);
         if let Some(name) = &self.name {
             command.args(["--name", name]);
+        }
+        if self.behind_router {
+            command.arg("--behind-router");
         }
         if let Some(keys) = &self.keys {
             command.arg("--keys").arg::<&Path>(keys);

@@ -1,6 +1,7 @@
 //! Command line of `mr-slam`: one module for each tool, with its arguments and a `run` function.
 
 pub mod clients;
+mod connection_log;
 pub mod demo;
 pub mod doctor;
 pub mod edges;
@@ -51,6 +52,8 @@ enum Command {
     Robot(Box<link::RobotArgs>),
     /// Run the base: merging, bridge and page for robots on other machines
     Base(Box<link::BaseArgs>),
+    /// Run a Zenoh router at which robots and base join, where they cannot reach each other
+    Router(link::RouterArgs),
     /// Create the keys with which robots and base of several machines know each other
     Keys(keys::KeysArgs),
     /// Carry a run's channels to another machine; started by `robot` and `base`
@@ -119,6 +122,7 @@ pub fn run(cli: Cli) -> Result<(), Error> {
         }
         Command::Robot(args) => link::run_robot(&args)?,
         Command::Base(args) => link::run_base(&args)?,
+        Command::Router(args) => link::run_router(&args)?,
         Command::Keys(args) => keys::run(&args)?,
         Command::Link(args) => link::run(&args)?,
         Command::Status(args) => status::run(&args)?,

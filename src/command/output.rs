@@ -1,8 +1,10 @@
 //! Printing of results and progress. A reader that has gone (`mr-slam status --json | head`) is no error.
 
+use super::connection_log::ConnectionLog;
 use serde::Serialize;
 use std::io::{self, Write};
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::format;
 
 /// Messages that are logged without `RUST_LOG`: a person at a terminal wants to know what went wrong.
 const LOG_DEFAULT: &str = "warn";
@@ -11,14 +13,14 @@ const LOG_DEFAULT: &str = "warn";
 pub fn start_log() {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(LOG_DEFAULT));
     let started = tracing_subscriber::fmt()
-        .compact()
-        .with_env_filter(filter)
-        .with_target(false)
-        .without_time()
         .with_ansi(false)
-        .with_writer(io::stderr)
         // A closed standard error is no reason to end a process.
         .log_internal_errors(false)
+        .event_format(ConnectionLog::new(
+            format().compact().with_target(false).without_time().with_ansi(false),
+        ))
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
         .try_init();
     // Only a second call fails, and then the first one's log is in use.
     drop(started);

@@ -13,7 +13,7 @@ mod tests;
 pub use base::BaseLink;
 pub use report::{LinkReport, PeerReport, ReportLink};
 pub use robot::RobotLink;
-pub use stop::{RunStop, StopControl};
+pub use stop::{BASE_STATE_PERIOD, ROBOT_STATE_PERIOD, RunStop, StopControl};
 
 use crate::channel::{Opener, Program};
 use crate::clock::now;

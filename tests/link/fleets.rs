@@ -3,6 +3,7 @@
 use mr_slam::control::{self, Request};
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
+use msg::{GridView, VelocityCommand};
 use operator::client::Client;
 use ros_messages::Twist;
 use rustix::process::{Pid, Signal, kill_process};
@@ -34,6 +35,16 @@ pub fn until<T>(what: &str, limit: Duration, mut condition: impl FnMut() -> Opti
 /// Cells of a map by their places on its lattice.
 pub type Cells = BTreeMap<(i64, i64), i8>;
 
+/// Returns the known cells of a grid.
+pub fn known_cells(map: GridView<'_>) -> Cells {
+    let header = map.header;
+    let corner = [header.origin.x_m, header.origin.y_m].map(|m| (m / header.resolution_m).round() as i64);
+    let width = (header.width as usize).max(1);
+    let known = map.cells.iter().enumerate().filter(|(_, cell)| **cell != msg::grid::UNKNOWN);
+    let place = |index: usize| (corner[0] + (index % width) as i64, corner[1] + (index / width) as i64);
+    known.map(|(index, cell)| (place(index), *cell)).collect()
+}
+
 /// A launcher with its run.
 pub struct Fleet {
     launcher: Child,
@@ -55,6 +66,24 @@ fn with_args(mut command: Command, folder: &Path, args: &[&str]) -> Command {
 
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_mr-slam"))
+}
+
+/// A process that is killed when it is dropped.
+pub struct Ended(Child);
+
+impl Ended {
+    /// Starts a process.
+    pub fn start(folder: &Path, args: &[&str]) -> Self {
+        let mut command = with_args(program(), folder, args);
+        Self(command.stderr(Stdio::inherit()).spawn().unwrap())
+    }
+}
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 /// Runs a command that must be refused, and returns what it says.
@@ -133,21 +162,59 @@ impl Fleet {
     /// Returns the known cells of a map.
     pub fn cells(&mut self, map_name: &str) -> Cells {
         self.observer.poll();
-        self.was_driven |= self.observer.command(0).is_some_and(|(command, _)| command.linear_m_s != 0.0);
+        self.was_driven |= self.is_driven();
         let mut cells = Cells::new();
         self.observer.show_maps(|name, map| {
             if name == map_name {
-                let header = map.header;
-                let corner =
-                    [header.origin.x_m, header.origin.y_m].map(|m| (m / header.resolution_m).round() as i64);
-                let width = (header.width as usize).max(1);
-                let known = map.cells.iter().enumerate().filter(|(_, cell)| **cell != msg::grid::UNKNOWN);
-                let place =
-                    |index: usize| (corner[0] + (index % width) as i64, corner[1] + (index / width) as i64);
-                cells.extend(known.map(|(index, cell)| (place(index), *cell)));
+                cells = known_cells(map);
             }
         });
         cells
+    }
+
+    /// Returns whether the newest velocity on the channel to the robot is not zero.
+    fn is_driven(&self) -> bool {
+        let moves = |command: VelocityCommand| command.linear_m_s != 0.0 || command.angular_rad_s != 0.0;
+        self.observer.command(0).is_some_and(|(command, _)| moves(command))
+    }
+
+    /// Returns whether the robot's bridge has it driving now.
+    pub fn is_driving(&mut self) -> bool {
+        self.observer.poll();
+        self.is_driven()
+    }
+
+    /// Returns what has arrived at this fleet, as a launcher sees it. Only the bench needs it.
+    #[allow(dead_code)]
+    pub fn observer(&mut self) -> &mut Observer {
+        self.observer.poll();
+        &mut self.observer
+    }
+
+    /// Returns the launcher and all processes below it.
+    pub fn processes(&self) -> Vec<Pid> {
+        let mut found = vec![self.launcher.id()];
+        let mut next = 0;
+        while let Some(pid) = found.get(next).copied() {
+            next += 1;
+            let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+            for thread in threads {
+                let children = std::fs::read_to_string(thread.path().join("children")).unwrap_or_default();
+                found.extend(children.split_whitespace().filter_map(|pid| pid.parse::<u32>().ok()));
+            }
+        }
+        found.into_iter().filter_map(|pid| Pid::from_raw(pid as i32)).collect()
+    }
+
+    /// Kills all of its processes at once, as when its machine loses its power.
+    pub fn kill(mut self) {
+        let processes = self.processes();
+        // The launcher first, so that it starts nothing again.
+        for pid in processes {
+            let _ = kill_process(pid, Signal::KILL);
+        }
+        let _ = self.launcher.wait();
+        self.run.domain.remove();
     }
 
     /// Returns `Some` when at least 99 % of a robot's occupied cells are occupied in this fleet's merged map.
@@ -190,13 +257,18 @@ impl Fleet {
 
     /// Drives a robot over this fleet's TCP port.
     pub fn drive(&mut self, name: &str, seconds: f64, linear: f64, angular: f64) {
+        let begun = Instant::now();
+        self.drive_until(name, linear, angular, || begun.elapsed().as_secs_f64() >= seconds);
+    }
+
+    /// Drives a robot over this fleet's TCP port until `over` returns true.
+    pub fn drive_until(&mut self, name: &str, linear: f64, angular: f64, mut over: impl FnMut() -> bool) {
         let mut client = Client::new(format!("127.0.0.1:{}", self.run.port));
         let topic = format!("/{name}/cmd_vel");
         let handle = client.handle();
         handle.advertise::<Twist>(&topic);
         let twist = Twist { linear: [linear, 0.0, 0.0], angular: [0.0, 0.0, angular] };
-        let begun = Instant::now();
-        while begun.elapsed().as_secs_f64() < seconds {
+        while !over() {
             client.poll(Instant::now() + POLL, &mut |_| {});
             handle.publish(&topic, &twist);
         }

@@ -1,6 +1,7 @@
 //! Robots and a base on one machine, joined over Zenoh: `cargo test --features link --test link`.
 
 mod fleets;
+mod power;
 mod strangers;
 
 use fleets::{Fleet, LIMIT, caught_up, endpoint, start, until};

@@ -10,8 +10,10 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
-/// Period at which the bridge is asked whether it is stopped.
-const STATE_PERIOD: Duration = Duration::from_millis(100);
+/// Period at which the base's bridge is asked whether it is stopped: a part of the time that a stop takes to a robot.
+pub const BASE_STATE_PERIOD: Duration = Duration::from_millis(40);
+/// Period at which a robot's bridge is asked: only to repeat a stop that it has not set, and for the base's information.
+pub const ROBOT_STATE_PERIOD: Duration = Duration::from_millis(200);
 /// Longest wait for the bridge's answer.
 const PATIENCE: Duration = Duration::from_millis(500);
 
@@ -35,13 +37,15 @@ pub struct RunStop {
 }
 
 impl RunStop {
-    /// Starts the thread, which ends with this value.
-    pub fn start(run: &Run) -> io::Result<Self> {
+    /// Starts the thread, which asks the bridge once a `period` and ends with this value.
+    pub fn start(run: &Run, period: Duration) -> io::Result<Self> {
         let state = Arc::new(AtomicU8::new(UNKNOWN));
         // The newest request counts; two wait while the disk or the bridge is slow.
         let (requests, received) = sync_channel(2);
         let (run, shared) = (run.clone(), state.clone());
-        std::thread::Builder::new().name("stop".into()).spawn(move || serve(&run, &received, &shared))?;
+        std::thread::Builder::new()
+            .name("stop".into())
+            .spawn(move || serve(&run, period, &received, &shared))?;
         Ok(Self { state, requests })
     }
 }
@@ -61,9 +65,9 @@ impl StopControl for RunStop {
     }
 }
 
-fn serve(run: &Run, requests: &Receiver<bool>, state: &AtomicU8) {
+fn serve(run: &Run, period: Duration, requests: &Receiver<bool>, state: &AtomicU8) {
     loop {
-        let request = match requests.recv_timeout(STATE_PERIOD) {
+        let request = match requests.recv_timeout(period) {
             Ok(true) => {
                 // The disk first: the stop outlives a bridge that does not answer.
                 if let Err(why) = latch_stop(&DiskStorage, &stop_file(&run.dir), crate::clock::now()) {
