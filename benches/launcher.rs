@@ -2,7 +2,14 @@
 
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufRead, BufReader};
-use std::process::Child;
+use std::process::{Child, Command};
+
+/// Returns `mr-slam COMMAND`, `up` or `demo`, of a fleet that ends with the calling thread's process, also if that is killed.
+pub fn command(command: &str) -> Command {
+    let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"));
+    launcher.args([command, "--parent-pid", &std::process::id().to_string()]);
+    launcher
+}
 
 /// Waits until a launcher with piped standard error says that its run's folder is complete; discards what it says later.
 pub fn wait_until_ready(launcher: &mut Child) -> Result<(), String> {

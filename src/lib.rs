@@ -24,6 +24,7 @@ pub mod certificate;
 pub mod control;
 pub mod merge_maps;
 pub mod merge_memory;
+pub mod nasa_tlx;
 pub mod observer;
 pub mod offered_room;
 pub mod terminal;

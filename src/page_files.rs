@@ -49,6 +49,8 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("selfcheck.js", SCRIPT),
     file!("shaders.js", SCRIPT),
     file!("state.js", SCRIPT),
+    file!("/tlx", "tlx.html", HTML),
+    file!("tlx.js", SCRIPT),
     file!("transport.js", SCRIPT),
     file!("view.js", SCRIPT),
     file!("xr.js", SCRIPT),
@@ -73,7 +75,8 @@ mod tests {
         let quoted = text.split('"').skip(1).step_by(2);
         let of_imports =
             quoted.filter_map(|quoted| quoted.strip_prefix("./")).filter(|name| !name.is_empty());
-        let is_linked = |name: &&str| ["main.js", "selfcheck.js", "style.css", "icon.svg"].contains(name);
+        let is_linked =
+            |name: &&str| ["main.js", "selfcheck.js", "tlx.js", "style.css", "icon.svg"].contains(name);
         let linked = text.split('"').filter(is_linked).filter(|_| file.content_type == HTML);
         of_imports.chain(linked).map(|name| format!("/{name}")).collect()
     }

@@ -136,6 +136,11 @@ impl Args {
 
 type Rows = Result<Vec<Row>, Box<dyn Error>>;
 
+/// Has this process killed when the one that started it ends. Returns false if that cannot be had.
+fn ends_with_parent() -> bool {
+    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL)).is_ok()
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
     // The bench runs this program again: as operator, as ROS 2 peer, as load, and in a file system of its own.
@@ -143,6 +148,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some("operator") => return operator::run(&words[2], &words[3]),
         Some("ros-peer") => return peer::listen(words[2].parse()?, Duration::from_secs(words[3].parse()?)),
         Some("hog") => hogs::spin(),
+        // With the bench outside, whose part it is.
+        Some(confined::DISK | confined::SHM) if !ends_with_parent() => return Err("the bench is gone".into()),
         Some(confined::DISK) => return confined::print(&confined::disk(&Args::parse(&words)?)?),
         Some(confined::SHM) => return confined::print(&confined::shared_memory(&Args::parse(&words)?)?),
         _ => {}

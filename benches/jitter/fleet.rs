@@ -14,7 +14,7 @@ use std::error::Error;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 /// Largest frame that the client accepts, bytes. Frames of a fleet in the laboratory are smaller.
@@ -57,8 +57,8 @@ impl Fleet {
     /// Starts a fleet with another command, such as `demo`.
     pub fn start_command(command: &str, robots: usize, words: &[&str]) -> Result<Self, Box<dyn Error>> {
         let dir = std::env::temp_dir().join(format!("mr-slam-bench-{}", std::process::id()));
-        let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
-            .args([command, "--port", "0", "--robots", &robots.to_string(), "--run-dir"])
+        let mut launcher = launcher::command(command)
+            .args(["--port", "0", "--robots", &robots.to_string(), "--run-dir"])
             .arg(&dir)
             .args(words)
             .stdout(Stdio::null())

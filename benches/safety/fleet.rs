@@ -7,7 +7,7 @@ use crate::link::operator_address;
 use rustix::process::{Pid, Signal, kill_process};
 use std::error::Error;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 /// How long the fleet may take to end.
@@ -31,8 +31,8 @@ impl Fleet {
         let dir = std::env::temp_dir().join(format!("mr-slam-safety-{}-{world}", std::process::id()));
         // Domains whose ports lie below those that the system gives to anybody.
         let domain = 2 + (std::process::id() % 98) as u16;
-        let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
-            .args(["up", "--port", "0", "--robots", "1", "--world", world])
+        let mut launcher = launcher::command("up")
+            .args(["--port", "0", "--robots", "1", "--world", world])
             .args(["--ros-domain", &domain.to_string(), "--allow", &operator_address(), "--run-dir"])
             .arg(&dir)
             .stdin(Stdio::null())

@@ -13,7 +13,7 @@ use reports::FleetView;
 use rustix::process::{Pid, Signal, kill_process};
 use std::error::Error;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 /// Longest wait for a fleet, for a process, and for a map.
@@ -59,8 +59,8 @@ impl Fleet {
         robots: usize,
         words: &[&str],
     ) -> Result<Self, Box<dyn Error>> {
-        let mut launcher = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
-            .args([command, "--port", "0", "--page", "0", "--robots", &robots.to_string(), "--run-dir"])
+        let mut launcher = launcher::command(command)
+            .args(["--port", "0", "--page", "0", "--robots", &robots.to_string(), "--run-dir"])
             .arg(dir)
             .args(words)
             .env("XDG_STATE_HOME", dir.join("state"))

@@ -18,9 +18,11 @@ mod session;
 mod socket;
 mod stream;
 mod tls;
+mod tlx;
 
 pub use http::PageFile;
 pub use room::{ROOM_BYTES_MAX, SaveRoom};
 pub use server::{PageContent, serve_page};
 pub use tls::{TlsError, tls_acceptor};
+pub use tlx::{SaveTlx, TlxAnswer, TlxError};
 pub use tokio_rustls::TlsAcceptor;

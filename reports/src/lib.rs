@@ -3,21 +3,27 @@
 //! Figures and maps come in, texts go out: no clock, file, socket or thread.
 
 mod bridge_state;
+mod graph_picture;
 mod html;
 mod map_picture;
 mod plots;
 mod series;
+mod system;
 mod view;
+mod workload;
 
 pub use bridge_state::BridgeState;
+pub use graph_picture::{GraphEdge, GraphNode, graph_picture, tree_picture};
 pub use html::{Page, Row};
 pub use map_picture::{Trail, map_picture};
 pub use plots::{Group, Line, line_plot, plot_over, quantile_plot};
-pub use series::{RobotSeries, Series};
+pub use series::{DrivenTime, RobotSeries, Series, TeleoperationProfile, add_teleoperation};
+pub use system::{frame_tree, process_graph};
 pub use view::{
     ClosureView, DistributionView, EdgeView, Emphasis, FleetView, MapView, ProcessView, RobotView, SlamView,
     Style, edge_table, edges_json,
 };
+pub use workload::{TlxEntry, add_workload};
 
 /// Returns the colour of a robot, by its index: that of its way in map pictures.
 pub fn colour(index: usize) -> formats::map_file::Rgb {

@@ -1,5 +1,6 @@
 //! Figures of a run over time, a bounded number of samples.
 
+use crate::html::{Page, Row};
 use crate::view::{FleetView, MapView};
 use msg::{MapTransforms, VelocityCommand};
 use serde::Serialize;
@@ -26,6 +27,61 @@ pub struct RobotSeries {
     pub angular_rad_s: Vec<f64>,
     /// Where its map lies in the merged map at the end: x m, y m, yaw rad; `None` if it is not merged.
     pub map_from_robot_map: Option<[f64; 3]>,
+}
+
+impl RobotSeries {
+    fn is_driven(&self, sample: usize) -> bool {
+        [&self.linear_m_s, &self.angular_rad_s].iter().any(|of| of.get(sample).is_some_and(|v| *v != 0.0))
+    }
+}
+
+/// How long a robot was driven, by the samples of a run, and what it was told.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DrivenTime {
+    /// Time in which it was told to move, seconds.
+    pub driven_s: f64,
+    /// Distance that it was told to drive, metres.
+    pub distance_m: f64,
+    /// Angle that it was told to turn, radians.
+    pub turned_rad: f64,
+}
+
+/// How the operator's time was spent.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TeleoperationProfile {
+    /// Each robot's part.
+    pub robots: Vec<DrivenTime>,
+    /// How often another robot was driven than the one before.
+    pub switches: u64,
+}
+
+/// Adds the table of the teleoperation: time of each robot, mean speeds, switches. Says so if nobody drove.
+pub fn add_teleoperation(page: &mut Page, series: &Series) {
+    let profile = series.teleoperation();
+    let sum: f64 = profile.robots.iter().map(|robot| robot.driven_s).sum();
+    if sum <= 0.0 {
+        page.paragraph("Teleoperation: no data, nobody drove");
+        return;
+    }
+    let row = |(robot, driven): (&RobotSeries, &DrivenTime)| -> Row {
+        let mean = |value: f64| {
+            if driven.driven_s > 0.0 { format!("{:.3}", value / driven.driven_s) } else { "no data".into() }
+        };
+        vec![
+            robot.robot.clone(),
+            format!("{:.0}", driven.driven_s),
+            format!("{:.1}", 100.0 * driven.driven_s / sum),
+            mean(driven.distance_m),
+            mean(driven.turned_rad),
+        ]
+    };
+    let heads = ["teleoperation", "driven, s", "share, %", "mean speed, m/s", "mean turning rate, rad/s"];
+    page.table(&heads, &series.robots.iter().zip(&profile.robots).map(row).collect::<Vec<_>>());
+    page.paragraph(&format!(
+        "{} switches between robots. From samples of the velocities that the robots were told, once a second: shorter \
+         moves are missed.",
+        profile.switches
+    ));
 }
 
 /// Figures of a run over time.
@@ -85,6 +141,40 @@ impl Series {
         }
     }
 
+    /// Returns each robot's name, and its number in the samples in which it was driven.
+    pub fn driven(&self) -> Vec<(String, Vec<Option<f64>>)> {
+        let of_robot = |(index, robot): (usize, &RobotSeries)| {
+            let samples = 0..self.time_s.len();
+            let number = samples.map(|sample| robot.is_driven(sample).then_some((index + 1) as f64));
+            (robot.robot.clone(), number.collect())
+        };
+        self.robots.iter().enumerate().map(of_robot).collect()
+    }
+
+    /// Returns how the operator's time was spent.
+    pub fn teleoperation(&self) -> TeleoperationProfile {
+        let mut profile =
+            TeleoperationProfile { robots: vec![DrivenTime::default(); self.robots.len()], switches: 0 };
+        let mut last = None;
+        for sample in 1..self.time_s.len() {
+            let lasted_s = self.time_s[sample] - self.time_s[sample - 1];
+            for (robot, driven) in self.robots.iter().zip(&mut profile.robots) {
+                if robot.is_driven(sample) {
+                    driven.driven_s += lasted_s;
+                    driven.distance_m += robot.linear_m_s[sample].abs() * lasted_s;
+                    driven.turned_rad += robot.angular_rad_s[sample].abs() * lasted_s;
+                }
+            }
+            let mut now = (0..self.robots.len()).filter(|robot| self.robots[*robot].is_driven(sample));
+            // Several that are driven at once are no switch between them.
+            if let (Some(robot), None) = (now.next(), now.next()) {
+                profile.switches += u64::from(last.is_some_and(|last| last != robot));
+                last = Some(robot);
+            }
+        }
+        profile
+    }
+
     /// Sets where the robots' maps lie in the merged map.
     pub fn set_map_transforms(&mut self, transforms: &MapTransforms) {
         for (series, transform) in self.robots.iter_mut().zip(&transforms.robots) {
@@ -121,6 +211,33 @@ fn halve<T>(values: &mut Vec<T>) {
 mod tests {
     use super::*;
     use msg::{FleetStats, Stamp};
+
+    #[test]
+    fn the_operators_time_is_divided_among_the_robots_and_switches_are_counted() {
+        let mut stats: Box<FleetStats> = bytemuck::allocation::zeroed_box();
+        stats.robot_count = 2;
+        let mut series = Series::default();
+        // Nobody, three seconds robot 1, a second nobody, two seconds robot 2, a second robot 1, a second both.
+        for (second, driven) in [0, 1, 1, 1, 0, 2, 2, 1, 3].into_iter().enumerate() {
+            stats.header.stamp = Stamp::from_seconds(second as f64);
+            series.add(&FleetView::new(&stats), |robot| {
+                let linear_m_s = if driven >> robot & 1 == 1 { 0.2 } else { 0.0 };
+                Some((VelocityCommand { linear_m_s, ..VelocityCommand::default() }, 0.0))
+            });
+        }
+        let profile = series.teleoperation();
+        assert_eq!(profile.switches, 2);
+        let driven_s: Vec<f64> = profile.robots.iter().map(|robot| robot.driven_s).collect();
+        assert_eq!(driven_s, [5.0, 3.0]);
+        assert!((profile.robots[0].distance_m - 1.0).abs() < 1e-9);
+        let mut page = Page::part();
+        add_teleoperation(&mut page, &series);
+        let html = page.into_part();
+        assert!(html.contains("62.5") && html.contains("2 switches"), "{html}");
+        let mut page = Page::part();
+        add_teleoperation(&mut page, &Series::default());
+        assert!(page.into_part().contains("no data"));
+    }
 
     #[test]
     fn a_long_run_has_a_bounded_number_of_samples_over_all_of_its_time() {

@@ -227,7 +227,7 @@ fn run_in_lockstep(config: &FleetConfig, seconds: u32, folder: &Path, stop: &Sto
     if let Some(transforms) = &seen.map_transforms {
         series.set_map_transforms(transforms);
     }
-    let mut pictures = Pictures::default();
+    let mut pictures = Pictures::new(config);
     for (name, map) in fleet.maps() {
         pictures.add(name, map, &series);
     }

@@ -3,13 +3,14 @@
 use super::run_args::RunArgs;
 use super::{Error, output};
 use crate::channel::{Opener, Program};
+use crate::process::record::files::write_summary;
 use crate::process::record::{self, Summary, new_files};
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Record a running fleet as MCAP with ROS 2 messages
+/// Record a running fleet as MCAP with ROS 2 messages; the numbers of messages go to a .json beside it
 #[derive(Clone, Debug, clap::Args)]
 pub struct RecordArgs {
     /// Choice of the running fleet.
@@ -42,6 +43,14 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
         std::fs::create_dir_all(folder)?;
     }
     let files = new_files(&path, &run.config.recording)?;
+    let summary_path = path.with_extension("json");
+    if summary_path.exists() {
+        return Err(format!(
+            "{}: exists already; choose another name for the recording",
+            summary_path.display()
+        )
+        .into());
+    }
     let name = format!("record {}", std::process::id());
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::RecordTool), &name)?;
     output::note(&format!("recording {} to {}", run.dir.display(), path.display()));
@@ -51,6 +60,7 @@ pub fn run(args: &RecordArgs, stop: &Stop) -> Result<(), Error> {
         stop.requested() || args.seconds.is_some_and(|seconds| elapsed >= seconds) || !run.is_alive()
     };
     let summary = record::record(&node, &run, files, stop, &is_over)?;
+    write_summary(&summary_path, &summary).map_err(|why| format!("{}: {why}", summary_path.display()))?;
     output::print_either(args.json, &summary, || summary.text())?;
     match summary.ended {
         Some(why) => Err(why.into()),

@@ -8,6 +8,7 @@ mod pictures;
 mod report;
 mod scan_rates;
 mod screen;
+pub(super) mod system;
 
 pub use pictures::{Pictures, write_html};
 pub use report::{Paper, Report, Spread};
@@ -78,6 +79,9 @@ pub struct UpArgs {
     /// Go on in the background, also after logging out; the output goes to launcher.log in the run's folder
     #[arg(long)]
     pub detach: bool,
+    /// Process that started this one, whose end ends the fleet; for programs that measure it.
+    #[arg(long, hide = true)]
+    pub parent_pid: Option<u32>,
     /// Set by `--detach` for the process in the background.
     #[arg(long, hide = true)]
     pub in_background: bool,
@@ -212,7 +216,8 @@ pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), Up
         // A session of its own: the end of the terminal does not reach it.
         rustix::process::setsid().map_err(std::io::Error::from)?;
     }
-    run(args, hooks, &Stop::on_signals()?).map(drop)
+    let stop = args.parent_pid.map_or_else(Stop::on_signals, Stop::for_child)?;
+    run(args, hooks, &stop).map(drop)
 }
 
 /// Runs a fleet from start to end, writes its maps and report into the run's folder, and returns the report.
@@ -325,18 +330,18 @@ fn watch(
         rates.add(fleet);
         rates.fill(fleet);
     }
-    let pictures = draw_maps(&observer, &mut series);
+    let pictures = draw_maps(&run.config, &observer, &mut series);
     let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
     let report = Report { series, pictures, ..report };
     Ok(Report { not_written, ..report })
 }
 
 /// Draws all maps with the ways of the robots.
-fn draw_maps(observer: &Observer, series: &mut Series) -> Pictures {
+fn draw_maps(config: &FleetConfig, observer: &Observer, series: &mut Series) -> Pictures {
     if let Some(transforms) = observer.map_transforms() {
         series.set_map_transforms(transforms);
     }
-    let mut pictures = Pictures::default();
+    let mut pictures = Pictures::new(config);
     observer.show_maps(|name, map| pictures.add(name, map, series));
     pictures
 }

@@ -21,7 +21,7 @@ use ::recording::TopicCount;
 use files::{FileThread, Output, RecordingFiles};
 use inputs::Inputs;
 use msg::{Monotonic, Role};
-use operator::OperatorWatch;
+use operator::{OperatorChange, OperatorWatch};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
@@ -179,8 +179,10 @@ impl<P: Ports> Recording<P> {
     pub fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.inputs.receive(&mut self.recorder, now);
-        if let Some(state) = self.operator.as_mut().and_then(OperatorWatch::changed) {
-            self.recorder.record_operator(&state, now);
+        match self.operator.as_mut().and_then(OperatorWatch::changed) {
+            Some(OperatorChange::State(state)) => self.recorder.record_operator(&state, now),
+            Some(OperatorChange::Workload(entries)) => self.recorder.record_workload(&entries, now),
+            None => {}
         }
         if now >= self.flush_due {
             self.recorder.flush();

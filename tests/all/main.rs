@@ -10,6 +10,7 @@ mod config;
 mod default_config;
 mod edges;
 mod emergency_stop;
+mod evidence;
 mod experiment;
 mod exploration;
 mod faults;

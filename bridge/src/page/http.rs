@@ -5,6 +5,7 @@
 use super::origin::{OriginError, check_host, check_origin};
 use super::protocol::SUBPROTOCOLS;
 use super::room::{ROOM_BYTES_MAX, ROOM_PATH};
+use super::tlx::{TLX_BYTES_MAX, TLX_PATH};
 use httparse::{EMPTY_HEADER, Header, Status};
 use std::net::IpAddr;
 use thiserror::Error;
@@ -45,6 +46,11 @@ pub enum Request {
         /// Bytes of the body.
         length: usize,
     },
+    /// An answer to the form of workload; its bytes follow.
+    Tlx {
+        /// Bytes of the body.
+        length: usize,
+    },
     /// A WebSocket: the response that accepts it.
     WebSocket {
         /// The bytes of the response.
@@ -59,11 +65,14 @@ pub enum RequestError {
     #[error("not an HTTP/1.1 request of at most {HEAD_BYTES_MAX} bytes and {HEADERS_MAX} headers")]
     Malformed,
     /// The request is not for GET or HEAD, or has a body.
-    #[error("only GET and HEAD without a body are served, and POST to {ROOM_PATH}")]
+    #[error("only GET and HEAD without a body are served, and POST to {ROOM_PATH} and {TLX_PATH}")]
     Method,
     /// The room's length is not said, or too large.
     #[error("a room has a Content-Length of 1 to {ROOM_BYTES_MAX} bytes; scan a single room")]
     RoomLength,
+    /// The answer's length is not said, or too large.
+    #[error("an answer has a Content-Length of 1 to {TLX_BYTES_MAX} bytes")]
+    TlxLength,
     /// The request comes from a page that may not talk to the bridge.
     #[error(transparent)]
     Origin(#[from] OriginError),
@@ -78,7 +87,7 @@ impl RequestError {
         let status = match self {
             Self::Malformed | Self::WebSocket => "400 Bad Request",
             Self::Method => "405 Method Not Allowed",
-            Self::RoomLength => "413 Content Too Large",
+            Self::RoomLength | Self::TlxLength => "413 Content Too Large",
             Self::Origin(_) => "403 Forbidden",
         };
         text_response(status, &self.to_string())
@@ -104,7 +113,12 @@ pub fn parse_request(
     check_host(Some(host), local)?;
     let path = target.split(['?', '#']).next().unwrap_or("");
     if method == "POST" && path == ROOM_PATH {
-        return Ok(Some((accept_room(&headers, host, origins)?, length)));
+        let body = accept_json(&headers, host, origins, ROOM_BYTES_MAX)?;
+        return Ok(Some((Request::Room { length: body.ok_or(RequestError::RoomLength)? }, length)));
+    }
+    if method == "POST" && path == TLX_PATH {
+        let body = accept_json(&headers, host, origins, TLX_BYTES_MAX)?;
+        return Ok(Some((Request::Tlx { length: body.ok_or(RequestError::TlxLength)? }, length)));
     }
     let has_body =
         headers.has("transfer-encoding") || headers.only("content-length").is_some_and(|n| n != "0");
@@ -129,16 +143,20 @@ fn check_one_origin(headers: &Headers<'_, '_>, host: &str, origins: &[String]) -
     Ok(check_origin(headers.only("origin"), host, origins)?)
 }
 
-/// Returns the request of a room.
-fn accept_room(headers: &Headers<'_, '_>, host: &str, origins: &[String]) -> Result<Request, RequestError> {
+/// Returns the length of a body in JSON from a page that may send one; `None`: it is not said, 0 or above `bytes_max`.
+fn accept_json(
+    headers: &Headers<'_, '_>,
+    host: &str,
+    origins: &[String],
+    bytes_max: usize,
+) -> Result<Option<usize>, RequestError> {
     check_one_origin(headers, host, origins)?;
     // JSON is a type that a foreign page cannot send without asking first (Fetch, CORS-safelisted request-header).
     if !headers.has_token("content-type", "application/json") || headers.has("transfer-encoding") {
         return Err(RequestError::Malformed);
     }
     let length = headers.only("content-length").and_then(|length| length.parse().ok());
-    let length = length.filter(|length| (1..=ROOM_BYTES_MAX).contains(length));
-    Ok(Request::Room { length: length.ok_or(RequestError::RoomLength)? })
+    Ok(length.filter(|length| (1..=bytes_max).contains(length)))
 }
 
 /// Returns the response that accepts a WebSocket (RFC 6455, 4.2.2).

@@ -113,7 +113,8 @@ impl RoomReceiver {
     }
 }
 
-async fn read_body(stream: &impl Stream, mut body: Vec<u8>, length: usize) -> io::Result<Vec<u8>> {
+/// Reads a body of `length` bytes, of which `body` are here already.
+pub(super) async fn read_body(stream: &impl Stream, mut body: Vec<u8>, length: usize) -> io::Result<Vec<u8>> {
     // Nothing may follow: a connection serves one request.
     body.truncate(length);
     let mut buffer = vec![0; READ_BYTES];

@@ -8,6 +8,7 @@ use super::session::{ClientData, OwnedFrame, Session};
 use super::socket::{MessageReader, PageSocket};
 use super::stream::respond;
 use super::tls::serve_encrypted;
+use super::tlx::{self, SaveTlx};
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
 use crate::connection::{Stream, accept_connections, close_gently};
@@ -55,6 +56,7 @@ pub(super) struct Shared {
     bridge: Rc<Bridge>,
     files: &'static [PageFile],
     rooms: RoomReceiver,
+    save_tlx: Option<SaveTlx>,
     origins: Vec<String>,
     clock: fn() -> Monotonic,
     session_id: String,
@@ -79,6 +81,8 @@ pub struct PageContent {
     pub files: &'static [PageFile],
     /// Saves the rooms that browsers offer; without it they are refused.
     pub save_room: Option<SaveRoom>,
+    /// Saves the answers to the form of workload; without it they are refused.
+    pub save_tlx: Option<SaveTlx>,
 }
 
 /// Serves the page and its WebSockets until `stop` is ready: encrypted with a TLS acceptor, otherwise in clear.
@@ -94,9 +98,10 @@ pub async fn serve_page(
     stop: impl Future<Output = ()>,
 ) {
     let (origins, session_id) = (config.origins.clone(), session_id());
-    let PageContent { files, save_room } = content;
+    let PageContent { files, save_room, save_tlx } = content;
     let rooms = RoomReceiver::new(save_room);
-    let shared = Rc::new(Shared { bridge: bridge.clone(), files, rooms, origins, clock, session_id });
+    let shared =
+        Rc::new(Shared { bridge: bridge.clone(), files, rooms, save_tlx, origins, clock, session_id });
     let serve = |stream, peer| {
         let (shared, encryption) = (shared.clone(), encryption.clone());
         async move {
@@ -130,6 +135,10 @@ pub(super) async fn serve_connection<S: Stream>(shared: Rc<Shared>, stream: S, p
             let first = received.split_off(head);
             let Shared { bridge, rooms, .. } = &*shared;
             (rooms.receive(bridge, &stream, peer.ip(), first, length).await, [].as_slice())
+        }
+        Ok((Request::Tlx { length }, head)) => {
+            let first = received.split_off(head);
+            (tlx::receive(shared.save_tlx.as_ref(), &stream, first, length).await, [].as_slice())
         }
         Ok((Request::File { path, with_body }, _)) => file_response(shared.files, &path, with_body),
         Err(error) => (error.response(), [].as_slice()),

@@ -6,9 +6,12 @@ mod http;
 mod https;
 mod room;
 mod services;
+mod tlx;
 mod topics;
 
-use bridge::{Bridge, BridgeConfig, PageContent, PageFile, process_clock, serve, serve_page};
+use bridge::{
+    Bridge, BridgeConfig, PageContent, PageFile, TlxAnswer, TlxError, process_clock, serve, serve_page,
+};
 use msg::{RobotId, VelocityCommand};
 use std::cell::RefCell;
 use std::future::{pending, ready};
@@ -29,6 +32,8 @@ const FILES: &[PageFile] =
 thread_local! {
     /// The newest room that was saved, on the bridge's thread.
     static SAVED_ROOM: RefCell<Option<Vec<u8>>> = const { RefCell::new(None) };
+    /// The newest answer about workload that was saved.
+    static SAVED_TLX: RefCell<Option<TlxAnswer>> = const { RefCell::new(None) };
 }
 
 fn content() -> PageContent {
@@ -36,7 +41,11 @@ fn content() -> PageContent {
         SAVED_ROOM.set(Some(room));
         Box::pin(ready(Ok(())))
     };
-    PageContent { files: FILES, save_room: Some(Rc::new(save)) }
+    let save_tlx = |answer: TlxAnswer| -> Pin<Box<dyn Future<Output = Result<(), TlxError>>>> {
+        SAVED_TLX.set(Some(answer));
+        Box::pin(ready(Ok(())))
+    };
+    PageContent { files: FILES, save_room: Some(Rc::new(save)), save_tlx: Some(Rc::new(save_tlx)) }
 }
 
 /// Something to do on the bridge's thread.

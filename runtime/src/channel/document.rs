@@ -24,20 +24,25 @@ pub fn chapter() -> String {
 
 /// Returns the processes and their channels as a Mermaid flowchart.
 fn picture() -> String {
+    let mut text = String::from("```mermaid\nflowchart LR\n");
+    for program in [Role::Sim, Role::Slam].map(Program::from) {
+        let _ = writeln!(text, "    {0}[\"{0}(k)\"]", program.name());
+    }
+    for (from, to, names) in arrows() {
+        let _ = writeln!(text, "    {from} -->|\"{}\"| {to}", names.join(", "));
+    }
+    text + "```\n"
+}
+
+/// Returns the fleet's programs that exchange messages: the writer, the reader, and the channels between them.
+pub fn arrows() -> Vec<(&'static str, &'static str, Vec<&'static str>)> {
     let mut arrows: BTreeMap<(Program, Program), Vec<&str>> = BTreeMap::new();
     for row in CHANNELS.into_iter().filter(|row| row.scope != Scope::Process) {
         for (from, to) in arrows_of(row) {
             arrows.entry((from, to)).or_default().push(row.name);
         }
     }
-    let mut text = String::from("```mermaid\nflowchart LR\n");
-    for program in [Role::Sim, Role::Slam].map(Program::from) {
-        let _ = writeln!(text, "    {0}[\"{0}(k)\"]", program.name());
-    }
-    for ((from, to), names) in arrows {
-        let _ = writeln!(text, "    {} -->|\"{}\"| {}", from.name(), names.join(", "), to.name());
-    }
-    text + "```\n"
+    arrows.into_iter().map(|((from, to), names)| (from.name(), to.name(), names)).collect()
 }
 
 /// Returns the arrows of a channel between programs of the fleet itself.

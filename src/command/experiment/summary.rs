@@ -3,7 +3,9 @@
 use super::ExperimentArgs;
 use super::link::LinkChoice;
 use super::session::Session;
+use crate::command::up::system::add_system;
 use crate::command::up::{Paper, Report};
+use crate::config::FleetConfig;
 use crate::process::record::description::machine;
 use reports::FleetView;
 use reports::{Page, Row};
@@ -215,6 +217,13 @@ impl Results {
                 "Time was virtual. Messages take no time then, so that jitter and latencies have no data, and the scan rate says \
                  only that no scan was lost.",
             );
+        }
+        // The sessions' configurations differ in their seeds alone.
+        let config = sessions
+            .first()
+            .map(|first| FleetConfig::from_text(Path::new("session"), &first.settings.config));
+        if let Some(Ok(config)) = config {
+            add_system(&mut page, &config);
         }
         for session in sessions {
             page.heading(&format!("Session {}, seed {}", session.number, session.settings.seed));

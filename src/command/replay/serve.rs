@@ -99,7 +99,7 @@ pub fn run(
         note(&format!("replay of {} s; clients connect to port {port}", player.playback().ends_s()));
         if let Some(url) = url(&config) {
             note(&format!("page: {url}"));
-            spawn_local(page::serve(bridge.clone(), config.bridge.page.clone(), None));
+            spawn_local(page::serve(bridge.clone(), config.bridge.page.clone(), None, None));
         }
         let clients = spawn_local(bridge::serve(bridge.clone(), listener, now, std::future::pending()));
         play(&mut player, services, &bridge, stop).await;

@@ -17,26 +17,23 @@ pub struct Event {
 }
 
 /// Newest events of a run, oldest first, and the number of those that were dropped.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Events {
-    newest: VecDeque<Event>,
-    dropped: u64,
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Events {
+    /// Deaths, restarts and changed edges with their times, oldest first; the newest 1000.
+    pub events: VecDeque<Event>,
+    /// Number of older events that were dropped.
+    pub events_dropped: u64,
 }
 
 impl Events {
     /// Adds an event; the oldest makes way.
     pub fn push(&mut self, at: Duration, event: String) {
-        if self.newest.len() == EVENTS_MAX {
-            self.newest.pop_front();
-            self.dropped += 1;
+        if self.events.len() == EVENTS_MAX {
+            self.events.pop_front();
+            self.events_dropped += 1;
         }
         let at_s = (at.as_secs_f64() * 1e3).round() / 1e3;
-        self.newest.push_back(Event { at_s, event });
-    }
-
-    /// Returns the kept events, and how many older ones were dropped.
-    pub fn into_parts(self) -> (Vec<Event>, u64) {
-        (self.newest.into(), self.dropped)
+        self.events.push_back(Event { at_s, event });
     }
 }
 
@@ -49,8 +46,8 @@ mod tests {
         let mut events = Events::default();
         let seconds = |number: usize| Duration::from_secs(number as u64);
         (0..EVENTS_MAX + 3).for_each(|number| events.push(seconds(number), number.to_string()));
-        let (newest, dropped) = events.into_parts();
-        assert_eq!((newest.len(), dropped), (EVENTS_MAX, 3));
+        let Events { events: newest, events_dropped } = events;
+        assert_eq!((newest.len(), events_dropped), (EVENTS_MAX, 3));
         assert_eq!(newest[0], Event { at_s: 3.0, event: "3".into() });
         assert_eq!(newest[EVENTS_MAX - 1], Event { at_s: 1002.0, event: "1002".into() });
     }

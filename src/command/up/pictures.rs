@@ -1,10 +1,12 @@
 //! The report of a run as HTML: maps, plots and tables.
 
 use super::report::Report;
+use super::system::add_system;
+use crate::config::FleetConfig;
 use crate::process::record::description::machine;
 use msg::{GridView, Pose2};
-use reports::{FleetView, RobotView};
-use reports::{Line, Page, Row, Series, Trail, colour, line_plot, map_picture, quantile_plot};
+use reports::{FleetView, Line, Page, RobotView, Row, Series, Trail};
+use reports::{add_teleoperation, add_workload, colour, line_plot, map_picture, quantile_plot};
 
 /// Longer sides of the pictures of the merged map and of a robot's map, pixels.
 const MERGED_MAP_PX: f64 = 720.0;
@@ -17,9 +19,18 @@ pub struct Pictures {
     robots: Vec<(String, String)>,
     /// The merged map; empty if there is none.
     merged: Option<String>,
+    /// What ran, as a part of a page.
+    system: String,
 }
 
 impl Pictures {
+    /// Begins without maps.
+    pub fn new(config: &FleetConfig) -> Self {
+        let mut system = Page::part();
+        add_system(&mut system, config);
+        Self { system: system.into_part(), ..Self::default() }
+    }
+
     /// Draws a map by its name, such as `robot1_map`, with the ways of its robots.
     pub fn add(&mut self, name: &str, map: GridView<'_>, series: &Series) {
         let own = series.robots.iter().position(|robot| format!("{}_map", robot.robot) == name);
@@ -99,10 +110,13 @@ pub fn write_html(report: &Report) -> String {
     if let Some(fleet) = &report.fleet {
         add_robots(&mut page, fleet, report);
     }
-    if !report.events.is_empty() {
+    add_workload(&mut page, &report.nasa_tlx);
+    page.add_part(&report.pictures.system);
+    let events = &report.events.events;
+    if !events.is_empty() {
         page.heading("Events");
         let row = |event: &super::events::Event| vec![format!("{:.1}", event.at_s), event.event.clone()];
-        let rows: Vec<Row> = report.events.iter().map(row).collect();
+        let rows: Vec<Row> = events.iter().map(row).collect();
         page.table(&["time, s", "event"], &rows);
     }
     page.finish()
@@ -147,8 +161,15 @@ pub fn add_plots(page: &mut Page, series: &Series, fleet: Option<&FleetView>) {
     }));
     plots.push(line_plot("Teleoperation: forward velocity", "m/s", &of_robots(|robot| &robot.linear_m_s)));
     plots.push(line_plot("Teleoperation: turning rate", "rad/s", &of_robots(|robot| &robot.angular_rad_s)));
+    let driven = series
+        .driven()
+        .into_iter()
+        .enumerate()
+        .map(|(index, (name, values))| Line::new(&name, colour(index), time, values.into_iter()));
+    plots.push(line_plot("Teleoperation: robot that is driven", "robot", &driven.collect::<Vec<_>>()));
     let plots: Vec<_> = plots.into_iter().map(|plot| (String::new(), plot)).collect();
     page.pictures(&plots);
+    add_teleoperation(page, series);
 }
 
 fn add_robots(page: &mut Page, fleet: &FleetView, report: &Report) {

@@ -1,11 +1,11 @@
 //! Report of a run, `report.json` for programs and a summary for people.
 
-use super::events::{Event, Events};
+use super::events::Events;
 use super::pictures::{Pictures, write_html};
 use crate::config::FleetConfig;
+use crate::nasa_tlx;
 use crate::run::{Run, RunError};
-use reports::Series;
-use reports::{DistributionView, FleetView, RobotView, Style};
+use reports::{DistributionView, FleetView, RobotView, Series, Style, TlxEntry};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -36,10 +36,11 @@ pub struct Report {
     pub maps: Vec<PathBuf>,
     /// What could not be written, with the reasons; empty if everything was.
     pub not_written: Vec<String>,
-    /// Deaths, restarts and changed edges with their times, oldest first; the newest 1000.
-    pub events: Vec<Event>,
-    /// Number of older events that were dropped.
-    pub events_dropped: u64,
+    /// Ratings of the people who drove, by the raw NASA-TLX form; empty: nobody filled it in.
+    pub nasa_tlx: Vec<TlxEntry>,
+    /// What happened, with the times.
+    #[serde(flatten)]
+    pub events: Events,
 }
 
 /// Figures of the paper for the whole fleet, as the paper defines them; `None` without data.
@@ -191,8 +192,18 @@ impl Report {
         maps: Vec<PathBuf>,
         events: Events,
     ) -> Self {
-        let (events, events_dropped) = events.into_parts();
-        Self { maps, events, events_dropped, ..Self::of_figures(&run.config, elapsed, fleet, operator) }
+        // A file that cannot be read is no lack of answers.
+        let (nasa_tlx, not_written) = match nasa_tlx::read(&run.dir) {
+            Ok(entries) => (entries, Vec::new()),
+            Err(why) => (Vec::new(), vec![format!("answers about workload: {why}")]),
+        };
+        Self {
+            maps,
+            events,
+            nasa_tlx,
+            not_written,
+            ..Self::of_figures(&run.config, elapsed, fleet, operator)
+        }
     }
 
     /// Collects figures without maps and events.
@@ -213,8 +224,8 @@ impl Report {
             pictures: Pictures::default(),
             maps: Vec::new(),
             not_written: Vec::new(),
-            events: Vec::new(),
-            events_dropped: 0,
+            nasa_tlx: Vec::new(),
+            events: Events::default(),
         }
     }
 

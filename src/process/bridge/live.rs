@@ -3,6 +3,7 @@
 use super::feeds::Feed;
 use super::{BridgeProcess, Upkeep, page};
 use crate::clock::now;
+use crate::nasa_tlx;
 use crate::offered_room;
 use crate::ports::Ports;
 use crate::process::control::files::{FileThread, FileWorker};
@@ -36,7 +37,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         }
         if run.config.bridge.page.enabled {
             let room = offered_room::file(run);
-            tasks.push(spawn_local(page::serve(bridge.clone(), run.config.bridge.page.clone(), Some(room))));
+            let (config, save_tlx) = (run.config.bridge.page.clone(), nasa_tlx::saver(run));
+            tasks.push(spawn_local(page::serve(bridge.clone(), config, Some(room), Some(save_tlx))));
         }
         tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
         tasks.push(spawn_local(run_upkeep(upkeep)));

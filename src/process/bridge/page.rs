@@ -3,7 +3,7 @@
 use crate::certificate;
 use crate::clock::now;
 use crate::page_files::PAGE_FILES;
-use ::bridge::{Bridge, PageConfig, PageContent, SaveRoom, TlsAcceptor, serve_page};
+use ::bridge::{Bridge, PageConfig, PageContent, SaveRoom, SaveTlx, TlsAcceptor, serve_page};
 use std::io::{self, Write as _};
 use std::net::IpAddr;
 use std::path::PathBuf;
@@ -15,9 +15,14 @@ use tokio::net::TcpListener;
 const BIND_PAUSE: Duration = Duration::from_secs(1);
 
 /// Serves the page in clear and encrypted until the task is ended. Rooms that browsers offer are saved in `room_file`;
-/// without one they are refused.
-pub async fn serve(bridge: Rc<Bridge>, config: PageConfig, room_file: Option<PathBuf>) {
-    let content = PageContent { files: PAGE_FILES, save_room: room_file.map(save_room) };
+/// without one they are refused. `save_tlx` saves answers about workload, likewise.
+pub async fn serve(
+    bridge: Rc<Bridge>,
+    config: PageConfig,
+    room_file: Option<PathBuf>,
+    save_tlx: Option<SaveTlx>,
+) {
+    let content = PageContent { files: PAGE_FILES, save_room: room_file.map(save_room), save_tlx };
     let plain = serve_on(bridge.clone(), &config, content.clone(), config.port, None);
     let encrypted = async {
         if !config.https.enabled {

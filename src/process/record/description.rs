@@ -25,6 +25,12 @@ pub fn of_run(run: &Run) -> BTreeMap<String, String> {
 
 /// Returns processor, number of cores, kernel and memory of this machine.
 pub fn machine() -> String {
+    let [(_, processor), (_, cores), (_, kernel), (_, memory)] = machine_parts();
+    format!("{processor}, {cores} cores, {kernel}, {memory} memory")
+}
+
+/// Returns the same, each with its name.
+pub fn machine_parts() -> [(&'static str, String); 4] {
     let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
     let field = |text: &str, name: &str| {
         let line = text.lines().find(|line| line.starts_with(name));
@@ -32,7 +38,7 @@ pub fn machine() -> String {
     };
     let processor = field(&read("/proc/cpuinfo"), "model name").unwrap_or_else(|| "unknown processor".into());
     let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
-    let kernel = read("/proc/sys/kernel/osrelease");
+    let kernel = format!("Linux {}", read("/proc/sys/kernel/osrelease").trim());
     let memory = field(&read("/proc/meminfo"), "MemTotal").unwrap_or_default();
-    format!("{processor}, {cores} cores, Linux {}, {memory} memory", kernel.trim())
+    [("processor", processor), ("cores", cores.to_string()), ("kernel", kernel), ("memory", memory)]
 }

@@ -13,7 +13,7 @@ use msg::{
     GroundTruth, Link, Monotonic, NavigationCommand, NavigationFrame, Odometry, RobotId, Stamp,
     VelocityCommand,
 };
-use reports::BridgeState;
+use reports::{BridgeState, TlxEntry};
 use ros_messages::cdr::Writer;
 use ros_messages::{
     Bool, FrameNames, Int32, Message, Odometry as RosOdometry, Pose2D, RobotNames, Text, Twist, write,
@@ -49,6 +49,8 @@ enum OwnTopic {
     OperatorState,
     /// Goals of a robot, and their cancellations, pauses and resumptions, as JSON.
     NavigationCommand,
+    /// Answers to the form of workload, all of the run, as JSON.
+    Workload,
 }
 
 /// One topic of a recording.
@@ -82,7 +84,7 @@ struct FileTopics {
     /// Indices by row of [`OUTGOING_TOPICS`], then by robot; empty if the topic is not recorded.
     by_fleet_topic: [Vec<TopicIndex>; OUTGOING_TOPICS.len()],
     /// Indices by [`OwnTopic`], then by robot.
-    own: [Vec<TopicIndex>; 6],
+    own: [Vec<TopicIndex>; 7],
     description: BTreeMap<String, String>,
     /// The file; `None` once the recording has ended.
     writer: Option<RecordingWriter>,
@@ -176,6 +178,13 @@ impl Recorder {
         self.file.record(OwnTopic::OperatorState, 0, |to| to.string(&json));
     }
 
+    /// Records the answers to the form of workload.
+    pub fn record_workload(&mut self, entries: &[TlxEntry], now: Monotonic) {
+        self.file.at = self.epoch.stamp(now);
+        let json = serde_json::to_string(entries).unwrap_or_default();
+        self.file.record(OwnTopic::Workload, 0, |to| to.string(&json));
+    }
+
     /// Ends the chunk and passes it on to the disk, and begins the next file if this one is large enough.
     pub fn flush(&mut self) {
         self.file.flush();
@@ -256,6 +265,7 @@ impl FileTopics {
             vec![add("/fleet_stats".into(), Text::TYPE, Durability::Volatile)],
             vec![add("/operator_state".into(), Text::TYPE, Durability::Latched)],
             navigation_commands,
+            vec![add("/nasa_tlx".into(), Text::TYPE, Durability::Latched)],
         ];
         Self {
             topics,
