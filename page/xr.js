@@ -29,6 +29,8 @@ import { RobotView, tablePlacement } from "./xr_views.js";
  * @property {(point: {x: number, y: number}) => void} floorSelected a point of `map` was pointed at: for goals
  */
 
+/** Time that a device has to restore the anchors of an earlier session before the page goes on, ms. */
+const RESTORE_MS = 3000;
 /** Period at which panels are painted, seconds. */
 const PANEL_S = 0.25;
 /** Where panels stand at first, seen from the viewer: metres ahead, to the left, below the eyes. */
@@ -82,11 +84,15 @@ export class MixedReality {
   async start() {
     try {
       const session = await requestSession();
-      await Promise.all([this.mapAnchor.restore(session), this.panelAnchor.restore(session)]);
+      let hasEnded = false;
       const xr = await XrSession.begin(session, {
         update: (frame, viewer) => this.update(frame, viewer), draw: () => this.draw(),
-        ended: () => this.ended(), failed: (error) => this.operator.log(`mixed reality: ${error.message}`, true),
+        ended: () => { hasEnded = true; this.ended(); }, failed: (error) => this.operator.log(`mixed reality: ${error.message}`, true),
       });
+      // Devices restore anchors while frames are drawn: nothing is shown until they have, or take too long.
+      const restored = Promise.all([this.mapAnchor.restore(session), this.panelAnchor.restore(session)]);
+      await Promise.race([restored, new Promise((resolve) => { setTimeout(resolve, RESTORE_MS); })]);
+      if (hasEnded) return;
       this.scene = new Scene(xr.renderer);
       this.fleetPanel = new FleetPanel(xr.renderer);
       this.robotPanels.clear();

@@ -24,7 +24,10 @@ export class KeptAnchor {
     try {
       const stored = JSON.parse(this.storage.getItem(this.key) ?? "null");
       if (!stored?.handle || !session.restorePersistentAnchor) return false;
-      this.anchor = await session.restorePersistentAnchor(stored.handle);
+      const anchor = await session.restorePersistentAnchor(stored.handle);
+      // It came late, and was put elsewhere meanwhile.
+      if (this.fixed !== null) return false;
+      this.anchor = anchor;
       this.data = stored.data;
       return true;
     } catch {

@@ -118,7 +118,7 @@ pub fn measure(link: Link, options: &Options) {
     let late: Vec<usize> = (options.robots - LATE.min(options.robots - 1)..options.robots).collect();
     late.iter().for_each(|index| site.network.set_up(Side::Robot(*index), false));
 
-    let mut router = site.start_router();
+    let router = site.start_router();
     let base_config =
         if options.are_starts_known { config(&starts) } else { "[fleet]\nstarts_known = false\n".into() };
     let base_file = write(&site, "base", &base_config);
@@ -166,20 +166,26 @@ pub fn measure(link: Link, options: &Options) {
     drop(router);
     machines.explore(options.outage);
     let missing = machines.missing();
-    router = site.start_router();
+    let _router = site.start_router();
     print_outage("the router was killed", missing, machines.catch_up("the router is back"));
+    compare_and_replace_base(machines, &base_file);
+}
+
+/// Compares the merged map, and replaces the base by another one.
+fn compare_and_replace_base(mut machines: Machines<'_>, base_file: &str) {
     match machines.time_to_merge() {
         Some(seconds) => println!("all maps merged; waited s: {seconds:.1}"),
         None => println!("not all maps are merged within {PATIENCE:?}"),
     }
     println!("F1 of the merged map against the robots' own maps merged on one machine: {:.4}", machines.f1());
 
-    machines.base.kill();
+    let Machines { site, base, robots } = machines;
+    base.kill();
     let begun = Instant::now();
-    machines.base = site.start_base("second_base", &["--config", &base_file]);
+    let base = site.start_base("second_base", &["--config", base_file]);
+    let mut machines = Machines { site, base, robots };
     machines.catch_up("another base has all maps");
     println!("another base, from its start: whole map after s: {:.1}", begun.elapsed().as_secs_f64());
-    drop(router);
 }
 
 /// Lets a robot explore again.

@@ -3,7 +3,7 @@
 
 use std::process::Command;
 
-/// A machine.
+/// Machine with a network of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
     Base,

@@ -16,8 +16,6 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// Log of the link's process: warnings, and from whom connections come, as `connection_log` describes them.
-const LOG: &str = "warn,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug";
 /// Endpoint at which a base listens if nothing else is given.
 const LISTEN_DEFAULT: &str = "tls/0.0.0.0:7447";
 /// Period at which a router, or a link that is not connected yet, looks whether it is to end.
@@ -307,9 +305,6 @@ impl LinkProcess {
         }
         if let Some(keys) = &self.keys {
             command.arg("--keys").arg::<&Path>(keys);
-        }
-        if std::env::var_os("RUST_LOG").is_none() {
-            command.env("RUST_LOG", LOG);
         }
         // A process group of its own: Ctrl-C reaches the launcher alone.
         self.child = Some(command.stdin(Stdio::null()).process_group(0).spawn()?);

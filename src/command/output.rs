@@ -6,8 +6,10 @@ use std::io::{self, Write};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::format;
 
-/// Messages that are logged without `RUST_LOG`: a person at a terminal wants to know what went wrong.
-const LOG_DEFAULT: &str = "warn";
+/// Messages that are logged without `RUST_LOG`: a person at a terminal wants to know what went wrong, and, on a link between
+/// machines, who connects, as `connection_log` describes it.
+const LOG_DEFAULT: &str =
+    "warn,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug";
 
 /// Starts logging to standard error: one compact line for each message that `RUST_LOG` lets pass.
 pub fn start_log() {

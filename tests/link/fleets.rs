@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -69,20 +69,29 @@ fn program() -> Command {
 }
 
 /// A process that is killed when it is dropped.
-pub struct Ended(Child);
+pub struct Ended {
+    process: Child,
+    log: PathBuf,
+}
 
 impl Ended {
     /// Starts a process.
     pub fn start(folder: &Path, args: &[&str]) -> Self {
-        let mut command = with_args(program(), folder, args);
-        Self(command.stderr(Stdio::inherit()).spawn().unwrap())
+        let log = folder.join(format!("{}.log", args[0]));
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(&log).unwrap();
+        Self { process: with_args(program(), folder, args).stderr(file).spawn().unwrap(), log }
+    }
+
+    /// Returns whether it has said something with this text in it.
+    pub fn has_said(&self, text: &str) -> bool {
+        std::fs::read_to_string(&self.log).unwrap().contains(text)
     }
 }
 
 impl Drop for Ended {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.process.kill();
+        let _ = self.process.wait();
     }
 }
 

@@ -86,6 +86,8 @@ fn robots_and_base_join_through_a_router_with_keys() {
     // The router does not let bob's key speak for alice.
     let mut thief = start("thief", &bob_key);
     until("the thief has a map", LIMIT, || (thief.cells("robot1_map").len() > 100).then_some(()));
+    until("the router shows the thief", LIMIT, || router.has_said("of no robot in --names").then_some(()));
+    assert!(router.has_said("key of `robot bob`"));
     assert!(!base.has_said("alice has joined"));
     drop(thief);
     let mut alice = start("alice", &alice_key);

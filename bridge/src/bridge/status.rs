@@ -9,22 +9,28 @@ use crate::router::ClientId;
 use msg::{Distribution, FleetStats, MAP_OLD_AFTER_S, Monotonic, RobotId, RobotStats, TrackingState};
 use serde::Serialize;
 
-/// The state of the fleet. What is not known is null in JSON.
+/// The state of the fleet. What is not known is left out of the JSON: the protocol's values have no null.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct FleetStatus {
     /// The robots, in order of their numbers.
     pub robots: Vec<RobotStatus>,
     /// Known area of the merged map, square metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
     merged_known_m2: Option<f64>,
     /// Known cells of the merged map over the observable cells of the room, 0 to 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
     room_coverage: Option<f64>,
     /// Share of commonly known cells on which the robots' maps agree, 0 to 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
     consistency: Option<f64>,
     /// The same by chance, under wrong transforms.
+    #[serde(skip_serializing_if = "Option::is_none")]
     null_consistency: Option<f64>,
     /// Pairs of maps that overlap.
+    #[serde(skip_serializing_if = "Option::is_none")]
     overlapping_pairs: Option<u32>,
     /// The room that a headset offers as the simulators' world, until the operator answers.
+    #[serde(skip_serializing_if = "Option::is_none")]
     room_offer: Option<RoomOffer>,
 }
 
@@ -37,6 +43,7 @@ pub(crate) struct RobotStatus {
     /// Number, from 1.
     number: usize,
     /// Who drives it: an address, or `ROS 2`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     driver: Option<String>,
     /// Whether this client drives it.
     is_mine: bool,
@@ -45,30 +52,43 @@ pub(crate) struct RobotStatus {
     /// Largest turning rate, rad/s.
     angular_max_rad_s: f64,
     /// State of SLAM, such as `tracking`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     slam: Option<&'static str>,
     /// Scans that reached SLAM in the last second.
+    #[serde(skip_serializing_if = "Option::is_none")]
     scan_hz: Option<f64>,
     /// Scans lost since the start.
+    #[serde(skip_serializing_if = "Option::is_none")]
     scans_lost: Option<u64>,
     /// Known cells over all cells of its map, 0 to 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
     coverage: Option<f64>,
     /// Known area of its map, square metres.
+    #[serde(skip_serializing_if = "Option::is_none")]
     known_m2: Option<f64>,
     /// Width and height of its map, cells.
+    #[serde(skip_serializing_if = "Option::is_none")]
     map_cells: Option<[u32; 2]>,
     /// Scan to pose, milliseconds: median and 95th percentile.
+    #[serde(skip_serializing_if = "Option::is_none")]
     scan_to_pose_ms: Option<[f32; 2]>,
     /// Scan to map, milliseconds: median and 95th percentile.
+    #[serde(skip_serializing_if = "Option::is_none")]
     scan_to_map_ms: Option<[f32; 2]>,
     /// Nodes of the pose graph.
+    #[serde(skip_serializing_if = "Option::is_none")]
     nodes: Option<u32>,
     /// Loop closures of the pose graph.
+    #[serde(skip_serializing_if = "Option::is_none")]
     closures: Option<u32>,
     /// Whether its map is part of the merged map.
+    #[serde(skip_serializing_if = "Option::is_none")]
     is_merged: Option<bool>,
     /// Age of its part of the merged map, seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
     map_age_s: Option<f64>,
     /// Whether that part is old: nothing comes from its SLAM.
+    #[serde(skip_serializing_if = "Option::is_none")]
     is_map_old: Option<bool>,
 }
 

@@ -59,6 +59,11 @@ fn a_second_browser_is_told_who_drives() {
     assert!(robot["driver"].as_str().unwrap().starts_with("127.0.0.1:"), "{robot}");
     assert_eq!((&robot["is_mine"], &robot["prefix"]), (&false.into(), &"/robot1/".into()));
     assert!(second.fleet["robots"][1]["driver"].is_null());
+    assert!(
+        !second.fleet.to_string().contains(":null"),
+        "the protocol's values have no null: {}",
+        second.fleet
+    );
     served.wait_for(|velocities| last_of(1, velocities) == Some(0.1));
 }
 
