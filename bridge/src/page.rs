@@ -22,7 +22,18 @@ mod tlx;
 
 pub use http::PageFile;
 pub use room::{ROOM_BYTES_MAX, SaveRoom};
-pub use server::{PageContent, serve_page};
+pub use server::serve_page;
 pub use tls::{TlsError, tls_acceptor};
 pub use tlx::{SaveTlx, TlxAnswer, TlxError};
 pub use tokio_rustls::TlsAcceptor;
+
+/// What the server has beside the bridge.
+#[derive(Clone)]
+pub struct PageContent {
+    /// Files of the page.
+    pub files: &'static [PageFile],
+    /// Saves the rooms that browsers offer; without it they are refused.
+    pub save_room: Option<SaveRoom>,
+    /// Saves the answers to the form of workload; without it they are refused.
+    pub save_tlx: Option<SaveTlx>,
+}

@@ -43,7 +43,7 @@ struct Subscription {
 /// What a message is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Receiver {
-    /// A subscription.
+    /// Subscription whose messages it carries.
     Subscription(Subscription),
     /// A call, whose response it is.
     Call(CallId),

@@ -280,7 +280,7 @@ pub enum ClientMessage<'a> {
     },
     /// A call of a service.
     Call {
-        /// The call.
+        /// Number of the call.
         id: CallId,
         /// Encoding of the request; the bridge takes [`ENCODING`].
         encoding: &'a [u8],

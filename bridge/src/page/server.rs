@@ -1,9 +1,10 @@
 //! The page's server: one task for each connection, on the thread of the bridge.
 
+use super::PageContent;
 use super::encoder::Encoder;
 use super::http::{HEAD_BYTES_MAX, PageFile, Request, file_response, parse_request, text_response};
 use super::protocol::{ENCODING, ServerCommand, selfcheck_text};
-use super::room::{RoomReceiver, SaveRoom};
+use super::room::RoomReceiver;
 use super::session::{ClientData, OwnedFrame, Session};
 use super::socket::{MessageReader, PageSocket};
 use super::stream::respond;
@@ -72,17 +73,6 @@ impl Shared {
             session_id: &self.session_id,
         }
     }
-}
-
-/// What the server has beside the bridge.
-#[derive(Clone)]
-pub struct PageContent {
-    /// Files of the page.
-    pub files: &'static [PageFile],
-    /// Saves the rooms that browsers offer; without it they are refused.
-    pub save_room: Option<SaveRoom>,
-    /// Saves the answers to the form of workload; without it they are refused.
-    pub save_tlx: Option<SaveTlx>,
 }
 
 /// Serves the page and its WebSockets until `stop` is ready: encrypted with a TLS acceptor, otherwise in clear.

@@ -82,7 +82,7 @@ pub enum ClientData<'a> {
     Message {
         /// The topic's name.
         topic: &'a str,
-        /// The message.
+        /// Message in its encoding.
         payload: &'a [u8],
     },
     /// A call of a service.
@@ -91,7 +91,7 @@ pub enum ClientData<'a> {
         commands: Vec<OwnedFrame>,
         /// The service's name.
         service: &'a str,
-        /// The request.
+        /// Request in its encoding.
         payload: &'a [u8],
     },
 }
