@@ -1,4 +1,4 @@
-// The bridge as Foxglove's own client library sees it: topics, schemas, messages, parameters, and a goal that is published.
+// The bridge as Foxglove's own client library sees it: topics, schemas, messages, parameters, services, and a goal that is published.
 
 const assert = require("node:assert/strict");
 const { after, before, test } = require("node:test");
@@ -17,6 +17,7 @@ const EXPECTED = [
 ];
 let client;
 const channels = new Map();
+const services = new Map();
 const statuses = [];
 
 /** Waits until something is so. */
@@ -31,6 +32,7 @@ async function until(what, isSo) {
 before(async () => {
   client = new FoxgloveClient({ ws: new WebSocket(url.replace("http", "ws"), [FoxgloveClient.SUPPORTED_SUBPROTOCOL, "foxglove.sdk.v1"]) });
   client.on("advertise", (added) => added.forEach((channel) => channels.set(channel.topic, channel)));
+  client.on("advertiseServices", (added) => added.forEach((service) => services.set(service.name, service)));
   client.on("status", (status) => statuses.push(status));
   client.on("error", (error) => statuses.push(error));
   await until("topics", () => channels.has("/robot1/scan"));
@@ -65,6 +67,25 @@ test("the fleet's state and the run's time are parameters", async () => {
   await until("answers", () => answers.size === 2);
   assert.ok(answers.get("time")[0].value > 0);
   assert.deepEqual(answers.get("all").map(({ name }) => name), ["/mr_slam/fleet", "/mr_slam/time"]);
+});
+
+test("services are called by their schemas, and a call that cannot be done fails", async () => {
+  const calls = new Map();
+  client.on("serviceCallResponse", (response) => calls.set(response.callId, response));
+  client.on("serviceCallFailure", (failure) => calls.set(failure.callId, failure));
+  await until("services", () => services.has("/robot1/slam_toolbox/save_map"));
+  const call = (name, callId, request) => {
+    const { id: serviceId, request: { schema } } = services.get(name);
+    const data = new MessageWriter(parse(schema, { ros2: true })).writeMessage(request);
+    client.sendServiceCallRequest({ serviceId, callId, encoding: "cdr", data });
+  };
+  call("/robot1/clear_closures", 1, {});
+  call("/robot1/slam_toolbox/save_map", 2, { name: { data: "../x" } });
+  await until("an answer and a failure", () => calls.size === 2);
+  const { response } = services.get("/robot1/clear_closures");
+  const answer = new MessageReader(parse(response.schema, { ros2: true })).readMessage(calls.get(1).data);
+  assert.equal(answer.success, true, answer.message);
+  assert.match(calls.get(2).message, /below the run's folder/);
 });
 
 test("a goal that is published is driven to", async () => {

@@ -135,6 +135,9 @@ async function timeToStop(observer, page, end) {
  */
 const STOP_MS = 300 + 400;
 
+/** Turning rate that a held key wishes for, rad/s, at most. */
+const TURNING_RAD_S = 1.5;
+
 test("a robot stands when its operator's browser is killed", async () => {
   const observer = await watchSpeed();
   const server = await chromium.launchServer({ executablePath: CHROMIUM, args: BROWSER_ARGS });
@@ -161,8 +164,14 @@ test("a robot stands when the operator's socket breaks, and the page is connecte
   assert.ok(back < 1000, `connected after ${back} ms`);
 });
 
-test("the page connects again when the bridge is killed", async () => {
+test("a robot stands when the bridge is killed, and the page connects again", async () => {
   const { page } = await open();
+  const pose = () => page.evaluate(() => ({ ...mixedReality.operator.fleet.robots.get(1).pose }));
+  const isDriven = (who) => page.waitForFunction((wanted) => document.querySelector(".robot dd").textContent === wanted, who, WAIT);
+  await page.keyboard.press("Digit1");
+  await page.keyboard.down("KeyA");
+  await isDriven("you");
+  await page.waitForTimeout(500);
   const bridge = readdirSync("/proc").filter((pid) => /^\d+$/.test(pid)).find((pid) => {
     try {
       const line = readFileSync(`/proc/${pid}/cmdline`, "utf8").split("\0");
@@ -171,8 +180,15 @@ test("the page connects again when the bridge is killed", async () => {
       return false;
     }
   });
+  const before = await pose();
   execFileSync("kill", ["-9", bridge]);
   await waitForText(page, "#link", "no connection");
+  // The key is let go while nobody hears of it.
+  await page.keyboard.up("KeyA");
   await waitForText(page, "#link", "connected");
   await page.waitForFunction(() => document.querySelectorAll(".robot .badge.good").length === 2, null, WAIT);
+  // The robot has turned no further than within the time that its own dead man's switch and its brakes need.
+  const after = await pose();
+  const turned = Math.abs(Math.atan2(Math.sin(after.yaw - before.yaw), Math.cos(after.yaw - before.yaw)));
+  assert.ok(turned < (STOP_MS / 1000) * TURNING_RAD_S, `it turned by ${turned} rad`);
 });
