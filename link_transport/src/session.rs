@@ -20,6 +20,8 @@ const WAITING_MAX: usize = 1024;
 const LEASE_MS: u32 = 2000;
 /// First and longest pause between two attempts to connect, milliseconds.
 const RETRY_MS: [u32; 2] = [200, 1000];
+/// Longest attempt to connect, milliseconds. One whose packets are lost backs off and is slower than the next one.
+const OPEN_MS: u32 = 3000;
 /// Largest batch of messages, bytes: an urgent message waits for one of them.
 const BATCH_BYTES: u32 = 8192;
 /// Bytes that wait in the operating system: 0.13 s at 1 Mbit/s. Urgent messages cannot overtake them.
@@ -113,6 +115,8 @@ impl SessionConfig {
             ("scouting/multicast/enabled", json!(false)),
             ("scouting/gossip/enabled", json!(false)),
             ("transport/link/protocols", json!([if self.endpoint.is_tls { "tls" } else { "tcp" }])),
+            ("transport/unicast/open_timeout", json!(OPEN_MS)),
+            ("transport/unicast/accept_timeout", json!(OPEN_MS)),
             ("transport/link/tx/lease", json!(LEASE_MS)),
             ("transport/link/tx/batch_size", json!(BATCH_BYTES)),
         ];
