@@ -109,12 +109,17 @@ impl<W: FileWorker> Control<W> {
         match self.update.as_mut().map(oneshot::Receiver::try_recv) {
             Some(Ok(report)) => self.apply_report(&report),
             Some(Err(TryRecvError::Empty)) | None => return,
-            Some(Err(TryRecvError::Closed)) => {}
+            // It was refused: it is tried again at once.
+            Some(Err(TryRecvError::Closed)) => self.submitted = None,
         }
         self.update = None;
     }
 
     fn apply_report(&mut self, report: &FileReport) {
+        if report.result.is_err() {
+            // What could not be written is tried again at once.
+            self.submitted = None;
+        }
         if report.stops_found > self.stops_applied {
             self.stops_applied = report.stops_found;
             self.bridge.stop_robots();

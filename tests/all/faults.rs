@@ -16,7 +16,8 @@
 //!   stood in between, and was sure of a wrong heading: it is lost now, and relocalizes the robot.
 //! - a simulator went on with a command for up to 0.6 s if it came late, and coasted on where its time jumped: a
 //!   command is valid for 0.3 s after it was sent, by the machine's clock;
-//! - the emergency stop was not saved again after a full disk had refused it once.
+//! - the emergency stop was not saved again after a full disk had refused it once;
+//! - the selected robot was not saved again for 0.2 s after a full disk had refused it.
 //!
 //! Open: SLAM is sure of a wrong heading in 1 of the first 100 seeds (21).
 

@@ -24,9 +24,9 @@ pub enum FileJob {
 /// What came of a job.
 #[derive(Debug)]
 pub struct FileReport {
-    /// Number of stops found in the stop's file since the start; see [`SavedFiles::update`].
+    /// Number of stops found in the stop's file since the start; see [`SavedFiles::stops_found`].
     pub stops_found: u64,
-    /// Whether an address was kept.
+    /// Whether everything was written.
     pub result: io::Result<()>,
 }
 
@@ -45,7 +45,8 @@ impl<S: Storage> FileJobs for ControlFiles<S> {
     fn run(&mut self, job: &FileJob) -> FileReport {
         match job {
             FileJob::Update(snapshot) => {
-                FileReport { stops_found: self.saved.update(snapshot), result: Ok(()) }
+                let result = self.saved.update(snapshot);
+                FileReport { stops_found: self.saved.stops_found(), result }
             }
             FileJob::Remember { address, may_drive } => FileReport {
                 stops_found: self.saved.stops_found(),

@@ -32,7 +32,7 @@ const RECONNECTED_WITHIN: Duration = Duration::from_secs(3);
 pub struct BridgeSnapshot {
     /// Whether the emergency stop is set.
     pub is_stopped: bool,
-    /// Number of stops found in the file that the bridge has set; see [`SavedFiles::update`].
+    /// Number of stops found in the file that the bridge has set; see [`SavedFiles::stops_found`].
     pub stops_applied: u64,
     state: SavedState,
 }
@@ -140,7 +140,8 @@ impl<S: Storage> SavedFiles<S> {
         files
     }
 
-    /// Returns the number of stops found in the file since the start.
+    /// Returns the number of stops found in the file since the start: a bridge that has set fewer is to set its emergency
+    /// stop.
     pub fn stops_found(&self) -> u64 {
         self.stops_found
     }
@@ -162,20 +163,18 @@ impl<S: Storage> SavedFiles<S> {
         }
     }
 
-    /// Writes the files anew if the bridge has changed. Returns how many stops were found in the file since the start: a
-    /// bridge that has set fewer is to set its emergency stop. Call it often.
-    pub fn update(&mut self, snapshot: &BridgeSnapshot) -> u64 {
+    /// Writes the files anew if the bridge has changed. If it fails, that is said once, and the caller is to try again.
+    /// See [`Self::stops_found`] for the stop's file. Call it often.
+    pub fn update(&mut self, snapshot: &BridgeSnapshot) -> io::Result<()> {
         let result = self.update_stop(snapshot).and_then(|()| self.update_state(&snapshot.state));
-        match result {
-            Ok(()) => self.has_warned = false,
-            // It is tried again, and said once.
-            Err((path, why)) => {
-                if !std::mem::replace(&mut self.has_warned, true) {
-                    tracing::warn!("{}: {why}; a restarted bridge will not continue from it", path.display());
-                }
-            }
+        let Err((path, why)) = result else {
+            self.has_warned = false;
+            return Ok(());
+        };
+        if !std::mem::replace(&mut self.has_warned, true) {
+            tracing::warn!("{}: {why}; a restarted bridge will not continue from it", path.display());
         }
-        self.stops_found
+        Err(why)
     }
 
     fn update_stop(&mut self, snapshot: &BridgeSnapshot) -> Result<(), (PathBuf, io::Error)> {
@@ -260,7 +259,8 @@ mod tests {
         /// Brings files and bridge together, as the control does.
         fn update(&mut self, now: Monotonic) {
             let snapshot = BridgeSnapshot::take(&self.bridge, self.begun, self.stops_applied, now);
-            let stops_found = self.files.update(&snapshot);
+            self.files.update(&snapshot).unwrap();
+            let stops_found = self.files.stops_found();
             self.set_stop(stops_found);
         }
 
@@ -364,7 +364,8 @@ mod tests {
             ..BridgeSnapshot::take(&next.bridge, run.begun, 1, at_ms(610))
         };
         latch_stop(&DiskStorage, &path, at_ms(620)).unwrap();
-        let found = next.files.update(&released);
+        next.files.update(&released).unwrap();
+        let found = next.files.stops_found();
         assert!(path.exists() && found > next.stops_applied);
         next.set_stop(found);
         assert!(next.bridge.is_stopped());

@@ -141,14 +141,20 @@ fn requests_beyond_what_may_wait_for_the_disk_are_refused_in_words() {
     );
 }
 
-/// Counts the jobs, and does none.
+/// Counts the jobs. Their disk is full while `is_full`.
 #[derive(Default)]
-struct CountedJobs(usize);
+struct CountedJobs {
+    count: usize,
+    is_full: bool,
+}
 
 impl JobWorker<FileJob, FileReport> for CountedJobs {
     fn submit(&mut self, _: FileJob) -> oneshot::Receiver<FileReport> {
-        self.0 += 1;
-        oneshot::channel().1
+        self.count += 1;
+        let result = if self.is_full { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) };
+        let (sender, receiver) = oneshot::channel();
+        sender.send(FileReport { stops_found: 0, result }).unwrap();
+        receiver
     }
 }
 
@@ -161,11 +167,16 @@ fn a_bridge_that_does_not_change_reads_the_stop_file_and_one_that_changes_saves_
     let second = Duration::from_secs(1).as_nanos() as u64;
     // Called each millisecond: once for what is to be saved at the start, then whenever the file is due.
     (0..second).step_by(1_000_000).for_each(|at| control.update_files(Monotonic(at)));
-    assert_eq!(control.files.0, 5);
+    assert_eq!(control.files.count, 5);
     control.update_files(Monotonic(second));
     bridge.stop_robots();
     control.update_files(Monotonic(second + 1));
-    assert_eq!(control.files.0, 7, "the stop is saved before the file is due");
+    assert_eq!(control.files.count, 7, "the stop is saved before the file is due");
     control.update_files(Monotonic(second + 2));
-    assert_eq!(control.files.0, 7);
+    assert_eq!(control.files.count, 7);
+
+    control.files.is_full = true;
+    bridge.release_stop();
+    (3..13).for_each(|step| control.update_files(Monotonic(second + step)));
+    assert_eq!(control.files.count, 17, "what a full disk refused is tried again each time");
 }
