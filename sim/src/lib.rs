@@ -22,7 +22,7 @@ mod simulator;
 
 pub use config::{ConfigError, Heading, LidarConfig, Limits, NoiseConfig, SimConfig};
 pub use room::{
-    AccessorError, AnchorError, EntityError, GltfError, MeshError, MrukError, ObjError, PolygonError, Room,
-    RoomError, RoomKind, SceneError, StartError,
+    AccessorError, AnchorError, EntityError, Furniture, GltfError, MeshError, MrukError, ObjError,
+    PolygonError, Room, RoomError, RoomKind, SceneError, StartError,
 };
 pub use simulator::{Simulator, Tick, transforms_of};

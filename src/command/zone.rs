@@ -101,6 +101,8 @@ pub enum ZoneToolError {
 struct ZoneView {
     number: u32,
     corners_m: Vec<[f64; 2]>,
+    /// Label of the furniture that it stands for; `None`: a person or program added it.
+    furniture: Option<String>,
 }
 
 /// Does what the arguments say.
@@ -120,7 +122,11 @@ pub fn run(args: &ZoneArgs) -> Result<(), ZoneToolError> {
     if let Some(refusal) = zones.refusal().filter(|_| command.is_some()) {
         return Err(ZoneToolError::Refused(refusal));
     }
-    let view = |zone: &ExclusionZone| ZoneView { number: zone.number, corners_m: zone.corners_m().to_vec() };
+    let view = |zone: &ExclusionZone| ZoneView {
+        number: zone.number,
+        corners_m: zone.corners_m().to_vec(),
+        furniture: Some(zone.source()).filter(|label| !label.is_empty()).map(str::to_owned),
+    };
     let views: Vec<ZoneView> = zones.zones().iter().map(view).collect();
     output::print_either(args.json, &views, || table(&views))?;
     Ok(())
@@ -158,7 +164,8 @@ fn table(zones: &[ZoneView]) -> String {
     }
     let line = |zone: &ZoneView| {
         let corners: Vec<String> = zone.corners_m.iter().map(|[x, y]| format!("({x:.2}, {y:.2})")).collect();
-        format!("zone {}: {}\n", zone.number, corners.join(" "))
+        let source = zone.furniture.as_ref().map_or(String::new(), |label| format!(" ({label} of the room)"));
+        format!("zone {}{source}: {}\n", zone.number, corners.join(" "))
     };
     zones.iter().map(line).collect()
 }

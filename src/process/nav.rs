@@ -11,6 +11,7 @@ mod zones;
 
 use super::file_thread::{JobThread, JobWorker};
 use super::heartbeat::{HealthCounters, Heartbeat};
+use super::scan_demand::ScanDemandSender;
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::channel;
 use crate::clock::Epoch;
@@ -25,6 +26,7 @@ use inputs::Inputs;
 use memory::{NavigationFile, SavedGoal, SavedState, StateWriter};
 use msg::{
     Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, Pose2, RobotId, Role,
+    ScanPurpose,
 };
 use outputs::{Decision, RobotOutputs};
 use std::time::Duration;
@@ -42,6 +44,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 }
 
 /// The navigator with its channels.
+// More than 12 fields: the navigator, what it reads and writes, and when it is due.
 pub struct NavigationProcess<P: Ports, W> {
     navigator: FleetNavigator,
     inputs: Inputs<P>,
@@ -49,6 +52,7 @@ pub struct NavigationProcess<P: Ports, W> {
     exploration: Exploration<P>,
     zones: Zones<P>,
     saved: StateWriter<W>,
+    scan_demand: ScanDemandSender<P>,
     heartbeat: Heartbeat<P>,
     clock: P::Clock,
     epoch: Epoch,
@@ -102,6 +106,7 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
             exploration: Exploration::open(ports, run)?,
             zones: Zones::open(ports)?,
             saved: StateWriter::new(start_files(file)?, saved.clone().unwrap_or_default()),
+            scan_demand: ScanDemandSender::open(ports, run, ScanPurpose::Navigation)?,
             heartbeat: Heartbeat::new(ports, run, Role::Nav, None)?,
             due: clock.now(),
             clock,
@@ -111,8 +116,14 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
         };
         match saved {
             Some(saved) => process.restore(saved),
-            None if run.config.fleet.explore => process.explore(),
-            None => {}
+            None => {
+                if let Err(why) = process.zones.add_furniture(run) {
+                    tracing::warn!("the room's furniture makes no exclusion zones: {why}");
+                }
+                if run.config.fleet.explore {
+                    process.explore();
+                }
+            }
         }
         Ok(process)
     }
@@ -249,6 +260,16 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
         }
     }
 
+    /// Asks for the scans of the robots that are driven, where they are on other machines.
+    fn demand_scans(&mut self, now: Monotonic) {
+        let (navigator, is_exploring) = (&self.navigator, self.exploration.is_active());
+        let is_active = |robot: &RobotId| {
+            navigator.robots().any(|navigation| navigation.robot == *robot && navigation.state.is_active())
+        };
+        let robots = self.robots.iter().map(|desk| desk.robot);
+        self.scan_demand.update(robots.filter(|robot| is_exploring || is_active(robot)), now);
+    }
+
     /// Saves the goals that are being driven to, or wait, and the exploration; its own goals are found again.
     fn save(&mut self) {
         let goals = self.robots.iter().filter_map(|desk| {
@@ -288,6 +309,7 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> ProcessLoop for NavigationProcess<P
                 self.navigate(now);
             }
             self.publish(now, is_stepped);
+            self.demand_scans(now);
             self.save();
             self.due = Monotonic(self.due.0.max(now.0.saturating_sub(PERIOD.as_nanos() as u64))) + PERIOD;
         }

@@ -14,8 +14,6 @@ use std::time::{Duration, Instant};
 
 /// Coverages whose times are measured.
 pub const SHARES: [f64; 3] = [0.90, 0.95, 0.99];
-/// Coverage at which a run ends although its method goes on.
-const ENOUGH: f64 = 0.9995;
 /// Control steps per second.
 const STEPS_PER_SECOND: usize = 20;
 /// Time between two points of the curve of coverage, seconds.
@@ -30,6 +28,8 @@ pub struct Case {
     pub starts: Starts,
     pub method: Kind,
     pub limit_s: usize,
+    /// Coverage at which a run ends although its method goes on, 0 to 1.
+    pub enough: f64,
 }
 
 /// What a run took.
@@ -106,8 +106,8 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
             }
             outcome.coverage = coverage;
             outcome.end_s = seconds as f64;
-            if coverage >= ENOUGH {
-                outcome.stopped_by = "all seen";
+            if coverage >= case.enough {
+                outcome.stopped_by = "enough seen";
                 break;
             }
         }

@@ -2,7 +2,7 @@
 
 use core::f64::consts::FRAC_PI_2;
 
-/// Parameters of the coordinator. The defaults suit TurtleBot3 Burgers with the paper's LiDAR of 90 degrees.
+/// Parameters of the coordinator. The robots' scans replace angle and range. The defaults suit TurtleBot3 Burgers with the paper's LiDAR of 90 degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoordinationConfig {
     /// Angle that the sensor sees, radians, above 0.

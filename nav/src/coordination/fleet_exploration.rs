@@ -241,6 +241,9 @@ impl FleetExploration {
         let excluded: Vec<Vec<[f64; 2]>> = zones.iter().map(|zone| zone.corners_m().to_vec()).collect();
         let explored = &mut self.maps[index];
         let plans = explored.coordinator.plans();
+        let is_here = |id: RobotId| robots.iter().any(|robot| robot.robot == id);
+        let scans = input.robots.iter().filter(|robot| is_here(robot.observation.robot));
+        explored.coordinator.set_sensors(scans.filter_map(|robot| robot.observation.scan));
         explored.coordinator.update(&CoordinationInput {
             stamp: input.stamp,
             map,

@@ -16,6 +16,7 @@ mod fleet_exploration;
 mod leftovers;
 mod plan;
 mod seen;
+mod sensor;
 mod sent_goal;
 mod tours;
 mod types;
@@ -33,6 +34,7 @@ pub use types::{
 use crate::clearance_map::ClearanceMap;
 use crate::config::{FollowerConfig, RobotBody};
 use crate::geometry::distance_m;
+use crate::observation::ScanView;
 use core::time::Duration;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
 use plan::{AT_GOAL_M, PlanBuffers};
@@ -140,6 +142,11 @@ impl FleetCoordinator {
     /// Expected time until nothing reachable is unknown; `None` before the first plan.
     pub fn estimate(&self) -> Option<TimeEstimate> {
         self.estimate
+    }
+
+    /// Expects of unknown space what the weakest of the robots' LiDARs sees, up to 6 m. The newest scan of each tells it.
+    pub fn set_sensors<'a>(&mut self, scans: impl Iterator<Item = ScanView<'a>>) {
+        self.config.set_sensors(scans);
     }
 
     /// Plans if it is time to, or if a robot has arrived or failed, and returns what the fleet does.

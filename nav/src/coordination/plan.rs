@@ -227,7 +227,7 @@ impl FleetCoordinator {
                     Some(goal_m) if distance_m(goal_m, at_m) > SAME_GOAL_M => config.switch_cost_s,
                     _ => 0.0,
                 };
-                let turn_rad = first_turn_rad(pose, at_m, viewpoint);
+                let turn_rad = first_turn_rad(pose, at_m, viewpoint, config.sees_all_around());
                 let is_here = distance_m([pose.x_m, pose.y_m], at_m) < AT_GOAL_M;
                 let length_m = if is_here { 0.0 } else { length_m };
                 Some(length_m / speed_m_s + turn_rad / turn_rad_s + switch_s)
@@ -274,7 +274,9 @@ impl FleetCoordinator {
         let (first, last) = if is_nearer { (first, last) } else { (last, first) };
         let steps = ((last - first).abs() / FRAC_PI_2).ceil().max(1.0) as usize;
         let heading = |i: usize| wrap_angle(first + (last - first) * i as f64 / steps as f64);
-        let headings_rad = if (last - first).abs() < 1e-3 {
+        let headings_rad = if self.config.sees_all_around() {
+            Vec::new()
+        } else if (last - first).abs() < 1e-3 {
             vec![wrap_angle(first)]
         } else {
             (0..=steps).map(heading).collect()
@@ -359,10 +361,13 @@ impl FleetCoordinator {
 }
 
 /// Angle that a robot turns before and after it drives straight to a viewpoint, radians.
-fn first_turn_rad(pose: Pose2, at_m: [f64; 2], viewpoint: &Viewpoint) -> f64 {
+fn first_turn_rad(pose: Pose2, at_m: [f64; 2], viewpoint: &Viewpoint, sees_all_around: bool) -> f64 {
     let here_m = [pose.x_m, pose.y_m];
     let end_rad = viewpoint.look_rad + viewpoint.sweep_rad;
     let to_look = |from_rad: f64| {
+        if sees_all_around {
+            return 0.0;
+        }
         wrap_angle(viewpoint.look_rad - from_rad).abs().min(wrap_angle(end_rad - from_rad).abs())
     };
     if distance_m(here_m, at_m) < AT_GOAL_M {

@@ -106,3 +106,28 @@ fn the_same_inputs_give_the_same_goals() {
     };
     assert_eq!(run(), run());
 }
+
+#[test]
+fn a_lidar_that_sees_all_around_needs_no_heading() {
+    let cells = cells();
+    let robots = [robot(1, 6.0, 2.0)];
+    let config = CoordinationConfig { view_angle_rad: core::f64::consts::TAU, ..Default::default() };
+    let mut coordinator = FleetCoordinator::new(config);
+    coordinator.update(&input(&cells, &robots, 0.0));
+    let goal = coordinator.goal(robots[0].robot).unwrap();
+    assert!(goal.headings_rad.is_empty(), "{goal:?}");
+}
+
+#[test]
+fn a_lidar_of_longer_range_looks_from_farther_away() {
+    let cells = cells();
+    let robots = [robot(1, 6.0, 2.0)];
+    let distance_of = |view_range_m: f64| {
+        let config = CoordinationConfig { view_range_m, ..Default::default() };
+        let mut coordinator = FleetCoordinator::new(config);
+        coordinator.update(&input(&cells, &robots, 0.0));
+        let goal = coordinator.goal(robots[0].robot).unwrap();
+        (goal.position_m[0] - 6.0).abs()
+    };
+    assert!(distance_of(1.0) > distance_of(6.0), "{} and {} m of way", distance_of(1.0), distance_of(6.0));
+}

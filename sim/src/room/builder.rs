@@ -45,7 +45,7 @@ impl Builder {
 
     /// Adds a prism over a convex, counter-clockwise base. All faces point outwards.
     fn prism(&mut self, base: &[Vec2], [x, y]: [f32; 2], yaw_deg: f32, bottom: f32, top: f32) {
-        let Mesh { vertices, triangles } = &mut self.0;
+        let Mesh { vertices, triangles, .. } = &mut self.0;
         let first = vertices.len() as u32;
         let sides = base.len() as u32;
         let turn = Quat::from_rotation_z(yaw_deg.to_radians());

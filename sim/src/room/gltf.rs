@@ -3,6 +3,7 @@
 //! The library splits the container and has the document's types. Its validation and its iterators panic
 //! at some malformed documents. This module therefore checks every index itself.
 
+use super::furniture::is_furniture;
 use super::gltf_error::{AccessorError, GltfError, MeshError};
 use super::mesh::Mesh;
 use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
@@ -47,7 +48,8 @@ fn read_scene(bytes: &[u8]) -> Result<Mesh, GltfError> {
     }
     let scene = root.scene.unwrap_or(Index::new(0));
     let scene = root.get(scene).ok_or(GltfError::NoScene(scene.value()))?;
-    let mut walk = Walk { root: &root, buffers, mesh: Mesh::default(), nodes_left: root.nodes.len() };
+    let mut walk =
+        Walk { root: &root, buffers, mesh: Mesh::default(), nodes_left: root.nodes.len(), is_named: false };
     scene.nodes.iter().try_for_each(|node| walk.visit(*node, Mat4::IDENTITY, 0))?;
     Ok(walk.mesh)
 }
@@ -75,6 +77,8 @@ struct Walk<'a> {
     mesh: Mesh,
     /// Number of nodes that may still be visited. A tree visits each node once; more visits mean a cycle.
     nodes_left: usize,
+    /// Whether a node above is a piece of furniture: its parts are of that piece.
+    is_named: bool,
 }
 
 impl Walk<'_> {
@@ -85,6 +89,7 @@ impl Walk<'_> {
         if depth > DEPTH_MAX {
             return Err(GltfError::TooDeep { node: number, max: DEPTH_MAX });
         }
+        let first = self.mesh.triangles.len();
         let world_from_node = world_from_parent * parent_from(node);
         if let Some(index) = node.mesh {
             let no_mesh = GltfError::NoMesh { node: number, mesh: index.value() };
@@ -95,7 +100,14 @@ impl Walk<'_> {
             }
         }
         let mut children = node.children.iter().flatten();
-        children.try_for_each(|child| self.visit(*child, world_from_node, depth + 1))
+        let name = node.name.as_deref().filter(|name| !self.is_named && is_furniture(name));
+        self.is_named |= name.is_some();
+        children.try_for_each(|child| self.visit(*child, world_from_node, depth + 1))?;
+        if let Some(name) = name {
+            self.is_named = false;
+            self.mesh.name_triangles(name, first);
+        }
+        Ok(())
     }
 
     fn append(&mut self, primitive: &Primitive, world_from_node: Mat4) -> Result<(), MeshError> {

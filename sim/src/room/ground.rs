@@ -16,7 +16,7 @@ const FIT_MARGIN_M: f32 = 0.02;
 /// Clearance of a cell where a robot's centre fits, metres.
 const FIT_M: f32 = burger::RADIUS_M as f32 + FIT_MARGIN_M;
 /// Height above the robot up to which obstacles count, metres.
-const HEAD_MARGIN_M: f32 = 0.01;
+pub(crate) const HEAD_MARGIN_M: f32 = 0.01;
 /// Smallest z of the normal of a triangle of the floor: a slope of 46°, because scans are rough.
 const FLOOR_NORMAL_Z_MIN: f32 = 0.7;
 
@@ -110,7 +110,7 @@ fn floor_cells(raster: &Raster, mesh: &Mesh) -> Vec<bool> {
 
 /// Returns the part of a triangle between two heights, seen from above: a convex polygon, perhaps empty
 /// (Sutherland and Hodgman 1974).
-fn slab(corners: &[Vec3; 3], low_m: f32, high_m: f32) -> Vec<[f64; 2]> {
+pub(crate) fn slab(corners: &[Vec3; 3], low_m: f32, high_m: f32) -> Vec<[f64; 2]> {
     let above = clip(corners, |v| v.z - low_m);
     let within = clip(&above, |v| high_m - v.z);
     within.iter().map(|v| [v.x.into(), v.y.into()]).collect()

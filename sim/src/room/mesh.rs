@@ -1,5 +1,6 @@
 //! Triangle meshes with z up: their validation, and the estimation of the floor's height.
 
+use super::furniture::Piece;
 use super::{EXTENT_MAX_M, RoomError, TRIANGLES_MAX, VERTICES_MAX};
 use glam::Vec3;
 
@@ -8,6 +9,8 @@ use glam::Vec3;
 pub(crate) struct Mesh {
     pub(crate) vertices: Vec<Vec3>,
     pub(crate) triangles: Vec<[u32; 3]>,
+    /// Furniture that the file names.
+    pub(crate) furniture: Vec<Piece>,
 }
 
 /// Smallest z of the normal of a level triangle: a slope of 26°.
@@ -27,8 +30,14 @@ const FLOOR_BAND_M: f32 = 0.05;
 impl Mesh {
     /// Converts from y up (x right, z towards the viewer) to z up: a quarter turn about x.
     pub(crate) fn with_z_up(mut self) -> Self {
-        self.vertices.iter_mut().for_each(|v| *v = Vec3::new(v.x, -v.z, v.y));
+        self.move_points(|v| Vec3::new(v.x, -v.z, v.y));
         self
+    }
+
+    /// Moves all points, those of the furniture too.
+    pub(crate) fn move_points(&mut self, to: impl Fn(Vec3) -> Vec3) {
+        let of_furniture = self.furniture.iter_mut().flat_map(|piece| &mut piece.corners);
+        self.vertices.iter_mut().chain(of_furniture).for_each(|point| *point = to(*point));
     }
 
     pub(crate) fn corners(&self, triangle: [u32; 3]) -> [Vec3; 3] {
@@ -123,6 +132,7 @@ mod tests {
         Mesh {
             vertices: vertices.map(|[x, y]| Vec3::new(x, y, z)).to_vec(),
             triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
         }
     }
 
@@ -148,7 +158,7 @@ mod tests {
 
     #[test]
     fn y_up_becomes_z_up() {
-        let mesh = Mesh { vertices: vec![Vec3::new(1.0, 2.0, 3.0)], triangles: vec![] };
+        let mesh = Mesh { vertices: vec![Vec3::new(1.0, 2.0, 3.0)], triangles: vec![], ..Mesh::default() };
         assert_eq!(mesh.with_z_up().vertices[0], Vec3::new(1.0, -3.0, 2.0));
     }
 }

@@ -1,6 +1,7 @@
 //! Rooms as triangle meshes in frame `world`, z up, with the floor at z = 0.
 
 mod builder;
+mod furniture;
 mod generated;
 mod gltf;
 mod gltf_error;
@@ -16,7 +17,9 @@ mod read;
 mod scene;
 
 use crate::config::ConfigError;
+pub use furniture::Furniture;
 pub use generated::RoomKind;
+use glam::Vec3;
 pub use gltf_error::{AccessorError, GltfError, MeshError};
 use ground::{FLOOR_RELIEF_M, Ground};
 use mesh::Mesh;
@@ -45,6 +48,7 @@ pub struct Room {
     /// Triangles of walls and furniture, without the floor.
     mesh: Arc<TriMesh>,
     ground: Arc<Ground>,
+    furniture: Arc<[Furniture]>,
 }
 
 /// Reason why a file is not a usable room.
@@ -179,19 +183,25 @@ impl Room {
         &self.name
     }
 
+    /// Returns the furniture that the room's file names and a robot could touch, largest first.
+    pub fn furniture(&self) -> &[Furniture] {
+        &self.furniture
+    }
+
     /// Checks a mesh and finds its floor. `stated_floor_m` is the floor's height if the file states it.
     fn from_mesh(name: &str, mut mesh: Mesh, stated_floor_m: Option<f32>) -> Result<Self, RoomError> {
         mesh.check()?;
         let (floor_m, _) = mesh.find_floor(stated_floor_m)?;
-        mesh.vertices.iter_mut().for_each(|v| v.z -= floor_m);
+        mesh.move_points(|v| Vec3::new(v.x, v.y, v.z - floor_m));
         let ground = Ground::new(&mesh);
         if !ground.drivable.contains(&true) {
             return Err(RoomError::NoPlace { reason: "a robot fits nowhere on it" });
         }
+        let furniture = furniture::outlines(&mesh).into();
         let standing = plan::obstacles_of(&mesh, FLOOR_RELIEF_M);
         let obstacles = TriMesh::new(standing.vertices, standing.triangles)
             .map_err(|_| RoomError::NoPlace { reason: "nothing stands on it that a LiDAR could see" })?;
-        Ok(Self { name: name.to_owned(), mesh: Arc::new(obstacles), ground: Arc::new(ground) })
+        Ok(Self { name: name.to_owned(), mesh: Arc::new(obstacles), ground: Arc::new(ground), furniture })
     }
 
     /// Returns the walls and furniture, without the floor.

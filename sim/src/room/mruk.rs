@@ -5,6 +5,7 @@
 //! left-handed with y up; `OpenXR`, or nothing, is right-handed with y up. The geometry cannot tell: a room's mirror
 //! image is a room too.
 
+use super::furniture::is_furniture;
 use super::mesh::Mesh;
 use super::polygon::{self, PolygonError};
 use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
@@ -194,7 +195,7 @@ fn read_scene(bytes: &[u8]) -> Result<(Mesh, Option<f32>), MrukError> {
         return Err(MrukError::NoSurface);
     }
     if is_left_handed {
-        mesh.vertices.iter_mut().for_each(|vertex| vertex.z = -vertex.z);
+        mesh.move_points(|point| Vec3::new(point.x, point.y, -point.z));
     }
     Ok((mesh.with_z_up(), floor_m))
 }
@@ -226,9 +227,10 @@ impl Anchor {
         let solid = SOLID.into_iter().find(|label| self.has_label(label));
         if has_mesh {
             self.append_mesh(mesh, place)?;
-        } else if let Some(volume) = &self.volume_bounds {
+        }
+        if let Some(volume) = &self.volume_bounds {
             check_finite("VolumeBounds", volume.min.iter().chain(&volume.max))?;
-            append_box(mesh, volume, place);
+            self.append_volume(mesh, volume, has_mesh, place);
         }
         // A floor closes the holes of a scanned mesh.
         if let Some(label) = is_floor.then_some(FLOOR).or(solid.filter(|_| !has_mesh)) {
@@ -236,6 +238,25 @@ impl Anchor {
             self.append_plane(mesh, label, place)?;
         }
         Ok(is_floor)
+    }
+
+    /// Adds a box, which names furniture. Where there is a scanned mesh, the box is no surface.
+    fn append_volume(
+        &self,
+        mesh: &mut Mesh,
+        volume: &Bounds<[f32; 3]>,
+        has_mesh: bool,
+        place: impl Fn(Vec3) -> Vec3,
+    ) {
+        let mut faces = Mesh::default();
+        append_box(&mut faces, volume, &place);
+        if let Some(label) = self.semantic_classifications.iter().find(|label| is_furniture(label)) {
+            let corners = faces.triangles.iter().flat_map(|triangle| faces.corners(*triangle)).collect();
+            mesh.add_piece(label, corners);
+        }
+        if !has_mesh {
+            append_box(mesh, volume, place);
+        }
     }
 
     /// Checks that a floor faces up and that a wall stands.

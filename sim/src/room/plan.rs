@@ -242,7 +242,7 @@ pub(crate) fn obstacles_of(mesh: &Mesh, relief_m: f32) -> Mesh {
         has_area && a.z.max(b.z).max(c.z) > relief_m
     };
     let triangles = mesh.triangles.iter().filter(stands_up).copied().collect();
-    Mesh { vertices: mesh.vertices.clone(), triangles }
+    Mesh { vertices: mesh.vertices.clone(), triangles, ..Mesh::default() }
 }
 
 #[cfg(test)]

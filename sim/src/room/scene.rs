@@ -2,6 +2,7 @@
 //!
 //! The frame is right-handed with y up, in metres.
 
+use super::furniture::is_furniture;
 use super::mesh::Mesh;
 use super::{RoomError, TRIANGLES_MAX, VERTICES_MAX};
 use base64::Engine;
@@ -131,7 +132,11 @@ fn read_scene(bytes: &[u8]) -> Result<(Mesh, Option<f32>), SceneError> {
     let mut mesh = Mesh::default();
     for (number, entity) in scene.entities.iter().enumerate() {
         if let Some(triangles) = &entity.mesh {
+            let first = mesh.triangles.len();
             append(&mut mesh, entity, triangles).map_err(|why| SceneError::Entity { number, why })?;
+            if let Some(label) = entity.label.as_deref().filter(|label| is_furniture(label)) {
+                mesh.name_triangles(label, first);
+            }
         }
     }
     if mesh.triangles.is_empty() {

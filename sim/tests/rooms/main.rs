@@ -339,3 +339,22 @@ proptest! {
         let _ = Room::from_bytes("a.obj", text.as_bytes());
     }
 }
+
+#[test]
+fn labelled_furniture_has_its_outline_in_the_room() {
+    for handedness in [made::Handedness::Left, made::Handedness::Right] {
+        let room = Room::from_bytes("a.json", made::mruk(handedness).as_bytes()).unwrap();
+        let [storage] = room.furniture() else { panic!("{:?}", room.furniture()) };
+        assert_eq!(storage.label, "STORAGE");
+        assert!((storage.area_m2() - 0.81).abs() < 1e-3, "{storage:?}");
+        assert!(storage.is_near([1.45, 0.95], 0.0) && !storage.is_near([0.9, 0.95], 0.05), "{storage:?}");
+    }
+    for (name, bytes) in made::all() {
+        let room = Room::from_bytes(name, &bytes).unwrap();
+        assert!(room.furniture().iter().all(|piece| piece.label == "STORAGE"), "{name}");
+    }
+    let named = made::gltf().replace(r#"{"mesh": 0,"#, r#"{"name": "Table.001", "mesh": 0,"#);
+    let room = Room::from_bytes("a.gltf", named.as_bytes()).unwrap();
+    let [table] = room.furniture() else { panic!("{:?}", room.furniture()) };
+    assert_eq!(table.label, "Table.001");
+}

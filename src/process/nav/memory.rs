@@ -43,8 +43,8 @@ pub struct SavedZones {
     pub(super) number: u64,
     /// Number of the zone that was added last.
     pub(super) last_number: u32,
-    /// Each zone's number and corners in the merged map, metres.
-    pub(super) zones: Vec<(u32, Vec<[f64; 2]>)>,
+    /// Each zone's number, the furniture that it stands for, and its corners in the merged map, metres.
+    pub(super) zones: Vec<(u32, String, Vec<[f64; 2]>)>,
 }
 
 /// Exploration of the fleet.

@@ -2,8 +2,18 @@
 
 use super::memory::SavedZones;
 use crate::channel;
+use crate::config::LABORATORY;
+use crate::fleet;
+use crate::fleet::FleetError;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
+use crate::run::Run;
 use msg::{ExclusionZone, ExclusionZones, Stamp, ZONES_MAX, ZoneAction, ZoneCommand, ZoneRefusal};
+use sim::{Furniture, Room};
+
+/// Most zones that furniture makes: the others are for people.
+const FURNITURE_MAX: usize = ZONES_MAX * 3 / 4;
+/// Distance from a robot's start within which furniture makes no zone, metres: body and margin. The robot could not leave.
+const START_MARGIN_M: f64 = 0.2;
 
 /// Exclusion zones, with their channels.
 pub(super) struct Zones<P: Ports> {
@@ -28,6 +38,38 @@ impl<P: Ports> Zones<P> {
             // The first state says that there are none.
             has_changed: true,
         })
+    }
+
+    /// Adds the furniture that the room's file names, largest first, where no robot starts.
+    ///
+    /// Robots whose starts are unknown do not know where the room lies in their map.
+    pub(super) fn add_furniture(&mut self, run: &Run) -> Result<(), FleetError> {
+        let config = &run.config;
+        let fleet = &config.fleet;
+        let is_file = fleet.room != LABORATORY && Room::parse_generated(&fleet.room).is_none();
+        if !fleet.furniture_zones || !fleet.starts_known || config.world.is_outside() || !is_file {
+            return Ok(());
+        }
+        let room = fleet::room(config)?;
+        let starts = fleet::starts(config, &room)?;
+        let is_clear = |piece: &&Furniture| {
+            starts.iter().all(|start| !piece.is_near([start.x_m, start.y_m], START_MARGIN_M))
+        };
+        let clear: Vec<&Furniture> = room.furniture().iter().filter(is_clear).collect();
+        for piece in clear.iter().take(FURNITURE_MAX) {
+            let Ok(zone) = ExclusionZone::new(&piece.outline_m) else { continue };
+            self.last_number += 1;
+            self.zones.push(ExclusionZone { number: self.last_number, ..zone.with_source(&piece.label) });
+        }
+        let left_out = room.furniture().len() - clear.len().min(FURNITURE_MAX);
+        if left_out > 0 {
+            tracing::warn!(
+                "{left_out} of {} pieces of furniture make no exclusion zone: at most {FURNITURE_MAX} do, and none \
+                 where a robot starts",
+                room.furniture().len()
+            );
+        }
+        Ok(())
     }
 
     /// The zones that hold, oldest first.
@@ -88,7 +130,7 @@ impl<P: Ports> Zones<P> {
     }
 
     pub(super) fn saved(&self) -> SavedZones {
-        let zone = |zone: &ExclusionZone| (zone.number, zone.corners_m().to_vec());
+        let zone = |zone: &ExclusionZone| (zone.number, zone.source().to_owned(), zone.corners_m().to_vec());
         SavedZones {
             number: self.newest.0,
             last_number: self.last_number,
@@ -98,8 +140,9 @@ impl<P: Ports> Zones<P> {
 
     /// Goes on with the zones of an earlier process of this run.
     pub(super) fn restore(&mut self, saved: &SavedZones) {
-        let zone = |(number, corners_m): &(u32, Vec<[f64; 2]>)| {
-            ExclusionZone::new(corners_m).ok().map(|zone| ExclusionZone { number: *number, ..zone })
+        let zone = |(number, source, corners_m): &(u32, String, Vec<[f64; 2]>)| {
+            let zone = ExclusionZone::new(corners_m).ok()?.with_source(source);
+            Some(ExclusionZone { number: *number, ..zone })
         };
         self.zones = saved.zones.iter().filter_map(zone).take(ZONES_MAX).collect();
         self.last_number = saved.last_number;
