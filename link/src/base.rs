@@ -6,6 +6,7 @@ use crate::leadership::{Leadership, Verdict};
 use crate::part::{self, PartContent, PartKey};
 use crate::peer::{Peer, STATE_PERIOD, Timer};
 use crate::receiver::{PartChange, PartReceiver};
+use crate::scan::{DecimatedScan, ScanRate};
 use crate::table::Kind;
 use crate::wire::{BaseState, Chunk, Message, RobotState, WireError};
 use msg::tiles::ROBOT_TILES_MAX;
@@ -27,6 +28,8 @@ pub enum BaseEvent {
     Correction(Correction),
     /// Frames of the robot.
     Transforms(Box<Transforms>),
+    /// Scan with few beams.
+    Scan(Box<DecimatedScan>),
     /// The map has changed: see [`BaseEnd::map`].
     Map,
     /// A submap is new or has changed: see [`BaseEnd::submap`].
@@ -140,6 +143,7 @@ impl BaseEnd {
             }
             Message::Correction(correction) => events.push(BaseEvent::Correction(correction)),
             Message::Transforms(transforms) => events.push(BaseEvent::Transforms(transforms)),
+            Message::Scan(scan) => events.push(BaseEvent::Scan(scan)),
             Message::Chunk(chunk) => events.extend(self.receive_chunk(&chunk)),
             _ => {}
         }
@@ -179,10 +183,18 @@ impl BaseEnd {
 
     /// Sets whether the base's emergency stop is set; `None` if its bridge does not answer.
     pub fn set_stopped(&mut self, is_stopped: Option<bool>) {
-        let state = BaseState { is_stopped: is_stopped == Some(true), is_known: is_stopped.is_some() };
+        let (is_stopped, is_known) = (is_stopped == Some(true), is_stopped.is_some());
+        let state = BaseState { is_stopped, is_known, ..self.state };
         if state != self.state {
             // A stop does not wait for the next period.
             (self.state, self.state_due, self.stop_repeats) = (state, Monotonic(0), STOP_REPEATS);
+        }
+    }
+
+    /// Sets which scans somebody at the base looks at; `None`: nobody looks, and the robot sends none.
+    pub fn set_scans(&mut self, scans: Option<ScanRate>) {
+        if scans != self.state.scans {
+            (self.state.scans, self.state_due) = (scans, Monotonic(0));
         }
     }
 

@@ -19,7 +19,10 @@ mod peer;
 mod reader;
 mod receiver;
 mod robot;
+pub mod scan;
+mod scan_throttle;
 mod sender;
+mod size;
 mod stop;
 pub mod table;
 pub mod wire;
@@ -31,7 +34,11 @@ pub use part::{PartContent, PartError, PartKey};
 pub use peer::STATE_PERIOD;
 pub use receiver::{PartChange, PartReceiver};
 pub use robot::{RobotEnd, RobotEvent};
+pub use scan::{DecimatedScan, ScanRate};
 pub use sender::{PartSender, SenderConfig};
 pub use stop::{StopFollower, StopRequest};
 pub use table::{Direction, Kind, Priority};
 pub use wire::{Envelope, Message, WireError};
+
+#[cfg(test)]
+mod testing;

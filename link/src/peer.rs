@@ -46,6 +46,24 @@ impl Peer {
     }
 }
 
+/// Admits events at a rate whose mean is bounded although they come a little early or late.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RateLimit {
+    due: Monotonic,
+}
+
+impl RateLimit {
+    /// Returns whether an event is admitted now, and counts it if so.
+    pub fn admits(&mut self, now: Monotonic, period: Duration) -> bool {
+        let is_admitted = now + period / 4 >= self.due;
+        if is_admitted {
+            // From when it was due, unless that is long ago.
+            self.due = self.due.max(now) + period;
+        }
+        is_admitted
+    }
+}
+
 /// Something that is due once a period.
 #[derive(Clone, Copy, Debug)]
 pub struct Timer {

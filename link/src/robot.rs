@@ -4,12 +4,14 @@ use crate::counters::ByteCounters;
 use crate::leadership::{Leadership, Verdict, is_recent};
 use crate::part::{PartContent, PartKey};
 use crate::peer::{Peer, STATE_PERIOD, Timer};
+use crate::scan::ScanRate;
+use crate::scan_throttle::ScanThrottle;
 use crate::sender::{PartSender, SenderConfig};
 use crate::stop::{StopFollower, StopRequest};
 use crate::table::Kind;
 use crate::wire::{Message, RobotState, WireError};
 use msg::{
-    Correction, Header, MapHeader, Monotonic, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand,
+    Correction, Header, MapHeader, Monotonic, Scan, Submap, SubmapPoses, TileMap, Transforms, VelocityCommand,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -72,13 +74,15 @@ pub struct RobotEnd {
     is_stopped: Option<bool>,
     sender: PartSender,
     newest: Newest,
+    scans: ScanThrottle,
     map: OwnMap,
     timers: Timers,
 }
 
 impl RobotEnd {
-    /// Creates the end. `session` is a random number that tells this process from every other.
-    pub fn new(session: u64, config: SenderConfig) -> Self {
+    /// Creates the end. `session` is a random number that tells this process from every other; `scans` is what it sends of
+    /// scans at most.
+    pub fn new(session: u64, config: SenderConfig, scans: ScanRate) -> Self {
         Self {
             peer: Peer::new(session),
             leadership: Leadership::default(),
@@ -86,6 +90,7 @@ impl RobotEnd {
             is_stopped: None,
             sender: PartSender::new(config),
             newest: Newest::default(),
+            scans: ScanThrottle::new(scans),
             map: OwnMap::default(),
             timers: Timers {
                 state: Timer::new(STATE_PERIOD),
@@ -130,6 +135,7 @@ impl RobotEnd {
             Verdict::Accepted => {}
             Verdict::TakenOver { before } => {
                 self.sender.forget_list();
+                self.scans.set_asked(None);
                 self.peer.heard = Monotonic(0);
                 events.push(RobotEvent::BaseLeads { base: envelope.session, before });
             }
@@ -137,6 +143,7 @@ impl RobotEnd {
         self.peer.heard = self.peer.heard.max(envelope.sent);
         match envelope.message {
             Message::BaseState(state) => {
+                self.scans.set_asked(state.scans);
                 let request = self.follower.follow(envelope.session, state, self.is_stopped, now);
                 events.extend(request.map(RobotEvent::Stop));
             }
@@ -158,6 +165,16 @@ impl RobotEnd {
     /// Keeps the robot's newest frames until they are sent.
     pub fn put_transforms(&mut self, transforms: &Transforms) {
         self.newest.transforms = Some(*transforms);
+    }
+
+    /// Returns whether somebody at the base looks at scans, so that [`Self::put_scan`] has a use.
+    pub fn is_scan_wanted(&self, now: Monotonic) -> bool {
+        self.scans.is_asked() && self.leadership.is_heard(now)
+    }
+
+    /// Takes the robot's newest scan, which is sent if somebody at the base looks and the rate allows it.
+    pub fn put_scan(&mut self, scan: &Scan, now: Monotonic) {
+        self.scans.put(scan, now);
     }
 
     /// Takes a new version of the robot's map.
@@ -216,16 +233,21 @@ impl RobotEnd {
             };
             self.peer.send(Message::RobotState(state), now, send);
         }
+        let scan = self.scans.take();
         if !self.leadership.is_heard(now) {
             return;
         }
-        if self.timers.poses.is_due(now) {
+        // Driving by a scan needs the pose of the same time.
+        if self.timers.poses.is_due(now) || scan.is_some() {
             if let Some(transforms) = self.newest.transforms.take() {
                 self.peer.send(Message::Transforms(Box::new(transforms)), now, send);
             }
             if let Some(correction) = self.newest.correction.take() {
                 self.peer.send(Message::Correction(correction), now, send);
             }
+        }
+        if let Some(scan) = scan {
+            self.peer.send(Message::Scan(scan), now, send);
         }
         while let Some(chunk) = self.sender.next_chunk(now) {
             self.peer.send(Message::Chunk(chunk), now, send);

@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     fn said(is_stopped: bool) -> BaseState {
-        BaseState { is_stopped, is_known: true }
+        BaseState { is_stopped, is_known: true, ..BaseState::default() }
     }
 
     #[test]

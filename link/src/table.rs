@@ -28,11 +28,13 @@ pub enum Priority {
     Pose,
     /// Parts of maps and their acknowledgements.
     Map,
+    /// Scans, for those who look.
+    Scan,
 }
 
 impl Priority {
     /// All priorities, the most urgent first.
-    pub const ALL: [Self; 3] = [Self::Command, Self::Pose, Self::Map];
+    pub const ALL: [Self; 4] = [Self::Command, Self::Pose, Self::Map, Self::Scan];
 
     /// Returns the priority's part of a key expression.
     pub fn name(self) -> &'static str {
@@ -40,6 +42,7 @@ impl Priority {
             Self::Command => "command",
             Self::Pose => "pose",
             Self::Map => "map",
+            Self::Scan => "scan",
         }
     }
 }
@@ -65,6 +68,8 @@ pub enum Kind {
     Transforms = 3,
     /// Piece of a part of the robot's map.
     Chunk = 4,
+    /// Scan with few beams, from channel `scan`, while the base asks for it.
+    Scan = 5,
     /// Sign of life of the base, and whether its emergency stop is set.
     BaseState = 16,
     /// Velocity that the base has let pass.
@@ -90,8 +95,8 @@ pub struct Row {
     pub name: &'static str,
 }
 
-/// All that crosses between machines. Scans, ground truth, and whatever else is not here stays on its machine.
-pub static TABLE: [Row; 8] = [
+/// All that crosses between machines. Ground truth, and whatever else is not here, stays on its machine.
+pub static TABLE: [Row; 9] = [
     row(Kind::BaseState, Direction::Down, Priority::Command, Waiting::NewestWins, "base state"),
     row(Kind::Velocity, Direction::Down, Priority::Command, Waiting::NewestWins, "velocity"),
     row(Kind::RobotState, Direction::Up, Priority::Command, Waiting::NewestWins, "robot state"),
@@ -100,6 +105,7 @@ pub static TABLE: [Row; 8] = [
     row(Kind::Chunk, Direction::Up, Priority::Map, Waiting::Acknowledged, "map"),
     row(Kind::Held, Direction::Down, Priority::Map, Waiting::Acknowledged, "held parts"),
     row(Kind::Acknowledgement, Direction::Down, Priority::Map, Waiting::Acknowledged, "acknowledgement"),
+    row(Kind::Scan, Direction::Up, Priority::Scan, Waiting::NewestWins, "scan"),
 ];
 
 const fn row(
@@ -129,6 +135,7 @@ impl Kind {
             Self::Chunk => 5,
             Self::Held => 6,
             Self::Acknowledgement => 7,
+            Self::Scan => 8,
         };
         &TABLE[index]
     }

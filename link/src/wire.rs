@@ -5,15 +5,13 @@
 pub use crate::error::{VERSION, WireError};
 use crate::part::{KEY_BYTES, PartKey};
 use crate::reader::Reader;
+use crate::scan::{DecimatedScan, SCAN_BEAMS_MAX, ScanRate};
+pub use crate::size::{HEAD_BYTES, MESSAGE_MAX};
 use crate::table::Kind;
 use msg::{
     Correction, Header, LINKS_MAX, LinkTransform, Monotonic, Pose2, Stamp, Transforms, VelocityCommand,
 };
 
-/// Largest message, bytes: a message of a higher priority never waits for more.
-pub const MESSAGE_MAX: usize = 4096;
-/// Number of bytes before the body.
-pub const HEAD_BYTES: usize = 26;
 /// Number of bytes of a chunk before its content.
 const CHUNK_HEAD: usize = KEY_BYTES + 16;
 /// Largest piece of a part in one message, bytes.
@@ -49,6 +47,8 @@ pub enum Message {
     Transforms(Box<Transforms>),
     /// Piece of a part of the map.
     Chunk(Chunk),
+    /// Scan with few beams. Of its header only the stamp is sent.
+    Scan(Box<DecimatedScan>),
     /// Sign of life of the base.
     BaseState(BaseState),
     /// Velocity for the robot. Of its header nothing is sent: the robot stamps it.
@@ -77,6 +77,8 @@ pub struct BaseState {
     pub is_stopped: bool,
     /// Whether the base knows: its bridge has answered lately.
     pub is_known: bool,
+    /// Scans that somebody at the base looks at; `None`: nobody looks.
+    pub scans: Option<ScanRate>,
 }
 
 /// Piece of a compressed part.
@@ -129,6 +131,7 @@ impl Message {
             Self::Correction(_) => Kind::Correction,
             Self::Transforms(_) => Kind::Transforms,
             Self::Chunk(_) => Kind::Chunk,
+            Self::Scan(_) => Kind::Scan,
             Self::BaseState(_) => Kind::BaseState,
             Self::Velocity(_) => Kind::Velocity,
             Self::Held(_) => Kind::Held,
@@ -178,7 +181,13 @@ impl Message {
                 to.extend(state.waiting.to_le_bytes());
                 to.push(state.is_stopped.into());
             }
-            Self::BaseState(state) => to.extend([u8::from(state.is_stopped), u8::from(state.is_known)]),
+            Self::BaseState(state) => {
+                to.extend([u8::from(state.is_stopped), u8::from(state.is_known)]);
+                let (period_ms, beams) = state.scans.map_or((0, 0), |scans| (scans.period_ms, scans.beams));
+                to.extend(period_ms.to_le_bytes());
+                to.extend(beams.to_le_bytes());
+            }
+            Self::Scan(scan) => scan.write(to),
             Self::Velocity(command) => write_f64s(to, &[command.linear_m_s, command.angular_rad_s]),
             Self::Correction(correction) => write_correction(to, correction),
             Self::Transforms(transforms) => write_transforms(to, transforms),
@@ -210,7 +219,9 @@ impl Message {
             Kind::BaseState => Self::BaseState(BaseState {
                 is_stopped: from.flag().ok_or(wrong)?,
                 is_known: from.flag().ok_or(wrong)?,
+                scans: read_scan_rate(from)?.ok_or(wrong)?,
             }),
+            Kind::Scan => Self::Scan(Box::new(DecimatedScan::read(from)?.ok_or(wrong)?)),
             Kind::Velocity => {
                 let (linear_m_s, angular_rad_s) = (from.f64()?, from.f64()?);
                 if !linear_m_s.is_finite() || !angular_rad_s.is_finite() {
@@ -231,6 +242,17 @@ impl Message {
             Kind::Acknowledgement => Self::Acknowledgement(read_receipts(from)?.ok_or(wrong)?),
         })
     }
+}
+
+/// Reads what is asked for: `Some(None)` for nothing, `None` if a number is out of range.
+fn read_scan_rate(from: &mut Reader<'_>) -> Result<Option<Option<ScanRate>>, WireError> {
+    Ok(match (from.u16()?, from.u16()?) {
+        (0, 0) => Some(None),
+        (period_ms @ 1.., beams @ 1..) if usize::from(beams) <= SCAN_BEAMS_MAX => {
+            Some(Some(ScanRate { period_ms, beams }))
+        }
+        _ => None,
+    })
 }
 
 fn write_f64s(to: &mut Vec<u8>, values: &[f64]) {

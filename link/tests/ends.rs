@@ -1,10 +1,10 @@
 //! A robot's end and the base's end, joined by a link that is cut, delays, and is taken over.
 
 use link::leadership::SILENCE_MAX;
-use link::{BaseEnd, BaseEvent, RobotEnd, RobotEvent, SenderConfig, StopRequest};
+use link::{BaseEnd, BaseEvent, RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Correction, MapHeader, Monotonic, Pose2, Rect, Stamp, Submap, SubmapPoses, TileMap, Transforms,
+    Correction, MapHeader, Monotonic, Pose2, Rect, Scan, Stamp, Submap, SubmapPoses, TileMap, Transforms,
     VelocityCommand,
 };
 
@@ -12,6 +12,15 @@ use msg::{
 const STEP_MS: u64 = 20;
 /// How far the robot's clock is ahead of the base's, milliseconds.
 const AHEAD_MS: u64 = 7_000;
+/// What the robot sends of scans at most.
+const SCANS: ScanRate = ScanRate { period_ms: 100, beams: 180 };
+
+fn scan() -> Box<Scan> {
+    let mut scan: Box<Scan> = bytemuck::allocation::zeroed_box();
+    (scan.angle_increment_rad, scan.range_min_m, scan.range_max_m, scan.len) = (0.0175, 0.12, 3.5, 360);
+    scan.ranges_m[..360].fill(2.0);
+    scan
+}
 
 /// Two machines.
 struct Machines {
@@ -27,12 +36,14 @@ struct Machines {
     /// What the base has got.
     corrections: Vec<Correction>,
     submaps: Vec<u32>,
+    /// Numbers of beams of the scans.
+    scans: Vec<usize>,
 }
 
 impl Machines {
     fn new() -> Self {
         Self {
-            robot: RobotEnd::new(1, SenderConfig::default()),
+            robot: RobotEnd::new(1, SenderConfig::default(), SCANS),
             base: BaseEnd::new(2),
             map: TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() }),
             now_ms: 1_000,
@@ -42,6 +53,7 @@ impl Machines {
             is_stopped: false,
             corrections: Vec::new(),
             submaps: Vec::new(),
+            scans: Vec::new(),
         }
     }
 
@@ -81,6 +93,7 @@ impl Machines {
                 match event {
                     BaseEvent::Correction(correction) => self.corrections.push(correction),
                     BaseEvent::Submap(id) => self.submaps.push(id),
+                    BaseEvent::Scan(scan) => self.scans.push(scan.ranges_m.len()),
                     _ => {}
                 }
             }
@@ -103,6 +116,10 @@ impl Machines {
             correction.header.stamp = Stamp(now.0 as i64);
             self.robot.put_correction(&correction);
             self.robot.put_transforms(&Transforms::default());
+            // A sensor of 10 Hz.
+            if self.now_ms.is_multiple_of(100) && self.robot.is_scan_wanted(now) {
+                self.robot.put_scan(&scan(), now);
+            }
             self.robot.set_stopped(Some(self.is_stopped));
             self.robot.poll(now, &mut |_, bytes: &[u8]| up.push(bytes.to_vec()));
             let down = self.base_messages();
@@ -160,6 +177,41 @@ fn an_outage_costs_only_what_has_changed() {
 }
 
 #[test]
+fn scans_cross_only_while_somebody_looks() {
+    let mut machines = Machines::new();
+    machines.run(5_000);
+    assert_eq!(machines.scans, [], "nobody looks");
+    machines.base.set_scans(Some(ScanRate::new(5.0, 90)));
+    machines.run(10_000);
+    assert!((45..=52).contains(&machines.scans.len()), "{} scans in 10 s at 5 Hz", machines.scans.len());
+    assert!(machines.scans.iter().all(|beams| *beams == 90));
+    // Nobody hears them while the link is cut, and afterwards none of them is sent late.
+    machines.is_cut = true;
+    machines.run(SILENCE_MAX.as_millis() as u64 + 2_000);
+    machines.is_cut = false;
+    machines.scans.clear();
+    machines.run(1_000);
+    assert!((3..=6).contains(&machines.scans.len()), "{} scans in 1 s at 5 Hz", machines.scans.len());
+    machines.base.set_scans(None);
+    machines.run(100);
+    machines.scans.clear();
+    machines.run(5_000);
+    assert_eq!(machines.scans, [], "nobody looks any more");
+    // Another base does not inherit the demand of the one before.
+    machines.base.set_scans(Some(ScanRate::new(20.0, 1000)));
+    machines.run(1_000);
+    assert!(
+        machines.scans.iter().all(|beams| *beams == 180) && machines.scans.len() <= 11,
+        "the robot's own limit"
+    );
+    machines.base = BaseEnd::new(3);
+    machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
+    machines.scans.clear();
+    machines.run(2_000);
+    assert_eq!(machines.scans, []);
+}
+
+#[test]
 fn another_base_gets_the_whole_map_and_the_same_one_nothing_twice() {
     let mut machines = Machines::new();
     machines.draw(0..50, 50);
@@ -168,7 +220,7 @@ fn another_base_gets_the_whole_map_and_the_same_one_nothing_twice() {
     machines.run(SILENCE_MAX.as_millis() as u64 + 2_000);
     assert!(machines.maps_are_equal());
     // The robot's process is started again, and learns what the base holds.
-    machines.robot = RobotEnd::new(4, SenderConfig::default());
+    machines.robot = RobotEnd::new(4, SenderConfig::default(), SCANS);
     machines.draw(0..50, 50);
     machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
     machines.up_bytes = 0;
@@ -182,7 +234,7 @@ fn a_robot_that_begins_anew_leaves_nothing_of_its_old_map() {
     let mut machines = Machines::new();
     machines.draw(0..50, 50);
     machines.run(8_000);
-    machines.robot = RobotEnd::new(4, SenderConfig::default());
+    machines.robot = RobotEnd::new(4, SenderConfig::default(), SCANS);
     machines.map = TileMap::new(machines.map.header);
     machines.draw(100..103, 50);
     machines.run(SILENCE_MAX.as_millis() as u64 + 10_000);

@@ -2,11 +2,12 @@
 
 use link::content::{compress, decode, encode};
 use link::part::hash;
+use link::scan::SCAN_BEAMS_MAX;
 use link::wire::{
     BaseState, CHUNK_BYTES_MAX, COMPLETE, Chunk, HeldPage, MESSAGE_MAX, RECEIPTS_MAX, Receipt, RobotState,
     VERSION,
 };
-use link::{Envelope, Message, PartContent, PartKey, PartReceiver, WireError};
+use link::{DecimatedScan, Envelope, Message, PartContent, PartKey, PartReceiver, ScanRate, WireError};
 use msg::{
     Correction, Header, LINKS_MAX, LinkTransform, Monotonic, Pose2, Stamp, Submap, SubmapEdge, SubmapPoses,
     Transforms, VelocityCommand,
@@ -15,6 +16,20 @@ use proptest::prelude::*;
 
 fn envelope(message: Message) -> Envelope {
     Envelope { session: 3, sent: Monotonic(5), answers: Monotonic(4), message }
+}
+
+fn scan(beams: usize) -> DecimatedScan {
+    DecimatedScan {
+        stamp: Stamp(-7),
+        angle_min_rad: -3.0,
+        angle_increment_rad: 0.035,
+        time_increment_s: 0.001,
+        scan_time_s: 0.1,
+        range_min_m: 0.12,
+        range_max_m: 3.5,
+        // 3.5 m and its half are whole numbers of steps.
+        ranges_m: [3.5, f32::INFINITY, f32::NEG_INFINITY, 1.75].into_iter().cycle().take(beams).collect(),
+    }
 }
 
 fn messages() -> Vec<Message> {
@@ -31,7 +46,10 @@ fn messages() -> Vec<Message> {
     };
     vec![
         Message::RobotState(RobotState { list_of: 9, waiting: 3, is_stopped: true }),
-        Message::BaseState(BaseState { is_stopped: true, is_known: false }),
+        Message::BaseState(BaseState { is_stopped: true, is_known: false, scans: None }),
+        Message::BaseState(BaseState { scans: Some(ScanRate::new(5.0, 180)), ..BaseState::default() }),
+        Message::Scan(Box::new(scan(SCAN_BEAMS_MAX))),
+        Message::Scan(Box::new(scan(0))),
         Message::Velocity(VelocityCommand { linear_m_s: 0.2, angular_rad_s: -1.0, ..Default::default() }),
         Message::Correction(Correction {
             header,
@@ -68,6 +86,20 @@ fn another_version_is_refused_by_name() {
     let why = Envelope::from_bytes(&bytes).unwrap_err();
     assert_eq!(why, WireError::Version(VERSION + 1));
     assert!(why.to_string().contains("update"), "{why}");
+}
+
+#[test]
+fn a_scan_out_of_range_is_refused() {
+    let is_read = |scan: DecimatedScan| {
+        Envelope::from_bytes(&envelope(Message::Scan(Box::new(scan))).to_bytes()).is_ok()
+    };
+    assert!(is_read(scan(180)));
+    assert!(!is_read(DecimatedScan { angle_increment_rad: f32::NAN, ..scan(180) }));
+    assert!(!is_read(DecimatedScan { range_min_m: 3.6, ..scan(180) }));
+    assert!(!is_read(DecimatedScan { range_max_m: f32::INFINITY, ..scan(180) }));
+    let nothing = Some(ScanRate { period_ms: 0, beams: 90 });
+    let state = Message::BaseState(BaseState { scans: nothing, ..BaseState::default() });
+    assert!(Envelope::from_bytes(&envelope(state).to_bytes()).is_err(), "a rate without a period");
 }
 
 #[test]

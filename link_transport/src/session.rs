@@ -228,8 +228,9 @@ impl ZenohTransport {
         let inbox: Arc<Mutex<Inbox>> = Arc::default();
         let (mut publishers, mut subscribers) = (Vec::new(), Vec::new());
         for (index, robot) in config.robots.iter().enumerate() {
-            let [command, pose, map] = Priority::ALL.map(|priority| declare(&session, robot, out, priority));
-            publishers.push([command?, pose?, map?]);
+            let [command, pose, map, scan] =
+                Priority::ALL.map(|priority| declare(&session, robot, out, priority));
+            publishers.push([command?, pose?, map?, scan?]);
             let inbox = inbox.clone();
             let receive = move |sample: zenoh::sample::Sample| {
                 let bytes = sample.payload().to_bytes();
@@ -272,7 +273,8 @@ fn declare(
     let zenoh_priority = match priority {
         Priority::Command => ZenohPriority::RealTime,
         Priority::Pose => ZenohPriority::DataHigh,
-        Priority::Map => ZenohPriority::Background,
+        Priority::Map => ZenohPriority::DataLow,
+        Priority::Scan => ZenohPriority::Background,
     };
     session
         .declare_publisher(key(robot, direction, priority))

@@ -1,6 +1,6 @@
 //! Scans of a planar LiDAR.
 
-use crate::Header;
+use crate::{Header, ROBOTS_MAX, RobotId};
 use bytemuck::{Pod, Zeroable};
 
 /// Largest number of beams in a scan.
@@ -45,6 +45,49 @@ pub struct Scan {
     pub reserved: u32,
     /// Storage of the ranges, metres. Read it by [`Scan::ranges_m`].
     pub ranges_m: [f32; BEAMS_MAX],
+}
+
+/// What scans of robots on other machines are wanted for: it decides how many cross the link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum ScanPurpose {
+    /// Somebody looks at them, or records them.
+    Viewing = 0,
+    /// A robot is driven by them.
+    Navigation = 1,
+}
+
+/// Demand for scans of robots on other machines. It is repeated while it lasts: every second or more often.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct ScanDemand {
+    /// Header whose `stamp` is not used.
+    pub header: Header,
+    /// Bit [`RobotId::index`](crate::RobotId::index) is set for each robot whose scans are wanted.
+    pub robots: u64,
+    /// Code of a [`ScanPurpose`].
+    pub purpose: u32,
+    /// Padding, always zero.
+    pub reserved: u32,
+}
+
+impl ScanDemand {
+    /// Returns whether a robot's scans are wanted.
+    pub fn includes(&self, robot: RobotId) -> bool {
+        self.robots & bit(robot) != 0
+    }
+
+    /// Returns the set of robots that [`Self::robots`] holds.
+    pub fn set_of(robots: impl IntoIterator<Item = RobotId>) -> u64 {
+        robots.into_iter().fold(0, |set, robot| set | bit(robot))
+    }
+}
+
+/// A set of robots is one number.
+const _: () = assert!(ROBOTS_MAX <= u64::BITS as usize);
+
+fn bit(robot: RobotId) -> u64 {
+    1 << robot.index()
 }
 
 impl Scan {

@@ -4,6 +4,7 @@
 //! [`link_transport::Transport`]; the crate `link` has the messages and all decisions about what is sent when.
 
 mod base;
+mod demand;
 mod report;
 mod robot;
 mod stop;

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -80,6 +80,11 @@ impl Ended {
         let log = folder.join(format!("{}.log", args[0]));
         let file = std::fs::OpenOptions::new().create(true).append(true).open(&log).unwrap();
         Self { process: with_args(program(), folder, args).stderr(file).spawn().unwrap(), log }
+    }
+
+    /// Returns how it ended, if it has.
+    pub fn exit(&mut self) -> Option<ExitStatus> {
+        self.process.try_wait().unwrap()
     }
 
     /// Returns whether it has said something with this text in it.

@@ -1,7 +1,9 @@
 //! Robots and a base on one machine, joined over Zenoh: `cargo test --features link --test link`.
 
 mod fleets;
+mod goals;
 mod power;
+mod scans;
 mod strangers;
 
 use fleets::{Fleet, LIMIT, caught_up, endpoint, start, until};

@@ -1,5 +1,6 @@
 //! The link's end at the base: it writes the channels of robots that are on other machines.
 
+use super::demand::ScanDemands;
 use super::{InvalidMessages, POLL_PERIOD, RECEIVED_MAX, StopControl};
 use crate::channel;
 use crate::clock::Epoch;
@@ -7,10 +8,10 @@ use crate::ports::{ChannelError, Clock as _, MAP_PAUSE, Ports, ReadPort, WriteMa
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
 use ::bridge::world::{ClockOffset, SourceClock};
-use ::link::{BaseEnd, BaseEvent};
+use ::link::{BaseEnd, BaseEvent, DecimatedScan};
 use link_transport::Transport;
 use msg::{
-    Clock, Correction, Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest, TileMap, Transforms,
+    Clock, Correction, Monotonic, RobotId, Scan, Submap, SubmapPoses, SubmapRequest, TileMap, Transforms,
     VelocityCommand,
 };
 use std::collections::BTreeSet;
@@ -27,6 +28,7 @@ const WHOLE_MAP_WAIT_MAX: Duration = Duration::from_secs(5);
 struct Channels<P: Ports> {
     correction: P::Writer<Correction>,
     transforms: P::Writer<Transforms>,
+    scan: P::Writer<Scan>,
     map: P::MapWriter,
     submap: P::Writer<Submap>,
     submap_poses: P::Writer<SubmapPoses>,
@@ -39,6 +41,7 @@ impl<P: Ports> Channels<P> {
         Ok(Self {
             correction: ports.writer(&channel::correction(robot))?,
             transforms: ports.writer(&channel::transforms(robot))?,
+            scan: ports.writer(&channel::scan(robot))?,
             map: ports.map_writer(&channel::map(robot))?,
             submap: ports.writer(&channel::submap(robot))?,
             submap_poses: ports.writer(&channel::submap_poses(robot))?,
@@ -83,6 +86,7 @@ pub struct BaseLink<P: Ports, T, S> {
     transport: T,
     stop: S,
     robots: Vec<RobotMirror<P>>,
+    scan_demands: ScanDemands<P>,
     fleet_clock: P::Writer<Clock>,
     clock_due: Monotonic,
     clock: P::Clock,
@@ -100,6 +104,7 @@ impl<P: Ports, T: Transport, S: StopControl> BaseLink<P, T, S> {
             transport,
             stop,
             robots: robots.collect::<Result<_, _>>()?,
+            scan_demands: ScanDemands::open(ports, run)?,
             fleet_clock: ports.writer(&channel::clock())?,
             clock_due: Monotonic(0),
             clock: ports.clock(),
@@ -131,9 +136,11 @@ impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for BaseLink<P, T, S> {
                 robot.receive(&bytes, self.epoch, now);
             }
         }
+        self.scan_demands.receive(now);
         let is_stopped = self.stop.is_stopped();
         for robot in &mut self.robots {
             robot.end.set_stopped(is_stopped);
+            robot.end.set_scans(self.scan_demands.of(robot.robot, now));
             robot.send(&mut self.transport, now);
             robot.publish(self.epoch, now);
         }
@@ -197,12 +204,21 @@ impl<P: Ports> RobotMirror<P> {
                 transforms.header.stamp = self.clock.translate(transforms.header.stamp);
                 self.channels.transforms.send(&transforms);
             }
+            BaseEvent::Scan(scan) if self.clock.estimate().is_some() => self.publish_scan(&scan),
             // Before the first pose the offset of the clocks is not known.
-            BaseEvent::Transforms(_) => {}
+            BaseEvent::Transforms(_) | BaseEvent::Scan(_) => {}
             BaseEvent::Map => self.unpublished.has_map_changed = true,
             BaseEvent::Submap(id) => drop(self.unpublished.submaps.insert(id)),
             BaseEvent::SubmapPoses(poses) => self.unpublished.poses = Some(poses),
         }
+    }
+
+    fn publish_scan(&mut self, scan: &DecimatedScan) {
+        let stamp = self.clock.translate(scan.stamp);
+        self.channels.scan.send_with(|message| {
+            scan.write_to(message);
+            message.header.stamp = stamp;
+        });
     }
 
     /// Sends what is due to the robot.

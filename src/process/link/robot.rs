@@ -6,10 +6,11 @@ use crate::clock::Epoch;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
 use crate::process::{Listens, ProcessLoop};
 use crate::run::Run;
-use ::link::{RobotEnd, RobotEvent, SenderConfig, StopRequest};
+use ::link::{RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
 use link_transport::Transport;
 use msg::{
-    Correction, Header, Monotonic, RobotId, Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
+    Correction, Header, Monotonic, RobotId, Scan, Submap, SubmapPoses, SubmapRequest, Transforms,
+    VelocityCommand,
 };
 
 /// The robot of a robot's machine: its fleet has no other.
@@ -18,6 +19,7 @@ const ROBOT: RobotId = RobotId::new(1).expect("1 is the first robot's number");
 struct Inputs<P: Ports> {
     corrections: P::Reader<Correction>,
     transforms: P::Reader<Transforms>,
+    scans: P::Reader<Scan>,
     map: P::MapReader,
     submaps: P::Reader<Submap>,
     submap_poses: P::Reader<SubmapPoses>,
@@ -50,6 +52,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
         let inputs = Inputs {
             corrections: ports.reader(&channel::correction(ROBOT))?,
             transforms: ports.reader(&channel::transforms(ROBOT))?,
+            scans: ports.reader(&channel::scan(ROBOT))?,
             map: ports.map_reader(&channel::map(ROBOT))?,
             submaps: ports.reader(&channel::submap(ROBOT))?,
             submap_poses: ports.reader(&channel::submap_poses(ROBOT))?,
@@ -58,11 +61,13 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             velocity: ports.writer(&channel::navigation_velocity(ROBOT))?,
             submap_request: ports.writer(&channel::submap_request(ROBOT))?,
         };
+        let link = &run.config.link;
+        let scans = ScanRate::new(link.scan_rate_hz.max(link.drive_rate_hz), link.scan_beams);
         Ok(Self {
             name: run.config.robot_name(ROBOT),
             transport,
             stop,
-            end: RobotEnd::new(session, SenderConfig::default()),
+            end: RobotEnd::new(session, SenderConfig::default(), scans),
             inputs,
             outputs,
             clock: ports.clock(),
@@ -127,6 +132,10 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
         }
         if let Some(transforms) = inputs.transforms.newest() {
             end.put_transforms(&transforms);
+        }
+        let scan = inputs.scans.newest();
+        if let Some(scan) = scan.filter(|_| end.is_scan_wanted(now)) {
+            end.put_scan(&scan, now);
         }
         if inputs.map.poll() {
             end.put_map(inputs.map.map(), now);

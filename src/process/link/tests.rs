@@ -14,8 +14,8 @@ use ::link::Kind;
 use link_transport::Transport;
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
-    Correction, Header, MapHeader, Monotonic, Rect, RobotId, Role, Stamp, TileMap, Transforms,
-    VelocityCommand,
+    Correction, Header, MapHeader, Monotonic, Rect, RobotId, Role, Scan, ScanDemand, ScanPurpose, Stamp,
+    TileMap, Transforms, VelocityCommand,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -77,6 +77,7 @@ struct RobotSide {
     map_writer: QueueMapWriter,
     corrections: QueueWriter<Correction>,
     transforms: QueueWriter<Transforms>,
+    scans: QueueWriter<Scan>,
     velocities: QueueReader<VelocityCommand>,
     stop: Stop,
 }
@@ -87,6 +88,8 @@ struct BaseSide {
     link: Base,
     map: QueueMapReader,
     corrections: QueueReader<Correction>,
+    scans: QueueReader<Scan>,
+    demand: QueueWriter<ScanDemand>,
     commands: QueueWriter<VelocityCommand>,
     stop: Stop,
 }
@@ -128,6 +131,7 @@ impl RobotSide {
             map_writer: slam.map_writer(&channel::map(ROBOT)).unwrap(),
             corrections: slam.writer(&channel::correction(ROBOT)).unwrap(),
             transforms: sim.writer(&channel::transforms(ROBOT)).unwrap(),
+            scans: sim.writer(&channel::scan(ROBOT)).unwrap(),
             velocities: ports(&network, Role::Bridge).reader(&channel::navigation_velocity(ROBOT)).unwrap(),
             stop,
             network,
@@ -146,6 +150,12 @@ impl RobotSide {
         self.map_writer.send(&self.map);
         self.corrections.send(&Correction { header, ..Correction::default() });
         self.transforms.send(&Transforms { header, ..Transforms::default() });
+        self.scans.send_with(|scan| {
+            (scan.range_min_m, scan.range_max_m, scan.angle_increment_rad) = (0.12, 3.5, 0.0175);
+            scan.ranges_m[..360].fill(1.75);
+            scan.len = 360;
+            scan.header.stamp = header.stamp;
+        });
         self.link.step();
     }
 }
@@ -160,6 +170,8 @@ impl BaseSide {
             link: link.unwrap(),
             map: merge.map_reader(&channel::map(ROBOT)).unwrap(),
             corrections: merge.reader(&channel::correction(ROBOT)).unwrap(),
+            scans: ports(&network, Role::Nav).reader(&channel::scan(ROBOT)).unwrap(),
+            demand: ports(&network, Role::Bridge).writer(&channel::scan_demand()).unwrap(),
             commands: ports(&network, Role::Bridge).writer(&channel::command(ROBOT)).unwrap(),
             stop,
             network,
@@ -218,6 +230,36 @@ fn the_base_gets_the_robots_map_and_its_poses_by_its_own_clock() {
     let late_s = (machines.now as i64 - correction.header.stamp.0) as f64 * 1e-9;
     // The epochs of both runs are 0, so that the clocks differ by exactly that much.
     assert!((0.0..0.3).contains(&late_s), "the pose is {late_s} s old by the base's clock");
+}
+
+#[test]
+fn the_base_gets_scans_by_its_own_clock_while_it_repeats_that_it_wants_them() {
+    let mut machines = Machines::new();
+    let mut run_with = |demand: Option<ScanPurpose>, seconds: usize| {
+        let mut scans = Vec::new();
+        for _ in 0..2 * seconds {
+            if let Some(purpose) = demand {
+                let robots = ScanDemand::set_of([ROBOT]);
+                let purpose = purpose as u32;
+                machines.base.demand.send(&ScanDemand { robots, purpose, ..ScanDemand::default() });
+            }
+            machines.run(0.5);
+            while let Some(scan) = machines.base.scans.receive() {
+                let late_s = (machines.now as i64 - scan.header.stamp.0) as f64 * 1e-9;
+                assert!((0.0..0.6).contains(&late_s), "the scan is {late_s} s old by the base's clock");
+                scans.push(scan.len);
+            }
+        }
+        scans
+    };
+    assert_eq!(run_with(None, 3), Vec::<u32>::new(), "nobody looks");
+    let viewed = run_with(Some(ScanPurpose::Viewing), 4);
+    assert!((17..=21).contains(&viewed.len()) && viewed.iter().all(|len| *len == 180), "{viewed:?}");
+    let driven = run_with(Some(ScanPurpose::Navigation), 4);
+    assert!((36..=42).contains(&driven.len()), "{driven:?}");
+    // A demand that is not repeated ends.
+    run_with(None, 2);
+    assert_eq!(run_with(None, 3), Vec::<u32>::new());
 }
 
 #[test]
