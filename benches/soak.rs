@@ -3,7 +3,10 @@
 //! Each minute it also measures the same wake-ups without a fleet, which shows the effect of other load on the
 //! machine. The test passes if neither memory nor jitter grows.
 //!
-//! `cargo bench --bench soak [-- --minutes 20 --json FILE]`
+//! `cargo bench --bench soak [-- --minutes 20 --record --json FILE]`
+//!
+//! With `--record` the fleet is recorded: the recorder's memory must not grow either, and no message may be lost or dropped.
+//! The recording takes about 25 MB a minute below the temporary folder and is removed at the end.
 
 #[path = "jitter/bare.rs"]
 mod bare;
@@ -51,19 +54,25 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let minutes = value("--minutes").map_or(Ok(20), |text| text.parse::<usize>())?.max(1);
-    let mut fleet = fleet::Fleet::start(ROBOTS)?;
+    let is_recorded = words.iter().any(|word| word == "--record");
+    let mut fleet = fleet::Fleet::start_with(ROBOTS, if is_recorded { &["--record"] } else { &[] })?;
     let port = fleet.run().port;
     fleet.measure(WARM_UP, Duration::from_secs(1))?;
 
     let (over, visits) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let clients = [visitor(port, &over, &visits), staller(port, &over), staller(port, &over)];
-    let rows = measure(&mut fleet, minutes, &visits)?;
+    let rows = measure(&mut fleet, minutes, is_recorded, &visits)?;
     over.store(true, Ordering::Relaxed);
     clients.into_iter().for_each(|thread| drop(thread.join()));
 
     let flat = check_growth(&rows);
     if let Some(path) = value("--json") {
-        let minute = |row: &Minute| json!({ "bridge_mb": row.bridge_mb, "tf": row.tf, "bare": row.floor });
+        let minute = |row: &Minute| {
+            let recorder = row.recorder.as_ref().map(|recorder| {
+                json!({ "mb": recorder.memory_mb, "received": recorder.received, "missed": recorder.missed() })
+            });
+            json!({ "bridge_mb": row.bridge_mb, "tf": row.tf, "bare": row.floor, "recorder": recorder })
+        };
         let rows = rows.iter().map(minute).collect::<Vec<_>>();
         std::fs::write(path, serde_json::to_string_pretty(&json!({ "flat": flat, "minutes": rows }))?)?;
     }
@@ -75,11 +84,22 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn measure(
     fleet: &mut fleet::Fleet,
     minutes: usize,
+    is_recorded: bool,
     visits: &AtomicU64,
 ) -> Result<Vec<Minute>, Box<dyn Error>> {
     println!(
-        "{:>6} {:>10} {:>10} {:>9} {:>9} {:>9} {:>6} {:>9} {:>9} {:>9}",
-        "minute", "bridge MB", "others MB", "TF p50", "P95", "P99 ms", "lost", "bare p50", "P95 ms", "visits"
+        "{:>6} {:>10} {:>10} {:>9} {:>9} {:>9} {:>6} {:>9} {:>9} {:>9} {:>11}",
+        "minute",
+        "bridge MB",
+        "others MB",
+        "TF p50",
+        "P95",
+        "P99 ms",
+        "lost",
+        "bare p50",
+        "P95 ms",
+        "visits",
+        "recorder MB"
     );
     let mut rows = Vec::new();
     for minute in 1..=minutes {
@@ -89,12 +109,15 @@ fn measure(
         let tf = fleet.measure(Duration::ZERO, MINUTE)?.tf;
         let floor = bare.join().map_err(|_| "the bare hops' client failed")??;
         let (bridge_mb, others_mb) = fleet.memory_mb();
+        let recorder = if is_recorded { Some(Recorder::of(fleet)?) } else { None };
+        let recorder_mb =
+            recorder.as_ref().map_or("-".to_owned(), |recorder| format!("{:.1}", recorder.memory_mb));
         let visits = visits.load(Ordering::Relaxed);
         println!(
-            "{minute:>6} {bridge_mb:>10.1} {others_mb:>10.1} {:>9.3} {:>9.3} {:>9.3} {:>6} {:>9.3} {:>9.3} {visits:>9}",
+            "{minute:>6} {bridge_mb:>10.1} {others_mb:>10.1} {:>9.3} {:>9.3} {:>9.3} {:>6} {:>9.3} {:>9.3} {visits:>9} {recorder_mb:>11}",
             tf.p50_ms, tf.p95_ms, tf.p99_ms, tf.lost, floor.p50_ms, floor.p95_ms
         );
-        rows.push(Minute { bridge_mb, tf, floor });
+        rows.push(Minute { bridge_mb, tf, floor, recorder });
     }
     Ok(rows)
 }
@@ -112,7 +135,9 @@ fn check_growth(rows: &[Minute]) -> bool {
     let jitter_ms = [first, last].map(|rows| median(rows, |row| row.tf.p95_ms));
     let ratio = [first, last].map(|rows| median(rows, |row| row.tf.p95_ms / row.floor.p95_ms.max(1e-3)));
     let lost = rows.iter().map(|row| row.tf.lost).sum::<u64>();
-    let flat = grown_mb <= GROWTH_MAX_MB
+    let is_recorder_well = check_recorder(rows, grown_mb_of_recorder(first, last));
+    let flat = is_recorder_well
+        && grown_mb <= GROWTH_MAX_MB
         && (jitter_ms[1] <= JITTER_FLOOR_MS || ratio[1] <= JITTER_RATIO_MAX * ratio[0])
         && lost == 0;
     println!(
@@ -127,8 +152,53 @@ fn check_growth(rows: &[Minute]) -> bool {
     flat
 }
 
+/// Returns by how much the recorder's memory grew, MB; 0 without a recorder.
+fn grown_mb_of_recorder(first: &[Minute], last: &[Minute]) -> f64 {
+    let largest = |rows: &[Minute]| {
+        let recorders = rows.iter().filter_map(|row| row.recorder.as_ref());
+        recorders.map(|recorder| recorder.memory_mb).fold(0.0, f64::max)
+    };
+    largest(last) - largest(first)
+}
+
+/// Prints what the recorder missed, and returns whether it missed nothing, was never replaced and did not grow.
+fn check_recorder(rows: &[Minute], grown_mb: f64) -> bool {
+    let Some(newest) = rows.iter().filter_map(|row| row.recorder.as_ref()).next_back() else { return true };
+    let is_same = rows.iter().filter_map(|row| row.recorder.as_ref()).all(|one| one.pid == newest.pid);
+    println!(
+        "recorder: {} messages, {} lost, {} dropped, its memory grew by {grown_mb:.1} MB{}",
+        newest.received,
+        newest.lost,
+        newest.dropped,
+        if is_same { "" } else { "; IT WAS REPLACED" }
+    );
+    is_same && newest.received > 0 && newest.missed() == 0 && grown_mb <= GROWTH_MAX_MB
+}
+
+/// The recorder at the end of a minute; its counts are those since its start.
+struct Recorder {
+    pid: u32,
+    memory_mb: f64,
+    received: u64,
+    lost: u64,
+    dropped: u64,
+}
+
+impl Recorder {
+    fn of(fleet: &mut fleet::Fleet) -> Result<Self, Box<dyn Error>> {
+        let process = fleet.process("record").ok_or("the fleet has no recorder")?;
+        let reports::ProcessView { pid, memory_mb, received, lost, dropped, .. } = process;
+        Ok(Self { pid, memory_mb, received, lost, dropped })
+    }
+
+    fn missed(&self) -> u64 {
+        self.lost + self.dropped
+    }
+}
+
 /// Measurements of one minute.
 struct Minute {
+    recorder: Option<Recorder>,
     bridge_mb: f64,
     tf: measure::Spread,
     floor: measure::Spread,

@@ -9,6 +9,7 @@ pub mod client;
 mod drive_checks;
 mod drivers;
 pub mod faults;
+mod headset;
 mod injection;
 pub mod invariants;
 mod members;
@@ -35,6 +36,7 @@ use crate::process::{Error, ProcessLoop};
 use crate::processes::ProcessRow;
 use crate::run::Run;
 use ::bridge::Transport;
+use ::headset::wireless::Link;
 use ::recording::fleet::FleetRecording;
 use faults::FaultPlan;
 use formats::map_file::{MapFileError, write_doubted_map};
@@ -79,6 +81,18 @@ impl Lockstep {
     /// The configuration's room, starts or sessions cannot be used.
     pub fn new(config: &FleetConfig, together: bool) -> Result<Self, Error> {
         Self::with_faults(config, together, FaultPlan::none())
+    }
+
+    /// Builds a fleet whose clients, also a headset in which the robots live, are behind a wireless link.
+    ///
+    /// The operator drives one robot after the other. Delays are drawn from the fleet's seed.
+    ///
+    /// # Errors
+    /// As [`Lockstep::new`].
+    pub fn behind_link(config: &FleetConfig, link: Link) -> Result<Self, Error> {
+        let fleet = Self::new(config, false)?;
+        fleet.world.port.set_link(link, config.fleet.seed);
+        Ok(fleet)
     }
 
     /// Builds a fleet with injected faults.
@@ -126,7 +140,7 @@ impl Lockstep {
         Ok(Self {
             requests: requests.collect::<Result<_, _>>()?,
             observer: Observer::open(&network, &run)?,
-            people: People::new(&network, &port, &run, together),
+            people: People::new(&network, &port, &run, together)?,
             members: rows.into_iter().map(|(row, robot)| Member::new(row, robot)).collect(),
             known: fleet::known_starts(config)?,
             watch_due: Monotonic(0),
@@ -248,6 +262,7 @@ impl Lockstep {
             self.apply_faults();
             self.supervise();
             self.world.network.notify_arrivals();
+            self.world.port.deliver();
             if self.step_one() {
                 steps += 1;
                 assert!(steps < STEPS_MAX, "the fleet is stuck at {:?}", self.time());
@@ -308,6 +323,7 @@ impl Lockstep {
             .chain(frozen)
             .chain(self.people.request_due())
             .chain(network.into_iter().flatten())
+            .chain(self.world.port.next_arrival())
             .chain([self.people.due(), self.supervisor_due()])
             .min()
             .unwrap_or(Monotonic(u64::MAX))

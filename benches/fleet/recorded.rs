@@ -21,12 +21,14 @@ pub struct Comparison {
     pub p99_ms: [f64; 2],
     /// Scans missed by SLAM and messages missed by the client: without, with.
     pub lost: [u64; 2],
+    /// Messages that the recorders missed or dropped.
+    pub unrecorded: u64,
 }
 
 impl Comparison {
     /// Returns whether recording costs at most 5 % and loses nothing.
     pub fn holds(&self) -> bool {
-        self.p99_ms[1] <= COST_MAX * self.p99_ms[0] && self.lost[1] <= self.lost[0]
+        self.p99_ms[1] <= COST_MAX * self.p99_ms[0] && self.lost[1] <= self.lost[0] && self.unrecorded == 0
     }
 }
 
@@ -46,6 +48,7 @@ pub fn compare(robots: usize, length: Duration) -> Result<Comparison, Box<dyn Er
     let comparison = Comparison {
         p99_ms: [p99(&without), p99(&with)],
         lost: [lost(&without), lost(&with)],
+        unrecorded: with.iter().map(|row| row.unrecorded).sum(),
         without,
         with,
     };
@@ -55,6 +58,7 @@ pub fn compare(robots: usize, length: Duration) -> Result<Comparison, Box<dyn Er
         println!("{name:<20} TF jitter P99 {p99_ms:.3} ms (median of the fleets), {lost} lost");
     }
     let holds = if comparison.holds() { "holds" } else { "MISSED" };
-    println!("cost {:+.1} %: {holds}", 100.0 * (comparison.p99_ms[1] / comparison.p99_ms[0] - 1.0));
+    let cost = 100.0 * (comparison.p99_ms[1] / comparison.p99_ms[0] - 1.0);
+    println!("cost {cost:+.1} %, {} messages not recorded: {holds}", comparison.unrecorded);
     Ok(comparison)
 }

@@ -31,6 +31,8 @@ pub struct Row {
     pub cores: f64,
     /// Memory of all processes for each robot, megabytes.
     pub memory_per_robot_mb: f64,
+    /// Messages that the recorder missed or dropped; 0 without one.
+    pub unrecorded: u64,
     /// Process that takes most of a core, and how much in percent.
     pub busiest: (String, f64),
 }
@@ -48,6 +50,7 @@ impl Row {
         let busiest = cpus.iter().max_by(|a, b| a.percent.total_cmp(&b.percent));
         let (before, after) = fleet.views().ok_or("telemetry sent no figures twice; measure for longer")?;
         let seconds = after.time_s - before.time_s;
+        let recorder = after.processes.iter().find(|process| process.process == "record");
         let pairs = || before.robots.iter().zip(&after.robots);
         let rates = pairs().map(|(then, now)| now.scans.saturating_sub(then.scans) as f64 / seconds);
         let worst = |of: fn(&reports::RobotView) -> Option<f32>| {
@@ -66,6 +69,7 @@ impl Row {
             cores: cpus.iter().map(|cpu| cpu.percent).sum::<f64>() / 100.0,
             memory_per_robot_mb: after.processes.iter().map(|process| process.memory_mb).sum::<f64>()
                 / robots as f64,
+            unrecorded: recorder.map_or(0, |process| process.lost + process.dropped),
             busiest: busiest
                 .map_or((String::new(), 0.0), |Cpu { process, percent, .. }| (process.clone(), *percent)),
         })

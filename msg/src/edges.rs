@@ -1,6 +1,6 @@
 //! Messages with the transforms between pairs of robots' maps (merge edges) and their evidence.
 
-use crate::{Header, Pose2, RobotId};
+use crate::{Header, Pose2, RobotId, Sender};
 use bytemuck::{Pod, Zeroable};
 
 /// Most edges in one message: all pairs of 16 robots. Those of the largest fleet would have 0.3 MB.
@@ -141,6 +141,8 @@ pub struct EdgeCommand {
     pub edge: u32,
     /// Code of an [`EdgeAction`].
     pub action: u32,
+    /// Who sent it.
+    pub sender: Sender,
 }
 
 impl EdgeCommand {

@@ -34,6 +34,7 @@ mod motion;
 mod navigation;
 pub mod pose;
 mod scan;
+mod sender;
 mod service;
 mod stats;
 pub mod time;
@@ -62,7 +63,8 @@ pub use navigation::{
 };
 pub use pose::Pose2;
 pub use rect::Rect;
-pub use scan::{BEAMS_MAX, Scan};
+pub use scan::{BEAMS_MAX, Scan, ScanDemand, ScanPurpose};
+pub use sender::{OperatorAction, OperatorEvent, Sender, SenderKind};
 pub use service::{
     CLOSURES_MAX, ClosureInfo, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind, SlamResponse, StartPose,
     TEXT_MAX, Text,
@@ -134,6 +136,7 @@ messages!(
     FleetStats,
     MergeEdges,
     EdgeCommand,
+    OperatorEvent,
     SubmapRequest,
     SlamRequest,
     SlamResponse,
@@ -143,5 +146,6 @@ messages!(
     ExplorationCommand,
     ExplorationReport,
     ZoneCommand,
-    ExclusionZones
+    ExclusionZones,
+    ScanDemand
 );

@@ -1,6 +1,6 @@
 //! Messages about motion, such as velocity commands, odometry, ground truth, clock and transforms.
 
-use crate::{Header, Pose2};
+use crate::{Header, Pose2, Sender};
 use bytemuck::{Pod, Zeroable};
 
 /// Commanded velocity of `base_footprint` (geometry_msgs/Twist).
@@ -15,6 +15,8 @@ pub struct VelocityCommand {
     pub linear_m_s: f64,
     /// Turning rate, rad/s, counter-clockwise.
     pub angular_rad_s: f64,
+    /// Who sent it.
+    pub sender: Sender,
 }
 
 /// Wheel odometry (nav_msgs/Odometry): smooth, but it drifts.

@@ -4,7 +4,7 @@
 //! its own into `client` and counts its requests in `id`; the response repeats both. A request without a
 //! response within a few seconds was lost with a process that died. The client then sends it again.
 
-use crate::{Header, Pose2, bounded_text};
+use crate::{Header, Pose2, Sender, bounded_text};
 use bytemuck::{Pod, Zeroable};
 
 /// Length of the longest text, bytes of UTF-8.
@@ -174,6 +174,8 @@ pub struct SlamRequest {
     pub client: u64,
     /// Number of the request among the client's requests.
     pub id: u64,
+    /// Who sent it.
+    pub sender: Sender,
     /// Code of a [`SlamRequestKind`].
     pub kind: u32,
     /// Code of a [`SlamMode`].

@@ -10,6 +10,8 @@ pub const ZONES_MAX: usize = 32;
 pub const ZONE_CORNERS_MAX: usize = 16;
 /// Fewest corners of a zone.
 pub const ZONE_CORNERS_MIN: usize = 3;
+/// Most bytes of the name of a zone's source.
+pub const ZONE_SOURCE_MAX: usize = 24;
 /// Largest coordinate of a corner, metres: beyond it a message is broken.
 pub const ZONE_COORDINATE_MAX_M: f64 = 1e5;
 
@@ -34,6 +36,9 @@ pub struct ExclusionZone {
     pub corners_len: u32,
     /// Storage of the corners, in order, in the merged map, metres.
     pub corners_m: [[f64; 2]; ZONE_CORNERS_MAX],
+    /// Storage of the label of the furniture that it stands for, UTF-8, filled with zeros. All zeros: a person or program
+    /// added it. Read it by [`ExclusionZone::source`].
+    pub source: [u8; ZONE_SOURCE_MAX],
 }
 
 impl ExclusionZone {
@@ -59,6 +64,21 @@ impl ExclusionZone {
         let mut zone = Self { corners_len: count as u32, ..Self::default() };
         zone.corners_m[..count].copy_from_slice(corners_m);
         Ok(zone)
+    }
+
+    /// This zone with the label of the furniture that it stands for; what is over 24 bytes is cut off.
+    pub fn with_source(mut self, label: &str) -> Self {
+        self.source = [0; ZONE_SOURCE_MAX];
+        let end = (0..=label.len().min(ZONE_SOURCE_MAX)).rev().find(|end| label.is_char_boundary(*end));
+        let bytes = &label.as_bytes()[..end.unwrap_or(0)];
+        self.source[..bytes.len()].copy_from_slice(bytes);
+        self
+    }
+
+    /// Label of the furniture that it stands for; empty for a zone that a person or program added.
+    pub fn source(&self) -> &str {
+        let len = self.source.iter().position(|byte| *byte == 0).unwrap_or(ZONE_SOURCE_MAX);
+        core::str::from_utf8(&self.source[..len]).unwrap_or_default()
     }
 
     /// The corners in use, in order, in the merged map, metres.
@@ -187,6 +207,16 @@ mod tests {
         let zones = ExclusionZones { zones_len: u32::MAX, refusal: 99, ..Default::default() };
         assert_eq!((zones.zones().len(), zones.refusal()), (ZONES_MAX, None));
         assert_eq!(ZoneCommand { action: 99, ..Default::default() }.action(), None);
+    }
+
+    #[test]
+    fn a_long_source_is_cut_at_a_letter() {
+        let zone = ExclusionZone::default();
+        assert_eq!(zone.source(), "");
+        assert_eq!(zone.with_source("TABLE").source(), "TABLE");
+        let long = format!("{}é", "a".repeat(ZONE_SOURCE_MAX - 1));
+        assert_eq!(zone.with_source(&long).source(), "a".repeat(ZONE_SOURCE_MAX - 1));
+        assert_eq!(ExclusionZone { source: [0xff; ZONE_SOURCE_MAX], ..zone }.source(), "");
     }
 
     #[test]

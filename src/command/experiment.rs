@@ -1,33 +1,28 @@
 //! Tool `mr-slam experiment`, which repeats the evaluation of the paper: sessions, a table with means, a report.
 
-pub mod link;
+mod link;
+mod live;
+mod room;
 mod session;
 mod summary;
+mod virtual_time;
 
-use super::demo::OperatorProcess;
 use super::fleet_args::{FleetArgs, Starts};
-use super::up::{self, Pictures, Report, ScanRates, UpArgs};
+use super::up;
 use super::{Error, output};
-use crate::config::FleetConfig;
-use crate::lockstep::Lockstep;
+use crate::config::{FleetConfig, World};
+use crate::fleet;
 use crate::stop::Stop;
-use link::LinkChoice;
-use msg::{MapTransforms, RobotId, VelocityCommand};
-use reports::FleetView;
-use reports::Series;
+use headset::wireless::{Link, LinkChoice};
+use link::LinkArgs;
 use session::{Session, Settings};
-use sim::Simulator;
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-/// Ticks of the simulators in a second.
-const TICKS_PER_S: u32 = (1_000_000_000 / Simulator::TICK.as_nanos()) as u32;
+use std::path::PathBuf;
 
 /// How often a session is begun before the next one's turn.
 const ATTEMPTS: u32 = 2;
 
 /// Run the paper's evaluation: sessions with a scripted operator, and a report with means and deviations
+// More than 12 fields: each is an option of the command line.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ExperimentArgs {
     /// Fleet file; other options override it
@@ -42,6 +37,10 @@ pub struct ExperimentArgs {
     /// Room, as of `up` [default: laboratory]
     #[arg(long, value_name = "FILE")]
     pub room: Option<String>,
+    /// Where the robots live: `simulator`, or `headset`: simulated in a headset's application behind the link
+    /// [default: simulator]
+    #[arg(long, value_name = "WORLD", value_enum)]
+    pub world: Option<World>,
     /// Whether merging knows where the robots start [default: known]
     #[arg(long, value_name = "HOW", value_enum)]
     pub starts: Option<Starts>,
@@ -51,12 +50,18 @@ pub struct ExperimentArgs {
     /// Duration of a session, seconds
     #[arg(long, value_name = "S", default_value_t = 540, value_parser = clap::value_parser!(u32).range(1..=86_400))]
     pub seconds: u32,
-    /// Link between the operator and the fleet, through a proxy that delays, stalls and interrupts
-    #[arg(long, value_name = "LINK", value_enum, default_value_t, conflicts_with = "fast")]
-    pub link: LinkChoice,
-    /// Virtual time: as fast as the machine can, without figures of time such as jitter
+    /// Run one more session after the others; it has a column of its own and does not count in the means
+    #[arg(long)]
+    pub additional_session: bool,
+    /// Options of the link.
+    #[command(flatten)]
+    pub link: LinkArgs,
+    /// Virtual time: as fast as the machine can, without figures of time but for those that a link makes
     #[arg(long)]
     pub fast: bool,
+    /// Folder of another experiment, whose means stand beside this one's in the table; may be given several times
+    #[arg(long, value_name = "DIR")]
+    pub beside: Vec<PathBuf>,
     /// Folder of the results; sessions that it has already are not run again [default: runs/TIME-experiment]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -72,9 +77,62 @@ impl ExperimentArgs {
             robots: self.robots,
             seed: self.seed,
             room: self.room.clone(),
+            world: self.world,
             starts: self.starts,
             ..FleetArgs::default()
         }
+    }
+
+    /// Number of sessions, with the additional one.
+    fn session_count(&self) -> u32 {
+        self.sessions + u32::from(self.additional_session)
+    }
+}
+
+/// What all sessions have in common.
+struct Experiment {
+    args: ExperimentArgs,
+    /// Configuration of the first session; the others differ in their seeds.
+    config: FleetConfig,
+    link: Link,
+    /// The link for people.
+    link_name: String,
+    out: PathBuf,
+}
+
+impl Experiment {
+    /// Checks the arguments.
+    fn new(args: &ExperimentArgs) -> Result<Self, Error> {
+        let mut config = args.fleet().config()?;
+        let default_link = match config.world {
+            World::Simulator => LinkChoice::Loopback,
+            World::Headset => LinkChoice::BusyWifi,
+            World::Ros | World::Robots => {
+                return Err(
+                    "an experiment simulates its own world; expected world = \"simulator\" or \"headset\""
+                        .into(),
+                );
+            }
+        };
+        if config.world == World::Headset && config.fleet.starts.is_empty() {
+            // A headset's robots start where the simulators' would.
+            let starts = fleet::starts(&config, &fleet::room(&config)?)?;
+            config.fleet.starts = starts.iter().map(|start| [start.x_m, start.y_m, start.yaw_rad]).collect();
+        }
+        let link = args.link.link(default_link)?;
+        let out = args
+            .out
+            .clone()
+            .unwrap_or_else(|| PathBuf::from("runs").join(format!("{}-experiment", up::folder_name_now())));
+        let link_name = args.link.describe(default_link, &link);
+        Ok(Self { args: args.clone(), config, link, link_name, out })
+    }
+
+    /// Returns the configuration of a session, whose numbers begin at 1.
+    fn config(&self, number: u32) -> FleetConfig {
+        let mut config = self.config.clone();
+        config.fleet.seed = config.fleet.seed.wrapping_add(u64::from(number - 1));
+        config
     }
 }
 
@@ -83,52 +141,45 @@ impl ExperimentArgs {
 /// # Errors
 /// A session failed twice, the folder has sessions with other settings, or the results cannot be written.
 pub fn run(args: &ExperimentArgs, stop: &Stop) -> Result<(), Error> {
-    let config = args.fleet().config()?;
-    if config.world.is_outside() {
-        return Err("an experiment simulates its own world; expected world = \"simulator\"".into());
-    }
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| PathBuf::from("runs").join(format!("{}-experiment", up::folder_name_now())));
+    let experiment = Experiment::new(args)?;
+    let out = &experiment.out;
     if out.join("run.json").exists() {
         return Err(format!("{}: has a run; choose another folder with --out", out.display()).into());
     }
-    std::fs::create_dir_all(&out)?;
+    let beside =
+        args.beside.iter().map(|folder| summary::Results::read(folder)).collect::<Result<Vec<_>, _>>()?;
+    std::fs::create_dir_all(out)?;
     let (mut sessions, mut failed) = (Vec::new(), Vec::new());
-    let first = config.fleet.seed;
-    for number in 1..=args.sessions {
-        let mut config = config.clone();
-        config.fleet.seed = first.wrapping_add(u64::from(number - 1));
-        let Some(session) = run_session(args, number, &config, &out, stop, &mut failed)? else { continue };
+    for number in 1..=args.session_count() {
+        let Some(session) = run_session(&experiment, number, stop, &mut failed)? else { continue };
         sessions.push(session);
-        summary::Results::new(args, &sessions).write(&out, &sessions)?;
+        summary::Results::new(&experiment, &sessions).write(out, &sessions, &beside)?;
     }
-    let results = summary::Results::new(args, &sessions);
-    results.write(&out, &sessions)?;
+    let results = summary::Results::new(&experiment, &sessions);
+    results.write(out, &sessions, &beside)?;
     output::note(&format!("{}", out.join("report.html").display()));
-    output::print_either(args.json, &results, || results.text())?;
-    let missing = args.sessions as usize - sessions.len();
+    output::print_either(args.json, &results, || results.text(&beside))?;
+    let missing = args.session_count() as usize - sessions.len();
     if missing == 0 {
         return Ok(());
     }
-    failed.insert(0, format!("{missing} of {} sessions are missing", args.sessions));
+    failed.insert(0, format!("{missing} of {} sessions are missing", args.session_count()));
     Err(format!("{}; the same command with --out {} runs them", failed.join("; "), out.display()).into())
 }
 
 /// Returns a session: the folder's, or one that is run now. `None`: it failed [`ATTEMPTS`] times, or was interrupted.
 fn run_session(
-    args: &ExperimentArgs,
+    experiment: &Experiment,
     number: u32,
-    config: &FleetConfig,
-    out: &Path,
     stop: &Stop,
     failed: &mut Vec<String>,
 ) -> Result<Option<Session>, Error> {
-    let folder = out.join(format!("session_{number}"));
-    let of = args.sessions;
+    let (args, config) = (&experiment.args, experiment.config(number));
+    let folder = experiment.out.join(format!("session_{number}"));
+    let of = args.session_count();
     for attempt in 1..=ATTEMPTS {
-        if let Some(session) = Session::read(&folder, number, &Settings::new(args, config))? {
+        let settings = Settings::new(experiment, &config);
+        if let Some(session) = Session::read(&folder, number, &settings)? {
             output::note(&format!("session {number} of {of}: is there already"));
             return Ok(Some(session));
         }
@@ -142,14 +193,14 @@ fn run_session(
             if args.fast { String::new() } else { format!(", {left_min:.0} min to the end of the last") };
         output::note(&format!("session {number} of {of}: seed {seed}{left}"));
         let report = if args.fast {
-            run_in_lockstep(config, args.seconds, &folder, stop)
+            virtual_time::run(experiment, &config, &folder, stop)
         } else {
-            run_live(args, seed, folder.clone(), stop)
+            live::run(experiment, &config, folder.clone(), stop)
         };
         match report {
             Ok(_) if stop.requested() => return Ok(None),
             Ok(report) if report.fleet.is_some() => {
-                let session = Session::new(number, Settings::new(args, config), &report);
+                let session = Session::new(number, settings, &report);
                 session.write(&folder)?;
                 return Ok(Some(session));
             }
@@ -159,81 +210,4 @@ fn run_session(
         output::note(failed.last().map_or("", String::as_str));
     }
     Ok(None)
-}
-
-/// Runs a session in real time, as `mr-slam demo` does.
-fn run_live(args: &ExperimentArgs, seed: u64, folder: PathBuf, stop: &Stop) -> Result<Report, Error> {
-    let seconds = Some(f64::from(args.seconds));
-    let session = UpArgs {
-        fleet: FleetArgs { seed: Some(seed), ..args.fleet() },
-        port: Some(0),
-        seconds,
-        run_dir: Some(folder),
-        ..UpArgs::default()
-    };
-    let mut operator = OperatorProcess::new(seconds).behind(args.link.link());
-    Ok(up::run(&session, &mut operator, stop)?)
-}
-
-/// What is seen of the messages of a fleet in lockstep.
-#[derive(Default)]
-struct Seen {
-    /// Newest velocity of each robot, by the name of its channel.
-    commands: HashMap<String, VelocityCommand>,
-    map_transforms: Option<Box<MapTransforms>>,
-}
-
-impl Seen {
-    fn receive(&mut self, channel: &str, message: &[u8]) {
-        if channel.ends_with("/command") {
-            if let Ok(command) = bytemuck::try_pod_read_unaligned::<VelocityCommand>(message) {
-                self.commands.insert(channel.to_owned(), command);
-            }
-        } else if channel == "map_transforms" {
-            self.map_transforms = bytemuck::try_pod_read_unaligned(message).ok().map(Box::new);
-        }
-    }
-
-    fn command(&self, robot: usize, now_s: f64) -> Option<(VelocityCommand, f64)> {
-        let command = *self.commands.get(&format!("{}/command", RobotId::new(robot + 1)?))?;
-        Some((command, now_s - command.header.sent.0 as f64 * 1e-9))
-    }
-}
-
-/// Runs a session on virtual time, with the operator of lockstep, who drives one robot after the other.
-fn run_in_lockstep(config: &FleetConfig, seconds: u32, folder: &Path, stop: &Stop) -> Result<Report, Error> {
-    let mut fleet = Lockstep::new(config, false)?;
-    let (mut seen, mut series, mut rates) = (Seen::default(), Series::default(), ScanRates::default());
-    let mut view = None;
-    for second in 0..seconds {
-        for _ in 0..TICKS_PER_S {
-            fleet.tick(&mut |channel, message| seen.receive(channel, message));
-        }
-        let mut figures = FleetView::new(fleet.stats()).without_given_transforms(config.fleet.starts_known);
-        rates.add(&figures);
-        rates.fill(&mut figures);
-        let now_s = fleet.now().seconds();
-        series.add(&figures, |robot| seen.command(robot, now_s));
-        // Virtual time has no jitter: a figure of it would say nothing.
-        figures.robots.iter_mut().for_each(reports::RobotView::forget_latencies);
-        view = Some(figures);
-        if second % 60 == 59 {
-            output::note(&format!("{} of {seconds} s", second + 1));
-        }
-        if stop.requested() {
-            break;
-        }
-    }
-    if let Some(transforms) = &seen.map_transforms {
-        series.set_map_transforms(transforms);
-    }
-    let mut pictures = Pictures::new(config);
-    for (name, map) in fleet.maps() {
-        pictures.add(name, map, &series);
-    }
-    let elapsed = Duration::from_secs_f64(fleet.now().seconds());
-    let report = Report { series, pictures, ..Report::of_figures(config, elapsed, view, None) };
-    std::fs::create_dir_all(folder)?;
-    report.write(folder)?;
-    Ok(report)
 }

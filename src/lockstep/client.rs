@@ -43,7 +43,7 @@ impl Client {
         if let Some((connection, _)) = &self.connection {
             let mut bytes = Vec::new();
             Side::Client.write_command(&mut bytes, command, &registration);
-            connection.write(&bytes);
+            connection.write(&bytes, self.port.now());
         }
         self.registrations.push((command, registration));
     }
@@ -60,7 +60,7 @@ impl Client {
         for (command, registration) in &self.registrations {
             Side::Client.write_command(&mut bytes, command, registration);
         }
-        connection.write(&bytes);
+        connection.write(&bytes, self.port.now());
         self.connection = Some((connection, Parser::new(PAYLOAD_BYTES_MAX).keep(PAYLOAD_BYTES_MAX)));
     }
 
@@ -76,7 +76,14 @@ impl Client {
         if let Some((connection, _)) = &self.connection {
             let mut bytes = Vec::new();
             Side::Client.write_with(&mut bytes, topic, |out| ros::encode(message, out));
-            connection.write(&bytes);
+            connection.write(&bytes, self.port.now());
+        }
+    }
+
+    /// Sends frames as they are; they are lost if there is no connection.
+    pub fn send_frames(&self, frames: &[u8]) {
+        if let Some((connection, _)) = &self.connection {
+            connection.write(frames, self.port.now());
         }
     }
 

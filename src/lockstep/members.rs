@@ -244,7 +244,10 @@ impl Body {
                 let process = MergeProcess::open(&ports[0], run, &state, &restored)?;
                 Self::Merge(Box::new((process, GraphWorker::open(&ports[1], run, state)?)))
             }
-            Role::Telemetry => Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run)?)),
+            Role::Telemetry => {
+                let plan = crate::process::telemetry::room_plan(&run.config)?;
+                Self::Telemetry(Box::new(TelemetryProcess::open(&ports[0], run, plan)?))
+            }
             Role::Nav => {
                 let storage = world.storage.clone();
                 let process =

@@ -4,9 +4,9 @@ use super::queues::{MemoryPorts, Network, QueueMapReader, QueueReader};
 use crate::channel::{self, Opener, Program};
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
-use crate::unreliable_maps::UnreliableMaps;
 use msg::{Correction, DenseMap, FleetStats, GridView, GroundTruth, MapTransforms, Pose2, RobotId, Role};
 use std::rc::Rc;
+use telemetry::UnreliableMaps;
 
 /// The fleet's figures and maps, as the launcher and clients receive them.
 pub struct Observer {

@@ -11,11 +11,13 @@ use crate::process::control::files::ImmediateFiles;
 use crate::storage::Storage;
 use bridge::ClientId;
 use bridge::frame::Parser;
+use headset::wireless::{Link, LinkModel, SEGMENT_BYTES};
 use msg::Monotonic;
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::net::SocketAddr;
 use std::rc::Rc;
+use std::time::Duration;
 
 /// Bytes to a client that wait in its connection before the bridge keeps the rest: about what the kernel holds.
 const CONNECTION_BYTES_MAX: usize = 256 << 10;
@@ -25,28 +27,120 @@ pub struct Port {
     network: Rc<Network>,
     /// Connections that no bridge has accepted yet.
     backlog: RefCell<VecDeque<(SocketAddr, Rc<Connection>)>>,
+    /// Link of each connection that is opened from now on, with its seed.
+    link: Cell<Option<(Link, u64)>>,
+    /// Connections over a link whose bytes are under way.
+    linked: RefCell<Vec<Rc<Connection>>>,
 }
 
 /// One connection. While the network is cut, nothing arrives at either end.
 #[derive(Default)]
 pub struct Connection {
-    to_bridge: RefCell<Vec<u8>>,
-    to_client: RefCell<Vec<u8>>,
+    to_bridge: RefCell<Pipe>,
+    to_client: RefCell<Pipe>,
     closed_by_client: Cell<bool>,
     closed_by_bridge: Cell<bool>,
+}
+
+/// Bytes in one direction of a connection.
+#[derive(Default)]
+struct Pipe {
+    /// Bytes that have arrived.
+    arrived: Vec<u8>,
+    /// Segments on the link, with their arrivals; always empty without a link.
+    under_way: VecDeque<(Monotonic, Vec<u8>)>,
+    under_way_bytes: usize,
+    link: Option<LinkModel>,
+}
+
+impl Pipe {
+    fn over(link: Link, seed: u64) -> Self {
+        Self { link: Some(LinkModel::new(link, seed)), ..Self::default() }
+    }
+
+    /// Returns the number of bytes that the receiver has not taken.
+    fn len(&self) -> usize {
+        self.arrived.len() + self.under_way_bytes
+    }
+
+    fn send(&mut self, bytes: &[u8], now: Monotonic) {
+        let Some(link) = &mut self.link else { return self.arrived.extend_from_slice(bytes) };
+        for segment in bytes.chunks(SEGMENT_BYTES) {
+            let arrival = link.arrival(Duration::from_nanos(now.0), segment.len());
+            self.under_way.push_back((Monotonic(arrival.as_nanos() as u64), segment.to_vec()));
+        }
+        self.under_way_bytes += bytes.len();
+    }
+
+    /// Makes the segments that have arrived by now readable.
+    fn deliver(&mut self, now: Monotonic) {
+        while self.under_way.front().is_some_and(|(arrival, _)| *arrival <= now) {
+            let Some((_, segment)) = self.under_way.pop_front() else { return };
+            self.under_way_bytes -= segment.len();
+            self.arrived.extend(segment);
+        }
+    }
+
+    fn next_arrival(&self) -> Option<Monotonic> {
+        self.under_way.front().map(|(arrival, _)| *arrival)
+    }
 }
 
 impl Port {
     /// Creates a port without clients.
     pub fn new(network: &Rc<Network>) -> Rc<Self> {
-        Rc::new(Self { network: network.clone(), backlog: RefCell::default() })
+        Rc::new(Self {
+            network: network.clone(),
+            backlog: RefCell::default(),
+            link: Cell::default(),
+            linked: RefCell::default(),
+        })
+    }
+
+    /// Puts a link between the bridge and the clients that connect from now on.
+    pub fn set_link(&self, link: Link, seed: u64) {
+        self.link.set((!link.is_transparent()).then_some((link, seed)));
     }
 
     /// Connects a client; the bridge accepts it when it runs.
     pub fn connect(&self, peer: SocketAddr) -> Rc<Connection> {
-        let connection = Rc::<Connection>::default();
+        let mut connection = Connection::default();
+        if let Some((link, seed)) = self.link.get() {
+            connection.to_bridge = Pipe::over(link, seed).into();
+            connection.to_client = Pipe::over(link, seed.wrapping_add(1)).into();
+            // The next connection draws its own delays.
+            self.link.set(Some((link, seed.wrapping_add(2))));
+        }
+        let connection = Rc::new(connection);
+        if self.link.get().is_some() {
+            self.linked.borrow_mut().push(connection.clone());
+        }
         self.backlog.borrow_mut().push_back((peer, connection.clone()));
         connection
+    }
+
+    /// Makes what has arrived over links by now readable.
+    pub fn deliver(&self) {
+        let now = self.network.clock().now();
+        self.linked.borrow_mut().retain(|connection| {
+            connection.to_bridge.borrow_mut().deliver(now);
+            connection.to_client.borrow_mut().deliver(now);
+            !connection.closed_by_client.get() && !connection.closed_by_bridge.get()
+        });
+    }
+
+    /// Returns when something arrives over a link next.
+    pub fn next_arrival(&self) -> Option<Monotonic> {
+        let linked = self.linked.borrow();
+        let of_pipes = |connection: &Rc<Connection>| {
+            [connection.to_bridge.borrow().next_arrival(), connection.to_client.borrow().next_arrival()]
+        };
+        linked.iter().flat_map(of_pipes).flatten().min()
+    }
+
+    /// Returns the time.
+    pub fn now(&self) -> Monotonic {
+        self.network.clock().now()
     }
 
     /// Returns whether bytes pass between clients and the bridge now.
@@ -57,13 +151,13 @@ impl Port {
 
 impl Connection {
     /// Sends bytes to the bridge.
-    pub fn write(&self, bytes: &[u8]) {
-        self.to_bridge.borrow_mut().extend_from_slice(bytes);
+    pub fn write(&self, bytes: &[u8], now: Monotonic) {
+        self.to_bridge.borrow_mut().send(bytes, now);
     }
 
     /// Takes the bytes that have arrived at the client.
     pub fn read(&self) -> Vec<u8> {
-        self.to_client.take()
+        std::mem::take(&mut self.to_client.borrow_mut().arrived)
     }
 
     /// Closes it at the client's end.
@@ -90,7 +184,7 @@ impl Session {
     fn has_input(&self) -> bool {
         let Connection { to_bridge, to_client, closed_by_client, .. } = &*self.connection;
         let has_room = to_client.borrow().len() < CONNECTION_BYTES_MAX;
-        !to_bridge.borrow().is_empty() || closed_by_client.get() || (self.blocked && has_room)
+        !to_bridge.borrow().arrived.is_empty() || closed_by_client.get() || (self.blocked && has_room)
     }
 }
 
@@ -136,7 +230,7 @@ impl<S: Storage> BridgeServer<S> {
     fn receive(&mut self, now: Monotonic) {
         let bridge = &self.process.bridge;
         self.sessions.retain_mut(|session| {
-            session.parser.push(&session.connection.to_bridge.take());
+            session.parser.push(&std::mem::take(&mut session.connection.to_bridge.borrow_mut().arrived));
             let is_valid = loop {
                 match session.parser.next_frame() {
                     Ok(Some(frame)) => bridge.receive(session.id, frame, now),
@@ -154,12 +248,14 @@ impl<S: Storage> BridgeServer<S> {
     }
 
     /// Writes the frames that wait for the clients.
-    fn send(&mut self) {
+    fn send(&mut self, now: Monotonic) {
         let bridge = &self.process.bridge;
         self.sessions.retain_mut(|session| {
             let mut to_client = session.connection.to_client.borrow_mut();
             session.blocked = to_client.len() >= CONNECTION_BYTES_MAX;
-            let stays = session.blocked || bridge.take_outgoing(session.id, &mut to_client).is_ok();
+            let mut outgoing = Vec::new();
+            let stays = session.blocked || bridge.take_outgoing(session.id, &mut outgoing).is_ok();
+            to_client.send(&outgoing, now);
             if !stays {
                 bridge.disconnect(session.id);
                 session.connection.closed_by_bridge.set(true);
@@ -177,7 +273,7 @@ impl<S: Storage> ProcessLoop for BridgeServer<S> {
         }
         let due = self.process.step();
         if self.port.is_open() {
-            self.send();
+            self.send(self.port.network.clock().now());
         }
         due
     }

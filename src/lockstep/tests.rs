@@ -14,7 +14,9 @@ fn declared(config: &FleetConfig) -> Openings {
     let mut declared = Openings::new();
     for row in CHANNELS {
         for (ends, direction) in [(row.writers, Direction::Write), (row.readers, Direction::Read)] {
-            let ends = || ends.iter().filter(|end| !matches!(end, Endpoint::OutsideWorld(_)));
+            let is_here =
+                |end: &&Endpoint| !matches!(end, Endpoint::OutsideWorld(_) | Endpoint::OtherMachines(_));
+            let ends = || ends.iter().filter(is_here);
             let channels: Vec<(String, Option<RobotId>)> = match row.scope {
                 Scope::Fleet => vec![(row.name.into(), None)],
                 Scope::Robot => RobotId::first(config.fleet.robots)

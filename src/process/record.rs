@@ -10,6 +10,7 @@ mod operator;
 mod topics;
 
 use super::heartbeat::{HealthCounters, Heartbeat};
+use super::scan_demand::ScanDemandSender;
 use super::{Error, Listens, ProcessLoop, serve};
 use crate::config::RecordingConfig;
 use crate::ports::{Clock as _, Ports};
@@ -20,7 +21,7 @@ use crate::stop::Stop;
 use ::recording::TopicCount;
 use files::{FileThread, Output, RecordingFiles};
 use inputs::Inputs;
-use msg::{Monotonic, Role};
+use msg::{Monotonic, RobotId, Role, ScanPurpose};
 use operator::{OperatorChange, OperatorWatch};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -154,6 +155,8 @@ pub struct Recording<P: Ports> {
     recorder: Recorder,
     inputs: Inputs<P>,
     operator: Option<OperatorWatch>,
+    robots: usize,
+    scan_demand: ScanDemandSender<P>,
     clock: P::Clock,
     flush_due: Monotonic,
 }
@@ -172,12 +175,16 @@ impl<P: Ports> Recording<P> {
         let clock = ports.clock();
         let flush_due = clock.now() + FLUSH_PERIOD;
         let recorder = Recorder::new(run, description::of_run(run), output)?;
-        Ok(Self { recorder, inputs: Inputs::open(ports, run)?, operator, clock, flush_due })
+        let inputs = Inputs::open(ports, run)?;
+        let scan_demand = ScanDemandSender::open(ports, run, ScanPurpose::Viewing)?;
+        let robots = run.config.fleet.robots;
+        Ok(Self { recorder, inputs, operator, robots, scan_demand, clock, flush_due })
     }
 
     /// Records what has come, and returns when it is to be called again.
     pub fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
+        self.scan_demand.update(RobotId::first(self.robots), now);
         self.inputs.receive(&mut self.recorder, now);
         match self.operator.as_mut().and_then(OperatorWatch::changed) {
             Some(OperatorChange::State(state)) => self.recorder.record_operator(&state, now),

@@ -1,5 +1,6 @@
 //! Recordings in lockstep: recording changes nothing, and a replay gives the same maps.
 
+use bridge::ros::{self, Bool, Empty, Int32, PoseWithCovarianceStamped, Text};
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::process::record::files::{DirectOutput, RecordingFiles};
@@ -124,4 +125,80 @@ fn a_full_disk_ends_the_recording_with_a_reason_and_not_the_fleet() {
     let why = recording.finish().ended.unwrap();
     assert!(why.contains("MB of disk are left"), "{why}");
     assert!(fleet.stats().robots[0].scans > 10, "the fleet goes on");
+}
+
+/// Returns a guess of a robot's pose at the origin of a frame.
+fn at_the_origin_of(frame: &str) -> PoseWithCovarianceStamped {
+    PoseWithCovarianceStamped {
+        stamp: msg::Stamp(0),
+        frame_id: frame.into(),
+        position: [0.0; 3],
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        covariance: [0.0; 36],
+    }
+}
+
+/// Reads the texts of a topic of a recording.
+fn texts(path: &Path, topic: &str) -> Vec<String> {
+    let mut reader = RecordingReader::new(File::open(path).unwrap());
+    let mut texts = Vec::new();
+    while let Some(message) = reader.next_message().unwrap() {
+        if &*message.topic == topic {
+            texts.push(ros::decode::<Text>(&message.payload).unwrap().0);
+        }
+    }
+    texts
+}
+
+#[test]
+fn each_command_in_a_recording_says_who_sent_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.mcap");
+    let config = config();
+    let mut fleet = Lockstep::new(&config, true).unwrap();
+    let files = RecordingFiles::new(&path, &config.recording);
+    let mut recording = fleet.record(Box::new(DirectOutput::new(files))).unwrap();
+    let mut client = fleet.client(([127, 0, 0, 1], 50_100).into());
+    client.advertise::<Bool>("/emergency_stop");
+    client.advertise::<Empty>("/emergency_stop_release");
+    client.advertise::<Int32>("/selected_robot");
+    client.advertise::<Text>("/merge_edge_command");
+    client.advertise::<PoseWithCovarianceStamped>("/robot2/initialpose");
+    client.connect();
+    for tick in 0..800 {
+        match tick {
+            400 => client.publish("/selected_robot", &Int32(2)),
+            410 => client.publish("/merge_edge_command", &Text("pin 2 1".into())),
+            420 => client.publish("/robot2/initialpose", &at_the_origin_of("map_2")),
+            500 => client.publish("/emergency_stop", &Bool(true)),
+            600 => client.publish("/emergency_stop_release", &Empty),
+            _ => {}
+        }
+        fleet.tick(&mut |_, _| {});
+        recording.step();
+    }
+    recording.finish();
+    let senders = texts(&path, "/robot1/cmd_vel_sender");
+    assert_eq!(senders[..2], ["bridge", "client 127.0.0.1:50001"], "zeros first, then the operator's");
+    assert!(senders.contains(&"client 127.0.0.1:50100".to_owned()), "it stopped all robots: {senders:?}");
+    assert_eq!(senders.last().unwrap(), "client 127.0.0.1:50001", "{senders:?}");
+    let json = |topic: &str| -> Vec<serde_json::Value> {
+        texts(&path, topic).iter().map(|text| serde_json::from_str(text).unwrap()).collect()
+    };
+    let sender = "client 127.0.0.1:50100";
+    let events = json("/operator_event");
+    let event = |action: &str, robot: Option<&str>| serde_json::json!({ "sender": sender, "action": action, "robot": robot });
+    let expected = [
+        event("select_robot", Some("robot2")),
+        event("emergency_stop", None),
+        event("emergency_stop_release", None),
+    ];
+    assert_eq!(events, expected);
+    let pin = serde_json::json!({ "sender": sender, "action": "pin", "robots": [1, 2] });
+    assert_eq!(json("/merge_edge_command"), [pin]);
+    let requests = json("/robot2/slam_request");
+    assert_eq!(
+        (requests.len(), &requests[0]["request"], &requests[0]["sender"]),
+        (1, &"pose".into(), &sender.into())
+    );
 }

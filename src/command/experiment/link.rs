@@ -1,182 +1,114 @@
-//! A link between a headset and the bridge: a TCP proxy that delays, limits and interrupts what passes.
-//!
-//! TCP hides loss: what a lost segment costs is a stall until it is sent again. So loss is drawn here as stalls.
+//! Options of an experiment's link: one that has a name, and values that replace its own.
 
-use clap::ValueEnum;
-use rand_pcg::Pcg32;
-use rand_pcg::rand_core::{Rng, SeedableRng};
-use std::collections::VecDeque;
-use std::io::{ErrorKind, Read, Write};
-use std::net::{Shutdown, TcpListener, TcpStream};
-use std::time::{Duration, Instant};
+use headset::wireless::{Link, LinkChoice, LinkError};
 
-/// Bytes of a TCP segment on Ethernet and Wi-Fi.
-const SEGMENT_BYTES: usize = 1448;
-/// Most bytes under way in one direction: a sender beyond it waits, as at a full socket.
-const UNDER_WAY_MAX: usize = 256 * 1024;
-/// Largest wait for new bytes while others are under way.
-const LOOK: Duration = Duration::from_millis(1);
-
-/// How a link behaves.
-#[derive(Clone, Copy, Debug)]
-pub struct Link {
-    /// Name in the table.
-    pub name: &'static str,
-    /// Smallest delay one way, milliseconds.
-    pub delay_ms: f64,
-    /// Mean of the exponentially distributed delay that comes on top, milliseconds.
-    pub jitter_ms: f64,
-    /// Throughput of one direction, Mbit/s.
-    pub mbit_s: f64,
-    /// Share of segments that are lost.
-    pub loss: f64,
-    /// Stall that a lost segment costs, milliseconds.
-    pub stall_ms: f64,
-    /// Period and length of outages, seconds; no outages if the length is 0.
-    pub outage_s: [f64; 2],
+/// Link behind which the operator is, and with `--world headset` the robots too
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct LinkArgs {
+    /// Link to the fleet, through a proxy that delays, stalls and interrupts [default: loopback; with --world headset:
+    /// busy-wifi]
+    #[arg(long, value_name = "LINK", value_enum)]
+    pub link: Option<LinkChoice>,
+    /// Smallest delay of the link, one way, milliseconds
+    #[arg(long, value_name = "MS")]
+    pub link_delay_ms: Option<f64>,
+    /// Mean of the delay that comes on top, exponentially distributed, milliseconds
+    #[arg(long, value_name = "MS")]
+    pub link_jitter_ms: Option<f64>,
+    /// Throughput of the link in each direction, Mbit/s
+    #[arg(long, value_name = "MBIT_S")]
+    pub link_mbit_s: Option<f64>,
+    /// Share of TCP segments that are lost, 0 to 1
+    #[arg(long, value_name = "SHARE")]
+    pub link_loss: Option<f64>,
+    /// Stall that a lost segment costs until it is sent again, milliseconds
+    #[arg(long, value_name = "MS")]
+    pub link_stall_ms: Option<f64>,
+    /// Outages of the link: their period and their length, seconds
+    #[arg(long, value_name = "PERIOD,LENGTH", value_parser = period_and_length)]
+    pub link_outages_s: Option<[f64; 2]>,
 }
 
-/// A link that passes everything at once; the others change what they say.
-const LOOPBACK: Link = Link {
-    name: "loopback",
-    delay_ms: 0.0,
-    jitter_ms: 0.0,
-    mbit_s: 1e4,
-    loss: 0.0,
-    stall_ms: 0.0,
-    outage_s: [1.0, 0.0],
-};
-/// A 5 GHz network with nobody else on it.
-const QUIET_WIFI: Link = Link {
-    name: "quiet Wi-Fi",
-    delay_ms: 2.0,
-    jitter_ms: 1.5,
-    mbit_s: 100.0,
-    loss: 0.001,
-    stall_ms: 12.0,
-    ..LOOPBACK
-};
-/// A network that others use as well.
-const BUSY_WIFI: Link = Link {
-    name: "busy Wi-Fi",
-    delay_ms: 4.0,
-    jitter_ms: 8.0,
-    mbit_s: 10.0,
-    loss: 0.02,
-    stall_ms: 40.0,
-    ..LOOPBACK
-};
-/// All links, in the order of [`LinkChoice`].
-pub const LINKS: [Link; 4] = [
-    LOOPBACK,
-    QUIET_WIFI,
-    BUSY_WIFI,
-    Link { name: "Wi-Fi with outages", outage_s: [15.0, 1.0], ..BUSY_WIFI },
-];
+/// Text that is not the period and the length of outages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected a period and a length in seconds, such as 15,1")]
+struct OutagesError;
 
-/// One of [`LINKS`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum LinkChoice {
-    /// No proxy: the operator is on this machine
-    #[default]
-    Loopback,
-    /// A 5 GHz network with nobody else on it
-    QuietWifi,
-    /// A network that others use as well
-    BusyWifi,
-    /// The same, with an outage of 1 s every 15 s
-    Outages,
+fn period_and_length(text: &str) -> Result<[f64; 2], OutagesError> {
+    let both = text
+        .split_once(',')
+        .and_then(|(period, length)| Some([period.trim().parse().ok()?, length.trim().parse().ok()?]));
+    both.ok_or(OutagesError)
 }
 
-impl LinkChoice {
-    /// Returns how the link behaves; `None`: everything passes at once, and no proxy is needed.
-    pub fn link(self) -> Option<Link> {
-        (self != Self::Loopback).then(|| LINKS[self as usize])
+impl LinkArgs {
+    /// Returns the link: that of the name, or of `default`, with the values that are given.
+    ///
+    /// # Errors
+    /// A value is out of its range.
+    pub fn link(&self, default: LinkChoice) -> Result<Link, LinkError> {
+        let named = self.link.unwrap_or(default).link();
+        let [outage_period_s, outage_s] =
+            self.link_outages_s.unwrap_or([named.outage_period_s, named.outage_s]);
+        let link = Link {
+            delay_ms: self.link_delay_ms.unwrap_or(named.delay_ms),
+            jitter_ms: self.link_jitter_ms.unwrap_or(named.jitter_ms),
+            mbit_s: self.link_mbit_s.unwrap_or(named.mbit_s),
+            loss: self.link_loss.unwrap_or(named.loss),
+            stall_ms: self.link_stall_ms.unwrap_or(named.stall_ms),
+            outage_period_s,
+            outage_s,
+        };
+        link.check().map(|()| link)
     }
 
-    /// Returns the name for people.
-    pub fn name(self) -> &'static str {
-        LINKS[self as usize].name
-    }
-}
-
-/// Starts a proxy to a port; returns its own port. It serves one connection after another, until the program ends.
-///
-/// # Errors
-/// No port can be listened on.
-pub fn start(link: Link, port: u16, seed: u64) -> std::io::Result<u16> {
-    let listener = TcpListener::bind("127.0.0.1:0")?;
-    let own = listener.local_addr()?.port();
-    std::thread::spawn(move || {
-        for client in listener.incoming() {
-            // Where the bridge is restarting, the client's connection ends, as it would without the proxy.
-            let (Ok(client), Ok(server)) = (client, TcpStream::connect(("127.0.0.1", port))) else {
-                continue;
-            };
-            let (Ok(from_server), Ok(to_client)) = (server.try_clone(), client.try_clone()) else { continue };
-            let back = std::thread::spawn(move || pass(link, from_server, to_client, seed ^ 1));
-            pass(link, client, server, seed);
-            // A thread that panicked has said so.
-            let _ = back.join();
+    /// Returns the link for people: its name and all its values.
+    pub fn describe(&self, default: LinkChoice, link: &Link) -> String {
+        let choice = self.link.unwrap_or(default);
+        if link.is_transparent() {
+            return LinkChoice::Loopback.name().into();
         }
-    });
-    Ok(own)
-}
-
-/// Passes bytes one way until either end closes.
-fn pass(link: Link, mut from: TcpStream, mut to: TcpStream, seed: u64) {
-    let _ = (to.set_nodelay(true), from.set_read_timeout(Some(LOOK)));
-    let mut random = Pcg32::seed_from_u64(seed);
-    let mut uniform = move || -> f64 { (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64 };
-    let mut under_way: VecDeque<(Instant, Vec<u8>)> = VecDeque::new();
-    let (begun, mut last) = (Instant::now(), Instant::now());
-    let mut space = [0; SEGMENT_BYTES];
-    loop {
-        let bytes: usize = under_way.iter().map(|(_, segment)| segment.len()).sum();
-        if bytes < UNDER_WAY_MAX {
-            match from.read(&mut space) {
-                Ok(0) => break,
-                Ok(count) => {
-                    let mut delay_ms = link.delay_ms - link.jitter_ms * (1.0 - uniform()).ln();
-                    if uniform() < link.loss {
-                        delay_ms += link.stall_ms;
-                    }
-                    let sent_ms = count as f64 * 8e-3 / link.mbit_s;
-                    // Bytes arrive in order, so that a stalled segment holds up those behind it.
-                    last =
-                        (Instant::now() + ms(delay_ms)).max(last + ms(sent_ms)).max(outage_end(link, begun));
-                    under_way.push_back((last, space[..count].to_vec()));
-                }
-                Err(why) if matches!(why.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
-                Err(_) => break,
-            }
+        let name = if *link == choice.link() { choice.name() } else { "a link" };
+        let outages = if link.outage_s > 0.0 {
+            format!(", outages of {} s each {} s", link.outage_s, link.outage_period_s)
         } else {
-            std::thread::sleep(LOOK);
-        }
-        while under_way.front().is_some_and(|(due, _)| *due <= Instant::now()) {
-            let Some((_, segment)) = under_way.pop_front() else { break };
-            if to.write_all(&segment).is_err() {
-                let _ = from.shutdown(Shutdown::Both);
-                return;
-            }
-        }
+            String::new()
+        };
+        format!(
+            "{name} ({} ms and {} ms jitter each way, {} Mbit/s, {} % of segments lost, each a stall of {} ms{outages})",
+            link.delay_ms,
+            link.jitter_ms,
+            link.mbit_s,
+            100.0 * link.loss,
+            link.stall_ms
+        )
     }
-    let _ = to.shutdown(Shutdown::Both);
 }
 
-/// Returns the end of the outage of now, or now.
-fn outage_end(link: Link, begun: Instant) -> Instant {
-    let [period_s, length_s] = link.outage_s;
-    let now = Instant::now();
-    if length_s <= 0.0 {
-        return now;
-    }
-    let phase_s = (now - begun).as_secs_f64() % period_s;
-    // The outage is the end of each period.
-    let left_s = if phase_s >= period_s - length_s { period_s - phase_s } else { 0.0 };
-    now + Duration::from_secs_f64(left_s)
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn ms(milliseconds: f64) -> Duration {
-    Duration::from_secs_f64(milliseconds * 1e-3)
+    #[test]
+    fn values_replace_those_of_the_named_link_and_are_checked() {
+        let args = LinkArgs {
+            link: Some(LinkChoice::QuietWifi),
+            link_jitter_ms: Some(20.0),
+            link_outages_s: Some([30.0, 2.0]),
+            ..LinkArgs::default()
+        };
+        let link = args.link(LinkChoice::Loopback).unwrap();
+        assert_eq!(link, Link { jitter_ms: 20.0, outage_period_s: 30.0, outage_s: 2.0, ..Link::QUIET_WIFI });
+        let text = args.describe(LinkChoice::Loopback, &link);
+        assert!(
+            text.starts_with("a link (2 ms and 20 ms") && text.contains("outages of 2 s each 30 s"),
+            "{text}"
+        );
+        let none = LinkArgs::default();
+        assert_eq!(none.link(LinkChoice::BusyWifi), Ok(Link::BUSY_WIFI));
+        assert_eq!(none.describe(LinkChoice::Loopback, &Link::LOOPBACK), "loopback");
+        assert_eq!(period_and_length("30, 2.5"), Ok([30.0, 2.5]));
+        assert_eq!(period_and_length("30"), Err(OutagesError));
+        assert!(LinkArgs { link_loss: Some(-0.1), ..none }.link(LinkChoice::Loopback).is_err());
+    }
 }

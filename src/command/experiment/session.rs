@@ -1,6 +1,6 @@
 //! What an experiment keeps of each session, in `session.json`, so that it can go on after an interruption.
 
-use super::{ExperimentArgs, summary};
+use super::{Experiment, summary};
 use crate::command::Error;
 use crate::command::up::{Report, add_plots};
 use crate::config::FleetConfig;
@@ -24,7 +24,7 @@ pub struct Settings {
     pub seconds: u32,
     /// Whether time was virtual.
     pub virtual_time: bool,
-    /// Link between the operator and the fleet.
+    /// Link before the operator, and before the robots if they live in a headset.
     pub link: String,
     /// Version of the program.
     pub version: String,
@@ -34,12 +34,12 @@ pub struct Settings {
 
 impl Settings {
     /// Returns the settings of a session.
-    pub fn new(args: &ExperimentArgs, config: &FleetConfig) -> Self {
+    pub fn new(experiment: &Experiment, config: &FleetConfig) -> Self {
         Self {
             seed: config.fleet.seed,
-            seconds: args.seconds,
-            virtual_time: args.fast,
-            link: args.link.name().to_owned(),
+            seconds: experiment.args.seconds,
+            virtual_time: experiment.args.fast,
+            link: experiment.link_name.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             config: config.to_toml(),
         }

@@ -1,21 +1,31 @@
 //! Figures of all sessions beside the paper's: mean, standard deviation, and each session's.
 
-use super::ExperimentArgs;
-use super::link::LinkChoice;
+use super::Experiment;
 use super::session::Session;
+use crate::command::Error;
 use crate::command::up::system::add_system;
 use crate::command::up::{Paper, Report};
-use crate::config::FleetConfig;
+use crate::config::{FleetConfig, World};
 use crate::process::record::description::machine;
+use headset::wireless::LinkChoice;
 use reports::FleetView;
 use reports::{Page, Row};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
 
+/// File of the figures in an experiment's folder.
+const FILE: &str = "experiment.json";
+/// Largest size of the file, bytes.
+const FILE_BYTES_MAX: u64 = 16 << 20;
+/// Row whose value the paper gives for robots in a headset, and that of another place for simulated ones.
+const JITTER: &str = "TF jitter in shared memory, median, ms";
+/// TF jitter of the paper, median, milliseconds.
+const PAPER_JITTER_MS: f64 = 6.3;
+
 /// One quantity of the table.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Quantity {
     /// Name with its unit.
     pub name: String,
@@ -27,15 +37,21 @@ pub struct Quantity {
     pub deviation: Option<f64>,
     /// Value of each session; `None`: no data.
     pub sessions: Vec<Option<f64>>,
+    /// Value of the additional session, which counts in no mean; `None`: no data, or there was none.
+    #[serde(default)]
+    pub additional: Option<f64>,
     /// Digits behind the point in tables.
     #[serde(skip)]
     digits: usize,
 }
 
 /// Figures of an experiment.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Results {
-    /// Number of sessions that were run.
+    /// Where the robots live: the simulator, or a headset.
+    #[serde(default)]
+    pub world: String,
+    /// Number of sessions that were run, without the additional one.
     pub sessions: usize,
     /// Duration of a session, seconds.
     pub seconds: u32,
@@ -43,14 +59,17 @@ pub struct Results {
     pub virtual_time: bool,
     /// Number of each session, from 1; failed ones are missing.
     pub numbers: Vec<u32>,
-    /// Link between the operator and the fleet.
-    pub link: &'static str,
+    /// Link before the operator, and before the robots if they live in a headset.
+    pub link: String,
     /// Seed of each session.
     pub seeds: Vec<u64>,
+    /// Seed of the additional session; `None`: there was none.
+    #[serde(default)]
+    pub additional_seed: Option<u64>,
     /// Processor, cores, kernel and memory.
     pub machine: String,
     /// Version of the program.
-    pub version: &'static str,
+    pub version: String,
     /// Rows of the table.
     pub quantities: Vec<Quantity>,
 }
@@ -73,11 +92,9 @@ const FIGURES: &[(&str, usize, Option<f64>, Figure)] = &[
     ("occupied F1 of the merged map against the room, %", 1, None, |_, fleet| {
         fleet.against_room.as_ref().map(|room| percent(room.occupied_f1))
     }),
-    ("TF jitter in shared memory, median, ms", 3, None, |paper, _| {
-        paper.tf_jitter_ms.map(|jitter| jitter.p50)
-    }),
+    (JITTER, 3, None, |paper, _| paper.tf_jitter_ms.map(|jitter| jitter.p50)),
     ("TF jitter in shared memory, 95 %, ms", 3, None, |paper, _| paper.tf_jitter_ms.map(|jitter| jitter.p95)),
-    ("TF jitter at a TCP client, median, ms", 3, Some(6.3), |paper, _| {
+    ("TF jitter at a TCP client, median, ms", 3, Some(PAPER_JITTER_MS), |paper, _| {
         paper.tf_jitter_client_ms.map(|jitter| jitter.p50)
     }),
     ("TF jitter at a TCP client, 95 %, ms", 3, None, |paper, _| {
@@ -110,7 +127,7 @@ impl Quantity {
             let squares = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
             (squares / (count - 1.0)).sqrt()
         });
-        Self { name: name.into(), paper, mean, deviation, sessions, digits }
+        Self { name: name.into(), paper, mean, deviation, sessions, additional: None, digits }
     }
 
     fn format(&self, value: Option<f64>, missing: &str) -> String {
@@ -125,43 +142,88 @@ impl Quantity {
 }
 
 impl Results {
-    /// Collects the figures of sessions.
-    pub fn new(args: &ExperimentArgs, sessions: &[Session]) -> Self {
+    /// Collects the figures of sessions; those behind the experiment's number of sessions are additional.
+    pub fn new(experiment: &Experiment, sessions: &[Session]) -> Self {
+        let (args, world) = (&experiment.args, experiment.config.world);
+        let (counted, additional): (Vec<&Session>, Vec<&Session>) =
+            sessions.iter().partition(|session| session.number <= args.sessions);
         let quantity = |(name, digits, paper, _): &(&str, usize, Option<f64>, Figure)| {
-            let of_session = |session: &Session| session.figures.get(*name).copied().flatten();
-            Quantity::new(name, *digits, *paper, sessions.iter().map(of_session).collect())
+            let of_session = |session: &&Session| session.figures.get(*name).copied().flatten();
+            let is_compared = *name == JITTER && world == World::Headset;
+            let paper = if is_compared { Some(PAPER_JITTER_MS) } else { *paper };
+            let quantity = Quantity::new(name, *digits, paper, counted.iter().map(of_session).collect());
+            Quantity { additional: additional.first().and_then(of_session), ..quantity }
         };
         Self {
-            sessions: sessions.len(),
+            world: if world == World::Headset { "headset" } else { "simulator" }.into(),
+            sessions: counted.len(),
             seconds: args.seconds,
             virtual_time: args.fast,
-            link: args.link.name(),
-            numbers: sessions.iter().map(|session| session.number).collect(),
-            seeds: sessions.iter().map(|session| session.settings.seed).collect(),
+            link: experiment.link_name.clone(),
+            numbers: counted.iter().map(|session| session.number).collect(),
+            seeds: counted.iter().map(|session| session.settings.seed).collect(),
+            additional_seed: additional.first().map(|session| session.settings.seed),
             machine: machine(),
-            version: env!("CARGO_PKG_VERSION"),
+            version: env!("CARGO_PKG_VERSION").into(),
             quantities: FIGURES.iter().map(quantity).collect(),
         }
     }
 
-    /// Formats the table for a terminal.
-    pub fn text(&self) -> String {
-        let mut text = format!("{:<50} {:>10}  {} sessions\n", "", "the paper", self.sessions);
+    /// Reads the figures of another experiment from its folder.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is not one of this program's.
+    pub fn read(folder: &Path) -> Result<Self, Error> {
+        let path = folder.join(FILE);
+        let named = |why: String| format!("{}: {why}; expected the folder of an experiment", path.display());
+        let text =
+            formats::limited::read_text(&path, FILE_BYTES_MAX).map_err(|why| named(why.to_string()))?;
+        Ok(serde_json::from_str(&text).map_err(|why| named(why.to_string()))?)
+    }
+
+    /// Returns under which conditions the figures were measured, as the head of a column.
+    fn conditions(&self) -> String {
+        let time = if self.virtual_time { "virtual time" } else { "real time" };
+        // The values of the link stand in the report's title, and in experiment.json.
+        let link = self.link.split(" (").next().unwrap_or_default();
+        format!("{} over {link}, {} sessions of {} s, {time}", self.world, self.sessions, self.seconds)
+    }
+
+    /// Returns mean and deviation of a quantity of this table, written as `like` is.
+    fn ours(&self, like: &Quantity) -> String {
+        let here = self.quantities.iter().find(|quantity| quantity.name == like.name);
+        here.map_or_else(|| "no data".into(), |here| Quantity { digits: like.digits, ..here.clone() }.ours())
+    }
+
+    /// Formats the table for a terminal, with the means of other experiments.
+    pub fn text(&self, beside: &[Self]) -> String {
+        let mut text = format!("{:<50} {:>10}  {}\n", "", "the paper", self.conditions());
+        for (number, other) in (1..).zip(beside) {
+            text += &format!("{:<61}  [{number}] {}\n", "", other.conditions());
+        }
         for quantity in &self.quantities {
             let paper = quantity.format(quantity.paper, "-");
-            text += &format!("{:<50} {paper:>10}  {}\n", quantity.name, quantity.ours());
+            text += &format!("{:<50} {paper:>10}  {:<20}", quantity.name, quantity.ours());
+            if self.additional_seed.is_some() {
+                text += &format!(" additional: {}", quantity.format(quantity.additional, "no data"));
+            }
+            for (number, other) in (1..).zip(beside) {
+                text += &format!(" [{number}] {}", other.ours(quantity));
+            }
+            text.truncate(text.trim_end().len());
+            text.push('\n');
         }
         text
     }
 
-    /// Writes report.html, experiment.json and sessions.csv.
+    /// Writes report.html, experiment.json and sessions.csv; the report shows the means of other experiments too.
     ///
     /// # Errors
     /// A file cannot be written.
-    pub fn write(&self, folder: &Path, sessions: &[Session]) -> std::io::Result<()> {
+    pub fn write(&self, folder: &Path, sessions: &[Session], beside: &[Self]) -> std::io::Result<()> {
         let json = serde_json::to_string_pretty(self)?;
         let files =
-            [("experiment.json", json), ("sessions.csv", self.csv()), ("report.html", self.html(sessions))];
+            [(FILE, json), ("sessions.csv", self.csv()), ("report.html", self.html(sessions, beside))];
         for (name, text) in files {
             formats::atomic::write(&folder.join(name), |file| file.write_all(text.as_bytes()))?;
         }
@@ -180,44 +242,23 @@ impl Results {
             });
             text += &format!("{number},{seed},{}\n", values.collect::<Vec<_>>().join(","));
         }
+        if let Some(seed) = self.additional_seed {
+            let value = |quantity: &Quantity| quantity.additional.map_or(String::new(), |v| v.to_string());
+            let values: Vec<String> = self.quantities.iter().map(value).collect();
+            text += &format!("additional,{seed},{}\n", values.join(","));
+        }
         text
     }
 
-    fn html(&self, sessions: &[Session]) -> String {
+    fn html(&self, sessions: &[Session], beside: &[Self]) -> String {
         let time = if self.virtual_time { "virtual time" } else { "real time" };
         let title = format!("Evaluation: {} sessions of {} s", self.sessions, self.seconds);
-        let mut page = Page::new(
-            &title,
-            &format!("{time}, operator over {}, version {}, {}", self.link, self.version, self.machine),
-        );
+        let who = if self.is_in_headset() { "robots in a headset and operator" } else { "operator" };
+        let about = format!("{time}, {who} over {}, version {}, {}", self.link, self.version, self.machine);
+        let mut page = Page::new(&title, &about);
         page.heading("Table IV of the paper, and the same figures here");
-        let mut heads: Vec<String> =
-            ["", "the paper", "here, mean ± standard deviation"].map(str::to_owned).into();
-        heads.extend(self.numbers.iter().map(|number| format!("session {number}")));
-        let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
-        let row = |quantity: &Quantity| -> Row {
-            let mut row = vec![quantity.name.clone(), quantity.format(quantity.paper, "–"), quantity.ours()];
-            row.extend(quantity.sessions.iter().map(|value| quantity.format(*value, "no data")));
-            row
-        };
-        page.table(&heads, &self.quantities.iter().map(row).collect::<Vec<_>>());
-        page.paragraph(
-            "The paper is Aryan et al., MR-SLAM, University of Bern; – is a value that is not known here. Its people drove \
-             robots over Wi-Fi with a headset; here a program drives simulated robots over TCP on one machine. By chance: the \
-             same maps under wrong transforms that keep at least half of their overlap.",
-        );
-        if self.link != LinkChoice::Loopback.name() {
-            page.paragraph(
-                "A proxy delays, stalls and interrupts what passes between operator and fleet, as a Wi-Fi network may. The paper \
-                 does not say how its own network behaved. Figures in shared memory are before the proxy.",
-            );
-        }
-        if self.virtual_time {
-            page.paragraph(
-                "Time was virtual. Messages take no time then, so that jitter and latencies have no data, and the scan rate says \
-                 only that no scan was lost.",
-            );
-        }
+        self.add_table(&mut page, beside);
+        self.add_notes(&mut page);
         // The sessions' configurations differ in their seeds alone.
         let config = sessions
             .first()
@@ -226,10 +267,66 @@ impl Results {
             add_system(&mut page, &config);
         }
         for session in sessions {
-            page.heading(&format!("Session {}, seed {}", session.number, session.settings.seed));
+            let is_counted = self.numbers.contains(&session.number);
+            let name =
+                if is_counted { format!("Session {}", session.number) } else { "Additional session".into() };
+            page.heading(&format!("{name}, seed {}", session.settings.seed));
             page.add_part(&session.pictures);
         }
         page.finish()
+    }
+
+    fn is_in_headset(&self) -> bool {
+        self.world == "headset"
+    }
+
+    /// Adds the paper's table, with a column for each other experiment and each session.
+    fn add_table(&self, page: &mut Page, beside: &[Self]) {
+        let mut heads = vec![String::new(), "the paper".into(), format!("here: {}", self.conditions())];
+        heads.extend(beside.iter().map(Self::conditions));
+        heads.extend(self.numbers.iter().map(|number| format!("session {number}")));
+        heads.extend(self.additional_seed.map(|_| "additional session".into()));
+        let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
+        let row = |quantity: &Quantity| -> Row {
+            let mut row = vec![quantity.name.clone(), quantity.format(quantity.paper, "–"), quantity.ours()];
+            row.extend(beside.iter().map(|other| other.ours(quantity)));
+            row.extend(quantity.sessions.iter().map(|value| quantity.format(*value, "no data")));
+            row.extend(self.additional_seed.map(|_| quantity.format(quantity.additional, "no data")));
+            row
+        };
+        page.table(&heads, &self.quantities.iter().map(row).collect::<Vec<_>>());
+    }
+
+    /// Adds what a reader must know to compare the columns.
+    fn add_notes(&self, page: &mut Page) {
+        page.paragraph(
+            "Means are with their standard deviation over the sessions. The paper is Aryan et al., MR-SLAM, University of Bern; – \
+             is a value that is not known here. Its robots lived in a headset behind Wi-Fi and people drove them; here a program \
+             drives simulated robots over TCP on one machine. By chance: the same maps under wrong transforms that keep at least \
+             half of their overlap.",
+        );
+        if self.is_in_headset() {
+            page.paragraph(
+                "The robots are simulated in a headset's application, which sends scans, transforms and its clock over TCP as in the \
+                 paper, 5 s ahead of the fleet's clock. Jitter in shared memory is that of its transforms where SLAM gets them. The \
+                 poses' errors have no data: the fleet does not know where a headset's robots are.",
+            );
+        }
+        if self.link != LinkChoice::Loopback.name() {
+            page.paragraph(if self.is_in_headset() {
+                "A link delays, stalls and interrupts what passes between headset and fleet, as a Wi-Fi network may. The paper does \
+                 not say how its own network behaved."
+            } else {
+                "A link delays, stalls and interrupts what passes between operator and fleet, as a Wi-Fi network may. The paper does \
+                 not say how its own network behaved. Figures in shared memory are before the link."
+            });
+        }
+        if self.virtual_time {
+            page.paragraph(
+                "Time was virtual: processes take no time, so that jitter and latencies have no data but for what a link before the \
+                 robots makes, and the scan rate says only that no scan was lost.",
+            );
+        }
     }
 }
 

@@ -6,9 +6,9 @@ use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
-    Clock, Correction, DenseMap, ExclusionZones, FleetStats, GroundTruth, MapTransforms, MergeEdges, Message,
-    Monotonic, NavigationCommand, NavigationPlan, NavigationReport, Odometry, PatchHeader, RobotId, Scan,
-    Transforms, VelocityCommand,
+    Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, FleetStats, GroundTruth, MapTransforms,
+    MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan, NavigationReport, Odometry,
+    OperatorEvent, PatchHeader, RobotId, Scan, SlamRequest, Transforms, VelocityCommand,
 };
 use reports::{FleetView, edges_json};
 use std::time::Duration;
@@ -23,6 +23,7 @@ struct RobotInputs<P: Ports> {
     corrections: P::Reader<Correction>,
     truths: P::Reader<GroundTruth>,
     goals: P::Reader<NavigationCommand>,
+    slam_requests: P::Reader<SlamRequest>,
     navigation: P::Reader<NavigationReport>,
     plans: P::Reader<NavigationPlan>,
     map: MapInput<P>,
@@ -60,6 +61,8 @@ pub struct Inputs<P: Ports> {
     clock: P::Reader<Clock>,
     stats: P::Reader<FleetStats>,
     edges: P::Reader<MergeEdges>,
+    edge_commands: P::Reader<EdgeCommand>,
+    operator_events: P::Reader<OperatorEvent>,
     zones: P::Reader<ExclusionZones>,
     map_transforms: P::Reader<MapTransforms>,
     merged_map: MapInput<P>,
@@ -78,6 +81,7 @@ impl<P: Ports> Inputs<P> {
                 corrections: ports.reader(&channel::correction(robot))?,
                 truths: ports.reader(&channel::truth(robot))?,
                 goals: ports.reader(&channel::goal(robot))?,
+                slam_requests: ports.reader(&channel::slam_request(robot))?,
                 navigation: ports.reader(&channel::navigation_state(robot))?,
                 plans: ports.reader(&channel::plan(robot))?,
                 map: MapInput::open(ports, &channel::map(robot), run)?,
@@ -88,6 +92,8 @@ impl<P: Ports> Inputs<P> {
             clock: ports.reader(&channel::clock())?,
             stats: ports.reader(&channel::stats())?,
             edges: ports.reader(&channel::merge_edges())?,
+            edge_commands: ports.reader(&channel::edge_command())?,
+            operator_events: ports.reader(&channel::operator_event())?,
             zones: ports.reader(&channel::exclusion_zones())?,
             map_transforms: ports.reader(&channel::map_transforms())?,
             merged_map: MapInput::open(ports, &channel::merged_map(), run)?,
@@ -97,6 +103,8 @@ impl<P: Ports> Inputs<P> {
     /// Records all that has come.
     pub fn receive(&mut self, to: &mut Recorder, now: Monotonic) {
         each(&mut self.clock, |clock| to.publish(FleetMessage::Clock(clock), sent(clock)));
+        each(&mut self.operator_events, |event| to.record_operator_event(event));
+        each(&mut self.edge_commands, |command| to.record_edge_command(command));
         for input in &mut self.robots {
             input.receive(to, now);
         }
@@ -140,6 +148,7 @@ impl<P: Ports> RobotInputs<P> {
             to.publish(FleetMessage::Correction(robot, correction), sent(correction));
         });
         each(&mut self.goals, |command| to.record_navigation_command(robot, command));
+        each(&mut self.slam_requests, |request| to.record_slam_request(robot, request));
         each(&mut self.navigation, |report| {
             to.publish(FleetMessage::NavigationState(robot, report), sent(report));
         });

@@ -1,5 +1,7 @@
 //! Encodes the fleet's messages by the bridge's tables and writes them to the files of a recording.
 
+mod commands;
+
 use super::files::{BYTES_PER_MB, Output};
 use super::operator::operator_json;
 use super::{Summary, TopicSummary};
@@ -9,10 +11,7 @@ use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, TopicSink,
 };
 use ::recording::{Durability, RecordingWriter, TopicIndex, WriteError};
-use msg::{
-    GroundTruth, Link, Monotonic, NavigationCommand, NavigationFrame, Odometry, RobotId, Stamp,
-    VelocityCommand,
-};
+use msg::{GroundTruth, Link, Monotonic, Odometry, RobotId, Sender, Stamp};
 use reports::{BridgeState, TlxEntry};
 use ros_messages::cdr::Writer;
 use ros_messages::{
@@ -51,6 +50,14 @@ enum OwnTopic {
     NavigationCommand,
     /// Answers to the form of workload, all of the run, as JSON.
     Workload,
+    /// Who sends a robot's velocities, on change.
+    CommandSender,
+    /// Requests to a robot's SLAM, as JSON.
+    SlamRequest,
+    /// Commands about merge edges, as JSON.
+    EdgeCommand,
+    /// Emergency stop, its release, selection and takeover of robots, as JSON.
+    OperatorEvent,
 }
 
 /// One topic of a recording.
@@ -69,6 +76,8 @@ pub struct Recorder {
     names: FrameNames,
     epoch: Epoch,
     file: FileTopics,
+    /// Who sent each robot's newest velocity.
+    command_senders: Vec<Option<Sender>>,
 }
 
 /// Numbers of messages.
@@ -84,7 +93,7 @@ struct FileTopics {
     /// Indices by row of [`OUTGOING_TOPICS`], then by robot; empty if the topic is not recorded.
     by_fleet_topic: [Vec<TopicIndex>; OUTGOING_TOPICS.len()],
     /// Indices by [`OwnTopic`], then by robot.
-    own: [Vec<TopicIndex>; 7],
+    own: [Vec<TopicIndex>; 11],
     description: BTreeMap<String, String>,
     /// The file; `None` once the recording has ended.
     writer: Option<RecordingWriter>,
@@ -115,7 +124,8 @@ impl Recorder {
             FileTopics::new(&robots, description, output, run.config.recording.split_mb * BYTES_PER_MB);
         file.begin()?;
         let names = FrameNames::new(config.frame_names, &robots);
-        Ok(Self { publisher: Some(publisher), names, epoch: run.epoch, file })
+        let command_senders = vec![None; robots.robots().count()];
+        Ok(Self { publisher: Some(publisher), names, epoch: run.epoch, file, command_senders })
     }
 
     /// Records a message of the fleet that was sent at this moment.
@@ -124,20 +134,6 @@ impl Recorder {
         if let Some(publisher) = &mut self.publisher {
             publisher.publish(message, &mut self.file);
         }
-    }
-
-    /// Records the velocity that a robot is to drive.
-    pub fn record_command(&mut self, robot: RobotId, command: &VelocityCommand) {
-        self.file.at = self.epoch.stamp(command.header.sent);
-        let velocity = [command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s];
-        self.file.record(OwnTopic::Command, robot.index(), |to| to.f64s(&velocity));
-    }
-
-    /// Records a goal of a robot, or what is to become of its goal.
-    pub fn record_navigation_command(&mut self, robot: RobotId, command: &NavigationCommand) {
-        self.file.at = self.epoch.stamp(command.header.sent);
-        let json = navigation_command_json(command).to_string();
-        self.file.record(OwnTopic::NavigationCommand, robot.index(), |to| to.string(&json));
     }
 
     /// Records a robot's odometry as the fleet has it.
@@ -211,27 +207,6 @@ impl Recorder {
     }
 }
 
-/// Returns a command to navigation as JSON: action, frame, poses x m, y m, yaw rad (`null`: any heading).
-fn navigation_command_json(command: &NavigationCommand) -> serde_json::Value {
-    let poses = command.poses().iter().map(|pose| {
-        let yaw_rad = Some(pose.yaw_rad).filter(|yaw| yaw.is_finite());
-        serde_json::json!([pose.x_m, pose.y_m, yaw_rad])
-    });
-    let frame = command.frame().map(|frame| match frame {
-        NavigationFrame::MergedMap => "map",
-        NavigationFrame::RobotMap => "robot_map",
-        NavigationFrame::Odom => "odom",
-        NavigationFrame::Base => "base_footprint",
-    });
-    serde_json::json!({
-        "number": command.number,
-        "action": command.action().map(|action| format!("{action:?}").to_lowercase()),
-        "frame": frame,
-        "frame_robot": command.frame_robot().map(|robot| robot.to_string()),
-        "poses": poses.collect::<Vec<_>>(),
-    })
-}
-
 impl FileTopics {
     fn new(
         robots: &RobotNames,
@@ -253,19 +228,25 @@ impl FileTopics {
             let durability = if is_latched { Durability::Latched } else { Durability::Volatile };
             row.names(robots).into_iter().map(|name| add(name, row.message_type, durability)).collect()
         });
-        let mut of_robots = |rest: &str, message_type| -> Vec<TopicIndex> {
+        let mut of_robots = |rest: &str, message_type, durability| -> Vec<TopicIndex> {
             let names = robots.robots().map(|robot| robots.topic(robot, rest));
-            names.map(|name| add(name, message_type, Durability::Volatile)).collect()
+            names.map(|name| add(name, message_type, durability)).collect()
         };
-        let navigation_commands = of_robots(NAVIGATION_COMMAND, Text::TYPE);
+        let navigation_commands = of_robots(NAVIGATION_COMMAND, Text::TYPE, Durability::Volatile);
+        let command_senders = of_robots("cmd_vel_sender", Text::TYPE, Durability::Latched);
+        let slam_requests = of_robots("slam_request", Text::TYPE, Durability::Volatile);
         let own = [
-            of_robots("cmd_vel", Twist::TYPE),
-            of_robots(PLANAR_ODOMETRY, Pose2D::TYPE),
-            of_robots(GROUND_TRUTH, RosOdometry::TYPE),
+            of_robots("cmd_vel", Twist::TYPE, Durability::Volatile),
+            of_robots(PLANAR_ODOMETRY, Pose2D::TYPE, Durability::Volatile),
+            of_robots(GROUND_TRUTH, RosOdometry::TYPE, Durability::Volatile),
             vec![add("/fleet_stats".into(), Text::TYPE, Durability::Volatile)],
             vec![add("/operator_state".into(), Text::TYPE, Durability::Latched)],
             navigation_commands,
             vec![add("/nasa_tlx".into(), Text::TYPE, Durability::Latched)],
+            command_senders,
+            slam_requests,
+            vec![add("/merge_edge_command".into(), Text::TYPE, Durability::Volatile)],
+            vec![add("/operator_event".into(), Text::TYPE, Durability::Volatile)],
         ];
         Self {
             topics,

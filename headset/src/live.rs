@@ -1,0 +1,134 @@
+//! The headset's application on a thread of its own, connected to the bridge over TCP.
+
+use crate::{CLOCK_AHEAD, HeadsetRobots};
+use bridge::frame::{KEEPALIVE, Parser};
+use runtime::clock::{Epoch, now};
+use sim::Simulator;
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, Shutdown, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Time between two attempts to connect, as the connector waits.
+const RETRY_PERIOD: Duration = Duration::from_secs(1);
+/// Delay after which missed ticks are skipped: the machine slept, or the link stood.
+const BEHIND_MAX: Duration = Duration::from_secs(1);
+/// Longest time that one write may wait for the link; then the application connects anew.
+const WRITE_MAX: Duration = Duration::from_secs(10);
+/// Velocities that may wait for the next tick; the newest is dropped beyond it.
+const VELOCITIES_MAX: usize = 256;
+/// Largest frame from the bridge, bytes: velocities and notices.
+const FRAME_BYTES_MAX: usize = 64 << 10;
+
+/// A velocity from the bridge: topic and payload.
+type Velocity = (String, Vec<u8>);
+
+/// The running application; dropping it ends it.
+pub struct Headset {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Headset {
+    /// Starts the application, which connects to a port of this machine, again and again if need be.
+    ///
+    /// # Errors
+    /// No thread can be started.
+    pub fn start(robots: HeadsetRobots, port: u16) -> std::io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let thread = std::thread::Builder::new().name("headset".into());
+        let thread = thread.spawn(move || play(robots, port, &stopped))?;
+        Ok(Self { stop, thread: Some(thread) })
+    }
+
+    /// Returns whether the application still runs.
+    pub fn is_running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+    }
+}
+
+impl Drop for Headset {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A thread that panicked has said so.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Plays on one connection after the other until the application is to end.
+fn play(mut robots: HeadsetRobots, port: u16, stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        if let Ok(stream) = TcpStream::connect((Ipv4Addr::LOCALHOST, port))
+            && let Err(why) = play_on(&mut robots, stream, stop)
+        {
+            tracing::warn!("the headset's connection ended: {why}");
+        }
+        let begun = Instant::now();
+        while begun.elapsed() < RETRY_PERIOD && !stop.load(Ordering::Relaxed) {
+            std::thread::sleep(Simulator::TICK);
+        }
+    }
+}
+
+/// Ticks in real time on a connection until it fails or the application is to end.
+fn play_on(robots: &mut HeadsetRobots, mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()> {
+    stream.set_nodelay(true)?;
+    stream.set_write_timeout(Some(WRITE_MAX))?;
+    let (to_robots, velocities) = sync_channel(VELOCITIES_MAX);
+    let reading = stream.try_clone()?;
+    let reader = std::thread::spawn(move || read_velocities(reading, &to_robots));
+    let result = tick_until(robots, &mut stream, &velocities, stop);
+    let _ = stream.shutdown(Shutdown::Both);
+    let _ = reader.join();
+    result
+}
+
+fn tick_until(
+    robots: &mut HeadsetRobots,
+    stream: &mut TcpStream,
+    velocities: &Receiver<Velocity>,
+    stop: &AtomicBool,
+) -> std::io::Result<()> {
+    let mut frames = KEEPALIVE.to_vec();
+    robots.register(&mut frames);
+    // The headset's time of day.
+    let time_of_day = || Epoch::unix().stamp(now()) + CLOCK_AHEAD;
+    robots.set_time(time_of_day());
+    let mut due = Instant::now();
+    while !stop.load(Ordering::Relaxed) {
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        while let Ok((topic, payload)) = velocities.try_recv() {
+            robots.receive(&topic, &payload);
+        }
+        robots.tick(&mut frames);
+        stream.write_all(&frames)?;
+        frames.clear();
+        due += Simulator::TICK;
+        if due.elapsed() > BEHIND_MAX {
+            robots.set_time(time_of_day());
+            due = Instant::now();
+        }
+    }
+    Ok(())
+}
+
+/// Passes velocities on until the connection ends.
+fn read_velocities(mut stream: TcpStream, to_robots: &SyncSender<Velocity>) {
+    let mut parser = Parser::new(FRAME_BYTES_MAX);
+    while let Ok(count @ 1..) = stream.read(parser.space()) {
+        parser.filled(count);
+        while let Ok(Some(frame)) = parser.next_frame() {
+            if let Ok(topic) = std::str::from_utf8(frame.name)
+                && topic.ends_with("/cmd_vel")
+            {
+                let _ = to_robots.try_send((topic.to_owned(), frame.payload.to_vec()));
+            }
+        }
+    }
+}
