@@ -143,6 +143,7 @@ function goTo(number) {
 // --- Emergency stop ---
 
 function stop() {
+  if (fleet.figures.is_replay === true) return;
   stopAskedAt = now();
   const isSent = live.publish("/emergency_stop", "std_msgs/msg/Bool", writeBool(true), true);
   if (!isSent) logMessage("the emergency stop could not be sent: no connection", true);
@@ -186,7 +187,7 @@ function releaseStick() {
 setInterval(() => {
   const gamepad = document.hasFocus() ? [...navigator.getGamepads()].find((pad) => pad !== null) ?? null : null;
   const isStopped = fleet.isStopped === true;
-  const deflection = isStopped ? null : reality.drive() ?? stick ?? keyDeflection(held) ?? gamepadDeflection(gamepad);
+  const deflection = isStopped || fleet.figures.is_replay === true ? null : reality.drive() ?? stick ?? keyDeflection(held) ?? gamepadDeflection(gamepad);
   let shown = { linear: 0, angular: 0 };
   for (const { robot: number, forward, left } of driver.tick(deflection, selected)) {
     const robot = fleet.robots.get(number);
@@ -363,6 +364,10 @@ function setFits(fits) {
 }
 
 function toggleFollow() {
+  if (selected === null && view.followed === null) {
+    logMessage("select the robot to follow first", true);
+    return;
+  }
   view.followed = view.followed === null ? selected : null;
   view.fits = false;
   showTools();
@@ -393,7 +398,10 @@ function showHint() {
   const hint = element("hint");
   const robot = selected === null ? null : fleet.robots.get(selected);
   let text = "";
-  if (!live.isOpen) text = "No connection to the bridge: robots are at rest. Trying again …";
+  const isReplay = fleet.figures.is_replay === true;
+  document.body.classList.toggle("replay", isReplay);
+  if (isReplay && live.isOpen) text = "Replay of a recording: nothing drives. The keys in its terminal pause it and change its speed.";
+  else if (!live.isOpen) text = "No connection to the bridge: robots are at rest. Trying again …";
   else if (live.silence() > SILENT_MS) text = "The bridge does not answer: robots are at rest. What is shown is old.";
   else if (fleet.isStopped) text = "Emergency stop is set. Release it at the top to drive on.";
   else if (selected === null && fleet.robots.size > 1 && driver.driven === null && (stick || held.size > 0)) text = "Select a robot first.";

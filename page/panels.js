@@ -202,10 +202,10 @@ export class AttentionList {
 
   /** @param {ReturnType<Fleet["attention"]>} items @param {Fleet} fleet */
   update(items, fleet) {
-    const present = new Set(items.map(keyOf));
+    const present = new Set(items.map(({ key }) => key));
     for (const key of this.acknowledged) if (!present.has(key)) this.acknowledged.delete(key);
-    items = items.filter((item) => !this.acknowledged.has(keyOf(item)));
-    const shown = JSON.stringify(items.slice(0, ITEMS_MAX));
+    items = items.filter((item) => !this.acknowledged.has(item.key));
+    const shown = JSON.stringify([items.slice(0, ITEMS_MAX), this.acknowledged.size]);
     if (shown === this.shown) return;
     this.shown = shown;
     const list = element("items");
@@ -217,7 +217,7 @@ export class AttentionList {
   }
 
   /** Returns the row of an item: about a robot a button that goes there, and one that acknowledges. @param {Item} item @param {Fleet} fleet */
-  row({ rank, robot, text }, fleet) {
+  row({ robot, text, key }, fleet) {
     const row = create("li");
     if (robot === null) {
       row.textContent = text;
@@ -229,14 +229,11 @@ export class AttentionList {
     acknowledge.title = "Acknowledge: hide this until it comes again";
     [goTo, acknowledge].forEach((button) => button.setAttribute("type", "button"));
     goTo.addEventListener("click", () => this.onGoTo(robot));
-    acknowledge.addEventListener("click", () => this.acknowledged.add(keyOf({ rank, robot, text })));
+    acknowledge.addEventListener("click", () => this.acknowledged.add(key));
     row.append(goTo, acknowledge);
     return row;
   }
 }
-
-/** Returns what stays the same while an item is about the same thing, though its numbers change. @param {Item} item */
-function keyOf({ rank, robot }) { return `${rank} ${robot}`; }
 
 /** Adds a message to the log. */
 export function logMessage(/** @type {string} */ text, isError = false) {

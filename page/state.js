@@ -246,38 +246,43 @@ export class Fleet {
   }
 
   /**
-   * Returns what needs the operator's attention, the most urgent first.
+   * Returns what needs the operator's attention, the most urgent first. An item's key stays the same while it is about the same
+   * thing, though its numbers change.
    * @param {number} now @param {boolean} isConnected
    */
   attention(now, isConnected) {
-    /** @type {{rank: number, robot: number | null, text: string}[]} */
+    /** @type {{rank: number, robot: number | null, text: string, key: string}[]} */
     const items = [];
-    if (!isConnected) items.push({ rank: 0, robot: null, text: "no connection to the bridge" });
-    if (this.isStopped) items.push({ rank: 1, robot: null, text: "emergency stop is set" });
+    const addOfFleet = (/** @type {number} */ rank, /** @type {string} */ kind, /** @type {string} */ text) => {
+      items.push({ rank, robot: null, text, key: kind });
+    };
+    if (!isConnected) addOfFleet(0, "connection", "no connection to the bridge");
+    if (this.isStopped) addOfFleet(1, "stop", "emergency stop is set");
     const offer = this.figures.room_offer;
-    if (offer) items.push({ rank: 2, robot: null, text: `${offer.address} offers its room as the world: at the laptop, mr-slam room accept or refuse` });
+    if (offer) addOfFleet(2, "room", `${offer.address} offers its room as the world: at the laptop, mr-slam room accept or refuse`);
     for (const robot of this.robots.values()) {
-      const add = (/** @type {number} */ rank, /** @type {string} */ text) => {
-        items.push({ rank, robot: robot.number, text });
+      const add = (/** @type {number} */ rank, /** @type {string} */ kind, /** @type {string} */ text) => {
+        items.push({ rank, robot: robot.number, text, key: `${kind} ${robot.number}` });
       };
       const age = robot.scanAge(now);
       const { slam, is_merged: isMerged, is_map_old: isMapOld, map_age_s: mapAge } = robot.figures;
-      if (slam === "lost" || slam === "relocalizing") add(2, `SLAM is ${slam}`);
-      if (age === null) add(3, "no scan yet");
-      else if (age > STALE_S) add(3, `no scan for ${age.toFixed(0)} s`);
+      if (slam === "lost" || slam === "relocalizing") add(2, "lost", `SLAM is ${slam}`);
+      if (age === null) add(3, "scan", "no scan yet");
+      else if (age > STALE_S) add(3, "scan", `no scan for ${age.toFixed(0)} s`);
       const { state, reason } = robot.navigation ?? {};
-      if (state === "failed") add(3, `its goal was given up: ${reason}`);
-      if (state === "blocked") add(4, `its way is blocked: ${reason}`);
-      if (slam === "unreliable") add(2, "its map may be wrong");
-      if (slam === "degenerate") add(4, "SLAM is degenerate");
-      if (isMapOld === true) add(3, `its part of the map is ${mapAge.toFixed(0)} s old`);
-      if (isMerged === false) add(5, "its map is not merged");
+      if (state === "failed") add(3, "goal", `its goal was given up: ${reason}`);
+      if (state === "blocked") add(4, "way", `its way is blocked: ${reason}`);
+      if (slam === "unreliable") add(2, "unreliable", "its map may be wrong");
+      if (slam === "degenerate") add(4, "degenerate", "SLAM is degenerate");
+      if (isMapOld === true) add(3, "map", `its part of the map is ${mapAge.toFixed(0)} s old`);
+      if (isMerged === false) add(5, "merge", "its map is not merged");
     }
     for (const edge of this.edges.filter(({ state }) => state === "dropped")) {
       const [robot, other] = robotsOf(edge);
-      items.push({ rank: 4, robot, text: `its map is no longer joined with that of ${other}: they contradict each other` });
+      const text = `its map is no longer joined with that of ${other}: they contradict each other`;
+      items.push({ rank: 4, robot, text, key: `edge ${robot} ${other}` });
     }
-    if (this.exploration?.state === "failed") items.push({ rank: 3, robot: null, text: `exploration failed: ${this.exploration.reason}` });
+    if (this.exploration?.state === "failed") addOfFleet(3, "exploration", `exploration failed: ${this.exploration.reason}`);
     return items.sort((a, b) => a.rank - b.rank || (a.robot ?? 0) - (b.robot ?? 0));
   }
 }

@@ -41,7 +41,8 @@ function begin() {
       send.disabled = missing > 0;
     };
     for (const event of ["input", "change", "pointerup"]) slider.addEventListener(event, rate);
-    cell.append(`${low} `, slider, ` ${high} `, value);
+    const [left, right] = [low, high].map((text) => Object.assign(document.createElement("span"), { textContent: text }));
+    cell.append(left, slider, right, value);
     row.append(heading, cell);
     find("scales").append(row);
   }

@@ -239,7 +239,7 @@ export class MixedReality {
     if (isStopped && !this.wasStopped) pulse(xr.session, ...STOP_PULSE);
     this.wasStopped = isStopped;
     const items = operator.fleet.attention(now, operator.isConnected()).filter(({ rank }) => rank <= ALARM_RANK);
-    const alarms = new Set(items.map(({ rank, robot }) => `${rank} ${robot}`));
+    const alarms = new Set(items.map(({ key }) => key));
     if ([...alarms].some((alarm) => !this.alarms.has(alarm))) pulse(xr.session, ...ALARM_PULSE);
     this.alarms = alarms;
   }

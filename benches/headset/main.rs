@@ -3,7 +3,7 @@
 //! `cargo bench --bench headset [-- --seconds 60 --json FILE]`
 //!
 //! Three robots send scans at 10 Hz, transforms at 20 Hz and the clock at 100 Hz, over loopback and over links that stand
-//! for Wi-Fi (see `LINKS`; the paper does not say how its own behaved). Counted is what SLAM received.
+//! for Wi-Fi (see `LinkChoice`; the paper does not say how its own behaved). Counted is what SLAM received.
 
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/fleet.rs"]
@@ -16,8 +16,8 @@ mod launcher;
 #[path = "../jitter/measure.rs"]
 mod measure;
 
+use headset::wireless::{Link, LinkChoice, proxy};
 use headset_app::Headset;
-use mr_slam::command::experiment::link::{self, LINKS, Link};
 use mr_slam::config::{FleetConfig, World};
 use mr_slam::observer::Observer;
 use mr_slam::run::Run;
@@ -47,11 +47,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     println!("{:<20} {:>10} {:>8} {:>16} {:>16}", "", "slowest", "", "median   P95", "median   P95");
     let mut rows = Vec::new();
-    for link in LINKS {
-        let row = measure(link, length)?;
+    for link in LinkChoice::ALL {
+        let row = measure(link.link(), length)?;
         println!(
             "{:<20} {:>10.2} {:>8} {:>8.2} {:>7.2} {:>8.2} {:>7.2}",
-            link.name,
+            link.name(),
             row.scan_hz,
             row.lost,
             row.jitter_ms[0],
@@ -60,7 +60,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             row.pose_ms[1]
         );
         rows.push(json!({
-            "link": link.name, "scan_hz": row.scan_hz, "scans_lost": row.lost,
+            "link": link.name(), "scan_hz": row.scan_hz, "scans_lost": row.lost,
             "tf_jitter_median_ms": row.jitter_ms[0], "tf_jitter_p95_ms": row.jitter_ms[1],
             "scan_to_pose_median_ms": row.pose_ms[0], "scan_to_pose_p95_ms": row.pose_ms[1],
         }));
@@ -87,7 +87,7 @@ struct Row {
 fn measure(link: Link, length: Duration) -> Result<Row, Box<dyn Error>> {
     let (fleet, config) = start_fleet()?;
     let run = fleet.run();
-    let headset = Headset::attach(link::start(link, run.port, SEED)?, &config);
+    let headset = Headset::attach(proxy::start(link, run.port, SEED)?, &config);
     let mut reading = headset.stream.try_clone()?;
     // What the bridge sends is discarded, so that its queues do not fill.
     std::thread::spawn(move || std::io::copy(&mut reading, &mut std::io::sink()));

@@ -123,6 +123,14 @@ impl Fleet {
         (bridge, others)
     }
 
+    /// Returns a process by the newest statistics.
+    #[allow(dead_code, reason = "the soak looks at the recorder")]
+    pub fn process(&mut self, process: &str) -> Option<reports::ProcessView> {
+        self.observer.wait(Duration::from_secs(3));
+        let view = FleetView::new(self.observer.stats()?);
+        view.processes.into_iter().find(|known| known.process == process)
+    }
+
     fn observe(&mut self, measuring: bool) {
         if self.observer.poll()
             && let Some(stats) = self.observer.stats()

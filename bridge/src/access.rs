@@ -70,6 +70,8 @@ pub struct AccessControl {
     waiting: Vec<IpAddr>,
     /// The room that waits for the operator's answer.
     room_offer: Option<RoomOffer>,
+    /// Whether what the clients see was recorded: nothing moves then.
+    pub is_replay: bool,
 }
 
 impl AccessControl {
@@ -93,6 +95,7 @@ impl AccessControl {
             denied: BTreeSet::new(),
             waiting: Vec::new(),
             room_offer: None,
+            is_replay: false,
         }
     }
 

@@ -2,6 +2,7 @@
 
 mod clients;
 mod navigation;
+mod operator;
 mod room;
 mod status;
 
@@ -12,15 +13,14 @@ use crate::access::Action;
 use crate::command::name;
 use crate::config::{BridgeConfig, ConfigError};
 use crate::core::{ConnectError, Core};
-use crate::fleet_topics::FleetMessage;
+use crate::fleet_topics::{FleetMessage, FleetTopic};
 use crate::frame::Frame;
 use crate::relay::{RosCommand, RosEvent};
 use crate::router::{Client, ClientId, ClientSocket, ConnectionEnded, Counters};
-use crate::transport::Transport;
 use crate::world::{ExternalWorld, WorldInput};
 use msg::{
-    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, RobotId, SlamRequest, SlamResponse, Stamp,
-    VelocityCommand, ZoneCommand,
+    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, OperatorEvent, RobotId, Sender,
+    SlamRequest, SlamResponse, Stamp, VelocityCommand, ZoneCommand,
 };
 use ros_messages::RobotNames;
 use ros_messages::cdr::Dialect;
@@ -33,6 +33,8 @@ const TICK_MAX: Duration = Duration::from_millis(250);
 
 /// Where velocities go.
 type CommandSink = Box<dyn FnMut(RobotId, VelocityCommand)>;
+/// Where actions of operators go, for the record.
+type OperatorEventSink = Box<dyn FnMut(OperatorEvent)>;
 /// Where commands for merging go.
 type EdgeCommandSink = Box<dyn FnMut(EdgeCommand)>;
 /// Where requests to SLAM go.
@@ -88,6 +90,7 @@ type RosCommandSink = Box<dyn FnMut(RosCommand)>;
 pub struct Bridge {
     core: RefCell<Core>,
     on_command: RefCell<CommandSink>,
+    on_operator_event: RefCell<OperatorEventSink>,
     on_edge_command: RefCell<EdgeCommandSink>,
     on_slam_request: RefCell<SlamRequestSink>,
     on_navigation: RefCell<NavigationSink>,
@@ -135,6 +138,7 @@ impl Bridge {
         Ok(Self {
             core: RefCell::new(Core::new(config, robots, world)),
             on_command: RefCell::new(on_command),
+            on_operator_event: RefCell::new(Box::new(|_| {})),
             on_edge_command: RefCell::new(Box::new(|_| {})),
             on_slam_request: RefCell::new(Box::new(|_, _| {})),
             on_navigation: RefCell::new(Box::new(|_, _| {})),
@@ -173,6 +177,7 @@ impl Bridge {
         let result = {
             let core = &mut *self.core.borrow_mut();
             let result = change(core);
+            core.commands.set_sender(Sender::BRIDGE);
             core.router.flush();
             result
         };
@@ -182,6 +187,14 @@ impl Bridge {
 
     /// Passes on the commands that wait. The core is not borrowed meanwhile: a sink may publish messages.
     fn pass_commands(&self) {
+        if !self.core.borrow().has_commands() {
+            return;
+        }
+        if let Ok(mut sink) = self.on_operator_event.try_borrow_mut() {
+            while let Some(event) = { self.core.borrow_mut().commands.next_operator_event() } {
+                sink(event);
+            }
+        }
         if let Ok(mut sink) = self.on_edge_command.try_borrow_mut() {
             while let Some(command) = { self.core.borrow_mut().commands.next_edge_command() } {
                 sink(command);
@@ -242,7 +255,10 @@ impl Bridge {
 
     /// Handles what the ROS 2 endpoint tells: messages, requests, responses, and changes of the ROS graph.
     pub fn receive_ros(&self, event: RosEvent, now: Monotonic) {
-        self.update(|core| core.receive_ros(event, now));
+        self.update(|core| {
+            core.commands.set_sender(Sender::ROS2);
+            core.receive_ros(event, now);
+        });
     }
 
     /// Appends the frames that wait for a client of this process to `out`.
@@ -270,36 +286,6 @@ impl Bridge {
     /// Disconnects a client: the robots that it drove stop, the calls that it should have answered fail.
     pub fn disconnect(&self, client: ClientId) {
         self.update(|core| drop(core.disconnect(client)));
-    }
-
-    /// Stops every robot until [`Bridge::release_stop`], as `/emergency_stop` does.
-    pub fn stop_robots(&self) {
-        self.update(Core::set_emergency_stop);
-    }
-
-    /// Releases the emergency stop, as `/emergency_stop_release` does.
-    pub fn release_stop(&self) {
-        self.update(Core::release_emergency_stop);
-    }
-
-    /// Returns whether the emergency stop is set.
-    pub fn is_stopped(&self) -> bool {
-        self.core.borrow().gate.drive().is_stopped()
-    }
-
-    /// Returns the robot that `/cmd_vel` drives.
-    pub fn selected_robot(&self) -> RobotId {
-        self.core.borrow().gate.drive().selected()
-    }
-
-    /// Selects the robot that `/cmd_vel` drives, as `/selected_robot` does; a robot that the fleet has not is ignored.
-    pub fn select_robot(&self, robot: RobotId) {
-        self.update(|core| {
-            if robot.number() <= core.fleet.robot_count() {
-                core.gate.drive_mut().select(robot);
-                core.publish_selected();
-            }
-        });
     }
 
     /// Returns the robots that somebody drives now, with the driver's address; `None` for ROS 2.
@@ -356,6 +342,12 @@ impl Bridge {
         self.core.borrow().counters()
     }
 
+    /// Returns whether a client is subscribed to a robot's topic.
+    pub(crate) fn is_subscribed(&self, topic: FleetTopic, robot: RobotId) -> bool {
+        let core = self.core.borrow();
+        core.fleet.is_subscribed(&core.router, topic, robot)
+    }
+
     pub(crate) fn clients_max(&self) -> usize {
         self.core.borrow().config.clients_max
     }
@@ -385,12 +377,6 @@ impl Bridge {
     /// Continues writing for a client whose socket accepts bytes again; returns whether it is blocked still.
     pub(crate) fn flush_client(&self, id: ClientId) -> bool {
         self.core.borrow_mut().router.flush_client(id)
-    }
-}
-
-impl Transport for Bridge {
-    fn publish(&self, message: FleetMessage<'_>) {
-        self.publish(message);
     }
 }
 

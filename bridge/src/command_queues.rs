@@ -1,8 +1,8 @@
 //! Bounded queues of clients' commands to the rest of the fleet.
 
 use msg::{
-    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, ROBOTS_MAX, RobotId, SlamRequest,
-    VelocityCommand, ZONES_MAX, ZoneCommand,
+    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, OperatorAction, OperatorEvent, ROBOTS_MAX,
+    RobotId, Sender, SlamRequest, VelocityCommand, ZONES_MAX, ZoneCommand,
 };
 use std::collections::VecDeque;
 
@@ -17,6 +17,8 @@ const SLAM_REQUESTS_MAX: usize = 16;
 const NAVIGATION_MAX: usize = 2 * ROBOTS_MAX;
 /// Commands about exclusion zones that may wait: people draw them one at a time, programs all at once.
 const ZONE_COMMANDS_MAX: usize = 2 * ZONES_MAX;
+/// Actions of operators that may wait: those of one client frame are taken before the next frame is handled.
+const OPERATOR_EVENTS_MAX: usize = 2 * ROBOTS_MAX;
 
 /// Commands for robots, merging, SLAM and navigation that wait until the caller of the bridge takes them.
 #[derive(Debug)]
@@ -30,6 +32,9 @@ pub struct CommandQueues {
     /// The newest command about the exploration.
     exploration: Option<ExplorationCommand>,
     zones: VecDeque<ZoneCommand>,
+    operator_events: VecDeque<OperatorEvent>,
+    /// Who sends what is queued now.
+    sender: Sender,
     velocities_taken: u64,
 }
 
@@ -43,18 +48,54 @@ impl Default for CommandQueues {
             navigation_number: 0,
             exploration: None,
             zones: VecDeque::new(),
+            operator_events: VecDeque::new(),
+            sender: Sender::BRIDGE,
             velocities_taken: 0,
         }
     }
 }
 
 impl CommandQueues {
+    /// Sets who sends what is queued from now on.
+    pub fn set_sender(&mut self, sender: Sender) {
+        self.sender = sender;
+    }
+
+    /// Returns who sends what is queued now.
+    pub fn sender(&self) -> Sender {
+        self.sender
+    }
+
+    /// Queues an action of the sender, for the record; the oldest is dropped if the queue is full.
+    pub fn push_operator_event(&mut self, action: OperatorAction, robot: Option<RobotId>) {
+        if self.operator_events.len() == OPERATOR_EVENTS_MAX {
+            self.operator_events.pop_front();
+        }
+        self.operator_events.push_back(OperatorEvent::new(self.sender, action, robot));
+    }
+
+    /// Takes the oldest action of an operator.
+    pub fn next_operator_event(&mut self) -> Option<OperatorEvent> {
+        self.operator_events.pop_front()
+    }
+
     /// Queues a velocity; the oldest is dropped if the queue is full.
     pub fn push_velocity(&mut self, robot: RobotId, command: VelocityCommand) {
         if self.velocities.len() == VELOCITIES_MAX {
             self.velocities.pop_front();
         }
-        self.velocities.push_back((robot, command));
+        self.velocities.push_back((robot, VelocityCommand { sender: self.sender, ..command }));
+    }
+
+    /// Returns whether no command waits.
+    pub fn is_empty(&self) -> bool {
+        self.velocities.is_empty()
+            && self.edge_commands.is_empty()
+            && self.slam_requests.is_empty()
+            && self.navigation.is_empty()
+            && self.exploration.is_none()
+            && self.zones.is_empty()
+            && self.operator_events.is_empty()
     }
 
     /// Takes the oldest velocity.
@@ -73,7 +114,7 @@ impl CommandQueues {
     pub fn push_edge_command(&mut self, command: EdgeCommand) -> bool {
         let has_room = self.edge_commands.len() < EDGE_COMMANDS_MAX;
         if has_room {
-            self.edge_commands.push_back(command);
+            self.edge_commands.push_back(EdgeCommand { sender: self.sender, ..command });
         }
         has_room
     }
@@ -104,7 +145,7 @@ impl CommandQueues {
         if self.navigation.len() == NAVIGATION_MAX {
             self.navigation.pop_front();
         }
-        self.navigation.push_back((robot, command));
+        self.navigation.push_back((robot, NavigationCommand { sender: self.sender, ..command }));
     }
 
     /// Takes the oldest command to the navigator.
@@ -141,7 +182,9 @@ impl CommandQueues {
         if self.slam_requests.len() == SLAM_REQUESTS_MAX {
             self.slam_requests.pop_front();
         }
-        self.slam_requests.push_back((robot, request));
+        // The second request of a call is queued after an answer, in its caller's name.
+        let sender = if request.sender == Sender::default() { self.sender } else { request.sender };
+        self.slam_requests.push_back((robot, SlamRequest { sender, ..request }));
     }
 
     /// Takes the oldest request to SLAM.

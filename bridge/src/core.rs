@@ -29,7 +29,7 @@ use crate::router::{
 use crate::services::{Provider, ServiceCalls};
 use crate::slam_services::SlamServices;
 use crate::world::WorldInput;
-use msg::{FleetStats, Header, Monotonic, RobotId, VelocityCommand};
+use msg::{FleetStats, Header, Monotonic, OperatorAction, RobotId, Sender, VelocityCommand};
 use ros_messages::{Bool, Int32, RobotNames, Twist};
 use std::net::SocketAddr;
 
@@ -123,6 +123,12 @@ impl Core {
 
     /// Handles one frame from a client.
     pub fn receive(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
+        self.commands.set_sender(self.sender(id));
+        self.receive_frame(id, frame, now);
+        self.commands.set_sender(Sender::BRIDGE);
+    }
+
+    fn receive_frame(&mut self, id: ClientId, frame: Frame<'_>, now: Monotonic) {
         self.router.counted.received += 1;
         self.record_received(Some(id), now);
         if frame.is_keepalive() {
@@ -216,10 +222,22 @@ impl Core {
         while let Some((robot, velocity)) = self.gate.next_output() {
             let header = Header { stamp: self.fleet.now(), ..Header::default() };
             let Velocity { linear_m_s, angular_rad_s } = velocity;
-            self.commands.push_velocity(robot, VelocityCommand { header, linear_m_s, angular_rad_s });
+            self.commands.push_velocity(
+                robot,
+                VelocityCommand { header, linear_m_s, angular_rad_s, ..VelocityCommand::default() },
+            );
             let twist = Twist { linear: [linear_m_s, 0.0, 0.0], angular: [0.0, 0.0, angular_rad_s] };
             let is_selected = robot == self.gate.drive().selected();
             self.fleet.publish_velocity(&mut self.router, robot, is_selected, &twist);
+        }
+    }
+
+    /// Returns a client as the sender of commands.
+    fn sender(&self, id: ClientId) -> Sender {
+        match self.router.client(id) {
+            Some(client) => Sender::client(client.peer),
+            None if id == ClientId::DDS => Sender::ROS2,
+            None => Sender::default(),
         }
     }
 
@@ -271,6 +289,7 @@ impl Core {
         self.gate.set_stopped(true);
         let robots: Vec<RobotId> = self.fleet.robots().collect();
         self.pause_navigation(robots);
+        self.commands.push_operator_event(OperatorAction::Stop, None);
         self.send_velocities();
         self.publish_stop();
     }
@@ -278,7 +297,13 @@ impl Core {
     /// Releases the emergency stop.
     pub fn release_emergency_stop(&mut self) {
         self.gate.set_stopped(false);
+        self.commands.push_operator_event(OperatorAction::Release, None);
         self.publish_stop();
+    }
+
+    /// Returns whether commands wait until they are passed on.
+    pub fn has_commands(&self) -> bool {
+        !self.commands.is_empty() || self.relay.has_command()
     }
 
     /// Returns the counters.

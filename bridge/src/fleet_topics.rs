@@ -175,6 +175,13 @@ impl FleetTopics {
         }
     }
 
+    /// Returns whether a client is subscribed to a robot's topic.
+    pub fn is_subscribed(&self, router: &TopicRouter, topic: FleetTopic, robot: RobotId) -> bool {
+        let id = self.ids[topic as usize].get(robot.index());
+        let topic = id.and_then(|id| router.topics.get(*id));
+        topic.is_some_and(|topic| !topic.subscribers.is_empty())
+    }
+
     /// Returns the number of robots.
     pub fn robot_count(&self) -> usize {
         self.publisher.robots().count()

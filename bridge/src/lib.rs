@@ -45,8 +45,8 @@ pub use fleet_topics::{
     TopicSink,
 };
 pub use page::{
-    PageContent, PageFile, ROOM_BYTES_MAX, SaveRoom, SaveTlx, TlsAcceptor, TlsError, TlxAnswer, TlxError,
-    serve_page, tls_acceptor,
+    PageContent, PageFile, PageListeners, ROOM_BYTES_MAX, SaveRoom, SaveTlx, TlsAcceptor, TlsError,
+    TlxAnswer, TlxError, serve_page, tls_acceptor,
 };
 pub use room_offer::RoomOffer;
 pub use ros_messages as ros;

@@ -10,6 +10,7 @@
 
 mod encoder;
 mod http;
+mod listeners;
 mod origin;
 mod protocol;
 mod room;
@@ -21,6 +22,7 @@ mod tls;
 mod tlx;
 
 pub use http::PageFile;
+pub use listeners::PageListeners;
 pub use room::{ROOM_BYTES_MAX, SaveRoom};
 pub use server::serve_page;
 pub use tls::{TlsError, tls_acceptor};

@@ -1,9 +1,23 @@
 //! The interface through which the fleet's messages leave it.
 
-use crate::fleet_topics::FleetMessage;
+use crate::bridge::Bridge;
+use crate::fleet_topics::{FleetMessage, FleetTopic};
+use msg::RobotId;
 
 /// A transport of the fleet's messages: ros_tcp over TCP ([`crate::Bridge`]) or DDS ([`crate::dds::DdsEndpoint`]).
 pub trait Transport {
     /// Publishes a message on its topics. Returns without waiting.
     fn publish(&self, message: FleetMessage<'_>);
+    /// Returns whether somebody receives a robot's topic now.
+    fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool;
+}
+
+impl Transport for Bridge {
+    fn publish(&self, message: FleetMessage<'_>) {
+        self.publish(message);
+    }
+
+    fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool {
+        self.is_subscribed(topic, robot)
+    }
 }

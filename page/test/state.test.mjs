@@ -76,6 +76,15 @@ test("what is lost comes before what is late, and a link that is down before eve
   ]);
 });
 
+test("two things about one robot are two items, and each keeps its key while its numbers change", () => {
+  const fleet = new Fleet();
+  fleet.setFigures({ robots: [{ ...FIGURES.robots[0], map_age_s: 12.3, is_map_old: true }] }, 0);
+  fleet.robots.get(1).scanAt = 0;
+  const keys = (now) => fleet.attention(now, true).filter(({ robot }) => robot === 1).map(({ key }) => key);
+  assert.deepEqual(keys(10), ["scan 1", "map 1"], "both are of rank 3: acknowledging one must not hide the other");
+  assert.deepEqual(keys(11), keys(10));
+});
+
 test("a map whose SLAM process is silent is said to be old", () => {
   const fleet = new Fleet();
   fleet.setFigures({ robots: [{ ...FIGURES.robots[0], map_age_s: 12.3, is_map_old: true }, { ...FIGURES.robots[1], map_age_s: 0.4, is_map_old: false }] }, 0);

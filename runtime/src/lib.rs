@@ -10,6 +10,8 @@ pub mod ports;
 pub mod processes;
 pub mod shared_memory;
 pub mod storage;
+// The loop of a process that also waits for sockets.
+pub mod event_loop;
 // Progress of threads, and what follows when there is none.
 pub mod progress;
 pub mod restarts;

@@ -69,7 +69,7 @@ const OF_FLEET: ProcessRow = ProcessRow {
     second_thread: None,
 };
 
-/// All processes of a fleet, in the order in which they are started.
+/// All processes of a fleet. The supervisor starts first what the first map needs.
 pub static PROCESSES: [ProcessRow; 7] = [
     ProcessRow {
         role: Role::Bridge,
@@ -97,7 +97,7 @@ pub static PROCESSES: [ProcessRow; 7] = [
     ProcessRow { role: Role::Record, recording_only: true, ..OF_FLEET },
 ];
 
-/// Every process of a fleet, in the order in which they are started: those of the fleet, then robot by robot.
+/// Every process of a fleet: those of the fleet, then robot by robot.
 ///
 /// `outside`: the robots are not simulated here. `recorded`: the fleet has a recorder.
 pub fn of_fleet(

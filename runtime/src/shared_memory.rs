@@ -8,7 +8,7 @@
 mod domain;
 mod maps;
 
-pub use domain::{Domain, SHARED_MEMORY, remove_leftovers};
+pub use domain::{Domain, SHARED_MEMORY, create_ipc_folder, remove_leftovers};
 pub use maps::{MapReader, MapWriter};
 
 use crate::channel::{Channel, Direction, Opener};

@@ -20,7 +20,7 @@ use crate::fleet::{self, FleetError};
 use crate::observer::Observer;
 use crate::offered_room;
 use crate::resources::{self, ResourceMonitor, Shortage};
-use crate::run::{Run, RunError};
+use crate::run::{Run, RunError, create_new_folder};
 use crate::sessions;
 use crate::stop::Stop;
 use crate::supervisor::Supervisor;
@@ -34,7 +34,7 @@ use reports::Series;
 pub use scan_rates::ScanRates;
 use screen::Screen;
 use std::net::{IpAddr, TcpListener};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Period at which the processes are tended: a death is noticed within this.
@@ -172,8 +172,12 @@ impl UpArgs {
         Ok(config)
     }
 
-    pub(super) fn folder(&self) -> PathBuf {
-        self.run_dir.clone().unwrap_or_else(|| PathBuf::from("runs").join(folder_name_now()))
+    /// Returns the folder that was asked for, or creates one that no other fleet uses.
+    fn folder(&self) -> Result<PathBuf, RunError> {
+        match &self.run_dir {
+            Some(dir) => Ok(dir.clone()),
+            None => create_new_folder(Path::new("runs"), &folder_name_now()),
+        }
     }
 }
 
@@ -210,7 +214,7 @@ impl FleetHooks for NoHooks {
 /// Runs a fleet to its end, or starts it in the background if `--detach` is given.
 pub fn run_or_detach(args: &UpArgs, hooks: &mut dyn FleetHooks) -> Result<(), UpError> {
     if args.detach && !args.in_background {
-        return detach::start(&args.folder());
+        return detach::start(&args.folder()?);
     }
     if args.in_background {
         // A session of its own: the end of the terminal does not reach it.
@@ -235,7 +239,7 @@ pub fn run(args: &UpArgs, hooks: &mut dyn FleetHooks, stop: &Stop) -> Result<Rep
         why,
     })?;
     let port = listener.local_addr()?.port();
-    let folder = args.folder();
+    let folder = args.folder()?;
     let mut count = 0;
     loop {
         let run = Run::create(&offered_room::folder(&folder, count), config, port, args.in_background)?;

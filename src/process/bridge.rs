@@ -190,6 +190,8 @@ fn open_bridge<P: Ports + 'static>(ports: &P, run: &Run) -> Result<(Rc<Bridge>, 
     };
     let mut edge_commands = ports.writer(&channel::edge_command())?;
     bridge.on_edge_command(move |command| edge_commands.send(&command));
+    let mut operator_events = ports.writer(&channel::operator_event())?;
+    bridge.on_operator_event(move |event| operator_events.send(&event));
     let mut requester = SlamRequester::open(ports, run, REQUESTER_KIND)?;
     let client = requester.client;
     bridge.on_slam_request(move |robot, request| requester.send(robot, request));

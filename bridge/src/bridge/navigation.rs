@@ -1,7 +1,7 @@
 //! The bridge's side of navigation: commands to the navigator, and its velocities.
 
 use super::Bridge;
-use msg::{ExplorationCommand, Monotonic, NavigationCommand, RobotId, VelocityCommand, ZoneCommand};
+use msg::{ExplorationCommand, Monotonic, NavigationCommand, RobotId, Sender, VelocityCommand, ZoneCommand};
 
 impl Bridge {
     /// Sets where goals and other commands to the navigator go. It must not call the bridge.
@@ -21,7 +21,10 @@ impl Bridge {
 
     /// Handles a velocity of the navigator, which drives a robot that nobody else drives.
     pub fn receive_navigation_velocity(&self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
-        self.update(|core| core.receive_navigation_velocity(robot, command, now));
+        self.update(|core| {
+            core.commands.set_sender(Sender::NAVIGATION);
+            core.receive_navigation_velocity(robot, command, now);
+        });
     }
 
     /// Passes on what clients want of the navigator.

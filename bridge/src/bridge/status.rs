@@ -32,6 +32,8 @@ pub(crate) struct FleetStatus {
     /// The room that a headset offers as the simulators' world, until the operator answers.
     #[serde(skip_serializing_if = "Option::is_none")]
     room_offer: Option<RoomOffer>,
+    /// Whether a recording is shown: nobody drives, and an emergency stop stops nothing.
+    is_replay: bool,
 }
 
 /// The state of one robot.
@@ -113,7 +115,13 @@ impl Bridge {
                 .filter(|_| stats.is_some_and(|stats| stats.null_count > 0)),
             overlapping_pairs: stats.map(|stats| stats.pair_count),
             room_offer: core.access.room_offer(),
+            is_replay: core.access.is_replay,
         }
+    }
+
+    /// Lets the operator's page say that a recording is shown, and offer nothing that moves robots.
+    pub fn mark_replay(&self) {
+        self.core.borrow_mut().access.is_replay = true;
     }
 }
 

@@ -12,7 +12,7 @@ use crate::relay::ReceivedMessage;
 use crate::router::{ClientId, Publication, RefusalKind, Source};
 use crate::teleop::Stick;
 use crate::world::WorldError;
-use msg::{EdgeCommand, Monotonic, RobotId};
+use msg::{EdgeCommand, Monotonic, OperatorAction, RobotId};
 use ros_messages::cdr::{DecodeError, Reader, with_dummy_byte};
 use ros_messages::{Bool, Empty, Int32, Message, Text, Twist, TwistStamped, decode_as};
 use thiserror::Error;
@@ -193,8 +193,7 @@ impl Core {
             }
             Input::SelectRobot => {
                 let robot = self.robot_numbered(self.decode::<Int32>(payload)?)?;
-                self.gate.drive_mut().select(robot);
-                self.publish_selected();
+                self.select(robot);
                 Ok(())
             }
             Input::TakeControl => self.take_control(id, self.decode::<Int32>(payload)?, now),
@@ -234,6 +233,13 @@ impl Core {
     fn robot_numbered(&self, Int32(number): Int32) -> Result<RobotId, InputError> {
         let robot_count = self.fleet.robot_count();
         self.gate.drive().robot(number).ok_or(InputError::NoSuchRobot { number, robot_count })
+    }
+
+    /// Selects the robot that `/cmd_vel` drives.
+    pub fn select(&mut self, robot: RobotId) {
+        self.gate.drive_mut().select(robot);
+        self.commands.push_operator_event(OperatorAction::Select, Some(robot));
+        self.publish_selected();
     }
 
     fn queue_edge_command(&mut self, text: &str) -> Result<(), InputError> {
@@ -311,6 +317,7 @@ impl Core {
         for robot in robots {
             let before = self.gate.take_control(self.driver(id), robot, now);
             self.send_velocities();
+            self.commands.push_operator_event(OperatorAction::TakeControl, Some(robot));
             let Some(before) = before else { continue };
             let by = self.client_name(id);
             self.router.send_notice(before, name::WARN, format!("{by} has taken over {robot}"));

@@ -161,7 +161,8 @@ impl Core {
         let dialect = self.dialect_of(&caller);
         let mut from = Reader::with(dialect, payload).map_err(slam_services::RequestError::from)?;
         let requests = service.read(&mut from, self.offered.slam.is_paused(robot))?;
-        let next = requests.next.map(Box::new);
+        let sender = self.commands.sender();
+        let next = requests.next.map(|next| Box::new(SlamRequest { sender, ..next }));
         let provider = Provider::Slam { robot, service, next };
         let call = self.services.begin_call(caller, provider, name, SLAM_TIMEOUT, now)?;
         let request = SlamRequest { id: call.number as u64, ..requests.first };

@@ -8,7 +8,7 @@ use super::relay::TopicRelay;
 use super::services::ServiceRelay;
 use super::writers::TopicWriters;
 use crate::config::{BridgeConfig, DdsConfig};
-use crate::fleet_topics::{FleetMessage, FleetPublisher, LinkTransforms};
+use crate::fleet_topics::{FleetMessage, FleetPublisher, FleetTopic, LinkTransforms};
 use crate::input::Input;
 use crate::relay::{ReceivedMessage, RosCommand, RosEvent};
 use crate::transport::Transport;
@@ -199,6 +199,10 @@ impl Transport for DdsEndpoint {
             state.publisher.receive_correction(robot, correction, now);
             state.repeat_transforms(now);
         }
+    }
+
+    fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool {
+        self.state.borrow().writers.is_read(topic, robot)
     }
 }
 

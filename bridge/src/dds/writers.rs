@@ -88,6 +88,12 @@ impl TopicWriters {
         self.counted.received += 1;
     }
 
+    /// Returns whether another participant reads a robot's topic.
+    pub fn is_read(&self, topic: FleetTopic, robot: RobotId) -> bool {
+        let index = self.by_topic[topic as usize].get(robot.index());
+        index.is_some_and(|index| self.writers[*index].readers() > 0)
+    }
+
     /// Returns the writers' identifiers.
     pub fn guids(&self) -> impl Iterator<Item = GUID> + '_ {
         self.writers.iter().map(TopicWriter::guid)

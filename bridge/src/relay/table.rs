@@ -111,6 +111,11 @@ impl RelayTable {
         }
     }
 
+    /// Returns whether a command for the endpoint waits.
+    pub fn has_command(&self) -> bool {
+        !self.commands.is_empty()
+    }
+
     /// Takes the oldest command for the endpoint.
     pub fn next_command(&mut self) -> Option<RosCommand> {
         self.commands.pop_front()

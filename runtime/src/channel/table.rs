@@ -1,6 +1,7 @@
 //! The table of channels. A new channel is one row here, one line in [`CHANNELS`], and one function that names it.
 
 mod navigation;
+mod operator;
 
 pub use navigation::{
     exclusion_zones, exploration_state, explore, goal, navigation_state, navigation_velocity, plan,
@@ -12,8 +13,8 @@ use super::Program::{EdgesTool, Launcher, LinkTool, RecordTool, SlamTool, Worker
 use super::{Channel, ChannelRow, Endpoint, Program, Scope, TypedRow};
 use msg::{
     Clock, Correction, EdgeCommand, FleetStats, GroundTruth, MapTransforms, MergeEdges, Odometry,
-    PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, SlamRequest, SlamResponse, Submap,
-    SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
+    OperatorEvent, PatchHeader, ProcessHealth, ROBOTS_MAX, RobotId, Role, Scan, ScanDemand, SlamRequest,
+    SlamResponse, Submap, SubmapPoses, SubmapRequest, Transforms, VelocityCommand,
 };
 
 const SIM: Program = Worker(Role::Sim);
@@ -89,10 +90,23 @@ static COMMAND: TypedRow<VelocityCommand> = TypedRow::new(ChannelRow {
 static SCAN: TypedRow<Scan> = TypedRow::new(ChannelRow {
     name: "scan",
     content: "one turn of the LiDAR, 10 Hz",
-    writers: SIM_OR_OUTSIDE,
-    readers: &[Of(SLAM), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool)],
+    writers: SIM_OR_OUTSIDE_OR_LINK,
+    readers: &[Of(SLAM), Of(BRIDGE), Of(NAV), Of(RECORD), Of(RecordTool), OtherMachines(LinkTool)],
     // The queue holds 1.6 s of scans while SLAM is restarted or descheduled.
     depth: 16,
+    ..STREAM
+});
+// Several writers: each repeats its demand, so that a lost message costs nothing.
+static SCAN_DEMAND: TypedRow<ScanDemand> = TypedRow::new(ChannelRow {
+    name: "scan_demand",
+    content: "at the base: whose scans somebody looks at, records or drives by, 2 Hz meanwhile",
+    scope: Scope::Fleet,
+    writers: &[OtherMachines(BRIDGE), OtherMachines(NAV), OtherMachines(RECORD), OtherMachines(RecordTool)],
+    readers: &[OtherMachines(LinkTool)],
+    depth: 16,
+    writers_max: REQUEST_WRITERS_MAX,
+    // The link polls fifty times a second.
+    wakes: false,
     ..STREAM
 });
 static ODOMETRY: TypedRow<Odometry> = TypedRow::new(ChannelRow {
@@ -143,7 +157,7 @@ static SLAM_REQUEST: TypedRow<SlamRequest> = TypedRow::new(ChannelRow {
     name: "slam_request",
     content: "a request to SLAM, on demand",
     writers: &[Of(BRIDGE), Of(SlamTool)],
-    readers: &[Of(SLAM)],
+    readers: &[Of(SLAM), Of(RECORD), Of(RecordTool)],
     depth: 16,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
@@ -220,7 +234,7 @@ static EDGE_COMMAND: TypedRow<EdgeCommand> = TypedRow::new(ChannelRow {
     content: "a person's command about an edge, on demand",
     scope: Scope::Fleet,
     writers: &[Of(BRIDGE), Of(EdgesTool)],
-    readers: &[Of(MERGE)],
+    readers: &[Of(MERGE), Of(RECORD), Of(RecordTool)],
     depth: 16,
     writers_max: REQUEST_WRITERS_MAX,
     ..STREAM
@@ -244,9 +258,10 @@ static HEALTH: TypedRow<ProcessHealth> = TypedRow::new(ChannelRow {
 });
 
 /// All channels of a fleet, in the order of the data flow.
-pub static CHANNELS: [&ChannelRow; 27] = [
+pub static CHANNELS: [&ChannelRow; 29] = [
     &COMMAND.row,
     &SCAN.row,
+    &SCAN_DEMAND.row,
     &ODOMETRY.row,
     &TRANSFORMS.row,
     &TRUTH.row,
@@ -262,6 +277,7 @@ pub static CHANNELS: [&ChannelRow; 27] = [
     &MAP_TRANSFORMS.row,
     &MERGE_EDGES.row,
     &EDGE_COMMAND.row,
+    &operator::OPERATOR_EVENT.row,
     &navigation::GOAL.row,
     &navigation::NAVIGATION_VELOCITY.row,
     &navigation::NAVIGATION_STATE.row,
@@ -282,6 +298,11 @@ pub fn command(robot: RobotId) -> Channel<VelocityCommand> {
 /// `robotK/scan`: one turn of the robot's LiDAR.
 pub fn scan(robot: RobotId) -> Channel<Scan> {
     SCAN.of_robot(robot)
+}
+
+/// `scan_demand`: robots on other machines whose scans are wanted at the base.
+pub fn scan_demand() -> Channel<ScanDemand> {
+    SCAN_DEMAND.of_fleet()
 }
 
 /// `robotK/odometry`: wheel odometry, before the scan of the same stamp.
@@ -357,6 +378,11 @@ pub fn merge_edges() -> Channel<MergeEdges> {
 /// `edge_command`: a person's command about a merge edge, such as pin or undo.
 pub fn edge_command() -> Channel<EdgeCommand> {
     EDGE_COMMAND.of_fleet()
+}
+
+/// `operator_event`: what operators did beside velocities, goals and requests, for the record.
+pub fn operator_event() -> Channel<OperatorEvent> {
+    operator::OPERATOR_EVENT.of_fleet()
 }
 
 /// `stats`: the fleet's figures from telemetry.

@@ -2,11 +2,11 @@
 
 use super::failed;
 use crate::ports::ChannelError;
-use crate::runtime_folder::Lock;
+use crate::runtime_folder::{Forbidden, Lock, check_folder};
 use iceoryx2::node::NodeView;
 use iceoryx2::prelude::*;
 use std::collections::BTreeMap;
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path as FsPath, PathBuf};
 use std::time::Duration;
 
@@ -21,6 +21,8 @@ const NAME_PARTS: usize = 2;
 const RANDOM_DIGITS: usize = 8;
 /// Name of the file that the launcher holds locked, at the end of its path.
 const PROGRESS: &str = "progress";
+/// Name of the folder of iceoryx2's files in shared memory, at the end of its path.
+const FOLDER: &str = "ipc";
 /// Age after which files without that file are leftovers: it is made first.
 const UNLOCKED_AGE_MAX: Duration = Duration::from_secs(60);
 
@@ -41,7 +43,7 @@ fn remove_leftovers_in(folder: &FsPath) {
         let is_name = pid.bytes().all(|byte| byte.is_ascii_digit())
             && random.len() == RANDOM_DIGITS
             && random.bytes().all(|byte| byte.is_ascii_hexdigit());
-        if !is_name || about.uid() != user || !about.is_file() {
+        if !is_name || about.uid() != user || !(about.is_file() || about.is_dir()) {
             continue;
         }
         let name = format!("{pid}_{random}");
@@ -52,9 +54,27 @@ fn remove_leftovers_in(folder: &FsPath) {
             false => is_old(),
         });
         if dead {
-            let _ = std::fs::remove_file(entry.path());
+            remove_entry(&entry.path(), about.is_dir());
         }
     }
+}
+
+fn remove_entry(path: &FsPath, is_folder: bool) {
+    let _ = if is_folder { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
+}
+
+/// Makes the folder of a run's files of iceoryx2 in shared memory. iceoryx2 makes several hundred small files at the start of a
+/// fleet and waits for each to be on the disk: on a disk that takes a second and more, in memory nothing.
+///
+/// Without this folder the files are in the run's root: on a system without shared memory as a folder, and for a run that outlives
+/// the user's login, at whose end systemd may empty the user's shared memory (`RemoveIPC`).
+pub fn create_ipc_folder(name: &str) -> std::io::Result<()> {
+    std::fs::DirBuilder::new().mode(0o700).create(ipc_folder(name))
+}
+
+/// Returns the path of that folder. Its name is not predictable, as that of the run.
+fn ipc_folder(name: &str) -> PathBuf {
+    FsPath::new(SHARED_MEMORY).join(format!("{PREFIX}{name}_{FOLDER}"))
 }
 
 /// Longest path of a Unix socket, bytes: sun_path of unix(7) without its NUL.
@@ -71,15 +91,17 @@ pub struct Domain {
 }
 
 impl Domain {
-    /// `name`: letters, digits, `_`; unique on the machine. `root`: the run's private folder; short, because sockets
-    /// live below it and their paths have 108 bytes.
+    /// `name`: letters, digits, `_`; unique on the machine. `root`: the run's private folder. If there is no folder in shared
+    /// memory ([`create_ipc_folder`]), it must be short, because sockets live below it and their paths have 108 bytes.
     pub fn new(name: &str, root: &FsPath) -> Result<Self, ChannelError> {
         let prefix = format!("{PREFIX}{name}_");
         let root = root.to_path_buf();
         let mut config = Config::default();
         config.global.prefix =
             FileName::new(prefix.as_bytes()).map_err(failed("a run cannot be called", name))?;
-        let root_bytes = root.as_os_str().as_encoded_bytes();
+        let in_memory =
+            Some(ipc_folder(name)).filter(|path| check_folder(path, Forbidden::Everything).is_ok());
+        let root_bytes = in_memory.as_ref().unwrap_or(&root).as_os_str().as_encoded_bytes();
         let socket_bytes = root_bytes.len() + prefix.len() + SOCKET_NAME_BYTES;
         if socket_bytes > SOCKET_PATH_MAX {
             return Err(ChannelError::SharedMemory {
@@ -113,7 +135,7 @@ impl Domain {
         let _ = std::fs::remove_dir_all(&self.root);
         for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
             if entry.file_name().to_string_lossy().starts_with(&self.prefix) {
-                let _ = std::fs::remove_file(entry.path());
+                remove_entry(&entry.path(), entry.file_type().is_ok_and(|kind| kind.is_dir()));
             }
         }
     }
@@ -127,7 +149,7 @@ impl Domain {
         &self.config
     }
 
-    /// Returns the folder of the run's sockets and service files.
+    /// Returns the folder of the run's lock, of the bridge's control socket, and of what else is not in shared memory.
     pub fn root(&self) -> &FsPath {
         &self.root
     }
@@ -145,7 +167,9 @@ mod tests {
             std::fs::write(&path, "").unwrap();
             path
         };
-        let dead = [file("mrslam_1_aaaaaaaa_progress"), file("mrslam_1_aaaaaaaa_data")];
+        let dead_folder = folder.path().join("mrslam_1_aaaaaaaa_ipc");
+        std::fs::create_dir_all(dead_folder.join("nodes")).unwrap();
+        let dead = [file("mrslam_1_aaaaaaaa_progress"), file("mrslam_1_aaaaaaaa_data"), dead_folder];
         let _lock = Lock::acquire(&file("mrslam_2_bbbbbbbb_progress")).unwrap().unwrap();
         // A live fleet, one that is just starting, and what is not ours.
         let kept = [
@@ -157,5 +181,22 @@ mod tests {
         remove_leftovers_in(folder.path());
         assert!(dead.iter().all(|path| !path.exists()));
         assert!(kept.iter().all(|path| path.exists()));
+    }
+
+    #[test]
+    fn the_files_of_a_run_are_in_shared_memory_if_its_folder_is_there_and_private() {
+        let root = tempfile::tempdir().unwrap();
+        let name = format!("{}_{:08x}", std::process::id(), std::process::id() ^ 0x5a5a);
+        let path_of = |domain: &Domain| PathBuf::from(domain.config().global.root_path().to_string());
+        assert_eq!(path_of(&Domain::new(&name, root.path()).unwrap()), root.path());
+        create_ipc_folder(&name).unwrap();
+        assert!(create_ipc_folder(&name).is_err(), "a folder that is there may be another's");
+        let domain = Domain::new(&name, root.path()).unwrap();
+        assert_eq!((path_of(&domain), domain.root()), (ipc_folder(&name), root.path()));
+        let open = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+        std::fs::set_permissions(ipc_folder(&name), open).unwrap();
+        assert_eq!(path_of(&Domain::new(&name, root.path()).unwrap()), root.path(), "others could look in");
+        domain.remove();
+        assert!(!ipc_folder(&name).exists());
     }
 }

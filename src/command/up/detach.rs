@@ -48,7 +48,7 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
                     log_path.display(),
                     run.pid
                 );
-                let page = page::describe(&run.config, None)
+                let page = page::describe(&run.config, None, false)
                     .iter()
                     .map(|line| format!("{line}\n"))
                     .collect::<String>();

@@ -121,12 +121,13 @@ fn network_address() -> Option<IpAddr> {
 /// An address that nobody has (RFC 5737).
 const ELSEWHERE: Ipv4Addr = Ipv4Addr::new(192, 0, 2, 1);
 
-/// Returns the lines that say where the page is; with a QR code if a terminal of this size can show it.
-pub fn describe(config: &FleetConfig, size: Option<(u16, u16)>) -> Vec<String> {
+/// Returns the lines that say where the page is; with a QR code if a terminal of this size, columns and rows, can show it.
+pub fn describe(config: &FleetConfig, size: Option<(u16, u16)>, is_coloured: bool) -> Vec<String> {
     let mut lines: Vec<_> = url(config).map(|url| format!("operator's page: {url}")).into_iter().collect();
     let Some(url) = https_url(config) else { return lines };
     lines.push(format!("on a headset:    {url} (accept its certificate once)"));
-    lines.extend(size.and_then(|size| qr_code(&url, size)));
+    let code = size.and_then(|size| qr_code(&url, size));
+    lines.extend(code.map(|code| if is_coloured { white_on_black(&code) } else { code }));
     lines
 }
 
@@ -138,6 +139,15 @@ fn qr_code(text: &str, (columns, rows): (u16, u16)) -> Option<String> {
     (width <= columns.into() && height + LINES_BESIDE <= rows.into()).then_some(drawn)
 }
 
+/// Gives each line of a QR code its colours: in those of a terminal with a light background, cameras would see its negative.
+fn white_on_black(code: &str) -> String {
+    code.lines().map(|line| format!("{WHITE_ON_BLACK}{line}{RESET}")).collect::<Vec<_>>().join("\n")
+}
+
+/// Escape sequence for bright white text on black (ECMA-48, select graphic rendition).
+const WHITE_ON_BLACK: &str = "\x1b[97;40m";
+/// Escape sequence that ends all colours.
+const RESET: &str = "\x1b[0m";
 /// Lines of a terminal that a QR code leaves to the live table.
 const LINES_BESIDE: usize = 12;
 
@@ -167,15 +177,20 @@ mod tests {
         let mut config = FleetConfig::default();
         let page = &mut config.bridge.page;
         (page.https.address, page.https.port) = ([192, 168, 1, 20].into(), 8443);
-        let lines = describe(&config, Some((80, 40)));
+        let lines = describe(&config, Some((80, 40)), false);
         assert!(lines[1].contains("https://192.168.1.20:8443"), "{lines:?}");
         let code = &lines[2];
         assert!(code.contains('▀') && code.lines().count() <= 20, "{code}");
+        let coloured = &describe(&config, Some((80, 40)), true)[2];
+        assert!(
+            coloured.lines().all(|line| line.starts_with(WHITE_ON_BLACK) && line.ends_with(RESET)),
+            "{coloured}"
+        );
         for (columns, rows) in [(20, 40), (80, 20)] {
-            assert_eq!(describe(&config, Some((columns, rows))).len(), 2, "{columns} x {rows}");
+            assert_eq!(describe(&config, Some((columns, rows)), true).len(), 2, "{columns} x {rows}");
         }
-        assert_eq!(describe(&config, None).len(), 2, "no terminal");
+        assert_eq!(describe(&config, None, false).len(), 2, "no terminal");
         config.bridge.page.https.enabled = false;
-        assert_eq!(describe(&config, Some((80, 40))).len(), 1);
+        assert_eq!(describe(&config, Some((80, 40)), true).len(), 1);
     }
 }

@@ -38,7 +38,8 @@ impl Screen {
             config.world_name(),
             dir.display()
         ));
-        page::describe(config, terminal::size(&stderr())).iter().for_each(|line| note(line));
+        let (size, is_coloured) = (terminal::size(&stderr()), terminal::style(&stderr()).is_coloured);
+        page::describe(config, size, is_coloured).iter().for_each(|line| note(line));
         let log_period = if in_background { BACKGROUND_LOG_PERIOD } else { LOG_PERIOD };
         Self { log_period, drawn: None, newest: None, age_shown_s: 0, logged: None }
     }

@@ -1,12 +1,15 @@
 //! Feeds of a transport: each passes the messages of one group of channels on to ros_tcp clients or to DDS.
 
 use crate::channel::{self, Channel};
+use crate::config::World;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort};
 use crate::process::ProcessLoop;
+use crate::process::scan_demand::ScanDemandSender;
 use crate::run::Run;
-use ::bridge::{FleetMessage, Transport};
+use ::bridge::{FleetMessage, FleetTopic, Transport};
 use msg::{
-    DenseMap, GridView, MapTransforms, Message, Monotonic, Odometry, PatchHeader, RobotId, Transforms,
+    DenseMap, GridView, MapTransforms, Message, Monotonic, Odometry, PatchHeader, RobotId, ScanPurpose,
+    Transforms,
 };
 use reports::edges_json;
 use std::rc::Rc;
@@ -23,6 +26,8 @@ const GRID_CELL_TIME: Duration = Duration::from_nanos(200);
 const MAP_POLL_PERIOD: Duration = Duration::from_millis(500);
 /// Period at which a channel with a history is polled without a notification.
 const HISTORY_POLL_PERIOD: Duration = Duration::from_millis(500);
+/// Period at which subscriptions to scans are looked at, where the robots are on other machines.
+const DEMAND_PERIOD: Duration = Duration::from_millis(100);
 /// Due moment of a feed that runs when its channel is written, and at no other time.
 const WHEN_WRITTEN: Monotonic = Monotonic(u64::MAX);
 
@@ -43,7 +48,7 @@ impl<L> ProcessLoop for Feed<L> {
 pub type FeedResult<P> = Result<Feed<<P as Ports>::Listener>, ChannelError>;
 
 /// Opens a feed for each channel that has topics.
-pub fn open_feeds<P: Ports, T: Transport + 'static>(
+pub fn open_feeds<P: Ports + 'static, T: Transport + 'static>(
     ports: &P,
     run: &Run,
     transport: &Rc<T>,
@@ -62,6 +67,9 @@ pub fn open_feeds<P: Ports, T: Transport + 'static>(
         })?,
         publish_merged_map(ports, transport)?,
     ];
+    if run.config.world == World::Robots {
+        feeds.push(demand_scans(ports, run, transport)?);
+    }
     for robot in run.robots() {
         feeds.push(publish_motion(ports, transport, robot)?);
         feeds.push(forward(ports, transport, &channel::scan(robot), move |to, scan| {
@@ -81,6 +89,24 @@ pub fn open_feeds<P: Ports, T: Transport + 'static>(
         })?);
     }
     Ok(feeds)
+}
+
+/// Asks the link for the scans that somebody receives on this transport.
+fn demand_scans<P: Ports + 'static, T: Transport + 'static>(
+    ports: &P,
+    run: &Run,
+    transport: &Rc<T>,
+) -> FeedResult<P> {
+    let mut demand = ScanDemandSender::open(ports, run, ScanPurpose::Viewing)?;
+    let (transport, clock, robots) = (transport.clone(), ports.clock(), run.config.fleet.robots);
+    let pass = Box::new(move || {
+        let now = clock.now();
+        let is_read = |robot: &RobotId| transport.is_read(FleetTopic::Scan, *robot);
+        demand.update(RobotId::first(robots).filter(is_read), now);
+        now.next_multiple(DEMAND_PERIOD)
+    });
+    // Nobody notifies of a subscription: any channel that is rarely written will do.
+    Ok(Feed { listener: ports.listener(&channel::stats())?, pass })
 }
 
 /// Passes each message of a channel on.

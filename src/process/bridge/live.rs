@@ -3,6 +3,7 @@
 use super::feeds::Feed;
 use super::{BridgeProcess, Upkeep, page};
 use crate::clock::now;
+use crate::event_loop;
 use crate::nasa_tlx;
 use crate::offered_room;
 use crate::ports::Ports;
@@ -10,43 +11,59 @@ use crate::process::control::files::{FileThread, FileWorker};
 use crate::process::{Error, ProcessLoop, control, ros2};
 use crate::progress::{ProgressCounter, WatchedThread};
 use crate::run::Run;
-use crate::shared_memory::Listener;
+use crate::shared_memory::{Listener, Participant};
 use crate::stop::Stop;
 use crate::storage::DiskStorage;
-use ::bridge::serve_clients;
-use msg::{Monotonic, Role};
+use ::bridge::{PageListeners, serve_clients};
+use msg::Role;
 use std::os::fd::AsFd;
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::task::{JoinHandle, LocalSet, spawn_local};
-use tokio::time::Instant;
+use tokio::task::{JoinHandle, spawn_local};
 
 /// Period at which the process checks whether it is to stop.
 const STOP_POLL_PERIOD: Duration = Duration::from_millis(100);
 
 /// Runs the bridge process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
+    let listeners = PageListeners::open(&run.config.bridge.page);
     let participant = run.attach(Role::Bridge, None)?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    LocalSet::new().block_on(&runtime, async {
-        let BridgeProcess { bridge, feeds, upkeep } =
-            BridgeProcess::open(&participant, run, DiskStorage, FileThread::start)?;
-        let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
-        if run.config.bridge.dds.enabled {
-            tasks.push(ros2::open(run, stop, &bridge)?);
-        }
-        if run.config.bridge.page.enabled {
-            let room = offered_room::file(run);
-            let (config, save_tlx) = (run.config.bridge.page.clone(), nasa_tlx::saver(run));
-            tasks.push(spawn_local(page::serve(bridge.clone(), config, Some(room), Some(save_tlx))));
-        }
-        tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
-        tasks.push(spawn_local(run_upkeep(upkeep)));
-        let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
-        serve_clients(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
-        tasks.iter().for_each(JoinHandle::abort);
-        Ok(())
-    })
+    let mut result = Ok(());
+    event_loop::run(Box::pin(async { result = serve(&participant, run, stop, listeners).await }))?;
+    result
+}
+
+async fn serve(
+    participant: &Participant,
+    run: &Run,
+    stop: &Stop,
+    listeners: PageListeners,
+) -> Result<(), Error> {
+    let BridgeProcess { bridge, feeds, upkeep } =
+        BridgeProcess::open(participant, run, DiskStorage, FileThread::start)?;
+    let mut tasks = start_feeds(feeds)?;
+    if run.config.bridge.dds.enabled {
+        tasks.push(ros2::open(run, stop, &bridge)?);
+    }
+    if run.config.bridge.page.enabled {
+        let room = offered_room::file(run);
+        let (config, save_tlx) = (run.config.bridge.page.clone(), nasa_tlx::saver(run));
+        let page = page::serve(bridge.clone(), config, Some(room), Some(save_tlx), listeners);
+        tasks.push(spawn_local(page));
+    }
+    tasks.push(spawn_local(control::serve(control::listen(run)?, upkeep.control.clone())));
+    tasks.push(spawn_local(run_upkeep(upkeep)));
+    let progress = run.progress(Role::Bridge, None, WatchedThread::Main);
+    serve_clients(bridge, inherited_listener()?, now, stop_requested(stop.clone(), progress)).await;
+    tasks.iter().for_each(JoinHandle::abort);
+    Ok(())
+}
+
+/// Starts tasks that call each feed whenever its channel is written or it is due.
+pub fn start_feeds(feeds: Vec<Feed<Listener>>) -> Result<Vec<JoinHandle<()>>, Error> {
+    let passes = feeds.into_iter().map(|Feed { listener, pass }| (listener, pass)).collect();
+    let cannot_wait = |why| format!("cannot wait for a channel's notifications: {why}");
+    Ok(event_loop::start(passes).map_err(cannot_wait)?)
 }
 
 /// Returns the socket that the launcher listens on and passes down as standard input.
@@ -65,7 +82,7 @@ fn inherited_listener() -> std::io::Result<TcpListener> {
 pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
     while !stop.requested() {
         progress.advance();
-        tokio::time::sleep_until(instant(now().next_multiple(STOP_POLL_PERIOD))).await;
+        event_loop::sleep_until(now().next_multiple(STOP_POLL_PERIOD)).await;
     }
 }
 
@@ -73,33 +90,6 @@ pub async fn stop_requested(stop: Stop, mut progress: ProgressCounter) {
 async fn run_upkeep<P: Ports, W: FileWorker>(mut upkeep: Upkeep<P, W>) {
     loop {
         let due = upkeep.step();
-        tokio::time::sleep_until(instant(due)).await;
+        event_loop::sleep_until(due).await;
     }
-}
-
-/// Starts a task that calls a feed whenever its channel is written or it is due.
-pub fn run_feed(feed: Feed<Listener>) -> Result<JoinHandle<()>, Error> {
-    let Feed { listener, mut pass } = feed;
-    let listener =
-        listener.into_async().map_err(|why| format!("cannot wait for a channel's notifications: {why}"))?;
-    Ok(spawn_local(async move {
-        loop {
-            let due = pass();
-            let readable = listener.readable();
-            let ready = match due {
-                Monotonic(u64::MAX) => Ok(readable.await),
-                due => tokio::time::timeout_at(instant(due), readable).await,
-            };
-            if let Ok(ready) = ready {
-                let Ok(mut ready) = ready else { return };
-                listener.get_ref().drain();
-                ready.clear_ready();
-            }
-        }
-    }))
-}
-
-/// Converts a moment to tokio's clock; a moment in the past is now.
-fn instant(at: Monotonic) -> Instant {
-    Instant::now() + Duration::from_nanos(at.since(now()))
 }

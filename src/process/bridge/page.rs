@@ -3,9 +3,9 @@
 use crate::certificate;
 use crate::clock::now;
 use crate::page_files::PAGE_FILES;
-use ::bridge::{Bridge, PageConfig, PageContent, SaveRoom, SaveTlx, TlsAcceptor, serve_page};
+use ::bridge::{Bridge, PageConfig, PageContent, PageListeners, SaveRoom, SaveTlx, TlsAcceptor, serve_page};
 use std::io::{self, Write as _};
-use std::net::IpAddr;
+use std::net::TcpListener as StdListener;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::time::Duration;
@@ -14,23 +14,26 @@ use tokio::net::TcpListener;
 /// Pause after the port could not be opened: another process may hold it for a while.
 const BIND_PAUSE: Duration = Duration::from_secs(1);
 
-/// Serves the page in clear and encrypted until the task is ended. Rooms that browsers offer are saved in `room_file`;
-/// without one they are refused. `save_tlx` saves answers about workload, likewise.
+/// Serves the page in clear and encrypted until the task is ended. A port of `PageListeners` that is not open yet is tried again.
+///
+/// Rooms that browsers offer are saved in `room_file`; without one they are refused. `save_tlx` saves answers about workload,
+/// likewise.
 pub async fn serve(
     bridge: Rc<Bridge>,
     config: PageConfig,
     room_file: Option<PathBuf>,
     save_tlx: Option<SaveTlx>,
+    PageListeners { plain, encrypted }: PageListeners,
 ) {
     let content = PageContent { files: PAGE_FILES, save_room: room_file.map(save_room), save_tlx };
-    let plain = serve_on(bridge.clone(), &config, content.clone(), config.port, None);
+    let plain = serve_on(bridge.clone(), &config, content.clone(), plain, None);
     let encrypted = async {
         if !config.https.enabled {
             return;
         }
         match certificate::load(&config.https) {
             Ok(acceptor) => {
-                serve_on(bridge, &config, content, config.https.port, Some(acceptor)).await;
+                serve_on(bridge, &config, content, encrypted, Some(acceptor)).await;
             }
             Err(why) => tracing::warn!("no operator's page over HTTPS: {why}"),
         }
@@ -38,17 +41,24 @@ pub async fn serve(
     tokio::join!(plain, encrypted);
 }
 
-/// Serves the page on one port. A port that is taken is tried again each second.
+/// Serves the page on one port, encrypted if there is an acceptor. A port that is not `open` yet is tried each second.
 async fn serve_on(
     bridge: Rc<Bridge>,
     config: &PageConfig,
     content: PageContent,
-    port: u16,
+    open: Option<StdListener>,
     encryption: Option<TlsAcceptor>,
 ) {
-    let address: IpAddr = if encryption.is_some() { config.https.address } else { config.address };
+    let (address, port) = match encryption {
+        Some(_) => (config.https.address, config.https.port),
+        None => (config.address, config.port),
+    };
     let mut is_reported = false;
+    let mut open = open.and_then(|listener| TcpListener::from_std(listener).ok());
     let listener = loop {
+        if let Some(listener) = open.take() {
+            break listener;
+        }
         match TcpListener::bind((address, port)).await {
             Ok(listener) => break listener,
             Err(why) if !is_reported => {

@@ -51,7 +51,10 @@ pub(super) fn exploration_json(
 
 /// Returns the exclusion zones as JSON.
 pub(super) fn zones_json(zones: &ExclusionZones) -> String {
-    let zone = |zone: &msg::ExclusionZone| json!({ "number": zone.number, "corners_m": zone.corners_m() });
+    let zone = |zone: &msg::ExclusionZone| {
+        let source = Some(zone.source()).filter(|label| !label.is_empty());
+        json!({ "number": zone.number, "corners_m": zone.corners_m(), "furniture": source })
+    };
     let all: Vec<_> = zones.zones().iter().map(zone).collect();
     json!({ "frame": names::MAP, "zones": all, "refusal": zones.refusal().map(|why| why.to_string()) })
         .to_string()

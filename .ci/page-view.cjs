@@ -1,0 +1,119 @@
+// The operator's view and the attention list in Chromium, against a real fleet. `.ci/page` starts both.
+
+const assert = require("node:assert/strict");
+const { after, before, test } = require("node:test");
+const { WAIT, launch, open, waitForText } = require("./page-browser.cjs");
+
+const { PAGE_OUT: out } = process.env;
+/** Half the side of the square in the middle of the map in which a followed robot is looked for, pixels. */
+const MIDDLE_PX = 10;
+/** Colours of the first two robots. */
+const COLOURS = [[0xe6, 0x9f, 0x00], [0x3a, 0x9a, 0xd9]];
+let browser;
+before(async () => { browser = await launch(); });
+after(() => browser.close());
+
+/** Returns the share of a robot's colour in the middle of the map, 0 to 1. */
+function shareInTheMiddle(page, robot) {
+  return page.evaluate(([half, colour]) => {
+    const canvas = document.querySelector("#view");
+    const [x, y] = [canvas.width / 2 - half, canvas.height / 2 - half].map(Math.round);
+    const { data } = canvas.getContext("2d").getImageData(x, y, 2 * half, 2 * half);
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4) if (colour.every((value, k) => Math.abs(data[i + k] - value) < 3)) count += 1;
+    return count / (data.length / 4);
+  }, [MIDDLE_PX, COLOURS[robot - 1]]);
+}
+
+/** Returns where a robot is in the map, metres. */
+const poseOf = (page, robot) => page.evaluate((number) => ({ ...mixedReality.operator.fleet.robots.get(number).pose }), robot);
+
+test("the view follows a robot that drives, changes with the selection, and ends when the map is moved", async () => {
+  const { page, errors } = await open(browser);
+  // Without a selected robot nothing is followed, and the page says why.
+  await page.keyboard.press("KeyC");
+  await waitForText(page, "#log", "select the robot to follow first");
+  assert.equal(await page.getAttribute("#fit", "aria-pressed"), "true");
+
+  await page.keyboard.press("Digit1");
+  for (let i = 0; i < 3; i += 1) await page.keyboard.press("Equal");
+  await page.keyboard.press("KeyC");
+  assert.equal(await page.getAttribute("#follow", "aria-pressed"), "true");
+  const begun = await poseOf(page, 1);
+  await page.keyboard.down("KeyS");
+  const shares = [];
+  await page.waitForFunction(({ x, y }) => {
+    const pose = mixedReality.operator.fleet.robots.get(1).pose;
+    return Math.hypot(pose.x - x, pose.y - y) > 0.15;
+  }, begun, WAIT);
+  for (let i = 0; i < 5; i += 1) {
+    shares.push(await shareInTheMiddle(page, 1));
+    await page.waitForTimeout(50);
+  }
+  await page.keyboard.up("KeyS");
+  assert.ok(shares.every((share) => share > 0.3), `the robot is in the middle while it drives: ${shares}`);
+  await page.screenshot({ path: `${out}/page-follow.png` });
+
+  // The other robot, once it is selected.
+  await page.keyboard.press("Digit2");
+  await page.waitForFunction(() => mapView.followed === 2, null, WAIT);
+  await page.waitForTimeout(100);
+  assert.ok(await shareInTheMiddle(page, 2) > 0.3);
+  assert.ok(await shareInTheMiddle(page, 1) < 0.3);
+
+  // A hand on the map ends it: the robot is where the map was drawn to.
+  const box = await page.locator("#view").boundingBox();
+  const middle = { x: box.x + box.width / 2, y: box.y + box.height / 2 };
+  await page.mouse.move(middle.x, middle.y);
+  await page.mouse.down();
+  await page.mouse.move(middle.x + 150, middle.y + 80, { steps: 4 });
+  await page.mouse.up();
+  assert.equal(await page.getAttribute("#follow", "aria-pressed"), "false");
+  await page.waitForTimeout(100);
+  assert.equal(await shareInTheMiddle(page, 2), 0);
+  assert.deepEqual(errors, []);
+});
+
+test("an alarm that is acknowledged is hidden until it comes again, and leads to its robot", async () => {
+  const { page, errors } = await open(browser);
+  const alarm = page.locator("#items li", { hasText: "its way is blocked" });
+  /** Sends the second robot out of the room. */
+  const sendAway = () => page.evaluate(() => {
+    const { operator } = mixedReality;
+    operator.select(2);
+    operator.floorSelected({ x: 60, y: 60 });
+  });
+  await sendAway();
+  await alarm.waitFor(WAIT);
+  await page.screenshot({ path: `${out}/page-alarm.png` });
+
+  // Its text leads to the robot.
+  await page.keyboard.press("Digit1");
+  await alarm.locator("button").first().click();
+  await waitForText(page, "#target", "2 ·");
+  const [at, middle] = await page.evaluate(() => {
+    const { camera } = mapView;
+    return [camera.toScreen(mixedReality.operator.fleet.robots.get(2).pose), { x: camera.width / 2, y: camera.height / 2 }];
+  });
+  assert.ok(Math.hypot(at.x - middle.x, at.y - middle.y) < 5, "the map shows the robot in the middle");
+
+  // Acknowledged, it stays away while it lasts.
+  await alarm.locator("button.acknowledge").click();
+  await alarm.waitFor({ state: "detached", ...WAIT });
+  await waitForText(page, "#items", "nothing new, 1 acknowledged");
+  await page.waitForTimeout(1000);
+  assert.equal(await alarm.count(), 0);
+  const state = () => page.evaluate(() => mixedReality.operator.fleet.robots.get(2).navigation?.state);
+  assert.equal(await state(), "blocked", "the alarm lasts, though it is hidden");
+
+  // It ends, and comes again.
+  await page.evaluate(() => {
+    const { operator } = mixedReality;
+    operator.floorSelected(operator.fleet.robots.get(2).pose);
+  });
+  await page.waitForFunction(() => mixedReality.operator.fleet.robots.get(2).navigation?.state !== "blocked", null, WAIT);
+  await page.waitForFunction(() => document.querySelector("#items").textContent === "nothing", null, WAIT);
+  await sendAway();
+  await alarm.waitFor(WAIT);
+  assert.deepEqual(errors, []);
+});
