@@ -4,6 +4,7 @@
 use crate::clock::Epoch;
 use crate::config::{FleetConfig, LABORATORY};
 use crate::sessions::{self, SessionsError};
+use headset::HeadsetRobots;
 use msg::{Pose2, RobotId, Stamp};
 use sim::{Room, RoomError, RoomKind, Simulator, StartError};
 use std::io;
@@ -131,6 +132,15 @@ pub fn simulator(
 ) -> Result<Simulator, FleetError> {
     Simulator::new(room, &config.sim, robot, world_from_start, config.fleet.seed)
         .map_err(|source| FleetError::Start { robot, source })
+}
+
+/// Creates the robots of a headset's application, at their starts in the configured room.
+pub fn headset_robots(config: &FleetConfig) -> Result<HeadsetRobots, FleetError> {
+    let room = room(config)?;
+    let starts = starts(config, &room)?;
+    let simulators = RobotId::first(config.fleet.robots).zip(starts);
+    let simulators = simulators.map(|(robot, start)| Ok((simulator(config, &room, robot, start)?, start)));
+    Ok(HeadsetRobots::new(config.robot_names(), simulators.collect::<Result<Vec<_>, FleetError>>()?))
 }
 
 /// Checks that the whole fleet can be built, before anything is started.

@@ -2,12 +2,13 @@
 
 // What processes run on is a crate of its own.
 pub use runtime::{
-    channel, clock, keys, ports, processes, progress, realtime, restarts, runtime_folder, shared_memory,
-    stop, storage, watchdog,
+    channel, clock, event_loop, keys, ports, processes, progress, realtime, restarts, runtime_folder,
+    shared_memory, stop, storage, watchdog,
 };
 
 // The configuration is a crate of its own too.
 pub use ::config;
+pub use ::config::resources;
 
 // Command line and processes.
 pub mod command;
@@ -15,7 +16,6 @@ pub mod fleet;
 pub mod lockstep;
 mod page_files;
 pub mod process;
-pub mod resources;
 pub mod run;
 pub mod supervisor;
 // What people read and control.
@@ -28,7 +28,6 @@ pub mod nasa_tlx;
 pub mod observer;
 pub mod offered_room;
 pub mod terminal;
-pub mod unreliable_maps;
 // Files that outlive a process.
 pub mod session_file;
 pub mod sessions;

@@ -5,7 +5,6 @@ use crate::clock::now;
 use crate::ports::{ChannelError, ReadMapPort};
 use crate::run::Run;
 use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
-use crate::unreliable_maps::UnreliableMaps;
 use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2,
@@ -14,6 +13,7 @@ use msg::{
 use reports::EdgeView;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use telemetry::UnreliableMaps;
 
 /// Reads the fleet's figures and maps.
 pub struct Observer {

@@ -8,8 +8,7 @@
 //! | `merge.json`, `merge_robotK.map.gz`, `sessions/`, `bridge.json`, `stopped`, `denied`, `navigation.json` | state that restarted processes continue with |
 //! | `link.json` | figures of the link to other machines, if there are several |
 //! | `recording/` | recording of the run, if there is one |
-//! | maps, `report.json`, `report.html` | results, written at the end |
-//! | `launcher.log` | messages of a fleet started with `--detach` |
+//! | maps, `report.json`, `report.html`; `launcher.log` | results, written at the end; messages with `--detach` |
 
 use crate::channel::Opener;
 use crate::clock::Epoch;
@@ -20,16 +19,18 @@ use crate::runtime_folder::{self, FleetPlace, Forbidden, Lock, TrustError};
 use crate::shared_memory::{Domain, Participant};
 use msg::{Monotonic, RobotId, Role};
 use serde::{Deserialize, Serialize};
-use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::{fs, io};
 
 /// Largest size of `run.json` and of a path in a file, bytes.
 const FILE_BYTES_MAX: u64 = 64 << 10;
 /// Name of the file that a run's launcher holds locked.
 const LOCK: &str = ".lock";
+/// Names that are tried for a new folder: more fleets do not start in one second.
+const NEW_FOLDERS_MAX: usize = 100;
 /// Name of the file with the path of the run's folder.
 const POINTER: &str = "run-dir";
 
@@ -70,13 +71,15 @@ pub enum RunError {
     Trust(#[from] TrustError),
     /// Another fleet runs in the folder.
     #[error(
-        "{dir}: a fleet is running in this folder (process {pid}); end it, or choose another with --run-dir"
+        "{}: a fleet {} in this folder; end it, or choose another with --run-dir",
+        dir.display(),
+        pid.map_or("is starting".into(), |pid| format!("is running (process {pid})"))
     )]
     FolderInUse {
         /// Folder of the run.
         dir: PathBuf,
-        /// Process id of the other launcher.
-        pid: u32,
+        /// Process id of the other launcher; `None` before it has written `run.json`.
+        pid: Option<u32>,
     },
     /// Shared memory of the run cannot be used.
     #[error(transparent)]
@@ -163,6 +166,22 @@ pub fn create_folder(dir: &Path) -> Result<PathBuf, RunError> {
     Ok(dir)
 }
 
+/// Creates the folder `name` below `parent`, or `name-2` and so on while that exists: of two fleets that start at the same
+/// time each gets one of its own.
+pub fn create_new_folder(parent: &Path, name: &str) -> Result<PathBuf, RunError> {
+    create_folder(parent)?;
+    let mut dir = parent.join(name);
+    for number in 2..=NEW_FOLDERS_MAX {
+        match fs::DirBuilder::new().mode(0o755).create(&dir) {
+            Err(why) if why.kind() == io::ErrorKind::AlreadyExists => {
+                dir = parent.join(format!("{name}-{number}"));
+            }
+            created => return created.map_err(RunError::file(&dir)).map(|()| dir.clone()),
+        }
+    }
+    Err(RunError::file(&dir)(io::ErrorKind::AlreadyExists.into()))
+}
+
 impl Run {
     /// Begins a run of this process in `dir`, which is created if it does not exist. The run may `outlive_session`, the
     /// user's login. What fleets of dead launchers left is removed.
@@ -175,7 +194,7 @@ impl Run {
         let dir = create_folder(dir)?;
         let lock = dir.join(LOCK);
         let Some(dir_lock) = Lock::acquire(&lock).map_err(RunError::file(&lock))? else {
-            let pid = RunFile::read(&dir).map_or(0, |file| file.pid);
+            let pid = RunFile::read(&dir).ok().map(|file| file.pid);
             return Err(RunError::FolderInUse { dir, pid });
         };
         let remove = |name: &str, root: &Path| {
@@ -187,6 +206,10 @@ impl Run {
         let FleetPlace { name: domain, root: runtime, lock } =
             runtime_folder::create_place(outlives_session, remove)?;
         crate::shared_memory::remove_leftovers();
+        // Without it the run's own folder will do.
+        if !outlives_session && let Err(why) = crate::shared_memory::create_ipc_folder(&domain) {
+            tracing::debug!("the fleet starts slower, without a folder in shared memory: {why}");
+        }
         let pid = std::process::id();
         let epoch = if config.world.is_outside() { Epoch::unix() } else { Epoch::now() };
         let (epoch_ns, begun_ns) = (epoch.monotonic_ns, crate::clock::now().0);
@@ -356,6 +379,22 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let _lock = Lock::acquire(&folder.path().join(LOCK)).unwrap().unwrap();
         let result = Run::create(folder.path(), FleetConfig::default(), 0, false);
-        assert!(matches!(result, Err(RunError::FolderInUse { .. })));
+        let why = result.unwrap_err();
+        assert!(matches!(why, RunError::FolderInUse { pid: None, .. }));
+        assert!(why.to_string().contains("is starting") && why.to_string().contains("--run-dir"), "{why}");
+    }
+
+    #[test]
+    fn fleets_that_start_in_the_same_second_get_folders_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let parent = folder.path().join("runs");
+        let create = || create_new_folder(&parent, "2026-01-01T00-00-00").unwrap();
+        let starts: Vec<_> =
+            std::thread::scope(|all| [0; 4].map(|_| all.spawn(create)).map(|one| one.join().unwrap()).into());
+        let mut names: Vec<_> =
+            starts.iter().map(|dir| dir.strip_prefix(&parent).unwrap().to_owned()).collect();
+        names.sort();
+        let expected = ["", "-2", "-3", "-4"].map(|end| PathBuf::from(format!("2026-01-01T00-00-00{end}")));
+        assert_eq!(names, expected);
     }
 }

@@ -91,7 +91,9 @@ impl Supervisor {
             self.run.domain.clean_up_after_the_dead();
         }
         self.replace_hung(tell);
-        for index in 0..self.members.len() {
+        let mut order: Vec<usize> = (0..self.members.len()).collect();
+        order.sort_by_key(|index| start_rank(self.members[*index].row.role));
+        for index in order {
             self.start_if_due(index, last_seen, tell);
         }
     }
@@ -185,6 +187,16 @@ impl Supervisor {
             let _ = child.wait();
         }
         self.run.domain.remove();
+    }
+}
+
+/// Returns a role's place in the order of starts: the bridge first, which stops the robots; then what the first map needs; then
+/// the rest, which would take the processor from it.
+fn start_rank(role: Role) -> u8 {
+    match role {
+        Role::Bridge => 0,
+        Role::Sim | Role::Slam | Role::Merge | Role::Record => 1,
+        Role::Nav | Role::Telemetry => 2,
     }
 }
 

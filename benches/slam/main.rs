@@ -46,7 +46,7 @@ const fn row(name: &'static str, toolbox_m: [Option<f64>; 2], limits_m: [Option<
     Row { name, toolbox_m, limits_m }
 }
 
-const ROWS: [Row; 11] = [
+const ROWS: [Row; 12] = [
     row("intel", [Some(0.173), Some(0.324)], [Some(0.072), Some(0.072), Some(0.041)]),
     row("csail", [Some(0.175), Some(1.97)], [Some(0.05), Some(0.10), None]),
     row("aces", [Some(0.047), Some(0.076)], [Some(0.047), Some(0.076), None]),
@@ -54,6 +54,7 @@ const ROWS: [Row; 11] = [
     row("edmonton", [Some(0.094), Some(0.487)], [Some(0.06), Some(0.12), None]),
     row("acapulco", [Some(0.151), Some(5.65)], [Some(0.07), Some(0.20), None]),
     row("belgioioso", [Some(0.033), Some(0.055)], [Some(0.033), Some(0.055), None]),
+    row("fhw", [Some(0.121), Some(0.25)], [None; 3]),
     row("intel@90", [Some(0.546), None], [Some(0.15), None, None]),
     row("aces@90", [Some(0.282), None], [None; 3]),
     row("freiburg-101@90", [Some(0.089), None], [None; 3]),

@@ -1,6 +1,6 @@
 //! Reasons why a configuration is refused, and the line of the file that sets a key.
 
-use super::{RecordingConfigError, SessionsConfigError};
+use super::{LinkConfigError, RecordingConfigError, SessionsConfigError};
 use bridge::RobotNameError;
 use msg::ROBOTS_MAX;
 use runtime::realtime::RealtimeConfigError;
@@ -97,6 +97,9 @@ pub enum ValueError {
     /// A value of section `[recording]`.
     #[error(transparent)]
     Recording(#[from] RecordingConfigError),
+    /// A value of section `[link]`.
+    #[error(transparent)]
+    Link(#[from] LinkConfigError),
     /// A value of merging.
     #[error(transparent)]
     Merge(#[from] merge::InvalidMergeConfig),
@@ -133,6 +136,7 @@ impl ValueError {
             Self::Slam(why) => format!("slam.{}", why.field),
             Self::Sessions(why) => format!("sessions.{}", why.key()),
             Self::Recording(why) => format!("recording.{}", why.key()),
+            Self::Link(why) => format!("link.{}", why.key()),
             Self::Merge(why) => format!("merge.{}", why.key),
             Self::Bridge(why) => format!("bridge.{}", why.key),
             Self::Discovery(_) => "bridge.dds".into(),

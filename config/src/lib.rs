@@ -4,10 +4,13 @@
 //! `config/default.toml` lists every key with its default; it is generated from the types and their doc comments.
 
 mod error;
+mod link;
 mod recording;
+pub mod resources;
 mod sessions;
 
 pub use error::{ConfigError, ValueError};
+pub use link::{LinkConfig, LinkConfigError};
 pub use recording::{RecordingConfig, RecordingConfigError};
 pub use sessions::{Mode, SessionsConfig, SessionsConfigError};
 
@@ -37,6 +40,8 @@ pub struct FleetConfig {
     pub bridge: bridge::BridgeConfig,
     /// Recording of the fleet's messages.
     pub recording: RecordingConfig,
+    /// Link between a base and robots on other machines.
+    pub link: LinkConfig,
     /// Real-time priority, locked memory and cores of the processes.
     pub realtime: runtime::realtime::RealtimeConfig,
 }
@@ -53,6 +58,7 @@ impl Default for FleetConfig {
             merge: merge::MergeConfig::default(),
             bridge: bridge::BridgeConfig::default(),
             recording: RecordingConfig::default(),
+            link: LinkConfig::default(),
             realtime: runtime::realtime::RealtimeConfig::default(),
         }
     }
@@ -132,6 +138,9 @@ pub struct Fleet {
     /// Whether merging knows the robots' starts. If not, `map` is the first robot's map, and the others join it when
     /// comparing maps has shown where they lie.
     pub starts_known: bool,
+    /// Whether the furniture that a room's file names, such as tables and beds, keeps robots out of its outline on the
+    /// floor: as exclusion zones from the start. Simulated robots whose starts are known.
+    pub furniture_zones: bool,
     /// Whether the robots explore by themselves from the start, as `mr-slam explore` lets them.
     pub explore: bool,
     /// TCP port for headsets, 1 to 65535; 0: any free port. 10000 is the default of ROS-TCP-Connector.
@@ -149,6 +158,7 @@ impl Default for Fleet {
             room: LABORATORY.into(),
             starts: Vec::new(),
             starts_known: true,
+            furniture_zones: true,
             explore: false,
             port: 10_000,
             address: "0.0.0.0".into(),
@@ -244,6 +254,7 @@ impl FleetConfig {
         self.merge.validate()?;
         self.bridge.validate()?;
         self.recording.validate()?;
+        self.link.validate()?;
         Ok(self.realtime.validate()?)
     }
 

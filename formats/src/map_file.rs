@@ -14,6 +14,7 @@ use image::{Pixels, decode_image, read_image};
 use msg::grid::{self, LOG_ODDS_MAX, LOG_ODDS_PER_STEP, MAP_CELLS_MAX, Occupancy, UNKNOWN, occupancy};
 use msg::{Grid, GridHeader, GridView, Pose2};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -114,9 +115,15 @@ pub fn write_doubted_map(stem: &Path, grid: GridView<'_>, reasons: &[&str]) -> R
 /// Reads a map by its YAML file. The image is a PGM (P5 or P2) or a PNG, named relative to the YAML's folder or
 /// absolutely. No memory is allocated for an image before its size was checked.
 pub fn read_map(yaml: &Path) -> Result<Grid, MapFileError> {
+    Ok(read_doubted_map(yaml)?.0)
+}
+
+/// Reads a map as [`read_map`] does, with the reasons why it is unreliable, as [`write_doubted_map`] writes them.
+pub fn read_doubted_map(yaml: &Path) -> Result<(Grid, Vec<String>), MapFileError> {
     let meta = read_description(yaml)?;
     let image = yaml.parent().unwrap_or(Path::new("")).join(&meta.image);
-    Ok(meta.grid(&read_image(&image)?))
+    let grid = meta.grid(&read_image(&image)?);
+    Ok((grid, meta.unreliable.into_reasons()))
 }
 
 /// Decodes a map from the YAML's text and the image's bytes. `name` is for errors.
@@ -136,6 +143,31 @@ struct Description {
     free_thresh: f64,
     #[serde(default)]
     mode: Mode,
+    #[serde(default)]
+    unreliable: Unreliable,
+}
+
+/// Value of `unreliable`: the reasons, or something else that another program has written.
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+enum Unreliable {
+    Reasons(Vec<String>),
+    Other(IgnoredAny),
+}
+
+impl Default for Unreliable {
+    fn default() -> Self {
+        Self::Reasons(Vec::new())
+    }
+}
+
+impl Unreliable {
+    fn into_reasons(self) -> Vec<String> {
+        match self {
+            Self::Reasons(reasons) => reasons,
+            Self::Other(_) => Vec::new(),
+        }
+    }
 }
 
 /// Value of `negate`: some programs write 0 and 1, others a boolean.

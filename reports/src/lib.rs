@@ -20,8 +20,8 @@ pub use plots::{Group, Line, line_plot, plot_over, quantile_plot};
 pub use series::{DrivenTime, RobotSeries, Series, TeleoperationProfile, add_teleoperation};
 pub use system::{frame_tree, process_graph};
 pub use view::{
-    ClosureView, DistributionView, EdgeView, Emphasis, FleetView, MapView, ProcessView, RobotView, SlamView,
-    Style, edge_table, edges_json,
+    AgainstRoomView, ClosureView, DistributionView, EdgeView, Emphasis, FleetView, MapView, ProcessView,
+    RobotView, SlamView, Style, edge_table, edges_json,
 };
 pub use workload::{TlxEntry, add_workload};
 

@@ -1,6 +1,5 @@
 //! Tool `mr-slam demo`, which runs a fleet with a scripted operator that drives it over TCP, as a headset would.
 
-use super::experiment::link::{self, Link};
 use super::up::FleetHooks;
 use crate::clock::now;
 use crate::progress;
@@ -24,10 +23,8 @@ const SILENCE_MAX: Duration = Duration::from_secs(2);
 /// Scripted operator in a process of its own. Killed or hanging, it is started again; when its tour is over, it is not.
 pub struct OperatorProcess {
     seconds: Option<f64>,
-    /// Link to the bridge, through a proxy; `None`: directly.
-    link: Option<Link>,
-    /// Port that it connects to, from its first start on.
-    port: u16,
+    /// Port that it connects to; `None`: the bridge's own.
+    port: Option<u16>,
     begun: Instant,
     child: Option<Child>,
     policy: RestartPolicy,
@@ -44,8 +41,7 @@ impl OperatorProcess {
     pub fn new(seconds: Option<f64>) -> Self {
         Self {
             seconds,
-            link: None,
-            port: 0,
+            port: None,
             begun: Instant::now(),
             child: None,
             policy: RestartPolicy::new(now()),
@@ -56,15 +52,15 @@ impl OperatorProcess {
         }
     }
 
-    /// Puts a link between the operator and the bridge.
-    pub fn behind(self, link: Option<Link>) -> Self {
-        Self { link, ..self }
+    /// Makes it connect to a proxy's port instead of the bridge's, from its next start on.
+    pub fn set_port(&mut self, port: u16) {
+        self.port = Some(port);
     }
 
     fn start(&mut self) -> io::Result<()> {
         let Some(run) = &self.run else { return Ok(()) };
         let mut command = Command::new(std::env::current_exe()?);
-        command.args(["operator", "tour", "--json", "--port", &self.port.to_string()]);
+        command.args(["operator", "tour", "--json", "--port", &self.port.unwrap_or(run.port).to_string()]);
         command.args(["--robots", &run.config.fleet.robots.to_string()]);
         let names = &run.config.fleet.names;
         if !names.is_empty() {
@@ -127,8 +123,6 @@ fn read_report(mut child: Child) -> Option<serde_json::Value> {
 
 impl FleetHooks for OperatorProcess {
     fn on_start(&mut self, run: &Run) -> io::Result<()> {
-        let seed = run.config.fleet.seed;
-        self.port = self.link.map_or(Ok(run.port), |link| link::start(link, run.port, seed))?;
         (self.run, self.begun) = (Some(run.clone()), Instant::now());
         self.start()
     }

@@ -10,7 +10,7 @@ use crate::shared_memory::{Participant, wait};
 use crate::stop::Stop;
 use msg::{
     Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
-    NavigationStatus, RobotId,
+    NavigationStatus, RobotId, Sender,
 };
 use serde::Serialize;
 use std::path::PathBuf;
@@ -149,13 +149,14 @@ fn send(run: &Run, args: &GotoArgs, stop: &Stop) -> Result<NavigationReport, Got
     let mut states = node.reader(&channel::navigation_state(args.robot))?;
     let mut commands = node.writer(&channel::goal(args.robot))?;
     let number = crate::clock::now().0;
-    commands.send(&match args.pose {
+    let command = match args.pose {
         None => NavigationCommand::new(number, NavigationAction::Cancel),
         Some(pose) => {
             let frame = if args.own_map { NavigationFrame::RobotMap } else { NavigationFrame::MergedMap };
             NavigationCommand::goal(number, (frame, args.own_map.then_some(args.robot)), &[pose])
         }
-    });
+    };
+    commands.send(&NavigationCommand { sender: Sender::LAPTOP, ..command });
     let (begun, mut shown, mut has_answer) = (Instant::now(), String::new(), false);
     loop {
         // A navigator that starts again needs the command once more.
@@ -183,7 +184,8 @@ fn send(run: &Run, args: &GotoArgs, stop: &Stop) -> Result<NavigationReport, Got
         }
         if stop.requested() {
             let number = crate::clock::now().0;
-            commands.send(&NavigationCommand::new(number, NavigationAction::Cancel));
+            let cancel = NavigationCommand::new(number, NavigationAction::Cancel);
+            commands.send(&NavigationCommand { sender: Sender::LAPTOP, ..cancel });
             wait([], Monotonic(number + POLL_NS));
             let (state, reason) = ("was stopped", "interrupted here, its goal is cancelled".into());
             return Err(GotoError::NotReached { robot: args.robot, state, reason });

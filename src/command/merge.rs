@@ -1,7 +1,7 @@
 //! Tool `mr-slam merge`, which merges map files of robots that started anywhere.
 
 use super::output;
-use formats::map_file::{MapFileError, read_map, write_map};
+use formats::map_file::{MapFileError, read_doubted_map, write_doubted_map};
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
 use msg::{Grid, GridHeader, GridView, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;
@@ -21,6 +21,9 @@ pub struct MergeArgs {
     #[arg(long)]
     pub json: bool,
 }
+
+/// Longest reason why the merged map is unreliable, characters: those of a whole fleet fit into a map's YAML file.
+const REASON_CHARS_MAX: usize = 500;
 
 /// Reason why maps could not be merged.
 #[derive(Debug, thiserror::Error)]
@@ -62,7 +65,8 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
     if args.maps.len() > ROBOTS_MAX {
         return Err(MergeMapsError::TooMany(args.maps.len()));
     }
-    let maps = args.maps.iter().map(|yaml| read_map(yaml)).collect::<Result<Vec<Grid>, _>>()?;
+    let maps = args.maps.iter().map(|yaml| read_doubted_map(yaml)).collect::<Result<Vec<_>, _>>()?;
+    let (maps, reasons): (Vec<Grid>, Vec<Vec<String>>) = maps.into_iter().unzip();
     let frame_from_lattice = maps[0].header.origin;
     let mut merger = start(args, &maps)?;
     let places = place_all(args, &maps, &mut merger)?;
@@ -72,15 +76,33 @@ pub fn run(args: &MergeArgs) -> Result<(), MergeMapsError> {
         let line = if args.json { as_json(&name, place).to_string() } else { as_text(&name, place) };
         output::print(&(line + "\n"))?;
     }
+    let reasons = reasons_of_merged(&args.maps, &reasons, &places);
+    for reason in &reasons {
+        output::note(&format!("the merged map is unreliable: {reason}"));
+    }
     if let Some(out) = &args.out {
         let stem =
             if out.extension().is_some_and(|e| e == "yaml") { out.with_extension("") } else { out.clone() };
         let merged = merger.merged();
         let origin = frame_from_lattice * merged.header.origin;
         let header = GridHeader { origin, ..*merged.header };
-        write_map(&stem, GridView { header: &header, cells: merged.cells })?;
+        let reasons: Vec<&str> = reasons.iter().map(String::as_str).collect();
+        write_doubted_map(&stem, GridView { header: &header, cells: merged.cells }, &reasons)?;
     }
     Ok(())
+}
+
+/// Returns why the merged map is unreliable: the reasons of the maps that are in it, each with its file.
+fn reasons_of_merged(files: &[PathBuf], reasons: &[Vec<String>], places: &[Option<Place>]) -> Vec<String> {
+    // The first map has no place: it is where the others are laid.
+    let is_in = |place: &Option<Place>| place.as_ref().is_none_or(|place| place.accepted().is_some());
+    let merged = files.iter().zip(reasons).zip(places).filter(|(_, place)| is_in(place));
+    let doubted = merged.filter(|((_, reasons), _)| !reasons.is_empty());
+    let reason = |((file, reasons), _): ((&PathBuf, &Vec<String>), _)| {
+        let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
+        format!("{name}: {}", reasons.join("; ")).chars().take(REASON_CHARS_MAX).collect()
+    };
+    doubted.map(reason).collect()
 }
 
 /// Creates a merger with all maps, of which the first has a place: its cells are those of the merged map, so that it is
@@ -179,6 +201,7 @@ fn as_text(name: &str, place: &Place) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use formats::map_file::{read_map, write_map};
 
     /// Map of one house between columns `from` and `to`, in a frame of its own.
     fn part(from: i64, to: i64, origin: Pose2) -> Grid {
@@ -227,6 +250,22 @@ mod tests {
         assert!((198..=204).contains(&whole.header.height), "{:?}", whole.header);
         let known = whole.cells.iter().filter(|cell| **cell != msg::grid::UNKNOWN).count();
         assert!((58_000..62_000).contains(&known), "{known}");
+    }
+
+    #[test]
+    fn the_merged_map_says_which_of_its_maps_is_unreliable() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        write_map(&path("a"), part(0, 200, Pose2::IDENTITY).view()).unwrap();
+        write_doubted_map(&path("b"), part(80, 300, Pose2::IDENTITY).view(), &["walls moved", "lost"])
+            .unwrap();
+        // A map without a place in the merged one does not count.
+        let empty = Grid { cells: vec![-60; 200 * 200], ..part(0, 200, Pose2::IDENTITY) };
+        write_doubted_map(&path("c"), empty.view(), &["empty"]).unwrap();
+        let maps = ["a.yaml", "b.yaml", "c.yaml"].map(path).to_vec();
+        run(&MergeArgs { maps, out: Some(path("whole")), json: true }).unwrap();
+        let (_, reasons) = read_doubted_map(&path("whole.yaml")).unwrap();
+        assert_eq!(reasons, ["b.yaml: walls moved; lost"]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::process::pose;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, Participant, Reader, Writer, wait};
 use msg::{
-    ClosureInfo, Monotonic, Pose2, RobotId, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
+    ClosureInfo, Monotonic, Pose2, RobotId, Sender, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
 };
 use reports::SlamView;
@@ -218,7 +218,8 @@ impl SlamClient {
 
     fn send(&mut self, request: &SlamRequest, patience: Duration) -> Option<SlamResponse> {
         self.asked += 1;
-        self.requests.send(&SlamRequest { client: self.client, id: self.asked, ..*request });
+        let sender = Sender::LAPTOP;
+        self.requests.send(&SlamRequest { client: self.client, id: self.asked, sender, ..*request });
         let until = Monotonic(now().0 + patience.as_nanos() as u64);
         while now() < until {
             wait([&self.listener], until);

@@ -15,6 +15,7 @@ pub mod nav;
 mod outside;
 pub mod record;
 mod ros2;
+pub mod scan_demand;
 pub mod sim;
 pub mod slam;
 mod submap_publisher;

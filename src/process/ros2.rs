@@ -2,22 +2,23 @@
 
 use super::Error;
 use super::bridge::feeds::{forward, open_feeds};
-use super::bridge::live::{run_feed, stop_requested};
+use super::bridge::live::{start_feeds, stop_requested};
 use crate::channel;
 use crate::clock::now;
 use crate::config::World;
+use crate::event_loop;
 use crate::fleet;
 use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
 use ::bridge::dds::{DdsEndpoint, RosLink};
 use ::bridge::{Bridge, FleetMessage};
-use msg::{Clock, Role};
+use msg::{Clock, Role, VelocityCommand};
 use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::task::{JoinHandle, LocalSet, spawn_local};
+use tokio::task::{JoinHandle, spawn_local};
 
 /// Period of the clock messages to clients on TCP if ROS publishes none: 50 Hz, as a simulator would.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
@@ -61,30 +62,27 @@ async fn pass_to_bridge(run: Run, bridge: Rc<Bridge>, link: Arc<RosLink>) {
 
 /// Runs the endpoint until it is asked to stop.
 fn serve(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
+    let mut result = Ok(());
+    event_loop::run(Box::pin(async { result = serve_feeds(run, stop, link).await }))?;
+    result
+}
+
+async fn serve_feeds(run: &Run, stop: &Stop, link: Arc<RosLink>) -> Result<(), Error> {
     // A participant of its own: ports of shared memory stay on the thread that opened them.
     let participant = run.attach_thread(Role::Bridge, None, "ros2")?;
     let is_external = run.config.world == World::Ros;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    LocalSet::new().block_on(&runtime, async {
-        let robots = run.config.robot_names();
-        let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, link)?);
-        let mut feeds = open_feeds(&participant, run, &endpoint)?;
-        for robot in run.robots() {
-            if is_external {
-                feeds.push(forward(
-                    &participant,
-                    &endpoint,
-                    &channel::command(robot),
-                    move |endpoint, command| {
-                        endpoint.publish_velocity(robot, command);
-                    },
-                )?);
-            }
-        }
-        let mut tasks = feeds.into_iter().map(run_feed).collect::<Result<Vec<_>, _>>()?;
-        tasks.push(spawn_local(endpoint.serve()));
-        stop_requested(stop.clone(), run.progress(Role::Bridge, None, WatchedThread::Second)).await;
-        tasks.iter().for_each(JoinHandle::abort);
-        Ok(())
-    })
+    let robots = run.config.robot_names();
+    let endpoint = Rc::new(DdsEndpoint::open(&run.config.bridge_config(), robots, is_external, link)?);
+    let mut feeds = open_feeds(&participant, run, &endpoint)?;
+    for robot in run.robots().filter(|_| is_external) {
+        let publish = move |endpoint: &DdsEndpoint, command: &VelocityCommand| {
+            endpoint.publish_velocity(robot, command);
+        };
+        feeds.push(forward(&participant, &endpoint, &channel::command(robot), publish)?);
+    }
+    let mut tasks = start_feeds(feeds)?;
+    tasks.push(spawn_local(endpoint.serve()));
+    stop_requested(stop.clone(), run.progress(Role::Bridge, None, WatchedThread::Second)).await;
+    tasks.iter().for_each(JoinHandle::abort);
+    Ok(())
 }

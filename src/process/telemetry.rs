@@ -3,32 +3,61 @@
 use super::heartbeat::{HealthCounters, Heartbeat};
 use super::{Error, Listens, PLAN_RESOLUTION_M, ProcessLoop, serve};
 use crate::channel;
-use crate::config::World;
-use crate::fleet;
+use crate::config::{FleetConfig, World};
+use crate::fleet::{self, FleetError};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
 use crate::progress::WatchedThread;
 use crate::run::Run;
 use crate::stop::Stop;
 use ::telemetry::Telemetry;
 use msg::{
-    Correction, DenseMap, FleetStats, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId, Role,
-    Transforms,
+    Correction, DenseMap, FleetStats, Grid, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId,
+    Role, Transforms,
 };
+use std::sync::mpsc::{Receiver, sync_channel};
 
 /// Period of the figures, nanoseconds.
 const PERIOD_NS: u64 = 1_000_000_000;
+/// Priority of the thread that draws the room's plan (nice(2)): a tenth of the share of others, where they need the processor.
+const ROOM_NICE: i32 = 10;
 
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Telemetry, None)?;
-    let mut process = TelemetryProcess::open(&node, run)?;
+    let mut process = TelemetryProcess::open(&node, run, None)?;
+    process.awaited_room = draw_room_in_background(run);
     serve(&mut process, run.progress(Role::Telemetry, None, WatchedThread::Main), &|| stop.requested());
     Ok(())
+}
+
+/// Draws the room's plan on a thread of low priority, and returns where it comes. The plan takes as much processor time as the
+/// start of the whole fleet, and nobody needs it before there is a map.
+fn draw_room_in_background(run: &Run) -> Option<Receiver<Grid>> {
+    let (config, (sender, receiver)) = (run.config.clone(), sync_channel(1));
+    let draw = move || {
+        let _ = rustix::process::nice(ROOM_NICE);
+        match room_plan(&config) {
+            Ok(Some(plan)) => drop(sender.send(plan)),
+            Ok(None) => {}
+            Err(why) => tracing::warn!("telemetry: no coverage and no errors of the maps: {why}"),
+        }
+    };
+    std::thread::Builder::new().name("room".into()).spawn(draw).ok().map(|_| receiver)
+}
+
+/// Returns the plan of a simulated room, frame `world`. Other worlds have none.
+pub fn room_plan(config: &FleetConfig) -> Result<Option<Grid>, FleetError> {
+    match config.world {
+        World::Simulator => Ok(Some(fleet::room(config)?.floor_plan(PLAN_RESOLUTION_M))),
+        World::Headset | World::Ros | World::Robots => Ok(None),
+    }
 }
 
 /// Computes the fleet's figures from all that is published.
 pub struct TelemetryProcess<P: Ports> {
     telemetry: Telemetry,
+    /// Where the room's plan comes, until it has come.
+    awaited_room: Option<Receiver<Grid>>,
     inputs: Inputs<P>,
     stats: P::Writer<FleetStats>,
     heartbeat: Heartbeat<P>,
@@ -38,19 +67,14 @@ pub struct TelemetryProcess<P: Ports> {
 }
 
 impl<P: Ports> TelemetryProcess<P> {
-    /// Opens all channels; the first figures are due in a second.
-    pub fn open(ports: &P, run: &Run) -> Result<Self, Error> {
+    /// Opens all channels; the first figures are due in a second. They have no coverage without the room's `plan`, frame `world`.
+    pub fn open(ports: &P, run: &Run, plan: Option<Grid>) -> Result<Self, Error> {
         let heartbeat = Heartbeat::new(ports, run, Role::Telemetry, None)?;
-        let plan = match run.config.world {
-            World::Simulator => Some(fleet::room(&run.config)?.floor_plan(PLAN_RESOLUTION_M)),
-            World::Headset | World::Ros | World::Robots => None,
-        };
         let starts = fleet::true_starts(&run.config)?;
-        let telemetry = Telemetry::new(run.config.fleet.robots, plan, &starts);
         let clock = ports.clock();
         Ok(Self {
-            telemetry,
-            // Channels are opened after the room is built, so that no message waits unread meanwhile.
+            telemetry: Telemetry::new(run.config.fleet.robots, plan, &starts),
+            awaited_room: None,
             inputs: Inputs::open(ports, run)?,
             stats: ports.writer(&channel::stats())?,
             heartbeat,
@@ -61,11 +85,21 @@ impl<P: Ports> TelemetryProcess<P> {
     }
 }
 
+impl<P: Ports> TelemetryProcess<P> {
+    /// Takes the room's plan if it has come.
+    fn receive_room(&mut self) {
+        let Some(plan) = self.awaited_room.as_ref().and_then(|room| room.try_recv().ok()) else { return };
+        self.telemetry.set_room(plan);
+        self.awaited_room = None;
+    }
+}
+
 impl<P: Ports> ProcessLoop for TelemetryProcess<P> {
     fn step(&mut self) -> Monotonic {
         let received = self.clock.now();
         self.inputs.receive_streams(&mut self.telemetry, received);
         if received >= self.due {
+            self.receive_room();
             self.inputs.receive_states(&mut self.telemetry, received);
             let stamp = self.epoch.stamp(received);
             let stats = self.heartbeat.measure(|| self.telemetry.compute_stats(stamp, received));

@@ -36,6 +36,8 @@ use msg::{
 /// ```
 pub struct Telemetry {
     robots: Vec<RobotTelemetry>,
+    /// Where the robots start, frame `world`, metres, as far as it is known.
+    starts_m: Vec<[f64; 2]>,
     room: Option<ObservableArea>,
     merged: MergedMap,
     map_transforms: MapTransforms,
@@ -47,21 +49,32 @@ pub struct Telemetry {
 impl Telemetry {
     /// Creates the telemetry of a fleet.
     ///
-    /// `room_plan` is the room's floor plan in frame `world`, if it is known. `world_from_robot_map` is where each
+    /// `room_plan` is the room's floor plan in frame `world`, if it is known; [`Telemetry::set_room`] sets it later. `world_from_robot_map` is where each
     /// robot's map lies in truth, by [`RobotId::index`], if that is known.
     pub fn new(robot_count: usize, room_plan: Option<Grid>, world_from_robot_map: &[Option<Pose2>]) -> Self {
         let truth = |index: usize| world_from_robot_map.get(index).copied().flatten();
         let robot_count = robot_count.min(ROBOTS_MAX);
-        let starts_m = (0..robot_count).filter_map(truth).map(|pose| [pose.x_m, pose.y_m]);
-        let valid_plan = room_plan.filter(|plan| GridView::new(&plan.header, &plan.cells).is_some());
-        Self {
+        let mut telemetry = Self {
             robots: (0..robot_count).map(|index| RobotTelemetry::new(truth(index))).collect(),
-            room: valid_plan.map(|plan| ObservableArea::new(plan, starts_m)),
+            starts_m: (0..robot_count).filter_map(truth).map(|pose| [pose.x_m, pose.y_m]).collect(),
+            room: None,
             merged: MergedMap::default(),
             map_transforms: MapTransforms::default(),
             pairs: PairComparisons::new(robot_count),
             processes: ProcessTable::new(robot_count),
             stats: FleetStats::default(),
+        };
+        if let Some(plan) = room_plan {
+            telemetry.set_room(plan);
+        }
+        telemetry
+    }
+
+    /// Sets the room's floor plan in frame `world`. Until then coverage and errors against the room are unknown. A malformed
+    /// plan is ignored.
+    pub fn set_room(&mut self, plan: Grid) {
+        if GridView::new(&plan.header, &plan.cells).is_some() {
+            self.room = Some(ObservableArea::new(plan, self.starts_m.iter().copied()));
         }
     }
 

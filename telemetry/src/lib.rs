@@ -21,9 +21,11 @@ mod processes;
 mod robot;
 mod scans;
 pub mod truth;
+mod unreliable_maps;
 
 pub use fleet::Telemetry;
 pub use histogram::Histogram;
+pub use unreliable_maps::UnreliableMaps;
 
 #[cfg(test)]
 mod testing;

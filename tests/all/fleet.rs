@@ -104,7 +104,7 @@ fn a_closed_terminal_ends_a_fleet_with_its_maps_and_report() {
     let dir = fleet.folder.path().to_str().unwrap().to_string();
     let second = output(&["up", "--port", "0", "--seconds", "1", "--run-dir", &dir]);
     let said = String::from_utf8_lossy(&second.stderr).into_owned();
-    assert!(!second.status.success() && said.contains("a fleet is running in this folder"), "{said}");
+    assert!(!second.status.success() && said.contains("a fleet is running (process "), "{said}");
     // Who starts a program with `nohup` wants it to go on.
     let ended = if is_hangup_ignored() {
         rustix::process::kill_process(

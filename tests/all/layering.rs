@@ -21,6 +21,8 @@ const ARROWS: &[(&str, &[&str])] = &[
     // Each crate has its part of the file.
     ("config", &["msg", "sim", "slam", "merge", "formats", "bridge", "runtime"]),
     ("recording", &["msg", "ros_messages"]),
+    // A headset's application is a client that simulates robots.
+    ("headset", &["msg", "sim", "ros_messages", "bridge", "runtime"]),
     // A report shows the bridge's clients.
     ("reports", &["msg", "formats", "bridge"]),
     // The operator is a client: it plans with `nav`, and writes and reads ros_tcp with `bridge`.

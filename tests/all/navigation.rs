@@ -28,7 +28,11 @@ impl Scene {
     fn new(robots: usize, faults: FaultPlan) -> Self {
         let mut config = FleetConfig::default();
         (config.fleet.robots, config.fleet.seed) = (robots, 1);
-        let fleet = Lockstep::with_navigation(&config, faults).unwrap();
+        Self::of(&config, faults)
+    }
+
+    fn of(config: &FleetConfig, faults: FaultPlan) -> Self {
+        let fleet = Lockstep::with_navigation(config, faults).unwrap();
         let mut client = fleet.client(([127, 0, 0, 1], 7).into());
         client.subscribe(STATE, ros::Text::TYPE);
         client.subscribe(ZONES, ros::Text::TYPE);
@@ -263,4 +267,50 @@ fn zones_sent_while_the_navigation_process_is_started_again_all_hold() {
     }
     scene.run(3.0, |_| false);
     assert_eq!(scene.zones["zones"].as_array().unwrap().len(), 3, "{}", scene.zones);
+}
+
+/// A room of 4 m by 4 m with a table of 1 m by 1 m in a corner, as scene JSON of MRUK.
+fn room_with_a_table() -> String {
+    let anchor = |label: &str, at: [f64; 3], turn: [f64; 3], shape: &str| {
+        serde_json::json!({
+            "SemanticClassifications": [label],
+            "Transform": { "Translation": at, "Rotation": turn },
+            shape: if shape == "VolumeBounds" {
+                serde_json::json!({ "Min": [-0.5, -0.5, -0.7], "Max": [0.5, 0.5, 0.0] })
+            } else {
+                serde_json::json!({ "Min": [-2.0, -2.0], "Max": [2.0, 2.0] })
+            },
+        })
+    };
+    let wall = |at, turn| anchor("WALL_FACE", at, [0.0, turn, 0.0], "PlaneBounds");
+    let anchors = [
+        anchor("FLOOR", [0.0; 3], [270.0, 0.0, 0.0], "PlaneBounds"),
+        wall([2.0, 1.0, 0.0], 270.0),
+        wall([-2.0, 1.0, 0.0], 90.0),
+        wall([0.0, 1.0, -2.0], 0.0),
+        wall([0.0, 1.0, 2.0], 180.0),
+        anchor("TABLE", [1.4, 0.7, 1.4], [270.0, 0.0, 0.0], "VolumeBounds"),
+    ];
+    serde_json::json!({ "CoordinateSystem": "OpenXR", "Rooms": [{ "Anchors": anchors }] }).to_string()
+}
+
+#[test]
+fn labelled_furniture_makes_zones_that_people_may_remove() {
+    let mut file = tempfile::NamedTempFile::with_suffix(".json").unwrap();
+    std::io::Write::write_all(&mut file, room_with_a_table().as_bytes()).unwrap();
+    let mut config = FleetConfig::default();
+    (config.fleet.robots, config.fleet.room) = (1, file.path().display().to_string());
+    config.fleet.starts = vec![[-1.0, -1.0, 0.0]];
+    let mut scene = Scene::of(&config, FaultPlan::none().with(Monotonic(1_000_000_000), Fault::Kill(5)));
+    assert_eq!(scene.zones["zones"][0]["furniture"], "TABLE", "{}", scene.zones);
+    assert_eq!(scene.zones["zones"].as_array().unwrap().len(), 1, "also after the process was started again");
+    // The table is at y = -1.4: z of the file points backwards.
+    scene.send_goal("map", [1.4, -1.4]);
+    assert!(scene.run(40.0, is_over) && scene.is("failed"), "{}", scene.state);
+    scene.client.publish("/exclusion_zones/remove", &ros::Int32(1));
+    scene.run(1.0, |_| false);
+    assert!(scene.zones["zones"].as_array().unwrap().is_empty(), "{}", scene.zones);
+    config.fleet.furniture_zones = false;
+    let scene = Scene::of(&config, FaultPlan::none());
+    assert!(scene.zones["zones"].as_array().unwrap().is_empty(), "{}", scene.zones);
 }

@@ -130,6 +130,13 @@ fn an_unreliable_map_says_why_and_is_read_as_any_other() {
     assert_eq!(read("bad.pgm"), read("good.pgm"));
     let map = |name: &str| read_map(&folder.path().join(name)).unwrap();
     assert_eq!(map("bad.yaml").cells, map("good.yaml").cells);
+    let reasons_of = |name: &str| read_doubted_map(&folder.path().join(name)).unwrap().1;
+    assert_eq!(reasons_of("bad.yaml"), reasons);
+    assert!(reasons_of("good.yaml").is_empty());
+    // Another program's field of the same name is no reason not to read the map.
+    let other = String::from_utf8(read("good.yaml")).unwrap() + "unreliable: true\n";
+    fs::write(folder.path().join("other.yaml"), other).unwrap();
+    assert!(reasons_of("other.yaml").is_empty());
 }
 
 #[test]

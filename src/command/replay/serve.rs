@@ -99,7 +99,9 @@ pub fn run(
         note(&format!("replay of {} s; clients connect to port {port}", player.playback().ends_s()));
         if let Some(url) = url(&config) {
             note(&format!("page: {url}"));
-            spawn_local(page::serve(bridge.clone(), config.bridge.page.clone(), None, None));
+            let config = config.bridge.page.clone();
+            let listeners = bridge::PageListeners::open(&config);
+            spawn_local(page::serve(bridge.clone(), config, None, None, listeners));
         }
         let clients = spawn_local(bridge::serve(bridge.clone(), listener, now, std::future::pending()));
         play(&mut player, services, &bridge, stop).await;
@@ -114,6 +116,7 @@ fn open_transports(config: &FleetConfig) -> Result<Transports, ReplayError> {
     // What is recorded does not move: velocities go nowhere.
     let bridge = Bridge::new(config.bridge_config(), config.robot_names(), |_, _| {})
         .map_err(|why| refused(why.to_string()))?;
+    bridge.mark_replay();
     let bridge = Rc::new(bridge);
     if !config.bridge.dds.enabled {
         return Ok(Transports { bridge, dds: None });

@@ -1,8 +1,8 @@
 //! Resources of the machine that a fleet needs: shared memory, file descriptors, disk. Checked before a start, watched after it.
 
-use crate::channel::{SharedMemoryNeed, shared_memory_need};
-use crate::config::FleetConfig;
-use crate::shared_memory::SHARED_MEMORY;
+use crate::FleetConfig;
+use runtime::channel::{SharedMemoryNeed, shared_memory_need};
+use runtime::shared_memory::SHARED_MEMORY;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
