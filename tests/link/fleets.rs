@@ -12,13 +12,33 @@ use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Longest wait for anything that is expected.
 pub const LIMIT: Duration = Duration::from_secs(90);
 /// Period at which a condition is looked at.
 const POLL: Duration = Duration::from_millis(50);
+
+/// Folder of a test, and its turn: the tests take turns, because each has fleets of its own.
+pub struct TestFolder {
+    folder: tempfile::TempDir,
+    _turn: MutexGuard<'static, ()>,
+}
+
+impl TestFolder {
+    /// Waits for the tests before, and makes a folder.
+    pub fn new() -> Self {
+        static TURN: Mutex<()> = Mutex::new(());
+        // A test that failed has ended as well.
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        Self { folder: tempfile::tempdir().unwrap(), _turn: turn }
+    }
+
+    pub fn path(&self) -> &Path {
+        self.folder.path()
+    }
+}
 
 /// Waits until `condition` returns a value.
 pub fn until<T>(what: &str, limit: Duration, mut condition: impl FnMut() -> Option<T>) -> T {

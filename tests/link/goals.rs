@@ -1,6 +1,6 @@
 //! Goals at the base for a robot on another machine: navigation at the base drives it over the link.
 
-use crate::fleets::{Ended, Fleet, LIMIT, caught_up, start, until};
+use crate::fleets::{Ended, Fleet, LIMIT, TestFolder, caught_up, start, until};
 use operator::client::Client;
 use ros_messages::{Empty, PoseStamped};
 use std::path::Path;
@@ -17,7 +17,7 @@ fn go_to(folder: &Path, base: &Fleet, [x, y]: [f64; 2]) -> Ended {
 
 #[test]
 fn the_base_drives_a_robot_to_a_goal_through_an_outage_and_cancels() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let (mut base, mut robot) = start(folder.path());
     until("the base has the robot's map", LIMIT, || caught_up(&mut base, &mut robot));
 

@@ -6,7 +6,7 @@ mod power;
 mod scans;
 mod strangers;
 
-use fleets::{Fleet, LIMIT, caught_up, endpoint, start, until};
+use fleets::{Fleet, LIMIT, TestFolder, caught_up, endpoint, start, until};
 use mr_slam::control::{self, Request};
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 
 #[test]
 fn a_robot_on_another_machine_is_mapped_driven_and_stopped_by_the_base() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let (mut base, mut robot) = start(folder.path());
     let first = until("the base has the robot's first map", LIMIT, || caught_up(&mut base, &mut robot));
 
@@ -47,7 +47,7 @@ fn a_robot_on_another_machine_is_mapped_driven_and_stopped_by_the_base() {
 
 #[test]
 fn a_link_that_is_killed_comes_back_and_the_base_keeps_the_map() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let (mut base, mut robot) = start(folder.path());
     until("the base has the robot's map", LIMIT, || caught_up(&mut base, &mut robot));
     for fleet in [&base, &robot] {
@@ -63,7 +63,7 @@ fn a_link_that_is_killed_comes_back_and_the_base_keeps_the_map() {
 
 #[test]
 fn plain_text_to_another_machine_is_refused_with_what_to_do() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let said = fleets::refused(folder.path(), &["robot", "--name", "alice", "--base", "tcp/192.0.2.1:7447"]);
     assert!(said.contains("--unencrypted") && said.contains("mr-slam keys"), "{said}");
     let said = fleets::refused(folder.path(), &["base", "--names", "alice", "--listen", &endpoint("tls")]);

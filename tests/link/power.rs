@@ -1,6 +1,6 @@
 //! A base that loses its power while it drives a robot: all of its processes are killed at once.
 
-use crate::fleets::{self, Fleet, LIMIT, caught_up, start, until};
+use crate::fleets::{self, Fleet, LIMIT, TestFolder, caught_up, start, until};
 use mr_slam::control::{self, Request};
 use std::time::{Duration, Instant};
 
@@ -10,7 +10,7 @@ const STAND_WITHIN: Duration = Duration::from_millis(600);
 
 #[test]
 fn a_robot_stops_when_all_of_its_base_is_killed_and_keeps_its_emergency_stop() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let (mut base, mut robot) = start(folder.path());
     until("the base has the robot's map", LIMIT, || caught_up(&mut base, &mut robot));
     let begun = Instant::now();

@@ -1,6 +1,6 @@
 //! Scans of a robot on another machine: they cross the link while somebody at the base looks.
 
-use crate::fleets::{Fleet, LIMIT, caught_up, start, until};
+use crate::fleets::{Fleet, LIMIT, TestFolder, caught_up, start, until};
 use mr_slam::process::link::LinkReport;
 use operator::client::{Client, Event};
 use std::time::{Duration, Instant};
@@ -16,7 +16,7 @@ fn scan_bytes(fleet: &Fleet) -> u64 {
 
 #[test]
 fn scans_cross_the_link_only_while_somebody_looks() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let (mut base, mut robot) = start(folder.path());
     until("the base has the robot's map", LIMIT, || caught_up(&mut base, &mut robot));
     assert_eq!((scan_bytes(&robot), scan_bytes(&base)), (0, 0), "nobody looks");

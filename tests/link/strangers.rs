@@ -1,6 +1,6 @@
 //! Machines with keys, and machines that have none or another's.
 
-use crate::fleets::{self, Fleet, LIMIT, base_args, caught_up, endpoint, robot_args, until};
+use crate::fleets::{self, Fleet, LIMIT, TestFolder, base_args, caught_up, endpoint, robot_args, until};
 use link_transport::keys::{KeyOwner, create_authority, create_key};
 use mr_slam::control::{self, Request};
 use std::path::Path;
@@ -19,7 +19,7 @@ fn robot(name: &str) -> KeyOwner {
 
 #[test]
 fn machines_with_keys_join_and_no_other_does() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let (own, foreign) = (folder.path().join("own"), folder.path().join("foreign"));
     create_authority(&own).unwrap();
     create_authority(&foreign).unwrap();
@@ -64,7 +64,7 @@ fn machines_with_keys_join_and_no_other_does() {
 
 #[test]
 fn robots_and_base_join_through_a_router_with_keys() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let own = folder.path().join("own");
     create_authority(&own).unwrap();
     let [base_key, router_key, alice_key, bob_key] =
@@ -104,7 +104,7 @@ fn robots_and_base_join_through_a_router_with_keys() {
 
 #[test]
 fn a_robots_key_is_not_a_bases() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = TestFolder::new();
     let own = folder.path().join("own");
     create_authority(&own).unwrap();
     let (alice_key, bob_key) = (keys(&own, &robot("alice")), keys(&own, &robot("bob")));
