@@ -3,29 +3,30 @@
 use super::connection_log::ConnectionLog;
 use serde::Serialize;
 use std::io::{self, Write};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::format;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Messages that are logged without `RUST_LOG`: a person at a terminal wants to know what went wrong, and, on a link between
 /// machines, who connects, as `connection_log` describes it.
 const LOG_DEFAULT: &str =
     "warn,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug";
 
-/// Starts logging to standard error: one compact line for each message that `RUST_LOG` lets pass.
+/// Starts logging to standard error: one compact line for each message that `RUST_LOG` lets pass. It lists levels, or parts of
+/// the program with a level each: `warn,bridge=debug`.
 pub fn start_log() {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(LOG_DEFAULT));
-    let started = tracing_subscriber::fmt()
+    let given = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
+    let filter = given.or_else(|| LOG_DEFAULT.parse().ok()).unwrap_or_default();
+    let line = ConnectionLog::new(format().compact().with_target(false).without_time().with_ansi(false));
+    let log = tracing_subscriber::fmt::layer()
         .with_ansi(false)
         // A closed standard error is no reason to end a process.
         .log_internal_errors(false)
-        .event_format(ConnectionLog::new(
-            format().compact().with_target(false).without_time().with_ansi(false),
-        ))
-        .with_env_filter(filter)
-        .with_writer(io::stderr)
-        .try_init();
+        .event_format(line)
+        .with_writer(io::stderr);
     // Only a second call fails, and then the first one's log is in use.
-    drop(started);
+    let _ = tracing_subscriber::registry().with(filter).with(log).try_init();
 }
 
 /// Prints text as it is, without a line break of its own, to standard output.
