@@ -1,12 +1,12 @@
 //! One log through SLAM, in a process of its own: two threads as in the live worker, each measuring itself.
 
 use crate::relations::{self, Errors, Trajectory, Which};
+use crate::settings::slam_config;
 use crate::varied::{Maker, Varied};
 use allocation_counter::measure;
 use bytemuck::Zeroable;
 use formats::carmen::{LaserLine, Reader, Record};
 use formats::map_file::write_map;
-use mr_slam::config::recorded_log_slam;
 use msg::{Odometry, Scan};
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
@@ -330,7 +330,7 @@ fn replay(log: &[u8], task: &Task, sums: &Arc<StageSums>) -> Result<Replayed, St
     let mut maker = Maker::new(varied);
     let mut lines = lasers().skip(left_out).map(|line| maker.make(line));
     let first = lines.next().ok_or_else(|| format!("{}: no scan", task.log.display()))?;
-    let mut config = recorded_log_slam();
+    let mut config = slam_config();
     let on_robot = first.base_from_scan;
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
     let (mut front, mut back) = Slam::new(config).split();

@@ -15,7 +15,8 @@
 //! `--logs varied` (10 to 20 minutes, mostly a few rows; `varied/csail`: one log): the logs as other robots would have made
 //! them (`varied.rs`), to find where the default configuration generalises badly. `--logs generated [--seeds 0..400[/8]]`: buildings, robots and accidents drawn from
 //! seeds, with known truth (`generated/`); seeds from 10000 on are held back from tuning. `--maps DIR` writes
-//! every log's map there, as YAML, PGM and PNG.
+//! every log's map there, as YAML, PGM and PNG. `--scale links.floor_rad=1.3` multiplies a number of SLAM's configuration, and can
+//! be given more than once (`scripts/slam-sensitivity` does so with all numbers in turn).
 
 mod drive;
 mod generated;
@@ -23,6 +24,7 @@ mod noise;
 mod relations;
 mod relocalize;
 mod seeds;
+mod settings;
 mod table;
 mod varied;
 
@@ -80,6 +82,8 @@ struct Args {
     logs: Option<Vec<String>>,
     maps: Option<PathBuf>,
     seeds: Seeds,
+    /// Changes of the configuration.
+    scale: Vec<String>,
     check: bool,
 }
 
@@ -91,6 +95,7 @@ fn args() -> Result<Args, String> {
         logs: None,
         maps: None,
         seeds: Seeds { range: 0..SEEDS_DEFAULT, step: 1 },
+        scale: Vec::new(),
         check: false,
     };
     let mut given = std::env::args().skip(1);
@@ -102,12 +107,13 @@ fn args() -> Result<Args, String> {
             "--logs" => args.logs = Some(value()?.split(',').map(str::to_owned).collect()),
             "--maps" => args.maps = Some(value()?.into()),
             "--seeds" => args.seeds = seeds::parse_seeds(&value()?)?,
+            "--scale" => args.scale.push(value()?),
             "--check" => args.check = true,
             // cargo bench says this to every bench.
             "--bench" => {}
             other => {
                 return Err(format!(
-                    "{other}: expected --data DIR, --logs A,B, --json FILE, --maps DIR or --check"
+                    "{other}: expected --data DIR, --logs A,B, --json FILE, --maps DIR, --scale KEY=FACTOR or --check"
                 ));
             }
         }
@@ -129,14 +135,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // This program is also the process that one log runs in.
     let words: Vec<String> = std::env::args().collect();
     if words.get(1).is_some_and(|word| word == "drive") {
+        settings::scale(&words[3..])?;
         println!("{}", serde_json::to_string(&drive::drive(&serde_json::from_str(&words[2])?)?)?);
         return Ok(());
     }
     if words.get(1).is_some_and(|word| word == "relocalize") {
+        settings::scale(&words[3..])?;
         println!("{}", serde_json::to_string(&relocalize::drive(&serde_json::from_str(&words[2])?)?)?);
         return Ok(());
     }
     let args = args()?;
+    settings::scale(&args.scale)?;
     if let Some(maps) = &args.maps {
         std::fs::create_dir_all(maps)?;
     }
@@ -145,7 +154,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut not_checked: Vec<&str> = Vec::new();
     for row in ROWS.iter().filter(wanted) {
         match task(&args, row.name) {
-            Some(task) => done.push((row, in_a_process("drive", &task, &task.log)?)),
+            Some(task) => done.push((row, in_a_process(("drive", &args.scale[..]), &task, &task.log)?)),
             None => not_checked.push(row.name),
         }
     }
@@ -155,7 +164,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for (name, fov_deg, places) in SOUGHT {
             let task = relocalize::Task { map: all("intel"), robot: all(name), fov_deg, places };
             if task.map.is_file() && task.robot.is_file() {
-                relocalization.push((task.clone(), in_a_process("relocalize", &task, &task.robot)?));
+                relocalization
+                    .push((task.clone(), in_a_process(("relocalize", &args.scale[..]), &task, &task.robot)?));
             } else {
                 not_checked.push(name);
             }
@@ -216,7 +226,11 @@ fn vary(args: &Args) -> Result<Vec<VariedLog>, Box<dyn std::error::Error>> {
             let way = Some(folder.join(format!("{}.traj", row.name)));
             let (trajectory, truth) = if number == 0 { (way, None) } else { (None, way) };
             let task = Task { varied, map, truth, trajectory, ..task.clone() };
-            outcomes.push((row.name.to_owned(), label, in_a_process("drive", &task, &task.log)?));
+            outcomes.push((
+                row.name.to_owned(),
+                label,
+                in_a_process(("drive", &args.scale[..]), &task, &task.log)?,
+            ));
         }
     }
     std::fs::remove_dir_all(&folder)?;
@@ -243,12 +257,15 @@ fn task(args: &Args, row: &str) -> Option<Task> {
 }
 
 fn in_a_process<O: serde::de::DeserializeOwned>(
-    what: &str,
+    (what, scale): (&str, &[String]),
     task: &impl serde::Serialize,
     log: &Path,
 ) -> Result<O, Box<dyn std::error::Error>> {
-    let output =
-        Command::new(std::env::current_exe()?).arg(what).arg(serde_json::to_string(task)?).output()?;
+    let output = Command::new(std::env::current_exe()?)
+        .arg(what)
+        .arg(serde_json::to_string(task)?)
+        .args(scale)
+        .output()?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr);
         return Err(format!("{}: {said}", log.display()).into());

@@ -6,8 +6,8 @@
 //! Scans of another log must be refused.
 
 use crate::drive::{Spread, thread_cpu_ns, unpack};
+use crate::settings::slam_config;
 use formats::carmen::{LaserLine, Reader, Record};
-use mr_slam::config::recorded_log_slam;
 use msg::{Odometry, Pose2, Scan, SlamMode, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 use slam::{Identity, InitialPose, Session, Slam, SlamConfig};
@@ -156,7 +156,7 @@ fn lines(path: &std::path::Path) -> Result<Vec<LaserLine>, String> {
 
 fn begin(lines: &[LaserLine]) -> Result<(Slam, SlamConfig), String> {
     let on_robot = lines.first().ok_or("no scan")?.base_from_scan;
-    let mut config = recorded_log_slam();
+    let mut config = slam_config();
     config.lidar.base_from_scan = [on_robot.x_m, on_robot.y_m, on_robot.yaw_rad];
     Ok((Slam::new(config.clone()), config))
 }

@@ -5,7 +5,7 @@ use super::picture;
 use super::robot::{Event, OdometryKind, Robot, SENSORS, Sensor, Step, angles_rad, drive};
 use super::walls::share_in_map;
 use crate::noise::Noise;
-use mr_slam::config::recorded_log_slam;
+use crate::settings::slam_config;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
@@ -128,7 +128,7 @@ pub fn run(case: &Case, map: Option<&Path>) -> Result<Outcome, String> {
     let glass_share = if noise.uniform() < 0.2 { 0.1 } else { 0.0 };
     building.walls.iter_mut().for_each(|wall| wall.is_glass = noise.uniform() < glass_share);
     let steps = drive(&building, &case.robot, &mut noise);
-    let mut config = recorded_log_slam();
+    let mut config = slam_config();
     config.lidar.base_from_scan = [0.0; 3];
     let (mut front, mut back) = Slam::new(config).split();
     let mut outcome = Outcome {
