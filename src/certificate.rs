@@ -1,4 +1,4 @@
-//! The certificate of the operator's page: the one that is configured, or one that signs itself.
+//! The certificate of the operator's page: the one that is configured, or a self-signed one.
 //!
 //! The own one is kept in `$XDG_STATE_HOME/mr-slam/certificate.pem`, otherwise in `~/.local/state/mr-slam/certificate.pem`, with
 //! its private key, so that a browser's exception for it and a headset's anchors hold from run to run.

@@ -66,8 +66,12 @@ impl CommandQueues {
         self.sender
     }
 
-    /// Queues an action of the sender, for the record; the oldest is dropped if the queue is full.
+    /// Queues an action of the sender, for the record; the oldest is dropped if the queue is full. The bridge is no operator:
+    /// what it does by itself, as after a restart, is none.
     pub fn push_operator_event(&mut self, action: OperatorAction, robot: Option<RobotId>) {
+        if self.sender == Sender::BRIDGE {
+            return;
+        }
         if self.operator_events.len() == OPERATOR_EVENTS_MAX {
             self.operator_events.pop_front();
         }

@@ -7,7 +7,7 @@ pub mod proxy;
 
 use clap::ValueEnum;
 use rand_pcg::Pcg32;
-use rand_pcg::rand_core::{Rng, SeedableRng};
+use rand_pcg::rand_core::Rng;
 use std::time::Duration;
 
 /// Bytes of a TCP segment on Ethernet and Wi-Fi.
@@ -135,9 +135,10 @@ pub struct LinkModel {
 }
 
 impl LinkModel {
-    /// Creates the model of one direction of one connection.
-    pub fn new(link: Link, seed: u64) -> Self {
-        Self { link, random: Pcg32::seed_from_u64(seed), last: Duration::ZERO }
+    /// Creates the model of one direction of one connection. `seed` is a session's; each `stream`, the number of a direction in
+    /// the session, draws numbers of its own.
+    pub fn new(link: Link, seed: u64, stream: u64) -> Self {
+        Self { link, random: Pcg32::new(seed, stream), last: Duration::ZERO }
     }
 
     /// Returns when a segment arrives that is sent at `now`, not before those that were sent earlier.
@@ -152,7 +153,9 @@ impl LinkModel {
         let sent_ms = bytes as f64 * 8e-3 / link.mbit_s;
         // Bytes arrive in order, so that a stalled segment holds up those behind it.
         let in_order = self.last + ms(sent_ms);
-        self.last = (now + ms(delay_ms)).max(in_order).max(outage_end(&link, now));
+        // What is sent in an outage leaves at its end; what would arrive in one arrives after it.
+        let arrival = (outage_end(&link, now) + ms(delay_ms)).max(in_order);
+        self.last = outage_end(&link, arrival);
         self.last
     }
 
@@ -179,7 +182,7 @@ mod tests {
     use super::*;
 
     fn arrivals(link: Link, seed: u64) -> Vec<f64> {
-        let mut model = LinkModel::new(link, seed);
+        let mut model = LinkModel::new(link, seed, 0);
         let sent = (0..20_000).map(|index| Duration::from_millis(20) * index);
         sent.map(|now| (model.arrival(now, 100) - now).as_secs_f64() * 1e3).collect()
     }
@@ -198,7 +201,7 @@ mod tests {
 
     #[test]
     fn segments_arrive_in_order_however_long_one_stalls() {
-        let mut model = LinkModel::new(Link { loss: 0.3, stall_ms: 300.0, ..Link::QUIET_WIFI }, 3);
+        let mut model = LinkModel::new(Link { loss: 0.3, stall_ms: 300.0, ..Link::QUIET_WIFI }, 3, 0);
         let arrivals: Vec<_> =
             (0..2000).map(|index| model.arrival(Duration::from_millis(10) * index, 1448)).collect();
         assert!(arrivals.is_sorted());
@@ -206,20 +209,22 @@ mod tests {
 
     #[test]
     fn nothing_arrives_during_an_outage() {
-        let mut model = LinkModel::new(Link::OUTAGES, 4);
+        let mut model = LinkModel::new(Link::OUTAGES, 4, 0);
         for index in 0..6000 {
             let now = Duration::from_millis(10) * index;
             let sent_s = now.as_secs_f64();
             let arrival_s = model.arrival(now, 50).as_secs_f64();
             if sent_s % 15.0 >= 14.0 {
-                assert!(arrival_s >= (sent_s / 15.0).ceil() * 15.0 - 1e-6, "{sent_s} {arrival_s}");
+                let end_s = (sent_s / 15.0).ceil() * 15.0;
+                assert!(arrival_s >= end_s + 1e-3 * Link::OUTAGES.delay_ms - 1e-6, "{sent_s} {arrival_s}");
             }
+            assert!(!(14.0..15.0 - 1e-6).contains(&(arrival_s % 15.0)), "{sent_s} {arrival_s}");
         }
     }
 
     #[test]
     fn a_slow_link_takes_time_for_each_byte() {
-        let mut model = LinkModel::new(Link { mbit_s: 1.0, ..Link::LOOPBACK }, 5);
+        let mut model = LinkModel::new(Link { mbit_s: 1.0, ..Link::LOOPBACK }, 5, 0);
         let last = (0..100).map(|_| model.arrival(Duration::ZERO, 1250)).last();
         assert_eq!(last, Some(Duration::from_secs(1)), "125 kB at 1 Mbit/s");
     }

@@ -12,6 +12,8 @@ pub const ZONE_CORNERS_MAX: usize = 16;
 pub const ZONE_CORNERS_MIN: usize = 3;
 /// Most bytes of the name of a zone's source.
 pub const ZONE_SOURCE_MAX: usize = 24;
+/// Most commands whose answers are kept.
+pub const ZONE_ANSWERS_MAX: usize = 64;
 /// Largest coordinate of a corner, metres: beyond it a message is broken.
 pub const ZONE_COORDINATE_MAX_M: f64 = 1e5;
 
@@ -105,7 +107,7 @@ pub enum ZoneAction {
 pub struct ZoneCommand {
     /// Header whose `stamp` is the time of the command.
     pub header: Header,
-    /// Number of the command: its time on the machine's clock, nanoseconds. A later command has a larger one.
+    /// Number of the command: its time on the machine's clock, nanoseconds, which no other has.
     pub number: u64,
     /// Code of a [`ZoneAction`].
     pub action: u32,
@@ -154,18 +156,43 @@ pub enum ZoneRefusal {
     Broken = 3,
 }
 
+/// Answer of navigation to a command about the zones.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct ZoneAnswer {
+    /// Number of the command; 0 in places that are not used.
+    pub number: u64,
+    /// Code of a [`ZoneRefusal`]; 0 if the command was carried out. Read it by [`ZoneAnswer::refusal`].
+    pub refusal: u32,
+    /// Fills the answer to a multiple of 8 bytes; 0.
+    pub reserved: u32,
+}
+
+impl ZoneAnswer {
+    /// Answers a command.
+    pub fn new(number: u64, refusal: Option<ZoneRefusal>) -> Self {
+        Self { number, refusal: refusal.map_or(0, |refusal| refusal as u32), reserved: 0 }
+    }
+
+    /// Why the command was not carried out; `None` if it was.
+    pub fn refusal(&self) -> Option<ZoneRefusal> {
+        use ZoneRefusal::{Broken, Full, Unknown};
+        [Full, Unknown, Broken].into_iter().find(|refusal| *refusal as u32 == self.refusal)
+    }
+}
+
 /// All exclusion zones, as navigation keeps to them.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct ExclusionZones {
     /// Header whose `stamp` is the time of the newest change.
     pub header: Header,
-    /// Number of the newest command that was applied or refused; 0 before the first.
-    pub number: u64,
-    /// Code of a [`ZoneRefusal`] of that command; 0 if it was carried out. Read it by [`ExclusionZones::refusal`].
-    pub refusal: u32,
+    /// Answers to the newest commands, the newest first. Read them by [`ExclusionZones::answer`].
+    pub answers: [ZoneAnswer; ZONE_ANSWERS_MAX],
     /// Number of `zones` in use. Read them by [`ExclusionZones::zones`].
     pub zones_len: u32,
+    /// Fills the message to a multiple of 8 bytes; 0.
+    pub reserved: u32,
     /// Storage of the zones, oldest first.
     pub zones: [ExclusionZone; ZONES_MAX],
 }
@@ -189,10 +216,20 @@ impl ExclusionZones {
         self.zones_len = len as u32;
     }
 
+    /// The answer to the command with a number; `None` if there is none yet.
+    pub fn answer(&self, number: u64) -> Option<ZoneAnswer> {
+        self.answers.iter().find(|answer| answer.number == number && number != 0).copied()
+    }
+
+    /// Sets the answers, given from the oldest to the newest.
+    pub fn set_answers(&mut self, answers: impl DoubleEndedIterator<Item = ZoneAnswer>) {
+        self.answers = [ZoneAnswer::default(); ZONE_ANSWERS_MAX];
+        self.answers.iter_mut().zip(answers.rev()).for_each(|(place, answer)| *place = answer);
+    }
+
     /// Why the newest command was not carried out; `None` if it was.
     pub fn refusal(&self) -> Option<ZoneRefusal> {
-        use ZoneRefusal::{Broken, Full, Unknown};
-        [Full, Unknown, Broken].into_iter().find(|refusal| *refusal as u32 == self.refusal)
+        self.answers[0].refusal()
     }
 }
 
@@ -204,8 +241,9 @@ mod tests {
     fn damaged_messages_are_read_within_their_bounds() {
         let zone = ExclusionZone { corners_len: u32::MAX, ..Default::default() };
         assert_eq!(zone.corners_m().len(), ZONE_CORNERS_MAX);
-        let zones = ExclusionZones { zones_len: u32::MAX, refusal: 99, ..Default::default() };
-        assert_eq!((zones.zones().len(), zones.refusal()), (ZONES_MAX, None));
+        let mut zones = ExclusionZones { zones_len: u32::MAX, ..Default::default() };
+        zones.answers[0].refusal = 99;
+        assert_eq!((zones.zones().len(), zones.refusal(), zones.answer(0)), (ZONES_MAX, None, None));
         assert_eq!(ZoneCommand { action: 99, ..Default::default() }.action(), None);
     }
 

@@ -30,8 +30,19 @@ enum Role {
     Record(ProcessArgs),
 }
 
+/// Ends the process when any of its threads or tasks panics, after the message. What is left without one of them would look
+/// alive: a bridge without its upkeep stops no robot. The supervisor starts the process again.
+fn abort_on_panic() {
+    let say = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        say(panic);
+        std::process::abort();
+    }));
+}
+
 /// Runs the process until it is asked to stop.
 pub fn run(args: &WorkerArgs) -> Result<(), Error> {
+    abort_on_panic();
     process::run(&match args.role.clone() {
         Role::Sim(args) => Process::Sim(args),
         Role::Slam(args) => Process::Slam(args),

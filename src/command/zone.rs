@@ -118,8 +118,8 @@ pub fn run(args: &ZoneArgs) -> Result<(), ZoneToolError> {
         Some(ZoneChange::Remove { number }) => Some(ZoneCommand::remove(now, *number)),
         Some(ZoneChange::Clear) => Some(ZoneCommand::clear(now)),
     };
-    let zones = exchange(&run, command.as_ref())?;
-    if let Some(refusal) = zones.refusal().filter(|_| command.is_some()) {
+    let (zones, refusal) = exchange(&run, command.as_ref())?;
+    if let Some(refusal) = refusal {
         return Err(ZoneToolError::Refused(refusal));
     }
     let view = |zone: &ExclusionZone| ZoneView {
@@ -132,23 +132,29 @@ pub fn run(args: &ZoneArgs) -> Result<(), ZoneToolError> {
     Ok(())
 }
 
-/// Sends the command, and returns the zones after it; without a command, the present ones.
-fn exchange(run: &Run, command: Option<&ZoneCommand>) -> Result<ExclusionZones, ZoneToolError> {
+/// Sends the command, and returns the zones after it and why it was refused; without a command, the present ones.
+fn exchange(
+    run: &Run,
+    command: Option<&ZoneCommand>,
+) -> Result<(ExclusionZones, Option<ZoneRefusal>), ZoneToolError> {
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::ZoneTool), "zone")?;
     let mut states = node.reader(&channel::exclusion_zones())?;
     let mut commands = node.writer(&channel::zone_command())?;
     if let Some(command) = command {
         commands.send(command);
     }
-    let number = command.map_or(0, |command| command.number);
     let begun = Instant::now();
     loop {
         if command.is_some() {
             // A navigator that starts again needs the command once more.
             commands.refresh();
         }
-        if let Some(zones) = states.newest().filter(|zones| zones.number >= number) {
-            return Ok(*zones);
+        if let Some(zones) = states.newest() {
+            match command.map(|command| zones.answer(command.number)) {
+                None => return Ok((*zones, None)),
+                Some(Some(answer)) => return Ok((*zones, answer.refusal())),
+                Some(None) => {}
+            }
         }
         if begun.elapsed() > PATIENCE {
             return Err(ZoneToolError::Silent { run: run.dir.clone() });

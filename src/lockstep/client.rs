@@ -1,6 +1,6 @@
 //! A ros_tcp client of a fleet in lockstep.
 
-use super::tcp::{Connection, Port};
+use super::tcp::{CONNECTION_BYTES_MAX, Connection, Port};
 use bridge::command::{Registration, name};
 use bridge::frame::{Parser, Side};
 use bridge::ros::{self, Message};
@@ -85,6 +85,13 @@ impl Client {
         if let Some((connection, _)) = &self.connection {
             connection.write(frames, self.port.now());
         }
+    }
+
+    /// Whether so many bytes wait for the bridge that a socket would take no more.
+    pub fn is_blocked(&self) -> bool {
+        self.connection
+            .as_ref()
+            .is_some_and(|(connection, _)| connection.waiting_bytes() >= CONNECTION_BYTES_MAX)
     }
 
     /// Passes on the messages that have arrived: topic and CDR. Notices of the bridge are left out.

@@ -16,6 +16,8 @@ use std::time::Duration;
 
 /// Time between two attempts to connect, as the connector waits.
 const RETRY_PERIOD: Duration = Duration::from_secs(1);
+/// Time for which a connection that takes no bytes is kept, as the application's sockets have it.
+const BLOCKED_MAX: Duration = Duration::from_secs(10);
 /// Address of the headset's client: the operator's, at another port.
 const PEER: ([u8; 4], u16) = ([127, 0, 0, 1], 50_004);
 
@@ -25,6 +27,8 @@ pub struct Headset {
     client: Client,
     network: Rc<Network>,
     retry_at: Monotonic,
+    /// Since when the link has taken no bytes.
+    blocked_since: Option<Monotonic>,
     frames: Vec<u8>,
     /// Moment at which it acts next.
     pub due: Monotonic,
@@ -43,6 +47,7 @@ impl Headset {
             client: Client::new(port, SocketAddr::from(PEER)),
             network: network.clone(),
             retry_at: Monotonic(0),
+            blocked_since: None,
             frames: Vec::new(),
             due: Monotonic(0),
         })
@@ -59,6 +64,16 @@ impl Headset {
         }
         let robots = &mut self.robots;
         self.client.receive(|topic, payload| robots.receive(topic, payload));
+        // A link that is too slow holds the application up, as a full socket does, until it gives the connection up.
+        if self.client.is_blocked() {
+            let since = *self.blocked_since.get_or_insert(now);
+            if now.since(since) >= BLOCKED_MAX.as_nanos() as u64 {
+                self.client.disconnect();
+                self.blocked_since = None;
+            }
+            return;
+        }
+        self.blocked_since = None;
         // While there is no connection the robots go on: what they send is lost.
         self.robots.tick(&mut self.frames);
         self.client.send_frames(&self.frames);

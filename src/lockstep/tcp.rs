@@ -20,15 +20,15 @@ use std::rc::Rc;
 use std::time::Duration;
 
 /// Bytes to a client that wait in its connection before the bridge keeps the rest: about what the kernel holds.
-const CONNECTION_BYTES_MAX: usize = 256 << 10;
+pub(super) const CONNECTION_BYTES_MAX: usize = 256 << 10;
 
 /// The TCP port, which the launcher holds.
 pub struct Port {
     network: Rc<Network>,
     /// Connections that no bridge has accepted yet.
     backlog: RefCell<VecDeque<(SocketAddr, Rc<Connection>)>>,
-    /// Link of each connection that is opened from now on, with its seed.
-    link: Cell<Option<(Link, u64)>>,
+    /// Link of each connection that is opened from now on, with the session's seed and the number of the next connection.
+    link: Cell<Option<(Link, u64, u64)>>,
     /// Connections over a link whose bytes are under way.
     linked: RefCell<Vec<Rc<Connection>>>,
 }
@@ -54,8 +54,8 @@ struct Pipe {
 }
 
 impl Pipe {
-    fn over(link: Link, seed: u64) -> Self {
-        Self { link: Some(LinkModel::new(link, seed)), ..Self::default() }
+    fn over(link: Link, seed: u64, stream: u64) -> Self {
+        Self { link: Some(LinkModel::new(link, seed, stream)), ..Self::default() }
     }
 
     /// Returns the number of bytes that the receiver has not taken.
@@ -99,17 +99,17 @@ impl Port {
 
     /// Puts a link between the bridge and the clients that connect from now on.
     pub fn set_link(&self, link: Link, seed: u64) {
-        self.link.set((!link.is_transparent()).then_some((link, seed)));
+        self.link.set((!link.is_transparent()).then_some((link, seed, 0)));
     }
 
     /// Connects a client; the bridge accepts it when it runs.
     pub fn connect(&self, peer: SocketAddr) -> Rc<Connection> {
         let mut connection = Connection::default();
-        if let Some((link, seed)) = self.link.get() {
-            connection.to_bridge = Pipe::over(link, seed).into();
-            connection.to_client = Pipe::over(link, seed.wrapping_add(1)).into();
+        if let Some((link, seed, number)) = self.link.get() {
+            connection.to_bridge = Pipe::over(link, seed, 2 * number).into();
+            connection.to_client = Pipe::over(link, seed, 2 * number + 1).into();
             // The next connection draws its own delays.
-            self.link.set(Some((link, seed.wrapping_add(2))));
+            self.link.set(Some((link, seed, number + 1)));
         }
         let connection = Rc::new(connection);
         if self.link.get().is_some() {
@@ -153,6 +153,11 @@ impl Connection {
     /// Sends bytes to the bridge.
     pub fn write(&self, bytes: &[u8], now: Monotonic) {
         self.to_bridge.borrow_mut().send(bytes, now);
+    }
+
+    /// Returns the number of bytes to the bridge that it has not taken.
+    pub fn waiting_bytes(&self) -> usize {
+        self.to_bridge.borrow().len()
     }
 
     /// Takes the bytes that have arrived at the client.

@@ -32,11 +32,17 @@ impl Bridge {
 
     /// Selects the robot that `/cmd_vel` drives, as `/selected_robot` does; a robot that the fleet has not is ignored.
     pub fn select_robot(&self, robot: RobotId) {
-        self.update_from_laptop(|core| {
-            if robot.number() <= core.fleet.robot_count() {
-                core.select(robot);
-            }
-        });
+        self.update_from_laptop(|core| select_present(core, robot));
+    }
+
+    /// Sets the emergency stop again that held before this bridge began: no operator has done so now.
+    pub fn restore_stop(&self) {
+        self.update(Core::set_emergency_stop);
+    }
+
+    /// Selects the robot again that was selected before this bridge began.
+    pub fn restore_selection(&self, robot: RobotId) {
+        self.update(|core| select_present(core, robot));
     }
 
     /// Changes the core in the name of the person at the laptop.
@@ -45,5 +51,12 @@ impl Bridge {
             core.commands.set_sender(Sender::LAPTOP);
             change(core);
         });
+    }
+}
+
+/// Selects a robot if the fleet has it.
+fn select_present(core: &mut Core, robot: RobotId) {
+    if robot.number() <= core.fleet.robot_count() {
+        core.select(robot);
     }
 }

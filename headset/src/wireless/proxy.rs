@@ -42,7 +42,7 @@ pub fn start(link: Link, port: u16, seed: u64) -> std::io::Result<u16> {
             let open = open.clone();
             std::thread::spawn(move || {
                 // Where a thread cannot be started the connection ends.
-                let _ = connect(link, begun, seed.wrapping_add(2 * number), client, server);
+                let _ = connect(link, begun, (seed, number), client, server);
                 open.fetch_sub(1, Ordering::Relaxed);
             });
         }
@@ -54,14 +54,14 @@ pub fn start(link: Link, port: u16, seed: u64) -> std::io::Result<u16> {
 fn connect(
     link: Link,
     begun: Instant,
-    seed: u64,
+    (seed, number): (u64, u64),
     client: TcpStream,
     server: TcpStream,
 ) -> std::io::Result<()> {
     let (from_server, to_client) = (server.try_clone()?, client.try_clone()?);
     std::thread::scope(|scope| {
-        scope.spawn(move || pass(LinkModel::new(link, seed), begun, client, server));
-        scope.spawn(move || pass(LinkModel::new(link, seed.wrapping_add(1)), begun, from_server, to_client));
+        scope.spawn(move || pass(LinkModel::new(link, seed, 2 * number), begun, client, server));
+        scope.spawn(move || pass(LinkModel::new(link, seed, 2 * number + 1), begun, from_server, to_client));
     });
     Ok(())
 }

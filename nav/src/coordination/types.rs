@@ -105,6 +105,6 @@ pub enum CoordinationPhase {
 pub struct TimeEstimate {
     /// Time to visit all viewpoints known now, seconds: more will be found.
     pub least_s: f64,
-    /// Time if unknown space leads to as much again at each viewpoint, seconds.
+    /// Time with an allowance for what is found on the way, seconds: three times as much at first, less later.
     pub most_s: f64,
 }

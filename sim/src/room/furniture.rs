@@ -22,6 +22,10 @@ const PIECES_MAX: usize = 1000;
 const LABEL_CHARS_MAX: usize = 64;
 /// Smallest area of an outline, square metres: smaller ones are noise of a scan.
 const AREA_MIN_M2: f64 = 0.01;
+/// Shortest side of an outline, metres: that of a millimetre's fraction is rounding.
+const SIDE_MIN_M: f64 = 1e-4;
+/// Area of a piece for each area of its parts, of which it is one: beyond it there is floor between them.
+const WHOLE_TO_PARTS_MAX: f64 = 2.0;
 /// Corners of the polygon around an outline that has more of them.
 const DIRECTIONS: usize = 16;
 
@@ -30,21 +34,33 @@ const DIRECTIONS: usize = 16;
 pub(crate) struct Piece {
     pub(crate) label: String,
     pub(crate) corners: Vec<Vec3>,
+    /// Number of pieces before it in the list that are parts of it.
+    pub(crate) parts: usize,
 }
 
 impl Mesh {
     /// Keeps the triangles from number `first` on as a piece of furniture, if there are any.
     pub(crate) fn name_triangles(&mut self, label: &str, first: usize) {
+        self.name_whole(label, first, 0);
+    }
+
+    /// Keeps the triangles from number `first` on as a piece of furniture, whose `parts` are the newest pieces of the list.
+    pub(crate) fn name_whole(&mut self, label: &str, first: usize, parts: usize) {
         let triangles = self.triangles.get(first..).unwrap_or_default();
         let corners: Vec<Vec3> = triangles.iter().flat_map(|triangle| self.corners(*triangle)).collect();
-        self.add_piece(label, corners);
+        self.push_piece(label, corners, parts);
     }
 
     /// Keeps triangles, given by three corners each, as a piece of furniture that is not part of the mesh.
     pub(crate) fn add_piece(&mut self, label: &str, corners: Vec<Vec3>) {
+        self.push_piece(label, corners, 0);
+    }
+
+    fn push_piece(&mut self, label: &str, corners: Vec<Vec3>, parts: usize) {
         if self.furniture.len() < PIECES_MAX && !corners.is_empty() {
-            let label = label.chars().take(LABEL_CHARS_MAX).collect();
-            self.furniture.push(Piece { label, corners });
+            // Labels are printed in terminals.
+            let label = label.chars().filter(|letter| !letter.is_control()).take(LABEL_CHARS_MAX).collect();
+            self.furniture.push(Piece { label, corners, parts });
         }
     }
 }
@@ -66,14 +82,11 @@ impl Furniture {
 
     /// Whether a point in frame `world` lies in the outline, or nearer to it than `margin_m`.
     pub fn is_near(&self, point_m: [f64; 2], margin_m: f64) -> bool {
-        sides(&self.outline_m).all(|(a, b)| {
-            let length_m = (b[0] - a[0]).hypot(b[1] - a[1]);
-            cross(a, b, point_m) >= -margin_m * length_m
-        })
+        sides(&self.outline_m).all(|(a, b)| cross(a, b, point_m) >= -margin_m * length_m(a, b))
     }
 }
 
-/// Whether a label names furniture.
+/// Whether a label names furniture. `LivingRoom_Table` does, a room that is named after its furniture (`Bed_Room`) does not.
 pub(crate) fn is_furniture(label: &str) -> bool {
     let mut words = vec![String::new()];
     let mut was_lower = false;
@@ -86,15 +99,41 @@ pub(crate) fn is_furniture(label: &str) -> bool {
             words.iter_mut().last().into_iter().for_each(|word| word.extend(letter.to_lowercase()));
         }
     }
+    let is_room =
+        words.iter().rfind(|word| !word.is_empty()).is_some_and(|word| word == "room" || word == "rooms");
+    if is_room {
+        return false;
+    }
     let is_known = |word: &str| WORDS.contains(&word);
     words.iter().any(|word| is_known(word) || word.strip_suffix('s').is_some_and(is_known))
 }
 
 /// Outlines of the furniture of a mesh whose floor is at z = 0, largest first.
 pub(crate) fn outlines(mesh: &Mesh) -> Vec<Furniture> {
-    let mut found: Vec<Furniture> = mesh.furniture.iter().filter_map(outline).collect();
+    // Of each piece so far that is no part of another one: the number of pieces that it stands for, and its outlines.
+    let mut groups: Vec<(usize, Vec<Furniture>)> = Vec::new();
+    for piece in &mesh.furniture {
+        let (mut count, mut parts) = (1, Vec::new());
+        while count <= piece.parts
+            && let Some((of_part, outlines)) = groups.pop()
+        {
+            count += of_part;
+            parts.extend(outlines);
+        }
+        groups.push((count, whole_or_parts(outline(piece), parts)));
+    }
+    let mut found: Vec<Furniture> = groups.into_iter().flat_map(|(_, outlines)| outlines).collect();
     found.sort_by(|a, b| b.area_m2().total_cmp(&a.area_m2()));
     found
+}
+
+/// A chair is one piece, however many parts its file names. A group of chairs, with floor between them, is its chairs.
+fn whole_or_parts(whole: Option<Furniture>, parts: Vec<Furniture>) -> Vec<Furniture> {
+    let parts_m2: f64 = parts.iter().map(Furniture::area_m2).sum();
+    match whole {
+        Some(whole) if parts.is_empty() || whole.area_m2() <= WHOLE_TO_PARTS_MAX * parts_m2 => vec![whole],
+        _ => parts,
+    }
 }
 
 fn outline(piece: &Piece) -> Option<Furniture> {
@@ -107,7 +146,7 @@ fn outline(piece: &Piece) -> Option<Furniture> {
         return None;
     }
     let hull = convex_hull(points);
-    let outline_m = if hull.len() > DIRECTIONS { circumscribed(&hull) } else { hull };
+    let outline_m = without_short_sides(if hull.len() > DIRECTIONS { circumscribed(&hull) } else { hull });
     let is_large = outline_m.len() >= 3 && area_m2(&outline_m) >= AREA_MIN_M2;
     is_large.then(|| Furniture { label: piece.label.clone(), outline_m })
 }
@@ -151,6 +190,25 @@ fn circumscribed(hull: &[[f64; 2]]) -> Vec<[f64; 2]> {
     (0..DIRECTIONS).map(corner).collect()
 }
 
+/// A polygon without sides that have no direction but that of rounding: where one corner of a hull supports several directions,
+/// the corners between them coincide.
+fn without_short_sides(polygon: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
+    let mut kept: Vec<[f64; 2]> = Vec::with_capacity(polygon.len());
+    for corner in polygon {
+        if kept.last().is_none_or(|last| length_m(*last, corner) >= SIDE_MIN_M) {
+            kept.push(corner);
+        }
+    }
+    while kept.len() > 1 && length_m(kept[0], kept[kept.len() - 1]) < SIDE_MIN_M {
+        kept.pop();
+    }
+    kept
+}
+
+fn length_m(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (b[0] - a[0]).hypot(b[1] - a[1])
+}
+
 /// Twice the area of the triangle of three points; positive if they turn counterclockwise.
 fn cross(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
@@ -170,10 +228,30 @@ mod tests {
 
     #[test]
     fn labels_of_all_formats_name_furniture() {
-        for label in ["TABLE", "Table.001", "coffee_table", "OfficeChair12", "Shelves", "BED", "two beds"] {
+        for label in [
+            "TABLE",
+            "Table.001",
+            "coffee_table",
+            "OfficeChair12",
+            "Shelves",
+            "BED",
+            "two beds",
+            "LivingRoom_Table",
+        ] {
             assert!(is_furniture(label), "{label}");
         }
-        for label in ["", "WALL_FACE", "FLOOR", "Tablet", "bedroom", "GLOBAL_MESH", "OTHER", "stable"] {
+        for label in [
+            "",
+            "WALL_FACE",
+            "FLOOR",
+            "Tablet",
+            "bedroom",
+            "GLOBAL_MESH",
+            "OTHER",
+            "stable",
+            "Bed_Room",
+            "StorageRoom.002",
+        ] {
             assert!(!is_furniture(label), "{label}");
         }
     }
@@ -184,7 +262,7 @@ mod tests {
     }
 
     fn outline_of(corners: Vec<Vec3>) -> Option<Furniture> {
-        outline(&Piece { label: "TABLE".into(), corners })
+        outline(&Piece { label: "TABLE".into(), corners, parts: 0 })
     }
 
     #[test]
@@ -212,5 +290,53 @@ mod tests {
         assert_eq!(table.outline_m.len(), DIRECTIONS);
         assert!((0..100).all(|i| table.is_near([rim(i)[0].x.into(), rim(i)[0].y.into()], 1e-6)));
         assert!(table.area_m2() < 1.1 * core::f64::consts::PI, "{}", table.area_m2());
+    }
+
+    /// Boxes with worn edges, as scanned, at any turn: their corners support several of the directions.
+    #[test]
+    fn the_middle_of_any_scanned_table_is_in_its_outline() {
+        for number in 0..500_u32 {
+            let (sin, cos) = (number as f32 * 0.7).sin_cos();
+            let worn = |i: u32| 0.004 * (((i * 7919 + number * 104_729) % 1000) as f32 / 1000.0);
+            let corner = |i: u32| {
+                let (x, y) = (if i & 1 == 0 { -0.6 } else { 0.6 }, if i & 2 == 0 { -0.4 } else { 0.4 });
+                let (x, y) = (x + worn(i), y + worn(i + 50));
+                leg([cos * x - sin * y, sin * x + cos * y])
+            };
+            let table = outline_of((0..40).flat_map(corner).collect()).unwrap();
+            assert!(table.is_near([0.0, 0.0], 0.2), "{number}: {table:?}");
+            assert!(!table.is_near([2.0, 0.0], 0.2), "{number}: {table:?}");
+        }
+    }
+
+    /// Corners of a box that stands on the floor.
+    fn block([x, y]: [f32; 2], side_m: f32) -> Vec<Vec3> {
+        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+            .iter()
+            .flat_map(|[u, v]| leg([x + u * side_m, y + v * side_m]))
+            .collect()
+    }
+
+    #[test]
+    fn chairs_of_a_group_are_pieces_and_parts_of_a_chair_are_not() {
+        let mut mesh = Mesh::default();
+        let (seat, back) = (block([0.0, 0.0], 0.5), block([0.0, 0.1], 0.4));
+        mesh.add_piece("Chair_seat", seat.clone());
+        mesh.add_piece("Chair_back", back.clone());
+        let first = [seat, back].concat();
+        mesh.push_piece("Chair.001", first.clone(), 2);
+        let second = block([4.0, 3.0], 0.5);
+        mesh.add_piece("Chair.002", second.clone());
+        mesh.push_piece("Chairs", [first, second].concat(), 4);
+        let mut labels: Vec<String> = outlines(&mesh).into_iter().map(|piece| piece.label).collect();
+        labels.sort();
+        assert_eq!(labels, ["Chair.001", "Chair.002"]);
+    }
+
+    #[test]
+    fn labels_have_no_control_characters() {
+        let mut mesh = Mesh::default();
+        mesh.add_piece("\u{1b}[2Jtable\0", vec![Vec3::ZERO; 3]);
+        assert_eq!(mesh.furniture[0].label, "[2Jtable");
     }
 }

@@ -48,8 +48,7 @@ fn read_scene(bytes: &[u8]) -> Result<Mesh, GltfError> {
     }
     let scene = root.scene.unwrap_or(Index::new(0));
     let scene = root.get(scene).ok_or(GltfError::NoScene(scene.value()))?;
-    let mut walk =
-        Walk { root: &root, buffers, mesh: Mesh::default(), nodes_left: root.nodes.len(), is_named: false };
+    let mut walk = Walk { root: &root, buffers, mesh: Mesh::default(), nodes_left: root.nodes.len() };
     scene.nodes.iter().try_for_each(|node| walk.visit(*node, Mat4::IDENTITY, 0))?;
     Ok(walk.mesh)
 }
@@ -77,8 +76,6 @@ struct Walk<'a> {
     mesh: Mesh,
     /// Number of nodes that may still be visited. A tree visits each node once; more visits mean a cycle.
     nodes_left: usize,
-    /// Whether a node above is a piece of furniture: its parts are of that piece.
-    is_named: bool,
 }
 
 impl Walk<'_> {
@@ -99,13 +96,17 @@ impl Walk<'_> {
                 self.append(primitive, world_from_node).map_err(in_node)?;
             }
         }
-        let mut children = node.children.iter().flatten();
-        let name = node.name.as_deref().filter(|name| !self.is_named && is_furniture(name));
-        self.is_named |= name.is_some();
+        let name = node.name.as_deref().filter(|name| is_furniture(name));
+        let pieces = self.mesh.furniture.len();
+        let mut children = node.children.iter().flatten().peekable();
+        // Beside its children the node's own surface is one part of it.
+        if let Some(name) = name.filter(|_| children.peek().is_some()) {
+            self.mesh.name_triangles(name, first);
+        }
         children.try_for_each(|child| self.visit(*child, world_from_node, depth + 1))?;
         if let Some(name) = name {
-            self.is_named = false;
-            self.mesh.name_triangles(name, first);
+            let parts = self.mesh.furniture.len() - pieces;
+            self.mesh.name_whole(name, first, parts);
         }
         Ok(())
     }

@@ -113,7 +113,7 @@ impl<S: Storage> SavedFiles<S> {
         match files.read_state() {
             Ok(Some(state)) if state.run == run.begun.0 => {
                 state.allowed.iter().for_each(|address| bridge.allow(*address));
-                RobotId::new(state.selected).into_iter().for_each(|robot| bridge.select_robot(robot));
+                RobotId::new(state.selected).into_iter().for_each(|robot| bridge.restore_selection(robot));
                 let until = now + run.config.bridge.lease() + RECONNECTED_WITHIN;
                 for driver in &state.drivers {
                     if let Some(robot) = RobotId::new(driver.robot) {
@@ -133,7 +133,7 @@ impl<S: Storage> SavedFiles<S> {
             // A file that cannot be read may say that the stop is set.
             latch => {
                 files.latch = Some(latch.ok().flatten().unwrap_or_default());
-                bridge.stop_robots();
+                bridge.restore_stop();
                 tracing::warn!("the emergency stop is set since before this start; see `mr-slam release`");
             }
         }

@@ -21,6 +21,9 @@ use std::time::Duration;
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
 /// Shortest time between two submaps: readers have room for eight.
 const SUBMAP_PAUSE: Duration = Duration::from_millis(100);
+/// Age from which on a scan is dropped, nanoseconds: a link that is too slow for scans delivers them late, while poses overtake
+/// them.
+const SCAN_AGE_MAX_NS: i64 = 500_000_000;
 /// Longest time after a robot joins until its map is published although parts are missing. Until then readers keep what an
 /// earlier process of the link published.
 const WHOLE_MAP_WAIT_MAX: Duration = Duration::from_secs(5);
@@ -76,6 +79,8 @@ struct RobotMirror<P: Ports> {
     /// Poses that were published: fewer than the robot's scans.
     corrections: u64,
     was_heard: bool,
+    /// Scans that were dropped because they came late.
+    late_scans: u64,
     channels: Channels<P>,
     unpublished: Unpublished,
     invalid: InvalidMessages,
@@ -113,8 +118,9 @@ impl<P: Ports, T: Transport, S: StopControl> BaseLink<P, T, S> {
         })
     }
 
-    pub(super) fn ends(&self) -> impl Iterator<Item = (&str, &BaseEnd)> {
-        self.robots.iter().map(|robot| (robot.name.as_str(), &robot.end))
+    /// Name of each robot, this end of its link, and the number of its scans that came late.
+    pub(super) fn ends(&self) -> impl Iterator<Item = (&str, &BaseEnd, u64)> {
+        self.robots.iter().map(|robot| (robot.name.as_str(), &robot.end, robot.late_scans))
     }
 
     pub(super) fn now(&self) -> Monotonic {
@@ -163,6 +169,7 @@ impl<P: Ports> RobotMirror<P> {
             clock: SourceClock::new(ClockOffset::Measured),
             corrections: 0,
             was_heard: false,
+            late_scans: 0,
             channels: Channels::open(ports, robot)?,
             unpublished: Unpublished::default(),
             invalid: InvalidMessages::default(),
@@ -204,7 +211,7 @@ impl<P: Ports> RobotMirror<P> {
                 transforms.header.stamp = self.clock.translate(transforms.header.stamp);
                 self.channels.transforms.send(&transforms);
             }
-            BaseEvent::Scan(scan) if self.clock.estimate().is_some() => self.publish_scan(&scan),
+            BaseEvent::Scan(scan) if self.clock.estimate().is_some() => self.publish_scan(&scan, epoch, now),
             // Before the first pose the offset of the clocks is not known.
             BaseEvent::Transforms(_) | BaseEvent::Scan(_) => {}
             BaseEvent::Map => self.unpublished.has_map_changed = true,
@@ -213,8 +220,13 @@ impl<P: Ports> RobotMirror<P> {
         }
     }
 
-    fn publish_scan(&mut self, scan: &DecimatedScan) {
+    /// Publishes a scan, unless it waited: navigation takes what arrives for what is ahead of the robot now.
+    fn publish_scan(&mut self, scan: &DecimatedScan, epoch: Epoch, now: Monotonic) {
         let stamp = self.clock.translate(scan.stamp);
+        if epoch.stamp(now).0.saturating_sub(stamp.0) > SCAN_AGE_MAX_NS {
+            self.late_scans += 1;
+            return;
+        }
         self.channels.scan.send_with(|message| {
             scan.write_to(message);
             message.header.stamp = stamp;

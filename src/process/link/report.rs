@@ -24,6 +24,9 @@ pub struct PeerReport {
     pub waiting: u64,
     /// Messages of other peers than the one that counts.
     pub refused: u64,
+    /// Scans that the base dropped because the link delivered them late.
+    #[serde(default)]
+    pub late_scans: u64,
     /// Bytes from the robot to the base by kind of message, as this end counts them.
     pub bytes: BTreeMap<String, u64>,
 }
@@ -68,17 +71,18 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for RobotLink<P, T, S> {
         let (end, robot) = (self.end(), self.name().to_owned());
         let (waiting, refused) = (end.waiting() as u64, end.refused());
         let (is_heard, bytes) = (end.is_heard(self.now()), by_kind(end.sent()));
-        LinkReport { peers: vec![PeerReport { robot, is_heard, waiting, refused, bytes }] }
+        LinkReport { peers: vec![PeerReport { robot, is_heard, waiting, refused, bytes, late_scans: 0 }] }
     }
 }
 
 impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
     fn report(&self) -> LinkReport {
-        let peers = self.ends().map(|(name, end)| PeerReport {
+        let peers = self.ends().map(|(name, end, late_scans)| PeerReport {
             robot: name.to_owned(),
             is_heard: end.is_heard(self.now()),
             waiting: end.robot_state().waiting.into(),
             refused: end.refused(),
+            late_scans,
             bytes: by_kind(end.received()),
         });
         LinkReport { peers: peers.collect() }

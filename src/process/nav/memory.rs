@@ -39,8 +39,8 @@ pub struct SavedState {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SavedZones {
-    /// Number of the newest command.
-    pub(super) number: u64,
+    /// Number of each of the newest commands and the code of its refusal, oldest first.
+    pub(super) answers: Vec<(u64, u32)>,
     /// Number of the zone that was added last.
     pub(super) last_number: u32,
     /// Each zone's number, the furniture that it stands for, and its corners in the merged map, metres.

@@ -7,8 +7,12 @@ use crate::fleet;
 use crate::fleet::FleetError;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
-use msg::{ExclusionZone, ExclusionZones, Stamp, ZONES_MAX, ZoneAction, ZoneCommand, ZoneRefusal};
+use msg::{
+    ExclusionZone, ExclusionZones, Stamp, ZONE_ANSWERS_MAX, ZONES_MAX, ZoneAction, ZoneAnswer, ZoneCommand,
+    ZoneRefusal,
+};
 use sim::{Furniture, Room};
+use std::collections::VecDeque;
 
 /// Most zones that furniture makes: the others are for people.
 const FURNITURE_MAX: usize = ZONES_MAX * 3 / 4;
@@ -22,8 +26,9 @@ pub(super) struct Zones<P: Ports> {
     zones: Vec<ExclusionZone>,
     /// Number of the zone that was added last: no number is given twice.
     last_number: u32,
-    /// Number of the newest command, and why it was refused.
-    newest: (u64, Option<ZoneRefusal>),
+    /// Answers to the newest commands, oldest first: a command that comes again is known by its number. Commands of several
+    /// programs need not come in the order of their numbers.
+    answers: VecDeque<ZoneAnswer>,
     has_changed: bool,
 }
 
@@ -34,7 +39,7 @@ impl<P: Ports> Zones<P> {
             state: ports.writer(&channel::exclusion_zones())?,
             zones: Vec::new(),
             last_number: 0,
-            newest: (0, None),
+            answers: VecDeque::with_capacity(ZONE_ANSWERS_MAX),
             // The first state says that there are none.
             has_changed: true,
         })
@@ -42,12 +47,15 @@ impl<P: Ports> Zones<P> {
 
     /// Adds the furniture that the room's file names, largest first, where no robot starts.
     ///
-    /// Robots whose starts are unknown do not know where the room lies in their map.
+    /// Robots whose starts are unknown do not know where the room lies in their map, nor do those that begin with the session of
+    /// another run: its map is where that run's robots started.
     pub(super) fn add_furniture(&mut self, run: &Run) -> Result<(), FleetError> {
         let config = &run.config;
         let fleet = &config.fleet;
         let is_file = fleet.room != LABORATORY && Room::parse_generated(&fleet.room).is_none();
-        if !fleet.furniture_zones || !fleet.starts_known || config.world.is_outside() || !is_file {
+        let is_placed =
+            fleet.starts_known && !config.world.is_outside() && config.sessions.folder().is_none();
+        if !fleet.furniture_zones || !is_placed || !is_file {
             return Ok(());
         }
         let room = fleet::room(config)?;
@@ -81,14 +89,28 @@ impl<P: Ports> Zones<P> {
     pub(super) fn receive(&mut self) -> Option<u64> {
         let mut refused = None;
         while let Some(command) = self.commands.receive() {
-            if command.number > self.newest.0 {
+            if !self.is_answered(command.number) {
                 let refusal = self.apply(&command).err();
-                self.newest = (command.number, refusal);
+                self.keep_answer(ZoneAnswer::new(command.number, refusal));
                 self.has_changed = true;
                 *refused.get_or_insert(0) += u64::from(refusal.is_some());
             }
         }
         refused
+    }
+
+    /// Whether a command was answered before. One that is older than all whose answers are kept counts as answered.
+    fn is_answered(&self, number: u64) -> bool {
+        let oldest = self.answers.iter().map(|answer| answer.number).min().unwrap_or(0);
+        let is_forgotten = self.answers.len() == ZONE_ANSWERS_MAX && number < oldest;
+        is_forgotten || self.answers.iter().any(|answer| answer.number == number)
+    }
+
+    fn keep_answer(&mut self, answer: ZoneAnswer) {
+        if self.answers.len() == ZONE_ANSWERS_MAX {
+            self.answers.pop_front();
+        }
+        self.answers.push_back(answer);
     }
 
     fn apply(&mut self, command: &ZoneCommand) -> Result<(), ZoneRefusal> {
@@ -113,13 +135,9 @@ impl<P: Ports> Zones<P> {
         if !std::mem::take(&mut self.has_changed) {
             return;
         }
-        let (number, refusal) = self.newest;
-        let mut zones = ExclusionZones {
-            number,
-            refusal: refusal.map_or(0, |refusal| refusal as u32),
-            ..ExclusionZones::default()
-        };
+        let mut zones = ExclusionZones::default();
         zones.header.stamp = stamp;
+        zones.set_answers(self.answers.iter().copied());
         zones.set_zones(&self.zones);
         self.state.send(&zones);
     }
@@ -132,7 +150,7 @@ impl<P: Ports> Zones<P> {
     pub(super) fn saved(&self) -> SavedZones {
         let zone = |zone: &ExclusionZone| (zone.number, zone.source().to_owned(), zone.corners_m().to_vec());
         SavedZones {
-            number: self.newest.0,
+            answers: self.answers.iter().map(|answer| (answer.number, answer.refusal)).collect(),
             last_number: self.last_number,
             zones: self.zones.iter().map(zone).collect(),
         }
@@ -146,7 +164,51 @@ impl<P: Ports> Zones<P> {
         };
         self.zones = saved.zones.iter().filter_map(zone).take(ZONES_MAX).collect();
         self.last_number = saved.last_number;
-        self.newest = (saved.number, None);
+        let answer =
+            |(number, refusal): &(u64, u32)| ZoneAnswer { number: *number, refusal: *refusal, reserved: 0 };
+        self.answers = saved.answers.iter().map(answer).take(ZONE_ANSWERS_MAX).collect();
         self.has_changed = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::channel::{Opener, Program};
+    use crate::lockstep::faults::FaultPlan;
+    use crate::lockstep::queues::{MemoryPorts, Network};
+    use msg::Role;
+
+    fn square() -> ExclusionZone {
+        ExclusionZone::new(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]).unwrap()
+    }
+
+    /// A person's command may be numbered before that of a page, and arrive after it.
+    #[test]
+    fn commands_of_two_programs_are_carried_out_in_any_order_and_none_twice() {
+        let network = Network::new(FaultPlan::none());
+        let ports = MemoryPorts::attach(&network, Opener::of_fleet(Role::Nav.into()));
+        let tool = MemoryPorts::attach(&network, Opener::of_fleet(Program::ZoneTool));
+        let mut zones = Zones::open(&ports).unwrap();
+        let mut commands = tool.writer(&channel::zone_command()).unwrap();
+        let mut states = tool.reader(&channel::exclusion_zones()).unwrap();
+        for number in [20, 10, 20, 10] {
+            commands.send(&ZoneCommand::add(number, square()));
+        }
+        commands.send(&ZoneCommand::remove(15, 9));
+        assert_eq!(zones.receive(), Some(1));
+        assert_eq!(zones.zones().len(), 2);
+        zones.publish(Stamp(0));
+        let state = *states.newest().unwrap();
+        assert_eq!(state.answer(10).unwrap().refusal(), None);
+        assert_eq!(state.answer(20).unwrap().refusal(), None);
+        assert_eq!(state.answer(15).unwrap().refusal(), Some(ZoneRefusal::Unknown));
+        assert_eq!(state.answer(30), None, "not sent yet");
+
+        // The process that takes this one's place does not carry them out again.
+        let mut restored = Zones::open(&ports).unwrap();
+        restored.restore(&zones.saved());
+        commands.send(&ZoneCommand::add(10, square()));
+        assert_eq!((restored.receive(), restored.zones().len()), (None, 2));
     }
 }

@@ -6,9 +6,9 @@ use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
 use ::bridge::FleetMessage;
 use msg::{
-    Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, FleetStats, GroundTruth, MapTransforms,
-    MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan, NavigationReport, Odometry,
-    OperatorEvent, PatchHeader, RobotId, Scan, SlamRequest, Transforms, VelocityCommand,
+    Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GroundTruth,
+    MapTransforms, MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan, NavigationReport,
+    Odometry, OperatorEvent, PatchHeader, RobotId, Scan, SlamRequest, Transforms, VelocityCommand,
 };
 use reports::{FleetView, edges_json};
 use std::time::Duration;
@@ -64,6 +64,7 @@ pub struct Inputs<P: Ports> {
     edge_commands: P::Reader<EdgeCommand>,
     operator_events: P::Reader<OperatorEvent>,
     zones: P::Reader<ExclusionZones>,
+    exploration: P::Reader<ExplorationReport>,
     map_transforms: P::Reader<MapTransforms>,
     merged_map: MapInput<P>,
 }
@@ -95,6 +96,7 @@ impl<P: Ports> Inputs<P> {
             edge_commands: ports.reader(&channel::edge_command())?,
             operator_events: ports.reader(&channel::operator_event())?,
             zones: ports.reader(&channel::exclusion_zones())?,
+            exploration: ports.reader(&channel::exploration_state())?,
             map_transforms: ports.reader(&channel::map_transforms())?,
             merged_map: MapInput::open(ports, &channel::merged_map(), run)?,
         })
@@ -114,6 +116,9 @@ impl<P: Ports> Inputs<P> {
             to.publish(FleetMessage::MergeEdges(&edges_json(edges)), sent(edges));
         });
         each(&mut self.zones, |zones| to.publish(FleetMessage::ExclusionZones(zones), sent(zones)));
+        each(&mut self.exploration, |report| {
+            to.publish(FleetMessage::ExplorationState(report), sent(report));
+        });
         each(&mut self.stats, |stats| {
             to.publish(FleetMessage::Stats(stats), sent(stats));
             let view = serde_json::to_string(&FleetView::new(stats)).unwrap_or_default();

@@ -21,9 +21,13 @@ use std::collections::BTreeMap;
 
 /// Bytes that may wait for the disk; beyond them messages are dropped. It is 10 s of a fleet of 64 robots.
 const WAITING_BYTES_MAX: usize = 64 << 20;
-/// Topics of the fleet that repeat others: `/map` and its probabilities, and updates of whole grids that are recorded.
-const REPEATING: [FleetTopic; 3] =
-    [FleetTopic::MergedMapAlias, FleetTopic::MapUpdates, FleetTopic::MergedMapProbability];
+/// Topics of the fleet that repeat others: `/map` and its probabilities, updates and tiles of whole grids that are recorded.
+const REPEATING: [FleetTopic; 4] = [
+    FleetTopic::MergedMapAlias,
+    FleetTopic::MapUpdates,
+    FleetTopic::MergedMapTiles,
+    FleetTopic::MergedMapProbability,
+];
 /// Name of a robot's topic with its odometry as the fleet has it: an angle and not a quaternion, so that replay is exact.
 pub const PLANAR_ODOMETRY: &str = "odom_2d";
 /// Name of a robot's topic with its true pose in the frame `world`.
@@ -282,14 +286,17 @@ impl FileTopics {
         Ok(())
     }
 
-    fn record(&mut self, topic: OwnTopic, robot: usize, encode: impl FnOnce(&mut Writer<'_>)) {
-        if let Some(index) = self.own[topic as usize].get(robot).copied() {
-            self.encode(index, encode);
-        }
+    /// Returns whether the message was written.
+    fn record(&mut self, topic: OwnTopic, robot: usize, encode: impl FnOnce(&mut Writer<'_>)) -> bool {
+        let index = self.own[topic as usize].get(robot).copied();
+        index.is_some_and(|index| self.encode(index, encode))
     }
 
-    fn encode(&mut self, index: TopicIndex, encode: impl FnOnce(&mut Writer<'_>)) {
-        let (Some(writer), Some(topic)) = (&mut self.writer, self.topics.get_mut(index)) else { return };
+    /// Returns whether the message was written.
+    fn encode(&mut self, index: TopicIndex, encode: impl FnOnce(&mut Writer<'_>)) -> bool {
+        let (Some(writer), Some(topic)) = (&mut self.writer, self.topics.get_mut(index)) else {
+            return false;
+        };
         self.payload.clear();
         encode(&mut Writer::new(&mut self.payload));
         if topic.durability == Durability::Latched {
@@ -297,7 +304,7 @@ impl FileTopics {
         }
         if self.output.waiting_bytes() > WAITING_BYTES_MAX {
             self.counted.dropped += 1;
-            return;
+            return false;
         }
         match writer.write(index, self.at, &self.payload) {
             Ok(()) => {
@@ -306,8 +313,12 @@ impl FileTopics {
                 topic.total.bytes += self.payload.len() as u64;
                 // A chunk that is full is on its way at once.
                 self.pass_on();
+                true
             }
-            Err(why) => self.end(why.to_string()),
+            Err(why) => {
+                self.end(why.to_string());
+                false
+            }
         }
     }
 

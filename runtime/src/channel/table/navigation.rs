@@ -63,7 +63,7 @@ pub(super) static EXPLORATION_STATE: TypedRow<ExplorationReport> = TypedRow::new
     name: "exploration_state",
     content: "how far the exploration is and what is left, on change and 1 Hz while it goes on",
     writers: &[Of(NAV)],
-    readers: &[Of(BRIDGE), Of(ExploreTool), Of(Launcher)],
+    readers: &[Of(BRIDGE), Of(ExploreTool), Of(Launcher), Of(RECORD), Of(RecordTool)],
     depth: 16,
     ..STATE
 });

@@ -14,9 +14,10 @@ impl Recorder {
         if let Some(newest) = self.command_senders.get_mut(robot.index())
             && *newest != Some(command.sender)
         {
-            *newest = Some(command.sender);
             let sender = command.sender.to_string();
-            self.file.record(OwnTopic::CommandSender, robot.index(), |to| to.string(&sender));
+            if self.file.record(OwnTopic::CommandSender, robot.index(), |to| to.string(&sender)) {
+                *newest = Some(command.sender);
+            }
         }
         let velocity = [command.linear_m_s, 0.0, 0.0, 0.0, 0.0, command.angular_rad_s];
         self.file.record(OwnTopic::Command, robot.index(), |to| to.f64s(&velocity));
