@@ -56,7 +56,7 @@ const ROWS: [Row; 12] = [
     row("edmonton", [Some(0.094), Some(0.487)], [Some(0.06), Some(0.12), None]),
     row("acapulco", [Some(0.151), Some(5.65)], [Some(0.07), Some(0.20), None]),
     row("belgioioso", [Some(0.033), Some(0.055)], [Some(0.033), Some(0.055), None]),
-    row("fhw", [Some(0.121), Some(0.25)], [None; 3]),
+    row("fhw", [Some(0.121), Some(0.25)], [Some(0.06), Some(0.08), None]),
     row("intel@90", [Some(0.546), None], [Some(0.15), None, None]),
     row("aces@90", [Some(0.282), None], [None; 3]),
     row("freiburg-101@90", [Some(0.089), None], [None; 3]),

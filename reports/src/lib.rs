@@ -3,6 +3,7 @@
 //! Figures and maps come in, texts go out: no clock, file, socket or thread.
 
 mod bridge_state;
+mod commands;
 mod graph_picture;
 mod html;
 mod map_picture;
@@ -13,6 +14,7 @@ mod view;
 mod workload;
 
 pub use bridge_state::BridgeState;
+pub use commands::{edge_command_json, navigation_command_json, operator_event_json, slam_request_json};
 pub use graph_picture::{GraphEdge, GraphNode, graph_picture, tree_picture};
 pub use html::{Page, Row};
 pub use map_picture::{Trail, map_picture};

@@ -8,6 +8,7 @@
 
 mod candidate;
 mod consistency;
+mod counted_errors;
 mod passes;
 #[cfg(test)]
 mod tests;
@@ -20,6 +21,7 @@ use crate::cloud::Cloud;
 use crate::config::SlamConfig;
 use crate::graph::{Graph, RelativeUncertainty};
 use crate::likelihood_field::{LikelihoodField, SearchBuffers, SearchLimits, SearchPeak, SearchWindow};
+use counted_errors::CountedErrors;
 use msg::{Pose2, pose::wrap_angle};
 use std::collections::VecDeque;
 
@@ -135,28 +137,43 @@ impl ClosureDetector {
         travelled_m: f64,
     ) -> ClosureSearch {
         self.drop_expired(node);
-        let candidates = self.candidates(view, relative, node);
-        if candidates.is_empty() {
-            return ClosureSearch::NoCandidate;
-        }
-        self.last_search_m = Some(travelled_m);
-        for candidate in candidates {
-            self.counts.searches += 1;
-            let window = self.window(view.graph, relative[candidate as usize], candidate, node);
-            if let Some(found) = self.try_candidate(view, window, candidate, node) {
-                if !consistency::is_consistent(view.graph, &found, &self.config.links) {
-                    self.counts.contradicted += 1;
-                    continue;
+        let mut result = ClosureSearch::NoCandidate;
+        // In the smaller window fewer places look alike; the larger one is for long ways.
+        for errors in [CountedErrors::Independent, CountedErrors::Repeating] {
+            let candidates = self.candidates(view, relative, node, errors);
+            if !candidates.is_empty() {
+                self.last_search_m = Some(travelled_m);
+                result = ClosureSearch::NotFound;
+            }
+            for candidate in candidates {
+                let known = relative[candidate as usize].map(|known| errors.of(known));
+                if let Some(found) = self.find_consistent(view, known, candidate, node) {
+                    let accepted = self.confirm(view.graph, found);
+                    return if accepted.is_empty() {
+                        ClosureSearch::Unconfirmed
+                    } else {
+                        ClosureSearch::Accepted(accepted)
+                    };
                 }
-                let accepted = self.confirm(view.graph, found);
-                return if accepted.is_empty() {
-                    ClosureSearch::Unconfirmed
-                } else {
-                    ClosureSearch::Accepted(accepted)
-                };
             }
         }
-        ClosureSearch::NotFound
+        result
+    }
+
+    /// Searches for a node around one earlier node, of which it is `known` from the way where it is.
+    fn find_consistent(
+        &mut self,
+        view: &GraphView<'_>,
+        known: Option<RelativeUncertainty>,
+        candidate: u32,
+        node: u32,
+    ) -> Option<ClosureCandidate> {
+        self.counts.searches += 1;
+        let window = self.window(view.graph, known, candidate, node);
+        let found = self.try_candidate(view, window, candidate, node)?;
+        let is_consistent = consistency::is_consistent(view.graph, &found, &self.config.links, known);
+        self.counts.contradicted += u64::from(!is_consistent);
+        is_consistent.then_some(found)
     }
 
     /// Drops candidates that waited for confirmation too long.
@@ -173,6 +190,7 @@ impl ClosureDetector {
         view: &GraphView<'_>,
         relative: &[Option<RelativeUncertainty>],
         node: u32,
+        errors: CountedErrors,
     ) -> Vec<u32> {
         let (graph, component) = (view.graph, view.nodes[node as usize].disconnected_component);
         let (c, l) = (&self.config.closures, &self.config.links);
@@ -185,10 +203,11 @@ impl ClosureDetector {
                 id.abs_diff(node) > AGO_NODES && view.nodes[*id as usize].disconnected_component == component
             })
             .filter_map(|id| {
-                if relative[id as usize].as_ref().is_some_and(known) {
+                let way = relative[id as usize];
+                if way.as_ref().is_some_and(known) || !errors.matter(way) {
                     return None;
                 }
-                let sigma = relative[id as usize].map_or(f64::INFINITY, |r| r.position.sqrt());
+                let sigma = way.map_or(f64::INFINITY, |known| errors.of(known).position.sqrt());
                 let reach = c.radius_m + (c.window_sigmas * sigma).min(c.window_max_m);
                 let distance = here.distance_m(graph.poses()[id as usize]);
                 (distance < reach).then_some((distance, id))
@@ -281,8 +300,12 @@ impl ClosureDetector {
         node: u32,
     ) -> SearchWindow {
         let c = &self.config.closures;
-        let sigmas =
-            relative.unwrap_or(RelativeUncertainty { position: UNKNOWN_VARIANCE, heading: UNKNOWN_VARIANCE });
+        let unknown = RelativeUncertainty {
+            position: UNKNOWN_VARIANCE,
+            heading: UNKNOWN_VARIANCE,
+            ..RelativeUncertainty::default()
+        };
+        let sigmas = relative.unwrap_or(unknown);
         SearchWindow {
             centre: graph.poses()[candidate as usize].between(graph.poses()[node as usize]),
             half_m: (c.window_sigmas * sigmas.position.sqrt()).clamp(WINDOW_MIN_M, c.window_max_m),

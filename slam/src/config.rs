@@ -258,6 +258,9 @@ pub struct GraphConfig {
     /// Share of all nodes that must have new links to older parts before a solution without a
     /// closure, 0 to 1.
     pub new_share: f64,
+    /// Standard deviation of errors of the heading that repeat along a way, radians per metre; 0 or more. They add up as they
+    /// are, not as variances: a loop of 150 m may be 4 m off, as in a large hall whose far walls bend all links alike.
+    pub bias_rad_per_m: f64,
     /// Standard deviations by which the solved graph contradicts a closure that is then taken back;
     /// above 0. 10 instead of 6 gave the same error.
     pub retract_sigmas: f64,

@@ -73,12 +73,39 @@ impl Edge {
 }
 
 /// Uncertainty of a node's pose as seen from another one.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RelativeUncertainty {
     /// Variance of the position, m².
     pub position: f64,
     /// Variance of the heading, rad².
     pub heading: f64,
+    /// Standard deviation of the position from errors of the heading that repeat along the way, on top, metres.
+    pub bias_m: f64,
+    /// The same of the heading, radians.
+    pub bias_rad: f64,
+}
+
+impl RelativeUncertainty {
+    /// The uncertainty beyond one more edge. Independent errors add up as variances, what repeats adds up as it is.
+    fn beyond(self, edge: &Edge, bias_rad_per_m: f64) -> Self {
+        let length_squared = edge.a_from_b.x_m.powi(2) + edge.a_from_b.y_m.powi(2);
+        let length_m = length_squared.sqrt();
+        Self {
+            position: self.position + self.heading * length_squared + edge.variance[0],
+            heading: self.heading + edge.variance[1],
+            bias_m: self.bias_m + self.bias_rad * length_m,
+            bias_rad: self.bias_rad + bias_rad_per_m * length_m,
+        }
+    }
+
+    /// The uncertainty with the errors that repeat in its variances.
+    pub fn with_bias(self) -> Self {
+        Self {
+            position: self.position + self.bias_m.powi(2),
+            heading: self.heading + self.bias_rad.powi(2),
+            ..self
+        }
+    }
 }
 
 /// The pose graph of one robot; see the module.
@@ -199,11 +226,11 @@ impl Graph {
 
     /// How well the nodes around `from` are known as seen from it: the best single way through the
     /// graph to each, which overestimates what all ways together would give. Nodes beyond
-    /// `position_max` (m²) are `None`.
+    /// `position_max` (m²) are `None`. Errors of the heading that repeat count as `graph.bias_rad_per_m` says.
     pub fn uncertainty_from(&self, from: u32, position_max: f64) -> Vec<Option<RelativeUncertainty>> {
         let mut known: Vec<Option<RelativeUncertainty>> = vec![None; self.poses.len()];
         let mut open = std::collections::BinaryHeap::new();
-        known[from as usize] = Some(RelativeUncertainty { position: 0.0, heading: 0.0 });
+        known[from as usize] = Some(RelativeUncertainty::default());
         open.push((core::cmp::Reverse(0_u64), from));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
             let Some(here) = known[node as usize] else { continue };
@@ -212,11 +239,7 @@ impl Graph {
             }
             for edge in self.edges_of(node) {
                 let next = if edge.a == node { edge.b } else { edge.a };
-                let lever_squared = edge.a_from_b.x_m.powi(2) + edge.a_from_b.y_m.powi(2);
-                let there = RelativeUncertainty {
-                    position: here.position + here.heading * lever_squared + edge.variance[0],
-                    heading: here.heading + edge.variance[1],
-                };
+                let there = here.beyond(edge, self.config.bias_rad_per_m);
                 let better = known[next as usize].is_none_or(|k| there.position < k.position);
                 if better && there.position <= position_max {
                     known[next as usize] = Some(there);

@@ -14,7 +14,8 @@ use posegraph::limit_information;
 /// between what is looked at.
 const VIEWPOINT: f64 = 0.5;
 /// Variances (m², rad²) of a node's pose as seen from the few before it: 10 cm and 55 mrad, what wheels lose over them.
-const SEQUENTIAL: RelativeUncertainty = RelativeUncertainty { position: 0.01, heading: 0.003 };
+const SEQUENTIAL: RelativeUncertainty =
+    RelativeUncertainty { position: 0.01, heading: 0.003, bias_m: 0.0, bias_rad: 0.0 };
 /// An alignment may move the pose by this many standard deviations of what is known,
 const CORRECTION_SIGMAS: f64 = 3.0;
 /// and by what the alignment itself may err, metres and radians; one that moves it farther has found another surface.
@@ -64,9 +65,7 @@ impl BackEnd {
                 chosen.push(other);
             }
         }
-        let known = |other: u32| {
-            relative[other as usize].unwrap_or(RelativeUncertainty { position: 0.0, heading: 0.0 })
-        };
+        let known = |other: u32| relative[other as usize].unwrap_or_default();
         chosen.iter().filter(|&&other| self.link(other.min(id), other.max(id), known(other))).count()
     }
 

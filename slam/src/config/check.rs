@@ -109,6 +109,7 @@ impl SlamConfig {
             ("odometry.sigma_rad_per_m", odometry.sigma_rad_per_m),
             ("links.drift_m_per_m", links.drift_m_per_m),
             ("links.drift_rad_per_m", links.drift_rad_per_m),
+            ("graph.bias_rad_per_m", self.graph.bias_rad_per_m),
             ("closures.radius_m", closures.radius_m),
             ("closures.travel_m", closures.travel_m),
             ("map.clear_without_return_m", self.map.clear_without_return_m.into()),

@@ -1,0 +1,58 @@
+//! Which errors of the way a closure search counts: it looks first where independent errors allow, then where errors that repeat do.
+
+use crate::graph::RelativeUncertainty;
+
+/// Errors of the way that a search counts.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum CountedErrors {
+    /// Those of each edge by itself.
+    Independent,
+    /// And those that repeat along the way.
+    Repeating,
+}
+
+impl CountedErrors {
+    /// Returns what is known of a node with these errors.
+    pub(super) fn of(self, known: RelativeUncertainty) -> RelativeUncertainty {
+        match self {
+            Self::Independent => RelativeUncertainty { bias_m: 0.0, bias_rad: 0.0, ..known },
+            Self::Repeating => known.with_bias(),
+        }
+    }
+
+    /// Whether a search that counts them differs from one that does not.
+    pub(super) fn matter(self, known: Option<RelativeUncertainty>) -> bool {
+        self == Self::Independent || known.is_some_and(|known| known.bias_m.powi(2) > known.position)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::SlamConfig;
+    use crate::graph::{EdgeKind, Graph};
+    use msg::Pose2;
+    use posegraph::information_from_sigmas;
+
+    #[test]
+    fn errors_that_repeat_matter_after_a_long_way_and_not_after_a_short_one() {
+        let mut graph = Graph::new(SlamConfig::default().graph);
+        for id in 0..=150 {
+            graph.add_node(Pose2::new(f64::from(id), 0.0, 0.0));
+            if id > 0 {
+                let information = information_from_sigmas(0.01, 0.003);
+                let moved = Pose2::new(1.0, 0.0, 0.0);
+                graph.add_edge([id as u32 - 1, id as u32], moved, information, EdgeKind::Link, [0.0; 2]);
+            }
+        }
+        let known = graph.uncertainty_from(0, f64::INFINITY);
+        let [near, far] = [8, 150].map(|id: usize| known[id].unwrap());
+        // 0.5 mrad a metre: 75 mrad, and 5.6 m to the side.
+        assert!((far.bias_rad - 0.075).abs() < 1e-9 && (far.bias_m - 5.5875).abs() < 1e-6, "{far:?}");
+        assert!(CountedErrors::Repeating.matter(Some(far)) && !CountedErrors::Repeating.matter(Some(near)));
+        assert!(CountedErrors::Independent.matter(Some(near)) && CountedErrors::Independent.matter(None));
+        assert!(CountedErrors::Repeating.of(far).position.sqrt() > 5.58);
+        assert!(CountedErrors::Independent.of(far).position.sqrt() < 4.0);
+        assert_eq!(CountedErrors::Independent.of(far).bias_m, 0.0);
+    }
+}
