@@ -325,7 +325,7 @@ impl Bridge {
         });
     }
 
-    /// Withdraws an address's permission; the robots that it drove stop.
+    /// Withdraws an address's permission; the robots that it drove, sent to goals or lets explore stop.
     pub fn deny(&self, address: IpAddr) {
         self.update(|core| {
             core.access.deny(address);
@@ -334,6 +334,7 @@ impl Bridge {
             let there: Vec<ClientId> =
                 core.router.clients().filter(is_denied).map(|client| client.id).collect();
             there.into_iter().for_each(|id| core.stop_robots_of(id));
+            core.pause_robots_of(address);
         });
     }
 

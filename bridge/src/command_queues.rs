@@ -1,8 +1,8 @@
 //! Bounded queues of clients' commands to the rest of the fleet.
 
 use msg::{
-    EdgeCommand, ExplorationCommand, Monotonic, NavigationCommand, OperatorAction, OperatorEvent, ROBOTS_MAX,
-    RobotId, Sender, SlamRequest, VelocityCommand, ZONES_MAX, ZoneCommand,
+    EdgeCommand, ExplorationCommand, Monotonic, NavigationAction, NavigationCommand, OperatorAction,
+    OperatorEvent, ROBOTS_MAX, RobotId, Sender, SlamRequest, VelocityCommand, ZONES_MAX, ZoneCommand,
 };
 use std::collections::VecDeque;
 
@@ -33,6 +33,10 @@ pub struct CommandQueues {
     exploration: Option<ExplorationCommand>,
     zones: VecDeque<ZoneCommand>,
     operator_events: VecDeque<OperatorEvent>,
+    /// Who gave each robot its newest goal.
+    goal_senders: [Sender; ROBOTS_MAX],
+    /// Who started or stopped the exploration last.
+    exploration_sender: Sender,
     /// Who sends what is queued now.
     sender: Sender,
     velocities_taken: u64,
@@ -49,6 +53,8 @@ impl Default for CommandQueues {
             exploration: None,
             zones: VecDeque::new(),
             operator_events: VecDeque::new(),
+            goal_senders: [Sender::default(); ROBOTS_MAX],
+            exploration_sender: Sender::default(),
             sender: Sender::BRIDGE,
             velocities_taken: 0,
         }
@@ -149,7 +155,20 @@ impl CommandQueues {
         if self.navigation.len() == NAVIGATION_MAX {
             self.navigation.pop_front();
         }
+        if command.action() == Some(NavigationAction::Goal) {
+            self.goal_senders[robot.index()] = self.sender;
+        }
         self.navigation.push_back((robot, NavigationCommand { sender: self.sender, ..command }));
+    }
+
+    /// Returns who gave a robot its newest goal.
+    pub fn goal_sender(&self, robot: RobotId) -> Sender {
+        self.goal_senders[robot.index()]
+    }
+
+    /// Returns who started or stopped the exploration last.
+    pub fn exploration_sender(&self) -> Sender {
+        self.exploration_sender
     }
 
     /// Takes the oldest command to the navigator.
@@ -159,6 +178,7 @@ impl CommandQueues {
 
     /// Sets the command about the exploration that is taken next; it replaces one that has not been taken.
     pub fn set_exploration(&mut self, command: ExplorationCommand) {
+        self.exploration_sender = self.sender;
         self.exploration = Some(command);
     }
 

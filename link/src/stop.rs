@@ -1,7 +1,7 @@
 //! The emergency stop across machines: a robot takes over the stop of the base that leads, and keeps it.
 //!
 //! Only the base that set the stop releases it, or a person at the robot. A base that starts anew, or another one, releases
-//! nothing: it never said that the robot is stopped.
+//! nothing: it never said that the robot is stopped. A stop that held at the robot before is the robot's own.
 
 use crate::wire::BaseState;
 use msg::Monotonic;
@@ -46,6 +46,10 @@ impl StopFollower {
             }
             return is_released.then_some(StopRequest::Release);
         }
+        // Somebody at the robot stopped it, for reasons of his own: a base that stops its fleet meanwhile does not own that stop.
+        if self.stopped_by.is_none() && is_stopped == Some(true) {
+            return None;
+        }
         let is_new = self.stopped_by.replace(base) != Some(base);
         let is_due = self.requested.is_none_or(|at| now.since(at) >= REPEAT_PERIOD.as_nanos() as u64);
         let is_requested = is_new || (is_stopped != Some(true) && is_due);
@@ -62,6 +66,13 @@ mod tests {
 
     fn said(is_stopped: bool) -> BaseState {
         BaseState { is_stopped, is_known: true, ..BaseState::default() }
+    }
+
+    #[test]
+    fn a_stop_that_somebody_at_the_robot_has_set_is_not_released_by_the_base() {
+        let mut follower = StopFollower::default();
+        assert_eq!(follower.follow(1, said(true), Some(true), Monotonic(1)), None, "it is stopped");
+        assert_eq!(follower.follow(1, said(false), Some(true), Monotonic(2)), None, "and not by the base");
     }
 
     #[test]

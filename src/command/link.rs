@@ -226,6 +226,7 @@ fn check_built() -> Result<(), LinkArgsError> {
 /// Runs the link's process until its launcher ends it.
 #[cfg(feature = "link")]
 pub fn run(args: &LinkArgs) -> Result<(), Error> {
+    super::worker::abort_on_panic();
     use crate::process::link::{self, BaseLink, RobotLink, RunStop};
     use link_transport::ZenohTransport;
     use std::hash::{BuildHasher, Hasher, RandomState};

@@ -3,6 +3,7 @@
 use super::client::Client;
 use super::queues::Network;
 use super::tcp::Port;
+use crate::clock::Epoch;
 use crate::fleet;
 use crate::ports::Clock;
 use crate::process::Error;
@@ -27,6 +28,7 @@ pub struct Headset {
     client: Client,
     network: Rc<Network>,
     retry_at: Monotonic,
+    epoch: Epoch,
     /// Since when the link has taken no bytes.
     blocked_since: Option<Monotonic>,
     frames: Vec<u8>,
@@ -47,6 +49,7 @@ impl Headset {
             client: Client::new(port, SocketAddr::from(PEER)),
             network: network.clone(),
             retry_at: Monotonic(0),
+            epoch: run.epoch,
             blocked_since: None,
             frames: Vec::new(),
             due: Monotonic(0),
@@ -60,6 +63,8 @@ impl Headset {
         if !self.client.is_connected() && self.retry_at <= now {
             self.client.connect();
             self.retry_at = now + RETRY_PERIOD;
+            // After a pause its time goes on as if it had not been held up.
+            self.robots.set_time(self.epoch.stamp(now) + CLOCK_AHEAD);
             self.robots.register(&mut self.frames);
         }
         let robots = &mut self.robots;
@@ -73,7 +78,9 @@ impl Headset {
             }
             return;
         }
-        self.blocked_since = None;
+        if self.blocked_since.take().is_some() {
+            self.robots.set_time(self.epoch.stamp(now) + CLOCK_AHEAD);
+        }
         // While there is no connection the robots go on: what they send is lost.
         self.robots.tick(&mut self.frames);
         self.client.send_frames(&self.frames);

@@ -75,7 +75,7 @@ struct RobotDesk<P: Ports> {
     refusal: Option<&'static str>,
 }
 
-impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
+impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
     /// Opens the channels, and goes on with what an earlier process of this run had not ended.
     pub fn open<S: Storage>(
         ports: &P,
@@ -100,7 +100,7 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
         let listeners =
             of_robots.chain([ports.listener(&channel::explore()), ports.listener(&channel::zone_command())]);
         let mut process = Self {
-            navigator: FleetNavigator::new(NavigatorConfig::default()),
+            navigator: FleetNavigator::new(NavigatorConfig::of_robots(run.config.slam.map.robot_radius_m)),
             inputs: Inputs::open(ports, run)?,
             robots: run.robots().map(desk).collect::<Result<_, crate::ports::ChannelError>>()?,
             exploration: Exploration::open(ports, run)?,
@@ -272,6 +272,7 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
 
     /// Saves the goals that are being driven to, or wait, and the exploration; its own goals are found again.
     fn save(&mut self) {
+        let now = self.clock.now();
         let goals = self.robots.iter().filter_map(|desk| {
             let navigation = self.navigator.robots().find(|navigation| navigation.robot == desk.robot)?;
             let goal =
@@ -289,11 +290,11 @@ impl<P: Ports, W: JobWorker<SavedState, ()>> NavigationProcess<P, W> {
             exploration: self.exploration.saved(),
             zones: self.zones.saved(),
         };
-        self.saved.write(state);
+        self.saved.write(state, now);
     }
 }
 
-impl<P: Ports, W: JobWorker<SavedState, ()>> ProcessLoop for NavigationProcess<P, W> {
+impl<P: Ports, W: JobWorker<SavedState, bool>> ProcessLoop for NavigationProcess<P, W> {
     fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         let was_active = self.is_active();

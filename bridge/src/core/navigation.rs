@@ -10,11 +10,12 @@ use crate::world::{TransformError, floor_pose};
 use msg::{
     ExclusionZone, ExplorationAction, ExplorationCommand, ExplorationReport, ExplorerState, GOAL_POSES_MAX,
     Link, Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
-    NavigationStatus, RobotId, VelocityCommand, ZoneCommand, ZoneError,
+    NavigationStatus, RobotId, Sender, VelocityCommand, ZoneCommand, ZoneError,
 };
 use ros_messages::names::{FleetFrame, MAP};
 use ros_messages::read::Transform;
 use ros_messages::{Bool, Empty, Int32, Message, PathMessage, PolygonStamped, PoseStamped};
+use std::net::IpAddr;
 use thiserror::Error;
 
 /// Why a goal is refused.
@@ -243,6 +244,22 @@ impl Core {
         }
     }
 
+    /// Pauses the robots that drive to goals of an address, and those that explore because of it.
+    pub fn pause_robots_of(&mut self, address: IpAddr) {
+        let is_theirs =
+            |sender: Sender| sender.address().is_some_and(|peer| peer.ip() == address.to_canonical());
+        let explores = is_theirs(self.commands.exploration_sender());
+        let robots: Vec<RobotId> = self
+            .fleet
+            .robots()
+            .filter(|robot| {
+                is_theirs(self.commands.goal_sender(*robot))
+                    || explores && self.gate.drive().is_exploring(*robot)
+            })
+            .collect();
+        self.pause_navigation(robots);
+    }
+
     /// Handles a velocity of the navigator: it passes the gate as all others, and gives way to every person.
     pub fn receive_navigation_velocity(&mut self, robot: RobotId, command: &VelocityCommand, now: Monotonic) {
         let velocity = Velocity { linear_m_s: command.linear_m_s, angular_rad_s: command.angular_rad_s };
@@ -257,12 +274,16 @@ impl Core {
         }
     }
 
-    /// Records whether the navigator drives a robot.
+    /// Records whether the navigator drives a robot. One that has something to do while the emergency stop is set is paused: it
+    /// must not set off when the stop is released.
     pub fn record_navigation(&mut self, robot: RobotId, report: &NavigationReport) {
         let status = report.status();
         let is_active =
             !status.is_final() && !matches!(status, NavigationStatus::Idle | NavigationStatus::Paused);
         self.gate.drive_mut().set_navigated(robot, is_active);
+        if self.gate.drive().is_stopped() {
+            self.pause_navigation([robot]);
+        }
     }
 
     /// Records which robots explore: a person takes them out by driving them, between two goals too.
@@ -271,6 +292,9 @@ impl Core {
         for robot in robots {
             let is_exploring = report.robot(robot.index()) == ExplorerState::Exploring;
             self.gate.drive_mut().set_exploring(robot, is_exploring);
+            if self.gate.drive().is_stopped() {
+                self.pause_navigation([robot]);
+            }
         }
     }
 

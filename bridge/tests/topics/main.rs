@@ -3,3 +3,4 @@
 mod local;
 mod maps;
 mod names;
+mod stopped;

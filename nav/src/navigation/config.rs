@@ -31,6 +31,19 @@ pub struct NavigatorConfig {
     pub separation_m: f64,
 }
 
+impl NavigatorConfig {
+    /// The default for robots that turn within this radius, metres; smaller ones than a Burger are taken for one.
+    pub fn of_robots(radius_m: f64) -> Self {
+        let default = Self::default();
+        let larger_m = (radius_m - default.body.radius_m).max(0.0);
+        Self {
+            body: RobotBody { radius_m: default.body.radius_m + larger_m, ..default.body },
+            separation_m: default.separation_m + 2.0 * larger_m,
+            ..default
+        }
+    }
+}
+
 impl Default for NavigatorConfig {
     fn default() -> Self {
         Self {

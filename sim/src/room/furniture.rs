@@ -18,6 +18,8 @@ const WORDS: [&str; 21] = [
 ];
 /// Most pieces of furniture of a file; further ones are left out.
 const PIECES_MAX: usize = 1000;
+/// Most corners of all pieces: pieces of pieces have theirs again, 72 MB in all.
+const CORNERS_MAX: usize = 6_000_000;
 /// Most characters of a label that are kept.
 const LABEL_CHARS_MAX: usize = 64;
 /// Smallest area of an outline, square metres: smaller ones are noise of a scan.
@@ -57,7 +59,9 @@ impl Mesh {
     }
 
     fn push_piece(&mut self, label: &str, corners: Vec<Vec3>, parts: usize) {
-        if self.furniture.len() < PIECES_MAX && !corners.is_empty() {
+        let kept: usize = self.furniture.iter().map(|piece| piece.corners.len()).sum();
+        let is_room = self.furniture.len() < PIECES_MAX && kept + corners.len() <= CORNERS_MAX;
+        if is_room && !corners.is_empty() {
             // Labels are printed in terminals.
             let label = label.chars().filter(|letter| !letter.is_control()).take(LABEL_CHARS_MAX).collect();
             self.furniture.push(Piece { label, corners, parts });
@@ -110,21 +114,35 @@ pub(crate) fn is_furniture(label: &str) -> bool {
 
 /// Outlines of the furniture of a mesh whose floor is at z = 0, largest first.
 pub(crate) fn outlines(mesh: &Mesh) -> Vec<Furniture> {
-    // Of each piece so far that is no part of another one: the number of pieces that it stands for, and its outlines.
-    let mut groups: Vec<(usize, Vec<Furniture>)> = Vec::new();
+    let mut groups: Vec<Group> = Vec::new();
     for piece in &mesh.furniture {
-        let (mut count, mut parts) = (1, Vec::new());
+        let (mut count, mut corners, mut parts) = (1, 0, Vec::new());
         while count <= piece.parts
-            && let Some((of_part, outlines)) = groups.pop()
+            && let Some(part) = groups.pop()
         {
-            count += of_part;
-            parts.extend(outlines);
+            count += part.pieces;
+            corners += part.corners;
+            parts.extend(part.outlines);
         }
-        groups.push((count, whole_or_parts(outline(piece), parts)));
+        // What no part names, such as the top of a desk with a named drawer, has its place in the whole alone.
+        if corners < piece.corners.len() {
+            parts.clear();
+        }
+        let outlines = whole_or_parts(outline(piece), parts);
+        groups.push(Group { pieces: count, corners: piece.corners.len(), outlines });
     }
-    let mut found: Vec<Furniture> = groups.into_iter().flat_map(|(_, outlines)| outlines).collect();
+    let mut found: Vec<Furniture> = groups.into_iter().flat_map(|group| group.outlines).collect();
     found.sort_by(|a, b| b.area_m2().total_cmp(&a.area_m2()));
     found
+}
+
+/// A piece so far that is no part of another one.
+struct Group {
+    /// Number of pieces of the list that it stands for.
+    pieces: usize,
+    /// Corners of its triangles.
+    corners: usize,
+    outlines: Vec<Furniture>,
 }
 
 /// A chair is one piece, however many parts its file names. A group of chairs, with floor between them, is its chairs.
@@ -331,6 +349,17 @@ mod tests {
         let mut labels: Vec<String> = outlines(&mesh).into_iter().map(|piece| piece.label).collect();
         labels.sort();
         assert_eq!(labels, ["Chair.001", "Chair.002"]);
+    }
+
+    #[test]
+    fn a_desk_whose_drawer_alone_has_a_name_is_whole() {
+        let mut mesh = Mesh::default();
+        let (drawer, top) = (block([0.0, 0.0], 0.3), block([0.0, 0.0], 1.6));
+        mesh.add_piece("Desk_drawer", drawer.clone());
+        mesh.push_piece("Desk", [top, drawer].concat(), 1);
+        let found = outlines(&mesh);
+        assert_eq!(found.len(), 1);
+        assert!(found[0].label == "Desk" && found[0].area_m2() > 2.5, "{found:?}");
     }
 
     #[test]

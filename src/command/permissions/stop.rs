@@ -2,12 +2,20 @@
 
 use super::{PATIENCE, PermissionError, StopArgs};
 use crate::command::output;
+use crate::config::World;
 use crate::control::{self, AskError, Request};
 use crate::process::control::saved_state::{latch_stop, stop_file};
+use crate::process::link::{LinkReport, PeerReport};
 use crate::run::{Run, RunError};
 use crate::storage::{DiskStorage, Storage};
 use serde::Serialize;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Longest wait until robots on other machines say that they are stopped: their states and the file come once a second.
+const ROBOTS_PATIENCE: Duration = Duration::from_secs(5);
+/// Period at which the file is read.
+const ROBOTS_POLL: Duration = Duration::from_millis(100);
 
 /// What `mr-slam stop` has achieved with one fleet.
 #[derive(Debug, Serialize)]
@@ -20,12 +28,24 @@ struct StoppedFleet {
     latched: bool,
     /// Why the bridge has not confirmed it, or why it is not latched.
     why: Option<String>,
+    /// Robots on other machines that have not said that they are stopped.
+    unconfirmed: Vec<String>,
 }
 
 impl StoppedFleet {
+    /// Whether a robot of the fleet may still drive.
+    fn may_drive(&self) -> bool {
+        !self.confirmed && !self.latched || !self.unconfirmed.is_empty()
+    }
+
     fn line(&self) -> String {
         let why = self.why.as_deref().unwrap_or_default();
+        let unconfirmed = self.unconfirmed.join(", ");
         let state = match (self.confirmed, self.latched) {
+            (true, _) if !unconfirmed.is_empty() => format!(
+                "NOT CONFIRMED by {unconfirmed}: it stops when the link brings the stop; what it does by itself goes on until \
+                 then, unless somebody stops it there"
+            ),
             (true, true) => "every robot is stopped until `mr-slam release`".to_owned(),
             (true, false) => format!("every robot is stopped, but not across a restart: {why}"),
             (false, true) => {
@@ -58,8 +78,7 @@ pub fn stop(args: &StopArgs) -> Result<(), PermissionError> {
     let latched: Vec<_> = dirs.into_iter().map(latch).collect();
     let fleets: Vec<_> = latched.into_iter().map(confirm).collect();
     output::print_either(args.json, &fleets, || fleets.iter().map(StoppedFleet::line).collect())?;
-    let (all, failed) =
-        (fleets.len(), fleets.iter().filter(|fleet| !fleet.confirmed && !fleet.latched).count());
+    let (all, failed) = (fleets.len(), fleets.iter().filter(|fleet| fleet.may_drive()).count());
     if failed > 0 { Err(PermissionError::NotStopped { failed, all }) } else { Ok(()) }
 }
 
@@ -81,14 +100,35 @@ fn latch(dir: PathBuf) -> Latched {
 fn confirm((dir, written): Latched) -> StoppedFleet {
     let asked = match Run::open_running(&dir) {
         Ok(run) => match control::ask(&run, Request::Stop, PATIENCE) {
-            Ok(state) if state.stopped => Ok(()),
+            Ok(state) if state.stopped => Ok(unconfirmed_robots(&run)),
             Ok(_) => Err("the bridge has released it again".to_owned()),
             Err(why) => Err(why.to_string()),
         },
         Err(why) => Err(why.to_string()),
     };
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
-    StoppedFleet { run: dir, confirmed, latched, why: written.err().or(asked.err()) }
+    let unconfirmed = asked.as_ref().ok().cloned().unwrap_or_default();
+    StoppedFleet { run: dir, confirmed, latched, why: written.err().or(asked.err()), unconfirmed }
+}
+
+/// Returns the names of the robots on other machines that do not say in time that they are stopped.
+fn unconfirmed_robots(run: &Run) -> Vec<String> {
+    if run.config.world != World::Robots {
+        return Vec::new();
+    }
+    let begun = Instant::now();
+    loop {
+        let peers = LinkReport::read(&run.dir).unwrap_or_default().peers;
+        let has_stopped = |name: &String| {
+            peers.iter().any(|peer: &PeerReport| peer.robot == *name && peer.is_heard && peer.is_stopped)
+        };
+        let names = run.robots().map(|robot| run.config.robot_name(robot));
+        let left: Vec<String> = names.filter(|name| !has_stopped(name)).collect();
+        if left.is_empty() || begun.elapsed() >= ROBOTS_PATIENCE {
+            return left;
+        }
+        std::thread::sleep(ROBOTS_POLL);
+    }
 }
 
 /// Releases the emergency stop of one fleet, in the bridge or, while there is none, on the disk.

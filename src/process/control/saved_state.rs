@@ -132,8 +132,14 @@ impl<S: Storage> SavedFiles<S> {
             Ok(None) => {}
             // A file that cannot be read may say that the stop is set.
             latch => {
-                files.latch = Some(latch.ok().flatten().unwrap_or_default());
-                bridge.restore_stop();
+                let content = latch.ok().flatten();
+                // `mr-slam stop` has written it, while no bridge answered: a person stops the robots now.
+                if content.as_ref().is_some_and(|content| content != STOPPED_BY_BRIDGE) {
+                    bridge.stop_robots();
+                } else {
+                    bridge.restore_stop();
+                }
+                files.latch = Some(content.unwrap_or_default());
                 tracing::warn!("the emergency stop is set since before this start; see `mr-slam release`");
             }
         }

@@ -11,19 +11,21 @@ use ::bridge::world::{ClockOffset, SourceClock};
 use ::link::{BaseEnd, BaseEvent, DecimatedScan};
 use link_transport::Transport;
 use msg::{
-    Clock, Correction, Monotonic, RobotId, Scan, Submap, SubmapPoses, SubmapRequest, TileMap, Transforms,
-    VelocityCommand,
+    Clock, Correction, Monotonic, RobotId, Scan, Stamp, Submap, SubmapPoses, SubmapRequest, TileMap,
+    Transforms, VelocityCommand,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Period of the base's clock.
 const CLOCK_PERIOD: Duration = Duration::from_millis(20);
+/// More generations than a process of SLAM has.
+const GENERATIONS: u32 = 1 << 20;
 /// Shortest time between two submaps: readers have room for eight.
 const SUBMAP_PAUSE: Duration = Duration::from_millis(100);
-/// Age from which on a scan is dropped, nanoseconds: a link that is too slow for scans delivers them late, while poses overtake
-/// them.
-const SCAN_AGE_MAX_NS: i64 = 500_000_000;
+/// Time by which a scan may be older than the newest pose, nanoseconds. A link that is too slow for scans delivers them late,
+/// while poses overtake them.
+const SCAN_BEHIND_MAX_NS: i64 = 500_000_000;
 /// Longest time after a robot joins until its map is published although parts are missing. Until then readers keep what an
 /// earlier process of the link published.
 const WHOLE_MAP_WAIT_MAX: Duration = Duration::from_secs(5);
@@ -79,6 +81,10 @@ struct RobotMirror<P: Ports> {
     /// Poses that were published: fewer than the robot's scans.
     corrections: u64,
     was_heard: bool,
+    /// Added to the generations of the robot's submaps: those of another process of its link are others.
+    generation: u32,
+    /// Stamp of the newest pose, on the robot's clock.
+    newest_pose: Stamp,
     /// Scans that were dropped because they came late.
     late_scans: u64,
     channels: Channels<P>,
@@ -169,6 +175,8 @@ impl<P: Ports> RobotMirror<P> {
             clock: SourceClock::new(ClockOffset::Measured),
             corrections: 0,
             was_heard: false,
+            generation: 0,
+            newest_pose: Stamp(0),
             late_scans: 0,
             channels: Channels::open(ports, robot)?,
             unpublished: Unpublished::default(),
@@ -193,9 +201,15 @@ impl<P: Ports> RobotMirror<P> {
                     if before.is_some() { "has joined again, with another process" } else { "has joined" };
                 tracing::warn!("{} {how}: session {robot:016x}", self.name);
                 self.clock = SourceClock::new(ClockOffset::Measured);
+                self.newest_pose = Stamp(0);
+                if before.is_some() {
+                    // Closures refer to submaps and nodes by number: merging must forget those of before.
+                    self.generation = self.generation.wrapping_add(GENERATIONS);
+                }
                 self.unpublished.wait_until = now + WHOLE_MAP_WAIT_MAX;
             }
             BaseEvent::Correction(mut correction) => {
+                self.newest_pose = correction.header.stamp;
                 // Only this message estimates the clock: it comes at a steady rate and is small.
                 let stamp = self.clock.convert(correction.header.stamp, epoch.stamp(now));
                 if let Ok(stamp) = stamp {
@@ -211,7 +225,7 @@ impl<P: Ports> RobotMirror<P> {
                 transforms.header.stamp = self.clock.translate(transforms.header.stamp);
                 self.channels.transforms.send(&transforms);
             }
-            BaseEvent::Scan(scan) if self.clock.estimate().is_some() => self.publish_scan(&scan, epoch, now),
+            BaseEvent::Scan(scan) if self.clock.estimate().is_some() => self.publish_scan(&scan),
             // Before the first pose the offset of the clocks is not known.
             BaseEvent::Transforms(_) | BaseEvent::Scan(_) => {}
             BaseEvent::Map => self.unpublished.has_map_changed = true,
@@ -220,13 +234,19 @@ impl<P: Ports> RobotMirror<P> {
         }
     }
 
-    /// Publishes a scan, unless it waited: navigation takes what arrives for what is ahead of the robot now.
-    fn publish_scan(&mut self, scan: &DecimatedScan, epoch: Epoch, now: Monotonic) {
-        let stamp = self.clock.translate(scan.stamp);
-        if epoch.stamp(now).0.saturating_sub(stamp.0) > SCAN_AGE_MAX_NS {
+    /// Publishes a scan, unless poses have overtaken it: navigation takes what arrives for what is ahead of the robot now.
+    fn publish_scan(&mut self, scan: &DecimatedScan) {
+        if self.newest_pose.0.saturating_sub(scan.stamp.0) > SCAN_BEHIND_MAX_NS {
+            if self.late_scans == 0 {
+                tracing::warn!(
+                    "{}: scans come late over the link, and are dropped; it is too slow for them",
+                    self.name
+                );
+            }
             self.late_scans += 1;
             return;
         }
+        let stamp = self.clock.translate(scan.stamp);
         self.channels.scan.send_with(|message| {
             scan.write_to(message);
             message.header.stamp = stamp;
@@ -266,12 +286,14 @@ impl<P: Ports> RobotMirror<P> {
             self.unpublished.submap_due = now + SUBMAP_PAUSE;
             // A submap that was removed meanwhile is not there.
             if let Some(mut submap) = self.end.submap(id) {
+                submap.generation = submap.generation.wrapping_add(self.generation);
                 submap.grid.header.stamp = self.clock.translate(submap.grid.header.stamp);
                 self.channels.submap.send(&submap);
             }
         }
         match self.unpublished.poses.take() {
             Some(mut poses) => {
+                poses.generation = poses.generation.wrapping_add(self.generation);
                 poses.header.stamp = self.clock.translate(poses.header.stamp);
                 self.channels.submap_poses.send(&poses);
             }

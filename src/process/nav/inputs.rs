@@ -42,6 +42,8 @@ struct RobotState {
     base_from_scan: Pose2,
     /// `None` while the robot is lost.
     map_from_odom: Option<Pose2>,
+    /// When SLAM said so last.
+    corrected: Option<Monotonic>,
 }
 
 struct MapInput<P: Ports> {
@@ -101,6 +103,7 @@ impl<P: Ports> Inputs<P> {
             if let Some(correction) = corrections.newest() {
                 let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
                 state.map_from_odom = correction.map_from_odom().filter(|_| is_located);
+                state.corrected = Some(now);
             }
             if map_from_robot_map(transforms.as_ref(), *robot).is_none() {
                 map.receive();
@@ -127,12 +130,14 @@ impl<P: Ports> Inputs<P> {
         Some(self.robot_map_from_odom(robot)? * odom_from_base)
     }
 
-    /// The robots of which no pose or no scan has arrived for some seconds.
+    /// The robots of which no pose, of odometry or of SLAM, or no scan has arrived for some seconds.
     pub(super) fn silent_robots(&self, now: Monotonic) -> Vec<RobotId> {
         let is_old = |at: Option<Monotonic>| at.is_none_or(|at| now.since(at) > SILENCE_MAX_NS);
         let is_silent = |inputs: &&RobotInputs<P>| {
             let state = &inputs.state;
-            is_old(state.scan.as_ref().map(|(_, at)| *at)) || is_old(state.odom_from_base.map(|(_, at)| at))
+            is_old(state.scan.as_ref().map(|(_, at)| *at))
+                || is_old(state.odom_from_base.map(|(_, at)| at))
+                || is_old(state.corrected)
         };
         self.robots.iter().filter(is_silent).map(|inputs| inputs.robot).collect()
     }
@@ -150,7 +155,9 @@ impl<P: Ports> Inputs<P> {
         let robot = |inputs: &'_ RobotInputs<P>| {
             let state = &inputs.state;
             let map_from_robot_map = map_from_robot_map(transforms, inputs.robot);
-            let is_fresh = |(_, at): &(Pose2, Monotonic)| now.since(*at) <= POSE_AGE_MAX_NS;
+            // Without SLAM the map's pose is odometry's, which drifts: nobody is driven by it.
+            let has_slam = state.corrected.is_some_and(|at| now.since(at) <= SILENCE_MAX_NS);
+            let is_fresh = |(_, at): &(Pose2, Monotonic)| has_slam && now.since(*at) <= POSE_AGE_MAX_NS;
             let odom_from_base = state.odom_from_base.filter(is_fresh).map(|(pose, _)| pose);
             let map_from_odom = match map_from_robot_map {
                 Some(map_from_robot_map) => state.map_from_odom.map(|pose| map_from_robot_map * pose),

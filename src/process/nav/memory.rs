@@ -4,14 +4,17 @@ use crate::process::file_thread::{FileJobs, JobWorker};
 use crate::run::Run;
 use crate::storage::Storage;
 use ::nav::{GoalFrame, GoalPose, NavigationGoal};
-use msg::RobotId;
+use msg::{Monotonic, RobotId};
 use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::PathBuf;
+use std::time::Duration;
 use tokio::sync::oneshot::{self, error::TryRecvError};
 
 /// Name of the file.
 const FILE: &str = "navigation.json";
+/// Time after which a state that could not be written is written again.
+const RETRY_PERIOD: Duration = Duration::from_secs(1);
 /// Largest file that is read, bytes: 64 poses of 64 robots have 0.4 MB.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -131,43 +134,58 @@ impl<S: Storage> NavigationFile<S> {
 
 impl<S: Storage> FileJobs for NavigationFile<S> {
     type Job = SavedState;
-    type Report = ();
+    /// Whether the state was written.
+    type Report = bool;
 
     /// Writes the state.
-    fn run(&mut self, state: &SavedState) {
+    fn run(&mut self, state: &SavedState) -> bool {
         let saved = Saved { run: self.run_begun, state: state.clone() };
         let written = serde_json::to_vec(&saved)
             .map_err(io::Error::from)
             .and_then(|bytes| self.storage.replace(&self.path, &bytes));
-        if let Err(why) = written
-            && !std::mem::replace(&mut self.has_warned, true)
-        {
-            tracing::warn!("{}: {why}; a restarted navigation forgets its goals", self.path.display());
+        let Err(why) = written else {
+            self.has_warned = false;
+            return true;
+        };
+        if !std::mem::replace(&mut self.has_warned, true) {
+            let path = self.path.display();
+            tracing::warn!(
+                "{path}: {why}; until it can be written, a restarted navigation goes on with what it has"
+            );
         }
+        false
     }
 }
 
 /// Writes the state whenever it has changed; never waits for the disk.
 pub(super) struct StateWriter<W> {
     worker: W,
-    submitted: SavedState,
+    /// The state that the file has or gets; `None`: it has not what it should.
+    submitted: Option<SavedState>,
     /// The job that is under way; a newer state waits for its end.
-    job: Option<oneshot::Receiver<()>>,
+    job: Option<oneshot::Receiver<bool>>,
+    /// Time before which a job that failed is not repeated.
+    retry_at: Monotonic,
 }
 
-impl<W: JobWorker<SavedState, ()>> StateWriter<W> {
+impl<W: JobWorker<SavedState, bool>> StateWriter<W> {
     pub(super) fn new(worker: W, saved: SavedState) -> Self {
-        Self { worker, submitted: saved, job: None }
+        Self { worker, submitted: Some(saved), job: None, retry_at: Monotonic(0) }
     }
 
-    /// Has the state written if it has changed and the file is free. Call it often.
-    pub(super) fn write(&mut self, state: SavedState) {
-        if let Some(Err(TryRecvError::Empty)) = self.job.as_mut().map(oneshot::Receiver::try_recv) {
-            return;
+    /// Has the state written if it has changed, or could not be written before, and the file is free. Call it often.
+    pub(super) fn write(&mut self, state: SavedState, now: Monotonic) {
+        match self.job.as_mut().map(oneshot::Receiver::try_recv) {
+            Some(Err(TryRecvError::Empty)) => return,
+            None | Some(Ok(true)) => {}
+            // Refused, or the disk is full.
+            Some(Ok(false) | Err(TryRecvError::Closed)) => {
+                (self.submitted, self.retry_at) = (None, now + RETRY_PERIOD);
+            }
         }
         self.job = None;
-        if state != self.submitted {
-            self.submitted = state.clone();
+        if now >= self.retry_at && self.submitted.as_ref() != Some(&state) {
+            self.submitted = Some(state.clone());
             self.job = Some(self.worker.submit(state));
         }
     }
@@ -180,11 +198,11 @@ mod tests {
     /// A disk that takes one job and does not answer.
     #[derive(Default)]
     struct StalledDisk {
-        jobs: Vec<(SavedState, oneshot::Sender<()>)>,
+        jobs: Vec<(SavedState, oneshot::Sender<bool>)>,
     }
 
-    impl JobWorker<SavedState, ()> for StalledDisk {
-        fn submit(&mut self, job: SavedState) -> oneshot::Receiver<()> {
+    impl JobWorker<SavedState, bool> for StalledDisk {
+        fn submit(&mut self, job: SavedState) -> oneshot::Receiver<bool> {
             let (sender, receiver) = oneshot::channel();
             self.jobs.push((job, sender));
             receiver
@@ -195,11 +213,23 @@ mod tests {
     fn the_newest_state_is_written_when_a_slow_disk_answers() {
         let state = |number| SavedState { commands: vec![(1, number)], ..SavedState::default() };
         let mut writer = StateWriter::new(StalledDisk::default(), SavedState::default());
-        (1..=3).for_each(|number| writer.write(state(number)));
+        (1..=3).for_each(|number| writer.write(state(number), Monotonic(0)));
         assert_eq!(writer.worker.jobs.len(), 1, "one job is under way");
         let (first, answer) = writer.worker.jobs.remove(0);
-        answer.send(()).unwrap();
-        writer.write(state(3));
+        answer.send(true).unwrap();
+        writer.write(state(3), Monotonic(0));
         assert_eq!((first, &writer.worker.jobs[0].0), (state(1), &state(3)));
+    }
+
+    #[test]
+    fn a_state_that_a_full_disk_refused_is_written_again() {
+        let cancelled = SavedState { commands: vec![(1, 7)], ..SavedState::default() };
+        let mut writer = StateWriter::new(StalledDisk::default(), SavedState::default());
+        writer.write(cancelled.clone(), Monotonic(0));
+        writer.worker.jobs.remove(0).1.send(false).unwrap();
+        writer.write(cancelled.clone(), Monotonic(1));
+        assert!(writer.worker.jobs.is_empty(), "not at once");
+        writer.write(cancelled.clone(), Monotonic(0) + 2 * RETRY_PERIOD);
+        assert_eq!(writer.worker.jobs.remove(0).0, cancelled);
     }
 }

@@ -1,0 +1,65 @@
+//! Robots of the navigator under the emergency stop, and after the permission of who sent them was withdrawn.
+
+use crate::local::LocalClient;
+use bridge::ros::PoseStamped;
+use bridge::{Bridge, BridgeConfig, FleetMessage};
+use msg::{
+    ExplorationReport, ExplorerState, Monotonic, NavigationAction, NavigationReport, NavigationStatus,
+    RobotId,
+};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+type Commands = Rc<RefCell<Vec<(RobotId, Option<NavigationAction>)>>>;
+
+/// A bridge of two robots, and the commands that it gives to the navigator.
+fn bridge() -> (Bridge, Commands) {
+    let (bridge, commands) =
+        (Bridge::new(BridgeConfig::default(), 2, |_, _| {}).unwrap(), Commands::default());
+    let sent = commands.clone();
+    bridge.on_navigation(move |robot, command| sent.borrow_mut().push((robot, command.action())));
+    (bridge, commands)
+}
+
+fn robot(number: usize) -> RobotId {
+    RobotId::new(number).unwrap()
+}
+
+fn report(status: NavigationStatus) -> NavigationReport {
+    NavigationReport { status: status as u32, ..NavigationReport::default() }
+}
+
+/// A goal that a command line gives to the navigator during the stop is seen by its report alone.
+#[test]
+fn a_robot_that_gets_something_to_do_during_the_stop_is_paused() {
+    let (bridge, commands) = bridge();
+    bridge.restore_stop();
+    assert!(commands.borrow().is_empty(), "nobody has a goal");
+    let blocked = report(NavigationStatus::Blocked);
+    bridge.publish(FleetMessage::NavigationState(robot(1), &blocked));
+    assert_eq!(commands.take(), [(robot(1), Some(NavigationAction::Pause))]);
+    bridge.publish(FleetMessage::NavigationState(robot(1), &report(NavigationStatus::Paused)));
+    assert!(commands.borrow().is_empty(), "it is paused");
+    let mut exploration = ExplorationReport::default();
+    exploration.robots[1] = ExplorerState::Exploring as u8;
+    bridge.publish(FleetMessage::ExplorationState(&exploration));
+    assert_eq!(commands.take(), [(robot(2), Some(NavigationAction::Pause))]);
+    bridge.release_stop();
+    assert!(commands.borrow().is_empty(), "the release sets nobody off");
+}
+
+#[test]
+fn goals_of_a_client_that_is_denied_are_paused() {
+    let (bridge, commands) = bridge();
+    let client = LocalClient::connect(&bridge);
+    client.publish::<PoseStamped>("/robot1/goal_pose");
+    let goal =
+        PoseStamped { frame_id: "map".into(), orientation: [0.0, 0.0, 0.0, 1.0], ..Default::default() };
+    client.send("/robot1/goal_pose", &goal, Monotonic(1));
+    assert_eq!(commands.take(), [(robot(1), Some(NavigationAction::Goal))]);
+    for number in [1, 2] {
+        bridge.publish(FleetMessage::NavigationState(robot(number), &report(NavigationStatus::Driving)));
+    }
+    bridge.deny([127, 0, 0, 1].into());
+    assert_eq!(commands.take(), [(robot(1), Some(NavigationAction::Pause))], "robot 2 has another's goal");
+}
