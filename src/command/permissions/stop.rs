@@ -30,6 +30,8 @@ struct StoppedFleet {
     why: Option<String>,
     /// Robots on other machines that have not said that they are stopped.
     unconfirmed: Vec<String>,
+    /// Robots of which this base has heard nothing yet.
+    unheard: Vec<String>,
 }
 
 impl StoppedFleet {
@@ -55,7 +57,11 @@ impl StoppedFleet {
             }
             (false, false) => format!("NOT STOPPED: {why}"),
         };
-        format!("{state} (run {})\n", self.run.display())
+        let unheard = match self.unheard.as_slice() {
+            [] => String::new(),
+            names => format!("; nothing was heard of {} yet", names.join(", ")),
+        };
+        format!("{state}{unheard} (run {})\n", self.run.display())
     }
 }
 
@@ -107,14 +113,15 @@ fn confirm((dir, written): Latched) -> StoppedFleet {
         Err(why) => Err(why.to_string()),
     };
     let (confirmed, latched) = (asked.is_ok(), written.is_ok());
-    let unconfirmed = asked.as_ref().ok().cloned().unwrap_or_default();
-    StoppedFleet { run: dir, confirmed, latched, why: written.err().or(asked.err()), unconfirmed }
+    let [unconfirmed, unheard] = asked.as_ref().ok().cloned().unwrap_or_default();
+    StoppedFleet { run: dir, confirmed, latched, why: written.err().or(asked.err()), unconfirmed, unheard }
 }
 
-/// Returns the names of the robots on other machines that do not say in time that they are stopped.
-fn unconfirmed_robots(run: &Run) -> Vec<String> {
+/// Returns the names of the robots on other machines that do not say in time that they are stopped, and of those that the base
+/// has not heard of yet.
+fn unconfirmed_robots(run: &Run) -> [Vec<String>; 2] {
     if run.config.world != World::Robots {
-        return Vec::new();
+        return Default::default();
     }
     let begun = Instant::now();
     loop {
@@ -122,10 +129,13 @@ fn unconfirmed_robots(run: &Run) -> Vec<String> {
         let has_stopped = |name: &String| {
             peers.iter().any(|peer: &PeerReport| peer.robot == *name && peer.is_heard && peer.is_stopped)
         };
+        let was_heard =
+            |name: &String| peers.iter().any(|peer| peer.robot == *name && !peer.bytes.is_empty());
         let names = run.robots().map(|robot| run.config.robot_name(robot));
-        let left: Vec<String> = names.filter(|name| !has_stopped(name)).collect();
+        let (heard, unheard): (Vec<String>, Vec<String>) = names.partition(was_heard);
+        let left: Vec<String> = heard.into_iter().filter(|name| !has_stopped(name)).collect();
         if left.is_empty() || begun.elapsed() >= ROBOTS_PATIENCE {
-            return left;
+            return [left, unheard];
         }
         std::thread::sleep(ROBOTS_POLL);
     }
