@@ -127,7 +127,9 @@ fn unconfirmed_robots(run: &Run) -> [Vec<String>; 2] {
     loop {
         let peers = LinkReport::read(&run.dir).unwrap_or_default().peers;
         let has_stopped = |name: &String| {
-            peers.iter().any(|peer: &PeerReport| peer.robot == *name && peer.is_heard && peer.is_stopped)
+            peers.iter().any(|peer: &PeerReport| {
+                peer.robot == *name && peer.is_heard && peer.is_stopped == Some(true)
+            })
         };
         let was_heard =
             |name: &String| peers.iter().any(|peer| peer.robot == *name && !peer.bytes.is_empty());

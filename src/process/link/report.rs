@@ -20,15 +20,13 @@ pub struct PeerReport {
     pub robot: String,
     /// Whether the peer was heard in the last 3 s.
     pub is_heard: bool,
-    /// Whether the robot's own emergency stop is set, as the robot said last.
-    #[serde(default)]
-    pub is_stopped: bool,
+    /// Whether the robot's own emergency stop is set, as the robot told the base last; `None` in a robot's own file.
+    pub is_stopped: Option<bool>,
     /// Parts of the map that the base does not hold as they are.
     pub waiting: u64,
     /// Messages of other peers than the one that counts.
     pub refused: u64,
     /// Scans that the base dropped because the link delivered them late.
-    #[serde(default)]
     pub late_scans: u64,
     /// Bytes from the robot to the base by kind of message, as this end counts them.
     pub bytes: BTreeMap<String, u64>,
@@ -74,10 +72,16 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for RobotLink<P, T, S> {
         let (end, robot) = (self.end(), self.name().to_owned());
         let (waiting, refused) = (end.waiting() as u64, end.refused());
         let (is_heard, bytes) = (end.is_heard(self.now()), by_kind(end.sent()));
-        // The base's robots say so; a robot's own stop is its bridge's to say.
-        let is_stopped = false;
         LinkReport {
-            peers: vec![PeerReport { robot, is_heard, is_stopped, waiting, refused, bytes, late_scans: 0 }],
+            peers: vec![PeerReport {
+                robot,
+                is_heard,
+                is_stopped: None,
+                waiting,
+                refused,
+                bytes,
+                late_scans: 0,
+            }],
         }
     }
 }
@@ -87,7 +91,7 @@ impl<P: Ports, T: Transport, S: StopControl> ReportLink for BaseLink<P, T, S> {
         let peers = self.ends().map(|(name, end, late_scans)| PeerReport {
             robot: name.to_owned(),
             is_heard: end.is_heard(self.now()),
-            is_stopped: end.robot_state().is_stopped,
+            is_stopped: Some(end.robot_state().is_stopped),
             waiting: end.robot_state().waiting.into(),
             refused: end.refused(),
             late_scans,
