@@ -106,7 +106,8 @@ pub struct FleetStats {
     pub robots: [RobotStats; ROBOTS_MAX],
     /// Statistics of the merged map (free, occupied, unknown, size, coverage; the rest is zero).
     pub merged: RobotStats,
-    /// Known cells of the merged map over the observable cells of the room, 0 to 1. NaN without simulation.
+    /// Known cells of the merged map over the observable cells of the room, 0 to 1; a wall is known within one cell. NaN
+    /// without simulation.
     pub room_coverage: f64,
     /// Share of the cells known in both maps on which they agree, mean over pairs, 0 to 1: cross-instance
     /// consistency as the MR-SLAM paper defines it.

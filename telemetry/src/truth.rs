@@ -55,16 +55,20 @@ impl ObservableArea {
     }
 
     /// Share of the observable cells that a map knows, 0 to 1; NaN if nothing is observable.
+    ///
+    /// A wall's cell is known, too, if a cell beside it is a wall in the map, as in [`MapErrors::occupied_f1`]. The
+    /// cells of plan and map do not coincide: a map that draws a surface one cell nearer can never know what is behind.
     pub fn coverage(&self, map: GridView<'_>, world_from_map: Pose2) -> f64 {
         let map_from_world = world_from_map.inverse();
         let (plan, mut known) = (self.plan.view(), 0_usize);
-        let mut index = self.observable.iter();
+        let mut cells = self.observable.iter().zip(&self.walls);
         for y in 0..i64::from(plan.header.height) {
             for x in 0..i64::from(plan.header.width) {
-                if index.next() == Some(&true) {
-                    let (x, y) = map.cell_of(map_from_world.apply(plan.centre_m(x, y)));
-                    known += usize::from(occupancy(map.cell(x, y)) != Occupancy::Unknown);
-                }
+                let Some((true, is_wall)) = cells.next() else { continue };
+                let (x, y) = map.cell_of(map_from_world.apply(plan.centre_m(x, y)));
+                let has_wall = |(x, y)| occupancy(map.cell(x, y)) == Occupancy::Occupied;
+                let is_known = occupancy(map.cell(x, y)) != Occupancy::Unknown;
+                known += usize::from(is_known || (*is_wall && around(x, y).any(has_wall)));
             }
         }
         known as f64 / self.count as f64
@@ -227,6 +231,21 @@ mod tests {
         let seen = room.compare(half.view(), Pose2::IDENTITY);
         within(seen.coverage, 0.5, 0.02);
         assert!(seen.map_to_room_m < 0.02 && seen.room_to_map_m > 0.2, "{seen:?}");
+    }
+
+    #[test]
+    fn a_wall_is_known_if_the_map_draws_it_one_cell_nearer_but_not_two() {
+        let plan = house();
+        let width = plan.header.width as usize;
+        // The room's lower wall, moved into the room; behind it nothing is known.
+        let coverage = |nearer: usize| {
+            let mut map = plan.clone();
+            (10..10 + nearer).for_each(|y| map.cells[y * width + 10..y * width + 250].fill(UNKNOWN));
+            map.cells[(10 + nearer) * width + 10..(10 + nearer) * width + 250].fill(90);
+            ObservableArea::new(plan.clone(), []).coverage(map.view(), Pose2::IDENTITY)
+        };
+        assert_eq!((coverage(0), coverage(1)), (1.0, 1.0));
+        assert!(coverage(2) < 0.999, "{}", coverage(2));
     }
 
     #[test]
