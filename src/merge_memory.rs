@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// The file's name in the run's folder.
 const FILE: &str = "merge.json";
 /// The format this program reads and writes.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Longest file that is read, bytes: 64 robots whose every edge was undone eight times take 4 MB.
 const BYTES_MAX: u64 = 8 << 20;
 /// Time after a failed write until the next attempt, nanoseconds.

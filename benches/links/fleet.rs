@@ -114,7 +114,7 @@ pub fn measure(link: Link, options: &Options) {
     let names: Vec<String> = (1..=options.robots).map(|number| format!("robot{number}")).collect();
     let starts = starts(options.robots);
     let network = Network::open(link, options.robots, true).expect("it was permitted before");
-    let site = Site::new(network, names, true);
+    let site = Site::new(network, names, true, &options.protocol);
     let late: Vec<usize> = (options.robots - LATE.min(options.robots - 1)..options.robots).collect();
     late.iter().for_each(|index| site.network.set_up(Side::Robot(*index), false));
 

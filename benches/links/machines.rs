@@ -27,11 +27,13 @@ pub struct Site {
     pub folder: tempfile::TempDir,
     pub names: Vec<String>,
     has_router: bool,
+    /// Protocol below Zenoh, `quic` or `tls`.
+    protocol: String,
 }
 
 impl Site {
     /// Creates the keys of all machines.
-    pub fn new(network: Network, names: Vec<String>, has_router: bool) -> Self {
+    pub fn new(network: Network, names: Vec<String>, has_router: bool, protocol: &str) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let keys = folder.path().join("keys");
         create_authority(&keys).expect("an authority");
@@ -39,7 +41,7 @@ impl Site {
         for owner in [KeyOwner::Base, KeyOwner::Router].into_iter().chain(robots) {
             create_key(&keys, &owner).expect("a key");
         }
-        Self { network, folder, names, has_router }
+        Self { network, folder, names, has_router, protocol: protocol.into() }
     }
 
     fn key(&self, owner: &KeyOwner) -> String {
@@ -47,7 +49,7 @@ impl Site {
     }
 
     fn hub(&self, side: Side) -> String {
-        format!("tls/{}:{PORT}", self.network.hub_address(side))
+        format!("{}/{}:{PORT}", self.protocol, self.network.hub_address(side))
     }
 
     fn start(&self, side: Side, name: &str, endpoint: &str, args: &[&str]) -> Fleet {
@@ -59,7 +61,7 @@ impl Site {
         let (names, key) = (self.names.join(","), self.key(&KeyOwner::Base));
         let (option, endpoint) = match self.has_router {
             true => ("--router", self.hub(Side::Base)),
-            false => ("--listen", format!("tls/0.0.0.0:{PORT}")),
+            false => ("--listen", format!("{}/0.0.0.0:{PORT}", self.protocol)),
         };
         let args = ["base", "--names", &names, option, &endpoint, "--keys", &key];
         self.start(Side::Base, name, &endpoint, &[&args, more].concat())
@@ -82,7 +84,7 @@ impl Site {
             "--names",
             &self.names.join(","),
             "--listen",
-            &format!("tls/0.0.0.0:{PORT}"),
+            &format!("{}/0.0.0.0:{PORT}", self.protocol),
         ]);
         command.args(["--keys", &self.key(&KeyOwner::Router)]);
         RouterProcess(command.spawn().expect("a router"))

@@ -2,7 +2,7 @@
 //! against the robots', times of the emergency stop, and how long the base needs after outages and after it was replaced.
 //!
 //! One robot on several links:
-//! `cargo bench --features link --bench links [-- --seconds 60 --outage 60 --stops 20 --rates 54,6,1 --losses 0,5,20]`
+//! `cargo bench --features link --bench links [-- --seconds 60 --outage 60 --stops 20 --rates 54,6,1 --losses 0,5,20 --protocol quic|tls]`
 //!
 //! Many robots behind a router, the last two of which come late:
 //! `cargo bench --features link --bench links -- --robots 8 [--seconds 60 --outage 60 --rates 6 --losses 0 --starts unknown]`
@@ -37,6 +37,8 @@ struct Options {
     /// Number of robots; 1: one robot on several links.
     robots: usize,
     are_starts_known: bool,
+    /// Protocol below Zenoh, `quic` or `tls`.
+    protocol: String,
 }
 
 impl Options {
@@ -49,6 +51,7 @@ impl Options {
             losses: vec![0, 5, 20],
             robots: 1,
             are_starts_known: true,
+            protocol: "quic".into(),
         };
         let args: Vec<String> = std::env::args().skip(1).filter(|arg| arg != "--bench").collect();
         for pair in args.chunks(2) {
@@ -66,6 +69,7 @@ impl Options {
                 "--rates" => options.rates = list().collect(),
                 "--losses" => options.losses = list().map(|loss| loss as u32).collect(),
                 "--robots" => options.robots = number() as usize,
+                "--protocol" => options.protocol = value.clone(),
                 "--starts" => options.are_starts_known = value != "unknown",
                 _ => panic!("{name} is no option; see the head of benches/links/main.rs"),
             }
@@ -126,7 +130,7 @@ fn main() {
 
 fn measure(link: Link, options: &Options) -> Row {
     let network = Network::open(link, 1, false).expect("it was permitted before");
-    let site = Site::new(network, vec!["alice".into()], false);
+    let site = Site::new(network, vec!["alice".into()], false, &options.protocol);
     let mut base = site.start_base("base", &[]);
     let mut robot = site.start_robot(0, &[]);
     until("the base has a map", LIMIT, || (base.cells("robot1_map").len() > 100).then_some(()));

@@ -36,6 +36,8 @@ pub enum BaseEvent {
     Submap(u32),
     /// Poses of the submaps.
     SubmapPoses(Box<SubmapPoses>),
+    /// The robot's machine is in this run from now on. What came before is forgotten: its map was another one.
+    NewRun(u32),
     /// Another session of the robot counts from now on: its clock is not known.
     RobotJoined {
         /// Session of the robot.
@@ -138,6 +140,11 @@ impl BaseEnd {
         self.peer.heard = self.peer.heard.max(envelope.sent);
         match envelope.message {
             Message::RobotState(state) => {
+                // Before the first state the number is 0.
+                if self.robot_state.run != state.run {
+                    self.forget_map();
+                    events.push(BaseEvent::NewRun(state.run));
+                }
                 self.robot_state = state;
                 self.is_list_due = state.list_of != self.peer.session;
             }
@@ -148,6 +155,13 @@ impl BaseEnd {
             _ => {}
         }
         Ok(events)
+    }
+
+    /// Forgets all that has arrived of the robot's map: it was of an earlier run of the robot's machine.
+    fn forget_map(&mut self) {
+        self.receiver.forget_parts();
+        (self.tiles, self.has_header) = (TileMap::default(), false);
+        self.submaps.clear();
     }
 
     fn receive_chunk(&mut self, chunk: &Chunk) -> Option<BaseEvent> {

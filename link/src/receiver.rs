@@ -81,6 +81,13 @@ impl PartReceiver {
         }
     }
 
+    /// Forgets all parts. Counters and the number of the list go on.
+    pub fn forget_parts(&mut self) {
+        self.complete.clear();
+        self.incomplete.clear();
+        self.acknowledgements.clear();
+    }
+
     /// Makes room for a part; returns whether it may arrive.
     fn begin(&mut self, key: PartKey, hash: u64, total: usize) -> bool {
         if self.incomplete.get(&key).is_some_and(|part| (part.hash, part.total) == (hash, total)) {

@@ -68,6 +68,7 @@ struct Timers {
 #[derive(Debug)]
 pub struct RobotEnd {
     peer: Peer,
+    run: u32,
     leadership: Leadership,
     follower: StopFollower,
     /// Whether the robot's own emergency stop is set, if it is known.
@@ -80,11 +81,12 @@ pub struct RobotEnd {
 }
 
 impl RobotEnd {
-    /// Creates the end. `session` is a random number that tells this process from every other; `scans` is what it sends of
-    /// scans at most.
-    pub fn new(session: u64, config: SenderConfig, scans: ScanRate) -> Self {
+    /// Creates the end. `session` is a random number that tells this process from every other; `run` one that tells this
+    /// run of the robot's machine from every other; `scans` is what it sends of scans at most.
+    pub fn new(session: u64, run: u32, config: SenderConfig, scans: ScanRate) -> Self {
         Self {
             peer: Peer::new(session),
+            run,
             leadership: Leadership::default(),
             follower: StopFollower::default(),
             is_stopped: None,
@@ -228,6 +230,7 @@ impl RobotEnd {
         if self.timers.state.is_due(now) {
             let state = RobotState {
                 list_of: self.sender.list_of(),
+                run: self.run,
                 waiting: self.sender.waiting() as u32,
                 is_stopped: self.is_stopped == Some(true),
             };

@@ -64,6 +64,8 @@ pub enum Message {
 pub struct RobotState {
     /// Session of the base whose list of parts the robot has; 0: it has none and cannot send its map.
     pub list_of: u64,
+    /// Number of the run on the robot's machine. In another run the robot has another map in another frame.
+    pub run: u32,
     /// Number of parts that wait to be sent.
     pub waiting: u32,
     /// Whether the robot's own emergency stop is set.
@@ -178,6 +180,7 @@ impl Message {
         match self {
             Self::RobotState(state) => {
                 to.extend(state.list_of.to_le_bytes());
+                to.extend(state.run.to_le_bytes());
                 to.extend(state.waiting.to_le_bytes());
                 to.push(state.is_stopped.into());
             }
@@ -213,6 +216,7 @@ impl Message {
         Ok(match kind {
             Kind::RobotState => Self::RobotState(RobotState {
                 list_of: from.u64()?,
+                run: from.u32()?,
                 waiting: from.u32()?,
                 is_stopped: from.flag().ok_or(wrong)?,
             }),

@@ -43,7 +43,7 @@ struct Machines {
 impl Machines {
     fn new() -> Self {
         Self {
-            robot: RobotEnd::new(1, SenderConfig::default(), SCANS),
+            robot: RobotEnd::new(1, 1, SenderConfig::default(), SCANS),
             base: BaseEnd::new(2),
             map: TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() }),
             now_ms: 1_000,
@@ -220,7 +220,7 @@ fn another_base_gets_the_whole_map_and_the_same_one_nothing_twice() {
     machines.run(SILENCE_MAX.as_millis() as u64 + 2_000);
     assert!(machines.maps_are_equal());
     // The robot's process is started again, and learns what the base holds.
-    machines.robot = RobotEnd::new(4, SenderConfig::default(), SCANS);
+    machines.robot = RobotEnd::new(4, 1, SenderConfig::default(), SCANS);
     machines.draw(0..50, 50);
     machines.run(SILENCE_MAX.as_millis() as u64 + 1_000);
     machines.up_bytes = 0;
@@ -234,7 +234,7 @@ fn a_robot_that_begins_anew_leaves_nothing_of_its_old_map() {
     let mut machines = Machines::new();
     machines.draw(0..50, 50);
     machines.run(8_000);
-    machines.robot = RobotEnd::new(4, SenderConfig::default(), SCANS);
+    machines.robot = RobotEnd::new(4, 2, SenderConfig::default(), SCANS);
     machines.map = TileMap::new(machines.map.header);
     machines.draw(100..103, 50);
     machines.run(SILENCE_MAX.as_millis() as u64 + 10_000);

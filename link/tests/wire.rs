@@ -45,7 +45,7 @@ fn messages() -> Vec<Message> {
         bytes: vec![7; len],
     };
     vec![
-        Message::RobotState(RobotState { list_of: 9, waiting: 3, is_stopped: true }),
+        Message::RobotState(RobotState { list_of: 9, run: 7, waiting: 3, is_stopped: true }),
         Message::BaseState(BaseState { is_stopped: true, is_known: false, scans: None }),
         Message::BaseState(BaseState { scans: Some(ScanRate::new(5.0, 180)), ..BaseState::default() }),
         Message::Scan(Box::new(scan(SCAN_BEAMS_MAX))),

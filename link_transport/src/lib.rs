@@ -7,7 +7,7 @@ pub mod keys;
 #[cfg(feature = "zenoh")]
 mod session;
 
-pub use endpoint::{Endpoint, EndpointError};
+pub use endpoint::{Endpoint, EndpointError, Protocol};
 #[cfg(feature = "zenoh")]
 pub use session::{Router, SessionConfig, SessionError, SessionRole, ZenohTransport};
 

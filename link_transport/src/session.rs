@@ -4,7 +4,7 @@
 //! must arrive is sent again by the crate `link`.
 
 use crate::keys::{BASE_SUBJECT, KeyFiles, ROUTER_SUBJECT, robot_subject};
-use crate::{Endpoint, Transport};
+use crate::{Endpoint, Protocol, Transport};
 use link::Kind;
 use link::table::{Direction, Priority, key, keys};
 use serde_json::{Value, json};
@@ -96,17 +96,18 @@ impl SessionConfig {
     }
 
     fn values(&self) -> Vec<(&'static str, Value)> {
-        // A small buffer of the socket: what waits there cannot be overtaken.
-        let endpoint = format!("{}#so_sndbuf={SOCKET_BYTES}", self.endpoint);
+        let endpoints = self.endpoints();
+        let protocols: Vec<&str> = endpoints.iter().map(|endpoint| endpoint.protocol.name()).collect();
+        let endpoints: Vec<String> = endpoints.iter().map(zenoh_endpoint).collect();
         let (listen, connect) = match self.role {
-            SessionRole::Base | SessionRole::Router => (json!([endpoint]), json!([])),
-            SessionRole::Robot | SessionRole::BaseBehindRouter => (json!([]), json!([endpoint])),
+            SessionRole::Base | SessionRole::Router => (endpoints, Vec::new()),
+            SessionRole::Robot | SessionRole::BaseBehindRouter => (Vec::new(), endpoints),
         };
         let mut values = vec![
             ("mode", json!(self.role.mode())),
             // Clients try to connect for as long as it takes.
-            ("listen/endpoints", listen),
-            ("connect/endpoints", connect),
+            ("listen/endpoints", json!(listen)),
+            ("connect/endpoints", json!(connect)),
             ("connect/timeout_ms", json!(-1)),
             ("connect/exit_on_failure", json!(false)),
             ("connect/retry", json!({ "period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1] })),
@@ -114,7 +115,7 @@ impl SessionConfig {
             // Robots and base find each other by configuration alone.
             ("scouting/multicast/enabled", json!(false)),
             ("scouting/gossip/enabled", json!(false)),
-            ("transport/link/protocols", json!([if self.endpoint.is_tls { "tls" } else { "tcp" }])),
+            ("transport/link/protocols", json!(protocols)),
             ("transport/unicast/open_timeout", json!(OPEN_MS)),
             ("transport/unicast/accept_timeout", json!(OPEN_MS)),
             ("transport/link/tx/lease", json!(LEASE_MS)),
@@ -125,6 +126,17 @@ impl SessionConfig {
             values.push(("access_control", self.access_control()));
         }
         values
+    }
+
+    /// Returns where it listens, or what it connects to. Where it listens by QUIC it does by TLS at the same port, too, for robots
+    /// whose network lets no UDP through.
+    fn endpoints(&self) -> Vec<Endpoint> {
+        match (self.role, self.endpoint.protocol) {
+            (SessionRole::Base | SessionRole::Router, Protocol::Quic) => {
+                vec![self.endpoint.clone(), self.endpoint.with_protocol(Protocol::Tls)]
+            }
+            _ => vec![self.endpoint.clone()],
+        }
     }
 
     /// Returns the access list: at the base and at a router each robot's key has its own key expressions, on a robot the keys
@@ -168,6 +180,16 @@ impl SessionConfig {
             "subjects": subjects,
             "policies": policies,
         })
+    }
+}
+
+/// Returns an endpoint as Zenoh reads it.
+fn zenoh_endpoint(endpoint: &Endpoint) -> String {
+    match endpoint.protocol {
+        // Each priority has a stream of its own.
+        Protocol::Quic => endpoint.to_string(),
+        // A small buffer of the socket: what waits there cannot be overtaken.
+        Protocol::Tls | Protocol::Tcp => format!("{endpoint}#so_sndbuf={SOCKET_BYTES}"),
     }
 }
 
@@ -320,6 +342,7 @@ mod tests {
         for role in ROLES {
             config("tcp/127.0.0.1:7447", role, None).to_zenoh().unwrap();
             config("tls/[::1]:7447", role, Some(keys())).to_zenoh().unwrap();
+            config("quic/[::1]:7447", role, Some(keys())).to_zenoh().unwrap();
             // As `zenohd` reads it.
             let file = config("tls/127.0.0.1:7447", role, Some(keys())).to_json();
             zenoh::Config::from_json5(&file).unwrap();

@@ -147,9 +147,12 @@ impl FleetPoseGraph {
 
     /// Replaces the poses of a robot's submaps in its own map, and the links between them.
     ///
+    /// Poses of another run than before are those of a robot whose machine began anew, anywhere: its place is unknown then.
+    ///
     /// # Errors
     /// [`SubmapRejected`] says why the poses are not taken.
     pub fn update_poses(&mut self, robot: RobotId, poses: &SubmapPoses) -> Result<(), SubmapRejected> {
+        self.check_run(robot, poses.run)?;
         self.check_generation(robot, (poses.header.incarnation, poses.generation))?;
         let index = robot.index();
         let submaps = &mut self.robots[index].submaps;
@@ -342,6 +345,15 @@ impl FleetPoseGraph {
 
     fn generations(&self) -> Vec<Option<SubmapGeneration>> {
         self.robots.iter().map(|robot| robot.submaps.generation()).collect()
+    }
+
+    /// Removes a robot whose machine is in another run than before: the frame of its map is another one.
+    fn check_run(&mut self, robot: RobotId, run: u32) -> Result<(), SubmapRejected> {
+        let known = self.robots.get_mut(robot.index()).ok_or(SubmapRejected::UnknownRobot(robot))?;
+        if known.run.replace(run).is_some_and(|before| before != run) {
+            self.remove_robot(robot);
+        }
+        Ok(())
     }
 
     /// Handles submaps of a new generation. A SLAM that was restarted, or that forgets nodes, continues in the same

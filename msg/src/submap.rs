@@ -94,8 +94,9 @@ pub struct SubmapPoses {
     pub edges_len: u32,
     /// Generation of the submaps, as [`Submap::generation`].
     pub generation: u32,
-    /// Padding, always zero.
-    pub reserved: u32,
+    /// Number of the run on the robot's own machine; 0: the robot is of this machine's run. In another run the frame
+    /// `robotK/map` is another one.
+    pub run: u32,
     /// Storage of the transforms to `robotK/map` from each submap. Read it by [`SubmapPoses::poses`].
     pub robot_map_from_submap: [Pose2; SUBMAPS_MAX],
     /// Storage of the relations in the robot's own graph. Read it by [`SubmapPoses::edges`].

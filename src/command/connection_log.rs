@@ -12,6 +12,8 @@ use tracing_subscriber::registry::LookupSpan;
 
 /// Time for which a line is not written again: a machine that is refused tries again once a second.
 const REPEAT_PERIOD: Duration = Duration::from_secs(60);
+/// Part of a warning that means nothing here: the access lists do not ask for network interfaces.
+const WITHOUT_MEANING: &str = "Transport returned multiple network interfaces";
 /// Lines that are remembered.
 const LINES_MAX: usize = 64;
 
@@ -57,6 +59,9 @@ where
         }
         let mut message = Message::default();
         event.record(&mut message);
+        if message.0.contains(WITHOUT_MEANING) {
+            return Ok(());
+        }
         match describe(&message.0) {
             Some(line) if self.is_new(&line) => writeln!(writer, " WARN {line}"),
             Some(_) => Ok(()),
@@ -79,7 +84,8 @@ impl Visit for Message {
 
 /// Returns what a message of Zenoh about a connection means here; `None` for all others.
 fn describe(message: &str) -> Option<String> {
-    if let Some(accepted) = message.strip_prefix("Accepted TLS connection on ") {
+    let accepted = ["TLS", "QUIC"].map(|protocol| format!("Accepted {protocol} connection on "));
+    if let Some(accepted) = accepted.iter().find_map(|start| message.strip_prefix(start.as_str())) {
         let (_, from) = accepted.split_once(": ")?;
         let (address, owner) = from.split_once(". ")?;
         let owner = owner.trim_end_matches('.').trim_start_matches("Common Name: ");
@@ -94,12 +100,15 @@ fn describe(message: &str) -> Option<String> {
     }
     // What the other side's certificate lacks, in the words of TLS.
     let why = message.split_once(". Hint: increase the system open file limit").map(|(why, _)| why)?;
+    // Without the place in Zenoh's source.
+    let why = why.split_once(" at /").map_or(why, |(why, _)| why);
     let what = match why {
-        _ if why.contains("no certificates") => "it showed no key",
-        _ if why.contains("invalid peer certificate") => "its key was signed by another authority",
-        _ if why.contains("fatal alert") => {
+        // The other side has ended it, over TLS and over QUIC.
+        _ if why.contains("fatal alert") || why.contains("ConnectionClosed(") => {
             "it does not accept this machine's key, as when it has one of another authority"
         }
+        _ if why.contains("no certificates") => "it showed no key",
+        _ if why.contains("invalid peer certificate") => "its key was signed by another authority",
         _ if why.contains("os error 24") => return None,
         _ => "it does not speak TLS, or has gone",
     };
@@ -121,6 +130,7 @@ mod tests {
             ("invalid peer certificate: UnknownIssuer", "another authority"),
             ("received fatal alert: DecryptError", "does not accept this machine's key"),
             ("received corrupt message of type InvalidContentType", "does not speak TLS"),
+            ("QUIC acceptor failed: ConnectionClosed(b\"invalid peer certificate\")", "does not accept this"),
         ] {
             let line = describe(&format!("{why}. {hint}")).unwrap();
             assert!(
@@ -130,9 +140,13 @@ mod tests {
         }
         assert_eq!(describe(&format!("Too many open files (os error 24). {hint}")), None);
         assert_eq!(describe("Session closed"), None);
-        let line =
-            describe("Accepted TLS connection on 10.0.0.1:7447: 10.0.0.2:4242. Common Name: robot alice.");
-        assert_eq!(line.unwrap(), "10.0.0.2:4242 has connected with the key of `robot alice`");
+        for protocol in ["TLS", "QUIC"] {
+            let accepted = format!(
+                "Accepted {protocol} connection on 10.0.0.1:7447: 10.0.0.2:4242. Common Name: robot alice."
+            );
+            let line = describe(&accepted).unwrap();
+            assert_eq!(line, "10.0.0.2:4242 has connected with the key of `robot alice`");
+        }
     }
 
     #[test]

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 /// Endpoint at which a base listens if nothing else is given.
-const LISTEN_DEFAULT: &str = "tls/0.0.0.0:7447";
+const LISTEN_DEFAULT: &str = "quic/0.0.0.0:7447";
 /// Period at which a router, or a link that is not connected yet, looks whether it is to end.
 #[cfg(feature = "link")]
 const SESSION_POLL: std::time::Duration = std::time::Duration::from_millis(20);
@@ -56,8 +56,8 @@ pub struct RobotArgs {
     /// Name of the robot, as the base has it in its --names
     #[arg(long)]
     pub name: String,
-    /// Endpoint of the base, or of a router before it, such as tls/192.168.1.10:7447
-    #[arg(long, value_name = "tls/HOST:PORT")]
+    /// Endpoint of the base, or of a router before it, such as quic/192.168.1.10:7447; tls/ where UDP is not let through
+    #[arg(long, value_name = "quic/HOST:PORT")]
     pub base: Endpoint,
     /// Serve the robot in ROS under plain names such as /scan, instead of /NAME/scan
     #[arg(long)]
@@ -73,11 +73,11 @@ pub struct RobotArgs {
 /// Run the base: merging, bridge and page for robots on other machines
 #[derive(Clone, Debug, clap::Args)]
 pub struct BaseArgs {
-    /// Endpoint at which robots join [default: tls/0.0.0.0:7447]
-    #[arg(long, value_name = "tls/HOST:PORT")]
+    /// Endpoint at which robots join, by quic/ also by tls/ at the same port [default: quic/0.0.0.0:7447]
+    #[arg(long, value_name = "quic/HOST:PORT")]
     pub listen: Option<Endpoint>,
     /// Endpoint of a router at which the robots join, too; then the base listens nowhere
-    #[arg(long, value_name = "tls/HOST:PORT")]
+    #[arg(long, value_name = "quic/HOST:PORT")]
     pub router: Option<Endpoint>,
     /// How the link is protected.
     #[command(flatten)]
@@ -93,8 +93,8 @@ pub struct RouterArgs {
     /// Names of the robots that may join, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',', required = true)]
     pub names: Vec<String>,
-    /// Endpoint at which robots and base join
-    #[arg(long, value_name = "tls/HOST:PORT", default_value = LISTEN_DEFAULT)]
+    /// Endpoint at which robots and base join, by quic/ also by tls/ at the same port
+    #[arg(long, value_name = "quic/HOST:PORT", default_value = LISTEN_DEFAULT)]
     pub listen: Endpoint,
     /// How the link is protected.
     #[command(flatten)]
@@ -119,7 +119,7 @@ impl ProtectionArgs {
     /// Checks the endpoint, and returns the folder of the key that it needs.
     fn check(&self, endpoint: &Endpoint, owner: &KeyOwner) -> Result<Option<PathBuf>, Error> {
         endpoint.check(self.unencrypted)?;
-        if !endpoint.is_tls {
+        if !endpoint.protocol.is_encrypted() {
             return Ok(None);
         }
         let folder = match &self.keys {

@@ -10,8 +10,9 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 
 /// Messages that are logged without `RUST_LOG`: a person at a terminal wants to know what went wrong, and, on a link between
 /// machines, who connects, as `connection_log` describes it.
-const LOG_DEFAULT: &str =
-    "warn,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug";
+const LOG_DEFAULT: &str = "warn,zenoh=error,zenoh::net::routing::interceptor=info,zenoh_link_tls::unicast=debug,\
+     zenoh_link_quic::unicast=debug,zenoh_link_commons=error,zenoh_link_commons::quic::unicast=warn,quinn=error,\
+     quinn_udp=error";
 
 /// Starts logging to standard error: one compact line for each message that `RUST_LOG` lets pass. It lists levels, or parts of
 /// the program with a level each: `warn,bridge=debug`.

@@ -18,7 +18,16 @@ fn robot(name: &str) -> KeyOwner {
 }
 
 #[test]
-fn machines_with_keys_join_and_no_other_does() {
+fn machines_with_keys_join_over_quic_and_no_other_does() {
+    machines_with_keys_join_and_no_other_does("quic");
+}
+
+#[test]
+fn machines_with_keys_join_over_tls_and_no_other_does() {
+    machines_with_keys_join_and_no_other_does("tls");
+}
+
+fn machines_with_keys_join_and_no_other_does(protocol: &str) {
     let folder = TestFolder::new();
     let (own, foreign) = (folder.path().join("own"), folder.path().join("foreign"));
     create_authority(&own).unwrap();
@@ -26,7 +35,7 @@ fn machines_with_keys_join_and_no_other_does() {
     let (base_key, alice_key, bob_key) =
         (keys(&own, &KeyOwner::Base), keys(&own, &robot("alice")), keys(&own, &robot("bob")));
     let foreign_alice = keys(&foreign, &robot("alice"));
-    let endpoint = endpoint("tls");
+    let endpoint = endpoint(protocol);
     let with_key = |mut args: Vec<&str>, key: &str| {
         args.extend(["--keys"]);
         let mut args: Vec<String> = args.into_iter().map(str::to_owned).collect();
@@ -69,7 +78,7 @@ fn robots_and_base_join_through_a_router_with_keys() {
     create_authority(&own).unwrap();
     let [base_key, router_key, alice_key, bob_key] =
         [KeyOwner::Base, KeyOwner::Router, robot("alice"), robot("bob")].map(|owner| keys(&own, &owner));
-    let endpoint = endpoint("tls");
+    let endpoint = endpoint("quic");
     let router_args = ["router", "--names", "alice", "--listen", &endpoint, "--keys", &router_key];
     let mut router = fleets::Ended::start(folder.path(), &router_args);
     let base_args = ["base", "--names", "alice", "--router", &endpoint, "--keys", &base_key];
@@ -108,7 +117,7 @@ fn a_robots_key_is_not_a_bases() {
     let own = folder.path().join("own");
     create_authority(&own).unwrap();
     let (alice_key, bob_key) = (keys(&own, &robot("alice")), keys(&own, &robot("bob")));
-    let endpoint = endpoint("tls");
+    let endpoint = endpoint("quic");
     let mut base_args = base_args("alice", &endpoint);
     base_args.extend(["--keys", &bob_key]);
     let mut robot_args = robot_args("alice", &endpoint);

@@ -13,6 +13,8 @@ pub(crate) struct Robot {
     pub submaps: SubmapStore,
     /// Estimate of its map's transform by the fleet's pose graph.
     pub estimate: RobotEstimate,
+    /// Number of the run of the robot's machine, once its poses have said it.
+    pub run: Option<u32>,
     /// The map redrawn from submaps; `None` while a single transform aligns all of the robot's own map.
     redrawn: Option<RedrawnMap>,
 }
@@ -50,7 +52,8 @@ impl Robot {
         Self { estimate: RobotEstimate::new(start), ..Self::default() }
     }
 
-    /// Removes everything but the version of its submaps, after the robot has left or starts at another place.
+    /// Removes everything but the versions of its submaps and of its run, after the robot has left or starts at another place.
+    /// Where it started is not known any more.
     pub fn remove(&mut self) {
         self.submaps.restart(None);
         (self.estimate, self.redrawn) = (RobotEstimate::default(), None);

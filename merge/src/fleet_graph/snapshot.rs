@@ -17,6 +17,10 @@ use serde::{Deserialize, Serialize};
 pub struct FleetSnapshot {
     /// Frame `map` from frame `robotK/map`, by robot; none while it is unknown.
     map_transforms: Vec<Option<[f64; 3]>>,
+    /// Number of the run of each robot's machine; none before its poses have said it.
+    runs: Vec<Option<u32>>,
+    /// Whether each robot's start is known: not after its machine began anew.
+    starts_known: Vec<bool>,
     /// Index of the reference robot, and frame `map` from the beginning of its map.
     reference: Option<(usize, [f64; 3])>,
     /// The pairs of robots about which anything is known.
@@ -63,7 +67,13 @@ impl FleetPoseGraph {
         let pairs = self.pairs.iter().enumerate().map(|(index, pair)| pair_snapshot(index, pair));
         let is_known =
             |pair: &PairSnapshot| pair.state != EdgeState::None as u32 || !pair.rejected.is_empty();
-        FleetSnapshot { map_transforms, reference, pairs: pairs.filter(is_known).collect() }
+        FleetSnapshot {
+            map_transforms,
+            runs: self.robots.iter().map(|robot| robot.run).collect(),
+            starts_known: self.robots.iter().map(|robot| robot.estimate.start().is_some()).collect(),
+            reference,
+            pairs: pairs.filter(is_known).collect(),
+        }
     }
 
     /// Restores a snapshot that an earlier process of the same run took. Call it before anything else.
@@ -73,8 +83,9 @@ impl FleetPoseGraph {
     /// # Errors
     /// [`SnapshotRejected`] says what is not valid; then nothing has changed.
     pub fn restore(&mut self, snapshot: &FleetSnapshot) -> Result<(), SnapshotRejected> {
-        let (found, expected) = (snapshot.map_transforms.len(), self.robots.len());
-        if found != expected {
+        let expected = self.robots.len();
+        let counts = [snapshot.map_transforms.len(), snapshot.runs.len(), snapshot.starts_known.len()];
+        if let Some(found) = counts.into_iter().find(|found| *found != expected) {
             return Err(SnapshotRejected::Robots { found, expected });
         }
         let transforms = snapshot.map_transforms.iter();
@@ -93,7 +104,11 @@ impl FleetPoseGraph {
             let edge = restored_edge(kept)?;
             pair.ok_or(SnapshotRejected::Value("an edge's number"))?.edge = edge;
         }
-        for (robot, transform) in self.robots.iter_mut().zip(transforms) {
+        for (index, (robot, transform)) in self.robots.iter_mut().zip(transforms).enumerate() {
+            if !snapshot.starts_known[index] {
+                robot.remove();
+            }
+            robot.run = snapshot.runs[index];
             let transform = transform.or(robot.estimate.start());
             robot.estimate.set_transform(transform);
         }

@@ -61,14 +61,31 @@ fn drifted_path(true_path: &[Pose2], rad_per_step: f64) -> Vec<Pose2> {
 }
 
 /// Sends all of a robot's submaps and poses as its SLAM would, and does the work that comes of each.
-fn send(fleet: &mut FleetPoseGraph, robot: usize, true_path: &[Pose2], estimated: &[Pose2], run: u64) {
+fn send(
+    fleet: &mut FleetPoseGraph,
+    robot: usize,
+    true_path: &[Pose2],
+    estimated: &[Pose2],
+    incarnation: u64,
+) {
+    send_of(fleet, robot, true_path, estimated, (0, incarnation));
+}
+
+/// Sends the submaps of a run of the robot's machine and an incarnation of its SLAM.
+fn send_of(
+    fleet: &mut FleetPoseGraph,
+    robot: usize,
+    true_path: &[Pose2],
+    estimated: &[Pose2],
+    (run, incarnation): (u32, u64),
+) {
     let robot = RobotId::new(robot).unwrap();
     let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
     let mut submap: Box<Submap> = bytemuck::allocation::zeroed_box();
     for (id, pose) in true_path.iter().enumerate() {
         submap.set_grid(draw_submap(*pose).view());
         (submap.id, submap.nodes, submap.finished) = (id as u32, 10, 1);
-        submap.header_mut().incarnation = run;
+        submap.header_mut().incarnation = incarnation;
         poses.robot_map_from_submap[id] = estimated[id];
         if let Some(before) = id.checked_sub(1) {
             let (m, rad) = (1.0 / (0.03 * 0.03), 1.0 / (0.02 * 0.02));
@@ -76,7 +93,7 @@ fn send(fleet: &mut FleetPoseGraph, robot: usize, true_path: &[Pose2], estimated
             poses.edges[before] = SubmapEdge { a: before as u32, b: id as u32, information };
         }
         (poses.len, poses.edges_len) = (id as u32 + 1, id as u32);
-        poses.header.incarnation = run;
+        (poses.run, poses.header.incarnation) = (run, incarnation);
         fleet.update_poses(robot, &poses).unwrap();
         fleet.add_submap(robot, &submap).unwrap();
         work(fleet);
@@ -223,6 +240,30 @@ fn a_restarted_robot_keeps_its_place_and_one_that_leaves_does_not_move_the_frame
     work(&mut fleet);
     assert_eq!(fleet.map_from_robot_map(robot(1)), None);
     assert!(fleet.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
+}
+
+#[test]
+fn a_robot_whose_machine_began_anew_has_no_place_until_its_new_map_is_joined() {
+    let (mut fleet, paths, estimated) = two_connected_robots();
+    assert!(fleet.map_from_robot_map(robot(2)).is_some());
+    // Another run on the robot's machine: no submap yet, and nobody knows where the robot is.
+    let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
+    (poses.run, poses.header.incarnation) = (7, 2);
+    fleet.update_poses(robot(2), &poses).unwrap();
+    assert_eq!(fleet.map_from_robot_map(robot(2)), None);
+    assert_eq!(edge(&fleet).state(), EdgeState::None);
+    assert!(!fleet.apply_command(1, EdgeAction::Pin), "there is no edge to pin");
+    // Nor does a merging that was started again know a place.
+    let mut restarted = FleetPoseGraph::new(&MergeConfig::default(), &[Some(Pose2::IDENTITY); 2]);
+    restarted.restore(&fleet.snapshot()).unwrap();
+    assert_eq!(restarted.map_from_robot_map(robot(2)), None);
+    restarted.update_poses(robot(2), &poses).unwrap();
+    assert_eq!(restarted.map_from_robot_map(robot(2)), None);
+    // The same run goes on with other submaps: joined by what they show.
+    send_of(&mut fleet, 2, &paths[1], &estimated[1], (7, 2));
+    fleet.finish();
+    work(&mut fleet);
+    assert!(fleet.map_from_robot_map(robot(2)).is_some());
 }
 
 #[test]

@@ -83,6 +83,8 @@ struct RobotMirror<P: Ports> {
     was_heard: bool,
     /// Added to the generations of the robot's submaps: those of another process of its link are others.
     generation: u32,
+    /// Number of the run on the robot's machine; 0 before it is known.
+    run: u32,
     /// Stamp of the newest pose, on the robot's clock.
     newest_pose: Stamp,
     /// Scans that were dropped because they came late.
@@ -176,6 +178,7 @@ impl<P: Ports> RobotMirror<P> {
             corrections: 0,
             was_heard: false,
             generation: 0,
+            run: 0,
             newest_pose: Stamp(0),
             late_scans: 0,
             channels: Channels::open(ports, robot)?,
@@ -207,6 +210,19 @@ impl<P: Ports> RobotMirror<P> {
                     self.generation = self.generation.wrapping_add(GENERATIONS);
                 }
                 self.unpublished.wait_until = now + WHOLE_MAP_WAIT_MAX;
+            }
+            BaseEvent::NewRun(run) => {
+                if self.run != 0 {
+                    tracing::warn!(
+                        "{} began anew: its former map and place are forgotten until its new map is merged",
+                        self.name
+                    );
+                }
+                self.run = run;
+                let wait_until = self.unpublished.wait_until;
+                self.unpublished = Unpublished { wait_until, ..Unpublished::default() };
+                // Without submaps: merging must not draw the robot where its former run was.
+                self.unpublished.poses = Some(bytemuck::allocation::zeroed_box());
             }
             BaseEvent::Correction(mut correction) => {
                 self.newest_pose = correction.header.stamp;
@@ -294,6 +310,7 @@ impl<P: Ports> RobotMirror<P> {
         match self.unpublished.poses.take() {
             Some(mut poses) => {
                 poses.generation = poses.generation.wrapping_add(self.generation);
+                poses.run = self.run;
                 poses.header.stamp = self.clock.translate(poses.header.stamp);
                 self.channels.submap_poses.send(&poses);
             }

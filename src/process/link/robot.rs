@@ -67,7 +67,7 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             name: run.config.robot_name(ROBOT),
             transport,
             stop,
-            end: RobotEnd::new(session, SenderConfig::default(), scans),
+            end: RobotEnd::new(session, run_number(run), SenderConfig::default(), scans),
             inputs,
             outputs,
             clock: ports.clock(),
@@ -150,6 +150,12 @@ impl<P: Ports, T: Transport, S: StopControl> RobotLink<P, T, S> {
             self.outputs.submap_request.send(&SubmapRequest::default());
         }
     }
+}
+
+/// Returns a number that other runs of this machine do not have, above 0.
+fn run_number(run: &Run) -> u32 {
+    let begun = run.begun.0;
+    (begun as u32 ^ (begun >> 32) as u32 ^ run.pid.rotate_left(16)).max(1)
 }
 
 impl<P: Ports, T: Transport, S: StopControl> ProcessLoop for RobotLink<P, T, S> {

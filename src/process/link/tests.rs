@@ -15,7 +15,7 @@ use link_transport::Transport;
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
     Correction, Header, MapHeader, Monotonic, Rect, RobotId, Role, Scan, ScanDemand, ScanPurpose, Stamp,
-    TileMap, Transforms, VelocityCommand,
+    SubmapPoses, TileMap, Transforms, VelocityCommand,
 };
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -88,6 +88,7 @@ struct BaseSide {
     link: Base,
     map: QueueMapReader,
     corrections: QueueReader<Correction>,
+    submap_poses: QueueReader<SubmapPoses>,
     scans: QueueReader<Scan>,
     demand: QueueWriter<ScanDemand>,
     commands: QueueWriter<VelocityCommand>,
@@ -118,12 +119,14 @@ fn link_ports(network: &Rc<Network>) -> MemoryPorts {
 }
 
 impl RobotSide {
-    fn new(cable: Cable, session: u64) -> Self {
+    /// A link process of the machine's run that began at `begun`.
+    fn new(cable: Cable, session: u64, begun: u64) -> Self {
         let network = Network::new(FaultPlan::none());
         let (slam, sim) = (ports(&network, Role::Slam), ports(&network, Role::Sim));
         let stop = Stop::default();
-        let link =
-            RobotLink::open(&link_ports(&network), &run(World::Simulator), cable, stop.clone(), session);
+        let mut run = run(World::Simulator);
+        run.begun = Monotonic(begun);
+        let link = RobotLink::open(&link_ports(&network), &run, cable, stop.clone(), session);
         let map = TileMap::new(MapHeader { resolution_m: 0.05, ..MapHeader::default() });
         Self {
             link: link.unwrap(),
@@ -170,6 +173,7 @@ impl BaseSide {
             link: link.unwrap(),
             map: merge.map_reader(&channel::map(ROBOT)).unwrap(),
             corrections: merge.reader(&channel::correction(ROBOT)).unwrap(),
+            submap_poses: merge.reader(&channel::submap_poses(ROBOT)).unwrap(),
             scans: ports(&network, Role::Nav).reader(&channel::scan(ROBOT)).unwrap(),
             demand: ports(&network, Role::Bridge).writer(&channel::scan_demand()).unwrap(),
             commands: ports(&network, Role::Bridge).writer(&channel::command(ROBOT)).unwrap(),
@@ -182,7 +186,7 @@ impl BaseSide {
 impl Machines {
     fn new() -> Self {
         let (up, down) = (CableDirection::default(), CableDirection::default());
-        let robot = RobotSide::new(Cable { out: up.clone(), back: down.clone() }, 1);
+        let robot = RobotSide::new(Cable { out: up.clone(), back: down.clone() }, 1, 1);
         let base = BaseSide::new(Cable { out: down.clone(), back: up.clone() }, 2);
         Self { robot, base, up, down, now: 1_000_000_000 }
     }
@@ -200,6 +204,10 @@ impl Machines {
     fn cut(&mut self, is_cut: bool) {
         self.up.is_cut.set(is_cut);
         self.down.is_cut.set(is_cut);
+    }
+
+    fn replace_robot(&mut self, session: u64, begun: u64) {
+        self.robot = RobotSide::new(Cable { out: self.up.clone(), back: self.down.clone() }, session, begun);
     }
 
     fn replace_base(&mut self, session: u64) {
@@ -288,6 +296,24 @@ fn another_base_gets_the_whole_map() {
     machines.replace_base(3);
     machines.run(8.0);
     assert!(machines.maps_are_equal());
+}
+
+#[test]
+fn a_robot_whose_machine_began_anew_is_told_from_one_whose_link_did() {
+    let mut machines = Machines::new();
+    (0..50).for_each(|x| machines.robot.draw(x, 50));
+    machines.run(8.0);
+    let first = machines.base.submap_poses.newest().expect("poses say the run").run;
+    machines.replace_robot(3, 1);
+    (0..50).for_each(|x| machines.robot.draw(x, 50));
+    machines.run(8.0);
+    assert!(machines.base.submap_poses.newest().is_none_or(|poses| poses.run == first));
+    machines.replace_robot(4, 2);
+    machines.robot.draw(90, 50);
+    machines.run(12.0);
+    let poses = machines.base.submap_poses.newest().expect("merging is told at once");
+    assert!(poses.run != first && poses.poses().is_empty());
+    assert!(machines.maps_are_equal() && machines.base.map.map().tiles().count() == 1);
 }
 
 #[test]
