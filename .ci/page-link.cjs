@@ -72,6 +72,23 @@ test("on a slow link the shown age is right within 10 %, and says so when nothin
   assert.deepEqual(errors.filter((error) => !error.includes("WebSocket")), []);
 });
 
+test("in outages of a second the shown age goes on growing, and is right within 10 %", async () => {
+  const { proxy, page } = await openBehind({ delayMs: DELAY_MS, loss: 0.05 });
+  await page.waitForFunction(() => mixedReality.operator.fleet.clock.samples.length >= 5, null, WAIT);
+  proxy.hold(1000);
+  const outages = setInterval(() => proxy.hold(1000), 2000);
+  try {
+    // Only in an outage a scan becomes so old.
+    const pairs = (await ages(page, 25)).filter(([, real]) => real > 0.6);
+    assert.ok(pairs.length >= 4, `${pairs.length} ages were shown in outages`);
+    const error = median(pairs.map(([shown, real]) => Math.abs(shown - real) / real));
+    assert.ok(error < 0.1, JSON.stringify(pairs));
+  } finally {
+    clearInterval(outages);
+    proxy.close();
+  }
+});
+
 /** Time from a velocity that the page sends to its return as the one that the robot is sent, ms. */
 async function commandTimes(page, count) {
   return page.evaluate(async (wanted) => {
@@ -80,6 +97,7 @@ async function commandTimes(page, count) {
     let answered = () => {};
     const connection = new Connection(location.origin.replace("http", "ws"), { message: (_, view) => answered(view.getFloat64(4 + 40, true)) });
     connection.subscribe("/robot1/cmd_vel");
+    while (!connection.subscriptions.get("/robot1/cmd_vel").isSent) await new Promise((resolve) => { setTimeout(resolve, 20); });
     const times = [];
     for (let i = 1; i <= wanted; i += 1) {
       const turning = 0.2 + (i % 50) * 0.001;

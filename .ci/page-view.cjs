@@ -117,3 +117,20 @@ test("an alarm that is acknowledged is hidden until it comes again, and leads to
   await alarm.waitFor(WAIT);
   assert.deepEqual(errors, []);
 });
+
+test("the attention list keeps its buttons and the focus while its numbers change", async () => {
+  const { page } = await open(browser);
+  const kept = await page.evaluate(async () => {
+    const { fleet } = mixedReality.operator;
+    let age = 1;
+    fleet.attention = () => [1, 2].map((robot) => ({ rank: 3, robot, text: `no scan for ${age} s`, key: `scan ${robot}` }));
+    const shows = async (text) => { while (!document.querySelector("#items").textContent.includes(text)) await new Promise(requestAnimationFrame); };
+    await shows("for 1 s");
+    const button = document.querySelectorAll("#items .acknowledge")[1];
+    button.focus();
+    age = 2;
+    await shows("for 2 s");
+    return [button.isConnected, document.activeElement === button];
+  });
+  assert.deepEqual(kept, [true, true]);
+});

@@ -4,8 +4,9 @@ const assert = require("node:assert/strict");
 const { execFileSync } = require("node:child_process");
 const { readFileSync, readdirSync } = require("node:fs");
 const { after, before, test } = require("node:test");
+const { gzipSync } = require("node:zlib");
 const { chromium } = require("playwright-core");
-const { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
+const { BROWSER_ARGS, CHROMIUM, WAIT, driverOf, launch, open: openOn, url, waitForDriver, waitForText, watchSpeed: watchSpeedOn } = require("./page-browser.cjs");
 
 const { PAGE_RUN: run, PAGE_OUT: out } = process.env;
 let browser;
@@ -105,6 +106,48 @@ test("the emergency stop is set by a key, is confirmed, and is released separate
   await page.keyboard.press("Escape");
   await page.click("#release");
   await page.waitForSelector("#release", { state: "hidden", ...WAIT });
+});
+
+test("an emergency stop that is pressed while the link breaks is set when it is back", async () => {
+  const { page } = await open({ sockets: true });
+  await page.evaluate(() => {
+    globalThis.sockets.forEach((socket) => socket.close());
+    dispatchEvent(new KeyboardEvent("keydown", { code: "Escape" }));
+  });
+  await page.waitForSelector("#release:visible", WAIT);
+  await waitForText(page, "#log", "confirmed after");
+  await page.click("#release");
+  await page.waitForSelector("#release", { state: "hidden", ...WAIT });
+});
+
+test("a key whose release the browser may keep to itself lets go at once", async () => {
+  const { page } = await open();
+  await page.keyboard.press("Digit1");
+  for (const end of [() => page.keyboard.press("Meta"), () => page.evaluate(() => dispatchEvent(new MouseEvent("contextmenu")))]) {
+    await page.keyboard.down("KeyA");
+    await waitForDriver(page, 1, "^you$");
+    await end();
+    await waitForDriver(page, 1, "^nobody$");
+    await page.keyboard.up("KeyA");
+  }
+});
+
+test("when another run begins, what it had latched is asked for again", async () => {
+  const { page } = await open();
+  const isKnown = (runs) => page.waitForFunction((wanted) => {
+    const { fleet } = mixedReality.operator;
+    return fleet.runs === wanted && fleet.map && [...fleet.robots.values()].every((robot) => robot.pose);
+  }, runs, WAIT);
+  await isKnown(1);
+  await page.evaluate(() => { mixedReality.operator.fleet.runTime = 1e9; });
+  await isKnown(2);
+});
+
+test("the whole page has at most 120 kB, compressed file by file", () => {
+  const folder = `${__dirname}/../page`;
+  const files = readdirSync(folder).filter((name) => name.includes("."));
+  const bytes = files.reduce((sum, name) => sum + gzipSync(readFileSync(`${folder}/${name}`), { level: 9 }).length, 0);
+  assert.ok(bytes <= 120_000, `${bytes} bytes`);
 });
 
 test("a page of another origin opens no WebSocket", async () => {

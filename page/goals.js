@@ -128,10 +128,7 @@ export class GoalTool {
   /** Sends a goal to a robot. */
   send(/** @type {Robot} */ robot, /** @type {Pose} */ pose) {
     const message = writePoseStamped(this.of.frame, pose);
-    if (!this.of.publish(`${robot.prefix}goal_pose`, "geometry_msgs/msg/PoseStamped", message, true)) {
-      this.of.log("the goal could not be sent: no connection", true);
-      return;
-    }
+    if (!this.of.publish(`${robot.prefix}goal_pose`, "geometry_msgs/msg/PoseStamped", message, true)) return;
     robot.sentGoal = { pose, after: robot.navigation?.goal ?? 0, isAccepted: false };
   }
 

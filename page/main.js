@@ -11,6 +11,7 @@ import { AttentionList, FleetPanel, RobotPanels, element, logMessage, setText } 
 import { attachPointers } from "./pointers.js";
 import { RobotMaps } from "./seen.js";
 import { Fleet, MAP } from "./state.js";
+import { EmergencyStop } from "./stop.js";
 import { Connection } from "./transport.js";
 import { View } from "./view.js";
 import { MixedReality } from "./xr.js";
@@ -35,9 +36,9 @@ const view = new View(/** @type {HTMLCanvasElement} */ (element("view")));
 const driver = new Driver();
 /** @type {number | null} */
 let selected = null;
-/** When the emergency stop was asked for, seconds, until the bridge has confirmed it. @type {number | null} */
-let stopAskedAt = null;
 let panelsDue = 0;
+/** The refusal of a zone that was shown last. @type {string | null} */
+let shownRefusal = null;
 
 const panels = new RobotPanels(select);
 const fleetPanel = new FleetPanel();
@@ -49,14 +50,18 @@ const live = new Connection(url, {
   message: receive,
   state: (isOpen) => {
     if (isOpen) fleet.clock.reset();
+    if (isOpen) emergencyStop.repeat();
     showLink();
   },
   time: (askedAt, answeredAt, runTime) => {
     if (!fleet.setRunTime(askedAt / 1000, answeredAt / 1000, runTime)) return;
     robotMaps.clear();
+    // What this run had latched came before its time: it is asked for again.
+    live.renew();
+    followMap();
     logMessage("the fleet has started again");
   },
-  status: (level, text) => logMessage(text, level === ERROR),
+  status: (level, text) => (level === ERROR ? warn(text) : logMessage(text)),
   parameter: (name, value) => {
     if (name !== FLEET_PARAMETER) return;
     for (const robot of fleet.setFigures(value, now())) addRobot(robot);
@@ -86,6 +91,22 @@ function followMap() {
   else maps.unsubscribe("/merged_map");
 }
 
+/** Says what has failed: in a headset, too, where nobody sees the list of messages. */
+function warn(/** @type {string} */ text) {
+  logMessage(text, true);
+  reality.warn(text);
+}
+
+/** Publishes a command, and says so if it cannot be sent. @param {string} topic @param {string} type @param {Uint8Array} payload */
+function send(topic, type, payload) {
+  const isSent = live.publish(topic, type, payload, true);
+  if (!isSent) warn(`${topic} was not sent: no connection`);
+  return isSent;
+}
+
+/** Whether the bridge has answered lately. */
+const isAnswering = () => live.isOpen && live.silence() <= SILENT_MS;
+
 setInterval(() => {
   [live, maps].forEach((connection) => connection.tick());
   robotMaps.tick(fleet, now());
@@ -93,9 +114,8 @@ setInterval(() => {
 
 function showLink() {
   const link = element("link");
-  const isSilent = live.silence() > SILENT_MS;
-  setText(link, !live.isOpen ? "no connection" : isSilent ? "no answer" : "connected");
-  link.className = `badge ${live.isOpen && !isSilent ? "good" : "bad"}`;
+  setText(link, !live.isOpen ? "no connection" : isAnswering() ? "connected" : "no answer");
+  link.className = `badge ${isAnswering() ? "good" : "bad"}`;
   const roundTrip = fleet.clock.roundTrip();
   link.title = roundTrip === null ? "" : `the bridge answered after ${(roundTrip * 1000).toFixed(0)} ms`;
 }
@@ -109,6 +129,13 @@ function receive(topic, data) {
     logMessage(`${topic}: ${error.message}`, true);
   }
   if (topic === "/emergency_stop") showStop();
+  if (topic === "/exclusion_zones") showRefusal();
+}
+
+/** Says why a zone was refused, once. */
+function showRefusal() {
+  if (fleet.zoneRefusal && fleet.zoneRefusal !== shownRefusal) warn(fleet.zoneRefusal);
+  shownRefusal = fleet.zoneRefusal;
 }
 
 /** @param {import("./state.js").Robot} robot */
@@ -142,26 +169,26 @@ function goTo(number) {
 
 // --- Emergency stop ---
 
+const emergencyStop = new EmergencyStop(() => live.publish("/emergency_stop", "std_msgs/msg/Bool", writeBool(true), true), logMessage);
+
 function stop() {
   if (fleet.figures.is_replay === true) return;
-  stopAskedAt = now();
-  const isSent = live.publish("/emergency_stop", "std_msgs/msg/Bool", writeBool(true), true);
-  if (!isSent) logMessage("the emergency stop could not be sent: no connection", true);
+  emergencyStop.ask(now());
+  // One that is set already is not told again.
+  if (fleet.isStopped === true && isAnswering()) emergencyStop.confirm(now());
 }
 
 function showStop() {
   const isStopped = fleet.isStopped === true;
   element("stop").classList.toggle("set", isStopped);
   element("release").hidden = !isStopped;
-  if (isStopped && stopAskedAt !== null) {
-    logMessage(`emergency stop set, confirmed after ${((now() - stopAskedAt) * 1000).toFixed(0)} ms`);
-    stopAskedAt = null;
-  }
+  if (isStopped) emergencyStop.confirm(now());
 }
 
 element("stop").addEventListener("click", stop);
 function release() {
-  live.publish("/emergency_stop_release", "std_msgs/msg/Empty", writeEmpty(), true);
+  emergencyStop.forget();
+  send("/emergency_stop_release", "std_msgs/msg/Empty", writeEmpty());
 }
 
 element("release").addEventListener("click", release);
@@ -223,7 +250,7 @@ function moveStick(event) {
 }
 
 function takeOver() {
-  if (selected !== null) live.publish("/take_control", "std_msgs/msg/Int32", writeInt(selected), true);
+  if (selected !== null) send("/take_control", "std_msgs/msg/Int32", writeInt(selected));
 }
 
 element("take-over").addEventListener("click", takeOver);
@@ -232,7 +259,7 @@ element("take-over").addEventListener("click", takeOver);
 
 const goals = new GoalTool({
   frame: MAP,
-  publish: (topic, type, payload, isUrgent) => live.publish(topic, type, payload, isUrgent),
+  publish: send,
   robot: () => (selected === null ? null : fleet.robots.get(selected) ?? null),
   log: logMessage,
   show: (isOn) => {
@@ -254,7 +281,7 @@ view.measure = measure;
 element("measure").addEventListener("click", () => measure.toggle());
 const zones = new ZoneTool({
   zones: () => fleet.zones,
-  publish: (topic, type, payload, isUrgent) => live.publish(topic, type, payload, isUrgent),
+  publish: send,
   show: (isOn) => {
     if (isOn && goals.isOn) goals.toggle();
     if (isOn) measure.toggle(false);
@@ -277,7 +304,7 @@ function showGoal() {
 // --- Exploration and merge edges ---
 
 element("explore").addEventListener("click", () => {
-  live.publish("/explore/resume", "std_msgs/msg/Bool", writeBool(!isExploring(fleet.exploration)), true);
+  send("/explore/resume", "std_msgs/msg/Bool", writeBool(!isExploring(fleet.exploration)));
 });
 
 function showExploration() {
@@ -288,14 +315,13 @@ function showExploration() {
 }
 
 const edgePanel = new EdgePanel(element("edge-list"), element("edges"), (command, edge) => {
-  live.publish("/merge_edge_command", "std_msgs/msg/String", writeEdgeCommand(command, edge), true);
+  send("/merge_edge_command", "std_msgs/msg/String", writeEdgeCommand(command, edge));
 });
 
 // --- Keys ---
 
 /** @type {Record<string, () => void>} */
 const KEYS = {
-  Escape: stop,
   KeyT: takeOver,
   KeyG: () => goals.toggle(),
   KeyM: () => measure.toggle(),
@@ -319,7 +345,16 @@ function selectNext(step) {
 }
 
 window.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.code === "Escape") {
+    event.preventDefault();
+    if (!event.repeat) stop();
+    return;
+  }
+  // With one of these keys, or a menu, a browser may keep the release of another key to itself.
+  if (event.ctrlKey || event.metaKey || event.altKey) {
+    held.clear();
+    return;
+  }
   const digit = /^(?:Digit|Numpad)([1-9])$/.exec(event.code);
   if (isDriveKey(event.code) || event.code.startsWith("Shift")) {
     held.add(event.code);
@@ -335,6 +370,7 @@ window.addEventListener("keydown", (event) => {
 });
 window.addEventListener("keyup", (event) => held.delete(event.code));
 window.addEventListener("blur", releaseAll);
+window.addEventListener("contextmenu", releaseAll);
 document.addEventListener("visibilitychange", () => { if (document.hidden) releaseAll(); });
 
 // --- Mixed reality ---
@@ -342,7 +378,8 @@ document.addEventListener("visibilitychange", () => { if (document.hidden) relea
 const reality = new MixedReality({
   fleet, select, selectNext, stop, release, takeOver, log: logMessage, now,
   selected: () => selected,
-  isConnected: () => live.isOpen,
+  isConnected: isAnswering,
+  isStopUnconfirmed: () => emergencyStop.isUnconfirmed(now()),
   floorSelected: (point) => {
     const robot = selected === null ? null : fleet.robots.get(selected);
     if (robot) goals.send(robot, { ...point, yaw: headingOf(point, point, 0, robot.pose) });
@@ -401,8 +438,9 @@ function showHint() {
   const isReplay = fleet.figures.is_replay === true;
   document.body.classList.toggle("replay", isReplay);
   if (isReplay && live.isOpen) text = "Replay of a recording: nothing drives. The keys in its terminal pause it and change its speed.";
-  else if (!live.isOpen) text = "No connection to the bridge: robots are at rest. Trying again …";
-  else if (live.silence() > SILENT_MS) text = "The bridge does not answer: robots are at rest. What is shown is old.";
+  else if (!live.isOpen) text = "No connection to the bridge: you drive nothing. Robots with goals drive on. Trying again …";
+  else if (!isAnswering()) text = "The bridge does not answer: you drive nothing, robots with goals drive on. What is shown is old.";
+  else if (emergencyStop.isUnconfirmed(now())) text = "The emergency stop is not confirmed. It is sent again whenever the connection comes back.";
   else if (fleet.isStopped) text = "Emergency stop is set. Release it at the top to drive on.";
   else if (selected === null && fleet.robots.size > 1 && driver.driven === null && (stick || held.size > 0)) text = "Select a robot first.";
   else if (robot?.figures.driver && !robot.figures.is_mine && (stick || [...held].some(isDriveKey))) text = `${robot.figures.driver} drives this robot. Press T to take it over.`;
@@ -417,6 +455,8 @@ function showTakeOver() {
 }
 
 function frame() {
+  // First: an error in one picture must not end all others.
+  requestAnimationFrame(frame);
   const time = now();
   view.drawnGoal = goals.pose();
   view.draw(fleet, selected, time);
@@ -424,7 +464,7 @@ function frame() {
     panelsDue = time + PANEL_MS / 1000;
     panels.update(fleet, selected, time);
     fleetPanel.update(fleet, time);
-    attention.update(fleet.attention(time, live.isOpen), fleet);
+    attention.update(fleet.attention(time, isAnswering()), fleet);
     edgePanel.update(fleet.edges);
     showExploration();
     showLink();
@@ -432,7 +472,6 @@ function frame() {
     showTakeOver();
     showGoal();
   }
-  requestAnimationFrame(frame);
 }
 requestAnimationFrame(frame);
 showTools();

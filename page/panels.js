@@ -134,7 +134,7 @@ function drawIcon(canvas, robot) {
 export const FLEET_ROWS = [
   ["Mapped", ({ figures }) => `${format(figures.merged_known_m2, 1, " m²")}${typeof figures.room_coverage === "number" ? `, ${percent(figures.room_coverage)} of the room` : ""}`],
   ["Map", ({ map }) => (map ? `${map.width} × ${map.height} cells of ${(map.resolution * 100).toFixed(0)} cm` : "–")],
-  ["Age of the map", (fleet, now) => format(fleet.merged.at === null ? null : now - fleet.merged.at, 1, " s")],
+  ["Map changed", (fleet, now) => format(fleet.merged.at === null ? null : now - fleet.merged.at, 1, " s ago")],
   ["Maps agree", ({ figures }) => `${percent(figures.consistency, 1)}${typeof figures.null_consistency === "number" ? `, by chance ${percent(figures.null_consistency, 1)}` : ""}`],
   ["Overlapping pairs", ({ figures }) => format(figures.overlapping_pairs)],
 ];
@@ -154,8 +154,9 @@ export class FleetPanel {
   /** @param {Fleet} fleet @param {number} now */
   update(fleet, now) {
     FLEET_ROWS.forEach(([, value], i) => setText(this.values[i], value(fleet, now)));
-    if (fleet.area.length !== this.drawn) {
-      this.drawn = fleet.area.length;
+    const newest = fleet.area.at(-1)?.at ?? 0;
+    if (newest !== this.drawn) {
+      this.drawn = newest;
       plot(/** @type {HTMLCanvasElement} */ (element("area")), fleet.area);
     }
   }
@@ -205,15 +206,31 @@ export class AttentionList {
     const present = new Set(items.map(({ key }) => key));
     for (const key of this.acknowledged) if (!present.has(key)) this.acknowledged.delete(key);
     items = items.filter((item) => !this.acknowledged.has(item.key));
-    const shown = JSON.stringify([items.slice(0, ITEMS_MAX), this.acknowledged.size]);
-    if (shown === this.shown) return;
-    this.shown = shown;
+    const rows = items.slice(0, ITEMS_MAX);
+    const shown = JSON.stringify([rows.map(({ key }) => key), this.acknowledged.size]);
     const list = element("items");
-    const focused = list.contains(document.activeElement);
+    if (shown === this.shown) {
+      // Numbers alone have changed: the buttons stay, and with them the focus and a click that is under way.
+      rows.forEach((item, i) => this.rename(list.children[i], titleOf(item, fleet)));
+      return;
+    }
+    this.shown = shown;
+    const active = document.activeElement;
+    const focused = active instanceof HTMLElement && list.contains(active) ? active.dataset.key ?? "" : null;
     list.replaceChildren();
     if (items.length === 0) list.append(create("li", "calm", this.acknowledged.size === 0 ? "nothing" : `nothing new, ${this.acknowledged.size} acknowledged`));
-    for (const item of items.slice(0, ITEMS_MAX)) list.append(this.row(item, fleet));
-    if (focused) list.querySelector("button")?.focus();
+    for (const item of rows) list.append(this.row(item, fleet));
+    if (focused === null) return;
+    // Never another item's first button: that would select its robot.
+    const buttons = [...list.querySelectorAll("button")];
+    (buttons.find((button) => button.dataset.key === focused) ?? buttons.find((button) => button.className === "acknowledge"))?.focus();
+  }
+
+  /** @param {Element} row @param {string} title */
+  rename(row, title) {
+    const [goTo, acknowledge] = row.children;
+    setText(/** @type {HTMLElement} */ (goTo ?? row), title);
+    acknowledge?.setAttribute("aria-label", `Acknowledge: ${title}`);
   }
 
   /** Returns the row of an item: about a robot a button that goes there, and one that acknowledges. @param {Item} item @param {Fleet} fleet */
@@ -223,8 +240,10 @@ export class AttentionList {
       row.textContent = text;
       return row;
     }
-    const title = `${robot} · ${fleet.robots.get(robot)?.name ?? ""}: ${text}`;
+    const title = titleOf({ robot, text }, fleet);
     const [goTo, acknowledge] = [create("button", "", title), create("button", "acknowledge", "✓")];
+    goTo.dataset.key = `go ${key}`;
+    acknowledge.dataset.key = `acknowledge ${key}`;
     acknowledge.setAttribute("aria-label", `Acknowledge: ${title}`);
     acknowledge.title = "Acknowledge: hide this until it comes again";
     [goTo, acknowledge].forEach((button) => button.setAttribute("type", "button"));
@@ -233,6 +252,11 @@ export class AttentionList {
     row.append(goTo, acknowledge);
     return row;
   }
+}
+
+/** Returns what an item of attention says. @param {{robot: number | null, text: string}} item @param {Fleet} fleet */
+function titleOf({ robot, text }, fleet) {
+  return robot === null ? text : `${robot} · ${fleet.robots.get(robot)?.name ?? ""}: ${text}`;
 }
 
 /** Adds a message to the log. */

@@ -89,6 +89,8 @@ export class Fleet {
     this.exploration = null;
     /** The areas that navigation keeps robots out of. @type {import("./zones.js").Zone[]} */
     this.zones = [];
+    /** Why the newest change of the zones was refused. @type {string | null} */
+    this.zoneRefusal = null;
     /** @type {boolean | null} */
     this.isStopped = null;
     /** @type {any} */
@@ -169,7 +171,8 @@ export class Fleet {
       return undefined;
     }
     if (topic === "/exclusion_zones") {
-      this.zones = readZones(view).zones;
+      const { zones, refusal } = readZones(view);
+      Object.assign(this, { zones, zoneRefusal: refusal });
       return undefined;
     }
     if (topic === "/explore/state") {

@@ -8,6 +8,8 @@ const MESSAGE = 1;
 const MESSAGE_HEADER_BYTES = 13;
 /** Pause before the next attempt to connect, ms. */
 const RECONNECT_MS = 500;
+/** An attempt to connect that takes longer is given up, ms: after a lost packet it would take many seconds. */
+const CONNECT_MAX_MS = 2000;
 /** The parameter with the run's time, seconds. */
 const TIME_PARAMETER = "/mr_slam/time";
 /** A connection on which nothing comes for so long is closed and opened again, ms: the bridge answers once a second. */
@@ -45,12 +47,15 @@ export class Connection {
     this.isOpen = false;
     /** When something came last, ms of the page. */
     this.heardAt = 0;
+    /** When the newest attempt to connect began, ms of the page. */
+    this.begunAt = 0;
     /** The question for the run's time that is not answered yet. @type {{id: string, at: number} | null} */
     this.asked = null;
     this.connect();
   }
 
   connect() {
+    this.begunAt = performance.now();
     const socket = new this.Socket(this.url, PROTOCOLS);
     socket.binaryType = "arraybuffer";
     /** @type {WebSocket | null} */
@@ -76,7 +81,13 @@ export class Connection {
 
   /** Asks for the run's time, and gives up a connection on which nothing comes any more. Call it once a second. */
   tick(now = performance.now()) {
-    if (!this.isOpen) return;
+    if (!this.isOpen) {
+      if (this.socket && now - this.begunAt > CONNECT_MAX_MS) {
+        this.socket.close();
+        this.closed();
+      }
+      return;
+    }
     if (now - this.heardAt > SILENCE_MAX_MS) {
       // A link that is gone without a word: closing waits for the other side, so the socket is not waited for.
       this.socket?.close();
@@ -99,6 +110,8 @@ export class Connection {
     for (const topic of this.publications.keys()) this.sendAdvertise(topic);
     if (this.wantsParameters) this.sendJson({ op: "subscribeParameterUpdates", parameterNames: [] });
     this.handlers.state?.(true);
+    // Ages need the run's time at once.
+    this.tick(this.heardAt);
   }
 
   sendJson(/** @type {object} */ message) {
@@ -152,6 +165,14 @@ export class Connection {
     this.subscriptions.delete(topic);
     this.topics.delete(subscription.id);
     if (subscription.isSent) this.sendJson({ op: "unsubscribe", subscriptionIds: [subscription.id] });
+  }
+
+  /** Subscribes to everything anew, so that latched messages come again. */
+  renew() {
+    for (const topic of [...this.subscriptions.keys()]) {
+      this.unsubscribe(topic);
+      this.subscribe(topic);
+    }
   }
 
   sendSubscriptions() {

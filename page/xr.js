@@ -24,7 +24,8 @@ import { RobotView, tablePlacement } from "./xr_views.js";
  * What the page lets mixed reality do. @typedef {object} Operator
  * @property {Fleet} fleet @property {() => number | null} selected @property {(number: number | null) => void} select
  * @property {(step: number) => void} selectNext @property {() => void} stop @property {() => void} release
- * @property {() => void} takeOver @property {() => boolean} isConnected @property {(text: string, isError?: boolean) => void} log
+ * @property {() => void} takeOver @property {() => boolean} isConnected
+ * @property {() => boolean} isStopUnconfirmed @property {(text: string, isError?: boolean) => void} log
  * @property {() => number} now seconds
  * @property {(point: {x: number, y: number}) => void} floorSelected a point of `map` was pointed at: for goals
  */
@@ -40,6 +41,8 @@ const PICK_M = 0.16;
 const PICK_SHARE = 0.015;
 /** Length of a ray that meets nothing, metres. */
 const RAY_M = 3;
+/** Time for which the fleet's panel shows what has failed, seconds. */
+const WARNING_S = 6;
 /** Ranks of attention up to which a new item is an alarm. */
 const ALARM_RANK = 3;
 /** Strength and length of the controllers' pulses, ms. */
@@ -54,6 +57,8 @@ export class MixedReality {
     this.changed = changed;
     /** @type {XrSession | null} */
     this.xr = null;
+    /** What has failed lately. @type {{text: string, until: number} | null} */
+    this.warning = null;
     this.mapAnchor = new KeptAnchor("map");
     this.panelAnchor = new KeptAnchor("panel");
     this.controls = new Controls({
@@ -207,10 +212,15 @@ export class MixedReality {
     if (this.fleetPanel) this.fleetPanel.matrix = matrix;
   }
 
+  /** Shows a text on the fleet's panel for some seconds. */
+  warn(/** @type {string} */ text) { this.warning = { text, until: this.operator.now() + WARNING_S }; }
+
   noticeText(/** @type {boolean} */ isConnected) {
-    if (!isConnected) return "no connection: robots are at rest";
+    if (this.operator.isStopUnconfirmed()) return "the emergency stop is not confirmed";
+    if (!isConnected) return "no connection: you drive nothing, robots with goals drive on";
     if (this.alignment) return this.alignment.place ? `point straight ahead of ${this.alignment.name}` : `point where ${this.alignment.name} stands`;
     if (this.operator.fleet.isStopped) return "emergency stop is set";
+    if (this.warning && this.operator.now() < this.warning.until) return this.warning.text;
     return this.notice || "connected";
   }
 

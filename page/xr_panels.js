@@ -210,7 +210,7 @@ export class FleetPanel extends Panel {
   show(fleet, now, link, items, commands, select) {
     const rows = FLEET_ROWS.map(([heading, value]) => [heading, value(fleet, now)]);
     const shown = items.slice(0, ITEMS_MAX);
-    const content = [link, rows, shown, commands.map(({ text, isOn }) => [text, isOn]), fleet.area.length];
+    const content = [link, rows, shown, commands.map(({ text, isOn }) => [text, isOn]), fleet.area.at(-1)?.at];
     this.update(JSON.stringify(content), (context) => {
       const { width, height } = this.canvas;
       write(context, "MR-SLAM", 28, 40, "bold 32px", DARK.text);

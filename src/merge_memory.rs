@@ -222,7 +222,8 @@ mod tests {
         };
         assert!(refused(8, 2, &whole).contains("another run"));
         assert!(refused(7, 3, &whole).contains("fleet of 2 robots"));
-        assert!(refused(7, 2, &whole.replace("\"version\":2", "\"version\":3")).contains("version 3"));
+        let version = format!("\"version\":{VERSION}");
+        assert!(refused(7, 2, &whole.replace(&version, "\"version\":99")).contains("version 99"));
         assert!(refused(7, 2, &whole.replace("-0.3333333333333333", "-1e300")).contains("invalid"));
         assert!(refused(7, 2, &whole.replace("\"edge\":1", "\"edge\":2")).contains("edge's number"));
         assert!(refused(7, 2, &whole.replace("\"state\":3", "\"state\":9")).contains("edge's state"));

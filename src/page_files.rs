@@ -49,6 +49,7 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("selfcheck.js", SCRIPT),
     file!("shaders.js", SCRIPT),
     file!("state.js", SCRIPT),
+    file!("stop.js", SCRIPT),
     file!("/tlx", "tlx.html", HTML),
     file!("tlx.js", SCRIPT),
     file!("transport.js", SCRIPT),

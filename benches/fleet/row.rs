@@ -69,7 +69,11 @@ impl Row {
             cores: cpus.iter().map(|cpu| cpu.percent).sum::<f64>() / 100.0,
             memory_per_robot_mb: after.processes.iter().map(|process| process.memory_mb).sum::<f64>()
                 / robots as f64,
-            unrecorded: recorder.map_or(0, |process| process.lost + process.dropped),
+            unrecorded: match recorder {
+                Some(process) if process.received > 0 => process.lost + process.dropped,
+                None if !words.contains(&"--record") => 0,
+                _ => return Err("the fleet's recorder records nothing".into()),
+            },
             busiest: busiest
                 .map_or((String::new(), 0.0), |Cpu { process, percent, .. }| (process.clone(), *percent)),
         })

@@ -1,5 +1,8 @@
 //! The fleet under measurement, and a ros_tcp client that reads from it as a headset does.
 
+#[path = "../shared/browser.rs"]
+mod browser;
+
 use crate::launcher;
 use crate::measure::{Figures, Streams};
 use bridge::command::{Registration, name};
@@ -41,6 +44,7 @@ pub struct Fleet {
     run: Run,
     before: Option<FleetView>,
     after: Option<FleetView>,
+    browser: Option<browser::Browser>,
 }
 
 impl Fleet {
@@ -67,7 +71,9 @@ impl Fleet {
         launcher::wait_until_ready(&mut launcher)?;
         let run = Run::open(&dir)?;
         let observer = Observer::attach(&run, "jitter")?;
-        Ok(Self { launcher, dir, observer, run, before: None, after: None })
+        let mut fleet = Self { launcher, dir, observer, run, before: None, after: None, browser: None };
+        fleet.browser = browser::Browser::open(&fleet.run, &fleet.dir)?;
+        Ok(fleet)
     }
 
     /// Connects a client, subscribes, and measures for `length` after `warm_up`.
@@ -167,6 +173,7 @@ impl Fleet {
 
 impl Drop for Fleet {
     fn drop(&mut self) {
+        drop(self.browser.take());
         launcher::terminate(&self.launcher);
         let _ = self.launcher.wait();
         let _ = std::fs::remove_dir_all(&self.dir);

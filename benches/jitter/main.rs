@@ -2,7 +2,8 @@
 //!
 //! The cost of the same hops without a fleet is measured on the same machine at the same time.
 //!
-//! `cargo bench --bench jitter [-- --seconds 60 --robots 3 --json FILE]`
+//! `cargo bench --bench jitter [-- --seconds 60 --robots 3 --json FILE]`; with `MR_SLAM_BENCH_BROWSER=chromium` a browser draws the
+//! operator's page beside it, at the lowest priority, as on another machine.
 //!
 //! Jitter is defined as in the MR-SLAM paper: |(receive - stamp) - its mean|, for each link, pooled over the
 //! links. The bare hops are a timer process, a relay process that it wakes through a socket, and TCP to a

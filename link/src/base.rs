@@ -58,6 +58,8 @@ pub struct BaseEnd {
     /// Hash and compressed content of each submap.
     submaps: BTreeMap<u32, (u64, Vec<u8>)>,
     robot_state: RobotState,
+    /// Whether this session of the robot has said its state. Before, nobody knows of which run its messages are.
+    has_state: bool,
     state: BaseState,
     state_due: Monotonic,
     /// Repetitions of a change of the stop that are left.
@@ -78,6 +80,7 @@ impl BaseEnd {
             has_header: false,
             submaps: BTreeMap::new(),
             robot_state: RobotState::default(),
+            has_state: false,
             state: BaseState::default(),
             state_due: Monotonic(0),
             stop_repeats: 0,
@@ -134,19 +137,25 @@ impl BaseEnd {
             Verdict::Accepted => {}
             Verdict::TakenOver { before } => {
                 self.peer.heard = Monotonic(0);
+                self.has_state = false;
                 events.push(BaseEvent::RobotJoined { robot: envelope.session, before });
             }
         }
         self.peer.heard = self.peer.heard.max(envelope.sent);
+        if !self.has_state && !matches!(envelope.message, Message::RobotState(_)) {
+            return Ok(events);
+        }
         match envelope.message {
             Message::RobotState(state) => {
-                // Before the first state the number is 0.
-                if self.robot_state.run != state.run {
+                // A session has one run: the first state says it.
+                let is_first = !core::mem::replace(&mut self.has_state, true);
+                let is_new_run = is_first && self.robot_state.run != state.run;
+                if is_new_run {
                     self.forget_map();
                     events.push(BaseEvent::NewRun(state.run));
                 }
                 self.robot_state = state;
-                self.is_list_due = state.list_of != self.peer.session;
+                self.is_list_due = is_new_run || state.list_of != self.peer.session;
             }
             Message::Correction(correction) => events.push(BaseEvent::Correction(correction)),
             Message::Transforms(transforms) => events.push(BaseEvent::Transforms(transforms)),

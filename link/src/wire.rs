@@ -64,7 +64,7 @@ pub enum Message {
 pub struct RobotState {
     /// Session of the base whose list of parts the robot has; 0: it has none and cannot send its map.
     pub list_of: u64,
-    /// Number of the run on the robot's machine. In another run the robot has another map in another frame.
+    /// Number of the run on the robot's machine. What the robot was in another run says nothing of where it is in this one.
     pub run: u32,
     /// Number of parts that wait to be sent.
     pub waiting: u32,

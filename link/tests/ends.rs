@@ -1,7 +1,7 @@
 //! A robot's end and the base's end, joined by a link that is cut, delays, and is taken over.
 
 use link::leadership::SILENCE_MAX;
-use link::{BaseEnd, BaseEvent, RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
+use link::{BaseEnd, BaseEvent, Kind, RobotEnd, RobotEvent, ScanRate, SenderConfig, StopRequest};
 use msg::tiles::ROBOT_TILES_MAX;
 use msg::{
     Correction, MapHeader, Monotonic, Pose2, Rect, Scan, Stamp, Submap, SubmapPoses, TileMap, Transforms,
@@ -240,6 +240,28 @@ fn a_robot_that_begins_anew_leaves_nothing_of_its_old_map() {
     machines.run(SILENCE_MAX.as_millis() as u64 + 10_000);
     assert!(machines.maps_are_equal());
     assert_eq!(machines.base.map().unwrap().tiles().count(), 3);
+}
+
+#[test]
+fn before_a_robots_first_state_its_messages_are_of_an_unknown_run() {
+    let mut machines = Machines::new();
+    machines.draw(0..50, 50);
+    machines.run(500);
+    machines.robot.put_correction(&Correction::default());
+    let (now, mut states, mut others) = (machines.robot_now(), Vec::new(), Vec::new());
+    machines.robot.poll(Monotonic(now.0 + 1_000_000_000), &mut |kind, bytes: &[u8]| {
+        if kind == Kind::RobotState { &mut states } else { &mut others }.push(bytes.to_vec());
+    });
+    assert!(!states.is_empty() && !others.is_empty());
+    // A base's process that was started again.
+    let mut base = BaseEnd::new(3);
+    for bytes in &others {
+        let events = base.receive(bytes, machines.base_now()).unwrap();
+        assert!(events.iter().all(|event| matches!(event, BaseEvent::RobotJoined { .. })), "{events:?}");
+    }
+    let events = base.receive(&states[0], machines.base_now()).unwrap();
+    assert!(events.iter().any(|event| matches!(event, BaseEvent::NewRun(1))), "{events:?}");
+    assert!(!base.receive(&others[0], machines.base_now()).unwrap().is_empty());
 }
 
 #[test]

@@ -22,6 +22,13 @@ const LEASE_MS: u32 = 2000;
 const RETRY_MS: [u32; 2] = [200, 1000];
 /// Longest attempt to connect, milliseconds. One whose packets are lost backs off and is slower than the next one.
 const OPEN_MS: u32 = 3000;
+/// A machine tries to connect for as long as it takes.
+const WITHOUT_END: i64 = -1;
+/// Times for which a machine tries to connect by QUIC and then by TLS, milliseconds: attempts take [`OPEN_MS`] at most. QUIC,
+/// which bears losses better, has more of them.
+const PROTOCOLS_MS: [i64; 2] = [8000, 4000];
+/// Pause before both are tried again.
+const PROTOCOLS_PAUSE: std::time::Duration = std::time::Duration::from_millis(500);
 /// Largest batch of messages, bytes: an urgent message waits for one of them.
 const BATCH_BYTES: u32 = 8192;
 /// Bytes that wait in the operating system: 0.13 s at 1 Mbit/s. Urgent messages cannot overtake them.
@@ -77,9 +84,41 @@ pub struct SessionConfig {
 }
 
 impl SessionConfig {
-    fn to_zenoh(&self) -> Result<zenoh::Config, SessionError> {
+    /// Opens a session. A machine that connects waits until it has. If QUIC is wanted it tries QUIC and TLS in turns: some
+    /// networks let no UDP through, and a handshake that somebody does not finish occupies a QUIC port for 30 s.
+    fn open(&self) -> Result<zenoh::Session, SessionError> {
+        if self.listens() || self.endpoint.protocol != Protocol::Quic {
+            return zenoh::open(self.to_zenoh(WITHOUT_END)?).wait().map_err(failed("cannot open a session"));
+        }
+        let by_tls = Self { endpoint: self.endpoint.with_protocol(Protocol::Tls), ..self.clone() };
+        let configs = [self.to_zenoh(PROTOCOLS_MS[0])?, by_tls.to_zenoh(PROTOCOLS_MS[1])?];
+        let mut is_told = false;
+        loop {
+            for config in &configs {
+                match zenoh::open(config.clone()).wait() {
+                    Ok(session) => return Ok(session),
+                    Err(why) if !is_told => {
+                        tracing::warn!(
+                            "{}: no connection ({why}); QUIC and TLS are tried in turns",
+                            self.endpoint
+                        );
+                    }
+                    Err(_) => {}
+                }
+                is_told = true;
+            }
+            std::thread::sleep(PROTOCOLS_PAUSE);
+        }
+    }
+
+    fn listens(&self) -> bool {
+        matches!(self.role, SessionRole::Base | SessionRole::Router)
+    }
+
+    /// `connect_ms`: time for which it tries to connect, milliseconds, or [`WITHOUT_END`].
+    fn to_zenoh(&self, connect_ms: i64) -> Result<zenoh::Config, SessionError> {
         let mut config = zenoh::Config::default();
-        for (key, value) in self.values() {
+        for (key, value) in self.values(connect_ms) {
             config.insert_json5(key, &value.to_string()).map_err(failed(key))?;
         }
         Ok(config)
@@ -88,27 +127,23 @@ impl SessionConfig {
     /// Returns the settings as a configuration file of `zenohd`.
     pub fn to_json(&self) -> String {
         let mut file = json!({});
-        for (key, value) in self.values() {
+        for (key, value) in self.values(WITHOUT_END) {
             let names = key.split('/');
             *names.fold(&mut file, |table, name| &mut table[name]) = value;
         }
         format!("{file:#}\n")
     }
 
-    fn values(&self) -> Vec<(&'static str, Value)> {
+    fn values(&self, connect_ms: i64) -> Vec<(&'static str, Value)> {
         let endpoints = self.endpoints();
         let protocols: Vec<&str> = endpoints.iter().map(|endpoint| endpoint.protocol.name()).collect();
         let endpoints: Vec<String> = endpoints.iter().map(zenoh_endpoint).collect();
-        let (listen, connect) = match self.role {
-            SessionRole::Base | SessionRole::Router => (endpoints, Vec::new()),
-            SessionRole::Robot | SessionRole::BaseBehindRouter => (Vec::new(), endpoints),
-        };
+        let (listen, connect) = if self.listens() { (endpoints, vec![]) } else { (vec![], endpoints) };
         let mut values = vec![
             ("mode", json!(self.role.mode())),
-            // Clients try to connect for as long as it takes.
             ("listen/endpoints", json!(listen)),
             ("connect/endpoints", json!(connect)),
-            ("connect/timeout_ms", json!(-1)),
+            ("connect/timeout_ms", json!(connect_ms)),
             ("connect/exit_on_failure", json!(false)),
             ("connect/retry", json!({ "period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1] })),
             ("open/return_conditions/connect_scouted", json!(false)),
@@ -186,7 +221,7 @@ impl SessionConfig {
 /// Returns an endpoint as Zenoh reads it.
 fn zenoh_endpoint(endpoint: &Endpoint) -> String {
     match endpoint.protocol {
-        // Each priority has a stream of its own.
+        // Each priority has a stream of its own. QUIC bounds what waits at 1.25 MB a stream; of maps 16 kB are on their way.
         Protocol::Quic => endpoint.to_string(),
         // A small buffer of the socket: what waits there cannot be overtaken.
         Protocol::Tls | Protocol::Tcp => format!("{endpoint}#so_sndbuf={SOCKET_BYTES}"),
@@ -242,7 +277,7 @@ pub struct ZenohTransport {
 impl ZenohTransport {
     /// Opens a session and declares the key expressions of its robots. A machine that connects waits until it has.
     pub fn open(config: &SessionConfig) -> Result<Self, SessionError> {
-        let session = zenoh::open(config.to_zenoh()?).wait().map_err(failed("cannot open a session"))?;
+        let session = config.open()?;
         let (out, back) = match config.role {
             SessionRole::Robot => (Direction::Up, Direction::Down),
             _ => (Direction::Down, Direction::Up),
@@ -281,8 +316,7 @@ pub struct Router {
 impl Router {
     /// Listens for robots and base.
     pub fn open(config: &SessionConfig) -> Result<Self, SessionError> {
-        let session = zenoh::open(config.to_zenoh()?).wait().map_err(failed("cannot open a router"))?;
-        Ok(Self { _session: session })
+        Ok(Self { _session: config.open()? })
     }
 }
 
@@ -340,9 +374,9 @@ mod tests {
             KeyFiles { authority: file("a"), certificate: file("c"), private_key: file("k") }
         };
         for role in ROLES {
-            config("tcp/127.0.0.1:7447", role, None).to_zenoh().unwrap();
-            config("tls/[::1]:7447", role, Some(keys())).to_zenoh().unwrap();
-            config("quic/[::1]:7447", role, Some(keys())).to_zenoh().unwrap();
+            config("tcp/127.0.0.1:7447", role, None).to_zenoh(WITHOUT_END).unwrap();
+            config("tls/[::1]:7447", role, Some(keys())).to_zenoh(WITHOUT_END).unwrap();
+            config("quic/[::1]:7447", role, Some(keys())).to_zenoh(WITHOUT_END).unwrap();
             // As `zenohd` reads it.
             let file = config("tls/127.0.0.1:7447", role, Some(keys())).to_json();
             zenoh::Config::from_json5(&file).unwrap();

@@ -55,7 +55,7 @@ use task::{Job, JobResult};
 /// Alignments of each pair when nothing grows any more: both whole maps and each window, twice.
 const FINAL_ALIGNMENTS: u32 = 6;
 
-/// Reason why a message was rejected. The graph is unchanged then.
+/// Reason why a message was rejected. Nothing of it is used but the run and the generation that it names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SubmapRejected {
     /// The fleet has no such robot.
@@ -162,7 +162,7 @@ impl FleetPoseGraph {
             self.reference.is_none() && self.robots.iter().all(|robot| robot.estimate.start().is_none());
         if has_map && frame_is_free {
             self.reference = Some(set_reference(&mut self.robots, index, Pose2::IDENTITY));
-            self.needs_solve = true;
+            self.graph_changed();
         }
         self.needs_solve |= changed && self.robots[index].estimate.transform().is_some();
         Ok(())
@@ -183,7 +183,9 @@ impl FleetPoseGraph {
                 *relation = RobotPair::default();
             }
         }
-        if self.reference.is_some_and(|reference| reference.robot == index) {
+        // Without a reference the robots that have a start fix the frame. The last of them may be gone now.
+        let has_start = self.robots.iter().any(|known| known.estimate.start().is_some());
+        if self.reference.map_or(!has_start, |reference| reference.robot == index) {
             self.reference = successor(&self.robots);
         }
         self.graph_changed();

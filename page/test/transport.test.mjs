@@ -117,3 +117,43 @@ test("a subscription that is ended can be made again", () => {
   connection.subscribe("/robot1/scan");
   assert.notEqual(socket.commands("subscribe")[1].subscriptions[0].id, id);
 });
+
+test("a socket that breaks every 30 s is opened after the same half second each time", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const { connection } = open();
+  connection.subscribe("/robot1/scan");
+  for (let round = 1; round <= 10; round += 1) {
+    t.mock.timers.tick(30_000);
+    FakeSocket.all.at(-1).onclose();
+    t.mock.timers.tick(499);
+    assert.equal(FakeSocket.all.length, round);
+    t.mock.timers.tick(1);
+    const again = FakeSocket.all[round];
+    again.onopen();
+    again.receive(ADVERTISE);
+    assert.equal(again.commands("subscribe").length, 1);
+  }
+});
+
+test("an attempt to connect that hangs is given up, and another one is made", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  FakeSocket.all = [];
+  const connection = new Connection("ws://localhost:8080/", { message() {} }, FakeSocket);
+  let isClosed = false;
+  FakeSocket.all[0].close = () => { isClosed = true; };
+  connection.tick(performance.now() + 1000);
+  assert.equal(isClosed, false);
+  connection.tick(performance.now() + 3000);
+  t.mock.timers.tick(500);
+  assert.deepEqual([isClosed, FakeSocket.all.length], [true, 2]);
+});
+
+test("subscriptions that are renewed are sent anew", () => {
+  const { connection, socket } = open();
+  connection.subscribe("/robot1/scan");
+  socket.receive(ADVERTISE);
+  connection.renew();
+  assert.equal(socket.commands("unsubscribe").length, 1);
+  const ids = socket.commands("subscribe").map(({ subscriptions: [{ id }] }) => id);
+  assert.equal(new Set(ids).size, 2);
+});

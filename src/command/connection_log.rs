@@ -104,7 +104,9 @@ fn describe(message: &str) -> Option<String> {
     let why = why.split_once(" at /").map_or(why, |(why, _)| why);
     let what = match why {
         // The other side has ended it, over TLS and over QUIC.
-        _ if why.contains("fatal alert") || why.contains("ConnectionClosed(") => {
+        _ if why.contains("fatal alert")
+            || (why.contains("ConnectionClosed(") && why.contains("Code::crypto(")) =>
+        {
             "it does not accept this machine's key, as when it has one of another authority"
         }
         _ if why.contains("no certificates") => "it showed no key",
@@ -130,7 +132,14 @@ mod tests {
             ("invalid peer certificate: UnknownIssuer", "another authority"),
             ("received fatal alert: DecryptError", "does not accept this machine's key"),
             ("received corrupt message of type InvalidContentType", "does not speak TLS"),
-            ("QUIC acceptor failed: ConnectionClosed(b\"invalid peer certificate\")", "does not accept this"),
+            (
+                "QUIC acceptor failed: ConnectionClosed(ConnectionClose { error_code: Code::crypto(30) })",
+                "does not accept this machine's key",
+            ),
+            (
+                "QUIC acceptor failed: ConnectionClosed(ConnectionClose { error_code: APPLICATION_ERROR })",
+                "or has gone",
+            ),
         ] {
             let line = describe(&format!("{why}. {hint}")).unwrap();
             assert!(

@@ -336,8 +336,9 @@ fn watch(
     }
     let pictures = draw_maps(&run.config, &observer, &mut series);
     let report = Report::new(run, begun.elapsed(), fleet, operator, maps, events);
-    let report = Report { series, pictures, ..report };
-    Ok(Report { not_written, ..report })
+    let mut report = Report { series, pictures, ..report };
+    report.not_written.extend(not_written);
+    Ok(report)
 }
 
 /// Draws all maps with the ways of the robots.

@@ -171,7 +171,7 @@ impl<P: Ports> Source<P> {
     }
 
     fn receive(&mut self, graph: &mut FleetPoseGraph, now: Monotonic) {
-        // Invalid poses are ignored: the robot keeps its newest valid ones.
+        // Invalid poses are ignored.
         if let Some(poses) = self.poses.newest() {
             let _ = graph.update_poses(self.robot, &poses);
         }

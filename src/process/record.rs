@@ -60,9 +60,11 @@ pub fn map_hash<'a>(maps: impl Iterator<Item = (&'a str, msg::GridView<'a>)>) ->
 pub struct Summary {
     /// Files, in the order of their messages.
     pub files: Vec<PathBuf>,
+    /// Files of a recorder that was killed before; their messages are not counted here.
+    pub earlier: Vec<PathBuf>,
     /// Number of messages of each topic, over all files.
     pub topics: Vec<TopicSummary>,
-    /// Messages that were dropped because the disk was slow.
+    /// Messages that were dropped because the disk was slow, or because the recording had ended.
     pub dropped: u64,
     /// Messages that were sent and not received in time.
     pub lost: u64,

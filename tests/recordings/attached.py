@@ -127,7 +127,7 @@ def known_area(yaml):
     return (columns.max() - columns.min() + 1) * resolution, (rows.max() - rows.min() + 1) * resolution
 
 
-def check_all(program, folder, check, raw_messages, wait_for):
+def check_all(program, folder, check, raw_messages, wait_for, readers):
     """Runs the checks of this file."""
     path, told, still_runs = attached(program, folder, wait_for)
     raw, broken = raw_messages(path)
@@ -137,8 +137,9 @@ def check_all(program, folder, check, raw_messages, wait_for):
           dict(counts) == {of["topic"]: of["messages"] for of in told["topics"] if of["messages"]})
     check("scans of 12 s of both robots", all(counts[f"/robot{n}/scan"] > 90 for n in (1, 2)),
           f"{counts['/robot1/scan']}, {counts['/robot2/scan']}")
-    for topic in ["/robot1/navigation_command", "/robot1/navigation_state", "/operator_state", "/robot1/cmd_vel"]:
+    for topic in ["/robot1/navigation_command", "/robot1/navigation_state", "/robot1/plan", "/operator_state", "/robot1/cmd_vel"]:
         check(f"{topic} is recorded by mr-slam record", counts[topic] > 0, str(counts[topic]))
+    check("mcap-ros2-support and rosbags decode every message of it", all(dict(read(path)) == dict(counts) for read in readers))
     goal = (raw.get("/robot1/navigation_command") or [b""])[0][8:].rstrip(b"\0").decode()
     check("the goal has its place", '"action":"goal"' in goal and "0.3" in goal, goal)
     first, second = replayed_twice(program, path)

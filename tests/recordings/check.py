@@ -54,6 +54,12 @@ class TcpClient(threading.Thread):
             pass
 
 
+def stamp_s(clock):
+    """Returns the time of an encoded rosgraph_msgs/Clock, seconds."""
+    seconds, nanoseconds = struct.unpack("<iI", clock[4:12])
+    return seconds + nanoseconds * 1e-9
+
+
 def wait_for(path, seconds=20):
     until = time.monotonic() + seconds
     while not path.exists():
@@ -156,7 +162,8 @@ def main():
     differing = {t: (n, counts[t]) for t, (n, _) in read.items() if counts[t] != n}
     check("rosbags decodes every message", not differing, str(differing or ""))
     for topic in ["/tf", "/tf_static", "/robot1/map", "/merged_map", "/robot1/cmd_vel", "/robot1/pose", "/fleet_stats",
-                  "/operator_state", "/selected_robot", "/emergency_stop", "/robot2/ground_truth", "/merge_edges"]:
+                  "/operator_state", "/selected_robot", "/emergency_stop", "/robot2/ground_truth", "/merge_edges", "/robot1/slam_stats",
+                  "/robot1/odom_2d", "/robot1/cmd_vel_sender", "/operator_event", "/exclusion_zones", "/explore/state"]:
         check(f"{topic} is recorded", topic in read)
     for topic in COMPARED:
         # Covariances of odometry grow with the way since the reader's first message: they are left out.
@@ -184,7 +191,13 @@ def main():
     check("what the killed recorder wrote can be read", times > SECONDS / 2 - 2.5, f"{times:.1f} s; {broken}")
     second, broken = raw_messages(killed / "recording/recording_1.mcap")
     check("its replacement records on in another file", broken is None and len(second["/clock"]) > 100)
-    attached.check_all(PROGRAM, FOLDER, check, raw_messages, wait_for)
+    summary = json.loads((killed / "recording/recording.json").read_text())
+    names = {key: [pathlib.Path(name).name for name in summary[key]] for key in ("earlier", "files")}
+    check("its summary names the file of the killed one apart", names == {"earlier": ["recording.mcap"], "files": ["recording_1.mcap"]}, str(names))
+    lost_s = stamp_s(second["/clock"][0]) - stamp_s(first["/clock"][-1])
+    check("a kill loses a second at most, and the time until the recorder is back", lost_s < 1.5, f"{lost_s:.2f} s")
+    readers = [lambda path: decode_with_mcap_ros2(path)[0], decode_with_rosbags]
+    attached.check_all(PROGRAM, FOLDER, check, raw_messages, wait_for, readers)
     lines = sum(topic["messages"] for topic in told["topics"])
     print(f"{'failed: ' + ', '.join(failures) if failures else f'all checked, {lines} messages'}")
     return 1 if failures else 0

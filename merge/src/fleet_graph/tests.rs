@@ -267,6 +267,23 @@ fn a_robot_whose_machine_began_anew_has_no_place_until_its_new_map_is_joined() {
 }
 
 #[test]
+fn the_frame_stays_when_the_only_robot_with_a_start_begins_anew() {
+    let (_, paths, estimated) = two_connected_robots();
+    let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &[Some(Pose2::IDENTITY), None, None]);
+    send(&mut fleet, 1, &paths[0], &estimated[0], 1);
+    send(&mut fleet, 2, &paths[1], &estimated[1], 1);
+    fleet.finish();
+    work(&mut fleet);
+    let place = fleet.map_from_robot_map(robot(2)).expect("joined to the first");
+    let mut poses: Box<SubmapPoses> = bytemuck::allocation::zeroed_box();
+    (poses.run, poses.header.incarnation) = (7, 2);
+    fleet.update_poses(robot(1), &poses).unwrap();
+    work(&mut fleet);
+    assert_eq!(fleet.map_from_robot_map(robot(1)), None);
+    assert!(fleet.map_from_robot_map(robot(2)).expect("it stays").distance_m(place) < 0.05);
+}
+
+#[test]
 fn the_frame_is_that_of_the_largest_group_of_joined_robots() {
     let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &[None; 3]);
     // The first robot is outside the house, where no other ever comes.

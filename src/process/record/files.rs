@@ -25,8 +25,19 @@ pub trait Output {
     fn waiting_bytes(&self) -> usize;
     /// Returns why no more can be written.
     fn failure(&self) -> Option<String>;
-    /// Waits until all is written and returns the files.
-    fn finish(self: Box<Self>) -> Vec<PathBuf>;
+    /// Waits until all is written. Returns the files, and why something could not be written.
+    fn finish(self: Box<Self>) -> Written;
+}
+
+/// What has become of a recording.
+#[derive(Debug, Default)]
+pub struct Written {
+    /// Files, in the order of their messages.
+    pub files: Vec<PathBuf>,
+    /// Files of the same name that were there before, as after a recorder was killed.
+    pub earlier: Vec<PathBuf>,
+    /// Why something could not be written.
+    pub failure: Option<String>,
 }
 
 /// Reason why a recording cannot go on.
@@ -44,6 +55,8 @@ pub struct RecordingFiles {
     disk_free_bytes: u64,
     file: Option<(PathBuf, File)>,
     all: Vec<PathBuf>,
+    /// Files that were there before the first of these.
+    earlier: Vec<PathBuf>,
 }
 
 impl RecordingFiles {
@@ -54,6 +67,7 @@ impl RecordingFiles {
             disk_free_bytes: config.disk_free_mb * BYTES_PER_MB,
             file: None,
             all: Vec::new(),
+            earlier: Vec::new(),
         }
     }
 
@@ -72,7 +86,11 @@ impl RecordingFiles {
                     self.file = Some((path, file));
                     return Ok(());
                 }
-                Err(why) if why.kind() == io::ErrorKind::AlreadyExists => {}
+                Err(why) if why.kind() == io::ErrorKind::AlreadyExists => {
+                    if self.all.is_empty() {
+                        self.earlier.push(path);
+                    }
+                }
                 Err(source) => return Err(FileError::Io { path, source }),
             }
         }
@@ -106,6 +124,11 @@ impl DirectOutput {
         Self { files, failure: None }
     }
 
+    fn into_written(self) -> Written {
+        let RecordingFiles { all, earlier, .. } = self.files;
+        Written { files: all, earlier, failure: self.failure.as_ref().map(ToString::to_string) }
+    }
+
     fn attempt(&mut self, write: impl FnOnce(&mut RecordingFiles) -> Result<(), FileError>) {
         if self.failure.is_none() {
             self.failure = write(&mut self.files).err();
@@ -130,8 +153,8 @@ impl Output for DirectOutput {
         self.failure.as_ref().map(ToString::to_string)
     }
 
-    fn finish(self: Box<Self>) -> Vec<PathBuf> {
-        self.files.all
+    fn finish(self: Box<Self>) -> Written {
+        self.into_written()
     }
 }
 
@@ -146,7 +169,7 @@ pub struct FileThread {
     commands: Sender<FileCommand>,
     waiting_bytes: Arc<AtomicUsize>,
     failure: Arc<Mutex<Option<String>>>,
-    thread: JoinHandle<Vec<PathBuf>>,
+    thread: JoinHandle<Written>,
 }
 
 impl FileThread {
@@ -170,7 +193,7 @@ impl FileThread {
                     *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(why);
                 }
             }
-            output.files.all
+            output.into_written()
         });
         Self { commands, waiting_bytes, failure, thread }
     }
@@ -195,9 +218,12 @@ impl Output for FileThread {
         self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
     }
 
-    fn finish(self: Box<Self>) -> Vec<PathBuf> {
+    fn finish(self: Box<Self>) -> Written {
         drop(self.commands);
-        self.thread.join().unwrap_or_default()
+        self.thread.join().unwrap_or_else(|_| Written {
+            failure: Some("the thread that writes the files panicked".into()),
+            ..Written::default()
+        })
     }
 }
 

@@ -295,6 +295,8 @@ impl FileTopics {
     /// Returns whether the message was written.
     fn encode(&mut self, index: TopicIndex, encode: impl FnOnce(&mut Writer<'_>)) -> bool {
         let (Some(writer), Some(topic)) = (&mut self.writer, self.topics.get_mut(index)) else {
+            // Nothing of a recording that has ended counts as recorded.
+            self.counted.dropped += u64::from(self.ended.is_some());
             return false;
         };
         self.payload.clear();
@@ -366,10 +368,16 @@ impl FileTopics {
 
     fn finish(mut self) -> Summary {
         self.finish_file();
-        let failure = self.output.failure();
-        let ended = self.ended.or(failure);
         let topics = self.topics.into_iter().map(|topic| topic.total).collect();
-        Summary { files: self.output.finish(), topics, dropped: self.counted.dropped, lost: 0, ended }
+        let written = self.output.finish();
+        Summary {
+            files: written.files,
+            earlier: written.earlier,
+            topics,
+            dropped: self.counted.dropped,
+            lost: 0,
+            ended: self.ended.or(written.failure),
+        }
     }
 }
 

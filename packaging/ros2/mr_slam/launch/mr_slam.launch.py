@@ -1,7 +1,7 @@
 """Starts the program mr-slam as a robot, as the base or as a whole fleet, and RViz on request.
 
 ros2 launch mr_slam mr_slam.launch.py mode:=up names:=alice,bob
-ros2 launch mr_slam mr_slam.launch.py mode:=robot name:=alice base:=tls/192.168.1.10:7447
+ros2 launch mr_slam mr_slam.launch.py mode:=robot name:=alice base:=quic/192.168.1.10:7447
 ros2 launch mr_slam mr_slam.launch.py mode:=base names:=alice,bob rviz:=true
 """
 
@@ -22,7 +22,7 @@ ARGUMENTS = [
     ('mode', 'up', 'up: robots and base on this machine; robot: one robot; base: robots are on other machines'),
     ('names', '', 'modes up and base: names of the robots, separated by commas; their namespaces in ROS'),
     ('name', '', 'mode robot: name of the robot, as the base has it in names'),
-    ('base', '', 'mode robot: endpoint of the base, such as tls/192.168.1.10:7447'),
+    ('base', '', 'mode robot: endpoint of the base, such as quic/192.168.1.10:7447'),
     ('plain_names', 'false', 'mode robot: true if its topics are /scan and not /NAME/scan'),
     ('world', 'ros', 'modes up and robot: ros for real robots and Gazebo, simulator for simulated ones'),
     ('twist_stamped', 'true', 'whether robots take TwistStamped, as TurtleBot3 does from Jazzy on'),

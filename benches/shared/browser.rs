@@ -1,0 +1,64 @@
+//! A browser with the operator's page, beside a fleet that is measured.
+
+use mr_slam::control::{self, Request};
+use mr_slam::run::Run;
+use std::error::Error;
+use std::ffi::OsString;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Environment variable that names the browser: Chromium, or one with its options. Without it none is started.
+const BROWSER: &str = "MR_SLAM_BENCH_BROWSER";
+/// Longest time until the page is connected, at the lowest priority.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A browser, which is killed when this is dropped.
+pub struct Browser(Child);
+
+impl Browser {
+    /// Opens the page of a run in the browser that [`BROWSER`] names, and waits until it is connected.
+    ///
+    /// It runs at the lowest priority (`SCHED_IDLE`), so that it draws with what the fleet leaves: an operator's browser draws on
+    /// another machine. What the bridge does for it is the same.
+    pub fn open(run: &Run, folder: &Path) -> Result<Option<Self>, Box<dyn Error>> {
+        let Some(program) = std::env::var_os(BROWSER).filter(|name| !name.is_empty()) else {
+            return Ok(None);
+        };
+        let url = format!("http://localhost:{}/", run.config.bridge.page.port);
+        let mut profile = OsString::from("--user-data-dir=");
+        profile.push(folder.join("browser"));
+        let child = Command::new("chrt")
+            .args(["--idle", "0"])
+            .arg(&program)
+            .args(["--headless=new", "--no-sandbox", "--window-size=1280,800"])
+            .args([profile, url.into()])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .map_err(|why| format!("{}: {why}", program.display()))?;
+        let browser = Self(child);
+        let begun = Instant::now();
+        while !has_page(run) {
+            if begun.elapsed() > PATIENCE {
+                return Err(format!("{} has not opened the page", program.display()).into());
+            }
+            std::thread::sleep(Duration::from_millis(200));
+        }
+        Ok(Some(browser))
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Whether a client reads from the bridge: nothing but the page does yet.
+fn has_page(run: &Run) -> bool {
+    let state = control::ask(run, Request::State, Duration::from_secs(1));
+    state.is_ok_and(|state| state.clients.iter().any(|client| client.subscriptions > 0))
+}
