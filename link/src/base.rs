@@ -36,7 +36,7 @@ pub enum BaseEvent {
     Submap(u32),
     /// Poses of the submaps.
     SubmapPoses(Box<SubmapPoses>),
-    /// The robot's machine is in this run from now on. What came before is forgotten: its map was another one.
+    /// The robot's machine is in this run from now on. Its earlier map was another one, and is forgotten.
     NewRun(u32),
     /// Another session of the robot counts from now on: its clock is not known.
     RobotJoined {
@@ -45,6 +45,14 @@ pub enum BaseEvent {
         /// Session that counted before.
         before: Option<u64>,
     },
+}
+
+/// The newest state that the robot has said.
+#[derive(Clone, Copy, Debug, Default)]
+struct HeardState {
+    newest: RobotState,
+    /// Whether it is of the session that counts. Before, nobody knows of which run that session's messages are.
+    is_of_session: bool,
 }
 
 /// End of the link to one robot. Channels, sockets and the clock are with its owner.
@@ -57,9 +65,7 @@ pub struct BaseEnd {
     has_header: bool,
     /// Hash and compressed content of each submap.
     submaps: BTreeMap<u32, (u64, Vec<u8>)>,
-    robot_state: RobotState,
-    /// Whether this session of the robot has said its state. Before, nobody knows of which run its messages are.
-    has_state: bool,
+    robot_state: HeardState,
     state: BaseState,
     state_due: Monotonic,
     /// Repetitions of a change of the stop that are left.
@@ -79,8 +85,7 @@ impl BaseEnd {
             tiles: TileMap::default(),
             has_header: false,
             submaps: BTreeMap::new(),
-            robot_state: RobotState::default(),
-            has_state: false,
+            robot_state: HeardState::default(),
             state: BaseState::default(),
             state_due: Monotonic(0),
             stop_repeats: 0,
@@ -110,7 +115,7 @@ impl BaseEnd {
 
     /// Returns the robot's newest state.
     pub fn robot_state(&self) -> RobotState {
-        self.robot_state
+        self.robot_state.newest
     }
 
     /// Returns whether the robot was heard lately.
@@ -137,24 +142,24 @@ impl BaseEnd {
             Verdict::Accepted => {}
             Verdict::TakenOver { before } => {
                 self.peer.heard = Monotonic(0);
-                self.has_state = false;
+                self.robot_state.is_of_session = false;
                 events.push(BaseEvent::RobotJoined { robot: envelope.session, before });
             }
         }
         self.peer.heard = self.peer.heard.max(envelope.sent);
-        if !self.has_state && !matches!(envelope.message, Message::RobotState(_)) {
+        if !self.robot_state.is_of_session && !matches!(envelope.message, Message::RobotState(_)) {
             return Ok(events);
         }
         match envelope.message {
             Message::RobotState(state) => {
                 // A session has one run: the first state says it.
-                let is_first = !core::mem::replace(&mut self.has_state, true);
-                let is_new_run = is_first && self.robot_state.run != state.run;
+                let before = self.robot_state;
+                let is_new_run = !before.is_of_session && before.newest.run != state.run;
                 if is_new_run {
                     self.forget_map();
                     events.push(BaseEvent::NewRun(state.run));
                 }
-                self.robot_state = state;
+                self.robot_state = HeardState { newest: state, is_of_session: true };
                 self.is_list_due = is_new_run || state.list_of != self.peer.session;
             }
             Message::Correction(correction) => events.push(BaseEvent::Correction(correction)),

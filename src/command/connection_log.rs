@@ -12,8 +12,8 @@ use tracing_subscriber::registry::LookupSpan;
 
 /// Time for which a line is not written again: a machine that is refused tries again once a second.
 const REPEAT_PERIOD: Duration = Duration::from_secs(60);
-/// Part of a warning that means nothing here: the access lists do not ask for network interfaces.
-const WITHOUT_MEANING: &str = "Transport returned multiple network interfaces";
+/// Part of a warning of no consequence: the access lists do not ask for network interfaces.
+const WITHOUT_CONSEQUENCE: &str = "Transport returned multiple network interfaces";
 /// Lines that are remembered.
 const LINES_MAX: usize = 64;
 
@@ -59,7 +59,7 @@ where
         }
         let mut message = Message::default();
         event.record(&mut message);
-        if message.0.contains(WITHOUT_MEANING) {
+        if message.0.contains(WITHOUT_CONSEQUENCE) {
             return Ok(());
         }
         match describe(&message.0) {

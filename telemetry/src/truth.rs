@@ -177,7 +177,8 @@ fn wall_thickness_m(map: GridView<'_>, walls: &[bool]) -> f64 {
 }
 
 fn around(x: i64, y: i64) -> impl Iterator<Item = (i64, i64)> {
-    (y - 1..=y + 1).flat_map(move |y| (x - 1..=x + 1).map(move |x| (x, y)))
+    let three = |at: i64| at.saturating_sub(1)..=at.saturating_add(1);
+    three(y).flat_map(move |y| three(x).map(move |x| (x, y)))
 }
 
 fn at(cells: &[bool], grid: &Grid, (x, y): (i64, i64)) -> bool {

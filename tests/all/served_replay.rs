@@ -146,13 +146,15 @@ impl Client {
     }
 }
 
-/// Records a run in lockstep, and returns the hash of its maps when they are replayed from files.
+/// Records a run in lockstep, and returns the hash of its maps. A replay from files has the same.
 fn record(path: &Path) -> String {
     let path = path.to_str().unwrap();
-    let run = output(&["lockstep", "--robots", "2", "--seconds", SECONDS, "--record", path]);
+    let run = output(&["lockstep", "--robots", "2", "--seconds", SECONDS, "--record", path, "--json"]);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let ran: Value = serde_json::from_slice(&run.stdout).unwrap();
     let replayed = output(&["replay", path, "--json"]);
     let summary: Value = serde_json::from_slice(&replayed.stdout).unwrap();
+    assert_eq!(summary["maps_sha256"], ran["maps_sha256"]);
     summary["maps_sha256"].as_str().unwrap().to_owned()
 }
 

@@ -71,6 +71,15 @@ struct Unpublished {
     wait_until: Monotonic,
 }
 
+/// What tells a robot's submaps from those that it had before.
+#[derive(Default)]
+struct SubmapNumbers {
+    /// Added to their generations: those of another process of the robot's link are others.
+    generation: u32,
+    /// Number of the run on the robot's machine; 0 before it is known.
+    run: u32,
+}
+
 /// Mirror of one robot.
 struct RobotMirror<P: Ports> {
     robot: RobotId,
@@ -81,10 +90,7 @@ struct RobotMirror<P: Ports> {
     /// Poses that were published: fewer than the robot's scans.
     corrections: u64,
     was_heard: bool,
-    /// Added to the generations of the robot's submaps: those of another process of its link are others.
-    generation: u32,
-    /// Number of the run on the robot's machine; 0 before it is known.
-    run: u32,
+    numbers: SubmapNumbers,
     /// Stamp of the newest pose, on the robot's clock.
     newest_pose: Stamp,
     /// Scans that were dropped because they came late.
@@ -177,8 +183,7 @@ impl<P: Ports> RobotMirror<P> {
             clock: SourceClock::new(ClockOffset::Measured),
             corrections: 0,
             was_heard: false,
-            generation: 0,
-            run: 0,
+            numbers: SubmapNumbers::default(),
             newest_pose: Stamp(0),
             late_scans: 0,
             channels: Channels::open(ports, robot)?,
@@ -207,18 +212,18 @@ impl<P: Ports> RobotMirror<P> {
                 self.newest_pose = Stamp(0);
                 if before.is_some() {
                     // Closures refer to submaps and nodes by number: merging must forget those of before.
-                    self.generation = self.generation.wrapping_add(GENERATIONS);
+                    self.numbers.generation = self.numbers.generation.wrapping_add(GENERATIONS);
                 }
                 self.unpublished.wait_until = now + WHOLE_MAP_WAIT_MAX;
             }
             BaseEvent::NewRun(run) => {
-                if self.run != 0 {
+                if self.numbers.run != 0 {
                     tracing::warn!(
                         "{} began anew: its former map and place are forgotten until its new map is merged",
                         self.name
                     );
                 }
-                self.run = run;
+                self.numbers.run = run;
                 let wait_until = self.unpublished.wait_until;
                 self.unpublished = Unpublished { wait_until, ..Unpublished::default() };
                 // Without submaps: merging must not draw the robot where its former run was.
@@ -302,15 +307,15 @@ impl<P: Ports> RobotMirror<P> {
             self.unpublished.submap_due = now + SUBMAP_PAUSE;
             // A submap that was removed meanwhile is not there.
             if let Some(mut submap) = self.end.submap(id) {
-                submap.generation = submap.generation.wrapping_add(self.generation);
+                submap.generation = submap.generation.wrapping_add(self.numbers.generation);
                 submap.grid.header.stamp = self.clock.translate(submap.grid.header.stamp);
                 self.channels.submap.send(&submap);
             }
         }
         match self.unpublished.poses.take() {
             Some(mut poses) => {
-                poses.generation = poses.generation.wrapping_add(self.generation);
-                poses.run = self.run;
+                poses.generation = poses.generation.wrapping_add(self.numbers.generation);
+                poses.run = self.numbers.run;
                 poses.header.stamp = self.clock.translate(poses.header.stamp);
                 self.channels.submap_poses.send(&poses);
             }
