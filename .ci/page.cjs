@@ -136,7 +136,7 @@ test("when another run begins, what it had latched is asked for again", async ()
   const { page } = await open();
   const isKnown = (runs) => page.waitForFunction((wanted) => {
     const { fleet } = mixedReality.operator;
-    return fleet.runs === wanted && fleet.map && [...fleet.robots.values()].every((robot) => robot.pose);
+    return fleet.runs === wanted && fleet.map && fleet.exploration && [...fleet.robots.values()].every((robot) => robot.pose);
   }, runs, WAIT);
   await isKnown(1);
   await page.evaluate(() => { mixedReality.operator.fleet.runTime = 1e9; });

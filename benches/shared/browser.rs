@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Environment variable that names the browser: Chromium, or one with its options. Without it none is started.
+/// Environment variable that names the browser's program, such as `chromium`. Without it none is started.
 const BROWSER: &str = "MR_SLAM_BENCH_BROWSER";
 /// Longest time until the page is connected, at the lowest priority.
 const PATIENCE: Duration = Duration::from_secs(60);

@@ -166,12 +166,11 @@ impl SessionConfig {
     /// Returns where it listens, or what it connects to. Where it listens by QUIC it does by TLS at the same port, too, for robots
     /// whose network lets no UDP through.
     fn endpoints(&self) -> Vec<Endpoint> {
-        match (self.role, self.endpoint.protocol) {
-            (SessionRole::Base | SessionRole::Router, Protocol::Quic) => {
-                vec![self.endpoint.clone(), self.endpoint.with_protocol(Protocol::Tls)]
-            }
-            _ => vec![self.endpoint.clone()],
+        let mut endpoints = vec![self.endpoint.clone()];
+        if self.listens() && self.endpoint.protocol == Protocol::Quic {
+            endpoints.push(self.endpoint.with_protocol(Protocol::Tls));
         }
+        endpoints
     }
 
     /// Returns the access list: at the base and at a router each robot's key has its own key expressions, on a robot the keys

@@ -15,16 +15,24 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FleetSnapshot {
-    /// Frame `map` from frame `robotK/map`, by robot; none while it is unknown.
-    map_transforms: Vec<Option<[f64; 3]>>,
-    /// Number of the run of each robot's machine; none before its poses have said it.
-    runs: Vec<Option<u32>>,
-    /// Whether each robot's start is known: not after its machine began anew.
-    starts_known: Vec<bool>,
+    /// One element for each robot of the fleet.
+    robots: Vec<RobotSnapshot>,
     /// Index of the reference robot, and frame `map` from the beginning of its map.
     reference: Option<(usize, [f64; 3])>,
     /// The pairs of robots about which anything is known.
     pairs: Vec<PairSnapshot>,
+}
+
+/// Snapshot of a robot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotSnapshot {
+    /// Frame `map` from frame `robotK/map`; none while it is unknown.
+    map_from_robot_map: Option<[f64; 3]>,
+    /// Number of the run of the robot's machine; none before its poses have said it.
+    run: Option<u32>,
+    /// Whether the robot's start is known: not after its machine began anew.
+    is_start_known: bool,
 }
 
 /// Snapshot of a pair of robots.
@@ -60,20 +68,17 @@ pub enum SnapshotRejected {
 impl FleetPoseGraph {
     /// Takes a snapshot. It changes when something is found or decided, not with each solution of the graph.
     pub fn snapshot(&self) -> FleetSnapshot {
-        let map_transforms =
-            self.robots.iter().map(|robot| robot.estimate.transform().map(to_values)).collect();
+        let robots = self.robots.iter().map(|robot| RobotSnapshot {
+            map_from_robot_map: robot.estimate.transform().map(to_values),
+            run: robot.run,
+            is_start_known: robot.estimate.start().is_some(),
+        });
         let reference =
             self.reference.map(|reference| (reference.robot, to_values(reference.map_from_robot_map)));
         let pairs = self.pairs.iter().enumerate().map(|(index, pair)| pair_snapshot(index, pair));
         let is_known =
             |pair: &PairSnapshot| pair.state != EdgeState::None as u32 || !pair.rejected.is_empty();
-        FleetSnapshot {
-            map_transforms,
-            runs: self.robots.iter().map(|robot| robot.run).collect(),
-            starts_known: self.robots.iter().map(|robot| robot.estimate.start().is_some()).collect(),
-            reference,
-            pairs: pairs.filter(is_known).collect(),
-        }
+        FleetSnapshot { robots: robots.collect(), reference, pairs: pairs.filter(is_known).collect() }
     }
 
     /// Restores a snapshot that an earlier process of the same run took. Call it before anything else.
@@ -83,12 +88,11 @@ impl FleetPoseGraph {
     /// # Errors
     /// [`SnapshotRejected`] says what is not valid; then nothing has changed.
     pub fn restore(&mut self, snapshot: &FleetSnapshot) -> Result<(), SnapshotRejected> {
-        let expected = self.robots.len();
-        let counts = [snapshot.map_transforms.len(), snapshot.runs.len(), snapshot.starts_known.len()];
-        if let Some(found) = counts.into_iter().find(|found| *found != expected) {
+        let (found, expected) = (snapshot.robots.len(), self.robots.len());
+        if found != expected {
             return Err(SnapshotRejected::Robots { found, expected });
         }
-        let transforms = snapshot.map_transforms.iter();
+        let transforms = snapshot.robots.iter().map(|kept| kept.map_from_robot_map);
         let transforms = transforms.map(|values| values.map(|values| to_pose(values, "a place")).transpose());
         let transforms = transforms.collect::<Result<Vec<_>, _>>()?;
         let reference = match snapshot.reference {
@@ -104,11 +108,11 @@ impl FleetPoseGraph {
             let edge = restored_edge(kept)?;
             pair.ok_or(SnapshotRejected::Value("an edge's number"))?.edge = edge;
         }
-        for (index, (robot, transform)) in self.robots.iter_mut().zip(transforms).enumerate() {
-            if !snapshot.starts_known[index] {
+        for ((robot, kept), transform) in self.robots.iter_mut().zip(&snapshot.robots).zip(transforms) {
+            if !kept.is_start_known {
                 robot.remove();
             }
-            robot.run = snapshot.runs[index];
+            robot.run = kept.run;
             let transform = transform.or(robot.estimate.start());
             robot.estimate.set_transform(transform);
         }
