@@ -25,6 +25,7 @@ use msg::{Message, Monotonic, PatchHeader, ROBOTS_MAX};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::cell::Cell;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, RawFd};
+use std::time::Duration;
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 
@@ -33,6 +34,8 @@ const BORROWED_MAX: usize = 2;
 /// Processes that may open one channel at a time: all simulators a robot's true pose; telemetry, the launcher and tools are
 /// added.
 const NODES_MAX: usize = ROBOTS_MAX + 16;
+/// Time in which every reader has looked at its channels: ten periods of the recorder, which looks least often.
+const READERS_LOOK: Duration = Duration::from_millis(200);
 /// Listeners that one thread may wait for: merge and telemetry have a few for each robot.
 const LISTENERS_MAX: usize = 4 * ROBOTS_MAX;
 
@@ -327,6 +330,12 @@ impl AsRawFd for Listener {
     fn as_raw_fd(&self) -> RawFd {
         self.as_fd().as_raw_fd()
     }
+}
+
+/// Waits until every reader has had the time to look at its channels. A program that ends after a few messages calls it before it
+/// closes its writers: iceoryx2 takes away what a writer has sent if it is closed before a reader has looked once.
+pub fn let_readers_look() {
+    std::thread::sleep(READERS_LOOK);
 }
 
 /// Waits until one of `listeners` is notified or the moment `until` comes; those notified are drained.

@@ -5,7 +5,7 @@ use super::run_args::RunArgs;
 use crate::channel::{self, Opener, Program};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
-use crate::shared_memory::{Participant, wait};
+use crate::shared_memory::{Participant, let_readers_look, wait};
 use msg::{EdgeAction, EdgeCommand, MergeEdges, Monotonic, ROBOTS_MAX, RobotId, Sender};
 use reports::{EdgeView, edge_table};
 use serde::Serialize;
@@ -160,10 +160,13 @@ fn ask(run: &Run, command: Option<EdgeCommand>) -> Result<Box<MergeEdges>, Edges
     };
     let before = next(&|_| true)?;
     let Some(command) = command else { return Ok(before) };
-    // The writer lives until the answer is there, because a message of a closed writer may never be read.
+    // The writer lives until all have looked, because a message of a closed writer may never be read.
     let mut writer = node.writer(&channel::edge_command())?;
     writer.send(&EdgeCommand { sender: Sender::LAPTOP, ..command });
-    let after = next(&|edges| edges.commands != before.commands)?;
+    let after = next(&|edges| edges.commands != before.commands);
+    // A recorder may not have looked yet.
+    let_readers_look();
+    let after = after?;
     if after.refused != before.refused {
         return Err(EdgesError::Refused { run: run.dir.clone() });
     }

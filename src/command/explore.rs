@@ -6,7 +6,7 @@ use super::up::FleetHooks;
 use crate::channel::{self, Opener, Program};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
-use crate::shared_memory::{Participant, Reader, wait};
+use crate::shared_memory::{Participant, Reader, Writer, wait};
 use crate::stop::Stop;
 use msg::{
     ExplorationAction, ExplorationCommand, ExplorationReport, ExplorationStatus, ExplorerState, Monotonic,
@@ -18,6 +18,8 @@ use std::time::{Duration, Instant};
 
 /// Longest time without an answer of the navigator: its start after a death takes less.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Longest time without an answer to the stop after Ctrl-C.
+const STOP_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 /// Shortest time between two lines of progress.
@@ -66,6 +68,9 @@ pub enum ExploreError {
         /// Folder of the run.
         run: PathBuf,
     },
+    /// Ctrl-C before navigation has answered.
+    #[error("interrupted before navigation has answered")]
+    Interrupted,
     /// The exploration is not completed.
     #[error("the exploration is {state}{}{reason}", if reason.is_empty() { "" } else { ": " })]
     NotCompleted {
@@ -206,14 +211,35 @@ fn exchange(run: &Run, args: &ExploreArgs, stop: &Stop) -> Result<ExplorationRep
             return Err(ExploreError::Silent { run: run.dir.clone() });
         }
         if stop.requested() {
-            let number = crate::clock::now().0;
-            commands.send(&ExplorationCommand::new(number, ExplorationAction::Stop));
-            wait([], Monotonic(number + POLL_NS));
-            let reason = "interrupted here, all robots stop".into();
-            return Err(ExploreError::NotCompleted { state: ExplorationStatus::Stopped.name(), reason });
+            return Err(match args.action {
+                ExploreAction::Start => interrupt(&mut states, &mut commands),
+                ExploreAction::Stop | ExploreAction::Status => ExploreError::Interrupted,
+            });
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }
+}
+
+/// Stops the exploration after Ctrl-C; returns what became of it.
+fn interrupt(
+    states: &mut Reader<ExplorationReport>,
+    commands: &mut Writer<ExplorationCommand>,
+) -> ExploreError {
+    let number = crate::clock::now().0;
+    commands.send(&ExplorationCommand::new(number, ExplorationAction::Stop));
+    let begun = Instant::now();
+    while begun.elapsed() < STOP_PATIENCE {
+        commands.refresh();
+        while let Some(report) = states.receive() {
+            if report.number >= number {
+                let reason = "interrupted here, all robots stop".into();
+                return ExploreError::NotCompleted { state: report.status().name(), reason };
+            }
+        }
+        wait([], Monotonic(crate::clock::now().0 + POLL_NS));
+    }
+    let reason = "interrupted here; navigation does not confirm the stop, so robots may drive on: see `mr-slam status`";
+    ExploreError::NotCompleted { state: "not known to be stopped", reason: reason.into() }
 }
 
 /// Lines of progress: on a change of state or of a robot's part, and each 10 s.

@@ -6,7 +6,7 @@ use super::run_args::RunArgs;
 use crate::channel::{self, Opener, Program};
 use crate::ports::ChannelError;
 use crate::run::{Run, RunError};
-use crate::shared_memory::{Participant, wait};
+use crate::shared_memory::{Participant, Reader, Writer, let_readers_look, wait};
 use crate::stop::Stop;
 use msg::{
     Monotonic, NavigationAction, NavigationCommand, NavigationFrame, NavigationPose, NavigationReport,
@@ -18,6 +18,8 @@ use std::time::{Duration, Instant};
 
 /// Longest time without an answer of the navigator to a goal: its start after a death takes less.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Longest time without an answer to a cancellation after Ctrl-C.
+const CANCEL_PATIENCE: Duration = Duration::from_secs(1);
 /// Period at which the state is looked at, nanoseconds.
 const POLL_NS: u64 = 50_000_000;
 
@@ -148,6 +150,20 @@ fn send(run: &Run, args: &GotoArgs, stop: &Stop) -> Result<NavigationReport, Got
     let node = Participant::open(&run.domain, Opener::of_fleet(Program::GotoTool), "goto")?;
     let mut states = node.reader(&channel::navigation_state(args.robot))?;
     let mut commands = node.writer(&channel::goal(args.robot))?;
+    let outcome = exchange(run, args, stop, &mut states, &mut commands);
+    // The navigator has it, and answers at once. A recorder may not have looked yet.
+    let_readers_look();
+    outcome
+}
+
+/// Sends the command and waits for its outcome.
+fn exchange(
+    run: &Run,
+    args: &GotoArgs,
+    stop: &Stop,
+    states: &mut Reader<NavigationReport>,
+    commands: &mut Writer<NavigationCommand>,
+) -> Result<NavigationReport, GotoError> {
     let number = crate::clock::now().0;
     let command = match args.pose {
         None => NavigationCommand::new(number, NavigationAction::Cancel),
@@ -183,15 +199,28 @@ fn send(run: &Run, args: &GotoArgs, stop: &Stop) -> Result<NavigationReport, Got
             return Err(GotoError::Silent { run: run.dir.clone() });
         }
         if stop.requested() {
-            let number = crate::clock::now().0;
-            let cancel = NavigationCommand::new(number, NavigationAction::Cancel);
-            commands.send(&NavigationCommand { sender: Sender::LAPTOP, ..cancel });
-            wait([], Monotonic(number + POLL_NS));
-            let (state, reason) = ("was stopped", "interrupted here, its goal is cancelled".into());
-            return Err(GotoError::NotReached { robot: args.robot, state, reason });
+            let (state, reason) = ("was stopped", cancel(states, commands));
+            return Err(GotoError::NotReached { robot: args.robot, state, reason: reason.into() });
         }
         wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }
+}
+
+/// Cancels the goal after Ctrl-C; returns what became of it.
+fn cancel(states: &mut Reader<NavigationReport>, commands: &mut Writer<NavigationCommand>) -> &'static str {
+    let command = NavigationCommand::new(crate::clock::now().0, NavigationAction::Cancel);
+    commands.send(&NavigationCommand { sender: Sender::LAPTOP, ..command });
+    let begun = Instant::now();
+    while begun.elapsed() < CANCEL_PATIENCE {
+        commands.refresh();
+        while let Some(report) = states.receive() {
+            if report.status().is_final() || report.status() == NavigationStatus::Idle {
+                return "interrupted here, its goal is cancelled";
+            }
+        }
+        wait([], Monotonic(crate::clock::now().0 + POLL_NS));
+    }
+    "interrupted here; navigation does not confirm that its goal is cancelled, so the robot may drive on: see `mr-slam status`"
 }
 
 /// Prints a state to standard error when it has changed.

@@ -9,7 +9,7 @@ use crate::config::Mode;
 use crate::ports::ChannelError;
 use crate::process::pose;
 use crate::run::{Run, RunError};
-use crate::shared_memory::{Listener, Participant, Reader, Writer, wait};
+use crate::shared_memory::{Listener, Participant, Reader, Writer, let_readers_look, wait};
 use msg::{
     ClosureInfo, Monotonic, Pose2, RobotId, Sender, SlamMode, SlamOutcome, SlamRequest, SlamRequestKind,
     SlamResponse, StartPose, Text,
@@ -341,7 +341,12 @@ pub fn run(args: &SlamArgs) -> Result<(), SlamCommandError> {
     let run = RunArgs { run_dir: args.run_dir.clone() };
     let run = if args.action.changes() { run.open_to_change()? } else { run.open()? };
     let mut client = SlamClient::attach(&run, args.robot)?;
-    let mut response = client.request(&request)?;
+    let answer = client.request(&request);
+    if !matches!(args.action, SlamAction::State) {
+        // A recorder, which records all but questions for the state, may not have looked yet.
+        let_readers_look();
+    }
+    let mut response = answer?;
     let closures = match args.action {
         SlamAction::Closures => Some(client.closures()?),
         _ => None,

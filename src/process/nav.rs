@@ -252,6 +252,7 @@ impl<P: Ports, W: JobWorker<SavedState, bool>> NavigationProcess<P, W> {
             let decision = Decision {
                 navigation,
                 is_stepped,
+                has_command: desk.newest != 0,
                 goal: desk.goal,
                 refusal: desk.refusal,
                 in_merged_map: self.inputs.is_merged(desk.robot),

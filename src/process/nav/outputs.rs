@@ -23,6 +23,8 @@ pub(super) struct Decision<'a> {
     pub(super) navigation: Option<RobotNavigation<'a>>,
     /// Whether the velocity is new.
     pub(super) is_stepped: bool,
+    /// Whether a command for the robot has ever come: each is answered with a state.
+    pub(super) has_command: bool,
     /// Number of the goal's command.
     pub(super) goal: u64,
     /// Why the newest goal was refused.
@@ -64,7 +66,7 @@ impl<P: Ports> RobotOutputs<P> {
         let next_pose = decision.navigation.and_then(|navigation| navigation.next_pose);
         let reported = (state, decision.goal, next_pose);
         let is_due = match self.reported {
-            None => decision.goal != 0,
+            None => decision.goal != 0 || decision.has_command,
             Some((before, at)) => {
                 before != reported || (state.is_active() && now.since(at) >= REPORT_PERIOD_NS)
             }
