@@ -18,9 +18,9 @@ pub struct Footprint {
     pub launcher_descriptors: usize,
     /// Open descriptors of all processes.
     pub descriptors: usize,
-    /// Resident memory of the launcher, megabytes.
+    /// Resident memory of the launcher that it shares with no other process, megabytes.
     pub launcher_mb: f64,
-    /// Resident memory of all processes, megabytes.
+    /// The same of all processes. What they share (program, channels) does not grow: the files in shared memory are counted.
     pub memory_mb: f64,
 }
 
@@ -65,9 +65,10 @@ fn descriptors(pid: u32) -> usize {
     std::fs::read_dir(format!("/proc/{pid}/fd")).map_or(0, Iterator::count)
 }
 
+/// Returns the resident anonymous memory of a process, megabytes: heap and stacks, proc_pid_status(5).
 fn memory_mb(pid: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"));
     let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
     kilobytes.unwrap_or(0.0) * 1.024e-3
 }

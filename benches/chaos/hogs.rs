@@ -21,6 +21,10 @@ const FLOOR_MS: f64 = 0.05;
 /// Real-time settings beside the defaults.
 const REALTIME: &str = "[realtime]\npriority = 50\nlock_memory = true\n";
 
+/// Place of the scheduling policy among the fields behind a process's name, proc_pid_stat(5), and its value for SCHED_FIFO.
+const POLICY_FIELD: usize = 38;
+const SCHED_FIFO: &str = "1";
+
 /// Computes without end. The parent kills it.
 pub fn spin() -> ! {
     let mut value = 1_u64;
@@ -56,6 +60,11 @@ impl Drop for Hogs {
 pub fn run(args: &Args) -> Rows {
     let mut rows = Vec::new();
     for (settings, text) in [("default", ""), ("realtime", REALTIME)] {
+        if !text.is_empty() && !is_realtime_permitted(args, text)? {
+            let why = "SCHED_FIFO is not permitted: see `mr-slam doctor`".to_owned();
+            rows.push(Row::note("hogs", &format!("{settings}: not checked"), why));
+            continue;
+        }
         for hogs in [false, true] {
             let alone = measure(args, text, hogs, false)?;
             let attached = measure(args, text, hogs, true)?;
@@ -73,6 +82,18 @@ pub fn run(args: &Args) -> Rows {
         }
     }
     Ok(rows)
+}
+
+/// Starts a fleet with real-time settings; returns whether its bridge got them. Where they are not permitted, a fleet warns and runs on.
+fn is_realtime_permitted(args: &Args, settings: &str) -> Result<bool, Box<dyn Error>> {
+    let mut file = tempfile::NamedTempFile::with_suffix(".toml")?;
+    write!(file, "{settings}")?;
+    let config = file.path().to_str().ok_or("the temporary folder's name is not UTF-8")?;
+    let mut fleet = Fleet::start_with(args.robots, &["--config", config, "--page", "off"])?;
+    let bridge = fleet.pid("bridge").ok_or("telemetry does not know the bridge")?;
+    let text = std::fs::read_to_string(format!("/proc/{bridge}/stat"))?;
+    let fields = text.rsplit_once(')').map_or("", |(_, fields)| fields);
+    Ok(fields.split_whitespace().nth(POLICY_FIELD) == Some(SCHED_FIFO))
 }
 
 fn row(what: &str, spread: &Spread) -> Row {

@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 
 /// Time until a fleet has maps and its memory has been touched.
 pub const WARM_UP: Duration = Duration::from_secs(15);
-/// Age of the newest cells that a kill may take.
-const LOST_MAX: Duration = Duration::from_millis(500);
+/// Age of the newest cells that a death may take.
+pub const LOST_MAX: Duration = Duration::from_millis(500);
 /// Time for which a process is left alone after its death: a life of 10 s lets the supervisor forget earlier deaths, after
 /// which it waits on purpose.
 const LIFE: Duration = Duration::from_secs(12);
@@ -27,6 +27,8 @@ const BACK_WITHIN_S: f64 = 1.0;
 const MAP_BACK_WITHIN_S: f64 = 2.0;
 /// Largest growth of the launcher's memory, megabytes: it keeps events and a time series.
 const LAUNCHER_GROWTH_MAX_MB: f64 = 4.0;
+/// Largest growth of all processes' own memory: maps and their graphs grow with what the robots see.
+const MEMORY_GROWTH_MAX: f64 = 1.1;
 /// Most descriptors that all processes may have more at the end: connections of clients that come and go.
 const DESCRIPTORS_GROWTH_MAX: usize = 8;
 
@@ -218,10 +220,12 @@ fn growth(before: &Footprint, after: &Footprint) -> Vec<Row> {
             "<= 4 MB more",
             after.launcher_mb <= before.launcher_mb + LAUNCHER_GROWTH_MAX_MB,
         ),
-        Row::note(
+        Row::new(
             "kills",
-            "memory of all processes; maps grow",
-            format!("{:.0} MB, then {:.0} MB", before.memory_mb, after.memory_mb),
+            "memory of all processes that is theirs alone",
+            format!("{:.1} MB, then {:.1} MB", before.memory_mb, after.memory_mb),
+            "<= 10 % more",
+            after.memory_mb <= MEMORY_GROWTH_MAX * before.memory_mb,
         ),
     ]
 }

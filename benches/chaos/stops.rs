@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, LOOK_PERIOD, PATIENCE, Process, send};
 use crate::footprint::exists;
-use crate::kills::{WARM_UP, own_map};
+use crate::kills::{LOST_MAX, WARM_UP, own_map};
 use crate::map_cells::count_lost;
 use crate::watch::Watch;
 use crate::{Args, Row, Rows};
@@ -59,6 +59,7 @@ fn stop(fleet: &Fleet, process: &Process) -> Result<Row, Box<dyn Error>> {
         Some(robot) => Some((robot, fleet.cells(robot, |cells| !cells.is_empty())?)),
         None => None,
     };
+    std::thread::sleep(LOST_MAX);
     let stopped = Instant::now();
     send(process.pid, Signal::STOP);
     let (mut back_s, mut is_stopped) = (None, true);

@@ -3,7 +3,8 @@
 //! `cargo bench --bench fleet [-- --robots 1,3,8,16,24,32 --seconds 30 --lockstep 64 --record 16 --json FILE --plot FILE --check]`
 //!
 //! Each robot scans 180 rays at 10 Hz. An operator drives one after the other; a TCP client receives all that a headset
-//! would. `--record N` compares a fleet of N with and without a recorder, in turns; 0 leaves it out, as does `--lockstep 0`.
+//! would. `--record N` compares a fleet of N with and without a recorder, in 20 pairs of 10 s; 0 leaves it out, as does
+//! `--lockstep 0`.
 
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/fleet.rs"]
@@ -37,14 +38,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("{}", Row::HEAD);
     let mut rows = Vec::new();
     for robots in robots.split(',').filter(|text| *text != "0") {
-        let row = Row::measure(robots.parse()?, length, &[])?;
+        let row = Row::measure(robots.parse()?, length)?;
         println!("{row}");
         rows.push(row);
     }
     let lockstep = number("--lockstep", 64)?;
     let lockstep = if lockstep > 0 { Some(run_in_lockstep(lockstep)?) } else { None };
     let recorded = number("--record", 16)?;
-    let recorded = if recorded > 0 { Some(recorded::compare(recorded, length)?) } else { None };
+    let recorded = if recorded > 0 { Some(recorded::compare(recorded)?) } else { None };
     if let Some(path) = value("--json") {
         let report = json!({
             "seconds": length.as_secs_f64(), "fleets": rows, "lockstep": lockstep, "recorded": recorded,

@@ -1,25 +1,40 @@
-//! What recording costs: jitter and losses of a fleet with and without a recorder, measured in turns.
+//! What recording costs: jitter and losses of one fleet while `mr-slam record` is attached, and while it is not, in turns.
 
-use crate::row::Row;
+use crate::fleet::Fleet;
+use crate::measure::Spread;
+use mr_slam::run::Run;
 use serde::Serialize;
 use std::error::Error;
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
+use tempfile::TempDir;
 
-/// Number of fleets with and without a recorder; one after the other, so that a slow minute of the machine hits both.
-const TURNS: usize = 3;
+/// Number of pairs of windows. A recorder differs by less than two windows of one fleet do; the mean of many pairs shows it.
+const PAIRS: usize = 20;
+/// Duration of a window. Its 99th percentile is that of some 100 values of each robot.
+const WINDOW: Duration = Duration::from_secs(10);
+/// Time until a fleet has maps, and until a client and a recorder that attach have what is there already.
+const FLEET_SETTLES: Duration = Duration::from_secs(10);
+const CLIENT_SETTLES: Duration = Duration::from_secs(3);
+/// Time for which a recorder runs: it attaches before the window and is there until its end.
+const RECORDED: Duration = Duration::from_secs(15);
 /// How much larger the 99th percentile of jitter may become.
 const COST_MAX: f64 = 1.05;
+/// Half the width of the mean's interval of 90 % confidence, in standard errors: Student's t for 19 degrees of freedom.
+const CONFIDENCE: f64 = 1.729;
 
 /// Figures with and without a recorder.
 #[derive(Debug, Serialize)]
 pub struct Comparison {
-    /// Fleets without a recorder.
-    pub without: Vec<Row>,
-    /// Fleets with one.
-    pub with: Vec<Row>,
+    /// Windows without a recorder.
+    pub without: Vec<Spread>,
+    /// Windows with one.
+    pub with: Vec<Spread>,
     /// Median of the 99th percentiles of jitter: without, with; milliseconds.
     pub p99_ms: [f64; 2],
-    /// Scans missed by SLAM and messages missed by the client: without, with.
+    /// Ratio of the 99th percentiles, with to without: geometric mean of the pairs, and its interval of 90 % confidence.
+    pub cost: [f64; 3],
+    /// Messages missed by the client and scans missed by SLAM: without, with.
     pub lost: [u64; 2],
     /// Messages that the recorders missed or dropped.
     pub unrecorded: u64,
@@ -28,37 +43,115 @@ pub struct Comparison {
 impl Comparison {
     /// Returns whether recording costs at most 5 % and loses nothing.
     pub fn holds(&self) -> bool {
-        self.p99_ms[1] <= COST_MAX * self.p99_ms[0] && self.lost[1] == 0 && self.unrecorded == 0
+        self.cost[0] <= COST_MAX && self.lost[1] == 0 && self.unrecorded == 0
     }
 }
 
-/// Compares fleets of this size.
-pub fn compare(robots: usize, length: Duration) -> Result<Comparison, Box<dyn Error>> {
-    let (mut without, mut with) = (Vec::new(), Vec::new());
-    for _ in 0..TURNS {
-        without.push(Row::measure(robots, length, &[])?);
-        with.push(Row::measure(robots, length, &["--record"])?);
+/// Compares windows of a fleet of this size.
+pub fn compare(robots: usize) -> Result<Comparison, Box<dyn Error>> {
+    let mut fleet = Fleet::start_command("demo", robots, &[])?;
+    std::thread::sleep(FLEET_SETTLES);
+    let (mut without, mut with, mut lost, mut unrecorded) = (Vec::new(), Vec::new(), [0, 0], 0);
+    for pair in 0..PAIRS {
+        // Now the one comes first, now the other: what changes with time hits both.
+        for is_recorded in [pair % 2 == 0, pair % 2 == 1] {
+            if is_recorded {
+                let recorder = Recorder::start(fleet.run())?;
+                with.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
+                unrecorded += recorder.finish()?;
+            } else {
+                without.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
+            }
+            lost[usize::from(is_recorded)] += missed_scans(&fleet)?;
+        }
+        eprint!("\r{} of {PAIRS} pairs ", pair + 1);
     }
-    let p99 = |rows: &[Row]| {
-        let mut values: Vec<f64> = rows.iter().map(|row| row.tf.p99_ms).collect();
-        values.sort_by(f64::total_cmp);
-        values[values.len() / 2]
-    };
-    let lost = |rows: &[Row]| rows.iter().map(|row| row.missed + row.tf.lost).sum();
+    eprintln!();
+    for (lost, windows) in lost.iter_mut().zip([&without, &with]) {
+        *lost += windows.iter().map(|window| window.lost).sum::<u64>();
+    }
     let comparison = Comparison {
-        p99_ms: [p99(&without), p99(&with)],
-        lost: [lost(&without), lost(&with)],
-        unrecorded: with.iter().map(|row| row.unrecorded).sum(),
+        p99_ms: [median_p99_ms(&without), median_p99_ms(&with)],
+        cost: mean_ratio(&without, &with),
+        lost,
+        unrecorded,
         without,
         with,
     };
-    println!("{robots} robots, recorded or not, {TURNS} fleets each");
-    for (name, at) in [("without a recorder", 0), ("recorded", 1)] {
-        let (p99_ms, lost) = (comparison.p99_ms[at], comparison.lost[at]);
-        println!("{name:<20} TF jitter P99 {p99_ms:.3} ms (median of the fleets), {lost} lost");
-    }
-    let holds = if comparison.holds() { "holds" } else { "MISSED" };
-    let cost = 100.0 * (comparison.p99_ms[1] / comparison.p99_ms[0] - 1.0);
-    println!("cost {cost:+.1} %, {} messages not recorded: {holds}", comparison.unrecorded);
+    comparison.print(robots);
     Ok(comparison)
+}
+
+/// Returns the number of scans that SLAM missed during the last measurement.
+fn missed_scans(fleet: &Fleet) -> Result<u64, Box<dyn Error>> {
+    let (before, after) = fleet.views().ok_or("telemetry sent no figures twice")?;
+    let pairs = before.robots.iter().zip(&after.robots);
+    Ok(pairs.map(|(then, now)| now.scans_lost.saturating_sub(then.scans_lost)).sum())
+}
+
+/// A recorder that is attached to the fleet, and the folder of its file.
+struct Recorder {
+    process: Child,
+    _folder: TempDir,
+}
+
+impl Recorder {
+    fn start(run: &Run) -> Result<Self, Box<dyn Error>> {
+        let folder = tempfile::tempdir()?;
+        let process = Command::new(env!("CARGO_BIN_EXE_mr-slam"))
+            .args(["record", "--json", "--seconds", &RECORDED.as_secs().to_string(), "--run-dir"])
+            .arg(&run.dir)
+            .arg("--out")
+            .arg(folder.path().join("window.mcap"))
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()?;
+        Ok(Self { process, _folder: folder })
+    }
+
+    /// Waits for its end; returns the number of messages that it does not have.
+    fn finish(self) -> Result<u64, Box<dyn Error>> {
+        let ended = self.process.wait_with_output()?;
+        if !ended.status.success() {
+            return Err(format!("the recorder ended with {}", ended.status).into());
+        }
+        let summary: serde_json::Value = serde_json::from_slice(&ended.stdout)?;
+        let count =
+            |name: &str| summary[name].as_u64().ok_or(format!("the recorder's summary has no {name}"));
+        Ok(count("dropped")? + count("lost")?)
+    }
+}
+
+fn median_p99_ms(windows: &[Spread]) -> f64 {
+    let mut values: Vec<f64> = windows.iter().map(|window| window.p99_ms).collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Returns the geometric mean of the pairs' ratios, and the ends of its interval of confidence.
+fn mean_ratio(without: &[Spread], with: &[Spread]) -> [f64; 3] {
+    let logs: Vec<f64> = without.iter().zip(with).map(|(a, b)| (b.p99_ms / a.p99_ms).ln()).collect();
+    let count = logs.len() as f64;
+    let mean = logs.iter().sum::<f64>() / count;
+    let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    let half = CONFIDENCE * (variance / count).sqrt();
+    [mean.exp(), (mean - half).exp(), (mean + half).exp()]
+}
+
+impl Comparison {
+    fn print(&self, robots: usize) {
+        let seconds = WINDOW.as_secs();
+        println!("{robots} robots, one fleet, {PAIRS} pairs of {seconds} s with and without mr-slam record");
+        for (name, at) in [("without a recorder", 0), ("recorded", 1)] {
+            let (p99_ms, lost) = (self.p99_ms[at], self.lost[at]);
+            println!("{name:<20} TF jitter P99 {p99_ms:.3} ms (median of the windows), {lost} lost");
+        }
+        let [cost, least, most] = self.cost.map(|ratio| 100.0 * (ratio - 1.0));
+        let holds = if self.holds() { "holds" } else { "MISSED" };
+        let unrecorded = self.unrecorded;
+        println!(
+            "cost {cost:+.1} % (90 % confidence: {least:+.1} to {most:+.1} %), {unrecorded} messages not recorded: {holds}"
+        );
+    }
 }

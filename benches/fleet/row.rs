@@ -31,8 +31,6 @@ pub struct Row {
     pub cores: f64,
     /// Memory of all processes for each robot, megabytes.
     pub memory_per_robot_mb: f64,
-    /// Messages that the recorder missed or dropped; 0 without one.
-    pub unrecorded: u64,
     /// Process that takes most of a core, and how much in percent.
     pub busiest: (String, f64),
 }
@@ -43,14 +41,13 @@ impl Row {
         scan to map: median    P95 ms  cores  core/robot  MB/robot  busiest process";
 
     /// Runs a fleet for so long.
-    pub fn measure(robots: usize, length: Duration, words: &[&str]) -> Result<Self, Box<dyn Error>> {
-        let mut fleet = Fleet::start_command("demo", robots, &[&["--page", "off"], words].concat())?;
+    pub fn measure(robots: usize, length: Duration) -> Result<Self, Box<dyn Error>> {
+        let mut fleet = Fleet::start_command("demo", robots, &["--page", "off"])?;
         let tf = fleet.measure(WARM_UP + WARM_UP_PER_ROBOT * robots as u32, length)?.tf;
         let cpus = fleet.processes();
         let busiest = cpus.iter().max_by(|a, b| a.percent.total_cmp(&b.percent));
         let (before, after) = fleet.views().ok_or("telemetry sent no figures twice; measure for longer")?;
         let seconds = after.time_s - before.time_s;
-        let recorder = after.processes.iter().find(|process| process.process == "record");
         let pairs = || before.robots.iter().zip(&after.robots);
         let rates = pairs().map(|(then, now)| now.scans.saturating_sub(then.scans) as f64 / seconds);
         let worst = |of: fn(&reports::RobotView) -> Option<f32>| {
@@ -69,11 +66,6 @@ impl Row {
             cores: cpus.iter().map(|cpu| cpu.percent).sum::<f64>() / 100.0,
             memory_per_robot_mb: after.processes.iter().map(|process| process.memory_mb).sum::<f64>()
                 / robots as f64,
-            unrecorded: match recorder {
-                Some(process) if process.received > 0 => process.lost + process.dropped,
-                None if !words.contains(&"--record") => 0,
-                _ => return Err("the fleet's recorder records nothing".into()),
-            },
             busiest: busiest
                 .map_or((String::new(), 0.0), |Cpu { process, percent, .. }| (process.clone(), *percent)),
         })
