@@ -31,6 +31,7 @@ pub struct ClearanceMap {
     cell_size_m: f64,
     width: i64,
     height: i64,
+    covers_map: bool,
     occupancy: Vec<Occupancy>,
     clearance_m: Vec<f32>,
 }
@@ -47,6 +48,8 @@ impl ClearanceMap {
         let (y0, height) = window_span(y, i64::from(map.height), block);
         (self.width, self.height) = (width, height);
         let corner = Pose2::new(x0 as f64 * self.cell_size_m, y0 as f64 * self.cell_size_m, 0.0);
+        let needed = |cells: u32| (i64::from(cells) + block - 1) / block + 2;
+        self.covers_map = needed(map.width) <= width && needed(map.height) <= height;
         self.map_from_window = map.map_from_grid * corner;
         self.window_from_map = self.map_from_window.inverse();
         self.occupancy.clear();
@@ -71,6 +74,11 @@ impl ClearanceMap {
     /// Direction of the window's columns in the frame of the map, radians.
     pub fn yaw_rad(&self) -> f64 {
         self.map_from_window.yaw_rad
+    }
+
+    /// Whether the window is the whole map.
+    pub fn covers_map(&self) -> bool {
+        self.covers_map
     }
 
     /// Number of columns of the window.

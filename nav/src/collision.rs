@@ -32,6 +32,13 @@ impl CollisionLimit {
         ahead.min_by(|a, b| a[0].total_cmp(&b[0]))
     }
 
+    /// Distance that the body can drive straight back by the scan, metres; infinite if nothing that the scan shows stands there.
+    pub fn free_distance_behind_m(&self, scan: &ScanView) -> f64 {
+        let half_width_m = self.half_width_m();
+        let behind = scan.hits_in_base_m().filter(|[x, y]| *x < 0.0 && y.abs() < half_width_m);
+        behind.map(|[x, _]| -x - self.body.radius_m).fold(f64::INFINITY, f64::min)
+    }
+
     /// Distance that the body can drive straight ahead before it touches a robot of the same size at a position in
     /// `base_footprint`, metres; infinite if it passes by.
     pub fn free_distance_to_robot_m(&self, [x, y]: [f64; 2]) -> f64 {
@@ -61,6 +68,12 @@ impl CollisionLimit {
         let FollowerConfig { stop_distance_m, speed_per_distance_1_s, .. } = self.config;
         let limit_m_s = ((free_distance_m - stop_distance_m) * speed_per_distance_1_s).max(0.0);
         Twist { linear_m_s: twist.linear_m_s.min(limit_m_s), ..twist }
+    }
+
+    /// Lowers the backward speed so that the robot stops short of an obstacle at this free distance behind it.
+    pub fn limit_speed_back(&self, twist: Twist, free_distance_m: f64) -> Twist {
+        let forward = Twist { linear_m_s: -twist.linear_m_s, ..twist };
+        Twist { linear_m_s: -self.limit_speed(forward, free_distance_m).linear_m_s, ..twist }
     }
 
     fn half_width_m(&self) -> f64 {
@@ -99,6 +112,22 @@ mod tests {
             let twist = limited(Twist { linear_m_s: v, angular_rad_s: w }, &ranges);
             prop_assert_eq!(twist.linear_m_s, 0.0);
             prop_assert_eq!(twist.angular_rad_s, w);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_backward_speed_towards_a_near_obstacle_behind(range in 0.05..0.17_f32, v in 0.0..0.1_f64) {
+            // The scanner looks back.
+            let mut ranges = [f32::INFINITY; 181];
+            ranges[90] = range;
+            let (limit, back) = (CollisionLimit::default(), Twist { linear_m_s: -v, angular_rad_s: 0.0 });
+            let base_from_scan = Pose2::new(0.0, 0.0, core::f64::consts::PI);
+            let scan = ScanView { base_from_scan, ..scan(&ranges) };
+            prop_assert_eq!(limit.limit_speed_back(back, limit.free_distance_behind_m(&scan)).linear_m_s, 0.0);
+            prop_assert_eq!(limit.free_distance_m(&scan), f64::INFINITY);
+            let ahead = Twist { linear_m_s: v, angular_rad_s: 0.0 };
+            prop_assert_eq!(limit.limit_speed_back(ahead, limit.free_distance_behind_m(&scan)), ahead);
         }
     }
 

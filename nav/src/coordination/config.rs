@@ -1,10 +1,13 @@
 //! Parameters of coordinated exploration.
 
+use crate::config::RobotBody;
 use core::f64::consts::FRAC_PI_2;
 
 /// Parameters of the coordinator. The robots' scans replace angle and range. The defaults suit TurtleBot3 Burgers with the paper's LiDAR of 90 degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoordinationConfig {
+    /// Size of the robots: goals lie where all of them fit.
+    pub body: RobotBody,
     /// Angle that the sensor sees, radians, above 0.
     pub view_angle_rad: f64,
     /// Range to which unknown space is expected to be seen, metres, above 0: a little less than the sensor's.
@@ -33,6 +36,7 @@ pub struct CoordinationConfig {
 impl Default for CoordinationConfig {
     fn default() -> Self {
         Self {
+            body: RobotBody::default(),
             view_angle_rad: FRAC_PI_2,
             view_range_m: 3.3,
             unknown_depth_m: 1.5,

@@ -23,6 +23,8 @@ pub enum ExplorationEnd {
     Completed,
     /// All robots are lost, silent or surrounded by obstacles.
     NoRobot,
+    /// Nothing reachable is unknown in the part of the map around the robots; the map is larger than what is planned on.
+    MapTooLarge,
 }
 
 /// A leftover with the map that its position is in.
@@ -253,7 +255,9 @@ impl FleetExploration {
         if explored.coordinator.plans() != plans {
             explored.known_m2 = map.known_m2();
         }
-        explored.is_manual = robots.iter().all(|robot| robot.availability == RobotAvailability::Manual);
+        let has =
+            |availability: RobotAvailability| robots.iter().any(|robot| robot.availability == availability);
+        explored.is_manual = has(RobotAvailability::Manual) && !has(RobotAvailability::Free);
         // Persons may keep robots as long as they like.
         if explored.coordinator.has_explorers() || explored.is_manual {
             explored.able_at = input.stamp;
@@ -275,7 +279,8 @@ impl FleetExploration {
             None => self.end = Some(ExplorationEnd::NoRobot),
         }
         if phase == Some(CoordinationPhase::Done) {
-            self.end = Some(ExplorationEnd::Completed);
+            let is_whole = self.maps.iter().all(|map| map.coordinator.covers_map());
+            self.end = Some(if is_whole { ExplorationEnd::Completed } else { ExplorationEnd::MapTooLarge });
         }
     }
 

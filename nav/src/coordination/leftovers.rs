@@ -51,10 +51,17 @@ pub(super) fn find(
         let is_given_up = |cell: &usize| {
             unknown_beside(map, *cell).is_some_and(|unknown| unseen.is_given_up(map.cell_centre_m(unknown)))
         };
+        let was_looked_at = |cell: &usize| {
+            unknown_beside(map, *cell).is_some_and(|unknown| unseen.has_looked(map.cell_centre_m(unknown)))
+        };
         let is_reached = |cell: &usize| buffers.is_reached(*cell);
         let fits = |cell: &usize| map.clearance_m(*cell) >= clearance_min_m;
         let reason = if cells.iter().filter(|cell| is_given_up(cell)).count() * 2 > cells.len() {
-            LeftoverReason::NotVisible
+            if cells.iter().any(was_looked_at) {
+                LeftoverReason::NotVisible
+            } else {
+                LeftoverReason::Unreachable
+            }
         } else if !cells.iter().any(fits) {
             LeftoverReason::TooNarrow
         } else if !cells.iter().any(is_reached) {

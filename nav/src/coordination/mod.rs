@@ -32,7 +32,7 @@ pub use types::{
 };
 
 use crate::clearance_map::ClearanceMap;
-use crate::config::{FollowerConfig, RobotBody};
+use crate::config::FollowerConfig;
 use crate::geometry::distance_m;
 use crate::observation::ScanView;
 use core::time::Duration;
@@ -74,7 +74,6 @@ const LOOK_MIN_S: f64 = 2.0;
 #[derive(Clone, Debug)]
 pub struct FleetCoordinator {
     config: CoordinationConfig,
-    body: RobotBody,
     follower: FollowerConfig,
     map: ClearanceMap,
     buffers: PlanBuffers,
@@ -110,7 +109,6 @@ impl FleetCoordinator {
     pub fn new(config: CoordinationConfig) -> Self {
         Self {
             config,
-            body: RobotBody::default(),
             follower: FollowerConfig::default(),
             map: ClearanceMap::default(),
             buffers: PlanBuffers::default(),
@@ -175,9 +173,14 @@ impl FleetCoordinator {
         leftovers::find(&self.map, &self.buffers, &self.unseen, self.clearance_min_m())
     }
 
+    /// Whether the last plan was made on the whole map, and not on the part around the robots.
+    pub fn covers_map(&self) -> bool {
+        self.map.covers_map()
+    }
+
     /// Clearance that a robot needs, metres.
     fn clearance_min_m(&self) -> f64 {
-        self.body.radius_m + self.body.margin_m + self.map.cell_size_m() / 2.0
+        self.config.body.radius_m + self.config.body.margin_m + self.map.cell_size_m() / 2.0
     }
 
     /// Remembers where robots began, and what was not seen from where they arrived.
@@ -198,7 +201,7 @@ impl FleetCoordinator {
             self.records[index].look = None;
             let Some(goal) = self.goals[index].take() else { continue };
             if goal.purpose == GoalPurpose::Explore {
-                self.record_attempt(input, goal.position_m);
+                self.record_attempt(input, goal.position_m, robot.progress == GoalProgress::Reached);
             }
             if goal.purpose == GoalPurpose::Home {
                 self.records[index].has_returned = true;
@@ -220,22 +223,27 @@ impl FleetCoordinator {
         let looked_s = input.stamp - look.since;
         let has_left = !is_there(look.place_m);
         if looked_s >= LOOK_MAX_S || (has_left && looked_s >= LOOK_MIN_S) {
-            self.record_attempt(input, look.place_m);
+            self.record_attempt(input, look.place_m, true);
         }
         if has_left || looked_s >= LOOK_MAX_S {
             self.records[index].look = None;
         }
     }
 
-    /// Counts an attempt at the unknown cells that should be seen from a place by now.
-    fn record_attempt(&mut self, input: &CoordinationInput, place_m: [f64; 2]) {
-        self.unseen.record_yield(input.map.known_m2());
+    /// Counts an attempt at the unknown cells that should be seen from a place by now, or that a robot gave up to go to.
+    fn record_attempt(&mut self, input: &CoordinationInput, place_m: [f64; 2], has_looked: bool) {
+        // Who was not there has shown nothing of the map.
+        if has_looked {
+            self.unseen.record_yield(input.map.known_m2());
+        }
         self.update_map(input);
         let Some(cell) = self.map.cell_at(place_m) else { return };
         let Self { map, buffers, config, unseen, .. } = self;
         let is_opaque = |_: usize| false;
         buffers.views.view_from(map, config, cell, &is_opaque);
-        buffers.views.for_each_unknown(map, config, cell, |seen| unseen.add_attempt(map.cell_centre_m(seen)));
+        buffers.views.for_each_unknown(map, config, cell, |seen| {
+            unseen.add_attempt(map.cell_centre_m(seen), has_looked);
+        });
         unseen.end_attempt();
     }
 }

@@ -7,16 +7,17 @@ use super::types::{
 };
 use super::views::{Viewpoint, ViewpointSearch};
 use super::{FleetCoordinator, RobotRecord};
+use crate::clearance_map::ClearanceMap;
 use crate::geometry::distance_m;
 use core::f64::consts::{FRAC_PI_2, PI};
 use msg::grid::Occupancy;
 use msg::pose::wrap_angle;
 use msg::{Pose2, ROBOTS_MAX};
 
-/// Radius of the free disc assumed where a robot stands, metres: its body, whatever the map says.
-const OWN_DISC_M: f64 = 0.2;
-/// Radius of the disc marked where a robot stands that does not get goals, metres.
-const STANDING_DISC_M: f64 = 0.16;
+/// Space around a robot's body that is taken as free where it stands, whatever the map says, metres.
+const OWN_SPACE_M: f64 = 0.095;
+/// Space around the body of a robot that does not get goals which is marked as occupied, metres.
+const STANDING_SPACE_M: f64 = 0.055;
 /// Mean speed along a route, and mean turning speed, as shares of the follower's limits: curves, stops, ramps.
 const SPEED_SHARE: f64 = 0.9;
 /// Time to begin to move and to stop, seconds.
@@ -73,10 +74,11 @@ impl FleetCoordinator {
         self.map.copy_window(&input.map, centre_m);
         for robot in input.robots {
             let Some(pose) = robot.map_from_base.filter(|pose| pose.is_finite()) else { continue };
-            let (radius_m, occupancy) = match robot.availability {
-                RobotAvailability::Free => (OWN_DISC_M, Occupancy::Free),
-                _ => (STANDING_DISC_M, Occupancy::Occupied),
+            let (space_m, occupancy) = match robot.availability {
+                RobotAvailability::Free => (OWN_SPACE_M, Occupancy::Free),
+                _ => (STANDING_SPACE_M, Occupancy::Occupied),
             };
+            let radius_m = self.config.body.radius_m + space_m;
             self.map.mark_disc([pose.x_m, pose.y_m], radius_m, occupancy);
         }
         self.map.compute_clearance();
@@ -110,14 +112,7 @@ impl FleetCoordinator {
     fn search_robot_routes(&mut self, input: &CoordinationInput) {
         let clearance_min_m = self.clearance_min_m();
         let Self { map, buffers, .. } = self;
-        let is_excluded = |cell: usize| {
-            // The centre takes longer than all else here.
-            !input.excluded.is_empty() && {
-                let centre_m = map.cell_centre_m(cell);
-                input.excluded.iter().any(|polygon| contains(polygon, centre_m))
-            }
-        };
-        buffers.coarse.update(map, clearance_min_m, is_excluded);
+        buffers.coarse.update(map, clearance_min_m, |cell| is_excluded(map, input.excluded, cell));
         buffers.robots.clear();
         for (index, robot) in input.robots.iter().enumerate() {
             let pose = robot.map_from_base.filter(|pose| pose.is_finite());
@@ -148,6 +143,7 @@ impl FleetCoordinator {
             map.occupancy(cell) == Occupancy::Free
                 && map.clearance_m(cell) >= clearance_min_m
                 && buffers.is_reached(cell)
+                && !is_excluded(map, input.excluded, cell)
         };
         unseen.mark_given_up(map, &mut given_up);
         let is_opaque = |cell: usize| given_up[cell];
@@ -375,6 +371,15 @@ fn first_turn_rad(pose: Pose2, at_m: [f64; 2], viewpoint: &Viewpoint, sees_all_a
     }
     let way_rad = crate::geometry::bearing_rad(here_m, at_m);
     (wrap_angle(way_rad - pose.yaw_rad).abs() + to_look(way_rad)).min(2.0 * PI)
+}
+
+/// Whether a cell's centre lies where robots are kept out.
+fn is_excluded(map: &ClearanceMap, excluded: &[Vec<[f64; 2]>], cell: usize) -> bool {
+    // The centre takes longer than all else here.
+    !excluded.is_empty() && {
+        let centre_m = map.cell_centre_m(cell);
+        excluded.iter().any(|polygon| contains(polygon, centre_m))
+    }
 }
 
 /// Whether a polygon contains a point (even-odd rule).

@@ -9,6 +9,8 @@ const SQUARE_M: f64 = 0.1;
 const ATTEMPTS_MAX: u8 = 2;
 /// Growth of the known area that attempts have to bring, square metres: less is the noise of a map of SLAM.
 const YIELD_MIN_M2: f64 = 0.1;
+/// Loss of known area from which the map is another one, square metres: corrections of SLAM take less.
+const SHRUNK_MIN_M2: f64 = 1.0;
 /// Attempts without that in a row after which exploration ends. Errors of SLAM open small gaps in walls again and again.
 const VAIN_ATTEMPTS_MAX: u32 = 12;
 /// Most squares that are remembered: 1000 square metres. More are not added.
@@ -28,18 +30,23 @@ pub(super) struct UnseenCells {
 struct Attempts {
     count: u8,
     last: u32,
+    /// Whether a robot was there in one of them: others gave up on the way.
+    has_looked: bool,
 }
 
 impl UnseenCells {
-    /// Counts the attempt under way for the square of a point; once, however often it is called.
-    pub(super) fn add_attempt(&mut self, point_m: [f64; 2]) {
+    /// Counts the attempt under way for the square of a point, in which a robot looked or gave up on the way; once, however
+    /// often it is called.
+    pub(super) fn add_attempt(&mut self, point_m: [f64; 2], has_looked: bool) {
         let key = Self::key(point_m);
         if self.attempts.len() >= SQUARES_MAX && !self.attempts.contains_key(&key) {
             return;
         }
-        let square = self.attempts.entry(key).or_insert(Attempts { count: 0, last: u32::MAX });
+        let none = Attempts { count: 0, last: u32::MAX, has_looked: false };
+        let square = self.attempts.entry(key).or_insert(none);
+        square.has_looked |= has_looked;
         if square.last != self.attempt {
-            *square = Attempts { count: square.count.saturating_add(1), last: self.attempt };
+            (square.count, square.last) = (square.count.saturating_add(1), self.attempt);
         }
     }
 
@@ -53,7 +60,9 @@ impl UnseenCells {
     /// Records the known area; returns whether it has grown, so that attempts are worth their time again.
     pub(super) fn record_growth(&mut self, known_m2: f64) -> bool {
         let has_grown = known_m2 > self.known_m2 + YIELD_MIN_M2;
-        if has_grown {
+        // A map that has lost a part, as when robots are separated again, grows from what is left.
+        let has_shrunk = known_m2 < self.known_m2 - SHRUNK_MIN_M2;
+        if has_grown || has_shrunk {
             (self.known_m2, self.vain_attempts) = (known_m2, 0);
         }
         has_grown
@@ -72,6 +81,11 @@ impl UnseenCells {
     /// Whether a point is in a square that is left alone.
     pub(super) fn is_given_up(&self, point_m: [f64; 2]) -> bool {
         self.attempts.get(&Self::key(point_m)).is_some_and(|square| square.count >= ATTEMPTS_MAX)
+    }
+
+    /// Whether a robot has looked at the square of a point.
+    pub(super) fn has_looked(&self, point_m: [f64; 2]) -> bool {
+        self.attempts.get(&Self::key(point_m)).is_some_and(|square| square.has_looked)
     }
 
     /// Sets the cells of a map whose squares are left alone.
@@ -119,12 +133,24 @@ mod tests {
     }
 
     #[test]
+    fn what_is_seen_after_a_part_of_the_map_was_lost_is_not_in_vain() {
+        let mut unseen = UnseenCells::default();
+        unseen.record_yield(100.0);
+        unseen.record_growth(40.0);
+        for attempt in 1..=u32::from(u8::MAX) {
+            unseen.record_yield(40.0 + 0.2 * f64::from(attempt));
+            assert!(!unseen.is_exhausted());
+        }
+    }
+
+    #[test]
     fn a_square_is_given_up_after_two_attempts() {
         let mut unseen = UnseenCells::default();
         for attempt in 0..2 {
             assert!(!unseen.is_given_up([1.02, 3.0]), "{attempt}");
-            unseen.add_attempt([1.02, 3.01]);
-            unseen.add_attempt([1.07, 3.08]);
+            unseen.add_attempt([1.02, 3.01], attempt == 1);
+            unseen.add_attempt([1.07, 3.08], false);
+            assert_eq!(unseen.has_looked([1.05, 3.05]), attempt == 1);
             unseen.end_attempt();
         }
         assert!(unseen.is_given_up([1.05, 3.05]));

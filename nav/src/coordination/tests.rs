@@ -1,6 +1,7 @@
 //! Tests of the coordinator on small maps.
 
 use super::*;
+use crate::config::RobotBody;
 use crate::observation::MapView;
 
 /// Two rooms of 4 m by 4 m beside a known one, both unknown: free cells of the middle, walls with two doors.
@@ -116,6 +117,35 @@ fn a_lidar_that_sees_all_around_needs_no_heading() {
     coordinator.update(&input(&cells, &robots, 0.0));
     let goal = coordinator.goal(robots[0].robot).unwrap();
     assert!(goal.headings_rad.is_empty(), "{goal:?}");
+}
+
+#[test]
+fn goals_lie_where_robots_of_any_size_fit() {
+    let cells = cells();
+    let robots = [robot(1, 6.0, 2.0)];
+    for radius_m in [0.105, 0.22, 0.4] {
+        let body = RobotBody { radius_m, ..RobotBody::default() };
+        let mut coordinator = FleetCoordinator::new(CoordinationConfig { body, ..Default::default() });
+        coordinator.update(&input(&cells, &robots, 0.0));
+        let goal = coordinator.goal(robots[0].robot).unwrap().position_m;
+        let walls = (0..cells.len()).filter(|index| cells[*index] == 100);
+        let centre =
+            |index: usize| [(index % 240) as f64 * 0.05 + 0.025, (index / 240) as f64 * 0.05 + 0.025];
+        let nearest_m = walls.map(|index| distance_m(centre(index), goal)).fold(f64::INFINITY, f64::min);
+        assert!(nearest_m > radius_m, "{goal:?} is {nearest_m} m from a wall, for a robot of {radius_m} m");
+    }
+}
+
+#[test]
+fn robots_that_fit_through_no_door_get_no_goal_behind_it() {
+    let cells = cells();
+    let robots = [robot(1, 6.0, 2.0)];
+    let body = RobotBody { radius_m: 0.6, ..RobotBody::default() };
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig { body, ..Default::default() });
+    coordinator.update(&input(&cells, &robots, 0.0));
+    if let Some(goal) = coordinator.goal(robots[0].robot) {
+        assert!((4.6..7.4).contains(&goal.position_m[0]), "{goal:?} is not in the middle room");
+    }
 }
 
 #[test]

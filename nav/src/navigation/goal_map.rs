@@ -11,8 +11,8 @@ use crate::route_search::RouteSearch;
 use msg::grid::Occupancy;
 use msg::{ExclusionZone, Stamp};
 
-/// Radius of the disc marked where a robot stands, metres: scans draw a robot somewhat larger than its body.
-const ROBOT_MARK_RADIUS_M: f64 = 0.14;
+/// Space around a robot's body that is marked with it where it stands, metres: scans draw a robot somewhat larger than its body.
+const ROBOT_MARK_SPACE_M: f64 = 0.035;
 /// Routes are searched this much farther than the robot's, metres: room to step aside.
 const SEARCH_BEYOND_M: f64 = 6.0;
 /// Farthest that a robot may stand from the nearest cell with a route, metres.
@@ -94,11 +94,12 @@ impl GoalMap {
             UnknownSpace::Cross => self.map.mark_unknown_free(),
         }
         // The robot's own place is free, whatever other robots' scans drew there.
-        self.map.mark_disc(input.poses.position_m(), ROBOT_MARK_RADIUS_M, Occupancy::Free);
+        let mark_m = config.body.radius_m + ROBOT_MARK_SPACE_M;
+        self.map.mark_disc(input.poses.position_m(), mark_m, Occupancy::Free);
         input.obstacles.mark(input.stamp, input.poses.odom_from_map().inverse(), &mut self.map);
         input.zones.iter().for_each(|zone| self.map.mark_polygon_occupied(zone.corners_m()));
         for robot_m in input.standing_robots_m {
-            self.map.mark_disc(*robot_m, ROBOT_MARK_RADIUS_M, Occupancy::Occupied);
+            self.map.mark_disc(*robot_m, mark_m, Occupancy::Occupied);
         }
         self.map.compute_clearance();
         Ok(())
@@ -127,6 +128,11 @@ impl GoalMap {
     pub(super) fn append_route(&mut self, from: usize, path: &mut Path) {
         self.routes.route_to(&self.map, from, &mut self.cells);
         path.waypoints.extend(self.cells.iter().rev().map(|cell| self.waypoint(*cell)));
+    }
+
+    /// Whether a point has been seen, or lies in the robot's own place.
+    pub(super) fn is_known(&self, point_m: [f64; 2]) -> bool {
+        self.map.cell_at(point_m).is_some_and(|cell| self.map.occupancy(cell) != Occupancy::Unknown)
     }
 
     /// Whether no obstacle stands within the body's radius of a point.

@@ -19,8 +19,8 @@ const CELLS_MAX: usize = 4096;
 const AGE_MAX_S: f64 = 8.0;
 /// A beam that ends this far behind an obstacle has passed through it, metres.
 const CLEARED_BEHIND_M: f64 = 0.12;
-/// Hits this close to another robot are that robot, metres: its radius and the error of both poses.
-pub(super) const ROBOT_HIT_RADIUS_M: f64 = 0.22;
+/// Hits this close to another robot's body are that robot, metres: the error of both poses.
+const ROBOT_HIT_SPACE_M: f64 = 0.115;
 /// Hits within this many cells of an obstacle of the map are that obstacle.
 const MAP_REACH_CELLS: i64 = 2;
 
@@ -32,13 +32,14 @@ pub(super) struct RecentObstacles {
 }
 
 impl RecentObstacles {
-    /// Adds a scan once; `robots_m` are the positions of the other robots, in `odom`.
+    /// Adds a scan once; `robots_m` are the positions of the other robots, in `odom`, and `radius_m` is that of each.
     pub(super) fn record(
         &mut self,
         now: Stamp,
         odom_from_base: Pose2,
         scan: &ScanView,
         robots_m: &[[f64; 2]],
+        radius_m: f64,
     ) {
         if self.last_scan == Some(scan.received) {
             return;
@@ -47,7 +48,8 @@ impl RecentObstacles {
         self.clear_seen_through(now, odom_from_base, scan);
         for hit in scan.hits_in_base_m().filter(|hit| hit[0].hypot(hit[1]) < RANGE_MAX_M) {
             let hit = odom_from_base.apply(hit);
-            let is_robot = robots_m.iter().any(|robot| distance_m(*robot, hit) < ROBOT_HIT_RADIUS_M);
+            let is_robot =
+                robots_m.iter().any(|robot| distance_m(*robot, hit) < radius_m + ROBOT_HIT_SPACE_M);
             let cell = hit.map(|v| (v / CELL_M).floor() as i32);
             if !is_robot && (self.cells.len() < CELLS_MAX || self.cells.contains_key(&(cell[0], cell[1]))) {
                 self.cells.insert((cell[0], cell[1]), now);

@@ -142,6 +142,7 @@ impl RobotNavigator {
         self.drop_path();
         self.promoted = 0;
         let progress = Progress::new(now);
+        self.waited_for = None;
         self.goal = Some(ActiveGoal { goal, next: 0, progress, is_at_position: false });
         self.state = NavigationState::Planning;
     }
@@ -165,6 +166,7 @@ impl RobotNavigator {
     pub(super) fn resume(&mut self, now: Stamp) {
         if let Some(active) = self.goal.as_mut().filter(|_| self.state == NavigationState::Paused) {
             active.progress.restart(now);
+            self.waited_for = None;
             self.state = NavigationState::Planning;
         }
     }
@@ -210,7 +212,7 @@ impl RobotNavigator {
         let Some((odom_from_base, scan)) = robot.odom_from_base.zip(robot.fresh_scan(now)) else { return };
         let robots_m: Vec<[f64; 2]> =
             others.iter().map(|other| odom_from_base.apply(other.in_base_m)).collect();
-        self.obstacles.record(now, odom_from_base, &scan, &robots_m);
+        self.obstacles.record(now, odom_from_base, &scan, &robots_m, self.config.body.radius_m);
     }
 
     /// The pose that is driven to, in the frame of the robot's map.
@@ -239,6 +241,9 @@ impl RobotNavigator {
         self.searched = Some((now, result));
         if let Err(failure) = result {
             self.followed = None;
+            if !matches!(failure, NavigationFailure::Robot(_)) {
+                self.waited_for = None;
+            }
             self.state = NavigationState::Blocked(failure);
             return;
         }

@@ -5,7 +5,7 @@ use crate::channel;
 use crate::ports::{ChannelError, Ports, ReadPort, WritePort};
 use crate::run::Run;
 use ::nav::coordination::{CoordinationPhase, ExplorationEnd, FoundLeftover, RobotAvailability};
-use ::nav::{CoordinationConfig, FleetExploration, FleetNavigator, NavigationInput};
+use ::nav::{CoordinationConfig, FleetExploration, FleetNavigator, NavigationInput, NavigatorConfig};
 use msg::{
     ExplorationAction, ExplorationCommand, ExplorationLeftover, ExplorationReport, ExplorationStatus,
     ExplorerState, Monotonic, Pose2, RobotId, Stamp,
@@ -18,6 +18,8 @@ const ALL_TAKEN: &str =
     "persons have taken or stopped all robots; resume them, or start the exploration again";
 const NO_ROBOT: &str =
     "for 60 s no robot could be given a goal: all are lost, silent or surrounded by obstacles";
+const MAP_TOO_LARGE: &str =
+    "the map is larger than the 51 m on which exploration plans; what lies farther away was not looked at";
 const STOPPED: &str = "stopped on demand";
 
 /// Exploration of the fleet, with its channels.
@@ -36,10 +38,11 @@ pub(super) struct Exploration<P: Ports> {
 impl<P: Ports> Exploration<P> {
     pub(super) fn open(ports: &P, run: &Run) -> Result<Self, ChannelError> {
         let view_angle_rad = run.config.sim.lidar.fov_deg.to_radians();
+        let body = NavigatorConfig::of_robots(run.config.slam.map.robot_radius_m).body;
         Ok(Self {
             commands: ports.reader(&channel::explore())?,
             state: ports.writer(&channel::exploration_state())?,
-            config: CoordinationConfig { view_angle_rad, ..CoordinationConfig::default() },
+            config: CoordinationConfig { body, view_angle_rad, ..CoordinationConfig::default() },
             robots: run.robots().collect(),
             active: None,
             report: ExplorationReport::default(),
@@ -145,6 +148,9 @@ impl<P: Ports> Exploration<P> {
             Some(ExplorationEnd::Completed) => {
                 let reason = completion(exploration, &self.robots);
                 self.end(navigator, ExplorationStatus::Completed, reason);
+            }
+            Some(ExplorationEnd::MapTooLarge) => {
+                self.end(navigator, ExplorationStatus::Failed, MAP_TOO_LARGE.into());
             }
             Some(ExplorationEnd::NoRobot) => self.end(navigator, ExplorationStatus::Failed, NO_ROBOT.into()),
             None => {}

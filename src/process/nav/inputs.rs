@@ -36,7 +36,7 @@ struct RobotInputs<P: Ports> {
 /// What is known of a robot.
 #[derive(Default)]
 struct RobotState {
-    /// Newest scan, and when it arrived.
+    /// Newest scan, and when it was sent.
     scan: Option<(Box<Scan>, Monotonic)>,
     odom_from_base: Option<(Pose2, Monotonic)>,
     base_from_scan: Pose2,
@@ -95,15 +95,16 @@ impl<P: Ports> Inputs<P> {
         let transforms = self.newest_transforms;
         for RobotInputs { robot, scans, transforms: links, corrections, map, state } in &mut self.robots {
             if let Some(scan) = scans.newest() {
-                state.scan = Some((Box::new(*scan), now));
+                // While nobody navigates, messages wait here: their age is that of their sending.
+                state.scan = Some((Box::new(*scan), now.min(scan.header.sent)));
             }
             if let Some(links) = links.newest() {
-                state.set_links(&links, now);
+                state.set_links(&links, now.min(links.header.sent));
             }
             if let Some(correction) = corrections.newest() {
                 let is_located = correction.state() != TrackingState::Lost && correction.nodes > 0;
                 state.map_from_odom = correction.map_from_odom().filter(|_| is_located);
-                state.corrected = Some(now);
+                state.corrected = Some(now.min(correction.header.sent));
             }
             if map_from_robot_map(transforms.as_ref(), *robot).is_none() {
                 map.receive();

@@ -59,7 +59,9 @@ impl RobotNavigator {
                 let (before_m, after_m) = (x.hypot(y), (x + back_m).hypot(y));
                 after_m > self.config.separation_m || after_m > before_m + MOVING_APART_SHARE * back_m
             };
+            let rear_m = poses.map_from_base.apply([-back_m - self.config.body.radius_m, 0.0]);
             self.goal_map.is_clear(&self.config, poses.map_from_base.apply([-back_m, 0.0]))
+                && self.goal_map.is_known(rear_m)
                 && others.iter().all(is_clear_of)
         };
         if BACK_UP_CHECKS_M.iter().all(is_clear) {
@@ -71,6 +73,9 @@ impl RobotNavigator {
 
     /// Slows the robot for what the scan shows ahead and for robots near it, and says what it stands for.
     pub(super) fn limit(&mut self, wanted: Twist, scan: &ScanView, others: &[OtherRobot]) -> Twist {
+        if wanted.linear_m_s < 0.0 {
+            return self.collision.limit_speed_back(wanted, self.collision.free_distance_behind_m(scan));
+        }
         let nearest_m = self.collision.nearest_ahead_m(scan);
         let free_m = nearest_m.map_or(f64::INFINITY, |[x, _]| x - self.config.body.radius_m);
         let mut limited = self.collision.limit_speed(wanted, free_m);
