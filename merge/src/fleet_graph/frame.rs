@@ -28,7 +28,8 @@ pub(crate) fn successor(robots: &[Robot]) -> Option<ReferenceRobot> {
 }
 
 /// Returns the reference that shows most robots: the present one, unless other robots are joined to each other in a larger
-/// number. Then it is the first of these, and the frame `map` is the frame of its map.
+/// number. Then it is the first of these. If it was connected to the frame `map`, the frame stays where it is, as goals and zones
+/// lie in it; otherwise `map` is the frame of its map from now on.
 pub(crate) fn reference_of_largest_component(
     robots: &mut [Robot],
     pairs: &[RobotPair],
@@ -41,8 +42,10 @@ pub(crate) fn reference_of_largest_component(
     let Some(largest) = largest.filter(|largest| size(*largest) > size(reference.robot)) else {
         return reference;
     };
+    let kept = robots[largest].estimate.at_submaps().first().copied();
+    let kept = kept.or(robots[largest].estimate.transform());
     robots.iter_mut().for_each(|robot| robot.reset_estimate(None));
-    set_reference(robots, largest, Pose2::IDENTITY)
+    set_reference(robots, largest, kept.unwrap_or(Pose2::IDENTITY))
 }
 
 /// Returns the component of each robot, which is the least index of the robots that active edges join.

@@ -5,6 +5,7 @@ use msg::grid::{OCCUPIED_MIN, UNKNOWN};
 use msg::{EdgeState, GridHeader, GridView, Message, SubmapEdge};
 use nalgebra::Matrix3;
 
+mod frame;
 mod new_run;
 
 /// Whether a cell of 0.05 m is an obstacle: a house of 30 m x 12 m whose rooms and furniture tell places apart.
@@ -242,29 +243,6 @@ fn a_restarted_robot_keeps_its_place_and_one_that_leaves_does_not_move_the_frame
     work(&mut fleet);
     assert_eq!(fleet.map_from_robot_map(robot(1)), None);
     assert!(fleet.map_from_robot_map(robot(2)).unwrap().distance_m(place) < 0.05);
-}
-
-#[test]
-fn the_frame_is_that_of_the_largest_group_of_joined_robots() {
-    let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &[None; 3]);
-    // The first robot is outside the house, where no other ever comes.
-    let outside = true_path(100.0, 104.0, 5.0);
-    send(&mut fleet, 1, &outside, &drifted_path(&outside, 0.0), 1);
-    assert_eq!(fleet.map_from_robot_map(robot(1)), Some(Pose2::IDENTITY), "the only one");
-    let (paths, estimated) = one_drifting();
-    send(&mut fleet, 2, &paths[0], &estimated[0], 1);
-    send(&mut fleet, 3, &paths[1], &estimated[1], 1);
-    fleet.finish();
-    work(&mut fleet);
-    let second = fleet.map_from_robot_map(robot(2)).expect("two robots are joined");
-    assert!(second.distance_m(Pose2::IDENTITY) < 0.05, "{second:?}");
-    assert!(fleet.map_from_robot_map(robot(3)).is_some());
-    assert_eq!(fleet.map_from_robot_map(robot(1)), None, "it is in another group");
-    // Groups of one size: the frame stays.
-    fleet.remove_robot(robot(3));
-    work(&mut fleet);
-    assert!(fleet.map_from_robot_map(robot(2)).is_some());
-    assert_eq!(fleet.map_from_robot_map(robot(1)), None);
 }
 
 #[test]
