@@ -8,7 +8,7 @@ use crate::shared_memory::{Listener, MapReader, Participant, Reader, wait};
 use formats::map_file;
 use msg::{
     Correction, DenseMap, EdgeState, FleetStats, GroundTruth, MapTransforms, MergeEdges, Monotonic, Pose2,
-    RobotId, Role, VelocityCommand,
+    RobotId, Role, TrackingState, VelocityCommand,
 };
 use reports::EdgeView;
 use std::path::{Path, PathBuf};
@@ -73,7 +73,10 @@ impl RobotWatch {
             self.world_from_base = Some(truth.world_from_base);
         }
         if let Some(correction) = self.corrections.newest() {
-            self.map_from_odom = correction.map_from_odom().or(self.map_from_odom);
+            // A robot that is lost is nowhere: a restarted SLAM would take its last place for true.
+            let is_lost = correction.state() == TrackingState::Lost;
+            let kept = self.map_from_odom.filter(|_| !is_lost);
+            self.map_from_odom = correction.map_from_odom().filter(|_| !is_lost).or(kept);
             self.map_from_base = Some(correction.map_from_base);
             unreliable.record(robot, &correction);
         }

@@ -222,6 +222,16 @@ impl FrontEnd {
         self.frame.add_revision(revision);
     }
 
+    /// Takes over how good the map and the robot's place in it are, before the first node of a session that goes on.
+    pub(crate) fn apply_quality(&mut self, revision: Revision) {
+        self.frame.apply_quality(revision);
+    }
+
+    /// Applies a revision at once, as after a change of the graph that no node caused.
+    pub fn apply_revision(&mut self, revision: Revision) {
+        self.frame.replace_revisions(revision);
+    }
+
     /// Sets the pose of the front end's frame in the map until the next revision; `None` marks the robot as not located.
     pub fn set_map_from_local(&mut self, map_from_local: Option<Pose2>) {
         self.frame.set(map_from_local);

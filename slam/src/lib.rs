@@ -225,5 +225,8 @@ pub fn begin(
             return (front, BackEnd::resume(config, session.back, session.samples, mode, start));
         }
     };
-    (front, BackEnd::resume(config, session.back, session.samples, mode, start))
+    let (mut front, back) = (front, BackEnd::resume(config, session.back, session.samples, mode, start));
+    // A session does not keep it; the pose of the front end's frame is the session's, to the last bit.
+    front.apply_quality(back.latest_revision());
+    (front, back)
 }

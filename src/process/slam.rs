@@ -90,6 +90,8 @@ pub enum FrontCommand {
     },
     /// Sets the transform of the front end's frame in the map at once, not with the next node; `None`: unknown.
     SetMapFromLocal(Option<Pose2>),
+    /// Applies the back end's newest state at once: its graph has changed without a node.
+    Apply(Revision),
     /// Makes a node of the next scan, because a request waits for one.
     RequestNode,
 }
@@ -233,7 +235,11 @@ fn begin(
     };
     // A robot that was localized is looked for where it was; one that was looked for, everywhere.
     let odom_pose = at.filter(|_| kept.front.is_none() && mode == SlamMode::Localization);
-    let (front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
+    let (mut front, back) = ::slam::begin(config, Some(kept), mode, InitialPose::Continue);
+    if odom_pose.is_some() {
+        // The first scan says where the front end's frame lies in `odom`; then the pose is set.
+        front.set_map_from_local(Some(Pose2::IDENTITY));
+    }
     Ok(Start { front, back: (back, log_end), odom_pose })
 }
 

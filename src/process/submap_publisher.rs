@@ -21,6 +21,11 @@ pub struct SubmapPublisher<P: Ports> {
     sending: bool,
     sent: Monotonic,
     polled: Monotonic,
+    /// Most nodes of the robot's map.
+    nodes_max: usize,
+    robot: RobotId,
+    /// Whether it was told that the map is full, and that submaps are left out.
+    told: [bool; 2],
 }
 
 impl<P: Ports> SubmapPublisher<P> {
@@ -35,6 +40,9 @@ impl<P: Ports> SubmapPublisher<P> {
             sending: false,
             sent: now,
             polled: now,
+            nodes_max: config.graph.nodes_max,
+            robot,
+            told: [false; 2],
         })
     }
 
@@ -49,6 +57,24 @@ impl<P: Ports> SubmapPublisher<P> {
         let submaps = &self.submaps;
         self.poses.send_with(|poses| submaps.poses(back, poses));
         self.sending = true;
+        self.tell_limits(back);
+    }
+
+    /// Says once when a limit is reached: what comes later is missing.
+    fn tell_limits(&mut self, back: &BackEnd) {
+        let (robot, nodes) = (self.robot, back.nodes().len());
+        let reached = [nodes >= self.nodes_max, self.submaps.not_kept() > 0];
+        if reached[0] && !self.told[0] {
+            tracing::warn!(
+                "{robot}: its map has {nodes} nodes (slam.graph.nodes_max) and grows no more; localize in it, or begin another"
+            );
+        }
+        if reached[1] && !self.told[1] {
+            tracing::warn!(
+                "{robot}: its map has as many submaps as merging keeps; later ones are missing where merging bends the map"
+            );
+        }
+        self.told = [0, 1].map(|limit| self.told[limit] || reached[limit]);
     }
 
     /// Sends a submap that has changed, if it is time. Returns when the next step is due.

@@ -154,9 +154,8 @@ impl BackEnd {
         self.location.component_relocalizer = None;
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
-        if self.is_beyond_reach(first, id, map_from_node) {
-            self.doubts.distant_relocations += 1;
-        }
+        let is_beyond_reach = self.is_beyond_reach(first, id, map_from_node);
+        let closures = self.graph.edges().len();
         self.add_closures(&[ClosureCandidate {
             node: id,
             candidate,
@@ -164,6 +163,10 @@ impl BackEnd {
             information: information_from_sigmas(FOUND_M, FOUND_RAD),
             response: self.config.relocalize.response_min,
         }]);
+        // One that was undone before is not accepted again.
+        if is_beyond_reach && self.graph.edges().len() > closures {
+            self.doubts.distant_relocations += 1;
+        }
     }
 
     /// Whether the robot, last in the map before node `first`, cannot have gone to where node `id` was found.

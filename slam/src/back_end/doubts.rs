@@ -36,10 +36,11 @@ pub struct DoubtMonitor {
 }
 
 impl DoubtMonitor {
-    /// Forgets what is known by node, after nodes got other numbers.
-    pub fn forget_nodes(&mut self) {
-        self.walls.clear();
-        self.cursor = 0;
+    /// Forgets what is known of nodes that are no more; the others get their new numbers.
+    pub fn retain_nodes(&mut self, is_kept: impl Fn(usize) -> bool) {
+        let mut id = 0;
+        self.walls.retain(|_| (is_kept(id), id += 1).0);
+        self.cursor = (0..self.cursor).filter(|id| is_kept(*id)).count();
     }
 }
 

@@ -148,7 +148,7 @@ impl BackEnd {
         self.numbers.front_ids.retain(|_| (keep(id), id += 1).0);
         let mut id = 0;
         self.lifelong.contradicted.retain(|_| (keep(id), id += 1).0);
-        self.doubts.forget_nodes();
+        self.doubts.retain_nodes(keep);
         self.loop_closer.renumber(&number);
         self.lifelong.retired += gone.len() as u64;
         self.count_closures();

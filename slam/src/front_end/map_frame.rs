@@ -72,13 +72,27 @@ impl MapFrame {
     /// Applies the newest revision that is due with this node; those before it are out of date.
     pub fn apply_revisions(&mut self, node: u32) {
         let Some(due) = self.revisions.iter().rposition(|r| r.effective_from <= node) else { return };
-        for revision in self.revisions.drain(..=due) {
-            self.map_from_local = revision.map_from_local;
-            self.uncertainty = revision.uncertainty;
-            self.is_located = revision.located && self.last_break.is_none_or(|at| revision.cause >= at);
-            self.is_unreliable = revision.unreliable;
-            self.closures = revision.closures;
-        }
+        let due = self.revisions.drain(..=due).next_back();
+        due.into_iter().for_each(|revision| self.apply(revision));
+    }
+
+    /// Applies a revision at once, in the place of those that wait.
+    pub fn replace_revisions(&mut self, revision: Revision) {
+        self.revisions.clear();
+        self.apply(revision);
+    }
+
+    fn apply(&mut self, revision: Revision) {
+        self.map_from_local = revision.map_from_local;
+        self.is_located = revision.located && self.last_break.is_none_or(|at| revision.cause >= at);
+        self.apply_quality(revision);
+    }
+
+    /// Takes over how good a revision's map and its pose are, and not where the robot is.
+    pub fn apply_quality(&mut self, revision: Revision) {
+        self.uncertainty = revision.uncertainty;
+        self.is_unreliable = revision.unreliable;
+        self.closures = revision.closures;
     }
 
     pub fn restore_revisions(&mut self, revisions: Vec<Revision>) {

@@ -166,6 +166,7 @@ impl FrontEndRunner {
                 FrontCommand::SetMapFromLocal(map_from_local) => {
                     self.front.set_map_from_local(map_from_local)
                 }
+                FrontCommand::Apply(revision) => self.front.apply_revision(revision),
                 FrontCommand::RequestNode => self.front.request_node(),
             }
         }

@@ -324,10 +324,10 @@ fn may_change(state: &WorkerState) -> Result<(), RequestRefused> {
     Ok(())
 }
 
-/// Sends the scan path its new pose after the graph has changed.
+/// Sends the scan path its new pose, and how good it is, after the graph has changed.
 fn publish_changed_graph(state: &mut WorkerState) {
     state.mark_changed();
-    state.commands.send(FrontCommand::SetMapFromLocal(Some(state.back.latest_revision().map_from_local)));
+    state.commands.send(FrontCommand::Apply(state.back.latest_revision()));
 }
 
 fn mode_of(request: &SlamRequest) -> Result<SlamMode, RequestRefused> {
