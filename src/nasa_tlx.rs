@@ -3,7 +3,9 @@
 use crate::clock::now;
 use crate::run::Run;
 use bridge::{SaveTlx, TlxAnswer, TlxError};
+use msg::Monotonic;
 use reports::TlxEntry;
+use serde::{Deserialize, Serialize};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -16,29 +18,41 @@ const ANSWERS_MAX: usize = 64;
 /// Largest size of the file, bytes.
 const FILE_BYTES_MAX: u64 = 64 << 10;
 
-/// Reads a run's answers, in the order in which they came; empty if there are none.
+/// Content of the file.
+#[derive(Serialize, Deserialize)]
+struct Answers {
+    /// When the run began, nanoseconds of CLOCK_MONOTONIC: a folder may have held another run before.
+    begun_ns: u64,
+    answers: Vec<TlxEntry>,
+}
+
+/// Reads a run's answers, in the order in which they came; empty if there are none. Those of an earlier run in the same folder are
+/// not this one's.
 ///
 /// # Errors
 /// The file is there and cannot be read.
-pub fn read(dir: &Path) -> io::Result<Vec<TlxEntry>> {
+pub fn read(dir: &Path, begun: Monotonic) -> io::Result<Vec<TlxEntry>> {
     match formats::limited::read_text(&dir.join(FILE), FILE_BYTES_MAX) {
-        Ok(text) => serde_json::from_str(&text).map_err(io::Error::other),
+        Ok(text) => {
+            let kept: Answers = serde_json::from_str(&text).map_err(io::Error::other)?;
+            Ok(if kept.begun_ns == begun.0 { kept.answers } else { Vec::new() })
+        }
         Err(why) if why.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
         Err(why) => Err(why),
     }
 }
 
-/// Adds an answer to a run's.
+/// Adds an answer, given now, to those of the run that has begun then.
 ///
 /// # Errors
 /// The run has too many, or the file cannot be read or written.
-pub fn add(dir: &Path, time_s: f64, answer: TlxAnswer) -> Result<(), TlxError> {
-    let mut entries = read(dir)?;
-    if entries.len() >= ANSWERS_MAX {
+pub fn add(dir: &Path, begun: Monotonic, now: Monotonic, answer: TlxAnswer) -> Result<(), TlxError> {
+    let mut answers = read(dir, begun)?;
+    if answers.len() >= ANSWERS_MAX {
         return Err(TlxError::Full(ANSWERS_MAX));
     }
-    entries.push(TlxEntry { time_s, answer });
-    let json = serde_json::to_vec_pretty(&entries)?;
+    answers.push(TlxEntry { time_s: now.since(begun) as f64 * 1e-9, answer });
+    let json = serde_json::to_vec_pretty(&Answers { begun_ns: begun.0, answers })?;
     Ok(formats::atomic::write_durably(&dir.join(FILE), |file| file.write_all(&json))?)
 }
 
@@ -52,7 +66,7 @@ pub fn saver(run: &Run) -> SaveTlx {
         Box::pin(async move {
             let write = move || {
                 let _turn = turn.lock().unwrap_or_else(PoisonError::into_inner);
-                add(&dir, now().since(begun) as f64 * 1e-9, answer)
+                add(&dir, begun, now(), answer)
             };
             tokio::task::spawn_blocking(write).await.map_err(io::Error::other)?
         })
@@ -62,11 +76,13 @@ pub fn saver(run: &Run) -> SaveTlx {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::time::Duration;
 
     #[test]
     fn answers_are_kept_in_order_and_bounded() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(read(folder.path()).unwrap().is_empty());
+        let (begun, another) = (Monotonic(7), Monotonic(8));
+        assert!(read(folder.path(), begun).unwrap().is_empty());
         let answer = |effort| TlxAnswer {
             mental_demand: 0,
             physical_demand: 0,
@@ -76,13 +92,17 @@ mod tests {
             frustration: 0,
         };
         for index in 0..ANSWERS_MAX {
-            add(folder.path(), index as f64, answer(5 * (index as u8 % 20))).unwrap();
+            let now = begun + Duration::from_secs(index as u64);
+            add(folder.path(), begun, now, answer(5 * (index as u8 % 20))).unwrap();
         }
-        let why = add(folder.path(), 99.0, answer(5)).unwrap_err().to_string();
+        let why = add(folder.path(), begun, begun, answer(5)).unwrap_err().to_string();
         assert!(why.contains("64 answers"), "{why}");
-        let entries = read(folder.path()).unwrap();
+        let entries = read(folder.path(), begun).unwrap();
         assert_eq!((entries.len(), entries[3].answer.effort, entries[3].time_s), (ANSWERS_MAX, 15, 3.0));
+        assert!(read(folder.path(), another).unwrap().is_empty(), "they are of another run");
+        add(folder.path(), another, another, answer(0)).unwrap();
+        assert_eq!(read(folder.path(), another).unwrap().len(), 1);
         std::fs::write(folder.path().join(FILE), "{").unwrap();
-        assert!(read(folder.path()).is_err(), "a damaged file is no lack of answers");
+        assert!(read(folder.path(), another).is_err(), "a damaged file is no lack of answers");
     }
 }

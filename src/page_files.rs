@@ -35,6 +35,8 @@ pub const PAGE_FILES: &[PageFile] = &[
     file!("geometry.js", SCRIPT),
     file!("goals.js", SCRIPT),
     file!("input.js", SCRIPT),
+    file!("map_cursor.js", SCRIPT),
+    file!("map_tools.js", SCRIPT),
     file!("matrix.js", SCRIPT),
     file!("measure.js", SCRIPT),
     file!("merged_map.js", SCRIPT),

@@ -23,6 +23,8 @@ use std::time::{Duration, Instant};
 /// How long a child may take to end when asked, before it is killed. The whole fleet ends within
 /// 5 s, of which the maps' writing takes some.
 const END_GRACE: Duration = Duration::from_secs(2);
+/// The same for the recorder, which writes what waits for a slow disk.
+const RECORDER_END_GRACE: Duration = Duration::from_secs(20);
 /// Longest time until a process's first pass of its loop: it reads its room and its session.
 pub(crate) const START_MAX: Duration = Duration::from_secs(10);
 /// Longest time without a pass of a process's second thread, which computes for long.
@@ -174,19 +176,30 @@ impl Supervisor {
         command.stdin(stdin).process_group(0).spawn()
     }
 
-    /// Asks every child to end, kills those that do not, and removes the run's shared memory.
-    pub fn end(&mut self) {
+    /// Asks every child to end, kills those that do not, and removes the run's shared memory. Returns what a killed recorder lost.
+    pub fn end(&mut self) -> Option<String> {
         let children = || self.members.iter().filter_map(|member| member.child.as_ref());
         children().for_each(|child| signal(child, Signal::TERM));
-        let deadline = Instant::now() + END_GRACE;
-        for child in self.members.iter_mut().filter_map(|member| member.child.as_mut()) {
-            while matches!(child.try_wait(), Ok(None)) && Instant::now() < deadline {
+        let (asked, mut lost) = (Instant::now(), None);
+        for member in &mut self.members {
+            let grace = if member.row.role == Role::Record { RECORDER_END_GRACE } else { END_GRACE };
+            let name = member.name();
+            let Some(child) = member.child.as_mut() else { continue };
+            while matches!(child.try_wait(), Ok(None)) && asked.elapsed() < grace {
                 std::thread::sleep(Duration::from_millis(5));
+            }
+            if matches!(child.try_wait(), Ok(None)) {
+                let text = format!("the {name} had not ended after {} s and was killed", grace.as_secs());
+                tracing::warn!("{text}");
+                if member.row.role == Role::Record {
+                    lost = Some(format!("{text}: the end of the recording is missing"));
+                }
             }
             let _ = child.kill();
             let _ = child.wait();
         }
         self.run.domain.remove();
+        lost
     }
 }
 

@@ -11,6 +11,10 @@ const RANGES_BYTES_MAX: usize = 8 << 30;
 /// Most messages of all robots.
 const MESSAGES_MAX: usize = 50_000_000;
 
+/// Odometry up to which a robot is where it began, metres and radians.
+const AT_START_M: f64 = 0.05;
+const AT_START_RAD: f64 = 0.05;
+
 /// A scan without the unused part of its ranges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedScan {
@@ -166,6 +170,19 @@ impl FleetRecording {
             robot.messages.sort_by_key(|(at, message)| (*at, matches!(message, SensorMessage::Scan(_))));
         }
         self.clock.sort();
+    }
+
+    /// Returns whether it begins after the robots: one of them has driven by its first odometry, which begins at zero.
+    pub fn begins_midway(&self) -> bool {
+        let first = |robot: &RobotRecording| {
+            robot.messages.iter().find_map(|(_, message)| match message {
+                SensorMessage::Odometry(odometry) => Some(odometry.odom_from_base),
+                SensorMessage::Scan(_) => None,
+            })
+        };
+        let has_driven =
+            |pose: Pose2| pose.x_m.hypot(pose.y_m) > AT_START_M || pose.yaw_rad.abs() > AT_START_RAD;
+        self.robots.iter().filter_map(first).any(has_driven)
     }
 
     /// Returns whether a robot has scans.

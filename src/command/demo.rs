@@ -10,7 +10,8 @@ use crate::watchdog::{Finding, Watchdog};
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{self, Read};
 use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Longest time that the operator may take to print its report after SIGTERM.
@@ -31,6 +32,10 @@ pub struct OperatorProcess {
     watchdog: Watchdog,
     /// The fleet that it drives, from its first start on.
     run: Option<Run>,
+    /// What the child prints: read while it runs, so that it never waits for this process.
+    printed: Option<JoinHandle<Option<serde_json::Value>>>,
+    /// How often it died or was replaced.
+    deaths: u32,
     /// Report of an operator whose tour is over.
     report: Option<serde_json::Value>,
     is_done: bool,
@@ -47,6 +52,8 @@ impl OperatorProcess {
             policy: RestartPolicy::new(now()),
             watchdog: new_watchdog(),
             run: None,
+            printed: None,
+            deaths: 0,
             report: None,
             is_done: false,
         }
@@ -55,6 +62,11 @@ impl OperatorProcess {
     /// Makes it connect to a proxy's port instead of the bridge's, from its next start on.
     pub fn set_port(&mut self, port: u16) {
         self.port = Some(port);
+    }
+
+    /// Returns how often the operator died or was replaced: its report is that of the last one alone.
+    pub fn deaths(&self) -> u32 {
+        self.deaths
     }
 
     fn start(&mut self) -> io::Result<()> {
@@ -74,7 +86,9 @@ impl OperatorProcess {
         }
         close_descriptors_on_exec()?;
         // A process group of its own: Ctrl-C reaches the launcher alone, which then asks for the report.
-        self.child = Some(command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0).spawn()?);
+        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).process_group(0).spawn()?;
+        self.printed = child.stdout.take().map(|out| std::thread::spawn(move || read_report(out)));
+        self.child = Some(child);
         self.policy.on_started(now());
         self.watchdog = new_watchdog();
         Ok(())
@@ -83,7 +97,8 @@ impl OperatorProcess {
     /// Handles the end of the process, if it ended.
     fn notice_end(&mut self, tell: &mut dyn FnMut(String)) {
         let Some(Ok(Some(status))) = self.child.as_mut().map(Child::try_wait) else { return };
-        let report = self.child.take().and_then(read_report);
+        self.child = None;
+        let report = self.take_report();
         if status.success() {
             (self.report, self.is_done) = (report, true);
             return;
@@ -92,7 +107,13 @@ impl OperatorProcess {
         self.record_death(tell);
     }
 
+    /// Waits until an operator that has ended is read to its end; returns its report.
+    fn take_report(&mut self) -> Option<serde_json::Value> {
+        self.printed.take()?.join().ok()?
+    }
+
     fn record_death(&mut self, tell: &mut dyn FnMut(String)) {
+        self.deaths += 1;
         if self.policy.on_death(now()) == State::Held {
             tell(format!("the operator died {DEATHS_MAX} times in a row and is not started again"));
         }
@@ -114,10 +135,10 @@ fn new_watchdog() -> Watchdog {
     Watchdog::new(SILENCE_MAX, SILENCE_MAX, now())
 }
 
-/// Reads what an ended operator printed.
-fn read_report(mut child: Child) -> Option<serde_json::Value> {
+/// Reads what an operator prints until it ends.
+fn read_report(mut from: ChildStdout) -> Option<serde_json::Value> {
     let mut report = String::new();
-    child.stdout.take()?.read_to_string(&mut report).ok()?;
+    from.read_to_string(&mut report).ok()?;
     serde_json::from_str(&report).ok()
 }
 
@@ -153,6 +174,6 @@ impl FleetHooks for OperatorProcess {
         }
         let _ = child.kill();
         let _ = child.wait();
-        read_report(child)
+        self.take_report()
     }
 }

@@ -3,7 +3,9 @@
 //! Two threads as in the live process: this one runs the front end, the other one the back end. Unlike the live
 //! process, the front end waits when the back end is far behind: a log has time.
 
+mod error;
 mod fleet;
+mod options;
 mod player;
 mod player_services;
 mod recorded_fleet;
@@ -12,16 +14,17 @@ mod serve;
 mod summary;
 mod trajectory;
 
+pub use error::ReplayError;
 pub use fleet::Starts;
 pub use summary::{Percentiles, Summary};
 
 use super::output;
 use crate::config::Mode;
-use crate::config::{ConfigError, FleetConfig, recorded_log_slam};
-use crate::session_file::{self, SessionFileError};
+use crate::config::{FleetConfig, recorded_log_slam};
+use crate::session_file;
 use crate::sessions::TOLD_SIGMA;
 use formats::carmen::LaserLine;
-use formats::map_file::{MapFileError, write_doubted_map};
+use formats::map_file::write_doubted_map;
 use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use records::{BagArgs, Log, is_recording};
@@ -97,91 +100,6 @@ pub struct ReplayArgs {
     pub serving: serve::ServeArgs,
 }
 
-/// Reason why a replay ended without a result.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// A log cannot be read.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
-    /// A result cannot be written.
-    #[error("cannot write {path}: {source}")]
-    Write {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
-    /// The map cannot be written.
-    #[error(transparent)]
-    Map(#[from] MapFileError),
-    /// A log has no scan.
-    #[error(
-        "{path} has no usable scan: expected FLASER or ROBOTLASER1 lines ({skipped} other lines, {malformed} malformed)"
-    )]
-    NoScan {
-        /// Path of the file.
-        path: PathBuf,
-        /// Number of lines of other kinds.
-        skipped: u64,
-        /// Number of malformed lines.
-        malformed: u64,
-    },
-    /// A recording has not what is needed.
-    #[error("{path}: {why}")]
-    Bag {
-        /// Path of the file.
-        path: PathBuf,
-        /// What is missing.
-        why: recording::bag::BagError,
-    },
-    /// Only a fleet's own recording is played for clients.
-    #[error(
-        "--serve plays the recording of a simulated fleet, as `mr-slam record` and `--record` write it, without --merge \
-         and names of topics; leave --serve out for other logs"
-    )]
-    NotServed,
-    /// A fleet's recording cannot be replayed.
-    #[error("cannot replay the fleet: {0}")]
-    Replay(String),
-    /// A session cannot be read or written.
-    #[error(transparent)]
-    Session(#[from] SessionFileError),
-    /// A map file has no pose graph that could grow.
-    #[error(
-        "--session {0} is a map file, which has no pose graph; expected --mode localize, or a session file"
-    )]
-    MapOnly(PathBuf),
-    /// `--fov-deg` is out of range.
-    #[error("--fov-deg is {0}; expected 1 to 360 degrees")]
-    FieldOfView(f64),
-    /// Several logs without `--merge`, or too many.
-    #[error("{0} logs: expected one, or 2 to {max} with --merge", max = msg::ROBOTS_MAX)]
-    Logs(usize),
-    /// A line of the file with the starts is malformed.
-    #[error(
-        "{path}:{line}: `{found}`: expected `index time x y theta`, a robot of the fleet and finite numbers"
-    )]
-    Starts {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line number, from 1.
-        line: usize,
-        /// Text of the line.
-        found: String,
-    },
-    /// The fleet file is refused.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The summary cannot be written to standard output.
-    #[error("cannot print the summary: {0}")]
-    Print(#[from] std::io::Error),
-}
-
 /// Replays the logs, writes the requested files and prints the summary.
 pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     if let Some(fov) = args.fov_deg.filter(|fov| !(1.0..=360.0).contains(fov)) {
@@ -193,6 +111,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
         && !args.bag.are_given()
         && let Some(config) = recorded_fleet::configuration(&args.logs[0])?
     {
+        options::refuse(options::OF_FLEET, args, "the replay of a fleet's recording")?;
         return recorded_fleet::run(args, &config);
     }
     if args.serving.serve {
@@ -207,6 +126,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     let log = match (args.logs.as_slice(), &args.merge) {
         ([log], None) => log,
         (logs, Some(starts)) if (2..=msg::ROBOTS_MAX).contains(&logs.len()) => {
+            options::refuse(options::OF_MERGED_LOGS, args, "the replay of several logs")?;
             return fleet::run(args, starts, &config, &merging);
         }
         (logs, _) => return Err(ReplayError::Logs(logs.len())),

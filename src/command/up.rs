@@ -270,8 +270,9 @@ fn run_created(
     check_resources(run, &mut screen)?;
     let mut supervisor = Supervisor::start(run, listener)?;
     let result = watch(run, args.seconds, &mut supervisor, hooks, &mut screen, stop);
-    supervisor.end();
-    let report = result?;
+    let lost = supervisor.end();
+    let mut report = result?;
+    report.not_written.extend(lost);
     let written = report.write(&run.dir);
     screen.end(&report);
     let mut missing = report.not_written.clone();

@@ -100,7 +100,9 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let heartbeat = Heartbeat::new(&node, run, Role::Record, None)?;
     let mut process = RecorderProcess { recording, heartbeat };
     serve(&mut process, run.progress(Role::Record, None, WatchedThread::Main), &|| stop.requested());
-    let summary = process.recording.finish();
+    let mut summary = process.recording.finish();
+    // The folder may have held another run before.
+    summary.earlier.retain(|path| !description::is_of_another_run(path, run));
     files::write_summary(&folder.join(STEM).with_extension("json"), &summary)?;
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! Recordings in lockstep: recording changes nothing, and a replay gives the same maps.
 
+use crate::harness::{Folder, mr_slam, output_of};
 use bridge::ros::{self, Bool, Empty, Int32, PoseWithCovarianceStamped, Text};
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
@@ -201,4 +202,45 @@ fn each_command_in_a_recording_says_who_sent_it() {
         (requests.len(), &requests[0]["request"], &requests[0]["sender"]),
         (1, &"pose".into(), &sender.into())
     );
+}
+
+/// Records some seconds of a fleet that has driven for so many ticks.
+fn record_from(path: &Path, seed: u64, tick: usize) {
+    let mut config = config();
+    config.fleet.seed = seed;
+    let mut fleet = Lockstep::new(&config, true).unwrap();
+    for _ in 0..tick {
+        fleet.tick(&mut |_, _| {});
+    }
+    let files = RecordingFiles::new(path, &config.recording);
+    let mut recording = fleet.record(Box::new(DirectOutput::new(files))).unwrap();
+    for _ in 0..300 {
+        fleet.tick(&mut |_, _| {});
+        recording.step();
+    }
+    assert_eq!(recording.finish().ended, None);
+}
+
+#[test]
+fn what_a_replay_cannot_do_is_refused_or_said() {
+    let folder = Folder::new();
+    let [whole, midway, other] =
+        ["whole", "midway", "other"].map(|name| folder.path().join(name).with_extension("mcap"));
+    record_from(&whole, 1, 0);
+    record_from(&midway, 1, 900);
+    record_from(&other, 2, 0);
+    let replay = |args: &[&std::ffi::OsStr]| {
+        let ended = output_of(mr_slam().arg("replay").args(args));
+        (ended.status.success(), String::from_utf8_lossy(&ended.stderr).into_owned())
+    };
+    let unknown = "where their maps begin is unknown";
+    let (is_done, said) = replay(&[whole.as_os_str()]);
+    assert!(is_done && !said.contains(unknown), "{said}");
+    let (is_done, said) = replay(&[midway.as_os_str()]);
+    assert!(is_done && said.contains(unknown), "{said}");
+    let (is_done, said) = replay(&[whole.as_os_str(), other.as_os_str()]);
+    assert!(!is_done && said.contains("other.mcap is of another run"), "{said}");
+    let (is_done, said) =
+        replay(&[whole.as_os_str(), "--no-closures".as_ref(), "--skip".as_ref(), "3".as_ref()]);
+    assert!(!is_done && said.contains("--no-closures, --skip: without effect"), "{said}");
 }

@@ -19,7 +19,7 @@ use std::path::PathBuf;
 /// Runs a session in real time, as `mr-slam demo` does.
 ///
 /// # Errors
-/// The fleet did not come up, or its merged map cannot be read.
+/// The fleet did not come up, the session or its operator ended early, or its merged map cannot be read.
 pub fn run(
     experiment: &Experiment,
     config: &FleetConfig,
@@ -47,6 +47,17 @@ pub fn run(
         people.robots = Some(fleet::headset_robots(config)?);
     }
     let mut report = up::run(&session, &mut people, stop)?;
+    // Its figures would be those of a part of the session.
+    if people.operator.deaths() > 0 {
+        let deaths = people.operator.deaths();
+        return Err(format!(
+            "the operator died or was replaced {deaths} times; see the events in report.json"
+        )
+        .into());
+    }
+    if report.seconds < f64::from(experiment.args.seconds) && !stop.requested() {
+        return Err(format!("it ended after {:.0} s of {} s", report.seconds, experiment.args.seconds).into());
+    }
     let is_merged = |map: &&PathBuf| map.file_name().is_some_and(|name| name == MERGED_MAP);
     if let (Some(view), Some(map)) = (&mut report.fleet, report.maps.iter().find(is_merged)) {
         room::compare(view, formats::map_file::read_map(&map.with_extension("yaml"))?.view(), config)?;

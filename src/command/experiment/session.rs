@@ -72,7 +72,7 @@ impl Session {
     /// Reads the session of a folder; `None`: it has none that was run to its end.
     ///
     /// # Errors
-    /// The file cannot be read, or the session had other settings.
+    /// The file cannot be read, or the session had other settings or figures.
     pub fn read(folder: &Path, number: u32, settings: &Settings) -> Result<Option<Self>, Error> {
         let path = folder.join(FILE);
         if !path.exists() {
@@ -84,6 +84,9 @@ impl Session {
         let session: Self = serde_json::from_str(&text).map_err(|why| named(why.to_string()))?;
         if session.settings != *settings {
             return Err(named("a session with other settings".into()).into());
+        }
+        if !summary::has_all_figures(&session.figures) {
+            return Err(named("a session of a program whose figures are others".into()).into());
         }
         Ok(Some(Self { number, ..session }))
     }

@@ -77,6 +77,8 @@ pub struct Results {
 type Figure = fn(&Paper, &FleetView) -> Option<f64>;
 
 /// Rows of the table: name, digits, value of the paper, figure. Percentages are in percent.
+///
+/// A figure whose definition changes gets another name: figures of before are then not taken for it.
 const FIGURES: &[(&str, usize, Option<f64>, Figure)] = &[
     ("duration, s", 0, None, |paper, _| Some(paper.duration_s)),
     ("scan rate, mean of the slowest robot, Hz", 2, Some(8.83), |paper, _| paper.scan_hz),
@@ -84,7 +86,7 @@ const FIGURES: &[(&str, usize, Option<f64>, Figure)] = &[
     ("merged map, known area, m²", 1, None, |paper, _| paper.merged_m2),
     ("merged map, known share of its cells, %", 1, None, |paper, _| paper.merged_fraction.map(percent)),
     ("robots' maps, known share of their cells, %", 1, None, |paper, _| paper.coverage.map(percent)),
-    ("merged map, known of what can be known, %", 2, None, |_, fleet| fleet.room_coverage.map(percent)),
+    ("merged map, known share, walls within a cell, %", 2, None, |_, fleet| fleet.room_coverage.map(percent)),
     ("consistency, %", 1, Some(94.7), |paper, _| paper.consistency.map(percent)),
     ("consistency by chance, %", 1, None, |_, fleet| fleet.null_consistency_mean.map(percent)),
     ("occupied F1 of pairs, %", 1, None, |_, fleet| fleet.occupied_f1.map(percent)),
@@ -114,6 +116,11 @@ pub fn figures(report: &Report) -> BTreeMap<String, Option<f64>> {
     FIGURES.iter().map(|(name, _, _, figure)| ((*name).to_owned(), value(*figure))).collect()
 }
 
+/// Returns whether figures have the names that this program gives them.
+pub fn has_all_figures(figures: &BTreeMap<String, Option<f64>>) -> bool {
+    figures.len() == FIGURES.len() && FIGURES.iter().all(|(name, ..)| figures.contains_key(*name))
+}
+
 fn percent(share: f64) -> f64 {
     100.0 * share
 }
@@ -137,7 +144,10 @@ impl Quantity {
     /// Returns mean and deviation as text.
     fn ours(&self) -> String {
         let mean = self.format(self.mean, "no data");
-        self.deviation.map_or(mean.clone(), |deviation| format!("{mean} ± {deviation:.*}", self.digits))
+        let text =
+            self.deviation.map_or(mean.clone(), |deviation| format!("{mean} ± {deviation:.*}", self.digits));
+        let (known, all) = (self.sessions.iter().flatten().count(), self.sessions.len());
+        if known == 0 || known == all { text } else { format!("{text} ({known} of {all})") }
     }
 }
 
@@ -339,7 +349,7 @@ mod tests {
         let quantity =
             Quantity::new("rate, Hz", 2, Some(8.83), vec![Some(9.0), None, Some(10.0), Some(11.0)]);
         assert_eq!((quantity.mean, quantity.deviation), (Some(10.0), Some(1.0)));
-        assert_eq!(quantity.ours(), "10.00 ± 1.00");
+        assert_eq!(quantity.ours(), "10.00 ± 1.00 (3 of 4)");
         let missing = Quantity::new("jitter, ms", 3, Some(6.3), vec![None, None]);
         assert_eq!(missing.ours(), "no data", "and not 0.000 beside the paper's 6.3");
         assert_eq!(Quantity::new("one", 1, None, vec![Some(2.0)]).ours(), "2.0");

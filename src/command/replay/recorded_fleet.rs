@@ -4,7 +4,7 @@ use super::{ReplayArgs, ReplayError, player, serve};
 use crate::command::output;
 use crate::config::FleetConfig;
 use crate::lockstep::Lockstep;
-use crate::process::record::description::CONFIGURATION;
+use crate::process::record::description::{CONFIGURATION, EPOCH};
 use crate::process::record::{PLANAR_ODOMETRY, map_hash};
 use crate::stop::Stop;
 use msg::Scan;
@@ -43,6 +43,7 @@ fn bag_error(path: &Path, why: recording::ReadError) -> ReplayError {
 pub fn run(args: &ReplayArgs, config: &FleetConfig) -> Result<(), ReplayError> {
     let begun = Instant::now();
     let recording = read(&args.logs, config)?;
+    let config = &with_known_starts(config, &recording);
     let (ends, malformed) = (recording.ends, recording.malformed + recording.left_out);
     if args.serving.serve {
         let stop = Stop::on_signals().map_err(|why| ReplayError::Replay(why.to_string()))?;
@@ -92,13 +93,41 @@ fn finish(
     Ok(output::print_either(args.json, &summary, text)?)
 }
 
+/// Returns the configuration, without the robots' starts if the recording begins after them: each robot's map then begins where
+/// the recording does, and nobody knows where that is.
+fn with_known_starts(config: &FleetConfig, recording: &FleetRecording) -> FleetConfig {
+    let mut config = config.clone();
+    if config.fleet.starts_known && recording.begins_midway() {
+        config.fleet.starts_known = false;
+        output::note(
+            "the recording begins when the robots have driven already: where their maps begin is unknown, so that maps are merged \
+             by what they show, and `map` is one of them",
+        );
+    }
+    config
+}
+
+/// Returns what says of which run a file is: when the run began, and its configuration.
+fn run_of(reader: &RecordingReader<BufReader<File>>) -> [Option<String>; 2] {
+    let metadata = reader.metadata(METADATA);
+    [EPOCH, CONFIGURATION].map(|key| metadata.and_then(|metadata| metadata.get(key)).cloned())
+}
+
 fn read(paths: &[PathBuf], config: &FleetConfig) -> Result<FleetRecording, ReplayError> {
+    let mut first: Option<[Option<String>; 2]> = None;
     let scan: Box<Scan> = bytemuck::allocation::zeroed_box();
     let mut recording = FleetRecording::new(&config.robot_names(), PLANAR_ODOMETRY, scan);
     for path in paths {
         let mut reader = open(path)?;
         while let Some(message) = reader.next_message().map_err(|why| bag_error(path, why))? {
             recording.add(&message);
+        }
+        let (run, path_of_first) = (run_of(&reader), paths[0].display());
+        if *first.get_or_insert_with(|| run.clone()) != run {
+            let path = path.display();
+            return Err(ReplayError::Replay(format!(
+                "{path} is of another run than {path_of_first}: expected the files of one recording"
+            )));
         }
         if let Some(why) = reader.broken() {
             output::note(&format!("{}: {why}; used up to there", path.display()));

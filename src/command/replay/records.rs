@@ -49,7 +49,7 @@ pub fn is_recording(path: &Path) -> bool {
 pub enum Log {
     /// Text of a CARMEN log.
     Carmen(Vec<u8>),
-    /// Scans of a recording, and the number of messages that were left out.
+    /// Scans of a recording, and the number of malformed messages.
     Scans(Vec<LaserLine>, u64),
 }
 
@@ -75,9 +75,22 @@ impl Log {
         if let Some(why) = &bag.broken {
             output::note(&format!("{}: {why}; used up to there", path.display()));
         }
+        if bag.without_odometry > 0 {
+            let (path, count) = (path.display(), bag.without_odometry);
+            output::note(&format!(
+                "{path}: {count} scans have no odometry within 0.5 s and are left out; do both have one clock?"
+            ));
+        }
+        if bag.scans.is_empty() {
+            return Err(ReplayError::NoScanOfBag {
+                path: path.to_owned(),
+                malformed: bag.malformed,
+                without_odometry: bag.without_odometry,
+            });
+        }
         let base_from_scan = bag.base_from_scan;
         let lines = bag.scans.into_iter().map(|scan| laser_line(scan, base_from_scan)).collect();
-        Ok(Self::Scans(lines, bag.malformed + bag.without_odometry))
+        Ok(Self::Scans(lines, bag.malformed))
     }
 
     /// Returns the scans.

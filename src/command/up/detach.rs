@@ -37,7 +37,8 @@ pub(super) fn start(dir: &Path) -> Result<(), UpError> {
     let begun = Instant::now();
     loop {
         match Run::open_running(&dir) {
-            Ok(run) if run.pid == child.id() => {
+            // The supervisor creates the file before it starts the processes, after all checks.
+            Ok(run) if run.pid == child.id() && run.domain.progress_file().exists() => {
                 let text = format!(
                     "fleet of {} robots in the background, process {}; headsets connect to port {}\n\
                      folder {}, log {}\nend it, with maps and report: kill {}\n",

@@ -193,7 +193,7 @@ impl Report {
         events: Events,
     ) -> Self {
         // A file that cannot be read is no lack of answers.
-        let (nasa_tlx, not_written) = match nasa_tlx::read(&run.dir) {
+        let (nasa_tlx, not_written) = match nasa_tlx::read(&run.dir, run.begun) {
             Ok(entries) => (entries, Vec::new()),
             Err(why) => (Vec::new(), vec![format!("answers about workload: {why}")]),
         };

@@ -11,6 +11,9 @@ struct RobotScans {
     newest: u64,
     /// Scans between the first and the newest statistics.
     total: u64,
+    /// Lost scans by the newest statistics, and before its counts began anew.
+    lost: u64,
+    lost_before: u64,
 }
 
 /// Scans of all robots since the first statistics. A restart of SLAM or of telemetry begins its count at 0 again.
@@ -22,17 +25,27 @@ impl ScanRates {
     pub fn add(&mut self, fleet: &FleetView) {
         self.0.resize(fleet.robots.len(), None);
         for (scans, robot) in self.0.iter_mut().zip(&fleet.robots) {
-            let now =
-                RobotScans { first_s: fleet.time_s, newest_s: fleet.time_s, newest: robot.scans, total: 0 };
-            let scans = scans.get_or_insert(now);
+            let scans = scans.get_or_insert(RobotScans {
+                first_s: fleet.time_s,
+                newest_s: fleet.time_s,
+                newest: robot.scans,
+                total: 0,
+                lost: robot.scans_lost,
+                lost_before: 0,
+            });
+            if robot.scans_lost < scans.lost {
+                scans.lost_before += scans.lost;
+            }
+            scans.lost = robot.scans_lost;
             scans.total += robot.scans.checked_sub(scans.newest).unwrap_or(robot.scans);
             (scans.newest, scans.newest_s) = (robot.scans, fleet.time_s);
         }
     }
 
-    /// Fills in each robot's mean rate, Hz. It stays unknown until there are two statistics.
+    /// Fills in each robot's mean rate, Hz, and all its lost scans. The rate stays unknown until there are two statistics.
     pub fn fill(&self, fleet: &mut FleetView) {
         for (scans, robot) in self.0.iter().zip(&mut fleet.robots) {
+            robot.scans_lost += scans.map_or(0, |scans| scans.lost_before);
             robot.scan_hz = scans.and_then(|scans| {
                 let span_s = scans.newest_s - scans.first_s;
                 (span_s > 0.0).then(|| scans.total as f64 / span_s)
@@ -68,6 +81,19 @@ mod tests {
         // Ten seconds at 10 Hz, ten without a scan, one second at 10 Hz.
         assert_eq!(mean(&[(1.0, 10), (11.0, 110), (21.0, 110), (22.0, 120)]), Some(110.0 / 21.0));
         assert_eq!(mean(&[(1.0, 10)]), None);
+    }
+
+    #[test]
+    fn lost_scans_are_counted_over_restarts_of_telemetry() {
+        let mut rates = ScanRates::default();
+        let mut fleet = view(0.0, 0);
+        for (seconds, lost) in [(1.0, 3), (2.0, 5), (3.0, 0), (4.0, 1)] {
+            fleet = view(seconds, 10);
+            fleet.robots[0].scans_lost = lost;
+            rates.add(&fleet);
+        }
+        rates.fill(&mut fleet);
+        assert_eq!(fleet.robots[0].scans_lost, 6);
     }
 
     #[test]

@@ -1,7 +1,11 @@
 //! What a recording is of: the metadata at the beginning of each file.
 
 use crate::run::Run;
+use recording::{METADATA, RecordingReader};
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
 
 /// Key of the fleet's configuration as TOML.
 pub const CONFIGURATION: &str = "configuration";
@@ -21,6 +25,16 @@ pub fn of_run(run: &Run) -> BTreeMap<String, String> {
         (EPOCH, run.epoch.monotonic_ns.to_string()),
     ];
     entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
+}
+
+/// Returns whether a file says that it is of another run; one that cannot be read does not.
+pub fn is_of_another_run(path: &Path, run: &Run) -> bool {
+    let Ok(file) = File::open(path) else { return false };
+    let mut reader = RecordingReader::new(BufReader::new(file));
+    // The description comes before the first message.
+    let _ = reader.next_message();
+    let epoch = reader.metadata(METADATA).and_then(|metadata| metadata.get(EPOCH));
+    epoch.is_some_and(|epoch| *epoch != run.epoch.monotonic_ns.to_string())
 }
 
 /// Returns processor, number of cores, kernel and memory of this machine.

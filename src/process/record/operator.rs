@@ -55,7 +55,7 @@ fn watch(run: &Run, stop: &Stop, to_recorder: &SyncSender<OperatorChange>) {
             }
         }
         // A file that cannot be read is looked at again.
-        let entries = nasa_tlx::read(&run.dir).unwrap_or_default();
+        let entries = nasa_tlx::read(&run.dir, run.begun).unwrap_or_default();
         if entries.len() > answers {
             answers = entries.len();
             if to_recorder.send(OperatorChange::Workload(entries)).is_err() {

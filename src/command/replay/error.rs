@@ -1,0 +1,112 @@
+//! Reasons why a replay ends without a result.
+
+use crate::config::ConfigError;
+use crate::session_file::SessionFileError;
+use formats::map_file::MapFileError;
+use std::path::PathBuf;
+
+/// Reason why a replay ended without a result.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// A log cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// A result cannot be written.
+    #[error("cannot write {path}: {source}")]
+    Write {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// The map cannot be written.
+    #[error(transparent)]
+    Map(#[from] MapFileError),
+    /// A log has no scan.
+    #[error(
+        "{path} has no usable scan: expected FLASER or ROBOTLASER1 lines ({skipped} other lines, {malformed} malformed)"
+    )]
+    NoScan {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of lines of other kinds.
+        skipped: u64,
+        /// Number of malformed lines.
+        malformed: u64,
+    },
+    /// A recording has no scan that can be used.
+    #[error(
+        "{path} has no usable scan: {malformed} are malformed, {without_odometry} have no odometry within 0.5 s; see --odom-topic, \
+         --odom-frame and --no-odometry"
+    )]
+    NoScanOfBag {
+        /// Path of the file.
+        path: PathBuf,
+        /// Number of malformed messages.
+        malformed: u64,
+        /// Number of scans far from all odometry.
+        without_odometry: u64,
+    },
+    /// A recording has not what is needed.
+    #[error("{path}: {why}")]
+    Bag {
+        /// Path of the file.
+        path: PathBuf,
+        /// What is missing.
+        why: recording::bag::BagError,
+    },
+    /// Only a fleet's own recording is played for clients.
+    #[error(
+        "--serve plays the recording of a simulated fleet, as `mr-slam record` and `--record` write it, without --merge \
+         and names of topics; leave --serve out for other logs"
+    )]
+    NotServed,
+    /// Options that would do nothing.
+    #[error("{options}: without effect on {replay}; leave out what is named")]
+    WithoutEffect {
+        /// The options.
+        options: String,
+        /// What is replayed.
+        replay: &'static str,
+    },
+    /// A fleet's recording cannot be replayed.
+    #[error("cannot replay the fleet: {0}")]
+    Replay(String),
+    /// A session cannot be read or written.
+    #[error(transparent)]
+    Session(#[from] SessionFileError),
+    /// A map file has no pose graph that could grow.
+    #[error(
+        "--session {0} is a map file, which has no pose graph; expected --mode localize, or a session file"
+    )]
+    MapOnly(PathBuf),
+    /// `--fov-deg` is out of range.
+    #[error("--fov-deg is {0}; expected 1 to 360 degrees")]
+    FieldOfView(f64),
+    /// Several logs without `--merge`, or too many.
+    #[error("{0} logs: expected one, or 2 to {max} with --merge", max = msg::ROBOTS_MAX)]
+    Logs(usize),
+    /// A line of the file with the starts is malformed.
+    #[error(
+        "{path}:{line}: `{found}`: expected `index time x y theta`, a robot of the fleet and finite numbers"
+    )]
+    Starts {
+        /// Path of the file.
+        path: PathBuf,
+        /// Line number, from 1.
+        line: usize,
+        /// Text of the line.
+        found: String,
+    },
+    /// The fleet file is refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The summary cannot be written to standard output.
+    #[error("cannot print the summary: {0}")]
+    Print(#[from] std::io::Error),
+}
