@@ -118,6 +118,45 @@ test("an alarm that is acknowledged is hidden until it comes again, and leads to
   assert.deepEqual(errors, []);
 });
 
+test("a goal and a zone are set by keyboard alone, and the arrows drive nothing meanwhile", async () => {
+  const { page, errors } = await open(browser);
+  await page.keyboard.press("Digit1");
+  await waitForText(page, "#target", "1 ·");
+  const hasFocus = () => page.evaluate(() => document.activeElement.id);
+  // As a person finds it who has no pointer: the button, then the map.
+  await page.focus("#goal");
+  await page.keyboard.press("Enter");
+  assert.equal(await hasFocus(), "view");
+  // The robot is where the cursor is sent to: its goal is reached at once, wherever it stands.
+  await page.evaluate(() => {
+    const { fleet } = mixedReality.operator;
+    const { x, y } = fleet.robots.get(1).pose;
+    mapView.cursor.at = { x, y: y + 0.1 };
+  });
+  for (const key of ["ArrowDown", "Enter", "Enter"]) await page.keyboard.press(key);
+  await page.waitForFunction(() => mixedReality.operator.fleet.robots.get(1).sentGoal?.isAccepted, null, WAIT);
+  assert.equal(await page.textContent("#velocity"), "0.00 m/s, 0.0 rad/s");
+  assert.equal(await page.getAttribute("#goal", "aria-pressed"), "false");
+
+  await page.keyboard.press("KeyZ");
+  await page.evaluate(() => { mapView.cursor.at = { x: 40, y: 40 }; });
+  await page.keyboard.press("Enter");
+  await page.keyboard.press("Shift+ArrowRight");
+  await page.keyboard.press("Shift+ArrowUp");
+  await waitForText(page, "#hint", "41.0 m, 41.0 m: arrows draw");
+  await page.screenshot({ path: `${out}/page-cursor.png` });
+  await page.keyboard.press("Enter");
+  const zones = () => page.evaluate(() => mixedReality.operator.fleet.zones.length);
+  await page.waitForFunction(() => mixedReality.operator.fleet.zones.length === 1, null, WAIT);
+  // Enter twice at one place removes the zone there.
+  await page.evaluate(() => { mapView.cursor.at = { x: 40.5, y: 40.5 }; });
+  await page.keyboard.press("Enter");
+  await page.keyboard.press("Enter");
+  await page.waitForFunction(() => mixedReality.operator.fleet.zones.length === 0, null, WAIT);
+  assert.equal(await zones(), 0);
+  assert.deepEqual(errors, []);
+});
+
 test("the attention list keeps its buttons and the focus while its numbers change", async () => {
   const { page } = await open(browser);
   const kept = await page.evaluate(async () => {

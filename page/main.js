@@ -4,6 +4,8 @@ import { GoalTool, hasGoal, headingOf } from "./goals.js";
 import { Driver, gamepadDeflection, isDriveKey, keyDeflection, stickDeflection } from "./input.js";
 import { EdgePanel, writeEdgeCommand } from "./edges.js";
 import { describeExploration, isExploring } from "./exploration.js";
+import { MapCursor } from "./map_cursor.js";
+import { MapTools } from "./map_tools.js";
 import { MeasureTool } from "./measure.js";
 import { ZoneTool } from "./zones.js";
 import { readGrid, writeBool, writeEmpty, writeInt, writeTwist } from "./messages.js";
@@ -255,42 +257,41 @@ function takeOver() {
 
 element("take-over").addEventListener("click", takeOver);
 
-// --- Goals ---
+// --- Tools on the map ---
 
 const goals = new GoalTool({
   frame: MAP,
   publish: send,
   robot: () => (selected === null ? null : fleet.robots.get(selected) ?? null),
   log: logMessage,
-  show: (isOn) => {
-    if (isOn) measure.toggle(false);
-    if (isOn) zones.toggle(false);
-    element("goal").setAttribute("aria-pressed", String(isOn));
-    element("view").classList.toggle("aiming", isOn);
-  },
+  show: (isOn) => showTool("goal", goals, isOn),
 });
+const measure = new MeasureTool((isOn) => showTool("measure", measure, isOn));
+const zones = new ZoneTool({ zones: () => fleet.zones, publish: send, show: (isOn) => showTool("zone", zones, isOn) });
+const tools = new MapTools(view.camera, goals, measure, zones);
+const cursor = new MapCursor(tools, (at) => {
+  setFits(false);
+  view.camera.center = { ...at };
+});
+Object.assign(view, { measure, zones, cursor });
 element("goal").addEventListener("click", () => goals.toggle());
-
-const measure = new MeasureTool((isOn) => {
-  if (isOn && goals.isOn) goals.toggle();
-  if (isOn) zones.toggle(false);
-  element("measure").setAttribute("aria-pressed", String(isOn));
-  element("view").classList.toggle("measuring", isOn);
-});
-view.measure = measure;
 element("measure").addEventListener("click", () => measure.toggle());
-const zones = new ZoneTool({
-  zones: () => fleet.zones,
-  publish: send,
-  show: (isOn) => {
-    if (isOn && goals.isOn) goals.toggle();
-    if (isOn) measure.toggle(false);
-    element("zone").setAttribute("aria-pressed", String(isOn));
-    element("view").classList.toggle("measuring", isOn);
-  },
-});
-view.zones = zones;
 element("zone").addEventListener("click", () => zones.toggle());
+
+/** Shows whether a tool is on. With it the map has the keyboard: its arrows move the cursor and drive nothing. @param {string} name @param {unknown} tool @param {boolean} isOn */
+function showTool(name, tool, isOn) {
+  element(name).setAttribute("aria-pressed", String(isOn));
+  cursor.hide();
+  if (isOn) {
+    tools.switchOffAllBut(tool);
+    held.clear();
+    view.canvas.focus({ preventScroll: true });
+  }
+  view.canvas.classList.toggle("drawing", tools.isOn);
+}
+
+// --- Goals ---
+
 element("cancel-goal").addEventListener("click", () => goals.command("cancel"));
 element("resume-goal").addEventListener("click", () => goals.command("resume"));
 
@@ -353,6 +354,10 @@ window.addEventListener("keydown", (event) => {
   // With one of these keys, or a menu, a browser may keep the release of another key to itself.
   if (event.ctrlKey || event.metaKey || event.altKey) {
     held.clear();
+    return;
+  }
+  if (document.activeElement === view.canvas && cursor.key(event.code, event.shiftKey)) {
+    event.preventDefault();
     return;
   }
   const digit = /^(?:Digit|Numpad)([1-9])$/.exec(event.code);
@@ -427,7 +432,7 @@ element("follow").addEventListener("click", toggleFollow);
 element("zoom-in").addEventListener("click", () => zoom(1.25));
 element("zoom-out").addEventListener("click", () => zoom(0.8));
 
-attachPointers({ view, fleet, goals, measure, zones, select, zoom, show: showTools });
+attachPointers({ view, fleet, tools, select, zoom, show: showTools });
 
 // --- Drawing ---
 
@@ -444,6 +449,7 @@ function showHint() {
   else if (fleet.isStopped) text = "Emergency stop is set. Release it at the top to drive on.";
   else if (selected === null && fleet.robots.size > 1 && driver.driven === null && (stick || held.size > 0)) text = "Select a robot first.";
   else if (robot?.figures.driver && !robot.figures.is_mine && (stick || [...held].some(isDriveKey))) text = `${robot.figures.driver} drives this robot. Press T to take it over.`;
+  else text = cursor.describe();
   hint.hidden = text === "";
   setText(hint, text);
 }
@@ -460,6 +466,7 @@ function frame() {
   const time = now();
   view.drawnGoal = goals.pose();
   view.draw(fleet, selected, time);
+  fleet.recordDrawn(now());
   if (time >= panelsDue) {
     panelsDue = time + PANEL_MS / 1000;
     panels.update(fleet, selected, time);

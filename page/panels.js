@@ -58,6 +58,7 @@ export const ROBOT_ROWS = [
   ["σ yaw", false, ({ deviation }) => (deviation ? `${(deviation.yaw * 180 / Math.PI).toFixed(2)}°` : "–")],
   ["To pose", false, ({ figures }) => format(figures.scan_to_pose_ms?.[0], 1, " ms")],
   ["To map", false, ({ figures }) => format(figures.scan_to_map_ms?.[0], 0, " ms")],
+  ["To screen", false, (robot) => format(robot.toScreenMs(), 0, " ms")],
   ["Closures", false, ({ figures }) => format(figures.closures)],
   ["Map age", false, ({ figures }) => format(figures.map_age_s, 1, " s")],
   ["Merged", false, ({ figures }) => (figures.is_merged === undefined || figures.is_merged === null ? "–" : figures.is_merged ? "yes" : "no")],

@@ -8,14 +8,12 @@ const CLICK_PX = 6;
  * @param {object} of
  * @param {import("./view.js").View} of.view
  * @param {import("./state.js").Fleet} of.fleet
- * @param {import("./goals.js").GoalTool} of.goals
- * @param {import("./measure.js").MeasureTool} of.measure
- * @param {import("./zones.js").ZoneTool} of.zones
+ * @param {import("./map_tools.js").MapTools} of.tools
  * @param {(robot: number) => void} of.select
  * @param {(factor: number, pixel: {x: number, y: number}) => void} of.zoom
  * @param {() => void} of.show the view has changed
  */
-export function attachPointers({ view, fleet, goals, measure, zones, select, zoom, show }) {
+export function attachPointers({ view, fleet, tools, select, zoom, show }) {
   const { canvas, camera } = view;
   /** Where the pointers are, pixels. @type {Map<number, {x: number, y: number, moved: number}>} */
   const pointers = new Map();
@@ -24,8 +22,7 @@ export function attachPointers({ view, fleet, goals, measure, zones, select, zoo
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, { ...pixelOf(event), moved: 0 });
-    const at = camera.toWorld(pixelOf(event));
-    if (!measure.press(at) && !zones.press(at)) goals.press(at);
+    tools.press(camera.toWorld(pixelOf(event)));
   });
   canvas.addEventListener("pointermove", (event) => {
     const pointer = pointers.get(event.pointerId);
@@ -33,18 +30,9 @@ export function attachPointers({ view, fleet, goals, measure, zones, select, zoo
     const pixel = pixelOf(event);
     const [dx, dy] = [pixel.x - pointer.x, pixel.y - pointer.y];
     const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
-    if (other) {
-      goals.cancelDrawing();
-      measure.release();
-      zones.cancel();
-    }
-    if (measure.isHeld) {
-      measure.move(camera.toWorld(pixel));
-    } else if (zones.isHeld) {
-      zones.move(camera.toWorld(pixel));
-    } else if (goals.drawn) {
-      const start = camera.toScreen(goals.drawn.from);
-      goals.move(camera.toWorld(pixel), Math.hypot(pixel.x - start.x, pixel.y - start.y));
+    if (other) tools.cancel();
+    if (tools.isHeld) {
+      tools.move(camera.toWorld(pixel));
     } else if (other) {
       const before = Math.hypot(pointer.x - other.x, pointer.y - other.y);
       const after = Math.hypot(pixel.x - other.x, pixel.y - other.y);
@@ -60,12 +48,8 @@ export function attachPointers({ view, fleet, goals, measure, zones, select, zoo
   canvas.addEventListener("pointerup", (event) => {
     const pointer = pointers.get(event.pointerId);
     pointers.delete(event.pointerId);
-    if (measure.isHeld) {
-      measure.release();
-    } else if (zones.isHeld) {
-      zones.release();
-    } else if (goals.drawn) {
-      goals.release();
+    if (tools.isHeld) {
+      tools.release();
     } else if (pointer && pointer.moved <= CLICK_PX) {
       const number = view.robotAt(fleet, pointer);
       if (number !== null) select(number);
@@ -73,9 +57,7 @@ export function attachPointers({ view, fleet, goals, measure, zones, select, zoo
   });
   canvas.addEventListener("pointercancel", (event) => {
     pointers.delete(event.pointerId);
-    goals.cancelDrawing();
-    measure.release();
-    zones.cancel();
+    tools.cancel();
   });
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();

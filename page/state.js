@@ -1,11 +1,11 @@
 // What the page knows of the fleet: robots, their frames, scans and figures, the merged map. No drawing, no clock.
 
 import { RunClock } from "./clock.js";
-import { FrameTree, compose } from "./geometry.js";
+import { FrameTree, compose, wrap } from "./geometry.js";
 import { readEdges, robotsOf } from "./edges.js";
 import { readExploration } from "./exploration.js";
 import { readZones } from "./zones.js";
-import { receiveNavigation } from "./goals.js";
+import { hasGoal, receiveNavigation } from "./goals.js";
 import { MergedMap } from "./merged_map.js";
 import { readBool, readGrid, readMapTiles, readOdometryFrames, readPose, readScan, readTransforms } from "./messages.js";
 
@@ -29,6 +29,17 @@ const AREA_MAX = 3600;
 /** A run's time that is behind by more than this is another run's, seconds. */
 const BACKWARD_S = 2;
 
+/** A correction of SLAM or merging that moves a robot by more than this in one step is a jump: metres, radians. Others are centimetres. */
+const JUMP = { m: 0.3, rad: 0.26 };
+/** Time for which a jump is told, seconds. */
+const JUMP_SHOWN_S = 60;
+/** Time from which a robot that stands without a goal and a driver needs attention, seconds. */
+const IDLE_S = 120;
+/** Turn below which a robot stands, radians. */
+const REST_RAD = 0.05;
+/** Scans whose way to the screen is kept. */
+const DRAWN_MAX = 20;
+
 /** One robot. */
 export class Robot {
   /** @param {number} number from 1 @param {string} prefix beginning of its topics' names, such as `/robot1/` */
@@ -51,6 +62,14 @@ export class Robot {
     /** When the robot was there, seconds of the page. @type {number | null} */
     this.poseAt = null;
     this.baseFrame = "";
+    /** Pose of the odometry's frame in the map: what SLAM and merging correct. @type {Pose | null} */
+    this.odometryInMap = null;
+    /** The newest jump of its pose, and how many there were. @type {{m: number, rad: number, at: number, count: number} | null} */
+    this.jump = null;
+    /** Where the robot came to rest, and when, seconds of the page. @type {{pose: Pose, at: number} | null} */
+    this.rest = null;
+    /** The newest scan that was drawn, and how long the newest ones took from the scanner to the screen, ms. @type {{at: number | null, tookMs: number[]}} */
+    this.drawn = { at: null, tookMs: [] };
     /** @type {{x: number, y: number, yaw: number} | null} */
     this.deviation = null;
     /** @type {Point[]} */
@@ -66,6 +85,18 @@ export class Robot {
   /** Returns the age of the newest scan, seconds, or null if there is none. */
   scanAge(/** @type {number} */ now) { return this.scanAt === null ? null : now - this.scanAt; }
   poseAge(/** @type {number} */ now) { return this.poseAt === null ? null : now - this.poseAt; }
+
+  /** Returns the median time from the scanner to the screen, ms, or null if no scan was drawn. */
+  toScreenMs() {
+    const sorted = [...this.drawn.tookMs].sort((a, b) => a - b);
+    return sorted[Math.floor(sorted.length / 2)] ?? null;
+  }
+
+  /** Returns for how long the robot has stood without a goal and a driver, seconds. */
+  idleS(/** @type {number} */ now) {
+    return this.rest && !hasGoal(this) && !this.figures.driver ? now - this.rest.at : 0;
+  }
+
   isStale(/** @type {number} */ now) { return (this.poseAge(now) ?? Infinity) > STALE_S; }
 }
 
@@ -203,14 +234,34 @@ export class Fleet {
   }
 
   updatePose(/** @type {Robot} */ robot, /** @type {number} */ at) {
-    const pose = this.frames.find(MAP, robot.baseFrame);
-    if (!pose) return;
-    robot.pose = pose;
-    robot.poseAt = at;
+    const odometry = this.frames.frames.get(robot.baseFrame);
+    const odometryInMap = odometry ? this.frames.find(MAP, odometry.parent) : null;
+    if (!odometry || !odometryInMap) return;
+    const pose = compose(odometryInMap, odometry.pose);
+    if (robot.odometryInMap) {
+      // Where the robot would be without the newest correction.
+      const before = compose(robot.odometryInMap, odometry.pose);
+      const [m, rad] = [Math.hypot(pose.x - before.x, pose.y - before.y), Math.abs(wrap(pose.yaw - before.yaw))];
+      if (m > JUMP.m || rad > JUMP.rad) robot.jump = { m, rad, at, count: (robot.jump?.count ?? 0) + 1 };
+    }
+    Object.assign(robot, { odometryInMap, pose, poseAt: at });
+    const { rest } = robot;
+    const hasMoved = !rest || Math.hypot(pose.x - rest.pose.x, pose.y - rest.pose.y) > TRAIL_STEP_M || Math.abs(wrap(pose.yaw - rest.pose.yaw)) > REST_RAD;
+    if (hasMoved) robot.rest = { pose, at };
     const last = robot.trail.at(-1);
     if (!last || Math.hypot(pose.x - last.x, pose.y - last.y) >= TRAIL_STEP_M) {
       robot.trail.push({ x: pose.x, y: pose.y });
       if (robot.trail.length > TRAIL_MAX) robot.trail.shift();
+    }
+  }
+
+  /** Records that everything known was drawn: how long the newest scans took from the scanner to the screen. */
+  recordDrawn(/** @type {number} */ now) {
+    for (const { drawn, scanAt } of this.robots.values()) {
+      if (scanAt === null || scanAt === drawn.at) continue;
+      drawn.at = scanAt;
+      drawn.tookMs.push((now - scanAt) * 1000);
+      if (drawn.tookMs.length > DRAWN_MAX) drawn.tookMs.shift();
     }
   }
 
@@ -278,6 +329,10 @@ export class Fleet {
       if (slam === "unreliable") add(2, "unreliable", "its map may be wrong");
       if (slam === "degenerate") add(4, "degenerate", "SLAM is degenerate");
       if (isMapOld === true) add(3, "map", `its part of the map is ${mapAge.toFixed(0)} s old`);
+      const { jump } = robot;
+      if (jump && now - jump.at < JUMP_SHOWN_S) add(3, `jump ${jump.count}`, describeJump(jump));
+      const idleS = robot.idleS(now);
+      if (idleS > IDLE_S && this.figures.is_replay !== true) add(6, "idle", `stands without a goal for ${Math.floor(idleS / 60)} min`);
       if (isMerged === false) add(5, "merge", "its map is not merged");
     }
     for (const edge of this.edges.filter(({ state }) => state === "dropped")) {
@@ -288,4 +343,9 @@ export class Fleet {
     if (this.exploration?.state === "failed") addOfFleet(3, "exploration", `exploration failed: ${this.exploration.reason}`);
     return items.sort((a, b) => a.rank - b.rank || (a.robot ?? 0) - (b.robot ?? 0));
   }
+}
+
+/** @param {{m: number, rad: number}} jump */
+function describeJump({ m, rad }) {
+  return `its pose jumped by ${m.toFixed(1)} m and ${(rad * 180 / Math.PI).toFixed(0)}°: look whether its map fits`;
 }

@@ -42,6 +42,8 @@ export class View {
     this.measure = null;
     /** The areas to keep robots out of. @type {import("./zones.js").ZoneTool | null} */
     this.zones = null;
+    /** The keyboard's cursor on the map. @type {import("./map_cursor.js").MapCursor | null} */
+    this.cursor = null;
   }
 
   /** Takes the canvas's size on the screen. */
@@ -95,6 +97,7 @@ export class View {
     if (this.drawnGoal) drawMark(context, camera, this.drawnGoal, colours.text, true);
     robots.forEach((robot) => this.drawRobot(robot, robot.number === selected, now, colours));
     this.measure?.draw(context, camera, colours);
+    this.cursor?.draw(context, camera, colours);
   }
 
   /** Marks the places that exploration has not reached yet. @param {Fleet} fleet @param {ReturnType<View["colours"]>} colours */

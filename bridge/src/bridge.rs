@@ -375,7 +375,13 @@ impl Bridge {
         self.core.borrow().router.is_blocked(id)
     }
 
-    /// Continues writing for a client whose socket accepts bytes again; returns whether it is blocked still.
+    /// Returns whether frames of a client are gathered, which its task is to write.
+    pub(crate) fn is_gathering(&self, id: ClientId) -> bool {
+        self.core.borrow().router.is_gathering(id)
+    }
+
+    /// Continues writing for a client whose socket accepts bytes again, or whose frames were gathered; returns whether it is
+    /// blocked still.
     pub(crate) fn flush_client(&self, id: ClientId) -> bool {
         self.core.borrow_mut().router.flush_client(id)
     }

@@ -55,6 +55,50 @@ test("a robot's pose is that of its base in the map", () => {
   assert.equal(robot.trail.length, 1);
 });
 
+test("a correction that moves a robot far is a jump, for a minute; driving and small corrections are none", () => {
+  const fleet = fleetWithPose();
+  const jumps = (now) => fleet.attention(now, true).filter(({ key }) => key.startsWith("jump")).map(({ key, text }) => [key, text]);
+  fleet.receive("/tf", transform("odom_1", "base_footprint_1", 5, 3), 2);
+  fleet.receive("/tf", transform("map", "odom_1", 1.2, 0), 3);
+  fleet.receive("/tf", transform("odom_1", "base_footprint_1", 5, 3), 3);
+  assert.deepEqual(jumps(3), []);
+  fleet.receive("/tf", transform("map", "odom_1", 2.2, 0), 4);
+  fleet.receive("/tf", transform("odom_1", "base_footprint_1", 5, 3), 4);
+  assert.deepEqual(jumps(4), [["jump 1 1", "its pose jumped by 1.0 m and 0°: look whether its map fits"]]);
+  fleet.receive("/tf", transform("odom_1", "base_footprint_1", 5, 3), 5);
+  assert.equal(jumps(5).length, 1);
+  assert.deepEqual(jumps(65), []);
+});
+
+test("a robot that stands without a goal and a driver for long is idle", () => {
+  const fleet = fleetWithPose();
+  const robot = fleet.robots.get(1);
+  const isIdle = (now) => fleet.attention(now, true).some(({ key }) => key === "idle 1");
+  assert.equal(isIdle(120), false);
+  assert.equal(isIdle(125), true);
+  robot.figures = { ...robot.figures, driver: "10.0.0.1:5" };
+  assert.equal(isIdle(125), false, "somebody drives it");
+  robot.figures = { ...robot.figures, driver: null };
+  robot.navigation = { state: "blocked", reason: "", goal: 1, remainingM: null, waitsFor: null };
+  assert.equal(isIdle(125), false, "it has a goal");
+  robot.navigation = null;
+  fleet.receive("/tf", transform("odom_1", "base_footprint_1", 2.2, 3), 125);
+  assert.equal(isIdle(126), false, "it has moved");
+});
+
+test("the way of scans to the screen is their median, each scan once", () => {
+  const { robots } = fleetWithPose();
+  const robot = robots.get(1);
+  const fleet = Object.assign(new Fleet(), { robots });
+  fleet.recordDrawn(1);
+  assert.equal(robot.toScreenMs(), null);
+  [[1, 1.02], [1, 1.5], [2, 2.03], [3, 3.5]].forEach(([at, drawn]) => {
+    robot.scanAt = at;
+    fleet.recordDrawn(drawn);
+  });
+  assert.ok(Math.abs(robot.toScreenMs() - 30) < 1e-6, String(robot.toScreenMs()));
+});
+
 test("a pose becomes stale when no transform of the robot comes, whatever others send", () => {
   const fleet = fleetWithPose();
   fleet.receive("/tf", transform("map", "odom_1", 1, 0), 5);

@@ -7,14 +7,14 @@ use super::protocol::{ENCODING, ServerCommand, selfcheck_text};
 use super::room::RoomReceiver;
 use super::session::{ClientData, OwnedFrame, Session};
 use super::socket::{MessageReader, PageSocket};
-use super::stream::respond;
+use super::stream::{flush, respond, send_last_words};
 use super::tls::serve_encrypted;
 use super::tlx::{self, SaveTlx};
 use crate::bridge::Bridge;
 use crate::config::PageConfig;
 use crate::connection::{Stream, accept_connections, close_gently};
 use crate::frame::Frame;
-use crate::router::{BufferPool, ClientId, FlushOutcome, OutgoingQueue};
+use crate::router::ClientId;
 use msg::Monotonic;
 use std::cell::RefCell;
 use std::future::Future;
@@ -36,6 +36,8 @@ const REQUESTS_MAX: usize = 32;
 pub(super) const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 /// Period at which a client is pinged, and told of new topics and the fleet's state. Its answers show that it lives, as keepalives do on TCP.
 const UPKEEP_PERIOD: Duration = Duration::from_millis(500);
+/// Time for which messages are gathered before they are written: those of all robots that scan at one moment.
+const GATHER_PERIOD: Duration = Duration::from_millis(2);
 /// Bytes read at a time.
 const READ_BYTES: usize = 16 << 10;
 /// Messages of one client that are handled before other clients get their turn.
@@ -44,8 +46,6 @@ const MESSAGES_PER_TURN: usize = 64;
 const CAPABILITIES: [&str; 4] = ["clientPublish", "parameters", "parametersSubscribe", "services"];
 /// Name of the server for people.
 const SERVER_NAME: &str = "MR-SLAM";
-/// A WebSocket frame that closes the connection, with code 1000: normal (RFC 6455, 5.5.1 and 7.4.1).
-const CLOSE_FRAME: [u8; 4] = [0x88, 2, 0x03, 0xe8];
 
 /// Topic of texts that say what a device can do, as `/selfcheck` finds out; they go to the operator's log alone.
 const SELFCHECK_TOPIC: &str = "/mr_slam/selfcheck";
@@ -233,42 +233,6 @@ async fn serve_web_socket(
     }
 }
 
-/// Sends what is left for a client, then a WebSocket's close, unless the client's own close is answered already.
-async fn send_last_words(
-    mut unsent: Option<OutgoingQueue>,
-    encoder: &RefCell<Encoder>,
-    stream: &impl Stream,
-    has_closed: bool,
-) -> io::Result<()> {
-    let mut pool = BufferPool::default();
-    while let Some(queue) = &mut unsent {
-        let write = |slices: &[io::IoSlice<'_>]| {
-            encoder.borrow_mut().write(slices, |slices| stream.try_write_vectored(slices))
-        };
-        match queue.flush(write, &mut pool)? {
-            FlushOutcome::Complete => unsent = None,
-            FlushOutcome::Blocked => drop(stream.ready(Interest::WRITABLE).await?),
-            FlushOutcome::TurnEnded => yield_now().await,
-        }
-    }
-    if !has_closed {
-        encoder.borrow_mut().send_frames(&CLOSE_FRAME)?;
-    }
-    while encoder.borrow().has_waiting() {
-        stream.ready(Interest::WRITABLE).await?;
-        flush(encoder, stream)?;
-    }
-    Ok(())
-}
-
-/// Writes what the encoder holds, as far as the socket takes it.
-fn flush(encoder: &RefCell<Encoder>, stream: &impl Stream) -> io::Result<()> {
-    match encoder.borrow_mut().flush(&mut |slices: &[io::IoSlice<'_>]| stream.try_write_vectored(slices)) {
-        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(()),
-        result => result,
-    }
-}
-
 impl<S: Stream> Connection<'_, S> {
     /// Reads and writes until the connection ends.
     async fn run(&mut self, wake: &Notify, first_bytes: &[u8]) -> io::Result<()> {
@@ -276,14 +240,23 @@ impl<S: Stream> Connection<'_, S> {
         self.upkeep()?;
         self.receive(first_bytes).await?;
         let mut upkeep_due = Instant::now() + UPKEEP_PERIOD;
+        let mut write_due = None;
         while let Ok(is_blocked) = bridge.is_blocked(self.id)
             && !self.has_closed
         {
+            if bridge.is_gathering(self.id) {
+                write_due.get_or_insert_with(|| Instant::now() + GATHER_PERIOD);
+            }
             let must_write = is_blocked || self.encoder.borrow().has_waiting();
             let interest =
                 if must_write { Interest::READABLE | Interest::WRITABLE } else { Interest::READABLE };
             let ready = tokio::select! {
                 biased;
+                () = sleep_until(write_due.unwrap_or(upkeep_due)), if write_due.is_some() => {
+                    write_due = None;
+                    bridge.flush_client(self.id);
+                    continue;
+                }
                 ready = stream.ready(interest) => ready?,
                 () = wake.notified() => continue,
                 () = sleep_until(upkeep_due) => {

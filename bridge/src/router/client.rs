@@ -38,6 +38,11 @@ pub trait ClientSocket {
     fn now(&self) -> Monotonic;
     /// Wakes the task that serves this client: frames wait for the socket, or the connection must end.
     fn wake(&self);
+    /// Returns whether frames wait for a moment, so that those of several events are written together. The client's task writes
+    /// them: [`TopicRouter::flush_client`](super::TopicRouter::flush_client).
+    fn gathers(&self) -> bool {
+        false
+    }
     /// Returns whether a service call that fails is answered with [`crate::command::name::CALL_FAILURE`]: ros_tcp has no such frame.
     fn takes_call_failures(&self) -> bool {
         false
@@ -137,7 +142,7 @@ pub struct Client {
     pub input: InputState,
     /// `None` for a client in this process, which takes its frames itself.
     socket: Option<Box<dyn ClientSocket>>,
-    /// Frames wait that no flush has tried to write yet.
+    /// Frames wait that no flush has tried to write yet, or that are being gathered.
     pub needs_flush: bool,
     /// The client's task waits until the socket accepts bytes, and continues writing then.
     pub is_blocked: bool,
@@ -200,6 +205,11 @@ impl Client {
     /// Returns whether the client is told of a failed service call as such.
     pub fn takes_call_failures(&self) -> bool {
         self.socket.as_ref().is_some_and(|socket| socket.takes_call_failures())
+    }
+
+    /// Returns whether frames wait for those of the next events, and for the client's task.
+    pub fn gathers(&self) -> bool {
+        !self.is_blocked && self.socket.as_ref().is_some_and(|socket| socket.gathers())
     }
 
     /// Returns the time of the client's socket, if it has one.

@@ -17,7 +17,7 @@ impl TopicRouter {
         }
     }
 
-    /// Writes waiting frames to the sockets.
+    /// Writes waiting frames to the sockets, and wakes the tasks of clients whose frames are gathered.
     pub fn flush(&mut self) {
         if self.unflushed.is_empty() {
             return;
@@ -25,6 +25,10 @@ impl TopicRouter {
         let now = self.time();
         while let Some(slot) = self.unflushed.pop() {
             let Some(client) = self.clients.get_mut(slot).and_then(Option::as_mut) else { continue };
+            if client.needs_flush && client.gathers() {
+                client.wake();
+                continue;
+            }
             client.needs_flush = false;
             client.flush(now, &mut self.pool);
         }
@@ -36,14 +40,20 @@ impl TopicRouter {
         Ok(client.is_blocked)
     }
 
-    /// Continues writing for one client whose socket accepts bytes again; returns whether it is blocked still.
+    /// Returns whether frames of a client are gathered, which its task writes soon.
+    pub fn is_gathering(&self, id: ClientId) -> bool {
+        self.client(id).is_some_and(|client| client.needs_flush && client.gathers())
+    }
+
+    /// Continues writing for one client whose socket accepts bytes again, or whose frames were gathered; returns whether it is
+    /// blocked still.
     pub fn flush_client(&mut self, id: ClientId) -> bool {
         let now = self.time();
         let Some(client) = self.clients.get_mut(id.slot).and_then(Option::as_mut).filter(|c| c.id == id)
         else {
             return false;
         };
-        client.is_blocked = false;
+        (client.is_blocked, client.needs_flush) = (false, false);
         client.flush(now, &mut self.pool);
         client.is_blocked
     }

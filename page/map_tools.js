@@ -1,0 +1,58 @@
+// The tools on the map (goal, distance, zone), as pointers and keys use them: press, move, release.
+
+/** @typedef {import("./geometry.js").Point} Point */
+
+/** At most one of the tools is on. Points are in the map, metres. */
+export class MapTools {
+  /**
+   * @param {import("./geometry.js").Camera} camera
+   * @param {import("./goals.js").GoalTool} goals
+   * @param {import("./measure.js").MeasureTool} measure
+   * @param {import("./zones.js").ZoneTool} zones
+   */
+  constructor(camera, goals, measure, zones) {
+    this.camera = camera;
+    this.goals = goals;
+    this.measure = measure;
+    this.zones = zones;
+  }
+
+  /** Whether a tool is on. */
+  get isOn() { return this.goals.isOn || this.measure.isOn || this.zones.isOn; }
+
+  /** Whether something is being drawn. */
+  get isHeld() { return this.goals.drawn !== null || this.measure.isHeld || this.zones.isHeld; }
+
+  /** Switches all tools off but one. */
+  switchOffAllBut(/** @type {unknown} */ tool) {
+    if (tool !== this.goals && this.goals.isOn) this.goals.toggle();
+    if (tool !== this.measure && this.measure.isOn) this.measure.toggle(false);
+    if (tool !== this.zones && this.zones.isOn) this.zones.toggle(false);
+  }
+
+  /** Begins to draw; returns false if no tool is on. */
+  press(/** @type {Point} */ at) { return this.measure.press(at) || this.zones.press(at) || this.goals.press(at); }
+
+  move(/** @type {Point} */ to) {
+    if (this.measure.isHeld) this.measure.move(to);
+    else if (this.zones.isHeld) this.zones.move(to);
+    else if (this.goals.drawn) {
+      const [from, end] = [this.camera.toScreen(this.goals.drawn.from), this.camera.toScreen(to)];
+      this.goals.move(to, Math.hypot(end.x - from.x, end.y - from.y));
+    }
+  }
+
+  /** Ends what is being drawn: sends the goal or the zone, keeps the line. */
+  release() {
+    if (this.measure.isHeld) this.measure.release();
+    else if (this.zones.isHeld) this.zones.release();
+    else if (this.goals.drawn) this.goals.release();
+  }
+
+  /** Gives up what is being drawn. */
+  cancel() {
+    this.goals.cancelDrawing();
+    this.measure.release();
+    this.zones.cancel();
+  }
+}
