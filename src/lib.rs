@@ -2,8 +2,8 @@
 
 // What processes run on is a crate of its own.
 pub use runtime::{
-    channel, clock, event_loop, keys, ports, processes, progress, realtime, restarts, runtime_folder,
-    shared_memory, stop, storage, watchdog,
+    channel, clock, event_loop, keys, ports, processes, progress, realtime, recording_files, restarts,
+    runtime_folder, shared_memory, stop, storage, watchdog,
 };
 
 // The configuration is a crate of its own too.

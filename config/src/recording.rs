@@ -58,7 +58,20 @@ impl Default for RecordingConfig {
     }
 }
 
+/// Bytes of a megabyte, as this section counts them.
+const BYTES_PER_MB: u64 = 1_000_000;
+
 impl RecordingConfig {
+    /// Returns the size at which the next file begins, bytes.
+    pub fn split_bytes(&self) -> u64 {
+        self.split_mb * BYTES_PER_MB
+    }
+
+    /// Returns how much of the disk is left free, bytes.
+    pub fn disk_free_bytes(&self) -> u64 {
+        self.disk_free_mb * BYTES_PER_MB
+    }
+
     /// Checks ranges of all keys.
     pub fn validate(&self) -> Result<(), RecordingConfigError> {
         if !(SPLIT_MIN_MB..=SPLIT_MAX_MB).contains(&self.split_mb) {

@@ -19,5 +19,6 @@ pub mod watchdog;
 // Files, signals and settings of a process.
 pub mod keys;
 pub mod realtime;
+pub mod recording_files;
 pub mod runtime_folder;
 pub mod stop;

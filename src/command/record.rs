@@ -3,8 +3,7 @@
 use super::run_args::RunArgs;
 use super::{Error, output};
 use crate::channel::{Opener, Program};
-use crate::process::record::files::write_summary;
-use crate::process::record::{self, Summary, new_files};
+use crate::process::record::{self, Summary, new_files, write_summary};
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use std::path::{Path, PathBuf};

@@ -1,10 +1,9 @@
 //! The process that records the fleet's messages, and the same loop for `mr-slam record` and for lockstep.
 //!
 //! It reads channels and encodes their messages with the bridge's tables (`topics`). The bytes go to files of a bounded
-//! size ([`files`]). It never holds anything up: when the disk is slow, messages are dropped and counted.
+//! size ([`crate::recording_files`]). It never holds anything up: when the disk is slow, messages are dropped and counted.
 
 pub mod description;
-pub mod files;
 mod inputs;
 mod operator;
 mod topics;
@@ -15,11 +14,11 @@ use super::{Error, Listens, ProcessLoop, serve};
 use crate::config::RecordingConfig;
 use crate::ports::{Clock as _, Ports};
 use crate::progress::WatchedThread;
+use crate::recording_files::{FileThread, Output, RecordingFiles};
 use crate::run::Run;
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
 use ::recording::TopicCount;
-use files::{FileThread, Output, RecordingFiles};
 use inputs::Inputs;
 use msg::{Monotonic, RobotId, Role, ScanPurpose};
 use operator::{OperatorChange, OperatorWatch};
@@ -94,7 +93,10 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let node = run.attach(Role::Record, None)?;
     let folder = run.dir.join(FOLDER);
     std::fs::create_dir_all(&folder)?;
-    let files = RecordingFiles::new(&folder.join(STEM).with_extension("mcap"), &run.config.recording);
+    let files = RecordingFiles::new(
+        &folder.join(STEM).with_extension("mcap"),
+        run.config.recording.disk_free_bytes(),
+    );
     let watch = OperatorWatch::start(run.clone(), stop.clone());
     let recording = Recording::open(&node, run, Box::new(FileThread::start(files)), Some(watch))?;
     let heartbeat = Heartbeat::new(&node, run, Role::Record, None)?;
@@ -103,7 +105,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
     let mut summary = process.recording.finish();
     // The folder may have held another run before.
     summary.earlier.retain(|path| !description::is_of_another_run(path, run));
-    files::write_summary(&folder.join(STEM).with_extension("json"), &summary)?;
+    write_summary(&folder.join(STEM).with_extension("json"), &summary)?;
     Ok(())
 }
 
@@ -214,6 +216,15 @@ impl<P: Ports> Recording<P> {
     }
 }
 
+/// Writes a recording's summary as JSON.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_summary(path: &std::path::Path, summary: &Summary) -> std::io::Result<()> {
+    let json = serde_json::to_vec_pretty(summary)?;
+    formats::atomic::write(path, |file| std::io::Write::write_all(file, &json))
+}
+
 /// Returns the files of a recording at this path, which must not exist yet.
 ///
 /// # Errors
@@ -224,5 +235,5 @@ pub fn new_files(path: &std::path::Path, config: &RecordingConfig) -> Result<Rec
             format!("{}: exists already; choose another name for the recording", path.display()).into()
         );
     }
-    Ok(RecordingFiles::new(path, config))
+    Ok(RecordingFiles::new(path, config.disk_free_bytes()))
 }

@@ -95,10 +95,11 @@ fn merged_robots_keep_their_poses_when_the_merge_process_restarts() {
     let path = fleet.folder.path().join("merge.json");
     let kept = |path: &Path| serde_json::from_slice::<Value>(&std::fs::read(path).unwrap()).unwrap();
     let mut memory = kept(&path);
-    assert_eq!(memory["fleet"]["map_transforms"], serde_json::json!([[0.0, 0.0, 0.0], null]));
+    let transforms = [0, 1].map(|robot| memory["fleet"]["robots"][robot]["map_from_robot_map"].clone());
+    assert_eq!(transforms, [serde_json::json!([0.0, 0.0, 0.0]), Value::Null]);
     // As if it had been found, which takes a minute and more of driving.
     let place = [1.5, -0.5, 0.25];
-    memory["fleet"]["map_transforms"][1] = serde_json::json!(place);
+    memory["fleet"]["robots"][1]["map_from_robot_map"] = serde_json::json!(place);
     memory["fleet"]["pairs"] =
         serde_json::json!([{"edge": 1, "state": 2, "a_from_b": place, "evidence": null, "rejected": []}]);
     std::fs::write(&path, memory.to_string()).unwrap();

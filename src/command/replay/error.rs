@@ -69,7 +69,7 @@ pub enum ReplayError {
     /// Options that would do nothing.
     #[error("{options}: without effect on {replay}; leave out what is named")]
     WithoutEffect {
-        /// The options.
+        /// Names of the options.
         options: String,
         /// What is replayed.
         replay: &'static str,

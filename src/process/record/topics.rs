@@ -2,10 +2,10 @@
 
 mod commands;
 
-use super::files::{BYTES_PER_MB, Output};
 use super::operator::operator_json;
 use super::{Summary, TopicSummary};
 use crate::clock::Epoch;
+use crate::recording_files::Output;
 use crate::run::Run;
 use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, TopicSink,
@@ -124,8 +124,7 @@ impl Recorder {
         let (robots, config) = (run.config.robot_names(), run.config.bridge_config());
         let mut publisher = FleetPublisher::new(config.frame_names, &robots, LinkTransforms::Split);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
-        let mut file =
-            FileTopics::new(&robots, description, output, run.config.recording.split_mb * BYTES_PER_MB);
+        let mut file = FileTopics::new(&robots, description, output, run.config.recording.split_bytes());
         file.begin()?;
         let names = FrameNames::new(config.frame_names, &robots);
         let command_senders = vec![None; robots.robots().count()];

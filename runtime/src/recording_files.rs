@@ -1,7 +1,5 @@
 //! Files of a recording: bytes are appended by a thread of its own, until the disk is nearly full.
 
-use super::Summary;
-use crate::config::RecordingConfig;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -12,8 +10,8 @@ use std::thread::JoinHandle;
 
 /// Most files of a recording.
 const FILES_MAX: usize = 10_000;
-/// Bytes of a megabyte, as the configuration counts them.
-pub(super) const BYTES_PER_MB: u64 = 1_000_000;
+/// Bytes of a megabyte, in messages.
+const BYTES_PER_MB: u64 = 1_000_000;
 
 /// Where the bytes of a recording go.
 pub trait Output {
@@ -60,15 +58,9 @@ pub struct RecordingFiles {
 }
 
 impl RecordingFiles {
-    /// Names the files after the first; none is opened yet.
-    pub fn new(first: &Path, config: &RecordingConfig) -> Self {
-        Self {
-            first: first.into(),
-            disk_free_bytes: config.disk_free_mb * BYTES_PER_MB,
-            file: None,
-            all: Vec::new(),
-            earlier: Vec::new(),
-        }
+    /// Names the files after the first; none is opened yet. So many bytes of the disk are left free.
+    pub fn new(first: &Path, disk_free_bytes: u64) -> Self {
+        Self { first: first.into(), disk_free_bytes, file: None, all: Vec::new(), earlier: Vec::new() }
     }
 
     fn begin(&mut self) -> Result<(), FileError> {
@@ -225,13 +217,4 @@ impl Output for FileThread {
             ..Written::default()
         })
     }
-}
-
-/// Writes a recording's summary as JSON.
-///
-/// # Errors
-/// The file cannot be written.
-pub fn write_summary(path: &Path, summary: &Summary) -> io::Result<()> {
-    let json = serde_json::to_vec_pretty(summary)?;
-    formats::atomic::write(path, |file| file.write_all(&json))
 }
