@@ -270,6 +270,7 @@ const measure = new MeasureTool((isOn) => showTool("measure", measure, isOn));
 const zones = new ZoneTool({ zones: () => fleet.zones, publish: send, show: (isOn) => showTool("zone", zones, isOn) });
 const tools = new MapTools(view.camera, goals, measure, zones);
 const cursor = new MapCursor(tools, (at) => {
+  view.followed = null;
   setFits(false);
   view.camera.center = { ...at };
 });
@@ -356,7 +357,7 @@ window.addEventListener("keydown", (event) => {
     held.clear();
     return;
   }
-  if (document.activeElement === view.canvas && cursor.key(event.code, event.shiftKey)) {
+  if (document.activeElement === view.canvas && cursor.key(event.code, event.shiftKey, event.repeat)) {
     event.preventDefault();
     return;
   }

@@ -24,10 +24,12 @@ export class MapCursor {
 
   /**
    * Takes a key while the map has the focus; returns whether it was for the cursor.
-   * @param {string} code @param {boolean} isLong whether Shift is held
+   * @param {string} code @param {boolean} isLong whether Shift is held @param {boolean} isRepeat whether the key is held down since before
    */
-  key(code, isLong) {
+  key(code, isLong, isRepeat = false) {
     if (!this.tools.isOn) return false;
+    // Enter that is held would begin a goal and end it at once.
+    if (isRepeat && !(code in ARROWS)) return true;
     const at = this.at ?? { ...this.tools.camera.center };
     if (code in ARROWS) {
       const [east, north] = ARROWS[code];

@@ -73,14 +73,18 @@ impl RobotWatch {
             self.world_from_base = Some(truth.world_from_base);
         }
         if let Some(correction) = self.corrections.newest() {
-            // A robot that is lost is nowhere: a restarted SLAM would take its last place for true.
-            let is_lost = correction.state() == TrackingState::Lost;
-            let kept = self.map_from_odom.filter(|_| !is_lost);
-            self.map_from_odom = correction.map_from_odom().filter(|_| !is_lost).or(kept);
+            self.map_from_odom = kept_place(&correction, self.map_from_odom);
             self.map_from_base = Some(correction.map_from_base);
             unreliable.record(robot, &correction);
         }
     }
+}
+
+/// Returns where `odom` lies in a robot's map, for a SLAM that is started again. A robot that is lost is nowhere: a restarted SLAM
+/// would take its last place for true.
+pub(crate) fn kept_place(newest: &Correction, before: Option<Pose2>) -> Option<Pose2> {
+    let is_lost = newest.state() == TrackingState::Lost;
+    newest.map_from_odom().or(before).filter(|_| !is_lost)
 }
 
 impl Observer {

@@ -50,6 +50,15 @@ test("a goal is set with its heading", () => {
   assert.equal(tools.isOn, false);
 });
 
+test("a key that is held sets nothing: it may be the one that switched the tool on", () => {
+  const { cursor, tools, sent } = map();
+  tools.goals.toggle();
+  for (let repeat = 0; repeat < 3; repeat += 1) assert.equal(cursor.key("Enter", false, true), true);
+  assert.deepEqual([sent.length, tools.isHeld], [0, false]);
+  cursor.key("ArrowUp", false, true);
+  assert.ok(cursor.at !== null, "arrows repeat");
+});
+
 test("a zone is drawn, and one that is given up is not sent", () => {
   const { cursor, tools, sent } = map();
   tools.zones.toggle();

@@ -117,6 +117,9 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayError> {
     if args.serving.serve {
         return Err(ReplayError::NotServed);
     }
+    if !args.logs.iter().any(|path| is_recording(path)) {
+        options::refuse(options::OF_CARMEN, args, "the replay of CARMEN logs")?;
+    }
     let (mut config, merging) = match &args.config {
         Some(file) => FleetConfig::from_file(file).map(|config| (config.slam, config.merge))?,
         None => (recorded_log_slam(), MergeConfig::default()),

@@ -2,6 +2,7 @@
 
 use super::queues::{MemoryPorts, Network, QueueMapReader, QueueReader};
 use crate::channel::{self, Opener, Program};
+use crate::observer::kept_place;
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
 use msg::{Correction, DenseMap, FleetStats, GridView, GroundTruth, MapTransforms, Pose2, RobotId, Role};
@@ -72,7 +73,7 @@ impl Observer {
                 robot.world_from_base = Some(truth.world_from_base);
             }
             if let Some(correction) = robot.corrections.newest() {
-                robot.map_from_odom = correction.map_from_odom().or(robot.map_from_odom);
+                robot.map_from_odom = kept_place(&correction, robot.map_from_odom);
                 robot.map_from_base = Some(correction.map_from_base);
                 self.unreliable.record(id, &correction);
             }

@@ -49,6 +49,7 @@ impl<P: Ports> SubmapPublisher<P> {
     /// Starts again with the nodes of a replaced back end.
     pub fn restart(&mut self) {
         self.submaps.restart();
+        self.told = [false; 2];
     }
 
     /// Records that the back end has new nodes or a changed graph.
@@ -63,7 +64,7 @@ impl<P: Ports> SubmapPublisher<P> {
     /// Says once when a limit is reached: what comes later is missing.
     fn tell_limits(&mut self, back: &BackEnd) {
         let (robot, nodes) = (self.robot, back.nodes().len());
-        let reached = [nodes >= self.nodes_max, self.submaps.not_kept() > 0];
+        let reached = [nodes >= self.nodes_max && back.grows_map(), self.submaps.not_kept() > 0];
         if reached[0] && !self.told[0] {
             tracing::warn!(
                 "{robot}: its map has {nodes} nodes (slam.graph.nodes_max) and grows no more; localize in it, or begin another"

@@ -255,9 +255,7 @@ impl FleetExploration {
         if explored.coordinator.plans() != plans {
             explored.known_m2 = map.known_m2();
         }
-        let has =
-            |availability: RobotAvailability| robots.iter().any(|robot| robot.availability == availability);
-        explored.is_manual = has(RobotAvailability::Manual) && !has(RobotAvailability::Free);
+        explored.is_manual = robots.iter().all(|robot| robot.availability == RobotAvailability::Manual);
         // Persons may keep robots as long as they like.
         if explored.coordinator.has_explorers() || explored.is_manual {
             explored.able_at = input.stamp;

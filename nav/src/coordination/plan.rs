@@ -158,7 +158,7 @@ impl FleetCoordinator {
         let extra: Vec<usize> = places
             .flatten()
             .filter_map(|at| map.cell_at(at))
-            .filter(|cell| buffers.is_reached(*cell))
+            .filter(|cell| buffers.is_reached(*cell) && !is_excluded(map, input.excluded, *cell))
             .collect();
         let gains_m2 = [config.gain_min_m2, config.gain_last_m2];
         for gain_min_m2 in gains_m2.into_iter().take(1 + usize::from(with_small)) {

@@ -21,6 +21,14 @@ pub const OF_FLEET: &[NamedOption] = &[
     ("--scans", |args| args.scans.is_some()),
 ];
 
+/// Options without effect on CARMEN logs: they name parts of recordings.
+pub const OF_CARMEN: &[NamedOption] = &[
+    ("--scanner", |args| args.bag.scanner.is_some()),
+    ("--scan-topic", |args| args.bag.scan_topic.is_some()),
+    ("--odom-topic", |args| args.bag.odom_topic.is_some()),
+    ("--odom-frame", |args| args.bag.odom_frame.is_some()),
+];
+
 /// Options without effect on several logs that are merged.
 pub const OF_MERGED_LOGS: &[NamedOption] = &[
     ("--session", |args| args.session.is_some()),
