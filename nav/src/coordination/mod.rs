@@ -12,6 +12,7 @@
 
 mod coarse;
 mod config;
+mod failed;
 mod fleet_exploration;
 mod leftovers;
 mod plan;
@@ -36,6 +37,7 @@ use crate::config::FollowerConfig;
 use crate::geometry::distance_m;
 use crate::observation::ScanView;
 use core::time::Duration;
+use failed::FailedGoals;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
 use plan::{AT_GOAL_M, PlanBuffers};
 use seen::UnseenCells;
@@ -80,6 +82,7 @@ pub struct FleetCoordinator {
     unseen: UnseenCells,
     goals: [Option<RobotGoal>; ROBOTS_MAX],
     records: [RobotRecord; ROBOTS_MAX],
+    failed: Vec<FailedGoals>,
     phase: CoordinationPhase,
     planned_at: Option<Stamp>,
     plans: u32,
@@ -115,6 +118,7 @@ impl FleetCoordinator {
             unseen: UnseenCells::default(),
             goals: [const { None }; ROBOTS_MAX],
             records: [RobotRecord::default(); ROBOTS_MAX],
+            failed: vec![FailedGoals::default(); ROBOTS_MAX],
             phase: CoordinationPhase::Exploring,
             planned_at: None,
             plans: 0,
@@ -200,8 +204,13 @@ impl FleetCoordinator {
             }
             self.records[index].look = None;
             let Some(goal) = self.goals[index].take() else { continue };
-            if goal.purpose == GoalPurpose::Explore {
-                self.record_attempt(input, goal.position_m, robot.progress == GoalProgress::Reached);
+            let failures = match robot.progress {
+                GoalProgress::Failed => self.failed[index].record(input.stamp, goal.position_m),
+                _ => 0,
+            };
+            // What a robot gave up once, others may reach.
+            if goal.purpose == GoalPurpose::Explore && failures != 1 {
+                self.record_attempt(input, goal.position_m, failures == 0);
             }
             if goal.purpose == GoalPurpose::Home {
                 self.records[index].has_returned = true;

@@ -201,7 +201,7 @@ impl FleetCoordinator {
     fn tour_problem(&mut self, input: &CoordinationInput) -> TourProblem {
         let config = self.config;
         let (speed_m_s, turn_rad_s) = self.speeds();
-        let Self { map, buffers, goals, .. } = self;
+        let Self { map, buffers, goals, failed, .. } = self;
         let count = buffers.viewpoints.len();
         let mut problem =
             TourProblem { makespan_weight: config.makespan_weight_m2, ..TourProblem::default() };
@@ -219,6 +219,9 @@ impl FleetCoordinator {
                 let length_m = buffers.coarse.length_m(buffers.robot_costs[slot][square])?;
                 let viewpoint = &buffers.viewpoints[i];
                 let at_m = map.cell_centre_m(viewpoint.cell);
+                if failed[robot.robot.index()].is_avoided(input.stamp, at_m) {
+                    return None;
+                }
                 let switch_s = match goal_m {
                     Some(goal_m) if distance_m(goal_m, at_m) > SAME_GOAL_M => config.switch_cost_s,
                     _ => 0.0,
@@ -323,6 +326,7 @@ impl FleetCoordinator {
                 self.map.clearance_m(*cell) >= clearance_min_m && is_near(self.map.cell_centre_m(*cell))
             })
             .filter(|cell| self.map.occupancy(*cell) == Occupancy::Free && cost(cell) != UNREACHED)
+            .filter(|cell| !self.failed[index].is_avoided(input.stamp, self.map.cell_centre_m(*cell)))
             .min_by_key(|cell| (cost(cell), *cell));
         self.goals[index] = place.map(|cell| RobotGoal {
             purpose: GoalPurpose::Follow,
