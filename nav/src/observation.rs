@@ -5,6 +5,9 @@
 use msg::grid::{self, CELLS_MAX, Occupancy};
 use msg::{GridView, Pose2, RobotId, Stamp};
 
+/// Angle from which a sensor sees all around, so that no heading matters, radians: 354 degrees.
+pub(crate) const ALL_AROUND_RAD: f64 = core::f64::consts::TAU - 0.1;
+
 /// Pose of the LiDAR on a TurtleBot3 Burger (ROBOTIS's URDF: 32 mm behind the axis of the wheels).
 pub const BURGER_BASE_FROM_SCAN: Pose2 = Pose2::new(-0.032, 0.0, 0.0);
 /// Cells of a nav_msgs/OccupancyGrid up to this percentage are free (map_server: `free_thresh` 0.25).
@@ -160,6 +163,11 @@ impl<'a> ScanView<'a> {
             };
             Some(Beam { angle_rad, range_m, is_hit })
         })
+    }
+
+    /// Whether nothing around the scanner is out of its view.
+    pub fn sees_all_around(&self) -> bool {
+        self.angle_increment_rad.abs() * self.ranges_m.len() as f64 >= ALL_AROUND_RAD
     }
 
     /// Positions of the obstacles hit, in `base_footprint`, metres.

@@ -17,6 +17,7 @@ def attached(program, folder, wait_for):
     run, path = folder / "attached_run", folder / "attached.mcap"
     shutil.rmtree(run, ignore_errors=True)
     path.unlink(missing_ok=True)
+    path.with_suffix(".json").unlink(missing_ok=True)
     log = open(folder / "attached.log", "w")
     fleet = subprocess.Popen([program, "up", "--robots", "2", "--port", "0", "--page", "off", "--seconds", "40",
                               "--run-dir", str(run)], stdout=log, stderr=log)

@@ -1,7 +1,7 @@
 //! What the robots' LiDARs see, as the coordinator expects it of unknown space.
 
 use super::config::CoordinationConfig;
-use crate::observation::ScanView;
+use crate::observation::{ALL_AROUND_RAD, ScanView};
 use core::f64::consts::TAU;
 
 /// Distance by which unknown space is expected to be seen less far than the LiDAR's range, metres: returns at its end
@@ -12,8 +12,6 @@ const RANGE_MARGIN_M: f64 = 0.2;
 const RANGE_M: [f64; 2] = [1.0, 6.0];
 /// Smallest angle that is expected, radians: a narrower sensor would never end a look around.
 const ANGLE_MIN_RAD: f64 = 0.35;
-/// Angle from which a sensor sees all around, so that no heading matters, radians: 354 degrees.
-const ALL_AROUND_RAD: f64 = TAU - 0.1;
 
 impl CoordinationConfig {
     /// Sets range and angle to what the weakest of some LiDARs sees. Scans without a beam or a finite range are left

@@ -13,6 +13,7 @@ use super::state::{NavigationFailure, NavigationState};
 use crate::collision::CollisionLimit;
 use crate::command::Twist;
 use crate::follower::PathFollower;
+use crate::observation::ScanView;
 use crate::path::Path;
 use msg::{ExclusionZone, Pose2, RobotId, Stamp};
 
@@ -325,7 +326,7 @@ impl RobotNavigator {
             self.set_blocked(now, NavigationFailure::NoPose);
             return Some(Twist::STOP);
         };
-        let wanted = self.wanted_velocity(now, robot, poses, others);
+        let wanted = self.wanted_velocity(now, (robot, poses), &scan, others);
         if !self.state.is_active() {
             self.is_stop_due = false;
             return Some(Twist::STOP);
@@ -338,11 +339,11 @@ impl RobotNavigator {
     fn wanted_velocity(
         &mut self,
         now: Stamp,
-        robot: &NavigatedRobot,
-        poses: RobotPoses,
+        (robot, poses): (&NavigatedRobot, RobotPoses),
+        scan: &ScanView,
         others: &[OtherRobot],
     ) -> Twist {
-        if let Some(twist) = self.recover(now, poses, others) {
+        if let Some(twist) = self.recover(now, poses, scan, others) {
             return twist;
         }
         let Some(path) = &self.followed else {

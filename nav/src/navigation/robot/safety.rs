@@ -23,21 +23,32 @@ const PATIENCE_STEP: f64 = 0.25;
 
 impl RobotNavigator {
     /// Velocity of getting free, while the robot does that or has to begin with it.
-    pub(super) fn recover(&mut self, now: Stamp, poses: RobotPoses, others: &[OtherRobot]) -> Option<Twist> {
+    pub(super) fn recover(
+        &mut self,
+        now: Stamp,
+        poses: RobotPoses,
+        scan: &ScanView,
+        others: &[OtherRobot],
+    ) -> Option<Twist> {
         if self.recovery.is_some_and(|recovery| recovery.is_done(now, poses.odom_from_base)) {
             (self.recovery, self.searched) = (None, None);
         }
         // A wait that is planned ends by the plan; robots that stand before each other have to move apart.
         let is_waiting = self.followed.as_ref().is_some_and(|path| path.waits_for.is_some());
-        // Neither backing up nor turning helps a robot whose goal is out of reach.
+        // Backing up does not help a robot whose goal is out of reach. Turning does, if it has not seen what is behind it.
+        let is_out_of_reach = matches!(self.searched, Some((_, Err(NavigationFailure::GoalUnreachable))));
+        let can_look = is_out_of_reach && !scan.sees_all_around();
         let can_help = matches!(self.searched, Some((_, Ok(()) | Err(NavigationFailure::StartBlocked))));
-        if self.recovery.is_none() && !is_waiting && can_help {
+        if self.recovery.is_none() && !is_waiting && (can_help || can_look) {
             let config = self.config;
             // Of two robots that stand before each other, one moves first.
             let patience = 1.0 + PATIENCE_STEP * (self.robot.number() % PATIENCES) as f64;
             if self.goal.as_mut().is_some_and(|active| active.progress.take_recovery(now, &config, patience))
             {
-                self.recovery = Some(self.new_recovery(now, poses, others));
+                self.recovery = Some(match can_look {
+                    true => Recovery::turn(now, self.turning_side()),
+                    false => self.new_recovery(now, poses, others),
+                });
                 self.obstacles.clear();
             }
         }
@@ -67,8 +78,12 @@ impl RobotNavigator {
         if BACK_UP_CHECKS_M.iter().all(is_clear) {
             return Recovery::back_up(now, poses.odom_from_base);
         }
-        let side = if self.robot.number().is_multiple_of(2) { 1.0 } else { -1.0 };
-        Recovery::turn(now, side)
+        Recovery::turn(now, self.turning_side())
+    }
+
+    /// Direction in which the robot turns to look around: always the same, so that several turns see everything.
+    fn turning_side(&self) -> f64 {
+        if self.robot.number().is_multiple_of(2) { 1.0 } else { -1.0 }
     }
 
     /// Slows the robot for what the scan shows ahead and for robots near it, and says what it stands for.
