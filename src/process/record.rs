@@ -33,6 +33,8 @@ use topics::Recorder;
 const POLL_PERIOD: Duration = Duration::from_millis(20);
 /// Longest time until a message is in a chunk on its way to the disk.
 const FLUSH_PERIOD: Duration = Duration::from_millis(900);
+/// Niceness of a recorder's threads (nice(2)): robots and clients do not wait for it, and it has 0.32 s until a queue is full.
+const NICE: i32 = 10;
 /// Folder of recordings below the run's folder.
 pub const FOLDER: &str = "recording";
 /// Name of the files of a run's recording, without extension.
@@ -90,6 +92,7 @@ impl From<&TopicCount> for TopicSummary {
 
 /// Runs the process of a recorded fleet until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
+    be_nice();
     let node = run.attach(Role::Record, None)?;
     let folder = run.dir.join(FOLDER);
     std::fs::create_dir_all(&folder)?;
@@ -120,6 +123,7 @@ pub fn record<P: Ports<Listener = Listener>>(
     stop: &Stop,
     over: &dyn Fn() -> bool,
 ) -> Result<Summary, Error> {
+    be_nice();
     let watch = OperatorWatch::start(run.clone(), stop.clone());
     let mut recording = Recording::open(node, run, Box::new(FileThread::start(files)), Some(watch))?;
     while !over() && !recording.has_ended() {
@@ -127,6 +131,11 @@ pub fn record<P: Ports<Listener = Listener>>(
         wait([], due);
     }
     Ok(recording.finish())
+}
+
+/// Leaves the processor to others first. Threads that are started later inherit it; where it is refused, the priority stays.
+fn be_nice() {
+    let _ = rustix::process::nice(NICE);
 }
 
 /// The process: a recording and its health report.
