@@ -11,6 +11,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
+use tempfile::NamedTempFile;
 
 /// Time until the clients are connected and the fleet has its first maps.
 const WARM_UP: Duration = Duration::from_secs(4);
@@ -86,14 +87,24 @@ pub fn run(args: &Args) -> Rows {
 
 /// Starts a fleet with real-time settings; returns whether its bridge got them. Where they are not permitted, a fleet warns and runs on.
 fn is_realtime_permitted(args: &Args, settings: &str) -> Result<bool, Box<dyn Error>> {
-    let mut file = tempfile::NamedTempFile::with_suffix(".toml")?;
-    write!(file, "{settings}")?;
-    let config = file.path().to_str().ok_or("the temporary folder's name is not UTF-8")?;
+    let file = config_file(settings)?;
+    let config = path_of(&file)?;
     let mut fleet = Fleet::start_with(args.robots, &["--config", config, "--page", "off"])?;
     let bridge = fleet.pid("bridge").ok_or("telemetry does not know the bridge")?;
     let text = std::fs::read_to_string(format!("/proc/{bridge}/stat"))?;
     let fields = text.rsplit_once(')').map_or("", |(_, fields)| fields);
     Ok(fields.split_whitespace().nth(POLICY_FIELD) == Some(SCHED_FIFO))
+}
+
+/// Writes a configuration file, which is removed when it is dropped.
+fn config_file(settings: &str) -> std::io::Result<NamedTempFile> {
+    let mut file = NamedTempFile::with_suffix(".toml")?;
+    write!(file, "{settings}")?;
+    Ok(file)
+}
+
+fn path_of(file: &NamedTempFile) -> Result<&str, Box<dyn Error>> {
+    Ok(file.path().to_str().ok_or("the temporary folder's name is not UTF-8")?)
 }
 
 fn row(what: &str, spread: &Spread) -> Row {
@@ -103,9 +114,8 @@ fn row(what: &str, spread: &Spread) -> Row {
 }
 
 fn measure(args: &Args, settings: &str, hogs: bool, attached: bool) -> Result<Spread, Box<dyn Error>> {
-    let mut file = tempfile::NamedTempFile::with_suffix(".toml")?;
-    write!(file, "{settings}")?;
-    let config = file.path().to_str().ok_or("the temporary folder's name is not UTF-8")?;
+    let file = config_file(settings)?;
+    let config = path_of(&file)?;
     let domain = peer::domain().to_string();
     let mut words = vec!["--config", config, "--page", "0"];
     if attached {

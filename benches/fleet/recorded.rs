@@ -2,6 +2,7 @@
 
 use crate::fleet::Fleet;
 use crate::measure::Spread;
+use crate::row::missed_scans;
 use mr_slam::run::Run;
 use serde::Serialize;
 use std::error::Error;
@@ -62,7 +63,8 @@ pub fn compare(robots: usize) -> Result<Comparison, Box<dyn Error>> {
             } else {
                 without.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
             }
-            lost[usize::from(is_recorded)] += missed_scans(&fleet)?;
+            let (before, after) = fleet.views().ok_or("telemetry sent no figures twice")?;
+            lost[usize::from(is_recorded)] += missed_scans(before, after);
         }
         eprint!("\r{} of {PAIRS} pairs ", pair + 1);
     }
@@ -80,13 +82,6 @@ pub fn compare(robots: usize) -> Result<Comparison, Box<dyn Error>> {
     };
     comparison.print(robots);
     Ok(comparison)
-}
-
-/// Returns the number of scans that SLAM missed during the last measurement.
-fn missed_scans(fleet: &Fleet) -> Result<u64, Box<dyn Error>> {
-    let (before, after) = fleet.views().ok_or("telemetry sent no figures twice")?;
-    let pairs = before.robots.iter().zip(&after.robots);
-    Ok(pairs.map(|(then, now)| now.scans_lost.saturating_sub(then.scans_lost)).sum())
 }
 
 /// A recorder that is attached to the fleet, and the folder of its file.

@@ -2,6 +2,7 @@
 
 use crate::fleet::{Cpu, Fleet};
 use crate::measure::Spread;
+use reports::FleetView;
 use serde::Serialize;
 use std::error::Error;
 use std::fmt;
@@ -55,7 +56,7 @@ impl Row {
         };
         Ok(Self {
             robots,
-            missed: pairs().map(|(then, now)| now.scans_lost.saturating_sub(then.scans_lost)).sum(),
+            missed: missed_scans(before, after),
             scans: pairs().map(|(then, now)| now.scans.saturating_sub(then.scans)).sum(),
             scan_hz: rates.fold(f64::INFINITY, f64::min),
             tf,
@@ -70,6 +71,12 @@ impl Row {
                 .map_or((String::new(), 0.0), |Cpu { process, percent, .. }| (process.clone(), *percent)),
         })
     }
+}
+
+/// Returns the number of scans that SLAM missed between two views of a fleet.
+pub fn missed_scans(before: &FleetView, after: &FleetView) -> u64 {
+    let pairs = before.robots.iter().zip(&after.robots);
+    pairs.map(|(then, now)| now.scans_lost.saturating_sub(then.scans_lost)).sum()
 }
 
 impl fmt::Display for Row {

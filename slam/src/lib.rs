@@ -211,8 +211,14 @@ pub fn begin(
         back.set_mode(mode);
         return (FrontEnd::new(config), back);
     };
-    let front = match (start, session.front) {
-        (InitialPose::Continue, Some(state)) => FrontEnd::resume(config.clone(), state, &session.back.nodes),
+    match (start, session.front) {
+        (InitialPose::Continue, Some(state)) => {
+            let mut front = FrontEnd::resume(config.clone(), state, &session.back.nodes);
+            let back = BackEnd::resume(config, session.back, session.samples, mode, start);
+            // A session does not keep it; the pose of the front end's frame is the session's, to the last bit.
+            front.apply_quality(back.latest_revision());
+            (front, back)
+        }
         (start, _) => {
             let empty = session.back.nodes.is_empty().then_some(Pose2::IDENTITY);
             let mut front = FrontEnd::new(config.clone());
@@ -222,11 +228,7 @@ pub fn begin(
                 empty
             });
             let start = if start == InitialPose::Continue { InitialPose::Unknown } else { start };
-            return (front, BackEnd::resume(config, session.back, session.samples, mode, start));
+            (front, BackEnd::resume(config, session.back, session.samples, mode, start))
         }
-    };
-    let (mut front, back) = (front, BackEnd::resume(config, session.back, session.samples, mode, start));
-    // A session does not keep it; the pose of the front end's frame is the session's, to the last bit.
-    front.apply_quality(back.latest_revision());
-    (front, back)
+    }
 }

@@ -1,5 +1,6 @@
 //! Tool `mr-slam explore`, which lets a running fleet explore by itself and waits until it is done.
 
+use super::confirmation::confirmation;
 use super::output;
 use super::run_args::RunArgs;
 use super::up::FleetHooks;
@@ -227,16 +228,11 @@ fn interrupt(
 ) -> ExploreError {
     let number = crate::clock::now().0;
     commands.send(&ExplorationCommand::new(number, ExplorationAction::Stop));
-    let begun = Instant::now();
-    while begun.elapsed() < STOP_PATIENCE {
-        commands.refresh();
-        while let Some(report) = states.receive() {
-            if report.number >= number {
-                let reason = "interrupted here, all robots stop".into();
-                return ExploreError::NotCompleted { state: report.status().name(), reason };
-            }
-        }
-        wait([], Monotonic(crate::clock::now().0 + POLL_NS));
+    let answer =
+        confirmation(commands, states, STOP_PATIENCE, |report: &ExplorationReport| report.number >= number);
+    if let Some(report) = answer {
+        let reason = "interrupted here, all robots stop".into();
+        return ExploreError::NotCompleted { state: report.status().name(), reason };
     }
     let reason = "interrupted here; navigation does not confirm the stop, so robots may drive on: see `mr-slam status`";
     ExploreError::NotCompleted { state: "not known to be stopped", reason: reason.into() }

@@ -1,5 +1,6 @@
 //! Tool `mr-slam goto`, which sends a robot of a running fleet to a place and waits until it is there.
 
+use super::confirmation::confirmation;
 use super::edges::robot;
 use super::output;
 use super::run_args::RunArgs;
@@ -210,17 +211,14 @@ fn exchange(
 fn cancel(states: &mut Reader<NavigationReport>, commands: &mut Writer<NavigationCommand>) -> &'static str {
     let command = NavigationCommand::new(crate::clock::now().0, NavigationAction::Cancel);
     commands.send(&NavigationCommand { sender: Sender::LAPTOP, ..command });
-    let begun = Instant::now();
-    while begun.elapsed() < CANCEL_PATIENCE {
-        commands.refresh();
-        while let Some(report) = states.receive() {
-            if report.status().is_final() || report.status() == NavigationStatus::Idle {
-                return "interrupted here, its goal is cancelled";
-            }
+    let is_over =
+        |report: &NavigationReport| report.status().is_final() || report.status() == NavigationStatus::Idle;
+    match confirmation(commands, states, CANCEL_PATIENCE, is_over) {
+        Some(_) => "interrupted here, its goal is cancelled",
+        None => {
+            "interrupted here; navigation does not confirm that its goal is cancelled, so the robot may drive on: see `mr-slam status`"
         }
-        wait([], Monotonic(crate::clock::now().0 + POLL_NS));
     }
-    "interrupted here; navigation does not confirm that its goal is cancelled, so the robot may drive on: see `mr-slam status`"
 }
 
 /// Prints a state to standard error when it has changed.

@@ -1,6 +1,7 @@
 //! Command line of `mr-slam`: one module for each tool, with its arguments and a `run` function.
 
 pub mod clients;
+mod confirmation;
 mod connection_log;
 pub mod demo;
 pub mod doctor;

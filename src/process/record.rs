@@ -92,7 +92,7 @@ impl From<&TopicCount> for TopicSummary {
 
 /// Runs the process of a recorded fleet until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
-    be_nice();
+    lower_priority();
     let node = run.attach(Role::Record, None)?;
     let folder = run.dir.join(FOLDER);
     std::fs::create_dir_all(&folder)?;
@@ -123,7 +123,7 @@ pub fn record<P: Ports<Listener = Listener>>(
     stop: &Stop,
     over: &dyn Fn() -> bool,
 ) -> Result<Summary, Error> {
-    be_nice();
+    lower_priority();
     let watch = OperatorWatch::start(run.clone(), stop.clone());
     let mut recording = Recording::open(node, run, Box::new(FileThread::start(files)), Some(watch))?;
     while !over() && !recording.has_ended() {
@@ -134,7 +134,7 @@ pub fn record<P: Ports<Listener = Listener>>(
 }
 
 /// Leaves the processor to others first. Threads that are started later inherit it; where it is refused, the priority stays.
-fn be_nice() {
+fn lower_priority() {
     let _ = rustix::process::nice(NICE);
 }
 

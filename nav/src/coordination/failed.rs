@@ -1,6 +1,7 @@
 //! Places that one robot gave up to drive to. Others may get there, and the robot itself later, when who stood in its way has left.
 
 use crate::geometry::distance_m;
+use crate::memory::push_bounded;
 use msg::Stamp;
 use std::collections::VecDeque;
 
@@ -27,11 +28,8 @@ impl FailedGoals {
     pub(super) fn record(&mut self, at: Stamp, place_m: [f64; 2]) -> u32 {
         let known = self.0.iter().position(|failed| distance_m(failed.place_m, place_m) < SAME_M);
         let before = known.and_then(|index| self.0.remove(index)).map_or(0, |failed| failed.count);
-        if self.0.len() == PLACES_MAX {
-            self.0.pop_front();
-        }
         let count = before.saturating_add(1);
-        self.0.push_back(FailedPlace { place_m, at, count });
+        push_bounded(&mut self.0, FailedPlace { place_m, at, count }, PLACES_MAX);
         count
     }
 
