@@ -33,8 +33,9 @@ use crate::process::bridge::feeds::open_feeds;
 use crate::process::record::Recording;
 use crate::process::{Error, ProcessLoop};
 use crate::processes::ProcessRow;
-use crate::recording_files::Output;
+use crate::recording_files::RecordingFiles;
 use crate::run::Run;
+use crate::spare_time::Work;
 use ::bridge::Transport;
 use ::headset::wireless::Link;
 use ::recording::fleet::FleetRecording;
@@ -189,9 +190,9 @@ impl Lockstep {
     ///
     /// # Errors
     /// A channel cannot be opened.
-    pub fn record(&self, output: Box<dyn Output>) -> Result<Recording<MemoryPorts>, Error> {
+    pub fn record(&self, files: RecordingFiles) -> Result<Recording<MemoryPorts>, Error> {
         let ports = MemoryPorts::attach_observer(&self.world.network, Opener::of_fleet(Program::RecordTool));
-        Recording::open(&ports, &self.world.run, output, None)
+        Recording::open(&ports, &self.world.run, files, |recorder| Work::Now(Box::new(recorder)), None)
     }
 
     /// Runs the fleet for one tick of the simulators. `message_observer` receives every message.

@@ -11,18 +11,18 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 /// Number of pairs of windows. A recorder differs by less than two windows of one fleet do; the mean of many pairs shows it.
-const PAIRS: usize = 20;
-/// Duration of a window. Its 99th percentile is that of some 100 values of each robot.
-const WINDOW: Duration = Duration::from_secs(10);
+const PAIRS: usize = 50;
+/// Duration of a window. The two of a pair are close in time, as the machine's own jitter changes within a minute.
+const WINDOW: Duration = Duration::from_secs(5);
 /// Time until a fleet has maps, and until a client and a recorder that attach have what is there already.
 const FLEET_SETTLES: Duration = Duration::from_secs(10);
 const CLIENT_SETTLES: Duration = Duration::from_secs(3);
 /// Time for which a recorder runs: it attaches before the window and is there until its end.
-const RECORDED: Duration = Duration::from_secs(15);
+const RECORDED: Duration = Duration::from_secs(9);
 /// How much larger the 99th percentile of jitter may become.
 const COST_MAX: f64 = 1.05;
-/// Half the width of the mean's interval of 90 % confidence, in standard errors: Student's t for 19 degrees of freedom.
-const CONFIDENCE: f64 = 1.729;
+/// Half the width of the mean's interval of 90 % confidence, in standard errors: Student's t for 49 degrees of freedom.
+const CONFIDENCE: f64 = 1.677;
 
 /// Figures with and without a recorder.
 #[derive(Debug, Serialize)]

@@ -6,10 +6,9 @@ use mcap::write::NoSeek;
 use mcap::{Compression, McapError, WriteOptions};
 use msg::Stamp;
 use ros_messages::schema::schema;
-use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::io;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Size of a chunk before compression, bytes. A chunk also ends at each [`RecordingWriter::flush`].
 const CHUNK_BYTES: u64 = 1 << 20;
@@ -57,11 +56,18 @@ pub struct TopicCount {
 
 /// Bytes that the container has written and nobody has taken.
 #[derive(Clone, Default)]
-struct Buffer(Rc<RefCell<Vec<u8>>>);
+struct Buffer(Arc<Mutex<Vec<u8>>>);
+
+impl Buffer {
+    /// The writer and the container have it in turns, in one thread.
+    fn bytes(&self) -> std::sync::MutexGuard<'_, Vec<u8>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
 
 impl io::Write for Buffer {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.borrow_mut().extend_from_slice(bytes);
+        self.bytes().extend_from_slice(bytes);
         Ok(bytes.len())
     }
 
@@ -157,7 +163,7 @@ impl RecordingWriter {
 
     /// Returns the bytes that are to be appended to the file.
     pub fn take_bytes(&mut self) -> Vec<u8> {
-        std::mem::take(&mut *self.buffer.0.borrow_mut())
+        std::mem::take(&mut *self.buffer.bytes())
     }
 
     /// Returns the number of messages of each topic.

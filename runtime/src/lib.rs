@@ -21,4 +21,5 @@ pub mod keys;
 pub mod realtime;
 pub mod recording_files;
 pub mod runtime_folder;
+pub mod spare_time;
 pub mod stop;

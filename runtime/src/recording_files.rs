@@ -1,31 +1,14 @@
-//! Files of a recording: bytes are appended by a thread of its own, until the disk is nearly full.
+//! Files of a recording, to which bytes are appended until the disk is nearly full.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Most files of a recording.
 const FILES_MAX: usize = 10_000;
 /// Bytes of a megabyte, in messages.
 const BYTES_PER_MB: u64 = 1_000_000;
-
-/// Where the bytes of a recording go.
-pub trait Output {
-    /// Ends the file before and begins the next one.
-    fn begin_file(&mut self);
-    /// Appends bytes to the file.
-    fn append(&mut self, bytes: Vec<u8>);
-    /// Returns the number of bytes that wait for the disk.
-    fn waiting_bytes(&self) -> usize;
-    /// Returns why no more can be written.
-    fn failure(&self) -> Option<String>;
-    /// Waits until all is written. Returns the files, and why something could not be written.
-    fn finish(self: Box<Self>) -> Written;
-}
 
 /// What has become of a recording.
 #[derive(Debug, Default)]
@@ -36,6 +19,46 @@ pub struct Written {
     pub earlier: Vec<PathBuf>,
     /// Why something could not be written.
     pub failure: Option<String>,
+}
+
+/// Numbers of messages, which other threads read while it records.
+#[derive(Debug, Default)]
+pub struct RecordingCounts {
+    messages: AtomicU64,
+    dropped: AtomicU64,
+    has_ended: AtomicBool,
+}
+
+impl RecordingCounts {
+    /// Returns the number of recorded messages.
+    pub fn messages(&self) -> u64 {
+        self.messages.load(Ordering::Relaxed)
+    }
+
+    /// Counts a message that was recorded.
+    pub fn add_message(&self) {
+        self.messages.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Returns the number of messages that were dropped, because too much waited or the recording had ended.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Counts a message that was dropped.
+    pub fn add_dropped(&self) {
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Returns whether the recording has ended, because the disk is full.
+    pub fn has_ended(&self) -> bool {
+        self.has_ended.load(Ordering::Relaxed)
+    }
+
+    /// Says that the recording has ended.
+    pub fn set_ended(&self) {
+        self.has_ended.store(true, Ordering::Relaxed);
+    }
 }
 
 /// Reason why a recording cannot go on.
@@ -55,12 +78,42 @@ pub struct RecordingFiles {
     all: Vec<PathBuf>,
     /// Files that were there before the first of these.
     earlier: Vec<PathBuf>,
+    /// Why no more can be written.
+    failure: Option<FileError>,
 }
 
 impl RecordingFiles {
     /// Names the files after the first; none is opened yet. So many bytes of the disk are left free.
     pub fn new(first: &Path, disk_free_bytes: u64) -> Self {
-        Self { first: first.into(), disk_free_bytes, file: None, all: Vec::new(), earlier: Vec::new() }
+        let (all, earlier) = (Vec::new(), Vec::new());
+        Self { first: first.into(), disk_free_bytes, file: None, all, earlier, failure: None }
+    }
+
+    /// Ends the file before and begins the next one.
+    pub fn begin_file(&mut self) {
+        self.attempt(Self::begin);
+    }
+
+    /// Appends bytes to the file.
+    pub fn append(&mut self, bytes: &[u8]) {
+        self.attempt(|files| files.write(bytes));
+    }
+
+    /// Returns why no more can be written.
+    pub fn failure(&self) -> Option<String> {
+        self.failure.as_ref().map(ToString::to_string)
+    }
+
+    /// Returns the files, and why something could not be written.
+    pub fn finish(self) -> Written {
+        let failure = self.failure();
+        Written { files: self.all, earlier: self.earlier, failure }
+    }
+
+    fn attempt(&mut self, act: impl FnOnce(&mut Self) -> Result<(), FileError>) {
+        if self.failure.is_none() {
+            self.failure = act(self).err();
+        }
     }
 
     fn begin(&mut self) -> Result<(), FileError> {
@@ -90,7 +143,7 @@ impl RecordingFiles {
         Err(FileError::Io { path: self.first.clone(), source })
     }
 
-    fn append(&mut self, bytes: &[u8]) -> Result<(), FileError> {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), FileError> {
         let Some((path, file)) = &mut self.file else { return Ok(()) };
         // A system that does not say how much is free writes until it fails.
         if let Ok(disk) = rustix::fs::fstatvfs(&*file) {
@@ -101,120 +154,5 @@ impl RecordingFiles {
             }
         }
         file.write_all(bytes).map_err(|source| FileError::Io { path: path.clone(), source })
-    }
-}
-
-/// Writes the files in the calling thread, for lockstep.
-pub struct DirectOutput {
-    files: RecordingFiles,
-    failure: Option<FileError>,
-}
-
-impl DirectOutput {
-    /// Begins nothing yet.
-    pub fn new(files: RecordingFiles) -> Self {
-        Self { files, failure: None }
-    }
-
-    fn into_written(self) -> Written {
-        let RecordingFiles { all, earlier, .. } = self.files;
-        Written { files: all, earlier, failure: self.failure.as_ref().map(ToString::to_string) }
-    }
-
-    fn attempt(&mut self, write: impl FnOnce(&mut RecordingFiles) -> Result<(), FileError>) {
-        if self.failure.is_none() {
-            self.failure = write(&mut self.files).err();
-        }
-    }
-}
-
-impl Output for DirectOutput {
-    fn begin_file(&mut self) {
-        self.attempt(RecordingFiles::begin);
-    }
-
-    fn append(&mut self, bytes: Vec<u8>) {
-        self.attempt(|files| files.append(&bytes));
-    }
-
-    fn waiting_bytes(&self) -> usize {
-        0
-    }
-
-    fn failure(&self) -> Option<String> {
-        self.failure.as_ref().map(ToString::to_string)
-    }
-
-    fn finish(self: Box<Self>) -> Written {
-        self.into_written()
-    }
-}
-
-/// Command to the thread that writes.
-enum FileCommand {
-    Begin,
-    Append(Vec<u8>),
-}
-
-/// Writes the files in a thread, so that a slow disk holds nothing up. The recorder bounds what waits for it.
-pub struct FileThread {
-    commands: Sender<FileCommand>,
-    waiting_bytes: Arc<AtomicUsize>,
-    failure: Arc<Mutex<Option<String>>>,
-    thread: JoinHandle<Written>,
-}
-
-impl FileThread {
-    /// Starts the thread.
-    pub fn start(files: RecordingFiles) -> Self {
-        let (commands, received) = channel();
-        let (waiting_bytes, failure) = (Arc::new(AtomicUsize::new(0)), Arc::new(Mutex::new(None)));
-        let (waiting, failed) = (waiting_bytes.clone(), failure.clone());
-        let thread = std::thread::spawn(move || {
-            let mut output = DirectOutput::new(files);
-            for command in received {
-                match command {
-                    FileCommand::Begin => output.begin_file(),
-                    FileCommand::Append(bytes) => {
-                        let length = bytes.len();
-                        output.append(bytes);
-                        waiting.fetch_sub(length, Ordering::Relaxed);
-                    }
-                }
-                if let Some(why) = output.failure() {
-                    *failed.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(why);
-                }
-            }
-            output.into_written()
-        });
-        Self { commands, waiting_bytes, failure, thread }
-    }
-}
-
-impl Output for FileThread {
-    fn begin_file(&mut self) {
-        // The thread lives as long as this end.
-        let _ = self.commands.send(FileCommand::Begin);
-    }
-
-    fn append(&mut self, bytes: Vec<u8>) {
-        self.waiting_bytes.fetch_add(bytes.len(), Ordering::Relaxed);
-        let _ = self.commands.send(FileCommand::Append(bytes));
-    }
-
-    fn waiting_bytes(&self) -> usize {
-        self.waiting_bytes.load(Ordering::Relaxed)
-    }
-
-    fn failure(&self) -> Option<String> {
-        self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
-    }
-
-    fn finish(self: Box<Self>) -> Written {
-        drop(self.commands);
-        self.thread.join().unwrap_or_else(|_| Written {
-            failure: Some("the thread that writes the files panicked".into()),
-            ..Written::default()
-        })
     }
 }

@@ -8,7 +8,6 @@ use crate::lockstep::faults::FaultPlan;
 use crate::lockstep::invariants::{Checker, quiet_from};
 use crate::lockstep::queues::MemoryPorts;
 use crate::process::record::{self, Recording};
-use crate::recording_files::DirectOutput;
 use crate::session_file;
 use crate::sessions;
 use crate::stop::Stop;
@@ -122,6 +121,5 @@ fn begin_recording(
     config: &FleetConfig,
     fleet: &Lockstep,
 ) -> Result<Recording<MemoryPorts>, Error> {
-    let files = record::new_files(path, &config.recording)?;
-    fleet.record(Box::new(DirectOutput::new(files)))
+    fleet.record(record::new_files(path, &config.recording)?)
 }

@@ -1,7 +1,8 @@
 //! The process that records the fleet's messages, and the same loop for `mr-slam record` and for lockstep.
 //!
-//! It reads channels and encodes their messages with the bridge's tables (`topics`). The bytes go to files of a bounded
-//! size ([`crate::recording_files`]). It never holds anything up: when the disk is slow, messages are dropped and counted.
+//! It reads channels. Threads that leave the processor to all others ([`crate::spare_time`]) encode the messages with the bridge's tables (`topics`)
+//! and write files of a bounded size ([`crate::recording_files`]). It never holds anything up: when too much waits, messages are
+//! dropped and counted.
 
 pub mod description;
 mod inputs;
@@ -14,27 +15,30 @@ use super::{Error, Listens, ProcessLoop, serve};
 use crate::config::RecordingConfig;
 use crate::ports::{Clock as _, Ports};
 use crate::progress::WatchedThread;
-use crate::recording_files::{FileThread, Output, RecordingFiles};
+use crate::recording_files::RecordingFiles;
 use crate::run::Run;
 use crate::shared_memory::{Listener, wait};
+use crate::spare_time::{SpareTime, WaitingLimits, Work, lower_priority};
 use crate::stop::Stop;
 use ::recording::TopicCount;
-use inputs::Inputs;
+use inputs::{Inputs, RecordingWork};
 use msg::{Monotonic, RobotId, Role, ScanPurpose};
 use operator::{OperatorChange, OperatorWatch};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 use std::time::Duration;
-pub use topics::PLANAR_ODOMETRY;
-use topics::Recorder;
+pub use topics::{PLANAR_ODOMETRY, Recorder};
 
 /// Period at which channels are read. The shortest queue, the clock's, holds 0.32 s.
-const POLL_PERIOD: Duration = Duration::from_millis(20);
+const POLL_PERIOD: Duration = Duration::from_millis(50);
 /// Longest time until a message is in a chunk on its way to the disk.
 const FLUSH_PERIOD: Duration = Duration::from_millis(900);
 /// Niceness of a recorder's threads (nice(2)): robots and clients do not wait for it, and it has 0.32 s until a queue is full.
 const NICE: i32 = 10;
+/// Bytes of messages that may wait. Above the first a thread of normal priority encodes, too: it is 1 s of 20 robots. Above the second
+/// messages are dropped: it is 10 s of 64 robots, for which a disk may be slow.
+const WAITING: WaitingLimits = WaitingLimits { help: 4 << 20, refuse: 128 << 20 };
 /// Folder of recordings below the run's folder.
 pub const FOLDER: &str = "recording";
 /// Name of the files of a run's recording, without extension.
@@ -92,7 +96,7 @@ impl From<&TopicCount> for TopicSummary {
 
 /// Runs the process of a recorded fleet until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
-    lower_priority();
+    lower_priority(NICE);
     let node = run.attach(Role::Record, None)?;
     let folder = run.dir.join(FOLDER);
     std::fs::create_dir_all(&folder)?;
@@ -101,7 +105,7 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
         run.config.recording.disk_free_bytes(),
     );
     let watch = OperatorWatch::start(run.clone(), stop.clone());
-    let recording = Recording::open(&node, run, Box::new(FileThread::start(files)), Some(watch))?;
+    let recording = Recording::open(&node, run, files, encode_later, Some(watch))?;
     let heartbeat = Heartbeat::new(&node, run, Role::Record, None)?;
     let mut process = RecorderProcess { recording, heartbeat };
     serve(&mut process, run.progress(Role::Record, None, WatchedThread::Main), &|| stop.requested());
@@ -123,9 +127,9 @@ pub fn record<P: Ports<Listener = Listener>>(
     stop: &Stop,
     over: &dyn Fn() -> bool,
 ) -> Result<Summary, Error> {
-    lower_priority();
+    lower_priority(NICE);
     let watch = OperatorWatch::start(run.clone(), stop.clone());
-    let mut recording = Recording::open(node, run, Box::new(FileThread::start(files)), Some(watch))?;
+    let mut recording = Recording::open(node, run, files, encode_later, Some(watch))?;
     while !over() && !recording.has_ended() {
         let due = recording.step();
         wait([], due);
@@ -133,9 +137,8 @@ pub fn record<P: Ports<Listener = Listener>>(
     Ok(recording.finish())
 }
 
-/// Leaves the processor to others first. Threads that are started later inherit it; where it is refused, the priority stays.
-fn lower_priority() {
-    let _ = rustix::process::nice(NICE);
+fn encode_later(recorder: Recorder) -> Work<Recorder> {
+    Work::Later(SpareTime::start(recorder, WAITING))
 }
 
 /// The process: a recording and its health report.
@@ -149,9 +152,9 @@ impl<P: Ports> ProcessLoop for RecorderProcess<P> {
         let Self { recording, heartbeat } = self;
         let due = heartbeat.measure(|| recording.step());
         heartbeat.publish_if_due(|| {
-            let mut counters = HealthCounters { dropped: recording.recorder.dropped(), ..Default::default() };
-            (counters.gaps.received, counters.gaps.lost) =
-                (recording.recorder.messages(), recording.inputs.lost());
+            let counted = &recording.to.counts;
+            let mut counters = HealthCounters { dropped: counted.dropped(), ..Default::default() };
+            (counters.gaps.received, counters.gaps.lost) = (counted.messages(), recording.inputs.lost());
             counters
         });
         due.min(heartbeat.due())
@@ -167,7 +170,7 @@ impl<P: Ports> Listens<P::Listener> for RecorderProcess<P> {
 
 /// Reads the fleet's channels and records their messages.
 pub struct Recording<P: Ports> {
-    recorder: Recorder,
+    to: RecordingWork,
     inputs: Inputs<P>,
     operator: Option<OperatorWatch>,
     robots: usize,
@@ -177,37 +180,40 @@ pub struct Recording<P: Ports> {
 }
 
 impl<P: Ports> Recording<P> {
-    /// Opens all channels. `operator` watches the bridge's state, where there is one.
+    /// Opens all channels. `work` says where messages are encoded; `operator` watches the bridge's state, where there is one.
     ///
     /// # Errors
     /// A channel cannot be opened.
     pub fn open(
         ports: &P,
         run: &Run,
-        output: Box<dyn Output>,
+        files: RecordingFiles,
+        work: impl FnOnce(Recorder) -> Work<Recorder>,
         operator: Option<OperatorWatch>,
     ) -> Result<Self, Error> {
         let clock = ports.clock();
         let flush_due = clock.now() + FLUSH_PERIOD;
-        let recorder = Recorder::new(run, description::of_run(run), output)?;
+        let recorder = Recorder::new(run, description::of_run(run), files)?;
+        let to = RecordingWork { counts: recorder.counted(), work: work(recorder) };
         let inputs = Inputs::open(ports, run)?;
         let scan_demand = ScanDemandSender::open(ports, run, ScanPurpose::Viewing)?;
         let robots = run.config.fleet.robots;
-        Ok(Self { recorder, inputs, operator, robots, scan_demand, clock, flush_due })
+        Ok(Self { to, inputs, operator, robots, scan_demand, clock, flush_due })
     }
 
     /// Records what has come, and returns when it is to be called again.
     pub fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         self.scan_demand.update(RobotId::first(self.robots), now);
-        self.inputs.receive(&mut self.recorder, now);
-        match self.operator.as_mut().and_then(OperatorWatch::changed) {
-            Some(OperatorChange::State(state)) => self.recorder.record_operator(&state, now),
-            Some(OperatorChange::Workload(entries)) => self.recorder.record_workload(&entries, now),
-            None => {}
+        self.inputs.receive(&mut self.to, now);
+        if let Some(change) = self.operator.as_mut().and_then(OperatorWatch::changed) {
+            self.to.record(size_of_val(&change), move |recorder| match change {
+                OperatorChange::State(state) => recorder.record_operator(&state, now),
+                OperatorChange::Workload(entries) => recorder.record_workload(&entries, now),
+            });
         }
         if now >= self.flush_due {
-            self.recorder.flush();
+            self.to.record(0, Recorder::flush);
             self.flush_due = now + FLUSH_PERIOD;
         }
         now + POLL_PERIOD
@@ -215,13 +221,15 @@ impl<P: Ports> Recording<P> {
 
     /// Returns whether the recording has ended, because the disk is full.
     pub fn has_ended(&self) -> bool {
-        self.recorder.has_ended()
+        self.to.counts.has_ended()
     }
 
     /// Ends the recording and returns what it has.
     pub fn finish(self) -> Summary {
         let lost = self.inputs.lost();
-        Summary { lost, ..self.recorder.finish() }
+        let panicked =
+            || Summary { ended: Some("the thread that writes panicked".into()), ..Summary::default() };
+        Summary { lost, ..self.to.work.finish().map_or_else(panicked, Recorder::finish) }
     }
 }
 

@@ -5,7 +5,7 @@ use bridge::ros::{self, Bool, Empty, Int32, PoseWithCovarianceStamped, Text};
 use mr_slam::config::FleetConfig;
 use mr_slam::lockstep::Lockstep;
 use mr_slam::process::record::{PLANAR_ODOMETRY, Summary, map_hash};
-use mr_slam::recording_files::{DirectOutput, RecordingFiles};
+use mr_slam::recording_files::RecordingFiles;
 use recording::RecordingReader;
 use recording::fleet::FleetRecording;
 use sha2::{Digest, Sha256};
@@ -27,7 +27,7 @@ fn run(record: Option<&Path>) -> (String, String, Option<Summary>) {
     let mut fleet = Lockstep::new(&config, true).unwrap();
     let mut recording = record.map(|path| {
         let files = RecordingFiles::new(path, config.recording.disk_free_bytes());
-        fleet.record(Box::new(DirectOutput::new(files))).unwrap()
+        fleet.record(files).unwrap()
     });
     let mut hash = Sha256::new();
     for _ in 0..TICKS {
@@ -87,7 +87,7 @@ fn a_recording_that_is_split_is_whole_in_each_file() {
     config.recording.split_mb = 0;
     let mut fleet = Lockstep::new(&config, true).unwrap();
     let files = RecordingFiles::new(&path, config.recording.disk_free_bytes());
-    let mut recording = fleet.record(Box::new(DirectOutput::new(files))).unwrap();
+    let mut recording = fleet.record(files).unwrap();
     for _ in 0..400 {
         fleet.tick(&mut |_, _| {});
         recording.step();
@@ -117,7 +117,7 @@ fn a_full_disk_ends_the_recording_with_a_reason_and_not_the_fleet() {
     config.recording.disk_free_mb = u64::MAX >> 21;
     let mut fleet = Lockstep::new(&config, true).unwrap();
     let files = RecordingFiles::new(&folder.path().join("run.mcap"), config.recording.disk_free_bytes());
-    let mut recording = fleet.record(Box::new(DirectOutput::new(files))).unwrap();
+    let mut recording = fleet.record(files).unwrap();
     for _ in 0..300 {
         fleet.tick(&mut |_, _| {});
         recording.step();
@@ -158,7 +158,7 @@ fn each_command_in_a_recording_says_who_sent_it() {
     let config = config();
     let mut fleet = Lockstep::new(&config, true).unwrap();
     let files = RecordingFiles::new(&path, config.recording.disk_free_bytes());
-    let mut recording = fleet.record(Box::new(DirectOutput::new(files))).unwrap();
+    let mut recording = fleet.record(files).unwrap();
     let mut client = fleet.client(([127, 0, 0, 1], 50_100).into());
     client.advertise::<Bool>("/emergency_stop");
     client.advertise::<Empty>("/emergency_stop_release");
@@ -213,7 +213,7 @@ fn record_from(path: &Path, seed: u64, tick: usize) {
         fleet.tick(&mut |_, _| {});
     }
     let files = RecordingFiles::new(path, config.recording.disk_free_bytes());
-    let mut recording = fleet.record(Box::new(DirectOutput::new(files))).unwrap();
+    let mut recording = fleet.record(files).unwrap();
     for _ in 0..300 {
         fleet.tick(&mut |_, _| {});
         recording.step();

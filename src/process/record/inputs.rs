@@ -3,15 +3,34 @@
 use super::topics::Recorder;
 use crate::channel::{self, Channel};
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
+use crate::recording_files::RecordingCounts;
 use crate::run::Run;
+use crate::spare_time::Work;
 use ::bridge::FleetMessage;
 use msg::{
-    Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GroundTruth,
-    MapTransforms, MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan, NavigationReport,
-    Odometry, OperatorEvent, PatchHeader, RobotId, Scan, SlamRequest, Transforms, VelocityCommand,
+    Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView,
+    GroundTruth, MapTransforms, MergeEdges, Message, Monotonic, NavigationCommand, NavigationPlan,
+    NavigationReport, Odometry, OperatorEvent, PatchHeader, RobotId, Scan, SlamRequest, Transforms,
+    VelocityCommand,
 };
 use reports::{FleetView, edges_json};
+use std::sync::Arc;
 use std::time::Duration;
+
+/// Encodes and writes messages; counts those for which too much waits.
+pub struct RecordingWork {
+    pub(super) work: Work<Recorder>,
+    pub(super) counts: Arc<RecordingCounts>,
+}
+
+impl RecordingWork {
+    /// Records a message that takes so many bytes of memory while it waits.
+    pub(super) fn record(&mut self, bytes: usize, record: impl FnOnce(&mut Recorder) + Send + 'static) {
+        if !self.work.push(bytes, record) {
+            self.counts.add_dropped();
+        }
+    }
+}
 
 /// Channels of one robot.
 struct RobotInputs<P: Ports> {
@@ -45,11 +64,20 @@ impl<P: Ports> MapInput<P> {
         Ok(Self { reader, grid: DenseMap::default(), period, has_changed: false, due: Monotonic(0) })
     }
 
-    /// Passes the newest version on, if it is new and due.
-    fn receive(&mut self, now: Monotonic, record: impl FnOnce(msg::GridView<'_>)) {
+    /// Records the newest version, if it is new and due.
+    fn receive(
+        &mut self,
+        to: &mut RecordingWork,
+        now: Monotonic,
+        record: impl FnOnce(&mut Recorder, GridView<'_>) + Send + 'static,
+    ) {
         self.has_changed |= self.reader.poll();
         if self.has_changed && now >= self.due {
-            record(self.grid.update(self.reader.map()));
+            let map = self.grid.update(self.reader.map());
+            let (header, cells) = (*map.header, map.cells.to_vec());
+            to.record(cells.len(), move |recorder| {
+                record(recorder, GridView { header: &header, cells: &cells })
+            });
             (self.has_changed, self.due) = (false, now + self.period);
         }
     }
@@ -103,23 +131,23 @@ impl<P: Ports> Inputs<P> {
     }
 
     /// Records all that has come.
-    pub fn receive(&mut self, to: &mut Recorder, now: Monotonic) {
-        each(&mut self.clock, |clock| to.publish(FleetMessage::Clock(clock), sent(clock)));
-        each(&mut self.operator_events, |event| to.record_operator_event(event));
-        each(&mut self.edge_commands, |command| to.record_edge_command(command));
+    pub fn receive(&mut self, to: &mut RecordingWork, now: Monotonic) {
+        each(&mut self.clock, to, |to, clock| to.publish(FleetMessage::Clock(clock), sent(clock)));
+        each(&mut self.operator_events, to, Recorder::record_operator_event);
+        each(&mut self.edge_commands, to, Recorder::record_edge_command);
         for input in &mut self.robots {
             input.receive(to, now);
         }
-        each(&mut self.map_transforms, |all| to.publish(FleetMessage::MapTransforms(all), sent(all)));
-        self.merged_map.receive(now, |map| to.publish(FleetMessage::MergedMap(map), now));
-        each(&mut self.edges, |edges| {
+        each(&mut self.map_transforms, to, |to, all| to.publish(FleetMessage::MapTransforms(all), sent(all)));
+        self.merged_map.receive(to, now, move |to, map| to.publish(FleetMessage::MergedMap(map), now));
+        each(&mut self.edges, to, |to, edges| {
             to.publish(FleetMessage::MergeEdges(&edges_json(edges)), sent(edges));
         });
-        each(&mut self.zones, |zones| to.publish(FleetMessage::ExclusionZones(zones), sent(zones)));
-        each(&mut self.exploration, |report| {
+        each(&mut self.zones, to, |to, zones| to.publish(FleetMessage::ExclusionZones(zones), sent(zones)));
+        each(&mut self.exploration, to, |to, report| {
             to.publish(FleetMessage::ExplorationState(report), sent(report));
         });
-        each(&mut self.stats, |stats| {
+        each(&mut self.stats, to, |to, stats| {
             to.publish(FleetMessage::Stats(stats), sent(stats));
             let view = serde_json::to_string(&FleetView::new(stats)).unwrap_or_default();
             to.record_stats(&view, sent(stats));
@@ -140,36 +168,45 @@ impl<P: Ports> Inputs<P> {
 }
 
 impl<P: Ports> RobotInputs<P> {
-    fn receive(&mut self, to: &mut Recorder, now: Monotonic) {
+    fn receive(&mut self, to: &mut RecordingWork, now: Monotonic) {
         let robot = self.robot;
-        each(&mut self.commands, |command| to.record_command(robot, command));
-        each(&mut self.odometry, |odometry| {
+        each(&mut self.commands, to, move |to, command| to.record_command(robot, command));
+        each(&mut self.odometry, to, move |to, odometry| {
             to.publish(FleetMessage::Odometry(robot, odometry), sent(odometry));
             to.record_planar_odometry(robot, odometry);
         });
-        each(&mut self.transforms, |all| to.publish(FleetMessage::Transforms(robot, all), sent(all)));
-        each(&mut self.scans, |scan| to.publish(FleetMessage::Scan(robot, scan), sent(scan)));
-        each(&mut self.corrections, |correction| {
+        each(&mut self.transforms, to, move |to, all| {
+            to.publish(FleetMessage::Transforms(robot, all), sent(all));
+        });
+        each(&mut self.scans, to, move |to, scan| to.publish(FleetMessage::Scan(robot, scan), sent(scan)));
+        each(&mut self.corrections, to, move |to, correction| {
             to.publish(FleetMessage::Correction(robot, correction), sent(correction));
         });
-        each(&mut self.goals, |command| to.record_navigation_command(robot, command));
-        each(&mut self.slam_requests, |request| to.record_slam_request(robot, request));
-        each(&mut self.navigation, |report| {
+        each(&mut self.goals, to, move |to, command| to.record_navigation_command(robot, command));
+        each(&mut self.slam_requests, to, move |to, request| to.record_slam_request(robot, request));
+        each(&mut self.navigation, to, move |to, report| {
             to.publish(FleetMessage::NavigationState(robot, report), sent(report));
         });
-        each(&mut self.plans, |plan| to.publish(FleetMessage::Plan(robot, plan), sent(plan)));
+        each(&mut self.plans, to, move |to, plan| to.publish(FleetMessage::Plan(robot, plan), sent(plan)));
         // 100 Hz of it, of which the newest of each poll is enough.
         if let Some(truth) = self.truths.newest() {
-            to.record_truth(robot, &truth);
+            let truth = *truth;
+            to.record(size_of_val(&truth), move |to| to.record_truth(robot, &truth));
         }
-        self.map.receive(now, |map| to.publish(FleetMessage::Map(robot, map), now));
+        self.map.receive(to, now, move |to, map| to.publish(FleetMessage::Map(robot, map), now));
     }
 }
 
-/// Passes each message that has come on.
-fn each<M: Message>(reader: &mut impl ReadPort<M>, mut pass: impl FnMut(&M)) {
+/// Records each message that has come.
+fn each<M: Message + Send>(
+    reader: &mut impl ReadPort<M>,
+    to: &mut RecordingWork,
+    record: impl Fn(&mut Recorder, &M) + Copy + Send + 'static,
+) {
     while let Some(message) = reader.receive() {
-        pass(&message);
+        // The channel's memory is needed for newer messages.
+        let message = Box::new(*message);
+        to.record(size_of::<M>(), move |recorder| record(recorder, &message));
     }
 }
 

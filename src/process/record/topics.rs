@@ -5,7 +5,7 @@ mod commands;
 use super::operator::operator_json;
 use super::{Summary, TopicSummary};
 use crate::clock::Epoch;
-use crate::recording_files::Output;
+use crate::recording_files::{RecordingCounts, RecordingFiles};
 use crate::run::Run;
 use ::bridge::{
     Delivery, FleetMessage, FleetPublisher, FleetTopic, LinkTransforms, OUTGOING_TOPICS, TopicSink,
@@ -18,9 +18,8 @@ use ros_messages::{
     Bool, FrameNames, Int32, Message, Odometry as RosOdometry, Pose2D, RobotNames, Text, Twist, write,
 };
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-/// Bytes that may wait for the disk; beyond them messages are dropped. It is 10 s of a fleet of 64 robots.
-const WAITING_BYTES_MAX: usize = 64 << 20;
 /// Topics of the fleet that repeat others: `/map` and its probabilities, updates and tiles of whole grids that are recorded.
 const REPEATING: [FleetTopic; 4] = [
     FleetTopic::MergedMapAlias,
@@ -84,13 +83,6 @@ pub struct Recorder {
     command_senders: Vec<Option<Sender>>,
 }
 
-/// Numbers of messages.
-#[derive(Default)]
-struct Counted {
-    messages: u64,
-    dropped: u64,
-}
-
 /// The topics, and the file that is being written.
 struct FileTopics {
     topics: Vec<Topic>,
@@ -101,13 +93,13 @@ struct FileTopics {
     description: BTreeMap<String, String>,
     /// The file; `None` once the recording has ended.
     writer: Option<RecordingWriter>,
-    output: Box<dyn Output>,
+    files: RecordingFiles,
     split_bytes: u64,
     file_bytes: u64,
     /// Time of the message that is being encoded.
     at: Stamp,
     payload: Vec<u8>,
-    counted: Counted,
+    counted: Arc<RecordingCounts>,
     ended: Option<String>,
 }
 
@@ -119,12 +111,12 @@ impl Recorder {
     pub fn new(
         run: &Run,
         description: BTreeMap<String, String>,
-        output: Box<dyn Output>,
+        files: RecordingFiles,
     ) -> Result<Self, WriteError> {
         let (robots, config) = (run.config.robot_names(), run.config.bridge_config());
         let mut publisher = FleetPublisher::new(config.frame_names, &robots, LinkTransforms::Split);
         publisher.set_odometry_sigmas(config.odometry_sigmas);
-        let mut file = FileTopics::new(&robots, description, output, run.config.recording.split_bytes());
+        let mut file = FileTopics::new(&robots, description, files, run.config.recording.split_bytes());
         file.begin()?;
         let names = FrameNames::new(config.frame_names, &robots);
         let command_senders = vec![None; robots.robots().count()];
@@ -189,19 +181,9 @@ impl Recorder {
         self.file.flush();
     }
 
-    /// Returns the number of messages that were dropped because the disk was slow.
-    pub fn dropped(&self) -> u64 {
-        self.file.counted.dropped
-    }
-
-    /// Returns the number of recorded messages.
-    pub fn messages(&self) -> u64 {
-        self.file.counted.messages
-    }
-
-    /// Returns whether the recording has ended.
-    pub fn has_ended(&self) -> bool {
-        self.file.ended.is_some()
+    /// Returns the numbers of messages.
+    pub fn counted(&self) -> Arc<RecordingCounts> {
+        self.file.counted.clone()
     }
 
     /// Ends the last file and returns what was recorded.
@@ -214,7 +196,7 @@ impl FileTopics {
     fn new(
         robots: &RobotNames,
         description: BTreeMap<String, String>,
-        output: Box<dyn Output>,
+        files: RecordingFiles,
         split_bytes: u64,
     ) -> Self {
         let mut topics = Vec::new();
@@ -257,12 +239,12 @@ impl FileTopics {
             own,
             description,
             writer: None,
-            output,
+            files,
             split_bytes,
             file_bytes: 0,
             at: Stamp(0),
             payload: Vec::new(),
-            counted: Counted::default(),
+            counted: Arc::default(),
             ended: None,
         }
     }
@@ -280,7 +262,7 @@ impl FileTopics {
                 topic.total.bytes += payload.len() as u64;
             }
         }
-        self.output.begin_file();
+        self.files.begin_file();
         (self.writer, self.file_bytes) = (Some(writer), 0);
         Ok(())
     }
@@ -295,7 +277,9 @@ impl FileTopics {
     fn encode(&mut self, index: TopicIndex, encode: impl FnOnce(&mut Writer<'_>)) -> bool {
         let (Some(writer), Some(topic)) = (&mut self.writer, self.topics.get_mut(index)) else {
             // Nothing of a recording that has ended counts as recorded.
-            self.counted.dropped += u64::from(self.ended.is_some());
+            if self.ended.is_some() {
+                self.counted.add_dropped();
+            }
             return false;
         };
         self.payload.clear();
@@ -303,13 +287,9 @@ impl FileTopics {
         if topic.durability == Durability::Latched {
             topic.newest = Some(self.payload.clone());
         }
-        if self.output.waiting_bytes() > WAITING_BYTES_MAX {
-            self.counted.dropped += 1;
-            return false;
-        }
         match writer.write(index, self.at, &self.payload) {
             Ok(()) => {
-                self.counted.messages += 1;
+                self.counted.add_message();
                 topic.total.messages += 1;
                 topic.total.bytes += self.payload.len() as u64;
                 // A chunk that is full is on its way at once.
@@ -328,12 +308,12 @@ impl FileTopics {
         let bytes = writer.take_bytes();
         if !bytes.is_empty() {
             self.file_bytes += bytes.len() as u64;
-            self.output.append(bytes);
+            self.files.append(&bytes);
         }
     }
 
     fn flush(&mut self) {
-        if let Some(why) = self.output.failure() {
+        if let Some(why) = self.files.failure() {
             return self.end(why);
         }
         let Some(writer) = &mut self.writer else { return };
@@ -352,7 +332,7 @@ impl FileTopics {
     fn finish_file(&mut self) {
         let Some(writer) = self.writer.take() else { return };
         match writer.finish() {
-            Ok(bytes) => self.output.append(bytes),
+            Ok(bytes) => self.files.append(&bytes),
             Err(why) => self.end(why.to_string()),
         }
     }
@@ -362,18 +342,19 @@ impl FileTopics {
         if self.ended.is_none() {
             tracing::error!("the recording has ended: {why}; the fleet goes on");
             (self.writer, self.ended) = (None, Some(why));
+            self.counted.set_ended();
         }
     }
 
     fn finish(mut self) -> Summary {
         self.finish_file();
         let topics = self.topics.into_iter().map(|topic| topic.total).collect();
-        let written = self.output.finish();
+        let written = self.files.finish();
         Summary {
             files: written.files,
             earlier: written.earlier,
             topics,
-            dropped: self.counted.dropped,
+            dropped: self.counted.dropped(),
             lost: 0,
             ended: self.ended.or(written.failure),
         }

@@ -1,0 +1,222 @@
+//! Work that nobody waits for, done in its order in the processor time that others leave.
+//!
+//! A thread of the scheduling policy `SCHED_IDLE` (sched(7)) works as long as a core has nothing else to do, and leaves its core at
+//! once to any other thread. Where all cores stay busy, such a thread hardly runs: then a second one of normal priority works for it.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use thread_priority::unix::{
+    NormalThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+};
+use thread_priority::{Error, ThreadPriority};
+
+/// Period at which the second thread looks how much waits.
+const LOOK_PERIOD: Duration = Duration::from_millis(200);
+
+/// One piece of work on the state `S`.
+struct Job<S> {
+    bytes: usize,
+    run: Box<dyn FnOnce(&mut S) + Send>,
+}
+
+/// The state, and the jobs that wait for it. Who holds its lock does the next job.
+struct Worker<S> {
+    state: S,
+    jobs: Receiver<Job<S>>,
+    waiting_bytes: Arc<AtomicUsize>,
+}
+
+impl<S> Worker<S> {
+    fn run(&mut self, job: Job<S>) {
+        (job.run)(&mut self.state);
+        self.waiting_bytes.fetch_sub(job.bytes, Ordering::Relaxed);
+    }
+
+    /// Does what waits, until no more than this is left.
+    fn run_down_to(&mut self, bytes: usize) {
+        while self.waiting_bytes.load(Ordering::Relaxed) > bytes {
+            let Ok(job) = self.jobs.try_recv() else { return };
+            self.run(job);
+        }
+    }
+}
+
+/// How much may wait, bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WaitingLimits {
+    /// Above this the thread of normal priority works too.
+    pub help: usize,
+    /// Above this jobs are refused.
+    pub refuse: usize,
+}
+
+/// Does jobs on a state in threads of their own.
+pub struct SpareTime<S> {
+    worker: Arc<Mutex<Worker<S>>>,
+    jobs: Sender<Job<S>>,
+    waiting_bytes: Arc<AtomicUsize>,
+    limits: WaitingLimits,
+    idle: JoinHandle<()>,
+    helper: JoinHandle<()>,
+    end_helper: Sender<()>,
+}
+
+impl<S: Send + 'static> SpareTime<S> {
+    /// Starts the threads. Where the system refuses the policy, all work is done at the caller's priority.
+    pub fn start(state: S, limits: WaitingLimits) -> Self {
+        let (jobs, received) = channel();
+        let waiting_bytes = Arc::new(AtomicUsize::new(0));
+        let worker = Worker { state, jobs: received, waiting_bytes: waiting_bytes.clone() };
+        let worker = Arc::new(Mutex::new(worker));
+        let (end_helper, ends) = channel::<()>();
+        let idle = std::thread::spawn({
+            let worker = worker.clone();
+            move || {
+                if let Err(why) = yield_to_all_others() {
+                    tracing::debug!("SCHED_IDLE is refused: {why:?}");
+                }
+                while do_next(&worker) {}
+            }
+        });
+        let helper = std::thread::spawn({
+            let (worker, waiting) = (worker.clone(), waiting_bytes.clone());
+            move || {
+                while ends.recv_timeout(LOOK_PERIOD) == Err(RecvTimeoutError::Timeout) {
+                    if waiting.load(Ordering::Relaxed) > limits.help {
+                        lock(&worker).run_down_to(limits.help / 2);
+                    }
+                }
+            }
+        });
+        Self { worker, jobs, waiting_bytes, limits, idle, helper, end_helper }
+    }
+
+    /// Adds a job that stands for so many bytes of memory. Returns false, and drops it, if too much waits.
+    pub fn push(&self, bytes: usize, run: impl FnOnce(&mut S) + Send + 'static) -> bool {
+        if self.waiting_bytes.load(Ordering::Relaxed).saturating_add(bytes) > self.limits.refuse {
+            return false;
+        }
+        self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
+        // The threads live until this is dropped.
+        self.jobs.send(Job { bytes, run: Box::new(run) }).is_ok()
+    }
+
+    /// Does what is left, at the caller's priority, and returns the state; `None` if a job panicked.
+    pub fn finish(self) -> Option<S> {
+        let Self { worker, jobs, idle, helper, end_helper, .. } = self;
+        drop((jobs, end_helper));
+        {
+            let mut worker = lock(&worker);
+            while let Ok(job) = worker.jobs.try_recv() {
+                worker.run(job);
+            }
+        }
+        let ended = [idle.join(), helper.join()];
+        let worker = Arc::into_inner(worker)?.into_inner().ok()?;
+        ended.iter().all(Result::is_ok).then_some(worker.state)
+    }
+}
+
+/// Does jobs at once, or in the processor time that others leave.
+pub enum Work<S> {
+    /// In the caller's thread, for lockstep.
+    Now(Box<S>),
+    /// In threads of their own.
+    Later(SpareTime<S>),
+}
+
+impl<S: Send + 'static> Work<S> {
+    /// Does a job that takes so many bytes of memory while it waits. Returns false, and drops it, if too much waits.
+    pub fn push(&mut self, bytes: usize, run: impl FnOnce(&mut S) + Send + 'static) -> bool {
+        match self {
+            Self::Now(state) => {
+                run(state);
+                true
+            }
+            Self::Later(work) => work.push(bytes, run),
+        }
+    }
+
+    /// Does what is left, and returns the state; `None` if a job panicked.
+    pub fn finish(self) -> Option<S> {
+        match self {
+            Self::Now(state) => Some(*state),
+            Self::Later(work) => work.finish(),
+        }
+    }
+}
+
+/// Waits for a job and does it. Returns false if there will be none.
+fn do_next<S>(worker: &Mutex<Worker<S>>) -> bool {
+    let mut worker = lock(worker);
+    let Ok(job) = worker.jobs.recv() else { return false };
+    worker.run(job);
+    true
+}
+
+fn lock<S>(worker: &Mutex<Worker<S>>) -> std::sync::MutexGuard<'_, Worker<S>> {
+    worker.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}
+
+/// Leaves the processor to others first (nice(2)). Threads that are started later inherit it; where it is refused, the priority stays.
+pub fn lower_priority(niceness: i32) {
+    let _ = rustix::process::nice(niceness);
+}
+
+/// Lets the calling thread run only while its core has nothing else to do. It needs no permission and cannot be undone without one.
+fn yield_to_all_others() -> Result<(), Error> {
+    let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
+    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, policy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc::sync_channel;
+
+    const LIMITS: WaitingLimits = WaitingLimits { help: 100, refuse: 1000 };
+
+    #[test]
+    fn jobs_are_done_in_their_order_and_all_before_the_end() {
+        let work = SpareTime::start(Vec::new(), LIMITS);
+        let done = (0..500).filter(|index| {
+            let index = *index;
+            // What is refused because too much waits is not done at all.
+            work.push(10, move |list: &mut Vec<i32>| list.push(index))
+        });
+        let pushed: Vec<i32> = done.collect();
+        assert_eq!(work.finish().unwrap(), pushed);
+    }
+
+    #[test]
+    fn what_waits_is_bounded() {
+        let work = SpareTime::start(0, LIMITS);
+        let (go, blocked) = sync_channel::<()>(0);
+        let (begins, begun) = sync_channel::<()>(0);
+        assert!(work.push(10, move |_| {
+            begins.send(()).unwrap();
+            blocked.recv().unwrap();
+        }));
+        begun.recv().unwrap();
+        let taken = (0..200).filter(|_| work.push(10, |count: &mut i32| *count += 1)).count();
+        assert_eq!(taken, 99, "990 bytes beside the 10 of the one that is being done");
+        go.send(()).unwrap();
+        assert_eq!(work.finish(), Some(99));
+    }
+
+    #[test]
+    fn a_helper_leaves_what_is_not_much() {
+        let (jobs, received) = channel();
+        let waiting_bytes = Arc::new(AtomicUsize::new(0));
+        let mut worker = Worker { state: 0, jobs: received, waiting_bytes: waiting_bytes.clone() };
+        for _ in 0..20 {
+            waiting_bytes.fetch_add(10, Ordering::Relaxed);
+            jobs.send(Job { bytes: 10, run: Box::new(|count: &mut i32| *count += 1) }).unwrap();
+        }
+        worker.run_down_to(LIMITS.help / 2);
+        assert_eq!((worker.state, waiting_bytes.load(Ordering::Relaxed)), (15, 50));
+    }
+}
