@@ -16,10 +16,13 @@ use thread_priority::{Error, ThreadPriority};
 /// Period at which the second thread looks how much waits.
 const LOOK_PERIOD: Duration = Duration::from_millis(200);
 
+/// What a job does.
+pub type Action<S> = Box<dyn FnOnce(&mut S) + Send>;
+
 /// One piece of work on the state `S`.
 struct Job<S> {
     bytes: usize,
-    run: Box<dyn FnOnce(&mut S) + Send>,
+    run: Action<S>,
 }
 
 /// The state, and the jobs that wait for it. Who holds its lock does the next job.
@@ -95,13 +98,13 @@ impl<S: Send + 'static> SpareTime<S> {
     }
 
     /// Adds a job that stands for so many bytes of memory. Returns false, and drops it, if too much waits.
-    pub fn push(&self, bytes: usize, run: impl FnOnce(&mut S) + Send + 'static) -> bool {
+    pub fn push(&self, bytes: usize, run: Action<S>) -> bool {
         if self.waiting_bytes.load(Ordering::Relaxed).saturating_add(bytes) > self.limits.refuse {
             return false;
         }
         self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
         // The threads live until this is dropped.
-        self.jobs.send(Job { bytes, run: Box::new(run) }).is_ok()
+        self.jobs.send(Job { bytes, run }).is_ok()
     }
 
     /// Does what is left, at the caller's priority, and returns the state; `None` if a job panicked.
@@ -130,7 +133,7 @@ pub enum Work<S> {
 
 impl<S: Send + 'static> Work<S> {
     /// Does a job that takes so many bytes of memory while it waits. Returns false, and drops it, if too much waits.
-    pub fn push(&mut self, bytes: usize, run: impl FnOnce(&mut S) + Send + 'static) -> bool {
+    pub fn push(&mut self, bytes: usize, run: Action<S>) -> bool {
         match self {
             Self::Now(state) => {
                 run(state);
@@ -185,7 +188,7 @@ mod tests {
         let done = (0..500).filter(|index| {
             let index = *index;
             // What is refused because too much waits is not done at all.
-            work.push(10, move |list: &mut Vec<i32>| list.push(index))
+            work.push(10, Box::new(move |list: &mut Vec<i32>| list.push(index)))
         });
         let pushed: Vec<i32> = done.collect();
         assert_eq!(work.finish().unwrap(), pushed);
@@ -196,12 +199,13 @@ mod tests {
         let work = SpareTime::start(0, LIMITS);
         let (go, blocked) = sync_channel::<()>(0);
         let (begins, begun) = sync_channel::<()>(0);
-        assert!(work.push(10, move |_| {
+        let block = move |_: &mut i32| {
             begins.send(()).unwrap();
             blocked.recv().unwrap();
-        }));
+        };
+        assert!(work.push(10, Box::new(block)));
         begun.recv().unwrap();
-        let taken = (0..200).filter(|_| work.push(10, |count: &mut i32| *count += 1)).count();
+        let taken = (0..200).filter(|_| work.push(10, Box::new(|count: &mut i32| *count += 1))).count();
         assert_eq!(taken, 99, "990 bytes beside the 10 of the one that is being done");
         go.send(()).unwrap();
         assert_eq!(work.finish(), Some(99));

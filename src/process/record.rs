@@ -207,13 +207,14 @@ impl<P: Ports> Recording<P> {
         self.scan_demand.update(RobotId::first(self.robots), now);
         self.inputs.receive(&mut self.to, now);
         if let Some(change) = self.operator.as_mut().and_then(OperatorWatch::changed) {
-            self.to.record(size_of_val(&change), move |recorder| match change {
-                OperatorChange::State(state) => recorder.record_operator(&state, now),
-                OperatorChange::Workload(entries) => recorder.record_workload(&entries, now),
-            });
+            let record = move |to: &mut Recorder| match change {
+                OperatorChange::State(state) => to.record_operator(&state, now),
+                OperatorChange::Workload(entries) => to.record_workload(&entries, now),
+            };
+            self.to.record(size_of_val(&record), Box::new(record));
         }
         if now >= self.flush_due {
-            self.to.record(0, Recorder::flush);
+            self.to.record(0, Box::new(Recorder::flush));
             self.flush_due = now + FLUSH_PERIOD;
         }
         now + POLL_PERIOD

@@ -5,7 +5,7 @@ use crate::channel::{self, Channel};
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::recording_files::RecordingCounts;
 use crate::run::Run;
-use crate::spare_time::Work;
+use crate::spare_time::{Action, Work};
 use ::bridge::FleetMessage;
 use msg::{
     Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView,
@@ -25,7 +25,7 @@ pub struct RecordingWork {
 
 impl RecordingWork {
     /// Records a message that takes so many bytes of memory while it waits.
-    pub(super) fn record(&mut self, bytes: usize, record: impl FnOnce(&mut Recorder) + Send + 'static) {
+    pub(super) fn record(&mut self, bytes: usize, record: Action<Recorder>) {
         if !self.work.push(bytes, record) {
             self.counts.add_dropped();
         }
@@ -74,10 +74,9 @@ impl<P: Ports> MapInput<P> {
         self.has_changed |= self.reader.poll();
         if self.has_changed && now >= self.due {
             let map = self.grid.update(self.reader.map());
-            let (header, cells) = (*map.header, map.cells.to_vec());
-            to.record(cells.len(), move |recorder| {
-                record(recorder, GridView { header: &header, cells: &cells })
-            });
+            let (header, cells, bytes) = (*map.header, map.cells.to_vec(), map.cells.len());
+            let record = move |to: &mut Recorder| record(to, GridView { header: &header, cells: &cells });
+            to.record(bytes, Box::new(record));
             (self.has_changed, self.due) = (false, now + self.period);
         }
     }
@@ -191,7 +190,7 @@ impl<P: Ports> RobotInputs<P> {
         // 100 Hz of it, of which the newest of each poll is enough.
         if let Some(truth) = self.truths.newest() {
             let truth = *truth;
-            to.record(size_of_val(&truth), move |to| to.record_truth(robot, &truth));
+            to.record(size_of_val(&truth), Box::new(move |to| to.record_truth(robot, &truth)));
         }
         self.map.receive(to, now, move |to, map| to.publish(FleetMessage::Map(robot, map), now));
     }
@@ -206,7 +205,7 @@ fn each<M: Message + Send>(
     while let Some(message) = reader.receive() {
         // The channel's memory is needed for newer messages.
         let message = Box::new(*message);
-        to.record(size_of::<M>(), move |recorder| record(recorder, &message));
+        to.record(size_of::<M>(), Box::new(move |to: &mut Recorder| record(to, &message)));
     }
 }
 
