@@ -192,7 +192,7 @@ impl Lockstep {
     /// A channel cannot be opened.
     pub fn record(&self, files: RecordingFiles) -> Result<Recording<MemoryPorts>, Error> {
         let ports = MemoryPorts::attach_observer(&self.world.network, Opener::of_fleet(Program::RecordTool));
-        Recording::open(&ports, &self.world.run, files, |recorder| Work::Now(Box::new(recorder)), None)
+        Recording::open(&ports, &self.world.run, files, |recorder| Ok(Work::Now(Box::new(recorder))), None)
     }
 
     /// Runs the fleet for one tick of the simulators. `message_observer` receives every message.

@@ -1,4 +1,5 @@
-//! Both cores are busy: jitter of the transforms at a TCP client, with and without page, recorder and ROS 2 peer.
+//! Both cores are busy: jitter of the transforms at a TCP client, with and without page, recorder and ROS 2 peer, and what the recorder
+//! misses.
 
 use crate::fleet::{LOOK_PERIOD, PATIENCE};
 use crate::measure::Spread;
@@ -67,8 +68,8 @@ pub fn run(args: &Args) -> Rows {
             continue;
         }
         for hogs in [false, true] {
-            let alone = measure(args, text, hogs, false)?;
-            let attached = measure(args, text, hogs, true)?;
+            let (alone, _) = measure(args, text, hogs, false)?;
+            let (attached, unrecorded) = measure(args, text, hogs, true)?;
             let load = if hogs { "hogs on all cores" } else { "no other load" };
             rows.push(row(&format!("{settings}, {load}"), &alone));
             let with = row(&format!("{settings}, {load}, page + recorder + ROS 2"), &attached);
@@ -80,6 +81,8 @@ pub fn run(args: &Args) -> Rows {
                 true => Row { limit: "<= 1.2 times".into(), holds: Some(holds), ..with },
                 false => with,
             });
+            let what = format!("{settings}, {load}, messages not recorded");
+            rows.push(Row::new("hogs", &what, unrecorded.to_string(), "0", unrecorded == 0));
         }
     }
     Ok(rows)
@@ -113,7 +116,8 @@ fn row(what: &str, spread: &Spread) -> Row {
     Row::note("hogs", what, measured).with(json!({ "tf": spread }))
 }
 
-fn measure(args: &Args, settings: &str, hogs: bool, attached: bool) -> Result<Spread, Box<dyn Error>> {
+/// Returns the jitter of transforms, and the number of messages that the recorder missed or dropped.
+fn measure(args: &Args, settings: &str, hogs: bool, attached: bool) -> Result<(Spread, u64), Box<dyn Error>> {
     let file = config_file(settings)?;
     let config = path_of(&file)?;
     let domain = peer::domain().to_string();
@@ -134,7 +138,11 @@ fn measure(args: &Args, settings: &str, hogs: bool, attached: bool) -> Result<Sp
     {
         return Err("the ROS 2 peer heard nothing".into());
     }
-    Ok(tf)
+    if !attached {
+        return Ok((tf, 0));
+    }
+    let recorder = fleet.process("record").ok_or("telemetry does not know the recorder")?;
+    Ok((tf, recorder.lost + recorder.dropped))
 }
 
 /// Connects to the operator's page as a browser does, subscribes to every topic, and reads until the fleet ends.

@@ -1,4 +1,4 @@
-//! Real-time settings of processes: scheduling priority, processor cores and locked memory.
+//! Settings of processes and threads: scheduling priority, processor cores and locked memory.
 //!
 //! The defaults change nothing. A process reports a setting that the system does not permit, and continues
 //! without it.
@@ -10,7 +10,8 @@ use rustix::thread::{CpuSet, sched_setaffinity};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use thread_priority::unix::{
-    RealtimeThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+    NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
 };
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
@@ -173,6 +174,21 @@ fn set_priority(priority: u8) -> Result<(), SettingError> {
 
 fn lock_memory() -> Result<(), SettingError> {
     mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(SettingError::Memory)
+}
+
+/// Leaves the processor to others first (nice(2)). Threads that are started later inherit it; where it is refused, the priority stays.
+pub fn lower_priority(niceness: i32) {
+    let _ = rustix::process::nice(niceness);
+}
+
+/// Lets the calling thread run only while its core has nothing else to do (`SCHED_IDLE`, sched(7)). It needs no permission, and cannot
+/// be undone without one.
+///
+/// # Errors
+/// The system refuses it.
+pub fn yield_to_all_others() -> Result<(), thread_priority::Error> {
+    let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
+    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, policy)
 }
 
 #[cfg(test)]

@@ -3,15 +3,13 @@
 //! A thread of the scheduling policy `SCHED_IDLE` (sched(7)) works as long as a core has nothing else to do, and leaves its core at
 //! once to any other thread. Where all cores stay busy, such a thread hardly runs: then a second one of normal priority works for it.
 
+use crate::realtime::yield_to_all_others;
+use std::io;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
-use thread_priority::unix::{
-    NormalThreadSchedulePolicy, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
-};
-use thread_priority::{Error, ThreadPriority};
 
 /// Period at which the second thread looks how much waits.
 const LOOK_PERIOD: Duration = Duration::from_millis(200);
@@ -69,13 +67,16 @@ pub struct SpareTime<S> {
 
 impl<S: Send + 'static> SpareTime<S> {
     /// Starts the threads. Where the system refuses the policy, all work is done at the caller's priority.
-    pub fn start(state: S, limits: WaitingLimits) -> Self {
+    ///
+    /// # Errors
+    /// The system has no memory for a thread.
+    pub fn start(state: S, limits: WaitingLimits) -> io::Result<Self> {
         let (jobs, received) = channel();
         let waiting_bytes = Arc::new(AtomicUsize::new(0));
         let worker = Worker { state, jobs: received, waiting_bytes: waiting_bytes.clone() };
         let worker = Arc::new(Mutex::new(worker));
         let (end_helper, ends) = channel::<()>();
-        let idle = std::thread::spawn({
+        let idle = spawn("work-idle", {
             let worker = worker.clone();
             move || {
                 if let Err(why) = yield_to_all_others() {
@@ -83,8 +84,8 @@ impl<S: Send + 'static> SpareTime<S> {
                 }
                 while do_next(&worker) {}
             }
-        });
-        let helper = std::thread::spawn({
+        })?;
+        let helper = spawn("work-helper", {
             let (worker, waiting) = (worker.clone(), waiting_bytes.clone());
             move || {
                 while ends.recv_timeout(LOOK_PERIOD) == Err(RecvTimeoutError::Timeout) {
@@ -93,8 +94,8 @@ impl<S: Send + 'static> SpareTime<S> {
                     }
                 }
             }
-        });
-        Self { worker, jobs, waiting_bytes, limits, idle, helper, end_helper }
+        })?;
+        Ok(Self { worker, jobs, waiting_bytes, limits, idle, helper, end_helper })
     }
 
     /// Adds a job that stands for so many bytes of memory. Returns false, and drops it, if too much waits.
@@ -160,19 +161,12 @@ fn do_next<S>(worker: &Mutex<Worker<S>>) -> bool {
     true
 }
 
+fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> io::Result<JoinHandle<()>> {
+    thread::Builder::new().name(name.into()).spawn(work)
+}
+
 fn lock<S>(worker: &Mutex<Worker<S>>) -> std::sync::MutexGuard<'_, Worker<S>> {
     worker.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
-
-/// Leaves the processor to others first (nice(2)). Threads that are started later inherit it; where it is refused, the priority stays.
-pub fn lower_priority(niceness: i32) {
-    let _ = rustix::process::nice(niceness);
-}
-
-/// Lets the calling thread run only while its core has nothing else to do. It needs no permission and cannot be undone without one.
-fn yield_to_all_others() -> Result<(), Error> {
-    let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
-    set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, policy)
 }
 
 #[cfg(test)]
@@ -184,7 +178,7 @@ mod tests {
 
     #[test]
     fn jobs_are_done_in_their_order_and_all_before_the_end() {
-        let work = SpareTime::start(Vec::new(), LIMITS);
+        let work = SpareTime::start(Vec::new(), LIMITS).unwrap();
         let done = (0..500).filter(|index| {
             let index = *index;
             // What is refused because too much waits is not done at all.
@@ -196,7 +190,7 @@ mod tests {
 
     #[test]
     fn what_waits_is_bounded() {
-        let work = SpareTime::start(0, LIMITS);
+        let work = SpareTime::start(0, LIMITS).unwrap();
         let (go, blocked) = sync_channel::<()>(0);
         let (begins, begun) = sync_channel::<()>(0);
         let block = move |_: &mut i32| {

@@ -1,12 +1,13 @@
 //! The process that records the fleet's messages, and the same loop for `mr-slam record` and for lockstep.
 //!
-//! It reads channels. Threads that leave the processor to all others ([`crate::spare_time`]) encode the messages with the bridge's tables (`topics`)
-//! and write files of a bounded size ([`crate::recording_files`]). It never holds anything up: when too much waits, messages are
-//! dropped and counted.
+//! It reads channels. Threads that leave the processor to all others ([`crate::spare_time`]) encode the messages by the bridge's
+//! tables (`topics`) and write files of a bounded size ([`crate::recording_files`]). It never holds anything up: when too much
+//! waits, messages are dropped and counted.
 
 pub mod description;
 mod inputs;
 mod operator;
+mod recording_work;
 mod topics;
 
 use super::heartbeat::{HealthCounters, Heartbeat};
@@ -15,17 +16,20 @@ use super::{Error, Listens, ProcessLoop, serve};
 use crate::config::RecordingConfig;
 use crate::ports::{Clock as _, Ports};
 use crate::progress::WatchedThread;
+use crate::realtime::lower_priority;
 use crate::recording_files::RecordingFiles;
 use crate::run::Run;
 use crate::shared_memory::{Listener, wait};
-use crate::spare_time::{SpareTime, WaitingLimits, Work, lower_priority};
+use crate::spare_time::{SpareTime, WaitingLimits, Work};
 use crate::stop::Stop;
 use ::recording::TopicCount;
-use inputs::{Inputs, RecordingWork};
+use inputs::Inputs;
 use msg::{Monotonic, RobotId, Role, ScanPurpose};
 use operator::{OperatorChange, OperatorWatch};
+use recording_work::RecordingWork;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 pub use topics::{PLANAR_ODOMETRY, Recorder};
@@ -69,7 +73,7 @@ pub struct Summary {
     pub earlier: Vec<PathBuf>,
     /// Number of messages of each topic, over all files.
     pub topics: Vec<TopicSummary>,
-    /// Messages that were dropped because the disk was slow, or because the recording had ended.
+    /// Messages that were dropped because too much waited, or because the recording had ended.
     pub dropped: u64,
     /// Messages that were sent and not received in time.
     pub lost: u64,
@@ -137,8 +141,8 @@ pub fn record<P: Ports<Listener = Listener>>(
     Ok(recording.finish())
 }
 
-fn encode_later(recorder: Recorder) -> Work<Recorder> {
-    Work::Later(SpareTime::start(recorder, WAITING))
+fn encode_later(recorder: Recorder) -> io::Result<Work<Recorder>> {
+    Ok(Work::Later(SpareTime::start(recorder, WAITING)?))
 }
 
 /// The process: a recording and its health report.
@@ -152,9 +156,9 @@ impl<P: Ports> ProcessLoop for RecorderProcess<P> {
         let Self { recording, heartbeat } = self;
         let due = heartbeat.measure(|| recording.step());
         heartbeat.publish_if_due(|| {
-            let counted = &recording.to.counts;
-            let mut counters = HealthCounters { dropped: counted.dropped(), ..Default::default() };
-            (counters.gaps.received, counters.gaps.lost) = (counted.messages(), recording.inputs.lost());
+            let counts = &recording.to.counts;
+            let mut counters = HealthCounters { dropped: counts.dropped(), ..Default::default() };
+            (counters.gaps.received, counters.gaps.lost) = (counts.messages(), recording.inputs.lost());
             counters
         });
         due.min(heartbeat.due())
@@ -183,18 +187,18 @@ impl<P: Ports> Recording<P> {
     /// Opens all channels. `work` says where messages are encoded; `operator` watches the bridge's state, where there is one.
     ///
     /// # Errors
-    /// A channel cannot be opened.
+    /// A channel cannot be opened, or a thread cannot be started.
     pub fn open(
         ports: &P,
         run: &Run,
         files: RecordingFiles,
-        work: impl FnOnce(Recorder) -> Work<Recorder>,
+        work: impl FnOnce(Recorder) -> io::Result<Work<Recorder>>,
         operator: Option<OperatorWatch>,
     ) -> Result<Self, Error> {
         let clock = ports.clock();
         let flush_due = clock.now() + FLUSH_PERIOD;
         let recorder = Recorder::new(run, description::of_run(run), files)?;
-        let to = RecordingWork { counts: recorder.counted(), work: work(recorder) };
+        let to = RecordingWork { counts: recorder.counts(), work: work(recorder)? };
         let inputs = Inputs::open(ports, run)?;
         let scan_demand = ScanDemandSender::open(ports, run, ScanPurpose::Viewing)?;
         let robots = run.config.fleet.robots;
@@ -238,9 +242,9 @@ impl<P: Ports> Recording<P> {
 ///
 /// # Errors
 /// The file cannot be written.
-pub fn write_summary(path: &std::path::Path, summary: &Summary) -> std::io::Result<()> {
+pub fn write_summary(path: &std::path::Path, summary: &Summary) -> io::Result<()> {
     let json = serde_json::to_vec_pretty(summary)?;
-    formats::atomic::write(path, |file| std::io::Write::write_all(file, &json))
+    formats::atomic::write(path, |file| io::Write::write_all(file, &json))
 }
 
 /// Returns the files of a recording at this path, which must not exist yet.

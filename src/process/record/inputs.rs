@@ -1,11 +1,10 @@
 //! The channels that a recorder reads.
 
+use super::recording_work::RecordingWork;
 use super::topics::Recorder;
 use crate::channel::{self, Channel};
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
-use crate::recording_files::RecordingCounts;
 use crate::run::Run;
-use crate::spare_time::{Action, Work};
 use ::bridge::FleetMessage;
 use msg::{
     Clock, Correction, DenseMap, EdgeCommand, ExclusionZones, ExplorationReport, FleetStats, GridView,
@@ -14,23 +13,7 @@ use msg::{
     VelocityCommand,
 };
 use reports::{FleetView, edges_json};
-use std::sync::Arc;
 use std::time::Duration;
-
-/// Encodes and writes messages; counts those for which too much waits.
-pub struct RecordingWork {
-    pub(super) work: Work<Recorder>,
-    pub(super) counts: Arc<RecordingCounts>,
-}
-
-impl RecordingWork {
-    /// Records a message that takes so many bytes of memory while it waits.
-    pub(super) fn record(&mut self, bytes: usize, record: Action<Recorder>) {
-        if !self.work.push(bytes, record) {
-            self.counts.add_dropped();
-        }
-    }
-}
 
 /// Channels of one robot.
 struct RobotInputs<P: Ports> {

@@ -99,7 +99,7 @@ struct FileTopics {
     /// Time of the message that is being encoded.
     at: Stamp,
     payload: Vec<u8>,
-    counted: Arc<RecordingCounts>,
+    counts: Arc<RecordingCounts>,
     ended: Option<String>,
 }
 
@@ -182,8 +182,8 @@ impl Recorder {
     }
 
     /// Returns the numbers of messages.
-    pub fn counted(&self) -> Arc<RecordingCounts> {
-        self.file.counted.clone()
+    pub fn counts(&self) -> Arc<RecordingCounts> {
+        self.file.counts.clone()
     }
 
     /// Ends the last file and returns what was recorded.
@@ -244,7 +244,7 @@ impl FileTopics {
             file_bytes: 0,
             at: Stamp(0),
             payload: Vec::new(),
-            counted: Arc::default(),
+            counts: Arc::default(),
             ended: None,
         }
     }
@@ -278,7 +278,7 @@ impl FileTopics {
         let (Some(writer), Some(topic)) = (&mut self.writer, self.topics.get_mut(index)) else {
             // Nothing of a recording that has ended counts as recorded.
             if self.ended.is_some() {
-                self.counted.add_dropped();
+                self.counts.add_dropped();
             }
             return false;
         };
@@ -289,7 +289,7 @@ impl FileTopics {
         }
         match writer.write(index, self.at, &self.payload) {
             Ok(()) => {
-                self.counted.add_message();
+                self.counts.add_message();
                 topic.total.messages += 1;
                 topic.total.bytes += self.payload.len() as u64;
                 // A chunk that is full is on its way at once.
@@ -342,7 +342,7 @@ impl FileTopics {
         if self.ended.is_none() {
             tracing::error!("the recording has ended: {why}; the fleet goes on");
             (self.writer, self.ended) = (None, Some(why));
-            self.counted.set_ended();
+            self.counts.set_ended();
         }
     }
 
@@ -354,7 +354,7 @@ impl FileTopics {
             files: written.files,
             earlier: written.earlier,
             topics,
-            dropped: self.counted.dropped(),
+            dropped: self.counts.dropped(),
             lost: 0,
             ended: self.ended.or(written.failure),
         }
