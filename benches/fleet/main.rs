@@ -3,8 +3,8 @@
 //! `cargo bench --bench fleet [-- --robots 1,3,8,16,24,32 --seconds 30 --lockstep 64 --record 16 --json FILE --plot FILE --check]`
 //!
 //! Each robot scans 180 rays at 10 Hz. An operator drives one after the other; a TCP client receives all that a headset
-//! would. `--record N` compares a fleet of N with and without a recorder, in 20 pairs of 10 s; 0 leaves it out, as does
-//! `--lockstep 0`.
+//! would. `--record N` compares a fleet of N with and without a recorder, in 50 pairs of windows of 5 s;
+//! 0 leaves it out, as does `--lockstep 0`.
 
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/fleet.rs"]
@@ -14,6 +14,8 @@ mod launcher;
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/measure.rs"]
 mod measure;
+#[path = "../shared/pairs.rs"]
+mod pairs;
 mod recorded;
 mod row;
 

@@ -1,7 +1,7 @@
 //! What recording costs: jitter and losses of one fleet while `mr-slam record` is attached, and while it is not, in turns.
 
 use crate::fleet::Fleet;
-use crate::measure::Spread;
+use crate::pairs::{PAIRS, Pairs, Ratio};
 use crate::row::missed_scans;
 use mr_slam::run::Run;
 use serde::Serialize;
@@ -10,8 +10,6 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use tempfile::TempDir;
 
-/// Number of pairs of windows. A recorder differs by less than two windows of one fleet do; the mean of many pairs shows it.
-const PAIRS: usize = 50;
 /// Duration of a window. The two of a pair are close in time, as the machine's own jitter changes within a minute.
 const WINDOW: Duration = Duration::from_secs(5);
 /// Time until a fleet has maps, and until a client and a recorder that attach have what is there already.
@@ -21,20 +19,16 @@ const CLIENT_SETTLES: Duration = Duration::from_secs(3);
 const RECORDED: Duration = Duration::from_secs(9);
 /// How much larger the 99th percentile of jitter may become.
 const COST_MAX: f64 = 1.05;
-/// Half the width of the mean's interval of 90 % confidence, in standard errors: Student's t for 49 degrees of freedom.
-const CONFIDENCE: f64 = 1.677;
 
 /// Figures with and without a recorder.
 #[derive(Debug, Serialize)]
 pub struct Comparison {
-    /// Windows without a recorder.
-    pub without: Vec<Spread>,
-    /// Windows with one.
-    pub with: Vec<Spread>,
+    /// Jitter of transforms with and without a recorder.
+    pub tf: Pairs,
     /// Median of the 99th percentiles of jitter: without, with; milliseconds.
     pub p99_ms: [f64; 2],
-    /// Ratio of the 99th percentiles, with to without: geometric mean of the pairs, and its interval of 90 % confidence.
-    pub cost: [f64; 3],
+    /// Ratio of the 99th percentiles.
+    pub cost: Ratio,
     /// Messages missed by the client and scans missed by SLAM: without, with.
     pub lost: [u64; 2],
     /// Messages that the recorders missed or dropped.
@@ -44,7 +38,7 @@ pub struct Comparison {
 impl Comparison {
     /// Returns whether recording costs at most 5 % and loses nothing.
     pub fn holds(&self) -> bool {
-        self.cost[0] <= COST_MAX && self.lost[1] == 0 && self.unrecorded == 0
+        self.cost.mean <= COST_MAX && self.lost[1] == 0 && self.unrecorded == 0
     }
 }
 
@@ -52,16 +46,16 @@ impl Comparison {
 pub fn compare(robots: usize) -> Result<Comparison, Box<dyn Error>> {
     let mut fleet = Fleet::start_command("demo", robots, &[])?;
     std::thread::sleep(FLEET_SETTLES);
-    let (mut without, mut with, mut lost, mut unrecorded) = (Vec::new(), Vec::new(), [0, 0], 0);
+    let (mut tf, mut lost, mut unrecorded) = (Pairs::default(), [0, 0], 0);
     for pair in 0..PAIRS {
         // Now the one comes first, now the other: what changes with time hits both.
         for is_recorded in [pair % 2 == 0, pair % 2 == 1] {
             if is_recorded {
                 let recorder = Recorder::start(fleet.run())?;
-                with.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
+                tf.with.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
                 unrecorded += recorder.finish()?;
             } else {
-                without.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
+                tf.without.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
             }
             let (before, after) = fleet.views().ok_or("telemetry sent no figures twice")?;
             lost[usize::from(is_recorded)] += missed_scans(before, after);
@@ -69,17 +63,12 @@ pub fn compare(robots: usize) -> Result<Comparison, Box<dyn Error>> {
         eprint!("\r{} of {PAIRS} pairs ", pair + 1);
     }
     eprintln!();
-    for (lost, windows) in lost.iter_mut().zip([&without, &with]) {
-        *lost += windows.iter().map(|window| window.lost).sum::<u64>();
+    for (lost, of_client) in lost.iter_mut().zip(tf.lost()) {
+        *lost += of_client;
     }
-    let comparison = Comparison {
-        p99_ms: [median_p99_ms(&without), median_p99_ms(&with)],
-        cost: mean_ratio(&without, &with),
-        lost,
-        unrecorded,
-        without,
-        with,
-    };
+    let p99_ms = tf.medians(|window| window.p99_ms);
+    let cost = tf.ratio(|window| window.p99_ms);
+    let comparison = Comparison { tf, p99_ms, cost, lost, unrecorded };
     comparison.print(robots);
     Ok(comparison)
 }
@@ -118,22 +107,6 @@ impl Recorder {
     }
 }
 
-fn median_p99_ms(windows: &[Spread]) -> f64 {
-    let mut values: Vec<f64> = windows.iter().map(|window| window.p99_ms).collect();
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
-/// Returns the geometric mean of the pairs' ratios, and the ends of its interval of confidence.
-fn mean_ratio(without: &[Spread], with: &[Spread]) -> [f64; 3] {
-    let logs: Vec<f64> = without.iter().zip(with).map(|(a, b)| (b.p99_ms / a.p99_ms).ln()).collect();
-    let count = logs.len() as f64;
-    let mean = logs.iter().sum::<f64>() / count;
-    let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    let half = CONFIDENCE * (variance / count).sqrt();
-    [mean.exp(), (mean - half).exp(), (mean + half).exp()]
-}
-
 impl Comparison {
     fn print(&self, robots: usize) {
         let seconds = WINDOW.as_secs();
@@ -142,11 +115,8 @@ impl Comparison {
             let (p99_ms, lost) = (self.p99_ms[at], self.lost[at]);
             println!("{name:<20} TF jitter P99 {p99_ms:.3} ms (median of the windows), {lost} lost");
         }
-        let [cost, least, most] = self.cost.map(|ratio| 100.0 * (ratio - 1.0));
         let holds = if self.holds() { "holds" } else { "MISSED" };
         let unrecorded = self.unrecorded;
-        println!(
-            "cost {cost:+.1} % (90 % confidence: {least:+.1} to {most:+.1} %), {unrecorded} messages not recorded: {holds}"
-        );
+        println!("cost {}, {unrecorded} messages not recorded: {holds}", self.cost);
     }
 }

@@ -1,7 +1,7 @@
 //! The fleet under measurement, and a ros_tcp client that reads from it as a headset does.
 
 #[path = "../shared/browser.rs"]
-mod browser;
+pub mod browser;
 
 use crate::launcher;
 use crate::measure::{Figures, Streams};
@@ -72,7 +72,7 @@ impl Fleet {
         let run = Run::open(&dir)?;
         let observer = Observer::attach(&run, "jitter")?;
         let mut fleet = Self { launcher, dir, observer, run, before: None, after: None, browser: None };
-        fleet.browser = browser::Browser::open(&fleet.run, &fleet.dir)?;
+        fleet.browser = browser::Browser::open_if_named(&fleet.run, &fleet.dir)?;
         Ok(fleet)
     }
 

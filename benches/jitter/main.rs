@@ -3,20 +3,26 @@
 //! The cost of the same hops without a fleet is measured on the same machine at the same time.
 //!
 //! `cargo bench --bench jitter [-- --seconds 60 --robots 3 --json FILE]`; with `MR_SLAM_BENCH_BROWSER=chromium` a browser draws the
-//! operator's page beside it, at the lowest priority, as on another machine.
+//! operator's page beside it, at the lowest priority, as on another machine. `--attach console` compares windows of one fleet
+//! with and without a console that reads what the page reads and does not draw; `--attach chromium` with a browser that draws.
 //!
 //! Jitter is defined as in the MR-SLAM paper: |(receive - stamp) - its mean|, for each link, pooled over the
 //! links. The bare hops are a timer process, a relay process that it wakes through a socket, and TCP to a
 //! client. Any fleet of processes has at least this cost on the machine.
 
+mod attached;
 mod bare;
+mod console;
 mod fleet;
 #[path = "../launcher.rs"]
 mod launcher;
 mod measure;
+#[path = "../shared/pairs.rs"]
+mod pairs;
 
 use measure::{Figures, Spread};
-use serde_json::json;
+use serde_json::{Value, json};
+use std::error::Error;
 use std::time::Duration;
 
 /// Time until processes have started and SLAM has its first maps.
@@ -25,35 +31,46 @@ const WARM_UP: Duration = Duration::from_secs(3);
 struct Args {
     seconds: f64,
     robots: usize,
+    attach: Option<String>,
     json: Option<String>,
 }
 
 fn args() -> Result<Args, String> {
-    let mut args = Args { seconds: 60.0, robots: 3, json: None };
+    let mut args = Args { seconds: 60.0, robots: 3, attach: None, json: None };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
         let mut value = || given.next().ok_or(format!("{name} needs a value"));
         match name.as_str() {
             "--seconds" => args.seconds = value()?.parse().map_err(|why| format!("--seconds: {why}"))?,
             "--robots" => args.robots = value()?.parse().map_err(|why| format!("--robots: {why}"))?,
+            "--attach" => args.attach = Some(value()?),
             "--json" => args.json = Some(value()?),
             // `cargo bench` passes this argument to every bench.
             "--bench" => {}
-            other => return Err(format!("{other}: expected --seconds S, --robots N or --json FILE")),
+            other => {
+                return Err(format!(
+                    "{other}: expected --seconds S, --robots N, --attach console|BROWSER or --json FILE"
+                ));
+            }
         }
     }
     Ok(args)
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
+fn main() -> Result<(), Box<dyn Error>> {
     // The bare hops run this program again as their two processes.
     let words: Vec<String> = std::env::args().collect();
     match words.get(1).map(String::as_str) {
         Some("bare-timer") => return Ok(bare::timer(&words[2], words[3].parse()?)?),
         Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
+        Some(console::WORD) => return console::read(words[2].parse()?),
         _ => {}
     }
     let args = args()?;
+    if let Some(name) = &args.attach {
+        let report = attached::compare(args.robots, name)?;
+        return write(args.json.as_deref(), &report);
+    }
     eprintln!("{} robots for {} s, after {} s to warm up", args.robots, args.seconds, WARM_UP.as_secs());
     let bare = bare::Bare::start(args.robots)?;
     let mut fleet = fleet::Fleet::start(args.robots)?;
@@ -64,13 +81,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let bare = bare.join().map_err(|_| "the bare hops' client failed")??;
     drop(fleet);
     print(&measured, &bare, &processes);
-    if let Some(path) = args.json {
-        let report = json!({
-            "robots": args.robots, "seconds": args.seconds,
-            "tf": measured.tf, "clock": measured.clock, "scans": measured.scans,
-            "bare": bare, "processes": processes,
-        });
-        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
+    let report = json!({
+        "robots": args.robots, "seconds": args.seconds,
+        "tf": measured.tf, "clock": measured.clock, "scans": measured.scans,
+        "bare": bare, "processes": processes,
+    });
+    write(args.json.as_deref(), &report)
+}
+
+fn write(path: Option<&str>, report: &Value) -> Result<(), Box<dyn Error>> {
+    if let Some(path) = path {
+        std::fs::write(path, serde_json::to_string_pretty(report)?)?;
     }
     Ok(())
 }

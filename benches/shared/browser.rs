@@ -3,7 +3,7 @@
 use mr_slam::control::{self, Request};
 use mr_slam::run::Run;
 use std::error::Error;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -17,36 +17,40 @@ const PATIENCE: Duration = Duration::from_secs(60);
 pub struct Browser(Child);
 
 impl Browser {
-    /// Opens the page of a run in the browser that [`BROWSER`] names, and waits until it is connected.
+    /// Opens the page of a run in the browser that [`BROWSER`] names, if it does.
+    pub fn open_if_named(run: &Run, folder: &Path) -> Result<Option<Self>, Box<dyn Error>> {
+        let program = std::env::var_os(BROWSER).filter(|name| !name.is_empty());
+        program.map(|program| Self::open(&program, run, folder)).transpose()
+    }
+
+    /// Opens the page of a run in a browser, and waits until it is connected.
     ///
     /// It runs at the lowest priority (`SCHED_IDLE`), so that it draws with what the fleet leaves: an operator's browser draws on
     /// another machine. What the bridge does for it is the same.
-    pub fn open(run: &Run, folder: &Path) -> Result<Option<Self>, Box<dyn Error>> {
-        let Some(program) = std::env::var_os(BROWSER).filter(|name| !name.is_empty()) else {
-            return Ok(None);
-        };
+    pub fn open(program: &OsStr, run: &Run, folder: &Path) -> Result<Self, Box<dyn Error>> {
+        let clients_before = readers(run);
         let url = format!("http://localhost:{}/", run.config.bridge.page.port);
         let mut profile = OsString::from("--user-data-dir=");
         profile.push(folder.join("browser"));
         let child = Command::new("chrt")
             .args(["--idle", "0"])
-            .arg(&program)
+            .arg(program)
             .args(["--headless=new", "--no-sandbox", "--window-size=1280,800"])
             .args([profile, url.into()])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
-            .map_err(|why| format!("{}: {why}", program.display()))?;
+            .map_err(|why| format!("{}: {why}", program.to_string_lossy()))?;
         let browser = Self(child);
         let begun = Instant::now();
-        while !has_page(run) {
+        while readers(run) <= clients_before {
             if begun.elapsed() > PATIENCE {
-                return Err(format!("{} has not opened the page", program.display()).into());
+                return Err(format!("{} has not opened the page", program.to_string_lossy()).into());
             }
             std::thread::sleep(Duration::from_millis(200));
         }
-        Ok(Some(browser))
+        Ok(browser)
     }
 }
 
@@ -57,8 +61,8 @@ impl Drop for Browser {
     }
 }
 
-/// Whether a client reads from the bridge: nothing but the page does yet.
-fn has_page(run: &Run) -> bool {
+/// Returns the number of clients that read from the bridge.
+pub fn readers(run: &Run) -> usize {
     let state = control::ask(run, Request::State, Duration::from_secs(1));
-    state.is_ok_and(|state| state.clients.iter().any(|client| client.subscriptions > 0))
+    state.map_or(0, |state| state.clients.iter().filter(|client| client.subscriptions > 0).count())
 }
