@@ -66,6 +66,8 @@ pub(super) fn find(
             LeftoverReason::TooNarrow
         } else if !cells.iter().any(is_reached) {
             LeftoverReason::Unreachable
+        } else if unseen.is_exhausted() {
+            LeftoverReason::NotVisible
         } else {
             LeftoverReason::TooSmall
         };

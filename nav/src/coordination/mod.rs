@@ -41,11 +41,14 @@ use failed::FailedGoals;
 use msg::{Pose2, ROBOTS_MAX, RobotId, Stamp};
 use plan::{AT_GOAL_M, PlanBuffers};
 use seen::UnseenCells;
+use views::Directions;
 
 /// Longest look around that is one attempt, seconds: a whole turn at the follower's speed takes less.
 const LOOK_MAX_S: f64 = 12.0;
 /// Shortest look around that counts as an attempt if the robot leaves, seconds: less is driving past.
 const LOOK_MIN_S: f64 = 2.0;
+/// Looks of a robot from one place in a row of which each is judged by where the robot pointed.
+const LOOKS_MAX: u32 = 3;
 
 /// Coordinator of one fleet in one map.
 ///
@@ -94,6 +97,8 @@ pub struct FleetCoordinator {
 struct Look {
     place_m: [f64; 2],
     since: Stamp,
+    /// Directions that the sensor has seen since then.
+    seen: Directions,
 }
 
 /// What is remembered of a robot.
@@ -105,6 +110,8 @@ struct RobotRecord {
     has_returned: bool,
     /// Its look around at its goal.
     look: Option<Look>,
+    /// Where it looked last, and how often in a row.
+    looked: ([f64; 2], u32),
 }
 
 impl FleetCoordinator {
@@ -202,7 +209,7 @@ impl FleetCoordinator {
                 self.record_look(input, index, pose);
                 continue;
             }
-            self.records[index].look = None;
+            let look = self.records[index].look.take();
             let Some(goal) = self.goals[index].take() else { continue };
             let failures = match robot.progress {
                 GoalProgress::Failed => self.failed[index].record(input.stamp, goal.position_m),
@@ -210,7 +217,9 @@ impl FleetCoordinator {
             };
             // What a robot gave up once, others may reach.
             if goal.purpose == GoalPurpose::Explore && failures != 1 {
-                self.record_attempt(input, goal.position_m, failures == 0);
+                let looked =
+                    (failures == 0).then(|| self.directions_seen(index, goal.position_m, look, pose));
+                self.record_attempt(input, goal.position_m, looked);
             }
             if goal.purpose == GoalPurpose::Home {
                 self.records[index].has_returned = true;
@@ -225,33 +234,60 @@ impl FleetCoordinator {
             pose.is_some_and(|pose| distance_m([pose.x_m, pose.y_m], place_m) < AT_GOAL_M)
         };
         let place_m = goal.map(|goal| goal.position_m).filter(|place_m| is_there(*place_m));
-        let Some(look) = self.records[index].look else {
-            self.records[index].look = place_m.map(|place_m| Look { place_m, since: input.stamp });
-            return;
-        };
+        let new = || place_m.map(|place_m| Look { place_m, since: input.stamp, seen: Directions::default() });
+        let Some(mut look) = self.records[index].look.or_else(new) else { return };
+        self.add_view(&mut look.seen, pose);
+        self.records[index].look = Some(look);
         let looked_s = input.stamp - look.since;
         let has_left = !is_there(look.place_m);
         if looked_s >= LOOK_MAX_S || (has_left && looked_s >= LOOK_MIN_S) {
-            self.record_attempt(input, look.place_m, true);
+            self.record_attempt(input, look.place_m, Some(look.seen));
         }
         if has_left || looked_s >= LOOK_MAX_S {
             self.records[index].look = None;
         }
     }
 
-    /// Counts an attempt at the unknown cells that should be seen from a place by now, or that a robot gave up to go to.
-    fn record_attempt(&mut self, input: &CoordinationInput, place_m: [f64; 2], has_looked: bool) {
+    /// Directions that a robot has seen which ends its look at a place. Who looks at one place again and again, and does not turn
+    /// to what is left there, counts as having looked at all.
+    fn directions_seen(
+        &mut self,
+        index: usize,
+        place_m: [f64; 2],
+        look: Option<Look>,
+        pose: Option<Pose2>,
+    ) -> Directions {
+        let (last_m, count) = &mut self.records[index].looked;
+        *count = if distance_m(*last_m, place_m) < AT_GOAL_M { *count + 1 } else { 1 };
+        *last_m = place_m;
+        if *count > LOOKS_MAX {
+            return Directions::ALL;
+        }
+        let mut seen = look.map(|look| look.seen).unwrap_or_default();
+        self.add_view(&mut seen, pose);
+        seen
+    }
+
+    /// Adds the directions that a robot sees.
+    fn add_view(&self, seen: &mut Directions, pose: Option<Pose2>) {
+        if let Some(pose) = pose {
+            seen.add_view(pose.yaw_rad - self.map.yaw_rad(), self.config.view_angle_rad);
+        }
+    }
+
+    /// Counts an attempt at the unknown cells that should be seen from a place by now, in the directions looked at; or, without
+    /// them, at those that would be seen from a place that a robot gave up to go to.
+    fn record_attempt(&mut self, input: &CoordinationInput, place_m: [f64; 2], looked: Option<Directions>) {
         // Who was not there has shown nothing of the map.
-        if has_looked {
+        if looked.is_some() {
             self.unseen.record_yield(input.map.known_m2());
         }
         self.update_map(input);
         let Some(cell) = self.map.cell_at(place_m) else { return };
         let Self { map, buffers, config, unseen, .. } = self;
-        let is_opaque = |_: usize| false;
-        buffers.views.view_from(map, config, cell, &is_opaque);
-        buffers.views.for_each_unknown(map, config, cell, |seen| {
-            unseen.add_attempt(map.cell_centre_m(seen), has_looked);
+        let directions = looked.unwrap_or(Directions::ALL);
+        buffers.views.for_each_visible_frontier(map, config, cell, directions, |seen| {
+            unseen.add_attempt(map.cell_centre_m(seen), looked.is_some());
         });
         unseen.end_attempt();
     }

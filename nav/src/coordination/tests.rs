@@ -65,8 +65,13 @@ fn what_is_never_seen_is_given_up_and_robots_go_home() {
     let mut seconds = 0.0;
     // The map never changes, although the robot arrives everywhere.
     while coordinator.update(&input(&cells, &robots, seconds)) == CoordinationPhase::Exploring {
-        let at = coordinator.goal(robots[0].robot).unwrap().position_m;
-        robots[0].map_from_base = Some(Pose2::new(at[0], at[1], 0.0));
+        let goal = coordinator.goal(robots[0].robot).unwrap().clone();
+        let [x_m, y_m] = goal.position_m;
+        for heading_rad in &goal.headings_rad {
+            robots[0].map_from_base = Some(Pose2::new(x_m, y_m, *heading_rad));
+            robots[0].progress = GoalProgress::Active;
+            coordinator.update(&input(&cells, &robots, seconds));
+        }
         robots[0].progress = GoalProgress::Reached;
         seconds += 10.0;
         assert!(seconds < 2000.0, "exploration does not end");
@@ -79,6 +84,36 @@ fn what_is_never_seen_is_given_up_and_robots_go_home() {
     assert_eq!((goal.purpose, goal.position_m), (GoalPurpose::Home, [5.8, 2.0]));
     robots[0].progress = GoalProgress::Reached;
     assert_eq!(coordinator.update(&input(&cells, &robots, seconds + 3.0)), CoordinationPhase::Done);
+}
+
+#[test]
+fn what_a_robot_did_not_look_at_or_through_is_not_given_up() {
+    let mut cells = cells();
+    let mut robots = [robot(1, 4.5, 2.0)];
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    coordinator.update(&input(&cells, &robots, 0.0));
+    // It stands before the left door and leaves it in vain again and again, turned away from it.
+    for attempt in 0..4 {
+        let place_m = [4.5, 2.0];
+        coordinator.goals[0].as_mut().unwrap().position_m = place_m;
+        robots[0].progress = GoalProgress::Reached;
+        coordinator.update(&input(&cells, &robots, f64::from(attempt)));
+    }
+    let is_given_up = |coordinator: &FleetCoordinator, x_m| coordinator.unseen.is_given_up([x_m, 2.025]);
+    assert!(!is_given_up(&coordinator, 3.975));
+    // Turned to it, what it should see is given up, and not the room behind.
+    robots[0].map_from_base = Some(Pose2::new(4.5, 2.0, core::f64::consts::PI));
+    for attempt in 4..8 {
+        coordinator.goals[0].as_mut().unwrap().position_m = [4.5, 2.0];
+        coordinator.update(&input(&cells, &robots, f64::from(attempt)));
+    }
+    assert!(is_given_up(&coordinator, 3.975) && !is_given_up(&coordinator, 3.5));
+    // A sliver of it gets known: the rest is worth a look.
+    (30..50).flat_map(|y| (70..80).map(move |x| y * 240 + x)).for_each(|cell| cells[cell] = 0);
+    robots[0].progress = GoalProgress::Idle;
+    coordinator.update(&input(&cells, &robots, 20.0));
+    let goal = coordinator.goal(robots[0].robot).unwrap();
+    assert!(goal.position_m[0] < 5.0, "{goal:?}");
 }
 
 #[test]

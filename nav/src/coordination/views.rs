@@ -13,6 +13,8 @@ use msg::grid::Occupancy;
 pub(super) const RAYS: usize = 60;
 /// Distance between candidate viewpoints, cells: 0.4 m.
 const LATTICE_CELLS: i64 = 8;
+/// Rays by which a robot's heading may differ from the one it was sent: navigation accepts 0.1 rad, a ray is 0.105 rad.
+const HEADING_TOLERANCE_RAYS: usize = 1;
 /// The two cells beside a diagonal step into unknown space: at a corner of walls one of them is occupied.
 const OPEN_SIDES: [(i64, i64); 2] = [(1, 0), (0, 1)];
 
@@ -26,6 +28,38 @@ pub(super) struct Viewpoint {
     /// First heading of the centre of the sensor, radians, and the angle to turn on from there, radians from 0.
     pub(super) look_rad: f64,
     pub(super) sweep_rad: f64,
+}
+
+/// Directions in the grid of a map, one bit for each of [`RAYS`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Directions(u64);
+
+impl Directions {
+    /// All directions.
+    pub(super) const ALL: Self = Self((1 << RAYS) - 1);
+
+    /// Adds those that a sensor sees which points to `heading_rad` in the grid, and sees `view_angle_rad`.
+    pub(super) fn add_view(&mut self, heading_rad: f64, view_angle_rad: f64) {
+        let ray_rad = TAU / RAYS as f64;
+        let half = (view_angle_rad / 2.0 / ray_rad).floor() as i64;
+        let middle = (heading_rad / ray_rad).round() as i64;
+        if half * 2 >= RAYS as i64 {
+            *self = Self::ALL;
+        }
+        for ray in middle - half..=middle + half {
+            self.0 |= 1 << ray.rem_euclid(RAYS as i64);
+        }
+    }
+
+    fn contain(self, ray: usize) -> bool {
+        self.0 & (1 << ray) != 0
+    }
+
+    /// Number of the ray that is nearest to a direction.
+    fn nearest(direction_rad: f64) -> usize {
+        let ray = (direction_rad / (TAU / RAYS as f64)).round() as i64;
+        ray.rem_euclid(RAYS as i64) as usize
+    }
 }
 
 /// Finds viewpoints, in buffers that it keeps.
@@ -95,33 +129,38 @@ impl ViewpointSearch {
         }
     }
 
-    /// Expected new area at a cell of the map of the last search, all around, square metres.
-    pub(super) fn view_from(
+    /// Calls `visit` with the unknown cells that the sensor should have shown from a cell: they are in range and in one of the
+    /// directions, and all is free in between. The first that each ray of a viewpoint finds are among them.
+    pub(super) fn for_each_visible_frontier(
         &mut self,
         map: &ClearanceMap,
         config: &CoordinationConfig,
         cell: usize,
-        is_opaque: &dyn Fn(usize) -> bool,
-    ) -> Viewpoint {
-        self.begin(map, config);
-        let gains = self.gains(map, config, cell, is_opaque);
-        let (look_rad, sweep_rad) = sweep(&gains, config);
-        Viewpoint { cell, gain_m2: gains.iter().sum(), look_rad, sweep_rad }
-    }
-
-    /// Calls `visit` with the unknown cells expected to be seen from a cell.
-    pub(super) fn for_each_unknown(
-        &self,
-        map: &ClearanceMap,
-        config: &CoordinationConfig,
-        cell: usize,
+        directions: Directions,
         mut visit: impl FnMut(usize),
     ) {
-        for ray in &self.rays {
-            trace(map, config, cell, ray, |cell, _| {
-                visit(cell);
-                true
+        self.begin(map, config);
+        for (_, ray) in self.rays.iter().enumerate().filter(|(index, _)| directions.contain(*index)) {
+            trace(map, config, cell, ray, |seen, _| {
+                visit(seen);
+                false
             });
+        }
+        let (width, height) = (map.width(), map.cell_count() as i64 / map.width().max(1));
+        let (x, y) = (cell as i64 % width, cell as i64 / width);
+        let reach = (config.view_range_m / map.cell_size_m()) as i64;
+        let is_within = |at: i64, size: i64| at >= 1 && at < size - 1;
+        for dy in (-reach..=reach).filter(|dy| is_within(y + dy, height)) {
+            for dx in (-reach..=reach).filter(|dx| is_within(x + dx, width)) {
+                let seen = ((y + dy) * width + x + dx) as usize;
+                if dx * dx + dy * dy <= reach * reach
+                    && map.occupancy(seen) == Occupancy::Unknown
+                    && directions.contain(Directions::nearest((dy as f64).atan2(dx as f64)))
+                    && is_free_until(map, (x, y), (dx, dy))
+                {
+                    visit(seen);
+                }
+            }
         }
     }
 
@@ -211,6 +250,22 @@ impl ViewpointSearch {
     }
 }
 
+/// Whether all cells on the straight line to a cell are free, that cell left out.
+fn is_free_until(map: &ClearanceMap, (x, y): (i64, i64), (dx, dy): (i64, i64)) -> bool {
+    let steps = dx.abs().max(dy.abs());
+    let at = |step: i64| {
+        let along = |d: i64| (d as f64 * step as f64 / steps as f64).round() as i64;
+        (x + along(dx), y + along(dy))
+    };
+    let occupancy = |(x, y): (i64, i64)| map.occupancy((y * map.width() + x) as usize);
+    let is_free = (1..steps).all(|step| occupancy(at(step)) == Occupancy::Free);
+    is_free && steps > 0 && {
+        let ((u, v), (x, y)) = (at(steps - 1), at(steps));
+        // Between two cells of a wall a diagonal step would leak.
+        u == x || v == y || [(u, y), (x, v)].iter().all(|side| occupancy(*side) != Occupancy::Occupied)
+    }
+}
+
 fn ray_steps(ray: usize, reach: usize) -> Ray {
     let (sin, cos) = (TAU * ray as f64 / RAYS as f64).sin_cos();
     let step = |i: usize| ((i as f64 * cos).round() as i64, (i as f64 * sin).round() as i64);
@@ -279,7 +334,8 @@ fn trace(
 /// configured share of it.
 fn sweep(gains: &Gains, config: &CoordinationConfig) -> (f64, f64) {
     let ray_rad = TAU / RAYS as f64;
-    let view = ((config.view_angle_rad / ray_rad).round() as usize).clamp(1, RAYS);
+    let view = (config.view_angle_rad / ray_rad).round() as usize;
+    let view = view.saturating_sub(2 * HEADING_TOLERANCE_RAYS).clamp(1, RAYS);
     let total: f64 = gains.iter().sum();
     let sum_of = |first: usize, count: usize| -> f64 { (0..count).map(|i| gains[(first + i) % RAYS]).sum() };
     let mut count = view;
