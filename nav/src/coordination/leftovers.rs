@@ -55,6 +55,8 @@ pub(super) fn find(
             unknown_beside(map, *cell).is_some_and(|unknown| unseen.has_looked(map.cell_centre_m(unknown)))
         };
         let is_reached = |cell: &usize| buffers.is_reached(*cell);
+        let leads_to_floor =
+            |cell: &usize| unknown_beside(map, *cell).is_some_and(|unknown| buffers.floor.contains(unknown));
         let fits = |cell: &usize| map.clearance_m(*cell) >= clearance_min_m;
         let reason = if cells.iter().filter(|cell| is_given_up(cell)).count() * 2 > cells.len() {
             if cells.iter().any(was_looked_at) {
@@ -66,6 +68,8 @@ pub(super) fn find(
             LeftoverReason::TooNarrow
         } else if !cells.iter().any(is_reached) {
             LeftoverReason::Unreachable
+        } else if !cells.iter().any(leads_to_floor) {
+            LeftoverReason::TooNarrow
         } else if unseen.is_exhausted() {
             LeftoverReason::NotVisible
         } else {

@@ -12,8 +12,10 @@
 
 mod coarse;
 mod config;
+mod excluded;
 mod failed;
 mod fleet_exploration;
+mod floor;
 mod leftovers;
 mod plan;
 mod seen;

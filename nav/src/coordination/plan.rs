@@ -1,6 +1,8 @@
 //! One plan of the coordinator: viewpoints, tours, and the goals that follow.
 
 use super::coarse::{CoarseMap, UNREACHED};
+use super::excluded::is_excluded;
+use super::floor::PossibleFloor;
 use super::tours::TourProblem;
 use super::types::{
     CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
@@ -38,6 +40,7 @@ const ESTIMATE_FACTOR: f64 = 3.0;
 pub(super) struct PlanBuffers {
     pub(super) views: ViewpointSearch,
     pub(super) coarse: CoarseMap,
+    pub(super) floor: PossibleFloor,
     /// Route costs of each robot that gets goals, by square; in the order of [`PlanBuffers::robots`].
     pub(super) robot_costs: Vec<Vec<u32>>,
     /// Indices of robots in the input.
@@ -139,14 +142,17 @@ impl FleetCoordinator {
         let mut views = core::mem::take(&mut buffers.views);
         let mut found = core::mem::take(&mut buffers.viewpoints);
         let mut given_up = core::mem::take(&mut buffers.given_up);
+        let mut floor = core::mem::take(&mut buffers.floor);
+        let is_excluded = |cell: usize| is_excluded(map, input.excluded, cell);
+        floor.update(map, clearance_min_m, |cell| buffers.is_reached(cell), is_excluded);
         let is_candidate = |cell: usize| {
             map.occupancy(cell) == Occupancy::Free
                 && map.clearance_m(cell) >= clearance_min_m
                 && buffers.is_reached(cell)
-                && !is_excluded(map, input.excluded, cell)
+                && !is_excluded(cell)
         };
         unseen.mark_given_up(map, &mut given_up);
-        let is_opaque = |cell: usize| given_up[cell];
+        let is_opaque = |cell: usize| given_up[cell] || !floor.contains(cell);
         // Where robots stand and where they go now are candidates too.
         let places = buffers.robots.iter().flat_map(|index| {
             let robot = &input.robots[*index];
@@ -158,7 +164,7 @@ impl FleetCoordinator {
         let extra: Vec<usize> = places
             .flatten()
             .filter_map(|at| map.cell_at(at))
-            .filter(|cell| buffers.is_reached(*cell) && !is_excluded(map, input.excluded, *cell))
+            .filter(|cell| buffers.is_reached(*cell) && !is_excluded(*cell))
             .collect();
         let gains_m2 = [config.gain_min_m2, config.gain_last_m2];
         for gain_min_m2 in gains_m2.into_iter().take(1 + usize::from(with_small)) {
@@ -168,6 +174,7 @@ impl FleetCoordinator {
             }
         }
         (buffers.views, buffers.viewpoints, buffers.given_up) = (views, found, given_up);
+        buffers.floor = floor;
     }
 
     /// Assigns viewpoints to robots as tours, and sets the robots' goals to the first of each.
@@ -375,22 +382,4 @@ fn first_turn_rad(pose: Pose2, at_m: [f64; 2], viewpoint: &Viewpoint, sees_all_a
     }
     let way_rad = crate::geometry::bearing_rad(here_m, at_m);
     (wrap_angle(way_rad - pose.yaw_rad).abs() + to_look(way_rad)).min(2.0 * PI)
-}
-
-/// Whether a cell's centre lies where robots are kept out.
-fn is_excluded(map: &ClearanceMap, excluded: &[Vec<[f64; 2]>], cell: usize) -> bool {
-    // The centre takes longer than all else here.
-    !excluded.is_empty() && {
-        let centre_m = map.cell_centre_m(cell);
-        excluded.iter().any(|polygon| contains(polygon, centre_m))
-    }
-}
-
-/// Whether a polygon contains a point (even-odd rule).
-fn contains(polygon: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
-    let edges = polygon.iter().zip(polygon.iter().cycle().skip(1));
-    let crosses = |(a, b): (&[f64; 2], &[f64; 2])| {
-        (a[1] > y) != (b[1] > y) && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
-    };
-    edges.filter(|edge| crosses(*edge)).count() % 2 == 1
 }

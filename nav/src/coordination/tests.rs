@@ -117,6 +117,33 @@ fn what_a_robot_did_not_look_at_or_through_is_not_given_up() {
 }
 
 #[test]
+fn what_shows_through_gaps_in_which_no_robot_fits_is_left_alone() {
+    // The walls of the middle room without doors, with a gap of a cell or two in every ten.
+    let gaps_of = |gap_cells: i64| {
+        let mut cells = cells();
+        for y in 1..79_i64 {
+            let is_gap = y % 10 < gap_cells;
+            for x in [80, 159] {
+                cells[(y * 240 + x) as usize] = if is_gap { 0 } else { 100 };
+            }
+        }
+        cells
+    };
+    let robots = [robot(1, 6.0, 2.0)];
+    for gap_cells in [1, 2] {
+        let cells = gaps_of(gap_cells);
+        let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+        let phase = coordinator.update(&input(&cells, &robots, 0.0));
+        assert_ne!(phase, CoordinationPhase::Exploring, "gaps of {gap_cells} cells");
+    }
+    // Where a robot fits through, it looks.
+    let mut wide = gaps_of(1);
+    (30..41).for_each(|y| wide[y * 240 + 80] = 0);
+    let mut coordinator = FleetCoordinator::new(CoordinationConfig::default());
+    assert_eq!(coordinator.update(&input(&wide, &robots, 0.0)), CoordinationPhase::Exploring);
+}
+
+#[test]
 fn excluded_areas_are_not_entered_and_are_named_at_the_end() {
     let cells = cells();
     let robots = [robot(1, 6.0, 2.0)];

@@ -35,7 +35,7 @@ pub(super) struct Viewpoint {
 pub(super) struct Directions(u64);
 
 impl Directions {
-    /// All directions.
+    /// What a sensor sees that has turned once around.
     pub(super) const ALL: Self = Self((1 << RAYS) - 1);
 
     /// Adds those that a sensor sees which points to `heading_rad` in the grid, and sees `view_angle_rad`.
@@ -85,7 +85,7 @@ impl ViewpointSearch {
     /// Chooses viewpoints among passable cells, best first, until the next would show less than `gain_min_m2`.
     ///
     /// `extra` are candidates beside those of the lattice: where robots stand and where they go now.
-    /// `is_opaque` says which unknown cells no beam enters, by earlier attempts.
+    /// `is_opaque` says which unknown cells no beam enters, by earlier attempts, or no robot reaches.
     #[expect(clippy::too_many_arguments, reason = "one call, each argument of another kind")]
     pub(super) fn find(
         &mut self,

@@ -1,5 +1,6 @@
 //! Goals of navigation, with the frame that their poses are in.
 
+use crate::geometry::distance_m;
 use msg::Pose2;
 use thiserror::Error;
 
@@ -7,6 +8,20 @@ use thiserror::Error;
 pub const GOAL_POSES_MAX: usize = 64;
 /// Largest coordinate of a goal, metres: beyond it a message is broken.
 const COORDINATE_MAX_M: f64 = 1e5;
+
+/// Distance within which two poses are one place, at which the robot turns, metres.
+const SAME_PLACE_M: f64 = 0.01;
+
+/// What comes after a pose of a goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum GoesOn {
+    /// A pose elsewhere: the heading at this one does not count.
+    Elsewhere,
+    /// Another heading at the same place: the robot turns from this heading to that one.
+    Turning,
+    /// No other pose.
+    Nowhere,
+}
 
 /// Frame that the poses of a goal are in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,11 +37,12 @@ pub enum GoalFrame {
 pub struct GoalPose {
     /// Position in the frame of the goal, metres.
     pub position_m: [f64; 2],
-    /// Heading to turn to on arrival, radians; any heading will do if `None`.
+    /// Heading to turn to on arrival, radians; any heading will do if `None`. It counts at the last pose, and where the next
+    /// pose is at the same place.
     pub yaw_rad: Option<f64>,
 }
 
-/// One or more poses that a robot drives to, one after another.
+/// One or more poses that a robot drives to, one after another. Poses at one place are headings to turn through there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NavigationGoal {
     frame: GoalFrame,
@@ -74,6 +90,15 @@ impl NavigationGoal {
     /// Frame of the poses.
     pub fn frame(&self) -> GoalFrame {
         self.frame
+    }
+
+    /// What comes after the pose with this index.
+    pub(super) fn goes_on_after(&self, index: usize) -> GoesOn {
+        let Some([pose, next]) = self.poses.get(index..).and_then(|poses| poses.first_chunk()) else {
+            return GoesOn::Nowhere;
+        };
+        let is_turn = distance_m(pose.position_m, next.position_m) < SAME_PLACE_M;
+        if is_turn && pose.yaw_rad.is_some() { GoesOn::Turning } else { GoesOn::Elsewhere }
     }
 
     /// The poses, at least one, in their order.

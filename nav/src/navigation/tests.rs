@@ -5,6 +5,7 @@ mod fleet;
 use super::*;
 use crate::observation::{BURGER_BASE_FROM_SCAN, MapView, RobotObservation, ScanView};
 use crate::test_world::{RANGE_MAX_M, RANGE_MIN_M, STEP_S, TestWorld, beam_angle_rad};
+use msg::pose::wrap_angle;
 use msg::{ExclusionZone, Pose2};
 
 fn id(number: usize) -> RobotId {
@@ -141,6 +142,27 @@ fn the_heading_of_a_goal_is_turned_to_and_waypoints_are_passed_in_order() {
     assert_eq!(drive.state(1), NavigationState::Reached);
     let pose = drive.world.pose(0);
     assert!((pose.yaw_rad + 2.0).abs() < 0.15 && distance_m(&drive.world, 1, [0.6, 1.8]) < 0.2, "{pose:?}");
+}
+
+#[test]
+fn headings_at_one_place_are_turned_through_in_their_order() {
+    let mut drive = Drive::new(TestWorld::new(1, 0));
+    let yaws_rad = [0.0, 1.5, 3.0, -1.8];
+    let pose = |yaw_rad| GoalPose { position_m: [2.6, 1.8], yaw_rad: Some(yaw_rad) };
+    let goal = NavigationGoal::new(GoalFrame::MergedMap, yaws_rad.map(pose).to_vec()).unwrap();
+    drive.navigator.set_goal(Stamp(0), id(1), goal);
+    drive.run_until(60.0, |drive| drive.navigator.robots().next().unwrap().next_pose == Some(1));
+    let (mut last_rad, mut turned_rad) = (drive.world.pose(0).yaw_rad, 0.0);
+    while drive.state(1).is_active() && drive.steps < 1200 {
+        drive.step();
+        let yaw_rad = drive.world.pose(0).yaw_rad;
+        turned_rad += wrap_angle(yaw_rad - last_rad);
+        last_rad = yaw_rad;
+    }
+    assert_eq!(drive.state(1), NavigationState::Reached);
+    assert!((last_rad + 1.8).abs() < 0.15, "{last_rad}");
+    // The short way from the first to the last heading is the other way round.
+    assert!((4.0..5.0).contains(&turned_rad), "{turned_rad}");
 }
 
 #[test]

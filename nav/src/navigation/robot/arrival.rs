@@ -1,5 +1,6 @@
 //! Turns of a robot on the spot: at the goal, and while it waits for another robot.
 
+use super::super::goal::GoesOn;
 use super::super::input::{NavigatedRobot, RobotPoses};
 use super::super::state::NavigationState;
 use super::RobotNavigator;
@@ -8,6 +9,8 @@ use msg::{Stamp, pose::wrap_angle};
 
 /// Heading error at which the heading of a goal is reached, radians: six degrees.
 const HEADING_TOLERANCE_RAD: f64 = 0.1;
+/// Heading error at which a heading between others is passed, radians: the robot turns on without a stop, and sees beyond it.
+const PASSED_HEADING_RAD: f64 = 0.3;
 /// Distance of the point that is faced to turn to a heading, metres: so far away that its direction is the heading.
 const FACED_POINT_M: f64 = 100.0;
 
@@ -20,11 +23,12 @@ impl RobotNavigator {
         if error_rad.abs() > self.config.follower.turn_until_rad { twist } else { Twist::STOP }
     }
 
-    /// Turns to the heading of the last pose, and goes on with the next pose or ends.
+    /// Turns to the heading of the pose if it counts, and goes on with the next pose or ends.
     pub(super) fn arrive(&mut self, now: Stamp, robot: &NavigatedRobot, poses: RobotPoses) -> Twist {
         let pose = self.goal_pose(robot);
         let Some(active) = self.goal.as_mut() else { return Twist::STOP };
-        if active.next + 1 < active.goal.poses().len() {
+        let goes_on = active.goal.goes_on_after(active.next);
+        if goes_on == GoesOn::Elsewhere {
             active.next += 1;
             active.progress.restart(now);
             (self.searched, self.followed) = (None, None);
@@ -33,13 +37,23 @@ impl RobotNavigator {
         if !std::mem::replace(&mut active.is_at_position, true) {
             active.progress.restart(now);
         }
+        let turns_on = goes_on == GoesOn::Turning;
         if let Some(yaw_rad) = pose.ok().and_then(|pose| pose.yaw_rad) {
             let at = poses.map_from_base;
             let (sin, cos) = wrap_angle(yaw_rad).sin_cos();
             let faced_m = [at.x_m + FACED_POINT_M * cos, at.y_m + FACED_POINT_M * sin];
-            let (twist, error_rad) = self.follower.turn_to_face(at, faced_m);
-            if error_rad.abs() > HEADING_TOLERANCE_RAD {
+            let (mut twist, error_rad) = self.follower.turn_to_face(at, faced_m);
+            let tolerance_rad = if turns_on { PASSED_HEADING_RAD } else { HEADING_TOLERANCE_RAD };
+            if error_rad.abs() > tolerance_rad {
                 self.state = NavigationState::Driving;
+                if turns_on {
+                    twist.angular_rad_s = self.config.follower.turn_rad_s.copysign(error_rad);
+                }
+                return twist;
+            }
+            if turns_on {
+                active.next += 1;
+                active.progress.restart(now);
                 return twist;
             }
         }

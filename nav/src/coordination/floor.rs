@@ -1,0 +1,88 @@
+//! Floor that the fleet may still reach: what a robot's body could cover if all unknown space were free.
+//!
+//! A wall that SLAM has drawn has gaps of a cell or two, and unknown space shows through them. No robot fits there, so
+//! that what lies behind is no reason to look: it is seen through a door, or it is outside of the building.
+
+use crate::clearance_map::{ClearanceMap, NEIGHBOURS};
+use msg::grid::Occupancy;
+
+/// Cells that robots could cover, in buffers that it keeps.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PossibleFloor {
+    /// Cells where the centre of a robot could be.
+    is_centre: Vec<bool>,
+    /// Cells that its body could cover.
+    is_covered: Vec<bool>,
+    stack: Vec<usize>,
+}
+
+impl PossibleFloor {
+    /// Computes the floor for robots that need a clearance and are in cells of `is_reached`; their centres keep out of
+    /// what `is_excluded` says.
+    pub(super) fn update(
+        &mut self,
+        map: &ClearanceMap,
+        clearance_min_m: f64,
+        is_reached: impl Fn(usize) -> bool,
+        is_excluded: impl Fn(usize) -> bool,
+    ) {
+        let Self { is_centre, is_covered, stack } = self;
+        for cells in [&mut *is_centre, &mut *is_covered] {
+            cells.clear();
+            cells.resize(map.cell_count(), false);
+        }
+        let fits = |cell: usize| {
+            map.occupancy(cell) != Occupancy::Occupied
+                && map.clearance_m(cell) >= clearance_min_m
+                && !is_excluded(cell)
+        };
+        stack.clear();
+        let starts = (0..map.cell_count())
+            .filter(|cell| map.occupancy(*cell) == Occupancy::Free && is_reached(*cell) && fits(*cell));
+        stack.extend(starts);
+        stack.iter().for_each(|cell| is_centre[*cell] = true);
+        while let Some(cell) = stack.pop() {
+            for direction in 0..NEIGHBOURS.len() {
+                let Some(next) = map.neighbour(cell, direction).filter(|next| !is_centre[*next]) else {
+                    continue;
+                };
+                if fits(next) {
+                    is_centre[next] = true;
+                    stack.push(next);
+                }
+            }
+        }
+        self.cover(map, clearance_min_m);
+    }
+
+    /// Marks what lies within a radius of the centres. The discs of those at the border of their area are enough.
+    fn cover(&mut self, map: &ClearanceMap, radius_m: f64) {
+        self.is_covered.copy_from_slice(&self.is_centre);
+        let width = map.width();
+        let height = map.cell_count() as i64 / width.max(1);
+        let radius_cells = radius_m / map.cell_size_m();
+        let reach = radius_cells as i64;
+        let disc: Vec<(i64, i64)> = (-reach..=reach)
+            .flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)))
+            .filter(|(dx, dy)| (dx * dx + dy * dy) as f64 <= radius_cells * radius_cells)
+            .collect();
+        for cell in (0..map.cell_count()).filter(|cell| self.is_centre[*cell]) {
+            let neighbours = (0..NEIGHBOURS.len()).map(|direction| map.neighbour(cell, direction));
+            if neighbours.into_iter().all(|next| next.is_some_and(|next| self.is_centre[next])) {
+                continue;
+            }
+            let (x, y) = map.column_row(cell);
+            for (dx, dy) in &disc {
+                let (u, v) = (x + dx, y + dy);
+                if (0..width).contains(&u) && (0..height).contains(&v) {
+                    self.is_covered[(v * width + u) as usize] = true;
+                }
+            }
+        }
+    }
+
+    /// Whether a robot could cover a cell of the map of the last update.
+    pub(super) fn contains(&self, cell: usize) -> bool {
+        self.is_covered.get(cell).is_some_and(|is_covered| *is_covered)
+    }
+}
