@@ -30,6 +30,8 @@ pub struct Case {
     pub limit_s: usize,
     /// Coverage at which a run ends although its method goes on, 0 to 1.
     pub enough: f64,
+    /// Parameters of the coordinator.
+    pub config: CoordinationConfig,
 }
 
 /// What a run took.
@@ -85,7 +87,7 @@ pub fn run(case: Case) -> Result<(Outcome, World), String> {
     let mut world = World::new(&room, case.robots, case.starts, case.seed)?;
     let mut pilot: Box<dyn Pilot> = match case.method {
         Kind::Tour => Box::new(TourPilot::new(case)?),
-        Kind::Navigated => Box::new(NavigatorPilot::new()),
+        Kind::Navigated => Box::new(NavigatorPilot::new(case.config)),
         _ => Box::new(MethodPilot::new(case)),
     };
     let mut outcome = Outcome::new(case);
@@ -148,9 +150,7 @@ struct MethodPilot {
 impl MethodPilot {
     fn new(case: Case) -> Self {
         let method: Box<dyn Method> = match case.method {
-            Kind::Coordinated | Kind::Tour | Kind::Navigated => {
-                Box::new(Coordinated::new(CoordinationConfig::default()))
-            }
+            Kind::Coordinated | Kind::Tour | Kind::Navigated => Box::new(Coordinated::new(case.config)),
             Kind::Greedy => Box::new(Greedy::new(case.robots)),
             Kind::Burgard => Box::new(Burgard::new(case.robots)),
         };
@@ -262,9 +262,9 @@ struct NavigatorPilot {
 }
 
 impl NavigatorPilot {
-    fn new() -> Self {
+    fn new(config: CoordinationConfig) -> Self {
         Self {
-            exploration: FleetExploration::new(CoordinationConfig::default()),
+            exploration: FleetExploration::new(config),
             navigator: FleetNavigator::new(NavigatorConfig::default()),
             choosing: Duration::ZERO,
             longest: Duration::ZERO,

@@ -1,7 +1,6 @@
-//! Coarse routes between viewpoints: Dijkstra's algorithm on squares of 0.2 m in which a robot fits somewhere.
+//! Coarse routes between viewpoints: Dijkstra's algorithm on squares of 0.2 m with a cell that robots reach.
 
 use crate::clearance_map::{ClearanceMap, NEIGHBOURS};
-use msg::grid::Occupancy;
 use std::collections::BinaryHeap;
 
 /// Side of a square, cells of the clearance map: 0.2 m at 0.05 m. Walls with a robot's clearance are wider.
@@ -30,13 +29,8 @@ pub(super) struct CoarseMap {
 }
 
 impl CoarseMap {
-    /// Reads the squares of a clearance map, for robots that need this clearance, outside of what `is_excluded` says.
-    pub(super) fn update(
-        &mut self,
-        map: &ClearanceMap,
-        clearance_min_m: f64,
-        is_excluded: impl Fn(usize) -> bool,
-    ) {
+    /// Reads the squares of a clearance map: those with cells that robots reach.
+    pub(super) fn update(&mut self, map: &ClearanceMap, is_reached: impl Fn(usize) -> bool) {
         self.fine_width = map.width();
         let fine_height = map.cell_count() as i64 / map.width().max(1);
         self.width = (map.width() + SQUARE_CELLS - 1) / SQUARE_CELLS;
@@ -44,12 +38,8 @@ impl CoarseMap {
         self.square_m = map.cell_size_m() * SQUARE_CELLS as f64;
         self.factor.clear();
         self.factor.resize((self.width * self.height) as usize, 0);
-        for cell in 0..map.cell_count() {
-            let clearance_m = map.clearance_m(cell);
-            if map.occupancy(cell) != Occupancy::Free || clearance_m < clearance_min_m || is_excluded(cell) {
-                continue;
-            }
-            let factor = if clearance_m < WIDE_CLEARANCE_M { NARROW_FACTOR as u8 } else { 1 };
+        for cell in (0..map.cell_count()).filter(|cell| is_reached(*cell)) {
+            let factor = if map.clearance_m(cell) < WIDE_CLEARANCE_M { NARROW_FACTOR as u8 } else { 1 };
             let square = &mut self.factor[Self::square(self.width, self.fine_width, cell)];
             *square = if *square == 0 { factor } else { factor.min(*square) };
         }

@@ -1,4 +1,4 @@
-//! Floor that the fleet may still reach: what a robot's body could cover if all unknown space were free.
+//! Floor that the fleet reaches, and that it may still reach: what a robot's body could cover if all unknown space were free.
 //!
 //! A wall that SLAM has drawn has gaps of a cell or two, and unknown space shows through them. No robot fits there, so
 //! that what lies behind is no reason to look: it is seen through a door, or it is outside of the building.
@@ -6,52 +6,39 @@
 use crate::clearance_map::{ClearanceMap, NEIGHBOURS};
 use msg::grid::Occupancy;
 
-/// Cells that robots could cover, in buffers that it keeps.
+/// Cells that robots reach, and that they could cover, in buffers that it keeps.
 #[derive(Clone, Debug, Default)]
-pub(super) struct PossibleFloor {
-    /// Cells where the centre of a robot could be.
+pub(super) struct Floor {
+    /// Known cells where the centre of a robot can be that is there or drives there.
+    is_reached: Vec<bool>,
+    /// Cells where it could be if unknown space is free.
     is_centre: Vec<bool>,
-    /// Cells that its body could cover.
+    /// Cells that its body could cover then.
     is_covered: Vec<bool>,
     stack: Vec<usize>,
 }
 
-impl PossibleFloor {
-    /// Computes the floor for robots that need a clearance and are in cells of `is_reached`; their centres keep out of
-    /// what `is_excluded` says.
+impl Floor {
+    /// Computes the floor for robots that need a clearance and are in the cells `starts`; their centres keep out of what
+    /// `is_excluded` says.
     pub(super) fn update(
         &mut self,
         map: &ClearanceMap,
         clearance_min_m: f64,
-        is_reached: impl Fn(usize) -> bool,
+        starts: impl Iterator<Item = usize>,
         is_excluded: impl Fn(usize) -> bool,
     ) {
-        let Self { is_centre, is_covered, stack } = self;
-        for cells in [&mut *is_centre, &mut *is_covered] {
+        let Self { is_reached, is_centre, is_covered, stack } = self;
+        for cells in [&mut *is_reached, &mut *is_centre, &mut *is_covered] {
             cells.clear();
             cells.resize(map.cell_count(), false);
         }
-        let fits = |cell: usize| {
-            map.occupancy(cell) != Occupancy::Occupied
-                && map.clearance_m(cell) >= clearance_min_m
-                && !is_excluded(cell)
-        };
+        let fits = |cell: usize| map.clearance_m(cell) >= clearance_min_m && !is_excluded(cell);
         stack.clear();
-        let starts = (0..map.cell_count())
-            .filter(|cell| map.occupancy(*cell) == Occupancy::Free && is_reached(*cell) && fits(*cell));
         stack.extend(starts);
-        stack.iter().for_each(|cell| is_centre[*cell] = true);
-        while let Some(cell) = stack.pop() {
-            for direction in 0..NEIGHBOURS.len() {
-                let Some(next) = map.neighbour(cell, direction).filter(|next| !is_centre[*next]) else {
-                    continue;
-                };
-                if fits(next) {
-                    is_centre[next] = true;
-                    stack.push(next);
-                }
-            }
-        }
+        flood(map, stack, is_reached, |cell| map.occupancy(cell) == Occupancy::Free && fits(cell));
+        stack.extend((0..map.cell_count()).filter(|cell| is_reached[*cell]));
+        flood(map, stack, is_centre, |cell| map.occupancy(cell) != Occupancy::Occupied && fits(cell));
         self.cover(map, clearance_min_m);
     }
 
@@ -81,8 +68,26 @@ impl PossibleFloor {
         }
     }
 
-    /// Whether a robot could cover a cell of the map of the last update.
-    pub(super) fn contains(&self, cell: usize) -> bool {
+    /// Whether some robot fits in a cell of the map of the last update, and drives there through known space.
+    pub(super) fn is_reached(&self, cell: usize) -> bool {
+        self.is_reached.get(cell).is_some_and(|is_reached| *is_reached)
+    }
+
+    /// Whether a robot could cover a cell of the map of the last update if unknown space is free.
+    pub(super) fn is_possible(&self, cell: usize) -> bool {
         self.is_covered.get(cell).is_some_and(|is_covered| *is_covered)
+    }
+}
+
+/// Marks the cells on the stack, and all that are connected with them through cells that fit. Empties the stack.
+fn flood(map: &ClearanceMap, stack: &mut Vec<usize>, is_marked: &mut [bool], fits: impl Fn(usize) -> bool) {
+    stack.iter().for_each(|cell| is_marked[*cell] = true);
+    while let Some(cell) = stack.pop() {
+        for next in (0..NEIGHBOURS.len()).filter_map(|direction| map.neighbour(cell, direction)) {
+            if !is_marked[next] && fits(next) {
+                is_marked[next] = true;
+                stack.push(next);
+            }
+        }
     }
 }

@@ -55,8 +55,9 @@ pub(super) fn find(
             unknown_beside(map, *cell).is_some_and(|unknown| unseen.has_looked(map.cell_centre_m(unknown)))
         };
         let is_reached = |cell: &usize| buffers.is_reached(*cell);
-        let leads_to_floor =
-            |cell: &usize| unknown_beside(map, *cell).is_some_and(|unknown| buffers.floor.contains(unknown));
+        let leads_to_floor = |cell: &usize| {
+            unknown_beside(map, *cell).is_some_and(|unknown| buffers.floor.is_possible(unknown))
+        };
         let fits = |cell: &usize| map.clearance_m(*cell) >= clearance_min_m;
         let reason = if cells.iter().filter(|cell| is_given_up(cell)).count() * 2 > cells.len() {
             if cells.iter().any(was_looked_at) {

@@ -2,14 +2,13 @@
 
 use super::coarse::{CoarseMap, UNREACHED};
 use super::excluded::is_excluded;
-use super::floor::PossibleFloor;
+use super::floor::Floor;
 use super::tours::TourProblem;
 use super::types::{
     CoordinationInput, CoordinationPhase, GoalPurpose, RobotAvailability, RobotGoal, TimeEstimate,
 };
 use super::views::{Viewpoint, ViewpointSearch};
 use super::{FleetCoordinator, RobotRecord};
-use crate::clearance_map::ClearanceMap;
 use crate::geometry::distance_m;
 use core::f64::consts::{FRAC_PI_2, PI};
 use msg::grid::Occupancy;
@@ -24,6 +23,8 @@ const STANDING_SPACE_M: f64 = 0.055;
 const SPEED_SHARE: f64 = 0.9;
 /// Time to begin to move and to stop, seconds.
 const STOP_S: f64 = 0.7;
+/// Farthest that a robot may stand from the nearest cell where it fits, metres: in navigation it is the same.
+const START_SNAP_MAX_M: f64 = 0.4;
 /// Distance within which a viewpoint is the current goal of a robot, metres: the lattice moves with the map.
 const SAME_GOAL_M: f64 = 0.5;
 /// Distance within which a robot is at its goal, metres.
@@ -40,7 +41,7 @@ const ESTIMATE_FACTOR: f64 = 3.0;
 pub(super) struct PlanBuffers {
     pub(super) views: ViewpointSearch,
     pub(super) coarse: CoarseMap,
-    pub(super) floor: PossibleFloor,
+    pub(super) floor: Floor,
     /// Route costs of each robot that gets goals, by square; in the order of [`PlanBuffers::robots`].
     pub(super) robot_costs: Vec<Vec<u32>>,
     /// Indices of robots in the input.
@@ -115,7 +116,19 @@ impl FleetCoordinator {
     fn search_robot_routes(&mut self, input: &CoordinationInput) {
         let clearance_min_m = self.clearance_min_m();
         let Self { map, buffers, .. } = self;
-        buffers.coarse.update(map, clearance_min_m, |cell| is_excluded(map, input.excluded, cell));
+        let is_excluded = |cell: usize| is_excluded(map, input.excluded, cell);
+        let fits = |cell: usize| {
+            map.occupancy(cell) == Occupancy::Free
+                && map.clearance_m(cell) >= clearance_min_m
+                && !is_excluded(cell)
+        };
+        let free = input.robots.iter().filter(|robot| robot.availability == RobotAvailability::Free);
+        let places = free.filter_map(|robot| robot.map_from_base.filter(|pose| pose.is_finite()));
+        let starts = places.filter_map(|pose| map.nearest_cell([pose.x_m, pose.y_m], START_SNAP_MAX_M, fits));
+        let mut floor = core::mem::take(&mut buffers.floor);
+        floor.update(map, clearance_min_m, starts, is_excluded);
+        buffers.coarse.update(map, |cell| floor.is_reached(cell));
+        buffers.floor = floor;
         buffers.robots.clear();
         for (index, robot) in input.robots.iter().enumerate() {
             let pose = robot.map_from_base.filter(|pose| pose.is_finite());
@@ -137,35 +150,27 @@ impl FleetCoordinator {
 
     /// Finds viewpoints: with much to see, or if there are none and `with_small` is set, with little.
     fn find_viewpoints(&mut self, input: &CoordinationInput, with_small: bool) {
-        let clearance_min_m = self.clearance_min_m();
         let Self { map, buffers, config, unseen, goals, .. } = self;
         let mut views = core::mem::take(&mut buffers.views);
         let mut found = core::mem::take(&mut buffers.viewpoints);
         let mut given_up = core::mem::take(&mut buffers.given_up);
-        let mut floor = core::mem::take(&mut buffers.floor);
-        let is_excluded = |cell: usize| is_excluded(map, input.excluded, cell);
-        floor.update(map, clearance_min_m, |cell| buffers.is_reached(cell), is_excluded);
-        let is_candidate = |cell: usize| {
-            map.occupancy(cell) == Occupancy::Free
-                && map.clearance_m(cell) >= clearance_min_m
-                && buffers.is_reached(cell)
-                && !is_excluded(cell)
-        };
+        let floor = core::mem::take(&mut buffers.floor);
+        let is_candidate = |cell: usize| floor.is_reached(cell);
         unseen.mark_given_up(map, &mut given_up);
-        let is_opaque = |cell: usize| given_up[cell] || !floor.contains(cell);
+        let is_opaque = |cell: usize| given_up[cell] || !floor.is_possible(cell);
         // Where robots stand and where they go now are candidates too.
         let places = buffers.robots.iter().flat_map(|index| {
             let robot = &input.robots[*index];
             let here = robot.map_from_base.map(|pose| [pose.x_m, pose.y_m]);
             let goal =
                 goals[robot.robot.index()].as_ref().filter(|goal| goal.purpose == GoalPurpose::Explore);
-            [here, goal.map(|goal| goal.position_m)]
+            let is_out = |cell: &usize| is_excluded(map, input.excluded, *cell);
+            let here = here.and_then(|at_m| map.cell_at(at_m)).filter(|cell| !is_out(cell));
+            let goal =
+                goal.and_then(|goal| map.cell_at(goal.position_m)).filter(|cell| floor.is_reached(*cell));
+            [here, goal]
         });
-        let extra: Vec<usize> = places
-            .flatten()
-            .filter_map(|at| map.cell_at(at))
-            .filter(|cell| buffers.is_reached(*cell) && !is_excluded(*cell))
-            .collect();
+        let extra: Vec<usize> = places.flatten().filter(|cell| buffers.is_reached(*cell)).collect();
         let gains_m2 = [config.gain_min_m2, config.gain_last_m2];
         for gain_min_m2 in gains_m2.into_iter().take(1 + usize::from(with_small)) {
             views.find(map, config, &is_candidate, &is_opaque, &extra, gain_min_m2, &mut found);
