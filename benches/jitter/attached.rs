@@ -1,14 +1,17 @@
-//! What a console costs: jitter of one fleet, and of the bare hops beside it, while a console is attached and while it is not.
+//! What a console or an exploration costs: jitter of one fleet, and of the bare hops beside it, with it and without it.
 
 use crate::bare::Bare;
 use crate::console::Console;
 use crate::fleet::Fleet;
 use crate::fleet::browser::{Browser, readers};
+use crate::measure::Spread;
 use crate::pairs::{PAIRS, Pairs, Percentile, Ratio};
 use mr_slam::run::Run;
 use serde_json::{Value, json};
 use std::error::Error;
 use std::ffi::OsStr;
+use std::path::PathBuf;
+use std::process::Command;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
@@ -25,11 +28,16 @@ const COST_MAX: f64 = 1.10;
 const PERCENTILES: [(&str, Percentile); 3] =
     [("median", |spread| spread.p50_ms), ("95 %", |spread| spread.p95_ms), ("99 %", |spread| spread.p99_ms)];
 
+/// Word that lets the fleet explore, and the room where it does: so large that it takes longer than all windows together.
+const EXPLORATION: &str = "exploration";
+const EXPLORED_ROOM: &str = "office:1";
+
 /// What is attached.
 #[expect(dead_code, reason = "it is held until it is dropped")]
 enum Attached {
     Console(Console),
     Browser(Browser, TempDir),
+    Exploration(Exploration),
 }
 
 impl Attached {
@@ -37,31 +45,95 @@ impl Attached {
         let folder = tempfile::tempdir()?;
         Ok(match name {
             "console" => Self::Console(Console::start(run)?),
+            EXPLORATION => Self::Exploration(Exploration::start(run)?),
             program => Self::Browser(Browser::open(OsStr::new(program), run, folder.path())?, folder),
         })
     }
 }
 
-/// Compares windows of a fleet with and without what is named: `console`, or a browser's program.
+/// The fleet explores; it stands again when this is dropped.
+struct Exploration(PathBuf);
+
+impl Exploration {
+    fn start(run: &Run) -> Result<Self, Box<dyn Error>> {
+        let exploration = Self(run.dir.clone());
+        exploration.request("start")?;
+        Ok(exploration)
+    }
+
+    /// Fails if the robots do not explore any more: what was measured is not what it is called.
+    fn check(&self) -> Result<(), Box<dyn Error>> {
+        let status = self.request("status")?;
+        let state = &serde_json::from_str::<Value>(&status)?["state"];
+        if state == "exploring" {
+            Ok(())
+        } else {
+            Err(format!("exploration: {state}, expected exploring").into())
+        }
+    }
+
+    fn request(&self, action: &str) -> Result<String, Box<dyn Error>> {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mr-slam"));
+        command.args(["explore", action, "--no-wait", "--json", "--run-dir"]).arg(&self.0);
+        let output = command.output()?;
+        if !output.status.success() {
+            return Err(format!("explore {action}: {}", String::from_utf8_lossy(&output.stderr)).into());
+        }
+        Ok(String::from_utf8(output.stdout)?)
+    }
+}
+
+impl Drop for Exploration {
+    fn drop(&mut self) {
+        let _ = self.request("stop");
+    }
+}
+
+/// Mean processor time of the processes that are compared, percent of a core, without and with.
+#[derive(Default)]
+struct Processes {
+    bridge: [f64; 2],
+    navigation: [f64; 2],
+}
+
+impl Processes {
+    fn add(&mut self, fleet: &Fleet, is_attached: bool) {
+        for process in fleet.processes() {
+            let percent = match process.process.as_str() {
+                "bridge" => &mut self.bridge,
+                "navigation" => &mut self.navigation,
+                _ => continue,
+            };
+            percent[usize::from(is_attached)] += process.percent / PAIRS as f64;
+        }
+    }
+}
+
+/// Compares windows of a fleet with and without what is named: `console`, `exploration`, or a browser's program.
 pub fn compare(robots: usize, name: &str) -> Result<Value, Box<dyn Error>> {
-    let mut fleet = Fleet::start(robots)?;
+    let room: &[&str] = if name == EXPLORATION { &["--room", EXPLORED_ROOM] } else { &[] };
+    let reader_count = usize::from(name != EXPLORATION);
+    let mut fleet = Fleet::start_with(robots, room)?;
     std::thread::sleep(FLEET_SETTLES);
-    let (mut tf, mut bare, mut bridge) = (Pairs::default(), Pairs::default(), [0.0, 0.0]);
+    let (mut tf, mut bare, mut scans) = (Pairs::default(), Pairs::default(), Pairs::default());
+    let mut processes = Processes::default();
     for pair in 0..PAIRS {
         // Now the one comes first, now the other: what changes with time hits both.
         for is_attached in [pair % 2 == 0, pair % 2 == 1] {
             wait_for_readers(fleet.run(), 0)?;
             let attached = is_attached.then(|| Attached::start(name, fleet.run())).transpose()?;
-            wait_for_readers(fleet.run(), usize::from(is_attached))?;
+            wait_for_readers(fleet.run(), if is_attached { reader_count } else { 0 })?;
             let beside = Bare::start(robots)?;
             let beside = std::thread::spawn(move || beside.measure(CLIENT_SETTLES, WINDOW));
-            let measured = fleet.measure(CLIENT_SETTLES, WINDOW)?.tf;
+            let measured = fleet.measure(CLIENT_SETTLES, WINDOW)?;
             let beside = beside.join().map_err(|_| "the bare hops' client failed")??;
+            if let Some(Attached::Exploration(exploration)) = &attached {
+                exploration.check()?;
+            }
             drop(attached);
-            let processes = fleet.processes();
-            let of_bridge = processes.iter().find(|process| process.process == "bridge");
-            bridge[usize::from(is_attached)] += of_bridge.map_or(0.0, |bridge| bridge.percent) / PAIRS as f64;
-            for (pairs, window) in [(&mut tf, measured), (&mut bare, beside)] {
+            processes.add(&fleet, is_attached);
+            for (pairs, window) in [(&mut tf, measured.tf), (&mut scans, measured.scans), (&mut bare, beside)]
+            {
                 if is_attached { &mut pairs.with } else { &mut pairs.without }.push(window);
             }
         }
@@ -71,10 +143,21 @@ pub fn compare(robots: usize, name: &str) -> Result<Value, Box<dyn Error>> {
     println!("{robots} robots, one fleet, {PAIRS} pairs of {} s with and without: {name}", WINDOW.as_secs());
     print("TF, each link", &tf, Some(COST_MAX));
     print("bare: timer, socket, relay, TCP", &bare, None);
-    println!("bridge: {:.2} % of a core without, {:.2} % with", bridge[0], bridge[1]);
+    let hz = |windows: &[Spread]| windows.iter().map(|window| window.hz).fold(f64::INFINITY, f64::min);
+    println!(
+        "scans: {:.2} Hz without, {:.2} Hz with (slowest robot and window); {:?} lost",
+        hz(&scans.without),
+        hz(&scans.with),
+        scans.lost()
+    );
+    let Processes { bridge, navigation } = processes;
+    for (process, percent) in [("bridge", bridge), ("navigation", navigation)] {
+        println!("{process}: {:.2} % of a core without, {:.2} % with", percent[0], percent[1]);
+    }
     let ratios = |pairs: &Pairs| PERCENTILES.map(|(name, of)| (name, pairs.ratio(of)));
     Ok(json!({
-        "attached": name, "robots": robots, "tf": tf, "bare": bare, "bridge_percent": bridge,
+        "attached": name, "robots": robots, "tf": tf, "bare": bare, "scans": scans, "bridge_percent": bridge,
+        "navigation_percent": navigation,
         "tf_ratios": ratios(&tf), "bare_ratios": ratios(&bare),
     }))
 }

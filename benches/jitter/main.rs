@@ -4,7 +4,8 @@
 //!
 //! `cargo bench --bench jitter [-- --seconds 60 --robots 3 --json FILE]`; with `MR_SLAM_BENCH_BROWSER=chromium` a browser draws the
 //! operator's page beside it, at the lowest priority, as on another machine. `--attach console` compares windows of one fleet
-//! with and without a console that reads what the page reads and does not draw; `--attach chromium` with a browser that draws.
+//! with and without a console that reads what the page reads and does not draw; `--attach chromium` with a browser that draws;
+//! `--attach exploration` while its robots explore an office, and while they stand.
 //!
 //! Jitter is defined as in the MR-SLAM paper: |(receive - stamp) - its mean|, for each link, pooled over the
 //! links. The bare hops are a timer process, a relay process that it wakes through a socket, and TCP to a
@@ -49,7 +50,7 @@ fn args() -> Result<Args, String> {
             "--bench" => {}
             other => {
                 return Err(format!(
-                    "{other}: expected --seconds S, --robots N, --attach console|BROWSER or --json FILE"
+                    "{other}: expected --seconds S, --robots N, --attach console|exploration|BROWSER or --json FILE"
                 ));
             }
         }

@@ -1,12 +1,13 @@
 //! Bench of coordinated exploration, in virtual time and repeatable: how long fleets need to see generated rooms.
 //!
 //! The robots, their LiDARs of 90 degrees and their contacts are the simulator's. Poses are exact, and the map is drawn from
-//! the simulated scans with these poses: errors of SLAM and merging are left out, so that many runs are cheap. All methods that
-//! choose goals share one driver (`driver.rs`); `navigated` is the coordinator with `nav::FleetNavigator` instead. The reachable floor is what a robot's body with its margin can cover.
+//! the simulated scans with these poses: errors of SLAM and merging are left out, so that many runs are cheap. `navigated` is what a
+//! fleet runs: the coordinator with `nav::FleetNavigator`. The others share one driver (`driver.rs`), `coordinated` is the coordinator with it.
+//! The reachable floor is what a robot's body with its margin can cover.
 //!
 //! ```text
 //! cargo bench -p nav --bench explore -- [--worlds office,flat] [--robots 1,3] [--seeds 1..3] [--starts near|far|both]
-//!     [--methods coordinated,burgard,greedy,tour,navigated] [--limit SECONDS] [--until SHARE]
+//!     [--methods navigated,burgard,greedy,tour,coordinated] [--limit SECONDS] [--until SHARE]
 //!     [--out FOLDER] [--jobs N] [--set pocket_m2=3,switch_cost_s=8]
 //! ```
 //! `--set` changes parameters of the coordinator (`CoordinationConfig`). A run ends at the coverage `--until`, 0.9995 if it is not given; 0.991 leaves out what comes after `T99`.
@@ -51,7 +52,7 @@ impl Default for Options {
             robots: vec![3],
             seeds: 1..=3,
             starts: vec![Starts::Near],
-            methods: vec![Kind::Coordinated, Kind::Burgard, Kind::Greedy],
+            methods: vec![Kind::Navigated, Kind::Burgard, Kind::Greedy],
             limit_s: 4000,
             until: 0.9995,
             config: CoordinationConfig::default(),

@@ -150,27 +150,33 @@ fn print_all(outcomes: &[Outcome]) {
                 |o: &&Outcome| (o.case.robots, o.case.starts) == (robots, starts) && o.case.method == kind;
             print_row("all", robots, starts, kind, outcomes.iter().filter(is_in));
         }
-        for kind in [Kind::Burgard, Kind::Greedy, Kind::Tour] {
-            let ratios: Vec<String> = (0..3)
-                .filter_map(|i| {
-                    let ratio = mean_ratio(outcomes, (robots, starts), kind, i)?;
+        for ours in [Kind::Navigated, Kind::Coordinated] {
+            for baseline in [Kind::Burgard, Kind::Greedy, Kind::Tour] {
+                let ratio = |i: usize| {
+                    let ratio = mean_ratio(outcomes, (robots, starts), (ours, baseline), i)?;
                     Some(format!("T{:.0} {ratio:.2}", SHARES[i] * 100.0))
-                })
-                .collect();
-            if !ratios.is_empty() {
-                println!("    coordinated / {}: {}", kind.name(), ratios.join(", "));
+                };
+                let ratios: Vec<String> = (0..SHARES.len()).filter_map(ratio).collect();
+                if !ratios.is_empty() {
+                    println!("    {} / {}: {}", ours.name(), baseline.name(), ratios.join(", "));
+                }
             }
         }
     }
 }
 
 /// Mean over worlds and seeds of the ratio of a time to a baseline's in the same run.
-fn mean_ratio(outcomes: &[Outcome], fleet: (usize, Starts), baseline: Kind, time: usize) -> Option<f64> {
+fn mean_ratio(
+    outcomes: &[Outcome],
+    fleet: (usize, Starts),
+    (ours, baseline): (Kind, Kind),
+    time: usize,
+) -> Option<f64> {
     let of = |kind: Kind| {
         outcomes.iter().filter(move |o| (o.case.robots, o.case.starts) == fleet && o.case.method == kind)
     };
     let seconds = |o: &Outcome| o.times_s[time].unwrap_or(o.case.limit_s as f64);
-    let ratios: Vec<f64> = of(Kind::Coordinated)
+    let ratios: Vec<f64> = of(ours)
         .filter_map(|ours| {
             let is_same = |o: &&Outcome| (o.case.room, o.case.seed) == (ours.case.room, ours.case.seed);
             of(baseline).find(is_same).map(|theirs| seconds(ours) / seconds(theirs))

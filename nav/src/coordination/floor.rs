@@ -4,6 +4,7 @@
 //! that what lies behind is no reason to look: it is seen through a door, or it is outside of the building.
 
 use crate::clearance_map::{ClearanceMap, NEIGHBOURS};
+use crate::config::RobotBody;
 use msg::grid::Occupancy;
 
 /// Cells that robots reach, and that they could cover, in buffers that it keeps.
@@ -13,18 +14,18 @@ pub(super) struct Floor {
     is_reached: Vec<bool>,
     /// Cells where it could be if unknown space is free.
     is_centre: Vec<bool>,
-    /// Cells that its body could cover then.
+    /// Cells that its body with its margin could cover then.
     is_covered: Vec<bool>,
     stack: Vec<usize>,
 }
 
 impl Floor {
-    /// Computes the floor for robots that need a clearance and are in the cells `starts`; their centres keep out of what
-    /// `is_excluded` says.
+    /// Computes the floor for robots of a size that need a clearance and are in the cells `starts`; their centres keep out of
+    /// what `is_excluded` says.
     pub(super) fn update(
         &mut self,
         map: &ClearanceMap,
-        clearance_min_m: f64,
+        (body, clearance_min_m): (RobotBody, f64),
         starts: impl Iterator<Item = usize>,
         is_excluded: impl Fn(usize) -> bool,
     ) {
@@ -39,7 +40,7 @@ impl Floor {
         flood(map, stack, is_reached, |cell| map.occupancy(cell) == Occupancy::Free && fits(cell));
         stack.extend((0..map.cell_count()).filter(|cell| is_reached[*cell]));
         flood(map, stack, is_centre, |cell| map.occupancy(cell) != Occupancy::Occupied && fits(cell));
-        self.cover(map, clearance_min_m);
+        self.cover(map, body.radius_m + body.margin_m);
     }
 
     /// Marks what lies within a radius of the centres. The discs of those at the border of their area are enough.

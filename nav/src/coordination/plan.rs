@@ -115,7 +115,7 @@ impl FleetCoordinator {
     /// Computes what each free robot reaches.
     fn search_robot_routes(&mut self, input: &CoordinationInput) {
         let clearance_min_m = self.clearance_min_m();
-        let Self { map, buffers, .. } = self;
+        let Self { map, buffers, config, .. } = self;
         let is_excluded = |cell: usize| is_excluded(map, input.excluded, cell);
         let fits = |cell: usize| {
             map.occupancy(cell) == Occupancy::Free
@@ -126,7 +126,7 @@ impl FleetCoordinator {
         let places = free.filter_map(|robot| robot.map_from_base.filter(|pose| pose.is_finite()));
         let starts = places.filter_map(|pose| map.nearest_cell([pose.x_m, pose.y_m], START_SNAP_MAX_M, fits));
         let mut floor = core::mem::take(&mut buffers.floor);
-        floor.update(map, clearance_min_m, starts, is_excluded);
+        floor.update(map, (config.body, clearance_min_m), starts, is_excluded);
         buffers.coarse.update(map, |cell| floor.is_reached(cell));
         buffers.floor = floor;
         buffers.robots.clear();
