@@ -13,6 +13,7 @@ mod scan_matcher;
 mod state;
 
 pub use scan_check::ScanRejection;
+use scan_check::sees;
 pub use state::FrontEndState;
 
 use crate::clock_reset::ClockResetDetector;
@@ -165,7 +166,11 @@ impl FrontEnd {
         let stamp = scan.header.stamp;
         let odom_from_base = self.motion.odometry.at(stamp);
         let newest = self.matcher.references.back();
-        let prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
+        let mut prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
+        if self.matcher.is_newest_blind(&self.config.tracking) {
+            prediction = prediction.with_error_of_reference();
+        }
+        prediction.holds_alone &= sees(scan);
         // Take the robot's motion out of the scan, and match it against the local map.
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
         // Odometry that slipped counts from the matched pose.
@@ -286,7 +291,7 @@ impl FrontEnd {
     }
 
     fn extend_swept_path(&mut self, pose: &TrackedPose) {
-        if pose.state != TrackingState::Lost && self.config.map.robot_radius_m > 0.0 {
+        if pose.fits && self.config.map.robot_radius_m > 0.0 {
             let position = [pose.local_from_base.x_m as f32, pose.local_from_base.y_m as f32];
             self.nodes.swept_path.push(position);
         }
@@ -307,7 +312,7 @@ impl FrontEnd {
         cloud: Arc<Cloud>,
     ) -> Option<Node> {
         let id = self.nodes.next_node;
-        let fits = pose.state != TrackingState::Lost;
+        let fits = pose.fits;
         if !fits && self.matcher.contradicts(&cloud, pose.local_from_base) {
             self.frame.break_at(id);
             self.counts.odometry_breaks += 1;

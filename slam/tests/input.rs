@@ -74,7 +74,7 @@ fn the_number_of_beams_may_change() {
 }
 
 #[test]
-fn a_scan_that_sees_nothing_rides_on_odometry() {
+fn a_scan_that_sees_nothing_has_the_pose_by_odometry() {
     let mut slam = Slam::new(SlamConfig::default());
     let mut noise = Noise::new(2);
     let mut robot = Robot::new(Pose2::new(-1.0, -1.4, 0.0));
@@ -82,15 +82,43 @@ fn a_scan_that_sees_nothing_rides_on_odometry() {
     slam.process(&cast(&laboratory(), &FULL, robot.world_from_base, robot.stamp(), &mut noise));
     robot.drive(0.15, 0.0, 0.2, &mut noise);
     slam.add_odometry(&robot.odometry());
-    for (i, empty) in [f32::INFINITY, f32::NAN, 0.0, 0.05, 99.0].into_iter().enumerate() {
+    // Open floor; a LiDAR that is covered or broken.
+    use TrackingState::{Degenerate, Lost};
+    let empty =
+        [(f32::INFINITY, Degenerate), (99.0, Degenerate), (f32::NAN, Lost), (0.0, Lost), (0.05, Lost)];
+    for (i, (empty, state)) in empty.into_iter().enumerate() {
         let mut scan = scan_at(10.3 + i as f64);
         scan.header.stamp = Stamp(robot.stamp().0 + i as i64);
         scan.ranges_m.fill(empty);
         let step = slam.process(&scan);
-        assert_eq!(step.correction.state(), TrackingState::Lost, "{empty}");
+        assert_eq!(step.correction.state(), state, "{empty}");
         assert!(step.correction.map_from_base.distance_m(robot.odom_from_base) < 0.02, "{empty}");
     }
-    assert_eq!(slam.counts().lost, 5);
+    assert_eq!(slam.counts().lost, 3);
+}
+
+#[test]
+fn open_floor_is_crossed_by_odometry_until_its_error_is_large() {
+    let mut slam = Slam::new(SlamConfig::default());
+    let mut noise = Noise::new(3);
+    let mut robot = Robot::new(Pose2::IDENTITY);
+    let mut crossed_m = 0.0;
+    for i in 0..1000 {
+        robot.drive(0.3, 0.0, 0.1, &mut noise);
+        slam.add_odometry(&robot.odometry());
+        let mut scan = scan_at(0.0);
+        scan.header.stamp = robot.stamp();
+        scan.ranges_m.fill(f32::INFINITY);
+        let correction = slam.process(&scan).correction;
+        let sigma_m = correction.covariance[0].max(correction.covariance[3]).sqrt();
+        if correction.state() == TrackingState::Lost {
+            assert!(sigma_m > 0.4, "{sigma_m} m after {crossed_m} m");
+            break;
+        }
+        assert!(i == 0 || correction.state() == TrackingState::Degenerate);
+        crossed_m = correction.map_from_base.x_m;
+    }
+    assert!((1.0..30.0).contains(&crossed_m), "{crossed_m} m");
 }
 
 /// Found by fuzzing: the cells of points beyond a billion metres overflowed.

@@ -47,7 +47,7 @@ impl FrontEnd {
     }
 
     fn match_cloud(&mut self, cloud: &Cloud, prediction: &PosePrediction) -> TrackedPose {
-        let after_loss = self.nodes.last_scan_lost;
+        let after_loss = self.nodes.last_scan_lost || self.matcher.is_newest_blind(&self.config.tracking);
         self.matcher.match_scan(cloud, prediction, after_loss, &self.config, &mut *self.stages)
     }
 
@@ -71,7 +71,7 @@ impl FrontEnd {
             self.stages.stage_started(Stage::Cloud);
             let cloud = self.scan_buffers.cloud(scan, &beam_poses, &self.config);
             let pose = self.match_cloud(&cloud, prediction);
-            let lost = matches!(pose.state, TrackingState::Lost | TrackingState::Starting);
+            let lost = !pose.fits || pose.state == TrackingState::Starting;
             if lost || pass == PASSES {
                 return (beam_poses, cloud, pose);
             }

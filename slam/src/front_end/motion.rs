@@ -35,12 +35,28 @@ pub(super) struct PosePrediction {
     start_covariance: Matrix3<f64>,
     /// Distance from there, metres.
     distance_m: f64,
+    /// Whether it may be given out without a match: odometry measured the motion since the newest reference, and the LiDAR works.
+    pub holds_alone: bool,
 }
 
 impl PosePrediction {
     /// Variances of x, y and yaw.
     pub fn variances(&self) -> Vector3<f64> {
         Vector3::new(self.sigma_m.powi(2), self.sigma_m.powi(2), self.sigma_rad.powi(2))
+    }
+
+    /// The same prediction from the last scan that saw something, if the reference that it starts from saw nothing: its pose
+    /// was one by odometry, too, so that its error is one of the prediction.
+    pub fn with_error_of_reference(self) -> Self {
+        let covariance = self.covariance();
+        let sigma = |i: usize| covariance[(i, i)].sqrt();
+        Self {
+            sigma_m: sigma(0).max(sigma(1)),
+            sigma_rad: sigma(2),
+            start_covariance: Matrix3::zeros(),
+            distance_m: 0.0,
+            ..self
+        }
     }
 
     /// Covariance of the predicted pose: an error in heading moves the end of the path sideways.
@@ -93,6 +109,7 @@ impl MotionModel {
                 sigma_rad: 0.0,
                 start_covariance: Matrix3::zeros(),
                 distance_m: 0.0,
+                holds_alone: false,
             };
         };
         let interval_s = stamp - last.stamp;
@@ -116,6 +133,7 @@ impl MotionModel {
                     + config.sigma_rad_per_m * distance_m,
                 start_covariance: self.reference_covariance,
                 distance_m,
+                holds_alone: true,
             };
         }
         let motion = last.motion.filter(|_| interval_s < CONSTANT_MOTION_MAX_S);
@@ -127,6 +145,7 @@ impl MotionModel {
             sigma_rad: SPEED_SIGMA_SHARE * config.turn_max_rad_s * interval_s + config.sigma_rad,
             start_covariance: last.covariance,
             distance_m: step.x_m.hypot(step.y_m),
+            holds_alone: false,
         }
     }
 

@@ -3,7 +3,7 @@
 use super::scan_matcher::TrackedPose;
 use crate::config::TrackingConfig;
 use crate::node::{Node, SweptPath};
-use msg::{Pose2, TrackingState};
+use msg::Pose2;
 
 /// Numbers nodes and decides when the next one is due.
 pub(super) struct NodeBuilder {
@@ -48,7 +48,7 @@ impl NodeBuilder {
         newest: Option<&Node>,
         config: &TrackingConfig,
     ) -> bool {
-        self.last_scan_lost = pose.state == TrackingState::Lost;
+        self.last_scan_lost = !pose.fits;
         if self.last_scan_lost {
             // A scan that sees nothing is no reason to give up the local map.
             let blind = points < config.points_min;

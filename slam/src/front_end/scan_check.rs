@@ -27,6 +27,14 @@ const ANGLE_INCREMENT_MAX_RAD: f32 = 7.0;
 /// A scan does not begin at a larger angle than this, radians: many turns, which single precision still resolves.
 const ANGLE_MIN_MAX_RAD: f32 = 100.0;
 
+/// Whether the LiDAR works: half of the beams or more hit something in range, or nothing (REP 117). A covered one measures nothing,
+/// or what is too near.
+pub(super) fn sees(scan: &Scan) -> bool {
+    let beams = &scan.ranges_m[..(scan.len as usize).min(scan.ranges_m.len())];
+    let working = beams.iter().filter(|range| **range > 0.0 && **range >= scan.range_min_m).count();
+    2 * working >= beams.len()
+}
+
 impl FrontEnd {
     /// Why a scan cannot be used, if it cannot. Takes over the time of a clock that was set back.
     pub(super) fn check(&mut self, scan: &Scan) -> Option<ScanRejection> {
@@ -79,6 +87,7 @@ impl FrontEnd {
             local_from_base: last.map_or(Pose2::IDENTITY, |l| l.local_from_base),
             covariance: last.map_or(unknown_pose_covariance(), |l| l.covariance),
             state: if last.is_some() { TrackingState::Lost } else { TrackingState::Starting },
+            fits: false,
             slipped: false,
         };
         let correction = self.correction(scan, &pose, None);

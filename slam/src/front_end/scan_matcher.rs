@@ -38,11 +38,17 @@ const BREAK_SHARE: f32 = 0.3;
 /// through.
 const BREAK_POINTS_MIN: usize = 40;
 
+/// Standard deviation of a pose by odometry alone from which the robot is lost, metres: beyond, it does not find the door that
+/// it drives to.
+const OPEN_FLOOR_SIGMA_MAX_M: f64 = 0.5;
+
 /// Result of matching a scan.
 pub(super) struct TrackedPose {
     pub local_from_base: Pose2,
     pub covariance: Matrix3<f64>,
     pub state: TrackingState,
+    /// Whether the scan fits the local map, or sees nothing that could fit.
+    pub fits: bool,
     /// Whether the scan clearly contradicts odometry.
     pub slipped: bool,
 }
@@ -100,13 +106,15 @@ impl ScanMatcher {
             local_from_base: prediction.pose,
             covariance: prediction.covariance(),
             state: TrackingState::Lost,
+            fits: false,
             slipped: false,
         };
         if self.references.is_empty() {
-            return TrackedPose { state: TrackingState::Starting, ..predicted };
+            return TrackedPose { state: TrackingState::Starting, fits: true, ..predicted };
         }
         if cloud.points().len() < config.tracking.points_min {
-            return predicted;
+            let state = state_by_odometry(prediction);
+            return TrackedPose { state, fits: state != TrackingState::Lost, ..predicted };
         }
         let half = [WINDOW_SIGMAS * prediction.sigma_m, WINDOW_SIGMAS * prediction.sigma_rad];
         let narrow = half[0] <= SEARCH_MIN_M && half[1] <= SEARCH_MIN_RAD;
@@ -118,7 +126,11 @@ impl ScanMatcher {
         });
         let matched =
             matched.filter(|matched| !after_loss || !self.contradicts(cloud, matched.local_from_base));
-        matched.unwrap_or(predicted)
+        // What shows something else than the local map has may be new ground: odometry may well be right.
+        matched.unwrap_or_else(|| match self.contradicts(cloud, prediction.pose) {
+            true => predicted,
+            false => TrackedPose { state: state_by_odometry(prediction), ..predicted },
+        })
     }
 
     /// The best pose of the window in the older local map.
@@ -178,7 +190,7 @@ impl ScanMatcher {
         let degenerate =
             largest_sigma_m(&fit.information_without_noise)? > config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
-        Some(TrackedPose { local_from_base: fit.frame_from_cloud, covariance, state, slipped })
+        Some(TrackedPose { local_from_base: fit.frame_from_cloud, covariance, state, fits: true, slipped })
     }
 
     /// Whether a scan placed here and the reference scans see through what the other one saw, so that the
@@ -190,6 +202,11 @@ impl ScanMatcher {
             agreement += Agreement::both_ways(&node.cloud, cloud, node_from_base);
         }
         agreement.is_contradicted(BREAK_SHARE, BREAK_POINTS_MIN)
+    }
+
+    /// Whether the newest reference saw nothing, so that its pose is one by odometry.
+    pub fn is_newest_blind(&self, config: &TrackingConfig) -> bool {
+        self.references.back().is_some_and(|newest| newest.cloud.points().len() < config.points_min)
     }
 
     /// Adds a scan to the references and to the local maps; with `restart` the local maps begin again with it.
@@ -245,6 +262,19 @@ impl ScanMatcher {
             map.nodes = nodes.len();
         }
         self.references.extend(last_of(references.min(config.references as u32)).iter().cloned());
+    }
+}
+
+/// State of a scan that sees nothing, as on open floor, or nothing known: odometry tells the pose for a while, the scan no
+/// direction of it.
+fn state_by_odometry(prediction: &PosePrediction) -> TrackingState {
+    let covariance = prediction.covariance();
+    let position = covariance.fixed_view::<2, 2>(0, 0).into_owned();
+    let sigma_m = position.symmetric_eigenvalues().max().sqrt();
+    if prediction.holds_alone && sigma_m < OPEN_FLOOR_SIGMA_MAX_M {
+        TrackingState::Degenerate
+    } else {
+        TrackingState::Lost
     }
 }
 
