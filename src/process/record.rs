@@ -24,18 +24,22 @@ use crate::spare_time::{SpareTime, WaitingLimits, Work};
 use crate::stop::Stop;
 use ::recording::TopicCount;
 use inputs::Inputs;
-use msg::{Monotonic, RobotId, Role, ScanPurpose};
+use msg::{Monotonic, RobotId, Role, ScanPurpose, Stamp};
 use operator::{OperatorChange, OperatorWatch};
 use recording_work::RecordingWork;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use sim::Simulator;
 use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 pub use topics::{PLANAR_ODOMETRY, Recorder};
 
-/// Period at which channels are read. The shortest queue, the clock's, holds 0.32 s.
+/// Period at which each channel is read. The shortest queue, the clock's, holds 0.32 s.
 const POLL_PERIOD: Duration = Duration::from_millis(50);
+/// Parts in which they are read, one after another over the period: a core is taken for so short a time that it hardly delays the
+/// process that wakes there meanwhile.
+const PARTS: u32 = 10;
 /// Longest time until a message is in a chunk on its way to the disk.
 const FLUSH_PERIOD: Duration = Duration::from_millis(900);
 /// Niceness of a recorder's threads (nice(2)): robots and clients do not wait for it, and it has 0.32 s until a queue is full.
@@ -180,7 +184,31 @@ pub struct Recording<P: Ports> {
     robots: usize,
     scan_demand: ScanDemandSender<P>,
     clock: P::Clock,
+    turn: Turn,
     flush_due: Monotonic,
+}
+
+/// The part of the channels that is read next, and when.
+struct Turn {
+    part: u32,
+    due: Monotonic,
+}
+
+impl Turn {
+    /// The first turn: in the middle between the ticks of two simulators, which are spread over the tick of the fleet.
+    fn first(run: &Run, now: Monotonic) -> Self {
+        let between = Simulator::TICK / (2 * run.config.fleet.robots.max(1) as u32);
+        let tick_ns = Simulator::TICK.as_nanos() as i64;
+        let next_tick = Stamp((run.epoch.stamp(now).0.div_euclid(tick_ns) + 1) * tick_ns);
+        Self { part: 0, due: run.epoch.moment(next_tick) + between }
+    }
+
+    /// Goes on to the next part. Who is late catches up, but for more than a period.
+    fn advance(&mut self, now: Monotonic) {
+        self.part = (self.part + 1) % PARTS;
+        let due = self.due + POLL_PERIOD / PARTS;
+        self.due = if now > due + POLL_PERIOD { now } else { due };
+    }
 }
 
 impl<P: Ports> Recording<P> {
@@ -202,14 +230,27 @@ impl<P: Ports> Recording<P> {
         let inputs = Inputs::open(ports, run)?;
         let scan_demand = ScanDemandSender::open(ports, run, ScanPurpose::Viewing)?;
         let robots = run.config.fleet.robots;
-        Ok(Self { to, inputs, operator, robots, scan_demand, clock, flush_due })
+        let turn = Turn::first(run, clock.now());
+        Ok(Self { to, inputs, operator, robots, scan_demand, clock, turn, flush_due })
     }
 
-    /// Records what has come, and returns when it is to be called again.
+    /// Records what has come on the channels whose turn it is, and returns when it is to be called again.
     pub fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
+        if now < self.turn.due {
+            return self.turn.due;
+        }
+        self.inputs.receive((self.turn.part as usize, PARTS as usize), &mut self.to, now);
+        if self.turn.part == 0 {
+            self.record_rest(now);
+        }
+        self.turn.advance(now);
+        self.turn.due
+    }
+
+    /// Does once in a period what is not a channel's.
+    fn record_rest(&mut self, now: Monotonic) {
         self.scan_demand.update(RobotId::first(self.robots), now);
-        self.inputs.receive(&mut self.to, now);
         if let Some(change) = self.operator.as_mut().and_then(OperatorWatch::changed) {
             let record = move |to: &mut Recorder| match change {
                 OperatorChange::State(state) => to.record_operator(&state, now),
@@ -221,7 +262,6 @@ impl<P: Ports> Recording<P> {
             self.to.record(0, Box::new(Recorder::flush));
             self.flush_due = now + FLUSH_PERIOD;
         }
-        now + POLL_PERIOD
     }
 
     /// Returns whether the recording has ended, because the disk is full.

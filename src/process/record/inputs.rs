@@ -112,14 +112,21 @@ impl<P: Ports> Inputs<P> {
         })
     }
 
-    /// Records all that has come.
-    pub fn receive(&mut self, to: &mut RecordingWork, now: Monotonic) {
+    /// Records what has come on the channels of one of so many parts: robots are spread over them, the fleet's channels are in the
+    /// first.
+    pub fn receive(&mut self, (part, parts): (usize, usize), to: &mut RecordingWork, now: Monotonic) {
+        for input in self.robots.iter_mut().filter(|input| input.robot.index() % parts == part) {
+            input.receive(to, now);
+        }
+        if part == 0 {
+            self.receive_of_fleet(to, now);
+        }
+    }
+
+    fn receive_of_fleet(&mut self, to: &mut RecordingWork, now: Monotonic) {
         each(&mut self.clock, to, |to, clock| to.publish(FleetMessage::Clock(clock), sent(clock)));
         each(&mut self.operator_events, to, Recorder::record_operator_event);
         each(&mut self.edge_commands, to, Recorder::record_edge_command);
-        for input in &mut self.robots {
-            input.receive(to, now);
-        }
         each(&mut self.map_transforms, to, |to, all| to.publish(FleetMessage::MapTransforms(all), sent(all)));
         self.merged_map.receive(to, now, move |to, map| to.publish(FleetMessage::MergedMap(map), now));
         each(&mut self.edges, to, |to, edges| {
