@@ -181,7 +181,7 @@ fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Options, String>
         }
         let value = arguments.next().ok_or_else(|| format!("{argument} needs a value"))?;
         let number = |text: &str| text.parse::<u64>().map_err(|why| format!("{argument} {value}: {why}"));
-        let names = value.split(',');
+        let mut names = value.split(',');
         match argument.as_str() {
             "--worlds" => {
                 let kind = |name: &str| RoomKind::from_name(name).ok_or_else(|| format!("no world {name}"));
@@ -211,7 +211,7 @@ fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Options, String>
             }
             "--limit" => options.limit_s = number(&value)? as usize,
             "--until" => options.until = value.parse().map_err(|why| format!("{argument} {value}: {why}"))?,
-            "--set" => names.map(|pair| set(&mut options.config, pair)).collect::<Result<_, _>>()?,
+            "--set" => names.try_for_each(|pair| set(&mut options.config, pair))?,
             "--jobs" => options.jobs = number(&value)? as usize,
             "--out" => options.out = Some(PathBuf::from(&value)),
             _ => {
