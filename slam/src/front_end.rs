@@ -13,7 +13,6 @@ mod scan_matcher;
 mod state;
 
 pub use scan_check::ScanRejection;
-use scan_check::sees;
 pub use state::FrontEndState;
 
 use crate::clock_reset::ClockResetDetector;
@@ -165,12 +164,7 @@ impl FrontEnd {
         // Predict the pose from odometry, or from the last motion.
         let stamp = scan.header.stamp;
         let odom_from_base = self.motion.odometry.at(stamp);
-        let newest = self.matcher.references.back();
-        let mut prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
-        if self.matcher.is_newest_blind(&self.config.tracking) {
-            prediction = prediction.with_error_of_reference();
-        }
-        prediction.holds_alone &= sees(scan);
+        let prediction = self.predict(scan, odom_from_base);
         // Take the robot's motion out of the scan, and match it against the local map.
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
         // Odometry that slipped counts from the matched pose.

@@ -203,7 +203,7 @@ impl Turn {
         Self { part: 0, due: run.epoch.moment(next_tick) + between }
     }
 
-    /// Goes on to the next part. Who is late catches up, but for more than a period.
+    /// Goes on to the next part. Who is late catches up, but not with more than a period.
     fn advance(&mut self, now: Monotonic) {
         self.part = (self.part + 1) % PARTS;
         let due = self.due + POLL_PERIOD / PARTS;
@@ -237,15 +237,21 @@ impl<P: Ports> Recording<P> {
     /// Records what has come on the channels whose turn it is, and returns when it is to be called again.
     pub fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
-        if now < self.turn.due {
-            return self.turn.due;
+        for _ in 0..PARTS {
+            if now < self.turn.due {
+                break;
+            }
+            self.receive(self.turn.part, now);
+            self.turn.advance(now);
         }
-        self.inputs.receive((self.turn.part as usize, PARTS as usize), &mut self.to, now);
-        if self.turn.part == 0 {
+        self.turn.due
+    }
+
+    fn receive(&mut self, part: u32, now: Monotonic) {
+        self.inputs.receive((part as usize, PARTS as usize), &mut self.to, now);
+        if part == 0 {
             self.record_rest(now);
         }
-        self.turn.advance(now);
-        self.turn.due
     }
 
     /// Does once in a period what is not a channel's.
@@ -269,8 +275,10 @@ impl<P: Ports> Recording<P> {
         self.to.counts.has_ended()
     }
 
-    /// Ends the recording and returns what it has.
-    pub fn finish(self) -> Summary {
+    /// Records what has come, ends the recording and returns what it has.
+    pub fn finish(mut self) -> Summary {
+        let now = self.clock.now();
+        (0..PARTS).for_each(|part| self.receive(part, now));
         let lost = self.inputs.lost();
         let panicked =
             || Summary { ended: Some("the thread that writes panicked".into()), ..Summary::default() };
