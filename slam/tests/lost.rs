@@ -266,7 +266,7 @@ fn a_blind_robot_is_less_sure_with_every_metre_and_a_standing_one_is_not() {
         let mut scan = cast(&[], &drive.lidar, Pose2::IDENTITY, drive.robot.stamp(), &mut drive.noise);
         scan.ranges_m.fill(f32::INFINITY);
         let correction = drive.slam.process(&scan).correction;
-        assert_eq!(correction.state(), TrackingState::Lost);
+        assert_eq!(correction.state(), TrackingState::Degenerate);
         correction.covariance[0].sqrt()
     };
     let first = blind(&mut drive, 0.0);
