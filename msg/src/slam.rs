@@ -14,8 +14,7 @@ pub enum TrackingState {
     /// The scan matches the map but leaves a direction open, as in a long corridor, or sees nothing, as on open floor, or nothing
     /// that is known: odometry tells the rest.
     Degenerate = 2,
-    /// The scan contradicts the map, or does not match it while odometry is missing or has not been checked for long: the pose comes from odometry and the
-    /// map does not change.
+    /// The scan contradicts the map, or the pose by odometry is missing or too uncertain: the map does not change.
     Lost = 3,
     /// The scan matches the map, but there is evidence that the map is wrong: this pose may be metres off.
     Unreliable = 4,

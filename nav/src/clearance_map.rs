@@ -3,6 +3,8 @@
 
 mod marking;
 
+pub(crate) use marking::is_inside;
+
 use crate::observation::MapView;
 use msg::Pose2;
 use msg::grid::Occupancy;

@@ -17,6 +17,7 @@ mod tests;
 
 pub use config::{NavigatorConfig, UnknownSpace};
 pub use goal::{GOAL_POSES_MAX, GoalError, GoalFrame, GoalPose, NavigationGoal};
+pub(crate) use goal_map::START_SNAP_MAX_M;
 pub use input::{NavigatedRobot, NavigationInput};
 pub use state::{NavigationFailure, NavigationState};
 

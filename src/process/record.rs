@@ -184,18 +184,18 @@ pub struct Recording<P: Ports> {
     robots: usize,
     scan_demand: ScanDemandSender<P>,
     clock: P::Clock,
-    turn: Turn,
+    next: NextPart,
     flush_due: Monotonic,
 }
 
 /// The part of the channels that is read next, and when.
-struct Turn {
+struct NextPart {
     part: u32,
     due: Monotonic,
 }
 
-impl Turn {
-    /// The first turn: in the middle between the ticks of two simulators, which are spread over the tick of the fleet.
+impl NextPart {
+    /// The first part: in the middle between the ticks of two simulators, which are spread over the tick of the fleet.
     fn first(run: &Run, now: Monotonic) -> Self {
         let between = Simulator::TICK / (2 * run.config.fleet.robots.max(1) as u32);
         let tick_ns = Simulator::TICK.as_nanos() as i64;
@@ -230,21 +230,21 @@ impl<P: Ports> Recording<P> {
         let inputs = Inputs::open(ports, run)?;
         let scan_demand = ScanDemandSender::open(ports, run, ScanPurpose::Viewing)?;
         let robots = run.config.fleet.robots;
-        let turn = Turn::first(run, clock.now());
-        Ok(Self { to, inputs, operator, robots, scan_demand, clock, turn, flush_due })
+        let next = NextPart::first(run, clock.now());
+        Ok(Self { to, inputs, operator, robots, scan_demand, clock, next, flush_due })
     }
 
-    /// Records what has come on the channels whose turn it is, and returns when it is to be called again.
+    /// Records what has come on the channels that are due, and returns when it is to be called again.
     pub fn step(&mut self) -> Monotonic {
         let now = self.clock.now();
         for _ in 0..PARTS {
-            if now < self.turn.due {
+            if now < self.next.due {
                 break;
             }
-            self.receive(self.turn.part, now);
-            self.turn.advance(now);
+            self.receive(self.next.part, now);
+            self.next.advance(now);
         }
-        self.turn.due
+        self.next.due
     }
 
     fn receive(&mut self, part: u32, now: Monotonic) {

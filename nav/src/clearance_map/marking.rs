@@ -70,7 +70,7 @@ impl ClearanceMap {
 }
 
 /// Whether a point lies in a polygon: a ray from it crosses the polygon's sides an odd number of times.
-fn is_inside([x, y]: [f64; 2], corners: &[[f64; 2]]) -> bool {
+pub(crate) fn is_inside([x, y]: [f64; 2], corners: &[[f64; 2]]) -> bool {
     let next = corners.iter().cycle().skip(1);
     let crosses = |([ax, ay], [bx, by]): (&[f64; 2], &[f64; 2])| {
         (*ay > y) != (*by > y) && x < (bx - ax) * (y - ay) / (by - ay) + ax

@@ -5,6 +5,7 @@
 
 use crate::clearance_map::{ClearanceMap, NEIGHBOURS};
 use crate::config::RobotBody;
+use crate::navigation::START_SNAP_MAX_M;
 use msg::grid::Occupancy;
 
 /// Cells that robots reach, and that they could cover, in buffers that it keeps.
@@ -20,13 +21,13 @@ pub(super) struct Floor {
 }
 
 impl Floor {
-    /// Computes the floor for robots of a size that need a clearance and are in the cells `starts`; their centres keep out of
-    /// what `is_excluded` says.
+    /// Computes the floor for robots of a size that need a clearance and stand at `places_m`; their centres keep out of what
+    /// `is_excluded` says.
     pub(super) fn update(
         &mut self,
         map: &ClearanceMap,
         (body, clearance_min_m): (RobotBody, f64),
-        starts: impl Iterator<Item = usize>,
+        places_m: impl Iterator<Item = [f64; 2]>,
         is_excluded: impl Fn(usize) -> bool,
     ) {
         let Self { is_reached, is_centre, is_covered, stack } = self;
@@ -35,9 +36,10 @@ impl Floor {
             cells.resize(map.cell_count(), false);
         }
         let fits = |cell: usize| map.clearance_m(cell) >= clearance_min_m && !is_excluded(cell);
+        let is_known = |cell: usize| map.occupancy(cell) == Occupancy::Free && fits(cell);
         stack.clear();
-        stack.extend(starts);
-        flood(map, stack, is_reached, |cell| map.occupancy(cell) == Occupancy::Free && fits(cell));
+        stack.extend(places_m.filter_map(|at_m| map.nearest_cell(at_m, START_SNAP_MAX_M, is_known)));
+        flood(map, stack, is_reached, is_known);
         stack.extend((0..map.cell_count()).filter(|cell| is_reached[*cell]));
         flood(map, stack, is_centre, |cell| map.occupancy(cell) != Occupancy::Occupied && fits(cell));
         self.cover(map, body.radius_m + body.margin_m);

@@ -23,8 +23,6 @@ const STANDING_SPACE_M: f64 = 0.055;
 const SPEED_SHARE: f64 = 0.9;
 /// Time to begin to move and to stop, seconds.
 const STOP_S: f64 = 0.7;
-/// Farthest that a robot may stand from the nearest cell where it fits, metres: in navigation it is the same.
-const START_SNAP_MAX_M: f64 = 0.4;
 /// Distance within which a viewpoint is the current goal of a robot, metres: the lattice moves with the map.
 const SAME_GOAL_M: f64 = 0.5;
 /// Distance within which a robot is at its goal, metres.
@@ -117,18 +115,11 @@ impl FleetCoordinator {
         let clearance_min_m = self.clearance_min_m();
         let Self { map, buffers, config, .. } = self;
         let is_excluded = |cell: usize| is_excluded(map, input.excluded, cell);
-        let fits = |cell: usize| {
-            map.occupancy(cell) == Occupancy::Free
-                && map.clearance_m(cell) >= clearance_min_m
-                && !is_excluded(cell)
-        };
         let free = input.robots.iter().filter(|robot| robot.availability == RobotAvailability::Free);
-        let places = free.filter_map(|robot| robot.map_from_base.filter(|pose| pose.is_finite()));
-        let starts = places.filter_map(|pose| map.nearest_cell([pose.x_m, pose.y_m], START_SNAP_MAX_M, fits));
-        let mut floor = core::mem::take(&mut buffers.floor);
-        floor.update(map, (config.body, clearance_min_m), starts, is_excluded);
-        buffers.coarse.update(map, |cell| floor.is_reached(cell));
-        buffers.floor = floor;
+        let poses = free.filter_map(|robot| robot.map_from_base.filter(|pose| pose.is_finite()));
+        let places_m = poses.map(|pose| [pose.x_m, pose.y_m]);
+        buffers.floor.update(map, (config.body, clearance_min_m), places_m, is_excluded);
+        buffers.coarse.update(map, |cell| buffers.floor.is_reached(cell));
         buffers.robots.clear();
         for (index, robot) in input.robots.iter().enumerate() {
             let pose = robot.map_from_base.filter(|pose| pose.is_finite());
@@ -154,7 +145,7 @@ impl FleetCoordinator {
         let mut views = core::mem::take(&mut buffers.views);
         let mut found = core::mem::take(&mut buffers.viewpoints);
         let mut given_up = core::mem::take(&mut buffers.given_up);
-        let floor = core::mem::take(&mut buffers.floor);
+        let floor = &buffers.floor;
         let is_candidate = |cell: usize| floor.is_reached(cell);
         unseen.mark_given_up(map, &mut given_up);
         let is_opaque = |cell: usize| given_up[cell] || !floor.is_possible(cell);
@@ -179,7 +170,6 @@ impl FleetCoordinator {
             }
         }
         (buffers.views, buffers.viewpoints, buffers.given_up) = (views, found, given_up);
-        buffers.floor = floor;
     }
 
     /// Assigns viewpoints to robots as tours, and sets the robots' goals to the first of each.

@@ -14,13 +14,13 @@ const SAME_PLACE_M: f64 = 0.01;
 
 /// What comes after a pose of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum GoesOn {
+pub(super) enum NextPose {
     /// A pose elsewhere: the heading at this one does not count.
     Elsewhere,
     /// Another heading at the same place: the robot turns from this heading to that one.
-    Turning,
+    SamePlace,
     /// No other pose.
-    Nowhere,
+    Absent,
 }
 
 /// Frame that the poses of a goal are in.
@@ -93,12 +93,12 @@ impl NavigationGoal {
     }
 
     /// What comes after the pose with this index.
-    pub(super) fn goes_on_after(&self, index: usize) -> GoesOn {
+    pub(super) fn next_pose_after(&self, index: usize) -> NextPose {
         let Some([pose, next]) = self.poses.get(index..).and_then(|poses| poses.first_chunk()) else {
-            return GoesOn::Nowhere;
+            return NextPose::Absent;
         };
         let is_turn = distance_m(pose.position_m, next.position_m) < SAME_PLACE_M;
-        if is_turn && pose.yaw_rad.is_some() { GoesOn::Turning } else { GoesOn::Elsewhere }
+        if is_turn && pose.yaw_rad.is_some() { NextPose::SamePlace } else { NextPose::Elsewhere }
     }
 
     /// The poses, at least one, in their order.

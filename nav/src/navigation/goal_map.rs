@@ -16,7 +16,7 @@ const ROBOT_MARK_SPACE_M: f64 = 0.035;
 /// Routes are searched this much farther than the robot's, metres: room to step aside.
 const SEARCH_BEYOND_M: f64 = 6.0;
 /// Farthest that a robot may stand from the nearest cell with a route, metres.
-const START_SNAP_MAX_M: f64 = 0.4;
+pub(crate) const START_SNAP_MAX_M: f64 = 0.4;
 /// A goal is moved at most this far to where the robot fits, metres: the tolerance of an arrival.
 const GOAL_SNAP_MAX_M: f64 = 0.15;
 

@@ -36,7 +36,7 @@ pub(super) struct PosePrediction {
     /// Distance from there, metres.
     distance_m: f64,
     /// Whether it may be given out without a match: odometry measured the motion since the newest reference, and the LiDAR works.
-    pub holds_alone: bool,
+    pub is_valid_unmatched: bool,
 }
 
 impl PosePrediction {
@@ -109,7 +109,7 @@ impl MotionModel {
                 sigma_rad: 0.0,
                 start_covariance: Matrix3::zeros(),
                 distance_m: 0.0,
-                holds_alone: false,
+                is_valid_unmatched: false,
             };
         };
         let interval_s = stamp - last.stamp;
@@ -133,7 +133,7 @@ impl MotionModel {
                     + config.sigma_rad_per_m * distance_m,
                 start_covariance: self.reference_covariance,
                 distance_m,
-                holds_alone: true,
+                is_valid_unmatched: true,
             };
         }
         let motion = last.motion.filter(|_| interval_s < CONSTANT_MOTION_MAX_S);
@@ -145,7 +145,7 @@ impl MotionModel {
             sigma_rad: SPEED_SIGMA_SHARE * config.turn_max_rad_s * interval_s + config.sigma_rad,
             start_covariance: last.covariance,
             distance_m: step.x_m.hypot(step.y_m),
-            holds_alone: false,
+            is_valid_unmatched: false,
         }
     }
 

@@ -30,7 +30,7 @@ const ANGLE_MIN_MAX_RAD: f32 = 100.0;
 
 /// Whether the LiDAR works: half of the beams or more hit something in range, or nothing (REP 117). A covered one measures nothing,
 /// or what is too near.
-fn sees(scan: &Scan) -> bool {
+fn lidar_works(scan: &Scan) -> bool {
     let beams = &scan.ranges_m[..(scan.len as usize).min(scan.ranges_m.len())];
     let working = beams.iter().filter(|range| **range > 0.0 && **range >= scan.range_min_m).count();
     2 * working >= beams.len()
@@ -42,10 +42,10 @@ impl FrontEnd {
         let newest = self.matcher.references.back();
         let stamp = scan.header.stamp;
         let mut prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
-        if self.matcher.is_newest_blind(&self.config.tracking) {
+        if self.matcher.newest_saw_nothing(&self.config.tracking) {
             prediction = prediction.with_error_of_reference();
         }
-        prediction.holds_alone &= sees(scan);
+        prediction.is_valid_unmatched &= lidar_works(scan);
         prediction
     }
 

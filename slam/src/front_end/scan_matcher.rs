@@ -205,7 +205,7 @@ impl ScanMatcher {
     }
 
     /// Whether the newest reference saw nothing, so that its pose is one by odometry.
-    pub fn is_newest_blind(&self, config: &TrackingConfig) -> bool {
+    pub fn newest_saw_nothing(&self, config: &TrackingConfig) -> bool {
         self.references.back().is_some_and(|newest| newest.cloud.points().len() < config.points_min)
     }
 
@@ -271,7 +271,7 @@ fn state_by_odometry(prediction: &PosePrediction) -> TrackingState {
     let covariance = prediction.covariance();
     let position = covariance.fixed_view::<2, 2>(0, 0).into_owned();
     let sigma_m = position.symmetric_eigenvalues().max().sqrt();
-    if prediction.holds_alone && sigma_m < OPEN_FLOOR_SIGMA_MAX_M {
+    if prediction.is_valid_unmatched && sigma_m < OPEN_FLOOR_SIGMA_MAX_M {
         TrackingState::Degenerate
     } else {
         TrackingState::Lost

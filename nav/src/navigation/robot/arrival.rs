@@ -1,6 +1,6 @@
 //! Turns of a robot on the spot: at the goal, and while it waits for another robot.
 
-use super::super::goal::GoesOn;
+use super::super::goal::NextPose;
 use super::super::input::{NavigatedRobot, RobotPoses};
 use super::super::state::NavigationState;
 use super::RobotNavigator;
@@ -27,8 +27,8 @@ impl RobotNavigator {
     pub(super) fn arrive(&mut self, now: Stamp, robot: &NavigatedRobot, poses: RobotPoses) -> Twist {
         let pose = self.goal_pose(robot);
         let Some(active) = self.goal.as_mut() else { return Twist::STOP };
-        let goes_on = active.goal.goes_on_after(active.next);
-        if goes_on == GoesOn::Elsewhere {
+        let next = active.goal.next_pose_after(active.next);
+        if next == NextPose::Elsewhere {
             active.next += 1;
             active.progress.restart(now);
             (self.searched, self.followed) = (None, None);
@@ -37,7 +37,7 @@ impl RobotNavigator {
         if !std::mem::replace(&mut active.is_at_position, true) {
             active.progress.restart(now);
         }
-        let turns_on = goes_on == GoesOn::Turning;
+        let turns_on = next == NextPose::SamePlace;
         if let Some(yaw_rad) = pose.ok().and_then(|pose| pose.yaw_rad) {
             let at = poses.map_from_base;
             let (sin, cos) = wrap_angle(yaw_rad).sin_cos();
