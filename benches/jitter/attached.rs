@@ -89,23 +89,24 @@ impl Drop for Exploration {
     }
 }
 
-/// Mean processor time of the processes that are compared, percent of a core, without and with.
-#[derive(Default)]
-struct Processes {
-    bridge: [f64; 2],
-    navigation: [f64; 2],
+/// Mean processor time of a process that is compared, percent of a core, without and with.
+struct Processor {
+    process: &'static str,
+    percent: [f64; 2],
 }
 
-impl Processes {
-    fn add(&mut self, fleet: &Fleet, is_attached: bool) {
-        for process in fleet.processes() {
-            let percent = match process.process.as_str() {
-                "bridge" => &mut self.bridge,
-                "navigation" => &mut self.navigation,
-                _ => continue,
-            };
-            percent[usize::from(is_attached)] += process.percent / PAIRS as f64;
-        }
+impl Processor {
+    fn of(process: &'static str) -> Self {
+        Self { process, percent: [0.0; 2] }
+    }
+
+    /// Adds a window's. Fails if the fleet has no figure of it: nothing is not zero.
+    fn add(&mut self, fleet: &Fleet, is_attached: bool) -> Result<(), Box<dyn Error>> {
+        let processes = fleet.processes();
+        let found = processes.iter().find(|process| process.process == self.process);
+        let found = found.ok_or_else(|| format!("no figures of the process {}", self.process))?;
+        self.percent[usize::from(is_attached)] += found.percent / PAIRS as f64;
+        Ok(())
     }
 }
 
@@ -116,7 +117,7 @@ pub fn compare(robots: usize, name: &str) -> Result<Value, Box<dyn Error>> {
     let mut fleet = Fleet::start_with(robots, room)?;
     std::thread::sleep(FLEET_SETTLES);
     let (mut tf, mut bare, mut scans) = (Pairs::default(), Pairs::default(), Pairs::default());
-    let mut processes = Processes::default();
+    let mut processors = [Processor::of("bridge"), Processor::of("nav")];
     for pair in 0..PAIRS {
         // Now the one comes first, now the other: what changes with time hits both.
         for is_attached in [pair % 2 == 0, pair % 2 == 1] {
@@ -131,7 +132,7 @@ pub fn compare(robots: usize, name: &str) -> Result<Value, Box<dyn Error>> {
                 exploration.check()?;
             }
             drop(attached);
-            processes.add(&fleet, is_attached);
+            processors.iter_mut().try_for_each(|processor| processor.add(&fleet, is_attached))?;
             for (pairs, window) in [(&mut tf, measured.tf), (&mut scans, measured.scans), (&mut bare, beside)]
             {
                 if is_attached { &mut pairs.with } else { &mut pairs.without }.push(window);
@@ -150,14 +151,13 @@ pub fn compare(robots: usize, name: &str) -> Result<Value, Box<dyn Error>> {
         hz(&scans.with),
         scans.lost()
     );
-    let Processes { bridge, navigation } = processes;
-    for (process, percent) in [("bridge", bridge), ("navigation", navigation)] {
+    for Processor { process, percent } in &processors {
         println!("{process}: {:.2} % of a core without, {:.2} % with", percent[0], percent[1]);
     }
     let ratios = |pairs: &Pairs| PERCENTILES.map(|(name, of)| (name, pairs.ratio(of)));
     Ok(json!({
-        "attached": name, "robots": robots, "tf": tf, "bare": bare, "scans": scans, "bridge_percent": bridge,
-        "navigation_percent": navigation,
+        "attached": name, "robots": robots, "tf": tf, "bare": bare, "scans": scans,
+        "percent": processors.each_ref().map(|processor| (processor.process, processor.percent)),
         "tf_ratios": ratios(&tf), "bare_ratios": ratios(&bare),
     }))
 }
