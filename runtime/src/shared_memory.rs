@@ -71,8 +71,6 @@ pub struct Participant {
 impl Participant {
     /// Attaches to a run. `name` is shown by iceoryx2's tools.
     pub fn open(domain: &Domain, opener: Opener, name: &str) -> Result<Self, ChannelError> {
-        // iceoryx2 warns of every dead peer; the launcher already reports those.
-        set_log_level(LogLevel::Error);
         let node = NodeBuilder::new()
             .config(domain.config())
             .name(&name.try_into().map_err(failed("a process cannot be called", name))?)

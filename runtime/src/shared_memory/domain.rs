@@ -94,6 +94,8 @@ impl Domain {
     /// `name`: letters, digits, `_`; unique on the machine. `root`: the run's private folder. If there is no folder in shared
     /// memory ([`create_ipc_folder`]), it must be short, because sockets live below it and their paths have 108 bytes.
     pub fn new(name: &str, root: &FsPath) -> Result<Self, ChannelError> {
+        // iceoryx2 warns of every dead process, and of what two clean up at a time; the launcher says what matters of it.
+        set_log_level(LogLevel::Error);
         let prefix = format!("{PREFIX}{name}_");
         let root = root.to_path_buf();
         let mut config = Config::default();

@@ -1,6 +1,7 @@
 //! Motion model: predicts the pose of the next scan from odometry, or from the last motion.
 
-use super::LastScan;
+use super::scan_check::lidar_works;
+use super::{FrontEnd, LastScan};
 use crate::beam_poses::{BeamPoses, scale_motion};
 use crate::config::OdometryConfig;
 use crate::node::Node;
@@ -45,8 +46,8 @@ impl PosePrediction {
         Vector3::new(self.sigma_m.powi(2), self.sigma_m.powi(2), self.sigma_rad.powi(2))
     }
 
-    /// The same prediction from the last scan that saw something, if the reference that it starts from saw nothing: its pose
-    /// was one by odometry, too, so that its error is one of the prediction.
+    /// The same prediction with the error of the reference as one of its own: a reference that saw nothing has its pose by
+    /// odometry, too.
     pub fn with_error_of_reference(self) -> Self {
         let covariance = self.covariance();
         let sigma = |i: usize| covariance[(i, i)].sqrt();
@@ -64,6 +65,20 @@ impl PosePrediction {
         let sideways = self.start_covariance[(2, 2)] * self.distance_m.powi(2);
         self.start_covariance
             + Matrix3::from_diagonal(&(self.variances() + Vector3::new(sideways, sideways, 0.0)))
+    }
+}
+
+impl FrontEnd {
+    /// The pose expected of a scan: from odometry, or from the last motion.
+    pub(super) fn predict(&mut self, scan: &Scan, odom_from_base: Option<Pose2>) -> PosePrediction {
+        let newest = self.matcher.references.back();
+        let stamp = scan.header.stamp;
+        let mut prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
+        if self.matcher.newest_saw_nothing(&self.config.tracking) {
+            prediction = prediction.with_error_of_reference();
+        }
+        prediction.is_valid_unmatched &= lidar_works(scan);
+        prediction
     }
 }
 

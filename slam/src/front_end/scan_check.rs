@@ -1,6 +1,5 @@
-//! Checks scans, rejects those that cannot be used, and predicts the pose of the others.
+//! Checks scans and rejects those that cannot be used.
 
-use super::motion::PosePrediction;
 use super::{FrontEnd, ScanResult, TrackedPose, unknown_pose_covariance};
 use crate::clock_reset::ClockResetDetector;
 use msg::{Pose2, Scan, Stamp, TrackingState};
@@ -30,25 +29,13 @@ const ANGLE_MIN_MAX_RAD: f32 = 100.0;
 
 /// Whether the LiDAR works: half of the beams or more hit something in range, or nothing (REP 117). A covered one measures nothing,
 /// or what is too near.
-fn lidar_works(scan: &Scan) -> bool {
+pub(super) fn lidar_works(scan: &Scan) -> bool {
     let beams = &scan.ranges_m[..(scan.len as usize).min(scan.ranges_m.len())];
     let working = beams.iter().filter(|range| **range > 0.0 && **range >= scan.range_min_m).count();
     2 * working >= beams.len()
 }
 
 impl FrontEnd {
-    /// The pose expected of a scan: from odometry, or from the last motion.
-    pub(super) fn predict(&mut self, scan: &Scan, odom_from_base: Option<Pose2>) -> PosePrediction {
-        let newest = self.matcher.references.back();
-        let stamp = scan.header.stamp;
-        let mut prediction = self.motion.predict(stamp, odom_from_base, newest, &self.config.odometry);
-        if self.matcher.newest_saw_nothing(&self.config.tracking) {
-            prediction = prediction.with_error_of_reference();
-        }
-        prediction.is_valid_unmatched &= lidar_works(scan);
-        prediction
-    }
-
     /// Why a scan cannot be used, if it cannot. Takes over the time of a clock that was set back.
     pub(super) fn check(&mut self, scan: &Scan) -> Option<ScanRejection> {
         let rejection = self.check_geometry(scan).or_else(|| self.check_stamp(scan.header.stamp));
