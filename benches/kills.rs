@@ -11,6 +11,8 @@ mod fleet;
 mod launcher;
 #[path = "shared/map_cells.rs"]
 mod map_cells;
+#[path = "shared/words.rs"]
+mod words;
 
 use fleet::{Fleet, send};
 use map_cells::{Cells, count_lost};
@@ -45,6 +47,7 @@ struct Kill {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
+    words::check(&words, &["--kills", "--robots", "--seed", "--json"], &["--check"])?;
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let number = |name: &str, default: u64| value(name).map_or(Ok(default), |text| text.parse::<u64>());
     let (kills, robots) = (number("--kills", 100)?, number("--robots", 8)?.max(1) as usize);

@@ -20,6 +20,8 @@ mod launcher;
 #[allow(dead_code, reason = "shared with the jitter bench, which uses all of it")]
 #[path = "jitter/measure.rs"]
 mod measure;
+#[path = "shared/words.rs"]
+mod words;
 
 use client::{Client, EVERYTHING};
 use serde_json::json;
@@ -52,6 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
         _ => {}
     }
+    words::check(&words, &["--minutes", "--json"], &["--record"])?;
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let minutes = value("--minutes").map_or(Ok(20), |text| text.parse::<usize>())?.max(1);
     let is_recorded = words.iter().any(|word| word == "--record");

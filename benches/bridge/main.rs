@@ -4,11 +4,16 @@
 //! `cargo bench --bench bridge [-- --seconds 30 --json FILE --check]`. With `--check` a row that misses its limit makes the
 //! exit status 1.
 //!
+//! `--attach console` compares the rows that a console could change, in windows of one fleet with a console and without it, in turns.
+//!
 //! Two rows need the bridge's inside and run it on a thread of this process, beside the fleet: a map of 16 MB, for
 //! which the laboratory is too small, and the count of allocations.
 
+mod attached;
 mod client;
 mod commands;
+#[path = "../jitter/console.rs"]
+mod console;
 #[path = "../launcher.rs"]
 mod launcher;
 // The mix, its bare hops and the jitter's definition are the jitter bench's.
@@ -19,9 +24,13 @@ mod fleet;
 mod inside;
 #[path = "../jitter/measure.rs"]
 mod measure;
+#[path = "../shared/pairs.rs"]
+mod pairs;
 mod peer;
 mod scenes;
 mod weak;
+#[path = "../shared/words.rs"]
+mod words;
 
 use client::{Client, EVERYTHING};
 use serde_json::{Value, json};
@@ -84,10 +93,17 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some("bare-command") => return Ok(commands::hop(&words[2], words[3].parse()?)?),
         Some("ros-peer") => return peer::listen(words[2].parse()?, Duration::from_secs(words[3].parse()?)),
         Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
+        Some(console::WORD) => return console::read(words[2].parse()?),
         _ => {}
     }
+    words::check(&words, &["--seconds", "--attach", "--json"], &["--check"])?;
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let seconds = value("--seconds").map_or(Ok(30), |text| text.parse::<u64>())?;
+    match value("--attach").map(String::as_str) {
+        None => {}
+        Some("console") => return write(value("--json"), &attached::compare()?),
+        Some(other) => return Err(format!("--attach {other}: expected console").into()),
+    }
     let mut table = Table::default();
     println!("{:<58} {:>12} {:>12} {:<8} {:>10}", "", "measured", "reach", "unit", "machine");
     let mut fleet = fleet::Fleet::start(ROBOTS)?;
@@ -99,13 +115,19 @@ fn main() -> Result<(), Box<dyn Error>> {
     within(&mut table)?;
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     println!("machine's load average: {}", load.trim());
-    if let Some(path) = value("--json") {
-        let report = json!({ "robots": ROBOTS, "seconds": seconds, "load": load.trim(), "rows": table.0 });
-        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
-    }
+    let report = json!({ "robots": ROBOTS, "seconds": seconds, "load": load.trim(), "rows": table.0 });
+    write(value("--json"), &report)?;
     let missed = table.missed();
     if !missed.is_empty() && words.iter().any(|word| word == "--check") {
         return Err(format!("{} rows missed their limit: {}", missed.len(), missed.join("; ")).into());
+    }
+    Ok(())
+}
+
+/// Writes the report to a file, if one is named.
+fn write(path: Option<&String>, report: &Value) -> Result<(), Box<dyn Error>> {
+    if let Some(path) = path {
+        std::fs::write(path, serde_json::to_string_pretty(report)?)?;
     }
     Ok(())
 }

@@ -16,6 +16,8 @@ mod launcher;
 mod stops;
 mod vanishing;
 mod watch;
+#[path = "../shared/words.rs"]
+mod words;
 
 #[allow(dead_code, reason = "the chaos bench needs no signals of it but the operator's")]
 #[path = "../shared/fleet.rs"]
@@ -115,6 +117,11 @@ pub struct Args {
 
 impl Args {
     fn parse(words: &[String]) -> Result<Self, Box<dyn Error>> {
+        words::check(
+            words,
+            &["--minutes", "--kills", "--seconds", "--seed", "--robots", "--parts", "--json"],
+            &["--check"],
+        )?;
         let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
         let number = |name: &str, default: f64| value(name).map_or(Ok(default), |text| text.parse::<f64>());
         let minutes = number("--minutes", 10.0)?;

@@ -18,6 +18,8 @@ mod measure;
 mod pairs;
 mod recorded;
 mod row;
+#[path = "../shared/words.rs"]
+mod words;
 
 use reports::{Line, Page, colour, plot_over};
 use row::Row;
@@ -33,6 +35,11 @@ const LOCKSTEP_S: f64 = 20.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
+    words::check(
+        &words,
+        &["--seconds", "--robots", "--lockstep", "--record", "--json", "--plot"],
+        &["--check"],
+    )?;
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let number = |name: &str, default: usize| value(name).map_or(Ok(default), |text| text.parse::<usize>());
     let length = Duration::from_secs_f64(value("--seconds").map_or(Ok(30.0), |text| text.parse())?);

@@ -15,6 +15,8 @@ mod launcher;
 #[allow(dead_code, reason = "the jitter bench uses all of it")]
 #[path = "../jitter/measure.rs"]
 mod measure;
+#[path = "../shared/words.rs"]
+mod words;
 
 use headset::wireless::{Link, LinkChoice, proxy};
 use headset_app::Headset;
@@ -39,6 +41,7 @@ const PAPER_HZ: f64 = 8.83;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
+    words::check(&words, &["--seconds", "--json"], &[])?;
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let length = Duration::from_secs(value("--seconds").map_or(Ok(60), |text| text.parse())?);
     println!(

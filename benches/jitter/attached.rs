@@ -5,7 +5,7 @@ use crate::console::Console;
 use crate::fleet::Fleet;
 use crate::fleet::browser::{Browser, readers};
 use crate::measure::Spread;
-use crate::pairs::{PAIRS, Pairs, Percentile, Ratio};
+use crate::pairs::{Pairs, Percentile, Ratio};
 use mr_slam::run::Run;
 use serde_json::{Value, json};
 use std::error::Error;
@@ -100,25 +100,25 @@ impl Processor {
         Self { process, percent: [0.0; 2] }
     }
 
-    /// Adds a window's. Fails if the fleet has no figure of it: nothing is not zero.
-    fn add(&mut self, fleet: &Fleet, is_attached: bool) -> Result<(), Box<dyn Error>> {
+    /// Adds a window's, one of so many pairs. Fails if the fleet has no figure of it: nothing is not zero.
+    fn add(&mut self, fleet: &Fleet, is_attached: bool, pairs: usize) -> Result<(), Box<dyn Error>> {
         let processes = fleet.processes();
         let found = processes.iter().find(|process| process.process == self.process);
         let found = found.ok_or_else(|| format!("no figures of the process {}", self.process))?;
-        self.percent[usize::from(is_attached)] += found.percent / PAIRS as f64;
+        self.percent[usize::from(is_attached)] += found.percent / pairs as f64;
         Ok(())
     }
 }
 
-/// Compares windows of a fleet with and without what is named: `console`, `exploration`, or a browser's program.
-pub fn compare(robots: usize, name: &str) -> Result<Value, Box<dyn Error>> {
+/// Compares so many pairs of windows of a fleet, with and without what is named: `console`, `exploration`, or a browser's program.
+pub fn compare(robots: usize, name: &str, pair_count: usize) -> Result<Value, Box<dyn Error>> {
     let room: &[&str] = if name == EXPLORATION { &["--room", EXPLORED_ROOM] } else { &[] };
     let reader_count = usize::from(name != EXPLORATION);
     let mut fleet = Fleet::start_with(robots, room)?;
     std::thread::sleep(FLEET_SETTLES);
     let (mut tf, mut bare, mut scans) = (Pairs::default(), Pairs::default(), Pairs::default());
     let mut processors = [Processor::of("bridge"), Processor::of("nav")];
-    for pair in 0..PAIRS {
+    for pair in 0..pair_count {
         // Now the one comes first, now the other: what changes with time hits both.
         for is_attached in [pair % 2 == 0, pair % 2 == 1] {
             wait_for_readers(fleet.run(), 0)?;
@@ -132,16 +132,19 @@ pub fn compare(robots: usize, name: &str) -> Result<Value, Box<dyn Error>> {
                 exploration.check()?;
             }
             drop(attached);
-            processors.iter_mut().try_for_each(|processor| processor.add(&fleet, is_attached))?;
+            processors.iter_mut().try_for_each(|processor| processor.add(&fleet, is_attached, pair_count))?;
             for (pairs, window) in [(&mut tf, measured.tf), (&mut scans, measured.scans), (&mut bare, beside)]
             {
                 if is_attached { &mut pairs.with } else { &mut pairs.without }.push(window);
             }
         }
-        eprint!("\r{} of {PAIRS} pairs ", pair + 1);
+        eprint!("\r{} of {pair_count} pairs ", pair + 1);
     }
     eprintln!();
-    println!("{robots} robots, one fleet, {PAIRS} pairs of {} s with and without: {name}", WINDOW.as_secs());
+    println!(
+        "{robots} robots, one fleet, {pair_count} pairs of {} s with and without: {name}",
+        WINDOW.as_secs()
+    );
     print("TF, each link", &tf, Some(COST_MAX));
     print("bare: timer, socket, relay, TCP", &bare, None);
     let hz = |windows: &[Spread]| windows.iter().map(|window| window.hz).fold(f64::INFINITY, f64::min);

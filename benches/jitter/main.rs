@@ -5,7 +5,7 @@
 //! `cargo bench --bench jitter [-- --seconds 60 --robots 3 --json FILE]`; with `MR_SLAM_BENCH_BROWSER=chromium` a browser draws the
 //! operator's page beside it, at the lowest priority, as on another machine. `--attach console` compares windows of one fleet
 //! with and without a console that reads what the page reads and does not draw; `--attach chromium` with a browser that draws;
-//! `--attach exploration` while its robots explore an office, and while they stand.
+//! `--attach exploration` while its robots explore an office, and while they stand. `--pairs` is the number of windows of both kinds.
 //!
 //! Jitter is defined as in the MR-SLAM paper: |(receive - stamp) - its mean|, for each link, pooled over the
 //! links. The bare hops are a timer process, a relay process that it wakes through a socket, and TCP to a
@@ -33,11 +33,12 @@ struct Args {
     seconds: f64,
     robots: usize,
     attach: Option<String>,
+    pairs: usize,
     json: Option<String>,
 }
 
 fn args() -> Result<Args, String> {
-    let mut args = Args { seconds: 60.0, robots: 3, attach: None, json: None };
+    let mut args = Args { seconds: 60.0, robots: 3, attach: None, pairs: pairs::PAIRS, json: None };
     let mut given = std::env::args().skip(1);
     while let Some(name) = given.next() {
         let mut value = || given.next().ok_or(format!("{name} needs a value"));
@@ -45,12 +46,13 @@ fn args() -> Result<Args, String> {
             "--seconds" => args.seconds = value()?.parse().map_err(|why| format!("--seconds: {why}"))?,
             "--robots" => args.robots = value()?.parse().map_err(|why| format!("--robots: {why}"))?,
             "--attach" => args.attach = Some(value()?),
+            "--pairs" => args.pairs = value()?.parse().map_err(|why| format!("--pairs: {why}"))?,
             "--json" => args.json = Some(value()?),
             // `cargo bench` passes this argument to every bench.
             "--bench" => {}
             other => {
                 return Err(format!(
-                    "{other}: expected --seconds S, --robots N, --attach console|exploration|BROWSER or --json FILE"
+                    "{other}: expected --seconds S, --robots N, --attach console|exploration|BROWSER, --pairs N or --json FILE"
                 ));
             }
         }
@@ -69,7 +71,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let args = args()?;
     if let Some(name) = &args.attach {
-        let report = attached::compare(args.robots, name)?;
+        let report = attached::compare(args.robots, name, args.pairs)?;
         return write(args.json.as_deref(), &report);
     }
     eprintln!("{} robots for {} s, after {} s to warm up", args.robots, args.seconds, WARM_UP.as_secs());

@@ -1,7 +1,26 @@
 //! Jitter computed from pairs of stamp and receive time.
 
+use mr_slam::time_slice;
 use serde::Serialize;
 use std::collections::BTreeMap;
+
+/// The calling thread has a short time slice until this is dropped, as punctual processes of a fleet have: a headset has cores of its
+/// own, and what is measured is not how long its stand-in waits for one of the fleet's.
+pub struct Punctual(());
+
+impl Punctual {
+    /// Asks for the slice.
+    pub fn begin() -> std::io::Result<Self> {
+        time_slice::request(time_slice::SLICE_MIN).map(|()| Self(()))
+    }
+}
+
+impl Drop for Punctual {
+    /// What the thread starts later does not inherit it.
+    fn drop(&mut self) {
+        time_slice::request_default();
+    }
+}
 
 /// Percentiles of |(receive - stamp) - mean|, with the rate and the losses.
 #[derive(Clone, Debug, Serialize)]

@@ -10,6 +10,8 @@ mod fleet;
 mod link;
 mod operator;
 mod robot;
+#[path = "../shared/words.rs"]
+mod words;
 
 use fleet::Fleet;
 use link::CutLink;
@@ -96,6 +98,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     if words.get(1).map(String::as_str) == Some("operator") {
         return operator::run(&words[2], &words[3]);
     }
+    words::check(&words, &["--trials", "--world", "--json"], &["--check"])?;
     let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
     let trials = value("--trials").map_or(Ok(3), |text| text.parse::<usize>())?;
     let world = value("--world").map(String::as_str);

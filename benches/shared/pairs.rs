@@ -8,19 +8,29 @@ pub const PAIRS: usize = 50;
 /// Half the width of the mean's interval of 90 % confidence, in standard errors: Student's t for 49 degrees of freedom.
 const CONFIDENCE: f64 = 1.677;
 
-/// A percentile of jitter, such as `|spread| spread.p99_ms`.
-pub type Percentile = fn(&Spread) -> f64;
+/// A figure of a window, such as `|spread| spread.p99_ms`. It is more than 0.
+pub type Figure<W> = fn(&W) -> f64;
 
-/// Jitter in the windows of both kinds. Windows with the same index are a pair.
-#[derive(Debug, Default, Serialize)]
-pub struct Pairs {
+/// A percentile of jitter.
+#[allow(dead_code, reason = "not all benches that share this compare jitter alone")]
+pub type Percentile = Figure<Spread>;
+
+/// What was measured in the windows of both kinds. Windows with the same index are a pair.
+#[derive(Debug, Serialize)]
+pub struct Pairs<W = Spread> {
     /// Windows without it.
-    pub without: Vec<Spread>,
+    pub without: Vec<W>,
     /// Windows with it.
-    pub with: Vec<Spread>,
+    pub with: Vec<W>,
 }
 
-/// Ratio of a percentile of jitter, with to without: geometric mean of the pairs.
+impl<W> Default for Pairs<W> {
+    fn default() -> Self {
+        Self { without: Vec::new(), with: Vec::new() }
+    }
+}
+
+/// Ratio of a figure, with to without: geometric mean of the pairs.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Ratio {
     /// The mean.
@@ -31,9 +41,9 @@ pub struct Ratio {
     pub most: f64,
 }
 
-impl Pairs {
-    /// Compares a percentile.
-    pub fn ratio(&self, of: Percentile) -> Ratio {
+impl<W> Pairs<W> {
+    /// Compares a figure.
+    pub fn ratio(&self, of: Figure<W>) -> Ratio {
         let logs: Vec<f64> = self.without.iter().zip(&self.with).map(|(a, b)| (of(b) / of(a)).ln()).collect();
         let count = logs.len() as f64;
         let mean = logs.iter().sum::<f64>() / count;
@@ -43,15 +53,18 @@ impl Pairs {
     }
 
     /// Returns the median of the windows, without and with.
-    pub fn medians(&self, of: Percentile) -> [f64; 2] {
+    pub fn medians(&self, of: Figure<W>) -> [f64; 2] {
         [&self.without, &self.with].map(|windows| {
             let mut values: Vec<f64> = windows.iter().map(of).collect();
             values.sort_by(f64::total_cmp);
             values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
         })
     }
+}
 
+impl Pairs {
     /// Returns the number of messages that were lost, without and with.
+    #[allow(dead_code, reason = "not all benches that share this compare jitter alone")]
     pub fn lost(&self) -> [u64; 2] {
         [&self.without, &self.with].map(|windows| windows.iter().map(|window| window.lost).sum())
     }

@@ -23,3 +23,4 @@ pub mod recording_files;
 pub mod runtime_folder;
 pub mod spare_time;
 pub mod stop;
+pub mod time_slice;

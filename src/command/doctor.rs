@@ -7,6 +7,7 @@ use crate::clock;
 use crate::config::FleetConfig;
 use crate::resources;
 use crate::shared_memory::SHARED_MEMORY;
+use crate::time_slice;
 use bridge::dds::{Discovery, DiscoveryVariables};
 use msg::{Monotonic, ROBOTS_MAX};
 use rustix::process::{Resource, getrlimit};
@@ -94,6 +95,7 @@ pub fn examine(port: u16, config: &FleetConfig) -> Findings {
     let checks = vec![
         processors(),
         wake_up(),
+        time_slices(),
         real_time(),
         locked_memory(),
         shared_memory,
@@ -159,6 +161,22 @@ fn wake_up() -> Check {
         found,
         "other load or a busy host: see real-time priority",
     )
+}
+
+/// Checks whether a thread can have a time slice of its own.
+fn time_slices() -> Check {
+    // The setting applies to a thread of its own, which ends here.
+    let slice = std::thread::spawn(|| {
+        time_slice::request(time_slice::SLICE_MIN).and_then(|()| time_slice::granted())
+    });
+    let (is_short, found) = match slice.join() {
+        Ok(Ok(Some(slice))) => (slice == time_slice::SLICE_MIN, format!("{slice:?}")),
+        Ok(Ok(None)) => (false, "the system's alone".to_string()),
+        Ok(Err(why)) => (false, format!("refused: {why}")),
+        Err(_) => (false, "unknown".to_string()),
+    };
+    let advice = "Linux 6.12 or newer: robots and clients wait less for programs that compute";
+    Check::new("time slices", is_short, found, advice)
 }
 
 fn limit(resource: Resource) -> u64 {

@@ -2,6 +2,7 @@
 //!
 //! A disk may not answer for seconds while others write much. A loop that sends velocities must not wait for it.
 
+use crate::time_slice;
 use std::io;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::JoinHandle;
@@ -51,6 +52,7 @@ impl<J: Send + 'static, R: Send + 'static> JobThread<J, R> {
     pub fn start<F: FileJobs<Job = J, Report = R> + Send>(mut files: F) -> io::Result<Self> {
         let (sender, jobs) = sync_channel::<(J, oneshot::Sender<R>)>(JOBS_MAX);
         let thread = std::thread::Builder::new().name("files".into()).spawn(move || {
+            time_slice::request_default();
             for (job, report) in jobs {
                 // Who asked may have gone.
                 let _ = report.send(files.run(&job));

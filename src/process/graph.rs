@@ -9,6 +9,7 @@ use crate::merge_maps::{MapFiles, MapSlot};
 use crate::merge_memory::MergeMemory;
 use crate::ports::{ChannelError, Clock as _, Ports, ReadPort, WritePort};
 use crate::progress::WatchedThread;
+use crate::realtime::lower_priority;
 use crate::run::Run;
 use crate::storage::{DiskStorage, Storage};
 use ::merge::FleetPoseGraph;
@@ -61,8 +62,7 @@ pub struct GraphState<S> {
 
 /// Runs the thread until `done`.
 pub fn run(run: &Run, state: GraphState<DiskStorage>, done: &AtomicBool) -> Result<(), ChannelError> {
-    // On Linux this affects the calling thread only. The result does not depend on whether it is granted.
-    let _ = rustix::process::nice(NICE);
+    lower_priority(NICE);
     let node = run.attach_thread(Role::Merge, None, "graph")?;
     let mut graph = GraphWorker::open(&node, run, state)?;
     let progress = run.progress(Role::Merge, None, WatchedThread::Second);

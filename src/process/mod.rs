@@ -22,6 +22,7 @@ mod submap_publisher;
 pub mod telemetry;
 
 use crate::progress::ProgressCounter;
+use crate::realtime::SettingError;
 use crate::run::{Run, RunError};
 use crate::shared_memory::{Listener, wait};
 use crate::stop::Stop;
@@ -149,8 +150,11 @@ fn join(args: &ProcessArgs, role: Role) -> Result<(Run, Stop), Error> {
     // Timers fire when they are due, not up to 50 us later to save power.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
     for outcome in run.config.realtime.apply(role) {
-        if let Err(why) = outcome.result {
-            tracing::warn!("{}: continues without {}: {why}", role.name(), outcome.setting);
+        match outcome.result {
+            Ok(()) => {}
+            // `mr-slam doctor` says what that costs.
+            Err(why @ SettingError::Slice(_)) => tracing::debug!("{}: {why}", outcome.setting),
+            Err(why) => tracing::warn!("{}: continues without {}: {why}", role.name(), outcome.setting),
         }
     }
     Ok((run, stop))

@@ -24,6 +24,7 @@ use crate::sessions;
 use crate::shared_memory::Participant;
 use crate::stop::Stop;
 use crate::storage::{DiskStorage, Storage};
+use crate::time_slice;
 use ::slam::{
     BackEnd, FrontEnd, FrontEndState, InitialPose, NODES_IN_FLIGHT_MAX, Node, Revision, Session, SlamConfig,
 };
@@ -144,9 +145,14 @@ pub fn run(run: &Run, robot: RobotId, at: Option<Pose2>, stop: &Stop) -> Result<
     let Start { front, back, odom_pose } = begun;
     let mut scan_path = ScanPath::open(&scan_ports, run, robot, (front, odom_pose), events, commands_in)?;
     std::thread::scope(|scope| {
-        scope.spawn(move || jobs.into_iter().for_each(|job| files.run(job)));
+        scope.spawn(move || {
+            time_slice::request_default();
+            jobs.into_iter().for_each(|job| files.run(job));
+        });
         // Shared memory's ports stay on the thread that made them.
         let back_end = scope.spawn(move || -> Result<(), ChannelError> {
+            // It computes for long; nobody waits for it.
+            time_slice::request_default();
             let map_ports = run.attach_thread(Role::Slam, Some(robot), "map")?;
             let back_end = BackEndWorker::open(&map_ports, run, robot, back, commands, job_sender)?;
             let progress = run.progress(Role::Slam, Some(robot), WatchedThread::Second);

@@ -7,8 +7,10 @@ use crate::config::{FleetConfig, World};
 use crate::fleet::{self, FleetError};
 use crate::ports::{ChannelError, Clock as _, Ports, ReadMapPort, ReadPort, WritePort};
 use crate::progress::WatchedThread;
+use crate::realtime::lower_priority;
 use crate::run::Run;
 use crate::stop::Stop;
+use crate::time_slice;
 use ::telemetry::Telemetry;
 use msg::{
     Correction, DenseMap, FleetStats, Grid, GroundTruth, MapTransforms, Monotonic, ProcessHealth, RobotId,
@@ -35,7 +37,8 @@ pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
 fn draw_room_in_background(run: &Run) -> Option<Receiver<Grid>> {
     let (config, (sender, receiver)) = (run.config.clone(), sync_channel(1));
     let draw = move || {
-        let _ = rustix::process::nice(ROOM_NICE);
+        time_slice::request_default();
+        lower_priority(ROOM_NICE);
         match room_plan(&config) {
             Ok(Some(plan)) => drop(sender.send(plan)),
             Ok(None) => {}
