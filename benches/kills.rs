@@ -22,8 +22,8 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use rustix::process::Signal;
 use serde::Serialize;
 use std::error::Error;
-use std::path::Path;
 use std::time::{Duration, Instant};
+use words::Words;
 
 /// Age of the newest cells that a kill may take.
 const LOST_MAX: Duration = Duration::from_millis(500);
@@ -47,11 +47,9 @@ struct Kill {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
-    words::check(&words, &["--kills", "--robots", "--seed", "--json"], &["--check"])?;
-    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
-    let number = |name: &str, default: u64| value(name).map_or(Ok(default), |text| text.parse::<u64>());
-    let (kills, robots) = (number("--kills", 100)?, number("--robots", 8)?.max(1) as usize);
-    let mut random = SplitMix64::seed_from_u64(number("--seed", 1)?);
+    let words = Words::parse(&words[1..], &["--kills", "--robots", "--seed"], &["--check"])?;
+    let (kills, robots) = (words.number("--kills", 100_u64)?, words.number("--robots", 8_usize)?.max(1));
+    let mut random = SplitMix64::seed_from_u64(words.number("--seed", 1)?);
     let fleet = Fleet::start("demo", robots, &[])?;
     let begun = Instant::now();
     println!("{:>6} {:>8} {:>8} {:>8} {:>8} {:>8}", "kill", "robot", "at s", "known", "lost", "back s");
@@ -80,12 +78,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         rows.len(),
         rows.iter().filter(|row| row.lost == 0).count()
     );
-    if let Some(path) = value("--json") {
-        std::fs::write(Path::new(path), serde_json::to_string_pretty(&rows)?)?;
-    }
+    words.write_json(&rows)?;
     drop(fleet);
-    let is_checked = words.iter().any(|word| word == "--check");
-    if is_checked && worst > 0 { Err(format!("a kill lost {worst} cells").into()) } else { Ok(()) }
+    if words.has("--check") && worst > 0 { Err(format!("a kill lost {worst} cells").into()) } else { Ok(()) }
 }
 
 /// Kills a process and waits for the map of the next one.

@@ -29,6 +29,7 @@ use std::error::Error;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
+use words::Words;
 
 const ROBOTS: usize = 3;
 /// Time until processes have started and SLAM has its first maps.
@@ -54,10 +55,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some("bare-relay") => return Ok(bare::relay(&words[2], words[3].parse()?)?),
         _ => {}
     }
-    words::check(&words, &["--minutes", "--json"], &["--record"])?;
-    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
-    let minutes = value("--minutes").map_or(Ok(20), |text| text.parse::<usize>())?.max(1);
-    let is_recorded = words.iter().any(|word| word == "--record");
+    let words = Words::parse(&words[1..], &["--minutes"], &["--record"])?;
+    let minutes = words.number("--minutes", 20_usize)?.max(1);
+    let is_recorded = words.has("--record");
     let mut fleet = fleet::Fleet::start_with(ROBOTS, if is_recorded { &["--record"] } else { &[] })?;
     let port = fleet.run().port;
     fleet.measure(WARM_UP, Duration::from_secs(1))?;
@@ -69,16 +69,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     clients.into_iter().for_each(|thread| drop(thread.join()));
 
     let flat = check_growth(&rows);
-    if let Some(path) = value("--json") {
-        let minute = |row: &Minute| {
-            let recorder = row.recorder.as_ref().map(|recorder| {
-                json!({ "mb": recorder.memory_mb, "received": recorder.received, "missed": recorder.missed() })
-            });
-            json!({ "bridge_mb": row.bridge_mb, "tf": row.tf, "bare": row.floor, "recorder": recorder })
-        };
-        let rows = rows.iter().map(minute).collect::<Vec<_>>();
-        std::fs::write(path, serde_json::to_string_pretty(&json!({ "flat": flat, "minutes": rows }))?)?;
-    }
+    let minute = |row: &Minute| {
+        let recorder = row.recorder.as_ref().map(|recorder| {
+            json!({ "mb": recorder.memory_mb, "received": recorder.received, "missed": recorder.missed() })
+        });
+        json!({ "bridge_mb": row.bridge_mb, "tf": row.tf, "bare": row.floor, "recorder": recorder })
+    };
+    let of_minutes = rows.iter().map(minute).collect::<Vec<_>>();
+    words.write_json(&json!({ "flat": flat, "minutes": of_minutes }))?;
     drop(fleet);
     if flat { Ok(()) } else { Err("memory or jitter grew".into()) }
 }

@@ -1,14 +1,14 @@
 //! What a console costs the other clients of the bridge: figures of one fleet's bridge with a console and without it, in turns.
 
 use crate::fleet::Fleet;
-use crate::fleet::browser::readers;
+use crate::fleet::browser::wait_for_readers;
 use crate::measure::Spread;
-use crate::pairs::{Figure, PAIRS, Pairs};
+use crate::pairs::{Figure, PAIRS, Pairs, in_turns};
 use crate::{ROBOTS, at, commands, console, percent_of_bridge, scenes};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::error::Error;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Duration of the fleet's mix in a window, and the time before it in which client and console get what is there already.
 const MIX: Duration = Duration::from_secs(4);
@@ -17,8 +17,6 @@ const SETTLES: Duration = Duration::from_secs(1);
 const FLEET_SETTLES: Duration = Duration::from_secs(10);
 /// Number of commands in a window.
 const COMMANDS: usize = 100;
-/// Longest time until the bridge knows of a console that came or went.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// How much larger a figure may become.
 const COST_MAX: f64 = 1.10;
 
@@ -61,19 +59,15 @@ pub fn compare() -> Result<Value, Box<dyn Error>> {
     let mut fleet = Fleet::start(ROBOTS)?;
     std::thread::sleep(FLEET_SETTLES);
     let mut pairs = Pairs::<Window>::default();
-    for pair in 0..PAIRS {
-        // Now the one comes first, now the other: what changes with time hits both.
-        for has_console in [pair % 2 == 0, pair % 2 == 1] {
-            wait_for_readers(&fleet, 0)?;
-            let console = has_console.then(|| console::Console::start(fleet.run())).transpose()?;
-            wait_for_readers(&fleet, usize::from(has_console))?;
-            let window = Window::measure(&mut fleet)?;
-            drop(console);
-            if has_console { &mut pairs.with } else { &mut pairs.without }.push(window);
-        }
-        eprint!("\r{} of {PAIRS} pairs ", pair + 1);
-    }
-    eprintln!();
+    in_turns(PAIRS, |has_console| {
+        wait_for_readers(fleet.run(), 0)?;
+        let console = has_console.then(|| console::Console::start(fleet.run())).transpose()?;
+        wait_for_readers(fleet.run(), usize::from(has_console))?;
+        let window = Window::measure(&mut fleet)?;
+        drop(console);
+        pairs.push(has_console, window);
+        Ok(())
+    })?;
     println!(
         "{ROBOTS} robots, one fleet, {PAIRS} pairs of windows with and without a console; medians of the windows"
     );
@@ -88,23 +82,8 @@ pub fn compare() -> Result<Value, Box<dyn Error>> {
         "{:<58} {without:>8.3} without {with:>8.3} with  at most {BRIDGE_MAX_PERCENT}: {holds}",
         "bridge's processor time in the mix, % of a core"
     );
-    let lost =
-        [&pairs.without, &pairs.with].map(|windows| windows.iter().map(|window| window.tf.lost).sum::<u64>());
+    let lost = pairs.sums(|window| window.tf.lost);
     println!("lost transforms: {} without, {} with", lost[0], lost[1]);
     let ratios = FIGURES.map(|(what, of)| json!({"what": what.trim(), "ratio": pairs.ratio(of)}));
     Ok(json!({"attached": "console", "robots": ROBOTS, "windows": pairs, "ratios": ratios, "lost": lost}))
-}
-
-/// Waits until this many consoles read from the bridge.
-fn wait_for_readers(fleet: &Fleet, count: usize) -> Result<(), Box<dyn Error>> {
-    let begun = Instant::now();
-    while readers(fleet.run()) != count {
-        if begun.elapsed() > PATIENCE {
-            return Err(
-                format!("{} consoles read from the bridge, expected {count}", readers(fleet.run())).into()
-            );
-        }
-        std::thread::sleep(Duration::from_millis(200));
-    }
-    Ok(())
 }

@@ -80,6 +80,7 @@ enum Reach {
     AtLeast(f64),
 }
 use Reach::{AtLeast, AtMost};
+use words::Words;
 
 fn at(sorted: &[f64], share: f64) -> f64 {
     sorted.get(((sorted.len().max(1) - 1) as f64 * share) as usize).copied().unwrap_or(f64::NAN)
@@ -96,12 +97,11 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(console::WORD) => return console::read(words[2].parse()?),
         _ => {}
     }
-    words::check(&words, &["--seconds", "--attach", "--json"], &["--check"])?;
-    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
-    let seconds = value("--seconds").map_or(Ok(30), |text| text.parse::<u64>())?;
-    match value("--attach").map(String::as_str) {
+    let words = Words::parse(&words[1..], &["--seconds", "--attach"], &["--check"])?;
+    let seconds = words.number("--seconds", 30_u64)?;
+    match words.value("--attach") {
         None => {}
-        Some("console") => return write(value("--json"), &attached::compare()?),
+        Some("console") => return words.write_json(&attached::compare()?),
         Some(other) => return Err(format!("--attach {other}: expected console").into()),
     }
     let mut table = Table::default();
@@ -115,19 +115,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     within(&mut table)?;
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     println!("machine's load average: {}", load.trim());
-    let report = json!({ "robots": ROBOTS, "seconds": seconds, "load": load.trim(), "rows": table.0 });
-    write(value("--json"), &report)?;
+    words
+        .write_json(&json!({ "robots": ROBOTS, "seconds": seconds, "load": load.trim(), "rows": table.0 }))?;
     let missed = table.missed();
-    if !missed.is_empty() && words.iter().any(|word| word == "--check") {
+    if !missed.is_empty() && words.has("--check") {
         return Err(format!("{} rows missed their limit: {}", missed.len(), missed.join("; ")).into());
-    }
-    Ok(())
-}
-
-/// Writes the report to a file, if one is named.
-fn write(path: Option<&String>, report: &Value) -> Result<(), Box<dyn Error>> {
-    if let Some(path) = path {
-        std::fs::write(path, serde_json::to_string_pretty(report)?)?;
     }
     Ok(())
 }

@@ -42,6 +42,7 @@ mod peer;
 use serde::{Deserialize, Serialize};
 use std::error::Error;
 use std::time::Duration;
+use words::Words;
 
 /// Parts in the order in which they are run.
 const PARTS: [&str; 7] = ["kills", "stops", "operator", "disk", "shm", "hogs", "clock"];
@@ -116,26 +117,19 @@ pub struct Args {
 }
 
 impl Args {
-    fn parse(words: &[String]) -> Result<Self, Box<dyn Error>> {
-        words::check(
-            words,
-            &["--minutes", "--kills", "--seconds", "--seed", "--robots", "--parts", "--json"],
-            &["--check"],
-        )?;
-        let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
-        let number = |name: &str, default: f64| value(name).map_or(Ok(default), |text| text.parse::<f64>());
-        let minutes = number("--minutes", 10.0)?;
-        let names = value("--parts").map_or_else(|| PARTS.join(","), Clone::clone);
+    fn new(words: &Words) -> Result<Self, Box<dyn Error>> {
+        let minutes = words.number("--minutes", 10.0)?;
+        let names = words.value("--parts").map_or_else(|| PARTS.join(","), str::to_owned);
         let parts: Vec<String> = names.split(',').map(str::to_owned).collect();
         if let Some(wrong) = parts.iter().find(|part| !PARTS.contains(&part.as_str())) {
             return Err(format!("--parts {wrong}: expected some of {}", PARTS.join(",")).into());
         }
         Ok(Self {
             minutes,
-            kills: number("--kills", 10.0 * minutes)?.max(1.0) as u32,
-            length: Duration::from_secs_f64(number("--seconds", 30.0)?),
-            seed: number("--seed", 1.0)? as u64,
-            robots: number("--robots", 3.0)?.max(2.0) as usize,
+            kills: words.number("--kills", 10.0 * minutes)?.max(1.0) as u32,
+            length: Duration::from_secs_f64(words.number("--seconds", 30.0)?),
+            seed: words.number("--seed", 1)?,
+            robots: words.number("--robots", 3_usize)?.max(2),
             parts,
         })
     }
@@ -148,6 +142,11 @@ fn ends_with_parent() -> bool {
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL)).is_ok()
 }
 
+/// Reads the words of the command line.
+fn options(words: &[String]) -> Result<Words, String> {
+    Words::parse(words, &["--minutes", "--kills", "--seconds", "--seed", "--robots", "--parts"], &["--check"])
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
     // The bench runs this program again: as operator, as ROS 2 peer, as load, and in a file system of its own.
@@ -157,11 +156,16 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some("hog") => hogs::spin(),
         // With the bench outside, whose part it is.
         Some(confined::DISK | confined::SHM) if !ends_with_parent() => return Err("the bench is gone".into()),
-        Some(confined::DISK) => return confined::print(&confined::disk(&Args::parse(&words)?)?),
-        Some(confined::SHM) => return confined::print(&confined::shared_memory(&Args::parse(&words)?)?),
+        Some(confined::DISK) => {
+            return confined::print(&confined::disk(&Args::new(&options(&words[2..])?)?)?);
+        }
+        Some(confined::SHM) => {
+            return confined::print(&confined::shared_memory(&Args::new(&options(&words[2..])?)?)?);
+        }
         _ => {}
     }
-    let args = Args::parse(&words)?;
+    let options = options(&words[1..])?;
+    let args = Args::new(&options)?;
     println!("{:<9} {:<52} {:<46} {:<14}", "part", "what", "measured", "required");
     let mut rows = Vec::new();
     for part in PARTS.iter().filter(|part| args.parts.iter().any(|wished| wished == *part)) {
@@ -181,14 +185,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         rows.extend(of_part);
     }
     let missed = rows.iter().filter(|row| row.holds == Some(false)).count();
-    if let Some(at) = words.iter().position(|word| word == "--json") {
-        let report = serde_json::json!({
-            "minutes": args.minutes, "kills": args.kills, "seed": args.seed, "robots": args.robots, "rows": rows,
-        });
-        let path = words.get(at + 1).ok_or("--json needs a file")?;
-        std::fs::write(path, serde_json::to_string_pretty(&report)? + "\n")?;
-    }
-    if missed > 0 && words.iter().any(|word| word == "--check") {
+    options.write_json(&serde_json::json!({
+        "minutes": args.minutes, "kills": args.kills, "seed": args.seed, "robots": args.robots, "rows": rows,
+    }))?;
+    if missed > 0 && options.has("--check") {
         return Err(format!("{missed} rows do not hold").into());
     }
     Ok(())

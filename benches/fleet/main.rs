@@ -27,6 +27,7 @@ use serde_json::json;
 use std::error::Error;
 use std::process::Command;
 use std::time::{Duration, Instant};
+use words::Words;
 
 /// Fleet that must lose no scan.
 const LOSSLESS_ROBOTS: usize = 24;
@@ -35,15 +36,10 @@ const LOCKSTEP_S: f64 = 20.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
-    words::check(
-        &words,
-        &["--seconds", "--robots", "--lockstep", "--record", "--json", "--plot"],
-        &["--check"],
-    )?;
-    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
-    let number = |name: &str, default: usize| value(name).map_or(Ok(default), |text| text.parse::<usize>());
-    let length = Duration::from_secs_f64(value("--seconds").map_or(Ok(30.0), |text| text.parse())?);
-    let robots = value("--robots").map_or("1,3,8,16,24,32", String::as_str);
+    let values = ["--seconds", "--robots", "--lockstep", "--record", "--plot"];
+    let words = Words::parse(&words[1..], &values, &["--check"])?;
+    let length = Duration::from_secs_f64(words.number("--seconds", 30.0)?);
+    let robots = words.value("--robots").unwrap_or("1,3,8,16,24,32");
     println!("{}", Row::HEAD);
     let mut rows = Vec::new();
     for robots in robots.split(',').filter(|text| *text != "0") {
@@ -51,23 +47,19 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!("{row}");
         rows.push(row);
     }
-    let lockstep = number("--lockstep", 64)?;
+    let lockstep = words.number("--lockstep", 64_usize)?;
     let lockstep = if lockstep > 0 { Some(run_in_lockstep(lockstep)?) } else { None };
-    let recorded = number("--record", 16)?;
+    let recorded = words.number("--record", 16_usize)?;
     let recorded = if recorded > 0 { Some(recorded::compare(recorded)?) } else { None };
-    if let Some(path) = value("--json") {
-        let report = json!({
-            "seconds": length.as_secs_f64(), "fleets": rows, "lockstep": lockstep, "recorded": recorded,
-        });
-        std::fs::write(path, serde_json::to_string_pretty(&report)? + "\n")?;
-    }
-    if let Some(path) = value("--plot") {
+    words.write_json(&json!({
+        "seconds": length.as_secs_f64(), "fleets": rows, "lockstep": lockstep, "recorded": recorded,
+    }))?;
+    if let Some(path) = words.value("--plot") {
         std::fs::write(path, plot(&rows))?;
     }
     let missed: u64 = rows.iter().filter(|row| row.robots <= LOSSLESS_ROBOTS).map(|row| row.missed).sum();
-    let is_checked = words.iter().any(|word| word == "--check");
     let costs = recorded.is_some_and(|recorded| !recorded.holds());
-    match (is_checked, missed, costs) {
+    match (words.has("--check"), missed, costs) {
         (true, 1.., _) => Err(format!("{missed} scans missed by fleets of at most {LOSSLESS_ROBOTS}").into()),
         (true, _, true) => Err("recording costs too much or loses messages".into()),
         _ => Ok(()),

@@ -1,7 +1,7 @@
 //! What recording costs: jitter and losses of one fleet while `mr-slam record` is attached, and while it is not, in turns.
 
 use crate::fleet::Fleet;
-use crate::pairs::{PAIRS, Pairs, Ratio};
+use crate::pairs::{PAIRS, Pairs, Ratio, in_turns};
 use crate::row::missed_scans;
 use mr_slam::run::Run;
 use serde::Serialize;
@@ -47,23 +47,17 @@ pub fn compare(robots: usize) -> Result<Comparison, Box<dyn Error>> {
     let mut fleet = Fleet::start_command("demo", robots, &[])?;
     std::thread::sleep(FLEET_SETTLES);
     let (mut tf, mut lost, mut unrecorded) = (Pairs::default(), [0, 0], 0);
-    for pair in 0..PAIRS {
-        // Now the one comes first, now the other: what changes with time hits both.
-        for is_recorded in [pair % 2 == 0, pair % 2 == 1] {
-            if is_recorded {
-                let recorder = Recorder::start(fleet.run())?;
-                tf.with.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
-                unrecorded += recorder.finish()?;
-            } else {
-                tf.without.push(fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
-            }
-            let (before, after) = fleet.views().ok_or("telemetry sent no figures twice")?;
-            lost[usize::from(is_recorded)] += missed_scans(before, after);
+    in_turns(PAIRS, |is_recorded| {
+        let recorder = is_recorded.then(|| Recorder::start(fleet.run())).transpose()?;
+        tf.push(is_recorded, fleet.measure(CLIENT_SETTLES, WINDOW)?.tf);
+        if let Some(recorder) = recorder {
+            unrecorded += recorder.finish()?;
         }
-        eprint!("\r{} of {PAIRS} pairs ", pair + 1);
-    }
-    eprintln!();
-    for (lost, of_client) in lost.iter_mut().zip(tf.lost()) {
+        let (before, after) = fleet.views().ok_or("telemetry sent no figures twice")?;
+        lost[usize::from(is_recorded)] += missed_scans(before, after);
+        Ok(())
+    })?;
+    for (lost, of_client) in lost.iter_mut().zip(tf.sums(|window| window.lost)) {
         *lost += of_client;
     }
     let p99_ms = tf.medians(|window| window.p99_ms);

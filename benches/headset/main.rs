@@ -30,6 +30,7 @@ use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use words::Words;
 
 const ROBOTS: usize = 3;
 const SEED: u64 = 1;
@@ -41,9 +42,8 @@ const PAPER_HZ: f64 = 8.83;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().collect();
-    words::check(&words, &["--seconds", "--json"], &[])?;
-    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
-    let length = Duration::from_secs(value("--seconds").map_or(Ok(60), |text| text.parse())?);
+    let words = Words::parse(&words[1..], &["--seconds"], &[])?;
+    let length = Duration::from_secs(words.number("--seconds", 60)?);
     println!(
         "{:<20} {:>10} {:>8} {:>16} {:>16}",
         "link", "scans, Hz", "lost", "TF jitter, ms", "scan to pose, ms"
@@ -69,11 +69,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }));
     }
     println!("the paper, over its own Wi-Fi: {PAPER_HZ} Hz, TF jitter 6.3 ms (median)");
-    if let Some(path) = value("--json") {
-        let report = json!({ "robots": ROBOTS, "seconds": length.as_secs(), "rows": rows });
-        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
-    }
-    Ok(())
+    words.write_json(&json!({ "robots": ROBOTS, "seconds": length.as_secs(), "rows": rows }))
 }
 
 /// Figures of one link.

@@ -3,16 +3,16 @@
 use crate::bare::Bare;
 use crate::console::Console;
 use crate::fleet::Fleet;
-use crate::fleet::browser::{Browser, readers};
+use crate::fleet::browser::{Browser, wait_for_readers};
 use crate::measure::Spread;
-use crate::pairs::{Pairs, Percentile, Ratio};
+use crate::pairs::{Figure, Pairs, Ratio, in_turns};
 use mr_slam::run::Run;
 use serde_json::{Value, json};
 use std::error::Error;
 use std::ffi::OsStr;
 use std::path::PathBuf;
 use std::process::Command;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tempfile::TempDir;
 
 /// Duration of a window. The two of a pair are close in time, as the machine's own jitter changes within a minute.
@@ -20,12 +20,10 @@ const WINDOW: Duration = Duration::from_secs(5);
 /// Time until a fleet has maps, and until a console and a client that attach have what is there already.
 const FLEET_SETTLES: Duration = Duration::from_secs(10);
 const CLIENT_SETTLES: Duration = Duration::from_secs(3);
-/// Longest time until the bridge knows of a console that came or went.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// How much larger jitter may become.
 const COST_MAX: f64 = 1.10;
 /// The percentiles that are compared.
-const PERCENTILES: [(&str, Percentile); 3] =
+const PERCENTILES: [(&str, Figure); 3] =
     [("median", |spread| spread.p50_ms), ("95 %", |spread| spread.p95_ms), ("99 %", |spread| spread.p99_ms)];
 
 /// Word that lets the fleet explore, and the room where it does: so large that it takes longer than all windows together.
@@ -100,7 +98,7 @@ impl Processor {
         Self { process, percent: [0.0; 2] }
     }
 
-    /// Adds a window's, one of so many pairs. Fails if the fleet has no figure of it: nothing is not zero.
+    /// Adds a window's share of the mean of so many pairs. Fails if the fleet has no figure of it: nothing is not zero.
     fn add(&mut self, fleet: &Fleet, is_attached: bool, pairs: usize) -> Result<(), Box<dyn Error>> {
         let processes = fleet.processes();
         let found = processes.iter().find(|process| process.process == self.process);
@@ -118,29 +116,24 @@ pub fn compare(robots: usize, name: &str, pair_count: usize) -> Result<Value, Bo
     std::thread::sleep(FLEET_SETTLES);
     let (mut tf, mut bare, mut scans) = (Pairs::default(), Pairs::default(), Pairs::default());
     let mut processors = [Processor::of("bridge"), Processor::of("nav")];
-    for pair in 0..pair_count {
-        // Now the one comes first, now the other: what changes with time hits both.
-        for is_attached in [pair % 2 == 0, pair % 2 == 1] {
-            wait_for_readers(fleet.run(), 0)?;
-            let attached = is_attached.then(|| Attached::start(name, fleet.run())).transpose()?;
-            wait_for_readers(fleet.run(), if is_attached { reader_count } else { 0 })?;
-            let beside = Bare::start(robots)?;
-            let beside = std::thread::spawn(move || beside.measure(CLIENT_SETTLES, WINDOW));
-            let measured = fleet.measure(CLIENT_SETTLES, WINDOW)?;
-            let beside = beside.join().map_err(|_| "the bare hops' client failed")??;
-            if let Some(Attached::Exploration(exploration)) = &attached {
-                exploration.check()?;
-            }
-            drop(attached);
-            processors.iter_mut().try_for_each(|processor| processor.add(&fleet, is_attached, pair_count))?;
-            for (pairs, window) in [(&mut tf, measured.tf), (&mut scans, measured.scans), (&mut bare, beside)]
-            {
-                if is_attached { &mut pairs.with } else { &mut pairs.without }.push(window);
-            }
+    in_turns(pair_count, |is_attached| {
+        wait_for_readers(fleet.run(), 0)?;
+        let attached = is_attached.then(|| Attached::start(name, fleet.run())).transpose()?;
+        wait_for_readers(fleet.run(), if is_attached { reader_count } else { 0 })?;
+        let beside = Bare::start(robots)?;
+        let beside = std::thread::spawn(move || beside.measure(CLIENT_SETTLES, WINDOW));
+        let measured = fleet.measure(CLIENT_SETTLES, WINDOW)?;
+        let beside = beside.join().map_err(|_| "the bare hops' client failed")??;
+        if let Some(Attached::Exploration(exploration)) = &attached {
+            exploration.check()?;
         }
-        eprint!("\r{} of {pair_count} pairs ", pair + 1);
-    }
-    eprintln!();
+        drop(attached);
+        processors.iter_mut().try_for_each(|processor| processor.add(&fleet, is_attached, pair_count))?;
+        for (pairs, window) in [(&mut tf, measured.tf), (&mut scans, measured.scans), (&mut bare, beside)] {
+            pairs.push(is_attached, window);
+        }
+        Ok(())
+    })?;
     println!(
         "{robots} robots, one fleet, {pair_count} pairs of {} s with and without: {name}",
         WINDOW.as_secs()
@@ -152,7 +145,7 @@ pub fn compare(robots: usize, name: &str, pair_count: usize) -> Result<Value, Bo
         "scans: {:.2} Hz without, {:.2} Hz with (slowest robot and window); {:?} lost",
         hz(&scans.without),
         hz(&scans.with),
-        scans.lost()
+        scans.sums(|window| window.lost)
     );
     for Processor { process, percent } in &processors {
         println!("{process}: {:.2} % of a core without, {:.2} % with", percent[0], percent[1]);
@@ -166,7 +159,7 @@ pub fn compare(robots: usize, name: &str, pair_count: usize) -> Result<Value, Bo
 }
 
 fn print(name: &str, pairs: &Pairs, limit: Option<f64>) {
-    let [lost_without, lost_with] = pairs.lost();
+    let [lost_without, lost_with] = pairs.sums(|window| window.lost);
     println!("{name}: {lost_without} lost without, {lost_with} with");
     for (percentile, of) in PERCENTILES {
         let ([without, with], ratio) = (pairs.medians(of), pairs.ratio(of));
@@ -179,16 +172,4 @@ fn print(name: &str, pairs: &Pairs, limit: Option<f64>) {
 
 fn holds(ratio: Ratio, limit: f64) -> bool {
     ratio.mean <= limit
-}
-
-/// Waits until this many clients read from the bridge.
-fn wait_for_readers(run: &Run, count: usize) -> Result<(), Box<dyn Error>> {
-    let begun = Instant::now();
-    while readers(run) != count {
-        if begun.elapsed() > PATIENCE {
-            return Err(format!("{} clients read from the bridge, expected {count}", readers(run)).into());
-        }
-        std::thread::sleep(Duration::from_millis(200));
-    }
-    Ok(())
 }

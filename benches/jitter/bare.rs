@@ -43,7 +43,7 @@ impl Bare {
 
     /// Reads messages for `length` after `warm_up`, and measures their jitter.
     pub fn measure(mut self, warm_up: Duration, length: Duration) -> io::Result<Spread> {
-        let _punctual = Punctual::begin()?;
+        let _punctual = Punctual::begin();
         let mut streams = Streams::new(PERIOD_NS as i64);
         let mut message = [0; MESSAGE_BYTES];
         let begun = Instant::now();
@@ -72,7 +72,7 @@ impl Drop for Bare {
 /// Runs the timer process: sends each robot's message on time.
 pub fn timer(socket: &str, robots: u64) -> io::Result<()> {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
-    let _punctual = Punctual::begin()?;
+    let _punctual = Punctual::begin();
     let sender = UnixDatagram::unbound()?;
     sender.connect(socket)?;
     let mut message = [0; MESSAGE_BYTES];
@@ -91,7 +91,7 @@ pub fn timer(socket: &str, robots: u64) -> io::Result<()> {
 
 /// Runs the relay process: forwards each message to the client.
 pub fn relay(socket: &str, port: u16) -> io::Result<()> {
-    let _punctual = Punctual::begin()?;
+    let _punctual = Punctual::begin();
     let receiver = UnixDatagram::bind(socket)?;
     let mut client = TcpStream::connect(("127.0.0.1", port))?;
     client.set_nodelay(true)?;

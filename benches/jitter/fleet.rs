@@ -79,7 +79,7 @@ impl Fleet {
     /// Connects a client, subscribes, and measures for `length` after `warm_up`.
     pub fn measure(&mut self, warm_up: Duration, length: Duration) -> Result<Figures, Box<dyn Error>> {
         (self.before, self.after) = (None, None);
-        let _punctual = Punctual::begin()?;
+        let _punctual = Punctual::begin();
         let mut stream = TcpStream::connect(("127.0.0.1", self.run.port))?;
         stream.set_nodelay(true)?;
         stream.write_all(&registrations(&self.run))?;

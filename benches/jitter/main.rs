@@ -20,45 +20,17 @@ mod launcher;
 mod measure;
 #[path = "../shared/pairs.rs"]
 mod pairs;
+#[path = "../shared/words.rs"]
+mod words;
 
 use measure::{Figures, Spread};
-use serde_json::{Value, json};
+use serde_json::json;
 use std::error::Error;
 use std::time::Duration;
+use words::Words;
 
 /// Time until processes have started and SLAM has its first maps.
 const WARM_UP: Duration = Duration::from_secs(3);
-
-struct Args {
-    seconds: f64,
-    robots: usize,
-    attach: Option<String>,
-    pairs: usize,
-    json: Option<String>,
-}
-
-fn args() -> Result<Args, String> {
-    let mut args = Args { seconds: 60.0, robots: 3, attach: None, pairs: pairs::PAIRS, json: None };
-    let mut given = std::env::args().skip(1);
-    while let Some(name) = given.next() {
-        let mut value = || given.next().ok_or(format!("{name} needs a value"));
-        match name.as_str() {
-            "--seconds" => args.seconds = value()?.parse().map_err(|why| format!("--seconds: {why}"))?,
-            "--robots" => args.robots = value()?.parse().map_err(|why| format!("--robots: {why}"))?,
-            "--attach" => args.attach = Some(value()?),
-            "--pairs" => args.pairs = value()?.parse().map_err(|why| format!("--pairs: {why}"))?,
-            "--json" => args.json = Some(value()?),
-            // `cargo bench` passes this argument to every bench.
-            "--bench" => {}
-            other => {
-                return Err(format!(
-                    "{other}: expected --seconds S, --robots N, --attach console|exploration|BROWSER, --pairs N or --json FILE"
-                ));
-            }
-        }
-    }
-    Ok(args)
-}
 
 fn main() -> Result<(), Box<dyn Error>> {
     // The bare hops run this program again as their two processes.
@@ -69,34 +41,26 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(console::WORD) => return console::read(words[2].parse()?),
         _ => {}
     }
-    let args = args()?;
-    if let Some(name) = &args.attach {
-        let report = attached::compare(args.robots, name, args.pairs)?;
-        return write(args.json.as_deref(), &report);
+    let words = Words::parse(&words[1..], &["--seconds", "--robots", "--attach", "--pairs"], &[])?;
+    let (seconds, robots) = (words.number("--seconds", 60.0)?, words.number("--robots", 3_usize)?);
+    if let Some(name) = words.value("--attach") {
+        return words.write_json(&attached::compare(robots, name, words.number("--pairs", pairs::PAIRS)?)?);
     }
-    eprintln!("{} robots for {} s, after {} s to warm up", args.robots, args.seconds, WARM_UP.as_secs());
-    let bare = bare::Bare::start(args.robots)?;
-    let mut fleet = fleet::Fleet::start(args.robots)?;
-    let for_client = Duration::from_secs_f64(args.seconds);
+    eprintln!("{robots} robots for {seconds} s, after {} s to warm up", WARM_UP.as_secs());
+    let bare = bare::Bare::start(robots)?;
+    let mut fleet = fleet::Fleet::start(robots)?;
+    let for_client = Duration::from_secs_f64(seconds);
     let bare = std::thread::spawn(move || bare.measure(WARM_UP, for_client));
     let measured = fleet.measure(WARM_UP, for_client)?;
     let processes = fleet.processes();
     let bare = bare.join().map_err(|_| "the bare hops' client failed")??;
     drop(fleet);
     print(&measured, &bare, &processes);
-    let report = json!({
-        "robots": args.robots, "seconds": args.seconds,
+    words.write_json(&json!({
+        "robots": robots, "seconds": seconds,
         "tf": measured.tf, "clock": measured.clock, "scans": measured.scans,
         "bare": bare, "processes": processes,
-    });
-    write(args.json.as_deref(), &report)
-}
-
-fn write(path: Option<&str>, report: &Value) -> Result<(), Box<dyn Error>> {
-    if let Some(path) = path {
-        std::fs::write(path, serde_json::to_string_pretty(report)?)?;
-    }
-    Ok(())
+    }))
 }
 
 fn print(measured: &Figures, bare: &Spread, processes: &[fleet::Cpu]) {

@@ -21,6 +21,7 @@ use rustix::process::Signal;
 use serde_json::json;
 use std::error::Error;
 use std::time::{Duration, Instant};
+use words::Words;
 
 /// Longest time from the last command to a zero at the robot.
 const ZERO_WITHIN: Duration = Duration::from_millis(350);
@@ -98,10 +99,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     if words.get(1).map(String::as_str) == Some("operator") {
         return operator::run(&words[2], &words[3]);
     }
-    words::check(&words, &["--trials", "--world", "--json"], &["--check"])?;
-    let value = |name: &str| words.iter().position(|word| word == name).and_then(|at| words.get(at + 1));
-    let trials = value("--trials").map_or(Ok(3), |text| text.parse::<usize>())?;
-    let world = value("--world").map(String::as_str);
+    let words = Words::parse(&words[1..], &["--trials", "--world"], &["--check"])?;
+    let trials = words.number("--trials", 3_usize)?;
+    let world = words.value("--world");
     if let Some(world) = world.filter(|world| !WORLDS.contains(world)) {
         return Err(format!("--world {world}: expected one of {}", WORLDS.join(", ")).into());
     }
@@ -134,10 +134,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             }));
         }
     }
-    if let Some(path) = value("--json") {
-        std::fs::write(path, serde_json::to_string_pretty(&rows)? + "\n")?;
-    }
-    if missed > 0 && words.iter().any(|word| word == "--check") {
+    words.write_json(&rows)?;
+    if missed > 0 && words.has("--check") {
         return Err(format!("{missed} rows missed their limit").into());
     }
     Ok(())

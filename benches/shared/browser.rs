@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 /// Environment variable that names the browser's program, such as `chromium`. Without it none is started.
 const BROWSER: &str = "MR_SLAM_BENCH_BROWSER";
-/// Longest time until the page is connected, at the lowest priority.
+/// Longest time until the bridge knows of a client that came, at the lowest priority, or went.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A browser, which is killed when this is dropped.
@@ -43,13 +43,8 @@ impl Browser {
             .spawn()
             .map_err(|why| format!("{}: {why}", program.to_string_lossy()))?;
         let browser = Self(child);
-        let begun = Instant::now();
-        while readers(run) <= clients_before {
-            if begun.elapsed() > PATIENCE {
-                return Err(format!("{} has not opened the page", program.to_string_lossy()).into());
-            }
-            std::thread::sleep(Duration::from_millis(200));
-        }
+        wait_for_readers(run, clients_before + 1)
+            .map_err(|why| format!("{} has not opened the page: {why}", program.to_string_lossy()))?;
         Ok(browser)
     }
 }
@@ -62,7 +57,19 @@ impl Drop for Browser {
 }
 
 /// Returns the number of clients that read from the bridge.
-pub fn readers(run: &Run) -> usize {
+fn readers(run: &Run) -> usize {
     let state = control::ask(run, Request::State, Duration::from_secs(1));
     state.map_or(0, |state| state.clients.iter().filter(|client| client.subscriptions > 0).count())
+}
+
+/// Waits until this many clients read from the bridge.
+pub fn wait_for_readers(run: &Run, count: usize) -> Result<(), Box<dyn Error>> {
+    let begun = Instant::now();
+    while readers(run) != count {
+        if begun.elapsed() > PATIENCE {
+            return Err(format!("{} clients read from the bridge, expected {count}", readers(run)).into());
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    Ok(())
 }

@@ -2,18 +2,34 @@
 
 use crate::measure::Spread;
 use serde::Serialize;
+use std::error::Error;
 
 /// Number of pairs. What is attached changes less than two windows of one fleet differ; the mean of many pairs shows it.
 pub const PAIRS: usize = 50;
-/// Half the width of the mean's interval of 90 % confidence, in standard errors: Student's t for 49 degrees of freedom.
-const CONFIDENCE: f64 = 1.677;
+/// 95 % quantile of the normal distribution: an interval of 90 % confidence ends there, in standard errors, if there are many pairs.
+const QUANTILE: f64 = 1.6449;
 
 /// A figure of a window, such as `|spread| spread.p99_ms`. It is more than 0.
-pub type Figure<W> = fn(&W) -> f64;
+pub type Figure<W = Spread> = fn(&W) -> f64;
 
-/// A percentile of jitter.
-#[allow(dead_code, reason = "not all benches that share this compare jitter alone")]
-pub type Percentile = Figure<Spread>;
+/// Measures the windows of so many pairs: `window` is told whether it is one with what is attached. Now the one of a pair comes first,
+/// now the other: what changes with time hits both.
+///
+/// # Errors
+/// A window's error ends it.
+pub fn in_turns(
+    pairs: usize,
+    mut window: impl FnMut(bool) -> Result<(), Box<dyn Error>>,
+) -> Result<(), Box<dyn Error>> {
+    for pair in 0..pairs {
+        for is_with in [pair % 2 == 0, pair % 2 == 1] {
+            window(is_with)?;
+        }
+        eprint!("\r{} of {pairs} pairs ", pair + 1);
+    }
+    eprintln!();
+    Ok(())
+}
 
 /// What was measured in the windows of both kinds. Windows with the same index are a pair.
 #[derive(Debug, Serialize)]
@@ -42,13 +58,18 @@ pub struct Ratio {
 }
 
 impl<W> Pairs<W> {
+    /// Adds a window.
+    pub fn push(&mut self, is_with: bool, window: W) {
+        if is_with { &mut self.with } else { &mut self.without }.push(window);
+    }
+
     /// Compares a figure.
     pub fn ratio(&self, of: Figure<W>) -> Ratio {
         let logs: Vec<f64> = self.without.iter().zip(&self.with).map(|(a, b)| (of(b) / of(a)).ln()).collect();
         let count = logs.len() as f64;
         let mean = logs.iter().sum::<f64>() / count;
         let variance = logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>() / (count - 1.0);
-        let half = CONFIDENCE * (variance / count).sqrt();
+        let half = student_t(count - 1.0) * (variance / count).sqrt();
         Ratio { mean: mean.exp(), least: (mean - half).exp(), most: (mean + half).exp() }
     }
 
@@ -60,14 +81,19 @@ impl<W> Pairs<W> {
             values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
         })
     }
+
+    /// Returns the sum of a count over the windows, without and with.
+    pub fn sums(&self, of: fn(&W) -> u64) -> [u64; 2] {
+        [&self.without, &self.with].map(|windows| windows.iter().map(of).sum())
+    }
 }
 
-impl Pairs {
-    /// Returns the number of messages that were lost, without and with.
-    #[allow(dead_code, reason = "not all benches that share this compare jitter alone")]
-    pub fn lost(&self) -> [u64; 2] {
-        [&self.without, &self.with].map(|windows| windows.iter().map(|window| window.lost).sum())
-    }
+/// 95 % quantile of Student's t distribution: Abramowitz and Stegun, Handbook of Mathematical Functions, 26.7.5.
+fn student_t(degrees_of_freedom: f64) -> f64 {
+    let x = QUANTILE;
+    let first = (x.powi(3) + x) / 4.0;
+    let second = (5.0 * x.powi(5) + 16.0 * x.powi(3) + 3.0 * x) / 96.0;
+    x + first / degrees_of_freedom + second / degrees_of_freedom.powi(2)
 }
 
 impl std::fmt::Display for Ratio {

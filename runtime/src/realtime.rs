@@ -214,7 +214,8 @@ fn lock_memory() -> Result<(), SettingError> {
     mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(SettingError::Memory)
 }
 
-/// Leaves the processor to others first (nice(2)). On Linux it applies to the calling thread; threads that are started later inherit it; where it is refused, the priority stays.
+/// Leaves the processor to others first (nice(2)). On Linux it applies to the calling thread and to threads that it starts later.
+/// Where it is refused, the priority stays.
 pub fn lower_priority(niceness: i32) {
     let _ = rustix::process::nice(niceness);
 }

@@ -5,7 +5,7 @@
 //! threads, without a permission, since 6.12; an older one accepts the call and changes nothing
 //! (sched(7); Linux, Documentation/scheduler/sched-eevdf.rst).
 //!
-//! The system call has no wrapper in the C library or in a crate, which makes this the second file with unsafe code.
+//! glibc has a wrapper for the system call since 2.41 only, and no crate has one: this is the second file with unsafe code.
 
 use rustix::process::getpriority_process;
 use std::io;
