@@ -1,5 +1,5 @@
-//! Both cores are busy: jitter of the transforms at a TCP client, with and without page, recorder and ROS 2 peer, and what the recorder
-//! misses.
+//! Both cores are busy: jitter of the transforms at a TCP client, with and without page, recorder and ROS 2 peer, what the recorder
+//! misses, and how long a step of navigation takes while robots explore.
 
 use crate::fleet::{LOOK_PERIOD, PATIENCE};
 use crate::measure::Spread;
@@ -22,6 +22,12 @@ const WORSE_MAX: f64 = 1.2;
 const FLOOR_MS: f64 = 0.05;
 /// Real-time settings beside the defaults.
 const REALTIME: &str = "[realtime]\npriority = 50\nlock_memory = true\n";
+
+/// Fleet that explores, and its room: so large that it takes longer than the measurement.
+const EXPLORERS: usize = 8;
+const EXPLORED_ROOM: &str = "office:1";
+/// Longest step of navigation, milliseconds: after it the bridge has stopped the robots.
+const STEP_MAX_MS: f32 = 300.0;
 
 /// Place of the scheduling policy among the fields behind a process's name, proc_pid_stat(5), and its value for SCHED_FIFO.
 const POLICY_FIELD: usize = 38;
@@ -85,7 +91,26 @@ pub fn run(args: &Args) -> Rows {
             rows.push(Row::new("hogs", &what, unrecorded.to_string(), "0", unrecorded == 0));
         }
     }
+    rows.push(navigation(args)?);
     Ok(rows)
+}
+
+/// Measures how long a step of navigation takes at most while a fleet explores and the cores are busy.
+fn navigation(args: &Args) -> Result<Row, Box<dyn Error>> {
+    let words = ["--explore", "--room", EXPLORED_ROOM, "--page", "off"];
+    let mut fleet = Fleet::start_with(EXPLORERS, &words)?;
+    std::thread::sleep(WARM_UP);
+    let _hogs = Hogs::start()?;
+    let (begun, mut longest_ms) = (Instant::now(), 0.0_f32);
+    while begun.elapsed() < args.length {
+        // The figures are those of the last second.
+        let navigation = fleet.process("nav").ok_or("telemetry does not know navigation")?;
+        longest_ms = longest_ms.max(navigation.work_max_us * 1e-3);
+    }
+    let what = format!("{EXPLORERS} robots explore, hogs on all cores: longest step of navigation");
+    let (measured, limit) = (format!("{longest_ms:.0} ms"), format!("<= {STEP_MAX_MS} ms"));
+    let holds = longest_ms > 0.0 && longest_ms <= STEP_MAX_MS;
+    Ok(Row::new("hogs", &what, measured, &limit, holds))
 }
 
 /// Starts a fleet with real-time settings; returns whether its bridge got them. Where they are not permitted, a fleet warns and runs on.

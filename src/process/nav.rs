@@ -36,8 +36,8 @@ use zones::Zones;
 /// Period of the control loop: 20 Hz, as operators send velocities.
 const PERIOD: Duration = Duration::from_millis(50);
 /// Niceness of this process (nice(2)): plans take some 10 ms, in which transforms and scans pass it. Where other programs keep all
-/// cores busy, it still has a tenth of a core: what eight exploring robots take.
-const NICE: i32 = 10;
+/// cores busy, it still has a quarter of a core: eight exploring robots take a tenth, and a step that takes longer than 0.3 s stops them.
+const NICE: i32 = 5;
 
 /// Runs the process until it is asked to stop.
 pub fn run(run: &Run, stop: &Stop) -> Result<(), Error> {
