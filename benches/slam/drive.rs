@@ -257,7 +257,7 @@ impl Outcome {
         self.both_kept = errors(Which::BothKept);
         let tied = |ride: &slam::TrajectorySample| {
             let node = back.node_from_front_end(ride.node).map(|id| &back.nodes()[id as usize]);
-            node.is_some_and(|node| node.disconnected_component.is_none())
+            node.is_some_and(|node| node.is_tied())
         };
         let tied: Vec<bool> = front.samples().iter().map(tied).collect();
         relations

@@ -6,6 +6,7 @@
 //! what to search for. `modes` decides what a node is used for; `state` is what a session keeps, `undo` what people
 //! take back, `lifelong` what a lasting map removes.
 
+mod append;
 mod components;
 mod doubts;
 mod lifelong;
@@ -17,11 +18,12 @@ mod odometry_noise;
 mod retracted;
 mod robot_location;
 mod state;
+mod uncertain_pieces;
 mod undo;
 
 pub use doubts::DoubtMonitor;
 pub use loop_closer::RejectedClosure;
-pub use modes::InitialPose;
+pub use modes::{InitialPose, PlaceInMap};
 pub use state::BackEndState;
 pub use undo::ClosureReport;
 
@@ -35,19 +37,15 @@ use crate::relocalize::RelocalizationCounts;
 use crate::stages::{Stage, StageObserver};
 use lifelong::Lifelong;
 use loop_closer::LoopCloser;
-use msg::{GridView, Header, Monotonic, Pose2, TileMap};
-use nalgebra::{Matrix3, Vector3};
+use msg::{GridView, Header, Monotonic, TileMap};
 use node_numbers::NodeNumbers;
 use odometry_noise::OdometryNoise;
-use posegraph::information_from_sigmas;
 use robot_location::RobotLocation;
 
 /// Nodes this many before and after a closure are linked again: 3 m, where they now overlap.
 const RELINK_NODES: u32 = 10;
 /// Searches that `finish` makes at most: a few seconds.
 const LAST_SEARCHES_MAX: usize = 64;
-/// Without odometry, the front end's own motion is this many times as uncertain as odometry would be.
-const UNMEASURED_FACTOR: f64 = 5.0;
 /// Standard deviations of an odometry break, metres and radians: weaker than any measurement.
 const BREAK_M: f64 = 100.0;
 const BREAK_RAD: f64 = 3.0;
@@ -158,6 +156,7 @@ impl BackEnd {
         let linked = self.link_near(id, &relative);
         self.unsolved += usize::from(linked > 0);
         self.graph.update_newest_covariance();
+        self.judge_newest_position();
         // Verify an odometry edge that no scan has confirmed.
         self.check_unverified_edge(id, &relative);
         let disconnected = !self.newest_in_map();
@@ -240,7 +239,7 @@ impl BackEnd {
             relocalization: self.location.relocalization_counts(),
             localized: self.location.localizer.as_ref().map(Localizer::counts).unwrap_or_default(),
             retired: self.lifelong.retired,
-            disconnected: self.nodes.iter().filter(|node| node.disconnected_component.is_some()).count(),
+            disconnected: self.nodes.iter().filter(|node| !node.is_tied()).count(),
         }
     }
 
@@ -285,47 +284,6 @@ impl BackEnd {
     /// The map is as of this scan until the next one is drawn: a loaded map's own are of another time.
     pub fn set_map_header(&mut self, header: Header, scan_sent: Monotonic) {
         self.mapper.date(header, scan_sent);
-    }
-
-    /// Appends a node at its pose relative to the node before, with an odometry edge, or at the pose where the robot was
-    /// located.
-    fn append_node(&mut self, mut node: Node) {
-        self.numbers.front_ids.push(node.id);
-        self.lifelong.contradicted.push(0);
-        self.doubts.unmeasured_s += node.unmeasured_s;
-        node.id = self.nodes.len() as u32;
-        if let Some(anchor) = self.location.next_pose.take() {
-            return self.add_anchored_node(node, anchor);
-        }
-        let Some(previous) = self.nodes.last() else {
-            self.graph.add_node(node.local_from_base);
-            self.nodes.push(node);
-            return;
-        };
-        let moved = previous.local_from_base.between(node.local_from_base);
-        let (a, b) = (previous.id, node.id);
-        let map_from_node = self.graph.poses()[a as usize] * moved;
-        self.loop_closer.travelled_m += moved.x_m.hypot(moved.y_m);
-        self.graph.add_node(map_from_node);
-        let measured = node.previous_from_this.unwrap_or(moved);
-        let (kind, information) = if node.odometry_break {
-            self.loop_closer.detector.drop_pending();
-            self.location.component_relocalizer = None;
-            (EdgeKind::OdometryBreak, information_from_sigmas(BREAK_M, BREAK_RAD))
-        } else {
-            (EdgeKind::Odometry, self.odometry_information(measured, node.previous_from_this.is_some()))
-        };
-        node.disconnected_component =
-            if node.odometry_break { Some(b) } else { previous.disconnected_component };
-        self.nodes.push(node);
-        self.graph.add_edge([a, b], measured, information, kind, [0.0; 2]);
-    }
-
-    fn odometry_information(&self, moved: Pose2, measured: bool) -> Matrix3<f64> {
-        let sigmas = self.configured_odometry_sigmas(moved);
-        let scales = if measured { self.odometry_noise.scales() } else { [UNMEASURED_FACTOR; 2] };
-        let [m, rad] = [0, 1].map(|k| scales[k] * sigmas[k]);
-        Matrix3::from_diagonal(&Vector3::new(1.0 / (m * m), 1.0 / (m * m), 1.0 / (rad * rad)))
     }
 
     /// Adds accepted closures to the graph, solves, and links the nodes around them.

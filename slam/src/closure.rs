@@ -138,6 +138,9 @@ impl ClosureDetector {
     ) -> ClosureSearch {
         self.drop_expired(node);
         let mut result = ClosureSearch::NoCandidate;
+        if !self.sees_enough(&view.nodes[node as usize]) {
+            return result;
+        }
         // In the smaller window fewer places look alike; the larger one is for long ways.
         for errors in [CountedErrors::Independent, CountedErrors::Repeating] {
             let candidates = self.candidates(view, relative, node, errors);
@@ -200,7 +203,10 @@ impl ClosureDetector {
         };
         let mut near: Vec<(f64, u32)> = (0..graph.poses().len() as u32)
             .filter(|id| {
-                id.abs_diff(node) > AGO_NODES && view.nodes[*id as usize].disconnected_component == component
+                let candidate = &view.nodes[*id as usize];
+                id.abs_diff(node) > AGO_NODES
+                    && candidate.disconnected_component == component
+                    && self.sees_enough(candidate)
             })
             .filter_map(|id| {
                 let way = relative[id as usize];
@@ -224,14 +230,6 @@ impl ClosureDetector {
             }
         }
         chosen
-    }
-
-    /// Whether the pass around one node covers the other one.
-    fn same_pass(&self, graph: &Graph, a: u32, b: u32) -> bool {
-        let c = &self.config.closures;
-        let poses = &graph.poses()[a.min(b) as usize..=a.max(b) as usize];
-        let path_m: f64 = poses.windows(2).map(|p| p[0].distance_m(p[1])).sum();
-        path_m < c.chain_m && poses.len() <= c.chain_nodes
     }
 
     /// Searches for a node around one earlier node and verifies the best pose.

@@ -12,6 +12,8 @@ mod scan_check;
 mod scan_matcher;
 mod state;
 
+pub(crate) use motion::{SILENT_MAX_S, SPEED_SIGMA_SHARE};
+pub(crate) use node_builder::UNMEASURED_MAX_S;
 pub use scan_check::ScanRejection;
 pub use state::FrontEndState;
 
@@ -77,7 +79,7 @@ pub struct FrontEndCounts {
 pub struct ScanResult {
     /// Pose of the robot with its covariance; after a rejected scan the last one.
     ///
-    /// The covariance is that of the pose in the map, relative to the map's first node. While the scan does not fit, it
+    /// The covariance is that of the pose in the map, as seen from one node of it, the first where all are tied. While the scan does not fit, it
     /// grows with the path since the newest node. While the robot is not located in its map, it is that of an unknown
     /// pose (100 m, pi).
     pub correction: Correction,
@@ -101,6 +103,8 @@ pub struct TrajectorySample {
     pub node: u32,
     /// Pose of the robot in the frame of the node.
     pub node_from_base: Pose2,
+    /// Whether the robot was lost: its scan fitted nothing, so that the pose is a guess.
+    pub is_lost: bool,
 }
 
 /// The last accepted scan.
@@ -167,9 +171,9 @@ impl FrontEnd {
         let prediction = self.predict(scan, odom_from_base);
         // Take the robot's motion out of the scan, and match it against the local map.
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
-        // Odometry that slipped counts from the matched pose.
+        // Odometry that slipped, or that is back after it was missing, counts from the matched pose.
         self.rebase_odometry(&pose, odom_from_base);
-        self.count_unmeasured_time(stamp, pose.state, odom_from_base);
+        self.count_unmeasured_time(stamp, &pose, odom_from_base);
         // Record where the robot's body was.
         self.stages.stage_started(Stage::Node);
         self.extend_swept_path(&pose);
@@ -266,24 +270,6 @@ impl FrontEnd {
         self.counts
     }
 
-    fn rebase_odometry(&mut self, pose: &TrackedPose, odom_from_base: Option<Pose2>) {
-        if let (true, Some(newest), Some(odom)) =
-            (pose.slipped, self.matcher.references.back(), odom_from_base)
-        {
-            self.motion.rebase_odometry(newest, pose.local_from_base, odom);
-            self.counts.slips += 1;
-        }
-    }
-
-    /// Adds up the time in which the robot's motion is a guess: without odometry, while the scans leave a direction open.
-    fn count_unmeasured_time(&mut self, stamp: Stamp, state: TrackingState, odom_from_base: Option<Pose2>) {
-        let leaves_open = matches!(state, TrackingState::Degenerate | TrackingState::Lost);
-        let (true, None, Some(last)) = (leaves_open, odom_from_base, self.motion.last.as_ref()) else {
-            return;
-        };
-        self.nodes.unmeasured_s += (stamp - last.stamp) as f32;
-    }
-
     fn extend_swept_path(&mut self, pose: &TrackedPose) {
         if pose.fits && self.config.map.robot_radius_m > 0.0 {
             let position = [pose.local_from_base.x_m as f32, pose.local_from_base.y_m as f32];
@@ -322,6 +308,7 @@ impl FrontEnd {
             fits,
             odometry_break: self.frame.last_break == Some(id),
             disconnected_component: None,
+            uncertain_piece: None,
             unmeasured_s: 0.0,
             cloud,
             rays: self.scan_buffers.rays(scan, beam_poses, &self.config),
@@ -348,7 +335,8 @@ impl FrontEnd {
         if let Some((node, local_from_node)) = self.nodes.published {
             let node_from_base = local_from_node.between(pose.local_from_base);
             if self.samples.len() < self.config.graph.trajectory_max {
-                self.samples.push(TrajectorySample { stamp, node, node_from_base });
+                let is_lost = pose.state == TrackingState::Lost;
+                self.samples.push(TrajectorySample { stamp, node, node_from_base, is_lost });
             } else {
                 self.counts.trajectory_dropped += 1;
             }

@@ -113,8 +113,14 @@ pub struct Graph {
     config: GraphConfig,
     poses: Vec<Pose2>,
     /// Covariance of each pose in the map; `None` where no edge says.
-    covariances: Vec<Option<Matrix3<f64>>>,
+    covariances: Vec<Option<pose_covariance::WayCovariance>>,
+    /// The node that they are seen from.
+    covariances_seen_from: u32,
     edges: Vec<Edge>,
+    /// Variance of links and closures as a multiple of what they claim, by the last solution.
+    variance_factor: f64,
+    /// Errors of odometry that repeat, metres and radians per metre.
+    repeating_odometry_errors: [f64; 2],
     /// Edges of each node.
     around: Vec<Vec<u32>>,
     /// Solutions that ended with an error.
@@ -128,7 +134,10 @@ impl Graph {
             config,
             poses: Vec::new(),
             covariances: Vec::new(),
+            covariances_seen_from: 0,
             edges: Vec::new(),
+            variance_factor: 1.0,
+            repeating_odometry_errors: [0.0; 2],
             around: Vec::new(),
             failed_solutions: 0,
         }

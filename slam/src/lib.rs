@@ -43,7 +43,7 @@ mod testing;
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-pub use back_end::{BackEnd, BackEndCounts, BackEndState, ClosureReport, InitialPose};
+pub use back_end::{BackEnd, BackEndCounts, BackEndState, ClosureReport, InitialPose, PlaceInMap};
 pub use beam_poses::BeamPoses;
 pub use closure::ClosureSearchCounts;
 pub use cloud::{Cloud, CloudScratch, SurfacePoint};
@@ -166,6 +166,11 @@ impl Slam {
     /// Every accepted scan's stamp and `map_from_base`, as the graph has it now.
     pub fn trajectory(&self) -> impl Iterator<Item = (Stamp, Pose2)> + '_ {
         trajectory(&self.front, &self.back)
+    }
+
+    /// The same, with what is known of each place.
+    pub fn trajectory_with_places(&self) -> impl Iterator<Item = (Stamp, Pose2, PlaceInMap)> + '_ {
+        self.back.trajectory_with_places(self.front.samples())
     }
 
     /// Counts of scans by what became of them.

@@ -29,6 +29,10 @@ pub struct Node {
     /// Set by the back end.
     #[serde(skip)]
     pub disconnected_component: Option<u32>,
+    /// First node of the node's piece while its position in the map is too uncertain to be part of it; `None` otherwise.
+    /// Set by the back end.
+    #[serde(skip)]
+    pub uncertain_piece: Option<u32>,
     /// Time since the node before in which neither odometry nor scans measured the motion, seconds.
     pub unmeasured_s: f32,
     /// Surface points, for matching.
@@ -116,7 +120,7 @@ impl<'de> Deserialize<'de> for SweptPath {
 /// Covariance of a pose in the map, and where in the map it is: seen from elsewhere, an error in heading moves it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameUncertainty {
-    /// Covariance of the pose, relative to the map's first node: upper triangle over (x, y, yaw), row by row.
+    /// Covariance of the pose, as seen from one node of the map, the first one where all are tied: upper triangle over (x, y, yaw), row by row.
     pub covariance: [f64; 6],
     /// Position of the pose in the map, metres.
     pub at: [f64; 2],
@@ -163,7 +167,18 @@ pub struct Rays {
 impl Node {
     /// Whether the node is part of the map: drawn, matched against, given out.
     pub fn in_map(&self) -> bool {
-        self.fits && self.disconnected_component.is_none()
+        self.fits && self.is_tied()
+    }
+
+    /// Whether the node's place in the map is known.
+    pub fn is_tied(&self) -> bool {
+        self.untied_piece().is_none()
+    }
+
+    /// First node of the node's piece while its place in the map is not known: nothing connects it with the map, or its
+    /// position is too uncertain.
+    pub fn untied_piece(&self) -> Option<u32> {
+        self.disconnected_component.or(self.uncertain_piece)
     }
 
     /// A copy with memory of its own, for code that keeps nodes; it releases the front end's buffers.

@@ -270,9 +270,10 @@ impl Submaps {
     }
 }
 
-/// Whether a submap is part of the map. All its nodes are in one component, so the first one tells.
+/// Whether a submap is part of the map, as its first node is: all its nodes are in one component, and a piece whose position is
+/// uncertain begins within one submap.
 fn in_map(group: &Group, back: &BackEnd) -> bool {
-    back.nodes().get(group.first as usize).is_some_and(|node| node.disconnected_component.is_none())
+    back.nodes().get(group.first as usize).is_some_and(|node| node.is_tied())
 }
 
 /// Poses in the frame of the first one.

@@ -6,6 +6,7 @@ mod common;
 use common::{FULL, Lidar, Log, Noise, Robot, Wall, bits, cast, laboratory, rectangle, ring, ring_log};
 use msg::grid::{Occupancy, occupancy};
 use msg::{Odometry, Pose2, Scan, SlamMode, TrackingState};
+use slam::session::VERSION;
 use slam::{Identity, InitialPose, PoseEstimate, Session, SessionError, Slam, SlamConfig};
 
 /// Drives (linear m/s, angular rad/s, seconds) legs at 10 scans a second.
@@ -109,8 +110,9 @@ fn what_is_not_a_session_is_refused_with_the_reason() {
     flipped[5000] ^= 4;
     assert!(matches!(refused(&flipped), SessionError::Checksum { .. }));
     let mut other = bytes.clone();
-    other[8] = 9;
-    assert_eq!(refused(&other), SessionError::Version { found: 9 });
+    let found = VERSION + 1;
+    other[8..12].copy_from_slice(&found.to_le_bytes());
+    assert_eq!(refused(&other), SessionError::Version { found });
     assert_eq!(refused(b"P5\n3 3\n255\n..........................."), SessionError::Magic);
     assert!(matches!(refused(&[&bytes[..], b"x"].concat()), SessionError::Length { .. }));
 

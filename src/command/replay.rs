@@ -28,7 +28,7 @@ use formats::map_file::write_doubted_map;
 use merge::MergeConfig;
 use msg::{Odometry, Pose2, Scan, Stamp};
 use records::{BagArgs, Log, is_recording};
-use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PoseEstimate, Revision, SlamConfig};
+use slam::{BackEnd, FrontEnd, Identity, InitialPose, Node, PlaceInMap, PoseEstimate, Revision, SlamConfig};
 use std::path::PathBuf;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -147,8 +147,11 @@ fn finish(args: &ReplayArgs, replayed: Replayed) -> Result<(), ReplayError> {
     let Replayed { front, mut back, mut summary, localized, .. } = replayed;
     if let Some(path) = &args.trajectory {
         let written = match localized {
-            Some(poses) => write_trajectory(path, poses.into_iter().map(|(stamp, pose)| (stamp, pose, None))),
-            None => write_trajectory(path, back.trajectory_by_component(front.samples())),
+            Some(poses) => write_trajectory(
+                path,
+                poses.into_iter().map(|(stamp, pose)| (stamp, pose, PlaceInMap::Known)),
+            ),
+            None => write_trajectory(path, back.trajectory_with_places(front.samples())),
         };
         written.map_err(|source| ReplayError::Write { path: path.clone(), source })?;
     }

@@ -9,7 +9,7 @@ use crate::settings::slam_config;
 use msg::{Header, Odometry, Pose2, Scan, Stamp, TrackingState};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
-use slam::{BackEnd, EdgeKind, FrontEnd, MapDoubts, Slam};
+use slam::{BackEnd, EdgeKind, FrontEnd, MapDoubts, PlaceInMap, Slam};
 use std::path::Path;
 
 /// An error that people call a wrong map, metres.
@@ -181,7 +181,6 @@ impl Outcome {
         (scan.angle_min_rad, scan.angle_increment_rad) = (first as f32, increment as f32);
         (scan.range_min_m, scan.range_max_m) = (RANGE_MIN_M, sensor.range_m as f32);
         let mut nees = Vec::new();
-        let Some(start) = steps.first().map(|step| step.truth) else { return };
         for (index, step) in steps.iter().enumerate() {
             let header =
                 Header { stamp: Stamp::from_seconds(step.stamp_s), seq: index as u64, ..Header::default() };
@@ -201,11 +200,12 @@ impl Outcome {
             let correction = result.correction;
             self.lost_at_end = correction.state() == TrackingState::Lost;
             if !self.lost_at_end && index % NEES_EVERY == NEES_EVERY - 1 {
-                nees.extend(nees_of(
-                    correction.map_from_base,
-                    start.between(step.truth),
-                    correction.covariance,
-                ));
+                let expected = map_from_world(back, steps).map(|map_from_world| map_from_world * step.truth);
+                nees.extend(
+                    expected.and_then(|expected| {
+                        nees_of(correction.map_from_base, expected, correction.covariance)
+                    }),
+                );
             }
         }
         back.finish();
@@ -214,21 +214,23 @@ impl Outcome {
     }
 
     fn score(&mut self, front: &FrontEnd, back: &BackEnd, steps: &[Step]) -> Scored {
-        let truth_at = |stamp: Stamp| {
-            let index = steps.partition_point(|step| step.stamp_s < stamp.0 as f64 * 1e-9 - 1e-3);
-            steps.get(index).map(|step| step.truth)
-        };
-        let belief = |number: u32| {
-            let Some(id) = back.node_from_front_end(number) else { return (false, 0.0) };
+        let truth_at = |stamp: Stamp| truth_at(steps, stamp);
+        let sigma_m = |number: u32| {
+            let id = back.node_from_front_end(number).unwrap_or_default();
             let covariance = back.graph().covariance(id);
-            let sigma_m = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
-            (back.nodes()[id as usize].disconnected_component.is_none(), sigma_m)
+            (covariance[(0, 0)] + covariance[(1, 1)]).sqrt()
         };
-        let samples = front.samples().iter().map(|sample| belief(sample.node));
-        let poses: Vec<ScoredPose> = slam::trajectory(front, back)
-            .zip(samples)
-            .filter_map(|((stamp, map_from_base), (is_tied, sigma_m))| {
-                Some(ScoredPose { map_from_base, truth: truth_at(stamp)?, is_tied, sigma_m })
+        let poses: Vec<ScoredPose> = back
+            .trajectory_with_places(front.samples())
+            .zip(front.samples())
+            .filter_map(|((stamp, map_from_base, place), sample)| {
+                let is_tied = place == PlaceInMap::Known;
+                Some(ScoredPose {
+                    map_from_base,
+                    truth: truth_at(stamp)?,
+                    is_tied,
+                    sigma_m: sigma_m(sample.node),
+                })
             })
             .collect();
         // The map is put where the poses that are tied to it fit best.
@@ -241,9 +243,13 @@ impl Outcome {
         self.mean_error_m = all.iter().sum::<f64>() / all.len().max(1) as f64;
         self.max_error_m = all.iter().copied().fold(0.0, f64::max);
         self.max_error_tied_m = of_tied.iter().copied().fold(0.0, f64::max);
-        let unsaid = of_tied.iter().zip(&tied_poses);
-        let unsaid = unsaid.filter(|(error_m, pose)| **error_m > SAID_SIGMAS * pose.sigma_m);
-        self.max_error_unsaid_m = unsaid.map(|(error_m, _)| *error_m).fold(0.0, f64::max);
+        // What the covariances say is seen from one node of the map.
+        let map_from_world = map_from_world(back, steps).unwrap_or(world_from_map.inverse());
+        let unsaid_m = |pose: &ScoredPose| {
+            let error_m = (map_from_world * pose.truth).distance_m(pose.map_from_base);
+            if error_m > SAID_SIGMAS * pose.sigma_m { error_m } else { 0.0 }
+        };
+        self.max_error_unsaid_m = tied_poses.iter().map(unsaid_m).fold(0.0, f64::max);
         self.tied_share = tied_poses.len() as f64 / steps.len().max(1) as f64;
         let closures = self.score_edges(back, &truth_at);
         Scored { world_from_map, poses, closures }
@@ -309,6 +315,20 @@ fn fit(poses: &[ScoredPose]) -> Pose2 {
         there[1] - (sin * here[0] + cos * here[1]),
         yaw_rad,
     )
+}
+
+/// Returns the true pose at a stamp.
+fn truth_at(steps: &[Step], stamp: Stamp) -> Option<Pose2> {
+    let index = steps.partition_point(|step| step.stamp_s < stamp.0 as f64 * 1e-9 - 1e-3);
+    steps.get(index).map(|step| step.truth)
+}
+
+/// Returns the pose of the true world in the map, where the node has its true pose that the covariances are seen from.
+fn map_from_world(back: &BackEnd, steps: &[Step]) -> Option<Pose2> {
+    let seen_from = back.covariances_seen_from() as usize;
+    let map_from_node = *back.graph().poses().get(seen_from)?;
+    let world_from_node = truth_at(steps, back.nodes().get(seen_from)?.header.stamp)?;
+    Some(map_from_node * world_from_node.inverse())
 }
 
 /// Returns the normalised squared error over its three degrees of freedom (Bar-Shalom et al. 2001, section 5.4); `None`

@@ -13,9 +13,11 @@ use super::modes::{FOUND_M, FOUND_RAD};
 use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
+use crate::front_end::{SILENT_MAX_S, UNMEASURED_MAX_S};
 use crate::graph::{EdgeKind, RelativeUncertainty};
+use crate::node::Node;
 use crate::relocalize::{MapNodes, RelocalizationOutcome, Relocalizer};
-use msg::Pose2;
+use msg::{Pose2, pose::wrap_angle};
 use posegraph::information_from_sigmas;
 
 /// A component of more nodes than this is searched for in the whole map; something passing by is over sooner.
@@ -31,6 +33,10 @@ const STRAIGHT_M: f64 = 20.0;
 
 /// A robot is carried this far while it is lifted and put down, metres; beyond, by its speed.
 const REACH_M: f64 = 3.0;
+/// What the front end drifts while nothing measures the motion, on top of the distance that the robot can have driven, metres and
+/// radians.
+const UNMEASURED_M: f64 = 1.0;
+const UNMEASURED_RAD: f64 = 0.5;
 
 impl BackEnd {
     /// Verifies or breaks the odometry edge before a node that did not fit. When that node, or one after
@@ -95,15 +101,15 @@ impl BackEnd {
         self.update_components();
     }
 
-    /// Number of components that nothing connects with the map.
+    /// Number of pieces that are not tied to the map.
     pub fn disconnected_components(&self) -> usize {
-        // A component is named by its first node.
-        self.nodes.iter().filter(|node| node.disconnected_component == Some(node.id)).count()
+        // A piece is named by its first node.
+        self.nodes.iter().filter(|node| node.untied_piece() == Some(node.id)).count()
     }
 
     /// Whether the newest node is part of the map.
     pub(super) fn newest_in_map(&self) -> bool {
-        self.nodes.last().is_none_or(|node| node.disconnected_component.is_none())
+        self.nodes.last().is_none_or(Node::is_tied)
     }
 
     /// Updates which node is in which component, from the active edges.
@@ -154,8 +160,10 @@ impl BackEnd {
         self.location.component_relocalizer = None;
         let map_from_node = map_from_local * local_from_node;
         let Some(candidate) = self.nearest_in_map(map_from_node) else { return };
-        let is_beyond_reach = self.is_beyond_reach(first, id, map_from_node);
-        let closures = self.graph.edges().len();
+        if self.is_beyond_reach(id, map_from_node) {
+            self.doubts.distant_relocations += 1;
+            return;
+        }
         self.add_closures(&[ClosureCandidate {
             node: id,
             candidate,
@@ -163,22 +171,36 @@ impl BackEnd {
             information: information_from_sigmas(FOUND_M, FOUND_RAD),
             response: self.config.relocalize.response_min,
         }]);
-        // One that was undone before is not accepted again.
-        if is_beyond_reach && self.graph.edges().len() > closures {
-            self.doubts.distant_relocations += 1;
-        }
     }
 
-    /// Whether the robot, last in the map before node `first`, cannot have gone to where node `id` was found.
-    fn is_beyond_reach(&self, first: u32, id: u32, map_from_node: Pose2) -> bool {
-        let Some(last) = first.checked_sub(1) else { return false };
-        let [last_node, first_node] = [last, first].map(|id| &self.nodes[id as usize]);
-        let poses = self.graph.poses();
-        let across = first_node.previous_from_this.unwrap_or_default();
-        let expected = poses[last as usize] * across * poses[first as usize].between(poses[id as usize]);
-        let carried_m =
-            self.config.odometry.speed_max_m_s * (first_node.header.stamp - last_node.header.stamp);
-        expected.distance_m(map_from_node) > REACH_M + carried_m
+    /// Whether the robot, last in the map before node `id`, cannot have gone to where that node was found. Carried, it has no
+    /// heading that is known; where only the motion was not measured, it is not far from where the front end has it.
+    fn is_beyond_reach(&self, id: u32, map_from_node: Pose2) -> bool {
+        let Some(last) = self.nodes[..id as usize].iter().rfind(|node| node.is_tied()) else { return false };
+        let since = &self.nodes[last.id as usize + 1..=id as usize];
+        let node = &self.nodes[id as usize];
+        let map_from_last = self.graph.poses()[last.id as usize];
+        let speed_max_m_s = self.config.odometry.speed_max_m_s;
+        if since.iter().any(|node| node.odometry_break && !self.is_unmeasured_break(node.id)) {
+            let reach_m = REACH_M + speed_max_m_s * (node.header.stamp - last.header.stamp);
+            return map_from_last.distance_m(map_from_node) > reach_m;
+        }
+        let expected = map_from_last * last.local_from_base.between(node.local_from_base);
+        let unmeasured_s: f64 = since.iter().map(|node| f64::from(node.unmeasured_s)).sum();
+        let turned_rad = wrap_angle(expected.yaw_rad - map_from_node.yaw_rad).abs();
+        expected.distance_m(map_from_node) > UNMEASURED_M + speed_max_m_s * unmeasured_s
+            || turned_rad > UNMEASURED_RAD
+    }
+
+    /// Whether the odometry edge before a node is broken because the motion was not measured, for a time too short to carry the robot
+    /// off.
+    fn is_unmeasured_break(&self, id: u32) -> bool {
+        if f64::from(self.nodes[id as usize].unmeasured_s) > SILENT_MAX_S {
+            return false;
+        }
+        let before = self.nodes[..id as usize].iter().rev().take_while(|node| !node.odometry_break);
+        let unmeasured_s: f32 = before.map(|node| node.unmeasured_s).sum();
+        unmeasured_s + self.nodes[id as usize].unmeasured_s > UNMEASURED_MAX_S
     }
 
     /// The node of the map nearest to a place.

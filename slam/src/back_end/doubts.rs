@@ -2,7 +2,10 @@
 //! others; the search for these looks at the pose of each node of the map.
 
 use super::BackEnd;
-use crate::map_doubts::{MapDoubts, OdometryStep, WallAgreement, contradicted_share, odometry_stretch};
+use crate::map_doubts::{
+    MapDoubts, NodeComparison, OdometryStep, PathCut, WallAgreement, contradicted_share, odometry_stretch,
+    path_cut,
+};
 use crate::node::Node;
 use crate::stages::Stage;
 use serde::{Deserialize, Serialize};
@@ -24,13 +27,15 @@ const SUMMARY_NODES: usize = 8;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DoubtMonitor {
     /// How the nodes agree with older ones of other passes, by id; `None` where there are none.
-    pub walls: Vec<Option<WallAgreement>>,
+    pub walls: Vec<Option<NodeComparison>>,
     /// The newest node that was compared anew.
     pub cursor: usize,
-    /// Components that were found farther away than the robot can have gone.
+    /// Places that were refused because they are farther away than the robot can have gone.
     pub distant_relocations: u32,
-    /// Seconds in which nothing measured the motion.
+    /// Time in which nothing measured the motion, since its place was known last, seconds.
     pub unmeasured_s: f32,
+    /// Where the path is wrong, by what its nodes contradict.
+    pub cut: Option<PathCut>,
     /// The evidence when it was summed up last.
     pub current: MapDoubts,
 }
@@ -38,9 +43,18 @@ pub struct DoubtMonitor {
 impl DoubtMonitor {
     /// Forgets what is known of nodes that are no more; the others get their new numbers.
     pub fn retain_nodes(&mut self, is_kept: impl Fn(usize) -> bool) {
+        let mut kept = 0;
+        let new_ids: Vec<Option<u32>> =
+            (0..self.walls.len()).map(|id| is_kept(id).then(|| (kept, kept += 1).0)).collect();
+        let renumbered = |old: Option<u32>| new_ids.get(old? as usize).copied().flatten();
         let mut id = 0;
         self.walls.retain(|_| (is_kept(id), id += 1).0);
+        for comparison in self.walls.iter_mut().flatten() {
+            comparison.agrees_with = renumbered(comparison.agrees_with);
+            comparison.contradicts = renumbered(comparison.contradicts);
+        }
         self.cursor = (0..self.cursor).filter(|id| is_kept(*id)).count();
+        self.cut = path_cut(&self.walls);
     }
 }
 
@@ -75,18 +89,36 @@ impl BackEnd {
     }
 
     fn sum_up_doubts(&mut self) {
+        let cut = path_cut(&self.doubts.walls);
+        if cut != self.doubts.cut {
+            self.doubts.cut = cut;
+            self.update_covariances();
+        }
+        let untied = self.nodes.iter().filter(|node| !node.is_tied()).count();
         self.doubts.current = MapDoubts {
-            contradicted_share: contradicted_share(&self.doubts.walls),
+            contradicted_share: contradicted_share(&self.walls_in_map()),
             odometry_stretch: odometry_stretch(&self.odometry_steps()),
             unmeasured_motion_s: self.doubts.unmeasured_s,
             distant_relocations: self.doubts.distant_relocations,
             position_sigma_m: self.largest_position_sigma_m(),
+            untied_share: untied as f32 / self.nodes.len().max(1) as f32,
         };
     }
 
-    /// Standard deviation of the map's position that is known worst, relative to the map's first node, metres.
+    /// How the nodes of the map agree with others of the map.
+    fn walls_in_map(&self) -> Vec<Option<WallAgreement>> {
+        let is_tied = |id: u32| self.nodes.get(id as usize).is_some_and(Node::is_tied);
+        let in_map = |(id, comparison): (usize, &Option<NodeComparison>)| {
+            let comparison =
+                comparison.filter(|it| is_tied(id as u32) && it.contradicts.is_none_or(is_tied))?;
+            Some(comparison.walls)
+        };
+        self.doubts.walls.iter().enumerate().map(in_map).collect()
+    }
+
+    /// Standard deviation of the map's position that is known worst, as seen from one node of the map, metres.
     fn largest_position_sigma_m(&self) -> f64 {
-        let in_map = self.nodes.iter().filter(|node| node.disconnected_component.is_none());
+        let in_map = self.nodes.iter().filter(|node| node.is_tied());
         let variance = |node: &Node| {
             let covariance = self.graph.covariance(node.id);
             covariance[(0, 0)] + covariance[(1, 1)]
@@ -95,9 +127,10 @@ impl BackEnd {
     }
 
     /// Compares a node with older ones of other passes that look at the same place.
-    fn compare_with_older(&self, id: u32) -> Option<WallAgreement> {
+    fn compare_with_older(&self, id: u32) -> Option<NodeComparison> {
         let node = &self.nodes[id as usize];
-        if !node.in_map() {
+        let is_placed = |node: &Node| node.fits && node.disconnected_component.is_none();
+        if !is_placed(node) {
             return None;
         }
         let poses = self.graph.poses();
@@ -107,7 +140,7 @@ impl BackEnd {
         let others = &self.nodes[..id.saturating_sub(SAME_PASS_NODES) as usize];
         let mut near: Vec<(f64, u32)> = others
             .iter()
-            .filter(|other| other.in_map())
+            .filter(|other| is_placed(other))
             .filter_map(|other| {
                 let [u, v] = looks_at(other);
                 let apart_m = (u - x).hypot(v - y);
@@ -126,13 +159,14 @@ impl BackEnd {
                 break;
             }
         }
-        let mut sum = None;
+        let mut comparison: Option<NodeComparison> = None;
         for other in witnesses {
             let other_from_node = poses[other as usize].between(here);
-            let other = &self.nodes[other as usize].cloud;
-            *sum.get_or_insert_default() += WallAgreement::both_ways(other, &node.cloud, other_from_node);
+            let cloud = &self.nodes[other as usize].cloud;
+            let agreement = WallAgreement::both_ways(cloud, &node.cloud, other_from_node);
+            comparison.get_or_insert_default().add(other, agreement);
         }
-        sum
+        comparison
     }
 
     /// Every motion between consecutive nodes of the map, by odometry and as the graph has it.
@@ -140,7 +174,7 @@ impl BackEnd {
         let poses = self.graph.poses();
         let step = |pair: &[Node]| {
             let [before, node] = pair else { return None };
-            let is_in_map = before.disconnected_component.is_none() && node.disconnected_component.is_none();
+            let is_in_map = before.is_tied() && node.is_tied();
             let by_odometry = node.previous_from_this.filter(|_| is_in_map && !node.odometry_break)?;
             let [a, b] = [before.id, node.id].map(|id| poses[id as usize]);
             let there = a * by_odometry;

@@ -5,7 +5,6 @@ use crate::align::{Reference, align};
 use crate::cloud::SEE_THROUGH_M;
 use crate::config::LinkConfig;
 use crate::graph::{EdgeKind, RelativeUncertainty, UNOBSERVED};
-use crate::node::Node;
 use msg::{Pose2, pose::wrap_angle};
 use nalgebra::Matrix3;
 use posegraph::limit_information;
@@ -98,7 +97,11 @@ impl BackEnd {
         if !agreement.is_sound(l.agreement_min) {
             return false;
         }
-        let information = self.limited(fit.information_for_links(l));
+        let is_measured = self.nodes[a as usize + 1..=b as usize].iter().all(|node| node.unmeasured_s == 0.0);
+        // Noise of normals claims to hold a corridor's length: no matter beside odometry, but nothing else would hold it here.
+        let information =
+            if is_measured { fit.information_for_links(l) } else { fit.information_without_noise };
+        let information = self.limited(information);
         let drift = self.drift(fit.frame_from_cloud);
         self.graph.add_edge([a, b], fit.frame_from_cloud, information, EdgeKind::Link, drift);
         true
@@ -107,12 +110,6 @@ impl BackEnd {
     pub(super) fn drift(&self, a_from_b: Pose2) -> [f64; 2] {
         let distance_m = a_from_b.x_m.hypot(a_from_b.y_m);
         [self.config.links.drift_m_per_m * distance_m, self.config.links.drift_rad_per_m * distance_m]
-    }
-
-    /// Finds the covariances of all nodes in the map anew, relative to the map's first node.
-    pub(super) fn update_covariances(&mut self) {
-        let first = self.nodes.iter().position(Node::in_map).unwrap_or(0);
-        self.graph.update_covariances(first as u32);
     }
 
     fn linked(&self, a: u32, b: u32) -> bool {

@@ -28,6 +28,18 @@ pub enum InitialPose {
     Unknown,
 }
 
+/// What is known of a scan's place in the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlaceInMap {
+    /// It is known.
+    Known,
+    /// The piece of the map that begins with this node is not tied to the rest: the pose is in a frame whose relation to the
+    /// map's is unknown.
+    Untied(u32),
+    /// The scan fitted nothing: the pose is a guess.
+    Lost,
+}
+
 impl BackEnd {
     /// A back end that continues with the map of a session.
     pub fn resume(
@@ -252,20 +264,29 @@ impl BackEnd {
         &'a self,
         samples: &'a [TrajectorySample],
     ) -> impl Iterator<Item = (Stamp, Pose2)> + 'a {
-        self.trajectory_by_component(samples).map(|(stamp, pose, _)| (stamp, pose))
+        self.trajectory_with_places(samples).map(|(stamp, pose, _)| (stamp, pose))
     }
 
-    /// The same, with the first node of the component of each scan while that is disconnected from the map: its pose
-    /// is then in a frame whose relation to the map's is unknown.
-    pub fn trajectory_by_component<'a>(
+    /// The same, with what is known of each place.
+    pub fn trajectory_with_places<'a>(
         &'a self,
         samples: &'a [TrajectorySample],
-    ) -> impl Iterator<Item = (Stamp, Pose2, Option<u32>)> + 'a {
+    ) -> impl Iterator<Item = (Stamp, Pose2, PlaceInMap)> + 'a {
         let poses = self.graph.poses();
         self.numbers.samples(samples).map(|sample| {
             let node = sample.node as usize;
-            (sample.stamp, poses[node] * sample.node_from_base, self.nodes[node].disconnected_component)
+            (sample.stamp, poses[node] * sample.node_from_base, self.place_of(&sample))
         })
+    }
+
+    /// What is known of a scan's place, `sample.node` being the back end's number.
+    pub fn place_of(&self, sample: &TrajectorySample) -> PlaceInMap {
+        let piece = self.nodes.get(sample.node as usize).map(Node::untied_piece);
+        match piece {
+            _ if sample.is_lost => PlaceInMap::Lost,
+            Some(Some(first_node)) => PlaceInMap::Untied(first_node),
+            _ => PlaceInMap::Known,
+        }
     }
 
     /// Whether a front end in this state can continue with this map: it made the map's newest node, and the map grows.

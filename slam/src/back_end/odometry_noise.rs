@@ -29,6 +29,9 @@ const DRIVEN_M: f64 = 0.15;
 /// Information added to each coordinate before inversion, 1/m² and 1/rad².
 const REGULARISATION: f64 = 1e-4;
 
+/// Share of the configured errors of odometry that repeat from node to node.
+const REPEATING_SHARE: f64 = 0.5;
+
 /// Mean of squared errors in variances, with the configuration as a prior.
 #[derive(Clone, Copy, Debug)]
 struct MeanSquare {
@@ -141,6 +144,13 @@ impl BackEnd {
             let sigmas = self.configured_odometry_sigmas(odometry.a_from_b);
             self.odometry_noise.observe(odometry.a_from_b, &link, sigmas);
         }
+    }
+
+    /// Errors of odometry that repeat from node to node, as a wrong wheel radius makes them, metres and radians per metre.
+    pub(super) fn repeating_odometry_errors(&self) -> [f64; 2] {
+        let [scale_m, scale_rad] = self.odometry_noise.scales();
+        let c = &self.config.odometry;
+        [REPEATING_SHARE * scale_m * c.sigma_m_per_m, REPEATING_SHARE * scale_rad * c.sigma_rad_per_m]
     }
 
     /// Standard deviations of a motion by odometry as configured, metres and radians.

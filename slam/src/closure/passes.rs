@@ -1,6 +1,6 @@
 //! Passes over a place: consecutive nodes of the path, and the comparison of two passes' scans.
 
-use super::COMPARED_SCANS;
+use super::{COMPARED_SCANS, ClosureDetector};
 use crate::cloud::Agreement;
 use crate::graph::Graph;
 use crate::node::Node;
@@ -46,6 +46,22 @@ impl<'a> GraphView<'a> {
             id as u32
         };
         (reach(-1), reach(1))
+    }
+}
+
+impl ClosureDetector {
+    /// Whether a node's own scan can be recognised. Where it sees next to nothing, the scans of its pass would be, and what odometry
+    /// drifted in between would count as known.
+    pub(super) fn sees_enough(&self, node: &Node) -> bool {
+        node.cloud.points().len() >= self.config.tracking.points_min
+    }
+
+    /// Whether the pass around one node covers the other one.
+    pub(super) fn same_pass(&self, graph: &Graph, a: u32, b: u32) -> bool {
+        let c = &self.config.closures;
+        let poses = &graph.poses()[a.min(b) as usize..=a.max(b) as usize];
+        let path_m: f64 = poses.windows(2).map(|p| p[0].distance_m(p[1])).sum();
+        path_m < c.chain_m && poses.len() <= c.chain_nodes
     }
 }
 

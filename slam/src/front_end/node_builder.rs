@@ -5,6 +5,9 @@ use crate::config::TrackingConfig;
 use crate::node::{Node, SweptPath};
 use msg::Pose2;
 
+/// Beyond this time in which nothing measured the motion, the place is unknown, seconds.
+pub(crate) const UNMEASURED_MAX_S: f32 = 1.5;
+
 /// Numbers nodes and decides when the next one is due.
 pub(super) struct NodeBuilder {
     /// Id of the next node.
@@ -63,7 +66,7 @@ impl NodeBuilder {
         let moved = newest.local_from_base.between(pose.local_from_base);
         let far = moved.x_m.hypot(moved.y_m) >= config.node_distance_m
             || moved.yaw_rad.abs() >= config.node_turn_rad;
-        core::mem::take(&mut self.requested) || far
+        core::mem::take(&mut self.requested) || far || self.unmeasured_s > UNMEASURED_MAX_S
     }
 
     /// Completes a node that goes to the back end. `keep_path`: whether the robot's footprint and path are known.

@@ -89,6 +89,7 @@ impl FrontEnd {
             state: if last.is_some() { TrackingState::Lost } else { TrackingState::Starting },
             fits: false,
             slipped: false,
+            open_sigma_m: f64::INFINITY,
         };
         let correction = self.correction(scan, &pose, None);
         ScanResult {

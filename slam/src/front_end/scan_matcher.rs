@@ -51,6 +51,8 @@ pub(super) struct TrackedPose {
     pub fits: bool,
     /// Whether the scan clearly contradicts odometry.
     pub slipped: bool,
+    /// Standard deviation in the direction that the scan leaves open most, metres; infinite if it fits nothing.
+    pub open_sigma_m: f64,
 }
 
 /// Surfaces of some newest nodes as a field to search in.
@@ -108,9 +110,11 @@ impl ScanMatcher {
             state: TrackingState::Lost,
             fits: false,
             slipped: false,
+            open_sigma_m: f64::INFINITY,
         };
         if self.references.is_empty() {
-            return TrackedPose { state: TrackingState::Starting, fits: true, ..predicted };
+            let state = TrackingState::Starting;
+            return TrackedPose { state, fits: true, open_sigma_m: 0.0, ..predicted };
         }
         if cloud.points().len() < config.tracking.points_min {
             let state = state_by_odometry(prediction);
@@ -187,10 +191,11 @@ impl ScanMatcher {
         }
         let floor = Matrix3::from_diagonal(&Vector3::from(COVARIANCE_FLOOR));
         let covariance = (fit.information_without_noise + information).try_inverse()? + floor;
-        let degenerate =
-            largest_sigma_m(&fit.information_without_noise)? > config.tracking.degenerate_sigma_m;
+        let open_sigma_m = largest_sigma_m(&fit.information_without_noise)?;
+        let degenerate = open_sigma_m > config.tracking.degenerate_sigma_m;
         let state = if degenerate { TrackingState::Degenerate } else { TrackingState::Tracking };
-        Some(TrackedPose { local_from_base: fit.frame_from_cloud, covariance, state, fits: true, slipped })
+        let local_from_base = fit.frame_from_cloud;
+        Some(TrackedPose { local_from_base, covariance, state, fits: true, slipped, open_sigma_m })
     }
 
     /// Whether a scan placed here and the reference scans see through what the other one saw, so that the

@@ -1,4 +1,4 @@
-//! Covariance of every node's pose in the map, along the best way through the graph from the map's first node.
+//! Covariance of every node's pose in the map, along the best way through the graph from one node of it.
 //!
 //! One way overestimates what all ways together would give if their errors were independent. They are not: links of one
 //! scan share its points, so that the sum over all ways claims too much.
@@ -7,8 +7,33 @@ use super::{Edge, EdgeKind, Graph, REGULARISATION};
 use msg::Pose2;
 use nalgebra::{Matrix3, Rotation2, Vector3};
 
-/// No standard deviation beyond what the edges claim.
-const NO_DRIFT: [f64; 2] = [0.0; 2];
+/// Degrees of freedom from which the links of a graph tell how good they are.
+const FREEDOM_MIN: f64 = 100.0;
+/// A link's error counts no more than this, in variances: three standard deviations.
+const CHI_SQUARED_MAX: f64 = 9.0;
+/// Links of one scan share its points, so that they agree better with each other than with the truth: their standard deviation is
+/// never taken to be less than half of what they claim, nor more than twice.
+const VARIANCE_FACTORS: [f64; 2] = [0.25, 4.0];
+
+/// What is known of the edges' errors beyond what they claim.
+#[derive(Clone, Copy, Debug)]
+struct EdgeErrors {
+    /// Standard deviation that is added to each edge but odometry's, metres and radians per metre.
+    drift: [f64; 2],
+    /// Variance of links and closures as a multiple of what they claim.
+    variance_factor: f64,
+    /// Errors of odometry that repeat, metres and radians per metre: where it alone ties nodes, they grow with the way and not with
+    /// its root.
+    repeating: [f64; 2],
+}
+
+/// A covariance along a way through the graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct WayCovariance {
+    covariance: Matrix3<f64>,
+    /// Length of the newest part of the way that odometry alone measured, metres.
+    odometry_m: f64,
+}
 
 /// Covariance of a pose over (x, y, yaw), seen from a place `moved` away (metres) that turns with it.
 pub(crate) fn carry_covariance(covariance: Matrix3<f64>, moved: [f64; 2]) -> Matrix3<f64> {
@@ -23,49 +48,81 @@ pub(crate) fn turn_covariance(covariance: Matrix3<f64>, yaw_rad: f64) -> Matrix3
 }
 
 impl Graph {
-    /// Covariance of a node's pose in the map over (x, y, yaw), relative to the map's first node.
+    /// Covariance of a node's pose in the map over (x, y, yaw), as seen from the node that covariances are seen from.
     pub fn covariance(&self, node: u32) -> Matrix3<f64> {
-        self.covariances[node as usize].unwrap_or_else(Matrix3::zeros)
+        self.covariances[node as usize].map_or_else(Matrix3::zeros, |way| way.covariance)
+    }
+
+    /// The node that the covariances are seen from.
+    pub fn covariances_seen_from(&self) -> u32 {
+        self.covariances_seen_from
     }
 
     /// Finds the newest node's covariance from its edges to older nodes.
     pub fn update_newest_covariance(&mut self) {
         let Some(newest) = self.poses.len().checked_sub(1) else { return };
+        let errors = self.learned_errors();
         let older = |edge: &Edge| if edge.a as usize == newest { edge.b } else { edge.a };
         let from_older = |edge: &Edge| {
             let known = self.covariances[older(edge) as usize]?;
-            self.covariance_across(edge, older(edge), known, NO_DRIFT)
+            self.covariance_across(edge, older(edge), known, errors)
         };
         let best = self
             .edges_of(newest as u32)
             .filter_map(from_older)
-            .min_by(|a, b| spread(a).total_cmp(&spread(b)));
+            .min_by(|a, b| a.spread().total_cmp(&b.spread()));
         self.covariances[newest] = best;
     }
 
-    /// Finds all covariances anew; `first` is the node whose pose in the map is certain.
-    pub fn update_covariances(&mut self, first: u32) {
-        self.covariances = self.covariances_from(first, None, NO_DRIFT);
+    /// Finds all covariances anew; `first` is the node whose pose in the map is certain, `repeating` the errors of odometry that
+    /// repeat, metres and radians per metre.
+    pub fn update_covariances(&mut self, first: u32, repeating: [f64; 2]) {
+        self.repeating_odometry_errors = repeating;
+        self.covariances_seen_from = first;
+        self.variance_factor = self.variance_of_unit_weight();
+        let errors = self.learned_errors();
+        self.covariances = self.covariances_from(first, None, errors);
     }
 
     /// Covariance of a node's pose as seen from another one, in the map's axes, along the best way; `None` if no edges join
     /// them. `drift` is a standard deviation that is added to each edge but odometry's, metres and radians per metre.
     pub fn relative_covariance(&self, from: u32, to: u32, drift: [f64; 2]) -> Option<Matrix3<f64>> {
-        self.covariances_from(from, Some(to), drift)[to as usize]
+        let errors = EdgeErrors { drift, variance_factor: 1.0, repeating: [0.0; 2] };
+        self.covariances_from(from, Some(to), errors)[to as usize].map(|way| way.covariance)
+    }
+
+    fn learned_errors(&self) -> EdgeErrors {
+        let repeating = self.repeating_odometry_errors;
+        EdgeErrors { drift: [0.0; 2], variance_factor: self.variance_factor, repeating }
+    }
+
+    /// How large the links' errors in the solved graph are, in variances that they claim: the variance of unit weight (Mikhail,
+    /// "Observations and Least Squares", 1976).
+    fn variance_of_unit_weight(&self) -> f64 {
+        let links = || self.edges.iter().filter(|edge| edge.in_force && edge.kind == EdgeKind::Link);
+        let squared: f64 = links().map(|edge| self.chi_squared(edge).min(CHI_SQUARED_MAX)).sum();
+        let freedom = 3.0 * (links().count() as f64 - self.poses.len() as f64 + 1.0);
+        let [least, most] = VARIANCE_FACTORS;
+        if freedom < FREEDOM_MIN { 1.0 } else { (squared / freedom).clamp(least, most) }
     }
 
     /// Covariances of all nodes as seen from `first`, or of those that are known no worse than node `last`.
-    fn covariances_from(&self, first: u32, last: Option<u32>, drift: [f64; 2]) -> Vec<Option<Matrix3<f64>>> {
+    fn covariances_from(
+        &self,
+        first: u32,
+        last: Option<u32>,
+        errors: EdgeErrors,
+    ) -> Vec<Option<WayCovariance>> {
         let mut covariances = vec![None; self.poses.len()];
         if first as usize >= self.poses.len() {
             return covariances;
         }
         let mut open = std::collections::BinaryHeap::new();
-        covariances[first as usize] = Some(Matrix3::zeros());
+        covariances[first as usize] = Some(WayCovariance { covariance: Matrix3::zeros(), odometry_m: 0.0 });
         open.push((core::cmp::Reverse(0_u64), first));
         while let Some((core::cmp::Reverse(bits), node)) = open.pop() {
             let Some(known) = covariances[node as usize] else { continue };
-            if spread(&known).to_bits() != bits {
+            if known.spread().to_bits() != bits {
                 continue;
             }
             if last == Some(node) {
@@ -73,10 +130,10 @@ impl Graph {
             }
             for edge in self.edges_of(node) {
                 let next = if edge.a == node { edge.b } else { edge.a };
-                let Some(there) = self.covariance_across(edge, node, known, drift) else { continue };
-                if covariances[next as usize].is_none_or(|known| spread(&there) < spread(&known)) {
+                let Some(there) = self.covariance_across(edge, node, known, errors) else { continue };
+                if covariances[next as usize].is_none_or(|known| there.spread() < known.spread()) {
                     covariances[next as usize] = Some(there);
-                    open.push((core::cmp::Reverse(spread(&there).to_bits()), next));
+                    open.push((core::cmp::Reverse(there.spread().to_bits()), next));
                 }
             }
         }
@@ -88,28 +145,41 @@ impl Graph {
         &self,
         edge: &Edge,
         from: u32,
-        known: Matrix3<f64>,
-        drift: [f64; 2],
-    ) -> Option<Matrix3<f64>> {
+        known: WayCovariance,
+        errors: EdgeErrors,
+    ) -> Option<WayCovariance> {
         let [a, b] = [edge.a, edge.b].map(|id| self.poses[id as usize]);
-        let information = self.information_between(edge.a, edge.b) + Matrix3::identity() * REGULARISATION;
-        let drifts = edge.kind != EdgeKind::Odometry;
-        let length_m = if drifts { edge.a_from_b.x_m.hypot(edge.a_from_b.y_m) } else { 0.0 };
-        let [drift_m2, drift_rad2] = drift.map(|per_m| (per_m * length_m).powi(2));
-        let drifted = Matrix3::from_diagonal(&Vector3::new(drift_m2, drift_m2, drift_rad2));
-        let measured = turn_covariance(information.try_inverse()?, a.yaw_rad) + drifted;
+        let is_scan = |e: &Edge| matches!(e.kind, EdgeKind::Link | EdgeKind::Closure);
+        let scaled =
+            |e: &Edge| if is_scan(e) { e.information / errors.variance_factor } else { e.information };
+        let same = || self.edges_of(edge.b).filter(|e| e.a == edge.a && e.b == edge.b);
+        let information = same().fold(Matrix3::identity() * REGULARISATION, |sum, e| sum + scaled(e));
+        let length_m = edge.a_from_b.x_m.hypot(edge.a_from_b.y_m);
+        let drifts_over_m = if edge.kind == EdgeKind::Odometry { 0.0 } else { length_m };
+        let is_odometry_alone = edge.kind == EdgeKind::Odometry && !same().any(is_scan);
+        let odometry_m = if is_odometry_alone { known.odometry_m + length_m } else { 0.0 };
+        let repeated = errors.repeating.map(|per_m| match is_odometry_alone {
+            true => per_m.powi(2) * (odometry_m.powi(2) - known.odometry_m.powi(2)),
+            false => 0.0,
+        });
+        let added = [0, 1].map(|k| (errors.drift[k] * drifts_over_m).powi(2) + repeated[k]);
+        let added = Matrix3::from_diagonal(&Vector3::new(added[0], added[0], added[1]));
+        let measured = turn_covariance(information.try_inverse()?, a.yaw_rad) + added;
         let moved = |from: Pose2, to: Pose2| [to.x_m - from.x_m, to.y_m - from.y_m];
-        Some(if from == edge.a {
-            carry_covariance(known, moved(a, b)) + measured
+        let covariance = if from == edge.a {
+            carry_covariance(known.covariance, moved(a, b)) + measured
         } else {
-            carry_covariance(known + measured, moved(b, a))
-        })
+            carry_covariance(known.covariance + measured, moved(b, a))
+        };
+        Some(WayCovariance { covariance, odometry_m })
     }
 }
 
-/// What the best way makes small: the variance of the position, m².
-fn spread(covariance: &Matrix3<f64>) -> f64 {
-    covariance[(0, 0)] + covariance[(1, 1)]
+impl WayCovariance {
+    /// What the best way makes small: the variance of the position, m².
+    fn spread(&self) -> f64 {
+        self.covariance[(0, 0)] + self.covariance[(1, 1)]
+    }
 }
 
 #[cfg(test)]
@@ -136,7 +206,7 @@ mod tests {
     #[test]
     fn the_covariance_grows_along_a_path_and_sideways_with_the_heading() {
         let mut graph = straight_path(11);
-        graph.update_covariances(0);
+        graph.update_covariances(0, [0.0; 2]);
         let end = graph.covariance(10);
         // Along: ten times 0.1 m. Sideways: each of the headings before moves all that follows.
         let sideways = 10.0 * 0.01 + (1..10).map(|k| f64::from(k * k)).sum::<f64>() * 4e-4;
@@ -153,7 +223,7 @@ mod tests {
             let [a, b] = ends.map(|id| graph.poses()[id as usize]);
             let information = information_from_sigmas(0.05, 0.01);
             graph.add_edge(ends, a.between(b), information, EdgeKind::Closure, [0.0; 2]);
-            graph.update_covariances(0);
+            graph.update_covariances(0, [0.0; 2]);
             let end = graph.covariance(10);
             assert!((end[(0, 0)] - 0.0025).abs() < 1e-4, "{end}");
             // Measured from the end, the heading's error moves the end sideways.
@@ -165,7 +235,7 @@ mod tests {
     #[test]
     fn the_newest_node_is_known_as_if_all_were_found_anew() {
         let mut graph = straight_path(5);
-        graph.update_covariances(0);
+        graph.update_covariances(0, [0.0; 2]);
         graph.add_node(Pose2::new(5.0, 0.0, 0.0));
         for older in [3, 4] {
             let moved = Pose2::new(f64::from(5 - older), 0.0, 0.0);
@@ -174,7 +244,7 @@ mod tests {
         }
         graph.update_newest_covariance();
         let at_once = graph.covariance(5);
-        graph.update_covariances(0);
+        graph.update_covariances(0, [0.0; 2]);
         assert_eq!(at_once, graph.covariance(5));
         assert!(
             at_once[(0, 0)] < graph.covariance(4)[(0, 0)],

@@ -47,6 +47,7 @@ impl Session {
             back.nodes.push(Node {
                 odometry_break: false,
                 disconnected_component: None,
+                uncertain_piece: None,
                 id: id as u32,
                 header: Header::default(),
                 local_from_base: map_from_base,

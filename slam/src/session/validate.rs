@@ -8,7 +8,7 @@ use crate::back_end::{BackEndState, DoubtMonitor};
 use crate::closure::ClosureCandidate;
 use crate::front_end::FrontEndState;
 use crate::graph::Edge;
-use crate::map_doubts::{MapDoubts, WallAgreement};
+use crate::map_doubts::{MapDoubts, NodeComparison, WallAgreement};
 use crate::node::{Node, Rays, SweptPath};
 use crate::relocalize::PoseEstimate;
 use msg::{BEAMS_MAX, Pose2};
@@ -216,10 +216,13 @@ fn check_back_end(back: &BackEndState) -> Result {
 
 fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
     check_count(doubts.walls.len(), nodes, "nodes compared with others")?;
-    let points = |agreement: &WallAgreement| {
-        [agreement.agree, agreement.contradict].iter().all(|points| *points <= COMPARED_POINTS_MAX)
+    let points = |comparison: &NodeComparison| {
+        let WallAgreement { agree, contradict } = comparison.walls;
+        [agree, contradict].iter().all(|points| *points <= COMPARED_POINTS_MAX)
     };
     check(doubts.walls.iter().flatten().all(points), "number of compared points")?;
+    let is_cut_valid = doubts.cut.is_none_or(|cut| cut.before < cut.after && (cut.after as usize) < nodes);
+    check(is_cut_valid, "place where the path is wrong")?;
     check(doubts.cursor <= nodes, "node compared anew")?;
     check(doubts.distant_relocations <= NUMBER_MAX, "number of distant relocations")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&doubts.unmeasured_s), "time without a measured motion")?;
@@ -229,8 +232,10 @@ fn check_doubts(doubts: &DoubtMonitor, nodes: usize) -> Result {
         unmeasured_motion_s,
         distant_relocations,
         position_sigma_m,
+        untied_share,
     } = doubts.current;
     check((0.0..=1.0).contains(&contradicted_share), "share of contradicted points")?;
+    check((0.0..=1.0).contains(&untied_share), "share of nodes that are not tied")?;
     check((0.0..=STRETCH_SIGMAS_MAX).contains(&odometry_stretch), "difference from odometry")?;
     check((0.0..=UNMEASURED_S_MAX).contains(&unmeasured_motion_s), "time without a measured motion")?;
     check(distant_relocations <= NUMBER_MAX, "number of distant relocations")?;

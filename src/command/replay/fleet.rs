@@ -306,8 +306,7 @@ fn write_trajectories(
         let known = robot.front.samples().iter().filter(|ride| (ride.node as usize) < poses.len());
         let trajectory = known.map(|ride| {
             let in_robot_map = poses[ride.node as usize] * ride.node_from_base;
-            let disconnected = robot.back.nodes()[ride.node as usize].disconnected_component;
-            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map, disconnected)
+            (ride.stamp, correction(robot, fleet, ride.node) * in_robot_map, robot.back.place_of(ride))
         });
         write_trajectory(&path, trajectory).map_err(|source| ReplayError::Write { path, source })?;
     }

@@ -90,7 +90,7 @@ impl Summary {
         }
         if s.disconnected_nodes > 0 {
             text += &format!(
-                "  missing   {} nodes in {} components that nothing connects with the map\n",
+                "  missing   {} nodes in {} pieces whose place in the map is not known\n",
                 s.disconnected_nodes, s.disconnected_components
             );
         }

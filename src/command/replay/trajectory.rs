@@ -1,20 +1,25 @@
 //! Trajectory files of a replay: one line a scan, as `evo` and the TUM benchmark read them.
 
 use msg::{Pose2, Stamp};
+use slam::PlaceInMap;
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 
-/// Writes one line a scan, `t x y z qx qy qz qw`: seconds, metres, unit quaternion. Scans of a component that nothing
-/// connects with the map are comments: their poses are in a frame of their own.
+/// Writes one line a scan, `t x y z qx qy qz qw`: seconds, metres, unit quaternion. Scans whose place
+/// in the map is not known are comments.
 pub(super) fn write_trajectory(
     path: &Path,
-    poses: impl Iterator<Item = (Stamp, Pose2, Option<u32>)>,
+    poses: impl Iterator<Item = (Stamp, Pose2, PlaceInMap)>,
 ) -> std::io::Result<()> {
     let mut file = BufWriter::new(File::create(path)?);
-    for (stamp, pose, disconnected) in poses {
-        if let Some(first_node) = disconnected {
-            write!(file, "# disconnected component {first_node}: ")?;
+    for (stamp, pose, place) in poses {
+        match place {
+            PlaceInMap::Known => {}
+            PlaceInMap::Untied(first_node) => {
+                write!(file, "# not tied to the map, piece of node {first_node}: ")?
+            }
+            PlaceInMap::Lost => write!(file, "# lost: ")?,
         }
         let microseconds = stamp.0.div_euclid(1000) + i64::from(stamp.0.rem_euclid(1000) >= 500);
         let sign = if microseconds < 0 { "-" } else { "" };

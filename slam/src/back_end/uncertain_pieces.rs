@@ -1,0 +1,147 @@
+//! Pieces of the map whose position is too uncertain: they are not part of it until a closure tells where they are.
+//!
+//! A place that may be metres from where it is drawn is worse than none. The graph keeps such a piece: closures are searched
+//! for as everywhere, and with the covariance the piece joins the map.
+
+use super::BackEnd;
+use crate::map_doubts::PathCut;
+
+/// A node whose position has a larger standard deviation, relative to the map, is not part of it, metres. Public logs of large
+/// buildings, whose maps are right, have up to 1.48.
+const POSITION_SIGMA_MAX_M: f64 = 1.5;
+/// Pieces that are tried as the map, a bound: the largest wins.
+const PIECES_MAX: usize = 16;
+
+impl BackEnd {
+    /// Finds the covariances of all nodes anew, and which nodes are known well enough as seen from one of them. Where these
+    /// are not all, the map is the largest such set, and the covariances are as seen from its first node.
+    pub(super) fn update_covariances(&mut self) {
+        for id in 0..self.nodes.len() as u32 {
+            self.nodes[id as usize].uncertain_piece = self.piece_beyond_cut(id);
+        }
+        let repeating = self.repeating_odometry_errors();
+        // First node and size of the largest piece.
+        let mut largest: Option<(u32, usize)> = None;
+        let mut seen_from = None;
+        for _ in 0..PIECES_MAX {
+            let Some(first) = self.nodes.iter().find(|node| node.in_map()).map(|node| node.id) else { break };
+            self.graph.update_covariances(first, repeating);
+            seen_from = Some(first);
+            let size = self.mark_piece(first);
+            if largest.is_none_or(|(_, most)| size > most) {
+                largest = Some((first, size));
+            }
+        }
+        let Some((first, _)) = largest else { return self.graph.update_covariances(0, repeating) };
+        if seen_from != Some(first) {
+            self.graph.update_covariances(first, repeating);
+        }
+        for id in 0..self.nodes.len() as u32 {
+            let (is_known, beyond_cut) = (self.is_position_known(id), self.piece_beyond_cut(id));
+            let node = &mut self.nodes[id as usize];
+            let is_uncertain = (!is_known || beyond_cut.is_some()) && node.disconnected_component.is_none();
+            node.uncertain_piece = is_uncertain.then(|| node.uncertain_piece.unwrap_or(id));
+        }
+    }
+
+    /// First node of the piece of a node that lies beyond the place where the path is wrong, as seen from the larger part of it.
+    fn piece_beyond_cut(&self, id: u32) -> Option<u32> {
+        let PathCut { before, after } = self.doubts.cut?;
+        let is_earlier_larger = before + 1 >= self.nodes.len() as u32 - after.min(self.nodes.len() as u32);
+        match is_earlier_larger {
+            true => (id > before).then_some(before + 1),
+            false => (id < after).then_some(0),
+        }
+    }
+
+    /// Marks the nodes of no piece yet that are known well enough as seen from `first`; returns their number.
+    fn mark_piece(&mut self, first: u32) -> usize {
+        let mut size = 0;
+        for id in first..self.nodes.len() as u32 {
+            if self.nodes[id as usize].is_tied() && self.is_position_known(id) {
+                self.nodes[id as usize].uncertain_piece = Some(first);
+                size += 1;
+            }
+        }
+        size
+    }
+
+    /// The node whose pose in the map is certain: covariances are as seen from it.
+    pub fn covariances_seen_from(&self) -> u32 {
+        self.graph.covariances_seen_from()
+    }
+
+    /// Judges the newest node by its covariance.
+    pub(super) fn judge_newest_position(&mut self) {
+        let Some(newest) = self.nodes.len().checked_sub(1) else { return };
+        let before = newest.checked_sub(1).and_then(|before| self.nodes[before].uncertain_piece);
+        let is_known =
+            self.is_position_known(newest as u32) && self.piece_beyond_cut(newest as u32).is_none();
+        let node = &mut self.nodes[newest];
+        let is_uncertain = !is_known && node.disconnected_component.is_none();
+        node.uncertain_piece = is_uncertain.then(|| before.unwrap_or(node.id));
+    }
+
+    fn is_position_known(&self, id: u32) -> bool {
+        let covariance = self.graph.covariance(id);
+        covariance[(0, 0)] + covariance[(1, 1)] <= POSITION_SIGMA_MAX_M.powi(2)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::common::{FULL, Noise, cast};
+    use crate::config::SlamConfig;
+    use crate::graph::EdgeKind;
+    use crate::node::Node;
+    use crate::testing::standing_node;
+    use msg::{Pose2, Stamp};
+    use posegraph::information_from_sigmas;
+
+    /// A path of 60 nodes along x, each metre; between the nodes 19 and 20 it is known to 3 m.
+    fn path_with_gap() -> BackEnd {
+        let mut back = BackEnd::new(SlamConfig::default());
+        for id in 0..60 {
+            let at = Pose2::new(f64::from(id), 0.0, 0.0);
+            let scan = cast(&[], &FULL, at, Stamp(i64::from(id)), &mut Noise::new(1));
+            back.graph.add_node(at);
+            back.nodes.push(standing_node(id, &scan, at, &back.config.lidar));
+            if id > 0 {
+                let sigma_m = if id == 20 { 3.0 } else { 0.01 };
+                let information = information_from_sigmas(sigma_m, 0.001);
+                let moved = Pose2::new(1.0, 0.0, 0.0);
+                back.graph.add_edge([id - 1, id], moved, information, EdgeKind::Link, [0.0; 2]);
+            }
+        }
+        back.update_covariances();
+        back
+    }
+
+    #[test]
+    fn the_largest_piece_that_is_known_is_the_map_until_a_closure_joins_them() {
+        let mut back = path_with_gap();
+        let pieces = |back: &BackEnd| back.nodes.iter().map(|node| node.uncertain_piece).collect::<Vec<_>>();
+        assert!(pieces(&back)[..20].iter().all(|piece| *piece == Some(0)), "{:?}", pieces(&back));
+        assert!(pieces(&back)[20..].iter().all(Option::is_none), "{:?}", pieces(&back));
+        assert_eq!((back.covariances_seen_from(), back.disconnected_components()), (20, 1));
+        assert_eq!(back.counts().disconnected, 20);
+        let closure = Pose2::new(30.0, 0.0, 0.0);
+        let information = information_from_sigmas(0.02, 0.003);
+        back.graph.add_edge([10, 40], closure, information, EdgeKind::Closure, [0.0; 2]);
+        back.update_covariances();
+        assert!(back.nodes.iter().all(Node::is_tied), "{:?}", pieces(&back));
+    }
+
+    #[test]
+    fn what_lies_beyond_a_wrong_motion_is_no_part_of_the_map() {
+        let mut back = path_with_gap();
+        back.doubts.cut = Some(PathCut { before: 49, after: 52 });
+        back.update_covariances();
+        assert!(back.nodes[20..50].iter().all(Node::is_tied));
+        assert!(back.nodes[50..].iter().all(|node| node.untied_piece() == Some(50)));
+        // The next node goes on beyond it.
+        back.judge_newest_position();
+        assert_eq!(back.nodes[59].untied_piece(), Some(50));
+    }
+}
