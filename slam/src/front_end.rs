@@ -12,7 +12,7 @@ mod scan_check;
 mod scan_matcher;
 mod state;
 
-pub(crate) use motion::{SILENT_MAX_S, SPEED_SIGMA_SHARE};
+pub(crate) use motion::SPEED_SIGMA_SHARE;
 pub(crate) use node_builder::UNMEASURED_MAX_S;
 pub use scan_check::ScanRejection;
 pub use state::FrontEndState;
@@ -171,9 +171,9 @@ impl FrontEnd {
         let prediction = self.predict(scan, odom_from_base);
         // Take the robot's motion out of the scan, and match it against the local map.
         let (beam_poses, cloud, pose) = self.deskew_and_match(scan, &prediction, odom_from_base);
+        self.count_unmeasured_time(stamp, &pose, odom_from_base);
         // Odometry that slipped, or that is back after it was missing, counts from the matched pose.
         self.rebase_odometry(&pose, odom_from_base);
-        self.count_unmeasured_time(stamp, &pose, odom_from_base);
         // Record where the robot's body was.
         self.stages.stage_started(Stage::Node);
         self.extend_swept_path(&pose);

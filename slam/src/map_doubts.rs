@@ -315,9 +315,9 @@ mod tests {
 
     #[test]
     fn a_path_is_cut_where_its_end_contradicts_its_beginning_and_not_for_a_door() {
-        // Carried off at an unknown place between nodes 19 and 20.
+        // Kidnapped at an unknown place between nodes 19 and 20.
         assert_eq!(path_cut(&second_pass(20)), Some(PathCut { before: 19, after: 20 }));
-        // Carried off on the second round: until then it agrees.
+        // Kidnapped on the second round: until then it agrees.
         assert_eq!(path_cut(&second_pass(27)), Some(PathCut { before: 26, after: 27 }));
         assert_eq!(path_cut(&second_pass(40)), None);
         // Two nodes see a door that was open.

@@ -101,12 +101,6 @@ impl OdometryBuffer {
         Self { continuous_from_odom, rejected, is_restored, ..buffer }
     }
 
-    /// Whether a message came between two stamps, `margin_s` after the first and before the last one.
-    pub fn has_message_between(&self, first: Stamp, last: Stamp, margin_s: f64) -> bool {
-        let stamps = self.poses.iter().map(|message| message.header.stamp);
-        stamps.into_iter().any(|stamp| stamp - first > margin_s && last - stamp > margin_s)
-    }
-
     /// Number of messages rejected.
     pub fn rejected(&self) -> u64 {
         self.rejected

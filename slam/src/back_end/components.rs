@@ -13,7 +13,7 @@ use super::modes::{FOUND_M, FOUND_RAD};
 use super::{BREAK_M, BREAK_RAD, BREAK_VARIANCE, BackEnd};
 use crate::closure::ClosureCandidate;
 use crate::cloud::Agreement;
-use crate::front_end::{SILENT_MAX_S, UNMEASURED_MAX_S};
+use crate::front_end::UNMEASURED_MAX_S;
 use crate::graph::{EdgeKind, RelativeUncertainty};
 use crate::node::Node;
 use crate::relocalize::{MapNodes, RelocalizationOutcome, Relocalizer};
@@ -192,12 +192,8 @@ impl BackEnd {
             || turned_rad > UNMEASURED_RAD
     }
 
-    /// Whether the odometry edge before a node is broken because the motion was not measured, for a time too short to carry the robot
-    /// off.
+    /// Whether the odometry edge before a node is broken because the motion was not measured.
     fn is_unmeasured_break(&self, id: u32) -> bool {
-        if f64::from(self.nodes[id as usize].unmeasured_s) > SILENT_MAX_S {
-            return false;
-        }
         let before = self.nodes[..id as usize].iter().rev().take_while(|node| !node.odometry_break);
         let unmeasured_s: f32 = before.map(|node| node.unmeasured_s).sum();
         unmeasured_s + self.nodes[id as usize].unmeasured_s > UNMEASURED_MAX_S

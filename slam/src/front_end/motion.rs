@@ -21,13 +21,6 @@ const ODOMETRY_JUMP_MARGIN_M: f64 = 1.0;
 /// Without odometry the speed is uncertain by this share of the robot's largest one (one standard deviation).
 pub(crate) const SPEED_SIGMA_SHARE: f64 = 0.3;
 
-/// Silence that a robot can be carried in, seconds, and as a multiple of the interval between the scans before.
-pub(crate) const SILENT_MAX_S: f64 = 4.0;
-const SILENT_INTERVALS: f64 = 10.0;
-/// Odometry of a robot that stood, metres and radians.
-const STOOD_M: f64 = 0.1;
-const STOOD_RAD: f64 = 0.1;
-
 /// Without odometry, a scan that leaves a direction open by a larger standard deviation measures nothing along it, metres.
 const UNMEASURED_SIGMA_M: f64 = 0.012;
 
@@ -102,16 +95,20 @@ impl FrontEnd {
         }
     }
 
-    /// Adds up the time in which the robot's motion is a guess: without odometry, while the scans leave a direction open.
+    /// Adds up the time in which the robot's motion is a guess: without odometry, while the scans leave a direction open. Odometry that
+    /// was missing for a while measures the whole motion since the newest reference, if it was there for that one.
     pub(super) fn count_unmeasured_time(
         &mut self,
         stamp: Stamp,
         pose: &TrackedPose,
         odom_from_base: Option<Pose2>,
     ) {
+        if odom_from_base.is_some() && self.motion.reference_odom_from_base.is_some() {
+            self.nodes.unmeasured_s = 0.0;
+            return;
+        }
         let leaves_open = pose.state == TrackingState::Lost || pose.open_sigma_m > UNMEASURED_SIGMA_M;
-        let is_measured = odom_from_base.is_some_and(|odom| !self.motion.was_silent(stamp, odom));
-        if let (true, false, Some(last)) = (leaves_open, is_measured, self.motion.last.as_ref()) {
+        if let (true, Some(last)) = (leaves_open, self.motion.last.as_ref()) {
             self.nodes.unmeasured_s += (stamp - last.stamp) as f32;
         }
     }
@@ -223,23 +220,6 @@ impl MotionModel {
     /// Odometry from the newest reference scan to now.
     pub fn moved_since_reference(&self, odom_from_base: Option<Pose2>) -> Option<Pose2> {
         self.reference_odom_from_base.zip(odom_from_base).map(|(before, now)| before.between(now))
-    }
-
-    /// Whether neither scans nor odometry came for seconds before this scan, and odometry counted no motion: the robot
-    /// stood, or it was switched off and carried.
-    pub fn was_silent(&self, stamp: Stamp, odom_from_base: Pose2) -> bool {
-        let Some(LastScan { stamp: last, odom_from_base: Some(before), motion: Some((_, usual_s)), .. }) =
-            self.last
-        else {
-            return false;
-        };
-        let moved = before.between(odom_from_base);
-        let has_moved = moved.x_m.hypot(moved.y_m) > STOOD_M || moved.yaw_rad.abs() > STOOD_RAD;
-        let seconds = stamp - last;
-        seconds > SILENT_MAX_S
-            && seconds > SILENT_INTERVALS * usual_s
-            && !has_moved
-            && !self.odometry.has_message_between(last, stamp, usual_s)
     }
 
     /// Records an accepted scan.
