@@ -62,20 +62,25 @@ async function waitForDriver(page, robot, pattern) {
   await page.waitForFunction(([of, wanted]) => new RegExp(wanted).test(document.querySelectorAll(".robot")[of - 1].querySelector("dd").textContent), [robot, pattern], WAIT);
 }
 
-/** Records a robot's speed in a page of its own, in `speeds`: time on this machine's clock, ms, and m/s. */
+/**
+ * Records a robot's speed in a page of its own, in `speeds`: when it was measured on this machine's clock, ms, and m/s. The time is the
+ * stamp of the odometry plus the least delay so far, so that how late a busy browser reads a message does not count.
+ */
 async function watchSpeed(browser, robot = 1) {
   const { page } = await open(browser);
   await page.evaluate(async (number) => {
     const { Connection } = await import("./transport.js");
     const { CdrReader } = await import("./cdr.js");
     globalThis.speeds = [];
+    let delayMs = Infinity;
     const message = (topic, view) => {
       const from = new CdrReader(view);
-      from.header();
+      const { stamp } = from.header();
       from.string();
       // Pose and its covariance, before the velocity.
       for (let i = 0; i < 7 + 36; i += 1) from.f64();
-      globalThis.speeds.push([performance.timeOrigin + performance.now(), from.f64()]);
+      delayMs = Math.min(delayMs, performance.timeOrigin + performance.now() - stamp * 1000);
+      globalThis.speeds.push([stamp * 1000 + delayMs, from.f64()]);
     };
     new Connection(location.origin.replace("http", "ws"), { message }).subscribe(`/robot${number}/odom`);
   }, robot);
