@@ -9,6 +9,8 @@ import { readString } from "./messages.js";
  * @property {string} a @property {string} b names of the robots @property {string} state
  * @property {number} occupied_f1 agreement of walls, 0 to 1 @property {number} null_f1_max the same by chance
  * @property {number} overlap_m2 @property {number} residual_m @property {number} closures @property {number} closures_rejected
+ * @property {number} compared_submaps @property {number} contradicted_submaps
+ * @property {boolean} contradicted whether these are so many that one of the two maps is bent, or lies wrong
  */
 
 /** States in which an edge joins two maps. */
@@ -19,7 +21,7 @@ const STATES = {
   dropped: "dropped, later maps contradict it",
 };
 
-/** Reads `/merge_edges`, a std_msgs/String with JSON. @returns {Edge[]} */
+/** Reads `/merge_edges`, a std_msgs/String with JSON: the edges, and names of the robots whose given start the maps contradict. @returns {{edges: Edge[], starts: string[]}} */
 export function readEdges(/** @type {DataView} */ view) {
   let json;
   try {
@@ -28,11 +30,14 @@ export function readEdges(/** @type {DataView} */ view) {
     throw new RangeError("the merge edges are not JSON");
   }
   if (!Array.isArray(json?.edges)) throw new RangeError("the merge edges have no list");
-  return json.edges;
+  return { edges: json.edges, starts: Array.isArray(json.contradicted_starts) ? json.contradicted_starts : [] };
 }
 
+/** Returns the number at the end of a robot's name; 0 if there is none. */
+export function numberOf(/** @type {string} */ name) { return Number(/\d+$/.exec(name)?.[0] ?? 0); }
+
 /** Returns the numbers of an edge's robots. @param {Edge} edge */
-export function robotsOf({ a, b }) { return [a, b].map((name) => Number(/\d+$/.exec(name)?.[0] ?? 0)); }
+export function robotsOf({ a, b }) { return [a, b].map(numberOf); }
 
 /** Returns an edge's state and evidence: two short texts. @param {Edge} edge */
 export function describeEdge(edge) {

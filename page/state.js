@@ -2,7 +2,7 @@
 
 import { RunClock } from "./clock.js";
 import { FrameTree, compose, wrap } from "./geometry.js";
-import { readEdges, robotsOf } from "./edges.js";
+import { numberOf, readEdges, robotsOf } from "./edges.js";
 import { readExploration } from "./exploration.js";
 import { readZones } from "./zones.js";
 import { hasGoal, receiveNavigation } from "./goals.js";
@@ -116,6 +116,8 @@ export class Fleet {
     this.runTime = 0;
     /** How the robots' maps lie to each other. @type {import("./edges.js").Edge[]} */
     this.edges = [];
+    /** Names of the robots whose given start the maps contradict. @type {string[]} */
+    this.contradictedStarts = [];
     /** What exploration does, or null if nobody has said. @type {import("./exploration.js").Exploration | null} */
     this.exploration = null;
     /** The areas that navigation keeps robots out of. @type {import("./zones.js").Zone[]} */
@@ -152,7 +154,7 @@ export class Fleet {
     this.clock.reset();
     this.frames = new FrameTree();
     this.merged.clear();
-    Object.assign(this, { seen: null, edges: [], exploration: null, zones: [], area: [] });
+    Object.assign(this, { seen: null, edges: [], contradictedStarts: [], exploration: null, zones: [], area: [] });
     for (const robot of this.robots.values()) {
       const { number, prefix, figures } = robot;
       Object.assign(robot, new Robot(number, prefix), { figures });
@@ -198,7 +200,7 @@ export class Fleet {
       return undefined;
     }
     if (topic === "/merge_edges") {
-      this.edges = readEdges(view);
+      ({ edges: this.edges, starts: this.contradictedStarts } = readEdges(view));
       return undefined;
     }
     if (topic === "/exclusion_zones") {
@@ -339,6 +341,14 @@ export class Fleet {
       const [robot, other] = robotsOf(edge);
       const text = `its map is no longer joined with that of ${other}: they contradict each other`;
       items.push({ rank: 4, robot, text, key: `edge ${robot} ${other}` });
+    }
+    for (const edge of this.edges.filter(({ contradicted }) => contradicted)) {
+      const [robot, other] = robotsOf(edge);
+      const places = `${edge.contradicted_submaps} of ${edge.compared_submaps} places`;
+      items.push({ rank: 2, robot, text: `its map and that of ${other} contradict each other in ${places}: one is bent, or lies wrong`, key: `bent ${robot} ${other}` });
+    }
+    for (const robot of this.contradictedStarts.map(numberOf)) {
+      items.push({ rank: 4, robot, text: "its given start contradicts the maps: its place comes from the maps", key: `start ${robot}` });
     }
     if (this.exploration?.state === "failed") addOfFleet(3, "exploration", `exploration failed: ${this.exploration.reason}`);
     return items.sort((a, b) => a.rank - b.rank || (a.robot ?? 0) - (b.robot ?? 0));

@@ -160,9 +160,9 @@ impl Observer {
         }
     }
 
-    /// Newest edges between robots' maps.
-    pub fn merge_edges(&self) -> Vec<EdgeView> {
-        self.newest_edges.edges().iter().map(EdgeView::new).collect()
+    /// Newest edges between robots' maps, and contradicted starts.
+    pub fn merge_edges(&self) -> &MergeEdges {
+        &self.newest_edges
     }
 
     /// Receives edges and returns those whose state has changed since the last call.
@@ -196,7 +196,7 @@ impl Observer {
     /// without extension, and the errors of those that could not be written.
     pub fn write_maps(&self, dir: &Path) -> (Vec<PathBuf>, Vec<map_file::MapFileError>) {
         let robots = RobotId::first(self.maps.len()).map(|robot| self.unreliable.reasons_of_robot(robot));
-        let merged = self.unreliable.reasons_of_merged_map(self.map_transforms());
+        let merged = self.unreliable.reasons_of_merged_map(self.map_transforms(), &self.newest_edges);
         let seen = self.maps.iter().zip(robots).chain([(&self.merged_map, merged)]);
         let seen = seen.filter(|(watch, _)| watch.reader.map().tiles().next().is_some());
         let (mut written, mut errors) = (Vec::new(), Vec::new());

@@ -8,17 +8,20 @@
 //! Candidates are ranked by their walls alone, because floor agrees with floor almost anywhere. Whether the best one is
 //! accepted depends on both maps' cells too ([`AlignConfig`]).
 
+mod contradicted;
 mod distance_field;
 mod fft2;
 mod null;
 mod objects;
 mod points;
 mod refine;
+mod refusal;
 mod repeated;
 mod spectrum;
 mod translation;
 mod wall_match;
 
+pub(crate) use contradicted::ComparedParts;
 pub(crate) use distance_field::DistanceField;
 pub(crate) use null::max_null_f1;
 pub(crate) use points::MapPoints;
@@ -28,9 +31,10 @@ pub(crate) use wall_match::{WallMatch, match_walls};
 use crate::config::{AlignConfig, WallConfig};
 use crate::limits::{RESOLUTION_M, is_plausible};
 use msg::grid_agreement::{GridAgreement, compare_grids};
-use msg::{GridView, Pose2, pose::wrap_angle};
+use msg::{AlignmentRefusal, GridView, Pose2, pose::wrap_angle};
 use objects::{ObjectMatch, ObjectPoints, match_objects};
 use refine::{COARSE_KERNELS_M, FINE_KERNELS_M};
+use refusal::refusal_of;
 use repeated::repeated_places;
 use serde::{Deserialize, Serialize};
 use translation::{COARSE_CELL_M, CoarseCandidate, TranslationSearch};
@@ -71,6 +75,9 @@ pub struct Alignment {
     pub a_from_b: Pose2,
     /// Whether it passed every threshold of the [`AlignConfig`].
     pub accepted: bool,
+    /// The first threshold that it fails; none if it is accepted, and after a restart.
+    #[serde(skip)]
+    pub refusal: Option<AlignmentRefusal>,
     /// Occupied cells that the other map has too, of both maps together.
     pub inliers: u32,
     /// F1 of occupied cells at the tolerance of [`WallConfig::tolerance_m`], 0 to 1.
@@ -360,19 +367,10 @@ fn judge(
     let [walls_a_m, walls_b_m] =
         [(a, 0), (b, 1)].map(|(map, k)| occupied_found[k] as f64 * map.header.resolution_m);
     let inliers = (occupied_found[0] + occupied_found[1]) as u32;
-    let factor = if overlap_share < SMALL_OVERLAP_SHARE { SMALL_OVERLAP_FACTOR } else { 1.0 };
-    let accepted = agreement >= config.agreement_min
-        && occupied_f1 >= config.occupied_f1_min
-        && place.is_possible(config)
-        && objects.matched_m >= config.objects_min_m
-        && overlap_m2 >= factor * config.overlap_min_m2
-        && walls_a_m + walls_b_m >= config.walls_min_m - WALLS_ROUNDING_M
-        && margins.score >= config.margin_min
-        && margins.objects >= config.objects_margin_min
-        && walls.observability >= config.observability_min;
-    Alignment {
+    let mut found = Alignment {
         a_from_b,
-        accepted,
+        accepted: false,
+        refusal: None,
         inliers,
         occupied_f1,
         agreement,
@@ -386,7 +384,10 @@ fn judge(
         margin: margins.score,
         objects_margin: margins.objects,
         observability: walls.observability,
-    }
+    };
+    found.refusal = refusal_of(&found, walls_a_m + walls_b_m, config);
+    found.accepted = found.refusal.is_none();
+    found
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@
 //! | file | part |
 //! |---|---|
 //! | `submaps`, `estimate`, `robot` | one robot: what its SLAM sent, where it lies, its redrawn map (`compose`) |
-//! | `edge`, `closures`, `pair` | two robots: state and evidence of their edge, relations of their submaps |
+//! | `edge`, `closures`, `starts`, `pair` | two robots: state and evidence of their edge, relations of their submaps, what their maps say of given starts |
 //! | `alignment` | candidates and checks of whole maps, and when they are due |
 //! | `submap_match` | candidates of closures, verified |
 //! | `consistency`, `joint` | consistent set, joint solution |
@@ -31,6 +31,7 @@ mod joint;
 mod pair;
 mod robot;
 mod snapshot;
+mod starts;
 mod submap_match;
 mod submaps;
 mod task;
@@ -231,23 +232,20 @@ impl FleetPoseGraph {
             return;
         }
         match outcome.result {
-            JobResult::Aligned(maps) => {
-                if maps.apply(&mut self.pairs, self.maps_are_complete) {
-                    self.graph_changed();
-                }
-            }
-            JobResult::Checked(maps) => {
-                if maps.apply(&mut self.pairs) {
-                    self.graph_changed();
-                }
-            }
+            JobResult::Aligned(maps) => self.apply_alignment(maps),
+            JobResult::Checked(maps) => self.apply_check(*maps),
             JobResult::Matched(submaps) => {
                 let [a, b] = robots_of_pair(submaps.pair).map(|robot| &self.robots[robot]);
                 self.needs_solve |= self.pairs[submaps.pair].closures.record(a, b, submaps);
             }
             JobResult::Solved(Ok(solution)) => {
                 self.solves.succeeded += 1;
+                let contradicted = solution.contradicted_start();
                 solution.apply(&mut self.robots, &mut self.pairs);
+                if let Some(robot) = contradicted {
+                    self.robots[robot].forget_start();
+                    self.graph_changed();
+                }
             }
             // The estimate stays what it was; the graph is solved again when something changes.
             JobResult::Solved(Err(_)) => self.solves.failed += 1,
@@ -280,7 +278,7 @@ impl FleetPoseGraph {
         self.robots.get(robot.index())?.redrawn_map()
     }
 
-    /// Writes the state of each pair of robots, with its evidence, into a message.
+    /// Writes the state of each pair of robots, with its evidence, and the contradicted starts into a message.
     ///
     /// If there are more pairs than places, those without an edge are left out first, and then the last.
     pub fn write_edges(&self, out: &mut MergeEdges) {
@@ -294,6 +292,8 @@ impl FleetPoseGraph {
         }
         out.len = written as u32;
         out.left_out = (self.pairs.len() - written) as u32;
+        let contradicted = self.robots.iter().enumerate().filter(|(_, robot)| robot.is_start_contradicted);
+        out.contradicted = contradicted.fold(0, |bits, (index, _)| bits | 1 << index);
     }
 
     /// Returns the number of solutions of the joint graph so far.

@@ -1,6 +1,6 @@
 //! Messages with the transforms between pairs of robots' maps (merge edges) and their evidence.
 
-use crate::{Header, Pose2, RobotId, Sender};
+use crate::{AlignmentRefusal, Header, Pose2, ROBOTS_MAX, RobotId, Sender};
 use bytemuck::{Pod, Zeroable};
 
 /// Most edges in one message: all pairs of 16 robots. Those of the largest fleet would have 0.3 MB.
@@ -72,6 +72,14 @@ pub struct MergeEdge {
     pub closures_rejected: u32,
     /// Number of alignments attempted.
     pub tries: u32,
+    /// Code of an [`AlignmentRefusal`], why the newest alignment did not join the two maps; 0: none, or no alignment was tried.
+    pub refusal: u32,
+    /// 0: fills the row up to eight bytes.
+    pub reserved: u32,
+    /// Number of submaps of both robots that share walls with the other robot's map, at the newest check.
+    pub compared_submaps: u32,
+    /// Number of these that the other map contradicts: its floor is where their walls are.
+    pub contradicted_submaps: u32,
     /// Mean distance between matched walls, metres.
     pub residual_m: f64,
     /// Mean residual of the closures in the fleet's pose graph, metres.
@@ -92,7 +100,24 @@ pub struct MergeEdge {
     pub margin: f64,
 }
 
+/// Least number of contradicted submaps, and their least share of the compared ones, from which two maps contradict each other.
+/// Few of right pairs have one, where furniture was moved.
+const CONTRADICTED_SUBMAPS_MIN: (u32, f64) = (2, 0.1);
+
 impl MergeEdge {
+    /// Returns whether the two maps contradict each other in places where the fleet's graph has them: one of them is bent, or lies
+    /// wrong.
+    pub fn is_contradicted(&self) -> bool {
+        let (count_min, share_min) = CONTRADICTED_SUBMAPS_MIN;
+        let share = f64::from(self.contradicted_submaps) / f64::from(self.compared_submaps.max(1));
+        self.contradicted_submaps >= count_min && share >= share_min
+    }
+
+    /// Returns why the newest alignment did not join the two maps; `None` if it did, or none was tried.
+    pub fn refusal(&self) -> Option<AlignmentRefusal> {
+        AlignmentRefusal::from_code(self.refusal)
+    }
+
     /// Decodes the state; an unknown code reads as [`EdgeState::None`].
     pub fn state(&self) -> EdgeState {
         EdgeState::from_code(self.state).unwrap_or(EdgeState::None)
@@ -113,6 +138,9 @@ pub struct MergeEdges {
     pub refused: u32,
     /// Number of edges that have no place in the message.
     pub left_out: u32,
+    /// Robots whose given start the maps contradict, as bits by [`RobotId::index`]. Read them by
+    /// [`MergeEdges::contradicted_starts`].
+    pub contradicted: u64,
     /// Edges in the order of pairs of robots (1, 2), (1, 3), (2, 3), (1, 4) and so on. Of a fleet with more pairs than
     /// places, those that were never found are left out first.
     pub edges: [MergeEdge; MERGE_EDGES_MAX],
@@ -128,6 +156,11 @@ impl MergeEdges {
     /// Returns the edges in use.
     pub fn edges(&self) -> &[MergeEdge] {
         &self.edges[..(self.len as usize).min(MERGE_EDGES_MAX)]
+    }
+
+    /// Returns the robots whose given start the maps contradict. These starts are not used.
+    pub fn contradicted_starts(&self) -> impl Iterator<Item = RobotId> {
+        RobotId::first(ROBOTS_MAX).filter(|robot| self.contradicted & (1 << robot.index()) != 0)
     }
 }
 

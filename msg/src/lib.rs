@@ -43,6 +43,7 @@ mod zones;
 pub mod grid;
 pub mod grid_agreement;
 pub mod rect;
+mod refusal;
 mod slam;
 mod submap;
 mod swept_disk;
@@ -63,6 +64,7 @@ pub use navigation::{
 };
 pub use pose::Pose2;
 pub use rect::Rect;
+pub use refusal::AlignmentRefusal;
 pub use scan::{BEAMS_MAX, Scan, ScanDemand, ScanPurpose};
 pub use sender::{OperatorAction, OperatorEvent, Sender, SenderKind};
 pub use service::{

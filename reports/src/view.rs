@@ -12,7 +12,8 @@ pub use slam::{ClosureView, SlamView};
 use crate::BridgeState;
 
 use msg::{
-    Distribution, FleetStats, MAP_OLD_AFTER_S, Pose2, ProcessStats, RobotId, RobotStats, Role, TrackingState,
+    Distribution, FleetStats, MAP_OLD_AFTER_S, MergeEdges, Pose2, ProcessStats, RobotId, RobotStats, Role,
+    TrackingState,
 };
 use serde::Serialize;
 
@@ -48,6 +49,8 @@ pub struct FleetView {
     pub against_room: Option<AgainstRoomView>,
     /// Edges between robots' maps, with their evidence; empty if merging was not asked.
     pub merge_edges: Vec<EdgeView>,
+    /// Robots whose given start the maps contradict: their places come from the maps.
+    pub contradicted_starts: Vec<String>,
     /// Health of each process.
     pub processes: Vec<ProcessView>,
     /// State of the bridge; `None`: it was not asked, or did not answer.
@@ -210,8 +213,21 @@ impl FleetView {
                 wall_thickness_m: stats.wall_thickness_m,
             }),
             merge_edges: Vec::new(),
+            contradicted_starts: Vec::new(),
             processes: stats.processes.iter().filter_map(ProcessView::new).collect(),
             bridge: None,
+        }
+    }
+}
+
+impl FleetView {
+    /// Adds what merging says of the robots' maps.
+    #[must_use]
+    pub fn with_edges(self, edges: &MergeEdges) -> Self {
+        Self {
+            merge_edges: edges.edges().iter().map(EdgeView::new).collect(),
+            contradicted_starts: edges.contradicted_starts().map(|robot| robot.to_string()).collect(),
+            ..self
         }
     }
 }

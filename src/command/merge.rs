@@ -3,7 +3,7 @@
 use super::output;
 use formats::map_file::{MapFileError, read_doubted_map, write_doubted_map};
 use merge::{AlignConfig, Alignment, MapRejected, MergeConfig, Merger, align};
-use msg::{Grid, GridHeader, GridView, Pose2, ROBOTS_MAX, RobotId};
+use msg::{AlignmentRefusal, Grid, GridHeader, GridView, Pose2, ROBOTS_MAX, RobotId};
 use serde_json::json;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -162,6 +162,7 @@ fn as_json(name: &str, place: &Place) -> serde_json::Value {
     json!({
         "map": name,
         "accepted": found.accepted,
+        "why_not": found.refusal.map(AlignmentRefusal::text),
         "x": found.a_from_b.x_m,
         "y": found.a_from_b.y_m,
         "theta": found.a_from_b.yaw_rad,
@@ -194,7 +195,10 @@ fn as_text(name: &str, place: &Place) -> String {
         found.margin,
         place.ms
     );
-    let verdict = if found.accepted { "lies at" } else { "refused; the best place would be" };
+    let verdict = match found.refusal {
+        None => "lies at".into(),
+        Some(refusal) => format!("refused, {}; the best place would be", refusal.text()),
+    };
     format!("{name}: {verdict} x {x_m:.3} m, y {y_m:.3} m, {:.2} degrees ({evidence})", yaw_rad.to_degrees())
 }
 

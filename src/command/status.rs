@@ -67,5 +67,5 @@ fn newest_figures(run: &Run) -> Result<FleetView, StatusError> {
     observer.changed_edges();
     // Figures without the bridge's state are still worth having: it may just be restarting.
     let bridge = control::ask(run, Request::State, PATIENCE).ok();
-    Ok(FleetView { bridge, merge_edges: observer.merge_edges(), ..view })
+    Ok(FleetView { bridge, ..view.with_edges(observer.merge_edges()) })
 }

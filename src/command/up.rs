@@ -370,7 +370,7 @@ fn check_resources(run: &Run, screen: &mut Screen) -> Result<(), UpError> {
 
 fn fleet_view(run: &Run, observer: &Observer, bridge: Option<BridgeState>) -> Option<FleetView> {
     let view = FleetView::new(observer.stats()?).without_given_transforms(run.config.fleet.starts_known);
-    Some(FleetView { bridge, merge_edges: observer.merge_edges(), ..view })
+    Some(FleetView { bridge, ..view.with_edges(observer.merge_edges()) })
 }
 
 /// Returns a folder name that sorts by time, UTC.

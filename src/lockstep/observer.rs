@@ -5,7 +5,9 @@ use crate::channel::{self, Opener, Program};
 use crate::observer::kept_place;
 use crate::ports::{ChannelError, Ports, ReadMapPort, ReadPort};
 use crate::run::Run;
-use msg::{Correction, DenseMap, FleetStats, GridView, GroundTruth, MapTransforms, Pose2, RobotId, Role};
+use msg::{
+    Correction, DenseMap, FleetStats, GridView, GroundTruth, MapTransforms, MergeEdges, Pose2, RobotId, Role,
+};
 use std::rc::Rc;
 use telemetry::UnreliableMaps;
 
@@ -19,6 +21,8 @@ pub struct Observer {
     robots: Vec<LastSeen>,
     transforms: QueueReader<MapTransforms>,
     newest_transforms: Option<Box<MapTransforms>>,
+    edges: QueueReader<MergeEdges>,
+    newest_edges: Box<MergeEdges>,
     unreliable: UnreliableMaps,
 }
 
@@ -56,6 +60,8 @@ impl Observer {
             robots: run.robots().map(last_seen).collect::<Result<_, ChannelError>>()?,
             transforms: ports.reader(&channel::map_transforms())?,
             newest_transforms: None,
+            edges: ports.reader(&channel::merge_edges())?,
+            newest_edges: Box::default(),
             unreliable: UnreliableMaps::default(),
         })
     }
@@ -81,12 +87,15 @@ impl Observer {
         if let Some(transforms) = self.transforms.newest() {
             self.newest_transforms = Some(Box::new(*transforms));
         }
+        if let Some(edges) = self.edges.newest() {
+            *self.newest_edges = *edges;
+        }
     }
 
     /// Returns every map received so far, with its name and the reasons why it is unreliable.
     pub fn maps(&mut self) -> impl Iterator<Item = (&str, GridView<'_>, Vec<String>)> {
         let (unreliable, transforms) = (self.unreliable, self.newest_transforms.as_deref());
-        let merged = unreliable.reasons_of_merged_map(transforms);
+        let merged = unreliable.reasons_of_merged_map(transforms, &self.newest_edges);
         let robots = RobotId::first(self.robots.len()).map(move |robot| unreliable.reasons_of_robot(robot));
         let seen = self.maps.iter_mut().zip(robots.chain([merged]));
         let seen = seen.filter(|((_, reader, _), _)| reader.map().tiles().next().is_some());

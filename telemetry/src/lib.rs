@@ -25,7 +25,7 @@ mod unreliable_maps;
 
 pub use fleet::Telemetry;
 pub use histogram::Histogram;
-pub use unreliable_maps::UnreliableMaps;
+pub use unreliable_maps::{UnreliableMaps, contradictions};
 
 #[cfg(test)]
 mod testing;

@@ -1,6 +1,6 @@
-//! Which maps are unreliable, by what SLAM last said of each robot's.
+//! Which maps are unreliable, by what SLAM last said of each robot's and merging of each pair's.
 
-use msg::{Correction, MapTransforms, ROBOTS_MAX, RobotId, TrackingState};
+use msg::{Correction, MapTransforms, MergeEdges, ROBOTS_MAX, RobotId, TrackingState};
 
 /// Why a robot's map is unreliable: its corrections do not carry SLAM's evidence.
 const REASON: &str = "SLAM found evidence that this map is wrong (state unreliable)";
@@ -35,20 +35,38 @@ impl UnreliableMaps {
         is_unreliable.then(|| REASON.to_owned()).into_iter().collect()
     }
 
-    /// Returns why the merged map is unreliable: the reasons of the robots whose maps are in it, each with its robot.
-    pub fn reasons_of_merged_map(&self, transforms: Option<&MapTransforms>) -> Vec<String> {
+    /// Returns why the merged map is unreliable: the reasons of the robots whose maps are in it, each with its robot, and the pairs
+    /// of robots whose maps contradict each other.
+    pub fn reasons_of_merged_map(
+        &self,
+        transforms: Option<&MapTransforms>,
+        edges: &MergeEdges,
+    ) -> Vec<String> {
         let is_merged = |robot: &RobotId| {
             transforms.is_some_and(|transforms| transforms.robots[robot.index()].known_pose().is_some())
         };
         let unreliable = RobotId::first(ROBOTS_MAX).filter(|robot| self.robots[robot.index()]);
-        unreliable.filter(is_merged).map(|robot| format!("{robot}: {REASON}")).collect()
+        let of_robots = unreliable.filter(is_merged).map(|robot| format!("{robot}: {REASON}"));
+        of_robots.chain(contradictions(edges)).collect()
     }
+}
+
+/// Returns the pairs of robots whose maps contradict each other where merging puts them.
+pub fn contradictions(edges: &MergeEdges) -> impl Iterator<Item = String> {
+    let contradicted = edges.edges().iter().filter(|edge| edge.is_contradicted());
+    contradicted.map(|edge| {
+        let (count, of) = (edge.contradicted_submaps, edge.compared_submaps);
+        format!(
+            "robot{} and robot{}: their maps contradict each other in {count} of {of} places",
+            edge.a, edge.b
+        )
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use msg::MapTransform;
+    use msg::{MapTransform, MergeEdge};
 
     fn correction(state: TrackingState) -> Correction {
         Correction { state: state as u32, ..Correction::default() }
@@ -64,11 +82,18 @@ mod tests {
         assert_eq!(maps.reasons_of_robot(second).len(), 1);
         let mut transforms = MapTransforms::default();
         transforms.robots[0] = MapTransform { known: 1, ..MapTransform::default() };
-        assert!(maps.reasons_of_merged_map(Some(&transforms)).is_empty(), "robot 2 is not in it");
+        let mut edges = MergeEdges::default();
+        assert!(maps.reasons_of_merged_map(Some(&transforms), &edges).is_empty(), "robot 2 is not in it");
         transforms.robots[1] = transforms.robots[0];
-        let reasons = maps.reasons_of_merged_map(Some(&transforms));
+        let reasons = maps.reasons_of_merged_map(Some(&transforms), &edges);
         assert!(reasons.len() == 1 && reasons[0].starts_with("robot2: "), "{reasons:?}");
         maps.record(second, &correction(TrackingState::Tracking));
         assert!(maps.reasons_of_robot(second).is_empty());
+        (edges.len, edges.edges[0]) =
+            (1, MergeEdge { a: 1, b: 2, compared_submaps: 20, ..MergeEdge::default() });
+        assert!(maps.reasons_of_merged_map(Some(&transforms), &edges).is_empty());
+        edges.edges[0].contradicted_submaps = 7;
+        let reasons = maps.reasons_of_merged_map(Some(&transforms), &edges);
+        assert_eq!(reasons, ["robot1 and robot2: their maps contradict each other in 7 of 20 places"]);
     }
 }

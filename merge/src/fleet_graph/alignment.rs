@@ -5,8 +5,8 @@ use super::edge::{CheckResult, Evidence};
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
 use super::submaps::SubmapStore;
-use crate::align::{align, evaluate, max_null_f1};
-use crate::config::{AlignConfig, CheckConfig, MergeConfig};
+use crate::align::{ComparedParts, align, evaluate, max_null_f1};
+use crate::config::{AlignConfig, MergeConfig};
 use msg::{Grid, Pose2};
 
 /// Least number of nodes of a robot whose map is aligned: smaller maps hold too little evidence.
@@ -17,8 +17,14 @@ const GROWTH_FACTOR: f64 = 1.15;
 const GROWTH_NODES: u32 = 4;
 /// The same for a pair whose candidate waits for its second alignment.
 const GROWTH_NODES_OF_CANDIDATE: u32 = 2;
-/// An active edge is checked again when its nodes have grown by this factor.
+/// The same factor for a pair whose starts are given: alignments only confirm them.
+const GROWTH_FACTOR_OF_STARTS: f64 = 2.0;
+/// A pair is checked again when its nodes have grown by this factor.
 const CHECK_GROWTH_FACTOR: f64 = 1.25;
+/// Distance that a robot has driven when its submaps begin to say more of its drift than of its start, metres.
+const NEAR_START_M: f64 = 10.0;
+/// Most submaps of a robot that a check compares with the other's map, evenly along its way.
+const COMPARED_SUBMAPS_MAX: usize = 32;
 /// Submaps in a window of a robot's map, its newest: drift has hardly deformed them. Robots with fewer than twice as many
 /// have no window.
 const WINDOW_SUBMAPS: usize = 5;
@@ -45,7 +51,10 @@ pub(crate) struct MapsAligned {
 #[derive(Debug)]
 pub(crate) struct CheckJob {
     pair: usize,
+    nodes: u32,
     maps: [Vec<PlacedSubmap>; 2],
+    /// Both maps near their starts, each in its own frame, and the relation of the given starts.
+    at_starts: Option<([Vec<PlacedSubmap>; 2], Pose2)>,
     config: MergeConfig,
 }
 
@@ -53,8 +62,12 @@ pub(crate) struct CheckJob {
 #[derive(Debug)]
 pub(crate) struct MapsChecked {
     pair: usize,
-    found: Option<Evidence>,
-    config: CheckConfig,
+    /// Nodes of both robots together.
+    nodes: u32,
+    found: Option<(Evidence, ComparedParts)>,
+    /// The relation of the given starts, and what the maps say of it.
+    at_starts: Option<(Pose2, Evidence)>,
+    config: MergeConfig,
 }
 
 /// Returns the next alignment. Of the pairs that are not in one graph and have grown, it is a candidate or else the one
@@ -83,42 +96,63 @@ pub(crate) fn next_alignment(
     Some(AlignJob { pair: index, nodes, maps, config: config.align.clone() })
 }
 
-/// Returns the next check of an active edge whose maps have grown.
+/// Returns the next check of two maps that have grown, and that an active edge or given starts relate.
 pub(crate) fn next_check(
     robots: &[Robot],
     pairs: &mut [RobotPair],
     config: &MergeConfig,
 ) -> Option<CheckJob> {
-    for (index, pair) in pairs.iter_mut().enumerate().filter(|(_, pair)| pair.edge.is_active()) {
+    for (index, pair) in pairs.iter_mut().enumerate() {
         let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
+        if !pair.edge.is_active() && starts_relation(a, b).is_none() {
+            continue;
+        }
         let nodes = a.submaps.node_count() + b.submaps.node_count();
-        let has_grown = f64::from(nodes) >= CHECK_GROWTH_FACTOR * f64::from(pair.schedule.checked_at_nodes);
+        let checked_at = pair.schedule.checked_at_nodes;
+        let has_grown = f64::from(nodes) >= CHECK_GROWTH_FACTOR * f64::from(checked_at)
+            || (pair.starts.are_doubted() && nodes >= checked_at + GROWTH_NODES_OF_CANDIDATE);
         if a.estimate.transform().is_none() || b.estimate.transform().is_none() || !has_grown {
             continue;
         }
         pair.schedule.checked_at_nodes = nodes.max(1);
         let maps = [a, b].map(|robot| robot.placed_in(Pose2::IDENTITY));
         if maps.iter().all(|map| !map.is_empty()) {
-            return Some(CheckJob { pair: index, maps, config: config.clone() });
+            let starts = starts_relation(a, b).filter(|_| !pair.edge.is_active());
+            let at_starts = starts.map(|a_from_b| ([a, b].map(|robot| near_start(&robot.submaps)), a_from_b));
+            return Some(CheckJob { pair: index, nodes, maps, at_starts, config: config.clone() });
         }
     }
     None
 }
 
+/// Returns the second robot's map in the first's by their given starts, if both are given.
+fn starts_relation(a: &Robot, b: &Robot) -> Option<Pose2> {
+    Some(a.estimate.start()?.between(b.estimate.start()?))
+}
+
+/// Returns the submaps that the robot drew before it had driven [`NEAR_START_M`]: drift has hardly moved them.
+fn near_start(submaps: &SubmapStore) -> Vec<PlacedSubmap> {
+    let count = (0..submaps.poses().len()).take_while(|id| submaps.distance_driven_m(*id, 0) <= NEAR_START_M);
+    submaps.placed(0..count.count())
+}
+
 fn is_due(index: usize, pair: &RobotPair, robots: &[Robot]) -> bool {
     let [a, b] = robots_of_pair(index).map(|robot| &robots[robot]);
     let in_one_graph = a.estimate.transform().is_some() && b.estimate.transform().is_some();
+    // Given starts are doubted only until the maps have confirmed them.
+    let by_starts = starts_relation(a, b).is_some() && !pair.starts.are_confirmed();
     let nodes = [a, b].map(|robot| robot.submaps.node_count());
     let schedule = &pair.schedule;
     let growth = if pair.edge.is_candidate() {
         GROWTH_NODES_OF_CANDIDATE
     } else {
-        GROWTH_NODES.max(((GROWTH_FACTOR - 1.0) * f64::from(schedule.aligned_at_nodes)) as u32)
+        let factor = if by_starts { GROWTH_FACTOR_OF_STARTS } else { GROWTH_FACTOR };
+        GROWTH_NODES.max(((factor - 1.0) * f64::from(schedule.aligned_at_nodes)) as u32)
     };
     let has_grown = schedule.aligned_at_nodes == 0
         || nodes[0] + nodes[1] >= schedule.aligned_at_nodes + growth
         || schedule.final_alignments > 0;
-    !in_one_graph
+    (!in_one_graph || by_starts)
         && !pair.edge.is_active()
         && has_grown
         && nodes.iter().all(|nodes| *nodes >= NODES_MIN)
@@ -161,9 +195,24 @@ impl CheckJob {
             let config = &self.config.align;
             let alignment = evaluate(a.view(), b.view(), Pose2::IDENTITY, config)?;
             let null_f1_max = max_null_f1(a.view(), b.view(), Pose2::IDENTITY, &config.walls);
-            Some(Evidence { alignment, null_f1_max })
+            let submaps = |map: &[PlacedSubmap], other: &Grid| {
+                let each = map.len().div_ceil(COMPARED_SUBMAPS_MAX).max(1);
+                let parts =
+                    map.iter().step_by(each).map(|submap| (submap.grid.view(), submap.frame_from_submap));
+                ComparedParts::of(other.view(), parts, &config.walls)
+            };
+            let [of_a, of_b] = &self.maps;
+            let compared = submaps(of_a, &b).plus(submaps(of_b, &a));
+            Some((Evidence { alignment, null_f1_max }, compared))
         });
-        MapsChecked { pair: self.pair, found, config: self.config.check }
+        let at_starts = self.at_starts.and_then(|(maps, a_from_b)| {
+            let [a, b] = compose_both(&maps)?;
+            let config = &self.config.align;
+            let alignment = evaluate(a.view(), b.view(), a_from_b, config)?;
+            let null_f1_max = max_null_f1(a.view(), b.view(), a_from_b, &config.walls);
+            Some((a_from_b, Evidence { alignment, null_f1_max }))
+        });
+        MapsChecked { pair: self.pair, nodes: self.nodes, found, at_starts, config: self.config }
     }
 }
 
@@ -171,26 +220,58 @@ impl MapsAligned {
     /// Records the alignment; returns whether the pair's edge became accepted.
     pub fn apply(self, pairs: &mut [RobotPair], maps_are_complete: bool) -> bool {
         let edge = &mut pairs[self.pair].edge;
-        self.found.is_some_and(|found| {
-            edge.record_alignment(self.nodes, found, self.chance_lead_min, maps_are_complete)
-        })
+        let Some(found) = self.found else {
+            edge.record_nothing_found();
+            return false;
+        };
+        edge.record_alignment(self.nodes, found, self.chance_lead_min, maps_are_complete)
+    }
+
+    /// The pair whose maps were aligned.
+    pub fn pair(&self) -> usize {
+        self.pair
     }
 }
 
 impl MapsChecked {
-    /// Records the check; returns whether the pair's edge was dropped.
-    pub fn apply(self, pairs: &mut [RobotPair]) -> bool {
+    /// The pair whose maps were compared.
+    pub fn pair(&self) -> usize {
+        self.pair
+    }
+
+    /// Records the check.
+    pub fn apply(self, pairs: &mut [RobotPair]) -> CheckedPair {
         let pair = &mut pairs[self.pair];
-        let Some(found) = self.found.filter(|_| pair.edge.is_active()) else { return false };
-        match pair.edge.record_check(found, &self.config) {
-            CheckResult::Confirmed => return false,
-            CheckResult::Contradicted => pair.schedule.checked_at_nodes = 0,
-            CheckResult::Refuted => {
-                let nodes = core::mem::take(&mut pair.schedule.checked_at_nodes);
-                pair.drop_edge(nodes);
-                return true;
+        let mut checked = CheckedPair::default();
+        if let Some((found, submaps)) = self.found {
+            pair.submaps = submaps;
+            if pair.edge.is_active() {
+                match pair.edge.record_check(found, &self.config.check) {
+                    CheckResult::Confirmed => {}
+                    CheckResult::Contradicted => pair.schedule.checked_at_nodes = 0,
+                    CheckResult::Refuted => {
+                        pair.schedule.checked_at_nodes = 0;
+                        pair.drop_edge(self.nodes);
+                        checked.edge_was_dropped = true;
+                    }
+                }
             }
         }
-        false
+        if let Some((a_from_b, found)) = self.at_starts.filter(|_| !pair.edge.is_active())
+            && pair.starts.record_check(&found, &self.config)
+        {
+            pair.edge.refute_at(a_from_b, found, self.nodes);
+            checked.starts_are_contradicted = true;
+        }
+        checked
     }
+}
+
+/// What a check changed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct CheckedPair {
+    /// The maps contradicted the pair's edge often enough to drop it.
+    pub edge_was_dropped: bool,
+    /// The maps contradict the given starts of the two robots.
+    pub starts_are_contradicted: bool,
 }

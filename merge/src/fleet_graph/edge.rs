@@ -2,21 +2,21 @@
 
 use crate::align::Alignment;
 use crate::config::CheckConfig;
-use msg::{EdgeAction, EdgeState, Pose2, pose::wrap_angle};
+use msg::{AlignmentRefusal, EdgeAction, EdgeState, Pose2, pose::wrap_angle};
 use serde::{Deserialize, Serialize};
 
 /// Largest distance of two alignments that are the same one, metres: less than any two rooms are apart.
-const SAME_ALIGNMENT_M: f64 = 1.0;
+pub(crate) const SAME_ALIGNMENT_M: f64 = 1.0;
 /// Largest rotation between two alignments that are the same one, radians: more than what growing
 /// maps change.
-const SAME_ALIGNMENT_RAD: f64 = 0.1;
+pub(crate) const SAME_ALIGNMENT_RAD: f64 = 0.1;
 /// Most rejected alignments that are remembered: the oldest go first.
 pub(crate) const REJECTED_MAX: usize = 8;
 /// Factor by which the nodes of both robots must grow before an alignment that their maps contradicted may be accepted
 /// again: only new parts of the maps are new evidence.
 const NEW_EVIDENCE_FACTOR: f64 = 1.25;
 /// Number of closures that make an edge between two robots that are connected through others.
-const CLOSURES_MIN: usize = 2;
+pub(crate) const CLOSURES_MIN: usize = 2;
 
 /// Evidence for an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,6 +40,8 @@ pub(crate) struct MapEdge {
     rejected: Vec<Pose2>,
     contradictions: u32,
     refuted: Option<RefutedAlignment>,
+    /// Why the newest alignment did not make the edge accepted.
+    refusal: Option<AlignmentRefusal>,
 }
 
 /// The newest alignment for which the edge was dropped.
@@ -60,6 +62,7 @@ impl Default for MapEdge {
             rejected: Vec::new(),
             contradictions: 0,
             refuted: None,
+            refusal: None,
         }
     }
 }
@@ -95,6 +98,11 @@ impl MapEdge {
     /// Returns the transform from the second robot's map to the first's; valid unless the state is none.
     pub fn a_from_b(&self) -> Pose2 {
         self.a_from_b
+    }
+
+    /// Returns why the newest alignment did not make the edge accepted; none if no alignment was tried, and while the edge is active.
+    pub fn refusal(&self) -> Option<AlignmentRefusal> {
+        self.refusal.filter(|_| !self.is_active())
     }
 
     /// Returns the evidence for the edge.
@@ -156,6 +164,13 @@ impl MapEdge {
         self.deactivate(EdgeState::Dropped);
     }
 
+    /// Records that the maps contradict this relation, which no edge gave.
+    pub fn refute_at(&mut self, a_from_b: Pose2, found: Evidence, nodes: u32) {
+        let alignment = Alignment { a_from_b, ..found.alignment };
+        (self.a_from_b, self.evidence) = (a_from_b, Some(Evidence { alignment, ..found }));
+        self.refute(nodes);
+    }
+
     /// Removes the edge from the graph.
     pub fn deactivate(&mut self, state: EdgeState) {
         self.state = state;
@@ -171,6 +186,11 @@ impl MapEdge {
         }
     }
 
+    /// Records that no place was found where walls of both maps match.
+    pub fn record_nothing_found(&mut self) {
+        self.refusal = Some(AlignmentRefusal::FewWalls);
+    }
+
     /// Records an alignment of maps with so many nodes. Two alignments of the same place, from maps that have grown in
     /// between or are complete, make the edge accepted. Its F1 must lead over chance by so much. Returns whether it became
     /// accepted.
@@ -182,15 +202,21 @@ impl MapEdge {
         maps_are_complete: bool,
     ) -> bool {
         let alignment = found.alignment;
-        let verified = alignment.accepted
-            && alignment.occupied_f1 >= found.null_f1_max + chance_lead_min
-            && !self.is_rejected(alignment.a_from_b)
-            && !self.is_refuted(alignment.a_from_b, nodes[0] + nodes[1]);
-        if !verified {
+        let is_out =
+            self.is_rejected(alignment.a_from_b) || self.is_refuted(alignment.a_from_b, nodes[0] + nodes[1]);
+        self.refusal = match alignment.refusal {
+            Some(refusal) => Some(refusal),
+            None if alignment.occupied_f1 < found.null_f1_max + chance_lead_min => {
+                Some(AlignmentRefusal::Chance)
+            }
+            None => is_out.then_some(AlignmentRefusal::Rejected),
+        };
+        if self.refusal.is_some() {
             return false;
         }
         let again = self.is_candidate() && is_same_alignment(self.a_from_b, alignment.a_from_b);
         let independent = self.found_at_nodes != nodes || maps_are_complete;
+        self.refusal = (!again || !independent).then_some(AlignmentRefusal::SecondAwaited);
         if again && !independent {
             return false;
         }

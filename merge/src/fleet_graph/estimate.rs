@@ -29,6 +29,11 @@ impl RobotEstimate {
         self.start
     }
 
+    /// Forgets the given start. The estimate stays.
+    pub fn forget_start(&mut self) {
+        self.start = None;
+    }
+
     /// Returns the published transform, exact where the robot is now; `None` while it is unknown.
     pub fn transform(&self) -> Option<Pose2> {
         self.transform

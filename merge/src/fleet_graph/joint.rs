@@ -2,6 +2,7 @@
 
 use super::closures::Closure;
 use super::consistency::largest_consistent_set;
+use super::edge::CLOSURES_MIN;
 use super::frame::ReferenceRobot;
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
@@ -11,7 +12,9 @@ use msg::{Pose2, pose::wrap_angle};
 use posegraph::{Edge, Kernel, SolveError, SolverOptions, information_from_sigmas, solve};
 
 /// Standard deviations of a given start, metres and radians.
-const START_SIGMAS: [f64; 2] = [0.02, 0.005];
+const START_SIGMAS: [f64; 2] = [0.05, 0.02];
+/// Kernel of a given start, which may be wrong: closures that agree with each other pull the robot away from it.
+const START_KERNEL: Kernel = Kernel::Cauchy { sigmas: 3.0 };
 /// Standard deviations of the reference robot in the frame that it defines, metres and radians: practically fixed.
 const REFERENCE_SIGMAS: [f64; 2] = [1e-3, 1e-4];
 
@@ -28,6 +31,8 @@ pub(crate) struct JointProblem {
     edges: Vec<Edge>,
     robots: Vec<RobotInGraph>,
     pairs: Vec<PairInGraph>,
+    /// Given starts: indices in `robots` and in `edges`.
+    starts: Vec<(usize, usize)>,
     config: ClosureConfig,
 }
 
@@ -60,6 +65,8 @@ pub(crate) struct JointSolution {
     /// For each robot: its index, and frame `map` from frame `robotK/map` at each submap.
     robots: Vec<(usize, Vec<Pose2>)>,
     pairs: Vec<SolvedPair>,
+    /// Index of the robot whose given start closures contradict the most, if they do.
+    contradicted_start: Option<usize>,
 }
 
 /// Result of a solution for a pair.
@@ -85,6 +92,7 @@ impl JointProblem {
             edges: Vec::new(),
             robots: Vec::new(),
             pairs: Vec::new(),
+            starts: Vec::new(),
             config: config.clone(),
         };
         let mut place = vec![None; robots.len()];
@@ -115,15 +123,19 @@ impl JointProblem {
         self.robots.push(RobotInGraph { robot: index, first, poses: own.to_vec() });
         self.poses.extend(own.iter().map(|pose| transform * *pose));
         self.edges.extend(robot.submaps.edges(first));
-        let start = robot.estimate.start().map(|start| (start, START_SIGMAS));
-        let reference = reference.map(|reference| (reference.map_from_robot_map, REFERENCE_SIGMAS));
-        if let Some((map_from_robot_map, [m, rad])) = start.or(reference) {
+        let start = robot.estimate.start().map(|start| (start, START_SIGMAS, START_KERNEL));
+        let frame =
+            |reference: ReferenceRobot| (reference.map_from_robot_map, REFERENCE_SIGMAS, Kernel::Quadratic);
+        if let Some((map_from_robot_map, [m, rad], kernel)) = start.or(reference.map(frame)) {
+            if start.is_some() {
+                self.starts.push((self.robots.len() - 1, self.edges.len()));
+            }
             self.edges.push(Edge {
                 a: 0,
                 b: first,
                 a_from_b: map_from_robot_map * own[0],
                 information: information_from_sigmas(m, rad),
-                kernel: Kernel::Quadratic,
+                kernel,
             });
         }
     }
@@ -160,7 +172,23 @@ impl JointProblem {
         solve(&mut self.poses, &edges, &SOLVER).map(|_| ())
     }
 
+    /// Returns the robot whose given start is the farthest outside the errors of a start, where closures relate it to others.
+    fn contradicted_start(&self, in_force: &[Vec<usize>]) -> Option<usize> {
+        let closures = |robot: usize| -> usize {
+            let pairs = self.pairs.iter().zip(in_force).filter(|(pair, _)| pair.robots.contains(&robot));
+            pairs.map(|(_, closures)| closures.len()).sum()
+        };
+        let errors = self.starts.iter().filter(|(robot, _)| closures(*robot) >= CLOSURES_MIN);
+        let errors = errors.map(|(robot, edge)| {
+            let edge = &self.edges[*edge];
+            (edge.chi_squared(self.poses[edge.a], self.poses[edge.b]), self.robots[*robot].robot)
+        });
+        let worst = errors.max_by(|(one, _), (other, _)| one.total_cmp(other));
+        worst.filter(|(error, _)| *error > self.config.outlier_sigmas.powi(2)).map(|(_, robot)| robot)
+    }
+
     fn solution(&self, in_force: Vec<Vec<usize>>) -> JointSolution {
+        let contradicted_start = self.contradicted_start(&in_force);
         let robots = self.robots.iter().map(|robot| {
             let each = robot.poses.iter().zip(&self.poses[robot.first..]);
             (robot.robot, each.map(|(own, in_map)| *in_map * own.inverse()).collect())
@@ -173,7 +201,7 @@ impl JointProblem {
             let residual_m = errors_m.sum::<f64>() / closures.len().max(1) as f64;
             SolvedPair { pair: pair.pair, in_force: closures, residual_m }
         });
-        JointSolution { robots: robots.collect(), pairs: pairs.collect() }
+        JointSolution { robots: robots.collect(), pairs: pairs.collect(), contradicted_start }
     }
 
     fn is_inlier(&self, pair: &PairInGraph, k: usize) -> bool {
@@ -211,6 +239,11 @@ impl JointProblem {
 }
 
 impl JointSolution {
+    /// Index of the robot whose given start the closures contradict, if they contradict any: the graph has to be solved without it.
+    pub fn contradicted_start(&self) -> Option<usize> {
+        self.contradicted_start
+    }
+
     /// Applies the solution's transforms to the robots, and updates the pairs.
     pub fn apply(self, robots: &mut [Robot], pairs: &mut [RobotPair]) {
         for (robot, at_submaps) in self.robots {
@@ -251,6 +284,7 @@ mod tests {
                 closures: vec![Closure { ids: [0, 0], measured }],
                 alignment: None,
             }],
+            starts: Vec::new(),
             config: ClosureConfig::default(),
         }
     }

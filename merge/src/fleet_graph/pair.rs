@@ -3,6 +3,8 @@
 use super::closures::ClosureSet;
 use super::edge::MapEdge;
 use super::robot::Robot;
+use super::starts::StartsOfPair;
+use crate::align::ComparedParts;
 use msg::{EdgeAction, EdgeState, MergeEdge, Pose2, ROBOTS_MAX};
 
 /// One pair of robots.
@@ -12,6 +14,10 @@ pub(crate) struct RobotPair {
     pub edge: MapEdge,
     /// The relations of their submaps.
     pub closures: ClosureSet,
+    /// What the two maps say of the given starts.
+    pub starts: StartsOfPair,
+    /// How many of their submaps the other's map contradicts, at the newest check.
+    pub submaps: ComparedParts,
     /// When the two maps are compared.
     pub schedule: ComparisonSchedule,
 }
@@ -25,7 +31,7 @@ pub(crate) struct ComparisonSchedule {
     pub aligned_at_nodes: u32,
     /// Alignments still to be tried after the maps have stopped growing.
     pub final_alignments: u32,
-    /// Nodes at the newest check of an active edge; 0 to check it at once.
+    /// Nodes at the newest check of an active edge or of given starts; 0 to check at once.
     pub checked_at_nodes: u32,
 }
 
@@ -34,7 +40,7 @@ impl RobotPair {
     /// Returns false if the command does not apply.
     pub fn apply_command(&mut self, action: EdgeAction, in_graph: Option<Pose2>) -> bool {
         match self.edge.apply_command(action, in_graph) {
-            Some(EdgeState::Undone) => self.closures.clear(),
+            Some(EdgeState::Undone) => self.forget_relation(),
             Some(_) => {}
             None => return false,
         }
@@ -45,12 +51,18 @@ impl RobotPair {
     /// together.
     pub fn drop_edge(&mut self, nodes: u32) {
         self.edge.refute(nodes);
+        self.forget_relation();
+    }
+
+    /// Forgets what was found where the two maps lay.
+    pub fn forget_relation(&mut self) {
         self.closures.clear();
+        self.submaps = ComparedParts::default();
     }
 
     /// Continues after the submaps of one of the two were lost.
     pub fn restart(&mut self, in_graph: Option<Pose2>) {
-        self.closures.clear();
+        self.forget_relation();
         (self.schedule.aligned_at_nodes, self.schedule.checked_at_nodes) = (0, 0);
         self.edge.restart(in_graph);
     }
@@ -78,6 +90,10 @@ impl RobotPair {
             closures: closures.in_force().len() as u32,
             closures_rejected: (closures.found().len() - closures.in_force().len()) as u32,
             tries: self.schedule.alignments,
+            refusal: edge.refusal().map_or(0, |refusal| refusal as u32),
+            reserved: 0,
+            compared_submaps: self.submaps.compared,
+            contradicted_submaps: self.submaps.contradicted,
             residual_m: found.map_or(0.0, |found| found.residual_m),
             closure_residual_m: closures.residual_m(),
             overlap_m2: found.map_or(0.0, |found| found.overlap_m2),

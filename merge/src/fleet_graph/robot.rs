@@ -15,6 +15,8 @@ pub(crate) struct Robot {
     pub estimate: RobotEstimate,
     /// Number of the run of the robot's machine, once its poses have said it.
     pub run: Option<u32>,
+    /// Whether the maps contradicted its given start, which is not used any more.
+    pub is_start_contradicted: bool,
     /// The map redrawn from submaps; `None` while a single transform aligns all of the robot's own map.
     redrawn: Option<RedrawnMap>,
 }
@@ -57,6 +59,19 @@ impl Robot {
     pub fn remove(&mut self) {
         self.submaps.restart(None);
         (self.estimate, self.redrawn) = (RobotEstimate::default(), None);
+        self.is_start_contradicted = false;
+    }
+
+    /// Uses the given start no more: the robot's place is unknown until an edge gives it.
+    pub fn withdraw_start(&mut self) {
+        (self.estimate, self.redrawn) = (RobotEstimate::default(), None);
+        self.is_start_contradicted = true;
+    }
+
+    /// Uses the given start no more, where edges to other robots say where the robot is.
+    pub fn forget_start(&mut self) {
+        self.estimate.forget_start();
+        self.is_start_contradicted = true;
     }
 
     /// Empties the submaps for those of a restarted SLAM, which continues in the same frame.

@@ -33,6 +33,8 @@ struct RobotSnapshot {
     run: Option<u32>,
     /// Whether the robot's start is known: not after its machine began anew.
     is_start_known: bool,
+    /// Whether the maps contradicted the start.
+    is_start_contradicted: bool,
 }
 
 /// Snapshot of a pair of robots.
@@ -72,6 +74,7 @@ impl FleetPoseGraph {
             map_from_robot_map: robot.estimate.transform().map(to_values),
             run: robot.run,
             is_start_known: robot.estimate.start().is_some(),
+            is_start_contradicted: robot.is_start_contradicted,
         });
         let reference =
             self.reference.map(|reference| (reference.robot, to_values(reference.map_from_robot_map)));
@@ -112,7 +115,7 @@ impl FleetPoseGraph {
             if !kept.is_start_known {
                 robot.remove();
             }
-            robot.run = kept.run;
+            (robot.run, robot.is_start_contradicted) = (kept.run, kept.is_start_contradicted);
             let transform = transform.or(robot.estimate.start());
             robot.estimate.set_transform(transform);
         }

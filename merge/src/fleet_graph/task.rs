@@ -39,7 +39,7 @@ pub(super) enum Job {
 #[derive(Debug)]
 pub(super) enum JobResult {
     Aligned(MapsAligned),
-    Checked(MapsChecked),
+    Checked(Box<MapsChecked>),
     Matched(Matched),
     Solved(Result<JointSolution, SolveError>),
     Redrawn(Redrawn),
@@ -50,7 +50,7 @@ impl Task {
     pub fn run(self) -> Outcome {
         let result = match self.job {
             Job::Align(job) => JobResult::Aligned(job.run()),
-            Job::Check(job) => JobResult::Checked(job.run()),
+            Job::Check(job) => JobResult::Checked(Box::new(job.run())),
             Job::Match(job) => JobResult::Matched(job.run()),
             Job::Solve(problem) => JobResult::Solved(problem.solve()),
             Job::Redraw(job) => JobResult::Redrawn(job.run()),

@@ -7,6 +7,7 @@ use nalgebra::Matrix3;
 
 mod frame;
 mod new_run;
+mod starts;
 
 /// Whether a cell of 0.05 m is an obstacle: a house of 30 m x 12 m whose rooms and furniture tell places apart.
 fn is_obstacle(x: i64, y: i64) -> bool {
@@ -345,23 +346,39 @@ fn candidates_and_unconnected_robots_are_not_restored() {
 
 #[test]
 fn a_dropped_edge_is_not_accepted_again_on_the_same_evidence() {
-    // The second robot's given start is wrong. Closures agree with each other and not with it: wherever the graph puts
-    // the robot, walls lie on floor.
-    let paths = [true_path(4.0, 16.0, 5.0), true_path(5.0, 17.0, 6.0)];
-    let estimated = [0, 1].map(|k| drifted_path(&paths[k], 0.0));
-    let starts = [paths[0][0], paths[1][0] * Pose2::new(0.9, 0.0, 0.05)].map(Some);
-    let mut fleet = FleetPoseGraph::new(&MergeConfig::default(), &starts);
-    send(&mut fleet, 1, &paths[0], &estimated[0], 1);
-    send(&mut fleet, 2, &paths[1][..4], &estimated[1][..4], 1);
+    let (mut fleet, paths, estimated) = two_connected_robots();
+    let nodes = fleet.robots.iter().map(|robot| robot.submaps.node_count()).sum();
+    fleet.pairs[0].drop_edge(nodes);
+    fleet.graph_changed();
+    fleet.finish();
+    work(&mut fleet);
     let dropped = edge(&fleet);
-    assert_eq!(dropped.state(), EdgeState::Dropped);
+    assert_eq!((dropped.state(), fleet.map_from_robot_map(robot(2))), (EdgeState::Dropped, None));
     assert_eq!(dropped.closures, 0, "closures of the dropped edge are in force: {dropped:?}");
-    // More of the map is new evidence, by which the right place is found.
-    send(&mut fleet, 2, &paths[1], &estimated[1], 1);
+    // More of the map is new evidence, by which the place is found again.
+    let longer = true_path(18.0, 2.0, 6.0).into_iter().chain(true_path(2.0, 12.0, 8.0)).collect::<Vec<_>>();
+    send(&mut fleet, 2, &longer, &drifted_path(&longer, 0.0), 1);
     fleet.finish();
     work(&mut fleet);
     let found = edge(&fleet);
-    let true_place = paths[0][0].between(paths[1][0]);
     assert_eq!(found.state(), EdgeState::Accepted);
-    assert!(found.a_from_b.distance_m(true_place) < 0.1, "{found:?}");
+    assert!(found.a_from_b.distance_m(paths[0][0].between(paths[1][0])) < 0.1, "{found:?} {estimated:?}");
+}
+
+#[test]
+fn a_bent_map_says_that_submaps_contradict_the_other() {
+    let paths = [true_path(4.0, 26.0, 5.0), true_path(4.0, 26.0, 7.0)];
+    let mut estimated = [drifted_path(&paths[0], 0.0), drifted_path(&paths[1], 0.0)];
+    let straight = connected_fleet(&paths, &estimated);
+    assert_eq!(edge(&straight).contradicted_submaps, 0, "{:?}", edge(&straight));
+    assert!(edge(&straight).compared_submaps > 10, "{:?}", edge(&straight));
+    // Half way the second robot's SLAM errs by 20 degrees.
+    let bend = paths[1].len() / 2;
+    for id in bend + 1..paths[1].len() {
+        let from_bend = estimated[1][bend].between(estimated[1][id]);
+        estimated[1][id] = estimated[1][bend] * Pose2::new(0.0, 0.0, 0.35) * from_bend;
+    }
+    let bent = connected_fleet(&paths, &estimated);
+    let [_, most_m] = errors(&bent, [&paths[0], &paths[1]], &estimated[1]);
+    assert!(most_m > 1.0 && edge(&bent).is_contradicted(), "{most_m} m, {:?}", edge(&bent));
 }

@@ -1,6 +1,6 @@
 //! Merge edges as people and programs read them.
 
-use msg::{EdgeState, MergeEdge, MergeEdges};
+use msg::{AlignmentRefusal, EdgeState, MergeEdge, MergeEdges};
 use serde::Serialize;
 use std::fmt::{self, Write};
 
@@ -16,6 +16,8 @@ pub struct EdgeView {
     pub b: String,
     /// `accepted`, `pinned`, `undone` ...
     pub state: &'static str,
+    /// Why the two maps are not joined, by the newest alignment; `None`: they are, or none was tried.
+    pub why_not: Option<&'static str>,
     /// Pose of `b`'s map in `a`'s map: x m, y m, yaw rad.
     pub a_from_b: [f64; 3],
     /// Number of occupied cells of both maps that match.
@@ -42,6 +44,12 @@ pub struct EdgeView {
     pub closures_rejected: u32,
     /// Mean residual of the closures in the fleet's pose graph, metres.
     pub closure_residual_m: f64,
+    /// Number of submaps of both robots that were compared with the other robot's map.
+    pub compared_submaps: u32,
+    /// Number of these that the other map contradicts.
+    pub contradicted_submaps: u32,
+    /// Whether these are so many that one of the two maps is bent, or lies wrong.
+    pub contradicted: bool,
     /// Number of alignments tried.
     pub tries: u32,
 }
@@ -54,6 +62,7 @@ impl EdgeView {
             a: format!("robot{}", edge.a),
             b: format!("robot{}", edge.b),
             state: edge.state().name(),
+            why_not: edge.refusal().map(AlignmentRefusal::text),
             a_from_b: [edge.a_from_b.x_m, edge.a_from_b.y_m, edge.a_from_b.yaw_rad],
             inliers: edge.inliers,
             residual_m: edge.residual_m,
@@ -67,6 +76,9 @@ impl EdgeView {
             closures: edge.closures,
             closures_rejected: edge.closures_rejected,
             closure_residual_m: edge.closure_residual_m,
+            compared_submaps: edge.compared_submaps,
+            contradicted_submaps: edge.contradicted_submaps,
+            contradicted: edge.is_contradicted(),
             tries: edge.tries,
         }
     }
@@ -96,16 +108,18 @@ impl fmt::Display for EdgeView {
     }
 }
 
-/// Formats all edges as JSON, as on the topic `/merge_edges`.
+/// Formats all edges as JSON, as on the topic `/merge_edges`, with the robots whose given start the maps contradict.
 pub fn edges_json(edges: &MergeEdges) -> String {
     let views: Vec<EdgeView> = edges.edges().iter().map(EdgeView::new).collect();
-    serde_json::to_string(&serde_json::json!({ "edges": views })).unwrap_or_default()
+    let starts: Vec<String> = edges.contradicted_starts().map(|robot| robot.to_string()).collect();
+    let message = serde_json::json!({ "edges": views, "contradicted_starts": starts });
+    serde_json::to_string(&message).unwrap_or_default()
 }
 
 /// Formats edges as a table for a terminal.
 pub fn edge_table(edges: &[EdgeView]) -> String {
     let mut text = format!(
-        "{:>4} {:<15} {:<9} {:>9} {:>9} {:>8} {:>8} {:>9} {:>11} {:>5} {:>7} {:>9} {:>8}\n",
+        "{:>4} {:<15} {:<9} {:>9} {:>9} {:>8} {:>8} {:>9} {:>11} {:>5} {:>7} {:>9} {:>8} {:>12}\n",
         "edge",
         "robots",
         "state",
@@ -118,13 +132,14 @@ pub fn edge_table(edges: &[EdgeView]) -> String {
         "F1",
         "null F1",
         "closures",
-        "rejected"
+        "rejected",
+        "contradicted"
     );
     for e in edges {
         let [x, y, yaw] = e.a_from_b;
         let _ = writeln!(
             text,
-            "{:>4} {:<15} {:<9} {x:>9.3} {y:>9.3} {:>8.2} {:>8} {:>9.0} {:>11.0} {:>5.2} {:>7.2} {:>9} {:>8}",
+            "{:>4} {:<15} {:<9} {x:>9.3} {y:>9.3} {:>8.2} {:>8} {:>9.0} {:>11.0} {:>5.2} {:>7.2} {:>9} {:>8} {:>12}",
             e.edge,
             format!("{} {}", e.a, e.b),
             e.state,
@@ -135,8 +150,15 @@ pub fn edge_table(edges: &[EdgeView]) -> String {
             e.occupied_f1,
             e.null_f1_max,
             e.closures,
-            e.closures_rejected
+            e.closures_rejected,
+            format!("{} of {}", e.contradicted_submaps, e.compared_submaps)
         );
+    }
+    for e in edges {
+        if let Some(why_not) = e.why_not {
+            let _ =
+                writeln!(text, "     {} {} not joined, {} alignments tried: {why_not}", e.a, e.b, e.tries);
+        }
     }
     text
 }

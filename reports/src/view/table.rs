@@ -97,6 +97,15 @@ impl FleetView {
             }
             alarms.extend(old_map(robot));
         }
+        for edge in self.merge_edges.iter().filter(|edge| edge.contradicted) {
+            alarms.push(format!(
+                "the maps of {} and {} contradict each other in {} of {} places: one of them is bent, or lies wrong",
+                edge.a, edge.b, edge.contradicted_submaps, edge.compared_submaps
+            ));
+        }
+        for robot in &self.contradicted_starts {
+            alarms.push(format!("{robot}'s given start contradicts the maps: its place comes from the maps"));
+        }
         for process in self.processes.iter().filter(|process| process.state != "up") {
             alarms.push(format!("{} does not answer", process.process));
         }

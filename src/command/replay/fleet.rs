@@ -83,6 +83,8 @@ pub struct RobotSummary {
     pub map_from_robot_map: Option<[f64; 3]>,
     /// Whether its map was redrawn from its submaps because no rigid transform fits all of it.
     pub redrawn: bool,
+    /// Whether the maps contradict its given start. Its place comes from the maps then.
+    pub start_contradicted: bool,
     /// Number of submaps.
     pub submaps: usize,
     /// Figures of its own SLAM.
@@ -252,17 +254,22 @@ impl Merged {
         merger.merged().to_owned()
     }
 
-    /// Reasons why the merged map is unreliable: those of the robots whose maps are in it.
+    fn edges(&self) -> MergeEdges {
+        let mut edges = MergeEdges::default();
+        self.fleet.write_edges(&mut edges);
+        edges
+    }
+
+    /// Reasons why the merged map is unreliable: those of the robots whose maps are in it, and of pairs that contradict each other.
     fn doubts(&self, robots: &[Robot<'_>]) -> Vec<String> {
         let merged = robots.iter().filter(|robot| self.fleet.map_from_robot_map(robot.id).is_some());
         let reasons = merged
             .flat_map(|robot| robot.back.doubts().reasons().map(|reason| format!("{}: {reason}", robot.id)));
-        reasons.collect()
+        reasons.chain(telemetry::contradictions(&self.edges())).collect()
     }
 
     fn summary(&self, robots: Vec<Robot<'_>>, map: &Grid, began: Instant) -> FleetSummary {
-        let mut edges = MergeEdges::default();
-        self.fleet.write_edges(&mut edges);
+        let edges = self.edges();
         let robots = robots.into_iter().map(|mut robot| {
             robot.summary.count(&robot.front, &robot.back);
             (robot.summary.malformed_lines, robot.summary.skipped_lines) =
@@ -272,6 +279,7 @@ impl Merged {
                 merged: place.is_some(),
                 map_from_robot_map: place.map(|p| [p.x_m, p.y_m, p.yaw_rad]),
                 redrawn: self.fleet.redrawn_map(robot.id).is_some(),
+                start_contradicted: self.fleet.is_start_contradicted(robot.id),
                 submaps: robot.submaps.len(),
                 slam: robot.summary,
             }
@@ -350,11 +358,18 @@ impl FleetSummary {
                 Some([x, y, yaw]) => format!("x {x:.3} m, y {y:.3} m, {:.2} degrees", yaw.to_degrees()),
                 None => "not merged".into(),
             };
+            let wrong = if robot.start_contradicted { ", its given start contradicts the maps" } else { "" };
             let bent = if robot.redrawn { ", redrawn" } else { "" };
             let RobotSummary { slam, submaps, .. } = robot;
-            text += &format!("{}: {} scans, {submaps} submaps, {place}{bent}\n", slam.log, slam.scans);
+            text += &format!("{}: {} scans, {submaps} submaps, {place}{bent}{wrong}\n", slam.log, slam.scans);
         }
         text += &edge_table(&self.edges);
+        for edge in self.edges.iter().filter(|edge| edge.contradicted) {
+            text += &format!(
+                "the maps of {} and {} contradict each other: one of them is bent, or lies wrong\n",
+                edge.a, edge.b
+            );
+        }
         text + &format!(
             "merged map {} x {} cells; {:.2} s, merging {:.2} s ({} solutions, {} failed; longest task {:.0} ms, update {:.2} ms)\n",
             self.map_width,
