@@ -11,8 +11,8 @@ use crate::config::ClosureConfig;
 use msg::{Pose2, pose::wrap_angle};
 use posegraph::{Edge, Kernel, SolveError, SolverOptions, information_from_sigmas, solve};
 
-/// Standard deviations of a given start, metres and radians.
-const START_SIGMAS: [f64; 2] = [0.05, 0.02];
+/// Standard deviations of a given start, metres and radians: what a tape measure and an eye along a wall reach.
+const START_SIGMAS: [f64; 2] = [0.03, 0.01];
 /// Kernel of a given start, which may be wrong: closures that agree with each other pull the robot away from it.
 const START_KERNEL: Kernel = Kernel::Cauchy { sigmas: 3.0 };
 /// Standard deviations of the reference robot in the frame that it defines, metres and radians: practically fixed.
