@@ -1,6 +1,7 @@
 //! Recorded logs of several robots with unknown starts, through `mr-slam replay --merge unknown`: errors of surveyed
 //! relations between robots, and of each robot's own relations alone and in the fleet.
 
+use super::noise::Noise;
 use super::relations::{Errors, Trajectory, Which, errors, parse};
 use super::table::{Row, Table};
 use std::path::{Path, PathBuf};
@@ -48,6 +49,8 @@ const HALVES: [&str; 6] = ["csail", "aces", "freiburg-101", "edmonton", "acapulc
 const HALVES_LIMIT_M: f64 = 0.12;
 /// Mean error above which a merge is wrong, metres.
 const WRONG_MERGE_M: f64 = 0.3;
+/// Number of runs with a wrong start, each building.
+const WRONG_STARTS: u64 = 6;
 /// A robot's own relations may be worse in the fleet than alone by this factor and this many metres, the accuracy of the
 /// surveyed relations: the fleet's graph does move a robot's poses.
 const WORSE_FACTOR: f64 = 1.1;
@@ -120,6 +123,70 @@ pub fn halves(table: &mut Table, folder: &Path) -> Result<(), Error> {
     Ok(())
 }
 
+/// Adds a row for each building whose robots' starts are given: as they were surveyed, and with one of them wrong, drawn from seeds.
+/// A wrong merged map that nothing calls wrong misses the limit.
+pub fn wrong_starts(table: &mut Table, folder: &Path) -> Result<(), Error> {
+    table.begin("starts given, one of them wrong", "silent", "runs");
+    for case in &CASES {
+        let (home, starts) = (folder.join(case.name), folder.join(case.name).join("starts.txt"));
+        let logs = logs(&home);
+        if logs.is_empty() || !starts.is_file() {
+            table.not_checked(format!("starts of {} (not in {})", case.name, folder.display()));
+            continue;
+        }
+        let lines: Vec<String> = std::fs::read_to_string(&starts)?
+            .lines()
+            .filter(|line| !line.starts_with('#'))
+            .map(str::to_owned)
+            .collect();
+        let scratch = tempfile::tempdir()?;
+        let file = scratch.path().join("starts.txt");
+        let (mut counts, mut surveyed_m) = ([0; 4], f64::NAN);
+        for seed in 0..=WRONG_STARTS {
+            // Seed 0: as surveyed.
+            let given = if seed == 0 { lines.clone() } else { with_wrong_start(&lines, seed)? };
+            std::fs::write(&file, given.join("\n") + "\n")?;
+            let starts = format!("known:{}", file.display());
+            let (summary, _, found) =
+                fleet(&starts, false, &logs, &home.join(case.between), &folder.join(case.odometry))?;
+            if seed == 0 {
+                surveyed_m = found.mean_m;
+                continue;
+            }
+            let contradicted = |edge: &serde_json::Value| edge["contradicted"] == true;
+            counts[if merged_count(&summary) < logs.len() {
+                1
+            } else if found.mean_m <= WRONG_MERGE_M {
+                0
+            } else if summary["edges"].as_array().into_iter().flatten().any(contradicted) {
+                2
+            } else {
+                3
+            }] += 1;
+        }
+        let [right, apart, named, silent] = counts;
+        let note = format!(
+            "{right} right, {apart} with a robot apart, {named} wrong and named; as surveyed {surveyed_m:.3} m"
+        );
+        table.add(Row::new(case.name, f64::from(silent), WRONG_STARTS as f64).at_most(0.0).note(note));
+    }
+    Ok(())
+}
+
+/// Moves one robot's start, as often by little as by much: up to 20 m and 3 rad.
+fn with_wrong_start(lines: &[String], seed: u64) -> Result<Vec<String>, Error> {
+    let mut noise = Noise::new(seed);
+    let mut lines = lines.to_vec();
+    let robot = noise.below(lines.len());
+    let scale = noise.uniform().powi(2);
+    let mut numbers: Vec<f64> = lines[robot].split_whitespace().map(str::parse).collect::<Result<_, _>>()?;
+    for (number, most) in numbers.iter_mut().skip(2).zip([20.0, 20.0, 3.0]) {
+        *number += scale * noise.between(-most, most);
+    }
+    lines[robot] = numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    Ok(lines)
+}
+
 /// Merges logs. Returns a row with the mean error of the relations between them, NaN if they are not all merged, and the
 /// trajectories. Of a log that was `cut`, the relations across the cut count.
 fn merged(
@@ -129,8 +196,30 @@ fn merged(
     relations: &Path,
     odometry: &Path,
 ) -> Result<(Row, Vec<String>), Error> {
+    let (summary, together, found) = fleet("unknown", cut, logs, relations, odometry)?;
+    let merged = merged_count(&summary);
+    let [wall_s, merge_s] = ["wall_s", "merge_s"].map(|key| summary[key].as_f64().unwrap_or(f64::NAN));
+    let closures: u64 =
+        summary["edges"].as_array().into_iter().flatten().filter_map(|e| e["closures"].as_u64()).sum();
+    let note = format!(
+        "{merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
+        logs.len()
+    );
+    let value = if merged == logs.len() { found.mean_m } else { f64::NAN };
+    Ok((Row::new(name, value, found.count as f64).note(note), together))
+}
+
+/// Replays the logs of a fleet, with these starts as `--merge` takes them. Returns the summary, the trajectories, and the errors of
+/// relations between the robots.
+fn fleet(
+    starts: &str,
+    cut: bool,
+    logs: &[PathBuf],
+    relations: &Path,
+    odometry: &Path,
+) -> Result<(serde_json::Value, Vec<String>, Errors), Error> {
     let scratch = tempfile::tempdir()?;
-    let summary = replay(logs, &["--merge", "unknown"], scratch.path())?;
+    let summary = replay(logs, &["--merge", starts], scratch.path())?;
     let together = trajectories(scratch.path(), logs.len())?;
     let mut relations = parse(&std::fs::read_to_string(relations)?)?;
     if cut {
@@ -141,17 +230,11 @@ fn merged(
     // Odometry between kept scans is the same in any frame.
     let odometry = if odometry.is_file() { Some(Trajectory::parse(&unpacked(odometry)?)?) } else { None };
     let found = errors(&all, odometry.as_ref(), &relations, Which::All);
-    let robots = summary["robots"].as_array();
-    let merged = robots.map_or(0, |robots| robots.iter().filter(|r| r["merged"] == true).count());
-    let [wall_s, merge_s] = ["wall_s", "merge_s"].map(|key| summary[key].as_f64().unwrap_or(f64::NAN));
-    let closures: u64 =
-        summary["edges"].as_array().into_iter().flatten().filter_map(|e| e["closures"].as_u64()).sum();
-    let note = format!(
-        "{merged} of {} merged, {closures} closures, {wall_s:.1} s, {merge_s:.1} s of it merging",
-        logs.len()
-    );
-    let value = if merged == logs.len() { found.mean_m } else { f64::NAN };
-    Ok((Row::new(name, value, found.count as f64).note(note), together))
+    Ok((summary, together, found))
+}
+
+fn merged_count(summary: &serde_json::Value) -> usize {
+    summary["robots"].as_array().map_or(0, |robots| robots.iter().filter(|r| r["merged"] == true).count())
 }
 
 fn logs(folder: &Path) -> Vec<PathBuf> {

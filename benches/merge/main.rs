@@ -1,7 +1,7 @@
 //! Bench of map merging: speed with known starts; alignment of pairs of maps with exact truth, as they are and varied;
 //! recorded logs of several robots with unknown starts.
 //!
-//! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR|generated] [--seeds FROM..TO] [--maps DIR] [--only speed,pairs,varied,logs,halves] [--json FILE]
+//! `cargo bench --bench merge [-- --pairs DIR] [--logs DIR|generated] [--seeds FROM..TO] [--maps DIR] [--only speed,pairs,varied,logs,starts,halves] [--json FILE]
 //! [--results FILE.jsonl] [--check]`
 //!
 //! `--pairs DIR` holds one folder a pair: `a.yaml`, `b.yaml` and `truth.json` (`T_A_B` = [x, y, theta], p_a = R p_b + t, or null
@@ -95,6 +95,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     if wanted("logs") {
         logs::rows(&mut table, &args.logs)?;
+    }
+    if wanted("starts") {
+        logs::wrong_starts(&mut table, &args.logs)?;
     }
     if wanted("halves") {
         logs::halves(&mut table, &args.logs)?;
