@@ -5,7 +5,7 @@ use super::edge::{CheckResult, Evidence};
 use super::pair::{RobotPair, robots_of_pair};
 use super::robot::Robot;
 use super::submaps::SubmapStore;
-use crate::align::{ComparedParts, align, evaluate, max_null_f1};
+use crate::align::{ComparedParts, align, align_near, evaluate, max_null_f1};
 use crate::config::{AlignConfig, MergeConfig};
 use msg::{Grid, Pose2};
 
@@ -23,6 +23,8 @@ const GROWTH_FACTOR_OF_STARTS: f64 = 2.0;
 const CHECK_GROWTH_FACTOR: f64 = 1.25;
 /// Distance that a robot has driven when its submaps begin to say more of its drift than of its start, metres.
 const NEAR_START_M: f64 = 10.0;
+/// Distance within which the maps are compared where walls match best and not exactly where the starts put them, metres: closures correct that much.
+const NEAR_PLACE_M: f64 = 0.5;
 /// Most submaps of a robot that a check compares with the other's map, evenly along its way.
 const COMPARED_SUBMAPS_MAX: usize = 32;
 /// Submaps in a window of a robot's map, its newest: drift has hardly deformed them. Robots with fewer than twice as many
@@ -208,8 +210,11 @@ impl CheckJob {
         let at_starts = self.at_starts.and_then(|(maps, a_from_b)| {
             let [a, b] = compose_both(&maps)?;
             let config = &self.config.align;
-            let alignment = evaluate(a.view(), b.view(), a_from_b, config)?;
-            let null_f1_max = max_null_f1(a.view(), b.view(), a_from_b, &config.walls);
+            // Errors of SLAM are no errors of the start: the maps are compared at the nearest place where walls match.
+            let near = align_near(a.view(), b.view(), a_from_b, config)
+                .filter(|near| near.a_from_b.distance_m(a_from_b) <= NEAR_PLACE_M);
+            let alignment = near.or_else(|| evaluate(a.view(), b.view(), a_from_b, config))?;
+            let null_f1_max = max_null_f1(a.view(), b.view(), alignment.a_from_b, &config.walls);
             Some((a_from_b, Evidence { alignment, null_f1_max }))
         });
         MapsChecked { pair: self.pair, nodes: self.nodes, found, at_starts, config: self.config }

@@ -12,9 +12,9 @@ use crate::config::{ClosureConfig, MergeConfig};
 use core::cmp::Ordering;
 use msg::{Pose2, RobotId, pose::wrap_angle};
 
-/// Score of walls up to which the maps contradict their starts, metres: contradicted walls count 2.7 times, matching ones once. In the
-/// open few walls are in both maps, of which a person may hide some.
-const CONTRADICTED_SCORE_M: f64 = -5.0;
+/// Score of walls up to which the maps contradict their starts, metres: contradicted walls count 2.7 times, matching ones once, so that
+/// it takes 7.5 m of walls. Less is drawn wrong by a robot that has just begun.
+const CONTRADICTED_SCORE_M: f64 = -20.0;
 
 /// What the maps of two robots say of the relation of their given starts.
 #[derive(Clone, Copy, Debug, Default)]
